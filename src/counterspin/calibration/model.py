@@ -23,12 +23,12 @@ from counterspin.campaign.conditions import (
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.model import ALL_TERMS
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.terms import TABLE_ERRORS, acts, shows, symbols_shown
+from counterspin.campaign.terms import acts, shows, symbols_shown
 from counterspin.inference.joint.series import CLOCK, RATE_CLOCK, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.effects import AttitudeError, Slope, SpecificForceProduct
+from counterspin.physics.effects import Slope, SpecificForceProduct
 from counterspin.physics.frequency_response import CUTOFF
 from counterspin.physics.terms import (
     ACCELEROMETER_TERMS,
@@ -278,7 +278,8 @@ def _platform_terms(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[
     for symbol, row in SHARED_TERMS.items():
         if campaign.angle is None and symbol.startswith("encoder."):
             continue
-        if isinstance(row.effect, AttitudeError) and not _acts_on_records(campaign, row.effect):
+        # Strapped instruments turn with the table, and have no gyros.
+        if row.effect.part == ("gyros" if campaign.strapped else "table"):
             continue
         if symbol == LEVER_ARM:
             yield from ((name, symbol) for name in names if has_lever_arm)
@@ -298,13 +299,6 @@ def _platform_terms(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[
         ]
         for run in affected if row.per_run else affected[:1]:
             yield (run.name if row.per_run else ""), symbol
-
-
-def _acts_on_records(campaign: Campaign, turn: AttitudeError) -> bool:
-    """Return whether a turn acts on records; a strapped instrument has a table but no gyros."""
-    if turn.kind in TABLE_ERRORS:
-        return campaign.strapped
-    return not campaign.strapped or turn.kind in ("tilt", "compliance")
 
 
 @lru_cache(maxsize=1024)

@@ -234,6 +234,8 @@ def relative_conditions(
 ) -> dict[str, Array]:
     """Return the conditions of readings relative to the reference, by name, each of shape (n,).
 
+    The centripetal force is zero, as at rest.
+
     assumed_temperatures: Of readings that state none, minus the reference temperature, K.
     directions: As of `temperature_directions`.
     """
@@ -247,6 +249,7 @@ def relative_conditions(
         "temperature": np.array(temperatures),
         "time": np.array(times),
         "direction": np.array([directions.get(r.name, (0.0,))[0] for r in readings]),
+        "force": np.zeros(len(readings)),
     }
 
 

@@ -22,7 +22,7 @@ from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run, is_reading
 from counterspin.campaign.settings import OBSERVABLES, CentrifugeSettings, NoiseSettings
-from counterspin.campaign.terms import TABLE_ERRORS, symbols_shown
+from counterspin.campaign.terms import symbols_shown
 from counterspin.campaign.validation import Problems
 from counterspin.errors import Problem
 from counterspin.physics.conditions import STATED_CONDITIONS
@@ -344,14 +344,12 @@ def _terms_that_cannot_act(
 
 def _reason_without_effect(effect: AttitudeError | TrajectoryError, strapped: bool) -> str:
     """Return why a term acts on no record of the double turntable; empty if it may act."""
-    if not isinstance(effect, AttitudeError):
-        return ""
-    if effect.kind in TABLE_ERRORS and not strapped:
+    if effect.part == "table" and not strapped:
         return (
             "is an error of the counter-rotating table; if the accelerometers are strapped to the "
             "table, add strapped = true to [centrifuge], otherwise omit this term"
         )
-    if strapped and effect.kind not in (*TABLE_ERRORS, "tilt", "compliance"):
+    if effect.part == "gyros" and strapped:
         return (
             "is an error of the platform gyros; accelerometers strapped to the table (strapped = "
             "true in [centrifuge]) have no gyros; omit this term"

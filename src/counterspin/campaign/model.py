@@ -30,12 +30,12 @@ from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.grades import DEFAULT_GRADE, GRADES
 from counterspin.physics.terms import (
     ACCELEROMETER_TERMS,
-    CONDITION_TERMS,
     INPUTS,
     SHARED_TERMS,
     TABLE,
     TERMS,
     accelerometer_of,
+    condition_of,
     is_term,
     same_for_all,
     term,
@@ -122,7 +122,7 @@ class MeasurementSetup:
             return terms
         # Of a pose only what its accelerometers themselves do is seen.
         slopes = (
-            symbol for symbol, row in CONDITION_TERMS.items() if row.effect.condition != "force"
+            symbol for symbol in ACCELEROMETER_TERMS if condition_of(symbol) not in ("", "force")
         )
         return tuple(dict.fromkeys([*terms, *slopes]))
 
@@ -282,8 +282,7 @@ def _resolve_names(
         resolved = _resolve_symbols(name, path, setup, problems)
         if resolved and set(resolved) <= set(symbols):
             problems.add(path, f'"{name}" is listed twice', "duplicate-entry")
-        row = CONDITION_TERMS.get(name)
-        if key == "terms" and row is not None and row.effect.condition == "force":
+        if key == "terms" and condition_of(name) == "force":
             problems.add(
                 path,
                 f'"{name}" cannot be separated from K_II; state a prior for it in [model.priors]',

@@ -23,12 +23,12 @@ from counterspin.campaign.reading import Reading
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import AttitudeError, TrajectoryError
 from counterspin.physics.terms import (
-    CONDITION_TERMS,
     HEAD_WAVES,
     READING_TERMS,
     SHARED_TERMS,
     Term,
     affects_readings,
+    condition_of,
 )
 
 
@@ -47,9 +47,6 @@ BARE_NAMES: Final[Mapping[str, tuple[Term[AttitudeError | TrajectoryError], ...]
 _NORTH: Final = np.array([0.0, 1.0, 0.0])
 _UP: Final = np.array([0.0, 0.0, 1.0])
 _ROUNDING: Final = 1e-9  #: of a unit vector; above roundoff, below any angle of a mounting
-
-#: Kinds of attitude errors of the table, which strapped instruments show.
-TABLE_ERRORS: Final = ("table", "table_axis")
 
 #: What a name of the machine's terms begins with.
 _FAMILIES: Final = ("centrifuge.", "fixture.", "head.", "vibration.")
@@ -80,7 +77,7 @@ def acts(row: Term[AttitudeError | TrajectoryError], mounting: Mounting, attitud
         return float(np.linalg.norm(moved)) > _ROUNDING
     if effect.kind == "compliance":
         return float(np.linalg.norm(np.cross(attitude[effect.axis], input_axis))) > _ROUNDING
-    if effect.kind in TABLE_ERRORS:
+    if effect.part == "table":
         return _leaves_a_mean(effect, input_axis, attitude, None)
     along = effect.force_axis
     steady = along is not None and abs(float(attitude[along] @ _UP)) > _ROUNDING
@@ -214,6 +211,6 @@ def expand(name: str, known: Iterable[str]) -> tuple[str, ...]:
 
     The slope of a coefficient is one term, for all powers of the same condition.
     """
-    if name in CONDITION_TERMS:
+    if condition_of(name):
         return tuple(s for s in known if s == name)
     return tuple(s for s in known if s == name or s.startswith(f"{name}."))

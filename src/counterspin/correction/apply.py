@@ -39,7 +39,7 @@ from counterspin.physics.correction import (
     correct,
     missing_axes,
 )
-from counterspin.physics.terms import CONDITION_TERMS, TERMS
+from counterspin.physics.terms import TERMS, condition_of
 from counterspin.records.dialect import AUTODETECT, Dialect
 from counterspin.results import unsealed_sentences
 from counterspin.units import unit_factor
@@ -345,7 +345,7 @@ def _unapplied_warnings(name: str, accelerometer: AccelerometerResult) -> list[s
     unapplied = [
         symbol
         for symbol, c in known.items()
-        if symbol in {*CONDITION_TERMS} - {HYSTERESIS} and not acts(symbol) and (c.value or c.u)
+        if condition_of(symbol) and symbol != HYSTERESIS and not acts(symbol) and (c.value or c.u)
     ]
     if not unapplied:
         return []

@@ -18,7 +18,7 @@ from counterspin.physics.correction import (
     indication,
     product_of_symbol,
 )
-from counterspin.physics.terms import CONDITION_TERMS, TERMS
+from counterspin.physics.terms import TERMS, condition_of
 
 if TYPE_CHECKING:
     from counterspin.calibration.result import Result
@@ -52,7 +52,7 @@ def with_unstated(
         if not (acts(symbol) or symbol == HYSTERESIS):
             continue
         needed = {*product_of_symbol(symbol).factors}
-        needed |= {"temperature"} if symbol in CONDITION_TERMS and acts(symbol) else set()
+        needed |= {"temperature"} & {condition_of(symbol)}
         if needed <= set(given):
             own = accelerometers[name]
             c = Coefficient(value=row.value, u=row.u, unit=row.unit, estimated=False)
@@ -135,8 +135,7 @@ def terms_of(accelerometer: AccelerometerResult) -> dict[str, Coefficient]:
 
 def acts(symbol: str) -> bool:
     """Return whether a term is a product of an accelerometer, or its slope with temperature."""
-    row = CONDITION_TERMS.get(symbol)
-    return symbol in TERMS if row is None else row.effect.condition == "temperature"
+    return symbol in TERMS or condition_of(symbol) == "temperature"
 
 
 def determined_terms(accelerometer: AccelerometerResult) -> dict[str, Coefficient]:

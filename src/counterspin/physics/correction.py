@@ -24,7 +24,7 @@ from counterspin.errors import ConvergenceError, InputError
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import Slope, SpecificForceProduct
-from counterspin.physics.terms import ACCELEROMETER_TERMS, TERMS
+from counterspin.physics.terms import CONDITION_TERMS, TERMS, coefficient_of
 
 _EPSILON: Final = float(np.finfo(np.float64).eps)
 
@@ -278,8 +278,7 @@ class CalibratedAccelerometer:
     @property
     def slopes(self) -> dict[str, Slope]:
         """Slopes of its coefficients with the conditions, by symbol."""
-        effects = {s: ACCELEROMETER_TERMS[s].effect for s in self.coefficients}
-        return {s: effect for s, effect in effects.items() if isinstance(effect, Slope)}
+        return {s: CONDITION_TERMS[s].effect for s in self.coefficients if s in CONDITION_TERMS}
 
     def at(self, temperature_offset: Array | float) -> dict[str, Array | float]:
         """Return the coefficients of products at a temperature, as of `TemperatureOffset`."""
@@ -297,8 +296,7 @@ class CalibratedAccelerometer:
 
 def product_of_symbol(symbol: str) -> SpecificForceProduct:
     """Return the product of a term, or of that whose coefficient a slope changes."""
-    effect = ACCELEROMETER_TERMS[symbol].effect
-    return TERMS[effect.coefficient].effect if isinstance(effect, Slope) else effect
+    return TERMS[coefficient_of(symbol)].effect
 
 
 def _design_factor(slope: Slope, temperature_offset: Array | float) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -62,6 +62,10 @@ class SpecificForceProduct:
     def requires_rotation(self) -> bool:
         """True if the instrument must rotate in space to show the coefficient."""
         return not set(self.factors).isdisjoint(ROTATIONS)
+
+    def design_factors(self, conditions: Mapping[str, Array]) -> Array:
+        """Return ones: the coefficient itself does not depend on conditions; as of `Slope`."""
+        return np.ones_like(conditions["time"])
 
     def evaluate(
         self, a_ipo: Array, rotation: Array | None = None, sign_width: float = 0.0
@@ -171,6 +175,13 @@ class AttitudeError:
     harmonic: int = 0
     quadrature: str = ""
 
+    @property
+    def part(self) -> str:
+        """The part of the machine that has the error: ``table``, ``gyros`` or ``platform``."""
+        if self.kind in ("table", "table_axis"):
+            return "table"
+        return "platform" if self.kind in ("tilt", "compliance") else "gyros"
+
 
 @frozen
 class TrajectoryError:
@@ -192,6 +203,7 @@ class TrajectoryError:
     harmonic: int = 0
     quadrature: str = ""
     axis: str = ""  #: For a tilt ``east`` or ``north``.
+    part: ClassVar = "centrifuge"  #: As of `AttitudeError`.
 
 
 @frozen

@@ -20,7 +20,13 @@ from counterspin.physics.accelerometer import SLOWEST_FLICKER, Mounting, indicat
 from counterspin.physics.conditions import RunConditions
 from counterspin.physics.motion import Trajectory, perturbed_trajectory
 from counterspin.physics.spindle import Spindle
-from counterspin.physics.terms import CONDITION_TERMS, LEVER_ARM, PLATFORM_TERMS, TERMS
+from counterspin.physics.terms import (
+    CONDITION_TERMS,
+    LEVER_ARM,
+    PLATFORM_TERMS,
+    TERMS,
+    condition_of,
+)
 
 #: Times for which slow waves are summed at once: there may be a hundred of them.
 _WAVES_PER_BATCH: Final = 100_000
@@ -93,11 +99,7 @@ def simulate_record(
     trajectory = perturbed_trajectory(trajectory, shared)
     platform = {symbol: value for symbol, value in shared.items() if symbol in PLATFORM_TERMS}
     g = trajectory.site.gravity
-    trend = sum(
-        slope
-        for symbol, slope in coefficients.items()
-        if symbol in CONDITION_TERMS and CONDITION_TERMS[symbol].effect.condition == "time"
-    )
+    trend = sum(slope for symbol, slope in coefficients.items() if condition_of(symbol) == "time")
     conditions, all_coefficients = trajectory.conditions, coefficients
     coefficients = coefficients_in_run(coefficients, conditions, trajectory.centripetal)
     scale_error = coefficients.get("K_I", 1.0) - 1.0

@@ -501,6 +501,18 @@ def is_term(symbol: str) -> bool:
     return _find_row(symbol)[0] is not None
 
 
+def condition_of(symbol: str) -> str:
+    """Return the condition with which a slope changes a coefficient; empty for all other terms."""
+    row = CONDITION_TERMS.get(symbol)
+    return "" if row is None else row.effect.condition
+
+
+def coefficient_of(symbol: str) -> str:
+    """Return the coefficient that a slope changes; for all other terms, the symbol itself."""
+    row = CONDITION_TERMS.get(symbol)
+    return symbol if row is None else row.effect.coefficient
+
+
 def mounting_of(symbol: str) -> str:
     """Return the mounting, or position, that a symbol names; empty if it names none."""
     return _find_row(symbol)[1].rpartition(".")[2]

@@ -32,7 +32,7 @@ from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import Unknown, unit_of
 from counterspin.inference.noise.components import BIAS_KEYS
-from counterspin.physics.terms import CONDITION_TERMS, term
+from counterspin.physics.terms import condition_of, term
 from counterspin.planning.design import Limits, RunType
 from counterspin.planning.plan_sections import GoalSettings, LimitsSettings, PlanDocument
 from counterspin.planning.result import GoalResult
@@ -184,9 +184,8 @@ def _refuse_time_dependence(document: Mapping[str, Any], problems: Problems) -> 
     model, error_count = table_of(document, "model"), len(problems.lines)
     for key in ("terms", "hold", "considered"):
         for index, name in enumerate(list_of(model, key)):
-            row = CONDITION_TERMS.get(name) if isinstance(name, str) else None
-            condition = "force" if row is None else row.effect.condition
-            if condition != "force":
+            condition = condition_of(name) if isinstance(name, str) else ""
+            if condition not in ("", "force"):
                 problems.add(
                     ("model", key, index),
                     f'"{name}" depends on the {condition} of each run, which is unknown in a '

@@ -30,7 +30,7 @@ from counterspin.arrays import Array, triangle_of
 from counterspin.campaign.conditions import DEFAULT_WARMING
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.priors import prior_correlation, whiten_priors
-from counterspin.physics.terms import CONDITION_TERMS
+from counterspin.physics.terms import condition_of
 from counterspin.planning.design import Criterion, Design, RunType, measurement_order
 from counterspin.planning.information_table import (
     EvenSamples,
@@ -297,12 +297,8 @@ def _project_out_first(rows: Array, prior: Array) -> Array:
 
 def _by_condition(setup: Setup, condition: str) -> list[int]:
     """Return the places of the shared unknowns that depend on a condition."""
-    rows = (CONDITION_TERMS.get(setup.model.unknowns[i].symbol) for i in setup.shared)
-    return [
-        place
-        for place, row in enumerate(rows)
-        if row is not None and row.effect.condition == condition
-    ]
+    symbols = (setup.model.unknowns[i].symbol for i in setup.shared)
+    return [place for place, symbol in enumerate(symbols) if condition_of(symbol) == condition]
 
 
 def _pad_keys(keys: list[Key], count: int) -> list[Key]:

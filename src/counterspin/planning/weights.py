@@ -23,11 +23,10 @@ from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.conditions import RunConditions
-from counterspin.physics.effects import SpecificForceProduct
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import ORDERS
 from counterspin.physics.spindle import Spindle
-from counterspin.physics.terms import CONDITION_TERMS, INPUTS, term
+from counterspin.physics.terms import INPUTS, TERMS, coefficient_of, condition_of
 from counterspin.planning.information_table import basis_functions, integration_matrix
 
 
@@ -211,10 +210,9 @@ class TermWeights:
             keys += [key_of(model.considered[i]) for i in prepared.considered]
             columns = [prepared.design, prepared.fixed]
             for owner, symbol in keys[: len(prepared.unknowns)]:
-                row = CONDITION_TERMS.get(symbol)
-                if row is not None and row.effect.condition == "time":
+                if condition_of(symbol) == "time":
                     keys.append((owner, symbol + A_SECOND))
-                    columns.append(prepared.series.columns([row.effect.coefficient], 1.0))
+                    columns.append(prepared.series.columns([coefficient_of(symbol)], 1.0))
             shown.append(np.hstack(columns))
         return keys, np.array(shown)
 
@@ -340,5 +338,4 @@ def key_of(unknown: Unknown, ending: str = "") -> Key:
 
 
 def _has_kink(symbol: str) -> bool:
-    effect = getattr(term(symbol), "effect", None)
-    return isinstance(effect, SpecificForceProduct) and effect.has_kink
+    return symbol in TERMS and TERMS[symbol].effect.has_kink

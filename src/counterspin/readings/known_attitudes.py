@@ -24,10 +24,11 @@ from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Site
 from counterspin.physics.station import Stations, mean_products
 from counterspin.physics.terms import (
-    CONDITION_TERMS,
+    ACCELEROMETER_TERMS,
     TABLE,
     TERMS,
     accelerometer_of,
+    coefficient_of,
     is_term,
     mounting_of,
     term,
@@ -271,10 +272,10 @@ class Readings:
         )
 
     def design_factor(self, symbol: str) -> Array:
-        """Return the regressor of the slope of a coefficient, shape (n,)."""
+        """Return the factor of a coefficient, or of its slope, shape (n,)."""
         forces = self.stations.radius * self.stations.rate**2 / self.site.gravity
         conditions = {**self.conditions, "force": forces**2}
-        return CONDITION_TERMS[symbol].effect.design_factors(conditions)
+        return ACCELEROMETER_TERMS[symbol].effect.design_factors(conditions)
 
 
 def linearize(
@@ -365,11 +366,8 @@ def _design_factors(
 ) -> Iterator[tuple[int, tuple[int, Array]]]:
     """Yield for each coefficient, or slope of one, its index and as of `_Levers`."""
     for index, symbol in symbols.items():
-        if symbol in TERMS:
-            yield index, (_SYMBOLS.index(symbol), np.ones(group.size))
-        elif symbol in CONDITION_TERMS:
-            coefficient = CONDITION_TERMS[symbol].effect.coefficient
-            yield index, (_SYMBOLS.index(coefficient), group.design_factor(symbol))
+        if symbol in ACCELEROMETER_TERMS:
+            yield index, (_SYMBOLS.index(coefficient_of(symbol)), group.design_factor(symbol))
 
 
 @frozen

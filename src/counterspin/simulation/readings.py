@@ -27,7 +27,7 @@ from counterspin.input import read_file
 from counterspin.physics.motion import encoder_error
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.station import Stations, mean_products
-from counterspin.physics.terms import CONDITION_TERMS, TERMS
+from counterspin.physics.terms import TERMS, coefficient_of, condition_of
 from counterspin.readings.cells import BLANK, is_empty
 from counterspin.readings.groups import group_readings, numbered_groups
 from counterspin.readings.known_attitudes import Readings
@@ -69,9 +69,10 @@ def _effective_coefficients(group: Readings, coefficients: Mapping[str, float]) 
     """Return the coefficients at each reading, under its conditions, shape (n, terms)."""
     nominal = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
     effective = np.tile(nominal, (group.size, 1))
-    for symbol in CONDITION_TERMS.keys() & coefficients.keys():
-        place = list(TERMS).index(CONDITION_TERMS[symbol].effect.coefficient)
-        effective[:, place] += coefficients[symbol] * group.design_factor(symbol)
+    for symbol, value in coefficients.items():
+        if condition_of(symbol):
+            place = list(TERMS).index(coefficient_of(symbol))
+            effective[:, place] += value * group.design_factor(symbol)
     return effective
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.inference.joint.alternatives import Alternative
 from counterspin.inference.joint.fit import JointFit
-from counterspin.physics.terms import CONDITION_TERMS, TERMS
+from counterspin.physics.terms import ACCELEROMETER_TERMS, TERMS, coefficient_of, condition_of
 from counterspin.readings.patterns import TERM, time_patterns
 from counterspin.triads.poses import TriadPoses, design_factor
 
@@ -41,14 +41,11 @@ def pose_candidates(
             symbol: point.projection[:, axis_index] * point.products[:, axis_index, index]
             for index, symbol in enumerate(TERMS)
         }
-        for symbol, product in products.items():
-            if (name, symbol) not in estimated_keys or (name, symbol) in tested_keys:
-                yield Alternative(TERM, name, symbol, {group_index: product})
-        for symbol, row in CONDITION_TERMS.items():
-            factor = design_factor(poses, symbol)
-            # A slope with time that nobody has stated is the drift.
-            if factor is None or np.ptp(factor) == 0.0 or row.effect.condition == "time":
+        for symbol in ACCELEROMETER_TERMS:
+            if (name, symbol) in estimated_keys and (name, symbol) not in tested_keys:
                 continue
-            if (name, symbol) not in estimated_keys or (name, symbol) in tested_keys:
-                column_of_slope = products[row.effect.coefficient] * factor
-                yield Alternative(TERM, name, symbol, {group_index: column_of_slope})
+            condition, factor = condition_of(symbol), design_factor(poses, symbol)
+            # A slope with time that is not stated is the drift.
+            if condition != "time" and (not condition or np.ptp(factor) > 0.0):
+                column = products[coefficient_of(symbol)] * factor
+                yield Alternative(TERM, name, symbol, {group_index: column})

@@ -25,7 +25,7 @@ from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import SIGN_WIDTH, SpecificForceProduct
-from counterspin.physics.terms import CONDITION_TERMS, LINEAR, TERMS
+from counterspin.physics.terms import ACCELEROMETER_TERMS, LINEAR, TERMS, coefficient_of
 from counterspin.readings.linear import MIN_RELATIVE_NOISE, LinearReadings
 from counterspin.triads.determinability import default_candidates, undetermined_parameters
 
@@ -304,22 +304,19 @@ def predict_indications(
     effective = np.tile([row.nominal for row in TERMS.values()], (poses.size, 3, 1))
     for index, values in enumerate(coefficients):
         for symbol, value in values.items():
-            if symbol in TERMS:
-                effective[:, index, _SYMBOLS.index(symbol)] += value - TERMS[symbol].nominal
-            elif (factor := design_factor(poses, symbol)) is not None:
-                effective[:, index, _term_index(symbol)] += value * factor
+            deviation = value - ACCELEROMETER_TERMS[symbol].nominal
+            effective[:, index, _term_index(symbol)] += deviation * design_factor(poses, symbol)
     return _indications_and_slopes(poses.axes, direction, _active_terms(effective))[0]
 
 
-def design_factor(poses: TriadPoses, symbol: str) -> Array | None:
-    """Return by what a slope is multiplied, shape (n,); None if it is nothing at rest."""
-    slope = CONDITION_TERMS[symbol].effect
-    return None if slope.condition == "force" else slope.design_factors(poses.conditions)
+def design_factor(poses: TriadPoses, symbol: str) -> Array:
+    """Return the factor of a coefficient, or of its slope, shape (n,)."""
+    return ACCELEROMETER_TERMS[symbol].effect.design_factors(poses.conditions)
 
 
 def _term_index(symbol: str) -> int:
-    """Return the place of the term that a slope changes."""
-    return _SYMBOLS.index(CONDITION_TERMS[symbol].effect.coefficient)
+    """Return the place of a coefficient, or of the one that a slope changes."""
+    return _SYMBOLS.index(coefficient_of(symbol))
 
 
 def design_factors(
@@ -327,15 +324,10 @@ def design_factors(
 ) -> Iterator[tuple[int, int, int, Array]]:
     """Yield for each coefficient, or slope of one: its index, whose, of which term, times what."""
     for index, unknown in enumerate(unknowns):
-        if unknown.owner not in poses.accelerometers:
-            continue
-        axis_index, symbol = poses.accelerometers.index(unknown.owner), unknown.symbol
-        if symbol in TERMS:
-            yield index, axis_index, _SYMBOLS.index(symbol), np.ones(poses.size)
-        elif symbol in CONDITION_TERMS:
-            factor = design_factor(poses, symbol)
-            if factor is not None:
-                yield index, axis_index, _term_index(symbol), factor
+        symbol = unknown.symbol
+        if unknown.owner in poses.accelerometers and symbol in ACCELEROMETER_TERMS:
+            axis_index = poses.accelerometers.index(unknown.owner)
+            yield index, axis_index, _term_index(symbol), design_factor(poses, symbol)
 
 
 def _products(axes: Array, direction: Array) -> Array:

@@ -31,7 +31,7 @@ from counterspin.inference.joint.budget import combination_budget, u_by_category
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import Combination
-from counterspin.physics.terms import CONDITION_TERMS, LINEAR, TERMS
+from counterspin.physics.terms import LINEAR, TERMS, condition_of
 from counterspin.readings.fitted import FittedReadings
 from counterspin.readings.joint_data import combination_dof
 from counterspin.triads.poses import SolvedPoses, TriadPoses, design_factors
@@ -399,7 +399,7 @@ def _slope_part(poses: TriadPoses, solved: SolvedPoses, parameters: Sequence[Unk
     effect, requested = np.zeros_like(poses.value), set(parameters)
     for index, axis_index, term, factor in design_factors(poses, solved.unknowns):
         unknown = solved.unknowns[index]
-        if unknown.symbol in CONDITION_TERMS and unknown in requested:
+        if condition_of(unknown.symbol) and unknown in requested:
             effect[:, axis_index] += (
                 solved.products[:, axis_index, term] * factor * solved.values[index]
             )
