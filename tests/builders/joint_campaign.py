@@ -7,6 +7,7 @@ import numpy as np
 
 from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.unknowns import Considered, Unknown
+from counterspin.inference.noise.simulation import draw_accelerometer_noise
 from counterspin.physics import simulation
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory
@@ -90,9 +91,7 @@ def noisy(series, noise, rng):
     """The series with noise drawn on it."""
     drawn = noise.white * rng.standard_normal(series.time.size)
     if noise.random_walk:
-        drawn = drawn + simulation.accelerometer_walk(
-            rng, series.time, noise.random_walk, series.order
-        )
+        drawn = drawn + draw_accelerometer_noise(rng, series.time, noise.random_walk, series.order)
     return replace(series, error=series.error + drawn)
 
 

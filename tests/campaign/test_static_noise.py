@@ -68,7 +68,7 @@ def test_largest_estimated_noise_is_simulated(folder, largest_white_noise):
 def test_stated_true_noise_overrides_estimate(folder, tmp_path):
     at_rest(tmp_path, rows=2000)
     own = read_campaign(write(tmp_path, changed(SMALL, (STATED, FROM))))
-    assert simulated_noise(own).displacement == 0.01
+    assert simulated_noise(own)["displacement"] == 0.01
     wanted = read_campaign(folder).change({"noise": {"acceleration": "estimate"}})
     with raises("not-simulable", "noise.acceleration:"):
         cs.simulate(wanted)

@@ -15,7 +15,8 @@ import counterspin as cs
 from counterspin.campaign.documents import load_document
 from counterspin.cli import main
 from counterspin.errors import CampaignError, RecordError
-from counterspin.physics.simulation import accelerometer_walk, bias_wander
+from counterspin.inference.noise.model import Noise
+from counterspin.inference.noise.simulation import draw_accelerometer_noise, draw_bias_noise
 
 STEP, G = 0.01, 9.80665
 N, B = 5e-5, 3e-4
@@ -24,7 +25,8 @@ N, B = 5e-5, 3e-4
 def make_columns(n=6_000, order=0, seed=1):
     rng = np.random.default_rng(seed)
     time = np.arange(n) * STEP
-    values = accelerometer_walk(rng, time, N, order) + bias_wander(rng, time, B, 0.0, order)
+    values = draw_accelerometer_noise(rng, time, N, order)
+    values = values + draw_bias_noise(rng, time, Noise(0.0, flicker=B), order)
     return np.round(time, 4), values
 
 

@@ -41,7 +41,7 @@ from counterspin.campaign.field_types import (
 )
 from counterspin.campaign.quantity import Quantity, latitude_text
 from counterspin.errors import InputError, OutOfRangeError
-from counterspin.inference.noise.components import BIAS_KEYS, COMPONENTS_BY_KEY
+from counterspin.inference.noise.components import BIAS_COMPONENTS_BY_KEY, COMPONENTS_BY_KEY
 from counterspin.physics.terms import Term
 from counterspin.units import check_unit, unit_factor
 
@@ -297,7 +297,7 @@ class StatedNoise(SettingsSection):
     @property
     def wanders(self) -> bool:
         """True if the bias wanders, or may."""
-        return any(getattr(self, key) != 0.0 for key in BIAS_KEYS)
+        return any(getattr(self, key) != 0.0 for key in BIAS_COMPONENTS_BY_KEY)
 
 
 class NoiseSettings(StatedNoise):

@@ -12,7 +12,7 @@ import numpy as np
 
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.field_types import ESTIMATE
-from counterspin.campaign.settings import NoiseSettings, StatedNoise
+from counterspin.campaign.settings import NOISE_UNITS, NoiseSettings, StatedNoise
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.inference.noise.components import BIAS_COMPONENTS, size_keys
@@ -65,27 +65,31 @@ def resolve_noise(
     }
 
 
-def simulated_noise(campaign: Campaign) -> StatedNoise:
-    """Return the noise with which a campaign is simulated, every component a number."""
+def simulated_noise(campaign: Campaign) -> dict[str, float]:
+    """Return the sizes of the simulated noise of a campaign, by key of [noise]."""
     assert campaign.simulation is not None
     true = campaign.simulation.truth.noise
     if isinstance(true, NoiseSettings) and true.rest is not None:
         return with_static_sizes(campaign, true)
-    return true
+    return _sizes(true)
 
 
-def with_static_sizes(campaign: Campaign, noise: NoiseSettings) -> StatedNoise:
-    """Return a campaign's noise with the sizes from its record at rest.
+def with_static_sizes(campaign: Campaign, noise: NoiseSettings) -> dict[str, float]:
+    """Return the sizes of a campaign's noise, by key, with the sizes from its record at rest.
 
     If the accelerometers have sizes of their own, take the largest: a simulation and a plan have
     one noise.
     """
     resolved = resolve_noise(replace(campaign, noise=noise), 0.0)
-    sizes = {name: getattr(noise, name) for name in StatedNoise.model_fields}
+    sizes = _sizes(noise)
     for name, accelerometer in campaign.accelerometers.items():
         for key in set(size_keys(accelerometer.observable).values()) - noise.model_fields_set:
             sizes[key] = max(sizes[key], getattr(resolved[name].sizes, key))
-    return StatedNoise.model_construct(**sizes)
+    return sizes
+
+
+def _sizes(noise: StatedNoise) -> dict[str, float]:
+    return {key: getattr(noise, key) for key in NOISE_UNITS}
 
 
 def _resolve_accelerometer(

@@ -17,7 +17,10 @@ from counterspin.campaign.field_types import exact
 from counterspin.campaign.settings import NOISE_UNITS, OBSERVABLES
 from counterspin.campaign.static_noise import static_signals
 from counterspin.errors import CampaignError, RecordError, UsageError, code_of
-from counterspin.inference.noise.components import BIAS_KEYS, COMPONENTS_BY_KEY, size_keys
+from counterspin.inference.noise.components import (
+    BIAS_COMPONENTS_BY_KEY,
+    size_keys,
+)
 from counterspin.inference.noise.spectrum import SpectralLine, allan_values, spectrum
 from counterspin.inference.noise.static_noise import (
     Band,
@@ -397,11 +400,12 @@ def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
     for key, size in stated.components.items():
         name = component_name(key)
         if size.value is None:
-            if key in BIAS_KEYS:
+            if key in BIAS_COMPONENTS_BY_KEY:
+                scale = BIAS_COMPONENTS_BY_KEY[key].process.limit_scale
                 yield (
                     f"The record does not show {name}. The stated upper limit decreases "
-                    f"approximately in proportion to {COMPONENTS_BY_KEY[key].limit_scale}, so a "
-                    "longer record (hours) can show smaller values."
+                    f"approximately in proportion to {scale}, so a longer record (hours) can show "
+                    "smaller values."
                 )
             continue
         wide = (

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Final
 
-from counterspin.inference.noise.components import BIAS_KEYS, COMPONENTS_BY_KEY
+from counterspin.inference.noise.components import BIAS_COMPONENTS_BY_KEY, COMPONENTS_BY_KEY
 from counterspin.monitoring.result import (
     CheckedRun,
     CurrentEstimate,
@@ -269,7 +269,7 @@ def _summary_sentence(signal: SignalNoise, gravity: float) -> str:
         else f"N is below {_number(size.high, factor)} {unit}"
     )
     slow = []
-    for key in BIAS_KEYS:
+    for key in BIAS_COMPONENTS_BY_KEY:
         component = signal.components[key]
         unit, factor = _display_unit(component.unit, signal, gravity)
         if component.value is not None:

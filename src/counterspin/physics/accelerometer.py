@@ -14,9 +14,6 @@ from counterspin.frozen import frozen
 from counterspin.physics.frequency_response import FrequencyResponse
 from counterspin.physics.terms import TERMS
 
-#: Flicker of a bias has a longest period of a day, Hz; slower changes are bias.
-SLOWEST_FLICKER: Final = 1.0 / 86400.0
-
 DIRECTIONS: Final[Mapping[str, tuple[float, float, float]]] = {
     "east": (1.0, 0.0, 0.0),
     "west": (-1.0, 0.0, 0.0),

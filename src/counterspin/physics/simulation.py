@@ -7,16 +7,14 @@ through the complete error model and integrates, products of small terms include
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.physics import observation, quadrature
-from counterspin.physics.accelerometer import SLOWEST_FLICKER, Mounting, indicated
+from counterspin.physics.accelerometer import Mounting, indicated
 from counterspin.physics.conditions import RunConditions
 from counterspin.physics.motion import Trajectory, perturbed_trajectory
 from counterspin.physics.spindle import Spindle
@@ -27,9 +25,6 @@ from counterspin.physics.terms import (
     TERMS,
     condition_of,
 )
-
-#: Times for which slow waves are summed at once: there may be a hundred of them.
-_WAVES_PER_BATCH: Final = 100_000
 
 
 def attitude_error(
@@ -216,83 +211,3 @@ def _rotate_force(force: Array, psi: Array) -> Array:
     rotated: Array = force - np.sinc(angle / np.pi) * first
     rotated += 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * second
     return rotated
-
-
-def accelerometer_walk(
-    generator: np.random.Generator, times: Array, random_walk: float, order: int
-) -> Array:
-    """Draw accelerometer white noise as the observable shows it.
-
-    times: s, increasing, shape (n,).
-    random_walk: Coefficient N, m/s^2/Hz^0.5 (velocity variance N^2 t).
-    order: 2 for displacement, 1 for velocity, 0 for specific force (the mean over each sample's
-        interval).
-    Returns: shape (n,), zero at the first time for orders 1 and 2.
-    """
-    step = np.diff(times)
-    if order == 0:
-        intervals = np.concatenate([step[:1], step])
-        white: Array = random_walk * generator.standard_normal(times.size) / np.sqrt(intervals)
-        return white
-    # Over a step the walk's velocity gains sqrt(h) z1, its position h^1.5 (z1/2 + z2/sqrt(12)).
-    z1, z2 = generator.standard_normal((2, step.size))
-    velocity: Array = np.concatenate([[0.0], np.cumsum(random_walk * np.sqrt(step) * z1)])
-    if order == 1:
-        return velocity
-    interval_noise = random_walk * step**1.5 * (0.5 * z1 + z2 / np.sqrt(12.0))
-    position: Array = np.concatenate([[0.0], np.cumsum(velocity[:-1] * step + interval_noise)])
-    return position
-
-
-def bias_wander(
-    generator: np.random.Generator,
-    times: Array,
-    flicker: float,
-    bias_walk: float,
-    order: int,
-    elapsed: float = 0.0,
-) -> Array:
-    """Draw the wander of a bias as the observable shows it.
-
-    Flicker is a sum of waves whose variances are those of the spectrum B^2/(2 pi f), from a day's
-    period to half the sampling rate: line by line of eight times the record's length, and slower
-    ones in bands of a tenth of a decade.
-
-    times: s, evenly spaced, shape (n,), at least 2.
-    flicker, bias_walk: Bias instability B, m/s^2, and random walk K of the bias, m/s^2/s^0.5.
-    order: As for `accelerometer_walk`; 0 is the bias itself.
-    elapsed: Duration of the walk of the bias before the first time, s.
-    Returns: shape (n,), zero at the first time for orders 1 and 2.
-    """
-    n, step = times.size, float(times[1] - times[0])
-    bias = np.zeros(n)
-    if flicker > 0.0:
-        lines = 8 * n
-        k = np.arange(1, lines // 2)
-        # Variance between the middles of the gaps to the neighbours: B^2/pi ln(f2/f1).
-        size = flicker * np.sqrt(np.log((k + 0.5) / (k - 0.5)) / math.pi)
-        waves = np.zeros(lines // 2 + 1, dtype=complex)
-        waves[k] = 0.5 * size * (generator.standard_normal((2, k.size)).T @ [1.0, 1j])
-        bias += np.fft.irfft(waves * lines, lines)[:n]
-        first = 0.5 / (lines * step)
-        low = min(SLOWEST_FLICKER, 0.1 * first)
-        edges = np.geomspace(low, first, 2 + math.ceil(10.0 * math.log10(first / low)))
-        sizes = flicker * np.sqrt(np.diff(np.log(edges)) / math.pi)
-        w = 2.0 * math.pi * np.sqrt(edges[1:] * edges[:-1])[:, None]
-        a, b = sizes * generator.standard_normal((2, sizes.size))
-        for start in range(0, n, _WAVES_PER_BATCH):
-            phases = w * (times[start : start + _WAVES_PER_BATCH] - times[0])
-            bias[start : start + _WAVES_PER_BATCH] += a @ np.cos(phases) + b @ np.sin(phases)
-    if bias_walk > 0.0:
-        steps = generator.standard_normal(n) * np.sqrt(np.append(elapsed, np.full(n - 1, step)))
-        bias += bias_walk * np.cumsum(steps)
-    if order == 0:
-        return bias
-    # The bias is taken as linear between samples.
-    velocity_change = 0.5 * step * (bias[1:] + bias[:-1])
-    velocity = np.concatenate([[0.0], np.cumsum(velocity_change)])
-    if order == 1:
-        return velocity
-    displacement = velocity[:-1] * step + (2.0 * bias[:-1] + bias[1:]) * step**2 / 6.0
-    position: Array = np.concatenate([[0.0], np.cumsum(displacement)])
-    return position

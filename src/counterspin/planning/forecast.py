@@ -189,7 +189,7 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
 def _resolved_noise(campaign: Campaign, name: str) -> Mapping[str, float | str]:
     """Return the stated noise; noise to be estimated is taken from a simulation's truth."""
     stated = dict(resolve_noise(campaign, 0.0)[name].sizes or ())
-    truth = vars(simulated_noise(campaign)) if campaign.simulation else {}
+    truth = simulated_noise(campaign) if campaign.simulation else {}
     return {key: stated.get(key, size) for key, size in {**truth, **stated}.items()} | {
         key: size for key, size in truth.items() if not isinstance(stated.get(key), float)
     }

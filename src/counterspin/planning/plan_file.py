@@ -31,7 +31,7 @@ from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import Unknown, unit_of
-from counterspin.inference.noise.components import BIAS_KEYS
+from counterspin.inference.noise.components import BIAS_COMPONENTS_BY_KEY
 from counterspin.physics.terms import condition_of, term
 from counterspin.planning.design import Limits, RunType
 from counterspin.planning.plan_sections import GoalSettings, LimitsSettings, PlanDocument
@@ -254,8 +254,8 @@ def _stated_sizes(noise: Mapping[str, Any], problems: Problems) -> dict[str, Any
 
 def _record_sizes(campaign: Campaign, stated: NoiseSettings, problems: Problems) -> dict[str, str]:
     """Return [noise] as it is written with the sizes that a record at rest says."""
-    sizes = {key: size for key, size in with_static_sizes(campaign, stated) if size}
-    for key in sizes.keys() & set(BIAS_KEYS) - stated.model_fields_set:
+    sizes = {key: size for key, size in with_static_sizes(campaign, stated).items() if size}
+    for key in sizes.keys() & set(BIAS_COMPONENTS_BY_KEY) - stated.model_fields_set:
         unit = NOISE_UNITS[key]
         problems.add(
             ("noise", "from"),
@@ -270,7 +270,7 @@ def _check_noise(campaign: Campaign, problems: Problems) -> None:
     noise = campaign.noise
     if noise is None or any(line.startswith("noise.") for line in problems.lines):
         return
-    for key in BIAS_KEYS:
+    for key in BIAS_COMPONENTS_BY_KEY:
         if getattr(noise, key) != 0.0:
             problems.add(
                 ("noise", key),

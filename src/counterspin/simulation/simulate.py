@@ -14,17 +14,17 @@ import numpy as np
 import polars as pl
 
 from counterspin.arrays import Array
-from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.conditions import run_conditions
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, require_source
 from counterspin.campaign.memory import WRITERS, copy_record
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run, sample_count
-from counterspin.campaign.settings import StatedNoise
 from counterspin.campaign.simulated_truth import SimulatedTruth
 from counterspin.campaign.static_noise import simulated_noise
 from counterspin.errors import CampaignError, ExistingFileError, UsageError
+from counterspin.inference.noise.model import SPECIFIC_FORCE, Noise
+from counterspin.inference.noise.simulation import add_noise, add_white_noise
 from counterspin.output import make_folder, write_text, write_whole
 from counterspin.physics import observation, simulation
 from counterspin.physics.motion import Trajectory, encoder_error, perturbed_trajectory
@@ -238,13 +238,15 @@ def _simulate_mean_records(campaign: Campaign, head_errors: Array) -> Iterator[p
             time, angle, signal = simulate_mean_record(campaign, reading, error)
             if not columns:
                 shown = clock_ratio(campaign, campaign.recording)
-                stamps = _add_noise(generator, time * shown, noise.timing)
+                stamps = add_white_noise(generator, time * shown, noise["timing"])
                 columns[campaign.time.name] = stamps / campaign.time.factor
                 if campaign.angle is not None:
-                    angle = _add_noise(generator, angle, noise.angle)
+                    angle = add_white_noise(generator, angle, noise["angle"])
                     columns[campaign.angle.name] = campaign.angle.to_file_units(angle)
                 columns |= _temperature_column(campaign.temperature, reading.temperature, time)
-            signal = _add_output_noise(generator, time, signal, accelerometer, noise)
+            observable = accelerometer.observable
+            model = Noise.from_sizes(noise, observable).without_bias_instability
+            signal = add_noise(generator, time, signal, model, observation.ORDERS[observable])
             channel = accelerometer.channel
             columns[channel.name] = channel.to_file_units(signal * gravity_ratio(campaign, channel))
         yield pl.DataFrame(columns)
@@ -259,16 +261,15 @@ def _simulate_pose_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
         time, force, _ = simulate_forces(record, campaign.simulation.poses, rate, generator)
         columns: dict[str, Array] = {}
         if campaign.time.kind != "rows":
-            stamps = _add_noise(generator, time, noise.timing)
+            stamps = add_white_noise(generator, time, noise["timing"])
             columns[campaign.time.name] = stamps / campaign.time.factor
         columns |= _temperature_column(campaign.temperature, record.temperature, time)
         indicated = indicated_forces(apply_true_inputs(campaign), record, time, force)
+        model = Noise.from_sizes(noise, "specific_force").without_bias_instability
         for name, signal in indicated.items():
-            accelerometer = campaign.accelerometers[name]
-            channel = accelerometer.force
+            channel = campaign.accelerometers[name].force
             assert channel is not None
-            felt = accelerometer.with_private(observable="specific_force", channel=channel)
-            noisy = _add_output_noise(generator, time, signal, felt, noise)
+            noisy = add_noise(generator, time, signal, model, SPECIFIC_FORCE)
             columns[channel.name] = channel.to_file_units(noisy * gravity_ratio(campaign, channel))
         yield pl.DataFrame(columns)
 
@@ -359,28 +360,27 @@ def simulate_run(
     )
     times = np.arange(sample_count(run.duration, rate)) / rate
     noise = simulated_noise(campaign)
-    stamps = _add_noise(generator, times * clock_ratio(campaign, recording), noise.timing)
+    stamps = add_white_noise(generator, times * clock_ratio(campaign, recording), noise["timing"])
     columns = {recording.time.name: stamps / recording.time.factor}
     if recording.angle is not None:
         angle_delay = true.timing_offset.value if true.timing_offset else 0.0
         angle = run_truth.spindle.angle(times + angle_delay)
-        angle = _add_noise(generator, angle + encoder_error(run_truth.shared, angle), noise.angle)
+        angle = add_white_noise(
+            generator, angle + encoder_error(run_truth.shared, angle), noise["angle"]
+        )
         columns[recording.angle.name] = recording.angle.to_file_units(angle)
     columns |= _temperature_column(recording.temperature, run.temperature, times)
     indicated = _indicated_output(true, run, trajectory, times)
     for name, accelerometer in campaign.accelerometers.items():
-        signal = indicated[name]
-        order = observation.ORDERS[accelerometer.observable]
-        if noise.wanders and times.size > 1:
-            signal = signal + simulation.bias_wander(
-                generator,
-                times,
-                _noise_size(noise.flicker),
-                _noise_size(noise.bias_walk),
-                order,
-                trajectory.conditions.start,
-            )
-        signal = _add_output_noise(generator, times, signal, accelerometer, noise)
+        observable = accelerometer.observable
+        signal = add_noise(
+            generator,
+            times,
+            indicated[name],
+            Noise.from_sizes(noise, observable),
+            observation.ORDERS[observable],
+            trajectory.conditions.start,
+        )
         channel = accelerometer.channel
         columns[channel.name] = channel.to_file_units(signal * gravity_ratio(campaign, channel))
     return columns
@@ -428,30 +428,3 @@ def _start_error(truth: SimulatedTruth, name: str, times: Array, observable: str
     if observable == "displacement":
         return offset + velocity * times
     return velocity if observable == "velocity" else 0.0
-
-
-def _add_noise(generator: np.random.Generator, values: Array, sigma: float | str) -> Array:
-    return values + _noise_size(sigma) * generator.standard_normal(values.size)
-
-
-def _add_output_noise(
-    generator: np.random.Generator,
-    times: Array,
-    signal: Array,
-    accelerometer: Accelerometer,
-    noise: StatedNoise,
-) -> Array:
-    """Add the accelerometer's and the record's noise, then quantise."""
-    order = observation.ORDERS[accelerometer.observable]
-    walk = simulation.accelerometer_walk(generator, times, _noise_size(noise.acceleration), order)
-    white = _noise_size(getattr(noise, accelerometer.observable))
-    signal = _add_noise(generator, signal + walk, white)
-    step = _noise_size(noise.quantisation)
-    if step > 0.0 and accelerometer.observable == "displacement":
-        signal = np.round(signal / step) * step
-    return signal
-
-
-def _noise_size(sigma: float | str) -> float:
-    """Return a true noise; the description has made sure that it is a number."""
-    return float(sigma)

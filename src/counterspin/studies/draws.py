@@ -16,26 +16,24 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.model import inputs_by_owner
 from counterspin.campaign.description import Campaign
+from counterspin.campaign.settings import NOISE_UNITS
 from counterspin.campaign.static_noise import simulated_noise
 from counterspin.frozen import frozen
 from counterspin.inference.priors import correlation_matrix
-from counterspin.physics import simulation
-from counterspin.physics.observation import ORDERS
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS
 
 WHITE: Final = "noise.displacement"  #: of a sample, m
 
-#: Level that may vary -> its unit and its field of `RecordNoise`.
-NOISE_LEVELS: Final[Mapping[str, tuple[str, str]]] = {
-    WHITE: ("m", "white"),
-    "noise.acceleration": ("m/s^2/Hz^0.5", "random_walk"),
-    "noise.flicker": ("m/s^2", "flicker"),
-    "noise.bias_walk": ("m/s^2/s^0.5", "bias_walk"),
-    "noise.quantisation": ("m", "quantisation"),
-    "noise.angle": ("rad", "angle"),
-    "noise.timing": ("s", "timing"),
+#: Level that may vary -> its unit.
+NOISE_LEVELS: Final = {
+    f"noise.{key}": unit
+    for key, unit in NOISE_UNITS.items()
+    if key not in ("velocity", "specific_force")
 }
+
+#: Sizes of the noise of records without noise, by key of [noise].
+NOISE_FREE: Final[Mapping[str, float]] = dict.fromkeys(NOISE_UNITS, 0.0)
 
 #: (owner, symbol, run) of a term or an input that is true; run is None where the runs share one.
 Key = tuple[str, str, int | None]
@@ -53,65 +51,6 @@ def random_stream(seed: int, batch: int, number: int) -> np.random.Generator:
     """
     sequence = np.random.SeedSequence(seed, spawn_key=(batch, number))
     return np.random.Generator(np.random.SFC64(sequence))
-
-
-@frozen
-class RecordNoise:
-    """Noise of whole records."""
-
-    #: Standard deviations of a sample's displacement, velocity and specific force, SI.
-    white: float = 0.0
-    velocity: float = 0.0
-    specific_force: float = 0.0
-    random_walk: float = 0.0  #: Coefficient N of the accelerometer's white noise, m/s^2/Hz^0.5.
-    quantisation: float = 0.0  #: Step of the recorded displacement, m.
-    #: Standard deviations of a recorded angle and of a time stamp, rad and s.
-    angle: float = 0.0
-    timing: float = 0.0
-    #: Wander of the accelerometer's bias: m/s^2, m/s^2/s^0.5.
-    flicker: float = 0.0
-    bias_walk: float = 0.0
-
-    @property
-    def has_bias_instability(self) -> bool:
-        """True if the bias has coloured noise."""
-        return self.flicker > 0.0 or self.bias_walk > 0.0
-
-    def noisy_timestamps(self, generator: np.random.Generator, times: Array) -> Array:
-        """Return the time stamps of samples taken at these times, s."""
-        return np.asarray(times + self.timing * generator.standard_normal(times.size))
-
-    def noisy_angles(self, generator: np.random.Generator, angles: Array) -> Array:
-        """Return angles with the noise of the encoder, rad."""
-        return np.asarray(angles + self.angle * generator.standard_normal(angles.size))
-
-    def white_sd(self, observable: str) -> float:
-        """Return the standard deviation of a sample, SI."""
-        sds = {"velocity": self.velocity, "specific_force": self.specific_force}
-        return sds.get(observable, self.white)
-
-    def noisy_signal(
-        self,
-        generator: np.random.Generator,
-        times: Array,
-        signal: Array,
-        observable: str = "displacement",
-        elapsed: float = 0.0,
-    ) -> Array:
-        """Return a signal with all noise, SI.
-
-        elapsed: Time from the start of the bias's random walk to the first sample, s.
-        """
-        order = ORDERS[observable]
-        if self.has_bias_instability:
-            signal = signal + simulation.bias_wander(
-                generator, times, self.flicker, self.bias_walk, order, elapsed
-            )
-        walk = simulation.accelerometer_walk(generator, times, self.random_walk, order)
-        white = self.white_sd(observable)
-        recorded = signal + walk + white * generator.standard_normal(times.size)
-        step = self.quantisation if observable == "displacement" else 0.0
-        return np.asarray(np.round(recorded / step) * step if step > 0.0 else recorded)
 
 
 def curvature_noise(
@@ -164,7 +103,7 @@ OTHER_QUANTITIES: Final[Mapping[str, str]] = {
     RIPPLE_AMPLITUDE: "rad/s",
     RIPPLE_PHASE: "rad",
     **{symbol: row.unit for symbol, row in INPUTS.items()},
-    **{symbol: unit for symbol, (unit, _) in NOISE_LEVELS.items()},
+    **NOISE_LEVELS,
 }
 
 #: Half width of the range of a normal distribution for which a study must be valid, in sd.
@@ -266,6 +205,12 @@ class Draws:
             run_values(values, run) for values in (self.drift, self.ripple_cos, self.ripple_sin)
         ]
 
+    def noise_sizes(self, sizes: Mapping[str, float]) -> dict[str, float]:
+        """Return sizes of the noise, by key of [noise], with the means of those that vary."""
+        levels = {symbol: float(level.mean()) for symbol, level in self.noise.items()}
+        varied = {symbol.removeprefix("noise."): level for symbol, level in levels.items()}
+        return {**sizes, "displacement": float(self.white.mean()), **varied}
+
     def deviation(self, key: Key) -> Array:
         """Return a true value minus its nominal or stated one, shape (n,) or (1,)."""
         owner, symbol, run = key
@@ -348,7 +293,7 @@ class StudyTruth:
             spindles=tuple(run.spindle for run in campaign.simulation.truth.runs.values()),
             stated=stated,
             inputs=inputs,
-            white=float(getattr(simulated_noise(campaign), first_accelerometer.observable)),
+            white=simulated_noise(campaign)[first_accelerometer.observable],
             varying=varying,
         )
 

@@ -18,6 +18,7 @@ from counterspin.campaign.description import Campaign
 from counterspin.errors import NotIdentifiableError, code_of
 from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import RIPPLE, Unknown, Unknowns
+from counterspin.inference.noise.components import BIAS_COMPONENTS_BY_KEY
 from counterspin.inference.two_stage.model import TwoStageRequest
 from counterspin.physics import observation
 from counterspin.studies.batch_runner import (
@@ -385,7 +386,7 @@ def two_stage_engine_obstacles(
 ) -> list[str]:
     """Return the reasons against the linear engine for the two-stage method; empty if valid."""
     obstacles = _common_obstacles(setup, truth)
-    if setup.noise.random_walk > 0.0:
+    if setup.noise["acceleration"] > 0.0:
         obstacles.append("the accelerometer's noise is not white in displacement")
     if request.random_walk is None:
         obstacles.append("the noise of the accelerometer must be estimated")
@@ -426,7 +427,7 @@ def joint_engine_obstacles(
 def _common_obstacles(setup: SimulationSetup, truth: StudyTruth) -> list[str]:
     obstacles = (
         ["the bias drifts, and only full records can simulate this drift"]
-        if setup.noise.has_bias_instability
+        if any(setup.noise[key] > 0.0 for key in BIAS_COMPONENTS_BY_KEY)
         else []
     )
     if not setup.angle_recorded:
@@ -437,21 +438,19 @@ def _common_obstacles(setup: SimulationSetup, truth: StudyTruth) -> list[str]:
         obstacles.append(
             f"{', '.join(varying)} varies, and only full records can simulate this variation"
         )
-    if setup.noise.quantisation > 0.0:
+    if setup.noise["quantisation"] > 0.0:
         obstacles.append("quantisation noise is not Gaussian")
     fastest = max(abs(spindle.rate) for spindle in setup.spindles)
     for observable in sorted(set(setup.observables.values())):
         is_displacement = observable == "displacement"
-        white = (
-            _smallest_white_noise(truth) if is_displacement else setup.noise.white_sd(observable)
-        )
+        white = _smallest_white_noise(truth) if is_displacement else setup.noise[observable]
         if white <= 0.0:
             obstacles.append("the description contains no white noise")
         # A derivative more with each integration less.
         amplitude = setup.radius * fastest ** (2 - observation.ORDERS[observable])
         for size, column in (
-            (amplitude * setup.noise.angle, "angle"),
-            (amplitude * fastest * setup.noise.timing, "time"),
+            (amplitude * setup.noise["angle"], "angle"),
+            (amplitude * fastest * setup.noise["timing"], "time"),
         ):
             if size > _MAX_NEGLECTED_NOISE * white:
                 obstacles.append(f"the noise of the recorded {column} is not negligible")

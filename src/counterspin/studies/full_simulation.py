@@ -21,6 +21,7 @@ from counterspin.inference.joint.estimation import correct_series, estimate
 from counterspin.inference.joint.series import CLOCK, TIMING, ResidualSeries
 from counterspin.inference.joint.time_stamps import find_stamp_errors
 from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.simulation import add_noise, add_white_noise
 from counterspin.inference.two_stage.first_stage import Strobes, by_angle, strobe_angle
 from counterspin.inference.two_stage.model import TwoStageRequest
 from counterspin.inference.two_stage.second_stage import (
@@ -46,7 +47,7 @@ from counterspin.simulation.readings import (
     true_rates,
 )
 from counterspin.studies.batch_runner import JointRequest, TrialResults
-from counterspin.studies.draws import NOISE_LEVELS, Draws, run_values
+from counterspin.studies.draws import Draws, run_values
 from counterspin.studies.simulation_setup import SimulationSetup, mean_noise
 from counterspin.triads.groups import make_group
 from counterspin.triads.poses import TriadPoses, predict_indications
@@ -72,8 +73,7 @@ class TrialRecords:
         cls, setup: SimulationSetup, draws: Draws, generator: np.random.Generator
     ) -> TrialRecords:
         """Return the records of a trial, with the trial's true levels of noise."""
-        levels = {NOISE_LEVELS[symbol][1]: float(level[0]) for symbol, level in draws.noise.items()}
-        noise = replace(setup.noise, white=float(draws.white[0]), **levels)
+        noise = draws.take(0).noise_sizes(setup.noise)
         return cls(replace(setup, noise=noise), draws, generator)
 
     def series(self) -> list[ResidualSeries]:
@@ -84,7 +84,7 @@ class TrialRecords:
             spindle = self.draws.true_spindle(setup.spindles[run], run)
             times = setup.times(run)
             indicated = times * self._clock_scale(run)
-            timestamps = setup.noise.noisy_timestamps(self.generator, indicated)
+            timestamps = add_white_noise(self.generator, indicated, setup.noise["timing"])
             rotation = self._estimate_rotation(run, spindle, timestamps, times)
             assumed_spindle = rotation.spindle
             for name in setup.mountings:
@@ -124,10 +124,10 @@ class TrialRecords:
         assumed_spindle = self._estimate_rotation(
             run, spindle, row_times * clock_scale, row_times
         ).spindle
-        times, noise = strobe_times * clock_scale, setup.noise
+        times, timing_noise = strobe_times * clock_scale, setup.noise["timing"]
         sample_times = (
-            noise.noisy_timestamps(self.generator, strobe_times)
-            if noise.timing > 0.0
+            add_white_noise(self.generator, strobe_times, timing_noise)
+            if timing_noise > 0.0
             else strobe_times
         )
         signal = self._noisy_output(run, name, spindle, sample_times)
@@ -157,9 +157,9 @@ class TrialRecords:
         angle = true_spindle.angle(times + delay)
         angle_error = encoder_error(self._true_values("", run), angle)
         # Drawn in any case, so that trials of other true values have the same noise of the output.
-        recorded = setup.noise.noisy_angles(self.generator, angle + angle_error)
+        recorded = add_white_noise(self.generator, angle + angle_error, setup.noise["angle"])
         if (
-            setup.noise.angle == 0.0
+            setup.noise["angle"] == 0.0
             and not angle_error.any()
             and np.array_equal(timestamps, times + delay)
         ):
@@ -185,13 +185,8 @@ class TrialRecords:
             signal = signal * (
                 stated_gravity / (stated_gravity + float(self.draws.input_error("site.gravity")[0]))
             )
-        return setup.noise.noisy_signal(
-            self.generator,
-            times,
-            signal,
-            setup.observables[name],
-            setup.conditions[run].start,
-        )
+        noise, order = setup.true_noise(name), observation.ORDERS[setup.observables[name]]
+        return add_noise(self.generator, times, signal, noise, order, setup.conditions[run].start)
 
     def _true_values(self, owner: str, run: int) -> dict[str, float]:
         """Return the true values of an accelerometer in a run, or of the shared terms."""
@@ -456,7 +451,7 @@ class FullEngine:
         self, request: TwoStageRequest, records: TrialRecords
     ) -> tuple[Array, Array, Array]:
         setup, components = records.setup, None
-        has_timing_noise = setup.noise.timing > 0.0 or setup.stated_timing_noise[0] > 0.0
+        has_timing_noise = setup.noise["timing"] > 0.0 or setup.stated_timing_noise[0] > 0.0
         corrects = setup.angle_recorded and has_timing_noise
         if request.random_walk is None or corrects:
             series = tuple(records.series())

@@ -44,11 +44,10 @@ from counterspin.physics.terms import INPUTS, TERMS
 from counterspin.readings.linear import ReadingGroup, blocks_at
 from counterspin.studies.batch_runner import JointRequest, TrialResults
 from counterspin.studies.draws import (
-    NOISE_LEVELS,
+    NOISE_FREE,
     OTHER_QUANTITIES,
     Draws,
     Key,
-    RecordNoise,
     StudyTruth,
     curvature_noise,
     estimate_noise,
@@ -84,7 +83,7 @@ class JointEngine:
         model, mean_draw = request.model, truth.mean_draw()
         keys = _varied_keys(truth, len(setup.runs))
         records = TrialRecords(
-            replace(setup, noise=RecordNoise()), mean_draw, np.random.default_rng(0)
+            replace(setup, noise=NOISE_FREE), mean_draw, np.random.default_rng(0)
         )
         solution = fit_records(records, request, truth, keys)
         assessment = assess(solution, [unknown.name for unknown in model.of_interest])
@@ -243,8 +242,7 @@ def lower_bounds(
 def _record_blocks(setup: SimulationSetup, truth: StudyTruth, model: Unknowns) -> list[Block]:
     """Return the blocks of the records with their true noise; none without noise."""
     draws = truth.draw(np.random.default_rng(0), 256)
-    levels = {NOISE_LEVELS[symbol][1]: float(level.mean()) for symbol, level in draws.noise.items()}
-    setup = replace(setup, noise=replace(setup.noise, white=float(draws.white.mean()), **levels))
+    setup = replace(setup, noise=draws.noise_sizes(setup.noise))
     names = {u.owner for u in model.unknowns if u.symbol in TERMS} or set(setup.mountings)
     noises = {name: setup.true_noise(name) for name in setup.mountings if name in names}
     if not all(noise.sample_variance or noise.random_walk for noise in noises.values()):
@@ -417,7 +415,7 @@ def noise_free_second_stage(
     setup: SimulationSetup, truth: StudyTruth, request: TwoStageRequest, owner: str, draws: Draws
 ) -> SecondStage:
     """Analyse the first trial without noise, with the weights of the stated noise."""
-    noise_free_setup = replace(setup, noise=RecordNoise())
+    noise_free_setup = replace(setup, noise=NOISE_FREE)
     records = TrialRecords(noise_free_setup, draws, np.random.default_rng(0))
     request = replace(request, sigma=request.sigma or truth.white)
     runs = [records.strobed_run(run, owner, request) for run in range(len(setup.runs))]

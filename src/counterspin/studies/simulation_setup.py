@@ -31,7 +31,7 @@ from counterspin.physics.frequency_response import RESPONSE_INPUTS
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import TURN, Spindle
 from counterspin.simulation.pose_record import record_seconds
-from counterspin.studies.draws import Draws, RecordNoise
+from counterspin.studies.draws import Draws
 
 #: Of a strobe from the end of a record, in turns: it is in the record.
 _ROUNDING: Final = 1e-9
@@ -57,7 +57,8 @@ class SimulationSetup:
     radius: float
     sampling_rate: float  #: Hz.
     angle_recorded: bool  #: Whether the records have an angle.
-    noise: RecordNoise  #: Of the records, where it does not vary.
+    #: Sizes of the noise of the records by key of [noise], where it does not vary.
+    noise: Mapping[str, float]
     #: Noise of the time stamps, s, and of the encoder, rad, that the analyses assume; 0: none.
     stated_timing_noise: tuple[float, float]
     conditions: tuple[RunConditions, ...]  #: Of each run.
@@ -145,10 +146,7 @@ class SimulationSetup:
 
     def true_noise(self, name: str) -> Noise:
         """Return the true noise of an accelerometer's records."""
-        noise, observable = self.noise, self.observables[name]
-        step = noise.quantisation if observable == "displacement" else 0.0
-        white = noise.white_sd(observable)
-        return Noise(white, noise.random_walk, step, noise.flicker, noise.bias_walk)
+        return Noise.from_sizes(self.noise, self.observables[name])
 
 
 def make_setup(campaign: Campaign) -> SimulationSetup:
@@ -170,7 +168,6 @@ def make_setup(campaign: Campaign) -> SimulationSetup:
     ]
     if errors:
         raise CampaignError(str(campaign.path), errors, code="not-simulable")
-    noise = simulated_noise(campaign)
     return SimulationSetup(
         runs=tuple(run.name for run in campaign.runs),
         spindles=tuple(run.spindle for run in campaign.simulation.truth.runs.values()),
@@ -186,17 +183,7 @@ def make_setup(campaign: Campaign) -> SimulationSetup:
         radius=campaign.radius.value,
         sampling_rate=rate,
         angle_recorded=campaign.angle is not None,
-        noise=RecordNoise(
-            white=float(noise.displacement),
-            velocity=float(noise.velocity),
-            specific_force=float(noise.specific_force),
-            random_walk=float(noise.acceleration),
-            quantisation=float(noise.quantisation),
-            angle=float(noise.angle),
-            timing=float(noise.timing),
-            flicker=float(noise.flicker),
-            bias_walk=float(noise.bias_walk),
-        ),
+        noise=simulated_noise(campaign),
         stated_timing_noise=stated_timing_noise(campaign),
         conditions=tuple(run_conditions(campaign).values()),
         recorders=tuple(campaign.recording_of(run).recorder for run in campaign.runs),
@@ -267,6 +254,6 @@ def mean_noise(campaign: Campaign, seconds: float) -> float:
     """Return the true standard deviation of the mean of `seconds` of a record, g."""
     assert campaign.simulation is not None
     noise, rate = simulated_noise(campaign), campaign.simulation.sampling_rate
-    white = float(noise.specific_force) / math.sqrt(max(seconds * rate, 1.0))
-    walk = float(noise.acceleration) / math.sqrt(max(seconds, 1.0 / rate))
+    white = noise["specific_force"] / math.sqrt(max(seconds * rate, 1.0))
+    walk = noise["acceleration"] / math.sqrt(max(seconds, 1.0 / rate))
     return math.hypot(white, walk) / campaign.gravity.value

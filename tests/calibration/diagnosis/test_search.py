@@ -25,7 +25,7 @@ from counterspin.inference.joint.alternatives import Alternative, ScoreTests, pr
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import estimate_considered
 from counterspin.inference.joint.unknowns import Considered
-from counterspin.physics.simulation import accelerometer_walk
+from counterspin.inference.noise.simulation import draw_accelerometer_noise
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 WHITE = 0.01
@@ -65,7 +65,7 @@ class Campaigns:
                     self.columns[i, unknown] = one.columns([unknown.symbol], 1.0)[:, 0]
                 error += size * self.columns[i, unknown]
         if self.walk:
-            error += accelerometer_walk(rng, one.time, self.walk, one.order)
+            error += draw_accelerometer_noise(rng, one.time, self.walk, one.order)
         return replace(one, error=error)
 
 

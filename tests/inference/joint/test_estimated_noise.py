@@ -14,8 +14,8 @@ from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import ESTIMATE, Noise
+from counterspin.inference.noise.simulation import draw_bias_noise
 from counterspin.physics.conditions import RunConditions
-from counterspin.physics.simulation import bias_wander
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 COEFFICIENTS = {"K_F": 5e-3, "K_I": 1.002, "K_II": 2e-5, "K_III": 3e-6}
@@ -38,7 +38,7 @@ def campaign(observable, **size):
 def wandering(series, noise, rng):
     """The series with all of its noise."""
     start = series.trajectory.conditions.start
-    drawn = bias_wander(rng, series.time, noise.flicker, noise.bias_walk, series.order, start)
+    drawn = draw_bias_noise(rng, series.time, noise, series.order, start)
     plain = Noise(noise.white, noise.random_walk)
     return noisy(replace(series, error=series.error + drawn), plain, rng)
 

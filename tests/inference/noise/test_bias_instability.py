@@ -8,11 +8,10 @@ from scipy.integrate import quad
 from scipy.linalg import toeplitz
 
 from counterspin.inference.noise.bias_instability import (
-    MIN_FLICKER_FREQUENCY,
     basis_size,
     coefficient_root,
-    flicker_autocovariance,
 )
+from counterspin.inference.noise.components import MIN_FLICKER_FREQUENCY, flicker_autocovariance
 from counterspin.inference.noise.model import Noise, make_whitener
 
 LENGTH = 400.0

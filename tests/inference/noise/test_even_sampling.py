@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from counterspin.inference.noise import even_sampling
-from counterspin.inference.noise.bias_instability import flicker_autocovariance
-from counterspin.inference.noise.even_sampling import EvenlySampledData, Sampling
+from counterspin.inference.noise.components import Flicker, Sampling, flicker_autocovariance
+from counterspin.inference.noise.even_sampling import EvenlySampledData
 from counterspin.inference.noise.likelihood import RestrictedLikelihood
 
 STEP = 0.5
@@ -96,7 +96,7 @@ def test_groups_say_what_their_rows_say(monkeypatch):
 
 def test_rows_of_flicker_have_its_spectrum():
     """B^2 n/(pi k): 2/T apart from k/(2T), two-sided, B^2/(2 pi f)."""
-    covariance = even_sampling.flicker_covariance(4096, 0)
+    covariance = Flicker().transform_covariance(4096, 0)
     k = np.arange(20, 65)
     expected = 4096.0 / (math.pi * k)
     np.testing.assert_allclose(np.diagonal(covariance)[19:], expected, rtol=0.012)

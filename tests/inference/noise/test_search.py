@@ -21,7 +21,7 @@ from counterspin.inference.noise.search import (
     effective_dof,
     estimate_noise,
 )
-from counterspin.physics.simulation import bias_wander
+from counterspin.inference.noise.simulation import draw_bias_noise
 
 TRIALS = 4000 if os.environ.get("COUNTERSPIN_FULL") else 80
 STEP = 0.5
@@ -389,7 +389,7 @@ def test_sizes_are_found():
             0,
             np.ones((times.size, 1)),
             noise.white * rng.standard_normal(times.size)
-            + bias_wander(rng, times, noise.flicker, 0.0, 0),
+            + draw_bias_noise(rng, times, Noise(0.0, flicker=noise.flicker), 0),
             places=[0],
         )
         for _ in range(2)

@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from counterspin.inference.noise.even_sampling import Sampling
+from counterspin.inference.noise.components import Sampling
+from counterspin.inference.noise.model import Noise
+from counterspin.inference.noise.simulation import draw_bias_noise
 from counterspin.inference.noise.spectrum import find_lines, spectrum
-from counterspin.physics.simulation import bias_wander
 
 STEP = 0.01
 
@@ -32,7 +33,8 @@ def test_white_noise_has_its_density():
 
 def test_noise_has_no_lines():
     for seed in range(8):
-        wander = bias_wander(np.random.default_rng(seed), np.arange(20_000) * STEP, 5e-4, 1e-5, 0)
+        rng, components = np.random.default_rng(seed), Noise(0.0, flicker=5e-4, bias_walk=1e-5)
+        wander = draw_bias_noise(rng, np.arange(20_000) * STEP, components, 0)
         record = noise(seed) + wander
         lines, rest = find_lines(record, STEP)
         assert lines == []
@@ -44,7 +46,8 @@ def test_lines_are_found_with_their_uncertainty():
     time = np.arange(20_000) * STEP
     z = []
     for seed in range(20):
-        record = noise(100 + seed) + bias_wander(np.random.default_rng(seed), time, 2e-4, 0.0, 0)
+        rng = np.random.default_rng(seed)
+        record = noise(100 + seed) + draw_bias_noise(rng, time, Noise(0.0, flicker=2e-4), 0)
         record += 2e-4 * np.cos(2.0 * math.pi * 12.3456 * time + seed)
         record += 5e-4 * np.sin(2.0 * math.pi * 49.98 * time)
         lines, rest = find_lines(record, STEP)

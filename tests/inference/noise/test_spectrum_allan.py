@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from counterspin.inference.noise.even_sampling import Sampling
+from counterspin.inference.noise.components import Sampling
 from counterspin.inference.noise.spectrum import allan_deviation, allan_moments, allan_values
 
 WHITE, FLICKER, WALK = (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from counterspin.errors import NotIdentifiableError
-from counterspin.inference.noise.even_sampling import EvenlySampledData, Sampling
+from counterspin.inference.noise.components import Sampling
+from counterspin.inference.noise.even_sampling import EvenlySampledData
+from counterspin.inference.noise.model import Noise
+from counterspin.inference.noise.simulation import draw_accelerometer_noise, draw_bias_noise
 from counterspin.inference.noise.static_noise import estimate_static_noise
-from counterspin.physics.simulation import accelerometer_walk, bias_wander
 
 TRIALS = 400 if os.environ.get("COUNTERSPIN_FULL") else 8
 STEP = 0.1
@@ -25,7 +27,9 @@ def found(recorded, kind, step=STEP):
 def force(seed, n=1200, walk=0.0):
     rng = np.random.default_rng([7, seed])
     time = np.arange(n) * STEP
-    return N / math.sqrt(STEP) * rng.standard_normal(n) + bias_wander(rng, time, B, walk, 0)
+    return N / math.sqrt(STEP) * rng.standard_normal(n) + draw_bias_noise(
+        rng, time, Noise(0.0, flicker=B, bias_walk=walk), 0
+    )
 
 
 def velocity(values):
@@ -81,8 +85,8 @@ def test_noise_of_velocities_and_displacements(order):
     rng = np.random.default_rng(order)
     time = np.arange(n) * STEP
     white, walk = {1: (2e-4, 5e-4), 2: (1e-4, 5e-4)}[order]
-    recorded = accelerometer_walk(rng, time, walk, order) + white * rng.standard_normal(n)
-    recorded = recorded + bias_wander(rng, time, B, 0.0, order)
+    recorded = draw_accelerometer_noise(rng, time, walk, order) + white * rng.standard_normal(n)
+    recorded = recorded + draw_bias_noise(rng, time, Noise(0.0, flicker=B), order)
     sizes = found(recorded, Sampling(order, order)).components
     for name, size in (("white", white), ("random_walk", walk), ("flicker", B)):
         found_size = sizes[name]

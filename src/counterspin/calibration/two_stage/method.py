@@ -52,7 +52,7 @@ from counterspin.inference.joint.estimation import Estimate, correct_series, est
 from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns, unit_of
 from counterspin.inference.joint.what_if import what_if
-from counterspin.inference.noise.components import BIAS_KEYS
+from counterspin.inference.noise.components import BIAS_COMPONENTS_BY_KEY
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.search import NoiseEstimate
 from counterspin.inference.two_stage.first_stage import Parabola, strobe_angle
@@ -349,9 +349,10 @@ def make_request(
         )
     stated = resolve_noise(campaign)[accelerometer.name].sizes
     if stated is not None and stated.wanders:
+        keys = ", ".join(f"noise.{key}" for key in BIAS_COMPONENTS_BY_KEY)
         raise NotIdentifiableError(
-            f"{accelerometer.name}: the two-stage method cannot model a drifting bias "
-            f"({', '.join(f'noise.{key}' for key in BIAS_KEYS)}); use the joint method",
+            f"{accelerometer.name}: the two-stage method cannot model a drifting bias ({keys}); "
+            "use the joint method",
             code="method-not-applicable",
         )
     for run in campaign.runs:

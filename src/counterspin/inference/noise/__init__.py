@@ -1,6 +1,7 @@
 """Noise of a record: its models, whitening, and its size estimated from the records.
 
 - `components`: table of the noise components
+- `simulation`: simulated noise of records
 - `model`, `riccati`: models of a record's noise, whitening with them, and what more noise takes
   from what a record says
 - `bias_instability`: flicker and random walk of the bias

@@ -23,10 +23,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.physics.accelerometer import SLOWEST_FLICKER
-
-#: Flicker below this frequency is bias, Hz.
-MIN_FLICKER_FREQUENCY: Final = SLOWEST_FLICKER
+from counterspin.inference.noise.components import BIAS_PROCESSES
 
 #: At the highest frequency that is taken along, the wander is this part of the other noise.
 _MIN_RELATIVE_DENSITY: Final = 1e-3
@@ -49,23 +46,6 @@ _ROUNDING: Final = 1e-9
 Variances = tuple[float, ...]
 
 
-def flicker_autocovariance(lag: Array, low: float, high: float) -> Array:
-    """Return the autocovariance of flicker of B = 1 between two frequencies.
-
-    2 int B^2/(2 pi f) cos(2 pi f tau) df = (Ci(2 pi high tau) - Ci(2 pi low tau)) B^2/pi.
-
-    lag: tau, s, not negative.
-    low, high: Hz.
-    Returns: of the shape of `lag`.
-    """
-    from scipy.special import sici
-
-    positive_lag = np.where(lag > 0.0, lag, 1.0)
-    _, upper = sici(2.0 * math.pi * high * positive_lag)
-    _, lower = sici(2.0 * math.pi * low * positive_lag)
-    return np.where(lag > 0.0, upper - lower, math.log(high / low)) / math.pi
-
-
 def basis_length(last: float) -> float:
     """Return the length over which the cosines run, of a record whose last row is at `last` s."""
     return (1.0 + _OVERHANG_FRACTION) * last
@@ -78,14 +58,19 @@ def basis_size(variances: Variances, spacing: float, length: float, order: int) 
     length: Of the record, s.
     """
     lower_limit, upper_limit = _BASIS_SIZE_RANGE
-    white, white_force, flicker, bias_walk = variances
+    white, white_force, *bias_variances = variances
     # No more than the samples can show.
     upper_limit = max(lower_limit, min(upper_limit, math.floor(0.9 * length / spacing)))
     count = lower_limit
     while count < upper_limit:
         w = math.pi * count / length
-        wander = flicker / w + bias_walk / w**2
-        if wander <= _MIN_RELATIVE_DENSITY * (white * spacing * w ** (2 * order) + white_force):
+        bias_density = sum(
+            variance / process.inverse_density(w)
+            for variance, process in zip(bias_variances, BIAS_PROCESSES, strict=True)
+        )
+        if bias_density <= _MIN_RELATIVE_DENSITY * (
+            white * spacing * w ** (2 * order) + white_force
+        ):
             break
         # Few different numbers: what was worked out for one of them serves again.
         count = math.ceil(1.25 * count)
@@ -117,19 +102,15 @@ def integrated_cosines(
 
 
 @lru_cache(maxsize=256)
-def _coefficient_covariances(count: int, length: float) -> tuple[Array, Array]:
-    """Return the cosines' covariances for B = 1 and for a walk of K = 1 from 0, (count, count)."""
+def _coefficient_covariances(count: int, length: float) -> tuple[Array, ...]:
+    """Return the cosines' covariance for each process of unit size, (count, count)."""
     points = _POINTS_PER_FUNCTION * count
     positions = (np.arange(points) + 0.5) / points
     project = 2.0 / points * np.cos(math.pi * np.outer(np.arange(count), positions))
     project[0] *= 0.5
-    times = length * positions
     high = points / (2.0 * length)
-    lags = flicker_autocovariance(times - times[0], min(MIN_FLICKER_FREQUENCY, 0.1 * high), high)
-    index = np.arange(points)
-    flicker = lags[np.abs(index[:, None] - index)]
-    walk = np.minimum(times[:, None], times)
-    return project @ flicker @ project.T, project @ walk @ project.T
+    covariances = (process.covariance(length * positions, high) for process in BIAS_PROCESSES)
+    return tuple(project @ covariance @ project.T for covariance in covariances)
 
 
 def coefficient_covariance(
@@ -139,10 +120,13 @@ def coefficient_covariance(
 
     walk_duration: For how long the bias had walked when the record began, s.
     """
-    flicker, walk = _coefficient_covariances(count, length)
-    covariance: Array = variances[2] * flicker + variances[3] * walk
-    covariance[0, 0] += variances[3] * walk_duration
-    return covariance
+    total = np.zeros((count, count))
+    for variance, process, covariance in zip(
+        variances[2:], BIAS_PROCESSES, _coefficient_covariances(count, length), strict=True
+    ):
+        total += variance * covariance
+        total[0, 0] += variance * process.growth * walk_duration
+    return total
 
 
 def coefficient_root(

@@ -3,7 +3,7 @@
 The transform of type II is that of a record continued by its mirror image. White noise is exactly
 independent in it from row to row, and so is a random walk whose mean is unknown: its steps' inverse
 covariance has just these vectors (Strang, SIAM Review 41 (1999) 135). Flicker lies between the two:
-its slowest `_DEPENDENT` rows have their covariance, the others are less than 0.5 % correlated in
+its slowest `SLOW_ROWS` rows have their covariance, the others are less than 0.5 % correlated in
 all. What is white in a velocity or a displacement is differences of white noise here, independent
 but for the first and last `order` rows: those are given up, each an unknown of its own.
 
@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import lru_cache
 from itertools import pairwise
 from typing import Final
 
@@ -24,27 +23,17 @@ from numpy.typing import NDArray
 
 from counterspin.arrays import Array, triangle_of
 from counterspin.frozen import frozen
-from counterspin.inference.noise.bias_instability import Variances, flicker_autocovariance
-
-#: Slowest rows whose covariance under flicker is taken as it is.
-_DEPENDENT: Final = 64
-
-#: Points on which that covariance is computed, at most: 32 on the shortest of these waves.
-_POINTS: Final = 2048
+from counterspin.inference.noise.bias_instability import Variances
+from counterspin.inference.noise.components import (
+    BIAS_PROCESSES,
+    SLOW_ROWS,
+    Sampling,
+    sampled_densities,
+)
 
 #: Rows beyond which neighbours within this part of their number are one group.
 _UNGROUPED_ROWS: Final = 400
 _GROUP_FRACTION: Final = 0.02
-
-
-@frozen
-class Sampling:
-    """Composition of the samples of the specific force."""
-
-    order: int  #: They are differences of this order of what has white noise.
-    #: 2: second differences of a displacement, 1: differences of a velocity, which are means over a
-    #: step; 0: points.
-    averaging_order: int
 
 
 @frozen(eq=False)
@@ -106,7 +95,7 @@ class EvenlySampledData:
             np.concatenate(variances, axis=1),
             counts,
             places,
-            flicker_covariance(n, self.kind.averaging_order),
+            _slow_covariances(n, self.kind),
         )
 
 
@@ -121,7 +110,8 @@ class TransformedRecord:
     row_variances: Array  #: Variance of each row per unit of each of `COMPONENTS`, (4, m).
     counts: Array  #: How many rows of the transform each group has, (g,).
     places: NDArray[np.intp]  #: Of each group's first row in `stack`, (g,).
-    flicker: Array  #: Covariance of the slowest rows for B = 1; see `flicker_covariance`.
+    #: Covariance of the slowest rows for each process of the bias; None: they are independent.
+    slow_covariances: tuple[Array | None, ...]
     walk_duration: float = 0.0
     added_variance: float = 0.0
 
@@ -163,9 +153,14 @@ class TransformedRecord:
         variance = np.asarray(ratios) @ self.row_variances
         rows = self.stack / np.sqrt(variance)[:, None]
         log_det = float(self.counts @ np.log(variance[self.places]))
-        if ratios[2] > 0.0:
-            slow = slice(0, min(_DEPENDENT, self.rows))
-            covariance = ratios[2] * self.flicker
+        coloured = [
+            ratio * part
+            for ratio, part in zip(ratios[2:], self.slow_covariances, strict=True)
+            if part is not None and ratio > 0.0
+        ]
+        if coloured:
+            slow = slice(0, min(SLOW_ROWS, self.rows))
+            covariance = np.sum(coloured, axis=0)
             covariance.flat[:: len(covariance) + 1] = variance[slow]
             factor = np.linalg.cholesky(covariance)
             rows[slow] = np.linalg.solve(factor, self.stack[slow])
@@ -181,55 +176,15 @@ def _row_variances(k: Array, n: int, step: float, kind: Sampling) -> Array:
     n: Samples of the specific force.
     Returns: (4, m).
     """
-    row_variances = sample_spectrum(math.pi * k / n, step, kind)
-    slow = slice(0, min(_DEPENDENT, k.size))
-    row_variances[2, slow] = np.diagonal(flicker_covariance(n, kind.averaging_order))
+    row_variances = sampled_densities(math.pi * k / n, step, kind)
+    for variances, covariance in zip(row_variances[2:], _slow_covariances(n, kind), strict=True):
+        if covariance is not None:
+            variances[: len(covariance)] = np.diagonal(covariance)
     return row_variances
 
 
-def sample_spectrum(angle: Array, step: float, kind: Sampling) -> Array:
-    """Return the spectrum of samples of the specific force per unit of each of `COMPONENTS`.
-
-    angle: 2 pi f step, above 0 and up to pi, shape (m,).
-    step: s.
-    Returns: Two-sided density over the step, so that white samples have their variance, (4, m).
-    """
-    squared_difference_gain = 4.0 * np.sin(angle / 2.0) ** 2
-    once_integrated = (2.0 + np.cos(angle)) / 3.0
-    twice_integrated = 11.0 / 20.0 + 13.0 / 30.0 * np.cos(angle) + np.cos(2.0 * angle) / 60.0
-    ones = np.ones(angle.size)
-    white = (squared_difference_gain / step**2) ** kind.order
-    velocity_walk = (once_integrated if kind.order == 2 else ones) / step
-    flicker = _averaging_gain(angle, kind.averaging_order) ** 2 / angle
-    bias_walk = (
-        step
-        / squared_difference_gain
-        * [ones, once_integrated, twice_integrated][kind.averaging_order]
+def _slow_covariances(n: int, kind: Sampling) -> tuple[Array | None, ...]:
+    """Return the covariance of the slowest rows for each process of unit size."""
+    return tuple(
+        process.transform_covariance(n, kind.averaging_order) for process in BIAS_PROCESSES
     )
-    return np.stack([white, velocity_walk, flicker, bias_walk])
-
-
-def _averaging_gain(angle: Array, means: int) -> Array:
-    """Return which part of a wave shows in means over a step (velocity), or a triangle of two."""
-    return np.asarray(np.sinc(angle / (2.0 * math.pi)) ** means)
-
-
-def flicker_covariance(n: int, means: int) -> Array:
-    """Return the covariance of the slowest rows of the transform of n samples, for B = 1."""
-    covariance = _unit_flicker_covariance(min(n, _POINTS))
-    gain = _averaging_gain(math.pi / n * np.arange(1.0, len(covariance) + 1.0), means)
-    return (n / min(n, _POINTS)) * gain[:, None] * covariance * gain
-
-
-@lru_cache(maxsize=64)
-def _unit_flicker_covariance(points: int) -> Array:
-    from scipy.fft import dct
-
-    lags = np.arange(points, dtype=float)
-    # Slower flicker than this shows as the mean, which is unknown.
-    lag = flicker_autocovariance(lags, 1e-3 / points, 0.5)
-    index = np.arange(points)
-    rows = min(_DEPENDENT, points - 1)
-    half = dct(lag[np.abs(index[:, None] - index)], type=2, norm="ortho", axis=0)[1 : rows + 1]
-    covariance: Array = dct(half, type=2, norm="ortho", axis=1)[:, 1 : rows + 1]
-    return covariance

@@ -104,6 +104,11 @@ class Noise:
         return self.with_sizes(dict.fromkeys(self.to_estimate, 0.0))
 
     @property
+    def without_bias_instability(self) -> Noise:
+        """The same with a constant bias."""
+        return self.with_sizes(dict.fromkeys(BIAS_COMPONENTS, 0.0))
+
+    @property
     def sample_variance(self) -> float:
         """Variance per sample of what is white in the observable: white^2 + quantisation^2/12."""
         return self.white**2 + self.quantisation**2 / 12
@@ -215,7 +220,7 @@ class Differences:
     def bias_columns(self, order: int, variances: Variances, walk_duration: float) -> list[Array]:
         """Return differences of what the rows show of a wandering bias, one column a direction.
 
-        Of all wander together, and of flicker of B = 1 and a walk of K = 1 by the same cosines.
+        Of all components together, and of each component of unit size by the same cosines.
 
         walk_duration: For how long the bias had walked when the record began, s.
         """
@@ -226,7 +231,7 @@ class Differences:
                 self.blocks.time, self.blocks.count, self.spacing, order, count, length
             )
         )
-        sizes = (variances, (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        sizes = (variances, *map(tuple, np.eye(len(COMPONENTS))[2:].tolist()))
         return [cosines @ coefficient_root(size, count, length, walk_duration) for size in sizes]
 
     def _weights(self) -> tuple[Array, Array]:

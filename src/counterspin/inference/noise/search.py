@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.noise.bias_instability import Variances
-from counterspin.inference.noise.components import BIAS_COMPONENTS, COMPONENTS
+from counterspin.inference.noise.components import BIAS_COMPONENTS, BIAS_PROCESSES, COMPONENTS
 from counterspin.inference.noise.likelihood import WHITE, RecordData, RestrictedLikelihood
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.undetected_walk import (
@@ -105,8 +105,7 @@ def estimate_noise(
     likelihood = RestrictedLikelihood.of(records, prior_rows, prior_values)
     wanted, base = noise.to_estimate, None
     if noise.has_bias_instability:
-        constant_bias = noise.with_sizes(dict.fromkeys(BIAS_COMPONENTS, 0.0))
-        base, _ = _select_components(likelihood, constant_bias, None)
+        base, _ = _select_components(likelihood, noise.without_bias_instability, None)
     best, log_likelihoods = _select_components(likelihood, noise, base)
     variances, covariance = _average_bias_noise(
         likelihood, best, _first_guess(likelihood, noise, base)
@@ -351,7 +350,8 @@ def _first_guess(likelihood: RestrictedLikelihood, noise: Noise, base: Maximum |
     order, spacing = likelihood.order, likelihood.records[0].spacing
     w = 2.0 * math.pi * _ONSET_RATIO / likelihood.length
     density = max(white + added, 1e-30) * spacing * w ** (2 * order) + walk
-    return white, walk or 0.1 * density, density * w, density * w**2
+    bias = (density * process.inverse_density(w) for process in BIAS_PROCESSES)
+    return white, walk or 0.1 * density, *bias
 
 
 def _average_bias_noise(

@@ -23,7 +23,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.noise.bias_instability import Variances
-from counterspin.inference.noise.even_sampling import Sampling, sample_spectrum
+from counterspin.inference.noise.components import Sampling, sampled_densities
 
 #: Values of the spectrum, a decade.
 _BINS_PER_DECADE: Final = 12.0
@@ -128,7 +128,9 @@ def spectrum(
             low, high = (float(mean * dof / chi2.ppf(part, dof)) for part in (0.975, 0.025))
             middle = float(np.exp(np.mean(np.log(frequency[inside][in_bin]))))
             angle = np.array([2.0 * math.pi * step * middle])
-            expected = step * float((np.asarray(variances) @ sample_spectrum(angle, step, kind))[0])
+            expected = step * float(
+                (np.asarray(variances) @ sampled_densities(angle, step, kind))[0]
+            )
             values.append(SpectrumValue(middle, mean, low, high, dof, expected))
         if last:
             break
@@ -271,7 +273,7 @@ def allan_moments(
 
     grid = next_fast_len(2 * samples, real=True)
     angle = math.pi * (np.arange(grid) + 0.5) / grid
-    density = np.asarray(variances) @ sample_spectrum(angle, step, kind)
+    density = np.asarray(variances) @ sampled_densities(angle, step, kind)
     shown = 4.0 * step**2 * np.sin(count * angle / 2.0) ** 4 / np.sin(angle / 2.0) ** 2
     covariance = dct(density * shown, type=2) / (2.0 * grid)
     terms = samples + 1 - 2 * count

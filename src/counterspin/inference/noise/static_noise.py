@@ -21,8 +21,8 @@ from counterspin.arrays import Array, median
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.frozen import frozen
 from counterspin.inference.noise.bias_instability import Variances
-from counterspin.inference.noise.components import COMPONENTS
-from counterspin.inference.noise.even_sampling import EvenlySampledData, Sampling, TransformedRecord
+from counterspin.inference.noise.components import COMPONENTS, Sampling
+from counterspin.inference.noise.even_sampling import EvenlySampledData, TransformedRecord
 from counterspin.inference.noise.likelihood import RestrictedLikelihood
 from counterspin.inference.noise.model import ESTIMATE, SPECIFIC_FORCE, Noise
 from counterspin.inference.noise.samples import SensorSamples
