@@ -6,7 +6,7 @@ from reading_descriptions import ACCELEROMETER, at_rest, place
 from counterspin.campaign.model import MeasurementSetup, resolve_model
 from counterspin.campaign.quantity import Quantity, attitude_rows
 from counterspin.campaign.settings import ModelSettings
-from counterspin.campaign.terms import BARE_NAMES, acts, rows_of
+from counterspin.campaign.terms import BARE_NAMES, rows_of
 from counterspin.campaign.validation import Problems
 from counterspin.physics.accelerometer import QX, QY, QZ, Mounting
 from counterspin.physics.closed_forms import parabola
@@ -16,6 +16,10 @@ from counterspin.physics.terms import SHARED_TERMS
 LEVEL = np.eye(3)
 OBLIQUE = Mounting.from_axes([1.0, 1.0, 0.0], "down")
 ARCSEC = np.pi / 648000
+
+
+def acts(row, mounting, attitude):
+    return row.effect.acts_on(mounting.turned(attitude).input_axis, attitude)
 
 
 def resolve_terms(mountings, attitudes=(LEVEL,), given=None, **settings):

@@ -23,7 +23,7 @@ from counterspin.campaign.conditions import (
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.model import ALL_TERMS
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.terms import acts, shows, symbols_shown
+from counterspin.campaign.terms import symbols_shown
 from counterspin.inference.joint.series import CLOCK, RATE_CLOCK, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
@@ -307,8 +307,9 @@ def _is_observable(symbol: str, observable: str, mounting: Mounting, attitude: b
 
     attitude: The bytes of its rows.
     """
-    is_shown = acts if observable == "displacement" else shows
-    return is_shown(SHARED_TERMS[symbol], mounting, np.frombuffer(attitude).reshape(3, 3))
+    effect, rows = SHARED_TERMS[symbol].effect, np.frombuffer(attitude).reshape(3, 3)
+    is_shown = effect.acts_on if observable == "displacement" else effect.shows_in
+    return is_shown(mounting.turned(rows).input_axis, rows)
 
 
 def _inseparable_squares(campaign: Campaign, nuisance: Sequence[Unknown]) -> Iterator[Unknown]:

@@ -45,8 +45,6 @@ def _bare_names() -> dict[str, tuple[Term[AttitudeError | TrajectoryError], ...]
 BARE_NAMES: Final[Mapping[str, tuple[Term[AttitudeError | TrajectoryError], ...]]] = _bare_names()
 
 _NORTH: Final = np.array([0.0, 1.0, 0.0])
-_UP: Final = np.array([0.0, 0.0, 1.0])
-_ROUNDING: Final = 1e-9  #: of a unit vector; above roundoff, below any angle of a mounting
 
 #: What a name of the machine's terms begins with.
 _FAMILIES: Final = ("centrifuge.", "fixture.", "head.", "vibration.")
@@ -63,58 +61,6 @@ _AXES: Final = {
 POSITION: Final = "fixture.position"
 
 
-def acts(row: Term[AttitudeError | TrajectoryError], mounting: Mounting, attitude: Array) -> bool:
-    """Return whether a shared term reaches an accelerometer to first order in some run.
-
-    mounting: The accelerometer's axes while the platform is level.
-    attitude: Rows: where the platform's axes point in the run, shape (3, 3).
-    """
-    input_axis = mounting.turned(attitude).input_axis
-    effect = row.effect
-    if isinstance(effect, TrajectoryError):
-        # A tilted axis lifts the platform; all else moves it in the level plane.
-        moved = input_axis[2:] if effect.kind == "axis_tilt" else input_axis[:2]
-        return float(np.linalg.norm(moved)) > _ROUNDING
-    if effect.kind == "compliance":
-        return float(np.linalg.norm(np.cross(attitude[effect.axis], input_axis))) > _ROUNDING
-    if effect.part == "table":
-        return _leaves_a_mean(effect, input_axis, attitude, None)
-    along = effect.force_axis
-    steady = along is not None and abs(float(attitude[along] @ _UP)) > _ROUNDING
-    if steady and _leans(effect, input_axis, attitude):
-        return True  # as a drift
-    return _leaves_a_mean(effect, input_axis, attitude, None)
-
-
-def shows(row: Term[AttitudeError | TrajectoryError], mounting: Mounting, attitude: Array) -> bool:
-    """Return whether a shared term shows in an accelerometer's output at all, in waves as well.
-
-    In displacement waves are negligible compared with the accelerations of `acts`; in velocity and
-    specific force they appear where the effect of K_II does. Parameters as of `acts`.
-    """
-    if not isinstance(row.effect, AttitudeError):
-        return acts(row, mounting, attitude)
-    if row.effect.kind == "table_axis":
-        return True  # its axis takes every level direction
-    turned = np.cross(_axis_of(row.effect, attitude), mounting.turned(attitude).input_axis)
-    return float(np.linalg.norm(turned)) > _ROUNDING
-
-
-def _axis_of(turn: AttitudeError, attitude: Array) -> Array:
-    """Return the axis about which a term turns, east-north-up, shape (3,).
-
-    Tilts are about geographic axes, the table about up, all others about the platform's own axes.
-    """
-    axes = np.eye(3) if turn.kind in ("tilt", "table") else attitude
-    axis: Array = axes[turn.axis]
-    return axis
-
-
-def _leans(turn: AttitudeError, input_axis: Array, attitude: Array) -> bool:
-    """Return whether gravity leaks into the input axis as a term turns the platform."""
-    return abs(float(np.cross(_axis_of(turn, attitude), input_axis) @ _UP)) > _ROUNDING
-
-
 def rows_of(
     name: str, mountings: Iterable[Mounting], attitudes: Iterable[Array]
 ) -> tuple[Term[AttitudeError | TrajectoryError], ...]:
@@ -125,44 +71,12 @@ def rows_of(
 
     mountings, attitudes: Of the campaign's accelerometers and runs.
     """
-    pairs = list(product(mountings, attitudes))
-
-    def meant(
-        row: Term[AttitudeError | TrajectoryError], mounting: Mounting, attitude: Array
-    ) -> bool:
-        if isinstance(row.effect, TrajectoryError):
-            return acts(row, mounting, attitude)
-        return _leaves_a_mean(row.effect, mounting.turned(attitude).input_axis, attitude, _NORTH)
-
-    return tuple(row for row in BARE_NAMES[name] if any(meant(row, *pair) for pair in pairs))
-
-
-def _leaves_a_mean(
-    turn: AttitudeError, input_axis: Array, attitude: Array, start: Array | None
-) -> bool:
-    """Return whether a term leaves an acceleration over whole revolutions.
-
-    input_axis: In the run's attitude, shape (3,).
-    start: Direction in which the platform moves at t = 0, shape (3,); None: any level direction.
-    """
-    if turn.kind == "table_axis":
-        # The centripetal force leaks into an upright axis; gravity leaks in as a wave.
-        return turn.axis == 1 and abs(float(input_axis @ _UP)) > _ROUNDING
-    # Gravity leaks in by its vertical part.
-    turned = np.cross(_axis_of(turn, attitude), input_axis)
-    if turn.kind == "table":
-        return float(np.linalg.norm(turned)) > _ROUNDING
-    leaning = abs(float(turned @ _UP))
-    if turn.force_axis is None:
-        return leaning > _ROUNDING
-    # The vertical force is steady: a sensitivity to it is a drift or a tilt, the same in all runs.
-    force = attitude[turn.force_axis] * (1.0 - _UP)
-    if turn.kind == "compliance":
-        return abs(float(turned @ force)) > _ROUNDING
-    # The force's integral is the velocity, a quarter turn behind it.
-    across = abs(float(np.cross(_UP, force) @ turned))
-    moving = float(np.linalg.norm(force)) if start is None else abs(float(force @ start))
-    return max(across, min(leaning, moving)) > _ROUNDING
+    axes = [(mounting.turned(a).input_axis, a) for mounting, a in product(mountings, attitudes)]
+    return tuple(
+        row
+        for row in BARE_NAMES[name]
+        if any(row.effect.leaves_mean(*directions, _NORTH) for directions in axes)
+    )
 
 
 # What readings show

@@ -148,6 +148,10 @@ class Slope:
         return np.asarray(conditions[self.condition] ** self.power)
 
 
+_UP: Final = np.array([0.0, 0.0, 1.0])
+_ROUNDING: Final = 1e-9  #: Of a unit vector: above roundoff, below any angle of a mounting.
+
+
 @frozen
 class AttitudeError:
     """An attitude error of the platform, and with it of the axes of every accelerometer.
@@ -182,6 +186,70 @@ class AttitudeError:
             return "table"
         return "platform" if self.kind in ("tilt", "compliance") else "gyros"
 
+    def acts_on(self, input_axis: Array, attitude: Array) -> bool:
+        """Return True if the error reaches an accelerometer to first order in some run.
+
+        input_axis: In the run's attitude, east-north-up, shape (3,).
+        attitude: Rows: where the platform's axes point in the run, shape (3, 3).
+        """
+        if self.kind == "compliance":
+            return float(np.linalg.norm(np.cross(attitude[self.axis], input_axis))) > _ROUNDING
+        if self.part == "gyros" and self.force_axis is not None:
+            is_steady = abs(float(attitude[self.force_axis] @ _UP)) > _ROUNDING
+            turned = np.cross(self._turn_axis(attitude), input_axis)
+            if is_steady and abs(float(turned @ _UP)) > _ROUNDING:
+                return True  # as a drift
+        return self.leaves_mean(input_axis, attitude)
+
+    def shows_in(self, input_axis: Array, attitude: Array) -> bool:
+        """Return True if the error shows in an accelerometer's output at all, in waves as well.
+
+        In displacement waves are negligible compared with the accelerations of `acts_on`. In
+        velocity and specific force they appear where the effect of K_II does. Parameters as of
+        `acts_on`.
+        """
+        if self.kind == "table_axis":
+            return True  # its axis takes every level direction
+        turned = np.cross(self._turn_axis(attitude), input_axis)
+        return float(np.linalg.norm(turned)) > _ROUNDING
+
+    def leaves_mean(self, input_axis: Array, attitude: Array, start: Array | None = None) -> bool:
+        """Return True if the error leaves an acceleration over whole revolutions.
+
+        input_axis, attitude: As of `acts_on`.
+        start: Direction in which the platform moves at t = 0, shape (3,); None: any level
+            direction.
+        """
+        if self.kind == "table_axis":
+            # The centripetal force leaks into an upright axis; gravity leaks in as a wave.
+            return self.axis == 1 and abs(float(input_axis @ _UP)) > _ROUNDING
+        # Gravity leaks in by its vertical part.
+        turned = np.cross(self._turn_axis(attitude), input_axis)
+        if self.kind == "table":
+            return float(np.linalg.norm(turned)) > _ROUNDING
+        leaning = abs(float(turned @ _UP))
+        if self.force_axis is None:
+            return leaning > _ROUNDING
+        # The vertical force is steady: a sensitivity to it is a drift or a tilt, the same in all
+        # runs.
+        force = attitude[self.force_axis] * (1.0 - _UP)
+        if self.kind == "compliance":
+            return abs(float(turned @ force)) > _ROUNDING
+        # The force's integral is the velocity, a quarter turn behind it.
+        across = abs(float(np.cross(_UP, force) @ turned))
+        moving = float(np.linalg.norm(force)) if start is None else abs(float(force @ start))
+        return max(across, min(leaning, moving)) > _ROUNDING
+
+    def _turn_axis(self, attitude: Array) -> Array:
+        """Return the axis about which the error turns, east-north-up, shape (3,).
+
+        Tilts are about geographic axes, the table about up, all others about the platform's own
+        axes.
+        """
+        axes = np.eye(3) if self.kind in ("tilt", "table") else attitude
+        axis: Array = axes[self.axis]
+        return axis
+
 
 @frozen
 class TrajectoryError:
@@ -204,6 +272,23 @@ class TrajectoryError:
     quadrature: str = ""
     axis: str = ""  #: For a tilt ``east`` or ``north``.
     part: ClassVar = "centrifuge"  #: As of `AttitudeError`.
+
+    def acts_on(self, input_axis: Array, attitude: Array) -> bool:  # noqa: ARG002
+        """Return True if the error reaches an accelerometer; parameters as of `AttitudeError`."""
+        # A tilted axis lifts the platform; all else moves it in the level plane.
+        moved = input_axis[2:] if self.kind == "axis_tilt" else input_axis[:2]
+        return float(np.linalg.norm(moved)) > _ROUNDING
+
+    shows_in = acts_on
+
+    def leaves_mean(
+        self,
+        input_axis: Array,
+        attitude: Array,
+        start: Array | None = None,  # noqa: ARG002
+    ) -> bool:
+        """Return True if the error reaches an accelerometer, as of `acts_on`."""
+        return self.acts_on(input_axis, attitude)
 
 
 @frozen
