@@ -14,7 +14,7 @@ CODES: Final[Mapping[str, str]] = {
     "file-not-found": "A file or folder does not exist.",
     "file-not-readable": "The operating system does not allow a file to be read.",
     "file-not-writable": "A file or folder cannot be written.",
-    "file-exists": "A file or folder exists and is not overwritten.",
+    "file-exists": "A file or folder already exists and was not overwritten.",
     "file-changed": "A file changed while it was read.",
     "file-damaged": "A file is damaged, or its content does not match its format.",
     "file-too-large": "A file, line or cell exceeds the size limit.",

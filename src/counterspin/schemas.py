@@ -154,7 +154,7 @@ _SCHEMAS: Final[Mapping[SchemaName, tuple[str, Callable[[], Json]]]] = {
     "campaign": ("campaign.toml: a campaign", partial(_document, StudiedDocument)),
     "plan": ("PLAN.toml: a plan", _plan),
     "study": ("A study of a campaign", partial(_document, StudyDocument)),
-    "lab": ("LAB.toml: a laboratory's data for certificates", partial(_document, Lab)),
+    "lab": ("LAB.toml: laboratory data for certificates", partial(_document, Lab)),
     "result": ("The result of a calibration", partial(_result, Result)),
     "noise": ("The noise of a record at rest", partial(_result, NoiseResult)),
 }

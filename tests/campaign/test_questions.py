@@ -46,7 +46,7 @@ def test_gravity_is_checked_against_latitude(tmp_path, gravity, latitude, fits):
 def test_question_states_range_of_gravity(tmp_path):
     text = changed(SURE, ('"45.75 deg"', '"0.8 deg"'))
     (question,) = questions(campaign_of(tmp_path, text))
-    assert "from -500 to 3000 m of height, gravity is 9.7711 to 9.7819 m/s^2" in question.text
+    assert "heights from -500 to 3000 m, gravity is 9.7711 to 9.7819 m/s^2" in question.text
 
 
 def test_removed_gravity_is_checked_against_latitude(tmp_path):
@@ -142,12 +142,12 @@ def test_simulate_and_plan_warn_and_calibrate_has_finding(tmp_path, capsys):
     text = changed(SURE, ('"45.75 deg"', '"0.8 deg"'))
     assert main(["simulate", str(write(tmp_path, text)), "-o", str(tmp_path / "made")]) == 0
     assert (
-        "Warning: Gravity 9.8066 m/s^2 does not agree with latitude 0.8 deg"
+        "Warning: Gravity of 9.8066 m/s^2 does not agree with latitude 0.8 deg"
         in capsys.readouterr().out
     )
     assert main(["plan", "--check", str(tmp_path / "made")]) == 0
     words = " ".join(capsys.readouterr().out.split())
-    assert "Warning: Gravity 9.8066 m/s^2 does not agree with latitude 0.8 deg" in words
+    assert "Warning: Gravity of 9.8066 m/s^2 does not agree with latitude 0.8 deg" in words
     from counterspin.calibration.calibrate import calibrate
 
     result = calibrate(tmp_path / "made")

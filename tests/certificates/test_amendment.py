@@ -73,7 +73,7 @@ def test_changed_numbers_are_listed(certificate_folder):
         "K_F of Qx was 5000.0 ± 2.0 ug and is now not certified.",
         "K_II of Qx was 27.0000 ± 0.0020 ug/g^2 and is now 27.1000 ± 0.0020 ug/g^2.",
     ]
-    assert told[2:] == ['the statement "Not determined, accelerometer Qx" is new.']
+    assert told[2:] == ['the statement "Undetermined coefficients of accelerometer Qx" is new.']
     assert describe_changes(made[0], made[0]) == [
         "The amendment changes only the identifier and the date of issue."
     ]

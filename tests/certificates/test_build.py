@@ -321,7 +321,7 @@ persons = [{ name = "P", role = "R" }]
         "Geographic latitude",
         "Radius of the centrifuge",
         "Rotation rate of each run",
-        "Platform, as estimated with the coefficients",
+        "Platform parameters, estimated together with the coefficients",
     ]
 
 
@@ -439,7 +439,7 @@ def test_accelerometers_with_shared_inputs_are_correlated(tmp_path):
     matrix[0, 2] = matrix[2, 0] = 0.75
     made = document(tmp_path, two_accelerometers(result(), terms, matrix.tolist()))
     (together,) = find(
-        made, "//dcc:measurementResult[dcc:name/dcc:content='All accelerometers together']"
+        made, "//dcc:measurementResult[dcc:name/dcc:content='Joint results for all accelerometers']"
     )
     labels = together.xpath(".//si:labelXMLList", namespaces=NAMESPACES)[0].text.split()
     assert labels == ["Qx.K_F", "Qy.K_F", "Qy.K_II"]

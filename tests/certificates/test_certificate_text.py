@@ -22,7 +22,9 @@ def test_dimensionless_number_has_no_unit():
     ((symbol, in_g, _, si, *_),) = results_table("Qx", found, coefficients_in_si(given, "Qx")).rows
     assert (symbol, in_g, si) == ("K_I", "1.0020000 ± 0.0000098 g/g", "1.0020000 ± 0.0000098")
     assert certificate_text.coefficient_line("K_I", found["K_I"]).endswith(
-        "given here as a dimensionless number."
+        "The value in this element is a dimensionless number."
     )
     other = Coefficient.model_validate(coefficient(2.7e-5, 1e-9, "g/g^2"))
-    assert certificate_text.coefficient_line("K_II", other).endswith("given here in m^-1 s^2.")
+    assert certificate_text.coefficient_line("K_II", other).endswith(
+        "in this element is in m^-1 s^2."
+    )

@@ -132,7 +132,7 @@ def test_interrupted_certificate_is_completed_on_later_day(
     run_killed("finish", *words)
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800086400")  # the day after
     assert run(*words) == 0
-    assert "by a command that was then interrupted" in capsys.readouterr().out
+    assert "but was then interrupted" in capsys.readouterr().out
     found = verify_ledger(ledger_folder / "ledger.jsonl").entries
     assert [entry.of["file_sha256"] for entry in found[1:]] == [digest(ledger_folder / "a.xml")]
     assert b"2027-01-15" in (ledger_folder / "a.xml").read_bytes()

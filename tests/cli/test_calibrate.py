@@ -59,7 +59,11 @@ def test_result_file_is_entered_in_ledger(campaign_folder, capsys):
 @pytest.mark.parametrize(
     ("words", "status", "told"),
     [
-        (("--ledger", "l.jsonl", *WHO), 2, "give --json FILE, --who NAME and --why REASON"),
+        (
+            ("--ledger", "l.jsonl", *WHO),
+            2,
+            "--ledger requires --json FILE, --who NAME and --why REASON",
+        ),
         (("--json", "r.json", "--ledger", "l.jsonl"), 2, "--who NAME and --why REASON"),
         (("--json", "r.json", "--who", "B"), 2, "--who and --why need --ledger FILE"),
         (

@@ -149,7 +149,7 @@ def test_nothing_is_written_over_or_of_a_wrong_answer(tmp_path):
     with pytest.raises(CounterspinError, match=r"campaign.toml exists"):
         write_description(drafted(files), tmp_path)
     assert (tmp_path / "campaign.toml").read_text() == "mine"
-    with pytest.raises(CampaignError, match="give the files"):
+    with pytest.raises(CampaignError, match="give the run files"):
         draft([])
 
 

@@ -14,8 +14,8 @@ from counterspin.planning.result import GoalResult
         ("target", 0.98, True, "can be more than 2 % shorter"),
         ("target", 0.8, False, "needs more than 20 % fewer readings"),
         # A bound that allows next to nothing says nothing of the plan.
-        ("target", 0.001, True, "is unknown; the bound for all plans"),
-        ("target", None, True, "is unknown, because no theorem"),
+        ("target", 0.001, True, "which is the bound for all plans"),
+        ("target", None, True, "because no theorem"),
     ],
 )
 def test_what_another_plan_could_gain(kind, efficiency, timed, told):

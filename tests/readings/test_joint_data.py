@@ -75,7 +75,7 @@ def test_a_tumble(tmp_path):
     result = calibrated(tmp_path, model(*LEVEL_TERMS), tumble_runs(values))
     a = result.accelerometers["A"]
     assert result.state == "good"
-    assert all("would not show any single one of these faults" in text for text in result.warnings)
+    assert all("would not reveal any of these faults" in text for text in result.warnings)
     for symbol, truth in LEVEL_TERMS.items():
         c = a.coefficients[symbol]
         assert abs(c.value - truth) < 4.0 * c.u
@@ -538,7 +538,10 @@ def test_what_was_repaired_in_the_record_of_a_reading_is_counted_and_shown(tmp_p
     print_result(result, details=True)
     page = " ".join(capsys.readouterr().out.split())
     assert "tumble 0: 1 outliers in column 'mA' were rejected." in page
-    assert "tumble 0: rows 1001, repeated 1, empty 1, outliers 1, gaps 1, block 1." in page
+    assert (
+        "tumble 0: 1001 rows, 1 repeated row, 1 empty cell, 1 outlier, 1 gap, 1 sample per block."
+        in page
+    )
     result.write(tmp_path / "result.json")
     assert Result.read(tmp_path / "result.json").accelerometers == result.accelerometers
 

@@ -236,7 +236,7 @@ def test_coefficients_are_rounded_and_state_origin_of_uncertainty():
     text = render_text(make_result())
     assert collapse_spaces(line_with(text, "second-order")) == (
         "K_II second-order coefficient 27.04450 ± 0.00070 ug/g^2 "
-        "noise 73 %, stated 18 %, default 8.2 %"
+        "noise 73 %, stated priors 18 %, default priors 8.2 %"
     )
     assert collapse_spaces(line_with(text, "bias")) == "K_F bias 5032.1 ± 2.0 ug noise 100 %"
     assert collapse_spaces(line_with(text, "scale factor")) == (
@@ -312,7 +312,7 @@ def test_disagreement_with_two_stage_method_is_reported():
 
 
 def test_jackknife_is_rounded_like_estimate():
-    rows = render_text(make_full_result()).partition("Run omitted")[2].splitlines()
+    rows = render_text(make_full_result()).partition("Omitted run")[2].splitlines()
     assert rows[2].split() == ["run1", "27.04460", "0.00010", "0.31"]
     assert rows[3].split() == ["run2", *NOT_DETERMINED.split() * 2, "-"]
 
@@ -354,7 +354,7 @@ def test_details_are_printed_on_request():
     text = collapse_spaces(render_text(make_full_result(), details=True))
     assert "campaign.toml sha256:" + "0f" * 32 in text
     assert "bias, K_F second-order coefficient, K_II -0.9612" in text
-    assert "run1: rows 20113, outliers 12." in text
+    assert "run1: 20113 rows, 12 outliers." in text
     assert "0.206 arcsec rms" in text
     assert "Radius 2.5 m, latitude 45.75 deg." in text
 

@@ -269,8 +269,8 @@ def _new_folder(app: AppState, name: str, to: str) -> Path:
         names_outside = True  # a description that cannot be read may name anything
     if names_outside and target.parent != source.parent:
         raise RequestError(
-            f"{name}: the description refers to files outside the campaign folder by relative "
-            "path; choose a name in the same parent folder"
+            f"{name}: the description uses relative paths to files outside the campaign folder; "
+            "choose a destination in the same parent folder"
         )
     make_folder(target.parent)
     return target

@@ -261,7 +261,8 @@ def _best_prior(result: Result, accelerometer: str) -> tuple[tuple[str, str], st
     improvement = next(_prior_improvements(result, accelerometer), None)
     if improvement is None:
         raise NotFoundError(
-            f"{accelerometer}: specifying any one quantity more accurately would not reduce u"
+            f"{accelerometer}: no single quantity would reduce u if it were specified more "
+            "accurately"
         )
     source, (_, update) = (
         improvement["source"],

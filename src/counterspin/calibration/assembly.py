@@ -196,8 +196,8 @@ def _detrending_remarks(campaign: Campaign, observed: Sequence[ObservedRun]) -> 
         if count:
             remarks.append(
                 f"A {REMOVED[count]} was removed from column '{accelerometer.channel.name}' "
-                f"({name}) before the file was written ({', '.join(runs)}). The removal does "
-                "not affect the result, because the fit estimates the start offset and start "
+                f"({name}) before the file was written ({', '.join(runs)}). The removal does not "
+                "affect the result, because the fit estimates the initial offset and initial "
                 "velocity of each record."
             )
     return remarks

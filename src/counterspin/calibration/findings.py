@@ -433,7 +433,7 @@ def supporting_evidence(accelerometer: AccelerometerResult) -> Iterator[tuple[st
     if worst is not None and _significance(worst) <= AGREEMENT:
         yield "leave-one-run-out", "no single run dominates the result"
     if accelerometer.two_stage is not None and methods_agree(accelerometer.two_stage):
-        yield "another method", "the two-stage method is consistent with the result"
+        yield "another method", "the two-stage result agrees with the joint result"
 
 
 # Causes, and what they account for

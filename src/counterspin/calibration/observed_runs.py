@@ -362,8 +362,9 @@ def recorded_temperatures(
         (column,) = columns.signals.values()
         raise RecordError(
             f"{source}: column '{column.name}' contains temperatures from {low} to {high} degC; "
-            f'the temperature stated for "{item.name}" deviates by {deviation:.3g} K. Correct the '
-            "unit of the column or the stated temperature, or remove that temperature.",
+            f'the temperature stated for "{item.name}" differs from these values by '
+            f"{deviation:.3g} K. Correct the unit of the column or the stated temperature, or "
+            "remove that temperature.",
             code="temperature-mismatch",
         )
     return profile

@@ -337,7 +337,8 @@ def _terms_that_cannot_act(
                 yield ("model", key), f'"{symbol}" {reason}'
             elif not (recorded or key == "priors" or affects_readings(symbol)):
                 reason = (
-                    "affects only records of a double turntable, but no run has one; omit this term"
+                    "affects only records from a double turntable, but no run uses one; omit this "
+                    "term"
                 )
                 yield ("model", key), f'"{symbol}" {reason}'
 

@@ -136,9 +136,8 @@ def _check_term(
         )
     if (shape := prior.distribution.shape) != "normal":
         raise InputError(
-            f"the prior of {name} has a {shape} distribution; correlated "
-            "priors are jointly normal (JCGM 101, 6.4.8). State it with value and u, or remove "
-            "its correlation",
+            f"the prior of {name} has a {shape} distribution; correlated priors are jointly normal "
+            "(JCGM 101, 6.4.8). State this prior by its value and u, or remove the correlation",
             "invalid-correlation",
         )
 

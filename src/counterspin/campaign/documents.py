@@ -32,7 +32,7 @@ Kind = Literal["campaign", "plan", "laboratory"]
 _KINDS: Final[Mapping[Kind, str]] = {
     "campaign": "a campaign",
     "plan": "a plan",
-    "laboratory": "a laboratory's data for certificates",
+    "laboratory": "laboratory data for certificates",
 }
 
 #: No TOML file has more bytes.

@@ -69,9 +69,9 @@ def _gravity(campaign: Campaign) -> Iterator[Question]:
         yield Question(
             code="gravity-latitude",
             subject=subject,
-            text=f"{what} {gravity:.6g} m/s^2 does not agree with latitude {degrees:.4g} deg: from "
-            f"{HEIGHTS[0]:.0f} to {HEIGHTS[1]:.0f} m of height, gravity is {low:.4f} to "
-            f"{high:.4f} m/s^2 at this latitude. {question}",
+            text=f"{what} of {gravity:.6g} m/s^2 does not agree with latitude {degrees:.4g} deg. "
+            f"At this latitude and heights from {HEIGHTS[0]:.0f} to {HEIGHTS[1]:.0f} m, "
+            f"gravity is {low:.4f} to {high:.4f} m/s^2. {question}",
         )
 
 
@@ -92,8 +92,8 @@ def _removed_gravity(campaign: Campaign) -> Iterator[Question]:
             code="removed-gravity",
             subject=f"{name}.K_I",
             text=f"{name} is upright in {runs}, so its {accelerometer.observable} contains the "
-            "gravity that the navigation computer does not remove. Gravity is known to "
-            f"{campaign.gravity.u:.2g} m/s^2 only. counterspin assumes that the computer "
+            "gravity that the navigation computer does not remove. Gravity is known only to "
+            f"within {campaign.gravity.u:.2g} m/s^2. counterspin assumes that the computer "
             "removes gravity exactly; if the computer removes a fixed value, state this value "
             "as removed_gravity in [site].",
         )

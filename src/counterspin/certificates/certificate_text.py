@@ -132,15 +132,14 @@ def is_determined(coefficient: Coefficient) -> bool:
 def uncertainty_statement() -> str:
     """Return the definition of the expanded uncertainties."""
     return (
-        "The number after ± is the expanded uncertainty U. U is the combined standard "
-        "uncertainty, evaluated according to the GUM (JCGM 100), multiplied by the stated "
-        f"coverage factor k. The coverage probability is {format_share(COVERAGE)}. The factor "
-        "k is the quantile of Student's t-distribution for the effective degrees of freedom "
-        "(Welch-Satterthwaite), or of the normal distribution if the degrees of freedom are "
-        "infinite. Quantities without a value in the campaign contribute to U, and to "
-        "probabilities of conformity, with their default standard uncertainties. Terms fixed "
-        f'at nominal values contribute to neither; they are listed under "{ASSUMED}". The '
-        "numbers in the XML have all digits of the computation."
+        "The number after ± is the expanded uncertainty U. U is the combined standard uncertainty, "
+        "evaluated according to the GUM (JCGM 100), multiplied by the stated coverage factor k. "
+        f"The coverage probability is {format_share(COVERAGE)}. The factor k is the quantile of "
+        "Student's t-distribution for the effective degrees of freedom (Welch-Satterthwaite), or "
+        "of the normal distribution if the degrees of freedom are infinite. Quantities without a "
+        "value in the campaign contribute to U, and to probabilities of conformity, with their "
+        "default standard uncertainties. Terms fixed at nominal values contribute to neither; they "
+        f'are listed under "{ASSUMED}". The XML gives the numbers to full computed precision.'
     )
 
 
@@ -328,11 +327,10 @@ def output_lines(accelerometer: AccelerometerResult) -> dict[str, str]:
     return lines
 
 
-def unit_remark(unit: SiUnit) -> str:
+def unit_remark(unit: SiUnit, quantity: str = "value") -> str:
     """Return a remark on the unit of a quantity, for the end of its description."""
-    return "given here " + (
-        ("as a dimensionless number.") if unit == SiUnit() else f"in {unit.words}."
-    )
+    unit_text = "a dimensionless number" if unit == SiUnit() else f"in {unit.words}"
+    return f"The {quantity} in this element is {unit_text}."
 
 
 def coefficient_line(symbol: str, coefficient: Coefficient) -> str:
@@ -345,7 +343,7 @@ def coefficient_line(symbol: str, coefficient: Coefficient) -> str:
     description = "" if row is None else f"{words} ({row.effect.ieee_symbol} in IEEE Std 1293); "
     value_text = unit_remark(si_unit(coefficient.unit)[0])
     estimate = f"{format_in_g_units(coefficient, k)} (U, k = {format_decimal(k)})"
-    return f"{description}{symbol} = {estimate}; {value_text}"
+    return f"{description}{symbol} = {estimate}. {value_text}"
 
 
 def format_in_g_units(coefficient: Coefficient, k: float) -> str:

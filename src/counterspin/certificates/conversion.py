@@ -217,10 +217,10 @@ def parameter_line(name: str, parameter: Coefficient) -> str:
     """Return a determined parameter, with U and k, in g-units and its SI unit."""
     words, c = shown_parameter(name, parameter)
     k = coverage_factor(c.dof)
-    full_text = "the angle is " if c.value != parameter.value else ""
-    value_text = certificate_text.unit_remark(si_unit(c.unit)[0])
+    quantity = "value" if c.value == parameter.value else "angle"
+    value_text = certificate_text.unit_remark(si_unit(c.unit)[0], quantity)
     estimate = f"{certificate_text.format_in_g_units(c, k)} (U, k = {format_decimal(k)})"
-    return f"{words} = {estimate}; {full_text}{value_text}"
+    return f"{words} = {estimate}. {value_text}"
 
 
 def output_lines(result: Result, triad: TriadResult) -> list[str]:

@@ -198,9 +198,9 @@ class Certificate:
         earlier_entry = record_certificate(ledger_path, path, data, entry, details)
         if earlier_entry is not None:
             self.notes.append(
-                f"Certificate {self.identifier} was already entered on {earlier_entry.when} by "
-                f"a command that was then interrupted. {path} is the certificate of that entry "
-                f"({earlier_entry.number})."
+                f"An earlier command entered certificate {self.identifier} on "
+                f"{earlier_entry.when}, but was then interrupted. That entry ({path}) refers to "
+                f"{earlier_entry.when}."
             )
 
 

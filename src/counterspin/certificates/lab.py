@@ -366,7 +366,10 @@ class Lab(SettingsSection):
         unit = "1" if symbol == APPLIED else TERMS[symbol].unit
         stated = parse(self.cmc[symbol], unit, gravity=gravity)
         if stated.value <= 0.0 or stated.u:
-            raise OutOfRangeError("must be one positive number, the expanded uncertainty for 95 %")
+            raise OutOfRangeError(
+                "must be a single positive number: the expanded uncertainty for "
+                "a coverage probability of 95 %"
+            )
         return stated.value
 
     def serial_number(self, name: str, result: Result) -> str | None:

@@ -128,7 +128,9 @@ def _value_statements(lab: Lab, result: Result, stated: Result) -> Iterator[Stat
     for name in names:
         lines = certificate_text.undetermined_lines(name, stated.accelerometers[name])
         yield Statement(
-            f"Not determined, accelerometer {name}", lines, ref=item_id(lab, stated, name)
+            f"Undetermined coefficients of accelerometer {name}",
+            lines,
+            ref=item_id(lab, stated, name),
         )
     if (triad := certified_triad(stated, names)) is not None:
         yield Statement(triad_title(triad), triad_lines(triad))

@@ -127,7 +127,7 @@ class LedgerOptions:
             raise UsageError("calibrate", ["--ledger accepts the result of only one campaign"])
         if json is None or not self.who or not self.why:
             raise UsageError(
-                "calibrate", ["with --ledger, give --json FILE, --who NAME and --why REASON"]
+                "calibrate", ["--ledger requires --json FILE, --who NAME and --why REASON"]
             )
         if json.resolve() == self.ledger.resolve():
             raise UsageError("calibrate", ["--ledger and --json name the same file"])

@@ -133,7 +133,9 @@ def _name_option(questions: Mapping[str, FileQuestion], problem: str) -> str:
     question = next((q for start, q in questions.items() if problem.startswith(start)), None)
     if question is None:
         return problem
-    return f'{problem} Give this value with `answer`, such as "{question.key}={question.example}".'
+    return (
+        f'{problem} Set this value with `answer`, for example "{question.key}={question.example}".'
+    )
 
 
 def _choose_test(all_contents: Sequence[FileContents], *, asks: bool) -> Test:

@@ -111,9 +111,9 @@ def temperature_warnings(
     low, high = float(temperatures.min()), float(temperatures.max())
     if low < seen[0] - _TEMPERATURE_MARGIN or high > seen[1] + _TEMPERATURE_MARGIN:
         yield (
-            f"The temperature is {_format_range(low, high)}, but the calibration temperature "
-            f"was {_format_range(seen[0], seen[1])}. Outside the calibrated range, u includes "
-            "only the temperature slopes of the result."
+            f"The temperature is {_format_range(low, high)}, but the calibration temperature was "
+            f"{_format_range(seen[0], seen[1])}. Outside the calibrated range, the temperature "
+            "slopes of the result are the only temperature effect included in u."
         )
 
 

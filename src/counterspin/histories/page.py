@@ -117,7 +117,7 @@ def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Ite
     if (chart := instrument.control) is not None:
         out = [
             *(f"{file} is outside the action limits" for file in chart.beyond),
-            *(f"{file} has a jump relative to the previous result" for file in chart.leaps),
+            *(f"{file} has jumped since the previous result" for file in chart.leaps),
         ]
         yield (
             f"Individuals chart: centre {chart.centre * factor:.6g} {unit}, action limits "

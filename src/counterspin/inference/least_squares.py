@@ -104,8 +104,8 @@ def reduce_rows(rows: Array, m: int, p: int) -> Block:
     nuisance_triangle = triangle[:m, :m]
     if dependent_columns(nuisance_triangle).size:
         raise NotIdentifiableError(
-            f"{n} samples cannot separate the {m} unknowns of the record itself (such as its start "
-            "offset and start velocity); the record is too short"
+            f"{n} samples cannot separate the {m} unknowns of the record itself (such as its "
+            "initial offset and initial velocity); the record is too short"
         )
     kept = triangle[m : m + p + q]
     return Block(

@@ -88,7 +88,7 @@ def draft(all_contents: Sequence[FileContents], answers: Mapping[str, str] | Non
     answers: By the keys of questions; they take precedence over guesses.
     """
     if not all_contents:
-        raise UsageError("init", ["give the files of the runs"])
+        raise UsageError("init", ["give the run files"])
 
     def seen(taken: Mapping[str, str]) -> tuple[tuple[FileGuess, ...], FileGuess]:
         guesses = tuple(guess_file(contents, taken) for contents in all_contents)

@@ -220,8 +220,8 @@ def kind_question(likely: Test | None) -> FileQuestion:
 def no_test_reasons(all_contents: Sequence[FileContents]) -> Iterator[str]:
     """Yield the reasons why files look like no kind of test."""
     yield (
-        "no column varies with a rotation, no three columns show rests at different attitudes, "
-        "and no rate or position column accompanies the readings"
+        "no column varies with a rotation, no set of three columns contains rest periods at "
+        "different attitudes, and the readings have no rate or position column"
     )
     for contents in all_contents:
         if axes := without_gravity(guess_file(contents)):

@@ -291,7 +291,7 @@ def _few(found: TriadColumns) -> Iterator[str]:
         if few
         else "poses near the six faces do not determine the angles between the axes"
     )
-    more = "spread over the whole sphere" if few else "halfway between two axes on both sides"
+    more = "spread over the whole sphere" if few else "halfway between two axes, in both directions"
     yield (
         f"{why}: only biases and scale factors are requested. Measure at least twelve poses, {more}"
     )

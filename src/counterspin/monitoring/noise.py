@@ -472,8 +472,8 @@ def _sampling_remarks(record: StaticRecord) -> Iterator[str]:
     if stretches.filled and stretches.recorded_fraction < 1.0:
         part = 100.0 * (1.0 - stretches.recorded_fraction)
         yield (
-            f"{stretches.filled} samples are missing ({part:.2g} %). The analysis uses the "
-            "recorded samples in sequence, which limits the resolution of slow noise."
+            f"{stretches.filled} samples are missing ({part:.2g} %). The analysis treats the "
+            "recorded samples as consecutive, so it resolves low-frequency noise poorly."
         )
         if record.signal.order == 0 and record.analysis.noise.components["white"].variance:
             yield (

@@ -129,7 +129,7 @@ def _pose_rows(run: RunState, poses: PosesState) -> Iterator[tuple[str, str]]:
     yield "Poses", f"{poses.count}{rms}"
     yield "At rest", f"where the scatter is below {format_number(poses.threshold)} m/s^2"
     yield "Rejected or empty", f"{run.outliers} outliers, {run.empty} empty cells"
-    yield "Deviating from the model", ", ".join(poses.outlying) or "none"
+    yield "Deviations from the model", ", ".join(poses.outlying) or "none"
     yield "Missing directions", "; ".join(poses.missing) or "none"
 
 
@@ -159,7 +159,7 @@ def watch_blocks(state: WatchState) -> Iterator[Block]:
             yield Paragraph(f"{run.run}: {run.why}", "warning")
         if run.poses is not None and run.poses.outlying:
             names = ", ".join(run.poses.outlying)
-            yield Paragraph(f"{run.run}: deviating from the model: {names}", "warning")
+            yield Paragraph(f"{run.run}: poses that deviate from the model: {names}", "warning")
         if run.poses is not None and run.poses.missing:
             missing = "; ".join(run.poses.missing)
             yield Paragraph(f"{run.run}: add poses with {missing}")

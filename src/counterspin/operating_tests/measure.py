@@ -167,8 +167,8 @@ def _static_tests(
             "resolution",
             lambda: model.smallest_step(line, inputs, outputs, from_zero=False),
             (
-                "smallest step from larger inputs that changes the output by at least 50 % of "
-                "the expected change"
+                "smallest input step, starting above the threshold, that changes the output by at "
+                "least 50 % of the expected change"
             ),
             "no step from larger inputs changes the output by at least 50 % of the expected change",
         ),

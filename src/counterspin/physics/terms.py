@@ -160,8 +160,8 @@ def _product_rows() -> Iterator[Term[SpecificForceProduct]]:
 
 
 def _slope_rows() -> Iterator[Term[Slope]]:
-    heating = "rise of K_F with the square of the centripetal force"
-    warming = "change of {} with {}temperature"
+    heating = "increase in K_F proportional to the square of the centripetal force"
+    warming = "change in {} with {}temperature"
     powers = ((1, ""), (2, "the square of "), (3, "the cube of "))
     for symbol, condition, unit, words in (
         *(
@@ -175,7 +175,7 @@ def _slope_rows() -> Iterator[Term[Slope]]:
             for n, power in powers[:degree]
         ),
         ("K_F.hysteresis", "direction", "g", "difference in K_F between warming and cooling"),
-        ("K_F.trend", "time", "g/s", "change of K_F with time"),
+        ("K_F.trend", "time", "g/s", "change in K_F with time"),
         ("K_F.heating", "force", "g/g^2", heating),
     ):
         motions = _TURNING if condition == "force" else _EVERYWHERE
@@ -327,14 +327,14 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
     rate = f"{_NO_SOURCE}: typical mean rate error of a precision centrifuge"
     iso = "ISO 16063-21: 1 % (k = 2) for transducers calibrated by comparison"
     for symbol, words, unit, limit, typical, source, motions in (
-        ("centrifuge.radius.MOUNTING", "radius of mounting", "m", 0.1, 1e-3, radius, ("arm",)),
-        (proof_mass, "radius of the proof mass", "m", 0.1, 1e-3, radius, ("arm",)),
+        ("centrifuge.radius.MOUNTING", "radius of the mounting", "m", 0.1, 1e-3, radius, ("arm",)),
+        (proof_mass, "radius to the proof mass", "m", 0.1, 1e-3, radius, ("arm",)),
         ("centrifuge.rate", "random error of the rate", "1", 1e-2, 1e-7, rate, ()),
         ("centrifuge.droop", "droop of the arm", "rad s^2", 1e-3, 1e-8, _NO_SOURCE, ("arm",)),
         *(
             (
                 f"fixture.misalignment.MOUNTING.{axis}",
-                f"misalignment of a mounting about {axis}",
+                f"mounting misalignment about {axis}",
                 "rad",
                 1e-2,
                 5e-5,
@@ -346,7 +346,7 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
         *(
             (
                 f"fixture.position.POSITION.{axis}",
-                f"setting error about {axis} at position",
+                f"positioning error about {axis}",
                 "rad",
                 0.2,
                 2.5e-5,
@@ -554,4 +554,6 @@ def description_of(name: str) -> str:
     Empty if the name contains no term.
     """
     row, mounting = _find_row(symbol_of(name))
-    return f"{row.words} {mounting}".rstrip() if row else ""
+    if row is None:
+        return ""
+    return f"{row.words} ({mounting})" if mounting else row.words

@@ -83,14 +83,14 @@ def _summary_blocks(result: PlanResult) -> Iterator[Block]:
 def _optimality(goal: GoalResult, timed: bool) -> str:
     if goal.efficiency is None:
         return (
-            "The possible improvement by another plan is unknown, because no theorem gives a "
-            "bound if the time stamps have noise."
+            "Another plan may be better by an unknown amount, because no theorem gives a bound for "
+            "noisy time stamps."
         )
     less = 100.0 * (1.0 - goal.efficiency)
     if less > _EMPTY_BOUND:
         return (
-            "The possible improvement by another plan is unknown; the bound for all plans "
-            f"allows an improvement of {format_number(less, 2)} %."
+            f"Another plan may be better, but by no more than {format_number(less, 2)} %, which is "
+            "the bound for all plans."
         )
     if less < 0.05:
         return "No plan within these limits is better by more than 0.05 %."
@@ -448,8 +448,8 @@ def _format_prior(predicted: PredictedCoefficient) -> str:
 def _dominant_source(predicted: PredictedCoefficient) -> str:
     parts = {
         "noise": predicted.u_noise,
-        "stated": predicted.u_stated,
-        "unstated": predicted.u_unstated,
+        "stated priors": predicted.u_stated,
+        "default priors": predicted.u_unstated,
     }
     squares = {key: part**2 for key, part in parts.items() if part}
     total = sum(squares.values())

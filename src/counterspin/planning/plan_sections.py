@@ -305,7 +305,7 @@ class ReadingPlanDocument(_Sections):
         "three accelerometers of one sensor, as in a campaign", {}, None
     )
     runs: Runs = key_field(
-        "records and readings that are made regardless of the plan, as in a campaign",
+        "records and readings that will be made regardless of the plan; same keys as in a campaign",
         [],
         absent="none",
         default_factory=list,

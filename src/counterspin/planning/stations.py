@@ -218,7 +218,8 @@ def read_reading_plan(
         seen.add(reading.name)
     if len(candidates) > _MAX_CANDIDATES:
         words = (
-            f"make {len(candidates)} possible readings, more than the limit of {_MAX_CANDIDATES}"
+            f"allow {len(candidates)} different readings, which exceeds the limit of "
+            f"{_MAX_CANDIDATES}"
         )
         problems.add(("stations",), words, "too-many-rows")
     runs = [_with_value(reading.run, "0") for reading in candidates]

@@ -135,7 +135,7 @@ class ReadingGroup(Protocol):
 
 def noise_source(group: ReadingGroup) -> str:
     """Return the name of a group in a budget: accelerometer, motion and kind of noise."""
-    estimated = "" if group.u is not None else " (noise estimated)"
+    estimated = "" if group.u is not None else " (estimated)"
     return f"{group.accelerometer}: {READINGS[group.motion]}{estimated}"
 
 

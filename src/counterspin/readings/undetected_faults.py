@@ -96,9 +96,7 @@ def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list
                     column, typical, float(tests.value[column_index]), float(tests.u[column_index])
                 )
                 clause = f"{_describe_fault(column, size)} shifts {symbol} by "
-                clause += (
-                    f"{format_size(symbol, abs(shift), 3)} ({ratio:.2g} times the u of {symbol})"
-                )
+                clause += f"{format_size(symbol, abs(shift), 3)} ({ratio:.2g} u({symbol}))"
                 fault = _UndetectedFault(ratio * expected / size, ratio, clause)
                 kinds = faults_by_name[view.name]
                 kinds[column.kind] = fault.merge(kinds.get(column.kind, fault))
@@ -117,9 +115,9 @@ def fault_remarks(faults: Mapping[str, Sequence[str]]) -> Iterator[str]:
     for name, clauses in faults.items():
         if clauses:
             yield (
-                f"{name}: the residuals would not show any single one of these faults: "
-                f"{'; '.join(clauses)}. Rule out these faults by other means: repeat the "
-                "series in another order, or use a single range of the meter."
+                f"{name}: the residuals would not reveal any of these faults: "
+                f"{'; '.join(clauses)}. Rule them out by other means: repeat the series in another "
+                "order, or use a single range of the meter."
             )
 
 

@@ -424,8 +424,8 @@ class ColumnFile(ABC):
         size = self.identity.size if self.identity else 0
         if needed > _UNPACKED_BYTES + _UNPACKED_RATIO * size:
             raise DamagedFileError(
-                f"{self.path}: the file is damaged, because it has {size} bytes, but its "
-                f"header announces {needed} bytes of numbers."
+                f"{self.path}: the file is damaged. It contains {size} bytes, but its header "
+                f"specifies {needed} bytes of data."
             )
 
 

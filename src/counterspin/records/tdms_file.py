@@ -131,8 +131,8 @@ class TdmsFile(ArrayFile):
             for rows, skipped_count in zip(late_rows, skipped_rows, strict=True)
         ):
             raise RecordError(
-                f"{self.path}: the start times of the channels do not differ by whole steps of the "
-                f"waveform. Export them with a common start.",
+                f"{self.path}: the start times of the channels do not differ by a whole number of "
+                "sampling intervals. Export the channels with a common start time.",
                 code="irregular-time",
             )
         if (

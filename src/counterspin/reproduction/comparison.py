@@ -98,7 +98,7 @@ def second_stage_uncertainty() -> tuple[Row, ...]:
         ),
         row(
             "quarter",
-            "same calculation with 1/4 for K_II, g = 9.8",
+            "same calculation with the factor 1/4 for K_II, g = 9.8",
             float(ours * half_over_quarter),
             "half the sensitivity, twice the uncertainty",
         ),
@@ -143,7 +143,10 @@ def second_stage_uncertainty() -> tuple[Row, ...]:
             PRINTED_BOUND,
             u(_exact_second_stage(plan)),
             "g/g^2",
-            "correct for the stated plan; the printed sigma(b2) with 1/4 would exceed the bound",
+            (
+                "correct for the stated plan; with the factor 1/4, the printed sigma(b2) would "
+                "exceed the bound"
+            ),
             ".3e",
         ),
     )
@@ -192,7 +195,7 @@ def second_stage_ripple() -> tuple[Row, ...]:
     return (
         Row(
             "separation.without",
-            "with ripple: K_II with 1/4, ripple not separated",
+            "with ripple: K_II with the factor 1/4, ripple not separated",
             truth,
             alone[0],
             "g/g^2",
@@ -200,7 +203,7 @@ def second_stage_ripple() -> tuple[Row, ...]:
         ),
         Row(
             "separation.with",
-            "with ripple: K_II with 1/4 and a ripple column",
+            "with ripple: K_II with the factor 1/4 and a ripple column",
             truth,
             separated[0],
             "g/g^2",
@@ -226,7 +229,7 @@ def second_stage_ripple() -> tuple[Row, ...]:
         ),
         Row(
             "separation.drift_ignored",
-            f"{drift} K_II with 1/4, drift not separated",
+            f"{drift} K_II with the factor 1/4, drift not separated",
             truth,
             _exact_second_stage(drifting, fit_bias=False).estimate("K_II")[0],
             "g/g^2",
@@ -234,7 +237,7 @@ def second_stage_ripple() -> tuple[Row, ...]:
         ),
         Row(
             "separation.drift_separated",
-            f"{drift} K_II with 1/4, drift separated",
+            f"{drift} K_II with the factor 1/4, drift separated",
             truth,
             _exact_second_stage(drifting, fit_bias=False, nominal_angle=True).estimate("K_II")[0],
             "g/g^2",

@@ -124,7 +124,7 @@ def simulate(
     if description.exists() and not own and not _is_simulated(description):
         raise ExistingFileError(
             f"{description} does not belong to a simulated campaign, so its files were not "
-            "overwritten. Simulate into another folder"
+            "overwritten. Choose another output folder"
         )
     replaced = [description] if text is not None or not own else []
     taken_along = _static_record_copy(campaign, folder)
@@ -158,12 +158,12 @@ def _check_targets(paths: Sequence[Path], description: Path, *, overwrite: bool)
     existing = [path for path in paths if path.exists()]
     if existing and not description.exists():
         raise ExistingFileError(
-            f"{existing[0]} exists, and no {DESCRIPTION_NAME} in its folder describes it as "
-            "simulated, so it was not overwritten. Simulate into another folder"
+            f"{existing[0]} already exists, and its folder has no {DESCRIPTION_NAME} that "
+            "describes a simulation, so the file was not overwritten. Choose another output folder"
         )
     if existing and not overwrite:
         raise ExistingFileError(
-            f"{existing[0]} exists; simulate into another folder, or give `overwrite=True`"
+            f"{existing[0]} already exists; choose another output folder, or set `overwrite=True`"
         )
 
 

@@ -40,7 +40,7 @@ _ERROR_COLUMNS = (
 
 _COVERAGE_COLUMNS = (
     Column("Coefficient"),
-    *(Column(f"Coverage, {100 * level:.0f} %", align="right") for level in LEVELS),
+    *(Column(f"Coverage of the {100 * level:.0f} % intervals", align="right") for level in LEVELS),
 )
 
 

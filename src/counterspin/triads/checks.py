@@ -108,7 +108,7 @@ def _pattern_finding(group: FittedReadings, pattern: Pattern) -> Finding:
 def _check_residual_dof(group: FittedReadings) -> Finding:
     dof_text = format_number(group.residual_dof, 2) if group.residual_dof >= 0.05 else "no"
     text = (
-        f"{group.readings.size} poses leave {dof_text} degrees of freedom after the "
-        "estimation, so the residuals cannot be tested. Measure more poses."
+        f"After the fit of {group.readings.size} poses, {dof_text} degrees of freedom remain, so "
+        "the residuals cannot be tested. Measure more poses."
     )
     return Finding(code="unjudged-readings", subject=TRIAD, text=text)

@@ -88,9 +88,7 @@ def pose_advice(view: AccelerometerView) -> str:
     )
     sentences = []
     if count < free_count:
-        sentences.append(
-            f" {count} poses are fewer than the {free_count} unknowns without a prior."
-        )
+        sentences.append(f" {count} poses cannot determine {free_count} unknowns without a prior.")
     elif distinct < free_count:
         sentences.append(
             f" The {count} poses have only {distinct} different directions, which are fewer "

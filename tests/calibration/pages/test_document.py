@@ -84,7 +84,7 @@ def test_a_good_result_says_what_was_checked():
     assert rows == (
         ("Fit", "The residuals are consistent with the stated noise (p = 0.5)."),
         ("Leave-one-run-out", "No single run dominates the result."),
-        ("Another method", "The two-stage method is consistent with the result."),
+        ("Another method", "The two-stage result agrees with the joint result."),
     )
 
 

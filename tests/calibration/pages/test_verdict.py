@@ -14,8 +14,8 @@ def sentence(**changes):
 def test_a_good_result():
     assert sentence() == (
         "The result for Qx passed all checks: the residuals are consistent with the stated noise "
-        "(p = 0.5); no single run dominates the result; the two-stage method is consistent with "
-        "the result."
+        "(p = 0.5); no single run dominates the result; the two-stage result agrees "
+        "with the joint result."
     )
 
 
@@ -28,8 +28,8 @@ def test_reservations_say_the_gravest_first_and_how_many_more():
         "The result for Qx is usable with reservations: Omitting slow shifts K_II by 0.01 ug/g^2, "
         "3.1 times the standard uncertainty of the shift. Therefore, this run is not consistent "
         "with the others. 2 more findings are listed below. Passed checks: the residuals are "
-        "consistent with the stated noise (p = 0.5); the two-stage method is consistent with the "
-        "result."
+        "consistent with the stated noise (p = 0.5); the two-stage result agrees with the "
+        "joint result."
     )
 
 

@@ -43,6 +43,16 @@ _SPINDLE: Final = {
     "spindle.ripple": ("w_p", "rate ripple (Eq. 26) common to all runs"),
 }
 
+#: Key of the counts of a record -> words after the number 1, and after other numbers.
+_COUNTED: Final = {
+    "rows": ("row", "rows"),
+    "repeated": ("repeated row", "repeated rows"),
+    "empty": ("empty cell", "empty cells"),
+    "outliers": ("outlier", "outliers"),
+    "gaps": ("gap", "gaps"),
+    "block": ("sample per block", "samples per block"),
+}
+
 
 def accelerometer_blocks(
     name: str, accelerometer: AccelerometerResult, gravity: float, *, details: bool
@@ -93,8 +103,8 @@ def _reading_table(readings: Sequence[ReadingResult], *, details: bool) -> Itera
             Column("Indication, g", "right"),
             Column("Residual, ug", "right"),
             Column("Residual / u(residual)", "right"),
-            Column("Used", "right"),
-            Column("Rejected", "right"),
+            Column("Samples used", "right"),
+            Column("Samples rejected", "right"),
         ),
         rows=tuple(
             (
@@ -186,8 +196,8 @@ def _uncertainty_origin(coefficient: Coefficient) -> str:
         return "prior only"
     components = {
         "noise": coefficient.u_noise,
-        "stated": coefficient.u_stated,
-        "default": coefficient.u_unstated,
+        "stated priors": coefficient.u_stated,
+        "default priors": coefficient.u_unstated,
     }
     total_variance = sum(u * u for u in components.values() if u is not None)
     if total_variance == 0.0:
@@ -307,10 +317,10 @@ def _jackknife_table(lines: Sequence[Jackknife], coefficient: Coefficient) -> It
 
     yield Table(
         columns=(
-            Column("Run omitted", wraps=True),
+            Column("Omitted run", wraps=True),
             Column(f"K_II, {unit}", "right"),
-            Column(f"shift, {unit}", "right"),
-            Column("shift / u(shift)", "right"),
+            Column(f"Shift, {unit}", "right"),
+            Column("Shift / u(shift)", "right"),
         ),
         rows=tuple(
             (
@@ -357,6 +367,6 @@ def note_blocks(name: str, item: RunResult | ReadingResult) -> Iterator[Block]:
 
 def count_blocks(name: str, item: RunResult | ReadingResult) -> Iterator[Block]:
     """Yield the number of rows of each kind."""
-    counts = ", ".join(f"{key.replace('_', ' ')} {count}" for key, count in item.counts.items())
+    counts = [f"{count} {_COUNTED[key][count != 1]}" for key, count in item.counts.items()]
     if counts:
-        yield Paragraph(f"{name}: {counts}.")
+        yield Paragraph(f"{name}: {', '.join(counts)}.")

@@ -169,5 +169,5 @@ def _compare_methods(accelerometer: AccelerometerResult) -> tuple[str | None, st
     value = format_estimate(comparison.value * factor, comparison.u * factor, unit)
     difference = f"z = {format_number(abs(comparison.z), 2)}"
     if methods_agree(comparison):
-        return f"the two-stage method is consistent: {value}, {difference}", None
-    return None, f"the two-stage method is not consistent: {value}, {difference}"
+        return f"the two-stage result agrees with the joint result: {value}, {difference}", None
+    return None, f"the two-stage result does not agree with the joint result: {value}, {difference}"

@@ -211,8 +211,8 @@ def run_blocks(runs: dict[str, RunResult], *, details: bool) -> Iterator[Block]:
             Column("Rate, rad/s"),
             Column("Drift, ppm/h"),
             Column("Ripple, ppm of rate"),
-            Column("Used", "right"),
-            Column("Rejected", "right"),
+            Column("Samples used", "right"),
+            Column("Samples rejected", "right"),
         ),
         rows=tuple(
             (

@@ -128,10 +128,9 @@ def _method_sentence(result: Result) -> str:
             "sensitivity coefficients."
         )
     return (
-        "Weighted least squares fits all samples of all runs and accelerometers together. "
-        "Priors enter as pseudo-observations. Fixed (considered) quantities are propagated "
-        "through their sensitivity coefficients. Each run has a separate start offset and "
-        "start velocity."
+        "Weighted least squares fits all samples of all runs and accelerometers together. Priors "
+        "enter as pseudo-observations. Fixed (considered) quantities are propagated through their "
+        "sensitivity coefficients. Each run has a separate initial offset and initial velocity."
     )
 
 

@@ -80,8 +80,7 @@ class DesignBlock(Observation):
         if series.time.size <= series.order:
             raise NotIdentifiableError(
                 f"{series.accelerometer} in {series.run}: {series.time.size} samples do not "
-                "determine the start offset and start velocity of the record; the record is too "
-                "short"
+                "determine the initial offset and initial velocity; the record is too short"
             )
         whiten = series.whitener(noise)
         polynomials = series.polynomials(whiten.polynomials)
