@@ -22,20 +22,7 @@ from typing import Any
 from cyclopts import App, CycloptsError, Parameter
 
 from counterspin._version import __version__
-from counterspin.cli import (
-    applied,
-    apply,
-    calibrate,
-    certificate,
-    init,
-    operating,
-    plan,
-    program,
-    records,
-    results,
-    study,
-)
-from counterspin.cli.common import join_docstring, print_error, translate_message
+from counterspin.cli.common import print_error, translate_message
 from counterspin.errors import (
     CampaignError,
     CounterspinError,
@@ -65,34 +52,33 @@ app = App(
     suppress_keyboard_interrupt=False,  # `main` has a word for it
 )
 
-for _command in (
-    init.init,
-    records.simulate,
-    calibrate.calibrate,
-    results.report,
-    certificate.certificate,
-    results.ledger,
-    results.history,
-    results.compare,
-    results.intercompare,
-    results.rerun,
-    applied.applied,
-    operating.operating,
-    records.check,
-    records.watch,
-    records.noise,
-    apply.apply,
-    results.export,
-    plan.plan,
-    study.study,
-    program.schema,
-    program.serve,
-    program.demo,
-    program.reproduce,
-    program.validate,
+for _path in (
+    "init:init",
+    "records:simulate",
+    "calibrate:calibrate",
+    "results:report",
+    "certificate:certificate",
+    "results:ledger",
+    "results:history",
+    "results:compare",
+    "results:intercompare",
+    "results:rerun",
+    "applied:applied",
+    "operating:operating",
+    "records:check",
+    "records:watch",
+    "records:noise",
+    "apply:apply",
+    "results:export",
+    "plan:plan",
+    "study:study",
+    "program:schema",
+    "program:serve",
+    "program:demo",
+    "program:reproduce",
+    "program:validate",
 ):
-    _command.__doc__ = join_docstring(_command.__doc__ or "")
-    app.command(_command)
+    app.command(f"{__name__}.{_path}")  # imported when the command is called
 
 
 def _unexpected_error_message(error: Exception) -> str:
@@ -149,6 +135,8 @@ def _run(words: list[str]) -> int:
         require_thread_count()
         if any("\0" in word for word in words):
             raise UsageError("the arguments of the command", ["contain a NUL character"])
+        if not words or words[0].startswith("-"):
+            app.resolved_commands()  # for the list of commands with their descriptions
         app(words, exit_on_error=False, print_error=False, result_action="return_value")
         if sys.stdout is not None:
             sys.stdout.flush()

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from counterspin.cli.certificate import UNSIGNED, SigningOptions
-from counterspin.cli.common import NOT_SAVED, SaveOptions, option_group, print_output
+from counterspin.cli.common import NOT_SAVED, SaveOptions, command, option_group, print_output
 from counterspin.errors import UsageError
 from counterspin.frozen import frozen
 
@@ -79,6 +79,7 @@ _NO_CERTIFICATE = CertificateOptions()
 _DEFAULT_BUDGET = BudgetOptions()
 
 
+@command
 def applied(
     directory: Path,
     /,

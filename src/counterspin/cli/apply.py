@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from counterspin.cli.common import OnOff, OutputFolder, option_group
+from counterspin.cli.common import OnOff, OutputFolder, command, option_group
 from counterspin.errors import UsageError
 from counterspin.frozen import frozen
 
@@ -88,6 +88,7 @@ class FileOptions:
 _ALONE, _PLAIN = ForceOptions(), FileOptions()
 
 
+@command
 def apply(
     result: Path,
     file: Path,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 
-from counterspin.cli.common import NOT_SAVED, OnOff, SaveOptions, option_group
+from counterspin.cli.common import NOT_SAVED, OnOff, SaveOptions, command, option_group
 from counterspin.errors import CounterspinError, UsageError
 from counterspin.frozen import frozen
 
@@ -146,6 +146,7 @@ class LedgerOptions:
 _USUAL, _BRIEF, _ALONE, _NOWHERE = Estimation(), PrintOptions(), BatchWorkers(), LedgerOptions()
 
 
+@command
 def calibrate(
     directory: Path,
     /,

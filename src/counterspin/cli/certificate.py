@@ -8,7 +8,7 @@ from getpass import getpass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from counterspin.cli.common import OutputFile, option_group, print_output
+from counterspin.cli.common import OutputFile, command, option_group, print_output
 from counterspin.errors import CampaignError, UsageError
 from counterspin.frozen import frozen
 
@@ -145,6 +145,7 @@ _PAGES = {
 }
 
 
+@command
 def certificate(
     result: Path | None = None,
     lab: Path | None = None,

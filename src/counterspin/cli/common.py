@@ -21,6 +21,7 @@ from counterspin.shell import quote_word
 if TYPE_CHECKING:
     from counterspin.results import ResultFile
 
+Command = TypeVar("Command", bound=Callable[..., None])
 Options = TypeVar("Options")
 
 OutputFolder = Annotated[Path, Parameter(name=["--output", "-o"])]
@@ -48,6 +49,12 @@ def join_docstring(docstring: str) -> str:
         else:
             lines.append(line)
     return "\n".join(lines) + "\n"
+
+
+def command(function: Command) -> Command:
+    """Return a function of the command line, with its docstring prepared for the help."""
+    function.__doc__ = join_docstring(function.__doc__ or "")
+    return function
 
 
 def option_group(options: type[Options]) -> type[Options]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 from cyclopts import Parameter
 
-from counterspin.cli.common import print_output, shell_word
+from counterspin.cli.common import command, print_output, shell_word
 from counterspin.errors import CampaignError, CounterspinError, UsageError
 from counterspin.ingest.starter import Test
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from counterspin.ingest.questions import FileQuestion
 
 
+@command
 def init(
     directory: Path,
     /,

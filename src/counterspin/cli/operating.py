@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from counterspin.cli.common import NOT_SAVED, SaveOptions, option_group, print_output
+from counterspin.cli.common import NOT_SAVED, SaveOptions, command, option_group, print_output
 from counterspin.frozen import frozen
 
 
@@ -37,6 +37,7 @@ class TableColumns:
 _NO_COLUMNS = TableColumns()
 
 
+@command
 def operating(
     table: Path,
     /,

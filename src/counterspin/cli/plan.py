@@ -9,6 +9,7 @@ from counterspin.cli.common import (
     NOT_SAVED,
     OutputFile,
     SaveOptions,
+    command,
     option_group,
     print_output,
     shell_word,
@@ -56,6 +57,7 @@ _UNKNOWN = RecordingDetails()
 _NO_EXAMPLE = ExampleOptions()
 
 
+@command
 def plan(
     file: Path | None = None,
     *,

@@ -10,6 +10,7 @@ from counterspin.cli.common import (
     OnOff,
     OutputFolder,
     SaveOptions,
+    command,
     print_output,
     shell_word,
 )
@@ -21,6 +22,7 @@ from counterspin.errors import (
 )
 
 
+@command
 def schema(document: Literal["campaign", "plan", "study", "lab", "result", "noise"], /) -> None:
     """Print the JSON Schema (draft 2020-12) of a document, for editors and other programs.
 
@@ -39,6 +41,7 @@ def schema(document: Literal["campaign", "plan", "study", "lab", "result", "nois
     print(schema_text(document), end="")
 
 
+@command
 def serve(
     directory: Path,
     /,
@@ -78,6 +81,7 @@ def serve(
     run(directory, port=port, browser=browser, signing=signing, say=print_output)
 
 
+@command
 def demo(
     *,
     output: OutputFolder = Path("counterspin-demo"),
@@ -119,6 +123,7 @@ def demo(
     )
 
 
+@command
 def reproduce(*, save_options: SaveOptions = NOT_SAVED) -> None:
     """Recompute the paper's numbers and explain the differences."""
     from counterspin.reports.text import report_console
@@ -131,6 +136,7 @@ def reproduce(*, save_options: SaveOptions = NOT_SAVED) -> None:
         report_console().print(reproduction)
 
 
+@command
 def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: bool = False) -> None:
     """Run the reference cases on this installation and write a validation report for assessors.
 

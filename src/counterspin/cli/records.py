@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from counterspin.cli.common import NOT_SAVED, OutputFolder, SaveOptions, option_group, print_output
+from counterspin.cli.common import (
+    NOT_SAVED,
+    OutputFolder,
+    SaveOptions,
+    command,
+    option_group,
+    print_output,
+)
 from counterspin.errors import CounterspinError, UsageError
 from counterspin.frozen import frozen
 
@@ -19,6 +26,7 @@ if TYPE_CHECKING:
     from counterspin.monitoring.result import WatchState
 
 
+@command
 def simulate(campaign: Path, /, *, output: OutputFolder, overwrite: bool = False) -> None:
     """Simulate the records and readings of a campaign with known coefficients.
 
@@ -44,6 +52,7 @@ def simulate(campaign: Path, /, *, output: OutputFolder, overwrite: bool = False
     print_output(f"Wrote {files}campaign.toml to {output}.")
 
 
+@command
 def check(
     record: Path,
     /,
@@ -75,6 +84,7 @@ def check(
         raise CounterspinError("the run has faults and should be repeated", code="run-faulty")
 
 
+@command
 def watch(
     directory: Path,
     /,
@@ -180,6 +190,7 @@ class ColumnOptions:
 _AS_THE_FILE_SAYS = ColumnOptions()
 
 
+@command
 def noise(
     record: Path,
     /,

@@ -6,7 +6,14 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
-from counterspin.cli.common import NOT_SAVED, OutputFile, OutputFolder, SaveOptions, print_output
+from counterspin.cli.common import (
+    NOT_SAVED,
+    OutputFile,
+    OutputFolder,
+    SaveOptions,
+    command,
+    print_output,
+)
 from counterspin.errors import CounterspinError, UsageError
 
 if TYPE_CHECKING:
@@ -32,6 +39,7 @@ _RESULT_CLASSES: Final = (
 )
 
 
+@command
 def report(
     source: Path,
     /,
@@ -96,6 +104,7 @@ def _result_class(path: Path) -> type[ReportableResult]:
     return Result
 
 
+@command
 def history(
     *paths: Path,
     term: str = "K_II",
@@ -147,6 +156,7 @@ def history(
         )
 
 
+@command
 def compare(
     *results: Path, save_options: SaveOptions = NOT_SAVED, report: Path | None = None
 ) -> None:
@@ -178,6 +188,7 @@ def compare(
         report_console().print(compared)
 
 
+@command
 def intercompare(
     *results: Path,
     coefficient: str | None = None,
@@ -225,6 +236,7 @@ def intercompare(
         report_console().print(compared)
 
 
+@command
 def rerun(
     result: Path,
     /,
@@ -254,6 +266,7 @@ def rerun(
         raise CounterspinError(f"{result}: the repeated calibration differs", code="results-differ")
 
 
+@command
 def export(
     result: Path,
     /,
@@ -298,6 +311,7 @@ def export(
     print_output(f"Wrote {output}.")
 
 
+@command
 def ledger(
     action: Literal["verify", "add"],
     ledger: Path,

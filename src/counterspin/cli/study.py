@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from counterspin.cli.common import NOT_SAVED, OutputFile, SaveOptions, option_group
+from counterspin.cli.common import NOT_SAVED, OutputFile, SaveOptions, command, option_group
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 
@@ -50,6 +50,7 @@ class StudyWorkers:
 _OWN, _ALONE = TrialSettings(), StudyWorkers()
 
 
+@command
 def study(
     campaign: Path,
     /,
