@@ -1,4 +1,4 @@
-"""Many campaigns at once: each as if it were alone, and a failing one stops no other."""
+"""Batches of campaigns: results as for separate calibrations, and failures stay separate."""
 
 import json
 import multiprocessing
@@ -44,22 +44,22 @@ def folders(tmp_path_factory):
 
 
 @cache
-def alone(folder):
-    """Return what a campaign of the module's folders is if it is calibrated alone."""
+def calibrate_alone(folder):
+    """Return the result of a campaign that is calibrated separately."""
     return calibrate(folder)
 
 
 def outcomes(batch):
-    """Return what became of each campaign, in order."""
+    """Return the result or error of each campaign, in order."""
     return list(batch.campaigns.values())
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2])
-def test_each_campaign_is_calibrated_as_if_alone(folders, count):
+def test_batch_equals_separate_calibrations(folders, count):
     first, broken, last = outcomes(calibrate_many(folders, workers=Workers(count)))
-    assert first == alone(folders[0])
-    assert last == alone(folders[2])
+    assert first == calibrate_alone(folders[0])
+    assert last == calibrate_alone(folders[2])
     assert first != last
     assert "file not found" in broken.error
 
@@ -75,11 +75,11 @@ def test_command_prints_a_summary_and_fails_if_any_failed(folders, tmp_path, cap
     batch = BatchResult.read(kept)
     assert list(batch.campaigns) == [str(folder) for folder in folders]
     assert list(batch.failed) == [str(folders[1])]
-    assert batch.campaigns[str(folders[0])] == alone(folders[0])
+    assert batch.campaigns[str(folders[0])] == calibrate_alone(folders[0])
     assert main(["calibrate", str(folders[0]), str(folders[2])]) == 0
 
 
-def test_a_run_is_left_out_of_each_campaign_that_has_it(folders, tmp_path, capsys):
+def test_run_is_excluded_from_each_campaign_that_has_it(folders, tmp_path, capsys):
     text = (folders[0] / "campaign.toml").read_text(encoding="utf-8")
     run = re.search(r'\[\[runs\]\]\nname = "(.+)"', text)[1]
     other = tmp_path / "other"
@@ -95,21 +95,21 @@ def test_a_run_is_left_out_of_each_campaign_that_has_it(folders, tmp_path, capsy
     assert "1 of 3 campaigns could not be" in capsys.readouterr().err
 
 
-def of_pool():
+def pool_pids():
     return [child.pid for child in multiprocessing.active_children()]
 
 
 @pytest.fixture(scope="module", autouse=True)
-def gated():
-    """Let the workers that tests start wait at a campaign's gate."""
+def gated_workers():
+    """Make workers wait at the gate of a campaign."""
     folder = Path(clusters.__file__).parent / "gate"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", str(folder), prepend=os.pathsep)
         yield
 
 
-class Held:
-    """A campaign that keeps whoever reads its description waiting, and kills him."""
+class WorkerKiller:
+    """A campaign that blocks the worker that reads its description, and kills it."""
 
     def __init__(self, folder, real, workers, times):
         shutil.copytree(real, folder)
@@ -127,24 +127,24 @@ class Held:
             if self.killed < self.times:
                 os.mkfifo(self.gate)
             for pid in self.workers():
-                # A pool that has lost one worker ends the others itself, perhaps before we do.
+                # A pool that has lost a worker ends the others, possibly earlier.
                 with suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGKILL)
             os.close(held)
 
 
 @pytest.mark.slow
-def test_campaign_whose_worker_dies_is_tried_again(folders, tmp_path):
-    held = Held(tmp_path / "held", folders[0], of_pool, times=1)
+def test_campaign_is_retried_after_death_of_worker(folders, tmp_path):
+    held = WorkerKiller(tmp_path / "held", folders[0], pool_pids, times=1)
     several = [folders[0], tmp_path / "held", folders[2]]
     found = calibrate_many(several, workers=Workers(2))
     assert held.killed == 1
-    assert outcomes(found) == [alone(folders[place]) for place in (0, 0, 2)]
+    assert outcomes(found) == [calibrate_alone(folders[place]) for place in (0, 0, 2)]
 
 
 @pytest.mark.slow
-def test_campaign_whose_workers_die_is_reported_and_stops_no_other(folders, tmp_path, capsys):
-    Held(tmp_path / "held", folders[0], of_pool, times=2)
+def test_campaign_that_kills_workers_fails_without_stopping_others(folders, tmp_path, capsys):
+    WorkerKiller(tmp_path / "held", folders[0], pool_pids, times=2)
     kept = tmp_path / "all.json"
     several = [str(folders[0]), str(tmp_path / "held"), str(folders[2])]
     status = main(["calibrate", *several, "--workers", "2", "--json", str(kept)])
@@ -157,13 +157,13 @@ def test_campaign_whose_workers_die_is_reported_and_stops_no_other(folders, tmp_
 
 
 @pytest.fixture(scope="module")
-def cluster(gated):
-    """One worker: which of several has a campaign in hand could not be told before it dies."""
+def cluster(gated_workers):
+    """Start one worker, because the worker of a campaign is unknown among several."""
     # Loaded before its settings are changed: when a change ends, all settings go that came with it.
     pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")
     import dask
 
-    # A task whose worker dies is given up at once, which takes four deaths otherwise.
+    # A task fails after the death of one worker, not only after four.
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
         dask_cluster(workers=1) as cluster,
@@ -171,7 +171,7 @@ def cluster(gated):
         yield cluster
 
 
-def test_dask_s_workers_calibrate_the_same(folders, cluster, tmp_path, capsys):
+def test_dask_workers_give_same_results(folders, cluster, tmp_path, capsys):
     kept = tmp_path / "all.json"
     several = [*map(str, folders)]
     status = main(
@@ -183,18 +183,18 @@ def test_dask_s_workers_calibrate_the_same(folders, cluster, tmp_path, capsys):
     campaigns = json.loads(kept.read_text(encoding="utf-8"))["campaigns"]
     assert "file not found" in campaigns[several[1]]["error"]
     for index in (0, 2):
-        assert campaigns[several[index]] == json.loads(alone(folders[index]).to_json())
+        assert campaigns[several[index]] == json.loads(calibrate_alone(folders[index]).to_json())
 
 
-def test_dask_s_dead_worker_costs_no_campaign(folders, cluster, tmp_path):
-    def of_cluster():
+def test_dead_dask_worker_loses_no_campaign(folders, cluster, tmp_path):
+    def cluster_pids():
         return [worker.process.pid for worker in cluster.workers.values() if worker.process]
 
-    held = Held(tmp_path / "held", folders[0], of_cluster, times=1)
+    held = WorkerKiller(tmp_path / "held", folders[0], cluster_pids, times=1)
     several = [folders[0], tmp_path / "held", folders[2]]
     found = calibrate_many(several, workers=Workers(cluster=cluster.scheduler_address))
     assert held.killed == 1
-    assert outcomes(found) == [alone(folders[place]) for place in (0, 0, 2)]
+    assert outcomes(found) == [calibrate_alone(folders[place]) for place in (0, 0, 2)]
 
 
 @pytest.fixture
@@ -205,21 +205,21 @@ def scheduler(tmp_path):
 
 
 @pytest.mark.slow
-def test_lost_scheduler_is_told_and_loses_nothing_that_was_done(
+def test_lost_scheduler_is_reported_and_keeps_completed_results(
     folders, scheduler, tmp_path, monkeypatch
 ):
     address, process = scheduler
 
-    def scheduler_of_impatient_clients():
+    def scheduler_pids():
         for client in pytest.importorskip("distributed").Client._instances:
             client._timeout = 0.5
         return [process.pid]
 
-    Held(tmp_path / "held", folders[0], scheduler_of_impatient_clients, times=1)
+    WorkerKiller(tmp_path / "held", folders[0], scheduler_pids, times=1)
     first, second = outcomes(
         calibrate_many([folders[0], tmp_path / "held"], workers=Workers(cluster=address))
     )
-    assert first == alone(folders[0])
+    assert first == calibrate_alone(folders[0])
     assert "Dask scheduler" in second.error
     monkeypatch.setattr(workers, "_SCHEDULER_TIMEOUT", 0.5)
     with pytest.raises(CounterspinError, match="no Dask scheduler answers"):

@@ -1,4 +1,4 @@
-"""From a campaign folder to a result: the files that were read are those it states."""
+"""Calibration of a campaign folder: the provenance states the files that were read."""
 
 import hashlib
 import shutil
@@ -30,8 +30,8 @@ def folder(records, tmp_path):
     return shutil.copytree(records, tmp_path / "campaign")
 
 
-def test_the_folder_s_name_is_no_pattern(records, tmp_path):
-    # Beside it a folder that the pattern would match, with other records.
+def test_folder_name_is_not_a_glob_pattern(records, tmp_path):
+    # A second folder, which the pattern would match, has other records.
     folder = shutil.copytree(records, tmp_path / "camp[1]")
     other = campaign_of(tmp_path / "camp1", changed(SMALL, ("2.7e-5", "9e-5")))
     simulate(other, tmp_path / "camp1")
@@ -41,23 +41,23 @@ def test_the_folder_s_name_is_no_pattern(records, tmp_path):
 
 
 @pytest.mark.parametrize("changed_when", ["after its checksum", "before its checksum"])
-def test_a_record_that_changes_beside_its_checksum_is_refused(folder, monkeypatch, changed_when):
+def test_rejects_record_that_changes_during_calibration(folder, monkeypatch, changed_when):
     record, read = folder / "fast.csv", observed_runs.read_record
     early = changed_when == "after its checksum"
 
-    def change():
+    def shorten_record():
         text = record.read_text("utf-8").splitlines()
         record.write_text("\n".join(text[:-1]) + "\n", "utf-8")
 
-    def reading(path, *arguments):
+    def read_and_change(path, *arguments):
         if path == record and early:
-            change()
+            shorten_record()
         result = read(path, *arguments)
         if path == record and not early:
-            change()
+            shorten_record()
         return result
 
-    monkeypatch.setattr(observed_runs, "read_record", reading)
+    monkeypatch.setattr(observed_runs, "read_record", read_and_change)
     # Checksums are taken on a thread; here at once, or at the end.
     expect = (lambda self, _: self.checksums([record]) and []) if early else (lambda *_: [])
     monkeypatch.setattr(Checksums, "prefetch", expect)
@@ -65,14 +65,14 @@ def test_a_record_that_changes_beside_its_checksum_is_refused(folder, monkeypatc
         calibrate(folder)
 
 
-def test_the_description_s_checksum_is_of_what_was_read(folder):
+def test_checksum_of_description_is_of_text_read(folder):
     campaign = campaign_of(folder, SMALL)
     before = checksum(campaign.path)
     write(folder, SMALL + "\n# an afterthought\n")
     assert calibrate(campaign).provenance.inputs["campaign.toml"] == before
 
 
-def test_a_record_shorter_than_stated_is_a_finding(folder):
+def test_record_shorter_than_stated_is_finding(folder):
     stated = changed(SMALL, ('record = "slow.csv"', 'record = "slow.csv"\nduration = "80 s"'))
     assert "short-record" not in {f.code for f in calibrate(campaign_of(folder, stated)).findings}
     short = changed(SMALL, ('record = "slow.csv"', 'record = "slow.csv"\nduration = "160 s"'))
@@ -83,7 +83,7 @@ def test_a_record_shorter_than_stated_is_a_finding(folder):
     assert "the record lasts 80 s instead of the 160 s stated in the campaign" in finding.text
 
 
-def test_a_row_that_stands_alone_is_a_finding_and_bends_nothing(folder):
+def test_isolated_row_is_finding_and_does_not_change_result(folder):
     before = calibrate(folder).accelerometers["Qx"].coefficients["K_II"]
     record = pl.read_csv(folder / "slow.csv")
     stray = record.tail(1).with_columns(

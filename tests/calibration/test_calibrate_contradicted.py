@@ -1,4 +1,4 @@
-"""A wrong description is not calibrated in silence: the radius is given as 2.6 m for 2.5 m."""
+"""A wrong description is reported: the radius is stated as 2.6 m instead of 2.5 m."""
 
 import json
 import re
@@ -22,39 +22,39 @@ K_II = "abs <= 50 ug/g^2"
 
 
 @pytest.fixture(scope="module")
-def sound(tmp_path_factory):
+def sound_records(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sound")
     simulate(write(folder, SPECIFIED, "plan.toml"), folder / "records")
     return folder / "records"
 
 
-def spoilt(sound, folder, *more):
-    """Return the records with a description of another radius."""
-    for record in sound.glob("*.csv"):
+def change_radius(sound_records, folder, *more):
+    """Return the records with a description that states another radius."""
+    for record in sound_records.glob("*.csv"):
         (folder / record.name).write_bytes(record.read_bytes())
     text = changed(SPECIFIED, ('radius = "2.5 m"', 'radius = "2.6 m"'), *more)
     return write(folder, text).parent
 
 
 @pytest.fixture(scope="module")
-def wrong(sound, tmp_path_factory):
-    return spoilt(sound, tmp_path_factory.mktemp("wrong"))
+def wrong_radius(sound_records, tmp_path_factory):
+    return change_radius(sound_records, tmp_path_factory.mktemp("wrong"))
 
 
 @pytest.fixture(scope="module")
-def wrong_of_unknown_noise(sound, tmp_path_factory):
+def wrong_radius_unknown_noise(sound_records, tmp_path_factory):
     stated = ('\n[noise]\ndisplacement = "0.01 m"\n', "")
-    return spoilt(sound, tmp_path_factory.mktemp("wrong"), stated)
+    return change_radius(sound_records, tmp_path_factory.mktemp("wrong"), stated)
 
 
-def calibrate(capsys, *words):
+def run_calibrate(capsys, *words):
     status = cli.main(["calibrate", *map(str, words)])
     printed = capsys.readouterr()
     return status, " ".join(printed.out.split()), " ".join(printed.err.split())
 
 
-def test_the_true_radius_is_good(sound, tmp_path, capsys):
-    status, out, err = calibrate(capsys, sound, "--json", tmp_path / "r.json")
+def test_true_radius_is_good(sound_records, tmp_path, capsys):
+    status, out, err = run_calibrate(capsys, sound_records, "--json", tmp_path / "r.json")
     assert (status, err) == (0, "")
     assert "contradict" not in out
     found = Result.read(tmp_path / "r.json")
@@ -63,9 +63,11 @@ def test_the_true_radius_is_good(sound, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("noise", ["given", "estimated"])
-def test_another_is_contradicted_everywhere(noise, request, tmp_path, capsys):
-    wrong = request.getfixturevalue("wrong" if noise == "given" else "wrong_of_unknown_noise")
-    status, out, err = calibrate(capsys, wrong, "--json", tmp_path / "r.json")
+def test_wrong_radius_is_contradicted_in_all_outputs(noise, request, tmp_path, capsys):
+    wrong = request.getfixturevalue(
+        "wrong_radius" if noise == "given" else "wrong_radius_unknown_noise"
+    )
+    status, out, err = run_calibrate(capsys, wrong, "--json", tmp_path / "r.json")
     assert status == 1
     assert "a radius of the centrifuge " in err
     assert err.endswith("--accept-misfit REASON")
@@ -87,9 +89,9 @@ def test_another_is_contradicted_everywhere(noise, request, tmp_path, capsys):
         assert verdict["reason"].startswith("the records contradict the result")
 
 
-def test_a_reason_lifts_it_and_is_kept(wrong, tmp_path, capsys):
-    words = (wrong, "--json", tmp_path / "r.json", "--accept-misfit", REASON)
-    status, out, err = calibrate(capsys, *words)
+def test_accepted_misfit_exits_with_0_and_is_stored(wrong_radius, tmp_path, capsys):
+    words = (wrong_radius, "--json", tmp_path / "r.json", "--accept-misfit", REASON)
+    status, out, err = run_calibrate(capsys, *words)
     assert (status, err) == (0, "")
     assert f"The misfit was accepted: {REASON}" in out
     found = Result.read(tmp_path / "r.json")
@@ -98,18 +100,18 @@ def test_a_reason_lifts_it_and_is_kept(wrong, tmp_path, capsys):
     assert verdict.reason is None or "contradict" not in verdict.reason
 
 
-def test_an_empty_reason_is_none(wrong, capsys):
-    status, _, err = calibrate(capsys, wrong, "--accept-misfit", " ")
+def test_rejects_empty_reason(wrong_radius, capsys):
+    status, _, err = run_calibrate(capsys, wrong_radius, "--accept-misfit", " ")
     assert status == 2
     assert "give the reason" in err
 
 
-def test_of_several_campaigns_each_is_named(sound, wrong, tmp_path, capsys):
-    words = (sound, wrong, "--json", tmp_path / "all.json")
-    status, out, err = calibrate(capsys, *words)
+def test_contradicted_campaign_of_batch_is_named(sound_records, wrong_radius, tmp_path, capsys):
+    words = (sound_records, wrong_radius, "--json", tmp_path / "all.json")
+    status, out, err = run_calibrate(capsys, *words)
     assert status == 1
     assert "the result of 1. " in err
     assert "the records contradict the result, so the result must not be used." in out
     assert out.count("contradicted") == 2
-    assert BatchResult.read(tmp_path / "all.json").contradicted == [str(wrong)]
-    assert calibrate(capsys, sound, wrong, "--accept-misfit", REASON)[0] == 0
+    assert BatchResult.read(tmp_path / "all.json").contradicted == [str(wrong_radius)]
+    assert run_calibrate(capsys, sound_records, wrong_radius, "--accept-misfit", REASON)[0] == 0

@@ -1,4 +1,4 @@
-"""Exports of recorders of different make lead to one result."""
+"""The result is independent of the export format of the recorder."""
 
 import pytest
 from exports import EXPORTS, campaign_folder, write_export
@@ -8,32 +8,32 @@ from counterspin.cli import main
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory):
+def plain_folder(tmp_path_factory):
     return campaign_folder(tmp_path_factory.mktemp("exports"))
 
 
-def calibrated(folder):
+def read_result(folder):
     assert main(["calibrate", str(folder), "--json", str(folder / "result.json")]) == 0
     return Result.read(folder / "result.json")
 
 
 @pytest.fixture(scope="module")
-def reference(plain):
-    return calibrated(plain).accelerometers["Qx"].coefficients["K_II"]
+def reference(plain_folder):
+    return read_result(plain_folder).accelerometers["Qx"].coefficients["K_II"]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXPORTS)
-def test_every_export_gives_the_same_result(tmp_path, plain, reference, name):
-    write_export(plain, tmp_path / "lab", EXPORTS[name])
-    found = calibrated(tmp_path / "lab").accelerometers["Qx"].coefficients["K_II"]
+def test_result_is_independent_of_export_format(tmp_path, plain_folder, reference, name):
+    write_export(plain_folder, tmp_path / "lab", EXPORTS[name])
+    found = read_result(tmp_path / "lab").accelerometers["Qx"].coefficients["K_II"]
     assert abs(found.value - reference.value) < 0.01 * reference.u
     assert found.u == pytest.approx(reference.u, rel=1e-3)
 
 
-def test_a_run_is_left_out_by_command_as_by_the_description(tmp_path, plain, capsys):
+def test_without_option_is_equivalent_to_skip(tmp_path, plain_folder, capsys):
     saved = tmp_path / "without.json"
-    words = ["calibrate", str(plain), "--without", "slow"]
+    words = ["calibrate", str(plain_folder), "--without", "slow"]
     assert main([*words, "--json", str(saved)]) in (0, 1)
     result = Result.read(saved)
     assert list(result.runs) == ["fast"]
@@ -41,12 +41,12 @@ def test_a_run_is_left_out_by_command_as_by_the_description(tmp_path, plain, cap
     assert result.provenance.in_memory == {}
     assert set(result.provenance.inputs) == {"campaign.toml", "fast.csv"}
     assert "Omitted on request: slow." in result.warnings
-    text = (plain / "campaign.toml").read_text(encoding="utf-8")
+    text = (plain_folder / "campaign.toml").read_text(encoding="utf-8")
     (tmp_path / "campaign.toml").write_text(
         text.replace('name = "slow"', 'name = "slow"\nskip = true'), encoding="utf-8"
     )
-    (tmp_path / "fast.csv").write_bytes((plain / "fast.csv").read_bytes())
-    again = calibrated(tmp_path)
+    (tmp_path / "fast.csv").write_bytes((plain_folder / "fast.csv").read_bytes())
+    again = read_result(tmp_path)
     assert again.accelerometers["Qx"].coefficients == result.accelerometers["Qx"].coefficients
     capsys.readouterr()
 
@@ -61,16 +61,16 @@ def test_a_run_is_left_out_by_command_as_by_the_description(tmp_path, plain, cap
         ),
     ],
 )
-def test_a_run_that_cannot_be_left_out_is_named_with_the_option(plain, capsys, words, said):
+def test_invalid_without_option_names_run(plain_folder, capsys, words, said):
     options = [word for name in words for word in ("--without", name)]
-    assert main(["calibrate", str(plain), *options]) == 2
+    assert main(["calibrate", str(plain_folder), *options]) == 2
     shown = " ".join(capsys.readouterr().err.split())
-    assert f"{plain / 'campaign.toml'}: {said}" in shown
+    assert f"{plain_folder / 'campaign.toml'}: {said}" in shown
     assert "in memory" not in shown
 
 
-def test_what_the_rest_lacks_then_is_due_to_what_was_left_out(plain, tmp_path, capsys):
-    text = (plain / "campaign.toml").read_text(encoding="utf-8")
+def test_error_after_exclusion_names_excluded_run(plain_folder, tmp_path, capsys):
+    text = (plain_folder / "campaign.toml").read_text(encoding="utf-8")
     for name, warmth in (("slow", "20 degC"), ("fast", "23 degC")):
         text = text.replace(f'name = "{name}"', f'name = "{name}"\ntemperature = "{warmth}"')
     text += '[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II", "K_F.temperature"]\n'

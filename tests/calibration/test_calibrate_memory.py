@@ -1,4 +1,4 @@
-"""Campaigns in memory: the same results as of files, and a provenance that says what was used."""
+"""Campaigns in memory: same results as from files, and complete provenance."""
 
 import hashlib
 import shlex
@@ -39,24 +39,24 @@ def written(made, tmp_path_factory):
     return folder
 
 
-def texts(result):
+def block_texts(result):
     return [block.text for block in document(result) if hasattr(block, "text")]
 
 
-def test_the_folder_gives_the_same_result_to_the_last_bit(found, written):
+def test_folder_gives_identical_result(found, written):
     again = calibrate(written)
     for part in ("accelerometers", "runs", "platform", "inputs"):
         assert getattr(again, part) == getattr(found, part), part
 
 
-def test_frames_and_arrays_give_the_same_result(found, records):
+def test_frames_and_arrays_give_same_result(found, records):
     framed = {name: pl.DataFrame(dict(columns)) for name, columns in records.items()}
     again = calibrate(make_campaign(frames.untrue(), framed))
     assert again.accelerometers == found.accelerometers
     assert again.provenance == found.provenance
 
 
-def test_a_result_says_what_was_in_memory(found, made, written, records):
+def test_provenance_states_inputs_in_memory(found, made, written, records):
     provenance = found.provenance
     assert provenance.in_memory == {
         "campaign.toml": "made in Python",
@@ -70,14 +70,14 @@ def test_a_result_says_what_was_in_memory(found, made, written, records):
     for name, values in records["slow"].items():
         digest.update(name.encode() + b"\0" + values.tobytes())
     assert provenance.inputs["slow.parquet"] == f"sha256:{digest.hexdigest()}"
-    said = " ".join(texts(found))
+    said = " ".join(block_texts(found))
     assert (
         "Some inputs are not files: campaign.toml (made in Python); slow.parquet (arrays)" in said
     )
     assert "counterspin calibrate" not in said
 
 
-def test_a_change_is_marked_and_has_a_checksum_of_its_own(written):
+def test_changed_description_is_marked_with_new_checksum(written):
     campaign = read_campaign(written)
     plain, changed = (
         calibrate(c).provenance
@@ -89,7 +89,7 @@ def test_a_change_is_marked_and_has_a_checksum_of_its_own(written):
     assert changed.inputs["slow.parquet"] == plain.inputs["slow.parquet"]
 
 
-def test_what_is_replaced_without_its_description_is_marked_too(made, found):
+def test_replaced_field_is_marked_as_changed(made, found):
     other = calibrate(replace(made, noise=None)).provenance
     assert other.in_memory["campaign.toml"] == "changed"
     assert other.inputs["campaign.toml"] != found.provenance.inputs["campaign.toml"]
@@ -99,7 +99,7 @@ def test_what_is_replaced_without_its_description_is_marked_too(made, found):
 
 
 @pytest.mark.parametrize("name", ["campaign.toml", "my campaign.toml"])
-def test_the_command_of_a_report_gives_the_result_again(written, tmp_path, monkeypatch, name):
+def test_command_in_report_reproduces_result(written, tmp_path, monkeypatch, name):
     folder = tmp_path / "elsewhere"
     read_campaign(written).write(folder)
     (folder / "campaign.toml").rename(folder / name)
@@ -110,7 +110,7 @@ def test_the_command_of_a_report_gives_the_result_again(written, tmp_path, monke
     assert Result.read(folder / "again.json") == first
 
 
-def test_the_same_record_twice_is_told_by_its_runs(records):
+def test_duplicate_record_names_runs(records):
     twice = {**records, "fast": records["slow"]}
     description = frames.untrue()
     description["runs"][2]["rate"] = description["runs"][0]["rate"]

@@ -20,14 +20,14 @@ def folder(tmp_path_factory):
     return place / "records"
 
 
-def calibrated(folder, tmp_path, *changes):
+def calibrate_changed(folder, tmp_path, *changes):
     """Return the result of the records with a changed description."""
     for record in folder.glob("*.csv"):
         (tmp_path / record.name).write_bytes(record.read_bytes())
     return cs.calibrate(write(tmp_path, changed(ONE_RATE, *changes)).parent)
 
 
-def test_calibrate_writes_the_result_and_exits_with_1(folder, tmp_path, capsys):
+def test_undetermined_result_is_written_with_exit_status_1(folder, tmp_path, capsys):
     status = cli.main(["calibrate", str(folder), "--json", str(tmp_path / "r.json")])
     printed = capsys.readouterr()
     out, err = " ".join(printed.out.split()), " ".join(printed.err.split())
@@ -43,7 +43,7 @@ def test_calibrate_writes_the_result_and_exits_with_1(folder, tmp_path, capsys):
     assert document["findings"][0]["undetermined"]
 
 
-def test_several_campaigns_exit_with_1_too(folder, tmp_path, capsys):
+def test_batch_with_undetermined_result_exits_with_1(folder, tmp_path, capsys):
     copy = tmp_path / "copy"
     copy.mkdir()
     for file in folder.iterdir():
@@ -53,16 +53,16 @@ def test_several_campaigns_exit_with_1_too(folder, tmp_path, capsys):
     assert "the data of 2 of 2 campaigns do not determine all requested terms" in printed
 
 
-def test_a_usual_term_that_is_missing_is_information_and_a_named_one_is_not(folder, tmp_path):
+def test_undetermined_usual_term_is_information_unless_requested(folder, tmp_path):
     # With K_F and K_III known, or not requested, one rate determines K_II.
     bias = ('scale_factor = "1.002 g/g"', 'scale_factor = "1.002 g/g"\nbias = "0.005 ± 1e-7 g"')
     other = ('scale_factor = "0.999 g/g"', 'scale_factor = "0.999 g/g"\nbias = "-0.003 ± 1e-7 g"')
-    usual = calibrated(folder, tmp_path, bias, other)
+    usual = calibrate_changed(folder, tmp_path, bias, other)
     assert usual.coefficient("Qx.K_II").estimated
     assert usual.coefficient("Qx.K_III").value is None
     assert usual.state == "reservations"
     named = ('assume = "all"', 'assume = "all"\nterms = ["K_F", "K_I", "K_II", "K_III"]')
-    assert calibrated(folder, tmp_path, bias, other, named).state == "not-determined"
-    # A term that is not requested is not missed.
+    assert calibrate_changed(folder, tmp_path, bias, other, named).state == "not-determined"
+    # A term that is not requested has no finding.
     fewer = ('assume = "all"', 'assume = "all"\nterms = ["K_F", "K_I", "K_II"]')
-    assert calibrated(folder, tmp_path, bias, other, fewer).state != "not-determined"
+    assert calibrate_changed(folder, tmp_path, bias, other, fewer).state != "not-determined"

@@ -1,4 +1,4 @@
-"""A calibration judges what its campaign specifies, by either method, and says so."""
+"""Conformity statements of a calibration by both methods."""
 
 import pytest
 from campaigns import SMALL, write
@@ -41,7 +41,7 @@ def found(records, request):
     return calibrate(records, method=request.param)
 
 
-def test_verdicts_are_in_the_result(found, tmp_path):
+def test_result_contains_verdicts(found, tmp_path):
     verdicts = {
         (name, symbol): one.verdict
         for name, accelerometer in found.accelerometers.items()
@@ -57,7 +57,7 @@ def test_verdicts_are_in_the_result(found, tmp_path):
     assert Result.read(tmp_path / "r.json") == found
 
 
-def test_verdict_is_that_of_the_estimate(found):
+def test_verdict_follows_from_estimate(found):
     k_ii = found.accelerometers["Qx"].coefficients["K_II"]
     verdict = found.accelerometers["Qx"].conformity["K_II"]
     limits = Specification(verdict.specification, verdict.low, verdict.high, "g/g^2")
@@ -66,7 +66,7 @@ def test_verdict_is_that_of_the_estimate(found):
     assert (verdict.rule, verdict.unit, verdict.reason) == ("guarded", "g/g^2", None)
 
 
-def test_equations_as_printed_give_no_verdict(records):
+def test_as_printed_model_has_no_verdict(records):
     printed = calibrate(records, method="two-stage", options=TwoStageOptions(model="as-printed"))
     verdict = printed.accelerometers["Qy"].conformity["K_II"]
     assert verdict.verdict == "undecided"
@@ -74,7 +74,7 @@ def test_equations_as_printed_give_no_verdict(records):
     assert verdict.probability is None
 
 
-def test_a_campaign_without_specification_has_no_verdict(records, tmp_path):
+def test_campaign_without_specification_has_no_verdict(records, tmp_path):
     for record in records.glob("*.csv"):
         (tmp_path / record.name).write_bytes(record.read_bytes())
     plain = calibrate(write(tmp_path, SMALL).parent, method="two-stage")
@@ -82,11 +82,11 @@ def test_a_campaign_without_specification_has_no_verdict(records, tmp_path):
     assert list(conformity_blocks(plain)) == []
 
 
-def having(**k_ii):
+def make_accelerometer(**k_ii):
     return accelerometer(coefficients={"K_II": {"unit": "g/g^2", **k_ii}})
 
 
-def specified(**table):
+def make_specifications(**table):
     problems = Problems({})
     stated = resolve_specifications(table, ["Qx"], problems=problems, gravity=9.8)
     assert problems.lines == []
@@ -94,9 +94,9 @@ def specified(**table):
 
 
 @pytest.mark.parametrize("value", [2e-5, None])
-def test_a_prior_is_no_measurement(value):
-    stated = specified(K_II="abs <= 5e-5 g/g^2")
-    known = having(value=value, u=None if value is None else 1e-6, estimated=False)
+def test_prior_is_not_judged(value):
+    stated = make_specifications(K_II="abs <= 5e-5 g/g^2")
+    known = make_accelerometer(value=value, u=None if value is None else 1e-6, estimated=False)
     verdict = judge_accelerometer(known, stated.terms["Qx"], stated.rule, model="exact")["K_II"]
     assert verdict.verdict == "undecided"
     assert verdict.reason == "the records do not determine K_II"
@@ -113,9 +113,9 @@ def test_a_prior_is_no_measurement(value):
         ),
     ],
 )
-def test_undecided_says_why(rule, reason):
-    stated = specified(K_II="<= 5e-5 g/g^2", **rule)
-    near = having(value=4.8e-5, u=1e-6, dof=5.0, estimated=True)
+def test_undecided_verdict_has_reason(rule, reason):
+    stated = make_specifications(K_II="<= 5e-5 g/g^2", **rule)
+    near = make_accelerometer(value=4.8e-5, u=1e-6, dof=5.0, estimated=True)
     verdict = judge_accelerometer(near, stated.terms["Qx"], stated.rule, model="exact")["K_II"]
     assert verdict.verdict == "undecided"
     assert reason in verdict.reason
@@ -127,11 +127,11 @@ def test_undecided_says_why(rule, reason):
 # In the report
 
 
-def texts(blocks):
+def joined_text(blocks):
     return "\n".join(getattr(block, "text", "") for block in blocks)
 
 
-def test_report_shows_verdicts_before_the_rest(found):
+def test_report_shows_verdicts_before_coefficients(found):
     blocks = sections(found)
     places = {getattr(block, "text", None): i for i, block in enumerate(blocks)}
     assert places["Conformity"] < places["Accelerometer Qx"]
@@ -144,7 +144,7 @@ def test_report_shows_verdicts_before_the_rest(found):
         ("Qy", "K_PO", "-50 to 50", "ug/g^2", "undecided", "-", "-"),
     ]
     assert table.quiet == {1, 3}
-    told = texts(blocks)
+    told = joined_text(blocks)
     assert "K_II of Qy does not meet the specification." in told
     assert (
         "Conformity of K_PO of Qx is undecided, because K_PO is not among the terms of the model."
@@ -167,13 +167,15 @@ def test_report_shows_verdicts_before_the_rest(found):
         ),
     ],
 )
-def test_rule_is_stated(found, rule, words):
-    told = texts(conformity_blocks(judge_conformity(found, specified(K_II="<= 1 g/g^2", **rule))))
+def test_decision_rule_is_stated(found, rule, words):
+    told = joined_text(
+        conformity_blocks(judge_conformity(found, make_specifications(K_II="<= 1 g/g^2", **rule)))
+    )
     assert words in told
     assert "guard bands" not in told
 
 
-def test_global_risk_is_on_the_page_for_a_stated_process(found):
+def test_report_has_global_risk_for_stated_process(found):
     process = {"K_II": "0 ± 25 ug/g^2"}
     raw = {"decision_rule": "simple", "K_II": "abs <= 50 ug/g^2", "process": process}
     specifications = resolve_specifications(

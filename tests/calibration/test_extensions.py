@@ -1,4 +1,4 @@
-"""A calibration without an extra: numbers and states stay."""
+"""A calibration without an extra gives the same numbers and states."""
 
 import json
 import os
@@ -22,7 +22,7 @@ ABOVE_READINGS = {
     "studies",
 }
 
-#: Extra -> its modules, and the packages that import it, directly or not, and go with it.
+#: Extra -> its modules and the packages that import it, directly or indirectly.
 EXTRAS = {
     "diagnosis": (("calibration/diagnosis", "inference/joint/mistakes.py"), set()),
     "two-stage": (
@@ -83,7 +83,7 @@ for line in sys.stdin:
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
-    """Return folders of campaigns: one that is right, and two with a contradicted statement."""
+    """Return folders of a correct campaign and of two with a contradicted statement."""
     root = tmp_path_factory.mktemp("campaigns")
     made = []
     for name, change in {"right": None, **CONTRADICTED}.items():
@@ -97,14 +97,14 @@ def folders(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory, folders):
+def run_without_modules(tmp_path_factory, folders):
     """Yield a function that runs the program with a copy of the package."""
     root = tmp_path_factory.mktemp("package")
     # With bytecode, which the processes would compile again.
     shutil.copytree(PACKAGE, root / "counterspin")
 
     @contextmanager
-    def without(modules):
+    def remove_modules(modules):
         package, removed = root / "counterspin", root / "removed"
         removed.mkdir()
         try:
@@ -126,7 +126,7 @@ def run(tmp_path_factory, folders):
     ) as process:
 
         def run_without(modules=(), campaigns=3):
-            with without(modules):
+            with remove_modules(modules):
                 chosen = [str(folder) for folder in folders[:campaigns]]
                 print(json.dumps(chosen), file=process.stdin)
                 process.stdin.flush()
@@ -137,8 +137,8 @@ def run(tmp_path_factory, folders):
 
 
 @pytest.fixture(scope="module")
-def whole(run):
-    lost, results = run()
+def full_results(run_without_modules):
+    lost, results = run_without_modules()
     assert lost == []
     assert [result["state"] for result in results[1:]] == ["contradicted"] * len(CONTRADICTED)
     return results
@@ -146,13 +146,13 @@ def whole(run):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("extra", EXTRAS)
-def test_a_calibration_needs_no_extra(run, whole, extra):
+def test_calibration_does_not_need_extra(run_without_modules, full_results, extra):
     modules, dependents = EXTRAS[extra]
-    # Only the diagnosis looks at both contradicted statements.
+    # Only the diagnosis uses both contradicted statements.
     campaigns = 3 if extra == "diagnosis" else 2
-    lost, results = run(modules, campaigns)
+    lost, results = run_without_modules(modules, campaigns)
     assert {name.split(".")[1] for name in lost} <= dependents
-    for result, expected in zip(results, whole[:campaigns], strict=True):
+    for result, expected in zip(results, full_results[:campaigns], strict=True):
         assert result["state"] == expected["state"]
         assert result["runs"] == expected["runs"]
         for name, accelerometer in expected["accelerometers"].items():

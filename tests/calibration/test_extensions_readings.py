@@ -52,7 +52,7 @@ def run_without(tmp_path_factory):
     """Return a function that runs Python with a package that lacks an extension."""
     roots = {}
 
-    def run(extension, *arguments):
+    def run_python(extension, *arguments):
         if extension not in roots:
             roots[extension] = root = tmp_path_factory.mktemp(extension)
             # With bytecode, which the processes would compile again.
@@ -68,16 +68,16 @@ def run_without(tmp_path_factory):
             check=False,
         )
 
-    return run
+    return run_python
 
 
-def test_readings_have_the_same_result_without_triads(tmp_path, run_without):
+def test_readings_have_same_result_without_triads(tmp_path, run_without):
     write(tmp_path, TUMBLE)
     done = run_without("triads", "-c", CALIBRATE, tmp_path)
     assert done.stdout == calibrate(tmp_path).to_json(), done.stderr
 
 
-def test_readings_are_refused_in_words_where_they_are_not_installed(tmp_path, run_without):
+def test_missing_readings_package_is_reported(tmp_path, run_without):
     write(tmp_path, TUMBLE)
     done = run_without("readings", "-m", "counterspin", "calibrate", tmp_path)
     assert done.returncode == 2
@@ -86,7 +86,7 @@ def test_readings_are_refused_in_words_where_they_are_not_installed(tmp_path, ru
 
 
 @pytest.mark.slow
-def test_tests_of_records_pass_without_readings(run_without):
+def test_record_tests_pass_without_readings(run_without):
     options = ("-q", "-p", "no:cacheprovider", "-p", "no:xdist", f"--rootdir={TESTS.parent}")
     files = (TESTS / name for name in OF_RECORDS)
     done = run_without("readings", "-m", "pytest", *options, *files)

@@ -1,4 +1,4 @@
-"""What speaks against a result: decided once, rank, and with its consequences."""
+"""Findings on a result: rank, state and consequences."""
 
 import json
 from pathlib import Path
@@ -23,35 +23,35 @@ from counterspin.inference.distributions import chi_square_tail
 from counterspin.results import _seal_of
 
 
-def judged(**changes):
+def judge_changed(**changes):
     return judge_result(result(**changes))
 
 
-def codes(found):
+def finding_codes(found):
     return [finding.code for finding in found.findings]
 
 
-def test_a_good_result():
-    found = judged()
+def test_good_result_has_no_findings():
+    found = judge_changed()
     assert (found.state, found.findings) == ("good", [])
     assert found.accelerometers["Qx"].state == "good"
     assert refusal_reason(found, ["Qx"]) is None
 
 
-def run(z, dof=None):
+def make_jackknife(z, dof=None):
     return [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": z, "dof": dof}]
 
 
-def other_method(z):
+def make_two_stage(z):
     return {"value": 1e-5, "u": 1e-9, "difference": 1e-8, "u_difference": 1e-9, "z": z}
 
 
-def residual(times, p=0.0):
+def make_residual(times, p=0.0):
     chi2 = 100.0 * times**2
     return {"rms": 0.01, "unit": "m", "dof": 100.0, "chi2": chi2, "lack_of_fit_p": p}
 
 
-def walk(ug):
+def make_walk_noise(ug):
     noise = {"value": ug * 9.8e-6, "unit": "m/s^2/Hz^0.5", "estimated": True}
     return {"acceleration": noise}
 
@@ -62,36 +62,41 @@ NOTHING = {"K_II": {"value": None, "u": None, "unit": "g/g^2", "estimated": Fals
 @pytest.mark.parametrize(
     ("change", "code", "state", "size"),
     [
-        ({"residual": residual(1.2, 0.02)}, None, "good", None),
-        ({"residual": residual(1.3, 0.001)}, "lack-of-fit", "reservations", 1.3),
-        ({"residual": residual(1.9)}, "lack-of-fit", "reservations", 1.9),
-        ({"residual": residual(2.1)}, "lack-of-fit", "contradicted", 2.1),
+        ({"residual": make_residual(1.2, 0.02)}, None, "good", None),
+        ({"residual": make_residual(1.3, 0.001)}, "lack-of-fit", "reservations", 1.3),
+        ({"residual": make_residual(1.9)}, "lack-of-fit", "reservations", 1.9),
+        ({"residual": make_residual(2.1)}, "lack-of-fit", "contradicted", 2.1),
         (
             {"residual": {"rms": 1.0, "unit": "m", "dof": 9.0, "lack_of_fit_p": 0.0026998}},
             "lack-of-fit",
             "reservations",
             3.0,
         ),
-        ({"jackknife": run(2.9)}, None, "good", None),
-        ({"jackknife": run(-3.1)}, "run-disagrees", "reservations", 3.1),
-        ({"jackknife": run(-6.1)}, "run-disagrees", "contradicted", 6.1),
+        ({"jackknife": make_jackknife(2.9)}, None, "good", None),
+        ({"jackknife": make_jackknife(-3.1)}, "run-disagrees", "reservations", 3.1),
+        ({"jackknife": make_jackknife(-6.1)}, "run-disagrees", "contradicted", 6.1),
         # Of sixteen shifts one is beyond 3.2 in 2.2 % of good campaigns.
-        ({"jackknife": [*run(3.2), *(15 * run(0.0))]}, None, "good", None),
-        ({"jackknife": [*run(3.9), *(15 * run(0.0))]}, "run-disagrees", "reservations", 3.9),
-        # Student's 3.5 with five degrees of freedom is as rare as a normal 2.38, 9 as 3.63.
-        ({"jackknife": run(3.5, dof=5.0)}, None, "good", None),
-        ({"jackknife": run(9.0, dof=5.0)}, "run-disagrees", "reservations", 3.63068),
-        ({"two_stage": other_method(2.9)}, None, "good", None),
-        ({"two_stage": other_method(-10.0)}, "methods-disagree", "reservations", 10.0),
-        ({"noise": walk(499.0)}, None, "good", None),
-        ({"noise": walk(1335.0)}, "noise-implausible", "contradicted", 2.67),
+        ({"jackknife": [*make_jackknife(3.2), *(15 * make_jackknife(0.0))]}, None, "good", None),
+        (
+            {"jackknife": [*make_jackknife(3.9), *(15 * make_jackknife(0.0))]},
+            "run-disagrees",
+            "reservations",
+            3.9,
+        ),
+        # Student's t of 3.5 with five degrees of freedom is as rare as a normal 2.38; 9 as 3.63.
+        ({"jackknife": make_jackknife(3.5, dof=5.0)}, None, "good", None),
+        ({"jackknife": make_jackknife(9.0, dof=5.0)}, "run-disagrees", "reservations", 3.63068),
+        ({"two_stage": make_two_stage(2.9)}, None, "good", None),
+        ({"two_stage": make_two_stage(-10.0)}, "methods-disagree", "reservations", 10.0),
+        ({"noise": make_walk_noise(499.0)}, None, "good", None),
+        ({"noise": make_walk_noise(1335.0)}, "noise-implausible", "contradicted", 2.67),
         ({"coefficients": NOTHING}, "not-determined", "reservations", None),
         ({"warnings": ["Qx: something is odd"]}, "warning", "reservations", None),
     ],
 )
-def test_each_finding_and_the_state_that_follows(change, code, state, size):
-    found = judged(**change)
-    assert codes(found) == ([] if code is None else [code])
+def test_finding_and_state_of_change(change, code, state, size):
+    found = judge_changed(**change)
+    assert finding_codes(found) == ([] if code is None else [code])
     assert found.state == found.accelerometers["Qx"].state == state
     assert found.accelerometers["Qx"].findings == found.findings
     if code is not None:
@@ -104,64 +109,75 @@ def _undetermined(symbol="K_III", *, requested=True):
     return not_determined_finding(f"Qx.{symbol}", symbol, more=" Add a run.", requested=requested)
 
 
-def test_a_requested_term_without_data_has_a_state_between_reservations_and_contradicted():
-    found = judged(findings=[_undetermined(), _undetermined("K_I", requested=False)])
+def test_undetermined_requested_term_has_state_not_determined():
+    found = judge_changed(findings=[_undetermined(), _undetermined("K_I", requested=False)])
     assert found.state == found.accelerometers["Qx"].state == "not-determined"
     assert [finding.subject for finding in found.findings] == ["Qx.K_III", "Qx.K_I"]
-    # Whatever its size, what only raises doubts comes after it; a contradiction comes before.
-    doubtful = judged(findings=[_undetermined()], two_stage=other_method(-10.0))
-    assert codes(doubtful) == ["not-determined", "methods-disagree"]
-    wrong = judged(findings=[_undetermined()], jackknife=run(-6.1))
-    assert (codes(wrong)[0], wrong.state) == ("run-disagrees", "contradicted")
+    # Reservations of any size follow it; a contradiction precedes it.
+    doubtful = judge_changed(findings=[_undetermined()], two_stage=make_two_stage(-10.0))
+    assert finding_codes(doubtful) == ["not-determined", "methods-disagree"]
+    wrong = judge_changed(findings=[_undetermined()], jackknife=make_jackknife(-6.1))
+    assert (finding_codes(wrong)[0], wrong.state) == ("run-disagrees", "contradicted")
 
 
-def test_a_usual_term_without_data_is_information():
-    found = judged(findings=[_undetermined(requested=False)])
+def test_undetermined_usual_term_is_information():
+    found = judge_changed(findings=[_undetermined(requested=False)])
     assert found.state == "reservations"
 
 
-def test_half_the_true_value_is_never_good():
+def test_as_printed_model_is_never_good():
     printed = judge_result(result().model_copy(update={"model": "as-printed"}))
-    assert codes(printed) == ["as-printed"]
+    assert finding_codes(printed) == ["as-printed"]
     assert printed.state == "reservations"
 
 
-def test_the_gravest_comes_first():
-    found = judged(jackknife=run(-6.1), two_stage=other_method(10.0), noise=walk(5000.0))
-    assert codes(found) == ["noise-implausible", "run-disagrees", "methods-disagree"]
+def test_findings_are_in_order_of_severity():
+    found = judge_changed(
+        jackknife=make_jackknife(-6.1),
+        two_stage=make_two_stage(10.0),
+        noise=make_walk_noise(5000.0),
+    )
+    assert finding_codes(found) == ["noise-implausible", "run-disagrees", "methods-disagree"]
 
 
-def test_the_cause_that_explains_most_comes_first_whatever_lies_below_it():
+def test_cause_that_explains_most_comes_first():
     small = Finding(code="wrong-scale", subject="r2.Qx", text="Scale.", size=10.0)
     above = small.model_copy(update={"explains": [Finding(code="jump", subject="Qx", text="It.")]})
     large = Finding(code="term-missing", subject="Qx.K_4", text="Term.", size=18.0)
     causes = [Cause(large, ("Qx",), {}), Cause(small, ("Qx",), {})]
     assert rank_findings([above, large], causes) == [large, above]
-    assert rank_findings([large, above]) == [above, large]  # where nobody says which are causes
+    assert rank_findings([large, above]) == [above, large]  # without information on causes
     grave = above.model_copy(update={"contradicts": True})
     assert rank_findings([large, grave], causes) == [grave, large]
 
 
-def test_one_cause_is_one_finding():
-    # Everything exceeds u because the noise is ten times as large as stated.
-    found = judged(residual=residual(10.0), jackknife=run(25.0), two_stage=other_method(-29.0))
-    assert codes(found) == ["lack-of-fit"]
-    other = judged(residual=residual(10.0), jackknife=run(65.0))
-    assert codes(other) == ["lack-of-fit", "run-disagrees"]
+def test_wrong_noise_is_single_finding():
+    # All shifts exceed u because the noise is ten times as large as stated.
+    found = judge_changed(
+        residual=make_residual(10.0),
+        jackknife=make_jackknife(25.0),
+        two_stage=make_two_stage(-29.0),
+    )
+    assert finding_codes(found) == ["lack-of-fit"]
+    other = judge_changed(residual=make_residual(10.0), jackknife=make_jackknife(65.0))
+    assert finding_codes(other) == ["lack-of-fit", "run-disagrees"]
 
 
-def test_findings_of_checks_are_kept_and_told_as_warnings_too():
+def test_findings_of_checks_are_also_warnings():
     odd = Finding(code="odd", subject="Qx.K_II", text="It is odd.", size=4.0)
     drift = Finding(code="large-drift", subject="platform.drift.north", text="It is large.")
     found = judge_result(result(findings=[odd]).model_copy(update={"findings": [drift]}))
-    assert codes(found) == ["odd", "large-drift"]
-    assert codes(found.accelerometers["Qx"]) == ["odd"]
+    assert finding_codes(found) == ["odd", "large-drift"]
+    assert finding_codes(found.accelerometers["Qx"]) == ["odd"]
     assert found.accelerometers["Qx"].warnings == ["Qx: It is odd."]
     assert found.warnings == ["It is large."]
 
 
-def test_the_whole_is_as_bad_as_the_worst_of_its_parts():
-    one, two = (result(**change).accelerometers["Qx"] for change in ({}, {"jackknife": run(-6.1)}))
+def test_state_of_result_is_worst_of_accelerometers():
+    one, two = (
+        result(**change).accelerometers["Qx"]
+        for change in ({}, {"jackknife": make_jackknife(-6.1)})
+    )
     both = result().model_copy(update={"accelerometers": {"Qx": one, "Qy": two}})
     found = judge_result(both)
     assert found.accelerometers["Qx"].state == "good"
@@ -173,40 +189,40 @@ def test_the_whole_is_as_bad_as_the_worst_of_its_parts():
     )
 
 
-def test_a_reason_is_kept_where_there_is_something_to_accept():
+def test_reason_is_stored_only_for_contradicted_result():
     assert judge_result(result(), "it is fine").accepted_misfit is None
-    found = judge_result(result(jackknife=run(-6.1)), "it is fine")
+    found = judge_result(result(jackknife=make_jackknife(-6.1)), "it is fine")
     assert found.state == "contradicted"
     assert found.accepted_misfit == "it is fine"
     assert refusal_reason(found, ["Qx"]) is None
 
 
-def test_judging_twice_changes_nothing(tmp_path):
-    found = judged(jackknife=run(-6.1))
+def test_judging_is_idempotent(tmp_path):
+    found = judge_changed(jackknife=make_jackknife(-6.1))
     assert judge_result(found) == found
     found.write(tmp_path / "r.json")
     assert judge_result(Result.read(tmp_path / "r.json")) == found
 
 
 @pytest.mark.parametrize(("dof", "contradicts"), [(2.0, False), (40.0, True)])
-def test_a_few_residuals_are_as_large_by_chance(dof, contradicts):
-    """2.3 times the noise: of two residuals once in 200 campaigns, of forty never."""
+def test_lack_of_fit_of_few_residuals_may_be_chance(dof, contradicts):
+    """2.3 times the noise occurs once in 200 campaigns for two residuals, never for forty."""
     chi2 = dof * 2.3**2
     p = chi_square_tail(dof, chi2)
     residual = Residual(rms=2.3, unit="g", dof=dof, chi2=chi2, lack_of_fit_p=p)
     assert lack_of_fit_finding("A", ["They are large."], residual).contradicts is contradicts
 
 
-# Edited by hand
+# Edited results
 
 
 @pytest.fixture
-def whitewashed(tmp_path, monkeypatch):
-    """Return a contradicted result in which somebody has written that it is good."""
+def edited_result(tmp_path, monkeypatch):
+    """Return a contradicted result whose state was edited to good."""
     monkeypatch.chdir(tmp_path)
     write_lab(tmp_path)
     (tmp_path / "forces.csv").write_text("Qx\n0.5\n1.0\n")
-    document = json.loads(judged(residual=residual(2.1)).to_json())
+    document = json.loads(judge_changed(residual=make_residual(2.1)).to_json())
     qx = document["accelerometers"]["Qx"]
     assert (document["state"], qx["state"]) == ("contradicted", "contradicted")
     document["details"] = {"date": "2026-03-01"}
@@ -226,8 +242,8 @@ def whitewashed(tmp_path, monkeypatch):
         ["ledger", "add", "ledger.jsonl", "r.json", "--who", "A", "--why", "B"],
     ],
 )
-def test_no_command_takes_a_result_that_was_edited(whitewashed, tmp_path, capsys, words):
-    (tmp_path / "r.json").write_text(json.dumps(whitewashed))
+def test_commands_reject_edited_result(edited_result, tmp_path, capsys, words):
+    (tmp_path / "r.json").write_text(json.dumps(edited_result))
     before = sorted(tmp_path.iterdir())
     assert cli.main(words) == 1
     told = capsys.readouterr()
@@ -235,11 +251,11 @@ def test_no_command_takes_a_result_that_was_edited(whitewashed, tmp_path, capsys
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_without_its_seal_it_is_judged_again_from_its_numbers(whitewashed, tmp_path, capsys):
-    del whitewashed["seal"]
-    (tmp_path / "r.json").write_text(json.dumps(whitewashed))
+def test_result_without_seal_is_judged_again(edited_result, tmp_path, capsys):
+    del edited_result["seal"]
+    (tmp_path / "r.json").write_text(json.dumps(edited_result))
     again = judge_result(Result.read("r.json"))
-    assert (again.state, codes(again)) == ("contradicted", ["lack-of-fit"])
+    assert (again.state, finding_codes(again)) == ("contradicted", ["lack-of-fit"])
     assert judge_result(again) == again
     assert cli.main(["certificate", "r.json", "LAB.toml", "-o", "c.xml"]) == 1
     assert "the result for Qx" in capsys.readouterr().err
@@ -247,36 +263,36 @@ def test_without_its_seal_it_is_judged_again_from_its_numbers(whitewashed, tmp_p
 
 
 @pytest.mark.parametrize("stated", ["reservations", "contradicted"])
-def test_a_state_without_a_seal_gets_no_better(whitewashed, tmp_path, stated):
-    whitewashed |= {"seal": None, "state": stated}
-    whitewashed["accelerometers"]["Qx"] |= {"state": stated, "residual": residual(1.0, 0.5)}
-    (tmp_path / "r.json").write_text(json.dumps(whitewashed))
+def test_state_without_seal_does_not_improve(edited_result, tmp_path, stated):
+    edited_result |= {"seal": None, "state": stated}
+    edited_result["accelerometers"]["Qx"] |= {"state": stated, "residual": make_residual(1.0, 0.5)}
+    (tmp_path / "r.json").write_text(json.dumps(edited_result))
     again = judge_result(Result.read("r.json"))
     assert again.state == again.accelerometers["Qx"].state == stated
     assert (refusal_reason(again, ["Qx"]) is None) == (stated == "reservations")
 
 
-def test_what_a_cause_explains_is_not_found_again(tmp_path):
+def test_explained_findings_are_not_repeated(tmp_path):
     cause = Finding(
         code="cause",
         subject="Qx",
         text="It was wrong.",
         explains=[Finding(code="lack-of-fit", subject="Qx", text="Odd.")],
     )
-    document = json.loads(judged(residual=residual(2.1)).to_json())
+    document = json.loads(judge_changed(residual=make_residual(2.1)).to_json())
     stated = [cause.model_dump()]
     document |= {"seal": None, "state": "reservations", "findings": stated}
     document["accelerometers"]["Qx"] |= {"state": "reservations", "findings": stated}
     (tmp_path / "r.json").write_text(json.dumps(document))
     again = judge_result(Result.read(tmp_path / "r.json"))
-    assert (again.state, codes(again)) == ("reservations", ["cause"])
+    assert (again.state, finding_codes(again)) == ("reservations", ["cause"])
 
 
 FROZEN = Path(__file__).parents[1] / "frozen" / "schema-1-joint.json"
 
 
-def earlier(folder, **values):
-    """Write a result of schema 1, which nobody has held to credible sizes, with other values."""
+def write_earlier_result(folder, **values):
+    """Write a changed result of schema 1, which has no check for incredible values."""
     document = json.loads(FROZEN.read_text(encoding="utf-8"))
     for symbol, value in values.items():
         document["accelerometers"]["Qx"]["coefficients"][symbol] |= {
@@ -290,13 +306,13 @@ def earlier(folder, **values):
 @pytest.mark.parametrize(
     ("symbol", "value"), [("K_I", -1.0006), ("K_I", 9.8), ("K_F", 3.0), ("K_II", 0.1)]
 )
-def test_an_incredible_result_of_an_earlier_version_is_held_to_it(
+def test_earlier_result_is_checked_for_incredible_values(
     tmp_path, monkeypatch, capsys, symbol, value
 ):
     monkeypatch.chdir(tmp_path)
     write_lab(tmp_path)
-    before = earlier(tmp_path)
-    found = earlier(tmp_path, **{symbol: value})
+    before = write_earlier_result(tmp_path)
+    found = write_earlier_result(tmp_path, **{symbol: value})
     assert not any(f.code == "incredible" for f in before.findings)
     assert found.state == found.accelerometers["Qx"].state == "contradicted"
     assert ("incredible", f"Qx.{symbol}") in {(f.code, f.subject) for f in found.findings}
@@ -308,13 +324,13 @@ def test_an_incredible_result_of_an_earlier_version_is_held_to_it(
     assert cs.compare("old.json", "old.json").results[0].state == "contradicted"
 
 
-def test_an_earlier_result_may_be_of_any_grade(tmp_path):
-    """Its grade is not in its file: an offset of 0.3 g is a consumer's, and no mistake."""
-    found = earlier(tmp_path, K_F=0.3)
+def test_earlier_result_may_have_any_grade(tmp_path):
+    """The file does not state the grade: a bias of 0.3 g is credible for a consumer grade."""
+    found = write_earlier_result(tmp_path, K_F=0.3)
     assert not any(f.code == "incredible" for f in found.findings)
 
 
-def test_platform_and_unstated_terms_of_an_earlier_result_are_held_to_it(tmp_path):
+def test_platform_and_unstated_terms_of_earlier_result_are_checked(tmp_path):
     document = json.loads(FROZEN.read_text(encoding="utf-8"))
     document["platform"]["platform.drift.north"] |= {"value": 1e-3, "u": 1e-6}
     (tmp_path / "old.json").write_text(json.dumps(document), encoding="utf-8")
@@ -323,8 +339,8 @@ def test_platform_and_unstated_terms_of_an_earlier_result_are_held_to_it(tmp_pat
     assert found.state == "contradicted"
 
 
-def test_without_a_seal_credible_sizes_are_asked_again(tmp_path):
-    document = json.loads(judged().to_json())
+def test_result_without_seal_is_checked_for_incredible_values(tmp_path):
+    document = json.loads(judge_changed().to_json())
     document["seal"] = None
     document["accelerometers"]["Qx"]["coefficients"]["K_II"] |= {"value": 0.1}
     row = {"name": "Qx.K_OO", "kind": "unstated", "value": 0.0, "u": 2e-6, "unit": "g/g^2"}
@@ -332,11 +348,11 @@ def test_without_a_seal_credible_sizes_are_asked_again(tmp_path):
     (tmp_path / "r.json").write_text(json.dumps(document), encoding="utf-8")
     again = judge_result(Result.read(tmp_path / "r.json"))
     assert again.state == "contradicted"
-    assert codes(again) == ["incredible", "beyond-typical"]
+    assert finding_codes(again) == ["incredible", "beyond-typical"]
     assert judge_result(again) == again
 
 
-def test_a_sealed_result_of_schema_1_that_called_itself_good_is_held_to_credible_sizes(tmp_path):
+def test_sealed_result_of_schema_1_is_checked_for_incredible_values(tmp_path):
     document = json.loads((FROZEN.parent / "repeat" / "result.json").read_text(encoding="utf-8"))
     (name,) = document["accelerometers"]
     for sign, state in ((1.0, "good"), (-1.0, "contradicted")):

@@ -1,4 +1,4 @@
-"""One finding for each cause: what it accounts for stands below it."""
+"""Grouping of findings under their cause."""
 
 from results import result
 
@@ -12,52 +12,56 @@ DRIFT = Finding(code="large-drift", subject="platform.drift.north", text="Drift.
 HEAD = Finding(code="wrong-input", subject="centrifuge.radius", text="A radius.", size=900.0)
 
 
-def cause(*remaining, names=("Qx",)):
+def make_cause(*remaining, names=("Qx",)):
     return Cause(HEAD, names, {(code, subject): size for code, subject, size in remaining})
 
 
-def below(*found, causes, name="Qx"):
+def explained_codes(*found, causes, name="Qx"):
     return [
         (one.code, [other.code for other in one.explains])
         for one in group_by_cause(name, found, causes)
     ]
 
 
-def test_what_is_gone_with_it_stands_below():
-    found = below(MISFIT, RUN, DRIFT, causes=[cause(("run-disagrees", "Qx.K_II", 3.9))])
+def test_findings_removed_by_cause_are_explained():
+    found = explained_codes(
+        MISFIT, RUN, DRIFT, causes=[make_cause(("run-disagrees", "Qx.K_II", 3.9))]
+    )
     assert found == [("wrong-input", ["lack-of-fit"]), ("run-disagrees", []), ("large-drift", [])]
 
 
-def test_what_hardly_remains_is_accounted_for():
-    assert below(MISFIT, causes=[cause(("lack-of-fit", "Qx", 1.02))])[0][1] == ["lack-of-fit"]
-    assert below(MISFIT, causes=[cause(("lack-of-fit", "Qx", 3.0))])[0][1] == []
+def test_nearly_removed_finding_is_explained():
+    assert explained_codes(MISFIT, causes=[make_cause(("lack-of-fit", "Qx", 1.02))])[0][1] == [
+        "lack-of-fit"
+    ]
+    assert explained_codes(MISFIT, causes=[make_cause(("lack-of-fit", "Qx", 3.0))])[0][1] == []
 
 
-def test_the_two_stage_method_is_explained_where_the_residuals_are():
-    assert below(OTHER, causes=[cause()])[0][1] == ["methods-disagree"]
-    assert below(OTHER, causes=[cause(("lack-of-fit", "Qx", 1.5))])[0][1] == []
+def test_method_disagreement_is_explained_with_residuals():
+    assert explained_codes(OTHER, causes=[make_cause()])[0][1] == ["methods-disagree"]
+    assert explained_codes(OTHER, causes=[make_cause(("lack-of-fit", "Qx", 1.5))])[0][1] == []
 
 
-def test_another_accelerometer_s_findings_are_its_own():
-    assert below(MISFIT, causes=[cause(names=("Qy",))]) == [("lack-of-fit", [])]
+def test_cause_does_not_explain_other_accelerometer():
+    assert explained_codes(MISFIT, causes=[make_cause(names=("Qy",))]) == [("lack-of-fit", [])]
 
 
-def test_a_cause_is_as_grave_as_what_it_accounts_for():
-    (head,) = group_by_cause("Qx", [MISFIT], [cause()])
+def test_cause_has_severity_of_explained_findings():
+    (head,) = group_by_cause("Qx", [MISFIT], [make_cause()])
     assert head.contradicts
     assert not HEAD.contradicts
 
 
-def test_of_two_accelerometers_a_cause_is_one():
-    own = group_by_cause("Qx", [MISFIT], [cause()])
+def test_common_cause_of_two_accelerometers_is_single_finding():
+    own = group_by_cause("Qx", [MISFIT], [make_cause()])
     (both,) = merge_shared([*own, HEAD.model_copy(update={"explains": [RUN]})])
     assert [other.code for other in both.explains] == ["lack-of-fit", "run-disagrees"]
 
 
-def test_a_cause_comes_before_what_has_another_measure():
+def test_cause_precedes_unexplained_findings():
     great = RUN.model_copy(update={"size": 5e3})
     changes = {"findings": [MISFIT, great]}
-    causes = [cause(("run-disagrees", "Qx.K_II", 5e3))]
+    causes = [make_cause(("run-disagrees", "Qx.K_II", 5e3))]
     judged = judge_result(result(**changes), causes=causes)
     assert [one.code for one in judged.findings][:2] == ["wrong-input", "run-disagrees"]
     assert judged.state == "contradicted"

@@ -67,27 +67,27 @@ TRUTH = {
 }
 
 
-def without(text, *patterns):
+def remove_lines(text, *patterns):
     for pattern in patterns:
         text, count = re.subn(pattern, "", text, flags=re.MULTILINE)
         assert count, pattern
     return text
 
 
-def simulated(folder, text):
-    """A folder with a campaign and its records."""
+def simulate_folder(folder, text):
+    """Return a folder with a campaign and its simulated records."""
     folder.mkdir(exist_ok=True)
     (folder / "description.toml").write_text(text, encoding="utf-8")
     simulate(read_campaign(folder / "description.toml"), folder / "records", overwrite=True)
     return folder / "records"
 
 
-def k_ii(result, name="Qx"):
+def k_ii_of(result, name="Qx"):
     return result.accelerometers[name].coefficients["K_II"]
 
 
 def assert_true(result, truth=None, limit=3.5):
-    """Every coefficient lies where its interval says, and no known value was invented."""
+    """Assert that the true values are within the intervals and priors are unchanged."""
     for name, values in (truth or TRUTH).items():
         for symbol, value in values.items():
             found = result.accelerometers[name].coefficients[symbol]
@@ -97,7 +97,7 @@ def assert_true(result, truth=None, limit=3.5):
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory):
-    return simulated(tmp_path_factory.mktemp("base"), BASE)
+    return simulate_folder(tmp_path_factory.mktemp("base"), BASE)
 
 
 @pytest.fixture(scope="module")
@@ -105,26 +105,26 @@ def result(campaign):
     return calibrate(campaign)
 
 
-def test_the_truth_is_found(result):
+def test_truth_is_recovered(result):
     assert_true(result)
     for name in ("Qx", "Qy"):
         one = result.accelerometers[name]
-        assert k_ii(result, name).estimated
-        assert k_ii(result, name).u < 1e-6
+        assert k_ii_of(result, name).estimated
+        assert k_ii_of(result, name).u < 1e-6
         assert one.residual.rms == pytest.approx(0.01, rel=0.05)
         assert one.residual.lack_of_fit_p > 1e-3
         assert one.residual.chi2 == pytest.approx(
             one.residual.dof, abs=4 * math.sqrt(2 * one.residual.dof)
         )
         assert not one.noise["displacement"].estimated
-        assert k_ii(result, name).dof is None
-    # Nothing is known of Qy beforehand.
+        assert k_ii_of(result, name).dof is None
+    # Qy has no priors.
     for c in result.accelerometers["Qy"].coefficients.values():
         assert c.u_stated < 1e-9 * c.u
         assert c.u_unstated == 0.0
 
 
-def test_the_json_is_what_the_contract_says(result, campaign, tmp_path):
+def test_json_follows_contract(result, campaign, tmp_path):
     result.write(tmp_path / "result.json")
     document = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
     assert document["schema"] == 2
@@ -170,7 +170,7 @@ def test_the_json_is_what_the_contract_says(result, campaign, tmp_path):
     assert Result.read(tmp_path / "result.json") == result
 
 
-def test_the_budget_in_the_result_is_the_whole_of_u(result):
+def test_budget_sums_to_u(result):
     for name in ("Qx", "Qy"):
         one = result.accelerometers[name]
         for symbol, lines in one.budget.items():
@@ -181,9 +181,9 @@ def test_the_budget_in_the_result_is_the_whole_of_u(result):
     assert result.accelerometers["Qx"].budget["K_II"][0].source == "noise of Qx"
 
 
-def test_noise_that_is_not_stated_is_estimated_and_said_so(tmp_path):
-    text = without(BASE, r'^\[noise\]\ndisplacement = "0.01 m"\n')
-    found = calibrate(simulated(tmp_path, text))
+def test_unstated_noise_is_estimated_and_marked(tmp_path):
+    text = remove_lines(BASE, r'^\[noise\]\ndisplacement = "0.01 m"\n')
+    found = calibrate(simulate_folder(tmp_path, text))
     assert_true(found)
     for name in ("Qx", "Qy"):
         one = found.accelerometers[name]
@@ -192,22 +192,22 @@ def test_noise_that_is_not_stated_is_estimated_and_said_so(tmp_path):
         assert noise.value == pytest.approx(0.01, abs=5 * noise.u)
         assert noise.u == pytest.approx(0.01 / math.sqrt(2 * one.residual.dof), rel=0.05)
         assert one.residual.chi2 is None
-        # A walk that does not show may be there: of K_II it would change more than of K_I.
-        assert k_ii(found, name).dof < 0.1 * one.residual.dof
+        # An undetected walk would affect K_II more than K_I.
+        assert k_ii_of(found, name).dof < 0.1 * one.residual.dof
         assert one.coefficients["K_III"].dof > 0.5 * one.residual.dof
         lines = {line.source: line for line in one.budget["K_II"]}
         unseen = lines[f"undetected noise of {name}"]
         assert unseen.unit == "m/s^2/Hz^0.5"
         assert lines[f"noise of {name}"].contribution ** 2 + unseen.contribution**2 == (
-            pytest.approx(k_ii(found, name).u_noise ** 2, rel=1e-9)
+            pytest.approx(k_ii_of(found, name).u_noise ** 2, rel=1e-9)
         )
         assert one.noise["acceleration"].value == 0.0
         assert one.noise["acceleration"].estimated
 
 
-def test_a_run_that_is_noisier_is_weighted_with_its_own_noise(tmp_path, capsys):
-    text = without(BASE, r'^\[noise\]\ndisplacement = "0.01 m"\n')
-    folder = simulated(tmp_path / "loud", text)
+def test_noisier_run_has_separate_noise(tmp_path, capsys):
+    text = remove_lines(BASE, r'^\[noise\]\ndisplacement = "0.01 m"\n')
+    folder = simulate_folder(tmp_path / "loud", text)
     record = folder / "run3.csv"
     rows = pl.read_csv(record, comment_prefix="#")
     shaken = np.random.default_rng(5).normal(0.0, 0.04, rows.height)
@@ -232,7 +232,7 @@ def test_a_run_that_is_noisier_is_weighted_with_its_own_noise(tmp_path, capsys):
     assert "lack-of-fit" in {below.code for below in first.explains}
 
 
-def test_mixed_noise_is_found_in_both_parts(tmp_path):
+def test_both_components_of_mixed_noise_are_estimated(tmp_path):
     text = changed(
         BASE,
         (
@@ -241,7 +241,7 @@ def test_mixed_noise_is_found_in_both_parts(tmp_path):
         ),
         ("[truth.noise]\n", '[truth.noise]\nacceleration = "1e-4 g/Hz^0.5"\n'),
     )
-    found = calibrate(simulated(tmp_path, text))
+    found = calibrate(simulate_folder(tmp_path, text))
     for name, values in TRUTH.items():
         one = found.accelerometers[name]
         assert one.noise["displacement"].value == pytest.approx(0.01, rel=0.1)
@@ -257,12 +257,12 @@ def test_mixed_noise_is_found_in_both_parts(tmp_path):
                 assert abs(c.value - value) < c.u * stdtrit(c.dof or 1e9, 1 - 1e-4)
 
 
-def test_what_is_confounded_has_no_value_and_its_determined_part_a_name(tmp_path):
+def test_confounded_terms_have_no_value_and_named_combination(tmp_path):
     text = changed(
-        without(BASE, r"^scale_factor.*\n", r"^bias.*\n"),
+        remove_lines(BASE, r"^scale_factor.*\n", r"^bias.*\n"),
         ('"K_III"]', '"K_III", "K_IP", "K_PP"]'),
     )
-    found = calibrate(simulated(tmp_path, text))
+    found = calibrate(simulate_folder(tmp_path, text))
     for name in ("Qx", "Qy"):
         one = found.accelerometers[name]
         for symbol in ("K_IP", "K_PP"):
@@ -271,7 +271,7 @@ def test_what_is_confounded_has_no_value_and_its_determined_part_a_name(tmp_path
         pair = next(x for x in one.confounded if set(x.terms) == {"K_I", "K_IP"})
         assert pair.determined == "K_I - K_IP"
         assert abs(pair.value - TRUTH[name]["K_I"]) < 4 * pair.u
-        assert k_ii(found, name).estimated
+        assert k_ii_of(found, name).estimated
     sums = [x for x in found.accelerometers["Qx"].confounded if "K_PP" in x.terms]
     assert sums
     assert any(x.determined.startswith("K_F + K_PP") for x in sums)
@@ -279,36 +279,36 @@ def test_what_is_confounded_has_no_value_and_its_determined_part_a_name(tmp_path
     assert_true(found)
 
 
-def test_what_is_known_of_an_undetermined_coefficient_stands(tmp_path):
+def test_undetermined_coefficient_keeps_prior(tmp_path):
     text = changed(BASE, ("1.00197 ± 5e-6 g/g", "1.00197 ± 1e-7 g/g"))
-    c = calibrate(simulated(tmp_path, text)).accelerometers["Qx"].coefficients["K_I"]
+    c = calibrate(simulate_folder(tmp_path, text)).accelerometers["Qx"].coefficients["K_I"]
     assert (c.estimated, c.value, c.u) == (False, 1.00197, 1e-7)
 
 
-def test_without_an_angle_the_rotation_is_found_and_the_user_told(tmp_path):
+def test_rotation_is_estimated_without_angle_and_warned(tmp_path):
     text = changed(
-        without(BASE, r"^angle = \{.*\n"),
+        remove_lines(BASE, r"^angle = \{.*\n"),
         ("[truth.spindle]\n", "[truth.spindle]\nrate_error = 1e-4\n"),
         ('ripple = [{ harmonic = 1, ratio = 5e-7, phase = "30 deg" }]\n', ""),
         ('angle = "1e-6 rad"\n', ""),
     )
-    found = calibrate(simulated(tmp_path, text))
+    found = calibrate(simulate_folder(tmp_path, text))
     assert any("no angle" in warning for warning in found.warnings)
     assert_true(found)
-    assert k_ii(found).estimated
+    assert k_ii_of(found).estimated
     for name, rate in (("run1", math.pi / 2), ("run2", math.pi), ("run3", 2 * math.pi)):
         run = found.runs[name]
         assert abs(run.rate - rate * (1 + 1e-4)) < 4 * run.u_rate
         assert run.u_rate < 5e-5 * rate
 
 
-# Faults of records --------------------------------------------------------------------------------
+# Record faults ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("sampling", ["20 Hz", "640 Hz"], ids=["points", "blocks"])
-def test_spikes_gaps_and_repeated_rows_are_counted_and_do_no_harm(tmp_path, sampling):
+def test_outliers_gaps_and_repeated_rows_are_counted_and_harmless(tmp_path, sampling):
     text = changed(BASE, ('"20 Hz"', f'"{sampling}"'), ("revolutions = 20", "revolutions = 12"))
-    folder = simulated(tmp_path, text)
+    folder = simulate_folder(tmp_path, text)
     rng = np.random.default_rng(3)
     planted, gaps = {}, {}
     for run in ("run1", "run2", "run3"):
@@ -350,8 +350,8 @@ UNCERTAIN = changed(
 
 
 @pytest.fixture(scope="module")
-def uncertain(tmp_path_factory):
-    folder = simulated(tmp_path_factory.mktemp("uncertain"), UNCERTAIN)
+def uncertain_inputs(tmp_path_factory):
+    folder = simulate_folder(tmp_path_factory.mktemp("uncertain"), UNCERTAIN)
     return folder, calibrate(folder)
 
 
@@ -364,10 +364,10 @@ def uncertain(tmp_path_factory):
         ("records.timing_offset", '"0 ± 1e-4 s"', '"1e-4 ± 1e-4 s"', 1e-4),
     ],
 )
-def test_a_line_of_the_budget_is_what_the_whole_estimate_does(
-    uncertain, tmp_path, source, line, other, step
+def test_budget_line_matches_change_of_estimate(
+    uncertain_inputs, tmp_path, source, line, other, step
 ):
-    folder, base = uncertain
+    folder, base = uncertain_inputs
     text = changed((folder / "campaign.toml").read_text(encoding="utf-8"), (line, other))
     for record in folder.glob("*.csv"):
         (tmp_path / record.name).symlink_to(record)
@@ -386,24 +386,26 @@ def test_a_line_of_the_budget_is_what_the_whole_estimate_does(
                 rel=1e-6,
                 abs=1e-6 * before.u,
             )
-    # K_I is known about as well as the radius, 4e-5 of it; the records tell a little of both.
+    # K_I and the radius are both known to 4e-5; the records add little.
     k_i = base.accelerometers["Qy"].coefficients["K_I"]
     assert 3.5e-5 < k_i.u_stated < 4e-5
 
 
-# Checks of the answer -----------------------------------------------------------------------------
+# Checks of the result -----------------------------------------------------------------------------
 
 
-def test_a_run_with_an_error_of_its_own_is_found(tmp_path):
-    # Without a bias known beforehand two runs agree with anything: four of them do not.
+def test_run_with_separate_error_is_named(tmp_path):
+    # Without a prior of the bias two runs fit any model; four do not.
     fourth = '[[runs]]\nname = "run4"\nrate = "270 deg/s"\nrecord = "run4.csv"\n'
     text = changed(BASE, ("[simulation]\n", fourth + "[simulation]\n"))
-    sound = calibrate(simulated(tmp_path / "sound", text))
+    sound = calibrate(simulate_folder(tmp_path / "sound", text))
     for name in ("Qx", "Qy"):
         assert all(abs(x.z) < 3.5 for x in sound.accelerometers[name].jackknife)
         assert not any("disagrees" in w for w in sound.accelerometers[name].warnings)
     tilted = 'record = "run3.csv"\ntruth = { tilt.north = "6 arcsec" }'
-    ill = calibrate(simulated(tmp_path / "ill", changed(text, ('record = "run3.csv"', tilted))))
+    ill = calibrate(
+        simulate_folder(tmp_path / "ill", changed(text, ('record = "run3.csv"', tilted)))
+    )
     z = {x.run: abs(x.z) for x in ill.accelerometers["Qx"].jackknife}
     assert max(z, key=z.get) == "run3"
     assert z["run3"] > 4
@@ -413,7 +415,7 @@ def test_a_run_with_an_error_of_its_own_is_found(tmp_path):
     assert not any("disagrees" in w for w in ill.accelerometers["Qy"].warnings)
 
 
-def test_runs_that_differ_by_what_is_held_do_not_drive_the_result(tmp_path):
+def test_runs_that_differ_by_held_terms_are_consistent(tmp_path):
     tilts = iter(["0.6", "-0.4", "0.5"])
     text = re.sub(
         r'(record = "run\d.csv")',
@@ -428,33 +430,33 @@ def test_runs_that_differ_by_what_is_held_do_not_drive_the_result(tmp_path):
             ('displacement = "0.01 m"', 'displacement = "0.001 m"'),
         ),
     )
-    found = calibrate(simulated(tmp_path, text))
+    found = calibrate(simulate_folder(tmp_path, text))
     one = found.accelerometers["Qx"]
     assert_true(found)
-    assert k_ii(found).u_stated > 3 * k_ii(found).u_noise
-    assert abs(k_ii(found).value - 2.7e-5) > 3 * k_ii(found).u_noise
+    assert k_ii_of(found).u_stated > 3 * k_ii_of(found).u_noise
+    assert abs(k_ii_of(found).value - 2.7e-5) > 3 * k_ii_of(found).u_noise
     assert all(abs(x.z) < 3 for x in one.jackknife)
     assert not any("disagrees" in w for w in one.warnings)
     assert abs(one.two_stage.z) < 3.5
 
 
 @pytest.mark.slow
-def test_the_two_stage_result_agrees_within_its_difference_s_uncertainty(tmp_path):
+def test_two_stage_result_agrees_within_uncertainty_of_difference(tmp_path):
     z = []
     for seed in range(12):
         text = changed(BASE, ("seed = 7", f"seed = {seed}"), ("0.01 m", "0.003 m"))
-        found = calibrate(simulated(tmp_path / str(seed), text))
+        found = calibrate(simulate_folder(tmp_path / str(seed), text))
         for name in ("Qx", "Qy"):
             comparison = found.accelerometers[name].two_stage
             assert comparison.difference == pytest.approx(
-                comparison.value - k_ii(found, name).value, abs=1e-15
+                comparison.value - k_ii_of(found, name).value, abs=1e-15
             )
             z.append(comparison.z)
     assert abs(np.sum(np.square(z)) - len(z)) < 4 * math.sqrt(2 * len(z))
 
 
-def test_the_two_stage_comparison_of_one_accelerometer_knows_nothing_of_the_others(tmp_path):
-    """What both methods consider moves both, and hardly the difference."""
+def test_two_stage_comparison_is_independent_of_other_accelerometers(tmp_path):
+    """Held terms shift both methods and hardly their difference."""
     text = changed(
         BASE,
         (
@@ -464,15 +466,15 @@ def test_the_two_stage_comparison_of_one_accelerometer_knows_nothing_of_the_othe
         ('pendulous_axis = "down"', 'pendulous_axis = "down"\nK_OO = "0 ± 1e-6 g/g^2"'),
     )
     other = r"(?s)^\[accelerometers\.Qy\]\n.*?(?=^\[)"
-    both = calibrate(simulated(tmp_path / "both", text)).accelerometers["Qx"].two_stage
-    folder = simulated(tmp_path / "alone", text)
+    both = calibrate(simulate_folder(tmp_path / "both", text)).accelerometers["Qx"].two_stage
+    folder = simulate_folder(tmp_path / "alone", text)
     description = folder / "campaign.toml"
-    alone_text = without(text, other, r"(?s)^\[truth\.Qy\]\n.*?(?=^\[)")
+    alone_text = remove_lines(text, other, r"(?s)^\[truth\.Qy\]\n.*?(?=^\[)")
     description.write_text(alone_text, encoding="utf-8")
     alone = calibrate(folder).accelerometers["Qx"].two_stage
     assert both.u == pytest.approx(alone.u, rel=1e-6)
     assert both.u > 1e-6
-    # Both are K_II + K_OO, less the same assumed K_OO.
+    # Both are K_II + K_OO minus the same assumed K_OO.
     assert both.u_difference == pytest.approx(alone.u_difference, rel=1e-6)
     assert both.u_difference < 0.3e-6
 
@@ -488,7 +490,7 @@ def test_the_two_stage_comparison_of_one_accelerometer_knows_nothing_of_the_othe
         ("specific_force", "g", 'specific_force = "1e-4 g"'),
     ],
 )
-def test_other_observables_show_the_same_truth(tmp_path, key, unit, noise):
+def test_truth_is_recovered_from_other_observables(tmp_path, key, unit, noise):
     text = changed(
         BASE,
         (
@@ -501,10 +503,10 @@ def test_other_observables_show_the_same_truth(tmp_path, key, unit, noise):
         ),
         ('displacement = "0.01 m"', noise),
     )
-    found = calibrate(simulated(tmp_path, text))
+    found = calibrate(simulate_folder(tmp_path, text))
     assert_true(found)
     for name in ("Qx", "Qy"):
-        assert k_ii(found, name).estimated
+        assert k_ii_of(found, name).estimated
         assert found.accelerometers[name].residual.lack_of_fit_p > 1e-3
         assert found.accelerometers[name].two_stage is None
 
@@ -542,7 +544,7 @@ def test_other_observables_show_the_same_truth(tmp_path, key, unit, noise):
     ],
     ids=["radius", "encoder", "drift"],
 )
-def test_errors_of_the_machine_are_found_and_leave_the_coefficients_alone(
+def test_machine_errors_are_estimated_without_bias_of_coefficients(
     tmp_path, table, terms, expected
 ):
     text = changed(
@@ -559,7 +561,7 @@ def test_errors_of_the_machine_are_found_and_leave_the_coefficients_alone(
         ('"K_III"]', f'"K_III", {terms}]'),
         ("[truth.noise]", f"{table}[truth.noise]"),
     )
-    found = calibrate(simulated(tmp_path, text))
+    found = calibrate(simulate_folder(tmp_path, text))
     assert_true(found)
     for symbol, value in expected.items():
         c = found.platform[symbol]
@@ -575,7 +577,7 @@ CONDITIONS = {
 }
 
 
-def under_conditions(*changes):
+def add_conditions(*changes):
     """The campaign with a temperature and a time of each run."""
     stated = [
         (f'record = "{name}.csv"\n', f'record = "{name}.csv"\n{lines}')
@@ -595,14 +597,12 @@ def under_conditions(*changes):
         ("K_II.temperature", 2e-6, "g/g^2/K"),
     ],
 )
-def test_slopes_under_conditions_are_found_and_leave_the_coefficients_alone(
-    tmp_path, symbol, size, unit
-):
-    text = under_conditions(
+def test_slopes_are_estimated_without_bias_of_coefficients(tmp_path, symbol, size, unit):
+    text = add_conditions(
         ('"K_III"]', f'"K_III", "{symbol}"]'),
         ("[truth.Qx]\n", f'[truth.Qx]\n"{symbol}" = "{size!r} {unit}"\n'),
     )
-    found = calibrate(simulated(tmp_path, text))
+    found = calibrate(simulate_folder(tmp_path, text))
     assert_true(found)
     for name, value in (("Qx", size), ("Qy", 0.0)):
         c = found.accelerometers[name].coefficients[symbol]
@@ -611,20 +611,20 @@ def test_slopes_under_conditions_are_found_and_leave_the_coefficients_alone(
         assert abs(c.value - value) < 4 * c.u
         assert abs(size) > 10 * c.u
     assert not found.platform
-    # Whose slope it is: one accelerometer's table has nothing of the other's.
+    # The slope is in the table of its accelerometer only.
     assert found.accelerometers["Qx"].correlation.terms.count(symbol) == 1
-    # Neither asked for nor stated it is in u, at its typical size.
+    # If neither requested nor stated, it is in u with its typical size.
     unstated = changed(
         text,
         (f', "{symbol}"', ""),
         ('assume = "all"\n', f'typical = {{ {symbol} = "{abs(size)!r} {unit}" }}\n'),
     )
-    unsaid = calibrate(simulated(tmp_path / "unstated", unstated))
+    unsaid = calibrate(simulate_folder(tmp_path / "unstated", unstated))
     assert_true(unsaid)
     assert symbol in {line.source for line in unsaid.accelerometers["Qx"].budget["K_II"]}
 
 
-def test_heating_is_held_in_full_by_both_methods(tmp_path):
+def test_both_methods_hold_heating(tmp_path):
     considered = changed(
         BASE,
         (
@@ -634,7 +634,7 @@ def test_heating_is_held_in_full_by_both_methods(tmp_path):
         ("[truth.Qx]\n", '[truth.Qx]\n"K_F.heating" = "3e-6 g/g^2"\n'),
         ("[truth.Qy]\n", '[truth.Qy]\n"K_F.heating" = "3e-6 g/g^2"\n'),
     )
-    folder = simulated(tmp_path, considered)
+    folder = simulate_folder(tmp_path, considered)
     found = calibrate(folder)
     assert_true(found)
     qx = found.accelerometers["Qx"]
@@ -649,17 +649,19 @@ def test_heating_is_held_in_full_by_both_methods(tmp_path):
     assert abs(two_stage.value - qx.coefficients["K_II"].value) < 4 * two_stage.u_noise
 
 
-def test_a_bias_that_wanders_is_weighed_and_said(tmp_path, capsys):
+def test_bias_walk_is_weighted_and_reported(tmp_path, capsys):
     text = changed(
         BASE,
         ("[noise]\n", '[noise]\nflicker = "20 ug"\nbias_walk = "60 ug/h^0.5"\n'),
         ("[truth.noise]\n", '[truth.noise]\nflicker = "20 ug"\nbias_walk = "60 ug/h^0.5"\n'),
     )
-    folder = simulated(tmp_path, text)
+    folder = simulate_folder(tmp_path, text)
     found = calibrate(folder)
     assert_true(found)
     steady = calibrate(
-        simulated(tmp_path / "steady", changed(text, ('flicker = "20 ug"\nbias_walk', "bias_walk")))
+        simulate_folder(
+            tmp_path / "steady", changed(text, ('flicker = "20 ug"\nbias_walk', "bias_walk"))
+        )
     )
     for name, one in found.accelerometers.items():
         assert one.two_stage is None
@@ -676,8 +678,8 @@ def test_a_bias_that_wanders_is_weighed_and_said(tmp_path, capsys):
         calibrate(folder, method="two-stage")
 
 
-def test_gravity_that_the_computer_removes_is_an_input_of_its_own(tmp_path):
-    """The computer takes 9.8066 m/s^2 away, where the campaign has found 9.8066 ± 1e-4."""
+def test_removed_gravity_is_separate_input(tmp_path):
+    """The computer removes 9.8066 m/s^2; the campaign states 9.8066 ± 1e-4."""
     upright = changed(
         BASE,
         ('"north"\npendulous_axis = "down"', '"up"\npendulous_axis = "east"'),
@@ -688,7 +690,7 @@ def test_gravity_that_the_computer_removes_is_an_input_of_its_own(tmp_path):
             'K_II = "-3.3e-5 ± 1e-9 g/g^2"\nK_III = "0 ± 1e-9 g/g^3"\n',
         ),
     )
-    folder = simulated(tmp_path, upright)
+    folder = simulate_folder(tmp_path, upright)
     found = {}
     for removed in (True, False):
         text = changed(upright, ("9.80678 m/s^2", "9.8066 ± 1e-4 m/s^2"))
@@ -707,8 +709,8 @@ def test_gravity_that_the_computer_removes_is_an_input_of_its_own(tmp_path):
     assert not any(f.code == "removed-gravity" for f in found[True].findings)
 
 
-def test_a_ripple_that_a_noisy_encoder_hides_is_in_the_budget(tmp_path):
-    """Taken as it was found, the rotation would put K_II fifteen of its u and more off."""
+def test_ripple_hidden_by_encoder_noise_is_in_budget(tmp_path):
+    """With the estimated rotation as exact, the error of K_II would exceed 15 u."""
     text = changed(
         BASE,
         (
@@ -723,7 +725,7 @@ def test_a_ripple_that_a_noisy_encoder_hides_is_in_the_budget(tmp_path):
         ('angle = "1e-6 rad"', 'angle = "1e-5 rad"'),
         ("ratio = 5e-7", "ratio = 1e-6"),
     )
-    found = calibrate(simulated(tmp_path, text))
+    found = calibrate(simulate_folder(tmp_path, text))
     assert found.runs["run3"].ripples == []
     assert_true(found)
     for one in found.accelerometers.values():
@@ -742,7 +744,7 @@ def test_a_ripple_that_a_noisy_encoder_hides_is_in_the_budget(tmp_path):
     assert all(not run.terms for run in found.runs.values())
 
 
-def test_three_attitudes_tell_the_squares_apart(tmp_path):
+def test_three_attitudes_separate_quadratic_terms(tmp_path):
     attitudes = {"p": "level", "o": "90 deg about east", "i": "-90 deg about north"}
     runs = "".join(
         f'[[runs]]\nname = "{name}{rate}"\nrate = "{rate} deg/s"\nrecord = "{name}{rate}.csv"\n'
@@ -762,7 +764,7 @@ def test_three_attitudes_tell_the_squares_apart(tmp_path):
         ),
         ('K_III = "3.4e-6 g/g^3"', 'K_OO = "-8e-6 g/g^2"\nK_PP = "1.5e-5 g/g^2"'),
     )
-    found = calibrate(simulated(tmp_path, text))
+    found = calibrate(simulate_folder(tmp_path, text))
     truth = {"Qx": {"K_II": 2.7e-5, "K_OO": -8e-6, "K_PP": 1.5e-5}}
     assert_true(found, truth)
     for symbol in truth["Qx"]:
@@ -771,7 +773,7 @@ def test_three_attitudes_tell_the_squares_apart(tmp_path):
         assert c.u < 3e-7
 
 
-def test_many_outliers_are_left_out_with_a_warning(campaign, result, tmp_path):
+def test_many_outliers_are_rejected_with_warning(campaign, result, tmp_path):
     assert not any("outliers" in warning for warning in result.warnings)
     folder = tmp_path / "stepped"
     shutil.copytree(campaign, folder)
@@ -783,20 +785,20 @@ def test_many_outliers_are_left_out_with_a_warning(campaign, result, tmp_path):
     assert re.match(r"run2: \d+ of \d+ samples were rejected as outliers. ", warning)
 
 
-def test_a_method_that_is_none_and_options_of_the_other(campaign):
+def test_rejects_unknown_method_and_options_of_other_method(campaign):
     with raises("wrong-usage", "'jiont'", "joint", "two-stage"):
         calibrate(campaign, method="jiont")
-    # As printed returns half of K_II: asked for, it must not be passed over in silence.
+    # As printed returns half of K_II: a request for it must not be ignored.
     with pytest.raises(CampaignError, match='give `method="two-stage"`'):
         calibrate(campaign, options=TwoStageOptions(model="as-printed"))
     assert main(["calibrate", str(campaign), "--model", "as-printed"]) == 2
 
 
-def test_a_clock_that_jumps_by_whole_revolutions_is_told_by_its_run(campaign, tmp_path):
+def test_clock_jump_by_whole_revolutions_names_run(campaign, tmp_path):
     folder = tmp_path / "jumped"
     shutil.copytree(campaign, folder)
     record = pl.read_csv(folder / "run2.csv")
-    # 10 s are five revolutions, so that the angle does not witness against the clock.
+    # 10 s are five revolutions, so the angle does not reveal the clock error.
     late = pl.when(pl.int_range(pl.len()) >= 300).then(10.0).otherwise(0.0)
     record.with_columns(pl.col("time_s") + late).write_csv(folder / "run2.csv")
     with pytest.raises(ConvergenceError, match=r"run2 \(Q[xy]\).*: outliers were still found"):

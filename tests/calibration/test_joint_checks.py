@@ -1,4 +1,4 @@
-"""Checks of a joint result, of made-up fits where these suffice."""
+"""Checks of a joint result, with constructed fits where possible."""
 
 from types import SimpleNamespace
 
@@ -13,15 +13,15 @@ from counterspin.campaign.memory import make_campaign
 from counterspin.simulation.simulate import simulate
 
 
-def view(fit: SimpleNamespace, campaign: SimpleNamespace | None = None) -> AccelerometerView:
-    """The fit as Qx sees it."""
+def make_view(fit: SimpleNamespace, campaign: SimpleNamespace | None = None) -> AccelerometerView:
+    """Return the view of the fit for Qx."""
     return AccelerometerView(
         SimpleNamespace(campaign=campaign), SimpleNamespace(fit=fit), None, "Qx"
     )
 
 
-def seen(observable: str, angle: object | None) -> AccelerometerView:
-    """A campaign at 10 g, and its K_II."""
+def make_campaign_view(observable: str, angle: object | None) -> AccelerometerView:
+    """Return a campaign view at 10 g with its K_II."""
     campaign = SimpleNamespace(
         accelerometers={"Qx": SimpleNamespace(observable=observable)},
         angle=angle,
@@ -33,11 +33,11 @@ def seen(observable: str, angle: object | None) -> AccelerometerView:
     fit = SimpleNamespace(
         model=SimpleNamespace(unknowns=[unknown]), solution=SimpleNamespace(u=np.array([2e-9]))
     )
-    return view(fit, campaign)
+    return make_view(fit, campaign)
 
 
-def test_a_ripple_that_nobody_recorded_is_a_warning():
-    (finding,) = check_unrecorded_ripple(seen("specific_force", None))
+def test_unrecorded_ripple_is_finding():
+    (finding,) = check_unrecorded_ripple(make_campaign_view("specific_force", None))
     # At 10 g a ripple of 1e-8 of the rate is 1e-9 g/g^2.
     assert "relative rate ripple of 1e-08" in finding.text
 
@@ -45,11 +45,11 @@ def test_a_ripple_that_nobody_recorded_is_a_warning():
 @pytest.mark.parametrize(
     ("observable", "angle"), [("specific_force", object()), ("displacement", None)]
 )
-def test_a_recorded_angle_or_displacement_need_no_warning(observable, angle):
-    assert check_unrecorded_ripple(seen(observable, angle)) == []
+def test_recorded_angle_or_displacement_has_no_finding(observable, angle):
+    assert check_unrecorded_ripple(make_campaign_view(observable, angle)) == []
 
 
-def test_a_run_that_says_nothing_of_k_ii_is_not_compared():
+def test_run_without_information_on_k_ii_has_no_z():
     """An upright accelerometer has the same 1 g in every run: K_II is its prior, with or without.
 
     What rounding leaves of a shift and of its u is no number of standard uncertainties.
@@ -82,7 +82,7 @@ def test_a_run_that_says_nothing_of_k_ii_is_not_compared():
     assert all(each.z is None and abs(each.shift) < 1e-11 for each in found)
 
 
-def test_two_stages_are_compared_on_the_model_of_the_joint_fit(tmp_path):
+def test_two_stage_comparison_uses_model_of_joint_fit(tmp_path):
     """A drift of 100 typical sizes that is asked for is in the joint fit; two stages have no t^3.
 
     Given what the joint fit found of it, the differences of both K_II are of their own u.

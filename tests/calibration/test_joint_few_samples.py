@@ -36,7 +36,7 @@ specific_force = {{ column = "x", unit = "m/s^2" }}
 
 
 @pytest.mark.parametrize("sampling_rate", [7.0, 8.0, 9.3])
-def test_an_encoder_error_that_the_samples_do_not_resolve_is_in_u(tmp_path, sampling_rate):
+def test_unresolved_encoder_error_is_in_u(tmp_path, sampling_rate):
     """The fastest run turns once a second; in the others the samples resolve the harmonic."""
     rng = np.random.default_rng(5)
     text = HEAD

@@ -1,4 +1,4 @@
-"""From a campaign to the joint fit's problem."""
+"""The joint fit problem of a campaign."""
 
 import math
 from types import SimpleNamespace
@@ -26,14 +26,14 @@ from counterspin.simulation.simulate import simulate
 RADIUS, RATE, TIMING = 2.5, -2.0, 1e-3
 
 
-#: Input axis raised out of the level by the angle whose sine is 0.8: what turns is level.
+#: Input axis raised by arcsin(0.8) above the horizontal.
 RAISED = Mounting.from_axes([0.6, 0.0, 0.8], [0.8, 0.0, -0.6])
 
 
 @pytest.mark.parametrize("mounting", [QX, RAISED], ids=["level", "raised"])
 @pytest.mark.parametrize("observable", ["displacement", "velocity", "specific_force"])
-def test_noise_of_the_time_stamps_is_the_rms_slope_times_their_noise(observable, mounting):
-    """Each output is sampled a little early or late: its error is its slope times the delay."""
+def test_timing_noise_is_rms_slope_times_stamp_noise(observable, mounting):
+    """The error of an output sampled with a delay is its slope times the delay."""
     channel = SimpleNamespace(in_g=False)
     accelerometer = SimpleNamespace(observable=observable, mounting=mounting, channel=channel)
     campaign = SimpleNamespace(
@@ -65,7 +65,7 @@ def test_noise_of_the_time_stamps_is_the_rms_slope_times_their_noise(observable,
     np.testing.assert_allclose(white, (variance + series.timing_noise**2) ** -0.5, rtol=1e-5)
 
 
-def test_credible_sizes_of_unknowns_go_by_the_grade_of_their_accelerometer(tmp_path):
+def test_credible_sizes_follow_grade_of_accelerometer(tmp_path):
     of_qy = ('input_axis = "north"', 'input_axis = "north"\ngrade = "consumer"')
     campaign = read_campaign(write(tmp_path, changed(SMALL, of_qy)))
     model = make_unknowns(campaign)
@@ -91,16 +91,16 @@ def test_credible_sizes_of_unknowns_go_by_the_grade_of_their_accelerometer(tmp_p
         ('specific_force = { column = "f", unit = "uA" }', True),
     ],
 )
-def test_a_force_in_g_or_as_a_current_has_the_gravity_assumed_in_it(tmp_path, column, in_g):
-    """A record of a current was taken for one in m/s^2: an uncertain g then was not in u(K_I)."""
+def test_force_in_g_or_current_depends_on_assumed_gravity(tmp_path, column, in_g):
+    """Regression test: a current was treated as m/s^2, so u(g) was missing in u(K_I)."""
     old = 'displacement = { column = "east_m", unit = "m" }'
     output = 'output = { unit = "mA", sensitivity = "1.25 mA/g" }\n' if "uA" in column else ""
     campaign = read_campaign(write(tmp_path, changed(SMALL, (old, output + column))))
     assert campaign.accelerometers["Qx"].channel.in_g is in_g
 
 
-def test_what_a_time_stamp_moves_is_the_slope_of_what_was_recorded():
-    """5 mg for 400 s: the platform moves at 20 m/s then, five times as fast as the arm's wave."""
+def test_stamp_error_acts_through_slope_of_recorded_output():
+    """After 400 s at 5 mg the platform moves at 20 m/s, five times the velocity of the harmonic."""
     motion = Trajectory(Spindle(math.pi / 2), RADIUS, Site(9.8, 0.8, earth_rate=0.0))
     time = np.arange(0.0, 400.0, 0.05)
     wave = 2e-3 * np.sin(motion.spindle.angle(time) + 0.3)
@@ -125,7 +125,7 @@ def test_what_a_time_stamp_moves_is_the_slope_of_what_was_recorded():
 # The recorder's clock
 
 ASKED = ["K_F", "K_I", "K_II"]
-#: All but the clock.
+#: All terms except the clock.
 ASSUMED = [
     symbol
     for symbol in (*ACCELEROMETER_TERMS, *SHARED_TERMS, *INPUTS)
@@ -160,17 +160,17 @@ specific_force = "1e-4 m/s^2"
 CLOCK = ("[records]\n", '[records]\nclock = "{} ± 1e-7"\n')
 
 
-def with_clock(size):
+def set_clock(size):
     return changed(FORCE, (CLOCK[0], CLOCK[1].format(size)))
 
 
-def with_recorder(text, more=""):
+def set_recorder(text, more=""):
     own = f'name = "fast"\nrecords = {{ recorder = "B"{more} }}'
     return changed(text, ('name = "fast"', own))
 
 
-def recorded(folder, **clocks):
-    """Simulate the campaign with an exact clock and return what runs with other clocks recorded."""
+def record_with_clocks(folder, **clocks):
+    """Simulate the campaign with an exact clock and return records with other clocks."""
     simulate(write(folder, FORCE, "plan.toml"), folder, overwrite=True)
     for name, fast in clocks.items():
         path = folder / f"{name}.csv"
@@ -180,33 +180,35 @@ def recorded(folder, **clocks):
         np.savetxt(path, rows, delimiter=",", header=head, comments="", fmt="%.12g")
 
 
-def own(folder, text):
+def calibrate_description(folder, text):
     write(folder, text)
     result = calibrate(folder)
     return result, result.accelerometers["Qx"].coefficients
 
 
-def test_a_clock_that_is_known_to_be_fast_is_allowed_for(tmp_path):
-    """It makes K_I too large by twice what it is fast (physics.md); stated, by nothing."""
+def test_stated_clock_error_is_corrected(tmp_path):
+    """The relative error of K_I is twice the clock error (physics.md), and zero if stated."""
     fast = 1e-3
-    recorded(tmp_path)
-    _, right = own(tmp_path, with_clock("0"))
-    recorded(tmp_path, slow=fast, middle=fast, fast=fast)
-    result, stated = own(tmp_path, with_clock("1000 ppm").replace("ppm ± 1e-7", "± 0.1 ppm"))
+    record_with_clocks(tmp_path)
+    _, right = calibrate_description(tmp_path, set_clock("0"))
+    record_with_clocks(tmp_path, slow=fast, middle=fast, fast=fast)
+    result, stated = calibrate_description(
+        tmp_path, set_clock("1000 ppm").replace("ppm ± 1e-7", "± 0.1 ppm")
+    )
     assert result.state == "good"
     for symbol, c in stated.items():
         assert abs(c.value - right[symbol].value) < 0.01 * c.u
-    _, ignored = own(tmp_path, with_clock("0"))
+    _, ignored = calibrate_description(tmp_path, set_clock("0"))
     off = ignored["K_I"].value - right["K_I"].value
-    assert off == pytest.approx(2.0 * fast * 1.002, rel=2e-3)  # and the square of it
+    assert off == pytest.approx(2.0 * fast * 1.002, rel=2e-3)  # and its square
 
 
 @pytest.mark.parametrize(
     "time",
     ['sampling_rate = "20 Hz"', 'column = "time_s"', 'column = "time_s", unit = "ms"'],
 )
-def test_however_time_is_recorded(tmp_path, time):
-    """Counted rows too are those of a clock, whose unit may stand in the file."""
+def test_clock_error_acts_for_all_time_formats(tmp_path, time):
+    """Row numbers also follow a clock, whose unit may be in the file."""
     text = changed(FORCE, ('column = "time_s", unit = "s"', time))
     right, fast = (
         read_campaign(write(tmp_path, text.replace(CLOCK[0], CLOCK[1].format(size)))).time
@@ -217,15 +219,15 @@ def test_however_time_is_recorded(tmp_path, time):
     assert right / fast == pytest.approx(1.001, rel=1e-12)
 
 
-def test_records_of_two_recorders_have_two_clocks(tmp_path):
-    """One that is 200 ppm fast is not the other's, and each has its place in u."""
-    recorded(tmp_path)
-    _, right = own(tmp_path, FORCE)
-    recorded(tmp_path, fast=2e-4)
-    one, _ = own(tmp_path, FORCE)
+def test_two_recorders_have_separate_clocks(tmp_path):
+    """The error of 200 ppm belongs to one clock, and both clocks are in u."""
+    record_with_clocks(tmp_path)
+    _, right = calibrate_description(tmp_path, FORCE)
+    record_with_clocks(tmp_path, fast=2e-4)
+    one, _ = calibrate_description(tmp_path, FORCE)
     assert one.state == "contradicted"
-    text = with_recorder(FORCE, ', clock = "0.0002 ± 1e-7"')
-    result, two = own(tmp_path, text)
+    text = set_recorder(FORCE, ', clock = "0.0002 ± 1e-7"')
+    result, two = calibrate_description(tmp_path, text)
     assert result.state == "good"
     clocks = {row.name: row for row in result.rests_on if row.name.endswith("records.clock")}
     assert clocks["records.clock"].kind == "unstated"
@@ -235,23 +237,23 @@ def test_records_of_two_recorders_have_two_clocks(tmp_path):
         assert abs(c.value - right[symbol].value) < 0.1 * right[symbol].u
 
 
-def test_of_two_clocks_of_which_nothing_is_known_two_typical_errors_are_in_u(tmp_path):
+def test_default_errors_of_two_clocks_are_independent_in_u(tmp_path):
     """One of two runs each: of K_I, twice 2e-5, less than what one clock alone makes of it.
 
     Weighed by their own noise, which is far less, the runs differ by their clocks only.
     """
-    recorded(tmp_path)
-    _, one = own(tmp_path, FORCE)
-    result, two = own(tmp_path, with_recorder(FORCE))
+    record_with_clocks(tmp_path)
+    _, one = calibrate_description(tmp_path, FORCE)
+    result, two = calibrate_description(tmp_path, set_recorder(FORCE))
     assert one["K_I"].u == pytest.approx(4e-5, rel=0.02)
     assert two["K_I"].u == pytest.approx(4e-5 / math.sqrt(2.0), rel=0.02)
     assert {row.name for row in result.rests_on} == {"records.clock", "B.records.clock"}
 
 
-def test_a_clock_of_one_recorder_that_is_taken_as_exact_is_named(tmp_path):
-    recorded(tmp_path, fast=2e-4)
-    text = with_recorder(FORCE).replace("assume = [", "assume = ['records.clock', ")
-    result, _ = own(tmp_path, text)
+def test_wrongly_exact_clock_of_recorder_is_named(tmp_path):
+    record_with_clocks(tmp_path, fast=2e-4)
+    text = set_recorder(FORCE).replace("assume = [", "assume = ['records.clock', ")
+    result, _ = calibrate_description(tmp_path, text)
     assert "B.records.clock" in {
         name for found in result.findings for name in (found.subject, *found.as_well)
     }
@@ -283,7 +285,7 @@ record = "run1.csv"
         ('displacement = "1 cm"', 0.01, 0.0),
     ],
 )
-def test_a_walk_that_is_stated_as_zero_is_not_estimated(tmp_path, noise, white, walk):
+def test_walk_stated_as_zero_is_not_estimated(tmp_path, noise, white, walk):
     """Without any size the noise is estimated, except the walk that the description excludes."""
     (tmp_path / "campaign.toml").write_text(CAMPAIGN.format(noise=noise), encoding="utf-8")
     (of_qx,) = make_noise(read_campaign(tmp_path)).values()

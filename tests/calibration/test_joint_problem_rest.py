@@ -32,17 +32,17 @@ def folder(tmp_path_factory):
     return at_rest(record(made, tmp_path_factory.mktemp("plan"), SMALL))
 
 
-def texts(result):
+def block_texts(result):
     return [block.text for block in document(result) if hasattr(block, "text")]
 
 
-def described(folder, **noise):
-    """Return Qx's campaign with another [noise]; values as they are written."""
+def describe_noise(folder, **noise):
+    """Return the campaign of Qx with another [noise] table."""
     patch = WITHOUT_QY | {"noise": {"displacement": None, **noise}}
     return read_campaign(folder).change(patch)
 
 
-def test_a_campaign_has_the_sizes_of_its_record_at_rest_each_accelerometer_its_own(folder):
+def test_accelerometers_have_noise_of_record_at_rest(folder):
     found = cs.noise(folder / "rest.csv", campaign=folder)
     noise = make_noise(
         read_campaign(folder).change({"noise": {"displacement": None, "from": "rest.csv"}})
@@ -51,18 +51,18 @@ def test_a_campaign_has_the_sizes_of_its_record_at_rest_each_accelerometer_its_o
         one = noise[signal.name]
         assert one.white == pytest.approx(signal.components["displacement"].value, rel=1e-12)
         assert one.white == pytest.approx(WHITE[signal.column], rel=0.04)
-        # Of n independent samples the variance is known to 2 v^2/n, a little less by a drift.
+        # The variance of v from n independent samples is 2 v^2/n, slightly increased by a drift.
         assert one.covariance[0][0] == pytest.approx(2 * one.white**4 / 4000, rel=0.1)
-        # What the record does not show is left to the campaign's own.
+        # Noise undetected in the record is left to the campaign.
         assert signal.components["acceleration"].value is None
         assert one.random_walk is ESTIMATE
         assert one.flicker == one.bias_walk == 0.0
     assert noise["Qx"].white != noise["Qy"].white
 
 
-def test_a_key_beside_the_record_overrules_it(folder):
+def test_stated_noise_overrides_record_at_rest(folder):
     (one,) = make_noise(
-        described(
+        describe_noise(
             folder, **{"from": "rest.csv", "displacement": "2 cm", "acceleration": "1 ug/Hz^0.5"}
         )
     ).values()
@@ -71,25 +71,25 @@ def test_a_key_beside_the_record_overrules_it(folder):
     assert one.covariance == ()
 
 
-def test_stated_steps_are_a_part_of_what_is_white(folder):
-    campaign = described(folder, **{"from": "rest.csv", "quantisation": "2 cm"})
-    plain = make_noise(described(folder, **{"from": "rest.csv"}))["Qx"]
+def test_stated_resolution_is_part_of_white_noise(folder):
+    campaign = describe_noise(folder, **{"from": "rest.csv", "quantisation": "2 cm"})
+    plain = make_noise(describe_noise(folder, **{"from": "rest.csv"}))["Qx"]
     assert make_noise(campaign)["Qx"].sample_variance == pytest.approx(plain.sample_variance)
 
 
 @pytest.fixture(scope="module")
-def both(folder):
-    """Return the results with the record at rest, and with its figure stated by hand."""
-    campaign = described(folder, **{"from": "rest.csv", "acceleration": "0 g/Hz^0.5"})
+def both_results(folder):
+    """Return the results with the record at rest, and with its value stated."""
+    campaign = describe_noise(folder, **{"from": "rest.csv", "acceleration": "0 g/Hz^0.5"})
     white = make_noise(campaign)["Qx"].white
-    by_hand = described(folder, displacement=f"{white!r} m")
+    by_hand = describe_noise(folder, displacement=f"{white!r} m")
     return cs.calibrate(campaign), cs.calibrate(by_hand), make_noise(campaign)["Qx"]
 
 
-def test_the_answer_is_that_of_the_same_noise_by_hand_with_the_degrees_of_freedom_of_the_record(
-    both,
+def test_result_matches_stated_noise_with_dof_of_record(
+    both_results,
 ):
-    found, by_hand, noise = both
+    found, by_hand, noise = both_results
     dof = 2.0 * noise.white**4 / noise.covariance[0][0]
     one, other = (r.accelerometers["Qx"].coefficients["K_II"] for r in (found, by_hand))
     assert (one.value, one.u) == pytest.approx((other.value, other.u), rel=1e-9)
@@ -98,8 +98,8 @@ def test_the_answer_is_that_of_the_same_noise_by_hand_with_the_degrees_of_freedo
     assert 3500 < dof < 4500
 
 
-def test_residuals_are_tested_against_a_noise_that_is_not_exact(both):
-    found, by_hand, noise = both
+def test_lack_of_fit_test_includes_uncertainty_of_noise(both_results):
+    found, by_hand, noise = both_results
     dof = 2.0 * noise.white**4 / noise.covariance[0][0]
     one, other = (r.accelerometers["Qx"].residual for r in (found, by_hand))
     assert one.chi2 == pytest.approx(other.chi2, rel=1e-9)
@@ -108,29 +108,31 @@ def test_residuals_are_tested_against_a_noise_that_is_not_exact(both):
     assert abs(one.lack_of_fit_p - 0.5) < abs(other.lack_of_fit_p - 0.5)
 
 
-def test_the_result_says_where_its_noise_is_from(folder, both):
-    result, _, noise = both
+def test_result_names_record_of_noise(folder, both_results):
+    result, _, noise = both_results
     line = result.accelerometers["Qx"].noise["displacement"]
     assert (line.value, line.record, line.estimated) == (noise.white, "rest.csv", False)
     assert line.u == pytest.approx(0.5 * math.sqrt(noise.covariance[0][0]) / noise.white)
     digest = hashlib.sha256((folder / "rest.csv").read_bytes()).hexdigest()
     assert result.provenance.inputs["rest.csv"] == f"sha256:{digest}"
-    (shown,) = [text for text in texts(result) if text.startswith("Noise: ")]
+    (shown,) = [text for text in block_texts(result) if text.startswith("Noise: ")]
     assert "(from rest.csv)" in shown
 
 
-def test_a_record_too_quiet_for_the_residuals_contradicts_the_result(folder, tmp_path):
+def test_too_small_noise_at_rest_contradicts_result(folder, tmp_path):
     quiet = tmp_path / "quiet.csv"
     frame = pl.read_csv(folder / "rest.csv")
     frame.with_columns(pl.col("east_m") * 0.5).write_csv(quiet)
-    result = cs.calibrate(described(folder, **{"from": str(quiet), "acceleration": "0 g/Hz^0.5"}))
+    result = cs.calibrate(
+        describe_noise(folder, **{"from": str(quiet), "acceleration": "0 g/Hz^0.5"})
+    )
     assert any(finding.contradicts for finding in result.findings)
 
 
-def test_the_two_stage_method_takes_it_too(folder, both):
-    _, _, noise = both
-    campaign = described(folder, **{"from": "rest.csv", "acceleration": "0 g/Hz^0.5"})
-    by_hand = described(folder, displacement=f"{noise.white!r} m")
+def test_two_stage_method_uses_record_at_rest(folder, both_results):
+    _, _, noise = both_results
+    campaign = describe_noise(folder, **{"from": "rest.csv", "acceleration": "0 g/Hz^0.5"})
+    by_hand = describe_noise(folder, displacement=f"{noise.white!r} m")
     (one, other) = (
         cs.calibrate(c, method="two-stage", options=TwoStageOptions()).accelerometers["Qx"]
         for c in (campaign, by_hand)
@@ -143,10 +145,10 @@ def test_the_two_stage_method_takes_it_too(folder, both):
     assert one.noise["displacement"].record == "rest.csv"
 
 
-def test_a_forecast_takes_it_too(folder, both):
-    _, _, noise = both
-    of_rest = described(folder, **{"from": "rest.csv", "acceleration": "0 g/Hz^0.5"})
-    by_hand = described(folder, displacement=f"{noise.white!r} m")
+def test_forecast_uses_record_at_rest(folder, both_results):
+    _, _, noise = both_results
+    of_rest = describe_noise(folder, **{"from": "rest.csv", "acceleration": "0 g/Hz^0.5"})
+    by_hand = describe_noise(folder, displacement=f"{noise.white!r} m")
     runs = [run | {"revolutions": 20} for run in runs_of(of_rest, "slow", "middle", "fast")]
     one, other = (
         forecast(c.change({"runs": runs}), sampling_rate=20.0) for c in (of_rest, by_hand)
@@ -157,10 +159,10 @@ def test_a_forecast_takes_it_too(folder, both):
 @pytest.mark.parametrize(
     ("observable", "unit", "order"), [("velocity", "m/s", 1), ("specific_force", "m/s^2", 0)]
 )
-def test_records_of_velocity_and_force_say_the_noise_of_the_accelerometer(
+def test_velocity_and_force_records_determine_accelerometer_noise(
     observable, unit, order, tmp_path
 ):
-    """N is the root of a density: of a force the standard deviation over the root of the rate."""
+    """N is the root of a density: the standard deviation of a force over sqrt(rate)."""
     text = changed(SMALL, (STATED, FROM)).replace(
         'displacement = { column = "east_m", unit = "m" }',
         f'{observable} = {{ column = "east", unit = "{unit}" }}',
@@ -180,8 +182,8 @@ def test_records_of_velocity_and_force_say_the_noise_of_the_accelerometer(
     assert order or noise.white == 0.0
 
 
-def test_the_level_is_known_by_the_share_of_each_component():
-    """Against traces of dense matrices."""
+def test_noise_level_dof_matches_dense_traces():
+    """Compare with traces of dense matrices."""
     differences = Differences.of(np.arange(60.0), 2)
     part = SimpleNamespace(
         accelerometer="Qx", series=SimpleNamespace(differences=differences, jitter_variance=0.0)
@@ -190,47 +192,49 @@ def test_the_level_is_known_by_the_share_of_each_component():
     covariance[:2, :2] = [[0.04, -0.001], [-0.001, 1e-4]]
     noise = Noise(2.0, 0.3, covariance=tuple(map(tuple, covariance)))
 
-    def dense(white, walk):
+    def dense_covariance(white, walk):
         bands, _ = differences.factor(white, walk)
         lower = sum(
             np.diag(band[: band.size - k], -k) for k, band in enumerate(np.atleast_2d(bands))
         )
         return lower @ lower.T
 
-    inverse = np.linalg.inv(dense(4.0, 0.09))
-    traces = np.array([np.trace(inverse @ dense(*one)) for one in ((1.0, 0.0), (0.0, 1.0))])
+    inverse = np.linalg.inv(dense_covariance(4.0, 0.09))
+    traces = np.array(
+        [np.trace(inverse @ dense_covariance(*one)) for one in ((1.0, 0.0), (0.0, 1.0))]
+    )
     expected = 2.0 * 58.0**2 / (traces @ covariance[:2, :2] @ traces)
     fit = SimpleNamespace(design_blocks=[part], noise={"Qx": noise})
     assert noise_level_dof(fit, "Qx") == pytest.approx(expected, rel=1e-5)
 
 
-def test_a_written_campaign_takes_its_record_along(folder, tmp_path):
-    campaign = described(folder, **{"from": "rest.csv"})
+def test_written_campaign_includes_record_at_rest(folder, tmp_path):
+    campaign = describe_noise(folder, **{"from": "rest.csv"})
     campaign.write(tmp_path / "inside")
     assert (tmp_path / "inside" / "rest.csv").read_bytes() == (folder / "rest.csv").read_bytes()
     far = at_rest(tmp_path) / "rest.csv"
-    described(folder, **{"from": str(far)}).write(tmp_path / "outside")
+    describe_noise(folder, **{"from": str(far)}).write(tmp_path / "outside")
     again = read_campaign(tmp_path / "outside")
     assert again.rest == tmp_path / "outside" / "rest.csv"
     assert again.rest.read_bytes() == far.read_bytes()
 
 
-def test_a_record_that_cannot_be_used_is_named_with_its_key(folder, tmp_path):
-    missing = described(folder, **{"from": "none.csv"})
+def test_unusable_record_at_rest_is_named_with_key(folder, tmp_path):
+    missing = describe_noise(folder, **{"from": "none.csv"})
     with raises("file-not-found", "none.csv", "(noise.from):"):
         cs.calibrate(missing)
     with raises("file-not-found", "noise.from:", "none.csv:"):
         make_noise(missing)
     pl.read_csv(folder / "rest.csv").head(20).write_csv(tmp_path / "short.csv")
     with raises("not-evaluable", "noise.from:", "short.csv", "20 samples"):
-        make_noise(described(folder, **{"from": str(tmp_path / "short.csv")}))
+        make_noise(describe_noise(folder, **{"from": str(tmp_path / "short.csv")}))
     pl.read_csv(folder / "rest.csv").drop("east_m").write_csv(tmp_path / "other.csv")
     with raises("missing-column", "noise.from:", "other.csv", "east_m"):
-        make_noise(described(folder, **{"from": str(tmp_path / "other.csv")}))
+        make_noise(describe_noise(folder, **{"from": str(tmp_path / "other.csv")}))
 
 
-def test_what_is_no_record_at_rest_is_refused(folder):
+def test_rejects_invalid_record_at_rest(folder):
     with raises("conflicting-keys", "noise.from:"):
-        described(folder, **{"from": "slow.csv"})
+        describe_noise(folder, **{"from": "slow.csv"})
     with pytest.raises(CampaignError, match=r"noise\.from: cannot read"):
-        described(folder, **{"from": "rest.doc"})
+        describe_noise(folder, **{"from": "rest.doc"})

@@ -1,4 +1,4 @@
-"""Records whose time stamps scatter: both methods agree, and u is the scatter of the errors."""
+"""Records with timing noise: both methods agree, and u matches the scatter of the errors."""
 
 import math
 from pathlib import Path
@@ -35,8 +35,8 @@ pendulous_axis = "down"
 """
 
 
-def columns(observable, rate, t):
-    """What is recorded at constant rate, in closed form: of no code of the package."""
+def record_columns(observable, rate, t):
+    """Return recorded columns at constant rate by independent closed forms."""
     angle = 0.3 + rate * t
     cos = np.cos(angle)
     force = -(RADIUS * rate**2 + 2 * EARTH * RADIUS * rate) * cos / G
@@ -54,7 +54,7 @@ def columns(observable, rate, t):
     return angle, sum(k * p for k, p in zip(TRUTH.values(), shown, strict=True)) - turned
 
 
-def campaign(folder: Path, observable, noise, seed, *, per_revolution=30, revolutions=40):
+def write_campaign(folder: Path, observable, noise, seed, *, per_revolution=30, revolutions=40):
     rng = np.random.default_rng(seed)
     white, unit = {"displacement": (1e-3, "m"), "specific_force": (1e-4, "m/s^2")}[observable]
     text = HEAD + f'{observable} = {{ column = "x", unit = "{unit}" }}\n'
@@ -62,7 +62,7 @@ def campaign(folder: Path, observable, noise, seed, *, per_revolution=30, revolu
         text += f'[noise]\n{observable} = "{white} {unit}"\ntiming = "{TIMING} s"\n'
     for i, rate in enumerate(RATES):
         t = np.arange(revolutions * per_revolution) * (2 * math.pi / rate / per_revolution)
-        angle, output = columns(observable, rate, t)
+        angle, output = record_columns(observable, rate, t)
         pl.DataFrame(
             {
                 "t": t + TIMING * rng.standard_normal(t.size),
@@ -75,7 +75,7 @@ def campaign(folder: Path, observable, noise, seed, *, per_revolution=30, revolu
     return folder
 
 
-def z_of(result):
+def z_scores(result):
     return [
         (c.value - TRUTH[symbol]) / c.u
         for symbol, c in result.accelerometers["Qx"].coefficients.items()
@@ -85,12 +85,12 @@ def z_of(result):
 
 @pytest.mark.parametrize("noise", [True, False], ids=["stated", "found"])
 @pytest.mark.parametrize("dense", [False, True], ids=["points", "blocks"])
-def test_a_force_is_that_of_the_angle_s_time(noise, dense, tmp_path):
-    """Blocks of seven samples: their spread is that of the angles."""
+def test_force_is_evaluated_at_time_of_angle(noise, dense, tmp_path):
+    """Blocks of seven samples: their scatter is that of the angles."""
     size = {"per_revolution": 500, "revolutions": 12} if dense else {}
-    result = cs.calibrate(campaign(tmp_path, "specific_force", noise, 1, **size))
+    result = cs.calibrate(write_campaign(tmp_path, "specific_force", noise, 1, **size))
     assert result.state == "good"
-    assert np.abs(z_of(result)).max() < 4.0
+    assert np.abs(z_scores(result)).max() < 4.0
     # Weighted by the slopes alone, K_II of the points has a u of 4e-6.
     assert result.coefficient("Qx.K_II").u < 2e-8
 
@@ -98,12 +98,12 @@ def test_a_force_is_that_of_the_angle_s_time(noise, dense, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["joint", "two-stage"])
 @pytest.mark.parametrize("noise", [True, False], ids=["stated", "found"])
-def test_both_methods_follow_the_angle_in_displacement(method, noise, tmp_path):
+def test_both_methods_use_angle_for_displacement(method, noise, tmp_path):
     z = []
     for seed in range(3 if noise else 1):
-        result = cs.calibrate(campaign(tmp_path, "displacement", noise, seed), method=method)
+        result = cs.calibrate(write_campaign(tmp_path, "displacement", noise, seed), method=method)
         assert "methods-disagree" not in {finding.code for finding in result.findings}
-        z += z_of(result)
+        z += z_scores(result)
         found = result.accelerometers["Qx"].noise.get("timing")
         if method == "joint" and not noise:
             assert found.value == pytest.approx(TIMING, rel=0.1)

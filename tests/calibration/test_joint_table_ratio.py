@@ -1,4 +1,4 @@
-"""Records of an instrument on a table that turns on the arm at another ratio than -1."""
+"""Records of an instrument on a table on the arm with a ratio other than -1."""
 
 import math
 
@@ -13,8 +13,8 @@ TRUTH = {"K_F": 1e-3, "K_I": 1.001, "K_II": 2e-5, "K_III": 1e-6}
 RATES = (3.0, 6.0, 9.0)
 
 
-def described(ratio, seed=1, *, mixed=False):
-    """Return a campaign whose machine has errors that are drawn from their default priors."""
+def describe(ratio, seed=1, *, mixed=False):
+    """Return a campaign whose machine errors are drawn from their default priors."""
     draw = np.random.default_rng(seed).standard_normal
     arcsec = math.pi / 648000.0
     waves = draw((2, 2)) * arcsec
@@ -74,7 +74,7 @@ def described(ratio, seed=1, *, mixed=False):
     }
 
 
-def calibrated(description):
+def calibrate_description(description):
     result = cs.calibrate(cs.simulate(cs.make_campaign(description)))
     return result.accelerometers["A"]
 
@@ -82,11 +82,11 @@ def calibrated(description):
 def assert_truth_is_covered(descriptions, limit):
     """Assert that z of all terms is below 4, and the sum of squares for K_II and K_III its limit.
 
-    limit: Of chi-square at 99.9 %, with two degrees of freedom for each campaign.
+    limit: 99.9 % quantile of chi-square with two degrees of freedom for each campaign.
     """
     squares = []
     for description in descriptions:
-        accelerometer = calibrated(description)
+        accelerometer = calibrate_description(description)
         assert accelerometer.state != "contradicted"
         for symbol, value in TRUTH.items():
             found = accelerometer.coefficients[symbol]
@@ -98,12 +98,12 @@ def assert_truth_is_covered(descriptions, limit):
 
 
 @pytest.mark.parametrize("ratio", [-2, "1/2"])
-def test_coefficients_are_found_within_their_uncertainty(ratio):
-    assert_truth_is_covered([described(ratio, seed) for seed in range(3)], 22.5)
+def test_coefficients_agree_with_truth(ratio):
+    assert_truth_is_covered([describe(ratio, seed) for seed in range(3)], 22.5)
 
 
-def test_runs_of_several_ratios_give_one_result():
-    accelerometer = calibrated(described(-2, mixed=True))
+def test_runs_with_several_ratios_are_fitted_jointly():
+    accelerometer = calibrate_description(describe(-2, mixed=True))
     found = accelerometer.coefficients["K_II"]
     assert accelerometer.state == "good"
     assert abs(found.value - TRUTH["K_II"]) < 4.0 * found.u
@@ -116,9 +116,9 @@ INDEXED_ANGLES = (0, 40, 90, 140, 180, 230, 270, 320)
 U_ANGLE = math.radians(0.01)
 
 
-def indexed(seed, u_text="± 0.01 "):
-    """Return a campaign with a table that is clamped on the arm at eight angles, at two rates."""
-    description = described(0, seed)
+def describe_indexed(seed, u_text="± 0.01 "):
+    """Return a campaign with a table clamped at eight angles, at two rates."""
+    description = describe(0, seed)
     errors = np.random.default_rng(100 + seed).standard_normal(2 * len(INDEXED_ANGLES)) * U_ANGLE
     description["truth"]["table"].pop("harmonic")
     description["runs"] = [
@@ -136,20 +136,20 @@ def indexed(seed, u_text="± 0.01 "):
     return description
 
 
-def test_an_indexed_table_has_an_uncertain_angle_in_each_run():
-    assert_truth_is_covered([indexed(1)], 13.8)
+def test_indexed_table_has_uncertain_angle_per_run():
+    assert_truth_is_covered([describe_indexed(1)], 13.8)
 
 
-def test_the_stated_uncertainty_of_a_table_angle_is_the_prior_of_its_run():
-    stated = make_unknowns(cs.make_campaign(indexed(0)))
-    default = make_unknowns(cs.make_campaign(indexed(0, "")))
+def test_stated_uncertainty_of_table_angle_is_prior_of_run():
+    stated = make_unknowns(cs.make_campaign(describe_indexed(0)))
+    default = make_unknowns(cs.make_campaign(describe_indexed(0, "")))
     for unknowns, u in ((stated, U_ANGLE), (default, 10.0 * math.pi / 648000.0)):
         priors = [u.prior for u in unknowns.unknowns if u.symbol == "platform.tilt.up"]
         assert len(priors) == 2 * len(INDEXED_ANGLES)
         assert priors == [(0.0, pytest.approx(u))] * len(priors)
 
 
-def without(description, *path):
+def remove_key(description, *path):
     *sections, key = path
     table = description
     for section in sections:
@@ -158,26 +158,26 @@ def without(description, *path):
     return description
 
 
-def with_model(key, value):
-    description = described(-2)
+def set_model(key, value):
+    description = describe(-2)
     description["model"][key] = value
     return description
 
 
-def with_attitude(ratio, attitude):
-    description = described(ratio)
+def set_attitude(ratio, attitude):
+    description = describe(ratio)
     description["runs"][0]["attitude"] = attitude
     return description
 
 
-def with_response():
-    description = described(3)
+def add_response():
+    description = describe(3)
     description["accelerometers"]["A"] |= {"natural_frequency": "200 Hz", "damping": "0.7"}
     return description
 
 
-def with_displacement():
-    description = described(-2)
+def set_displacement():
+    description = describe(-2)
     accelerometer = description["accelerometers"]["A"]
     del accelerometer["specific_force"]
     accelerometer["displacement"] = {"column": "f", "unit": "m"}
@@ -188,28 +188,31 @@ def with_displacement():
 @pytest.mark.parametrize(
     ("description", "message"),
     [
-        (without(described(-2), "centrifuge", "strapped"), "write strapped = true in [centrifuge]"),
-        (without(described(0), "records", "angle"), "record the angle of the spindle"),
-        (with_displacement(), "record specific_force, because displacement along a turning axis"),
         (
-            with_attitude(-1, "30 ± 0.01 deg about up"),
+            remove_key(describe(-2), "centrifuge", "strapped"),
+            "write strapped = true in [centrifuge]",
+        ),
+        (remove_key(describe(0), "records", "angle"), "record the angle of the spindle"),
+        (set_displacement(), "record specific_force, because displacement along a turning axis"),
+        (
+            set_attitude(-1, "30 ± 0.01 deg about up"),
             "must not have an uncertainty here; state a prior for platform.tilt",
         ),
         (
-            with_attitude(0, "90 ± 0.01 deg about east"),
+            set_attitude(0, "90 ± 0.01 deg about east"),
             "must not have an uncertainty here; state a prior for platform.tilt",
         ),
-        (described("2/0"), "must be a number, or a fraction such as 1/2"),
-        (with_response(), "is larger than 2; the force then has harmonics"),
-        (described(100), "must be between -16 and 16"),
-        (with_model("terms", ["K_II", "table.lever_arm"]), "in addition to the requested terms"),
+        (describe("2/0"), "must be a number, or a fraction such as 1/2"),
+        (add_response(), "is larger than 2; the force then has harmonics"),
+        (describe(100), "must be between -16 and 16"),
+        (set_model("terms", ["K_II", "table.lever_arm"]), "in addition to the requested terms"),
         (
-            {**described(-1), "model": {"priors": {"table.lever_arm": "0 ± 1 mm"}}},
+            {**describe(-1), "model": {"priors": {"table.lever_arm": "0 ± 1 mm"}}},
             "acts only in runs with a table_ratio other than -1",
         ),
     ],
 )
-def test_what_a_ratio_needs_is_said(description, message):
+def test_table_ratio_errors_state_requirement(description, message):
     with pytest.raises(CampaignError) as refused:
         cs.make_campaign(description)
     assert message in str(refused.value)

@@ -40,7 +40,7 @@ def calibrate(folder, u_radius, prior="", rates=RATES):
     return cs.calibrate(folder, monte_carlo=200_000)
 
 
-def test_a_large_uncertainty_of_the_radius_has_a_second_order_response(tmp_path):
+def test_large_radius_uncertainty_has_second_order_response(tmp_path):
     """K_I = 1/(1 + x) for a radius of 1 + x m, with x normal.
 
     At -2 u the exact value differs from the linear one by (2 u)^2/(1 - 2 u).
@@ -53,14 +53,14 @@ def test_a_large_uncertainty_of_the_radius_has_a_second_order_response(tmp_path)
     exact = 1.0 / (1.0 + U_RADIUS * stats.norm.ppf(np.linspace(0.0, 1.0, 200_002)[1:-1]))
     # The linear response has 0.0300 and the interval from 0.941 to 1.059.
     assert k_i.u == pytest.approx(exact.std(), rel=0.005)
-    # The shortest interval is shorter by less than 1 %, so the symmetric one is stated.
+    # The shortest interval is less than 1 % shorter, so the symmetric interval is stated.
     assert [k_i.low, k_i.high] == pytest.approx(np.quantile(exact, [0.025, 0.975]), abs=5e-4)
     assert k_i.gum_validated is False
     text = "".join(map(str, interval_blocks("A", result)))
     assert "A second-order response is used for K_I (centrifuge.radius)" in text
 
 
-def test_a_small_uncertainty_of_the_radius_is_linear(tmp_path):
+def test_small_radius_uncertainty_is_linear(tmp_path):
     """At 2 u the second order is (2e-5)^2 = 4e-10; the tolerance for u = 1e-5 is 5e-7."""
     result = calibrate(tmp_path, 1e-5)
     k_i = result.accelerometers["A"].monte_carlo["K_I"]
@@ -71,8 +71,8 @@ def test_a_small_uncertainty_of_the_radius_is_linear(tmp_path):
     assert "use linear sensitivities" in text
 
 
-def test_sources_together_are_measured(tmp_path):
-    """The product of two sources is in no response of one source.
+def test_joint_response_of_sources_is_included(tmp_path):
+    """The product of two sources is not in the response of a single source.
 
     At two rates, K_I = 1/(1 + x) - k (a_1 + a_2) (1 + x) for a radius of 1 + x m and K_II = k.
     """
@@ -97,12 +97,12 @@ def test_sources_together_are_measured(tmp_path):
     assert "by more than the tolerance for K_F, K_I" in text
 
 
-def test_a_parabola_passes_through_its_points():
+def test_response_parabola_passes_through_points():
     response = Response(below=0.3, above=-0.1)
     np.testing.assert_allclose(response.excess(np.array([-2.0, 0.0, 2.0])), [0.3, 0.0, -0.1])
 
 
-def test_a_second_order_source_without_a_first_order_is_drawn():
+def test_purely_second_order_source_is_drawn():
     """The square of a standard normal has mean 1 and standard deviation sqrt(2)."""
     coefficient = Coefficient(value=0.0, u=1.0, dof=None, unit="g", estimated=True)
     errors = draw_errors(

@@ -22,21 +22,21 @@ from counterspin.inference.joint.summary import BudgetLine
 from counterspin.inference.mixture_distribution import estimated_part_dof, mixture_dof
 
 TRIALS = 200_000
-#: Standard deviation of a 2.5 % quantile of so many draws of a normal distribution, over its own.
+#: Relative standard deviation of a 2.5 % quantile of TRIALS normal draws.
 QUANTILE_SD = math.sqrt(0.025 * 0.975 / TRIALS) / stats.norm.pdf(1.96)
 
 
-def line(source, contribution, kind="stated"):
+def make_line(source, contribution, kind="stated"):
     return BudgetLine(source, kind, contribution, "g", 1.0, contribution, 0.5)
 
 
-def coefficient(u, dof=None):
+def make_coefficient(u, dof=None):
     return Coefficient(value=3.0, u=u, dof=dof, unit="g", estimated=True)
 
 
-def drawn(lines, shapes=None, dof=None, trials=TRIALS):
+def draw_coefficient(lines, shapes=None, dof=None, trials=TRIALS):
     u = math.sqrt(sum(item.contribution**2 for item in lines))
-    of = coefficient(u, dof)
+    of = make_coefficient(u, dof)
     errors = draw_errors(lines, of, shapes or {}, trials, np.random.default_rng(1), {})
     return errors, interval_of(errors, of)
 
@@ -49,9 +49,11 @@ def drawn(lines, shapes=None, dof=None, trials=TRIALS):
         ("arcsine", math.sqrt(2.0) * math.sin(0.475 * math.pi)),
     ],
 )
-def test_a_dominating_input_with_limits_has_their_interval(shape, half_width):
-    """By its distribution function; the GUM interval is 1.96 u and is not validated."""
-    errors, interval = drawn([line("K_PP", 1.0)], {"K_PP": InputDistribution(shape)})
+def test_interval_of_dominant_bounded_input(shape, half_width):
+    """Compare with the distribution function; the GUM interval 1.96 u is not validated."""
+    errors, interval = draw_coefficient(
+        [make_line("K_PP", 1.0)], {"K_PP": InputDistribution(shape)}
+    )
     assert errors.std() == pytest.approx(1.0, abs=0.01)
     assert [interval.low, interval.high] == pytest.approx(
         [3.0 - half_width, 3.0 + half_width], abs=0.02
@@ -59,55 +61,64 @@ def test_a_dominating_input_with_limits_has_their_interval(shape, half_width):
     assert interval.gum_validated is (abs(half_width - 1.96) < interval.tolerance)
 
 
-def test_the_interval_of_a_rectangular_input_covers_95_percent():
-    """200,000 true errors from the same limits; the GUM's 1.96 u = 1.13 a covers all of them."""
-    _, interval = drawn([line("K_PP", 1.0)], {"K_PP": InputDistribution("rectangular")})
+def test_interval_of_rectangular_input_covers_95_percent():
+    """200,000 true errors from the same limits; the GUM interval 1.96 u = 1.13 a covers all."""
+    _, interval = draw_coefficient(
+        [make_line("K_PP", 1.0)], {"K_PP": InputDistribution("rectangular")}
+    )
     truths = np.random.default_rng(2).uniform(-math.sqrt(3.0), math.sqrt(3.0), TRIALS)
     covered = np.mean((interval.low - 3.0 <= truths) & (truths <= interval.high - 3.0))
     assert covered == pytest.approx(0.95, abs=5.0 * math.sqrt(0.05 * 0.95 / TRIALS) * math.sqrt(2))
     assert np.abs(truths).max() < 1.96
 
 
-def test_a_held_prior_is_drawn_from_its_distribution():
-    errors, _ = drawn([line("K_PP", 1.0, "held")], {"K_PP": InputDistribution("rectangular")})
+def test_held_prior_is_drawn_from_its_distribution():
+    errors, _ = draw_coefficient(
+        [make_line("K_PP", 1.0, "held")], {"K_PP": InputDistribution("rectangular")}
+    )
     assert np.abs(errors).max() <= math.sqrt(3.0)
 
 
-def test_normal_inputs_validate_the_gum():
-    _, interval = drawn([line("a", 0.6), line("noise of A", 0.8, "noise")])
+def test_normal_inputs_validate_gum_interval():
+    _, interval = draw_coefficient([make_line("a", 0.6), make_line("noise of A", 0.8, "noise")])
     half_width = stats.norm.ppf(0.975)
     assert interval.u == pytest.approx(1.0, abs=4.0 / math.sqrt(2 * TRIALS))
     assert interval.high - interval.low == pytest.approx(2.0 * half_width, abs=20 * QUANTILE_SD)
     assert interval.gum_validated is True
 
 
-def test_an_estimated_noise_is_drawn_from_student_s_t():
-    errors, interval = drawn([line("noise of A", 1.0, "noise")], dof=5.0)
+def test_estimated_noise_is_drawn_from_student_t():
+    errors, interval = draw_coefficient([make_line("noise of A", 1.0, "noise")], dof=5.0)
     assert stats.kstest(errors, stats.t(5.0).cdf).pvalue > 1e-3
     assert interval.gum_validated is not False  # the GUM's interval is that of Student's t
 
 
 @pytest.mark.parametrize(("share", "noise_dof"), [(0.1, 3.0), (0.4, 3.0), (0.9, 5.0)])
-def test_noise_of_few_degrees_of_freedom_beside_a_known_part(share, noise_dof):
-    """The degrees of freedom of u are those of the whole; draws take those of the noise alone."""
+def test_noise_with_few_degrees_of_freedom_and_known_part(share, noise_dof):
+    """u has the effective degrees of freedom; draws use those of the noise alone."""
     dof = mixture_dof(share, noise_dof)
     assert estimated_part_dof(share, dof) == pytest.approx(noise_dof, rel=1e-3)
-    lines = [line("K_PP", math.sqrt(1.0 - share)), line("noise of A", math.sqrt(share), "noise")]
-    errors, interval = drawn(lines, dof=dof)
+    lines = [
+        make_line("K_PP", math.sqrt(1.0 - share)),
+        make_line("noise of A", math.sqrt(share), "noise"),
+    ]
+    errors, interval = draw_coefficient(lines, dof=dof)
     # The variance of Student's t of 3 degrees of freedom is 3.
     variance = 1.0 - share + share * noise_dof / (noise_dof - 2.0)
     assert errors.std() == pytest.approx(math.sqrt(variance), rel=0.05)
     assert interval.gum_validated is not False
 
 
-def test_a_stated_t_has_its_tails():
-    errors, interval = drawn([line("K_PP", 1.0)], {"K_PP": InputDistribution("t", 4.0)})
+def test_stated_t_distribution_has_its_tails():
+    errors, interval = draw_coefficient(
+        [make_line("K_PP", 1.0)], {"K_PP": InputDistribution("t", 4.0)}
+    )
     assert stats.kstest(errors, stats.t(4.0).cdf).pvalue > 1e-3
     assert interval.gum_validated is False
 
 
-def test_the_shortest_interval_of_a_skewed_sample_starts_at_its_edge():
-    """Of an exponential distribution it begins at zero and ends at ln 20 = 2.996."""
+def test_shortest_interval_of_exponential_sample_starts_at_zero():
+    """For an exponential distribution the interval is from 0 to ln 20 = 2.996."""
     low, high = shortest_interval(np.random.default_rng(4).exponential(size=TRIALS))
     assert low == pytest.approx(0.0, abs=5e-3)
     assert high == pytest.approx(math.log(20.0), abs=0.05)
@@ -132,7 +143,7 @@ def test_the_shortest_interval_of_a_skewed_sample_starts_at_its_edge():
         ),
     ],
 )
-def test_every_form_of_a_prior_has_its_u(table, u, shape):
+def test_prior_forms_have_expected_u(table, u, shape):
     prior = parse_prior(table, "g/g^2", gravity=None)
     assert prior.u == pytest.approx(u, rel=1e-12)
     assert prior.distribution.shape == shape
@@ -161,7 +172,7 @@ LIMITS = '{ value = "0 g/g^2", half_width = "2e-5 g/g^2", distribution = "rectan
 
 
 @pytest.mark.parametrize("key", ["K_PP", "A.K_PP", '"A.K_PP"'])
-def test_a_calibration_draws_its_priors(tmp_path, capsys, key):
+def test_calibration_draws_from_priors(tmp_path, capsys, key):
     text = CAMPAIGN.format(prior=f"{key} = {LIMITS}") + RUNS
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
     result = cs.calibrate(tmp_path, monte_carlo=100_000)
@@ -191,7 +202,7 @@ def test_a_calibration_draws_its_priors(tmp_path, capsys, key):
         ),
     ],
 )
-def test_a_wrong_table_is_named(tmp_path, prior, message):
+def test_invalid_prior_table_is_named(tmp_path, prior, message):
     (tmp_path / "campaign.toml").write_text(CAMPAIGN.format(prior=prior) + RUNS, encoding="utf-8")
     with pytest.raises(CampaignError, match=message) as caught:
         cs.calibrate(tmp_path)
@@ -199,14 +210,14 @@ def test_a_wrong_table_is_named(tmp_path, prior, message):
 
 
 @pytest.mark.parametrize("trials", [1, 9_999, 10_000_001])
-def test_numbers_of_trials_that_make_no_sense(tmp_path, trials):
+def test_rejects_invalid_number_of_trials(tmp_path, trials):
     with pytest.raises(CampaignError, match="10000 to 10000000 trials"):
         cs.calibrate(tmp_path, monte_carlo=trials)
 
 
-def test_terms_of_a_run_and_of_all_are_drawn_by_their_symbol():
-    """A budget names the tilt of a run with the run, and the own terms without their owner."""
-    lines = [line(source, 0.1) for source in ("run1.platform.tilt.east", "K_PP", "Qy.K_PP")]
+def test_run_and_common_terms_are_drawn_by_symbol():
+    """Budgets name a tilt with its run, and terms of the accelerometer without its name."""
+    lines = [make_line(source, 0.1) for source in ("run1.platform.tilt.east", "K_PP", "Qy.K_PP")]
     limited = InputDistribution("rectangular")
     stated = {"platform.tilt.east": limited, "Qx.K_PP": limited}
     sources = [item.source for item in lines]
@@ -236,7 +247,7 @@ def arm_runs():
         )
 
 
-def limited(value, half_width, unit, shape="rectangular"):
+def limited_quantity(value, half_width, unit, shape="rectangular"):
     return (
         f'{{ value = "{value} {unit}", half_width = "{half_width} {unit}", '
         f'distribution = "{shape}" }}'
@@ -246,15 +257,25 @@ def limited(value, half_width, unit, shape="rectangular"):
 @pytest.mark.parametrize(
     ("gravity", "radius", "relative", "width"),
     [
-        ('"9.8 m/s^2"', limited(1.0, 1e-4, "m"), 1e-4, 0.95),
-        (limited(9.8, 9.8e-4, "m/s^2"), '"1 m"', 1e-4, 0.95),
-        # Sum of a rectangular and an equal one: triangular, of twice the half-width.
-        (limited(9.8, 9.8e-4, "m/s^2"), limited(1.0, 1e-4, "m"), 2e-4, 1.0 - math.sqrt(0.05)),
-        ('"9.8 m/s^2"', limited(1.0, 1e-4, "m", "arcsine"), 1e-4, math.sin(0.475 * math.pi)),
+        ('"9.8 m/s^2"', limited_quantity(1.0, 1e-4, "m"), 1e-4, 0.95),
+        (limited_quantity(9.8, 9.8e-4, "m/s^2"), '"1 m"', 1e-4, 0.95),
+        # The sum of two equal rectangular distributions is triangular with twice the half-width.
+        (
+            limited_quantity(9.8, 9.8e-4, "m/s^2"),
+            limited_quantity(1.0, 1e-4, "m"),
+            2e-4,
+            1.0 - math.sqrt(0.05),
+        ),
+        (
+            '"9.8 m/s^2"',
+            limited_quantity(1.0, 1e-4, "m", "arcsine"),
+            1e-4,
+            math.sin(0.475 * math.pi),
+        ),
     ],
 )
-def test_inputs_of_site_and_centrifuge_are_drawn(tmp_path, gravity, radius, relative, width):
-    """K_I is proportional to gravity over radius; everything else is known to 1e-9."""
+def test_site_and_centrifuge_inputs_are_drawn(tmp_path, gravity, radius, relative, width):
+    """K_I is proportional to gravity over radius; all other inputs are known to 1e-9."""
     text = ARM.format(gravity=gravity, radius=radius, axis="west") + "".join(arm_runs())
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
     result = cs.calibrate(tmp_path, monte_carlo=100_000)
@@ -264,7 +285,7 @@ def test_inputs_of_site_and_centrifuge_are_drawn(tmp_path, gravity, radius, rela
 
 
 def shape_is_near_normal(width):
-    """A triangular distribution has the 95 % interval of a normal one within 3 %."""
+    """Return whether the 95 % interval is within 3 % of a normal one (triangular)."""
     return width == 1.0 - math.sqrt(0.05)
 
 
@@ -273,10 +294,10 @@ def shape_is_near_normal(width):
     [
         ('{ value = "1 m", half_width = "1 mm" }', '"3 rad/s"', "give value with u"),
         ('{ value = "1 ± 0.1 m", u = "1 mm" }', '"3 rad/s"', "value must not have an uncertainty"),
-        ('"1 m"', limited(3.0, 1e-3, "rad/s"), "random errors of individual readings"),
+        ('"1 m"', limited_quantity(3.0, 1e-3, "rad/s"), "random errors of individual readings"),
     ],
 )
-def test_wrong_tables_of_inputs_are_named(tmp_path, radius, rate, message):
+def test_invalid_input_tables_are_named(tmp_path, radius, rate, message):
     text = ARM.format(gravity='"9.8 m/s^2"', radius=radius, axis="west") + "".join(arm_runs())
     text = text.replace('rate = "3.0 rad/s"', f"rate = {rate}")
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
@@ -284,8 +305,8 @@ def test_wrong_tables_of_inputs_are_named(tmp_path, radius, rate, message):
         cs.calibrate(tmp_path)
 
 
-def test_a_campaign_in_memory_keeps_a_distribution(tmp_path):
-    text = ARM.format(gravity='"9.8 m/s^2"', radius=limited(1.0, 1e-4, "m"), axis="west")
+def test_campaign_in_memory_keeps_distribution(tmp_path):
+    text = ARM.format(gravity='"9.8 m/s^2"', radius=limited_quantity(1.0, 1e-4, "m"), axis="west")
     (tmp_path / "campaign.toml").write_text(text + "".join(arm_runs()), encoding="utf-8")
     campaign = cs.read_campaign(tmp_path)
     shorter = campaign.change({"centrifuge": {"radius": cs.Quantity(0.9, 1e-4, "m")}})

@@ -1,4 +1,4 @@
-"""Observed runs: each record is held to the motion that the campaign describes."""
+"""Observed runs: records are checked against the described motion."""
 
 import math
 import re
@@ -14,12 +14,12 @@ from counterspin.calibration.observed_runs import observe
 from counterspin.errors import RecordError
 from counterspin.simulation.simulate import simulate
 
-#: What an observable's columns are called in the description, and its noise.
+#: Keys of the columns of an observable in the description, and its noise.
 OBSERVED = {"velocity": ("m/s", "0.01 m/s"), "specific_force": ("g", "1e-4 g")}
 
 
-def described(observable):
-    """The small campaign, of another observable."""
+def describe(observable):
+    """Return the small campaign with another observable."""
     unit, noise = OBSERVED[observable]
     pairs = [
         (
@@ -32,23 +32,23 @@ def described(observable):
 
 
 @pytest.fixture(scope="module", params=OBSERVED)
-def recorded(request, tmp_path_factory):
-    """Such a campaign's folder and description, and one record as it was made."""
+def recorded_run(request, tmp_path_factory):
+    """Return the folder, the description and an original record of the campaign."""
     folder = tmp_path_factory.mktemp(request.param)
-    text = described(request.param)
+    text = describe(request.param)
     simulate(campaign_of(folder, text), folder)
     return folder, text, pl.read_csv(folder / "slow.csv")
 
 
-def test_a_record_of_the_motion_is_read(recorded):
-    folder, text, _ = recorded
+def test_record_of_described_motion_is_read(recorded_run):
+    folder, text, _ = recorded_run
     assert len(list(observe(campaign_of(folder, text)))) == 3
 
 
-def test_ripple_is_not_lost_in_means_over_blocks(tmp_path):
-    """Of a perfect instrument nothing may be left, also where the spindle is uneven."""
+def test_block_means_preserve_ripple(tmp_path):
+    """The error of a perfect instrument is zero, also with rate ripple."""
     perfect = changed(
-        described("specific_force"),
+        describe("specific_force"),
         ('sampling_rate = "20 Hz"', 'sampling_rate = "250 Hz"'),
         ("revolutions = 20", "revolutions = 4"),
         ("ratio = 1e-5", "ratio = 5e-4"),
@@ -63,7 +63,7 @@ def test_ripple_is_not_lost_in_means_over_blocks(tmp_path):
     for signal in slow.signals.values():
         # Tangential force of the ripple is 3e-3 m/s^2, of which means over 1/64 revolution lose
         # 4e-4: 1.2e-6 m/s^2. The rule of two points leaves 1e-7 of the force of 6 m/s^2.
-        # Without noise the record's ends stand out from their neighbours and are left out.
+        # Without noise the ends of the record are rejected as outliers.
         assert np.count_nonzero(np.isfinite(signal.error)) > 0.9 * signal.error.size
         assert np.nanmax(np.abs(signal.error)) < 3e-7
 
@@ -80,8 +80,8 @@ def test_ripple_is_not_lost_in_means_over_blocks(tmp_path):
     ],
     ids=["sign", "axes", "thousand", "gravity", "zero", "sense"],
 )
-def test_a_record_that_is_not_of_the_motion_is_refused(recorded, tmp_path, change, words):
-    folder, text, record = recorded
+def test_rejects_record_of_other_motion(recorded_run, tmp_path, change, words):
+    folder, text, record = recorded_run
     for file in folder.glob("*.csv"):
         (tmp_path / file.name).write_bytes(file.read_bytes())
     record.with_columns(change).write_csv(tmp_path / "slow.csv")
@@ -91,24 +91,24 @@ def test_a_record_that_is_not_of_the_motion_is_refused(recorded, tmp_path, chang
 
 
 @pytest.mark.parametrize("radius", ["0.9 m", "25 m"])
-def test_a_radius_that_is_far_off_is_refused(recorded, radius):
-    folder, text, _ = recorded
+def test_rejects_wrong_radius(recorded_run, radius):
+    folder, text, _ = recorded_run
     with pytest.raises(RecordError, match="the radius"):
         list(observe(campaign_of(folder, changed(text, ('"2.5 m"', f'"{radius}"')))))
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory):
+def plain_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plain")
     simulate(campaign_of(folder, SMALL), folder)
     return folder
 
 
 @pytest.mark.parametrize("name", ["copy.csv", "copy.parquet", "sub/../slow.csv"])
-def test_the_same_record_twice_is_refused(plain, tmp_path, name):
+def test_rejects_duplicate_record(plain_folder, tmp_path, name):
     (tmp_path / "sub").mkdir()
-    record = pl.read_csv(plain / "slow.csv")
-    for file in plain.glob("*.csv"):
+    record = pl.read_csv(plain_folder / "slow.csv")
+    for file in plain_folder.glob("*.csv"):
         (tmp_path / file.name).write_bytes(file.read_bytes())
     record.write_csv(tmp_path / "copy.csv")
     record.write_parquet(tmp_path / "copy.parquet")
@@ -127,8 +127,8 @@ REFERENCE = 'reference = "own velocity"\n'
 AXES = (("Qx", "east", "down"), ("Qy", "north", "down"), ("Qz", "up", "east"))
 
 
-def three_axes(observable, unit, noise):
-    """A computer that takes its own velocity, and the errors of all three axes."""
+def describe_three_axes(observable, unit, noise):
+    """Describe a computer that uses its own velocity, with errors of all three axes."""
     accelerometers = "".join(
         f'[accelerometers.{name}]\ninput_axis = "{axis}"\npendulous_axis = "{pendulous}"\n'
         f'{observable} = {{ column = "{name}", unit = "{unit}" }}\n'
@@ -164,15 +164,15 @@ angle = "1e-6 rad"
     scope="module", params=[("displacement", "m", "0.01 m"), ("velocity", "m/s", "0.001 m/s")]
 )
 def own_velocity(request, tmp_path_factory):
-    """The description, and the folder of its records."""
+    """Return the description and the folder of its records."""
     folder = tmp_path_factory.mktemp(request.param[0])
-    text = three_axes(*request.param)
+    text = describe_three_axes(*request.param)
     simulate(campaign_of(folder, text), folder)
     return folder, text
 
 
-def far_off(result):
-    """What is more than three of its u from the truth."""
+def biased_coefficients(result):
+    """Return the coefficients that differ from the truth by more than 3 u."""
     return {
         f"{name}.{symbol}"
         for name, values in TRUTH.items()
@@ -182,10 +182,10 @@ def far_off(result):
     }
 
 
-def test_what_the_computers_own_velocity_took_off_is_put_back(own_velocity):
+def test_correction_by_own_velocity_is_reversed(own_velocity):
     folder, text = own_velocity
     result = calibrate(campaign_of(folder, text))
-    assert far_off(result) == set()
+    assert biased_coefficients(result) == set()
     assert result.accelerometers["Qx"].coefficients["K_F"].u < 1e-7
     assert "own-velocity" not in {f.code for f in result.findings}
     for accelerometer in result.accelerometers.values():
@@ -193,7 +193,7 @@ def test_what_the_computers_own_velocity_took_off_is_put_back(own_velocity):
         assert abs(left.chi2 - left.dof) < 5.0 * math.sqrt(2.0 * left.dof)
 
 
-def test_an_uncertain_latitude_counts_in_what_is_put_back(own_velocity):
+def test_uncertainty_of_latitude_propagates_through_own_velocity(own_velocity):
     folder, text = own_velocity
     latitudes = ("45.75 ± 0.05 deg", "45.8 ± 0.05 deg")
     here, there = (
@@ -203,7 +203,7 @@ def test_an_uncertain_latitude_counts_in_what_is_put_back(own_velocity):
                 changed(
                     text,
                     ('"45.75 deg"', f'"{latitude}"'),
-                    # Weighed, it would be found from the records.
+                    # With a prior it would be estimated from the records.
                     ('assume = "all"\n', 'assume = "all"\nhold = ["site.latitude"]\n'),
                 ),
             )
@@ -215,14 +215,14 @@ def test_an_uncertain_latitude_counts_in_what_is_put_back(own_velocity):
         budget = here.accelerometers[name].budget["K_F"]
         (line,) = (one for one in budget if one.source == "site.latitude")
         moved = line.sensitivity * math.radians(0.05)
-        assert abs(moved) > 5e-9  # nothing without it
+        assert abs(moved) > 5e-9  # no change without it
         assert after.value - before.value == pytest.approx(moved, rel=0.02)
 
 
-def test_own_velocity_is_told_where_it_is_not_stated(own_velocity):
+def test_unstated_own_velocity_is_named(own_velocity):
     folder, text = own_velocity
     result = calibrate(campaign_of(folder, changed(text, (REFERENCE, ""))))
-    assert {"Qx.K_F", "Qx.K_II", "Qy.K_F", "Qz.K_F"} <= far_off(result)
+    assert {"Qx.K_F", "Qx.K_II", "Qy.K_F", "Qz.K_F"} <= biased_coefficients(result)
     (found,) = (f for f in result.findings if f.code == "own-velocity")
     assert result.findings[0] == found
     assert found.contradicts
@@ -231,27 +231,30 @@ def test_own_velocity_is_told_where_it_is_not_stated(own_velocity):
     assert 'enter reference = "own velocity"' in found.text
 
 
-def test_own_velocity_that_is_stated_wrongly_is_told(own_velocity, tmp_path):
+def test_wrongly_stated_own_velocity_is_named(own_velocity, tmp_path):
     _, text = own_velocity
     simulate(campaign_of(tmp_path / "given", changed(text, (REFERENCE, ""))), tmp_path)
     result = calibrate(campaign_of(tmp_path, text))
     (found,) = (f for f in result.findings if f.code == "own-velocity")
     assert 'enter reference = "platform"' in found.text
-    assert far_off(calibrate(campaign_of(tmp_path, changed(text, (REFERENCE, ""))))) == set()
+    assert (
+        biased_coefficients(calibrate(campaign_of(tmp_path, changed(text, (REFERENCE, "")))))
+        == set()
+    )
 
 
-def test_what_is_left_of_gravity_acts_through_the_computers_velocity(tmp_path):
-    """3e-4 m/s^2 that are left upwards move the east by 2 Omega cos L 3e-4 t^3/6."""
+def test_remaining_gravity_acts_through_own_velocity(tmp_path):
+    """A remaining 3e-4 m/s^2 upwards gives 2 Omega cos L 3e-4 t^3/6 towards east."""
     site = ('"9.8066 m/s^2"', '"9.8066 m/s^2"\nremoved_gravity = "9.8063 m/s^2"')
-    text = changed(three_axes("displacement", "m", "1e-5 m"), site)
+    text = changed(describe_three_axes("displacement", "m", "1e-5 m"), site)
     simulate(campaign_of(tmp_path, text), tmp_path)
     result = calibrate(campaign_of(tmp_path, text))
-    assert far_off(result) == set()
+    assert biased_coefficients(result) == set()
     assert not {"own-velocity", "lack-of-fit"} & {f.code for f in result.findings}
 
 
-def detrended(folder, text, count, tmp_path, files=("slow", "middle", "fast")):
-    """Return the campaign with what a recorder makes that removes so many of 1, t and t^2."""
+def detrend_records(folder, text, count, tmp_path, files=("slow", "middle", "fast")):
+    """Return the campaign with records from which the first `count` of 1, t and t^2 are removed."""
     for name in ("slow", "middle", "fast"):
         record = pl.read_csv(folder / f"{name}.csv")
         column = record.columns[2]
@@ -265,10 +268,10 @@ def detrended(folder, text, count, tmp_path, files=("slow", "middle", "fast")):
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3])
-def test_a_removed_line_or_parabola_is_refused_where_it_decides(recorded, tmp_path, count):
-    folder, text, _ = recorded
-    campaign = detrended(folder, text, count, tmp_path)
-    # The start velocity, an unknown of a record of velocity, takes up a mean.
+def test_rejects_detrended_record_if_relevant(recorded_run, tmp_path, count):
+    folder, text, _ = recorded_run
+    campaign = detrend_records(folder, text, count, tmp_path)
+    # The start velocity, an unknown of a velocity record, absorbs the mean.
     harmless = 1 if "velocity = {" in text else 0
     if count <= harmless:
         assert len(list(observe(campaign))) == 3
@@ -279,18 +282,20 @@ def test_a_removed_line_or_parabola_is_refused_where_it_decides(recorded, tmp_pa
 
 
 @pytest.fixture(scope="module")
-def displaced(tmp_path_factory):
+def displacement_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("displacement")
     simulate(campaign_of(folder, SMALL), folder)
     return folder
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
-def test_of_displacement_only_a_parabola_decides(displaced, tmp_path, count):
-    campaign = detrended(displaced, SMALL, count, tmp_path)
+def test_only_parabola_removed_from_displacement_is_an_error(displacement_folder, tmp_path, count):
+    campaign = detrend_records(displacement_folder, SMALL, count, tmp_path)
     if count < 3:
         result = calibrate(campaign)
-        codes = [finding.code for finding in calibrate(campaign_of(displaced, SMALL)).findings]
+        codes = [
+            finding.code for finding in calibrate(campaign_of(displacement_folder, SMALL)).findings
+        ]
         assert [finding.code for finding in result.findings] == codes
         word = ("mean", "line")[count - 1]
         assert any(f"A {word} was removed" in text for text in result.warnings)
@@ -299,17 +304,20 @@ def test_of_displacement_only_a_parabola_decides(displaced, tmp_path, count):
         calibrate(campaign)
 
 
-def test_one_record_without_its_parabola_is_refused(displaced, tmp_path):
-    # Whichever rows are used of it, its file's rows show what was removed.
+def test_rejects_single_record_without_parabola(displacement_folder, tmp_path):
+    # All rows of the file are tested, whichever rows are used.
     text = SMALL.replace('record = "fast.csv"', 'record = "fast.csv"\nstart = "3 s"')
-    campaign = detrended(displaced, text, 3, tmp_path, files=("fast",))
+    campaign = detrend_records(displacement_folder, text, 3, tmp_path, files=("fast",))
     with pytest.raises(RecordError, match=r"^fast: a parabola was removed"):
         list(observe(campaign))
 
 
-def test_a_good_campaign_has_nothing_removed(displaced):
-    parts = {run.run.name: run.record.polynomials for run in observe(campaign_of(displaced, SMALL))}
+def test_good_campaign_has_no_detrending_finding(displacement_folder):
+    parts = {
+        run.run.name: run.record.polynomials
+        for run in observe(campaign_of(displacement_folder, SMALL))
+    }
     # Rounding would be below 0.02; the noise makes about 1, and a bias of 5 mg 1e5.
     assert min(abs(part[0]) for own in parts.values() for part in own.values()) > 1e3
-    warnings = calibrate(campaign_of(displaced, SMALL)).warnings
+    warnings = calibrate(campaign_of(displacement_folder, SMALL)).warnings
     assert not any("removed" in text for text in warnings)

@@ -1,4 +1,4 @@
-"""Temperatures in records: what they say of an accelerometer's slopes, from closed forms."""
+"""Temperatures in records: slopes of accelerometers against closed forms."""
 
 import math
 
@@ -24,7 +24,7 @@ RISE, WAVE, LENGTH = 0.02, 3.0, 300.0
 SLOW = 2.0 * math.pi / LENGTH
 
 
-def described(observable, rates=(1.5, 3.0), **records):
+def describe(observable, rates=(1.5, 3.0), **records):
     return {
         "site": {"gravity": f"{GRAVITY} m/s^2", "latitude": f"{LATITUDE} deg"},
         "centrifuge": {"radius": f"{RADIUS} m", "reference_temperature": "23 degC"},
@@ -49,8 +49,8 @@ def described(observable, rates=(1.5, 3.0), **records):
     }
 
 
-def upright(observable, rate, seed, noise):
-    """Return what an upright accelerometer's system records that warms up, by hand."""
+def record_upright(observable, rate, seed, noise):
+    """Return the record of an upright accelerometer during warm-up by closed forms."""
     t = np.arange(0.0, LENGTH, 0.05)
     warm = RISE * t + WAVE * np.sin(SLOW * t)
     once = RISE * t**2 / 2.0 + WAVE / SLOW * (1.0 - np.cos(SLOW * t))
@@ -62,7 +62,7 @@ def upright(observable, rate, seed, noise):
     }[observable]
     y = GRAVITY * own
     if observable == "specific_force":
-        # Gravity, and what the Earth turns under the way of the platform to east and west.
+        # Gravity and the Coriolis acceleration of the platform moving east and west.
         eastwards = -RADIUS * rate * np.sin(rate * t)
         y += GRAVITY - 2.0 * EARTH_RATE * math.cos(math.radians(LATITUDE)) * eastwards
     y += noise * np.random.default_rng(seed).standard_normal(t.size)
@@ -73,13 +73,13 @@ def upright(observable, rate, seed, noise):
     ("observable", "noise"),
     [("displacement", 1e-2), ("velocity", 1e-3), ("specific_force", 1e-4)],
 )
-def test_the_slope_is_found_within_runs_that_warm_alike(observable, noise):
-    """Both runs have the same temperatures: only their course tells the slope."""
+def test_slope_is_estimated_within_runs_of_equal_temperature(observable, noise):
+    """Both runs have the same temperatures: only the variation within runs determines the slope."""
     records = {
-        f"r{place}": upright(observable, rate, place, noise)
+        f"r{place}": record_upright(observable, rate, place, noise)
         for place, rate in enumerate((1.5, 3.0))
     }
-    campaign = make_campaign(described(observable), records=records)
+    campaign = make_campaign(describe(observable), records=records)
     result = calibrate(campaign)
     assert result.state == "good", result.findings
     found = result.accelerometers["A"].coefficients
@@ -92,8 +92,8 @@ def test_the_slope_is_found_within_runs_that_warm_alike(observable, noise):
     assert result.inputs.reference_temperature == pytest.approx(296.15)
 
 
-def test_simulated_courses_come_back(tmp_path):
-    """Of two ramps and a way back, with all slopes at once: 95 % within 2.4 u, all within 4."""
+def test_slopes_are_recovered_from_simulated_temperature_profiles(tmp_path):
+    """Two ramps and a return, with all slopes: 95 % within 2.4 u, all within 4 u."""
     text = """
 schema = 1
 [site]
@@ -143,7 +143,7 @@ record = "fast.csv"
 temperature = ["24 degC", "22 degC"]
 """
     campaign = simulate(campaign_of(tmp_path, text))
-    # The records' own column is what counts: with and without the stated temperatures the same.
+    # The column of the record is used, with or without stated temperatures.
     told = calibrate(campaign)
     alone = campaign.change(
         {
@@ -161,9 +161,9 @@ temperature = ["24 degC", "22 degC"]
         assert told.accelerometers["Qx"].coefficients[symbol].value == one.value
 
 
-def test_a_run_that_states_another_temperature_is_refused():
-    records = {f"r{place}": upright("velocity", 1.5, place, 1e-3) for place in (0, 1)}
-    document = described("velocity", rates=(1.5, 1.5))
+def test_rejects_stated_temperature_that_differs_from_record():
+    records = {f"r{place}": record_upright("velocity", 1.5, place, 1e-3) for place in (0, 1)}
+    document = describe("velocity", rates=(1.5, 1.5))
     document["runs"][1]["temperature"] = "300 K"  # within 5 K of 23 to 32 degC
     campaign = make_campaign(document, records=records)
     assert with_recorded_conditions(campaign).runs[1].temperature[0] == pytest.approx(296.15)
@@ -173,10 +173,10 @@ def test_a_run_that_states_another_temperature_is_refused():
         with_recorded_conditions(campaign)
 
 
-def test_a_run_may_have_another_column_or_none_is_needed():
-    document = described("velocity")
+def test_run_may_override_temperature_column():
+    document = describe("velocity")
     document["runs"][0]["records"] = {"temperature": {"column": "probe", "unit": "K"}}
-    first, second = (upright("velocity", rate, 1, 1e-3) for rate in (1.5, 3.0))
+    first, second = (record_upright("velocity", rate, 1, 1e-3) for rate in (1.5, 3.0))
     first = first.with_columns(probe=pl.col("T") + 274.15)
     campaign = make_campaign(document, records={"r0": first, "r1": second})
     one, other = with_recorded_conditions(campaign).runs
@@ -187,8 +187,8 @@ def test_a_run_may_have_another_column_or_none_is_needed():
     assert with_recorded_conditions(bare) is bare
 
 
-def test_what_is_simulated_needs_a_true_course():
-    document = described("velocity")
+def test_simulation_requires_true_temperature():
+    document = describe("velocity")
     document |= {
         "truth": {"A": {"K_F": "1 mg"}, "noise": {"velocity": "1 mm/s"}},
         "simulation": {"revolutions": 10},

@@ -1,4 +1,4 @@
-"""What a result states of its runs and records."""
+"""Statements of a result on its runs and records."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +14,7 @@ from counterspin.records.record import RecordReport, rejected_count
 from counterspin.simulation.simulate import simulate
 
 
-def test_outliers_of_the_fit_are_counted_in_samples(tmp_path):
+def test_rejected_blocks_are_counted_in_samples(tmp_path):
     dense = changed(SMALL, ('sampling_rate = "20 Hz"', 'sampling_rate = "200 Hz"'))
     campaign = campaign_of(tmp_path, dense)
     simulate(campaign, tmp_path)
@@ -29,7 +29,7 @@ def test_outliers_of_the_fit_are_counted_in_samples(tmp_path):
     assert after - before == slow.record.count[place]
 
 
-def report(outliers):
+def make_report(outliers):
     return RecordReport(
         path=Path("r.csv"), rows=1000, used=900, repeated=3, differing=1, empty={"t": 1, "a": 2},
         outliers={"a": outliers, "b": 4}, isolated=0, listed=(), gaps=(), gap_count=2,
@@ -37,8 +37,8 @@ def report(outliers):
     )  # fmt: skip
 
 
-def test_counts_are_summed_over_the_columns():
-    counts = report(10).counts(6)
+def test_counts_are_summed_over_columns():
+    counts = make_report(10).counts(6)
     assert counts == {
         "rows": 1000,
         "repeated": 3,
@@ -53,6 +53,6 @@ def test_counts_are_summed_over_the_columns():
 @pytest.mark.parametrize(
     ("outliers", "accelerometers", "said"), [(46, 1, 0), (47, 1, 1), (96, 2, 0), (97, 2, 1)]
 )
-def test_more_than_a_twentieth_is_said(outliers, accelerometers, said):
-    found = check_outlier_share("A.r", report(outliers).counts(), accelerometers)
+def test_more_than_5_percent_outliers_is_finding(outliers, accelerometers, said):
+    found = check_outlier_share("A.r", make_report(outliers).counts(), accelerometers)
     assert [(f.code, f.subject) for f in found] == [("many-outliers", "A.r")] * said

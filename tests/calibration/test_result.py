@@ -1,4 +1,4 @@
-"""A result file read back: what is damaged is refused, and not applied."""
+"""Reading result files: damaged files are rejected."""
 
 import json
 from pathlib import Path
@@ -38,14 +38,14 @@ RESULT = {
 }
 
 
-def stored(folder, document):
+def write_document(folder, document):
     path = folder / "result.json"
     path.write_text(document if isinstance(document, str) else json.dumps(document))
     return path
 
 
-def test_a_whole_result(tmp_path):
-    found = Result.read(stored(tmp_path, RESULT)).accelerometers["Qx"]
+def test_complete_result_is_read(tmp_path):
+    found = Result.read(write_document(tmp_path, RESULT)).accelerometers["Qx"]
     assert found.coefficients["K_II"].value == 2e-5
 
 
@@ -69,10 +69,10 @@ def test_a_whole_result(tmp_path):
         (json.dumps(RESULT), "[]", "not a result file: Input should be"),
     ],
 )
-def test_damage_is_told(tmp_path, old, new, words):
+def test_damaged_file_is_rejected(tmp_path, old, new, words):
     text = json.dumps(RESULT)
     assert old in text
-    path = stored(tmp_path, text.replace(old, new))
+    path = write_document(tmp_path, text.replace(old, new))
     with pytest.raises(RecordError) as caught:
         Result.read(path)
     assert str(caught.value).startswith(f"{path}: ")
@@ -95,7 +95,7 @@ WHOLE = {"weighed": [[1e-12, 0.0], [0.0, 0.0]], "held": {"K_OO": [1e-6, 0.0]}}
         {"held": {"K_PP": [1e-6, 0.0]}},
     ],
 )
-def test_an_update_whose_matrix_is_of_other_names_is_damage(wrong, tmp_path):
+def test_rejects_what_if_matrix_with_other_names(wrong, tmp_path):
     path = Path(__file__).parents[1] / "frozen" / "schema-2-joint.json"
     document = json.loads(path.read_text(encoding="utf-8")) | {"seal": None}
     document["accelerometers"]["Qx"]["what_if"] = {
@@ -104,63 +104,63 @@ def test_an_update_whose_matrix_is_of_other_names_is_damage(wrong, tmp_path):
         "known": {"K_OO": 2e-6},
         **WHOLE,
     }
-    assert Result.read(stored(tmp_path, document)).accelerometers["Qx"].what_if.held
+    assert Result.read(write_document(tmp_path, document)).accelerometers["Qx"].what_if.held
     document["accelerometers"]["Qx"]["what_if"] |= wrong
     with raises("file-damaged", "what_if", "Qx"):
-        Result.read(stored(tmp_path, document))
+        Result.read(write_document(tmp_path, document))
 
 
-def test_every_schema_has_its_frozen_examples():
+def test_all_schemas_have_frozen_examples():
     assert {int(path.name.split("-")[1]) for path in FROZEN} == set(
         range(1, Result.newest_schema() + 1)
     )
 
 
-def kept(old, new):
-    """Return whether a document still says all that an older one says."""
+def contains_document(old, new):
+    """Return whether a document contains all values of an older document."""
     if isinstance(old, dict):
-        return all(key in new and kept(value, new[key]) for key, value in old.items())
+        return all(key in new and contains_document(value, new[key]) for key, value in old.items())
     if isinstance(old, list):
-        return len(old) == len(new) and all(map(kept, old, new))
+        return len(old) == len(new) and all(map(contains_document, old, new))
     return old == new
 
 
 @pytest.mark.parametrize("path", FROZEN, ids=lambda path: path.stem)
-def test_results_of_earlier_versions_are_read_whole(path):
+def test_earlier_results_are_read_completely(path):
     old = json.loads(path.read_text(encoding="utf-8"))
     read = Result.read(path)
     said = old if old["schema"] == Result.newest_schema() else upgrade(old)
-    # Written anew it has what came since, as null, and so a seal of its own.
+    # Written again, it has newer fields as null and a new seal.
     said = {key: value for key, value in said.items() if key != "seal"}
-    assert kept(said, json.loads(read.to_json()))
+    assert contains_document(said, json.loads(read.to_json()))
     for name, found in read.accelerometers.items():
         stated = old["accelerometers"][name]["coefficients"]["K_II"]
         assert (found.coefficients["K_II"].value, found.coefficients["K_II"].u) == (
             stated["value"],
             stated["u"],
         )
-    # What they did not know of is absent, not invented.
+    # Fields unknown to the old version are empty.
     assert all(not found.conformity for found in read.accelerometers.values())
 
 
-def test_a_lost_number_would_be_noticed():
-    assert kept({"a": [1.0, {"b": 2}]}, {"a": [1.0, {"b": 2, "new": 3}]})
-    assert not kept({"a": [1.0]}, {"a": [1.1]})
-    assert not kept({"a": 1}, {"b": 1})
+def test_contains_document_detects_lost_numbers():
+    assert contains_document({"a": [1.0, {"b": 2}]}, {"a": [1.0, {"b": 2, "new": 3}]})
+    assert not contains_document({"a": [1.0]}, {"a": [1.1]})
+    assert not contains_document({"a": 1}, {"b": 1})
 
 
-def test_a_newer_schema_is_named(tmp_path):
-    path = stored(tmp_path, RESULT | {"schema": Result.newest_schema() + 1})
+def test_newer_schema_is_rejected(tmp_path):
+    path = write_document(tmp_path, RESULT | {"schema": Result.newest_schema() + 1})
     with raises("newer-version", "schema"):
         Result.read(path)
 
 
 @pytest.mark.parametrize(("removed", "warnings"), [([], 0), (["seal"], 1)])
-def test_report_and_screen_warn_of_a_result_without_a_seal(tmp_path, removed, warnings):
+def test_report_warns_of_missing_seal(tmp_path, removed, warnings):
     path = Path(__file__).parents[1] / "frozen" / "schema-2-joint.json"
     document = json.loads(path.read_text(encoding="utf-8"))
     kept = {key: value for key, value in document.items() if key not in removed}
-    found = Result.read(stored(tmp_path, kept))
+    found = Result.read(write_document(tmp_path, kept))
     found.write_report(tmp_path / "report.md")
     report = (tmp_path / "report.md").read_text(encoding="utf-8")
     screen = "\n".join(block.text for block in found.blocks() if isinstance(block, Paragraph))

@@ -1,4 +1,4 @@
-"""What a notebook asks of a result: against the result's own numbers and other packages."""
+"""Conversions of a result against its numbers and other packages."""
 
 import math
 import pickle
@@ -45,7 +45,7 @@ def result(folder):
     return calibrate(folder)
 
 
-def test_coefficient_prints_as_its_field_writes_it(result):
+def test_coefficient_has_field_notation(result):
     c = made_by_hand().accelerometers["Qx"].coefficients["K_II"]
     assert str(c) == repr(c) == "27.0000(10) ug/g^2"
     prior = c.model_copy(update={"estimated": False})
@@ -53,7 +53,7 @@ def test_coefficient_prints_as_its_field_writes_it(result):
     assert str(c.model_copy(update={"value": None})) == "not determined"
 
 
-def test_interval_is_student_s():
+def test_interval_uses_student_t():
     from scipy import stats
 
     c = made_by_hand().accelerometers["Qx"].coefficients["K_II"]
@@ -67,7 +67,7 @@ def test_interval_is_student_s():
         c.model_copy(update={"value": None, "estimated": False}).interval()
 
 
-def test_a_result_is_asked_by_name(result):
+def test_coefficients_are_accessed_by_name(result):
     assert result["Qx.K_F"] is result.coefficient("Qx.K_F")
     assert result["slow.platform.tilt.north"].unit == "rad"
     names = result._ipython_key_completions_()
@@ -77,8 +77,8 @@ def test_a_result_is_asked_by_name(result):
         result["Qx.K_X"]
 
 
-def test_table_value_and_text_agree_in_one_unit(result):
-    """A table's numbers are those of `in_units`, and its text is theirs."""
+def test_table_value_and_text_agree_in_same_unit(result):
+    """Table numbers equal `in_units`, and the text shows the same numbers."""
     for row in result.table().iter_rows(named=True):
         owner = f"{row['owner']}." if row["owner"] else ""
         c = result[f"{owner}{row['term']}"]
@@ -92,7 +92,7 @@ def test_table_value_and_text_agree_in_one_unit(result):
         c.in_units("rad")
 
 
-def test_what_a_cell_shows_is_short(result, folder):
+def test_repr_is_short(result, folder):
     campaign = read_campaign(folder)
     assert repr(campaign) == f"<campaign {campaign.title!r}: Qx, Qy; 3 runs, 0 readings>"
     own = repr(result.accelerometers["Qx"]).splitlines()
@@ -100,12 +100,12 @@ def test_what_a_cell_shows_is_short(result, folder):
     assert len(own) == 1 + len(result.accelerometers["Qx"].coefficients)
 
 
-def test_si_value_needs_a_gravity_and_takes_that_of_its_result(result):
+def test_si_value_uses_gravity_of_result(result):
     c = result.coefficient("Qx.K_F")
     si = c.to_si()
     assert si.value == pytest.approx(c.value * 9.8066, rel=1e-15)
     assert si.unit.words == "m s^-2"
-    # What an uncertain g does to K_F in g it does not do to K_F in m/s^2.
+    # An uncertain g affects K_F in g but not in m/s^2.
     assert si.u < 0.9 * c.u * 9.8066
     assert c.to_si(9.8066).u == pytest.approx(c.u * 9.8066, rel=1e-15)
     alone = type(c)(value=c.value, u=c.u, unit="g", estimated=True)
@@ -113,7 +113,7 @@ def test_si_value_needs_a_gravity_and_takes_that_of_its_result(result):
         alone.to_si()
 
 
-def test_text_of_a_result_is_short_however_large_it_is(result):
+def test_text_of_large_result_is_short(result):
     text = repr(result)
     assert str(result) == text
     assert len(text.split("\n")) <= MAX_LINES
@@ -125,7 +125,7 @@ def test_text_of_a_result_is_short_however_large_it_is(result):
     assert "more coefficients" in text
 
 
-def test_cell_shows_the_answer_in_html_and_markdown(result):
+def test_notebook_repr_has_html_and_markdown(result):
     html, markdown = result._repr_html_(), result._repr_markdown_()
     assert "K<sub><i>_</i>II</sub> of Qx" in html
     assert "prefers-color-scheme: dark" in html
@@ -135,7 +135,7 @@ def test_cell_shows_the_answer_in_html_and_markdown(result):
     assert "<script>" not in result.model_copy(update={"title": "<script>"})._repr_html_()
 
 
-def test_covariance_has_the_names_of_all_coefficients(result):
+def test_covariance_contains_all_coefficients(result):
     covariance = result.covariance
     assert "Qx.K_F" in covariance.terms
     assert "Qy.K_II" in covariance.terms
@@ -147,31 +147,31 @@ def test_covariance_has_the_names_of_all_coefficients(result):
     correlation = result.correlation.frame()
     u = {term: result.coefficient(term).u for term in covariance.terms}
     for term in covariance.terms:
-        assert element(frame, term, term) == pytest.approx(u[term] ** 2, rel=1e-12)
+        assert matrix_element(frame, term, term) == pytest.approx(u[term] ** 2, rel=1e-12)
     a, b = "Qx.K_F", "slow.platform.tilt.north"
-    r = element(frame, a, b) / (u[a] * u[b])
-    assert r == pytest.approx(element(correlation, a, b), rel=1e-12)
+    r = matrix_element(frame, a, b) / (u[a] * u[b])
+    assert r == pytest.approx(matrix_element(correlation, a, b), rel=1e-12)
     own = result.accelerometers["Qx"].correlation.frame()
-    assert element(own, "K_F", "K_II") == pytest.approx(
-        element(correlation, "Qx.K_F", "Qx.K_II"), rel=1e-9
+    assert matrix_element(own, "K_F", "K_II") == pytest.approx(
+        matrix_element(correlation, "Qx.K_F", "Qx.K_II"), rel=1e-9
     )
     # Both accelerometers share the uncertain gravity.
-    assert abs(element(correlation, "Qx.K_F", "Qy.K_F")) > 1e-3
+    assert abs(matrix_element(correlation, "Qx.K_F", "Qy.K_F")) > 1e-3
 
 
-def element(frame, row, column):
+def matrix_element(frame, row, column):
     """Return an element of a matrix by the names of its row and column."""
     return frame.filter(pl.col("term") == row)[column].item()
 
 
-def test_covariance_is_missing_with_its_reason(folder):
+def test_two_stage_result_without_covariance_raises(folder):
     two_stage = calibrate(folder, method="two-stage")
     assert two_stage.covariance is None
     with raises("missing-in-result"):
         two_stage.to_uncertainties()
 
 
-def test_table_has_a_row_for_each_coefficient(result):
+def test_table_has_row_per_coefficient(result):
     table = result.table()
     owner, term = pl.col("owner"), pl.col("term")
     k_ii = table.row(by_predicate=(owner == "Qx") & (term == "K_II"), named=True)
@@ -189,17 +189,21 @@ def test_table_has_a_row_for_each_coefficient(result):
         result.table("sql")
 
 
-def test_other_packages_get_the_same_correlations(result):
+def test_other_packages_have_same_correlations(result):
     uncertainties = pytest.importorskip("uncertainties")
     package = pytest.importorskip("GTC")
     covariance = result.covariance
     ours, theirs, third = covariance.frame(), result.to_uncertainties(), result.to_gtc()
     for name, one in theirs.items():
         assert one.n == result.coefficient(name).value
-        assert one.s == pytest.approx(math.sqrt(element(ours, name, name)), rel=1e-9)
-        assert third[name].u == pytest.approx(math.sqrt(element(ours, name, name)), rel=1e-12)
+        assert one.s == pytest.approx(math.sqrt(matrix_element(ours, name, name)), rel=1e-9)
+        assert third[name].u == pytest.approx(
+            math.sqrt(matrix_element(ours, name, name)), rel=1e-12
+        )
     a, b = "Qx.K_F", "Qx.K_II"
-    variance = element(ours, a, a) + element(ours, b, b) + 2.0 * element(ours, a, b)
+    variance = (
+        matrix_element(ours, a, a) + matrix_element(ours, b, b) + 2.0 * matrix_element(ours, a, b)
+    )
     assert (theirs[a] + theirs[b]).s == pytest.approx(math.sqrt(variance), rel=1e-9)
     assert (third[a] + third[b]).u == pytest.approx(math.sqrt(variance), rel=1e-9)
     matrix = uncertainties.covariance_matrix(list(theirs.values()))
@@ -207,7 +211,7 @@ def test_other_packages_get_the_same_correlations(result):
         matrix, covariance.matrix, rtol=1e-6, atol=1e-9 * covariance.matrix.max()
     )
     assert package.get_correlation(third[a], third[b]) == pytest.approx(
-        element(result.correlation.frame(), a, b)
+        matrix_element(result.correlation.frame(), a, b)
     )
 
 
@@ -217,7 +221,7 @@ def test_missing_package_is_named(result, monkeypatch):
         result.to_gtc()
 
 
-def test_residuals_are_a_frame(result):
+def test_residuals_are_returned_as_frame(result):
     residuals = result.residuals("Qx")
     assert residuals["accelerometer"].unique().to_list() == ["Qx"]
     assert residuals["unit"].unique().to_list() == ["m"]
@@ -240,7 +244,7 @@ def test_residuals_are_a_frame(result):
         result.residuals("Qz")
 
 
-def test_residuals_stay_with_the_calibration_and_not_with_its_file(result, tmp_path):
+def test_residuals_are_not_stored_in_file(result, tmp_path):
     result.write(tmp_path / "result.json")
     again = read_result(tmp_path / "result.json")
     assert again == result
@@ -261,7 +265,7 @@ def test_residuals_stay_with_the_calibration_and_not_with_its_file(result, tmp_p
         (Result.plot, 3),
     ],
 )
-def test_plots_are_drawn_on_the_axes_given(result, plot, pictures):
+def test_plots_are_drawn_on_given_axes(result, plot, pictures):
     import matplotlib.pyplot as plt
 
     drawn = plot(result, "Qy")
@@ -277,28 +281,28 @@ def test_plots_are_drawn_on_the_axes_given(result, plot, pictures):
     plt.close("all")
 
 
-def test_coefficient_of_no_such_name_is_told_which_there_are(result):
+def test_unknown_coefficient_error_lists_names(result):
     with pytest.raises(KeyError, match=r"Qx\.K_IX; there are .*Qx\.K_II.*slow\.platform\.tilt"):
         result.coefficient("Qx.K_IX")
 
 
-def test_plot_of_nothing_says_so(result):
+def test_plot_without_data_raises(result):
     with pytest.raises(CounterspinError, match="does not contain"):
         result.plot_budget("Qx", "K_III")
     with pytest.raises(KeyError, match="there are Qx, Qy"):
         result.plot_residuals("Qz")
 
 
-def test_damaged_correlation_is_refused(result):
+def test_rejects_damaged_correlation(result):
     shorter = result.correlation.model_copy(update={"matrix": result.correlation.matrix[1:]})
     faults = result.model_copy(update={"correlation": shorter}).validation_errors()
     assert any("is not one of" in fault for fault in faults)
 
 
-def test_what_was_taken_out_of_a_result_is_not_in_its_covariance(result):
+def test_removed_accelerometer_is_not_in_covariance(result):
     alone = {"Qy": result.accelerometers["Qy"]}
     covariance = result.model_copy(update={"accelerometers": alone}).covariance
-    assert element(covariance.frame(), "Qy.K_F", "Qy.K_II") == element(
+    assert matrix_element(covariance.frame(), "Qy.K_F", "Qy.K_II") == matrix_element(
         result.covariance.frame(), "Qy.K_F", "Qy.K_II"
     )
     assert not any(term.startswith("Qx.") for term in covariance.terms)

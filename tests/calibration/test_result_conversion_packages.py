@@ -1,4 +1,4 @@
-"""Numbers for other packages: u, correlations and degrees of freedom as they are here."""
+"""Numbers for other packages have the same u, correlations and degrees of freedom."""
 
 import math
 
@@ -9,7 +9,7 @@ import results as by_hand
 from counterspin.calibration.result_parts import Correlation
 
 
-def stating(correlation, dof):
+def make_result(correlation, dof):
     """Return a result of K_F, K_I... with this correlation and these degrees of freedom."""
     made = by_hand.result()
     (name, accelerometer), *_ = made.accelerometers.items()
@@ -24,31 +24,31 @@ def stating(correlation, dof):
     return made.model_copy(update={"accelerometers": {name: one}, "correlation": stated})
 
 
-def pair(r):
+def make_correlation(r):
     return np.array([[1.0, r], [r, 1.0]])
 
 
 @pytest.mark.parametrize(
     ("correlation", "dof"),
     [
-        (pair(0.3), (17.5, 1.55)),
-        (pair(-0.9), (8.0, 7.0)),
-        (pair(0.999), (5.0, 5.0)),
-        (pair(0.4), (3.0, None)),
+        (make_correlation(0.3), (17.5, 1.55)),
+        (make_correlation(-0.9), (8.0, 7.0)),
+        (make_correlation(0.999), (5.0, 5.0)),
+        (make_correlation(0.4), (3.0, None)),
         (np.eye(3), (1.0, 40.0, None)),
         (np.eye(2), (None, None)),
     ],
 )
-def test_each_of_gtc_s_numbers_has_its_own_degrees_of_freedom(correlation, dof):
+def test_gtc_numbers_have_separate_degrees_of_freedom(correlation, dof):
     package = pytest.importorskip("GTC")
-    result = stating(correlation, dof)
+    result = make_result(correlation, dof)
     numbers = result.to_gtc()
     for name, number in numbers.items():
         c = result.coefficient(name)
         assert (number.x, number.label) == (c.value, name)
         assert number.u == pytest.approx(c.u, rel=1e-12)
         if c.dof is None:
-            # Correlated with one that has few, it has not quite infinitely many.
+            # If correlated with a number that has few, the degrees of freedom are finite.
             assert number.df > 1e6 or correlation[0, 1]
         else:
             assert number.df == pytest.approx(c.dof, rel=1e-6)
@@ -56,7 +56,7 @@ def test_each_of_gtc_s_numbers_has_its_own_degrees_of_freedom(correlation, dof):
     assert package.get_correlation(first, second) == pytest.approx(correlation[0, 1], abs=1e-12)
 
 
-def test_gtc_s_numbers_never_have_more_degrees_of_freedom_than_they_may():
+def test_degrees_of_freedom_of_gtc_numbers_are_bounded():
     pytest.importorskip("GTC")
     random = np.random.default_rng(7)
     for _ in range(20):
@@ -64,7 +64,7 @@ def test_gtc_s_numbers_never_have_more_degrees_of_freedom_than_they_may():
         covariance = loads @ loads.T
         scale = np.sqrt(np.diag(covariance))
         dof = tuple(float(d) for d in 10.0 ** random.uniform(-0.3, 4.0, 4))
-        result = stating(covariance / np.outer(scale, scale), dof)
+        result = make_result(covariance / np.outer(scale, scale), dof)
         for name, number in result.to_gtc().items():
             c = result.coefficient(name)
             assert number.u == pytest.approx(c.u, rel=1e-9)
@@ -72,9 +72,9 @@ def test_gtc_s_numbers_never_have_more_degrees_of_freedom_than_they_may():
             assert number.df >= 1.0 - 1e-9
 
 
-def test_the_same_degrees_of_freedom_are_those_of_every_sum():
+def test_sum_of_equal_degrees_of_freedom_keeps_them():
     pytest.importorskip("GTC")
-    numbers = stating(pair(0.6), (9.0, 9.0)).to_gtc()
+    numbers = make_result(make_correlation(0.6), (9.0, 9.0)).to_gtc()
     first, second = numbers.values()
     for sum_of_both in (first + second, 2.0 * first - 30.0 * second):
         assert sum_of_both.df == pytest.approx(9.0, rel=1e-6)

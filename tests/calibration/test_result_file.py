@@ -1,4 +1,4 @@
-"""Results of schema 1 as those of schema 2: what became of each part of their uncertainty."""
+"""Upgrade of results from schema 1 to schema 2: components of the uncertainty."""
 
 import copy
 import json
@@ -15,28 +15,28 @@ FROZEN = Path(__file__).parents[1] / "frozen"
 FILES = [FROZEN / "schema-1-joint.json", FROZEN / "schema-1-two-stage.json"]
 REPEAT = FROZEN / "repeat" / "result.json"
 
-#: What a line of a budget was called -> the kind that it is.
+#: Suffix of a budget line in schema 1 -> its kind.
 KINDS = {" (prior)": "stated", " (considered)": "held", " (input)": "held", " (encoder)": "noise"}
 
 
-def document_of(path):
+def read_document(path):
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-def pairs_of(old, new):
-    """Yield each coefficient with parts of u as it was and as it is, wherever it stands."""
+def coefficient_pairs(old, new):
+    """Yield pairs of old and new coefficients with components of u."""
     if isinstance(old, dict):
         if "u_prior" in old:
             yield old, new
         for key in set(old) & set(new):
-            yield from pairs_of(old[key], new[key])
+            yield from coefficient_pairs(old[key], new[key])
 
 
 @pytest.mark.parametrize("path", [*FILES, REPEAT], ids=lambda path: path.stem)
-def test_the_parts_of_u_have_their_new_names(path):
-    old = document_of(path)
+def test_components_of_u_are_renamed(path):
+    old = read_document(path)
     new = upgrade(copy.deepcopy(old))
-    pairs = list(pairs_of(old, new))
+    pairs = list(coefficient_pairs(old, new))
     assert len(pairs) >= 2
     for before, after in pairs:
         assert not {"u_prior", "u_considered", "u_typical"} & set(after)
@@ -53,8 +53,8 @@ def test_the_parts_of_u_have_their_new_names(path):
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_every_line_of_a_budget_says_its_kind(path):
-    old = document_of(path)
+def test_budget_lines_have_kind(path):
+    old = read_document(path)
     new = upgrade(copy.deepcopy(old))
     seen = set()
     for name, own in old["accelerometers"].items():
@@ -69,8 +69,8 @@ def test_every_line_of_a_budget_says_its_kind(path):
     assert seen == ({"noise", "stated", "held"} if "joint" in path.stem else set())
 
 
-def test_inputs_and_rotations_were_not_adjusted_by_the_data():
-    document = document_of(FILES[0])
+def test_inputs_and_rotations_are_held_or_noise():
+    document = read_document(FILES[0])
     lines = document["accelerometers"]["Qx"]["budget"]["K_II"]
     lines[0]["source"], lines[1]["source"] = "centrifuge.radius (input)", "run1.angle (encoder)"
     new = upgrade(document)["accelerometers"]["Qx"]["budget"]["K_II"]
@@ -78,19 +78,19 @@ def test_inputs_and_rotations_were_not_adjusted_by_the_data():
     assert found == [("centrifuge.radius", "held"), ("run1.angle", "noise")]
 
 
-def test_what_was_left_out_is_assumed():
-    left_out = document_of(REPEAT)["accelerometers"]["A"]["left_out"]
+def test_omitted_terms_are_assumed():
+    left_out = read_document(REPEAT)["accelerometers"]["A"]["left_out"]
     assert Result.read(REPEAT).assumed == list(left_out)
     assert {"K_PP", "head.zero", "site.latitude"} <= set(left_out)
-    # Of two accelerometers what either left out, named once.
-    both = document_of(FILES[0])["accelerometers"].values()
+    # Terms omitted by either accelerometer, named once.
+    both = read_document(FILES[0])["accelerometers"].values()
     assumed = Result.read(FILES[0]).assumed
     assert set(assumed) == {symbol for own in both for symbol in own["left_out"]}
     assert len(assumed) == len(set(assumed))
 
 
 @pytest.mark.parametrize("path", [*FILES, REPEAT], ids=lambda path: path.stem)
-def test_it_is_written_as_one_of_schema_2(path, tmp_path):
+def test_result_is_written_with_schema_2(path, tmp_path):
     result = Result.read(path)
     assert (result.schema_version, result.assumes_all) == (2, True)
     result.write(tmp_path / "again.json")
@@ -122,8 +122,8 @@ OF_QX = [
     [*(("", *case) for case in DAMAGE), *(("Qx", *case) for case in OF_QX)],
 )
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_a_damaged_one_is_told(path, owner, key, value, words, tmp_path):
-    document = document_of(path)
+def test_damaged_result_of_schema_1_is_rejected(path, owner, key, value, words, tmp_path):
+    document = read_document(path)
     place = document["accelerometers"][owner] if owner else document
     place[key] = value
     spoilt = tmp_path / "r.json"
@@ -135,7 +135,7 @@ def test_a_damaged_one_is_told(path, owner, key, value, words, tmp_path):
 
 
 @pytest.mark.parametrize("value", [None, "", 3, [], {}])
-def test_a_left_out_part_that_is_none_is_no_matter(value):
-    document = document_of(REPEAT)
+def test_empty_omitted_terms_are_accepted(value):
+    document = read_document(REPEAT)
     document["accelerometers"]["A"]["left_out"] = value
     assert upgrade(document)["assumed"] == []

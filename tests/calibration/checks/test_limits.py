@@ -1,4 +1,4 @@
-"""Estimates that no instrument has, and drifts and tilts beyond first order."""
+"""Incredible estimates, and drifts and tilts beyond first order."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ TRUTH = {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5}
 SIGN = "the sign of the output, and the senses of the input axis and of the attitudes"
 
 
-def tumbled(folder, change, *, turned=0.0, terms=tuple(TRUTH), more="", accelerometer=""):
+def calibrate_tumble(folder, change, *, turned=0.0, terms=tuple(TRUTH), more="", accelerometer=""):
     """Calibrate a tumble whose indications were changed, or whose positions are turned, deg."""
     values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=TRUTH)
     step = 360 / len(values)
@@ -39,7 +39,7 @@ def tumbled(folder, change, *, turned=0.0, terms=tuple(TRUTH), more="", accelero
     return calibrate(folder)
 
 
-def only(result):
+def only_finding(result):
     (finding,) = [f for f in result.findings if f.code == "incredible"]
     return finding
 
@@ -60,63 +60,64 @@ def only(result):
         ),
     ],
 )
-def test_a_scale_factor_that_no_instrument_has(tmp_path, change, words):
-    result = tumbled(tmp_path, change)
+def test_incredible_scale_factor_contradicts(tmp_path, change, words):
+    result = calibrate_tumble(tmp_path, change)
     assert result.state == "contradicted"
-    finding = only(result)
+    finding = only_finding(result)
     assert finding.subject == "A.K_I"
     assert finding.contradicts
     assert words in finding.text
     assert result.findings[0] == finding
 
 
-def test_where_a_grade_leaves_several_causes_all_are_named(tmp_path):
-    result = tumbled(tmp_path, lambda g: 9.9 * g, accelerometer='grade = "consumer"')
+def test_all_possible_causes_of_incredible_value_are_named(tmp_path):
+    result = calibrate_tumble(tmp_path, lambda g: 9.9 * g, accelerometer='grade = "consumer"')
     assert (
         "Check the unit: the values may be in m/s^2 instead of g, or the unit, which may be "
-        "wrong by a factor of 1e1." in only(result).text
+        "wrong by a factor of 1e1." in only_finding(result).text
     )
 
 
-def test_the_size_says_by_how_many_standard_uncertainties(tmp_path):
-    result = tumbled(tmp_path, lambda g: 1.3 * g)
+def test_size_is_excess_in_standard_uncertainties(tmp_path):
+    result = calibrate_tumble(tmp_path, lambda g: 1.3 * g)
     c = result.accelerometers["A"].coefficients["K_I"]
-    assert only(result).size == pytest.approx((c.value - 1.0 - 0.1) / c.u, rel=1e-9)
+    assert only_finding(result).size == pytest.approx((c.value - 1.0 - 0.1) / c.u, rel=1e-9)
 
 
-def test_an_offset_and_an_attitude(tmp_path):
-    offset = tumbled(tmp_path, lambda g: g + 0.3)
-    assert only(offset).subject == "A.K_F"
+def test_incredible_bias_and_misalignment(tmp_path):
+    offset = calibrate_tumble(tmp_path, lambda g: g + 0.3)
+    assert only_finding(offset).subject == "A.K_F"
     assert (
-        "K_F = 0.302 g is not credible, because its magnitude exceeds 0.1 g." in only(offset).text
+        "K_F = 0.302 g is not credible, because its magnitude exceeds 0.1 g."
+        in only_finding(offset).text
     )
-    turned = tumbled(tmp_path, lambda g: g, turned=1.0)
-    assert only(turned).subject == "A.delta_O"
-    assert "the zero and the sense of the attitude angles" in only(turned).text
-    head = tumbled(tmp_path, lambda g: g, turned=1.0, terms=("K_F", "K_I", "head.zero"))
-    assert only(head).subject == "head.zero"
-    assert "the zero of the dividing head" in only(head).text
+    turned = calibrate_tumble(tmp_path, lambda g: g, turned=1.0)
+    assert only_finding(turned).subject == "A.delta_O"
+    assert "the zero and the sense of the attitude angles" in only_finding(turned).text
+    head = calibrate_tumble(tmp_path, lambda g: g, turned=1.0, terms=("K_F", "K_I", "head.zero"))
+    assert only_finding(head).subject == "head.zero"
+    assert "the zero of the dividing head" in only_finding(head).text
     assert head.state == "contradicted"
 
 
-def test_what_is_wrong_with_the_scale_factor_accounts_for_the_rest(tmp_path):
-    finding = only(tumbled(tmp_path, lambda g: 100.0 * g))
+def test_incredible_scale_factor_explains_other_findings(tmp_path):
+    finding = only_finding(calibrate_tumble(tmp_path, lambda g: 100.0 * g))
     assert finding.subject == "A.K_I"
     assert [f.subject for f in finding.explains] == ["A.K_F"]
 
 
-def test_what_is_credible_is_the_campaigns_to_say(tmp_path):
+def test_campaign_limits_define_credible_values(tmp_path):
     for more in (
         {"more": 'limits = { K_I = "0.5 g/g" }\n'},
         {"accelerometer": 'grade = "consumer"'},
     ):
-        assert tumbled(tmp_path, lambda g: 1.3 * g, **more).state == "good"
-    assert tumbled(tmp_path, lambda g: 1.08 * g).state == "good"
-    narrow = tumbled(tmp_path, lambda g: g, more='limits = { K_F = "1e-3 g" }\n')
-    assert only(narrow).subject == "A.K_F"
+        assert calibrate_tumble(tmp_path, lambda g: 1.3 * g, **more).state == "good"
+    assert calibrate_tumble(tmp_path, lambda g: 1.08 * g).state == "good"
+    narrow = calibrate_tumble(tmp_path, lambda g: g, more='limits = { K_F = "1e-3 g" }\n')
+    assert only_finding(narrow).subject == "A.K_F"
 
 
-def estimate(value, u, *, estimated=True, unit="g/g^2"):
+def make_coefficient(value, u, *, estimated=True, unit="g/g^2"):
     return Coefficient(value=value, u=u, unit=unit, estimated=estimated)
 
 
@@ -131,27 +132,32 @@ def estimate(value, u, *, estimated=True, unit="g/g^2"):
         (None, None, False, False),
     ],
 )
-def test_three_standard_uncertainties_beyond(tmp_path, value, u, estimated, told):
+def test_limit_must_be_exceeded_by_three_standard_uncertainties(
+    tmp_path, value, u, estimated, told
+):
     campaign = read_campaign(write(tmp_path, SMALL))
     found = check_credibility(
-        campaign.limit_of, "Qx", {"K_II": estimate(value, u, estimated=estimated)}
+        campaign.limit_of, "Qx", {"K_II": make_coefficient(value, u, estimated=estimated)}
     )
     assert [finding.subject for finding in found] == ["Qx.K_II"] * told
 
 
 @pytest.mark.parametrize("method", ["joint", "two-stage"])
-def test_both_methods_say_it(tmp_path, method):
+def test_both_methods_report_incredible_value(tmp_path, method):
     larger = changed(SMALL, ('K_II = "2.7e-5 g/g^2"', 'K_II = "4e-4 g/g^2"'))
     result = calibrate(simulate(read_campaign(write(tmp_path, larger))), method=method)
-    assert only(result).subject == "Qx.K_II"
-    assert "the rates, the radius" in only(result).text
+    assert only_finding(result).subject == "Qx.K_II"
+    assert "the rates, the radius" in only_finding(result).text
 
 
-def test_no_history_has_such_a_value(tmp_path):
+def test_history_excludes_incredible_value(tmp_path):
     known = {"accelerometer": 'serial_number = "A1"\n', "more": "[campaign]\ndate = 2026-01-05\n"}
     (good := tmp_path / "good").mkdir()
     (wrong := tmp_path / "wrong").mkdir()
-    results = [tumbled(good, float, **known), tumbled(wrong, lambda g: -g, **known)]
+    results = [
+        calibrate_tumble(good, float, **known),
+        calibrate_tumble(wrong, lambda g: -g, **known),
+    ]
     found = history(results, term="K_I")
     (instrument,) = found.instruments
     assert [round(point.value, 4) for point in instrument.points] == [1.0005]
@@ -159,7 +165,7 @@ def test_no_history_has_such_a_value(tmp_path):
     assert "K_I = -1.0005 g/g is not credible" in left_out.reason
 
 
-def test_a_mounting_on_another_arm_is_as_credible_as_its_stated_radius():
+def test_mounting_radius_is_checked_against_its_stated_value():
     """2.3995 m, stated as 2.4 m ± 1 mm, beside a double turntable of 2.5 m."""
     result = calibrate(Path(validation.__file__).parent / "data" / "fits" / "mixed")
     assert result.platform["centrifuge.radius.out"].value == pytest.approx(2.3995, abs=1e-4)

@@ -1,4 +1,4 @@
-"""Noise that is most of an uncertainty without showing, and noise that is stated too large."""
+"""Undetected noise that dominates an uncertainty, and overstated noise."""
 
 import math
 import re
@@ -45,8 +45,8 @@ K_II = "2e-5 g/g^2"
 """
 
 
-def walking(share: float, name: str = "Qx") -> AccelerometerView:
-    """A fit of which this share of u^2 of K_II is noise that the records do not show."""
+def make_fit_with_walk(share: float, name: str = "Qx") -> AccelerometerView:
+    """Return a fit with this share of the variance of K_II from an undetected walk."""
     unknown = SimpleNamespace(owner="Qx", symbol="K_II", is_of_interest=True)
     fit = SimpleNamespace(
         model=SimpleNamespace(unknowns=[unknown]),
@@ -56,25 +56,25 @@ def walking(share: float, name: str = "Qx") -> AccelerometerView:
     return AccelerometerView(SimpleNamespace(campaign=None), SimpleNamespace(fit=fit), None, "Qx")
 
 
-def test_noise_that_is_most_of_k_ii_without_showing_is_remarked_on():
-    (remark,) = undetected_walk_remarks([walking(0.8)])
+def test_dominant_undetected_walk_has_remark():
+    (remark,) = undetected_walk_remarks([make_fit_with_walk(0.8)])
     assert remark.startswith("Qx: 80% of the variance of K_II")
     assert "acceleration in [noise]" in remark
 
 
-def test_a_smaller_part_or_another_s_noise_is_not():
-    assert list(undetected_walk_remarks([walking(0.3)])) == []
-    assert list(undetected_walk_remarks([walking(0.8, name="Qy")])) == []
+def test_small_or_other_walk_has_no_remark():
+    assert list(undetected_walk_remarks([make_fit_with_walk(0.3)])) == []
+    assert list(undetected_walk_remarks([make_fit_with_walk(0.8, name="Qy")])) == []
 
 
-# Noise that is stated too large
+# Overstated noise
 
 
-def smaller(result):
+def overstated_noise_remarks(result):
     return [text for text in result.warnings if "the stated uncertainty of" in text]
 
 
-def read(folder, seed, sigma, stated, assume='["all"]'):
+def calibrate_tumble(folder, seed, sigma, stated, assume='["all"]'):
     """Calibrate a tumble of 12 positions whose readings scatter by `sigma`, g."""
     rng, text = np.random.default_rng(seed), ACCELEROMETER
     text += f'[model]\nassume = {assume}\nterms = ["K_F", "K_I", "delta_O"]\n'
@@ -87,23 +87,23 @@ def read(folder, seed, sigma, stated, assume='["all"]'):
 
 
 @pytest.mark.parametrize("assume", ['["all"]', "[]"], ids=["all assumed", "nothing assumed"])
-def test_readings_that_scatter_by_a_tenth_of_their_uncertainty_get_a_remark(tmp_path, assume):
-    result = read(tmp_path, 3, 2e-6, 2e-5, assume)
-    (remark,) = smaller(result)
+def test_overstated_uncertainty_of_readings_has_remark(tmp_path, assume):
+    result = calibrate_tumble(tmp_path, 3, 2e-6, 2e-5, assume)
+    (remark,) = overstated_noise_remarks(result)
     found, times = map(float, re.search(r"by ([\d.]+) ug, ([\d.]+) times", remark).groups())
-    # Of nine degrees of freedom the rms is within a factor of 2.2, but for once in 1,000.
+    # With nine degrees of freedom the rms is within a factor of 2.2, except once in 1,000.
     assert 0.9 < found < 4.4
     assert times == pytest.approx(found / 20.0, rel=0.05)
     assert (result.state, result.findings) == ("good", [])
 
 
-def test_readings_that_scatter_as_stated_get_none(tmp_path):
-    """The level is 1/800; of 20 campaigns more than one are below it once in 3,000."""
-    every = [read(tmp_path / f"{seed}", seed, 2e-6, 2e-6) for seed in range(20)]
-    assert sum(bool(smaller(result)) for result in every) <= 1
+def test_correct_uncertainty_of_readings_has_no_remark(tmp_path):
+    """The level is 1/800; more than one of 20 campaigns is below it once in 3,000."""
+    every = [calibrate_tumble(tmp_path / f"{seed}", seed, 2e-6, 2e-6) for seed in range(20)]
+    assert sum(bool(overstated_noise_remarks(result)) for result in every) <= 1
 
 
-def test_the_page_says_from_which_ratio_on():
+def test_documentation_states_false_alarm_rate_and_limit():
     page = " ".join((Path(__file__).parents[3] / "docs" / "diagnosis.md").read_text().split())
     level = SIGNIFICANCE / 4.0
     least = [f"{np.sqrt(stats.chi2.ppf(level, dof) / dof):.2f} times" for dof in (5, 20)]
@@ -114,17 +114,19 @@ def test_the_page_says_from_which_ratio_on():
     )
 
 
-def test_poses_that_scatter_by_a_tenth_of_their_uncertainty_get_a_remark(tmp_path):
+def test_overstated_uncertainty_of_poses_has_remark(tmp_path):
     rng = np.random.default_rng(5)
     values = triads.indications(triads.directions(30, rng))
     values += 3e-4 * rng.standard_normal(values.shape)
-    (remark,) = smaller(calibrate(triads.table(tmp_path / "over", values, u=3e-3)))
+    (remark,) = overstated_noise_remarks(calibrate(triads.table(tmp_path / "over", values, u=3e-3)))
     assert remark.startswith("triad: the poses at unknown attitudes scatter by ")
-    assert smaller(calibrate(triads.table(tmp_path / "right", values, u=3e-4))) == []
+    assert (
+        overstated_noise_remarks(calibrate(triads.table(tmp_path / "right", values, u=3e-4))) == []
+    )
 
 
-def test_strobes_that_scatter_by_a_tenth_of_the_stated_noise_are_a_finding(tmp_path):
-    """As records by the joint method; the noise that they show is named."""
+def test_overstated_noise_of_strobes_is_finding(tmp_path):
+    """As for records by the joint method; the finding names the observed noise."""
     simulate(write(tmp_path, SIMULATED), tmp_path / "made")
     campaign = tmp_path / "made" / "campaign.toml"
     right = calibrate(campaign.parent, method="two-stage")

@@ -25,7 +25,7 @@ QUIET = changed(
 )
 
 
-def calibrated(folder, tilt, prior, key="held"):
+def calibrate_tilted(folder, tilt, prior, key="held"):
     model = {"held": "hold", "estimated": "terms"}[key]
     listed = '["platform.tilt.north"]'
     if key == "estimated":
@@ -43,19 +43,19 @@ def calibrated(folder, tilt, prior, key="held"):
     return calibrate(folder / "records")
 
 
-def large(result):
+def large_tilt_findings(result):
     return {f.subject: f for f in result.findings if f.code == "large-tilt"}
 
 
 @pytest.mark.parametrize("key", ["held", "estimated"])
-def test_the_second_order_moves_what_the_finding_names(tmp_path, key):
-    level = calibrated(tmp_path / "level", "0 arcsec", "0 ± 0.1 arcsec", key)
-    tilted = calibrated(tmp_path / "tilted", "20 arcmin", "1200 ± 0.1 arcsec", key)
-    assert large(level) == {}
-    found = large(tilted)
+def test_second_order_of_tilt_changes_named_coefficients(tmp_path, key):
+    level = calibrate_tilted(tmp_path / "level", "0 arcsec", "0 ± 0.1 arcsec", key)
+    tilted = calibrate_tilted(tmp_path / "tilted", "20 arcmin", "1200 ± 0.1 arcsec", key)
+    assert large_tilt_findings(level) == {}
+    found = large_tilt_findings(tilted)
     assert set(found) == {"Qx.K_I"}
     one, other = (r.accelerometers["Qx"].coefficients["K_I"] for r in (level, tilted))
-    # -psi^2/2 and, of K_II a_I^2 with a_I less psi, -2 K_II psi
+    # -psi^2/2 and, from K_II (a_I - psi)^2, -2 K_II psi
     expected = -0.5 * (20 * ARCMIN) ** 2 - 2.0 * 2.7e-5 * 20 * ARCMIN
     assert other.value - one.value == pytest.approx(expected, abs=0.3 * other.u)
     assert found["Qx.K_I"].size == pytest.approx(-expected / other.u, rel=0.02)
@@ -64,8 +64,8 @@ def test_the_second_order_moves_what_the_finding_names(tmp_path, key):
     assert "may reach 1.2e+03 arcsec (estimate plus 2 u)" in found["Qx.K_I"].text
 
 
-def test_a_tilt_along_the_input_axis_leaves_its_scale_factor(tmp_path):
-    found = large(calibrated(tmp_path, "20 arcmin", "1200 ± 0.1 arcsec"))
+def test_tilt_about_input_axis_does_not_change_scale_factor(tmp_path):
+    found = large_tilt_findings(calibrate_tilted(tmp_path, "20 arcmin", "1200 ± 0.1 arcsec"))
     # About north: Qy's input axis, along which the platform turns.
     assert "Qy.K_I" not in found
 
@@ -81,7 +81,7 @@ def test_a_tilt_along_the_input_axis_leaves_its_scale_factor(tmp_path):
         (0.1, 1e-6, 800.0, "is 0.1 deg/h"),
     ],
 )
-def test_a_drift_is_large_for_the_length_of_the_runs(drift, u, longest, words):
+def test_drift_limit_depends_on_duration_of_runs(drift, u, longest, words):
     # g d^2 T^4/24 reaches 0.01 m at 0.2 deg/h over 400 s, and at 0.05 deg/h over 800 s.
     unknown = Unknown("", "platform.drift.north", (0.0, np.inf), 1e-4)
     value, u = -drift * DEGREE_PER_HOUR, u * DEGREE_PER_HOUR

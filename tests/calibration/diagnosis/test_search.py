@@ -1,4 +1,4 @@
-"""Good campaigns are blamed for nothing, and nothing is searched where nothing is suspicious."""
+"""Good campaigns have no cause, and without a suspicious check there is no search."""
 
 import math
 import os
@@ -33,7 +33,7 @@ SILENT = ('displacement = "0.01 m"\nangle', 'displacement = "0 m"\nangle')
 
 
 class Campaigns:
-    """Honest campaigns: truths drawn from their priors, noise as it is."""
+    """Good campaigns: truths drawn from their priors and noise as stated."""
 
     def __init__(self, folder, text, walk):
         records = make_records(folder / "sound", SILENT)
@@ -43,8 +43,8 @@ class Campaigns:
         self.clean = make_series(self.campaign, list(observe(self.campaign)))
         self.model, self.walk, self.columns = make_unknowns(self.campaign), walk, {}
 
-    def drawn(self, rng):
-        """Return the causes that are found in one of them."""
+    def draw_causes(self, rng):
+        """Return the causes found in a random campaign."""
         known = [u for u in self.model.unknowns if math.isfinite(u.prior[1])]
         off = {unknown: unknown.prior[1] * rng.standard_normal() for unknown in known}
         series = [self._noisy(i, one, off, rng) for i, one in enumerate(self.clean)]
@@ -55,7 +55,7 @@ class Campaigns:
             AccelerometerView(JointProblem(self.campaign), found, determined, name)
             for name in self.campaign.accelerometers
         ]
-        return search.find_causes(views, {view.name: result_of(view) for view in views})
+        return search.find_causes(views, {view.name: make_accelerometer(view) for view in views})
 
     def _noisy(self, i, one, off, rng):
         error = one.error + WHITE / np.sqrt(one.count) * rng.standard_normal(one.error.size)
@@ -69,7 +69,7 @@ class Campaigns:
         return replace(one, error=error)
 
 
-def result_of(view):
+def make_accelerometer(view):
     return accelerometer(
         residual=residual(view),
         noise=noise_lines(view),
@@ -87,12 +87,12 @@ def result_of(view):
         (False, 3e-5, 200 if FULL else 3),
     ],
 )
-def test_good_campaigns_are_blamed_in_one_of_a_hundred(given, walk, trials, tmp_path):
+def test_false_alarm_rate_of_good_campaigns_is_1_percent(given, walk, trials, tmp_path):
     text = SOUND if given else changed(SOUND, (NOISE, ""))
     campaigns = Campaigns(tmp_path, text, walk)
     rng = np.random.default_rng(5)
     blamed = sum(bool(campaigns.drawn(rng)) for _ in range(trials))
-    # At 1 % each; so many or more come in fewer than one of 10,000 such studies (Poisson).
+    # At 1 % each, this number or more occurs in fewer than 1 of 10,000 studies (Poisson).
     mean = 0.01 * trials
     chance, term = 1.0, math.exp(-mean)
     for k in range(blamed):
@@ -101,7 +101,7 @@ def test_good_campaigns_are_blamed_in_one_of_a_hundred(given, walk, trials, tmp_
     assert chance > 1e-4
 
 
-def test_where_nothing_is_suspicious_nothing_is_tried(tmp_path, monkeypatch):
+def test_no_search_without_suspicious_checks(tmp_path, monkeypatch):
     campaigns = Campaigns(tmp_path, SOUND, 0.0)
     monkeypatch.setattr(
         search, "_alternative_hypotheses", lambda *_: pytest.fail("alternatives were tried")
@@ -111,8 +111,8 @@ def test_where_nothing_is_suspicious_nothing_is_tried(tmp_path, monkeypatch):
         assert campaigns.drawn(np.random.default_rng(seed)) == ()
 
 
-def test_every_alternative_has_a_credible_limit(tmp_path):
-    """What an input would be is possible: no latitude beyond the poles, no gravity but Earth's."""
+def test_alternatives_have_credible_range(tmp_path):
+    """The range of an input is physical: latitudes up to the poles, gravity on the Earth."""
     given = Campaigns(tmp_path, SOUND, 0.0)
     found = estimate(given.clean, given.model, make_noise(given.campaign))
     now = replace(found, fit=estimate_considered(found.fit), compressed_fit=None)
@@ -146,8 +146,8 @@ def test_every_alternative_has_a_credible_limit(tmp_path):
 
 
 @pytest.mark.parametrize("off", [1e-12, -1e-12])
-def test_what_rounding_alone_tells_apart_stands_in_order(off):
-    """Two statements that explain the same, whose sizes another library rounds another way."""
+def test_equivalent_alternatives_have_fixed_order(off):
+    """Two equivalent alternatives, whose sizes differ by rounding between libraries."""
     names = (("Qx", "K_I"), ("", "centrifuge.radius"), ("Qx", "K_F"))
     stated = tuple(Alternative("prior", *name) for name in names)
     u = np.array([1.0, 3.0, 2.0])
@@ -159,7 +159,7 @@ def test_what_rounding_alone_tells_apart_stands_in_order(off):
     assert [other.symbol for other, _ in found.rivals] == ["K_I", "K_F"]
 
 
-def test_a_tilt_of_all_runs_is_one_alternative(tmp_path):
+def test_common_tilt_of_all_runs_is_single_alternative(tmp_path):
     given = Campaigns(tmp_path, SOUND, 0.0)
     found = estimate(given.clean, given.model, make_noise(given.campaign))
     terms = {
@@ -177,10 +177,8 @@ def test_a_tilt_of_all_runs_is_one_alternative(tmp_path):
 @pytest.mark.parametrize(
     ("value", "first"), [(-1.74, "K_OQ"), (-1.6, "site.latitude"), (0.01, "site.latitude")]
 )
-def test_a_latitude_far_from_the_stated_one_stands_behind_a_term_that_explains_as_much(
-    value, first
-):
-    """0.8 rad is stated: -0.94 is far from it and from -0.8, which a wrong sign would make."""
+def test_distant_latitude_ranks_after_equivalent_term(value, first):
+    """0.8 rad is stated: -0.94 is far from it and from -0.8, the value with a wrong sign."""
     latitude = Alternative(
         "input",
         "",
@@ -202,10 +200,10 @@ def test_a_latitude_far_from_the_stated_one_stands_behind_a_term_that_explains_a
 
 @pytest.mark.parametrize(("records", "shift", "suspicious"), [(3, 3.1, True), (3, 2.9, False)])
 @pytest.mark.parametrize(("more", "extra"), [(0, 0.0), (297, 1.2)])
-def test_the_largest_of_many_shifts_may_be_large_by_chance(
+def test_suspicion_threshold_depends_on_number_of_shifts(
     monkeypatch, records, shift, suspicious, more, extra
 ):
-    """Of 3 shifts one above 3 is suspicious; of 300, one above 4.15: 0.01/300 to both sides."""
+    """Among 3 shifts one above 3 is suspicious; among 300 one above 4.15 (two-sided 0.01/300)."""
     monkeypatch.setattr(search, "_check_view_statistics", lambda *_: ())
     view = SimpleNamespace(name="A", has_records=False, records=lambda: range(records + more))
     line = SimpleNamespace(z=shift + extra, dof=math.inf)

@@ -1,4 +1,4 @@
-"""Deliberate mistakes are named or refused, as the documentation's table says, row by row."""
+"""Deliberate mistakes are named or rejected as stated in the documentation table."""
 
 import math
 import re
@@ -40,23 +40,23 @@ K_II = 'K_II = "2.7e-5 g/g^2"'
 TILT = '"platform.tilt" = "0 ± 0.5 arcsec"'
 
 
-def drifting(size):
-    """Return the displacement by a bias that grows by so many g over a record."""
+def drifting_bias(size):
+    """Return the displacement due to a bias that grows by `size` g over a record."""
     return lambda t: size * 9.8066 * t**3 / (6.0 * t[-1])
 
 
-def settling(size, part):
-    """Return the displacement by a bias that rises by so many g in the first part of a record."""
+def settling_bias(size, part):
+    """Return the displacement due to a bias that grows by `size` g in the first part."""
 
-    def fallen(t):
+    def settle(t):
         end = part * t[-1]
         return size * 9.8066 * (t**3 - np.maximum(t - end, 0.0) ** 3) / (6.0 * end)
 
-    return fallen
+    return settle
 
 
-def warming(rate):
-    """Return the displacement by a bias that grows by so many g/s from the start of a record."""
+def warming_bias(rate):
+    """Return the displacement due to a bias that grows by `rate` g/s."""
     return lambda t: rate * 9.8066 * t**3 / 6.0
 
 
@@ -224,12 +224,12 @@ MISTAKES = (
     Mistake(
         "a bias drift of 50 ug in one record",
         "bias-drifts middle.Qx",
-        records=added("middle", EAST, drifting(50e-6)),
+        records=added("middle", EAST, drifting_bias(50e-6)),
     ),
     Mistake(
         "a bias drift of 50 ug in one record",
         "bias-drifts middle.Qx",
-        records=added("middle", EAST, drifting(50e-6)),
+        records=added("middle", EAST, drifting_bias(50e-6)),
         estimated=True,
         state="reservations",
     ),
@@ -237,7 +237,7 @@ MISTAKES = (
         Mistake(
             "a bias increase of 500 ug in the first quarter of the fastest record",
             "bias-drifts fast.Qx",
-            records=added("fast", EAST, settling(500e-6, 0.25)),
+            records=added("fast", EAST, settling_bias(500e-6, 0.25)),
             estimated=estimated,
         )
         for estimated in (False, True)
@@ -326,40 +326,40 @@ MISTAKES = (
 )
 
 
-def row_of(mistake):
-    """Return the row of the documentation's table that a mistake has."""
+def table_row(mistake):
+    """Return the documentation table row of a mistake."""
     noise = "estimated" if mistake.estimated else "given"
     if not mistake.state:
         return f'| {mistake.words} | {noise} | refused: "{mistake.says}" |'
     return f"| {mistake.words} | {noise} | {mistake.state}: `{mistake.says.replace(' ', '` `')}` |"
 
 
-def test_the_documentation_s_table_is_these_rows():
+def test_documentation_table_matches_mistakes():
     page = PAGE.read_text(encoding="utf-8")
     table = page[page.index("| error | noise |") :].split("\n\n")[0].splitlines()
-    assert table[2:] == [row_of(mistake) for mistake in MISTAKES]
+    assert table[2:] == [table_row(mistake) for mistake in MISTAKES]
     assert len(MISTAKES) >= 25
 
 
-def named(mistake):
+def mistake_id(mistake):
     return mistake.words + (", noise estimated" if mistake.estimated else "")
 
 
 @pytest.fixture(scope="module")
-def sound(tmp_path_factory):
+def sound_records(tmp_path_factory):
     return make_records(tmp_path_factory.mktemp("sound"))
 
 
 @pytest.mark.parametrize("estimated", [False, True])
-def test_the_sound_campaign_is_good(sound, tmp_path, estimated):
-    found = calibrate(mistaken(tmp_path, Mistake("", "", estimated=estimated), sound))
+def test_sound_campaign_is_good(sound_records, tmp_path, estimated):
+    found = calibrate(mistaken(tmp_path, Mistake("", "", estimated=estimated), sound_records))
     assert (found.state, found.findings) == ("good", [])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mistake", MISTAKES, ids=named)
-def test_a_mistake_is_named(mistake, sound, tmp_path):
-    records = make_records(tmp_path / "other", *mistake.truth) if mistake.truth else sound
+@pytest.mark.parametrize("mistake", MISTAKES, ids=mistake_id)
+def test_mistake_is_named(mistake, sound_records, tmp_path):
+    records = make_records(tmp_path / "other", *mistake.truth) if mistake.truth else sound_records
     folder = mistaken(tmp_path / "mistaken", mistake, records)
     if not mistake.state:
         with pytest.raises(CounterspinError) as refused:
@@ -397,8 +397,8 @@ reading = { Qx = "0.0050321 ± 1e-5 g", Qy = "-0.003 ± 1e-5 g" }
     ],
     ids=["scale", "jump", "angle", "noise", "none"],
 )
-def test_a_mistake_in_a_record_is_named_beside_a_reading_too(mistake, sound, tmp_path):
-    folder = mistaken(tmp_path, mistake, sound)
+def test_mistake_in_record_is_named_with_readings(mistake, sound_records, tmp_path):
+    folder = mistaken(tmp_path, mistake, sound_records)
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     at = text.index("[simulation]") if "[simulation]" in text else len(text)
     (folder / "campaign.toml").write_text(text[:at] + ONE_READING + text[at:], encoding="utf-8")
@@ -407,23 +407,23 @@ def test_a_mistake_in_a_record_is_named_beside_a_reading_too(mistake, sound, tmp
     assert first == [mistake.says] * bool(mistake.says)
 
 
-def test_readings_remain_in_the_fit_while_the_noise_of_records_is_found_anew(
-    sound, tmp_path, monkeypatch
+def test_readings_remain_in_fit_while_noise_is_estimated_again(
+    sound_records, tmp_path, monkeypatch
 ):
     mistake = Mistake(
         "", "", records=multiplied("middle", EAST, 1.002), description=((NOISE, "\n"),)
     )
-    folder = mistaken(tmp_path, mistake, sound)
+    folder = mistaken(tmp_path, mistake, sound_records)
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     at = text.index("[simulation]") if "[simulation]" in text else len(text)
     (folder / "campaign.toml").write_text(text[:at] + ONE_READING + text[at:], encoding="utf-8")
     again = []
 
-    def watched(before, fit, requests):
+    def record_request(before, fit, requests):
         again.append((fit, reestimate(before, fit, requests)))
         return again[-1][1]
 
-    monkeypatch.setattr(search, "reestimate", watched)
+    monkeypatch.setattr(search, "reestimate", record_request)
     calibrate(folder)
     assert again
     for fit, after in again:
@@ -431,10 +431,10 @@ def test_readings_remain_in_the_fit_while_the_noise_of_records_is_found_anew(
         assert after.fit.observations == fit.observations
 
 
-def test_a_bias_that_drifts_in_every_run_is_named_beside_a_drift_of_the_platform(sound, tmp_path):
-    """Both go with t^3: 5e-7 g/s is 300 times what a bias does, 11 times what a platform does."""
-    mistake = Mistake("", "", records=added(None, EAST, warming(5e-7)))
-    (found,) = calibrate(mistaken(tmp_path, mistake, sound)).findings
+def test_common_bias_drift_is_named_with_platform_drift(sound_records, tmp_path):
+    """Both grow with t^3: 5e-7 g/s is 300 typical bias drifts or 11 typical platform drifts."""
+    mistake = Mistake("", "", records=added(None, EAST, warming_bias(5e-7)))
+    (found,) = calibrate(mistaken(tmp_path, mistake, sound_records)).findings
     assert (found.subject, found.contradicts) == ("platform.drift.north", True)
     assert "Qx" in found.as_well
     assert "bias drift of Qx" in found.text
@@ -443,10 +443,10 @@ def test_a_bias_that_drifts_in_every_run_is_named_beside_a_drift_of_the_platform
 @pytest.mark.slow
 @pytest.mark.parametrize(("observable", "unit"), [("velocity", "m/s"), ("specific_force", "m/s^2")])
 @pytest.mark.parametrize(("fast", "alone"), [(1e-4, False), (-1e-4, True)])
-def test_a_clock_is_named_beside_what_looks_the_same(observable, unit, fast, alone, tmp_path):
-    """Off by e it looks like a radius off by -2 e; of one accelerometer like its scale factor too.
+def test_clock_error_is_named_with_equivalent_causes(observable, unit, fast, alone, tmp_path):
+    """A relative error e is equivalent to -2 e of the radius, or of one scale factor.
 
-    Of what looks the same, what somebody wrote down comes first.
+    Among equivalent causes, stated inputs come first.
     """
     text = re.sub(r"start_.*\n", "", SOUND).replace('"0.01 m"', f'"1e-4 {unit}"')
     text = text.replace("displacement =", f"{observable} =").replace(' "m" }', f' "{unit}" }}')
@@ -495,8 +495,8 @@ K_III = "3e-6 g/g^3"
 
 
 @pytest.mark.parametrize(("ppm", "way"), [(1000.0, "fell"), (-1000.0, "rose")])
-def test_a_gain_that_depends_on_the_frequency_is_named_before_a_stretch(tmp_path, ppm, way):
-    """With the square of the rate; the stretch that would do the same is 200 times its size."""
+def test_frequency_response_is_named_before_stretch(tmp_path, ppm, way):
+    """The gain varies with the square of the rate; the equivalent stretch is 200 typical sizes."""
     simulate(write(tmp_path, VELOCITIES), tmp_path / "made")
     for run, part in (("slow", 0.25), ("middle", 0.5), ("fast", 1.0)):
         file = tmp_path / "made" / f"{run}.csv"
@@ -522,8 +522,8 @@ def test_a_gain_that_depends_on_the_frequency_is_named_before_a_stretch(tmp_path
     assert u < 100.0
 
 
-def forces(folder, symbol, value, assume=""):
-    """Calibrate records of specific force of an accelerometer with one term more."""
+def calibrate_force(folder, symbol, value, assume=""):
+    """Calibrate specific-force records of an accelerometer with an additional term."""
     text = changed(
         VELOCITIES,
         ("[noise]", f"[model]\n{assume}\n[noise]"),
@@ -539,17 +539,15 @@ ODD = [("K_5", "1e-8 g/g^5"), ("K_I_asym", "2e-5 g/g")]
 
 
 @pytest.mark.parametrize(("symbol", "value"), [*ODD, ("K_0_asym", "4e-5 g")])
-def test_an_asymmetry_or_a_fifth_order_that_is_assumed_away_is_named(tmp_path, symbol, value):
-    """Not K_OQ, K_4, a stretch or a latitude."""
-    first = forces(tmp_path, symbol, value, f'assume = ["{symbol}"]\n').findings[0]
+def test_wrongly_assumed_asymmetry_or_fifth_order_is_named(tmp_path, symbol, value):
+    """The finding does not name K_OQ, K_4, a stretch or a latitude."""
+    first = calibrate_force(tmp_path, symbol, value, f'assume = ["{symbol}"]\n').findings[0]
     assert (first.code, first.subject) == ("term-missing", f"Qx.{symbol}")
 
 
 @pytest.mark.parametrize(("symbol", "value"), [*ODD, ("K_0_asym", "1e-5 g")])
-def test_an_asymmetry_or_a_fifth_order_of_typical_size_is_in_the_uncertainty(
-    tmp_path, symbol, value
-):
-    result = forces(tmp_path, symbol, value)
+def test_uncertainty_covers_typical_asymmetry_or_fifth_order(tmp_path, symbol, value):
+    result = calibrate_force(tmp_path, symbol, value)
     assert (result.state, result.findings) == ("good", [])
     for name, true in {"K_F": 5e-3, "K_I": 1.002, "K_II": 2e-5}.items():
         c = result[f"Qx.{name}"]

@@ -1,4 +1,4 @@
-"""What a coefficient rests on that the data cannot check is said, with what an error of it does."""
+"""Remarks name inputs that the data cannot test and the effect of their errors."""
 
 import math
 import re
@@ -25,7 +25,7 @@ priors = { "head.harmonic" = "0 ± 0.2 arcsec" }
 
 """
 
-#: Nothing is stated of the clock; the bias, the scale factor and K_5, which looks like K_III, are.
+#: The bias, the scale factor and K_5 (similar to K_III) are stated; the clock is not.
 RECORDED = f"""{PLACE}
 [accelerometers.Qx]
 input_axis = "east"
@@ -50,12 +50,12 @@ K_II = "2e-5 g/g^2"
 """
 
 
-def remarks(result):
+def untested_remarks(result):
     unchecked = "depends on values that the data cannot check"
     return [text for text in result.warnings if unchecked in text]
 
 
-def tumble(folder, mountings=(0,), more=""):
+def calibrate_tumble(folder, mountings=(0,), more=""):
     rng = np.random.default_rng(4)
     text = changed(TUMBLE, ("priors = {", f"priors = {{ {more}"))
     for turn in mountings:
@@ -74,14 +74,14 @@ def tumble(folder, mountings=(0,), more=""):
     ("source", "symbol", "unit", "seen"),
     [("1.sin", "K_F", 1e-6, False), ("4.sin", "K_I", 1.0, True)],
 )
-def test_a_head_that_is_said_to_err_by_little(tmp_path, source, symbol, unit, seen):
+def test_head_with_understated_error_has_remark(tmp_path, source, symbol, unit, seen):
     """Once a turn, 2.06 arcsec of it move K_F by 10 ug, and by nothing else are they seen.
 
     Four times a turn so much would be seen a little: what is said is the most that is not.
     """
-    result = tumble(tmp_path / "stated")
+    result = calibrate_tumble(tmp_path / "stated")
     assert (result.state, result.findings) == ("good", [])
-    (text,) = remarks(result)
+    (text,) = untested_remarks(result)
     said = re.search(
         rf"the stated value of head\.harmonic\.{re.escape(source)} has an error of ([\d.]+) "
         rf"arcsec, "
@@ -95,7 +95,7 @@ def test_a_head_that_is_said_to_err_by_little(tmp_path, source, symbol, unit, se
     erring = f'"head.harmonic.{source}" = "{size} ± 0.2 arcsec", '
     before, after = (
         one.accelerometers["A"].coefficients[symbol]
-        for one in (result, tumble(tmp_path / "erring", more=erring))
+        for one in (result, calibrate_tumble(tmp_path / "erring", more=erring))
     )
     assert abs(after.value - before.value) == pytest.approx(shift * unit, rel=0.05)
     assert shift * unit / before.u == pytest.approx(times, rel=0.05)
@@ -103,20 +103,20 @@ def test_a_head_that_is_said_to_err_by_little(tmp_path, source, symbol, unit, se
 
 
 @pytest.mark.parametrize("size", ["2.06 arcsec", "0.2 arcsec"])
-def test_what_is_stated_as_its_typical_size_or_tested_needs_no_remark(tmp_path, size, monkeypatch):
-    """Two mountings show what the head does, whatever is stated of it."""
+def test_typical_or_tested_input_has_no_remark(tmp_path, size, monkeypatch):
+    """Two mountings determine the error of the head, whatever its prior."""
     monkeypatch.setitem(globals(), "TUMBLE", changed(TUMBLE, ("0.2 arcsec", size)))
     typical = size.startswith("2")
-    assert remarks(tumble(tmp_path, (0,) if typical else (0, 60, 135))) == []
+    assert untested_remarks(calibrate_tumble(tmp_path, (0,) if typical else (0, 60, 135))) == []
 
 
-def test_the_clock_of_one_run_alone(tmp_path):
-    """20 ppm of it are taken for K_III, and no residual shows them."""
+def test_untested_clock_of_single_run_has_remark(tmp_path):
+    """An error of 20 ppm shifts K_III and does not appear in the residuals."""
     made = tmp_path / "made"
     simulate(campaign_of(tmp_path / "true", RECORDED), made)
     result = calibrate(made)
     assert (result.state, result.findings) == ("good", [])
-    (text,) = remarks(result)
+    (text,) = untested_remarks(result)
     run, shift = re.search(
         r"if the clock during (\w+) only has an error of 20 ppm, the error of K_III is ([\d.]+) ug",
         text,
@@ -131,10 +131,10 @@ def test_the_clock_of_one_run_alone(tmp_path):
     assert off.state == "good"
     before, after = (one.accelerometers["Qx"].coefficients["K_III"] for one in (result, off))
     assert 1e6 * abs(after.value - before.value) == pytest.approx(float(shift), rel=0.1)
-    # Another recorder has a clock of its own, which u then holds.
+    # A second recorder has a separate clock, whose uncertainty is in u.
     text = (made / "campaign.toml").read_text()
     line = f'record = "{run}.csv"'
     named = changed(text, (line, f'{line}\nrecords = {{ recorder = "B" }}'))
     own = calibrate(write(made, named).parent)
-    assert f"clock during {run}" not in "".join(remarks(own))
+    assert f"clock during {run}" not in "".join(untested_remarks(own))
     assert own.accelerometers["Qx"].coefficients["K_III"].u > 1.5 * before.u

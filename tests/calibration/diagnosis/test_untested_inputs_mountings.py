@@ -1,4 +1,4 @@
-"""A pendulous axis that is stated wrongly is named where the records show it, else remarked on."""
+"""A wrong pendulous axis is named if the records reveal it; otherwise a remark warns of it."""
 
 import re
 from types import SimpleNamespace
@@ -24,7 +24,7 @@ K_IO = "3e-6 ± 1e-8 g/g^2"
 """
 
 
-def described(observable, known=STATED):
+def describe(observable, known=STATED):
     unit, noise = UNITS[observable]
     return f"""{PLACE}
 [accelerometers.Qx]
@@ -58,17 +58,17 @@ K_IO = "3e-6 g/g^2"
 @pytest.fixture(scope="module", params=UNITS)
 def recorded(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param)
-    simulate(campaign_of(folder / "true", described(request.param)), folder / "made")
+    simulate(campaign_of(folder / "true", describe(request.param)), folder / "made")
     return request.param, folder / "made"
 
 
-def calibrated(recorded, axis, known=STATED):
+def calibrate_axis(recorded, axis, known=STATED):
     observable, folder = recorded
-    text = changed(described(observable, known), ('"down"', f'"{axis}"'))
+    text = changed(describe(observable, known), ('"down"', f'"{axis}"'))
     return calibrate(write(folder, text).parent)
 
 
-def remarks(result):
+def mounting_remarks(result):
     return [
         text
         for text in result.warnings
@@ -76,14 +76,14 @@ def remarks(result):
     ]
 
 
-def test_the_right_axis_is_good(recorded):
-    result = calibrated(recorded, "down")
+def test_correct_axis_is_good(recorded):
+    result = calibrate_axis(recorded, "down")
     assert (result.state, result.findings) == ("good", [])
     if recorded[0] == "specific_force":
-        assert remarks(result) == []
+        assert mounting_remarks(result) == []
         return
-    # In displacement K_OO has the t^2 of K_II: only the description knows which way it lies.
-    (text,) = remarks(result)
+    # In displacement K_OO has the t^2 of K_II: only the description defines the axis.
+    (text,) = mounting_remarks(result)
     assert re.search(
         r"With (north|south) instead of down, the records would fit equally well, and K_II would "
         r"be 2 ug/g\^2 larger",
@@ -92,8 +92,8 @@ def test_the_right_axis_is_good(recorded):
 
 
 @pytest.mark.parametrize("axis", ["north", "up", "south"])
-def test_a_wrong_axis_is_named_where_the_records_show_it(recorded, axis):
-    result = calibrated(recorded, axis)
+def test_wrong_axis_is_named_if_detectable(recorded, axis):
+    result = calibrate_axis(recorded, axis)
     first = result.findings[0] if result.findings else None
     k_ii = result.accelerometers["Qx"].coefficients["K_II"]
     if recorded[0] == "specific_force":
@@ -103,14 +103,16 @@ def test_a_wrong_axis_is_named_where_the_records_show_it(recorded, axis):
             first
         ]
     elif axis != "up":
-        # 298 u off or so, and nothing in the records to tell it by: it is said what it rests on.
+        # The error is about 298 u and the records do not reveal it: a remark states the dependence.
         assert abs(k_ii.value - 2.7e-5) > 30.0 * k_ii.u
-        assert "stated values of K_IO and K_OO depend on this direction" in remarks(result)[0]
+        assert (
+            "stated values of K_IO and K_OO depend on this direction" in mounting_remarks(result)[0]
+        )
 
 
-def test_a_wrong_axis_is_named_beside_noise_that_is_found_and_terms_that_nobody_states(tmp_path):
-    """The whole fit has more unknowns than the one in which the noise was found."""
-    text = described("specific_force").replace("2e-6", "4e-5").replace("3e-6", "6e-5")
+def test_wrong_axis_is_named_with_estimated_noise_and_default_priors(tmp_path):
+    """The full fit has more unknowns than the fit that estimates the noise."""
+    text = describe("specific_force").replace("2e-6", "4e-5").replace("3e-6", "6e-5")
     simulate(campaign_of(tmp_path / "true", text), tmp_path / "made")
     own = ('[noise]\nspecific_force = "1e-4 m/s^2"\n', ""), ('[model]\nassume = "all"\n', "")
     result = calibrate(write(tmp_path / "made", changed(text, *own, ('"down"', '"north"'))).parent)
@@ -119,22 +121,22 @@ def test_a_wrong_axis_is_named_beside_noise_that_is_found_and_terms_that_nobody_
     assert "pointed down instead of the stated north" in first.text
 
 
-def test_where_nothing_is_stated_nothing_rests_on_it(recorded):
-    assert remarks(calibrated(recorded, "down", known="")) == []
+def test_no_remark_without_stated_cross_axis_terms(recorded):
+    assert mounting_remarks(calibrate_axis(recorded, "down", known="")) == []
 
 
-def test_readings_and_records_tell_it_together(tmp_path, monkeypatch):
-    """A delta_O of -1 mrad with a pendulous axis down is one of 1 mrad with the axis up."""
+def test_readings_and_records_jointly_reveal_wrong_axis(tmp_path, monkeypatch):
+    """delta_O = -1 mrad with the pendulous axis down equals 1 mrad with the axis up."""
     monkeypatch.setitem(mixed_campaign.TRUTH, "delta_O", 1e-3)
     true = ('K_F = "2e-3 g"', 'K_F = "2e-3 g"\ndelta_O = "1e-3 rad"')
     monkeypatch.setattr(mixed_campaign, "TRUE", changed(mixed_campaign.TRUE, true))
     campaign = mixed_campaign.MixedCampaign(tmp_path)
     model = changed(mixed_campaign.MODEL, ('"K_III", "delta_O"', '"K_III"'))
 
-    def stating(value):
+    def describe_delta_o(value):
         return campaign.calibrated(model=f'{model}"delta_O" = "{value} ± 1e-6 rad"\n')
 
-    right, wrong = stating("1e-3"), stating("-1e-3")
+    right, wrong = describe_delta_o("1e-3"), describe_delta_o("-1e-3")
     assert (right.state, right.findings) == ("good", [])
     first = wrong.findings[0]
     assert (first.code, first.subject, wrong.state) == ("wrong-mounting", "A", "contradicted")
@@ -142,14 +144,14 @@ def test_readings_and_records_tell_it_together(tmp_path, monkeypatch):
     assert (
         "the sense of rotation of the attitudes, and the axes of the stated delta_O" in first.text
     )
-    # All that was found is below its cause.
+    # All findings are grouped under their cause.
     assert wrong.findings == [first]
     explained = {finding.code for finding in first.explains}
     assert {"lack-of-fit", "run-disagrees"} <= explained
 
 
-def test_readings_with_and_without_uncertainty_stay_two_groups(tmp_path):
-    """In the trial both have an uncertainty, and one name; only the first ones tell the bias."""
+def test_readings_with_and_without_uncertainty_are_separate_groups(tmp_path):
+    """In the trial fit both groups have an uncertainty; only the first determines the bias."""
     text = """schema = 1
 site = { gravity = "9.80665 m/s^2", latitude = "0.8 rad" }
 [accelerometers.A]
@@ -181,8 +183,8 @@ K_IP = "1e-4 ± 1e-6 g/g^2"
     assert found == {("wrong-mounting", "A"), ("prior-conflict", "A.K_F")}
 
 
-def other(gain, dof):
-    """Return a mounting that is better by a gain, with a noise of so many degrees of freedom."""
+def make_mounting(gain, dof):
+    """Return a mounting with a gain and a noise with `dof` degrees of freedom."""
     return AlternativeMounting(view=None, quarter_turns=2, fit=None, gain=gain, dof=dof)
 
 
@@ -198,19 +200,19 @@ def other(gain, dof):
         (-5.0, None, False),
     ],
 )
-def test_a_better_mounting_is_one_beyond_chance(gain, dof, blamed):
-    others = [other(gain, dof), other(-40.0, dof), other(-50.0, dof)]
+def test_better_mounting_requires_significant_gain(gain, dof, blamed):
+    others = [make_mounting(gain, dof), make_mounting(-40.0, dof), make_mounting(-50.0, dof)]
     assert (find_better_mounting(others) is others[0]) == blamed
 
 
-def test_without_other_mountings_none_is_better():
+def test_no_better_mounting_without_alternatives():
     assert find_better_mounting([]) is None
 
 
-def test_rounding_does_not_choose_between_turns_that_do_the_same():
-    """A quarter turn either way moves K_II alike where no record shows what is across."""
+def test_equivalent_quarter_turns_are_ordered_independently_of_rounding():
+    """Both quarter turns change K_II equally if no record determines the cross axes."""
 
-    def after(quarters, found, size):
+    def make_candidate(quarters, found, size):
         model = SimpleNamespace(priors={"K_PP": (0.0, 1e-6)})
         view = SimpleNamespace(
             name="A",
@@ -227,5 +229,7 @@ def test_rounding_does_not_choose_between_turns_that_do_the_same():
         )
 
     for more, less in ((1.3, 1.3 - 1e-13), (1.3 - 1e-13, 1.3)):
-        (text,) = undetermined_axis_remarks([after(1, "north", more), after(3, "south", less)])
+        (text,) = undetermined_axis_remarks(
+            [make_candidate(1, "north", more), make_candidate(3, "south", less)]
+        )
         assert "With north instead of down" in text

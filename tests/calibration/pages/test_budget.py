@@ -7,11 +7,11 @@ from counterspin.calibration.pages.budget import budget_blocks
 from counterspin.reports.blocks import Heading, Table
 
 
-def prior(name, value, u, unit, kind="stated"):
+def make_prior(name, value, u, unit, kind="stated"):
     return {"name": name, "kind": kind, "unit": unit, "value": value, "u": u}
 
 
-def line(source, kind, u, unit, sensitivity, contribution):
+def make_line(source, kind, u, unit, sensitivity, contribution):
     return {
         "source": source,
         "kind": kind,
@@ -27,19 +27,19 @@ def line(source, kind, u, unit, sensitivity, contribution):
 def with_priors():
     """Return a result whose K_II depends on K_OO, on the radius and on noise, 3 : 4 : 0."""
     lines = [
-        line("centrifuge.radius", "stated", 1e-5, "m", 4e-2, 4e-7),
-        line("K_OO", "unstated", 2e-6, "g/g^2", -0.15, 3e-7),
-        line("noise of Qx", "noise", None, "", None, 0.0),
+        make_line("centrifuge.radius", "stated", 1e-5, "m", 4e-2, 4e-7),
+        make_line("K_OO", "unstated", 2e-6, "g/g^2", -0.15, 3e-7),
+        make_line("noise of Qx", "noise", None, "", None, 0.0),
     ]
     made = result(budget={"K_II": lines})
     rows = [
-        prior("centrifuge.radius", 2.5, 1e-5, "m"),
-        prior("Qx.K_OO", 0.0, 2e-6, "g/g^2", "unstated"),
+        make_prior("centrifuge.radius", 2.5, 1e-5, "m"),
+        make_prior("Qx.K_OO", 0.0, 2e-6, "g/g^2", "unstated"),
     ]
     return made.model_validate(made.model_dump(by_alias=True) | {"rests_on": rows})
 
 
-def test_a_budget_has_the_columns_of_the_gum_in_their_order(with_priors):
+def test_budget_has_gum_columns_in_order(with_priors):
     heading, table = budget_blocks("Qx", with_priors)
     assert heading == Heading("Uncertainty budget of K_II, Qx", 3)
     assert [column.title for column in table.columns] == [
@@ -54,7 +54,7 @@ def test_a_budget_has_the_columns_of_the_gum_in_their_order(with_priors):
     ]
 
 
-def test_a_line_states_value_and_uncertainty_in_one_unit(with_priors):
+def test_line_has_value_and_uncertainty_in_same_unit(with_priors):
     *_, table = budget_blocks("Qx", with_priors)
     assert isinstance(table, Table)
     radius, k_oo, noise, combined = table.rows
@@ -65,12 +65,12 @@ def test_a_line_states_value_and_uncertainty_in_one_unit(with_priors):
     assert combined[-2:] == ("0.50", "")
 
 
-def test_a_budget_without_known_values_has_no_column_of_values():
+def test_budget_without_priors_has_no_value_column():
     *_, table = budget_blocks("Qx", result())
     assert "Value" not in [column.title for column in table.columns]
 
 
-def test_noise_that_is_estimated_from_the_records_is_of_type_a():
+def test_estimated_noise_is_type_a():
     noise = {"displacement": {"value": 0.01, "u": 1e-4, "unit": "m", "estimated": True}}
     *_, table = budget_blocks("Qx", result(noise=noise))
     assert next(row for row in table.rows if row[0] == "noise of Qx")[2] == "A"

@@ -1,4 +1,4 @@
-"""A card has the answer of an accelerometer: value, interval, parts of u and quality checks."""
+"""Accelerometer cards: value, interval, shares of the variance and quality checks."""
 
 import pytest
 from results import coefficient, result
@@ -10,17 +10,17 @@ from counterspin.calibration.pages.card import accelerometer_card
 MISFIT = {"rms": 0.08, "unit": "m", "dof": 100.0, "chi2": 6400.0, "lack_of_fit_p": 0.0}
 
 
-def card(**changes):
+def make_card(**changes):
     judged = judge_result(result(**changes))
     return accelerometer_card("Qx", judged.accelerometers["Qx"], ())
 
 
-def outcomes(made):
+def check_outcomes(made):
     return {check.title: check.outcome for check in made.checks}
 
 
-def test_a_good_result():
-    made = card()
+def test_card_of_good_result():
+    made = make_card()
     assert (made.state, made.symbol, made.value, made.unit) == (
         "good",
         "K_II",
@@ -33,42 +33,42 @@ def test_a_good_result():
         "95 % interval: 26.9980 to 27.0020 ug/g^2",
         "U = 0.0020 ug/g^2, k = 2.01",
     )
-    assert outcomes(made) == {"Fit": "passed", "Runs": "passed", "Method": "passed"}
+    assert check_outcomes(made) == {"Fit": "passed", "Runs": "passed", "Method": "passed"}
     assert made.detail == "serial number Q-104, input axis east, pendulous axis down"
 
 
-def test_the_parts_of_the_bar_are_a_whole():
-    made = card()
+def test_shares_of_bar_sum_to_one():
+    made = make_card()
     assert sum(share.size for share in made.shares) == pytest.approx(1.0, abs=1e-9)
     assert made.shares[0].label == "noise of Qx 64 %"
 
 
-def test_a_contradicted_result_has_no_interval():
-    made = card(residual=MISFIT)
+def test_contradicted_result_has_no_interval():
+    made = make_card(residual=MISFIT)
     assert made.state == "contradicted"
     assert made.remarks == ()
-    assert outcomes(made)["Fit"] == "failed"
+    assert check_outcomes(made)["Fit"] == "failed"
     assert made.note.startswith("The residuals are 8")
 
 
-def test_what_was_not_checked_is_open():
-    made = card(jackknife=[], two_stage=None)
-    assert outcomes(made) == {"Fit": "passed", "Runs": "open", "Method": "open"}
+def test_missing_check_is_open():
+    made = make_card(jackknife=[], two_stage=None)
+    assert check_outcomes(made) == {"Fit": "passed", "Runs": "open", "Method": "open"}
 
 
-def test_a_run_that_drives_the_result_fails_its_check():
-    made = card(jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -7.0}])
-    assert outcomes(made)["Runs"] == "failed"
+def test_influential_run_fails_check():
+    made = make_card(jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -7.0}])
+    assert check_outcomes(made)["Runs"] == "failed"
     assert "if slow is omitted" in next(c.text for c in made.checks if c.title == "Runs")
 
 
-def test_a_coefficient_that_is_not_determined_has_no_value():
+def test_undetermined_coefficient_has_no_value():
     undetermined = coefficient(0.0, 1e-5, "g/g^2", estimated=False)
-    made = card(coefficients={"K_II": undetermined})
+    made = make_card(coefficients={"K_II": undetermined})
     assert made.value == ""
     assert made.remarks == made.shares == ()
 
 
-def test_without_k_ii_the_card_has_the_first_coefficient():
-    assert card(coefficients={"K_I": coefficient(0.0, 1e-6, "g/g")}).symbol == "K_I"
-    assert card(coefficients={}) is None
+def test_card_without_k_ii_has_first_coefficient():
+    assert make_card(coefficients={"K_I": coefficient(0.0, 1e-6, "g/g")}).symbol == "K_I"
+    assert make_card(coefficients={}) is None

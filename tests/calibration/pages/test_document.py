@@ -1,4 +1,4 @@
-"""The full report says all that a result holds, in the order in which one reads."""
+"""The full report: content and order."""
 
 import math
 import shlex
@@ -32,17 +32,17 @@ from counterspin.reports.blocks import (
 MISFIT = {"rms": 0.08, "unit": "m", "dof": 100.0, "chi2": 6400.0, "lack_of_fit_p": 0.0}
 
 
-def document(result):
-    """Return the report as text has it."""
+def build_document(result):
+    """Return the blocks of the report with typeset text."""
     return list(without_cards(pages_document.document(result)))
 
 
-def texts(blocks):
+def block_texts(blocks):
     return [block.text for block in blocks if isinstance(block, Heading | Paragraph)]
 
 
-def test_the_answer_comes_first_in_both_units():
-    first = document(result())[:2]
+def test_answer_is_first_in_both_units():
+    first = build_document(result())[:2]
     assert first[0] == Heading("By hand", 1)
     assert first[1].style == "answer"
     # Student's t for 50 degrees of freedom: 2.0086.
@@ -53,24 +53,24 @@ def test_the_answer_comes_first_in_both_units():
 
 
 @pytest.mark.parametrize(("dof", "shown"), [(999.0, True), (1000.0, False), (9.7e8, False)])
-def test_so_many_degrees_of_freedom_that_nothing_changes_are_not_shown(dof, shown):
+def test_large_degrees_of_freedom_are_not_shown(dof, shown):
     found = result()
     coefficients = found.accelerometers["Qx"].coefficients
     coefficients["K_II"] = coefficients["K_II"].model_copy(update={"dof": dof})
-    assert (" dof)" in document(found)[1].text) is shown
+    assert (" dof)" in build_document(found)[1].text) is shown
 
 
-def test_chapters_in_order():
-    headings = [b.text for b in document(result()) if isinstance(b, Heading) and b.level == 2]
+def test_chapters_are_in_order():
+    headings = [b.text for b in build_document(result()) if isinstance(b, Heading) and b.level == 2]
     assert headings == ["Coefficients", "Uncertainty budget", "Residuals", "Runs", "Inputs"]
-    sections = [b.text for b in document(result()) if isinstance(b, Heading) and b.level == 3]
+    sections = [b.text for b in build_document(result()) if isinstance(b, Heading) and b.level == 3]
     wanted = ["Quality checks", "Accelerometer Qx", "Platform", "Residuals of Qx", "Model"]
     assert [h for h in sections if h in wanted] == wanted
     assert sections[-1] == "Inputs and reproducibility"
 
 
-def checked(blocks):
-    """Return the sentence that says whether a result is good, and the table below it."""
+def quality_checks(blocks):
+    """Return the verdict sentence of a result and the table below it."""
     place = blocks.index(Heading("Quality checks", 3))
     sentence, table = blocks[place + 1 : place + 3]
     assert isinstance(table, Table)
@@ -78,8 +78,8 @@ def checked(blocks):
     return sentence, table.rows
 
 
-def test_a_good_result_says_what_was_checked():
-    sentence, rows = checked(document(result()))
+def test_good_result_lists_checks():
+    sentence, rows = quality_checks(build_document(result()))
     assert sentence == Paragraph("The result for Qx passed all checks.")
     assert rows == (
         ("Fit", "The residuals are consistent with the stated noise (p = 0.5)."),
@@ -88,21 +88,21 @@ def test_a_good_result_says_what_was_checked():
     )
 
 
-def test_warnings_stand_once_and_before_everything_else():
-    blocks = document(result(warnings=["Qx: something is odd"]))
-    sentence, rows = checked(blocks)
+def test_warnings_appear_once_and_first():
+    blocks = build_document(result(warnings=["Qx: something is odd"]))
+    sentence, rows = quality_checks(blocks)
     assert sentence == Paragraph(
         "The result for Qx is usable with reservations (1 finding).", "warning"
     )
     assert rows[0] == ("Warning", "something is odd")
-    assert "something is odd" not in " ".join(texts(blocks))
+    assert "something is odd" not in " ".join(block_texts(blocks))
 
 
-def test_what_speaks_against_a_result_is_said_once_and_before_everything_else():
+def test_findings_appear_once_and_first():
     lost = {"code": "strobes-lost", "subject": "Qx", "text": "3 strobes were left out."}
     drives = [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -4.0}]
-    blocks = document(result(findings=[lost], jackknife=drives))
-    sentence, rows = checked(blocks)
+    blocks = build_document(result(findings=[lost], jackknife=drives))
+    sentence, rows = quality_checks(blocks)
     assert sentence.style == "warning"
     assert sentence.text.endswith("reservations (2 findings, most serious first).")
     assert {row[0] for row in rows[:2]} == {"Strobes lost", "Run disagrees: K_II"}
@@ -110,8 +110,8 @@ def test_what_speaks_against_a_result_is_said_once_and_before_everything_else():
         assert sum(words in row[1] for row in rows) == 1
 
 
-def test_a_contradicted_result_says_so_first_and_has_neither_interval_nor_colour():
-    blocks = document(result(residual=MISFIT))
+def test_contradicted_result_starts_with_warning_and_has_no_interval():
+    blocks = build_document(result(residual=MISFIT))
     assert blocks[0] == Heading("By hand", 1)
     assert blocks[1].style == "warning"
     assert blocks[1].text.startswith("The records contradict this result (Qx). The residuals are 8")
@@ -119,26 +119,28 @@ def test_a_contradicted_result_says_so_first_and_has_neither_interval_nor_colour
         "K_II of Qx = 27.0000 ± 0.0010 µg/g² = (2.70000 ± 0.00010) × 10⁻⁵ g/g²"
     )
     assert not [b for b in blocks if getattr(b, "style", "") == "answer"]
-    assert not [text for text in texts(blocks) if "95 %: " in text]
+    assert not [text for text in block_texts(blocks) if "95 %: " in text]
 
 
-def test_the_colour_of_the_answer_follows_the_state():
+def test_style_of_answer_follows_state():
     drives = [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -4.0}]
     for made, style in ((result(), "answer"), (result(jackknife=drives), "reserved")):
-        (line,) = (b for b in document(made) if getattr(b, "text", "").startswith("K_II of Qx ="))
+        (line,) = (
+            b for b in build_document(made) if getattr(b, "text", "").startswith("K_II of Qx =")
+        )
         assert line.style == style
 
 
-def test_an_accepted_misfit_is_printed_with_its_reason_and_done_again_with_it():
+def test_accepted_misfit_is_printed_with_reason_and_command():
     accepted = judge_result(result(residual=MISFIT), "the arm's play is known")
-    written = texts(document(accepted))
+    written = block_texts(build_document(accepted))
     assert "The misfit was accepted: the arm's play is known" in written[2]
     command = """counterspin calibrate . '--accept-misfit=the arm'"'"'s play is known'"""
     assert command in written
 
 
-def test_every_picture_of_a_full_result_is_there():
-    pictures = [b for b in document(result()) if isinstance(b, Picture)]
+def test_full_result_has_all_plots():
+    pictures = [b for b in build_document(result()) if isinstance(b, Picture)]
     assert sum(isinstance(p, HeatMap) for p in pictures) == 1
     assert sum(isinstance(p, Bars) for p in pictures) == 1
     titles = [p.title for p in pictures if isinstance(p, Plot)]
@@ -153,51 +155,51 @@ def test_every_picture_of_a_full_result_is_there():
     ]
 
 
-def test_a_result_without_series_has_no_empty_pictures():
+def test_result_without_series_has_no_plots():
     bare = result(traces={}, budget={}, jackknife=[], correlation=None)
     for run in bare.runs.values():
         run.ripples.clear()
-    assert not [b for b in document(bare) if isinstance(b, Picture)]
+    assert not [b for b in build_document(bare) if isinstance(b, Picture)]
 
 
-def test_the_model_is_written_from_the_terms_that_were_used():
+def test_model_equation_lists_used_terms():
     kept = result().accelerometers["Qx"].coefficients
     more = kept | {
         "K_OQ": coefficient(0.0, 1e-9, "g/g^2"),
         "delta_P": coefficient(0.0, 1e-6, "rad"),
     }
-    written = texts(document(result(coefficients=more)))
+    written = block_texts(build_document(result(coefficients=more)))
     assert "Qx: a_ind = K_F + K_I a_I + K_II a_I² + K_OQ a_I |a_I| − delta_P a_O" in written
     assert any("platform.drift.north" in text for text in written)
     assert "counterspin calibrate ." in written
 
 
-def test_an_old_two_stage_result_is_made_again_by_its_own_method():
+def test_command_of_two_stage_result_states_method():
     old = result().model_copy(update={"method": "two-stage"})
-    assert "counterspin calibrate . --method=two-stage" in texts(document(old))
+    assert "counterspin calibrate . --method=two-stage" in block_texts(build_document(old))
     stated = old.provenance.model_copy(update={"options": ["--method=two-stage", "--sigma=given"]})
-    written = texts(document(old.model_copy(update={"provenance": stated})))
+    written = block_texts(build_document(old.model_copy(update={"provenance": stated})))
     assert "counterspin calibrate . --method=two-stage --sigma=given" in written
 
 
-def test_the_command_of_a_report_is_quoted_for_a_shell():
+def test_command_is_quoted_for_shell():
     options = ["--method=two-stage", "--sigma=a b; rm -r ~ $(x) `y` 'z'"]
     found = result()
     found = found.model_copy(
         update={"provenance": found.provenance.model_copy(update={"options": options})}
     )
-    (command,) = (b.text for b in document(found) if getattr(b, "style", "") == "command")
+    (command,) = (b.text for b in build_document(found) if getattr(b, "style", "") == "command")
     assert shlex.split(command) == ["counterspin", "calibrate", ".", *options]
 
 
-def test_degrees_of_freedom_are_counted_whole_and_units_are_in_print():
+def test_degrees_of_freedom_are_integers_and_units_are_typeset():
     residual = {"rms": 0.01, "unit": "m", "dof": 21659.98}
-    written = " ".join(texts(document(result(residual=residual))))
+    written = " ".join(block_texts(build_document(result(residual=residual))))
     assert "21660 degrees of freedom" in written
     assert "Gravity 9.8 m/s², latitude" in written
 
 
-def test_words_alone_have_no_empty_chapters():
+def test_text_without_plots_has_no_empty_chapters():
     picture = next(residual_plots("Qx", result().accelerometers["Qx"], result().runs))
     one, two, deep, said = Heading("1"), Heading("2"), Heading("3", 3), Paragraph("words")
     assert text_blocks([one, deep, picture, two, said]) == [two, said]
@@ -205,15 +207,15 @@ def test_words_alone_have_no_empty_chapters():
     assert text_blocks([one, said, picture, picture, two]) == [one, said, two]
 
 
-def test_the_identifier_is_the_result_s_own():
+def test_identifier_depends_on_result():
     assert result().identifier == result().identifier
     assert result().identifier != result(serial_number="Q-105").identifier
 
 
-# Pictures
+# Plots
 
 
-def test_residuals_keep_outliers_and_are_in_millimetres():
+def test_residual_plot_keeps_outliers_and_uses_millimetres():
     first = next(residual_plots("Qx", result().accelerometers["Qx"], result().runs))
     assert first.zoom
     band, outliers = first.series
@@ -224,7 +226,7 @@ def test_residuals_keep_outliers_and_are_in_millimetres():
     assert first.y_label == "residual, mm"
 
 
-def test_many_runs_share_several_plots():
+def test_many_runs_are_divided_among_plots():
     traces = {f"run{i}": trace() for i in range(8)}
     plots = list(residual_plots("Qx", result(traces=traces).accelerometers["Qx"], {}))
     assert len(plots) == 8 + 2 * 3
@@ -232,13 +234,13 @@ def test_many_runs_share_several_plots():
     assert labels == list(traces)
 
 
-def test_a_part_of_the_revolution_without_samples_is_a_gap():
+def test_angle_without_samples_is_gap():
     fold = list(residual_plots("Qx", result().accelerometers["Qx"], result().runs))[2]
     assert fold.series[0].x == (90.0, 270.0)
     assert fold.series[0].y == (1.0, None)
 
 
-def test_a_run_has_its_colour_in_every_picture():
+def test_run_has_same_colour_in_all_plots():
     found = result(traces={"fast": trace(rows=3, rms=0.01), "slow": trace(rows=900, rms=0.02)})
     colours = {"fast": set(), "slow": set()}
     pictures = [*residual_plots("Qx", found.accelerometers["Qx"], found.runs)]
@@ -251,7 +253,7 @@ def test_a_run_has_its_colour_in_every_picture():
     assert colours == {"slow": {0}, "fast": {1}}
 
 
-def test_residuals_are_drawn_with_their_rms_and_say_what_they_are():
+def test_residual_plot_has_labels_and_rms_limits():
     found = result(traces={"slow": trace(rows=3, rms=0.01)})
     found.runs["slow"].counts["block"] = 7
     first = next(residual_plots("Qx", found.accelerometers["Qx"], found.runs))
@@ -260,19 +262,19 @@ def test_residuals_are_drawn_with_their_rms_and_say_what_they_are():
     assert (upper.label, upper.y, lower.y) == ("± 2 rms", (20.0, 20.0), (-20.0, -20.0))
 
 
-def test_spectrum_has_the_band_of_white_noise():
+def test_spectrum_has_white_noise_band():
     spectrum = {"frequency": [0.1, 1.0], "power": [0.9, 1.1], "lines": [1, 100]}
     found = result(traces={"slow": trace(spectrum=spectrum)})
     plots = list(residual_plots("Qx", found.accelerometers["Qx"], found.runs))
     (plot,) = (plot for plot in plots if plot.title.startswith("Spectrum"))
     band, _ = plot.series
-    # One line is exponential; a mean of a hundred nearly normal, with standard deviation 0.1.
+    # One line is exponential; a mean of 100 lines is nearly normal with standard deviation 0.1.
     assert band.low[0] == pytest.approx(-math.log(0.975), rel=1e-12)
     assert band.high[0] == pytest.approx(-math.log(0.025), rel=1e-12)
     assert (band.low[1], band.high[1]) == pytest.approx((0.8136, 1.2053), abs=2e-4)
 
 
-def test_quantiles_are_drawn_less_the_normal_ones_with_a_band():
+def test_quantile_plot_shows_difference_from_normal_with_band():
     found = result(traces={"slow": trace(rows=400)})
     *_, plot = residual_plots("Qx", found.accelerometers["Qx"], found.runs)
     band, series = plot.series
@@ -282,7 +284,7 @@ def test_quantiles_are_drawn_less_the_normal_ones_with_a_band():
     assert band.low == pytest.approx([-height for height in band.high])
 
 
-def test_the_jackknife_shows_what_each_shift_may_be():
+def test_jackknife_plot_shows_uncertainty_of_shift():
     plot = jackknife_plot("Qx", result().accelerometers["Qx"])
     band, points = plot.series
     assert band.low == pytest.approx((26.999, 26.999))
@@ -292,7 +294,7 @@ def test_the_jackknife_shows_what_each_shift_may_be():
     assert plot.x_names == ("slow",)
 
 
-def test_budget_and_correlation():
+def test_budget_and_correlation_plots():
     found = result().accelerometers["Qx"]
     bars = budget_bars("Qx", found)
     assert bars.stacked
@@ -311,7 +313,7 @@ def test_budget_and_correlation():
         (1.0 - 1e-7, [("bias, K_F", "second-order coefficient, K_II", "1 - 1e-7")]),
     ],
 )
-def test_estimates_that_move_together_are_named_in_words(correlation, rows):
+def test_strongly_correlated_estimates_are_listed(correlation, rows):
     matrix = [[1.0, correlation], [correlation, 1.0]]
     kept = result(correlation={"terms": ["K_F", "K_II"], "matrix": matrix})
     blocks = list(accelerometer_blocks("Qx", kept.accelerometers["Qx"], 9.8, details=True))
@@ -326,7 +328,7 @@ def test_estimates_that_move_together_are_named_in_words(correlation, rows):
     assert found == ([tuple(rows)] if rows else [])
 
 
-def test_ripple_is_relative_to_the_rate_whichever_way_it_turns():
+def test_ripple_is_relative_to_magnitude_of_rate():
     (series,) = ripple_plot(result().runs).series
     assert series.label == "slow"
     assert series.y == pytest.approx((1.0,))

@@ -1,4 +1,4 @@
-"""How a result came about: its tests, and how far they agree."""
+"""Test methods of a result and their consistency."""
 
 import pytest
 from results import accelerometer, bare_result, coefficient, run
@@ -13,7 +13,7 @@ from counterspin.calibration.result_parts import ReadingResult
 from counterspin.reports.blocks import Paragraph
 
 
-def reading(motion, rate=0.0, value=1.0, mounting="", axis=(0.0, 0.0, 1.0)):
+def make_reading(motion, rate=0.0, value=1.0, mounting="", axis=(0.0, 0.0, 1.0)):
     return ReadingResult(
         name="r",
         motion=motion,
@@ -28,15 +28,15 @@ def reading(motion, rate=0.0, value=1.0, mounting="", axis=(0.0, 0.0, 1.0)):
     )
 
 
-TUMBLE = [reading("static", value=v, axis=(0.0, 0.0, v)) for v in (1.0, -1.0, 1.0)]
+TUMBLE = [make_reading("static", value=v, axis=(0.0, 0.0, v)) for v in (1.0, -1.0, 1.0)]
 ARM = [
-    reading("arm", rate, side * rate**2 / 9.8, name, (-float(side), 0.0, 0.0))
+    make_reading("arm", rate, side * rate**2 / 9.8, name, (-float(side), 0.0, 0.0))
     for name, side in (("in", 1), ("out", -1))
     for rate in (7.0, 14.0)
 ]
 
 
-def result(readings, runs=()):
+def make_result(readings, runs=()):
     return bare_result(
         accelerometers={"A": accelerometer(readings=readings)},
         runs=dict.fromkeys(runs, run()),
@@ -47,8 +47,8 @@ def result(readings, runs=()):
     )
 
 
-def test_each_kind_of_test_is_a_sentence():
-    lines = list(describe_tests(result(TUMBLE + ARM, ("slow", "fast"))))
+def test_each_test_method_has_sentence():
+    lines = list(describe_tests(make_result(TUMBLE + ARM, ("slow", "fast"))))
     assert lines == [
         "Readings at rest in 2 positions: 3 readings (multi-position test, IEEE Std 1293).",
         "Readings on the arm of a centrifuge (IEEE Std 836) at 2 rates, 7 to 14 rad/s, one sense "
@@ -58,37 +58,39 @@ def test_each_kind_of_test_is_a_sentence():
     ]
 
 
-def test_both_senses_and_a_single_rate():
-    (line,) = describe_tests(result([reading("counter-rotating", w) for w in (6.0, -6.0)]))
+def test_both_senses_at_single_rate():
+    (line,) = describe_tests(
+        make_result([make_reading("counter-rotating", w) for w in (6.0, -6.0)])
+    )
     assert line.startswith(
         "Readings on a double turntable at 1 rate, 6 rad/s, both senses of rotation: 2"
     )
 
 
-def test_the_table_has_a_row_for_each_mounting():
+def test_table_has_row_per_mounting():
     rows = tabulate_tests(TUMBLE + ARM).rows
     assert rows[0][1:] == ("", "2", "", "-1 to 1", "3")
     assert rows[1][1:] == ("in", "1", "7 to 14", "5 to 20", "2")
     assert rows[2][1:] == ("out", "1", "7 to 14", "-20 to -5", "2")
 
 
-def test_the_forces_are_those_of_the_motions_alone():
-    text = [block.text for block in reading_blocks(result(ARM))]
+def test_only_forces_of_used_motions_are_listed():
+    text = [block.text for block in reading_blocks(make_result(ARM))]
     assert any(line.startswith("On the arm") for line in text)
     assert not any("At rest" in line or "double turntable" in line for line in text)
     assert text[-1].endswith("together with the coefficients: centrifuge.radius.in.")
-    assert list(reading_blocks(result([]))) == []
+    assert list(reading_blocks(make_result([]))) == []
 
 
-def test_a_table_has_no_column_in_which_nothing_stands():
+def test_empty_columns_are_omitted():
     titles = [column.title for column in tabulate_tests(TUMBLE).columns]
     assert titles == ["Test", "Positions", "Indication, g", "Readings"]
     titles = [column.title for column in tabulate_tests(TUMBLE + ARM).columns]
     assert titles[1:4] == ["Mounting", "Positions", "Rates, rad/s"]
 
 
-def kinds(p):
-    """Two kinds, each with one shift, so that four tests share the significance of 0.01."""
+def make_methods(p):
+    """Two methods with one shift each, so that four tests share the significance of 0.01."""
     kind = {
         "count": 1,
         "coefficients": {"K_F": coefficient(0.005, 1e-6, "g")},
@@ -110,8 +112,8 @@ def kinds(p):
         (0.0012, "not consistent with the other methods"),
     ],
 )
-def test_all_tests_of_all_kinds_share_the_significance(p, verdict):
-    (words,) = [b.text for b in method_blocks(kinds(p)) if isinstance(b, Paragraph)]
+def test_significance_is_shared_by_all_tests(p, verdict):
+    (words,) = [b.text for b in method_blocks(make_methods(p)) if isinstance(b, Paragraph)]
     assert words.startswith(
         f"Consistency of each test method with the other methods: at rest: {verdict} (chi"
     )

@@ -1,4 +1,4 @@
-"""Residuals of a fit, whole and thinned."""
+"""Residual traces of a fit, complete and thinned."""
 
 import numpy as np
 import polars as pl
@@ -26,7 +26,7 @@ PLANTED = {100: 0.4, 371: -0.25}
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    """Results of a clean campaign and of the same with two samples displaced."""
+    """Return results of a clean campaign and of the same campaign with two displaced samples."""
     folder = tmp_path_factory.mktemp("traces")
     # The noise is a tenth of what the campaign states.
     description = write(folder, changed(SMALL, ('"0.01 m"\nangle', '"0.001 m"\nangle')))
@@ -42,7 +42,7 @@ def results(tmp_path_factory):
     return clean, calibrate(folder / "made"), times
 
 
-def test_each_run_of_each_accelerometer_has_its_trace(results):
+def test_each_run_and_accelerometer_has_trace(results):
     clean, _, _ = results
     for found in clean.accelerometers.values():
         assert list(found.traces) == list(clean.runs)
@@ -52,11 +52,11 @@ def test_each_run_of_each_accelerometer_has_its_trace(results):
             assert not trace.left_out
 
 
-def test_traces_have_the_size_of_the_residuals(results):
+def test_traces_match_residuals(results):
     clean, _, _ = results
     found = clean.accelerometers["Qx"]
     values = [v for trace in found.traces.values() for v in (*trace.low, *trace.high)]
-    # Stretches of one sample: low and high are the residuals themselves, to four digits.
+    # Chunks of one sample: low and high are the residuals, to four digits.
     short = [t for n, t in found.traces.items() if clean.runs[n].samples <= 1500]
     assert short
     squares = np.concatenate([np.square(t.low) for t in short])
@@ -75,29 +75,29 @@ def test_traces_have_the_size_of_the_residuals(results):
         assert max(map(abs, folded)) < 2e-3
 
 
-def test_outliers_are_left_out_and_shown_where_they_were(results):
+def test_outliers_are_rejected_and_marked_at_their_time(results):
     _clean, spoilt, times = results
     shown = dict(spoilt.accelerometers["Qx"].traces["slow"].left_out)
     for (time, residual), (expected, by) in zip(shown.items(), times.items(), strict=True):
         assert time == pytest.approx(expected, rel=1e-5)
-        # To what the noise of that very sample, 1 mm, hides.
+        # Within the noise of the sample, 1 mm.
         assert residual == pytest.approx(by, abs=6e-3)
-    # They do not disturb what is kept.
+    # The remaining samples are unaffected.
     assert max(map(abs, spoilt.accelerometers["Qx"].traces["slow"].high)) < 6e-3
     assert not spoilt.accelerometers["Qy"].traces["slow"].left_out
 
 
-def test_the_file_holds_them_a_list_a_line(results, tmp_path):
+def test_result_file_has_one_line_per_list(results, tmp_path):
     clean, _, _ = results
     path = tmp_path / "result.json"
     clean.write(path)
     assert Result.read(path) == clean
     lines = path.read_text().splitlines()
-    assert sum(line.lstrip().startswith('"low": [') for line in lines) == 12  # two a trace
+    assert sum(line.lstrip().startswith('"low": [') for line in lines) == 12  # two per trace
     assert len(lines) < 2500
 
 
-def test_samples_in_step_with_the_spindle_leave_no_gap_over_the_revolution(results):
+def test_samples_synchronous_with_spindle_leave_no_gap(results):
     # 20 Hz at 1 rev/s: twenty angles, so that 15 parts have samples and 30 have not.
     clean, _, _ = results
     sizes = {n: len(t.by_angle.mean) for n, t in clean.accelerometers["Qx"].traces.items()}
@@ -107,7 +107,7 @@ def test_samples_in_step_with_the_spindle_leave_no_gap_over_the_revolution(resul
 
 
 @pytest.mark.parametrize("digits", [4, 6])
-def test_values_are_rounded_as_python_writes_them(digits):
+def test_rounding_matches_python_format(digits):
     rng = np.random.default_rng(7)
     values = rng.standard_normal(4000) * 10.0 ** rng.integers(-20, 20, 4000)
     special = [
@@ -130,7 +130,7 @@ def test_values_are_rounded_as_python_writes_them(digits):
 
 
 @given(st.integers(1, 300), st.integers(1, 50), st.integers(0, 2**32 - 1))
-def test_no_sample_falls_outside_its_stretch(n, count, seed):
+def test_chunks_cover_all_samples(n, count, seed):
     values = np.random.default_rng(seed).standard_normal(n)
     middle, low, high = envelope(np.arange(n) / 7.0, values, count)
     assert middle.size == min(n, count)
@@ -139,14 +139,14 @@ def test_no_sample_falls_outside_its_stretch(n, count, seed):
     assert high.max() == values.max()
 
 
-def test_a_stretch_of_one_sample_is_that_sample():
+def test_chunk_of_one_sample_equals_sample():
     middle, low, high = envelope(np.array([0.0, 1.0, 5.0]), np.array([3.0, -1.0, 2.0]), 10)
     np.testing.assert_array_equal(middle, [0.0, 1.0, 5.0])
     np.testing.assert_array_equal(low, [3.0, -1.0, 2.0])
     np.testing.assert_array_equal(high, low)
 
 
-def test_over_a_revolution_by_hand():
+def test_mean_over_angle_bins():
     angle = np.array([0.1, 0.2, 2 * np.pi + 0.3, np.pi + 0.1, -0.1])
     low, mean, high = fold_over_revolution(angle, np.array([1.0, 2.0, 6.0, -4.0, 9.0]), 4)
     np.testing.assert_array_equal(low, [1.0, np.nan, -4.0, 9.0])
@@ -154,18 +154,18 @@ def test_over_a_revolution_by_hand():
     np.testing.assert_array_equal(high, [6.0, np.nan, -4.0, 9.0])
 
 
-def test_an_angle_that_rounding_takes_to_the_next_revolution_is_still_in_this_one():
+def test_angle_rounded_to_full_revolution_is_in_valid_bin():
     low, _, _ = fold_over_revolution(np.array([-1e-20]), np.array([1.0]), 7)
     assert np.flatnonzero(np.isfinite(low)).size == 1
 
 
 @pytest.mark.parametrize("n", [3, 4, 1000, 20001])
-def test_spectrum_has_the_power_of_its_samples(n):
-    """Parseval: the lines' powers, both signs, add up to the sum of squares less the ends'."""
+def test_spectrum_satisfies_parseval(n):
+    """Parseval: the two-sided powers sum to the sum of squares minus the ends."""
     x = np.random.default_rng(n).standard_normal(n)
     frequency, power, each = smoothed_spectrum(
         periodogram(x), n * 0.5, 10**6
-    )  # every line in a band of its own
+    )  # each line in a separate band
     assert (each == 1).all()
     lines = (n - 1) // 2
     np.testing.assert_allclose(frequency, np.arange(1, lines + 1) / (n * 0.5))
@@ -175,7 +175,7 @@ def test_spectrum_has_the_power_of_its_samples(n):
     assert 2 * power.sum() + ends == pytest.approx(x @ x)
 
 
-def test_spectrum_of_a_line_stands_in_its_band():
+def test_spectral_line_is_in_its_band():
     n, interval, cycles = 4096, 0.02, 200
     x = np.sin(2 * np.pi * cycles * np.arange(n) / n)
     frequency, power, each = smoothed_spectrum(periodogram(x), n * interval, 60)
@@ -193,7 +193,7 @@ def test_white_noise_has_power_one():
     assert power[-1] == pytest.approx(1.0, abs=4.0 / np.sqrt(n / 4))
 
 
-def test_quantiles_keep_the_tails_and_are_blom_s_scores():
+def test_quantiles_keep_tails_and_use_blom_scores():
     x = np.random.default_rng(2).standard_normal(5000)
     normal, found = normal_quantiles(x, 50)
     assert found[0] == x.min()

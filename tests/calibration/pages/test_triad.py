@@ -1,4 +1,4 @@
-"""What is drawn of a triad's poses."""
+"""Plots of the poses of a triad."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def result(truth, tmp_path_factory):
     return cs.calibrate(folder)
 
 
-def test_the_sphere_shows_where_the_force_points_and_how_each_pose_fits(result, truth):
+def test_sphere_plot_shows_directions_and_residuals_of_poses(result, truth):
     sphere = next(picture for picture in pose_pictures(result) if isinstance(picture, Sphere))
     along = truth.force / 9.81
     assert np.array(sphere.points) == pytest.approx(along, abs=3e-3)
@@ -49,12 +49,12 @@ def test_the_sphere_shows_where_the_force_points_and_how_each_pose_fits(result, 
     assert sphere.value_label == "residual, mm/s^2"
     residuals = [9810.0 * pose.residual for pose in result.triad.poses]
     assert sphere.values == pytest.approx(residuals)
-    # Means of some 300 rows scatter by so much.
+    # Scatter of means of about 300 rows.
     assert np.std(sphere.values) == pytest.approx(1e3 * NOISE / np.sqrt(300.0), rel=0.6)
     assert sphere.stands_out == frozenset()
 
 
-def test_residuals_before_and_after(result, truth):
+def test_residuals_before_and_after_calibration(result, truth):
     before, after = (
         p for p in pose_pictures(result) if isinstance(p, Plot) and p.x_label == "pose"
     )
@@ -67,7 +67,7 @@ def test_residuals_before_and_after(result, truth):
     assert 0.5 * (high - low) == pytest.approx(spread)
 
 
-def test_the_search_for_rest_is_drawn_with_its_threshold_and_the_poses(result, truth):
+def test_rest_detection_plot_has_threshold_and_poses(result, truth):
     (found,) = (p for p in pose_pictures(result) if p.title == "Rest intervals of by hand")
     shaded, level = found.series
     (threshold,) = found.levels
@@ -82,7 +82,7 @@ def test_the_search_for_rest_is_drawn_with_its_threshold_and_the_poses(result, t
     assert height.max() > 10.0 * threshold
 
 
-def test_the_report_has_them_all(result):
+def test_report_has_all_triad_plots(result):
     pictures = list(pose_pictures(result))
     assert len(pictures) == 4
     blocks = document(result)
@@ -90,7 +90,7 @@ def test_the_report_has_them_all(result):
     assert all(svg(picture) for picture in pictures)
 
 
-def test_readings_one_a_pose_have_no_search(tmp_path):
+def test_single_readings_have_no_rest_detection_plot(tmp_path):
     values = triads.indications(triads.directions(15, np.random.default_rng(1)))
     result = cs.calibrate(triads.table(tmp_path, values, u=1e-4))
     assert [type(p) for p in pose_pictures(result)] == [Sphere, Plot, Plot]

@@ -1,4 +1,4 @@
-"""What decides u, in words: the source, its size, what would be left of u without it."""
+"""Sentences on the uncertainty: the largest source, its size and u without it."""
 
 import math
 
@@ -16,8 +16,8 @@ from counterspin.inference.joint.summary import BudgetLine
 from counterspin.reports.blocks import Paragraph, Table
 
 
-def line(source, kind, contribution, total, **more):
-    """A line of a budget whose sensitivity is one."""
+def make_line(source, kind, contribution, total, **more):
+    """Return a budget line with a sensitivity of 1."""
     return {
         "source": source,
         "kind": kind,
@@ -30,17 +30,20 @@ def line(source, kind, contribution, total, **more):
     }
 
 
-def resting(unstated, noise=1e-7, **more):
-    """A result whose u(K_II) is of noise and of K_OO, which nothing states."""
+def make_result(unstated, noise=1e-7, **more):
+    """Return a result whose u(K_II) comes from noise and from a default prior of K_OO."""
     u = math.hypot(unstated, noise)
-    lines = [line("K_OO", "unstated", unstated, u), line("noise of Qx", "noise", noise, u)]
+    lines = [
+        make_line("K_OO", "unstated", unstated, u),
+        make_line("noise of Qx", "noise", noise, u),
+    ]
     k_ii = coefficient(2.7e-5, u, "g/g^2", u_noise=noise, u_stated=0.0, u_unstated=unstated)
     square = unstated**2
     update = {
         "names": ["K_II", "K_OO"],
         "units": ["g/g^2", "g/g^2"],
         "known": {"K_OO": unstated},
-        # The data say nothing of K_OO, which K_II takes up whole.
+        # The data do not determine K_OO, so its error is fully in K_II.
         "weighed": [[u**2, -square], [-square, square]],
     }
     found = result(
@@ -49,9 +52,9 @@ def resting(unstated, noise=1e-7, **more):
     return found.model_copy(update=more)
 
 
-def test_the_largest_unstated_source_is_named_with_what_would_be_left():
-    told = default_prior_sentence(resting(2e-6).accelerometers["Qx"])
-    # Known to a tenth of its typical size, K_OO leaves hypot(0.2, 0.1) ug/g^2.
+def test_largest_default_prior_is_named_with_remaining_u():
+    told = default_prior_sentence(make_result(2e-6).accelerometers["Qx"])
+    # With u(K_OO) at a tenth of its typical size, hypot(0.2, 0.1) ug/g^2 remains.
     assert told == (
         "K_OO (second-order output-axis coefficient) contributes 100 % of the variance of K_II. "
         "No uncertainty was stated for this term, so the default of 2 ug/g^2 was used. If K_OO "
@@ -59,40 +62,40 @@ def test_the_largest_unstated_source_is_named_with_what_would_be_left():
     )
 
 
-def test_the_answer_has_one_sentence_about_its_uncertainty_whatever_decides_it():
-    stated = resting(5e-8)
+def test_answer_has_one_sentence_on_largest_source():
+    stated = make_result(5e-8)
     _, _, told, *_ = answer_blocks(stated)
     assert told.text == "Noise of Qx contributes 80 % of the variance of K_II."
-    _, _, told, *_ = answer_blocks(resting(2e-6))
-    assert told.text == default_prior_sentence(resting(2e-6).accelerometers["Qx"])
+    _, _, told, *_ = answer_blocks(make_result(2e-6))
+    assert told.text == default_prior_sentence(make_result(2e-6).accelerometers["Qx"])
 
 
-def test_where_noise_or_what_is_stated_decides_there_is_nothing_to_say():
-    assert default_prior_sentence(resting(5e-8).accelerometers["Qx"]) == ""
+def test_no_default_prior_sentence_if_noise_or_stated_prior_dominates():
+    assert default_prior_sentence(make_result(5e-8).accelerometers["Qx"]) == ""
     stated = result().accelerometers["Qx"]
     assert default_prior_sentence(stated) == ""
     assert default_prior_sentence(stated, "K_I") == ""
 
 
-def test_lines_that_add_next_to_nothing_are_said_together():
-    lines = [BudgetLine(**line(f"K_{k}", "stated", 10.0**-k, 1.0)) for k in range(7)]
+def test_negligible_lines_are_combined():
+    lines = [BudgetLine(**make_line(f"K_{k}", "stated", 10.0**-k, 1.0)) for k in range(7)]
     shown, rest = split_small_lines(lines)
-    # Shares are 1, 1e-2, 1e-4 and then less: of four lines it pays to say how many they are.
+    # Shares are 1, 1e-2, 1e-4 and smaller: four lines are combined.
     assert [one.source for one in shown] == ["K_0", "K_1", "K_2"]
     assert len(rest) == 4
     assert split_small_lines(lines[:6]) == (lines[:6], ())
 
 
-def test_what_is_assumed_is_named():
-    assert assumption_sentence(resting(2e-6)) == ""
-    assert assumption_sentence(resting(2e-6, assumed=["K_4", "K_IP"])) == (
+def test_assumed_terms_are_named():
+    assert assumption_sentence(make_result(2e-6)) == ""
+    assert assumption_sentence(make_result(2e-6, assumed=["K_4", "K_IP"])) == (
         "These terms are fixed at their nominal values, so u does not include them: K_4, K_IP."
     )
     many = [f"K_{k}" for k in range(11)]
-    assert assumption_sentence(resting(2e-6, assumed=many)).endswith("K_7 and 3 more.")
+    assert assumption_sentence(make_result(2e-6, assumed=many)).endswith("K_7 and 3 more.")
 
 
-def test_what_counts_in_a_budget_is_in_the_table_the_largest_first():
+def test_table_lists_main_sources_in_descending_order():
     rows = [
         Knowledge(name="Qx.K_PP", kind="stated", unit="g/g^2", value=0.0, u=1e-6),
         Knowledge(
@@ -106,11 +109,11 @@ def test_what_counts_in_a_budget_is_in_the_table_the_largest_first():
         ),
         Knowledge(name="noise of Qx", kind="held", unit="g/g^2", value=0.0, u=1e-6),
     ]
-    blocks = list(prior_blocks(resting(2e-6, rests_on=rows, assumed=["K_4"])))
+    blocks = list(prior_blocks(make_result(2e-6, rests_on=rows, assumed=["K_4"])))
     (table,) = (block for block in blocks if isinstance(block, Table))
     assert [row[0] for row in table.rows] == ["Qx.K_OO", "noise of Qx"]
     assert table.rows[0][1:3] == ("second-order output-axis coefficient", "default")
     assert table.rows[1][4] == "held (considered)"
     assert isinstance(blocks[-1], Paragraph)
     assert blocks[-1].text.startswith("These terms are fixed")
-    assert list(prior_blocks(resting(2e-6))) == []
+    assert list(prior_blocks(make_result(2e-6))) == []

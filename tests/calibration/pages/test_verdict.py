@@ -1,4 +1,4 @@
-"""Whether a result is good, in one or more sentences."""
+"""Sentences on the state of a result."""
 
 import pytest
 from results import result
@@ -7,20 +7,20 @@ from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.verdict import misfit_blocks, verdict_blocks, verdict_sentence
 
 
-def sentence(**changes):
+def make_sentence(**changes):
     return verdict_sentence("Qx", judge_result(result(**changes)).accelerometers["Qx"])
 
 
-def test_a_good_result():
-    assert sentence() == (
+def test_sentence_of_good_result():
+    assert make_sentence() == (
         "The result for Qx passed all checks: the residuals are consistent with the stated noise "
         "(p = 0.5); no single run dominates the result; the two-stage result agrees "
         "with the joint result."
     )
 
 
-def test_reservations_say_the_gravest_first_and_how_many_more():
-    told = sentence(
+def test_reservations_state_most_serious_finding_and_number_of_others():
+    told = make_sentence(
         warnings=["Qx: one", "Qx: two"],
         jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -3.1}],
     )
@@ -33,15 +33,15 @@ def test_reservations_say_the_gravest_first_and_how_many_more():
     )
 
 
-def test_nothing_speaks_for_a_contradicted_result():
-    told = sentence(jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -6.1}])
+def test_contradicted_result_lists_no_passed_checks():
+    told = make_sentence(jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -6.1}])
     assert told.startswith(
         "The result for Qx is contradicted by the records and must not be used: Omitting"
     )
     assert "Passed checks" not in told
 
 
-def test_nothing_supports_a_result_that_is_not_determined():
+def test_undetermined_result_lists_no_passed_checks():
     lacking = {"code": "not-determined", "subject": "Qx.K_III", "text": "Add a run."}
     lacking["undetermined"] = True
     found = judge_result(result(findings=[lacking]))
@@ -57,12 +57,12 @@ def test_nothing_supports_a_result_that_is_not_determined():
 
 
 @pytest.mark.parametrize(("z", "lines"), [(1.0, 0), (4.0, 0), (7.0, 1)])
-def test_only_a_contradiction_stands_before_the_numbers(z, lines):
+def test_only_contradiction_precedes_numbers(z, lines):
     jackknife = [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": z}]
     assert len(list(misfit_blocks(judge_result(result(jackknife=jackknife))))) == lines
 
 
-def test_what_a_cause_accounts_for_stands_with_it():
+def test_sentence_of_cause_includes_explained_findings():
     misfit = {"code": "lack-of-fit", "subject": "Qx", "text": "The residuals are large."}
     cause = {
         "code": "wrong-input",
@@ -70,7 +70,7 @@ def test_what_a_cause_accounts_for_stands_with_it():
         "text": "A radius of 2.5 m would fit.",
         "explains": [misfit],
     }
-    assert sentence(findings=[cause]).startswith(
+    assert make_sentence(findings=[cause]).startswith(
         "The result for Qx is usable with reservations: A radius of 2.5 m would fit. This explains "
         "the other findings: The residuals are large. Passed checks"
     )

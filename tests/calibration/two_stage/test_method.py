@@ -1,4 +1,4 @@
-"""`calibrate --method two-stage` on simulated folders: what it finds, says and warns of."""
+"""`calibrate --method two-stage` on simulated folders: results, texts and warnings."""
 
 import json
 import math
@@ -34,19 +34,21 @@ PRIORS = (
 MODEL = '[model]\nassume = "all"\n'
 
 
-def modelled(model):
-    """Return the replacement that puts more into [model]."""
+def extend_model(model):
+    """Return the replacement that adds lines to [model]."""
     return (MODEL, f"{MODEL}{model}\n")
 
 
-def made(folder, *pairs, text=SMALL):
+def make_records(folder, *pairs, text=SMALL):
     simulate(write(folder, changed(text, *pairs)), folder / "made")
     return folder / "made"
 
 
-def result_of(folder, *pairs, text=SMALL, **options):
+def calibrate_records(folder, *pairs, text=SMALL, **options):
     return calibrate(
-        made(folder, *pairs, text=text), method="two-stage", options=TwoStageOptions(**options)
+        make_records(folder, *pairs, text=text),
+        method="two-stage",
+        options=TwoStageOptions(**options),
     )
 
 
@@ -57,8 +59,8 @@ def qx(result):
 # --- values and their uncertainty -----------------------------------------------------------------
 
 
-def test_json_has_the_fields_of_the_contract(tmp_path, capsys):
-    folder, file = made(tmp_path, PRIORS), tmp_path / "result.json"
+def test_json_follows_contract(tmp_path, capsys):
+    folder, file = make_records(tmp_path, PRIORS), tmp_path / "result.json"
     assert main(["calibrate", str(folder), "--method", "two-stage", "--json", str(file)]) == 0
     assert "K_II of Qx = " in capsys.readouterr().out
     document = json.loads(file.read_text(encoding="utf-8"))
@@ -96,24 +98,26 @@ def test_json_has_the_fields_of_the_contract(tmp_path, capsys):
     assert Result.read(file).accelerometers["Qx"].coefficients["K_II"].value == k_ii["value"]
 
 
-def test_what_the_method_does_not_determine_has_its_prior_or_nothing(tmp_path):
-    known = qx(result_of(tmp_path / "a", PRIORS)).coefficients
+def test_undetermined_coefficient_has_prior_or_no_value(tmp_path):
+    known = qx(calibrate_records(tmp_path / "a", PRIORS)).coefficients
     assert list(known) == ["K_II", "K_F", "K_I", "K_III"]
     assert (known["K_I"].estimated, known["K_I"].value, known["K_I"].u) == (False, 1.002, 5e-6)
     assert (known["K_III"].estimated, known["K_III"].value, known["K_III"].u) == (False, None, None)
     assert known["K_F"].estimated
-    unknown = qx(result_of(tmp_path / "b", ('scale_factor = "1.002 g/g"\n', ""))).coefficients
+    unknown = qx(
+        calibrate_records(tmp_path / "b", ('scale_factor = "1.002 g/g"\n', ""))
+    ).coefficients
     assert (unknown["K_I"].estimated, unknown["K_I"].value, unknown["K_I"].u) == (False, None, None)
 
 
-def test_bias_is_estimated_or_taken_as_known(tmp_path):
-    folder = made(tmp_path, PRIORS)
+def test_bias_is_estimated_or_held(tmp_path):
+    folder = make_records(tmp_path, PRIORS)
     free = qx(calibrate(folder, method="two-stage"))
     taken = qx(calibrate(folder, method="two-stage", options=TwoStageOptions(fit_bias=False)))
     assert free.coefficients["K_F"].estimated
     k_f = taken.coefficients["K_F"]
     assert (k_f.estimated, k_f.value, k_f.u) == (False, 0.005, 2e-6)
-    # 2e-6 g of K_F stand for 2e-6 g/g^2 (g/2)/(R^2 w^4/4g) of K_II, mostly that of the fast run.
+    # 2e-6 g of K_F equal 2e-6 g/g^2 (g/2)/(R^2 w^4/4g) of K_II, mostly of the fast run.
     assert taken.coefficients["K_II"].u_stated > 2e-8
     of_bias = [
         line.kind for a in (free, taken) for line in a.budget["K_II"] if line.source == "K_F"
@@ -121,19 +125,19 @@ def test_bias_is_estimated_or_taken_as_known(tmp_path):
     assert of_bias == ["stated", "held"]
 
 
-def test_prior_of_k_ii_counts(tmp_path):
+def test_prior_of_k_ii_is_combined(tmp_path):
     prior = (
         'scale_factor = "1.002 g/g"',
         'scale_factor = "1.002 g/g"\nK_II = "2.8e-5 ± 2e-7 g/g^2"',
     )
-    plain = qx(result_of(tmp_path / "a")).coefficients["K_II"]
-    c = qx(result_of(tmp_path / "b", prior)).coefficients["K_II"]
+    plain = qx(calibrate_records(tmp_path / "a")).coefficients["K_II"]
+    c = qx(calibrate_records(tmp_path / "b", prior)).coefficients["K_II"]
     weight = plain.u**2 / (plain.u**2 + 2e-7**2)
     assert c.value == pytest.approx(plain.value + weight * (2.8e-5 - plain.value), rel=1e-9)
     assert c.u == pytest.approx(math.sqrt(weight) * 2e-7, rel=1e-6)
     assert c.u_stated == pytest.approx(weight * 2e-7, rel=1e-6)
     tight = changed(prior[1], ("2e-7", "1e-12"))
-    held = qx(result_of(tmp_path / "c", (prior[0], tight))).coefficients["K_II"]
+    held = qx(calibrate_records(tmp_path / "c", (prior[0], tight))).coefficients["K_II"]
     assert (held.estimated, held.value, held.u) == (False, 2.8e-5, 1e-12)
 
 
@@ -142,8 +146,8 @@ def test_uncertain_radius_and_gravity_are_held(tmp_path):
         ('"2.5 m"', '"2.5 ± 2.5e-3 m"'),
         ('"9.8066 m/s^2"', '"9.8066 ± 4.9033e-3 m/s^2"'),
     )
-    sure = qx(result_of(tmp_path / "a")).coefficients
-    unsure = qx(result_of(tmp_path / "b", *inputs)).coefficients
+    sure = qx(calibrate_records(tmp_path / "a")).coefficients
+    unsure = qx(calibrate_records(tmp_path / "b", *inputs)).coefficients
     # b2 is K_II R^2 w^4/(4 g) + K_F g/2.
     u = unsure["K_II"].u_stated
     assert u == pytest.approx(math.hypot(2 * 1e-3, 5e-4) * unsure["K_II"].value, rel=1e-6)
@@ -152,9 +156,9 @@ def test_uncertain_radius_and_gravity_are_held(tmp_path):
     assert unsure["K_II"].value == sure["K_II"].value
 
 
-def test_tilt_is_held_run_by_run(tmp_path):
-    tilt = modelled('hold = ["platform.tilt"]\npriors = { "platform.tilt" = "0 ± 0.5 arcsec" }')
-    folder = made(tmp_path, tilt)
+def test_tilt_is_held_per_run(tmp_path):
+    tilt = extend_model('hold = ["platform.tilt"]\npriors = { "platform.tilt" = "0 ± 0.5 arcsec" }')
+    folder = make_records(tmp_path, tilt)
     campaign = read_campaign(folder)
     problem = JointProblem(campaign, list(observe(campaign)))
     outcome = calibrate_accelerometer(
@@ -167,10 +171,10 @@ def test_tilt_is_held_run_by_run(tmp_path):
 
 
 @pytest.mark.parametrize("options", [{}, {"weighted": False}, {"model": "as-printed"}])
-def test_budget_holds_every_source_of_u(tmp_path, options):
-    tilt = modelled('hold = ["platform.tilt"]\npriors = { "platform.tilt" = "0 ± 0.5 arcsec" }')
+def test_budget_contains_all_sources_of_u(tmp_path, options):
+    tilt = extend_model('hold = ["platform.tilt"]\npriors = { "platform.tilt" = "0 ± 0.5 arcsec" }')
     radius = ('"2.5 m"', '"2.5 ± 2.5e-3 m"')
-    found = qx(result_of(tmp_path, PRIORS, tilt, radius, **options))
+    found = qx(calibrate_records(tmp_path, PRIORS, tilt, radius, **options))
     estimated = {symbol for symbol, c in found.coefficients.items() if c.estimated}
     assert "K_II" in estimated
     for symbol in estimated:
@@ -189,21 +193,23 @@ def test_budget_holds_every_source_of_u(tmp_path, options):
         assert math.hypot(*stated) == pytest.approx(c.u_stated, rel=1e-9)
 
 
-def test_given_noise_is_all_of_it(tmp_path):
+def test_stated_noise_is_total_noise(tmp_path):
     noise = 'displacement = "0.01 m"\nquantisation = "0.02 m"\nacceleration = "1e-6 g/Hz^0.5"'
-    found = qx(result_of(tmp_path, ('[noise]\ndisplacement = "0.01 m"', f"[noise]\n{noise}")))
+    found = qx(
+        calibrate_records(tmp_path, ('[noise]\ndisplacement = "0.01 m"', f"[noise]\n{noise}"))
+    )
     assert found.noise["displacement"].value == pytest.approx(math.hypot(0.01, 0.02 / 12**0.5))
     assert found.noise["acceleration"].value == pytest.approx(9.8066e-6)
-    plain = qx(result_of(tmp_path / "b"))
+    plain = qx(calibrate_records(tmp_path / "b"))
     assert found.coefficients["K_II"].u_noise > 1.15 * plain.coefficients["K_II"].u_noise
     assert found.residual.lack_of_fit_p > 1e-3
 
 
 @pytest.mark.parametrize("how", ["asked", "estimate"])
-def test_sigma_from_the_residuals(tmp_path, capsys, how):
+def test_sigma_is_estimated_from_residuals(tmp_path, capsys, how):
     noise = '[noise]\ndisplacement = "0.01 m"\n'
     given = {"asked": noise, "estimate": changed(noise, ("0.01 m", "estimate"))}
-    folder = made(tmp_path, (noise, given[how]))
+    folder = make_records(tmp_path, (noise, given[how]))
     sigma = ["--sigma", "residuals"] if how == "asked" else []
     file = tmp_path / "result.json"
     command = ["calibrate", str(folder), "--method", "two-stage", "--json", str(file), *sigma]
@@ -222,8 +228,8 @@ def test_sigma_from_the_residuals(tmp_path, capsys, how):
 WALK = 1e-4 * 9.8066  #: noise of the accelerometer, m/s^2/Hz^0.5: most of u of K_F
 
 
-def walking(noise):
-    """Return the replacements for records with a walk, and for what [noise] says of it."""
+def add_walk(noise):
+    """Return the replacements for records with a walk and for the [noise] table."""
     stated = '[noise]\ndisplacement = "0.01 m"\n'
     truth = '[truth.noise]\ndisplacement = "0.01 m"'
     return (stated, noise), (truth, truth + '\nacceleration = "1e-4 g/Hz^0.5"')
@@ -240,8 +246,8 @@ ESTIMATED = [
 @pytest.mark.parametrize(
     "noise", [*ESTIMATED, "[noise]\n"], ids=["walk", "both", "nothing stated", "an empty table"]
 )
-def test_noise_of_the_accelerometer_that_is_not_stated_is_that_of_the_joint_fit(tmp_path, noise):
-    folder = made(tmp_path, *walking(noise))
+def test_unstated_accelerometer_noise_is_taken_from_joint_fit(tmp_path, noise):
+    folder = make_records(tmp_path, *add_walk(noise))
     jointly = qx(calibrate(folder))
     found = qx(calibrate(folder, method="two-stage"))
     assert found.noise == jointly.noise
@@ -251,19 +257,19 @@ def test_noise_of_the_accelerometer_that_is_not_stated_is_that_of_the_joint_fit(
     stated = noise or ESTIMATED[0]
     known = changed(stated, ("estimate", "1e-4 g/Hz^0.5")) if noise == ESTIMATED[0] else None
     if known:
-        sure = qx(result_of(tmp_path / "sure", *walking(known))).coefficients["K_F"]
+        sure = qx(calibrate_records(tmp_path / "sure", *add_walk(known))).coefficients["K_F"]
         c = found.coefficients["K_F"]
         assert c.u == pytest.approx(sure.u, rel=0.3)
         assert sure.dof is None
         assert 3 < c.dof < 1000
-    # What the joint result has beside it is the same estimate, but for the K_III that it found.
+    # The comparison in the joint result is the same estimate, except for its estimate of K_III.
     comparison, c = jointly.two_stage, found.coefficients["K_II"]
     assert comparison.value == pytest.approx(c.value, abs=0.01 * c.u)
     assert comparison.u == pytest.approx(c.u, rel=1e-4)
 
 
-def test_beside_the_joint_result_stands_the_estimate_that_is_told_what_it_found(tmp_path):
-    folder = made(tmp_path)
+def test_comparison_in_joint_result_uses_its_estimates(tmp_path):
+    folder = make_records(tmp_path)
     jointly = qx(calibrate(folder))
     k_iii = jointly.coefficients["K_III"]
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
@@ -274,10 +280,10 @@ def test_beside_the_joint_result_stands_the_estimate_that_is_told_what_it_found(
     assert (comparison.value, comparison.u) == pytest.approx((c.value, c.u), rel=1e-9)
 
 
-def test_noise_that_does_not_show_is_in_u(tmp_path):
+def test_undetected_noise_is_in_u(tmp_path):
     estimated = ('[noise]\ndisplacement = "0.01 m"\n', ESTIMATED[0])
-    found = qx(result_of(tmp_path / "a", estimated))
-    none = qx(result_of(tmp_path / "b"))
+    found = qx(calibrate_records(tmp_path / "a", estimated))
+    none = qx(calibrate_records(tmp_path / "b"))
     assert found.noise["acceleration"].value == 0.0
     assert found.noise["acceleration"].estimated
     for symbol in ("K_II", "K_F"):
@@ -288,10 +294,10 @@ def test_noise_that_does_not_show_is_in_u(tmp_path):
     assert found.coefficients["K_F"].u_noise > 1.05 * none.coefficients["K_F"].u_noise
 
 
-def test_noise_that_does_not_show_is_remarked_on(tmp_path, monkeypatch):
-    folder = made(tmp_path, ('[noise]\ndisplacement = "0.01 m"\n', ESTIMATED[0]))
+def test_undetected_noise_has_remark(tmp_path, monkeypatch):
+    folder = make_records(tmp_path, ('[noise]\ndisplacement = "0.01 m"\n', ESTIMATED[0]))
     u = qx(calibrate(folder, method="two-stage")).coefficients["K_II"].u
-    known = qx(result_of(tmp_path / "known")).coefficients["K_II"].u
+    known = qx(calibrate_records(tmp_path / "known")).coefficients["K_II"].u
     share = 1.0 - (known / u) ** 2
     for part, count in ((0.9, 1), (1.1, 0)):
         monkeypatch.setattr(residuals, "_MAX_UNDETECTED_SHARE", part * share)
@@ -303,40 +309,40 @@ def test_noise_that_does_not_show_is_remarked_on(tmp_path, monkeypatch):
         assert "hidden-noise" not in {finding.code for finding in result.findings}
 
 
-def test_a_prior_that_the_runs_contradict_is_named(tmp_path):
-    """K_F stated 40 ug off, with 2 ug: the misfit of the runs stands below it."""
+def test_contradicted_prior_is_named(tmp_path):
+    """K_F is stated with an error of 40 ug and u of 2 ug: it explains the misfit of the runs."""
     wrong = (PRIORS[0], changed(PRIORS[1], ("0.005 ± 2e-6 g", "0.00504 ± 2e-6 g")))
-    found = result_of(tmp_path, wrong)
+    found = calibrate_records(tmp_path, wrong)
     first = qx(found).findings[0]
     assert (first.code, first.subject, first.contradicts) == ("prior-conflict", "Qx.K_F", True)
     assert "Qx.K_F is stated as 5040.0 ± 2.0 ug, but the records and all other" in first.text
     assert first.size > 6.0
     assert [below.code for below in first.explains] == ["lack-of-fit"]
     assert "lack-of-fit" not in {finding.code for finding in qx(found).findings}
-    right = qx(result_of(tmp_path / "right", PRIORS))
+    right = qx(calibrate_records(tmp_path / "right", PRIORS))
     assert "prior-conflict" not in {finding.code for finding in right.findings}
 
 
-def test_noise_of_the_time_stamps_is_in_u(tmp_path):
+def test_timing_noise_is_in_u(tmp_path):
     noise = '[noise]\ndisplacement = "0.01 m"\n'
     stated = (noise, noise + 'timing = "1e-3 s"\n')
-    # A strobe is passed at R w: 2.5 m times the rate. An angle of the same time tells where.
-    for run in result_of(tmp_path / "angle", stated).runs.values():
+    # The velocity at a strobe is R w: 2.5 m times the rate. The angle gives its location.
+    for run in calibrate_records(tmp_path / "angle", stated).runs.values():
         assert run.parabolas["Qx"].sigma == pytest.approx(0.01, rel=1e-3)
     without = ('angle = { column = "angle_rad", unit = "rad" }\n', "")
-    for run in result_of(tmp_path, stated, without).runs.values():
+    for run in calibrate_records(tmp_path, stated, without).runs.values():
         expected = math.hypot(0.01, 2.5 * run.rate * 1e-3)
         assert run.parabolas["Qx"].sigma == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [ESTIMATED[0], ""], ids=["walk", "nothing stated"])
-def test_trials_with_a_walk_scatter_as_they_claim(tmp_path, noise):
+def test_trials_with_walk_have_stated_uncertainty(tmp_path, noise):
     count = TRIALS
     z, covered = [], 0
     for trial in range(count):
         folder = tmp_path / str(trial)
-        changes = (("seed = 1", f"seed = {trial}"), *walking(noise))
+        changes = (("seed = 1", f"seed = {trial}"), *add_walk(noise))
         campaign = campaign_of(folder, changed(SMALL, *changes))
         simulate(campaign, folder)
         for name, c in calibrate(folder, method="two-stage").accelerometers.items():
@@ -349,8 +355,8 @@ def test_trials_with_a_walk_scatter_as_they_claim(tmp_path, noise):
     assert covered / len(z) == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / len(z)))
 
 
-def test_degrees_of_freedom_grow_with_what_is_not_from_residuals(tmp_path):
-    folder = made(tmp_path, ('"2.5 m"', '"2.5 ± 5e-3 m"'))
+def test_degrees_of_freedom_follow_welch_satterthwaite(tmp_path):
+    folder = make_records(tmp_path, ('"2.5 m"', '"2.5 ± 5e-3 m"'))
     c = qx(
         calibrate(folder, method="two-stage", options=TwoStageOptions(from_residuals=True))
     ).coefficients["K_II"]
@@ -364,14 +370,14 @@ def test_degrees_of_freedom_grow_with_what_is_not_from_residuals(tmp_path):
     "asked",
     [
         PRIORS,
-        modelled('terms = ["K_F", "K_II", "K_OO"]'),  # which cannot be told apart
-        modelled('hold = ["K_OO"]\npriors = { "K_OO" = "1e-6 ± 2e-6 g/g^2" }'),
+        extend_model('terms = ["K_F", "K_II", "K_OO"]'),  # which are confounded
+        extend_model('hold = ["K_OO"]\npriors = { "K_OO" = "1e-6 ± 2e-6 g/g^2" }'),
         ('angle = { column = "angle_rad", unit = "rad" }\n', ""),
     ],
     ids=["plain", "alike", "held", "nominal angle"],
 )
-def test_k_ii_alone_is_that_of_the_whole_result(tmp_path, asked):
-    campaign = read_campaign(made(tmp_path, asked))
+def test_k_ii_alone_equals_full_result(tmp_path, asked):
+    campaign = read_campaign(make_records(tmp_path, asked))
     problem = JointProblem(campaign, list(observe(campaign)))
     for accelerometer in campaign.accelerometers.values():
         whole = calibrate_accelerometer(
@@ -384,11 +390,11 @@ def test_k_ii_alone_is_that_of_the_whole_result(tmp_path, asked):
         assert len(second.fit.model.considered) == len(whole.second.fit.model.considered)
 
 
-# --- what cannot be told apart --------------------------------------------------------------------
+# --- confounded terms -----------------------------------------------------------------------------
 
 
-def test_terms_that_act_alike_are_said_with_their_combination(tmp_path, capsys):
-    folder, file = made(tmp_path, PRIORS), tmp_path / "result.json"
+def test_confounded_terms_are_reported_with_combination(tmp_path, capsys):
+    folder, file = make_records(tmp_path, PRIORS), tmp_path / "result.json"
     main(["calibrate", str(folder), "--method", "two-stage", "--json", str(file)])
     text = " ".join(capsys.readouterr().out.split())
     found = qx(Result.read(file))
@@ -405,9 +411,9 @@ def test_terms_that_act_alike_are_said_with_their_combination(tmp_path, capsys):
         assert f"the records determine only {item.determined} = " in text
 
 
-def test_what_nothing_states_is_in_u_at_its_typical_size(tmp_path):
+def test_default_priors_are_in_u(tmp_path):
     unassumed = (MODEL, "")
-    found = qx(result_of(tmp_path, PRIORS, unassumed))
+    found = qx(calibrate_records(tmp_path, PRIORS, unassumed))
     c = found.coefficients["K_II"]
     lines = {line.source: line for line in found.budget["K_II"]}
     assert {line.kind for line in lines.values()} == {"noise", "stated", "unstated", "held"} - {
@@ -422,12 +428,12 @@ def test_what_nothing_states_is_in_u_at_its_typical_size(tmp_path):
     assert c.u_unstated > 2e-6
 
 
-def test_requested_term_that_strobes_do_not_determine_is_in_u(tmp_path):
-    """A simulated K_III of typical size moves K_II by the share that K_III has in u of K_II."""
-    requested = modelled('terms = ["K_F", "K_I", "K_II", "K_III"]')
+def test_undetermined_requested_term_is_in_u(tmp_path):
+    """A simulated typical K_III shifts K_II by the contribution of K_III to u(K_II)."""
+    requested = extend_model('terms = ["K_F", "K_I", "K_II", "K_III"]')
     ripple = ("ratio = 1e-5", "ratio = 1e-3")
     ideal, cubic = (
-        qx(result_of(tmp_path / size, requested, ripple, ("3e-6 g/g^3", f"{size} g/g^3")))
+        qx(calibrate_records(tmp_path / size, requested, ripple, ("3e-6 g/g^3", f"{size} g/g^3")))
         for size in ("0", "1e-6")
     )
     assert (ideal.coefficients["K_III"].value, ideal.findings) == (None, [])
@@ -436,24 +442,26 @@ def test_requested_term_that_strobes_do_not_determine_is_in_u(tmp_path):
     assert (line.kind, line.u) == ("held", 1e-6)
     assert line.contribution == pytest.approx(abs(moved), rel=1e-3)
     prior = ('scale_factor = "1.002 g/g"', 'scale_factor = "1.002 g/g"\nK_III = "0 ± 5e-7 g/g^3"')
-    stated = qx(result_of(tmp_path / "stated", requested, ripple, prior)).coefficients["K_II"]
+    stated = qx(calibrate_records(tmp_path / "stated", requested, ripple, prior)).coefficients[
+        "K_II"
+    ]
     assert stated.u_stated == pytest.approx(abs(moved) / 2.0, rel=1e-3)
 
 
-def test_combination_holds_what_the_simulation_put_into_its_terms(tmp_path):
+def test_combination_equals_sum_of_true_terms(tmp_path):
     truth = (
         'K_II = "2.7e-5 g/g^2"',
         'K_II = "2.7e-5 g/g^2"\nK_OO = "5e-6 g/g^2"\nK_PP = "4e-6 g/g^2"',
     )
-    second, bias = qx(result_of(tmp_path, truth)).confounded
+    second, bias = qx(calibrate_records(tmp_path, truth)).confounded
     assert abs(second.value - 3.2e-5) < 4 * second.u
     assert abs(bias.value - (0.005 + 4e-6)) < 4 * bias.u
     assert second.u < 1e-6
 
 
-def test_two_terms_that_were_asked_for_and_act_alike_are_both_undetermined(tmp_path):
-    asked = modelled('terms = ["K_F", "K_II", "K_OO"]')
-    found = qx(result_of(tmp_path, asked))
+def test_two_confounded_requested_terms_are_undetermined(tmp_path):
+    asked = extend_model('terms = ["K_F", "K_II", "K_OO"]')
+    found = qx(calibrate_records(tmp_path, asked))
     for symbol in ("K_II", "K_OO"):
         c = found.coefficients[symbol]
         assert (c.estimated, c.value) == (False, None)
@@ -462,19 +470,19 @@ def test_two_terms_that_were_asked_for_and_act_alike_are_both_undetermined(tmp_p
     assert any("do not determine K_II" in warning for warning in found.warnings)
 
 
-def test_what_is_known_of_a_term_that_acts_alike_is_in_u(tmp_path):
-    known = modelled('hold = ["K_OO"]\npriors = { "K_OO" = "1e-6 ± 2e-6 g/g^2" }')
-    plain = qx(result_of(tmp_path / "a"))
-    found = qx(result_of(tmp_path / "b", known))
-    # The platform's compliance acts like K_OO, and still nothing is known of it.
+def test_prior_of_confounded_term_is_in_u(tmp_path):
+    known = extend_model('hold = ["K_OO"]\npriors = { "K_OO" = "1e-6 ± 2e-6 g/g^2" }')
+    plain = qx(calibrate_records(tmp_path / "a"))
+    found = qx(calibrate_records(tmp_path / "b", known))
+    # The platform compliance acts like K_OO and has no prior.
     assert found.confounded[0].terms == ["K_II", "K_F.heating", "platform.compliance.zy"]
     c = found.coefficients["K_II"]
     assert c.u_stated == pytest.approx(2e-6, rel=1e-4)
     assert c.value == pytest.approx(plain.coefficients["K_II"].value - 1e-6, rel=1e-6)
 
 
-def test_fewer_rates_than_unknowns_are_refused(tmp_path, capsys):
-    folder = made(tmp_path, ('"0.25 rev/s"', '"1 rev/s"'), ('"0.5 rev/s"', '"-1 rev/s"'))
+def test_rejects_fewer_rates_than_unknowns(tmp_path, capsys):
+    folder = make_records(tmp_path, ('"0.25 rev/s"', '"1 rev/s"'), ('"0.5 rev/s"', '"-1 rev/s"'))
     assert main(["calibrate", str(folder), "--method", "two-stage"]) == 1
     error = capsys.readouterr().err
     assert "K_II, K_F" in error
@@ -482,26 +490,26 @@ def test_fewer_rates_than_unknowns_are_refused(tmp_path, capsys):
     assert "Traceback" not in error
 
 
-def test_only_horizontal_displacement_has_strobes(tmp_path):
+def test_method_requires_horizontal_displacement(tmp_path):
     force = (
         'displacement = { column = "north_m", unit = "m" }',
         'specific_force = { column = "f", unit = "g" }',
     )
     with raises("method-not-applicable", "Qy:", "specific force"):
-        result_of(tmp_path / "a", force)
+        calibrate_records(tmp_path / "a", force)
     up = (
         'input_axis = "north"\npendulous_axis = "down"',
         'input_axis = "up"\npendulous_axis = "east"',
     )
     with pytest.raises(NotIdentifiableError, match=r"90\.000 deg above the horizontal"):
-        result_of(tmp_path / "b", up)
+        calibrate_records(tmp_path / "b", up)
 
 
 # --- options and warnings -------------------------------------------------------------------------
 
 
-def test_as_printed_is_half_and_says_so(tmp_path):
-    folder = made(tmp_path, PRIORS)
+def test_as_printed_model_gives_half_with_warning(tmp_path):
+    folder = make_records(tmp_path, PRIORS)
     for ripple, unit in (("amplitude", "rad/s"), ("ratio", "1")):
         options = TwoStageOptions(model="as-printed", weighted=False, ripple=ripple)
         found = qx(calibrate(folder, method="two-stage", options=options))
@@ -512,10 +520,10 @@ def test_as_printed_is_half_and_says_so(tmp_path):
         assert "the estimate is half the true K_II" in found.warnings[0]
 
 
-def test_without_an_angle_the_drift_is_an_unknown(tmp_path, capsys):
+def test_drift_is_estimated_without_angle(tmp_path, capsys):
     no_angle = ('angle = { column = "angle_rad", unit = "rad" }\n', "")
     ripple = ('ripple = [{ harmonic = 1, ratio = 1e-5, phase = "30 deg" }]\n', "")
-    folder = made(tmp_path, no_angle, ripple, PRIORS)
+    folder = make_records(tmp_path, no_angle, ripple, PRIORS)
     result = calibrate(folder, method="two-stage")
     drift = qx(result).second_unknown["spindle.drift"]
     assert (drift.estimated, drift.unit) == (True, "1/s")
@@ -524,30 +532,30 @@ def test_without_an_angle_the_drift_is_an_unknown(tmp_path, capsys):
     assert any("K_F and spindle.drift" in warning for warning in qx(result).warnings)
 
 
-def test_what_is_held_may_be_off_by_as_much_as_is_stated_of_it(tmp_path):
+def test_held_terms_may_deviate_within_stated_uncertainty(tmp_path):
     """Tilts of 5 arcsec, as stated, move K_F by 24 ug: 12 times the u of its prior."""
     truth = ("[truth.Qx]", '[truth.platform]\ntilt = { north = "5 arcsec" }\n[truth.Qx]')
     for u, codes in (("5", set()), ("0.05", {"lack-of-fit", "prior-conflict"})):
-        stated = modelled(f'priors = {{ "platform.tilt" = "0 ± {u} arcsec" }}')
-        found = qx(result_of(tmp_path / u, PRIORS, truth, stated))
+        stated = extend_model(f'priors = {{ "platform.tilt" = "0 ± {u} arcsec" }}')
+        found = qx(calibrate_records(tmp_path / u, PRIORS, truth, stated))
         assert bool(codes) == bool({finding.code for finding in found.findings} & codes)
         assert (found.state == "good") == (not codes)
 
 
-def test_runs_that_do_not_agree_are_named(tmp_path):
-    # An exact value is no prior that could be held to them.
+def test_inconsistent_runs_are_named(tmp_path):
+    # An exact value is not a prior that can be tested.
     wrong = (PRIORS[0], 'bias = "0.00501 g"\nscale_factor = "1.002 g/g"')
-    first = qx(result_of(tmp_path / "a", wrong)).findings[0]
+    first = qx(calibrate_records(tmp_path / "a", wrong)).findings[0]
     assert first.code == "lack-of-fit"
     assert "are not consistent with the model" in first.text
     assert "slow deviates most" in first.text
     # Without weights the sum of squares is not distributed like chi-square.
-    unweighted = qx(result_of(tmp_path / "b", wrong, weighted=False))
+    unweighted = qx(calibrate_records(tmp_path / "b", wrong, weighted=False))
     assert "lack-of-fit" not in {finding.code for finding in unweighted.findings}
 
 
 def test_strobes_in_gaps_are_counted(tmp_path):
-    folder = made(tmp_path)
+    folder = make_records(tmp_path)
     frame = pl.read_csv(folder / "fast.csv")
     time = frame["time_s"]
     frame.filter(~time.is_between(5.1, 7.9)).write_csv(folder / "fast.csv")
@@ -563,7 +571,7 @@ def test_strobes_in_gaps_are_counted(tmp_path):
 
 
 @pytest.mark.slow
-def test_whole_trials_scatter_as_they_claim(tmp_path):
+def test_full_trials_have_stated_uncertainty(tmp_path):
     # Encoder noise included: each trial identifies its own rotation, and strobes by it.
     chi2, covered = 0.0, 0
     for trial in range(TRIALS):
@@ -583,8 +591,8 @@ def test_whole_trials_scatter_as_they_claim(tmp_path):
     assert covered / n == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / n))
 
 
-def test_truth_is_not_looked_at(tmp_path):
-    folder = made(tmp_path)
+def test_truth_does_not_affect_result(tmp_path):
+    folder = make_records(tmp_path)
     with_truth = calibrate(folder, method="two-stage")
     text = SMALL
     for table in ("simulation", "truth.Qx", "truth.Qy", "truth.spindle", "truth.noise"):
@@ -595,8 +603,8 @@ def test_truth_is_not_looked_at(tmp_path):
 
 
 @pytest.mark.parametrize("key", [field.name for field in fields(TwoStageOptions)])
-def test_options_in_words_are_those_that_the_command_line_takes(key, tmp_path, monkeypatch):
-    """Typed again, they are the same options."""
+def test_option_text_is_valid_on_command_line(key, tmp_path, monkeypatch):
+    """Parsing the text gives the same options."""
     other = {"model": "as-printed", "ripple": "ratio"}
     options = TwoStageOptions(**{key: other.get(key, not getattr(TwoStageOptions(), key))})
     seen = []
@@ -610,16 +618,16 @@ def test_options_in_words_are_those_that_the_command_line_takes(key, tmp_path, m
     assert command_arguments("joint", TwoStageOptions()) == []
 
 
-# --- the scale factor, which strobes do not see ---------------------------------------------------
+# --- the scale factor, which strobes do not determine ---------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("scale", "told"), [("1.002", False), ("1.09", False), ("1.11", True), ("0.89", True)]
 )
-def test_the_waves_tell_a_scale_factor_that_no_instrument_has(tmp_path, scale, told):
-    """Beyond 0.1 of nominal, whatever is stated; the waves have it to 1e-3."""
-    limits = modelled('limits = { K_I = "1 g/g" }')
-    folder = made(tmp_path, limits, ('K_I = "1.002 g/g"', f'K_I = "{scale} g/g"'))
+def test_harmonics_reveal_incredible_scale_factor(tmp_path, scale, told):
+    """Beyond 0.1 of nominal, whatever the prior; the harmonics determine it to 1e-3."""
+    limits = extend_model('limits = { K_I = "1 g/g" }')
+    folder = make_records(tmp_path, limits, ('K_I = "1.002 g/g"', f'K_I = "{scale} g/g"'))
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     write(folder, changed(text, (limits[1], MODEL)))
     found = qx(calibrate(folder, method="two-stage"))
