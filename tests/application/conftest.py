@@ -90,7 +90,7 @@ class Window:
         own = link.partition("#")[0]
         self.tab.on("request", lambda r: None if r.url.startswith(own) else self.away.append(r.url))
         self.tab.on("pageerror", lambda error: self.wrong.append(str(error)))
-        self.tab.on("console", self.hear)
+        self.tab.on("console", self.record_message)
         self.tab.goto(link)
 
     def record_message(self, message):

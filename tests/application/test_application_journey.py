@@ -173,7 +173,7 @@ class UserEffort:
         found.click()
         self.clicks += 1
 
-    def bring(self, found, files):
+    def choose_files(self, found, files):
         found.set_input_files(files)
         self.clicks += 2  # the button, and Open in the system's dialogue
 
@@ -223,7 +223,7 @@ def test_files_to_certificate_within_effort_limits(open_window, frames, folder, 
     tab = open_window()
     hand = UserEffort(tab)
     hand.read(tab.locator(".drop"))
-    hand.bring(tab.get_by_label("Recorder files"), sorted(files.iterdir()))
+    hand.choose_files(tab.get_by_label("Recorder files"), sorted(files.iterdir()))
     answer_field(tab, "Local gravity").wait_for()
     hand.read(*tab.locator(".site, .columns, .unused, .checklist").all())
     for question, answer in KNOWN.items():
@@ -251,7 +251,7 @@ def test_files_to_certificate_within_effort_limits(open_window, frames, folder, 
     hand.click(certificate)
     tab.get_by_label("Signature").wait_for()
     office = fill_laboratory_form(tab) if write is FIRST else UserEffort(tab)
-    hand.bring(tab.get_by_label("Key file (PEM or PKCS #12)"), key)
+    hand.choose_files(tab.get_by_label("Key file (PEM or PKCS #12)"), key)
     hand.fill(tab.get_by_label("Key password"), "secret")
     hand.click(tab.get_by_role("button", name="Sign and issue"))
     tab.get_by_role("heading", name=re.compile("^Certificate .* signed and issued")).wait_for()

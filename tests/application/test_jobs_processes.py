@@ -17,23 +17,23 @@ def collect_messages(worker):
     return told
 
 
-def double_with_progress(there, number):
+def double_with_progress(connection, number):
     def work(progress):
         progress(1, 2)
         return 2 * number
 
-    report_progress(there, work)
+    report_progress(connection, work)
 
 
-def fail_with(there, kind):
+def fail_with(connection, kind):
     def work(_):
         raise kind("in words")
 
-    report_progress(there, work)
+    report_progress(connection, work)
 
 
-def run_forever(there):
-    report_progress(there, lambda _: time.sleep(1000.0))
+def run_forever(connection):
+    report_progress(connection, lambda _: time.sleep(1000.0))
 
 
 def test_worker_reports_progress_and_result():

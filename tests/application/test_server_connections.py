@@ -37,7 +37,7 @@ def test_unauthenticated_connections_do_not_block_server(tmp_path):
     limited = ["sh", "-c", 'ulimit -n 256; exec "$@"', "sh"]
     words = [*limited, sys.executable, "-m", "counterspin", "serve", str(tmp_path), "--no-browser"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    others = []
+    connections = []
     with subprocess.Popen(words, **pipes) as server:
         server.stdout.readline()
         link = re.search(r":(\d+)/#token=(\S+)", server.stdout.readline())
@@ -52,13 +52,13 @@ def test_unauthenticated_connections_do_not_block_server(tmp_path):
         taken = []
         for sent, number in ((HALF, 300), (whole, 100)):
             for _ in range(number):
-                others.append(socket.create_connection(("127.0.0.1", port), timeout=BOUND))
-                others[-1].sendall(sent)
+                connections.append(socket.create_connection(("127.0.0.1", port), timeout=BOUND))
+                connections[-1].sendall(sent)
             taken.append(_request_page(port, key))
         server.send_signal(signal.SIGINT)
         out, err = server.communicate(timeout=BOUND)
-    for one in others:
-        one.close()
+    for connection in connections:
+        connection.close()
     assert [status for status, _ in taken] == [200, 200]
     # It takes some milliseconds; where descriptors had run out it took 40 s.
     assert max(seconds for _, seconds in taken) < 30.0
@@ -72,17 +72,17 @@ def served(app):
         yield credentials
 
 
-def _wait_closed(other):
+def _wait_closed(connection):
     """Wait until the peer has closed a connection."""
     with suppress(ConnectionResetError):
-        while other.recv(1 << 16):
+        while connection.recv(1 << 16):
             pass
 
 
-def _send_slowly(other):
+def _send_slowly(connection):
     end = time.monotonic() + BOUND
     while time.monotonic() < end:
-        other.sendall(b"x")
+        connection.sendall(b"x")
         time.sleep(0.05)
 
 
@@ -100,11 +100,11 @@ def test_incomplete_request_times_out(served, monkeypatch, sent):
     monkeypatch.setattr(server, "HEAD_SECONDS", 0.2)
     monkeypatch.setattr(access_control, "UNAUTHENTICATED_TIMEOUT", 0.2)
     sent = sent.replace(b"%d", str(served.port).encode())
-    with socket.create_connection(("127.0.0.1", served.port), timeout=BOUND) as other:
-        other.sendall(sent)
+    with socket.create_connection(("127.0.0.1", served.port), timeout=BOUND) as connection:
+        connection.sendall(sent)
         # A byte now and then gains no time.
         with pytest.raises(ConnectionError):
-            _send_slowly(other)
+            _send_slowly(connection)
 
 
 def test_unauthenticated_request_is_read_in_part(served):
@@ -113,17 +113,17 @@ def test_unauthenticated_request_is_read_in_part(served):
     read = []
     before = Connection.data_received
 
-    def receive_and_record(one, data):
+    def receive_and_record(protocol, data):
         read.append(len(data))
-        before(one, data)
+        before(protocol, data)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Connection, "data_received", receive_and_record)
-        with socket.create_connection(("127.0.0.1", served.port), timeout=BOUND) as other:
-            other.settimeout(BOUND)
+        with socket.create_connection(("127.0.0.1", served.port), timeout=BOUND) as connection:
+            connection.settimeout(BOUND)
             with suppress(ConnectionError):
-                other.sendall(head.encode() + b"x" * 3_900_000)
-            _wait_closed(other)
+                connection.sendall(head.encode() + b"x" * 3_900_000)
+            _wait_closed(connection)
     # asyncio reads 256 KiB at once; uvicorn pauses beyond 64 KiB of a body.
     assert 0 < sum(read) <= 2 * 2**18
 
@@ -132,15 +132,15 @@ def test_idle_authenticated_connection_stays_open(served, monkeypatch):
     monkeypatch.setattr(server, "_MAX_CONNECTIONS", 3)
     key = served.exchange_token(token_of(served))
     page = http.client.HTTPConnection("127.0.0.1", served.port, timeout=BOUND)
-    others = []
+    connections = []
     for _ in range(3):
         page.request("GET", "/api/jobs", headers={"Authorization": f"Bearer {key}"})
         assert page.getresponse().read() == b"[]"
-        own = page.sock
+        socket_before = page.sock
         for _ in range(5):
-            others.append(socket.create_connection(("127.0.0.1", served.port), timeout=BOUND))
-        _wait_closed(others[-4])
-    assert page.sock is own
-    for other in others:
-        other.close()
+            connections.append(socket.create_connection(("127.0.0.1", served.port), timeout=BOUND))
+        _wait_closed(connections[-4])
+    assert page.sock is socket_before
+    for connection in connections:
+        connection.close()
     page.close()

@@ -91,7 +91,7 @@ def test_false_alarm_rate_of_good_campaigns_is_1_percent(given, walk, trials, tm
     text = SOUND if given else changed(SOUND, (NOISE, ""))
     campaigns = Campaigns(tmp_path, text, walk)
     rng = np.random.default_rng(5)
-    blamed = sum(bool(campaigns.drawn(rng)) for _ in range(trials))
+    blamed = sum(bool(campaigns.draw_causes(rng)) for _ in range(trials))
     # At 1 % each, this number or more occurs in fewer than 1 of 10,000 studies (Poisson).
     mean = 0.01 * trials
     chance, term = 1.0, math.exp(-mean)
@@ -108,7 +108,7 @@ def test_no_search_without_suspicious_checks(tmp_path, monkeypatch):
     )
     monkeypatch.setattr(search, "_is_suspicious", lambda *_: False)
     for seed in range(3):
-        assert campaigns.drawn(np.random.default_rng(seed)) == ()
+        assert campaigns.draw_causes(np.random.default_rng(seed)) == ()
 
 
 def test_alternatives_have_credible_range(tmp_path):
