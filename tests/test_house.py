@@ -75,6 +75,35 @@ def test_docstrings_with_relative_clauses_and_vague_names_become_fewer():
     assert vague_names("for one in rows:\n    f = lambda own: own") == ["one", "own"]
 
 
+PARAMETER_LIST = re.compile(r"\n\n(?=[a-z_]\w*(?:, \w+)*: )(?:.+\n?)+")
+
+
+def unknown_parameters(_, source):
+    """Return the names in the lists of parameters of docstrings that are not parameters."""
+    unknown = []
+    for node in nodes_of(source):
+        if isinstance(node, ast.FunctionDef):
+            given = node.args
+            arguments = [
+                *given.posonlyargs,
+                *given.args,
+                *given.kwonlyargs,
+                given.vararg,
+                given.kwarg,
+            ]
+            names = {argument.arg for argument in arguments if argument}
+            for block in PARAMETER_LIST.findall(ast.get_docstring(node) or ""):
+                listed = re.findall(r"(?m)^([a-z_]\w*(?:, \w+)*): ", block)
+                unknown += [name for n in listed for name in n.split(", ") if name not in names]
+    return unknown
+
+
+def test_docstrings_list_existing_parameters():
+    assert offences(unknown_parameters) == {}
+    text = 'def f(a, b):\n    """Add numbers.\n\n    a: First.\n    c: Second.\n    """'
+    assert offences(unknown_parameters, {"a": text}) == {"a": ["c"]}
+
+
 def test_every_module_is_short_enough_to_read():
     assert {name: n for name, text in SOURCES.items() if (n := text.count("\n")) > 600} == {}
 

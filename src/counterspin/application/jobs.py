@@ -167,8 +167,8 @@ class Jobs:
     ) -> Job:
         """Start a job, or return the one that is at work on the same result already.
 
-        then: Called in the server with the output of the process; a CounterspinError makes the job
-            fail. It is not called for a job that is stopped.
+        on_done: Called in the server with the output of the process; a CounterspinError makes the
+            job fail. It is not called for a job that is stopped.
         """
         with self._lock:
             if self._closed:

@@ -165,7 +165,7 @@ class ServedFolder:
     def write(self, name: str, text: str, edited_version: str) -> FileVersion:
         """Write a text atomically if the file has not changed since its editor read it.
 
-        seen: The version that was edited; empty: there was no file.
+        edited_version: The version that was edited; empty: there was no file.
         """
         path = self.path(name)
         try:

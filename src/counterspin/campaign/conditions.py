@@ -74,7 +74,7 @@ def temperature_directions(
     of the description. Without a reversal by `REVERSAL` nothing is determined, and nothing is
     returned.
 
-    found: Values in the records, instead of the stated ones.
+    pose_readings: Readings of the poses in records, in place of these records.
     Returns: By the name of a run, reading or record, for each of its temperatures.
     """
     items = timed_items(campaign)
@@ -121,7 +121,7 @@ def run_conditions(
 
     Where the runs do not say when they were made, they count as made one after the other, without
     a pause: the least that a trend can have done between them. Where no run states a temperature,
-    the temperature is assumed to rise (`UNKNOWN_WARMING`).
+    the temperature is assumed to rise (`DEFAULT_WARMING`).
 
     lengths: Run -> length of its record, s; those that are not there are taken from the
         description.
@@ -185,10 +185,11 @@ def _refine_reversal(profile: Sequence[float], index: int) -> float:
 def assumed_temperatures(series: Sequence[Run | Reading]) -> dict[tuple[str, int], float]:
     """Return the assumed temperatures of a series that states none, less the reference, K.
 
-    They rise by the same step from member to member, by `UNKNOWN_WARMING` in all. The order is that
+    They rise by the same step from member to member, by `DEFAULT_WARMING` in all. The order is that
     of the times if all state theirs, else that of the description.
 
-    Returns: By the keys of `_keys`; empty where a member states its temperature, or of one member.
+    Returns: By the keys of `_member_keys`; empty where a member states its temperature, or of one
+        member.
     """
     if len(series) < 2 or any(member.temperature is not None for member in series):
         return {}

@@ -153,8 +153,8 @@ class MeasurementSetup:
     def setup_priors(self, requested: Iterable[str]) -> dict[str, Quantity]:
         """Return the terms that [fixture] and [centrifuge] state, as deviations, SI.
 
-        asked: Symbols that are requested or held: the prior of a mounting's own radius includes the
-            centrifuge's.
+        requested: Symbols that are requested or held: the prior of a mounting's own radius includes
+            the centrifuge's.
         """
         priors = (
             dict.fromkeys(expand(POSITION, self.observable_terms), self.setting)
@@ -190,7 +190,7 @@ def resolve_model(
 ) -> tuple[ErrorModel, dict[str, dict[str, Quantity]]]:
     """Resolve names, priors and sizes of [model]; return it, and each accelerometer's priors.
 
-    given: Accelerometer -> term symbol -> prior from the accelerometer's own table.
+    stated_priors: Accelerometer -> term symbol -> prior from the accelerometer's own table.
     gravity: The site's gravity, m/s^2.
     """
     names_of_terms = setup.usual_terms if settings.terms is None else settings.terms

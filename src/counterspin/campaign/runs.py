@@ -461,7 +461,7 @@ def _own_recording(
 ) -> Recording | None:
     """Return the recording of a run's record, if it differs from the others.
 
-    own, common: The run's `records`, and the section.
+    run_section, section: The key `records` of the run, and the section [records].
     """
     for key in run_section:
         if key not in _OWN:

@@ -53,7 +53,7 @@ def resolve_noise(
     Values from a record at rest complete the stated ones; a wander that the record does not show is
     zero.
 
-    unseen: White noise that the record does not show. A calibration leaves it to the campaign's
+    undetected: White noise that the record does not show. A calibration leaves it to the campaign's
         records; without records, as in a forecast, it is zero.
     """
     if campaign.rest is None:

@@ -304,7 +304,7 @@ def make_setup(campaign: Campaign, sampling_rate: float, *, with_considered: boo
     """Return a plan's problem from its template campaign, which has one run in each attitude.
 
     sampling_rate: Hz.
-    considering: True: considered terms stay considered; False: they are estimated with their
+    with_considered: True: considered terms stay considered; False: they are estimated with their
         priors, and nothing changes from run to run, which is a bound for any estimator.
     """
     reference = campaign.reference_temperature or 0.0

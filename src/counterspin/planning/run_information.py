@@ -307,7 +307,7 @@ def _pad_keys(keys: list[Key], count: int) -> list[Key]:
 
 
 def _conditions(types: Sequence[RunType], duration: Array) -> tuple[Array, Array]:
-    """Return the start times and temperatures of runs, as `conditions_of` takes them, (..., n).
+    """Return the start times and temperatures of runs, each of shape (..., n).
 
     duration: s, shape (..., n).
     """

@@ -243,7 +243,7 @@ def pattern_columns(fit: JointFit, group: ResidualGroup) -> tuple[Alternative, .
 def residual_group(group: FittedReadings, index: int) -> ResidualGroup:
     """Return readings or poses as they are tested.
 
-    place: Among the observations of the fit.
+    index: Index of the group among the observations of the fit.
     """
     readings, estimated = group.readings, not group.has_external_noise
     outlying = tuple(sorted({index for outlier in group.outliers() for index in outlier.indices}))

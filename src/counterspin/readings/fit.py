@@ -134,8 +134,8 @@ def _linearization_point(
     by unknown would leave out the angles between its axes too. What is left of theirs is what the
     estimates are beside what is known, give or take the limits.
 
-    farthest: From what is known.
-    turned: Places of a triad's unknowns.
+    max_deviation: Largest deviation of each unknown from its prior mean.
+    pose_indices: Indices of the unknowns of a triad.
     """
     u = solution.u[: prior_means.size]
     point: Array = prior_means + np.clip(
@@ -186,7 +186,7 @@ def _solve(
     """Return the solved problem, its groups not yet judged under the fit.
 
     start: As of `_solved_or_held`.
-    together: A fit whose noise is taken; None: the noise is estimated.
+    joint_noise: Fit whose noise is used; None: the noise is estimated.
     """
     unknowns = [*model.unknowns, *model.considered]
     prior_means = np.array([unknown.prior_mean for unknown in unknowns])
@@ -349,7 +349,7 @@ def _update_noise(
 ) -> float:
     """Return the noise that the residuals show; its fixed point is the REML estimate.
 
-    free: Unknowns that nothing but the group can tell.
+    free_count: Number of unknowns that only the group determines.
     """
     if group.u is not None:
         return 1.0

@@ -27,7 +27,7 @@ def group_readings(campaign: Campaign, readings: Sequence[Reading]) -> list[Read
 def numbered_groups(
     campaign: Campaign, readings: Sequence[Reading]
 ) -> list[tuple[Readings, list[int]]]:
-    """Return the groups of `groups_of`, each with the places of its members."""
+    """Return the groups of `group_readings`, each with the places of its members."""
     assumed = dict(assumed_reading_temperatures(campaign, readings))
     indices_by_group: dict[tuple[str, str, bool], list[int]] = {}
     for index, reading in enumerate(readings):

@@ -297,7 +297,7 @@ def combination_dof(
     """Return the degrees of freedom of a combination of the unknowns.
 
     dof: Of the noise of readings and poses, in the order of the fit.
-    of_records: What records' noise has in it.
+    record_dof: Of the noise of records.
     """
     combined = fit.solution.combine(weights)
     rows, total = combined.noise_rows, float(weights @ fit.solution.covariance @ weights)

@@ -364,7 +364,7 @@ _DesignFactors = dict[int, tuple[int, Array]]
 def _design_factors(
     group: Readings, symbols: Mapping[int, str]
 ) -> Iterator[tuple[int, tuple[int, Array]]]:
-    """Yield for each coefficient, or slope of one, its index and as of `_Levers`."""
+    """Yield the index of each coefficient or slope, and its entry of `_DesignFactors`."""
     for index, symbol in symbols.items():
         if symbol in ACCELEROMETER_TERMS:
             yield index, (_SYMBOLS.index(coefficient_of(symbol)), group.design_factor(symbol))

@@ -172,8 +172,9 @@ def candidate_columns(
 ) -> Iterator[Alternative]:
     """Yield the columns that the residuals of readings may follow.
 
-    place: Of the readings among the observations of the fit.
-    unknown: Symbols of the accelerometer's terms, and the machine's, that the fit may choose.
+    index: Index of the readings among the observations of the fit.
+    estimated_symbols: Symbols of the accelerometer's and the machine's terms that are estimated.
+    tested_symbols: Symbols of the accelerometer's terms with a prior; their columns test the prior.
     """
     forces = readings.products({})[:, [*TERMS].index("K_I")]
     for kind, symbol, column in (
@@ -531,7 +532,7 @@ def _p_value(
     """Return the probability of a gain in chi-square, and the scale of the residuals without it.
 
     columns: How many of them gain it, as of `_tail`.
-    share: As of `_share`.
+    noise_share: Part of the combination that comes from the noise of the readings.
     """
     other_dof = max(group.residual_dof - columns, 0.5)
     p_without_scale = _tail_probability(columns, math.inf, gain)

@@ -178,7 +178,7 @@ class ReadingsTable:
         """Yield the rows of a table as runs, with their places.
 
         names: Of the table's columns.
-        places: Of the rows; None: they are counted.
+        locations: Locations of the rows; None: the rows are counted.
         """
         problems = self.problems
         error_count, mountings = len(problems.lines), self.settings.mountings.values()

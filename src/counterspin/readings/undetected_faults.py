@@ -150,7 +150,7 @@ def _noise_shrinkage(
 ) -> float:
     """Return u over what it becomes where an estimated noise takes up what is left of a fault.
 
-    left: Of the fault in the residuals, in standard deviations.
+    effect: Remainder of the fault in the residuals, in standard deviations.
     """
     if not symbol or group.has_external_noise or not effect:
         return 1.0

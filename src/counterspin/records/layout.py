@@ -488,7 +488,7 @@ def _longest_run(
 def footer_lines(split_lines: Sequence[Sequence[str]], decimal: str) -> int:
     """Return the number of lines at the end of a table that are not rows, such as a mean.
 
-    parted: Cells of the rows of the table and of what stands below them.
+    split_lines: Cells of the rows of the table and of what stands below them.
     """
     body = [cells for cells in split_lines[:_PLAIN_ROWS] if any(cells)]
     if len(body) < _MIN_ROWS:

@@ -102,7 +102,7 @@ class BlockAverager:
     block: Samples in a block; 1 keeps point samples.
     step: The usual spacing of the samples, s.
     rate: Spindle rate, rad/s.
-    judges: Whether outlying samples are looked for.
+    reject_outliers: True: outlying samples are looked for.
     """
 
     def __init__(

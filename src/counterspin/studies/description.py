@@ -223,7 +223,7 @@ def parse_study(
 ) -> StudyDescription:
     """Read and check the content of a study's file; raise the errors of `read_study`.
 
-    described: Path of the description of a campaign already read; None: `raw` may name another
+    campaign_file: Path of the description of a campaign already read; None: `raw` may name another
         one.
     """
     problems = Problems(raw)

@@ -51,7 +51,7 @@ def make_group(
 ) -> TriadPoses:
     """Return poses as one group, whose noise is stated if the noise of all of them is.
 
-    found: One reading of every existing pose, if these are not all.
+    series: One reading of every existing pose, if these are not all.
     """
     first_readings = [pose[0] for pose in poses]
     directions = temperature_directions(campaign, series or first_readings)

@@ -26,9 +26,9 @@ def pose_candidates(
 ) -> Iterator[Alternative]:
     """Yield the columns that the residuals of poses may follow.
 
-    place: Of the poses among the observations of the fit.
-    unknown: Owner and symbol of what the fit may choose; `followed`, of that what it may choose
-        within what is known of it.
+    group_index: Index of the poses among the observations of the fit.
+    estimated_keys: Owner and symbol of the unknowns that are estimated.
+    tested_keys: Owner and symbol of the unknowns with a prior; their columns test the prior.
     """
     point = poses.at(fit.model, fit.solution.estimate)
     for axis_index, name in enumerate(poses.accelerometers):

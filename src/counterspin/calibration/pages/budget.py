@@ -119,7 +119,7 @@ def budget_table(
     """Return the budget of a coefficient as a table; empty columns are left out.
 
     name: Name of the accelerometer.
-    shown, rest: Lines with a row each, and lines that share a row.
+    shown, small_lines: Lines with a row each, and lines that share a row.
     """
     accelerometer = result.accelerometers[name]
     coefficient = accelerometer.coefficients.get(symbol)
