@@ -22,7 +22,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.joint.design_blocks import DesignBlock, update_design_blocks
 from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.series import INPUTS, TIMING
+from counterspin.inference.joint.series import INPUT_PERTURBATIONS, TIMING
 from counterspin.inference.joint.unknowns import (
     ROTATION,
     Considered,
@@ -93,7 +93,7 @@ def fault_requirements(
     # A fit that has a fault among its unknowns gives way to it: it says nothing of its own need.
     symbols = {part.symbol for fault in paths for part in fault.parts}
     fit_before = prediction.fit
-    model = fit_before.model.without({*symbols, *INPUTS, TIMING})
+    model = fit_before.model.without({*symbols, *INPUT_PERTURBATIONS, TIMING})
     index = [unknown.name for unknown in model.unknowns].index(name)
     unknown = model.unknowns[index]
     expected = expected_values(campaign, model.unknowns)

@@ -20,7 +20,7 @@ from joint_campaign import (
 from counterspin.inference.joint.budget import budget, unknown_u_by_category
 from counterspin.inference.joint.design_blocks import build_design_blocks
 from counterspin.inference.joint.fit import solve_joint
-from counterspin.inference.joint.series import INPUTS, TIMING
+from counterspin.inference.joint.series import INPUT_PERTURBATIONS, TIMING
 from counterspin.inference.joint.summary import CONSIDERED, DEFAULT_PRIOR, NOISE, STATED
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
@@ -179,7 +179,7 @@ def test_every_sensitivity_is_what_the_estimate_does(series, fit, model):
             step = line.u
             moved = []
             for one in series:
-                motion = INPUTS[line.source](one.trajectory, step)
+                motion = INPUT_PERTURBATIONS[line.source](one.trajectory, step)
                 error = one.error + one.reference() - one.reference(motion)
                 moved.append(replace(one, trajectory=motion, error=error))
             changed = estimate(plain, moved)
@@ -204,7 +204,7 @@ def test_a_record_in_g_depends_on_the_gravity_assumed():
     step = 1e-3
     moved = []
     for s in one:
-        motion = INPUTS["site.gravity"](s.trajectory, step)
+        motion = INPUT_PERTURBATIONS["site.gravity"](s.trajectory, step)
         output = (s.error + s.reference()) * (SITE.gravity + step) / SITE.gravity
         moved.append(replace(s, trajectory=motion, error=output - s.reference(motion)))
     after = solve_joint(build_design_blocks(moved, plain, SCALES), plain, noise).solution

@@ -29,7 +29,7 @@ from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.design_blocks import build_design_blocks, update_design_blocks
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
-from counterspin.inference.joint.series import INPUTS, TIMING
+from counterspin.inference.joint.series import INPUT_PERTURBATIONS, TIMING
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.spindle import Spindle
@@ -564,7 +564,7 @@ def test_sensitivity_to_an_input_is_what_the_estimate_does_when_it_changes():
                 )
                 motion = replace(one.trajectory, spindle=behind)
             else:
-                motion = INPUTS[name](one.trajectory, size)
+                motion = INPUT_PERTURBATIONS[name](one.trajectory, size)
             error = one.error + one.reference() - one.reference(motion)
             moved.append(replace(one, trajectory=motion, error=error))
         prepared = build_design_blocks(moved, plain, SCALES)

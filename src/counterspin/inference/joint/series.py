@@ -430,7 +430,7 @@ _RELATIVE_STEP: Final = 1e-5
 _INPUT_STEP: Final = 1e-6
 
 #: Uncertain inputs: how each changes the trajectory.
-INPUTS: Final[Mapping[str, Callable[[Trajectory, float], Trajectory]]] = {
+INPUT_PERTURBATIONS: Final[Mapping[str, Callable[[Trajectory, float], Trajectory]]] = {
     "centrifuge.radius": lambda motion, step: replace(motion, radius=motion.radius + step),
     "site.gravity": lambda motion, step: replace(
         motion, site=replace(motion.site, gravity=motion.site.gravity + step)
@@ -541,5 +541,5 @@ def with_input(
         "site.latitude": 1.0,
     }[name]
     step = _INPUT_STEP * size
-    perturbed = INPUTS[name](series.trajectory, step)
+    perturbed = INPUT_PERTURBATIONS[name](series.trajectory, step)
     return series.reference(perturbed), series.columns(symbols, scale_factor, perturbed), step
