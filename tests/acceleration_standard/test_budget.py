@@ -16,7 +16,7 @@ from counterspin.reports.blocks import Paragraph
 
 
 @pytest.fixture
-def folder(tmp_path):
+def write_campaign(tmp_path):
     """Return a function that writes a description and returns its folder."""
 
     def write(text=DESCRIPTION):
@@ -26,8 +26,8 @@ def folder(tmp_path):
     return write
 
 
-def test_unstated_sources_have_default_uncertainty(folder):
-    result = cs.applied(folder(), "2g, 5 g")
+def test_unstated_sources_have_default_uncertainty(write_campaign):
+    result = cs.applied(write_campaign(), "2g, 5 g")
     by_origin = {source.name: source.origin for source in result.applied_sources}
     defaults = {"elevation", "azimuth", "droop", "clock"}
     assert {name for name, origin in by_origin.items() if origin == "default"} == defaults
@@ -43,8 +43,8 @@ def test_unstated_sources_have_default_uncertainty(folder):
     )
 
 
-def test_stated_alignment_and_sense_of_rotation_are_used(folder):
-    result = cs.applied(folder(DESCRIPTION + STATED))
+def test_stated_alignment_and_sense_of_rotation_are_used(write_campaign):
+    result = cs.applied(write_campaign(DESCRIPTION + STATED))
     (level,) = result.levels
     assert (result.mounting, level.rate) == ("in", -9.9)
     assert result.source("elevation").u == pytest.approx(math.radians(2.0 / 3600.0))
@@ -55,15 +55,15 @@ def test_stated_alignment_and_sense_of_rotation_are_used(folder):
     assert sum(line.share for line in level.budget) == pytest.approx(1.0)
 
 
-def test_assumed_term_has_zero_uncertainty(folder):
+def test_assumed_term_has_zero_uncertainty(write_campaign):
     exact = '[model]\nassume = ["centrifuge.droop", "centrifuge.clock"]\n'
-    result = cs.applied(folder(DESCRIPTION + exact), [1.0])
+    result = cs.applied(write_campaign(DESCRIPTION + exact), [1.0])
     assert {result.source(name).origin for name in ("droop", "clock")} == {"assumed"}
     assert {result.source(name).u for name in ("droop", "clock")} == {0.0}
 
 
-def test_command_writes_result_report_and_figure(folder, tmp_path, capsys):
-    path = folder(DESCRIPTION + STATED)
+def test_command_writes_result_report_and_figure(write_campaign, tmp_path, capsys):
+    path = write_campaign(DESCRIPTION + STATED)
     files = [tmp_path / name for name in ("a.json", "a.md", "a.svg")]
     options = ("--json", "--report", "--figure")
     words = [word for pair in zip(options, map(str, files), strict=True) for word in pair]
@@ -93,25 +93,25 @@ def test_command_writes_result_report_and_figure(folder, tmp_path, capsys):
         ({"mounting": "out"}, 'unknown mounting "out"; known: in'),
     ],
 )
-def test_rejects_invalid_options(folder, options, message):
+def test_rejects_invalid_options(write_campaign, options, message):
     with pytest.raises(CampaignError, match=message):
-        cs.applied(folder(), **options)
+        cs.applied(write_campaign(), **options)
 
 
-def test_different_alignments_require_mounting(folder):
+def test_different_alignments_require_mounting(write_campaign):
     second = DESCRIPTION[DESCRIPTION.index("[[runs]]") :].replace('"in"', '"out"', 2)
     priors = STATED + '"fixture.misalignment.out" = "0 ± 5 arcsec"\n'
-    path = folder(DESCRIPTION + second + priors)
+    path = write_campaign(DESCRIPTION + second + priors)
     with raises("wrong-usage", "in, out", "`mounting`"):
         cs.applied(path)
     result = cs.applied(path, mounting="out")
     assert result.source("azimuth").u == pytest.approx(math.radians(5.0 / 3600.0))
 
 
-def test_rejects_campaign_without_centrifuge(folder):
+def test_rejects_campaign_without_centrifuge(write_campaign):
     at_rest = DESCRIPTION[: DESCRIPTION.index("[centrifuge]")] + (
         '[[runs]]\nname = "up"\nmotion = "static"\nattitude = "0 deg about north"\n'
         'reading = "1.0 ± 1e-6 g"\n'
     )
     with pytest.raises(CampaignError, match=r"centrifuge\.radius: missing"):
-        cs.applied(folder(at_rest), [1.0])
+        cs.applied(write_campaign(at_rest), [1.0])

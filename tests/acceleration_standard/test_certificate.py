@@ -18,46 +18,46 @@ EXPANDED = f"{QUANTITY}/si:measurementUncertaintyUnivariate/si:expandedMU/si:val
 
 
 @pytest.fixture(scope="module")
-def applied(tmp_path_factory):
+def calculate_budget(tmp_path_factory):
     """Return a function from a description to its budget."""
 
-    def make(text=COMPLETE):
+    def calculate(text=COMPLETE):
         folder = tmp_path_factory.mktemp("machine")
         (folder / "campaign.toml").write_text(text, encoding="utf-8")
         return cs.applied(folder, LEVELS)
 
-    return make
+    return calculate
 
 
-def numbers(certificate, path):
+def read_numbers(certificate, path):
     return [float(element.text) for element in find(certificate.xml, path)]
 
 
-def test_values_and_expanded_uncertainties_match_budget(applied, tmp_path):
-    result = applied()
+def test_values_and_expanded_uncertainties_match_budget(calculate_budget, tmp_path):
+    result = calculate_budget()
     made = certify_applied(result, write_lab(tmp_path))
     assert not made.draft
     values = [level.acceleration for level in result.levels]
-    assert numbers(made, f"{QUANTITY}/si:value") == pytest.approx(values, rel=1e-15)
+    assert read_numbers(made, f"{QUANTITY}/si:value") == pytest.approx(values, rel=1e-15)
     expanded = [1.96 * level.u for level in result.levels]
-    assert numbers(made, EXPANDED) == pytest.approx(expanded, rel=1e-4)
+    assert read_numbers(made, EXPANDED) == pytest.approx(expanded, rel=1e-4)
     assert made.pdf().startswith(b"%PDF")
 
 
-def test_uncertainty_is_at_least_cmc(applied, tmp_path):
-    result = applied()
+def test_uncertainty_is_at_least_cmc(calculate_budget, tmp_path):
+    result = calculate_budget()
     lab = write_lab(tmp_path, LAB + '\n[cmc]\napplied = "5 ppm"\n')
-    small, at_capability = numbers(certify_applied(result, lab), EXPANDED)
+    small, at_capability = read_numbers(certify_applied(result, lab), EXPANDED)
     assert small == pytest.approx(1.96 * result.levels[0].u, rel=1e-4)
     assert at_capability == pytest.approx(5e-6 * result.levels[1].acceleration, rel=1e-9)
 
 
-def test_uncertainty_covers_monte_carlo_interval_if_not_validated(applied, tmp_path):
+def test_uncertainty_covers_monte_carlo_interval_if_not_validated(calculate_budget, tmp_path):
     """A misalignment of 0.02 rad lowers the acceleration by chi-square of one degree."""
     azimuth = '"fixture.misalignment.in.up" = "0 ± 0.02 rad"\n'
-    result = applied(COMPLETE + azimuth)
+    result = calculate_budget(COMPLETE + azimuth)
     made = certify_applied(result, write_lab(tmp_path))
-    for level, expanded in zip(result.levels, numbers(made, EXPANDED), strict=True):
+    for level, expanded in zip(result.levels, read_numbers(made, EXPANDED), strict=True):
         assert not level.monte_carlo.validated
         assert expanded == pytest.approx(level.acceleration - level.monte_carlo.low, rel=1e-4)
         # The 97.5 % quantile of beta^2/2 is 5.0239 u^2/2.
@@ -66,12 +66,12 @@ def test_uncertainty_covers_monte_carlo_interval_if_not_validated(applied, tmp_p
 
 
 @needs_schema
-def test_certificate_conforms_to_schema(applied, tmp_path):
-    check_schema(certify_applied(applied(), write_lab(tmp_path)).xml, SCHEMA, "made")
+def test_certificate_conforms_to_schema(calculate_budget, tmp_path):
+    check_schema(certify_applied(calculate_budget(), write_lab(tmp_path)).xml, SCHEMA, "made")
 
 
-def test_dominant_default_requires_evidence(applied, tmp_path):
-    result = applied(DESCRIPTION + STATED)
+def test_dominant_default_requires_evidence(calculate_budget, tmp_path):
+    result = calculate_budget(DESCRIPTION + STATED)
     draft = certify_applied(result, write_lab(tmp_path))
     assert draft.draft
     assert any(
@@ -83,17 +83,17 @@ def test_dominant_default_requires_evidence(applied, tmp_path):
     assert b"Counter report 12." in complete.xml
 
 
-def test_assumed_source_requires_evidence(applied, tmp_path):
+def test_assumed_source_requires_evidence(calculate_budget, tmp_path):
     exact = '[model]\nassume = ["centrifuge.clock"]\n'
     with pytest.raises(CampaignError, match=r"centrifuge\.clock"):
-        certify_applied(applied(DESCRIPTION + exact + STATED), write_lab(tmp_path))
+        certify_applied(calculate_budget(DESCRIPTION + exact + STATED), write_lab(tmp_path))
 
 
 @pytest.mark.parametrize("text", ["5 m", "-1 ppm", "5 ± 1 ppm"])
-def test_rejects_cmc_that_is_not_relative(applied, tmp_path, text):
+def test_rejects_cmc_that_is_not_relative(calculate_budget, tmp_path, text):
     lab = write_lab(tmp_path, LAB + f'\n[cmc]\napplied = "{text}"\n')
     with pytest.raises(CampaignError, match=r"cmc\.applied"):
-        certify_applied(applied(), lab)
+        certify_applied(calculate_budget(), lab)
 
 
 def test_command_writes_both_files_and_requires_both_options(tmp_path, capsys):

@@ -11,7 +11,7 @@ RESULT = "three/result.json"
 
 
 @pytest.fixture
-def outside(folder):
+def outside_folder(folder):
     """Return a folder outside the served folder that symlinks in it point to."""
     place = folder.parent / "outside"
     place.mkdir()
@@ -25,7 +25,7 @@ def _issue_certificate(page, output):
     return page.post("/api/certificate", json=said)
 
 
-def test_ledger_outside_folder_is_rejected(page, folder, outside):
+def test_ledger_outside_folder_is_rejected(page, folder, outside_folder):
     lab = write_lab(folder / "LAB.toml")
     text = lab.read_text() + '\n[evidence]\nall = "Type test 4714."\n'
     head = "[certificate]\n"
@@ -35,7 +35,7 @@ def test_ledger_outside_folder_is_rejected(page, folder, outside):
     assert told.status_code == 422
     assert told.json()["codes"] == ["path-outside-folder"]
     assert told.json()["problems"][0].startswith("certificate.ledger: 'sub/led.jsonl' ")
-    assert list(outside.iterdir()) == []
+    assert list(outside_folder.iterdir()) == []
     assert not (folder / "new.xml").exists()
     lab.write_text(text.replace(head, head + 'ledger = "led.jsonl"\n'))
     assert _issue_certificate(page, "new.xml").status_code == 200
@@ -50,7 +50,7 @@ def test_ledger_outside_folder_is_rejected(page, folder, outside):
         ('temperature = "sub/../../secret"', "temperature"),
     ],
 )
-def test_record_path_outside_folder_is_rejected(app, folder, outside, line, key):
+def test_record_path_outside_folder_is_rejected(app, folder, outside_folder, line, key):
     file = folder / "three" / "campaign.toml"
     assert app.campaign("three").runs
     file.write_text(file.read_text().replace("[[runs]]\n", f"[[runs]]\n{line}\n", 1))
@@ -67,9 +67,9 @@ def test_title_is_not_checked_as_path(app, folder):
     assert app.campaign("three").title == title
 
 
-def test_rejects_writing_through_symlink(page, folder, outside):
+def test_rejects_writing_through_symlink(page, folder, outside_folder):
     (folder / "new").mkdir()
-    (folder / "new" / "campaign.toml").symlink_to(outside / "campaign.toml")
+    (folder / "new" / "campaign.toml").symlink_to(outside_folder / "campaign.toml")
     write_plan(folder / "PLAN.toml")
     files = {"folder": "new", "names": ["three/slow.csv", "three/fast.csv"], "answers": ANSWERS}
     asked = {
@@ -85,4 +85,4 @@ def test_rejects_writing_through_symlink(page, folder, outside):
             403,
             "path-forbidden",
         )
-    assert list(outside.iterdir()) == []
+    assert list(outside_folder.iterdir()) == []

@@ -72,13 +72,13 @@ def test_main_result_is_listed_first_unless_damaged(page, folder):
         other.write_text(sealed(told | {"method": method}))
         os.utime(other, (now + later, now + later))
 
-    def names():
+    def result_names():
         (campaign,) = page.get("/api/folder").json()["campaigns"]
         return [result["name"].removeprefix("three/") for result in campaign["results"]]
 
-    assert names() == ["result.json", "c.json", "b.json", "d.json"]
+    assert result_names() == ["result.json", "c.json", "b.json", "d.json"]
     own.write_text(json.dumps(told | {"gravity": -9.8}))
-    assert names() == ["c.json", "b.json", "d.json", "result.json"]
+    assert result_names() == ["c.json", "b.json", "d.json", "result.json"]
 
 
 def test_damaged_result_is_listed_as_damaged(page, folder):

@@ -17,7 +17,7 @@ from counterspin.errors import CounterspinError
 
 
 @pytest.fixture
-def served(tmp_path):
+def inner_folder(tmp_path):
     (tmp_path / "secret.toml").write_text("secret = 1")
     (tmp_path / "inside" / "a").mkdir(parents=True)
     (tmp_path / "inside" / "a" / "campaign.toml").write_text("schema = 1\n")
@@ -44,59 +44,62 @@ def served(tmp_path):
         "a/" * 2000 + "x",
     ],
 )
-def test_path_outside_folder_is_rejected(served, name):
+def test_path_outside_folder_is_rejected(inner_folder, name):
     with pytest.raises(PathForbiddenError):
-        served.read(name)
+        inner_folder.read(name)
     with pytest.raises(PathForbiddenError):
-        served.write(name, "x", "")
+        inner_folder.write(name, "x", "")
 
 
-def test_symlink_out_of_folder_is_rejected(served, tmp_path):
-    (served.root / "link.toml").symlink_to(tmp_path / "secret.toml")
-    (served.root / "up").symlink_to(tmp_path)
-    (served.root / "round").symlink_to(served.root / "round")
+def test_symlink_out_of_folder_is_rejected(inner_folder, tmp_path):
+    (inner_folder.root / "link.toml").symlink_to(tmp_path / "secret.toml")
+    (inner_folder.root / "up").symlink_to(tmp_path)
+    (inner_folder.root / "round").symlink_to(inner_folder.root / "round")
     for name in ("link.toml", "up/secret.toml", "up", "round"):
         with pytest.raises(PathForbiddenError):
-            served.read(name)
+            inner_folder.read(name)
         with pytest.raises(PathForbiddenError):
-            served.write(name, "x", "")
+            inner_folder.write(name, "x", "")
     assert (tmp_path / "secret.toml").read_text() == "secret = 1"
-    assert [path for path, _ in served.folders()] == [served.root, served.root / "a"]
+    assert [path for path, _ in inner_folder.folders()] == [
+        inner_folder.root,
+        inner_folder.root / "a",
+    ]
 
 
-def test_symlink_within_folder_is_followed(served):
-    (served.root / "b.toml").symlink_to(served.root / "a" / "campaign.toml")
-    assert served.read("b.toml").text == "schema = 1\n"
+def test_symlink_within_folder_is_followed(inner_folder):
+    (inner_folder.root / "b.toml").symlink_to(inner_folder.root / "a" / "campaign.toml")
+    assert inner_folder.read("b.toml").text == "schema = 1\n"
 
 
-def test_rejects_binary_oversized_or_special_file(served):
-    (served.root / "a" / "big.toml").write_text("x" * 101)
-    (served.root / "a" / "odd.toml").write_bytes(b"\xff\xfe")
-    os.mkfifo(served.root / "a" / "pipe.toml")
+def test_rejects_binary_oversized_or_special_file(inner_folder):
+    (inner_folder.root / "a" / "big.toml").write_text("x" * 101)
+    (inner_folder.root / "a" / "odd.toml").write_bytes(b"\xff\xfe")
+    os.mkfifo(inner_folder.root / "a" / "pipe.toml")
     with pytest.raises(CounterspinError, match="more than 100 bytes"):
-        served.read("a/big.toml", 100)
+        inner_folder.read("a/big.toml", 100)
     with pytest.raises(CounterspinError, match="not UTF-8"):
-        served.read("a/odd.toml")
+        inner_folder.read("a/odd.toml")
     with pytest.raises(CounterspinError, match="a pipe"):
-        served.read("a/pipe.toml")
+        inner_folder.read("a/pipe.toml")
     with pytest.raises(CounterspinError, match="is not valid text"):
-        served.write("a/new.toml", "\ud800", "")
+        inner_folder.write("a/new.toml", "\ud800", "")
 
 
-def test_edit_of_old_version_raises_conflict_with_current_text(served):
-    first = served.read("a/campaign.toml")
-    second = served.write("a/campaign.toml", "schema = 1 # mine\n", first.version)
+def test_edit_of_old_version_raises_conflict_with_current_text(inner_folder):
+    first = inner_folder.read("a/campaign.toml")
+    second = inner_folder.write("a/campaign.toml", "schema = 1 # mine\n", first.version)
     with pytest.raises(EditConflictError) as refused:
-        served.write("a/campaign.toml", "schema = 1 # theirs\n", first.version)
-    assert refused.value.current == second == served.read("a/campaign.toml")
+        inner_folder.write("a/campaign.toml", "schema = 1 # theirs\n", first.version)
+    assert refused.value.current == second == inner_folder.read("a/campaign.toml")
     with pytest.raises(EditConflictError):
-        served.write("a/campaign.toml", "x", "")
-    third = served.write("a/campaign.toml", "schema = 1 # both\n", second.version)
-    assert served.read("a/campaign.toml") == third
-    assert [path.name for path in (served.root / "a").iterdir()] == ["campaign.toml"]
+        inner_folder.write("a/campaign.toml", "x", "")
+    third = inner_folder.write("a/campaign.toml", "schema = 1 # both\n", second.version)
+    assert inner_folder.read("a/campaign.toml") == third
+    assert [path.name for path in (inner_folder.root / "a").iterdir()] == ["campaign.toml"]
 
 
-def test_one_of_many_concurrent_edits_succeeds(served, monkeypatch):
+def test_one_of_many_concurrent_edits_succeeds(inner_folder, monkeypatch):
     write = served_folder.write_whole
 
     def write_slowly(*words, **more):
@@ -104,35 +107,37 @@ def test_one_of_many_concurrent_edits_succeeds(served, monkeypatch):
         write(*words, **more)
 
     monkeypatch.setattr(served_folder, "write_whole", write_slowly)
-    seen = served.read("a/campaign.toml").version
+    seen = inner_folder.read("a/campaign.toml").version
     start, taken = Barrier(8), []
 
     def edit(text):
         start.wait()
         with suppress(EditConflictError):
-            taken.append(served.write("a/campaign.toml", text, seen).text)
+            taken.append(inner_folder.write("a/campaign.toml", text, seen).text)
 
     threads = [Thread(target=edit, args=(f"schema = 1 # {n}\n",)) for n in range(8)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert taken == [served.read("a/campaign.toml").text]
+    assert taken == [inner_folder.read("a/campaign.toml").text]
 
 
-def test_failed_write_keeps_previous_file(served, monkeypatch):
-    seen = served.read("a/campaign.toml")
+def test_failed_write_keeps_previous_file(inner_folder, monkeypatch):
+    seen = inner_folder.read("a/campaign.toml")
 
     def raise_no_space(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("pathlib.Path.write_bytes", raise_no_space)
     with pytest.raises(CounterspinError, match="No space left"):
-        served.write("a/campaign.toml", "other", seen.version)
-    assert served.read("a/campaign.toml") == seen
-    assert [path.name for path in (served.root / "a").iterdir()] == ["campaign.toml"]
+        inner_folder.write("a/campaign.toml", "other", seen.version)
+    assert inner_folder.read("a/campaign.toml") == seen
+    assert [path.name for path in (inner_folder.root / "a").iterdir()] == ["campaign.toml"]
 
 
-def test_messages_use_paths_relative_to_folder(served):
-    told = served.relative_paths(f"{served.root}{os.sep}a: wrong; {served.root}: too")
+def test_messages_use_paths_relative_to_folder(inner_folder):
+    told = inner_folder.relative_paths(
+        f"{inner_folder.root}{os.sep}a: wrong; {inner_folder.root}: too"
+    )
     assert told == "a: wrong; this folder: too"

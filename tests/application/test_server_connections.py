@@ -66,7 +66,7 @@ def test_unauthenticated_connections_do_not_block_server(tmp_path):
 
 
 @pytest.fixture
-def served(app):
+def server_credentials(app):
     """Return the credentials of a running server."""
     with serving(app) as credentials:
         yield credentials
@@ -96,20 +96,22 @@ def _send_slowly(connection):
     ],
     ids=["nothing", "half a head", "half a body"],
 )
-def test_incomplete_request_times_out(served, monkeypatch, sent):
+def test_incomplete_request_times_out(server_credentials, monkeypatch, sent):
     monkeypatch.setattr(server, "HEAD_SECONDS", 0.2)
     monkeypatch.setattr(access_control, "UNAUTHENTICATED_TIMEOUT", 0.2)
-    sent = sent.replace(b"%d", str(served.port).encode())
-    with socket.create_connection(("127.0.0.1", served.port), timeout=BOUND) as connection:
+    sent = sent.replace(b"%d", str(server_credentials.port).encode())
+    with socket.create_connection(
+        ("127.0.0.1", server_credentials.port), timeout=BOUND
+    ) as connection:
         connection.sendall(sent)
         # A byte now and then gains no time.
         with pytest.raises(ConnectionError):
             _send_slowly(connection)
 
 
-def test_unauthenticated_request_is_read_in_part(served):
-    head = f"POST /api/jobs HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\n"
-    head += f"Origin: http://127.0.0.1:{served.port}\r\nContent-Length: 4000000\r\n\r\n"
+def test_unauthenticated_request_is_read_in_part(server_credentials):
+    head = f"POST /api/jobs HTTP/1.1\r\nHost: 127.0.0.1:{server_credentials.port}\r\n"
+    head += f"Origin: http://127.0.0.1:{server_credentials.port}\r\nContent-Length: 4000000\r\n\r\n"
     read = []
     before = Connection.data_received
 
@@ -119,7 +121,9 @@ def test_unauthenticated_request_is_read_in_part(served):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Connection, "data_received", receive_and_record)
-        with socket.create_connection(("127.0.0.1", served.port), timeout=BOUND) as connection:
+        with socket.create_connection(
+            ("127.0.0.1", server_credentials.port), timeout=BOUND
+        ) as connection:
             connection.settimeout(BOUND)
             with suppress(ConnectionError):
                 connection.sendall(head.encode() + b"x" * 3_900_000)
@@ -128,17 +132,19 @@ def test_unauthenticated_request_is_read_in_part(served):
     assert 0 < sum(read) <= 2 * 2**18
 
 
-def test_idle_authenticated_connection_stays_open(served, monkeypatch):
+def test_idle_authenticated_connection_stays_open(server_credentials, monkeypatch):
     monkeypatch.setattr(server, "_MAX_CONNECTIONS", 3)
-    key = served.exchange_token(token_of(served))
-    page = http.client.HTTPConnection("127.0.0.1", served.port, timeout=BOUND)
+    key = server_credentials.exchange_token(token_of(server_credentials))
+    page = http.client.HTTPConnection("127.0.0.1", server_credentials.port, timeout=BOUND)
     connections = []
     for _ in range(3):
         page.request("GET", "/api/jobs", headers={"Authorization": f"Bearer {key}"})
         assert page.getresponse().read() == b"[]"
         socket_before = page.sock
         for _ in range(5):
-            connections.append(socket.create_connection(("127.0.0.1", served.port), timeout=BOUND))
+            connections.append(
+                socket.create_connection(("127.0.0.1", server_credentials.port), timeout=BOUND)
+            )
         _wait_closed(connections[-4])
     assert page.sock is socket_before
     for connection in connections:

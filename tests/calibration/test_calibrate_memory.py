@@ -23,19 +23,19 @@ def records(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def made(records):
+def memory_campaign(records):
     return make_campaign(frames.untrue(), records)
 
 
 @pytest.fixture(scope="module")
-def found(made):
-    return calibrate(made)
+def found(memory_campaign):
+    return calibrate(memory_campaign)
 
 
 @pytest.fixture(scope="module")
-def written(made, tmp_path_factory):
+def written_folder(memory_campaign, tmp_path_factory):
     folder = tmp_path_factory.mktemp("written") / "campaign"
-    made.write(folder)
+    memory_campaign.write(folder)
     return folder
 
 
@@ -43,8 +43,8 @@ def block_texts(result):
     return [block.text for block in document(result) if hasattr(block, "text")]
 
 
-def test_folder_gives_identical_result(found, written):
-    again = calibrate(written)
+def test_folder_gives_identical_result(found, written_folder):
+    again = calibrate(written_folder)
     for part in ("accelerometers", "runs", "platform", "inputs"):
         assert getattr(again, part) == getattr(found, part), part
 
@@ -56,7 +56,7 @@ def test_frames_and_arrays_give_same_result(found, records):
     assert again.provenance == found.provenance
 
 
-def test_provenance_states_inputs_in_memory(found, made, written, records):
+def test_provenance_states_inputs_in_memory(found, memory_campaign, written_folder, records):
     provenance = found.provenance
     assert provenance.in_memory == {
         "campaign.toml": "made in Python",
@@ -64,7 +64,7 @@ def test_provenance_states_inputs_in_memory(found, made, written, records):
         "middle.parquet": "arrays",
         "fast.parquet": "arrays",
     }
-    of_text = hashlib.sha256((written / "campaign.toml").read_bytes()).hexdigest()
+    of_text = hashlib.sha256((written_folder / "campaign.toml").read_bytes()).hexdigest()
     assert provenance.inputs["campaign.toml"] == f"sha256:{of_text}"
     digest = hashlib.sha256()
     for name, values in records["slow"].items():
@@ -77,8 +77,8 @@ def test_provenance_states_inputs_in_memory(found, made, written, records):
     assert "counterspin calibrate" not in said
 
 
-def test_changed_description_is_marked_with_new_checksum(written):
-    campaign = read_campaign(written)
+def test_changed_description_is_marked_with_new_checksum(written_folder):
+    campaign = read_campaign(written_folder)
     plain, changed = (
         calibrate(c).provenance
         for c in (campaign, campaign.change({"centrifuge": {"radius": "2.6 m"}}))
@@ -89,19 +89,19 @@ def test_changed_description_is_marked_with_new_checksum(written):
     assert changed.inputs["slow.parquet"] == plain.inputs["slow.parquet"]
 
 
-def test_replaced_field_is_marked_as_changed(made, found):
-    other = calibrate(replace(made, noise=None)).provenance
+def test_replaced_field_is_marked_as_changed(memory_campaign, found):
+    other = calibrate(replace(memory_campaign, noise=None)).provenance
     assert other.in_memory["campaign.toml"] == "changed"
     assert other.inputs["campaign.toml"] != found.provenance.inputs["campaign.toml"]
-    same = calibrate(replace(made)).provenance
-    again = calibrate(replace(made)).provenance
+    same = calibrate(replace(memory_campaign)).provenance
+    again = calibrate(replace(memory_campaign)).provenance
     assert same == again != other
 
 
 @pytest.mark.parametrize("name", ["campaign.toml", "my campaign.toml"])
-def test_command_in_report_reproduces_result(written, tmp_path, monkeypatch, name):
+def test_command_in_report_reproduces_result(written_folder, tmp_path, monkeypatch, name):
     folder = tmp_path / "elsewhere"
-    read_campaign(written).write(folder)
+    read_campaign(written_folder).write(folder)
     (folder / "campaign.toml").rename(folder / name)
     first = calibrate(folder / name)
     (command,) = (b.text for b in document(first) if getattr(b, "style", "") == "command")

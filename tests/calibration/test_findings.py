@@ -105,23 +105,25 @@ def test_finding_and_state_of_change(change, code, state, size):
         assert found.findings[0].subject.startswith("Qx")
 
 
-def _undetermined(symbol="K_III", *, requested=True):
+def _make_undetermined(symbol="K_III", *, requested=True):
     return not_determined_finding(f"Qx.{symbol}", symbol, more=" Add a run.", requested=requested)
 
 
 def test_undetermined_requested_term_has_state_not_determined():
-    found = judge_changed(findings=[_undetermined(), _undetermined("K_I", requested=False)])
+    found = judge_changed(
+        findings=[_make_undetermined(), _make_undetermined("K_I", requested=False)]
+    )
     assert found.state == found.accelerometers["Qx"].state == "not-determined"
     assert [finding.subject for finding in found.findings] == ["Qx.K_III", "Qx.K_I"]
     # Reservations of any size follow it; a contradiction precedes it.
-    doubtful = judge_changed(findings=[_undetermined()], two_stage=make_two_stage(-10.0))
+    doubtful = judge_changed(findings=[_make_undetermined()], two_stage=make_two_stage(-10.0))
     assert finding_codes(doubtful) == ["not-determined", "methods-disagree"]
-    wrong = judge_changed(findings=[_undetermined()], jackknife=make_jackknife(-6.1))
+    wrong = judge_changed(findings=[_make_undetermined()], jackknife=make_jackknife(-6.1))
     assert (finding_codes(wrong)[0], wrong.state) == ("run-disagrees", "contradicted")
 
 
 def test_undetermined_usual_term_is_information():
-    found = judge_changed(findings=[_undetermined(requested=False)])
+    found = judge_changed(findings=[_make_undetermined(requested=False)])
     assert found.state == "reservations"
 
 

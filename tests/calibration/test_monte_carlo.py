@@ -237,7 +237,7 @@ assume = "all"
 """
 
 
-def arm_runs():
+def make_arm_runs():
     """Return readings of a perfect accelerometer at 1 m, inward, in m/s^2."""
     for number, rate in enumerate((3.0, 6.0, 9.0, 12.0)):
         yield (
@@ -276,15 +276,15 @@ def limited_quantity(value, half_width, unit, shape="rectangular"):
 )
 def test_site_and_centrifuge_inputs_are_drawn(tmp_path, gravity, radius, relative, width):
     """K_I is proportional to gravity over radius; all other inputs are known to 1e-9."""
-    text = ARM.format(gravity=gravity, radius=radius, axis="west") + "".join(arm_runs())
+    text = ARM.format(gravity=gravity, radius=radius, axis="west") + "".join(make_arm_runs())
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
     result = cs.calibrate(tmp_path, monte_carlo=100_000)
     drawn = result.accelerometers["A"].monte_carlo["K_I"]
     assert drawn.high - drawn.low == pytest.approx(2.0 * relative * width, rel=0.02)
-    assert drawn.gum_validated is False or shape_is_near_normal(width)
+    assert drawn.gum_validated is False or is_near_normal(width)
 
 
-def shape_is_near_normal(width):
+def is_near_normal(width):
     """Return whether the 95 % interval is within 3 % of a normal one (triangular)."""
     return width == 1.0 - math.sqrt(0.05)
 
@@ -298,7 +298,7 @@ def shape_is_near_normal(width):
     ],
 )
 def test_invalid_input_tables_are_named(tmp_path, radius, rate, message):
-    text = ARM.format(gravity='"9.8 m/s^2"', radius=radius, axis="west") + "".join(arm_runs())
+    text = ARM.format(gravity='"9.8 m/s^2"', radius=radius, axis="west") + "".join(make_arm_runs())
     text = text.replace('rate = "3.0 rad/s"', f"rate = {rate}")
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
     with pytest.raises(CampaignError, match=message):
@@ -307,7 +307,7 @@ def test_invalid_input_tables_are_named(tmp_path, radius, rate, message):
 
 def test_campaign_in_memory_keeps_distribution(tmp_path):
     text = ARM.format(gravity='"9.8 m/s^2"', radius=limited_quantity(1.0, 1e-4, "m"), axis="west")
-    (tmp_path / "campaign.toml").write_text(text + "".join(arm_runs()), encoding="utf-8")
+    (tmp_path / "campaign.toml").write_text(text + "".join(make_arm_runs()), encoding="utf-8")
     campaign = cs.read_campaign(tmp_path)
     shorter = campaign.change({"centrifuge": {"radius": cs.Quantity(0.9, 1e-4, "m")}})
     assert shorter.radius.distribution.shape == "normal"

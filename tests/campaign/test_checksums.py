@@ -104,12 +104,12 @@ def test_files_are_hashed_sequentially_until_requested(tmp_path, monkeypatch):
         file.write_bytes(b"1")
     begun, may_go_on = [], threading.Event()
 
-    def wait(path):
+    def wait_and_open(path):
         begun.append(path)
         assert may_go_on.wait(BOUND)
         return open_file(path)
 
-    monkeypatch.setattr("counterspin.campaign.checksums.open_file", wait)
+    monkeypatch.setattr("counterspin.campaign.checksums.open_file", wait_and_open)
     with Checksums() as checksums:
         checksums._begin(files)
         wait_until(lambda: len(begun) == 1)

@@ -100,7 +100,7 @@ def test_sizes_follow_grade_of_accelerometer(tmp_path):
 
 def test_scale_factor_prior_is_checked_against_grade(tmp_path):
     far = ('scale_factor = "1.002 ± 5e-6 g/g"', 'scale_factor = "1.3 ± 0.1 g/g"')
-    (line,) = problems_of(tmp_path, edit(far))
+    (line,) = list_problems(tmp_path, edit(far))
     assert "nominal K_I, 1" in line
     consumer = ('bias = "0.005 ± 2e-6 g"', 'bias = "0.005 ± 2e-6 g"\ngrade = "consumer"')
     assert (
@@ -110,11 +110,11 @@ def test_scale_factor_prior_is_checked_against_grade(tmp_path):
     )
     shared = ("[model.priors]", '[model.priors]\nK_I = "1.3 ± 0.1 g/g"')
     alone = (far[0], "")
-    assert "nominal K_I, 1" in "".join(problems_of(tmp_path, edit(shared, alone)))
+    assert "nominal K_I, 1" in "".join(list_problems(tmp_path, edit(shared, alone)))
     read_campaign(write_description(tmp_path, edit(shared, alone, consumer)))
 
 
-def problems_of(folder, text):
+def list_problems(folder, text):
     with pytest.raises(CampaignError) as caught:
         read_campaign(write_description(folder, text))
     return caught.value.problems
@@ -336,12 +336,12 @@ EXACT_PATHS = [
 
 @pytest.mark.parametrize(("old", "new", "message"), EXACT_PATHS, ids=range(len(EXACT_PATHS)))
 def test_error_names_key_path(tmp_path, old, new, message):
-    problems = problems_of(tmp_path, edit((old, new)))
+    problems = list_problems(tmp_path, edit((old, new)))
     assert any(problem.startswith(message) for problem in problems), problems
 
 
 def test_error_names_run_and_index(tmp_path):
-    problems = problems_of(tmp_path, edit(("-180 deg/s", "3 Hz")))
+    problems = list_problems(tmp_path, edit(("-180 deg/s", "3 Hz")))
     assert problems[0].startswith("runs[1].rate: ")
     assert problems[0].endswith('(run "run2")')
 
@@ -358,7 +358,7 @@ def test_all_errors_are_reported_together(tmp_path):
         ("0.25 rev/s", "0.25 Hz"),
         ("run2.parquet", "run2.doc"),
     )
-    problems = problems_of(tmp_path, text)
+    problems = list_problems(tmp_path, text)
     paths = [problem.split(":")[0] for problem in problems]
     assert sorted(paths) == sorted(
         [
@@ -387,7 +387,7 @@ def test_all_errors_are_reported_together(tmp_path):
 )
 def test_missing_section_is_named(tmp_path, start, end, message):
     cut = BASE[: BASE.index(start)] + (BASE[BASE.index(end) :] if end else "")
-    assert problems_of(tmp_path, cut) == (message,)
+    assert list_problems(tmp_path, cut) == (message,)
 
 
 @pytest.mark.parametrize(
@@ -402,7 +402,7 @@ def test_missing_section_is_named(tmp_path, start, end, message):
     ],
 )
 def test_wrong_structure_is_reported(tmp_path, text, message):
-    assert message in problems_of(tmp_path, text)
+    assert message in list_problems(tmp_path, text)
 
 
 def test_missing_file_error_suggests_init(tmp_path):
@@ -421,7 +421,7 @@ def test_toml_error_states_line(tmp_path):
 
 @pytest.mark.parametrize("name", [r"C:\data\run1.csv", r"C:\Units\x.csv", r"D:\x.csv"])
 def test_windows_path_in_double_quotes_is_explained(tmp_path, name):
-    (problem,) = problems_of(tmp_path, edit(("run1.csv", name)))
+    (problem,) = list_problems(tmp_path, edit(("run1.csv", name)))
     assert problem.startswith("line ")
     assert r"write paths with /, or in single quotation marks, 'C:\data\run1.csv'" in problem
 
@@ -463,7 +463,7 @@ def test_attitudes_are_parsed(tmp_path):
 )
 def test_rejects_invalid_attitudes(tmp_path, attitude, message):
     text = edit(('"run1.csv"', f'"run1.csv"\nattitude = {attitude}'))
-    (problem,) = problems_of(tmp_path, text)
+    (problem,) = list_problems(tmp_path, text)
     assert problem.startswith(f"runs[0].attitude: {message}")
 
 
@@ -567,7 +567,7 @@ def test_truth_does_not_change_calibration_inputs(tmp_path):
 )
 def test_errors_in_truth_are_named(tmp_path, old, new, message):
     assert old in SIMULATED
-    problems = problems_of(tmp_path, BASE + SIMULATED.replace(old, new, 1))
+    problems = list_problems(tmp_path, BASE + SIMULATED.replace(old, new, 1))
     assert any(problem.startswith(message) for problem in problems), problems
 
 
@@ -661,7 +661,7 @@ def test_stretch_can_be_prior_requested_or_omitted(tmp_path):
     assert model.considered == ()
     assert model.terms[-1] == "centrifuge.stretch"
     twice = ("[model.priors]", '[model.priors]\n"centrifuge.stretch" = "0 ± 1e-9 s^2/m"')
-    (problem,) = problems_of(tmp_path, edit(stretched, asked, twice))
+    (problem,) = list_problems(tmp_path, edit(stretched, asked, twice))
     assert problem.startswith('model.priors."centrifuge.stretch": is also given in [centrifuge]')
 
 
@@ -692,7 +692,7 @@ def test_terms_without_effect_are_named(tmp_path, key, symbol, strapped, message
             .startswith(symbol)
         )
         return
-    first = problems_of(tmp_path, edit(*changes))[0]
+    first = list_problems(tmp_path, edit(*changes))[0]
     assert first.startswith(f'model.{key}: "{symbol}')
     assert message in first
 
@@ -700,7 +700,7 @@ def test_terms_without_effect_are_named(tmp_path, key, symbol, strapped, message
 def test_encoder_errors_require_recorded_angle(tmp_path):
     asked = ('"K_III"]', '"K_III", "encoder.harmonic.1"]')
     unrecorded = ('angle = { column = "angle", unit = "deg" }', "")
-    (problem,) = problems_of(tmp_path, edit(asked, unrecorded))
+    (problem,) = list_problems(tmp_path, edit(asked, unrecorded))
     assert problem == "model.terms: contains encoder errors, but no angle is recorded"
     assert read_campaign(write_description(tmp_path, edit(asked))).model.terms[-2:] == (
         "encoder.harmonic.1.cos",
@@ -717,5 +717,5 @@ def test_truth_of_path_errors_is_read(tmp_path):
     assert first.shared["centrifuge.imbalance.2.sin"] == pytest.approx(3e-6, rel=1e-14)
     assert first.shared["encoder.harmonic.1.cos"] == pytest.approx(math.radians(1 / 3600))
     wrong = tables.replace("imbalance.2", "imbalance.3")
-    (problem,) = problems_of(tmp_path, f"{BASE}{SIMULATED}\n{wrong}")
+    (problem,) = list_problems(tmp_path, f"{BASE}{SIMULATED}\n{wrong}")
     assert problem.startswith("truth.centrifuge.imbalance.3: unknown key")

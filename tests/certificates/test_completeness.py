@@ -8,7 +8,7 @@ from counterspin.certificates.completeness import default_evidence, missing_data
 from counterspin.inference.joint.summary import BudgetLine
 
 
-def with_default(share):
+def add_default(share):
     """Return a result in which the default of K_OO has a share of the variance of K_II."""
     made = result()
     part = made.accelerometers["Qx"]
@@ -31,7 +31,7 @@ def test_complete_file_has_no_missing_data(tmp_path):
 
 @pytest.mark.parametrize(("share", "needed"), [(0.93, True), (0.09, False)])
 def test_dominant_default_requires_evidence(tmp_path, share, needed):
-    made = with_default(share)
+    made = add_default(share)
     missing = missing_data(lab_of(tmp_path, made), made)
     assert [entry.key for entry in missing] == (["evidence.K_OO"] if needed else [])
     assert all("93 % of the variance of K_II of Qx" in entry.words for entry in missing)

@@ -54,15 +54,15 @@ def test_parameters_are_in_si_with_covariance(tmp_path, pose_result):
         quantities, triad.parameters.items(), scale, units, strict=True
     ):
 
-        def text(path, within=quantity):
+        def find_text(path, within=quantity):
             return within.xpath(path, namespaces=NAMESPACES)[0].text
 
-        assert text(".//si:label") == name
-        assert text(".//si:unit") == unit
-        assert float(text("si:real/si:value")) == pytest.approx(by * c.value, rel=1e-14)
-        k = float(text(".//si:coverageFactor"))
+        assert find_text(".//si:label") == name
+        assert find_text(".//si:unit") == unit
+        assert float(find_text("si:real/si:value")) == pytest.approx(by * c.value, rel=1e-14)
+        k = float(find_text(".//si:coverageFactor"))
         assert k == coverage_factor(16.0) == pytest.approx(2.120, abs=5e-4)  # GUM, table G.2
-        assert float(text(".//si:valueExpandedMU")) / k == pytest.approx(by * c.u, rel=1e-14)
+        assert float(find_text(".//si:valueExpandedMU")) / k == pytest.approx(by * c.u, rel=1e-14)
     u = scale * [c.u for c in triad.parameters.values()]
     covariance = [
         float(one.text) for one in find(made, f"{PART}//si:covarianceXMLList/si:valueXMLList")

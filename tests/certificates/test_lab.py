@@ -8,14 +8,14 @@ from counterspin.certificates.lab import read_lab, template_keys, write_example
 from counterspin.errors import CampaignError, CounterspinError
 
 
-def problems(folder, text, given=None):
+def list_problems(folder, text, given=None):
     with pytest.raises(CampaignError) as caught:
         read_lab(write_lab(folder, text), given or result())
     return caught.value.problems
 
 
 def test_all_missing_keys_are_reported(tmp_path):
-    assert problems(tmp_path, "schema = 1") == (
+    assert list_problems(tmp_path, "schema = 1") == (
         "certificate.begin: is missing",
         "certificate.end: is missing",
         "certificate.traceability: is missing",
@@ -68,7 +68,7 @@ def test_all_missing_keys_are_reported(tmp_path):
 )
 def test_error_names_key(tmp_path, old, new, told):
     assert old in LAB
-    (problem,) = problems(tmp_path, LAB.replace(old, new, 1))
+    (problem,) = list_problems(tmp_path, LAB.replace(old, new, 1))
     assert told in problem
 
 

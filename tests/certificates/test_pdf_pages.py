@@ -23,12 +23,12 @@ name = "Frequenznormal"
 """
 
 
-def blocks_of(tmp_path, text=LAB):
+def make_blocks(tmp_path, text=LAB):
     made = result()
     return list(page_blocks(lab_of(tmp_path, made, text), made, ISSUE, {}))
 
 
-def table_after(blocks, title):
+def find_table(blocks, title):
     place = next(k for k, b in enumerate(blocks) if isinstance(b, Heading) and b.text == title)
     table = blocks[place + 1]
     assert isinstance(table, Table)
@@ -36,8 +36,8 @@ def table_after(blocks, title):
 
 
 def test_equipment_table_precedes_results(tmp_path):
-    blocks = blocks_of(tmp_path, LAB + EQUIPMENT)
-    table = table_after(blocks, "Equipment and traceability")
+    blocks = make_blocks(tmp_path, LAB + EQUIPMENT)
+    table = find_table(blocks, "Equipment and traceability")
     assert table.rows == (
         ("Interferometer", "Werk, LI-2", "1138", "radius", "4711", "Institut", "2027-06-01"),
         ("Frequenznormal", "", "", "", "", "", ""),
@@ -45,12 +45,12 @@ def test_equipment_table_precedes_results(tmp_path):
     titles = [b.text for b in blocks if isinstance(b, Heading) and b.level == 2]
     assert titles.index("Equipment and traceability") < titles.index("Results")
     assert "Equipment and traceability" not in [
-        b.text for b in blocks_of(tmp_path) if isinstance(b, Heading)
+        b.text for b in make_blocks(tmp_path) if isinstance(b, Heading)
     ]
 
 
 def test_budget_follows_results_and_names_coefficient(tmp_path):
-    table = table_after(blocks_of(tmp_path), "Uncertainty budget of K_II, Qx")
+    table = find_table(make_blocks(tmp_path), "Uncertainty budget of K_II, Qx")
     assert [row[0] for row in table.rows] == ["noise of Qx", "K_I", "combined"]
     assert table.columns[-1].title == "Share of u²"
     assert [row[-1] for row in table.rows] == ["64 %", "36 %", ""]

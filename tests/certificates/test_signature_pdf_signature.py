@@ -36,7 +36,7 @@ def signers(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def signed(signers):
+def signed_pages(signers):
     return {kind: sign_pages(PAGES.read_bytes(), signer, DATE) for kind, signer in signers.items()}
 
 
@@ -45,10 +45,13 @@ def public_certificate(signer):
 
 
 @pytest.mark.parametrize("kind", KEYS)
-def test_signature_is_valid_for_its_signer_only(signers, signed, kind):
-    assert verify_pdf_signature(signed[kind], public_certificate(signers[kind])) == "valid"
+def test_signature_is_valid_for_its_signer_only(signers, signed_pages, kind):
+    assert verify_pdf_signature(signed_pages[kind], public_certificate(signers[kind])) == "valid"
     for other in set(KEYS) - {kind}:
-        assert verify_pdf_signature(signed[kind], public_certificate(signers[other])) == "invalid"
+        assert (
+            verify_pdf_signature(signed_pages[kind], public_certificate(signers[other]))
+            == "invalid"
+        )
     assert verify_pdf_signature(PAGES.read_bytes(), public_certificate(signers[kind])) == "none"
 
 
@@ -58,9 +61,9 @@ def signed_ranges(made):
     return [int(n) for n in reader.pages[0]["/Annots"][0]["/V"]["/ByteRange"]]
 
 
-def test_changed_byte_is_detected(signers, signed):
+def test_changed_byte_is_detected(signers, signed_pages):
     """A byte of the pages, metadata or signature, and appended bytes."""
-    made, of = signed["ec"], public_certificate(signers["ec"])
+    made, of = signed_pages["ec"], public_certificate(signers["ec"])
     for mark in (b"/StructTreeRoot", b"<pdfaid:part>3", b"20260309"):
         place = made.rindex(mark) + len(mark) - 1
         changed = made[:place] + bytes([made[place] ^ 1]) + made[place + 1 :]
@@ -73,17 +76,17 @@ def test_changed_byte_is_detected(signers, signed):
     assert verify_pdf_signature(changed, of) == "invalid"
 
 
-def test_incremental_update_is_reported_as_changed(signers, signed):
+def test_incremental_update_is_reported_as_changed(signers, signed_pages):
     """PDF allows incremental updates after the signature."""
-    writer = pypdf.PdfWriter(io.BytesIO(signed["ec"]), incremental=True)
+    writer = pypdf.PdfWriter(io.BytesIO(signed_pages["ec"]), incremental=True)
     writer.add_metadata({"/Title": "Another certificate"})
     out = io.BytesIO()
     writer.write(out)
-    assert out.getvalue().startswith(signed["ec"])
+    assert out.getvalue().startswith(signed_pages["ec"])
     assert verify_pdf_signature(out.getvalue(), public_certificate(signers["ec"])) == "changed"
 
 
-def test_second_signature_of_other_signer_invalidates_first(signers, signed, tmp_path):
+def test_second_signature_of_other_signer_invalidates_first(signers, signed_pages, tmp_path):
     from pyhanko.pdf_utils.incremental_writer import IncrementalPdfFileWriter
     from pyhanko.sign import signers as theirs
     from pyhanko.sign.signers import PdfSignatureMetadata
@@ -99,9 +102,9 @@ def test_second_signature_of_other_signer_invalidates_first(signers, signed, tmp
 
 
 @pytest.mark.parametrize("kind", KEYS)
-def test_signing_preserves_pages_metadata_and_attachments(signed, kind):
+def test_signing_preserves_pages_metadata_and_attachments(signed_pages, kind):
     """The signed file starts with the unsigned file and still conforms to PDF/A and PDF/UA."""
-    before, after = PAGES.read_bytes(), signed[kind]
+    before, after = PAGES.read_bytes(), signed_pages[kind]
     assert after.startswith(before)
     # PDF/A-3, 6.1.9: an object begins on a line of its own.
     assert re.match(rb"\n\d+ 0 obj\n", after[len(before) :])
@@ -137,15 +140,15 @@ def test_signing_preserves_pages_metadata_and_attachments(signed, kind):
 
 @pytest.mark.skipif(shutil.which("verapdf") is None, reason="veraPDF is not installed")
 @pytest.mark.parametrize("flavour", ["3a", "ua1"])
-def test_verapdf_reports_no_error(tmp_path, signed, flavour):
-    (tmp_path / "c.pdf").write_bytes(signed["ec"])
+def test_verapdf_reports_no_error(tmp_path, signed_pages, flavour):
+    (tmp_path / "c.pdf").write_bytes(signed_pages["ec"])
     words = ["verapdf", "--flavour", flavour, "--format", "text", str(tmp_path / "c.pdf")]
     told = subprocess.run(words, capture_output=True, text=True, check=False).stdout
     assert told.startswith("PASS"), told
 
 
-def test_rsa_signature_of_pages_is_deterministic(signers, signed):
-    assert sign_pages(PAGES.read_bytes(), signers["rsa"], DATE) == signed["rsa"]
+def test_rsa_signature_of_pages_is_deterministic(signers, signed_pages):
+    assert sign_pages(PAGES.read_bytes(), signers["rsa"], DATE) == signed_pages["rsa"]
 
 
 def test_key_signs_once(signers):
@@ -164,10 +167,10 @@ def test_key_signs_once(signers):
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
 @pytest.mark.parametrize("kind", KEYS)
-def test_openssl_verifies_signature_of_whole_file(tmp_path, signed, kind):
+def test_openssl_verifies_signature_of_whole_file(tmp_path, signed_pages, kind):
     """The signature covers all bytes except its own."""
 
-    def verified(content):
+    def verify_with_openssl(content):
         found = re.search(rb"/ByteRange *\[ *(\d+) +(\d+) +(\d+) +(\d+)", content)
         first, length, second, rest = map(int, found.groups())
         assert (first, second + rest) == (0, len(content))
@@ -181,29 +184,31 @@ def test_openssl_verifies_signature_of_whole_file(tmp_path, signed, kind):
         words += ["-purpose", "any", "-out", os.devnull]
         return subprocess.run(words, capture_output=True, check=False).returncode == 0
 
-    assert verified(signed[kind])
-    place = signed[kind].index(b"/StructTreeRoot") + 4
-    assert not verified(signed[kind][:place] + b"X" + signed[kind][place + 1 :])
+    assert verify_with_openssl(signed_pages[kind])
+    place = signed_pages[kind].index(b"/StructTreeRoot") + 4
+    assert not verify_with_openssl(
+        signed_pages[kind][:place] + b"X" + signed_pages[kind][place + 1 :]
+    )
 
 
 @pytest.mark.skipif(shutil.which("pdfsig") is None, reason="pdfsig (poppler) is not installed")
 @pytest.mark.parametrize("kind", KEYS)
-def test_poppler_verifies_signature(tmp_path, signed, kind):
+def test_poppler_verifies_signature(tmp_path, signed_pages, kind):
     """Poppler has no trust root and reports this separately from the signature."""
 
-    def said(content):
+    def run_pdfsig(content):
         path = tmp_path / "c.pdf"
         path.write_bytes(content)
         words = ["pdfsig", "-nocert", str(path)]
         return subprocess.run(words, capture_output=True, text=True, check=False).stdout
 
-    told = said(signed[kind])
+    told = run_pdfsig(signed_pages[kind])
     assert "Signature Type: ETSI.CAdES.detached" in told
     assert "Total document signed" in told
     assert "Signature Validation: Signature is Valid." in told
-    place = signed[kind].index(b"/StructTreeRoot") + 4
-    changed = signed[kind][:place] + b"X" + signed[kind][place + 1 :]
-    assert "Signature is Valid." not in said(changed)
+    place = signed_pages[kind].index(b"/StructTreeRoot") + 4
+    changed = signed_pages[kind][:place] + b"X" + signed_pages[kind][place + 1 :]
+    assert "Signature is Valid." not in run_pdfsig(changed)
 
 
 def test_missing_package_error_names_install_command(monkeypatch, signers):

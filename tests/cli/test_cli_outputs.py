@@ -189,11 +189,11 @@ def test_result_is_printed_if_file_cannot_be_written(work_folder, capsys):
     ids=lambda part: part[0] if isinstance(part, list) else part,
 )
 def test_files_are_written_before_output_is_printed(words, name, work_folder, monkeypatch):
-    class Full:
+    class FullDevice:
         def __getattr__(self, name):
             raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(sys, "stdout", Full())
+    monkeypatch.setattr(sys, "stdout", FullDevice())
     with suppress(Exception):
         cli.main(words)
     assert (work_folder / name).exists()

@@ -238,31 +238,31 @@ def run_shell(script, folder, **environment):
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
+def recorded_campaign(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recorded")
     simulate(write(folder, SMALL.replace("revolutions = 20", "revolutions = 6")), folder)
     result().write(folder / "r.json")
     return folder
 
 
-def test_terminal_width_of_zero_is_ignored(recorded):
-    usual = run_shell(f"{COMMAND} report r.json", recorded, COLUMNS="100")
-    assert run_shell(f"{COMMAND} report r.json", recorded, COLUMNS="0") == usual
+def test_terminal_width_of_zero_is_ignored(recorded_campaign):
+    usual = run_shell(f"{COMMAND} report r.json", recorded_campaign, COLUMNS="100")
+    assert run_shell(f"{COMMAND} report r.json", recorded_campaign, COLUMNS="0") == usual
     assert "K_II" in usual[1]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("closed", ["2>&-", ">&- 2>&- <&-"])
-def test_closed_streams_keep_exit_status(recorded, closed):
-    assert run_shell(f"{COMMAND} calibrate . {closed}", recorded)[0] == 0
-    assert run_shell(f"{COMMAND} calibrate nowhere {closed}", recorded)[0] == 2
+def test_closed_streams_keep_exit_status(recorded_campaign, closed):
+    assert run_shell(f"{COMMAND} calibrate . {closed}", recorded_campaign)[0] == 0
+    assert run_shell(f"{COMMAND} calibrate nowhere {closed}", recorded_campaign)[0] == 2
 
 
-def test_deleted_working_folder_raises_error(recorded):
+def test_deleted_working_folder_raises_error(recorded_campaign):
     gone = "mkdir gone && cd gone && rmdir ../gone"
-    assert run_shell(f"{gone} && {COMMAND} calibrate .", recorded)[0] == 2
-    for words in ("init x", "demo", "history .", f"calibrate {recorded} --json r.json"):
-        status, said = run_shell(f"{gone} && {COMMAND} {words}", recorded)
+    assert run_shell(f"{gone} && {COMMAND} calibrate .", recorded_campaign)[0] == 2
+    for words in ("init x", "demo", "history .", f"calibrate {recorded_campaign} --json r.json"):
+        status, said = run_shell(f"{gone} && {COMMAND} {words}", recorded_campaign)
         assert status == 1
         assert said
 
@@ -286,8 +286,8 @@ for words in (
 
 @pytest.mark.slow
 @pytest.mark.parametrize("locale", ["C", "C.UTF-8"])
-def test_non_ascii_and_non_utf8_names_are_accepted(recorded, tmp_path, locale):
-    shutil.copytree(recorded, tmp_path / "here")
+def test_non_ascii_and_non_utf8_names_are_accepted(recorded_campaign, tmp_path, locale):
+    shutil.copytree(recorded_campaign, tmp_path / "here")
     (tmp_path / "here" / "all.py").write_text(IN_ONE_PROCESS)
     status, said = run_shell(f"{sys.executable} all.py", tmp_path / "here", LC_ALL=locale)
     assert status == 0, said

@@ -25,7 +25,7 @@ TERMS = ["K_F", "K_I", "K_II"]
 TRIALS = 10
 
 
-def description():
+def make_description():
     """Return a small campaign of one accelerometer, with an uncertain radius and scale factor."""
     document = frames.untrue()
     del document["accelerometers"]["Qy"], document["accelerometers"]["Qx"]["scale_factor"]
@@ -45,7 +45,7 @@ def description():
 @pytest.fixture(scope="module")
 def calibrate_seed():
     """Return a function from a seed to (records, calibration, with K_III, without a run)."""
-    base = cs.make_campaign(description())
+    base = cs.make_campaign(make_description())
 
     def calibrate_records(seed, count=4):
         records = cs.simulate(base.change({"simulation": {"seed": seed}}))
@@ -93,7 +93,7 @@ def test_added_term_explains_chi2_of_difference(seed_1):
 
 def test_estimated_noise_is_taken_from_larger_model():
     """With a common noise the variances subtract; then K_III alone determines z, of K_II too."""
-    document = description()
+    document = make_description()
     document["centrifuge"]["radius"] = "2.5 m"
     document["model"] = {"terms": TERMS, "assume": "all"}
     qx = document["accelerometers"]["Qx"]

@@ -11,14 +11,14 @@ from counterspin.comparisons.consensus import (
 )
 
 
-def subsets(values, covariance):
+def find_subsets(values, covariance):
     return largest_consistent_subsets(np.array(values, float), np.array(covariance, float), 0.05)
 
 
 def test_outlier_among_four_laboratories_is_excluded():
     values, u = np.array([15.0, 15.1, 15.2, 16.2]), 0.1
     covariance = u**2 * np.eye(4)
-    (reference,) = subsets(values, covariance)
+    (reference,) = find_subsets(values, covariance)
     assert reference.members == (0, 1, 2)
     assert reference.value == pytest.approx(15.10)
     assert round(reference.u, 2) == 0.06  # u/sqrt(3)
@@ -31,7 +31,7 @@ def test_outlier_among_four_laboratories_is_excluded():
 def test_procedure_a_matches_bipm_program():
     """43877 ± 53 of these five, in the example of Cox's procedure A of the BIPM_RI_PyModules."""
     u = np.array([97.0, 100.0, 104.5, 160.0, 280.0])
-    (reference,) = subsets([43772, 43910, 43947, 43910, 43900], np.diag(u**2))
+    (reference,) = find_subsets([43772, 43910, 43947, 43910, 43900], np.diag(u**2))
     assert (round(reference.value), round(reference.u)) == (43877, 53)
     assert len(reference.members) == 5
 
@@ -49,7 +49,7 @@ def test_correlated_values_match_met4fof_redundancy(values, variance, members):
 
     A common variance of 1 leaves the weights equal and adds to u^2 alone.
     """
-    found = subsets(values, variance * np.eye(4) + 1.0)
+    found = find_subsets(values, variance * np.eye(4) + 1.0)
     best = [s for s in found if s.chi2 < found[0].chi2 + 1e-9]
     assert [s.members for s in best] == members
     for subset in best:
@@ -61,13 +61,13 @@ def test_correlated_values_match_met4fof_redundancy(values, variance, members):
 
 def test_common_error_cancels_in_degrees_of_equivalence():
     values, covariance = np.array([1.0, 2.0, 3.0, 20.0]), np.eye(4) + 100.0
-    reference = subsets(values, covariance)[0]
+    reference = find_subsets(values, covariance)[0]
     _, u_d = degrees_of_equivalence(values, covariance, reference.weights)
     assert u_d**2 == pytest.approx([2 / 3, 2 / 3, 2 / 3, 4 / 3])
 
 
 def test_inconsistent_values_have_no_reference():
-    assert subsets([0, 10, 20], np.eye(3)) == []
+    assert find_subsets([0, 10, 20], np.eye(3)) == []
 
 
 def test_consistent_laboratories_are_rejected_at_5_percent():

@@ -15,7 +15,7 @@ from counterspin.errors import CampaignError
 U = 1e-7
 
 
-def result_of(laboratory, k_ii, k_f=0.0, sources=(), **parts):
+def make_result(laboratory, k_ii, k_f=0.0, sources=(), **parts):
     """Return a laboratory's result; sources are names, u and shifts of K_II, rest is noise."""
     budget = [
         {"source": name, "kind": "unstated", "u": u, "unit": "", "share": 0.0}
@@ -37,7 +37,7 @@ def result_of(laboratory, k_ii, k_f=0.0, sources=(), **parts):
 @pytest.fixture
 def laboratories():
     values = zip("ABCD", (15.0, 15.1, 15.2, 16.2), (1.0, 1.1, 1.05, 1.9), strict=True)
-    return [result_of(name, k_ii * 1e-6, k_f * 1e-6) for name, k_ii, k_f in values]
+    return [make_result(name, k_ii * 1e-6, k_f * 1e-6) for name, k_ii, k_f in values]
 
 
 def test_outlier_is_named(laboratories):
@@ -67,7 +67,7 @@ def test_outlier_is_named(laboratories):
 )
 def test_common_sources_are_covariances(names, source, shared):
     shift = 0.8 * U
-    pair = [result_of(name, 2e-5, sources=[(source, 1e-6, shift)]) for name in names]
+    pair = [make_result(name, 2e-5, sources=[(source, 1e-6, shift)]) for name in names]
     compared = cs.intercompare(*pair, coefficients=["K_II"])
     (reference,) = compared.references
     assert reference.shared == ([source] if shared else [])
@@ -79,40 +79,43 @@ def test_common_sources_are_covariances(names, source, shared):
 
 def test_values_are_converted_to_gravity_of_first_laboratory():
     inputs = {"gravity": 9.78, "latitude": 0.0, "radius": 2.5}
-    first, second = result_of("A", 2e-5), result_of("B", 2e-5, inputs=inputs)
+    first, second = make_result("A", 2e-5), make_result("B", 2e-5, inputs=inputs)
     (k_ii, _) = cs.intercompare(first, second).references
     # K_II is in g/g^2: proportional to g.
     assert k_ii.degrees["B"].value == pytest.approx(2e-5 * first.inputs.gravity / 9.78)
 
 
 def test_two_inconsistent_laboratories_have_no_reference_value():
-    (k_ii, _) = cs.intercompare(result_of("A", 1e-5), result_of("B", 2e-5)).references
+    (k_ii, _) = cs.intercompare(make_result("A", 1e-5), make_result("B", 2e-5)).references
     assert k_ii.value is None
     assert k_ii.degrees["A"].d is None
     assert "no reference value" in reference_sentence(k_ii)
 
 
-def with_records(laboratory):
+def add_records(laboratory):
     provenance = {"version": "1", "inputs": {"a.csv": "sha256:" + "1" * 64}}
-    return result_of(laboratory, 1e-5, provenance=provenance)
+    return make_result(laboratory, 1e-5, provenance=provenance)
 
 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ([result_of("A", 1e-5)], "give 2 to 16 results"),
-        ([with_records("A"), with_records("B")], "A and B use the same records"),
+        ([make_result("A", 1e-5)], "give 2 to 16 results"),
+        ([add_records("A"), add_records("B")], "A and B use the same records"),
         (
-            [result_of("A", 1e-5, serial="1"), result_of("B", 1e-5, serial="2")],
+            [make_result("A", 1e-5, serial="1"), make_result("B", 1e-5, serial="2")],
             "different serial numbers: 1, 2",
         ),
-        ([result_of("A", 1e-5), result_of("B", 1e-5, model="as-printed")], "half the true K_II"),
         (
-            [result_of(name, 1e-5, sources=[("K_OO", 1e-6, U)]) for name in "AB"],
+            [make_result("A", 1e-5), make_result("B", 1e-5, model="as-printed")],
+            "half the true K_II",
+        ),
+        (
+            [make_result(name, 1e-5, sources=[("K_OO", 1e-6, U)]) for name in "AB"],
             "no independent uncertainty",
         ),
         (
-            [result_of("A", 1e-5), by_hand.bare_result()],
+            [make_result("A", 1e-5), by_hand.bare_result()],
             "the results have no accelerometer in common",
         ),
     ],
@@ -124,7 +127,7 @@ def test_rejects_results_that_are_not_comparable(given, message):
 
 def test_rejects_coefficient_determined_by_one_result():
     with raises("results-not-comparable", "K_III", "Qx"):
-        cs.intercompare(result_of("A", 1e-5), result_of("B", 1e-5), coefficients=["K_III"])
+        cs.intercompare(make_result("A", 1e-5), make_result("B", 1e-5), coefficients=["K_III"])
 
 
 def test_command_writes_files(laboratories, tmp_path, monkeypatch, capsys):

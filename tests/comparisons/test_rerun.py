@@ -32,63 +32,68 @@ def archive(tmp_path_factory):
 
 
 @pytest.fixture
-def camp(archive, tmp_path):
+def campaign_folder(archive, tmp_path):
     return Path(shutil.copytree(archive, tmp_path / "camp"))
 
 
-def test_same_files_reproduce_numbers(camp, capsys, tmp_path):
-    assert main(["rerun", str(camp / "result.json"), "--json", str(tmp_path / "again.json")]) == 0
+def test_same_files_reproduce_numbers(campaign_folder, capsys, tmp_path):
+    assert (
+        main(
+            ["rerun", str(campaign_folder / "result.json"), "--json", str(tmp_path / "again.json")]
+        )
+        == 0
+    )
     assert "equals the original within 1e-12" in " ".join(capsys.readouterr().out.split())
     repeated = RepeatedCalibration.read(tmp_path / "again.json")
     assert repeated.same
     assert repeated.largest <= repeated.limit
     assert repeated.changes == []
-    stated = cs.Result.read(camp / "result.json")
+    stated = cs.Result.read(campaign_folder / "result.json")
     by_name = {c.name: c for c in repeated.coefficients}
     assert by_name["Qx.K_II"].before == stated.coefficient("Qx.K_II").value
     assert set(by_name) >= {f"Qx.{s}" for s in stated.accelerometers["Qx"].coefficients}
 
 
-def test_missing_seal_is_reported(camp):
-    assert cs.rerun(camp / "result.json").unsealed == []
-    remove_seal(camp / "result.json")
-    repeated = cs.rerun(camp / "result.json")
+def test_missing_seal_is_reported(campaign_folder):
+    assert cs.rerun(campaign_folder / "result.json").unsealed == []
+    remove_seal(campaign_folder / "result.json")
+    repeated = cs.rerun(campaign_folder / "result.json")
     assert repeated.same
-    assert repeated.unsealed == [str(camp / "result.json")]
+    assert repeated.unsealed == [str(campaign_folder / "result.json")]
     assert "result.json has no seal" in cs.report(repeated, "md")
 
 
-def test_moved_inputs_are_found_by_checksum(camp, tmp_path):
-    (camp / "old").mkdir()
-    (camp / "slow.csv").rename(camp / "old" / "somewhere else.csv")
-    result = Path(shutil.move(camp / "result.json", tmp_path / "result.json"))
-    repeated = cs.rerun(result, camp)
+def test_moved_inputs_are_found_by_checksum(campaign_folder, tmp_path):
+    (campaign_folder / "old").mkdir()
+    (campaign_folder / "slow.csv").rename(campaign_folder / "old" / "somewhere else.csv")
+    result = Path(shutil.move(campaign_folder / "result.json", tmp_path / "result.json"))
+    repeated = cs.rerun(result, campaign_folder)
     assert repeated.same
-    assert repeated.moved == {"slow.csv": str(camp / "old" / "somewhere else.csv")}
+    assert repeated.moved == {"slow.csv": str(campaign_folder / "old" / "somewhere else.csv")}
 
 
-def test_changed_inputs_are_named_with_their_effect(camp, capsys):
-    description = camp / "campaign.toml"
+def test_changed_inputs_are_named_with_their_effect(campaign_folder, capsys):
+    description = campaign_folder / "campaign.toml"
     text = description.read_text(encoding="utf-8")
-    old = cs.Result.read(camp / "result.json")
+    old = cs.Result.read(campaign_folder / "result.json")
     line = next(line for line in text.splitlines() if line.startswith("radius"))
     description.write_text(text.replace(line, 'radius = "2.5001 m"'), encoding="utf-8")
-    repeated = cs.rerun(camp / "result.json")
+    repeated = cs.rerun(campaign_folder / "result.json")
     assert not repeated.same
     changed = {change.subject: change.values for change in repeated.changes}
     assert {"campaign.toml", "radius"} <= set(changed)
-    now = cs.calibrate(camp).coefficient("Qx.K_II").value
+    now = cs.calibrate(campaign_folder).coefficient("Qx.K_II").value
     before = old.coefficient("Qx.K_II")
     (row,) = (c for c in repeated.coefficients if c.name == "Qx.K_II")
     assert row.in_u == pytest.approx((now - before.value) / before.u, rel=1e-9)
     assert repeated.largest_in_u >= abs(row.in_u) > 0.0
-    assert main(["rerun", str(camp / "result.json")]) == 1
+    assert main(["rerun", str(campaign_folder / "result.json")]) == 1
     told = " ".join(capsys.readouterr().out.split())
     assert "Changed: radius; campaign.toml" in told
 
 
-def test_difference_above_rounding_is_reported(camp):
-    path = camp / "result.json"
+def test_difference_above_rounding_is_reported(campaign_folder):
+    path = campaign_folder / "result.json"
     document = json.loads(path.read_text(encoding="utf-8"))
     document["accelerometers"]["Qx"]["coefficients"]["K_II"]["u"] *= 1.0 + 1e-11
     path.write_text(sealed(document), encoding="utf-8")
@@ -97,8 +102,8 @@ def test_difference_above_rounding_is_reported(camp):
     assert repeated.largest == pytest.approx(1e-11, rel=1e-3)
 
 
-def test_result_without_environment_can_be_repeated(camp):
-    path = camp / "result.json"
+def test_result_without_environment_can_be_repeated(campaign_folder):
+    path = campaign_folder / "result.json"
     document = json.loads(path.read_text(encoding="utf-8"))
     assert set(document["provenance"].pop("environment")) == {"python", "numpy", "scipy", "machine"}
     path.write_text(sealed(document), encoding="utf-8")
@@ -118,11 +123,13 @@ def test_frozen_result_is_reproduced():
     assert not {"campaign.toml", "options", "method"} & {c.subject for c in repeated.changes}
 
 
-def test_rerun_uses_stored_options(camp):
+def test_rerun_uses_stored_options(campaign_folder):
     options = TwoStageOptions(weighted=False)
-    cs.calibrate(camp, method="two-stage", options=options).write(camp / "stages.json")
-    assert cs.rerun(camp / "stages.json").same
-    assert not cs.rerun(camp / "result.json", camp).changes
+    cs.calibrate(campaign_folder, method="two-stage", options=options).write(
+        campaign_folder / "stages.json"
+    )
+    assert cs.rerun(campaign_folder / "stages.json").same
+    assert not cs.rerun(campaign_folder / "result.json", campaign_folder).changes
 
 
 @pytest.mark.parametrize("path", sorted(FROZEN.glob("schema-*.json")), ids=lambda path: path.stem)
@@ -131,13 +138,13 @@ def test_missing_input_is_named(path):
         cs.rerun(path)
 
 
-def test_rejects_rerun_of_data_in_memory(camp, capsys):
-    campaign = cs.read_campaign(camp).change({"centrifuge": {"radius": "2.6 m"}})
-    cs.calibrate(campaign).write(camp / "memory.json")
-    assert main(["rerun", str(camp / "memory.json")]) == 1
+def test_rejects_rerun_of_data_in_memory(campaign_folder, capsys):
+    campaign = cs.read_campaign(campaign_folder).change({"centrifuge": {"radius": "2.6 m"}})
+    cs.calibrate(campaign).write(campaign_folder / "memory.json")
+    assert main(["rerun", str(campaign_folder / "memory.json")]) == 1
     assert "in memory" in capsys.readouterr().err
     with pytest.raises(RecordError, match="`folder`"):
-        cs.rerun(cs.Result.read(camp / "result.json"))
+        cs.rerun(cs.Result.read(campaign_folder / "result.json"))
 
 
 def test_options_are_parsed_from_command():

@@ -44,14 +44,14 @@ CROSS = {"K_IP": 4e-5, "K_PP": -2e-5, "K_OO": 1e-5, "delta_O": 2e-4, "delta_P": 
 MOUNTINGS = {"Qx": QX, "Qy": QY, "Qz": QZ}
 
 
-def coefficient(symbol, value, u=0.0, estimated=True, **more):
+def make_coefficient(symbol, value, u=0.0, estimated=True, **more):
     unit = TERMS[symbol].unit
     return Coefficient(value=value, u=u, unit=unit, estimated=estimated, **more)
 
 
-def accelerometer(values, mounting=QX, **changes):
+def make_accelerometer(values, mounting=QX, **changes):
     parts = {
-        "coefficients": {s: coefficient(s, v) for s, v in values.items()},
+        "coefficients": {s: make_coefficient(s, v) for s, v in values.items()},
         "axes": list(mounting.axes),
         "observable": "displacement",
     }
@@ -61,7 +61,7 @@ def accelerometer(values, mounting=QX, **changes):
 def make_result(accelerometers=None, model="exact", rate=4 * math.pi):
     return bare_result(
         model=model,
-        accelerometers=accelerometers or {"Qx": accelerometer(MODEL)},
+        accelerometers=accelerometers or {"Qx": make_accelerometer(MODEL)},
         runs={"run1": moved(rate=rate)},
     )
 
@@ -71,7 +71,7 @@ def make_three():
         name: {s: v * (1 + k / 7) for s, v in (MODEL | CROSS).items()} | {"K_I": 1 + 1e-3 * k}
         for k, name in enumerate(MOUNTINGS)
     }
-    found = make_result({n: accelerometer(models[n], m) for n, m in MOUNTINGS.items()})
+    found = make_result({n: make_accelerometer(models[n], m) for n, m in MOUNTINGS.items()})
     return found, models
 
 
@@ -118,15 +118,15 @@ def test_default_prior_is_in_u_where_force_is_known():
 # --- the page -------------------------------------------------------------------------------------
 
 
-def code_blocks(kind):
+def find_code_blocks(kind):
     return re.findall(rf"^```{kind}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 
 
 def test_documentation_example_recovers_truth(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (csv,) = code_blocks("csv")
+    (csv,) = find_code_blocks("csv")
     write_table(csv, "flight.csv")
-    for line in "".join(code_blocks("sh")).splitlines():
+    for line in "".join(find_code_blocks("sh")).splitlines():
         program, *words = shlex.split(line)
         assert program == "counterspin"
         assert cli.main(words) == 0, line
@@ -146,7 +146,7 @@ def test_documentation_example_recovers_truth(tmp_path, monkeypatch, capsys):
     assert np.all(departure < 5 * u)
     assert np.all(np.abs(table["Qx_corrected"] - table["Qx"]).to_numpy()[1:] > 20 * u[1:])
 
-    (python,) = code_blocks("python")
+    (python,) = find_code_blocks("python")
     space = {}
     exec(compile(python, "apply.md", "exec"), space)
     np.testing.assert_allclose(space["correction"].corrected, table["Qx_corrected"], rtol=1e-15)
@@ -353,7 +353,7 @@ def test_ambiguous_column_requires_input_option(folder, capsys):
 
 
 def test_row_beyond_turning_point_is_named_by_line(folder, capsys):
-    found = make_result({"Qx": accelerometer({"K_I": 1.0, "K_III": -1e-4})})
+    found = make_result({"Qx": make_accelerometer({"K_I": 1.0, "K_III": -1e-4})})
     cs.write_result(found, folder / "result.json", overwrite=True)
     write_table("# x\nQx\n1.0\n39.0\n")
     assert run("result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv") == 1
@@ -377,7 +377,7 @@ def test_rejects_as_printed_without_force(folder, capsys):
 
 def test_contradicted_result_requires_reason(folder, capsys):
     drives = [Jackknife(run="run1", value=1e-5, shift=1e-6, z=-8.0)]
-    found = make_result({"Qx": accelerometer({"K_I": 1.0}, jackknife=drives)})
+    found = make_result({"Qx": make_accelerometer({"K_I": 1.0}, jackknife=drives)})
     write_table("Qx\n1.0\n")
     words = ["result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv"]
     judge_result(found).write(folder / "result.json", overwrite=True)
@@ -392,12 +392,12 @@ def test_contradicted_result_requires_reason(folder, capsys):
 
 
 def test_rejects_result_with_undetermined_coefficient():
-    nothing = coefficient("K_III", None, None, estimated=False)
-    terms = accelerometer({"K_I": 1.0}).coefficients | {"K_III": nothing}
+    nothing = make_coefficient("K_III", None, None, estimated=False)
+    terms = make_accelerometer({"K_I": 1.0}).coefficients | {"K_III": nothing}
 
     def make_undetermined(symbol):
         finding = not_determined_finding(f"Qx.{symbol}", symbol, more=" Add a run.", requested=True)
-        return make_result({"Qx": accelerometer({}, coefficients=terms, findings=[finding])})
+        return make_result({"Qx": make_accelerometer({}, coefficients=terms, findings=[finding])})
 
     with raises("not-determined", "K_III", "Add a run."):
         apply(make_undetermined("K_III"), "Qx", [1.0])
@@ -409,11 +409,11 @@ def test_rejects_result_with_undetermined_coefficient():
 
 
 def test_undetermined_scale_factor_is_not_applied():
-    found = accelerometer({"K_F": 0.005})
-    nothing = coefficient("K_III", None, None, estimated=False)
-    scale = coefficient("K_I", None, None, estimated=False)
+    found = make_accelerometer({"K_F": 0.005})
+    nothing = make_coefficient("K_III", None, None, estimated=False)
+    scale = make_coefficient("K_I", None, None, estimated=False)
     terms = found.coefficients | {"K_III": nothing, "K_I": scale}
-    done = apply(make_result({"Qx": accelerometer({}, coefficients=terms)}), "Qx", [1.005])
+    done = apply(make_result({"Qx": make_accelerometer({}, coefficients=terms)}), "Qx", [1.005])
     assert done.corrected[0] == pytest.approx(1.0, abs=1e-15)
     assert done.u[0] == 0.0
     assert done.notes == ("Qx: coefficients applied as estimated: K_F.",)
@@ -425,8 +425,8 @@ def test_undetermined_scale_factor_is_not_applied():
 
 
 def test_priors_are_applied_with_their_uncertainty():
-    known = {"K_III": coefficient("K_III", 3e-6, 1e-7, estimated=False)}
-    found = make_result({"Qx": accelerometer({"K_I": 1.0}, known=known)})
+    known = {"K_III": make_coefficient("K_III", 3e-6, 1e-7, estimated=False)}
+    found = make_result({"Qx": make_accelerometer({"K_I": 1.0}, known=known)})
     done = apply(found, "Qx", [10.0 + 3e-3])
     assert done.corrected[0] == pytest.approx(10.0, abs=1e-12)
     assert done.u[0] == pytest.approx(1e-4 / (1 + 3 * 3e-6 * 100), rel=1e-9)
@@ -439,7 +439,7 @@ def test_result_contains_priors_of_campaign(tmp_path):
     text = file.read_text(encoding="utf-8").replace('# K_III = "0', 'K_OO = "2e-6')
     file.write_text(text.replace("g/g^3", "g/g^2", 1), encoding="utf-8")
     parts = describe_instrument(cs.read_campaign(tmp_path).accelerometers["Qx"], ["K_F", "K_I"])
-    assert parts["known"] == {"K_OO": coefficient("K_OO", 2e-6, 1e-5, estimated=False)}
+    assert parts["known"] == {"K_OO": make_coefficient("K_OO", 2e-6, 1e-5, estimated=False)}
     found = found_of(**parts)
     assert found.axes == list(QX.axes)
     assert AccelerometerResult.model_validate_json(found.model_dump_json()) == found
@@ -456,10 +456,10 @@ def test_correlated_errors_cancel():
         contribution=2e-6,
         share=1.0,
     )
-    found = accelerometer(
+    found = make_accelerometer(
         {},
-        coefficients={"K_F": coefficient("K_F", 0.005, math.hypot(2e-6, 1e-8))},
-        known={"K_PP": coefficient("K_PP", 0.0, 2e-6, estimated=False)},
+        coefficients={"K_F": make_coefficient("K_F", 0.005, math.hypot(2e-6, 1e-8))},
+        known={"K_PP": make_coefficient("K_PP", 0.0, 2e-6, estimated=False)},
         budget={"K_F": [line]},
     )
     level, side = (
@@ -477,9 +477,9 @@ def test_inconsistent_correlations_do_not_give_zero_uncertainty():
     """
     u = {"K_F": 1e-5, "K_I": 1e-5, "K_II": 1e-5}
     impossible = [[1.0, 0.9, -0.9], [0.9, 1.0, 0.9], [-0.9, 0.9, 1.0]]
-    terms = {s: coefficient(s, TERMS[s].nominal, size) for s, size in u.items()}
+    terms = {s: make_coefficient(s, TERMS[s].nominal, size) for s, size in u.items()}
     correlation = Correlation(terms=list(u), matrix=impossible)
-    found = make_result({"Qx": accelerometer({}, coefficients=terms, correlation=correlation)})
+    found = make_result({"Qx": make_accelerometer({}, coefficients=terms, correlation=correlation)})
     level = np.array([-1.0, 0.0, 1.0])
     products = np.stack([np.ones(3), level, level**2])
     sizes = np.array(list(u.values()))
@@ -499,13 +499,13 @@ def test_uncertainty_matches_trials():
     """
     u = {"K_F": 2e-6, "K_I": 5e-6, "K_II": 4e-7, "K_III": 3e-8}
     r = np.array([[1, 0.2, -0.9, 0], [0.2, 1, 0, -0.8], [-0.9, 0, 1, 0], [0, -0.8, 0, 1]])
-    terms = {s: coefficient(s, v, u[s], dof=12.0 + 100 * u[s]) for s, v in MODEL.items()}
+    terms = {s: make_coefficient(s, v, u[s], dof=12.0 + 100 * u[s]) for s, v in MODEL.items()}
     shuffled = [2, 0, 3, 1]
     correlation = Correlation(
         terms=[*(list(MODEL)[k] for k in shuffled), "platform.drift.north"],
         matrix=np.pad(r[np.ix_(shuffled, shuffled)], (0, 1)).tolist(),
     )
-    found = make_result({"Qx": accelerometer({}, coefficients=terms, correlation=correlation)})
+    found = make_result({"Qx": make_accelerometer({}, coefficients=terms, correlation=correlation)})
     covariance = instrument_of(found, "Qx").covariance
     sd = np.array(list(u.values()))
     np.testing.assert_allclose(covariance, r * np.outer(sd, sd), rtol=1e-14)
@@ -547,7 +547,7 @@ def test_results_of_earlier_versions_have_no_axes():
 
 
 def test_error_in_python_names_sample(tmp_path):
-    found = make_result({"Qx": accelerometer({"K_I": 1.0, "K_III": -1e-4})})
+    found = make_result({"Qx": make_accelerometer({"K_I": 1.0, "K_III": -1e-4})})
     with pytest.raises(ConvergenceError, match=r"sample 1 \(counted from 0\) of Qx"):
         apply(found, "Qx", [1.0, 50.0])
     pl.read_csv(io.StringIO("Qx\n1.0\n")).write_csv(tmp_path / "in.csv")
@@ -570,7 +570,7 @@ def test_record_formats_can_be_corrected(tmp_path, name):
         with h5py.File(file, "w") as store:
             for column in table:
                 store[column.name] = column.to_numpy()
-    found = make_result({"Qx": accelerometer({"K_I": 2.0})})
+    found = make_result({"Qx": make_accelerometer({"K_I": 2.0})})
     apply_file(found, "Qx", file, tmp_path / "out.parquet", column="Qx")
     written_table = pl.read_parquet(tmp_path / "out.parquet")
     assert written_table["Qx_corrected"].to_list() == [0.5, 1.0, -1.5]
@@ -579,9 +579,9 @@ def test_record_formats_can_be_corrected(tmp_path, name):
 
 def test_calibrated_output_unit_is_corrected_directly(tmp_path):
     """Counts from 33000 on, 4000 a g: as the same forces in g."""
-    ready = make_result({"Qx": accelerometer(MODEL)})
+    ready = make_result({"Qx": make_accelerometer(MODEL)})
     nominal = NominalOutput(unit="count", sensitivity=4000.0, zero=33000.0)
-    counting = make_result({"Qx": accelerometer(MODEL, nominal=nominal)})
+    counting = make_result({"Qx": make_accelerometer(MODEL, nominal=nominal)})
     force = np.array([-1.0, 0.25, 0.999])
     plain = apply(ready, "Qx", force)
     counts = apply(counting, "Qx", 33000.0 + 4000.0 * force, ApplyOptions(unit="count"))

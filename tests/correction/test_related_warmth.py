@@ -137,7 +137,7 @@ def test_u_of_cross_coupled_accelerometers_matches_jacobian():
         Mounting(QY.axes),
     )
 
-    def instruments(shift):
+    def make_instruments(shift):
         return [
             CalibratedAccelerometer(
                 f"Q{k}",
@@ -152,22 +152,24 @@ def test_u_of_cross_coupled_accelerometers_matches_jacobian():
     warm = np.array([7.0, -12.0])
     between = {(0, 1): whole[:4, 4:]}
 
-    def forces(shift, more=0.0):
-        return correct(instruments(shift), y, (), between, TemperatureOffset(warm + more)).force
+    def compute_forces(shift, more=0.0):
+        return correct(
+            make_instruments(shift), y, (), between, TemperatureOffset(warm + more)
+        ).force
 
     jacobian = []
     for place in range(8):
         step = np.zeros(8)
         step[place] = 1e-6
-        jacobian.append((forces(step) - forces(-step)) / 2e-6)
+        jacobian.append((compute_forces(step) - compute_forces(-step)) / 2e-6)
     jacobian = np.array(jacobian)  # (8, n, m)
-    exact = correct(instruments(np.zeros(8)), y, (), between, TemperatureOffset(warm))
+    exact = correct(make_instruments(np.zeros(8)), y, (), between, TemperatureOffset(warm))
     expected = np.sqrt(np.einsum("inm,ij,jnm->nm", jacobian, whole, jacobian))
     np.testing.assert_allclose(exact.u, expected, rtol=1e-6)
-    by_warmth = (forces(np.zeros(8), 1e-3) - forces(np.zeros(8), -1e-3)) / 2e-3
+    by_warmth = (compute_forces(np.zeros(8), 1e-3) - compute_forces(np.zeros(8), -1e-3)) / 2e-3
     sure = [
         CalibratedAccelerometer(i.name, i.mounting, i.coefficients, np.zeros((4, 4)))
-        for i in instruments(np.zeros(8))
+        for i in make_instruments(np.zeros(8))
     ]
     alone = correct(sure, y, (), {}, TemperatureOffset(warm, 0.3))
     np.testing.assert_allclose(alone.u, 0.3 * np.abs(by_warmth), rtol=1e-6)

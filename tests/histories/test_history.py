@@ -171,26 +171,26 @@ def test_campaign_serial_number_selects_its_accelerometers():
     assert only_instrument(history([FROZEN], serial="P-7 Qy")).points[0].accelerometer == "Qy"
 
 
-def without_estimate():
+def remove_estimate():
     made = dated()
     made["accelerometers"]["Qx"]["coefficients"]["K_II"] |= {"estimated": False}
     return made
 
 
-def without_term():
+def remove_term():
     made = dated()
     del made["accelerometers"]["Qx"]["coefficients"]["K_II"]
     return made
 
 
-def contradicted(**more):
+def make_contradicted(**more):
     made = dated(**more)
     made["accelerometers"]["Qx"]["residual"] |= {"chi2": 6400.0, "dof": 100.0, "lack_of_fit_p": 0}
     return made
 
 
 def test_accepted_misfit_is_included(tmp_path):
-    accepted = contradicted(state="contradicted", accepted_misfit="known play of the arm")
+    accepted = make_contradicted(state="contradicted", accepted_misfit="known play of the arm")
     accepted["accelerometers"]["Qx"] |= {"state": "contradicted"}
     found = history([write_results(tmp_path, good=dated(run="1"), other=accepted)])
     assert len(only_instrument(found).points) == 2
@@ -199,13 +199,13 @@ def test_accepted_misfit_is_included(tmp_path):
 @pytest.mark.parametrize(
     ("document", "reason"),
     [
-        (contradicted(), "the records contradict the result: The residuals are 8 times"),
+        (make_contradicted(), "the records contradict the result: The residuals are 8 times"),
         (dated(date=None), "the result has no date"),
         (dated(date="last spring"), 'the date of the result, "last spring", is not valid'),
         (dated(serial=None), "has no serial number"),
         (dated(model="as-printed"), "which return half the true K_II"),
-        (without_estimate(), "does not determine K_II"),
-        (without_term(), "has no K_II"),
+        (remove_estimate(), "does not determine K_II"),
+        (remove_term(), "has no K_II"),
         (dated(2.9e-5, run="same"), "uses the same records as"),
         (dated(2.8e-5, run="same", method="two-stage"), "uses the same records as"),
         ({"schema": 1, "campaigns": {}}, "is a summary of several campaigns"),

@@ -52,7 +52,7 @@ def skip_intervals():
         yield
 
 
-def component(signal, key):
+def find_component(signal, key):
     return signal.components[key]
 
 
@@ -64,12 +64,12 @@ def test_components_are_estimated_from_file_and_frame(tmp_path):
     assert found.unused == ["temperature_degC"]
     assert found.checksum.startswith("sha256:")
     for key, true in (("acceleration", N), ("flicker", B)):
-        assert component(signal, key).low < true < component(signal, key).high
-    assert component(signal, "bias_walk").value is None
-    assert component(signal, "bias_walk").low == 0.0
+        assert find_component(signal, key).low < true < find_component(signal, key).high
+    assert find_component(signal, "bias_walk").value is None
+    assert find_component(signal, "bias_walk").low == 0.0
     assert any("bias random walk" in remark for remark in signal.remarks)
-    assert component(estimate_from_frame(), "flicker").value == pytest.approx(
-        component(signal, "flicker").value, rel=1e-6
+    assert find_component(estimate_from_frame(), "flicker").value == pytest.approx(
+        find_component(signal, "flicker").value, rel=1e-6
     )
 
 
@@ -83,11 +83,14 @@ def test_velocities_and_displacements_are_differenced(observable, unit, order, w
     frame = {"time_s": time, "channel": values * (1e3 if unit == "mm" else 1.0)}
     (signal,) = cs.noise(frame, columns=["channel"], unit=unit).signals
     assert signal.observable == observable
-    assert component(signal, observable).low < white < component(signal, observable).high
+    assert find_component(signal, observable).low < white < find_component(signal, observable).high
     assert (
-        component(signal, observable).unit == {"velocity": "m/s", "displacement": "m"}[observable]
+        find_component(signal, observable).unit
+        == {"velocity": "m/s", "displacement": "m"}[observable]
     )
-    assert component(signal, "acceleration").low < N < component(signal, "acceleration").high
+    assert (
+        find_component(signal, "acceleration").low < N < find_component(signal, "acceleration").high
+    )
 
 
 def test_spectrum_and_allan_deviation_match_components():
@@ -113,7 +116,9 @@ def test_spectral_lines_are_named():
     assert names[7.77] == "spindle, harmonic 3"
     assert names[10.0] is None
     assert "mains" in names[20.0]
-    assert component(signal, "acceleration").low < N < component(signal, "acceleration").high
+    assert (
+        find_component(signal, "acceleration").low < N < find_component(signal, "acceleration").high
+    )
 
 
 def test_noise_table_is_valid_in_campaign(tmp_path, folder):
@@ -124,7 +129,7 @@ def test_noise_table_is_valid_in_campaign(tmp_path, folder):
     campaign = cs.read_campaign(folder).change({"noise": None})
     campaign = campaign.change({"noise": stated})
     assert campaign.noise.flicker == pytest.approx(
-        component(found.signals[0], "flicker").value, rel=6e-3
+        find_component(found.signals[0], "flicker").value, rel=6e-3
     )
 
 
@@ -136,7 +141,11 @@ def test_campaign_identifies_columns(folder, tmp_path):
     (signal,) = found.signals
     assert (signal.name, signal.column, signal.observable) == ("Qx", "east_m", "displacement")
     assert found.gravity == cs.read_campaign(folder).gravity.value
-    assert component(signal, "displacement").low < 1e-5 < component(signal, "displacement").high
+    assert (
+        find_component(signal, "displacement").low
+        < 1e-5
+        < find_component(signal, "displacement").high
+    )
 
 
 @pytest.mark.usefixtures("skip_intervals")
@@ -273,8 +282,8 @@ def test_recorder_file_formats_are_read(tmp_path, name, write, words):
     write(tmp_path / name, time, 1e3 * values / G)
     (signal,) = cs.noise(tmp_path / name, **words).signals
     for key in ("acceleration", "flicker"):
-        assert component(signal, key).value == pytest.approx(
-            component(estimate_from_frame(2000), key).value, rel=1e-4
+        assert find_component(signal, key).value == pytest.approx(
+            find_component(estimate_from_frame(2000), key).value, rel=1e-4
         )
 
 
@@ -300,8 +309,10 @@ def test_stuck_samples_are_reported_and_excluded():
     assert any(
         remark.startswith("300 of 3000 rows are long sequences") for remark in signal.remarks
     )
-    expected = component(cs.noise({"time_s": time, "Qx_g": values / G}).signals[0], "acceleration")
-    assert component(signal, "acceleration").value == pytest.approx(expected.value, rel=0.02)
+    expected = find_component(
+        cs.noise({"time_s": time, "Qx_g": values / G}).signals[0], "acceleration"
+    )
+    assert find_component(signal, "acceleration").value == pytest.approx(expected.value, rel=0.02)
     for resolution in (1.0, 4.0):  # standard deviations of the samples
         step = resolution * np.std(values)
         coarse = {"time_s": time, "Qx_g": np.round(values / step) * step / G}
@@ -318,7 +329,7 @@ def test_stated_rate_overrides_unusable_times(name):
     with pytest.raises(RecordError, match="`sampling_rate`"):
         cs.noise(frame)
     counted, expected = (
-        component(cs.noise(data, sampling_rate="100 Hz").signals[0], "acceleration").value
+        find_component(cs.noise(data, sampling_rate="100 Hz").signals[0], "acceleration").value
         for data in (frame, {"Qx_g": values / G})
     )
     assert counted == expected
@@ -391,8 +402,8 @@ def test_time_formats_of_recorders_are_read(tmp_path, name, stamp):
     (tmp_path / "rest.csv").write_text("\n".join(lines))
     (signal,) = cs.noise(tmp_path / "rest.csv").signals
     assert signal.sampling_rate == pytest.approx(100.0, rel=1e-4)
-    expected = component(estimate_from_frame(), "acceleration").value
-    assert component(signal, "acceleration").value == pytest.approx(expected, rel=1e-3)
+    expected = find_component(estimate_from_frame(), "acceleration").value
+    assert find_component(signal, "acceleration").value == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize("names", ["time,ax ay,az", "time\tax ay\taz"])

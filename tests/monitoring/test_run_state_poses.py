@@ -28,15 +28,15 @@ def make_rests(along):
 def compute_leverage(along, of):
     """Return u^2 of |f| over that of one pose, of nine unknowns, by the normal equations."""
 
-    def rows(d):
+    def design_rows(d):
         x, y, z = d.T
         return np.column_stack([x, y, z, x * x, y * y, z * z, x * y, x * z, y * z])
 
-    gram = rows(along).T @ rows(along)
-    return np.einsum("np,pq,nq->n", rows(of), np.linalg.inv(gram), rows(of))
+    gram = design_rows(along).T @ design_rows(along)
+    return np.einsum("np,pq,nq->n", design_rows(of), np.linalg.inv(gram), design_rows(of))
 
 
-def direction_words(direction):
+def describe_direction(direction):
     signs = zip(direction, "XYZ", strict=True)
     return " ".join(f"{'-' if s < 0 else '+'}{name}" for s, name in signs if abs(s) > 0.1) + " up"
 
@@ -69,7 +69,7 @@ def test_missing_directions_have_largest_uncertainty_of_force(tmp_path, lowest):
     expected = []
     while (size := compute_leverage(along, UNIT)).max() > 1.0:
         most = UNIT[np.argmax(size)]
-        expected.append(direction_words(most))
+        expected.append(describe_direction(most))
         along = np.vstack([along, most])
     assert missing == expected
     assert any("-Z" in one for one in missing)

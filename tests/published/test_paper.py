@@ -31,11 +31,11 @@ def weighted_sigma(columns, sigma):
     return np.linalg.norm(inverse[0])
 
 
-def printed_columns(gravity=GRAVITY):
+def compute_printed_columns(gravity=GRAVITY):
     return as_printed.second_stage_columns(RATES, RADIUS, gravity, SCALE_FACTOR)
 
 
-def exact_column(symbol):
+def compute_exact_column(symbol):
     return np.array([parabola(symbol, QX, rate, RADIUS, GRAVITY) for rate in RATES])
 
 
@@ -52,19 +52,19 @@ def stated_plan_sigma():
 
 
 def test_printed_sigma_k_ii_follows_from_printed_sigma_b2():
-    sigma = unweighted_sigma(printed_columns(), PRINTED_SIGMA_B2)
+    sigma = unweighted_sigma(compute_printed_columns(), PRINTED_SIGMA_B2)
     assert sigma == pytest.approx(3.0355e-7, abs=0.5e-11)
     assert sigma == pytest.approx(PRINTED_SIGMA_K_II, rel=3e-4)
 
 
 def test_standard_gravity_deviates_from_printed_sigma_k_ii():
-    sigma = unweighted_sigma(printed_columns(gravity=9.80665), PRINTED_SIGMA_B2)
+    sigma = unweighted_sigma(compute_printed_columns(gravity=9.80665), PRINTED_SIGMA_B2)
     assert sigma == pytest.approx(3.0375e-7, abs=0.5e-11)
 
 
 def test_factor_one_quarter_doubles_sigma_k_ii():
-    columns = printed_columns()
-    columns[:, 0] = exact_column("K_II")
+    columns = compute_printed_columns()
+    columns[:, 0] = compute_exact_column("K_II")
     assert unweighted_sigma(columns, PRINTED_SIGMA_B2) == pytest.approx(6.0709e-7, abs=0.5e-11)
 
 
@@ -95,7 +95,7 @@ def test_sigma_b2_is_independent_of_first_strobe(stated_plan_sigma):
     ],
 )
 def test_exact_model_sigma_of_stated_plan(stated_plan_sigma, symbols, drift, expected):
-    columns = [exact_column(symbol) for symbol in symbols]
+    columns = [compute_exact_column(symbol) for symbol in symbols]
     if drift:  # against the nominal angle a strobe sees -1/2 K_I R C w0 t^2
         columns.append(-SCALE_FACTOR * RADIUS * RATES / 2)
     sigma = weighted_sigma(np.column_stack(columns), stated_plan_sigma)
@@ -104,7 +104,7 @@ def test_exact_model_sigma_of_stated_plan(stated_plan_sigma, symbols, drift, exp
 
 def test_printed_columns_sigma_of_stated_plan(stated_plan_sigma):
     """Smaller figures than the exact model's, for a K_II that is half the true value."""
-    unweighted = unweighted_sigma(printed_columns(), stated_plan_sigma)
-    weighted = weighted_sigma(printed_columns(), stated_plan_sigma)
+    unweighted = unweighted_sigma(compute_printed_columns(), stated_plan_sigma)
+    weighted = weighted_sigma(compute_printed_columns(), stated_plan_sigma)
     assert unweighted == pytest.approx(3.223e-9, abs=0.5e-12)
     assert weighted == pytest.approx(2.814e-9, abs=0.5e-12)

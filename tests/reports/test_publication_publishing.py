@@ -97,14 +97,14 @@ def test_current_date_has_whole_seconds(monkeypatch):
 
 
 @pytest.fixture
-def stored(tmp_path):
+def result_file(tmp_path):
     path = tmp_path / "result.json"
     result().write(path)
     return path
 
 
-def test_report_without_file_is_printed(stored, capsys):
-    assert main(["report", str(stored)]) == 0
+def test_report_without_file_is_printed(result_file, capsys):
+    assert main(["report", str(result_file)]) == 0
     said = capsys.readouterr().out
     assert "27.0000 ± 0.0010 µg/g²" in said
     assert "Quality checks" in said
@@ -118,8 +118,8 @@ def test_campaign_is_calibrated_before_report(tmp_path, capsys):
     assert capsys.readouterr().out.endswith(f"Wrote {tmp_path / 'r.md'}.\n")
 
 
-def test_result_file_may_have_any_name(stored, capsys):
-    other = stored.rename(stored.with_name("result of May"))
+def test_result_file_may_have_any_name(result_file, capsys):
+    other = result_file.rename(result_file.with_name("result of May"))
     assert main(["report", str(other)]) == 0
     assert "Quality checks" in capsys.readouterr().out
     other.write_text("hello", "utf-8")
@@ -144,22 +144,22 @@ def test_campaign_file_is_calibrated_before_report(tmp_path, capsys):
         (["--date", "9999-12-31T23:59:00-05:00"], 2, "is not a date"),
     ],
 )
-def test_rejects_invalid_arguments(arguments, status, words, stored, tmp_path, capsys):
+def test_rejects_invalid_arguments(arguments, status, words, result_file, tmp_path, capsys):
     typed = [argument.format(tmp_path) for argument in arguments]
-    assert main(["report", str(stored), *typed]) == status
+    assert main(["report", str(result_file), *typed]) == status
     assert words in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == [stored]
+    assert list(tmp_path.iterdir()) == [result_file]
 
 
-def test_damaged_or_newer_result_writes_no_report(stored, tmp_path, capsys):
+def test_damaged_or_newer_result_writes_no_report(result_file, tmp_path, capsys):
     target = tmp_path / "report.html"
-    text = stored.read_text(encoding="utf-8")
+    text = result_file.read_text(encoding="utf-8")
     for spoilt, words in (
         (text[: len(text) // 2], "not a result file, or damaged"),
         (text.replace('"schema": 2', '"schema": 99'), "written by a newer version of counterspin"),
     ):
-        stored.write_text(spoilt, encoding="utf-8")
-        assert main(["report", str(stored), "-o", str(target)]) == 1
+        result_file.write_text(spoilt, encoding="utf-8")
+        assert main(["report", str(result_file), "-o", str(target)]) == 1
         assert words in capsys.readouterr().err
         assert not target.exists()
 

@@ -175,7 +175,7 @@ def render_text(found, width=160, **options):
     return stream.getvalue()
 
 
-def line_with(text, *words):
+def find_line(text, *words):
     """Return the only line that contains all the words."""
     lines = [line for line in text.splitlines() if all(word in line for word in words)]
     assert len(lines) == 1, f"{words} is in {len(lines)} lines of\n{text}"
@@ -218,7 +218,7 @@ def test_undetermined_answer_has_no_value(prior):
     u = None if prior is None else 2e-6
     unknown = Coefficient(value=prior, u=u, unit="g/g^2", estimated=False)
     found = make_result(accelerometers={"Qx": make_accelerometer(coefficients={"K_II": unknown})})
-    answer = line_with(render_text(found), "K_II of Qx")
+    answer = find_line(render_text(found), "K_II of Qx")
     assert answer.startswith("K_II of Qx: not determined by these records")
     assert ("prior: 3.2 ± 2.0 ug/g^2" in answer) == (prior is not None)
     assert "95 %" not in answer
@@ -234,33 +234,33 @@ def test_report_of_campaign_without_k_ii():
 
 def test_coefficients_are_rounded_and_state_origin_of_uncertainty():
     text = render_text(make_result())
-    assert collapse_spaces(line_with(text, "second-order")) == (
+    assert collapse_spaces(find_line(text, "second-order")) == (
         "K_II second-order coefficient 27.04450 ± 0.00070 ug/g^2 "
         "noise 73 %, stated priors 18 %, default priors 8.2 %"
     )
-    assert collapse_spaces(line_with(text, "bias")) == "K_F bias 5032.1 ± 2.0 ug noise 100 %"
-    assert collapse_spaces(line_with(text, "scale factor")) == (
+    assert collapse_spaces(find_line(text, "bias")) == "K_F bias 5032.1 ± 2.0 ug noise 100 %"
+    assert collapse_spaces(find_line(text, "scale factor")) == (
         "K_I scale factor 1.0019743 ± 0.0000050 g/g prior only"
     )
 
 
 def test_undetermined_coefficient_shows_no_value():
-    line = collapse_spaces(line_with(render_text(make_result()), "third-order"))
+    line = collapse_spaces(find_line(render_text(make_result()), "third-order"))
     assert line == f"K_III third-order coefficient - ug/g^3 {NOT_DETERMINED}"
 
 
 def test_platform_terms_are_in_field_units():
     text = render_text(make_full_result())
-    assert collapse_spaces(line_with(text, "gyro drift about north")).startswith(
+    assert collapse_spaces(find_line(text, "gyro drift about north")).startswith(
         "gyro drift about north 0.0100 ± 0.0020 deg/h"
     )
-    assert collapse_spaces(line_with(text, "tilt about north (run1)")).startswith(
+    assert collapse_spaces(find_line(text, "tilt about north (run1)")).startswith(
         "tilt about north (run1) 0.210 ± 0.050 arcsec"
     )
 
 
 def test_second_unknown_of_two_stage_method_is_named():
-    line = collapse_spaces(line_with(render_text(make_full_result()), "rate drift"))
+    line = collapse_spaces(find_line(render_text(make_full_result()), "rate drift"))
     assert line.startswith("C rate drift common to all runs 3.60 ± 0.72 ppm/h")
 
 
@@ -340,13 +340,13 @@ def test_budget_is_printed_on_request():
         2
     ]
     assert collapse_spaces(
-        line_with(rows.partition("Accelerometer Qy")[0], "noise of the records")
+        find_line(rows.partition("Accelerometer Qy")[0], "noise of the records")
     ) == ("noise of the records A 0.00060 80 %")
-    assert collapse_spaces(line_with(rows, "0.5 arcsec")) == (
+    assert collapse_spaces(find_line(rows, "0.5 arcsec")) == (
         "platform.tilt.north (run1) B 0.5 arcsec 0.0006 0.00030 20 %"
     )
     # sqrt(6^2 + 3^2) = 6.7
-    assert collapse_spaces(line_with(rows, "combined")) == "combined 0.00067"
+    assert collapse_spaces(find_line(rows, "combined")) == "combined 0.00067"
 
 
 def test_details_are_printed_on_request():
@@ -368,21 +368,21 @@ def test_campaign_details_are_printed():
 
 def test_run_table_has_rate_ripple_and_rejected_samples():
     text = render_text(make_full_result())
-    row = collapse_spaces(line_with(text, "1.57079632679(24)"))
+    row = collapse_spaces(find_line(text, "1.57079632679(24)"))
     # -1e-12 and 7.5e-13 1/s are -0.0036 and 0.0027 ppm/h; 7.9e-7 of pi/2 rad/s is 0.503 ppm
     assert row == "run1 1.57079632679(24) -0.0036(27) 1: 0.503(10) 20101 12"
-    assert collapse_spaces(line_with(text, "3: 0.006(10)")) == "3: 0.006(10)"
-    assert collapse_spaces(line_with(text, "-3.14159 ")) == "run2 -3.14159 0 - 1000 0"
+    assert collapse_spaces(find_line(text, "3: 0.006(10)")) == "3: 0.006(10)"
+    assert collapse_spaces(find_line(text, "-3.14159 ")) == "run2 -3.14159 0 - 1000 0"
     assert "run1: 12 outliers in column 'east_m' were left out." in text
 
 
 def test_first_stage_and_fit_of_runs_are_printed():
     text = render_text(make_full_result())
     assert (
-        collapse_spaces(line_with(text, "0.024683966(38)"))
+        collapse_spaces(find_line(text, "0.024683966(38)"))
         == "run1 Qx 101 0.024683966(38) 0.01 given"
     )
-    assert collapse_spaces(line_with(text, "white")) == "run1 Qx 1.021 - white"
+    assert collapse_spaces(find_line(text, "white")) == "run1 Qx 1.021 - white"
     assert "chi2 per dof" in text
 
 

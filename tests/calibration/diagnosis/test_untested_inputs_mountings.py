@@ -56,14 +56,14 @@ K_IO = "3e-6 g/g^2"
 
 
 @pytest.fixture(scope="module", params=UNITS)
-def recorded(request, tmp_path_factory):
+def recorded_campaign(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param)
     simulate(campaign_of(folder / "true", describe(request.param)), folder / "made")
     return request.param, folder / "made"
 
 
-def calibrate_axis(recorded, axis, known=STATED):
-    observable, folder = recorded
+def calibrate_axis(recorded_campaign, axis, known=STATED):
+    observable, folder = recorded_campaign
     text = changed(describe(observable, known), ('"down"', f'"{axis}"'))
     return calibrate(write(folder, text).parent)
 
@@ -76,10 +76,10 @@ def mounting_remarks(result):
     ]
 
 
-def test_correct_axis_is_good(recorded):
-    result = calibrate_axis(recorded, "down")
+def test_correct_axis_is_good(recorded_campaign):
+    result = calibrate_axis(recorded_campaign, "down")
     assert (result.state, result.findings) == ("good", [])
-    if recorded[0] == "specific_force":
+    if recorded_campaign[0] == "specific_force":
         assert mounting_remarks(result) == []
         return
     # In displacement K_OO has the t^2 of K_II: only the description defines the axis.
@@ -92,11 +92,11 @@ def test_correct_axis_is_good(recorded):
 
 
 @pytest.mark.parametrize("axis", ["north", "up", "south"])
-def test_wrong_axis_is_named_if_detectable(recorded, axis):
-    result = calibrate_axis(recorded, axis)
+def test_wrong_axis_is_named_if_detectable(recorded_campaign, axis):
+    result = calibrate_axis(recorded_campaign, axis)
     first = result.findings[0] if result.findings else None
     k_ii = result.accelerometers["Qx"].coefficients["K_II"]
-    if recorded[0] == "specific_force":
+    if recorded_campaign[0] == "specific_force":
         assert (first.code, first.subject) == ("wrong-mounting", "Qx")
         assert f"pointed down instead of the stated {axis}" in first.text
         assert [finding for finding in result.findings if finding.code == "wrong-mounting"] == [
@@ -121,8 +121,8 @@ def test_wrong_axis_is_named_with_estimated_noise_and_default_priors(tmp_path):
     assert "pointed down instead of the stated north" in first.text
 
 
-def test_no_remark_without_stated_cross_axis_terms(recorded):
-    assert mounting_remarks(calibrate_axis(recorded, "down", known="")) == []
+def test_no_remark_without_stated_cross_axis_terms(recorded_campaign):
+    assert mounting_remarks(calibrate_axis(recorded_campaign, "down", known="")) == []
 
 
 def test_readings_and_records_jointly_reveal_wrong_axis(tmp_path, monkeypatch):
