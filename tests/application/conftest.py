@@ -63,8 +63,8 @@ def anonymous(app, credentials):
 @pytest.fixture
 def page(anonymous, credentials):
     """Return a client with a session key, as the page has after following the link."""
-    told = anonymous.post("/api/session", json={"token": token_of(credentials)})
-    anonymous.headers["Authorization"] = f"Bearer {told.json()['key']}"
+    response = anonymous.post("/api/session", json={"token": token_of(credentials)})
+    anonymous.headers["Authorization"] = f"Bearer {response.json()['key']}"
     return anonymous
 
 

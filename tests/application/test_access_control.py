@@ -79,9 +79,9 @@ def test_request_without_key_is_unauthorized(anonymous, credentials):
 
 
 def test_session_key_is_not_set_as_cookie(anonymous, credentials):
-    told = anonymous.post("/api/session", json={"token": token_of(credentials)})
-    assert "set-cookie" not in told.headers
-    key = told.json()["key"]
+    response = anonymous.post("/api/session", json={"token": token_of(credentials)})
+    assert "set-cookie" not in response.headers
+    key = response.json()["key"]
     anonymous.cookies.set("counterspin-8765", key)
     assert anonymous.get(FOLDER).status_code == 401
     both = [("Authorization", f"Bearer {said}") for said in (key, "x")]
@@ -227,8 +227,8 @@ def test_number_of_large_forms_in_memory_is_limited(credentials):
 
 def test_unexpected_exception_returns_status_500(page, monkeypatch):
     monkeypatch.setattr("counterspin.application.server.handle_request", lambda *_: 1 / 0)
-    told = page.get(FOLDER)
-    assert (told.status_code, told.json()["error"][:34]) == (
+    response = page.get(FOLDER)
+    assert (response.status_code, response.json()["error"][:34]) == (
         500,
         "internal error (ZeroDivisionError:",
     )

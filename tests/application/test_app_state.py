@@ -79,9 +79,9 @@ def test_rejects_writing_through_symlink(page, folder, outside_folder):
         "planned": {"name": "PLAN.toml", "folder": "new"},
     }
     for name, said in asked.items():
-        told = page.post(f"/api/{name}", json=said)
-        assert told.json()["error"].startswith("new/campaign.toml ")
-        assert (told.status_code, told.json()["code"]) == (
+        response = page.post(f"/api/{name}", json=said)
+        assert response.json()["error"].startswith("new/campaign.toml ")
+        assert (response.status_code, response.json()["code"]) == (
             403,
             "path-forbidden",
         )

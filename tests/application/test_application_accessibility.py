@@ -106,6 +106,10 @@ def test_axe_reports_no_serious_violation(open_window, app, width, monkeypatch):
     assert complaints == {}
     # Complaints of both kinds are found.
     tab.evaluate("document.querySelector('main').append(document.createElement('button'))")
-    assert [one.split(":")[0] for one in tab.evaluate(SERIOUS, RULES)] == ["button-name"]
+    assert [violation.split(":")[0] for violation in tab.evaluate(SERIOUS, RULES)] == [
+        "button-name"
+    ]
     tab.evaluate("document.querySelector('h1').style.color = 'var(--rule)'")
-    assert [one.split(":")[0] for one in tab.evaluate(SERIOUS, COLOURS)] == ["color-contrast"]
+    assert [violation.split(":")[0] for violation in tab.evaluate(SERIOUS, COLOURS)] == [
+        "color-contrast"
+    ]

@@ -130,8 +130,8 @@ def write_tdms(frames, folder):
         with TdmsWriter(folder / f"{name}.tdms") as file:
             file.write_segment(
                 [
-                    ChannelObject(one.group, one.channel, one.data, one.properties)
-                    for one in channels
+                    ChannelObject(channel.group, channel.channel, channel.data, channel.properties)
+                    for channel in channels
                 ]
             )
 
@@ -239,8 +239,8 @@ def test_files_to_certificate_within_effort_limits(open_window, frames, folder, 
     certificate.wait_for()
     hand.read(*tab.locator(".instrument, .warning").all())
     (made,) = {file.parent for file in folder.glob("*/result.json")} - {folder / "three"}
-    (found,) = read_result(made / "result.json").accelerometers.values()
-    k_ii = found.coefficients["K_II"]
+    (accelerometer,) = read_result(made / "result.json").accelerometers.values()
+    k_ii = accelerometer.coefficients["K_II"]
     assert abs(k_ii.value - 2.7e-5) < 4.0 * k_ii.u
     clicks, fields = hand.clicks + CERTIFICATE_CLICKS, hand.fields + CERTIFICATE_FIELDS
     assert clicks <= MOST_CLICKS

@@ -18,14 +18,14 @@ def test_page_scripts_pass_their_tests(tmp_path):
     for script in (*ASSETS.glob("*.js"), *SCRIPTS.glob("*.js")):
         shutil.copy(script, tmp_path)
     (tmp_path / "package.json").write_text('{"type": "module"}', encoding="utf-8")
-    told = subprocess.run(
+    process = subprocess.run(
         [node, "--test", "--test-reporter=tap"],
         cwd=tmp_path,
         capture_output=True,
         text=True,
         check=False,
     )
-    assert told.returncode == 0, told.stdout + told.stderr
+    assert process.returncode == 0, process.stdout + process.stderr
     asked = (SCRIPTS / "page.test.js").read_text(encoding="utf-8")
-    passed = re.search(r"^# pass (\d+)$", told.stdout, re.MULTILINE)
+    passed = re.search(r"^# pass (\d+)$", process.stdout, re.MULTILINE)
     assert int(passed[1]) >= len(re.findall(r"^test\(", asked, re.MULTILINE)) >= 18

@@ -44,9 +44,9 @@ def test_deleted_campaign_is_in_trash(app, folder, page):
     before = file_names(folder / "three")
     place = move_to_trash(app, "three")["place"]
     assert file_names(folder / TRASH / place) == before
-    told = page.get("/api/folder").json()
-    assert told["campaigns"] == []
-    assert told["trash"] == [{"place": place, "name": "three"}]
+    body = page.get("/api/folder").json()
+    assert body["campaigns"] == []
+    assert body["trash"] == [{"place": place, "name": "three"}]
 
 
 def test_restore_does_not_overwrite_campaign(app, folder):
@@ -162,9 +162,9 @@ def test_rename_is_rejected_while_job_runs(app, folder, page):
     with app.jobs._run_lock:
         assert page.post("/api/jobs", json={"name": "three"}).status_code == 200
         for name, said in (("rename", {"to": "third"}), ("put-away", {})):
-            told = page.post(f"/api/{name}", json={"name": "three"} | said)
-            assert told.status_code == 422
-            assert told.json()["code"] == "request-refused"
+            response = page.post(f"/api/{name}", json={"name": "three"} | said)
+            assert response.status_code == 422
+            assert response.json()["code"] == "request-refused"
         app.jobs.stop(app.jobs.all()[-1].number)
     assert (folder / "three").is_dir()
 

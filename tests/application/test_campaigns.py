@@ -19,16 +19,16 @@ def campaign_state(page, name="three"):
 
 
 def test_campaign_is_listed_with_its_result(page):
-    told = page.get("/api/folder").json()
-    (campaign,) = told["campaigns"]
+    body = page.get("/api/folder").json()
+    (campaign,) = body["campaigns"]
     assert (campaign["name"], campaign["runs"]) == ("three", 3)
     assert campaign["instruments"] == ["Qx", "Qy"]
     (result,) = campaign["results"]
     assert campaign["state"] == result["state"]
     assert result["answers"][0]["name"] == "K_II of Qx"
     assert "µg/g²" in result["answers"][0]["text"]
-    assert told["results"] == []
-    assert {"name": "K_OO", "words": "second-order output-axis coefficient"} in told["terms"]
+    assert body["results"] == []
+    assert {"name": "K_OO", "words": "second-order output-axis coefficient"} in body["terms"]
 
 
 def test_poses_count_as_runs(page, folder):
@@ -53,9 +53,9 @@ def test_state_changes_with_files(page, folder):
     assert campaign_state(page) == "changed"
     description.write_text(text.replace('"2.5 m"', '"2.5 kg"'))
     assert campaign_state(page) == "mistakes"
-    told = page.get("/api/campaign", params={"name": "three"}).json()
-    assert [m for m in told["mistakes"] if m.startswith("centrifuge.radius: ")] == told["mistakes"]
-    assert [run["name"] for run in told["run_list"]] == ["slow", "middle", "fast"]
+    body = page.get("/api/campaign", params={"name": "three"}).json()
+    assert [m for m in body["mistakes"] if m.startswith("centrifuge.radius: ")] == body["mistakes"]
+    assert [run["name"] for run in body["run_list"]] == ["slow", "middle", "fast"]
     description.write_text(text)
     result.write_text("{}")
     assert campaign_state(page) == "not calibrated"
@@ -65,11 +65,11 @@ def test_state_changes_with_files(page, folder):
 
 def test_main_result_is_listed_first_unless_damaged(page, folder):
     own = folder / "three" / "result.json"
-    told = json.loads(own.read_text())
+    document = json.loads(own.read_text())
     now = own.stat().st_mtime
     for later, (name, method) in enumerate([("b", "joint"), ("c", "joint"), ("d", "two-stage")], 1):
         other = own.with_name(f"{name}.json")
-        other.write_text(sealed(told | {"method": method}))
+        other.write_text(sealed(document | {"method": method}))
         os.utime(other, (now + later, now + later))
 
     def result_names():
@@ -77,7 +77,7 @@ def test_main_result_is_listed_first_unless_damaged(page, folder):
         return [result["name"].removeprefix("three/") for result in campaign["results"]]
 
     assert result_names() == ["result.json", "c.json", "b.json", "d.json"]
-    own.write_text(json.dumps(told | {"gravity": -9.8}))
+    own.write_text(json.dumps(document | {"gravity": -9.8}))
     assert result_names() == ["c.json", "b.json", "d.json", "result.json"]
 
 
@@ -106,8 +106,8 @@ def test_record_outside_folder_is_not_read(page, folder, record):
     (folder / "three" / "link.csv").symlink_to(folder.parent / "outside.csv")
     name = record.replace("../", "../../")
     write(folder / "three", SMALL.replace("slow.csv", name), "campaign.toml")
-    told = page.get("/api/campaign", params={"name": "three"}).json()
-    assert "outside the served folder" in told["mistakes"][0] or "records end" in str(told)
+    body = page.get("/api/campaign", params={"name": "three"}).json()
+    assert "outside the served folder" in body["mistakes"][0] or "records end" in str(body)
     assert page.post("/api/jobs", json={"name": "three"}).status_code == 422
 
 
@@ -149,5 +149,5 @@ def test_pipe_and_undecodable_file_name_are_skipped(page, folder):
     assert campaign_state(page) in ("good", "reservations")
     # A name that no file can have is rejected with a message.
     for asked in ({"name": "\ud800"}, {"name": "a/" * 2000}):
-        told = page.post("/api/campaign", content=json.dumps(asked))
-        assert told.status_code == 403, told.text
+        response = page.post("/api/campaign", content=json.dumps(asked))
+        assert response.status_code == 403, response.text

@@ -140,27 +140,27 @@ def test_invalid_key_is_rejected_and_nothing_is_written(
     key, _ = write_pkcs12(tmp_path, rsa.generate_private_key(65537, 2048), PASSWORD.encode())
     before = sorted(folder.rglob("*"))
     signing = {"key": encode_file(key), "password": PASSWORD} | change
-    told = with_real_lab.post("/api/certificate", json=SAID | {"signing": signing})
-    assert told.status_code == 422
-    assert words in told.json()["error"]
-    assert "wrong words" not in told.text
+    response = with_real_lab.post("/api/certificate", json=SAID | {"signing": signing})
+    assert response.status_code == 422
+    assert words in response.json()["error"]
+    assert "wrong words" not in response.text
     assert sorted(folder.rglob("*")) == before
 
 
 @pytest.mark.parametrize("key", [{"name": "k"}, {"name": "k", "content": "no base 64 SECRET"}, 4])
 def test_malformed_request_is_not_echoed(with_real_lab, key):
-    told = with_real_lab.post("/api/certificate", json=SAID | {"signing": {"key": key}})
-    assert told.status_code == 400
-    assert "SECRET" not in told.text
+    response = with_real_lab.post("/api/certificate", json=SAID | {"signing": {"key": key}})
+    assert response.status_code == 400
+    assert "SECRET" not in response.text
 
 
 def test_template_data_is_rejected_before_key_is_read(with_lab, folder):
     """An invalid key would raise a different error."""
     signing = {"key": {"name": "k", "content": b64encode(b"no key").decode()}}
-    told = with_lab.post("/api/certificate", json=SAID | {"signing": signing})
-    assert told.status_code == 422
-    assert "laboratory.name" in told.json()["error"]
-    assert "values of the template" in told.json()["error"]
+    response = with_lab.post("/api/certificate", json=SAID | {"signing": signing})
+    assert response.status_code == 422
+    assert "laboratory.name" in response.json()["error"]
+    assert "values of the template" in response.json()["error"]
     assert not (folder / "three" / "certificate.xml").exists()
     # The page knows before it asks.
     lab = with_lab.get("/api/lab", params={"file": "LAB.toml", "result": SAID["result"]}).json()
@@ -186,9 +186,9 @@ def test_signer_command_of_server_signs(with_real_lab, folder, app, tmp_path):
     app.signer_options = {"signer": command, "cert": str(cert)}
     asked = {"file": "LAB.toml", "result": SAID["result"]}
     assert with_real_lab.get("/api/lab", params=asked).json()["signer"] == "CN=Example laboratory"
-    told = with_real_lab.post("/api/certificate", json=SAID | {"signing": {}}).json()
+    body = with_real_lab.post("/api/certificate", json=SAID | {"signing": {}}).json()
     assert check_certificate(folder / "three/certificate.xml", cert=cert).signature == "valid"
-    assert shlex.split(told["command"])[6:] == [f"--signer={command}", f"--cert={cert}"]
+    assert shlex.split(body["command"])[6:] == [f"--signer={command}", f"--cert={cert}"]
 
 
 def test_plots_are_drawn_while_signer_command_runs(with_real_lab, app, tmp_path):
@@ -217,7 +217,7 @@ def test_record_cannot_be_downloaded(page):
 )
 def test_report_is_downloaded_without_writing_files(page, folder, kind, mark):
     before = sorted(folder.rglob("*"))
-    told = page.get("/api/report", params={"name": "three/result.json", "kind": kind})
-    assert told.content.startswith(mark)
-    assert f"result.{kind}" in told.headers["content-disposition"]
+    response = page.get("/api/report", params={"name": "three/result.json", "kind": kind})
+    assert response.content.startswith(mark)
+    assert f"result.{kind}" in response.headers["content-disposition"]
     assert sorted(folder.rglob("*")) == before

@@ -37,15 +37,15 @@ def uploaded(page, folder):
 
 
 def test_uploaded_files_become_campaign(page, folder, uploaded):
-    told = page.post("/api/draft", json={"names": uploaded}).json()
-    assert any("time_s" in statement for statement in told["statements"])
-    assert {"gravity", "latitude", "radius"} <= {one["key"] for one in told["questions"]}
+    body = page.post("/api/draft", json={"names": uploaded}).json()
+    assert any("time_s" in statement for statement in body["statements"])
+    assert {"gravity", "latitude", "radius"} <= {question["key"] for question in body["questions"]}
     said = {"folder": "new", "names": uploaded}
     unanswered = page.post("/api/drafted", json=said)
     assert unanswered.status_code == 422
     assert any(problem.startswith("radius: ") for problem in unanswered.json()["problems"])
-    needed = [one for one in told["questions"] if one["guess"] is None]
-    answers = {one["key"]: one["example"] for one in needed} | ANSWERS
+    needed = [question for question in body["questions"] if question["guess"] is None]
+    answers = {entry["key"]: entry["example"] for entry in needed} | ANSWERS
     made = page.post("/api/drafted", json=said | {"answers": answers}).json()
     assert made["command"].startswith("counterspin init ")
     campaign = read_campaign(folder / "new")
@@ -64,10 +64,10 @@ def calibrate_from_page(page, folder, files, sense="counterclockwise"):
     asked = page.post("/api/draft", json={"names": names}).json()["questions"]
     known = ANSWERS | COUNTED | {"sense": sense}
     needed = [one for one in asked if one["guess"] is None]
-    answers = {one["key"]: known.get(one["key"], one["example"]) for one in needed}
+    answers = {entry["key"]: known.get(entry["key"], entry["example"]) for entry in needed}
     said = {"folder": "lab", "names": names, "answers": answers}
-    told = page.post("/api/drafted", json=said)
-    assert told.status_code == 200, told.json()
+    response = page.post("/api/drafted", json=said)
+    assert response.status_code == 200, response.json()
     return calibrate(folder / "lab").accelerometers["Qx"].coefficients["K_II"]
 
 
@@ -87,13 +87,13 @@ def test_result_is_independent_of_export_format(
 ):
     files = write_records(plain_folder, tmp_path / "files", EXPORTS[name])
     sense = "clockwise" if "clockwise" in name else "counterclockwise"
-    found = calibrate_from_page(page, folder, files, sense)
-    assert abs(found.value - reference.value) < 0.01 * reference.u
+    result = calibrate_from_page(page, folder, files, sense)
+    assert abs(result.value - reference.value) < 0.01 * reference.u
 
 
 def draft_columns(page, names, **more):
-    told = page.post("/api/draft", json={"names": names, **more}).json()
-    return told, {column["name"]: column for column in told["columns"]}
+    body = page.post("/api/draft", json={"names": names, **more}).json()
+    return body, {column["name"]: column for column in body["columns"]}
 
 
 def test_draft_shows_columns_and_problems(page, uploaded):
@@ -137,7 +137,11 @@ def test_unused_column_has_reason(page, folder):
 def test_site_values_are_suggested_from_measured_campaigns(page, folder, uploaded):
     told, _ = draft_columns(page, uploaded)
     assert told["remembered"] == {}  # the campaign there is simulated
-    answers = {one["key"]: one["example"] for one in told["questions"] if one["guess"] is None}
+    answers = {
+        question["key"]: question["example"]
+        for question in told["questions"]
+        if question["guess"] is None
+    }
     said = {"folder": "new", "names": uploaded, "answers": answers | ANSWERS}
     assert page.post("/api/drafted", json=said).status_code == 200
     told, _ = draft_columns(page, uploaded)
@@ -175,12 +179,12 @@ def test_wrapped_angle_is_drawn_without_jumps():
 def test_text_columns_are_shown_where_required(page):
     table = "side,n_rpm,note,out_V\nin,30,first,1.0\nout,60,second,-4.0\n"
     name = upload(page, "arm/arm.csv", table.encode()).json()["name"]
-    told = page.post("/api/draft", json={"names": [name]}).json()
-    assert told["test"] == "arm"
-    shown = {column["name"]: column["first"] for column in told["columns"]}
+    body = page.post("/api/draft", json={"names": [name]}).json()
+    assert body["test"] == "arm"
+    shown = {column["name"]: column["first"] for column in body["columns"]}
     assert shown["side"] == ["in", "out"]
     assert shown["note"] == ["first", "second"]
-    assert [column["curve"] for column in told["columns"]][:2] == [None, None]
+    assert [column["curve"] for column in body["columns"]][:2] == [None, None]
 
 
 @pytest.mark.parametrize(
@@ -194,6 +198,6 @@ def test_text_columns_are_shown_where_required(page):
 def test_page_imports_tables_inside_containers(page, tmp_path, name, write, note):
     write(tmp_path / name)
     uploaded = upload(page, name, (tmp_path / name).read_bytes()).json()["name"]
-    told = page.post("/api/draft", json={"names": [uploaded]}).json()
-    assert told["test"] == "poses"
-    assert note in " ".join(told["statements"])
+    body = page.post("/api/draft", json={"names": [uploaded]}).json()
+    assert body["test"] == "poses"
+    assert note in " ".join(body["statements"])

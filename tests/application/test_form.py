@@ -17,7 +17,7 @@ from counterspin.units import unit_factor
 
 
 def find_section(form, key):
-    (found,) = (one for one in form if one["key"] == key)
+    (found,) = (section for section in form if section["key"] == key)
     return found
 
 
@@ -25,7 +25,7 @@ def find_field(form, *path):
     name, *inner = path
     fields = find_section(form, name)["fields"]
     for key in inner:
-        (found,) = (one for one in fields if one["key"] == key)
+        (found,) = (field for field in fields if field["key"] == key)
         fields = found.get("fields", [])
     return found
 
@@ -37,8 +37,8 @@ def test_form_has_all_sections():
     )
     of_laboratory = set(re.findall(r"\[(\w+)\]", laboratory))
     assert keys - {"schema"} == set(SECTIONS)
-    assert [one["key"] for one in campaign_form()] == list(SECTIONS)
-    sections = {one["key"] for one in lab_form()}
+    assert [section["key"] for section in campaign_form()] == list(SECTIONS)
+    sections = {section["key"] for section in lab_form()}
     assert set(Lab.model_fields) - {"schema_version"} - of_laboratory == sections
 
 
@@ -87,19 +87,19 @@ def test_field_kinds():
 
 def flatten_fields(fields):
     """Yield all fields, including those of groups."""
-    for one in fields:
-        yield one
-        yield from flatten_fields(one.get("fields", []))
+    for field in fields:
+        yield field
+        yield from flatten_fields(field.get("fields", []))
 
 
 def test_fields_have_label_and_help():
     for form in (campaign_form(), lab_form(), plan_form(False), plan_form(True)):
-        for one in form:
-            for asked in flatten_fields(one["fields"]):
+        for section in form:
+            for asked in flatten_fields(section["fields"]):
                 assert re.match(r"[A-Z][a-z]", asked["label"]), asked
                 assert asked["key"] in ACCELEROMETER_TERMS or "_" not in asked["label"], asked
-            tables = (one.get("of_readings", []), *one.get("of_tables", {}).values())
-            for asked in flatten_fields(chain(one["fields"], *tables)):
+            tables = (section.get("of_readings", []), *section.get("of_tables", {}).values())
+            for asked in flatten_fields(chain(section["fields"], *tables)):
                 assert asked["help"] or asked["key"] in ACCELEROMETER_TERMS, asked
                 assert not re.search(r"`|\]\(", asked["help"]), asked
     assert find_field(campaign_form(), "accelerometers", "K_II")["label"] == (
@@ -108,8 +108,8 @@ def test_fields_have_label_and_help():
 
 
 def test_offered_units_match_key():
-    fields = [one for part in campaign_form() for one in flatten_fields(part["fields"])]
-    quantities = [one for one in fields if one["kind"] == "quantity"]
+    fields = [field for part in campaign_form() for field in flatten_fields(part["fields"])]
+    quantities = [field for field in fields if field["kind"] == "quantity"]
     assert len(quantities) > 40
     for one in quantities:
         for unit in one["units"]:

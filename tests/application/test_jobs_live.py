@@ -14,11 +14,11 @@ from counterspin.monitoring.result import WatchState
 def poll_until(page, until):
     deadline = time.monotonic() + 300.0
     while time.monotonic() < deadline:
-        told = page.get("/api/watch", params={"name": "three"}).json()
-        if until(told):
-            return told
+        body = page.get("/api/watch", params={"name": "three"}).json()
+        if until(body):
+            return body
         time.sleep(0.1)
-    raise AssertionError(told)
+    raise AssertionError(body)
 
 
 def test_live_view_reports_new_samples(page, folder):
@@ -29,11 +29,11 @@ def test_live_view_reports_new_samples(page, folder):
     assert told["command"].startswith("counterspin watch ")
     before = told["html"]
     reached = told["reached"]
-    assert [one["name"] for one in reached["u"]] == ["Qx.K_II, µg/g²", "Qy.K_II, µg/g²"]
+    assert [quantity["name"] for quantity in reached["u"]] == ["Qx.K_II, µg/g²", "Qy.K_II, µg/g²"]
     # Six revolutions at 0.25 and 0.5 rev/s.
     assert reached["minutes"] == pytest.approx(36.0 / 60.0, rel=1e-2)
     shown = re.findall(r"± ([\d.]+) µg/g²", told["html"])
-    assert [float(f"{one['u']:.2g}") for one in reached["u"]] == list(map(float, shown))
+    assert [float(f"{quantity['u']:.2g}") for quantity in reached["u"]] == list(map(float, shown))
     shutil.move(folder / "later.csv", three / "fast.csv")
     assert poll_until(page, lambda told: told["html"] != before)
 

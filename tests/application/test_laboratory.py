@@ -18,28 +18,28 @@ def get_lab(page, file=FILE):
 def test_preview_shows_all_pages_as_draft(page):
     # Evidence for what the result assumes does not block a preview.
     for text in (example_text(), LAB, ""):
-        told = page.post(
+        body = page.post(
             "/api/certificate-preview", json={"file": FILE, "result": RESULT, "text": text}
         ).json()
-        assert len(told["pages"]) >= 2
-        assert all(svg.startswith("<svg") for svg in told["pages"])
+        assert len(body["pages"]) >= 2
+        assert all(svg.startswith("<svg") for svg in body["pages"])
 
 
 def test_preview_of_invalid_data_names_key(page):
     text = LAB.replace('country = "DE"', 'country = "DD"')
-    told = page.post(
+    response = page.post(
         "/api/certificate-preview", json={"file": FILE, "result": RESULT, "text": text}
     )
-    assert told.status_code == 422
-    assert "laboratory.country" in told.json()["error"]
+    assert response.status_code == 422
+    assert "laboratory.country" in response.json()["error"]
 
 
 def test_missing_entries_are_listed_despite_invalid_entry(page):
     text = example_text().replace('"Exampletown"', "7", 1)
     said = {"file": FILE, "text": text, "result": RESULT}
-    told = page.post("/api/check", json=said).json()
-    assert [problem["key"] for problem in told["problems"]] == ["laboratory.city"]
-    missing = {entry["key"] for entry in told["missing"]}
+    body = page.post("/api/check", json=said).json()
+    assert [problem["key"] for problem in body["problems"]] == ["laboratory.city"]
+    missing = {entry["key"] for entry in body["missing"]}
     assert {"laboratory.name", "item.model", "conditions.temperature"} < missing
     assert "laboratory.city" not in missing
 
@@ -55,12 +55,12 @@ def test_profile_prefills_next_certificate(page, folder):
     assert kept.keys() == {"certificate", "laboratory", "persons"}
     assert kept["certificate"] == {"language": "de", "traceability": "Rückgeführt auf das SI."}
     assert page.get("/api/folder").json()["labs"] == []
-    told = get_lab(page)
-    assert told["profile"] is True
-    document = told["document"]
+    body = get_lab(page)
+    assert body["profile"] is True
+    document = body["document"]
     assert document["laboratory"]["name"] == "Kalibrierlabor"
     assert [person["name"] for person in document["persons"]] == ["A. Erste", "B. Zweite"]
-    missing = {entry["key"] for entry in told["missing"]}
+    missing = {entry["key"] for entry in body["missing"]}
     assert {"customer.name", "item.serial_number"} < missing
     assert not {key for key in missing if key.startswith(("laboratory", "persons"))}
     # The campaign states its day.
@@ -68,9 +68,9 @@ def test_profile_prefills_next_certificate(page, folder):
 
 
 def test_profile_with_template_values_is_rejected(page, folder):
-    told = page.post("/api/profile", json={"file": FILE, "text": example_text()})
-    assert told.status_code == 422
-    assert "Fill in the Laboratory section" in told.json()["error"]
+    response = page.post("/api/profile", json={"file": FILE, "text": example_text()})
+    assert response.status_code == 422
+    assert "Fill in the Laboratory section" in response.json()["error"]
     assert not (folder / "laboratory.toml").exists()
 
 
@@ -83,9 +83,9 @@ def test_profile_with_template_values_is_rejected(page, folder):
 )
 def test_invalid_profile_is_named(page, folder, text, words):
     (folder / "laboratory.toml").write_text(text)
-    told = page.get("/api/lab", params={"file": FILE, "result": RESULT})
-    assert told.status_code == 422
-    assert words in told.json()["error"]
+    response = page.get("/api/lab", params={"file": FILE, "result": RESULT})
+    assert response.status_code == 422
+    assert words in response.json()["error"]
 
 
 def test_profile_path_of_logo_stays_valid(page, folder):
@@ -101,6 +101,6 @@ def test_profile_path_of_logo_stays_valid(page, folder):
 def test_logo_outside_served_folder_is_rejected(page):
     text = LAB.replace('code = "D-K-1"', 'logo = "../../logo.svg"')
     said = {"file": FILE, "text": text, "result": RESULT}
-    told = page.post("/api/certificate-preview", json=said)
-    assert told.status_code == 422
-    assert "outside the served folder" in told.json()["error"]
+    response = page.post("/api/certificate-preview", json=said)
+    assert response.status_code == 422
+    assert "outside the served folder" in response.json()["error"]

@@ -13,11 +13,11 @@ PAGE = {"kind": "result", "names": "three/result.json"}
 
 
 def test_result_page_has_text_and_plots_of_report(page):
-    told = page.get("/api/page", params=PAGE).json()
-    assert '<h2 id="at-card-qx">Qx</h2>' in told["html"]
-    assert (told["state"], told["words"]) == ("reservations", "With reservations")
-    assert re.search('<div class="still"[^>]* data-place="0"></div>', told["html"])
-    assert "<script>" not in told["html"]
+    body = page.get("/api/page", params=PAGE).json()
+    assert '<h2 id="at-card-qx">Qx</h2>' in body["html"]
+    assert (body["state"], body["words"]) == ("reservations", "With reservations")
+    assert re.search('<div class="still"[^>]* data-place="0"></div>', body["html"])
+    assert "<script>" not in body["html"]
     query = PAGE | {"place": 0}
     picture = page.get("/api/picture", params=query)
     assert picture.headers["content-type"] == "image/svg+xml"
@@ -40,23 +40,23 @@ def test_contradicted_result_states_why_not_certifiable(page, folder):
 def test_results_are_compared_and_shown_as_history(page, folder):
     shutil.copy(folder / "three" / "result.json", folder / "other.json")
     names = "three/result.json\nother.json"
-    told = page.get("/api/page", params={"kind": "comparison", "names": names}).json()
-    assert "Changes" in told["html"]
-    assert told["command"].startswith("counterspin compare ")
+    body = page.get("/api/page", params={"kind": "comparison", "names": names}).json()
+    assert "Changes" in body["html"]
+    assert body["command"].startswith("counterspin compare ")
     history = {"kind": "history", "names": "three/result.json", "term": "K_II"}
-    told = page.get("/api/page", params=history).json()
-    assert told["title"] == "History of K_II"
-    assert "There is only one result; a comparison requires at least two" in told["html"]
-    assert "three/result.json" in told["html"]
-    assert str(folder) not in told["html"]
+    body = page.get("/api/page", params=history).json()
+    assert body["title"] == "History of K_II"
+    assert "There is only one result; a comparison requires at least two" in body["html"]
+    assert "three/result.json" in body["html"]
+    assert str(folder) not in body["html"]
 
 
 def test_history_without_usable_results_is_empty_page(page):
     asked = {"kind": "history", "names": "three/result.json", "term": "K_OQ"}
-    told = page.get("/api/page", params=asked)
-    assert told.status_code == 200
-    assert told.json()["empty"] is True
-    assert ": the result has no K" in told.json()["html"]
+    response = page.get("/api/page", params=asked)
+    assert response.status_code == 200
+    assert response.json()["empty"] is True
+    assert ": the result has no K" in response.json()["html"]
     assert not page.get("/api/page", params=PAGE).json()["empty"]
 
 
@@ -85,9 +85,9 @@ def test_campaign_without_records_shows_forecast(page, folder):
     jobs = [page.get("/api/page", params=asked).json()["job"] for _ in range(2)]
     assert {(job["number"], job["kind"]) for job in jobs} == {(1, "forecast")}
     assert wait(page, 1)["state"] == "done"
-    told = page.get("/api/page", params=asked).json()
-    assert "u(K<sub>" in told["html"]
-    assert told["command"].startswith("counterspin plan --check ")
+    body = page.get("/api/page", params=asked).json()
+    assert "u(K<sub>" in body["html"]
+    assert body["command"].startswith("counterspin plan --check ")
 
 
 def test_forecast_exceeding_memory_fails_with_message(page, folder):

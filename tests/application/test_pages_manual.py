@@ -51,24 +51,24 @@ def test_unknown_manual_page_raises_not_found():
 
 
 def flatten_fields(fields):
-    for one in fields:
-        yield one
-        yield from flatten_fields(one.get("fields", []))
+    for field in fields:
+        yield field
+        yield from flatten_fields(field.get("fields", []))
 
 
 def test_form_sections_link_to_existing_manual_pages():
     links = {}
     for section in (*campaign_form(), *lab_form()):
         require_target(section["explained"])
-        for one in flatten_fields(section["fields"]):
-            rest = one["help"]
-            for words, address in one["links"]:
+        for field in flatten_fields(section["fields"]):
+            rest = field["help"]
+            for words, address in field["links"]:
                 require_target(address)
                 _, found, rest = rest.partition(words)
-                assert found, one
-                links[section["key"], one["key"]] = address
+                assert found, field
+                links[section["key"], field["key"]] = address
     assert links["certificate", "ledger"] == "certificate#keep-a-ledger"
     assert links["accelerometers", "output"] == "readings"
-    sections = {one["key"]: one["explained"] for one in campaign_form()}
+    sections = {section["key"]: section["explained"] for section in campaign_form()}
     assert sections["records"] == "campaign#records"
     assert sections["readings"] == "readings#keys"

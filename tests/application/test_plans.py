@@ -41,10 +41,10 @@ def test_limits_have_names_of_plan_file(planned):
     assert READING_PLAN_SLIDERS.keys() <= ReadingLimitsSettings.model_fields.keys()
     (listed,) = planned.get("/api/folder").json()["plans"]
     assert listed == {"name": "PLAN.toml", "title": "A day at the centrifuge"}
-    told = planned.get("/api/plan", params={"name": "PLAN.toml"}).json()
-    values = {limit["key"]: limit["value"] for limit in told["limits"]}
+    body = planned.get("/api/plan", params={"name": "PLAN.toml"}).json()
+    values = {limit["key"]: limit["value"] for limit in body["limits"]}
     assert (values["total_time"], values["settling"], values["runs"]) == (700.0, 10.0, 2)
-    assert all(limit["low"] <= limit["value"] <= limit["high"] for limit in told["limits"])
+    assert all(limit["low"] <= limit["value"] <= limit["high"] for limit in body["limits"])
 
 
 @pytest.mark.slow
@@ -91,8 +91,8 @@ def test_limits_are_in_units_of_plan_file(planned, folder):
     file = folder / "PLAN.toml"
     text = changed(file.read_text(), ('settling = "10 s"', 'settling = "0.5 min"'))
     file.write_text(text.replace('highest_rate = "1 rev/s"', 'highest_rate = "60 rpm"'))
-    told = planned.get("/api/plan", params={"name": "PLAN.toml"}).json()
-    limits = {limit["key"]: limit for limit in told["limits"]}
+    body = planned.get("/api/plan", params={"name": "PLAN.toml"}).json()
+    limits = {limit["key"]: limit for limit in body["limits"]}
     rate = limits["highest_rate"]
     assert (rate["unit"], rate["value"] / rate["factor"]) == ("rpm", pytest.approx(60.0))
     assert (limits["settling"]["unit"], limits["settling"]["factor"]) == ("min", 60.0)
@@ -112,9 +112,9 @@ def test_plan_page_of_poses_matches_command(page, folder):
     file = folder / "POSES.toml"
     # Few terms are fast.
     file.write_text(file.read_text() + '[model]\nassume = "all"\nterms = ["K_F", "K_I"]\n')
-    told = page.get("/api/plan", params={"name": "POSES.toml"}).json()
-    assert told["title"] == "Poses of a sensor"
-    (limit,) = told["limits"]
+    body = page.get("/api/plan", params={"name": "POSES.toml"}).json()
+    assert body["title"] == "Poses of a sensor"
+    (limit,) = body["limits"]
     assert (limit["key"], limit["value"], limit["low"], limit["high"]) == ("readings", 18, 4, 72)
     shown = get_plan_page(page, "POSES.toml", readings=12.0)
     text = file.read_text()
@@ -128,20 +128,20 @@ def test_plan_page_of_poses_matches_command(page, folder):
 
 
 def test_plan_file_can_be_edited(planned, folder):
-    told = planned.get("/api/plan-text", params={"name": "PLAN.toml"}).json()
-    assert [section["key"] for section in told["form"]][:2] == ["goal", "limits"]
-    assert told["problems"] == []
-    asked = {"file": "PLAN.toml", "text": told["text"], "path": ["limits", "settling"]}
+    body = planned.get("/api/plan-text", params={"name": "PLAN.toml"}).json()
+    assert [section["key"] for section in body["form"]][:2] == ["goal", "limits"]
+    assert body["problems"] == []
+    asked = {"file": "PLAN.toml", "text": body["text"], "path": ["limits", "settling"]}
     wrong = planned.post("/api/change", json=asked | {"value": "10 kg"}).json()
-    ((key, words),) = ((one["key"], one["words"]) for one in wrong["problems"])
+    ((key, words),) = ((problem["key"], problem["words"]) for problem in wrong["problems"])
     assert key == "limits.settling"
     assert "kg" in words
     good = planned.post("/api/change", json=asked | {"value": "20 s"}).json()
     assert good["problems"] == []
-    said = {"file": "PLAN.toml", "text": good["text"], "version": told["version"]}
+    said = {"file": "PLAN.toml", "text": good["text"], "version": body["version"]}
     assert planned.put("/api/text", json=said).is_success
     limits = planned.get("/api/plan", params={"name": "PLAN.toml"}).json()["limits"]
-    assert {one["key"]: one["value"] for one in limits}["settling"] == 20.0
+    assert {limit["key"]: limit["value"] for limit in limits}["settling"] == 20.0
     refusal = planned.put("/api/text", json=said | {"text": "schema = 1"})
     assert "nothing was saved" in refusal.json()["error"]
     (folder / "other.toml").write_text("schema = 1\n")

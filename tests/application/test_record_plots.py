@@ -52,21 +52,21 @@ def test_record_summary_has_rows_times_and_columns(page, spiked_record):
 def test_short_window_has_all_rows_and_long_window_keeps_outlier(page, spiked_record):
     time, east = spiked_record["time_s"], spiked_record["east_m"]
     whole = RUN | {"low": time[0], "high": time[-1]}
-    told = page.get("/api/record", params=whole | {"parts": 1000}).json()
-    assert told["whole"]
-    assert told["time"] == pytest.approx(time)
-    assert told["columns"][1] == pytest.approx(east, rel=1e-6)
-    told = page.get("/api/record", params=whole | {"parts": 10}).json()
-    assert not told["whole"]
-    assert len(told["time"]) == len(told["columns"][1]) == 20
-    assert np.all(np.diff(told["time"]) > 0.0)
-    assert max(told["columns"][1]) == 99.5
-    assert min(told["columns"][1]) == pytest.approx(east.min(), rel=1e-6)
+    body = page.get("/api/record", params=whole | {"parts": 1000}).json()
+    assert body["whole"]
+    assert body["time"] == pytest.approx(time)
+    assert body["columns"][1] == pytest.approx(east, rel=1e-6)
+    body = page.get("/api/record", params=whole | {"parts": 10}).json()
+    assert not body["whole"]
+    assert len(body["time"]) == len(body["columns"][1]) == 20
+    assert np.all(np.diff(body["time"]) > 0.0)
+    assert max(body["columns"][1]) == 99.5
+    assert min(body["columns"][1]) == pytest.approx(east.min(), rel=1e-6)
     # A closer look shows the rows themselves, and one more on either side.
     near = RUN | {"low": time[58], "high": time[62], "parts": 10}
-    told = page.get("/api/record", params=near).json()
-    assert told["time"] == pytest.approx(time[57:64])
-    assert told["columns"][1][3] == 99.5
+    body = page.get("/api/record", params=near).json()
+    assert body["time"] == pytest.approx(time[57:64])
+    assert body["columns"][1][3] == 99.5
 
 
 @pytest.mark.parametrize(
@@ -84,6 +84,6 @@ def test_window_query_status(page, query, status):
 
 def test_unreadable_record_states_cause(page, folder):
     (folder / "three" / "fast.csv").write_text("time_s,angle_rad,east_m,north_m\n1,2,three,4\n")
-    told = page.get("/api/record-about", params=RUN)
-    assert told.status_code == 422
-    assert told.json()["error"].startswith("three/fast.csv")
+    response = page.get("/api/record-about", params=RUN)
+    assert response.status_code == 422
+    assert response.json()["error"].startswith("three/fast.csv")

@@ -23,14 +23,14 @@ def test_data_minus_fit_equals_residuals(page, app, folder):
         "Qy: fit, parabola removed",
     ]
     window = RUN | {"low": about["first"], "high": about["last"], "parts": 4000}
-    told = page.get("/api/record", params=window).json()
-    assert told["whole"]
-    data, fitted = (np.array(column, float) for column in told["columns"][:2])
+    body = page.get("/api/record", params=window).json()
+    assert body["whole"]
+    data, fitted = (np.array(column, float) for column in body["columns"][:2])
     trace = Result.read(folder / "three" / "result.json").accelerometers["Qx"].traces["fast"]
     assert np.sqrt(np.mean((data - fitted) ** 2)) == pytest.approx(trace.rms, rel=1e-3)
     # 2.7e-5 g/g^2 at 1 rev/s is a wave of a millimetre, and the bias a parabola of metres.
     assert 1e-5 < np.ptp(fitted) < 0.1
-    time = np.array(told["time"])
+    time = np.array(body["time"])
     powers = np.vander(time, 3)
     assert np.abs(powers.T @ data).max() < 1e-6 * np.abs(powers.T @ np.abs(data)).max()
 

@@ -19,17 +19,17 @@ def test_study_job_reports_progress_and_writes_result(page, folder):
     kept = folder / "three" / "study.json"
     assert kept.read_text() == study(folder / "three", trials=6).to_json()
     assert page.get("/api/campaign", params={"name": "three"}).json()["study"] == job["output"]
-    told = page.get("/api/page", params={"kind": "study", "names": job["output"]}).json()
-    assert "6 trials" in told["html"]
-    assert "--trials=6" in told["command"]
+    body = page.get("/api/page", params={"kind": "study", "names": job["output"]}).json()
+    assert "6 trials" in body["html"]
+    assert "--trials=6" in body["command"]
 
 
 def test_invalid_study_is_rejected_before_start(page, folder):
     description = folder / "three" / "campaign.toml"
     text = description.read_text()
     description.write_text(text + "[study.vary]\ncolour = 1\n")
-    told = page.post("/api/study", json={"name": "three", "trials": 6}).json()
-    assert any(problem.startswith("study.vary.colour") for problem in told["problems"])
+    body = page.post("/api/study", json={"name": "three", "trials": 6}).json()
+    assert any(problem.startswith("study.vary.colour") for problem in body["problems"])
     # And at its key, while it is written.
     asked = {"file": "three/campaign.toml", "text": description.read_text()}
     wrong = page.post("/api/check", json=asked).json()["problems"]
@@ -87,6 +87,6 @@ def test_simulation_rejects_records_outside_folder(page, folder):
     (folder / "a" / "c" / "campaign.toml").write_text(
         text.replace('record = "slow.csv"', 'record = "../../slow.csv"')
     )
-    told = page.post("/api/simulation", json={"name": "a/c", "folder": "b"})
-    assert told.status_code == 422
-    assert "outside the served folder" in told.text
+    response = page.post("/api/simulation", json={"name": "a/c", "folder": "b"})
+    assert response.status_code == 422
+    assert "outside the served folder" in response.text

@@ -169,9 +169,12 @@ def test_unknown_asset_returns_404(page, name):
 
 @pytest.mark.parametrize("name", ["accelerometer", "arm", "double-turntable", "tumble"])
 def test_drawings_have_description_and_page_colours(anonymous, name):
-    told = anonymous.get(f"/assets/machine-{name}.svg")
-    assert told.headers["content-type"] == "image/svg+xml"
-    drawing, printed = ET.fromstring(told.text), ET.parse(IMAGES / f"machine-{name}.svg").getroot()
+    response = anonymous.get(f"/assets/machine-{name}.svg")
+    assert response.headers["content-type"] == "image/svg+xml"
+    drawing, printed = (
+        ET.fromstring(response.text),
+        ET.parse(IMAGES / f"machine-{name}.svg").getroot(),
+    )
     assert drawing.get("role") == "img"
     for attribute, tag in (("aria-labelledby", "title"), ("aria-describedby", "desc")):
         element = drawing.find(f"{SVG}{tag}")
@@ -183,5 +186,5 @@ def test_drawings_have_description_and_page_colours(anonymous, name):
     assert shapes == [
         (e.tag, e.get("d"), e.get("cx"), e.text) for e in printed if e.get("d") != background
     ]
-    colours = re.findall('(?:fill|stroke):([^;"]+)', told.text)
+    colours = re.findall('(?:fill|stroke):([^;"]+)', response.text)
     assert all(colour == "none" or colour.startswith("var(--") for colour in colours)

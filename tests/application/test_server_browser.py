@@ -773,7 +773,7 @@ def test_sample_campaign_opens_with_result(open_window, folder):
     assert tab.locator(".toured").count() == 1
     tour.get_by_role("button", name="Done").click()
     assert tab.locator(".toured").count() == 0
-    (found,) = Result.read(folder / "sample" / "result.json").accelerometers.values()
-    k_ii = found.coefficients["K_II"]
+    (accelerometer,) = Result.read(folder / "sample" / "result.json").accelerometers.values()
+    k_ii = accelerometer.coefficients["K_II"]
     truth = read_campaign(folder / "sample").simulation.truth.coefficients
     assert abs(k_ii.value - next(iter(truth.values()))["K_II"]) < 4.0 * k_ii.u

@@ -19,18 +19,18 @@ def result(folder):
     text = file.read_text(encoding="utf-8")
     file.write_text(text.replace('assume = "all"', ""), encoding="utf-8")
     assert load_document(file).get("model", {}).get("assume") is None
-    found = calibrate(folder / "three")
-    found.write(folder / "three" / "result.json", overwrite=True)
-    return found
+    calibration = calibrate(folder / "three")
+    calibration.write(folder / "three" / "result.json", overwrite=True)
+    return calibration
 
 
 def test_predicted_uncertainty_matches_recalibration(page, folder, result):
-    told = page.post("/api/what-if", json=QX).json()
+    body = page.post("/api/what-if", json=QX).json()
     k_ii = result.accelerometers["Qx"].coefficients["K_II"]
-    assert (told["symbol"], told["u"]) == ("K_II", pytest.approx(k_ii.u, rel=1e-9))
-    first = told["sources"][0]
+    assert (body["symbol"], body["u"]) == ("K_II", pytest.approx(k_ii.u, rel=1e-9))
+    first = body["sources"][0]
     assert (first["name"], first["words"]) == ("K_OO", "second-order output-axis coefficient")
-    assert 0.5 < first["share"] < 1.0 >= sum(one["share"] for one in told["sources"])
+    assert 0.5 < first["share"] < 1.0 >= sum(source["share"] for source in body["sources"])
     better = page.post("/api/what-if", json=QX | {"known": {"K_OO": 1e-7}}).json()
     stated = read_campaign(folder / "three").change(
         {"model": {"priors": {"Qx.K_OO": "0 ± 1e-7 g/g^2"}}}
@@ -38,7 +38,7 @@ def test_predicted_uncertainty_matches_recalibration(page, folder, result):
     again = calibrate(stated).accelerometers["Qx"].coefficients["K_II"]
     # The refitted noise differs in the sixth digit.
     assert better["u"] == pytest.approx(again.u, rel=1e-4)
-    (now,) = (one for one in better["sources"] if one["name"] == "K_OO")
+    (now,) = (source for source in better["sources"] if source["name"] == "K_OO")
     assert now["share"] < 0.1 * first["share"]
 
 
@@ -56,13 +56,13 @@ def test_invalid_what_if_value_is_rejected(page, result, said, status):
 
 
 def test_stated_value_is_prepared_in_copy(page, folder, result):
-    told = page.get("/api/ways", params=CAMPAIGN).json()
-    assert told["has_runs"]
+    body = page.get("/api/ways", params=CAMPAIGN).json()
+    assert body["has_runs"]
     page.post("/api/campaign", json={"name": "rest", "test": "tumble"})
     readings = page.get("/api/ways", params=CAMPAIGN | {"name": "rest"}).json()
     assert not readings["has_runs"]
-    assert [one["accelerometer"] for one in told["ways"]] == ["Qx", "Qy"]
-    stated = told["ways"][0]["stated"]
+    assert [improvement["accelerometer"] for improvement in body["ways"]] == ["Qx", "Qy"]
+    stated = body["ways"][0]["stated"]
     assert (stated["source"], stated["known"]) == ("K_OO", "0.20 µg/g²")
     before = (folder / "three" / "campaign.toml").read_bytes()
     made = page.post("/api/way", json=CAMPAIGN | {"accelerometer": "Qx", "way": "state"}).json()
@@ -82,9 +82,9 @@ def test_additional_runs_are_searched_and_prepared(page, app, folder, result):
     assert page.post("/api/way", json=way).status_code == 404
     app.jobs = InlineJobs()
     assert page.post("/api/ways", json={"name": "three"}).json()["state"] == "done"
-    told = page.get("/api/ways", params=CAMPAIGN).json()
-    assert told["searched"]
-    runs = told["ways"][0]["runs"]
+    body = page.get("/api/ways", params=CAMPAIGN).json()
+    assert body["searched"]
+    runs = body["ways"][0]["runs"]
     assert runs["attitude"].startswith(("90 deg about", "180 deg about"))
     assert page.post("/api/way", json=way).json() == {"name": "three-further-runs", "key": None}
     made = read_campaign(folder / "three-further-runs")

@@ -137,9 +137,9 @@ class WorkerKiller:
 def test_campaign_is_retried_after_death_of_worker(folders, tmp_path):
     held = WorkerKiller(tmp_path / "held", folders[0], pool_pids, times=1)
     several = [folders[0], tmp_path / "held", folders[2]]
-    found = calibrate_many(several, workers=Workers(2))
+    result = calibrate_many(several, workers=Workers(2))
     assert held.killed == 1
-    assert outcomes(found) == [calibrate_alone(folders[place]) for place in (0, 0, 2)]
+    assert outcomes(result) == [calibrate_alone(folders[place]) for place in (0, 0, 2)]
 
 
 @pytest.mark.slow
@@ -192,9 +192,9 @@ def test_dead_dask_worker_loses_no_campaign(folders, cluster, tmp_path):
 
     held = WorkerKiller(tmp_path / "held", folders[0], cluster_pids, times=1)
     several = [folders[0], tmp_path / "held", folders[2]]
-    found = calibrate_many(several, workers=Workers(cluster=cluster.scheduler_address))
+    result = calibrate_many(several, workers=Workers(cluster=cluster.scheduler_address))
     assert held.killed == 1
-    assert outcomes(found) == [calibrate_alone(folders[place]) for place in (0, 0, 2)]
+    assert outcomes(result) == [calibrate_alone(folders[place]) for place in (0, 0, 2)]
 
 
 @pytest.fixture

@@ -57,9 +57,14 @@ def test_true_radius_is_good(sound_records, tmp_path, capsys):
     status, out, err = run_calibrate(capsys, sound_records, "--json", tmp_path / "r.json")
     assert (status, err) == (0, "")
     assert "contradict" not in out
-    found = Result.read(tmp_path / "r.json")
-    assert all(one.state != "contradicted" for one in found.accelerometers.values())
-    assert all(one.conformity["K_II"].verdict == "pass" for one in found.accelerometers.values())
+    result = Result.read(tmp_path / "r.json")
+    assert all(
+        accelerometer.state != "contradicted" for accelerometer in result.accelerometers.values()
+    )
+    assert all(
+        accelerometer.conformity["K_II"].verdict == "pass"
+        for accelerometer in result.accelerometers.values()
+    )
 
 
 @pytest.mark.parametrize("noise", ["given", "estimated"])
@@ -79,11 +84,11 @@ def test_wrong_radius_is_contradicted_in_all_outputs(noise, request, tmp_path, c
     first = document["findings"][0]
     assert (first["code"], first["subject"]) == ("wrong-input", "centrifuge.radius")
     assert re.search(r"a radius of the centrifuge of (2\.499\d+|2\.500\d+) ±", first["text"])
-    assert {other["code"] for other in first["explains"]} & {"lack-of-fit", "noise-implausible"}
+    assert {finding["code"] for finding in first["explains"]} & {"lack-of-fit", "noise-implausible"}
     assert first["contradicts"]
     for name, found in document["accelerometers"].items():
         assert found["state"] == "contradicted"
-        assert [other["code"] for other in found["findings"]] == ["wrong-input"], name
+        assert [finding["code"] for finding in found["findings"]] == ["wrong-input"], name
         verdict = found["conformity"]["K_II"]
         assert verdict["verdict"] == "undecided"
         assert verdict["reason"].startswith("the records contradict the result")
@@ -94,9 +99,9 @@ def test_accepted_misfit_exits_with_0_and_is_stored(wrong_radius, tmp_path, caps
     status, out, err = run_calibrate(capsys, *words)
     assert (status, err) == (0, "")
     assert f"The misfit was accepted: {REASON}" in out
-    found = Result.read(tmp_path / "r.json")
-    assert (found.state, found.accepted_misfit) == ("contradicted", REASON)
-    verdict = found.accelerometers["Qx"].conformity["K_II"]
+    result = Result.read(tmp_path / "r.json")
+    assert (result.state, result.accepted_misfit) == ("contradicted", REASON)
+    verdict = result.accelerometers["Qx"].conformity["K_II"]
     assert verdict.reason is None or "contradict" not in verdict.reason
 
 

@@ -26,9 +26,9 @@ def reference(plain_folder):
 @pytest.mark.parametrize("name", EXPORTS)
 def test_result_is_independent_of_export_format(tmp_path, plain_folder, reference, name):
     write_export(plain_folder, tmp_path / "lab", EXPORTS[name])
-    found = read_result(tmp_path / "lab").accelerometers["Qx"].coefficients["K_II"]
-    assert abs(found.value - reference.value) < 0.01 * reference.u
-    assert found.u == pytest.approx(reference.u, rel=1e-3)
+    coefficient = read_result(tmp_path / "lab").accelerometers["Qx"].coefficients["K_II"]
+    assert abs(coefficient.value - reference.value) < 0.01 * reference.u
+    assert coefficient.u == pytest.approx(reference.u, rel=1e-3)
 
 
 def test_without_option_is_equivalent_to_skip(tmp_path, plain_folder, capsys):

@@ -70,11 +70,11 @@ def test_provenance_states_inputs_in_memory(found, memory_campaign, written_fold
     for name, values in records["slow"].items():
         digest.update(name.encode() + b"\0" + values.tobytes())
     assert provenance.inputs["slow.parquet"] == f"sha256:{digest.hexdigest()}"
-    said = " ".join(block_texts(found))
+    text = " ".join(block_texts(found))
     assert (
-        "Some inputs are not files: campaign.toml (made in Python); slow.parquet (arrays)" in said
+        "Some inputs are not files: campaign.toml (made in Python); slow.parquet (arrays)" in text
     )
-    assert "counterspin calibrate" not in said
+    assert "counterspin calibrate" not in text
 
 
 def test_changed_description_is_marked_with_new_checksum(written_folder):

@@ -43,9 +43,9 @@ def found(records, request):
 
 def test_result_contains_verdicts(found, tmp_path):
     verdicts = {
-        (name, symbol): one.verdict
+        (name, symbol): verdict.verdict
         for name, accelerometer in found.accelerometers.items()
-        for symbol, one in accelerometer.conformity.items()
+        for symbol, verdict in accelerometer.conformity.items()
     }
     assert verdicts == {
         ("Qx", "K_II"): "pass",
@@ -78,7 +78,7 @@ def test_campaign_without_specification_has_no_verdict(records, tmp_path):
     for record in records.glob("*.csv"):
         (tmp_path / record.name).write_bytes(record.read_bytes())
     plain = calibrate(write(tmp_path, SMALL).parent, method="two-stage")
-    assert all(not one.conformity for one in plain.accelerometers.values())
+    assert all(not accelerometer.conformity for accelerometer in plain.accelerometers.values())
     assert list(conformity_blocks(plain)) == []
 
 
@@ -144,14 +144,14 @@ def test_report_shows_verdicts_before_coefficients(found):
         ("Qy", "K_PO", "-50 to 50", "ug/g^2", "undecided", "-", "-"),
     ]
     assert table.quiet == {1, 3}
-    told = joined_text(blocks)
-    assert "K_II of Qy does not meet the specification." in told
+    text = joined_text(blocks)
+    assert "K_II of Qy does not meet the specification." in text
     assert (
         "Conformity of K_PO of Qx is undecided, because K_PO is not among the terms of the model."
-        in told
+        in text
     )
-    assert "Decision rule: guard bands of width w." in told
-    assert "Widths w of the guard bands: K_II of Qx 0." in told
+    assert "Decision rule: guard bands of width w." in text
+    assert "Widths w of the guard bands: K_II of Qx 0." in text
 
 
 @pytest.mark.parametrize(
@@ -168,11 +168,11 @@ def test_report_shows_verdicts_before_coefficients(found):
     ],
 )
 def test_decision_rule_is_stated(found, rule, words):
-    told = joined_text(
+    text = joined_text(
         conformity_blocks(judge_conformity(found, make_specifications(K_II="<= 1 g/g^2", **rule)))
     )
-    assert words in told
-    assert "guard bands" not in told
+    assert words in text
+    assert "guard bands" not in text
 
 
 def test_report_has_global_risk_for_stated_process(found):

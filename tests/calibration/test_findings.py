@@ -32,10 +32,10 @@ def finding_codes(found):
 
 
 def test_good_result_has_no_findings():
-    found = judge_changed()
-    assert (found.state, found.findings) == ("good", [])
-    assert found.accelerometers["Qx"].state == "good"
-    assert refusal_reason(found, ["Qx"]) is None
+    calibration = judge_changed()
+    assert (calibration.state, calibration.findings) == ("good", [])
+    assert calibration.accelerometers["Qx"].state == "good"
+    assert refusal_reason(calibration, ["Qx"]) is None
 
 
 def make_jackknife(z, dof=None):
@@ -95,14 +95,16 @@ NOTHING = {"K_II": {"value": None, "u": None, "unit": "g/g^2", "estimated": Fals
     ],
 )
 def test_finding_and_state_of_change(change, code, state, size):
-    found = judge_changed(**change)
-    assert finding_codes(found) == ([] if code is None else [code])
-    assert found.state == found.accelerometers["Qx"].state == state
-    assert found.accelerometers["Qx"].findings == found.findings
+    calibration = judge_changed(**change)
+    assert finding_codes(calibration) == ([] if code is None else [code])
+    assert calibration.state == calibration.accelerometers["Qx"].state == state
+    assert calibration.accelerometers["Qx"].findings == calibration.findings
     if code is not None:
-        assert found.findings[0].size == (None if size is None else pytest.approx(size, rel=1e-4))
-        assert found.findings[0].contradicts == (state == "contradicted")
-        assert found.findings[0].subject.startswith("Qx")
+        assert calibration.findings[0].size == (
+            None if size is None else pytest.approx(size, rel=1e-4)
+        )
+        assert calibration.findings[0].contradicts == (state == "contradicted")
+        assert calibration.findings[0].subject.startswith("Qx")
 
 
 def _make_undetermined(symbol="K_III", *, requested=True):
@@ -110,11 +112,11 @@ def _make_undetermined(symbol="K_III", *, requested=True):
 
 
 def test_undetermined_requested_term_has_state_not_determined():
-    found = judge_changed(
+    calibration = judge_changed(
         findings=[_make_undetermined(), _make_undetermined("K_I", requested=False)]
     )
-    assert found.state == found.accelerometers["Qx"].state == "not-determined"
-    assert [finding.subject for finding in found.findings] == ["Qx.K_III", "Qx.K_I"]
+    assert calibration.state == calibration.accelerometers["Qx"].state == "not-determined"
+    assert [finding.subject for finding in calibration.findings] == ["Qx.K_III", "Qx.K_I"]
     # Reservations of any size follow it; a contradiction precedes it.
     doubtful = judge_changed(findings=[_make_undetermined()], two_stage=make_two_stage(-10.0))
     assert finding_codes(doubtful) == ["not-determined", "methods-disagree"]
@@ -123,8 +125,8 @@ def test_undetermined_requested_term_has_state_not_determined():
 
 
 def test_undetermined_usual_term_is_information():
-    found = judge_changed(findings=[_make_undetermined(requested=False)])
-    assert found.state == "reservations"
+    calibration = judge_changed(findings=[_make_undetermined(requested=False)])
+    assert calibration.state == "reservations"
 
 
 def test_as_printed_model_is_never_good():
@@ -134,12 +136,12 @@ def test_as_printed_model_is_never_good():
 
 
 def test_findings_are_in_order_of_severity():
-    found = judge_changed(
+    calibration = judge_changed(
         jackknife=make_jackknife(-6.1),
         two_stage=make_two_stage(10.0),
         noise=make_walk_noise(5000.0),
     )
-    assert finding_codes(found) == ["noise-implausible", "run-disagrees", "methods-disagree"]
+    assert finding_codes(calibration) == ["noise-implausible", "run-disagrees", "methods-disagree"]
 
 
 def test_cause_that_explains_most_comes_first():
@@ -161,8 +163,8 @@ def test_wrong_noise_is_single_finding():
         two_stage=make_two_stage(-29.0),
     )
     assert finding_codes(found) == ["lack-of-fit"]
-    other = judge_changed(residual=make_residual(10.0), jackknife=make_jackknife(65.0))
-    assert finding_codes(other) == ["lack-of-fit", "run-disagrees"]
+    calibration = judge_changed(residual=make_residual(10.0), jackknife=make_jackknife(65.0))
+    assert finding_codes(calibration) == ["lack-of-fit", "run-disagrees"]
 
 
 def test_findings_of_checks_are_also_warnings():
@@ -181,29 +183,29 @@ def test_state_of_result_is_worst_of_accelerometers():
         for change in ({}, {"jackknife": make_jackknife(-6.1)})
     )
     both = result().model_copy(update={"accelerometers": {"Qx": one, "Qy": two}})
-    found = judge_result(both)
-    assert found.accelerometers["Qx"].state == "good"
-    assert found.accelerometers["Qy"].state == "contradicted"
-    assert found.state == "contradicted"
-    assert refusal_reason(found, ["Qx"]) is None
-    assert refusal_reason(found, ["Qx", "Qy"]).startswith(
+    calibration = judge_result(both)
+    assert calibration.accelerometers["Qx"].state == "good"
+    assert calibration.accelerometers["Qy"].state == "contradicted"
+    assert calibration.state == "contradicted"
+    assert refusal_reason(calibration, ["Qx"]) is None
+    assert refusal_reason(calibration, ["Qx", "Qy"]).startswith(
         "the records contradict the result for Qy: "
     )
 
 
 def test_reason_is_stored_only_for_contradicted_result():
     assert judge_result(result(), "it is fine").accepted_misfit is None
-    found = judge_result(result(jackknife=make_jackknife(-6.1)), "it is fine")
-    assert found.state == "contradicted"
-    assert found.accepted_misfit == "it is fine"
-    assert refusal_reason(found, ["Qx"]) is None
+    calibration = judge_result(result(jackknife=make_jackknife(-6.1)), "it is fine")
+    assert calibration.state == "contradicted"
+    assert calibration.accepted_misfit == "it is fine"
+    assert refusal_reason(calibration, ["Qx"]) is None
 
 
 def test_judging_is_idempotent(tmp_path):
-    found = judge_changed(jackknife=make_jackknife(-6.1))
-    assert judge_result(found) == found
-    found.write(tmp_path / "r.json")
-    assert judge_result(Result.read(tmp_path / "r.json")) == found
+    calibration = judge_changed(jackknife=make_jackknife(-6.1))
+    assert judge_result(calibration) == calibration
+    calibration.write(tmp_path / "r.json")
+    assert judge_result(Result.read(tmp_path / "r.json")) == calibration
 
 
 @pytest.mark.parametrize(("dof", "contradicts"), [(2.0, False), (40.0, True)])
@@ -248,8 +250,8 @@ def test_commands_reject_edited_result(edited_result, tmp_path, capsys, words):
     (tmp_path / "r.json").write_text(json.dumps(edited_result))
     before = sorted(tmp_path.iterdir())
     assert cli.main(words) == 1
-    told = capsys.readouterr()
-    assert "the seal does not match" in " ".join(f"{told.out} {told.err}".split())
+    captured = capsys.readouterr()
+    assert "the seal does not match" in " ".join(f"{captured.out} {captured.err}".split())
     assert sorted(tmp_path.iterdir()) == before
 
 
@@ -336,9 +338,11 @@ def test_platform_and_unstated_terms_of_earlier_result_are_checked(tmp_path):
     document = json.loads(FROZEN.read_text(encoding="utf-8"))
     document["platform"]["platform.drift.north"] |= {"value": 1e-3, "u": 1e-6}
     (tmp_path / "old.json").write_text(json.dumps(document), encoding="utf-8")
-    found = judge_result(Result.read(tmp_path / "old.json"))
-    assert ("incredible", "platform.drift.north") in {(f.code, f.subject) for f in found.findings}
-    assert found.state == "contradicted"
+    calibration = judge_result(Result.read(tmp_path / "old.json"))
+    assert ("incredible", "platform.drift.north") in {
+        (f.code, f.subject) for f in calibration.findings
+    }
+    assert calibration.state == "contradicted"
 
 
 def test_result_without_seal_is_checked_for_incredible_values(tmp_path):

@@ -18,8 +18,8 @@ def make_cause(*remaining, names=("Qx",)):
 
 def explained_codes(*found, causes, name="Qx"):
     return [
-        (one.code, [other.code for other in one.explains])
-        for one in group_by_cause(name, found, causes)
+        (finding.code, [other.code for other in finding.explains])
+        for finding in group_by_cause(name, found, causes)
     ]
 
 
@@ -55,7 +55,7 @@ def test_cause_has_severity_of_explained_findings():
 def test_common_cause_of_two_accelerometers_is_single_finding():
     own = group_by_cause("Qx", [MISFIT], [make_cause()])
     (both,) = merge_shared([*own, HEAD.model_copy(update={"explains": [RUN]})])
-    assert [other.code for other in both.explains] == ["lack-of-fit", "run-disagrees"]
+    assert [finding.code for finding in both.explains] == ["lack-of-fit", "run-disagrees"]
 
 
 def test_cause_precedes_unexplained_findings():
@@ -63,5 +63,5 @@ def test_cause_precedes_unexplained_findings():
     changes = {"findings": [MISFIT, great]}
     causes = [make_cause(("run-disagrees", "Qx.K_II", 5e3))]
     judged = judge_result(result(**changes), causes=causes)
-    assert [one.code for one in judged.findings][:2] == ["wrong-input", "run-disagrees"]
+    assert [finding.code for finding in judged.findings][:2] == ["wrong-input", "run-disagrees"]
     assert judged.state == "contradicted"

@@ -90,9 +90,9 @@ def assert_true(result, truth=None, limit=3.5):
     """Assert that the true values are within the intervals and priors are unchanged."""
     for name, values in (truth or TRUTH).items():
         for symbol, value in values.items():
-            found = result.accelerometers[name].coefficients[symbol]
-            if found.estimated:
-                assert abs(found.value - value) < limit * found.u, (name, symbol)
+            coefficient = result.accelerometers[name].coefficients[symbol]
+            if coefficient.estimated:
+                assert abs(coefficient.value - value) < limit * coefficient.u, (name, symbol)
 
 
 @pytest.fixture(scope="module")
@@ -108,15 +108,15 @@ def result(campaign):
 def test_truth_is_recovered(result):
     assert_true(result)
     for name in ("Qx", "Qy"):
-        one = result.accelerometers[name]
+        accelerometer = result.accelerometers[name]
         assert k_ii_of(result, name).estimated
         assert k_ii_of(result, name).u < 1e-6
-        assert one.residual.rms == pytest.approx(0.01, rel=0.05)
-        assert one.residual.lack_of_fit_p > 1e-3
-        assert one.residual.chi2 == pytest.approx(
-            one.residual.dof, abs=4 * math.sqrt(2 * one.residual.dof)
+        assert accelerometer.residual.rms == pytest.approx(0.01, rel=0.05)
+        assert accelerometer.residual.lack_of_fit_p > 1e-3
+        assert accelerometer.residual.chi2 == pytest.approx(
+            accelerometer.residual.dof, abs=4 * math.sqrt(2 * accelerometer.residual.dof)
         )
-        assert not one.noise["displacement"].estimated
+        assert not accelerometer.noise["displacement"].estimated
         assert k_ii_of(result, name).dof is None
     # Qy has no priors.
     for c in result.accelerometers["Qy"].coefficients.values():
@@ -172,9 +172,9 @@ def test_json_follows_contract(result, campaign, tmp_path):
 
 def test_budget_sums_to_u(result):
     for name in ("Qx", "Qy"):
-        one = result.accelerometers[name]
-        for symbol, lines in one.budget.items():
-            whole = one.coefficients[symbol].u ** 2
+        accelerometer = result.accelerometers[name]
+        for symbol, lines in accelerometer.budget.items():
+            whole = accelerometer.coefficients[symbol].u ** 2
             squares = math.fsum(line.contribution**2 for line in lines)
             assert squares == pytest.approx(whole, rel=1e-10)
             assert math.fsum(line.share for line in lines) == pytest.approx(1.0, abs=1e-10)
@@ -183,26 +183,26 @@ def test_budget_sums_to_u(result):
 
 def test_unstated_noise_is_estimated_and_marked(tmp_path):
     text = remove_lines(BASE, r'^\[noise\]\ndisplacement = "0.01 m"\n')
-    found = calibrate(simulate_folder(tmp_path, text))
-    assert_true(found)
+    calibration = calibrate(simulate_folder(tmp_path, text))
+    assert_true(calibration)
     for name in ("Qx", "Qy"):
-        one = found.accelerometers[name]
-        noise = one.noise["displacement"]
+        accelerometer = calibration.accelerometers[name]
+        noise = accelerometer.noise["displacement"]
         assert noise.estimated
         assert noise.value == pytest.approx(0.01, abs=5 * noise.u)
-        assert noise.u == pytest.approx(0.01 / math.sqrt(2 * one.residual.dof), rel=0.05)
-        assert one.residual.chi2 is None
+        assert noise.u == pytest.approx(0.01 / math.sqrt(2 * accelerometer.residual.dof), rel=0.05)
+        assert accelerometer.residual.chi2 is None
         # An undetected walk would affect K_II more than K_I.
-        assert k_ii_of(found, name).dof < 0.1 * one.residual.dof
-        assert one.coefficients["K_III"].dof > 0.5 * one.residual.dof
-        lines = {line.source: line for line in one.budget["K_II"]}
+        assert k_ii_of(calibration, name).dof < 0.1 * accelerometer.residual.dof
+        assert accelerometer.coefficients["K_III"].dof > 0.5 * accelerometer.residual.dof
+        lines = {line.source: line for line in accelerometer.budget["K_II"]}
         unseen = lines[f"undetected noise of {name}"]
         assert unseen.unit == "m/s^2/Hz^0.5"
         assert lines[f"noise of {name}"].contribution ** 2 + unseen.contribution**2 == (
-            pytest.approx(k_ii_of(found, name).u_noise ** 2, rel=1e-9)
+            pytest.approx(k_ii_of(calibration, name).u_noise ** 2, rel=1e-9)
         )
-        assert one.noise["acceleration"].value == 0.0
-        assert one.noise["acceleration"].estimated
+        assert accelerometer.noise["acceleration"].value == 0.0
+        assert accelerometer.noise["acceleration"].estimated
 
 
 def test_noisier_run_has_separate_noise(tmp_path, capsys):
@@ -241,18 +241,18 @@ def test_both_components_of_mixed_noise_are_estimated(tmp_path):
         ),
         ("[truth.noise]\n", '[truth.noise]\nacceleration = "1e-4 g/Hz^0.5"\n'),
     )
-    found = calibrate(simulate_folder(tmp_path, text))
+    calibration = calibrate(simulate_folder(tmp_path, text))
     for name, values in TRUTH.items():
-        one = found.accelerometers[name]
-        assert one.noise["displacement"].value == pytest.approx(0.01, rel=0.1)
-        walk = one.noise["acceleration"]
+        accelerometer = calibration.accelerometers[name]
+        assert accelerometer.noise["displacement"].value == pytest.approx(0.01, rel=0.1)
+        walk = accelerometer.noise["acceleration"]
         assert walk.unit == "m/s^2/Hz^0.5"
         assert walk.value == pytest.approx(1e-4 * 9.8066, abs=4 * walk.u)
-        if one.coefficients["K_F"].estimated:
-            assert one.coefficients["K_F"].dof < 300
-        assert one.coefficients["K_I"].estimated == (name == "Qy")
+        if accelerometer.coefficients["K_F"].estimated:
+            assert accelerometer.coefficients["K_F"].dof < 300
+        assert accelerometer.coefficients["K_I"].estimated == (name == "Qy")
         for symbol, value in values.items():
-            c = one.coefficients[symbol]
+            c = accelerometer.coefficients[symbol]
             if c.estimated:
                 assert abs(c.value - value) < c.u * stdtrit(c.dof or 1e9, 1 - 1e-4)
 
@@ -262,21 +262,21 @@ def test_confounded_terms_have_no_value_and_named_combination(tmp_path):
         remove_lines(BASE, r"^scale_factor.*\n", r"^bias.*\n"),
         ('"K_III"]', '"K_III", "K_IP", "K_PP"]'),
     )
-    found = calibrate(simulate_folder(tmp_path, text))
+    calibration = calibrate(simulate_folder(tmp_path, text))
     for name in ("Qx", "Qy"):
-        one = found.accelerometers[name]
+        accelerometer = calibration.accelerometers[name]
         for symbol in ("K_IP", "K_PP"):
-            c = one.coefficients[symbol]
+            c = accelerometer.coefficients[symbol]
             assert (c.estimated, c.value, c.u) == (False, None, None)
-        pair = next(x for x in one.confounded if set(x.terms) == {"K_I", "K_IP"})
+        pair = next(x for x in accelerometer.confounded if set(x.terms) == {"K_I", "K_IP"})
         assert pair.determined == "K_I - K_IP"
         assert abs(pair.value - TRUTH[name]["K_I"]) < 4 * pair.u
-        assert k_ii_of(found, name).estimated
-    sums = [x for x in found.accelerometers["Qx"].confounded if "K_PP" in x.terms]
+        assert k_ii_of(calibration, name).estimated
+    sums = [x for x in calibration.accelerometers["Qx"].confounded if "K_PP" in x.terms]
     assert sums
     assert any(x.determined.startswith("K_F + K_PP") for x in sums)
-    assert any("do not determine K_PP" in w for w in found.accelerometers["Qx"].warnings)
-    assert_true(found)
+    assert any("do not determine K_PP" in w for w in calibration.accelerometers["Qx"].warnings)
+    assert_true(calibration)
 
 
 def test_undetermined_coefficient_keeps_prior(tmp_path):
@@ -292,12 +292,12 @@ def test_rotation_is_estimated_without_angle_and_warned(tmp_path):
         ('ripple = [{ harmonic = 1, ratio = 5e-7, phase = "30 deg" }]\n', ""),
         ('angle = "1e-6 rad"\n', ""),
     )
-    found = calibrate(simulate_folder(tmp_path, text))
-    assert any("no angle" in warning for warning in found.warnings)
-    assert_true(found)
-    assert k_ii_of(found).estimated
+    calibration = calibrate(simulate_folder(tmp_path, text))
+    assert any("no angle" in warning for warning in calibration.warnings)
+    assert_true(calibration)
+    assert k_ii_of(calibration).estimated
     for name, rate in (("run1", math.pi / 2), ("run2", math.pi), ("run3", 2 * math.pi)):
-        run = found.runs[name]
+        run = calibration.runs[name]
         assert abs(run.rate - rate * (1 + 1e-4)) < 4 * run.u_rate
         assert run.u_rate < 5e-5 * rate
 
@@ -326,16 +326,16 @@ def test_outliers_gaps_and_repeated_rows_are_counted_and_harmless(tmp_path, samp
         again = frame.height // 4
         frame = pl.concat([frame[: again + 1], frame[again:]])  # one row twice
         frame.write_csv(folder / f"{run}.csv")
-    found = calibrate(folder)
-    assert_true(found)
+    calibration = calibrate(folder)
+    assert_true(calibration)
     for run, count in planted.items():
-        seen = found.runs[run].counts
+        seen = calibration.runs[run].counts
         assert count <= seen["outliers"] <= count + 1 + 0.001 * seen["rows"]
         assert seen["repeated"] == 1
         assert seen["gaps"] >= 1
-        assert found.runs[run].rejected == seen["outliers"] + seen["repeated"] + seen["empty"]
+        assert calibration.runs[run].rejected == seen["outliers"] + seen["repeated"] + seen["empty"]
     for name in ("Qx", "Qy"):
-        assert found.accelerometers[name].residual.rms == pytest.approx(0.01, rel=0.1)
+        assert calibration.accelerometers[name].residual.rms == pytest.approx(0.01, rel=0.1)
 
 
 # Uncertain inputs ---------------------------------------------------------------------------------
@@ -430,14 +430,14 @@ def test_runs_that_differ_by_held_terms_are_consistent(tmp_path):
             ('displacement = "0.01 m"', 'displacement = "0.001 m"'),
         ),
     )
-    found = calibrate(simulate_folder(tmp_path, text))
-    one = found.accelerometers["Qx"]
-    assert_true(found)
-    assert k_ii_of(found).u_stated > 3 * k_ii_of(found).u_noise
-    assert abs(k_ii_of(found).value - 2.7e-5) > 3 * k_ii_of(found).u_noise
-    assert all(abs(x.z) < 3 for x in one.jackknife)
-    assert not any("disagrees" in w for w in one.warnings)
-    assert abs(one.two_stage.z) < 3.5
+    calibration = calibrate(simulate_folder(tmp_path, text))
+    accelerometer = calibration.accelerometers["Qx"]
+    assert_true(calibration)
+    assert k_ii_of(calibration).u_stated > 3 * k_ii_of(calibration).u_noise
+    assert abs(k_ii_of(calibration).value - 2.7e-5) > 3 * k_ii_of(calibration).u_noise
+    assert all(abs(x.z) < 3 for x in accelerometer.jackknife)
+    assert not any("disagrees" in w for w in accelerometer.warnings)
+    assert abs(accelerometer.two_stage.z) < 3.5
 
 
 @pytest.mark.slow
@@ -445,11 +445,11 @@ def test_two_stage_result_agrees_within_uncertainty_of_difference(tmp_path):
     z = []
     for seed in range(12):
         text = changed(BASE, ("seed = 7", f"seed = {seed}"), ("0.01 m", "0.003 m"))
-        found = calibrate(simulate_folder(tmp_path / str(seed), text))
+        calibration = calibrate(simulate_folder(tmp_path / str(seed), text))
         for name in ("Qx", "Qy"):
-            comparison = found.accelerometers[name].two_stage
+            comparison = calibration.accelerometers[name].two_stage
             assert comparison.difference == pytest.approx(
-                comparison.value - k_ii_of(found, name).value, abs=1e-15
+                comparison.value - k_ii_of(calibration, name).value, abs=1e-15
             )
             z.append(comparison.z)
     assert abs(np.sum(np.square(z)) - len(z)) < 4 * math.sqrt(2 * len(z))
@@ -503,12 +503,12 @@ def test_truth_is_recovered_from_other_observables(tmp_path, key, unit, noise):
         ),
         ('displacement = "0.01 m"', noise),
     )
-    found = calibrate(simulate_folder(tmp_path, text))
-    assert_true(found)
+    calibration = calibrate(simulate_folder(tmp_path, text))
+    assert_true(calibration)
     for name in ("Qx", "Qy"):
-        assert k_ii_of(found, name).estimated
-        assert found.accelerometers[name].residual.lack_of_fit_p > 1e-3
-        assert found.accelerometers[name].two_stage is None
+        assert k_ii_of(calibration, name).estimated
+        assert calibration.accelerometers[name].residual.lack_of_fit_p > 1e-3
+        assert calibration.accelerometers[name].two_stage is None
 
 
 @pytest.mark.parametrize(
@@ -561,10 +561,10 @@ def test_machine_errors_are_estimated_without_bias_of_coefficients(
         ('"K_III"]', f'"K_III", {terms}]'),
         ("[truth.noise]", f"{table}[truth.noise]"),
     )
-    found = calibrate(simulate_folder(tmp_path, text))
-    assert_true(found)
+    calibration = calibrate(simulate_folder(tmp_path, text))
+    assert_true(calibration)
     for symbol, value in expected.items():
-        c = found.platform[symbol]
+        c = calibration.platform[symbol]
         assert c.estimated
         assert abs(c.value - value) < 4 * c.u, symbol
         assert value == 0.0 or abs(value) > 10 * c.u, symbol
@@ -602,17 +602,17 @@ def test_slopes_are_estimated_without_bias_of_coefficients(tmp_path, symbol, siz
         ('"K_III"]', f'"K_III", "{symbol}"]'),
         ("[truth.Qx]\n", f'[truth.Qx]\n"{symbol}" = "{size!r} {unit}"\n'),
     )
-    found = calibrate(simulate_folder(tmp_path, text))
-    assert_true(found)
+    calibration = calibrate(simulate_folder(tmp_path, text))
+    assert_true(calibration)
     for name, value in (("Qx", size), ("Qy", 0.0)):
-        c = found.accelerometers[name].coefficients[symbol]
+        c = calibration.accelerometers[name].coefficients[symbol]
         assert c.estimated
         assert c.unit == unit
         assert abs(c.value - value) < 4 * c.u
         assert abs(size) > 10 * c.u
-    assert not found.platform
+    assert not calibration.platform
     # The slope is in the table of its accelerometer only.
-    assert found.accelerometers["Qx"].correlation.terms.count(symbol) == 1
+    assert calibration.accelerometers["Qx"].correlation.terms.count(symbol) == 1
     # If neither requested nor stated, it is in u with its typical size.
     unstated = changed(
         text,
@@ -635,9 +635,9 @@ def test_both_methods_hold_heating(tmp_path):
         ("[truth.Qy]\n", '[truth.Qy]\n"K_F.heating" = "3e-6 g/g^2"\n'),
     )
     folder = simulate_folder(tmp_path, considered)
-    found = calibrate(folder)
-    assert_true(found)
-    qx = found.accelerometers["Qx"]
+    calibration = calibrate(folder)
+    assert_true(calibration)
+    qx = calibration.accelerometers["Qx"]
     # The t^2 coefficient of K_II has half of the squared force's mean: 2 of the heating.
     assert qx.coefficients["K_II"].u_stated == pytest.approx(2e-6, rel=0.01)
     (line,) = (line for line in qx.budget["K_II"] if "heating" in line.source)
@@ -656,20 +656,20 @@ def test_bias_walk_is_weighted_and_reported(tmp_path, capsys):
         ("[truth.noise]\n", '[truth.noise]\nflicker = "20 ug"\nbias_walk = "60 ug/h^0.5"\n'),
     )
     folder = simulate_folder(tmp_path, text)
-    found = calibrate(folder)
-    assert_true(found)
+    calibration = calibrate(folder)
+    assert_true(calibration)
     steady = calibrate(
         simulate_folder(
             tmp_path / "steady", changed(text, ('flicker = "20 ug"\nbias_walk', "bias_walk"))
         )
     )
-    for name, one in found.accelerometers.items():
-        assert one.two_stage is None
-        assert one.residual.lack_of_fit_p > 1e-3
-        flicker, walk = one.noise["flicker"], one.noise["bias_walk"]
+    for name, accelerometer in calibration.accelerometers.items():
+        assert accelerometer.two_stage is None
+        assert accelerometer.residual.lack_of_fit_p > 1e-3
+        flicker, walk = accelerometer.noise["flicker"], accelerometer.noise["bias_walk"]
         assert (flicker.value, flicker.unit) == (pytest.approx(20e-6 * 9.8066), "m/s^2")
         assert walk.value == pytest.approx(1e-6 * 9.8066)
-        u = one.coefficients["K_F"].u
+        u = accelerometer.coefficients["K_F"].u
         assert u > 1.5 * steady.accelerometers[name].coefficients["K_F"].u or name == "Qx"
     assert main(["calibrate", str(folder)]) == 0
     shown = " ".join(capsys.readouterr().out.split())
@@ -725,23 +725,23 @@ def test_ripple_hidden_by_encoder_noise_is_in_budget(tmp_path):
         ('angle = "1e-6 rad"', 'angle = "1e-5 rad"'),
         ("ratio = 5e-7", "ratio = 1e-6"),
     )
-    found = calibrate(simulate_folder(tmp_path, text))
-    assert found.runs["run3"].ripples == []
-    assert_true(found)
-    for one in found.accelerometers.values():
-        assert set(one.coefficients) == {"K_F", "K_I", "K_II", "K_III"}
-        assert not any("encoder" in symbol for symbol in one.correlation.terms)
-        for symbol, lines in one.budget.items():
+    calibration = calibrate(simulate_folder(tmp_path, text))
+    assert calibration.runs["run3"].ripples == []
+    assert_true(calibration)
+    for accelerometer in calibration.accelerometers.values():
+        assert set(accelerometer.coefficients) == {"K_F", "K_I", "K_II", "K_III"}
+        assert not any("encoder" in symbol for symbol in accelerometer.correlation.terms)
+        for symbol, lines in accelerometer.budget.items():
             squares = math.fsum(line.contribution**2 for line in lines)
-            assert squares == pytest.approx(one.coefficients[symbol].u ** 2, rel=1e-10)
-        lines = {line.source: line for line in one.budget["K_II"]}
+            assert squares == pytest.approx(accelerometer.coefficients[symbol].u ** 2, rel=1e-10)
+        lines = {line.source: line for line in accelerometer.budget["K_II"]}
         ripple = lines["run3.ripple1"]
         assert ripple.kind == "noise"
         assert ripple.unit == "rad/s"
         assert ripple.u == pytest.approx(2 * math.pi * 1e-5 * math.sqrt(2 / 401), rel=0.2)
         assert lines["run3.angle"].unit == "rad"
-    assert not any("ripple" in w for w in found.accelerometers["Qx"].warnings)
-    assert all(not run.terms for run in found.runs.values())
+    assert not any("ripple" in w for w in calibration.accelerometers["Qx"].warnings)
+    assert all(not run.terms for run in calibration.runs.values())
 
 
 def test_three_attitudes_separate_quadratic_terms(tmp_path):
@@ -764,11 +764,11 @@ def test_three_attitudes_separate_quadratic_terms(tmp_path):
         ),
         ('K_III = "3.4e-6 g/g^3"', 'K_OO = "-8e-6 g/g^2"\nK_PP = "1.5e-5 g/g^2"'),
     )
-    found = calibrate(simulate_folder(tmp_path, text))
+    calibration = calibrate(simulate_folder(tmp_path, text))
     truth = {"Qx": {"K_II": 2.7e-5, "K_OO": -8e-6, "K_PP": 1.5e-5}}
-    assert_true(found, truth)
+    assert_true(calibration, truth)
     for symbol in truth["Qx"]:
-        c = found.accelerometers["Qx"].coefficients[symbol]
+        c = calibration.accelerometers["Qx"].coefficients[symbol]
         assert c.estimated
         assert c.u < 3e-7
 

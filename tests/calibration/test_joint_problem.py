@@ -255,7 +255,7 @@ def test_wrongly_exact_clock_of_recorder_is_named(tmp_path):
     text = set_recorder(FORCE).replace("assume = [", "assume = ['records.clock', ")
     result, _ = calibrate_description(tmp_path, text)
     assert "B.records.clock" in {
-        name for found in result.findings for name in (found.subject, *found.as_well)
+        name for finding in result.findings for name in (finding.subject, *finding.as_well)
     }
 
 

@@ -43,11 +43,11 @@ def describe_noise(folder, **noise):
 
 
 def test_accelerometers_have_noise_of_record_at_rest(folder):
-    found = cs.noise(folder / "rest.csv", campaign=folder)
+    estimate = cs.noise(folder / "rest.csv", campaign=folder)
     noise = make_noise(
         read_campaign(folder).change({"noise": {"displacement": None, "from": "rest.csv"}})
     )
-    for signal in found.signals:
+    for signal in estimate.signals:
         one = noise[signal.name]
         assert one.white == pytest.approx(signal.components["displacement"].value, rel=1e-12)
         assert one.white == pytest.approx(WHITE[signal.column], rel=0.04)

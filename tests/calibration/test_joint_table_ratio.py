@@ -89,9 +89,9 @@ def assert_truth_is_covered(descriptions, limit):
         accelerometer = calibrate_description(description)
         assert accelerometer.state != "contradicted"
         for symbol, value in TRUTH.items():
-            found = accelerometer.coefficients[symbol]
-            assert found.estimated
-            z = (found.value - value) / found.u
+            coefficient = accelerometer.coefficients[symbol]
+            assert coefficient.estimated
+            z = (coefficient.value - value) / coefficient.u
             assert abs(z) < 4.0
             squares += [z**2] if symbol in ("K_II", "K_III") else []
     assert sum(squares) < limit
@@ -104,9 +104,9 @@ def test_coefficients_agree_with_truth(ratio):
 
 def test_runs_with_several_ratios_are_fitted_jointly():
     accelerometer = calibrate_description(describe(-2, mixed=True))
-    found = accelerometer.coefficients["K_II"]
+    coefficient = accelerometer.coefficients["K_II"]
     assert accelerometer.state == "good"
-    assert abs(found.value - TRUTH["K_II"]) < 4.0 * found.u
+    assert abs(coefficient.value - TRUTH["K_II"]) < 4.0 * coefficient.u
     assert {"table.lever_arm", "A.table.lever_arm"} & {
         line.source for line in accelerometer.budget["K_F"]
     }

@@ -213,7 +213,7 @@ def test_uncertainty_of_latitude_propagates_through_own_velocity(own_velocity):
     for name in ("Qx", "Qy"):
         before, after = (r.accelerometers[name].coefficients["K_F"] for r in (here, there))
         budget = here.accelerometers[name].budget["K_F"]
-        (line,) = (one for one in budget if one.source == "site.latitude")
+        (line,) = (line for line in budget if line.source == "site.latitude")
         moved = line.sensitivity * math.radians(0.05)
         assert abs(moved) > 5e-9  # no change without it
         assert after.value - before.value == pytest.approx(moved, rel=0.02)

@@ -144,7 +144,7 @@ temperature = ["24 degC", "22 degC"]
 """
     campaign = simulate(campaign_of(tmp_path, text))
     # The column of the record is used, with or without stated temperatures.
-    told = calibrate(campaign)
+    result = calibrate(campaign)
     alone = campaign.change(
         {
             "runs": [
@@ -153,12 +153,12 @@ temperature = ["24 degC", "22 degC"]
             ]
         }
     )
-    found = calibrate(alone)
+    calibration = calibrate(alone)
     truth = campaign.simulation.truth.coefficients["Qx"]
-    assert found.state == "good"
-    for symbol, one in found.accelerometers["Qx"].coefficients.items():
-        assert abs(one.value - truth[symbol]) < 4.0 * one.u, (symbol, one)
-        assert told.accelerometers["Qx"].coefficients[symbol].value == one.value
+    assert calibration.state == "good"
+    for symbol, coefficient in calibration.accelerometers["Qx"].coefficients.items():
+        assert abs(coefficient.value - truth[symbol]) < 4.0 * coefficient.u, (symbol, coefficient)
+        assert result.accelerometers["Qx"].coefficients[symbol].value == coefficient.value
 
 
 def test_rejects_stated_temperature_that_differs_from_record():

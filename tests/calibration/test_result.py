@@ -45,8 +45,8 @@ def write_document(folder, document):
 
 
 def test_complete_result_is_read(tmp_path):
-    found = Result.read(write_document(tmp_path, RESULT)).accelerometers["Qx"]
-    assert found.coefficients["K_II"].value == 2e-5
+    accelerometer = Result.read(write_document(tmp_path, RESULT)).accelerometers["Qx"]
+    assert accelerometer.coefficients["K_II"].value == 2e-5
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def test_earlier_results_are_read_completely(path):
             stated["u"],
         )
     # Fields unknown to the old version are empty.
-    assert all(not found.conformity for found in read.accelerometers.values())
+    assert all(not accelerometer.conformity for accelerometer in read.accelerometers.values())
 
 
 def test_contains_document_detects_lost_numbers():
@@ -160,9 +160,9 @@ def test_report_warns_of_missing_seal(tmp_path, removed, warnings):
     path = Path(__file__).parents[1] / "frozen" / "schema-2-joint.json"
     document = json.loads(path.read_text(encoding="utf-8"))
     kept = {key: value for key, value in document.items() if key not in removed}
-    found = Result.read(write_document(tmp_path, kept))
-    found.write_report(tmp_path / "report.md")
+    result = Result.read(write_document(tmp_path, kept))
+    result.write_report(tmp_path / "report.md")
     report = (tmp_path / "report.md").read_text(encoding="utf-8")
-    screen = "\n".join(block.text for block in found.blocks() if isinstance(block, Paragraph))
+    screen = "\n".join(block.text for block in result.blocks() if isinstance(block, Paragraph))
     for text in (report, screen):
         assert text.count("The file of this result has no seal") == warnings

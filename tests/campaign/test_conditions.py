@@ -283,9 +283,9 @@ def test_hysteresis_acts_after_temperature_reversal(tmp_path):
     del described["model"]["assume"]
     described["model"]["terms"] = ["K_F", "K_I"]
     unstated = calibrate(make_campaign(described, readings=frame))
-    known = {one.name: one for one in unstated.rests_on}
+    known = {prior.name: prior for prior in unstated.rests_on}
     assert known["A.K_F.hysteresis"].u == 2e-5
     assert abs(known["A.K_F.hysteresis"].found - 5e-5) < 3e-6
     frame["degC"] = np.repeat([20.0, 21.0, 20.0], angles.size)
     steady = calibrate(make_campaign(described, readings=frame))
-    assert "A.K_F.hysteresis" not in {one.name for one in steady.rests_on}
+    assert "A.K_F.hysteresis" not in {prior.name for prior in steady.rests_on}

@@ -40,8 +40,8 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def largest_white_noise(folder):
     """Return the larger estimated white noise of the two accelerometers, m."""
-    found = cs.noise(folder / "rest.csv", campaign=folder).signals
-    sizes = [signal.components["displacement"].value for signal in found]
+    estimate = cs.noise(folder / "rest.csv", campaign=folder).signals
+    sizes = [signal.components["displacement"].value for signal in estimate]
     # Of 2000 samples a standard deviation is known to 1.6 %.
     assert sizes == pytest.approx(list(WHITE.values()), rel=0.06)
     assert sizes[0] != sizes[1]

@@ -38,8 +38,8 @@ def test_amended_certificate_round_trip(certificate_folder, capsys):
     assert [e.text for e in find(new, f"{replaced}/*")] == ["amended", name]
     previous = f"{CORE}/dcc:previousReport"
     assert [e.text for e in find(new, f"{previous}/*")[1:4]] == [name, "SHA-256", digest]
-    said = find(new, "//dcc:statement[dcc:name/dcc:content='Amendment']//dcc:content")[-1].text
-    _, reason, changed = said.splitlines()
+    text = find(new, "//dcc:statement[dcc:name/dcc:content='Amendment']//dcc:content")[-1].text
+    _, reason, changed = text.splitlines()
     assert reason == "Reason: The serial number was misread."
     assert changed == 'Changed: calibrated item, from "0815" to "0816".'
     # Read back and compared with the replaced certificate.
@@ -60,14 +60,14 @@ def test_amended_certificate_round_trip(certificate_folder, capsys):
 
 
 def test_changed_numbers_are_listed(certificate_folder):
-    other = result(
+    calibration = result(
         coefficients={
             "K_F": coefficient(0.005, 1e-6, "g") | {"estimated": False},
             "K_II": coefficient(2.71e-5, 1e-9, "g/g^2", dof=50.0),
         },
         correlation=None,
     )
-    made = [certificate(given, "LAB.toml").xml for given in (result(), other)]
+    made = [certificate(given, "LAB.toml").xml for given in (result(), calibration)]
     told = describe_changes(*made)
     assert told[:2] == [
         "K_F of Qx was 5000.0 ± 2.0 ug and is now not certified.",

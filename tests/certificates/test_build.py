@@ -415,13 +415,13 @@ def test_procedure_and_customer_data_are_stated(tmp_path):
 def test_uncertainty_is_at_least_cmc(tmp_path):
     # K_II: U = 2.0086 nano-g/g^2 as evaluated; K_F: 1.96 ug.
     made = document(tmp_path, result(), text=LAB + '[cmc]\nK_II = "4 ng/g^2"\nK_F = "1 ug"\n')
-    found = read_certificate(made, "x.xml").accelerometers["Qx"]
-    k_ii, k_f = found.coefficients["K_II"], found.coefficients["K_F"]
+    accelerometer = read_certificate(made, "x.xml").accelerometers["Qx"]
+    k_ii, k_f = accelerometer.coefficients["K_II"], accelerometer.coefficients["K_F"]
     assert coverage_factor(50.0) * k_ii.u == pytest.approx(4e-9, rel=1e-14)
     assert k_ii.dof == 50.0
     assert k_f.u == pytest.approx(1e-6, rel=1e-14)
     # The added variance is independent of K_F: the covariance stays.
-    assert found.covariance[0, 1] == pytest.approx(0.25 * 1e-6 * 1e-9, rel=1e-14)
+    assert accelerometer.covariance[0, 1] == pytest.approx(0.25 * 1e-6 * 1e-9, rel=1e-14)
     said = find(made, "//dcc:statement[dcc:norm='ILAC-P14:09/2020']/dcc:declaration/dcc:content")
     assert said[0].text.startswith(
         "K_II of Qx: the evaluated uncertainty is U = 0.0020 ug/g^2. The certificate states"

@@ -44,7 +44,7 @@ customer_data = ["K_I, from the data sheet"]
 
 def make_full_result():
     """Return a result of two accelerometers with all data that a certificate may state."""
-    one = result(
+    calibration = result(
         coefficients={
             "K_F": coefficient(0.005, 1e-9, "g"),
             "K_I": {"value": 1.002, "u": 5e-6, "unit": "g/g", "estimated": False},
@@ -54,7 +54,7 @@ def make_full_result():
     )
     terms = [f"{name}.{symbol}" for name in ("Qx", "Qy") for symbol in ("K_F", "K_II")]
     matrix = [[1.0 if i == j else 0.25 for j in range(4)] for i in range(4)]
-    return two_accelerometers(one, terms, matrix)
+    return two_accelerometers(calibration, terms, matrix)
 
 
 @pytest.mark.parametrize("language", ["en", "de"])

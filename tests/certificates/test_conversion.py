@@ -44,9 +44,9 @@ def si_values_at_gravity(records, folder, gravity, method):
 
 @pytest.mark.parametrize("method", ["joint", "two-stage"])
 def test_si_uncertainty_matches_effect_of_gravity_change(records, tmp_path, method):
-    found = calibrate(records, method=method)
-    qx = found.accelerometers["Qx"]
-    estimates = coefficients_in_si(found, "Qx")
+    calibration = calibrate(records, method=method)
+    qx = calibration.accelerometers["Qx"]
+    estimates = coefficients_in_si(calibration, "Qx")
     assert estimates
     step = 30.0 * U_G
     moved = [si_values_at_gravity(records, tmp_path, G + sign * step, method) for sign in (1, -1)]
@@ -83,8 +83,8 @@ def calibrate_readings(folder, gravity):
 
 def test_output_unit_uncertainty_matches_effect_of_gravity_change(tmp_path):
     """Bias in A, scale factor in A/(m/s^2): 1 mA/g is 1e-3/g of it."""
-    found = calibrate_readings(tmp_path, f"{G} ± {U_G}")
-    estimates = output_coefficients_in_si(found, "A")
+    calibration = calibrate_readings(tmp_path, f"{G} ± {U_G}")
+    estimates = output_coefficients_in_si(calibration, "A")
     assert {key: e.unit.text for key, e in estimates.items()} == {
         "bias": r"\ampere",
         "scale_factor": r"\metre\tothe{-1}\second\tothe{2}\ampere",
@@ -95,7 +95,7 @@ def test_output_unit_uncertainty_matches_effect_of_gravity_change(tmp_path):
         for way in (1, -1)
     )
     for key, power in (("bias", 0), ("scale_factor", -1)):
-        c, estimate = found.accelerometers["A"].output[key], estimates[key]
+        c, estimate = calibration.accelerometers["A"].output[key], estimates[key]
         assert estimate.value == pytest.approx(1e-3 * c.value * G**power, rel=1e-14)
         high, low = up[key].value * (G + step) ** power, down[key].value * (G - step) ** power
         shift = 1e-3 * (high - low) / (2.0 * step) * U_G
@@ -128,20 +128,22 @@ def test_rejects_output_units_unknown_to_si(unit):
 
 
 def test_covariance_is_converted(records):
-    found = calibrate(records)
-    qx, estimates = found.accelerometers["Qx"], coefficients_in_si(found, "Qx")
+    calibration = calibrate(records)
+    qx, estimates = calibration.accelerometers["Qx"], coefficients_in_si(calibration, "Qx")
     symbols = list(estimates)
     matrix = np.array(
         [
-            [covariance(qx.correlation, estimates, one, other) for other in symbols]
-            for one in symbols
+            [covariance(qx.correlation, estimates, symbol, other) for other in symbols]
+            for symbol in symbols
         ]
     )
     assert np.array_equal(matrix, matrix.T)
     assert np.linalg.eigvalsh(matrix / np.outer(*2 * [np.sqrt(np.diag(matrix))])).min() > 0.0
     assert np.diag(matrix) == pytest.approx([e.u**2 for e in estimates.values()], rel=1e-12)
     # Without any u(g) the correlations are those of the result.
-    exact = found.model_copy(update={"inputs": found.inputs.model_copy(update={"u_gravity": 0.0})})
+    exact = calibration.model_copy(
+        update={"inputs": calibration.inputs.model_copy(update={"u_gravity": 0.0})}
+    )
     plain = coefficients_in_si(exact, "Qx")
     i, j = (qx.correlation.terms.index(s) for s in ("K_F", "K_II"))
     together = covariance(qx.correlation, plain, "K_F", "K_II")

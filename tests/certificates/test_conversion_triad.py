@@ -65,7 +65,8 @@ def test_parameters_are_in_si_with_covariance(tmp_path, pose_result):
         assert float(find_text(".//si:valueExpandedMU")) / k == pytest.approx(by * c.u, rel=1e-14)
     u = scale * [c.u for c in triad.parameters.values()]
     covariance = [
-        float(one.text) for one in find(made, f"{PART}//si:covarianceXMLList/si:valueXMLList")
+        float(element.text)
+        for element in find(made, f"{PART}//si:covarianceXMLList/si:valueXMLList")
     ]
     np.testing.assert_allclose(
         np.reshape(covariance, (9, 9)),
@@ -105,14 +106,14 @@ def test_verify_prints_parameters_and_reports_changed_matrix(tmp_path, pose_resu
     file = tmp_path / "c.xml"
     file.write_bytes(made)
     assert main(["certificate", "--verify", str(file)]) == 0
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     for words in (
         "sensitivity of Z",
         "angle between Y and Z minus 90 deg",
         "M ± U",
         "calculated from these parameters",
     ):
-        assert words in told
+        assert words in output
     first = f"{pose_result.triad.matrix[2][2]!r}".encode()
     assert made.count(first) == 1
     file.write_bytes(made.replace(first, f"{pose_result.triad.matrix[2][2] + 1e-9!r}".encode()))
@@ -209,28 +210,29 @@ def test_undetermined_parameters_have_no_value(tmp_path):
     angles = [c for name, c in result.triad.parameters.items() if name.startswith("angle")]
     assert not any(c.estimated for c in angles)
     made = document(tmp_path, result, text=OWN)
-    labels = [one.text for one in find(made, f"{PART}//si:real/si:label")]
+    labels = [element.text for element in find(made, f"{PART}//si:real/si:label")]
     assert labels == [f"{kind}.{name}" for kind in ("offset", "sensitivity") for name in "XYZ"]
-    said = "".join(find(made, "//dcc:statements")[0].itertext())
-    assert 'The parameter "angle between X and Y" is not certified' in said
+    text = "".join(find(made, "//dcc:statements")[0].itertext())
+    assert 'The parameter "angle between X and Y" is not certified' in text
 
 
 def test_uncertainty_of_parameter_is_at_least_cmc(tmp_path, pose_result):
     cmc = '\n[cmc]\nK_F = "1 mg"\nK_I = "1e-6 g/g"\ndelta_O = "200 arcsec"\ndelta_P = "1 arcsec"\n'
     made = document(tmp_path, pose_result, text=OWN + cmc)
     expanded = {
-        one.getparent().getparent().getparent().findtext("si:label", namespaces=NAMESPACES): float(
-            one.text
-        )
-        for one in find(made, f"{PART}//si:real//si:valueExpandedMU")
+        element.getparent()
+        .getparent()
+        .getparent()
+        .findtext("si:label", namespaces=NAMESPACES): float(element.text)
+        for element in find(made, f"{PART}//si:real//si:valueExpandedMU")
     }
     assert expanded["offset.Y"] == pytest.approx(1e-3 * G, rel=1e-12)
     assert expanded["angle.X.Z"] == pytest.approx(np.deg2rad(200 / 3600), rel=1e-12)
     c = pose_result.triad.parameters["sensitivity.Z"]
     assert expanded["sensitivity.Z"] == pytest.approx(coverage_factor(16.0) * c.u, rel=1e-12)
-    said = "".join(find(made, "//dcc:statements")[0].itertext())
-    assert "offset of Y: the evaluated uncertainty is U = " in said
-    assert "sensitivity of Z: evaluated" not in said
+    text = "".join(find(made, "//dcc:statements")[0].itertext())
+    assert "offset of Y: the evaluated uncertainty is U = " in text
+    assert "sensitivity of Z: evaluated" not in text
 
 
 def test_gravity_uncertainty_moves_between_g_units_and_si(tmp_path, pose_result):
@@ -254,8 +256,10 @@ def test_gravity_uncertainty_moves_between_g_units_and_si(tmp_path, pose_result)
         }
     )
     expanded = [
-        float(one.text)
-        for one in find(document(tmp_path, given, text=OWN), f"{PART}//si:real//si:valueExpandedMU")
+        float(element.text)
+        for element in find(
+            document(tmp_path, given, text=OWN), f"{PART}//si:real//si:valueExpandedMU"
+        )
     ]
     scale = [G] * 3 + [1.0] * 6
     exact = [1.96 * by * c.u for by, c in zip(scale, triad.parameters.values(), strict=True)]

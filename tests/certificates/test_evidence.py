@@ -89,10 +89,10 @@ def test_certificate_contains_evidence():
     )
     one = make_certificate(assume_terms("K_OO", "platform.tilt.north"), texts)
     (statement,) = find(one.xml, STATEMENT)
-    said = "".join(statement.itertext())
-    assert "K_OO (second-order output-axis coefficient): Typprüfung 4714." in said
-    assert "platform.tilt: Bericht 4715." in said
-    assert "Nr. 1" not in said
+    report = "".join(statement.itertext())
+    assert "K_OO (second-order output-axis coefficient): Typprüfung 4714." in report
+    assert "platform.tilt: Bericht 4715." in report
+    assert "Nr. 1" not in report
     read = pypdf.PdfReader(io.BytesIO(one.pdf()))
     text = "\n".join(page.extract_text() for page in read.pages)
     assert ASSUMED in text

@@ -292,8 +292,8 @@ CONTRADICTED = {"rms": 0.08, "unit": "m", "dof": 100.0, "chi2": 6400.0, "lack_of
 
 def test_contradicted_result_requires_reason(certificate_folder, capsys):
     for reason, status in ((None, 1), ("known play of the arm", 0)):
-        found = judge_result(result(residual=CONTRADICTED), reason)
-        found.write(certificate_folder / "r.json", overwrite=True)
+        calibration = judge_result(result(residual=CONTRADICTED), reason)
+        calibration.write(certificate_folder / "r.json", overwrite=True)
         got, _, err = run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.pdf")
         assert got == status
         assert ("Qx: The residuals are 8" in err) == bool(status)

@@ -223,8 +223,8 @@ def test_identifier_is_unique_per_content(ledger_folder, monkeypatch, capsys):
     capsys.readouterr()
     result(serial_number="Q-105").write("r.json", overwrite=True)
     assert run("r.json", "LAB.toml", "-o", "c.xml") == 1
-    told = " ".join(capsys.readouterr().err.split())
-    assert "already contains certificate K 7 (entry 4), with different content" in told
+    error = " ".join(capsys.readouterr().err.split())
+    assert "already contains certificate K 7 (entry 4), with different content" in error
     assert not (ledger_folder / "c.xml").exists()
     assert verify_ledger(ledger_folder / "ledger.jsonl").entries == found
 

@@ -178,8 +178,10 @@ def test_number_with_nested_nodes_reads_alike_signed_and_unsigned(tmp_path, key_
     assert put in made
     for read in (lambda: made, lambda: verify(made, key_pairs["rsa"][1], "x.xml").content):
         if reads:
-            found = read_certificate(read(), "x.xml").accelerometers["Qx"].coefficients["K_II"]
-            assert found.value == pytest.approx(2.7e-5, rel=1e-15)
+            coefficient = (
+                read_certificate(read(), "x.xml").accelerometers["Qx"].coefficients["K_II"]
+            )
+            assert coefficient.value == pytest.approx(2.7e-5, rel=1e-15)
         else:
             with pytest.raises(RecordError, match="value contains elements other than text"):
                 read_certificate(read(), "x.xml")

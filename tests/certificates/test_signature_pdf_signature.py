@@ -143,8 +143,8 @@ def test_signing_preserves_pages_metadata_and_attachments(signed_pages, kind):
 def test_verapdf_reports_no_error(tmp_path, signed_pages, flavour):
     (tmp_path / "c.pdf").write_bytes(signed_pages["ec"])
     words = ["verapdf", "--flavour", flavour, "--format", "text", str(tmp_path / "c.pdf")]
-    told = subprocess.run(words, capture_output=True, text=True, check=False).stdout
-    assert told.startswith("PASS"), told
+    output = subprocess.run(words, capture_output=True, text=True, check=False).stdout
+    assert output.startswith("PASS"), output
 
 
 def test_rsa_signature_of_pages_is_deterministic(signers, signed_pages):
@@ -171,8 +171,8 @@ def test_openssl_verifies_signature_of_whole_file(tmp_path, signed_pages, kind):
     """The signature covers all bytes except its own."""
 
     def verify_with_openssl(content):
-        found = re.search(rb"/ByteRange *\[ *(\d+) +(\d+) +(\d+) +(\d+)", content)
-        first, length, second, rest = map(int, found.groups())
+        match = re.search(rb"/ByteRange *\[ *(\d+) +(\d+) +(\d+) +(\d+)", content)
+        first, length, second, rest = map(int, match.groups())
         assert (first, second + rest) == (0, len(content))
         (tmp_path / "covered").write_bytes(content[:length] + content[second:])
         # The hexadecimal digits between < and > are filled up with zeros behind the signature.

@@ -77,8 +77,8 @@ def test_help_omits_negative_options_and_empty_defaults(command, monkeypatch, ca
 )
 def test_help_lists_file_endings(command, option, endings):
     text = inspect.getdoc(cli.app[command].default_command)
-    said = re.search(rf"^{option}\n((?:    .*\n?)+)", text, re.MULTILINE)[1]
-    assert sorted(re.findall(r"\.[a-z]+\b", said)) == sorted(endings)
+    endings_text = re.search(rf"^{option}\n((?:    .*\n?)+)", text, re.MULTILINE)[1]
+    assert sorted(re.findall(r"\.[a-z]+\b", endings_text)) == sorted(endings)
 
 
 def test_help_lists_files_of_dossier():
@@ -103,13 +103,13 @@ def test_help_lists_files_of_dossier():
 )
 def test_usage_error_has_two_lines(words, message, capsys):
     assert cli.main(words) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert message in told.err
-    assert told.err.startswith("counterspin: ")
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert message in captured.err
+    assert captured.err.startswith("counterspin: ")
     own = "" if words == ["calibrat"] else f"{words[0]} "
-    assert told.err.endswith(f"\nTry counterspin {own}--help.\n")
-    assert told.err.count("\n") == 2
+    assert captured.err.endswith(f"\nTry counterspin {own}--help.\n")
+    assert captured.err.count("\n") == 2
 
 
 def test_missing_campaign_exits_with_2(tmp_path, capsys):
@@ -122,8 +122,8 @@ def test_failed_command_exits_with_1(tmp_path, capsys):
     assert cli.main(["init", str(tmp_path)]) == 1
     assert "exists; edit it" in capsys.readouterr().err
     assert cli.main(["calibrate", str(tmp_path)]) == 1
-    told = capsys.readouterr().err
-    assert all(f"run{i}.csv: file not found\n" in told for i in (1, 2, 3))
+    error = capsys.readouterr().err
+    assert all(f"run{i}.csv: file not found\n" in error for i in (1, 2, 3))
 
 
 def test_suggested_command_can_be_run(tmp_path, capsys):
@@ -295,10 +295,10 @@ def test_errors_with_hostile_text_have_one_line_each(hostile_campaign, tmp_path,
     wrong = text.replace('"2.5 m"', json.dumps(HOSTILE)).replace("east", HOSTILE[:4])
     (tmp_path / "campaign.toml").write_text(wrong.replace("\x1b", "\\u001b"), "utf-8")
     assert cli.main(["calibrate", str(tmp_path)]) == 2
-    told = capsys.readouterr().err
-    assert control_characters(told) == set()
-    assert "centrifuge.radius" in told
-    assert all(line.startswith("  ") for line in told.splitlines()[1:])
+    error = capsys.readouterr().err
+    assert control_characters(error) == set()
+    assert "centrifuge.radius" in error
+    assert all(line.startswith("  ") for line in error.splitlines()[1:])
 
 
 @pytest.mark.parametrize("words", [["report", "-o"], ["compare", "{}", "--report"]])

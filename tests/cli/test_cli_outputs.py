@@ -89,10 +89,10 @@ def test_output_does_not_overwrite_other_file_types(words, work_folder, capsys):
     for name in KEPT.keys() - WRITERS[words]:
         for more in ([], ["--overwrite"]):
             assert cli.main([*words, name, *more]) in (1, 2), name
-            told = capsys.readouterr()
-            assert name in told.err
-            assert "internal" not in told.err
-            assert told.out == ""  # rejected before any calculation
+            captured = capsys.readouterr()
+            assert name in captured.err
+            assert "internal" not in captured.err
+            assert captured.out == ""  # rejected before any calculation
     assert read_contents(work_folder) == before
 
 
@@ -128,9 +128,9 @@ def test_overwrite_option_replaces_earlier_output(words, work_folder, capsys):
     before = read_contents(work_folder)
     capsys.readouterr()
     assert cli.main(words) == 1
-    told = capsys.readouterr()
-    assert "exists; " in told.err
-    assert "give --overwrite" in told.err
+    captured = capsys.readouterr()
+    assert "exists; " in captured.err
+    assert "give --overwrite" in captured.err
     assert read_contents(work_folder) == before
     assert cli.main([*words, "--overwrite"]) == 0
 
@@ -165,17 +165,17 @@ def test_apply_does_not_overwrite_input(work_folder, capsys):
 
 def test_missing_output_folder_raises_before_calibration(work_folder, capsys):
     assert cli.main(["calibrate", "camp", "--json", "none/r.json"]) == 1
-    told = capsys.readouterr()
-    assert "none/r.json cannot be written: " in told.err
-    assert told.out == ""
+    captured = capsys.readouterr()
+    assert "none/r.json cannot be written: " in captured.err
+    assert captured.out == ""
 
 
 def test_result_is_printed_if_file_cannot_be_written(work_folder, capsys):
     (work_folder / "full.json").symlink_to("/dev/full")
     assert cli.main(["calibrate", "camp", "--json", "full.json"]) == 1
-    told = capsys.readouterr()
-    assert "full.json cannot be written" in told.err
-    assert "K_II" in told.out
+    captured = capsys.readouterr()
+    assert "full.json cannot be written" in captured.err
+    assert "K_II" in captured.out
 
 
 @pytest.mark.slow

@@ -132,7 +132,7 @@ OTHERS = {
     "p.png": "an image (PNG)",
     "empty": "an empty file",
     "plan.toml": "a plan",
-    "LAB.toml": "a laboratory's data for certificates",
+    "LAB.toml": "laboratory data for certificates",
     "campaign.toml": "a campaign",
     "run.csv": "a record",
     ".": "this is a folder",
@@ -172,15 +172,15 @@ def test_wrong_file_type_is_named_with_correct_command(run_command, tmp_path, wo
         if file in right:
             continue
         status, complaint = run_command(*(file if word == "X" else word for word in words))
-        said = " ".join(complaint.split())
+        report = " ".join(complaint.split())
         assert status in (1, 2)
-        assert said.startswith((f"counterspin: {file}: ", f"counterspin: {file} "))
-        assert advice in said
+        assert report.startswith((f"counterspin: {file}: ", f"counterspin: {file} "))
+        assert advice in report
         # For text that is not TOML, JSON or XML, the message names only the expected type.
         text = file in ("plan.toml", "LAB.toml", "campaign.toml", "run.csv")
         described = words[0] in ("calibrate", "study", "watch", "plan", "certificate")
         described &= words[1] != "--verify"
-        assert called in said or words[0] == "ledger" or (text and not described)
+        assert called in report or words[0] == "ledger" or (text and not described)
 
 
 def test_single_line_text_is_not_an_unfinished_ledger(run_command, tmp_path):

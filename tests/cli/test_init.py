@@ -48,10 +48,10 @@ def test_exports_to_result(tmp_path, plain_folder, reference, name, capsys):
     words = ["--yes", *ANSWERED, "--answer", f"sense={sense}"]
     folder = tmp_path / "campaign"
     assert main(["init", str(folder), "--from", *map(str, files), *words]) == 0
-    said = capsys.readouterr().out
-    assert "Found in the files:" in said
-    assert "Detected for the test double-turntable (please check):" in said
-    assert f"counterspin calibrate {folder}" in said
+    output = capsys.readouterr().out
+    assert "Found in the files:" in output
+    assert "Detected for the test double-turntable (please check):" in output
+    assert f"counterspin calibrate {folder}" in output
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     assert "# - pendulous axes: assumed down" in text
     found = read_k_ii(folder)
@@ -67,10 +67,10 @@ def test_arm_table_to_result(tmp_path, monkeypatch, capsys):
     words = [str(tmp_path / "a"), "--from", str(tmp_path / "arm.csv"), *PLACE]
     monkeypatch.setattr("sys.stdin", Terminal("\n1.0 ± 1e-3 m\nleft\ncw\n1\n1e-4\n"))
     assert main(["init", *words]) == 0
-    told = capsys.readouterr().out
-    assert "4 readings at rest (rate 0)" in told
-    assert "'left' is not one of counterclockwise, clockwise. Try again:" in told
-    assert "The data suggest about 1 V/g. (for example 1.25 V/g)" in told
+    output = capsys.readouterr().out
+    assert "4 readings at rest (rate 0)" in output
+    assert "'left' is not one of counterclockwise, clockwise. Try again:" in output
+    assert "The data suggest about 1 V/g. (for example 1.25 V/g)" in output
     assert main(["calibrate", str(tmp_path / "a"), "--json", str(tmp_path / "r.json")]) == 0
     found = Result.read(tmp_path / "r.json").accelerometers["A"].coefficients
     assert found["K_F"].value == pytest.approx(0.003, abs=1e-4)

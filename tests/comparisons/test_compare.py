@@ -103,13 +103,13 @@ def test_estimated_noise_is_taken_from_larger_model():
     records = cs.simulate(base.change({"simulation": {"seed": 2}})).change({"noise": None})
     small = cs.calibrate(records)
     large = cs.calibrate(records.change({"model": {"terms": [*TERMS, "K_III"]}}))
-    noise = [one.accelerometers["Qx"].noise["specific_force"].value for one in (small, large)]
+    noise = [result.accelerometers["Qx"].noise["specific_force"].value for result in (small, large)]
     ratio = noise[1] / noise[0]
     assert abs(ratio - 1.0) > 1e-3
     k_iii = large.coefficient("Qx.K_III")
     for compared in (cs.compare(small, large), cs.compare(large, small)):
         assert compared.agreements[0].chi2 == pytest.approx((k_iii.value / k_iii.u) ** 2, rel=1e-6)
-        u = [one.coefficient("Qx.K_II").u for one in (small, large)]
+        u = [result.coefficient("Qx.K_II").u for result in (small, large)]
         expected = math.sqrt(u[1] ** 2 - (ratio * u[0]) ** 2)
         assert k_ii_estimate(compared).u_difference == pytest.approx(expected, rel=1e-6)
 

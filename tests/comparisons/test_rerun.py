@@ -88,8 +88,8 @@ def test_changed_inputs_are_named_with_their_effect(campaign_folder, capsys):
     assert row.in_u == pytest.approx((now - before.value) / before.u, rel=1e-9)
     assert repeated.largest_in_u >= abs(row.in_u) > 0.0
     assert main(["rerun", str(campaign_folder / "result.json")]) == 1
-    told = " ".join(capsys.readouterr().out.split())
-    assert "Changed: radius; campaign.toml" in told
+    output = " ".join(capsys.readouterr().out.split())
+    assert "Changed: radius; campaign.toml" in output
 
 
 def test_difference_above_rounding_is_reported(campaign_folder):

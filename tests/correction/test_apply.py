@@ -71,8 +71,8 @@ def make_three():
         name: {s: v * (1 + k / 7) for s, v in (MODEL | CROSS).items()} | {"K_I": 1 + 1e-3 * k}
         for k, name in enumerate(MOUNTINGS)
     }
-    found = make_result({n: make_accelerometer(models[n], m) for n, m in MOUNTINGS.items()})
-    return found, models
+    result = make_result({n: make_accelerometer(models[n], m) for n, m in MOUNTINGS.items()})
+    return result, models
 
 
 def run(*words):
@@ -133,9 +133,9 @@ def test_documentation_example_recovers_truth(tmp_path, monkeypatch, capsys):
     report = capsys.readouterr().out
     assert "4 rows of Qx, from -1.0005 to 9.5213 g" in report
     assert "applied as estimated: K_II, K_III; from priors: K_F, K_I" in report
-    found = cs.read_result(tmp_path / "result.json").accelerometers["Qx"]
-    assert found.axes == list(QX.axes)
-    assert found.observable == "displacement"
+    accelerometer = cs.read_result(tmp_path / "result.json").accelerometers["Qx"]
+    assert accelerometer.axes == list(QX.axes)
+    assert accelerometer.observable == "displacement"
 
     # The truth of the example campaign, by the closed form of the error model.
     truth = cs.read_campaign(tmp_path / "example").simulation.truth.coefficients["Qx"]
@@ -179,9 +179,9 @@ def test_round_trip_through_csv_and_parquet(folder, capsys):
             assert table.columns == ["t", "east", "east_corrected", "east_corrected_u"]
             np.testing.assert_array_equal(table["east"], y)
             np.testing.assert_allclose(table["east_corrected"], force, rtol=0, atol=1e-12)
-    said = capsys.readouterr().out
-    assert "157 rows of east" in said
-    assert "Warning" not in said
+    output = capsys.readouterr().out
+    assert "157 rows of east" in output
+    assert "Warning" not in output
 
 
 def test_missing_seal_is_reported(folder, capsys):
@@ -286,10 +286,10 @@ def test_cross_axis_force_from_column_constant_or_accelerometer(folder, capsys):
         np.testing.assert_allclose(got, force[:, 0], rtol=0, atol=1e-12)
 
     assert run(*words) == 2
-    said = capsys.readouterr().err
-    assert "K_IP, K_PP, delta_O of Qx need the specific force along its pendulous axis" in said
-    assert "give --pendulous: a column, or a constant such as --pendulous '-1 g'" in said
-    assert "K_OO, delta_P of Qx need the specific force along its output axis" in said
+    error = capsys.readouterr().err
+    assert "K_IP, K_PP, delta_O of Qx need the specific force along its pendulous axis" in error
+    assert "give --pendulous: a column, or a constant such as --pendulous '-1 g'" in error
+    assert "K_OO, delta_P of Qx need the specific force along its output axis" in error
     assert run(*words, "--others", "Qz=qz") == 2
     assert "along its output axis" in capsys.readouterr().err
     assert run(*words, "--others", "Qy=qy, Qz=qz", "--pendulous", "down") == 2
@@ -334,9 +334,9 @@ def test_rejects_invalid_arguments(folder, capsys, words, status, message):
     text = "who,Qx,other\nme,1.0,2.0\n"
     write_table(text)
     assert run("result.json", "data.csv", *words) == status
-    said = capsys.readouterr().err
-    assert message in said
-    assert "Traceback" not in said
+    error = capsys.readouterr().err
+    assert message in error
+    assert "Traceback" not in error
     assert Path("data.csv").read_text(encoding="utf-8") == text
     assert sorted(p.name for p in folder.iterdir()) == ["data.csv", "result.json"]
 
@@ -353,16 +353,16 @@ def test_ambiguous_column_requires_input_option(folder, capsys):
 
 
 def test_row_beyond_turning_point_is_named_by_line(folder, capsys):
-    found = make_result({"Qx": make_accelerometer({"K_I": 1.0, "K_III": -1e-4})})
-    cs.write_result(found, folder / "result.json", overwrite=True)
+    result = make_result({"Qx": make_accelerometer({"K_I": 1.0, "K_III": -1e-4})})
+    cs.write_result(result, folder / "result.json", overwrite=True)
     write_table("# x\nQx\n1.0\n39.0\n")
     assert run("result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv") == 1
-    said = capsys.readouterr().err
+    error = capsys.readouterr().err
     assert (
         "data.csv, line 4: the indication of Qx cannot be corrected, because the indication is 39 g"
-        in said
+        in error
     )
-    assert "has a turning point at 57.735 g, where the indication is 38.49 g" in said
+    assert "has a turning point at 57.735 g, where the indication is 38.49 g" in error
     assert not Path("out.csv").exists()
 
 
@@ -377,15 +377,15 @@ def test_rejects_as_printed_without_force(folder, capsys):
 
 def test_contradicted_result_requires_reason(folder, capsys):
     drives = [Jackknife(run="run1", value=1e-5, shift=1e-6, z=-8.0)]
-    found = make_result({"Qx": make_accelerometer({"K_I": 1.0}, jackknife=drives)})
+    result = make_result({"Qx": make_accelerometer({"K_I": 1.0}, jackknife=drives)})
     write_table("Qx\n1.0\n")
     words = ["result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv"]
-    judge_result(found).write(folder / "result.json", overwrite=True)
+    judge_result(result).write(folder / "result.json", overwrite=True)
     assert run(*words, "--force") == 1
     said = " ".join(capsys.readouterr().err.split())
     assert "the records contradict the result for Qx: Omitting run1 shifts K_II" in said
     assert not Path("out.csv").exists()
-    judge_result(found, "run1 was on the old motor").write(folder / "result.json", overwrite=True)
+    judge_result(result, "run1 was on the old motor").write(folder / "result.json", overwrite=True)
     assert run(*words) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "The misfit was accepted for this reason: run1 was on the old motor" in said
@@ -426,8 +426,8 @@ def test_undetermined_scale_factor_is_not_applied():
 
 def test_priors_are_applied_with_their_uncertainty():
     known = {"K_III": make_coefficient("K_III", 3e-6, 1e-7, estimated=False)}
-    found = make_result({"Qx": make_accelerometer({"K_I": 1.0}, known=known)})
-    done = apply(found, "Qx", [10.0 + 3e-3])
+    result = make_result({"Qx": make_accelerometer({"K_I": 1.0}, known=known)})
+    done = apply(result, "Qx", [10.0 + 3e-3])
     assert done.corrected[0] == pytest.approx(10.0, abs=1e-12)
     assert done.u[0] == pytest.approx(1e-4 / (1 + 3 * 3e-6 * 100), rel=1e-9)
     assert done.notes == ("Qx: coefficients applied as estimated: K_I; from priors: K_III.",)
@@ -479,13 +479,15 @@ def test_inconsistent_correlations_do_not_give_zero_uncertainty():
     impossible = [[1.0, 0.9, -0.9], [0.9, 1.0, 0.9], [-0.9, 0.9, 1.0]]
     terms = {s: make_coefficient(s, TERMS[s].nominal, size) for s, size in u.items()}
     correlation = Correlation(terms=list(u), matrix=impossible)
-    found = make_result({"Qx": make_accelerometer({}, coefficients=terms, correlation=correlation)})
+    result = make_result(
+        {"Qx": make_accelerometer({}, coefficients=terms, correlation=correlation)}
+    )
     level = np.array([-1.0, 0.0, 1.0])
     products = np.stack([np.ones(3), level, level**2])
     sizes = np.array(list(u.values()))
     naive = np.einsum("in,ij,jn->n", products, impossible * np.outer(sizes, sizes), products)
     assert naive.min() < 0.0
-    done = apply(found, "Qx", level)
+    done = apply(result, "Qx", level)
     # Not below the bound for any correlation of the errors.
     assert (done.u >= np.abs(products).T @ sizes * (1.0 - 1e-12)).all()
     (warning,) = done.warnings
@@ -505,12 +507,14 @@ def test_uncertainty_matches_trials():
         terms=[*(list(MODEL)[k] for k in shuffled), "platform.drift.north"],
         matrix=np.pad(r[np.ix_(shuffled, shuffled)], (0, 1)).tolist(),
     )
-    found = make_result({"Qx": make_accelerometer({}, coefficients=terms, correlation=correlation)})
-    covariance = instrument_of(found, "Qx").covariance
+    result = make_result(
+        {"Qx": make_accelerometer({}, coefficients=terms, correlation=correlation)}
+    )
+    covariance = instrument_of(result, "Qx").covariance
     sd = np.array(list(u.values()))
     np.testing.assert_allclose(covariance, r * np.outer(sd, sd), rtol=1e-14)
     y = np.array([-30.0, -1.0, 0.0, 1.0, 30.0])
-    done = apply(found, "Qx", y)
+    done = apply(result, "Qx", y)
     assert done.dof == pytest.approx(12.0, abs=1e-3)
     drawn = np.random.default_rng(3).multivariate_normal(list(MODEL.values()), covariance, 2000)
     np.testing.assert_allclose(done.u, np.std(invert_cubics(drawn, y), axis=0), rtol=0.08)
@@ -530,15 +534,18 @@ def invert_cubics(coefficients, y):
 
 
 def test_force_beyond_calibrated_range_is_reported():
-    found = make_result(rate=2 * math.pi)  # 2.5 m x (2 pi)^2 / g = 10.06 g
-    assert apply(found, "Qx", [10.0, -10.1]).warnings == ()
-    (warning,) = apply(found, "Qx", [40.0, math.nan]).warnings
+    result = make_result(rate=2 * math.pi)  # 2.5 m x (2 pi)^2 / g = 10.06 g
+    assert apply(result, "Qx", [10.0, -10.1]).warnings == ()
+    (warning,) = apply(result, "Qx", [40.0, math.nan]).warnings
     assert "reaches 40 g, but the calibration reached only 10.1 g" in warning
 
 
 def test_results_of_earlier_versions_have_no_axes():
     found, _ = make_three()
-    old = {n: one.model_copy(update={"axes": None}) for n, one in found.accelerometers.items()}
+    old = {
+        n: accelerometer.model_copy(update={"axes": None})
+        for n, accelerometer in found.accelerometers.items()
+    }
     found = found.model_copy(update={"accelerometers": old})
     level = ApplyOptions(pendulous="-1 g", output_axis=0.0)
     assert apply(found, "Qx", [1.0], level).corrected.shape == (1,)
@@ -547,11 +554,11 @@ def test_results_of_earlier_versions_have_no_axes():
 
 
 def test_error_in_python_names_sample(tmp_path):
-    found = make_result({"Qx": make_accelerometer({"K_I": 1.0, "K_III": -1e-4})})
+    result = make_result({"Qx": make_accelerometer({"K_I": 1.0, "K_III": -1e-4})})
     with pytest.raises(ConvergenceError, match=r"sample 1 \(counted from 0\) of Qx"):
-        apply(found, "Qx", [1.0, 50.0])
+        apply(result, "Qx", [1.0, 50.0])
     pl.read_csv(io.StringIO("Qx\n1.0\n")).write_csv(tmp_path / "in.csv")
-    done = apply_file(found, "Qx", str(tmp_path / "in.csv"), str(tmp_path / "out.csv"))
+    done = apply_file(result, "Qx", str(tmp_path / "in.csv"), str(tmp_path / "out.csv"))
     assert done.at_one_g.indicated == done.low == done.high == 1.0
     assert done.most.correction == pytest.approx(1e-4, rel=1e-3)
 
@@ -570,8 +577,8 @@ def test_record_formats_can_be_corrected(tmp_path, name):
         with h5py.File(file, "w") as store:
             for column in table:
                 store[column.name] = column.to_numpy()
-    found = make_result({"Qx": make_accelerometer({"K_I": 2.0})})
-    apply_file(found, "Qx", file, tmp_path / "out.parquet", column="Qx")
+    result = make_result({"Qx": make_accelerometer({"K_I": 2.0})})
+    apply_file(result, "Qx", file, tmp_path / "out.parquet", column="Qx")
     written_table = pl.read_parquet(tmp_path / "out.parquet")
     assert written_table["Qx_corrected"].to_list() == [0.5, 1.0, -1.5]
     assert written_table["t"].to_list() == [0.0, 0.5, 1.0]

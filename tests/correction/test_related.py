@@ -65,8 +65,8 @@ def test_correlations_between_accelerometers_are_included(result):
     # Along the force of a pose, |f| is better known than its parts by themselves would say.
     y = triads.indications(FORCES)
     plain = result.model_copy(update={"correlation": None})
-    alone = np.column_stack([one.u for one in correct_all(plain, y)])
-    related = np.column_stack([one.u for one in correct_all(result, y)])
+    alone = np.column_stack([correction.u for correction in correct_all(plain, y)])
+    related = np.column_stack([correction.u for correction in correct_all(result, y)])
     assert np.abs(related / alone - 1.0).max() > 1e-3
 
 
@@ -87,11 +87,13 @@ def test_default_priors_are_included_for_all_three_axes(tmp_path, result):
     u = np.column_stack([one.u for one in found])
     # K_II of a MEMS sensor is 1e-3 g/g^2 if nothing is stated: 9e-3 g at 3 g.
     assert u[4, 2] == pytest.approx(9e-3, rel=0.25)
-    assert (u[:4] > np.column_stack([one.u for one in correct_all(result, y[:4])])).all()
+    assert (
+        u[:4] > np.column_stack([correction.u for correction in correct_all(result, y[:4])])
+    ).all()
     # Half of the default K_0_asym of a MEMS sensor, 1.25 mg, acts on the output and on the bias.
     symmetric = text.replace("terms = ", 'assume = ["K_0_asym"]\nterms = ')
     known = cs.calibrate(triads.table(tmp_path, values, u=3e-4, description=symmetric))
-    u_known = np.column_stack([one.u for one in correct_all(known, y[:4])])
+    u_known = np.column_stack([correction.u for correction in correct_all(known, y[:4])])
     assert (u[:4] ** 2 - u_known**2 < 2.0 * 1.25e-3**2).all()
 
 
@@ -100,7 +102,7 @@ def test_file_has_all_three_axes_corrected(tmp_path, result):
     frame = pl.DataFrame({"t": [0.0, 0.1, 0.2, 0.3], "X": y[:, 0], "Y": y[:, 1], "Z": y[:, 2]})
     frame.write_csv(tmp_path / "in.csv")
     done = apply_file(result, None, tmp_path / "in.csv", tmp_path / "out.csv")
-    assert [one.column for one in (done, *done.more)] == ["X", "Y", "Z"]
+    assert [correction.column for correction in (done, *done.more)] == ["X", "Y", "Z"]
     written = pl.read_csv(tmp_path / "out.csv")
     assert written.columns[4:] == [f"{n}_corrected{u}" for n in "XYZ" for u in ("", "_u")]
     for one, name in zip(correct_all(result, y), "XYZ", strict=True):
@@ -110,7 +112,7 @@ def test_file_has_all_three_axes_corrected(tmp_path, result):
     named.write_csv(tmp_path / "named.csv")
     options = cs.ApplyOptions(others={"Z": "az", "X": "ax", "Y": "ay"})
     done = apply_file(result, None, tmp_path / "named.csv", tmp_path / "more.csv", options=options)
-    assert [one.column for one in (done, *done.more)] == ["az", "ax", "ay"]
+    assert [correction.column for correction in (done, *done.more)] == ["az", "ax", "ay"]
     again = pl.read_csv(tmp_path / "more.csv")["ay_corrected"].to_numpy()
     assert again == pytest.approx(written["Y_corrected"].to_numpy(), abs=1e-12)
 

@@ -93,17 +93,17 @@ def test_u_of_slope_and_temperature(power):
     """Of c t^n with c ± s and t ± u: (n c t^(n-1) u)^2 + s^2 E[t^(2n)], of a normal t."""
     symbol = "K_F.temperature" + (f".{power}" if power > 1 else "")
     c, s, t, u = 2e-5, 3e-6, 12.0, 1.5
-    found = make_result({"K_F": 0.0, "K_I": 1.0, symbol: c}, {symbol: s})
+    result = make_result({"K_F": 0.0, "K_I": 1.0, symbol: c}, {symbol: s})
     taken = ApplyOptions(temperature=f"{REFERENCE + t} ± {u} degC")
     moments = {1: t**2 + u**2, 2: t**4 + 6 * t**2 * u**2 + 3 * u**4}
     # Three nodes give the sixth moment except for 6 u^6 of 15.
     moments[3] = t**6 + 15 * t**4 * u**2 + 45 * t**2 * u**4 + 9 * u**6
     expected = math.sqrt((power * c * t ** (power - 1) * u) ** 2 + s**2 * moments[power])
-    done = apply(found, "A", [0.5, -0.5], taken)
+    done = apply(result, "A", [0.5, -0.5], taken)
     np.testing.assert_allclose(done.u, expected, rtol=1e-12)
     # At the calibration temperature, u of the slope acts only through u of the temperature.
     there = ApplyOptions(temperature=f"{REFERENCE} ± {u} degC")
-    at_reference = apply(found, "A", [0.5], there).u[0]
+    at_reference = apply(result, "A", [0.5], there).u[0]
     assert at_reference >= s * u**power * 0.999
 
 
@@ -196,11 +196,11 @@ def test_default_slopes_are_in_u_where_temperature_is_known():
         Knowledge(name=f"A.{s}", kind="unstated", unit=ACCELEROMETER_TERMS[s].unit, value=0.0, u=u)
         for s, u in (("K_F.temperature", 3e-5), ("K_I.temperature", 1e-4))
     ]
-    found = make_result({"K_F": 0.0, "K_I": 1.0}, rests_on=unstated)
-    there = apply(found, "A", [2.0], ApplyOptions(temperature=REFERENCE - 5.0))
+    result = make_result({"K_F": 0.0, "K_I": 1.0}, rests_on=unstated)
+    there = apply(result, "A", [2.0], ApplyOptions(temperature=REFERENCE - 5.0))
     assert there.u == pytest.approx([5.0 * math.hypot(3e-5, 2e-4)], rel=1e-12)
     assert not there.warnings
-    unknown = apply(found, "A", [2.0])
+    unknown = apply(result, "A", [2.0])
     assert unknown.u == pytest.approx([0.0])
     (said,) = unknown.warnings
     assert "K_F.temperature, K_I.temperature are not stated, and the temperature is not" in said
@@ -209,27 +209,27 @@ def test_default_slopes_are_in_u_where_temperature_is_known():
 def test_half_of_hysteresis_of_unknown_sign_is_in_u():
     """h ± u with an unknown sign gives (h^2 + u^2)/4 in addition to the variance of K_F."""
     values, u = {"K_F": 1e-3, "K_I": 1.0, "K_F.hysteresis": 3e-5}, {"K_F": 2e-6}
-    found = make_result(values, u | {"K_F.hysteresis": 4e-6})
+    result = make_result(values, u | {"K_F.hysteresis": 4e-6})
     expected = math.sqrt(4e-12 + (9e-10 + 1.6e-11) / 4.0)
-    done = apply(found, "A", [0.5])
+    done = apply(result, "A", [0.5])
     assert (done.corrected[0], done.u[0]) == pytest.approx((0.499, expected), rel=1e-9)
     assert not done.warnings
     row = {"kind": "unstated", "unit": "g", "value": 0.0, "u": 2e-5}
     unstated = [Knowledge(name="A.K_F.hysteresis", **row)]
-    found = make_result({"K_F": 1e-3, "K_I": 1.0}, u, rests_on=unstated)
-    assert apply(found, "A", [0.5]).u[0] == pytest.approx(math.hypot(2e-6, 1e-5), rel=1e-9)
+    result = make_result({"K_F": 1e-3, "K_I": 1.0}, u, rests_on=unstated)
+    assert apply(result, "A", [0.5]).u[0] == pytest.approx(math.hypot(2e-6, 1e-5), rel=1e-9)
 
 
 def test_temperature_beyond_calibration_is_reported():
-    found = make_result(MODEL | SLOPES, temperatures=(283.15, 303.15))
-    inside = apply(found, "A", [1.0], ApplyOptions(temperature=30.9))
+    calibration = make_result(MODEL | SLOPES, temperatures=(283.15, 303.15))
+    inside = apply(calibration, "A", [1.0], ApplyOptions(temperature=30.9))
     assert not inside.warnings
-    (said,) = apply(found, "A", [1.0, 1.0], ApplyOptions(temperature=[25.0, 40.0])).warnings
+    (said,) = apply(calibration, "A", [1.0, 1.0], ApplyOptions(temperature=[25.0, 40.0])).warnings
     assert said.startswith(
         "The temperature is 25 to 40 degC, but the calibration temperature was 10 "
     )
-    other = make_result(MODEL | {"K_F.trend": 1e-9, "K_F.heating": 1e-7})
-    (said,) = apply(other, "A", [1.0]).warnings
+    result = make_result(MODEL | {"K_F.trend": 1e-9, "K_F.heating": 1e-7})
+    (said,) = apply(result, "A", [1.0]).warnings
     assert "the correction does not apply K_F.trend, K_F.heating" in said
     (note,) = apply(make_result(MODEL), "A", [1.0], ApplyOptions(temperature=25.0)).notes[1:]
     assert note == "The result contains no temperature slope, so the temperature has no effect."
@@ -266,8 +266,8 @@ def test_temperature_column_of_file_is_used(folder, capsys):
     assert run(*words, "T") == 0
     assert pl.read_csv("out.csv")["y_corrected"].is_null().to_list() == [False, True]
     assert run("--accelerometer=A", "--input=y") == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert "of A change with the temperature of the record; give --temperature: a column" in said
+    error = " ".join(capsys.readouterr().err.split())
+    assert "of A change with the temperature of the record; give --temperature: a column" in error
     assert run(*words, "degC") == 2
     assert 'such as "23 degC"' in capsys.readouterr().err
 
@@ -300,12 +300,12 @@ def test_result_contains_calibration_temperatures():
             "columns": {"attitude": "deg", "reading": "g", "temperature": "warm"},
         },
     }
-    found = cs.calibrate(cs.make_campaign(described, readings=frame))
-    assert found.inputs.reference_temperature == pytest.approx(298.15)
-    assert found.inputs.temperatures == pytest.approx([283.15, 313.15])
+    result = cs.calibrate(cs.make_campaign(described, readings=frame))
+    assert result.inputs.reference_temperature == pytest.approx(298.15)
+    assert result.inputs.temperatures == pytest.approx([283.15, 313.15])
     # 3 g cos(60 deg) at 35 degC, ten kelvin above the reference.
     y = 0.002 + 3e-4 + (1.001 + 1e-3) * 0.5
-    done = apply(found, "A", [y], ApplyOptions(temperature=35.0))
+    done = apply(result, "A", [y], ApplyOptions(temperature=35.0))
     assert abs(done.corrected[0] - 0.5) < 4 * done.u[0]
     assert 1e-7 < done.u[0] < 1e-6
     described["centrifuge"]["reference_temperature"] = "20 degC"

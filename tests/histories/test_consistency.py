@@ -20,41 +20,41 @@ series = st.lists(st.tuples(numbers, spreads), min_size=2, max_size=8)
 
 def test_weighted_mean_of_two_measurements():
     # Weights 1 and 1/4: mean 1/5 of the way, chi2 = 5^2/(1 + 4).
-    found = weighted_mean([10.0, 15.0], [1.0, 2.0])
-    assert found.value == pytest.approx(11.0)
-    assert found.u == pytest.approx(math.sqrt(0.8))
-    assert found.scatter.chi2 == pytest.approx(5.0)
-    assert found.scatter.dof == 1
-    assert found.scatter.birge == pytest.approx(math.sqrt(5.0))
+    mean = weighted_mean([10.0, 15.0], [1.0, 2.0])
+    assert mean.value == pytest.approx(11.0)
+    assert mean.u == pytest.approx(math.sqrt(0.8))
+    assert mean.scatter.chi2 == pytest.approx(5.0)
+    assert mean.scatter.dof == 1
+    assert mean.scatter.birge == pytest.approx(math.sqrt(5.0))
     # With one degree of freedom chi-square is a squared normal variable.
-    assert found.scatter.p == pytest.approx(math.erfc(math.sqrt(5.0 / 2.0)))
-    assert found.difference == pytest.approx([-1.0, 4.0])
-    assert found.z == pytest.approx([-math.sqrt(5.0), math.sqrt(5.0)])
+    assert mean.scatter.p == pytest.approx(math.erfc(math.sqrt(5.0 / 2.0)))
+    assert mean.difference == pytest.approx([-1.0, 4.0])
+    assert mean.z == pytest.approx([-math.sqrt(5.0), math.sqrt(5.0)])
 
 
 def test_p_value_with_two_degrees_of_freedom_is_exponential():
-    found = weighted_mean([1.0, 2.0, 6.0], [1.0, 1.0, 1.0])
-    assert found.scatter.chi2 == pytest.approx(14.0)
-    assert found.scatter.p == pytest.approx(math.exp(-7.0))
+    mean = weighted_mean([1.0, 2.0, 6.0], [1.0, 1.0, 1.0])
+    assert mean.scatter.chi2 == pytest.approx(14.0)
+    assert mean.scatter.p == pytest.approx(math.exp(-7.0))
 
 
 def test_one_measurement_has_no_consistency_test():
-    found = weighted_mean([3.0], [0.5])
-    assert (found.value, found.u) == (pytest.approx(3.0), pytest.approx(0.5))
-    assert found.scatter.p is None
-    assert found.scatter.birge is None
-    assert np.isnan(found.z).all()
+    mean = weighted_mean([3.0], [0.5])
+    assert (mean.value, mean.u) == (pytest.approx(3.0), pytest.approx(0.5))
+    assert mean.scatter.p is None
+    assert mean.scatter.birge is None
+    assert np.isnan(mean.z).all()
 
 
 @given(series)
 def test_z_is_difference_over_its_uncertainty(measured):
     values, u = np.array(measured).T
-    found = weighted_mean(values, u)
+    mean = weighted_mean(values, u)
     # Var(x_i - mean) = u_i^2 - u^2; the tolerance is its cancellation.
-    spread = u**2 - found.u**2
+    spread = u**2 - mean.u**2
     clear = spread > 1e-6 * u**2
-    assert found.z[clear] == pytest.approx(
-        (found.difference / np.sqrt(np.where(clear, spread, 1.0)))[clear], rel=1e-8, abs=1e-8
+    assert mean.z[clear] == pytest.approx(
+        (mean.difference / np.sqrt(np.where(clear, spread, 1.0)))[clear], rel=1e-8, abs=1e-8
     )
 
 
@@ -72,12 +72,12 @@ def test_rejects_invalid_uncertainty(u):
 
 
 def test_drift_through_two_points():
-    found = fit_drift([2000.0, 2004.0], [1.0, 3.0], [0.3, 0.4])
-    assert found.slope == pytest.approx(0.5)
-    assert found.u == pytest.approx(0.5 / 4.0)  # root of 0.3^2 + 0.4^2, over four years
-    assert found.p == pytest.approx(math.erfc(4.0 / math.sqrt(2.0)))
-    assert found.scatter.p is None
-    value, u = found.evaluate([2000.0, 2004.0])
+    drift = fit_drift([2000.0, 2004.0], [1.0, 3.0], [0.3, 0.4])
+    assert drift.slope == pytest.approx(0.5)
+    assert drift.u == pytest.approx(0.5 / 4.0)  # root of 0.3^2 + 0.4^2, over four years
+    assert drift.p == pytest.approx(math.erfc(4.0 / math.sqrt(2.0)))
+    assert drift.scatter.p is None
+    value, u = drift.evaluate([2000.0, 2004.0])
     assert value == pytest.approx([1.0, 3.0])
     assert u == pytest.approx([0.3, 0.4])
 
@@ -86,9 +86,9 @@ def test_drift_through_two_points():
 def test_exact_line_is_recovered(measured, slope):
     u = np.array([spread for _, spread in measured])
     time = np.arange(u.size) * 0.5 + 2020.0
-    found = fit_drift(time, 7.0 + slope * (time - 2020.0), u)
-    assert found.slope == pytest.approx(slope, abs=1e-7)
-    assert found.scatter.chi2 == pytest.approx(0.0, abs=1e-8)
+    drift = fit_drift(time, 7.0 + slope * (time - 2020.0), u)
+    assert drift.slope == pytest.approx(slope, abs=1e-7)
+    assert drift.scatter.chi2 == pytest.approx(0.0, abs=1e-8)
 
 
 def test_drift_agrees_with_textbook_formula():
@@ -97,10 +97,10 @@ def test_drift_agrees_with_textbook_formula():
     w = u**-2
     sw, sx, sy = w.sum(), (w * time).sum(), (w * y).sum()
     delta = sw * (w * time**2).sum() - sx**2
-    found = fit_drift(time, y, u)
-    assert found.slope == pytest.approx((sw * (w * time * y).sum() - sx * sy) / delta)
-    assert found.u == pytest.approx(math.sqrt(sw / delta))
-    assert (found.time, found.value) == (pytest.approx(sx / sw), pytest.approx(sy / sw))
+    drift = fit_drift(time, y, u)
+    assert drift.slope == pytest.approx((sw * (w * time * y).sum() - sx * sy) / delta)
+    assert drift.u == pytest.approx(math.sqrt(sw / delta))
+    assert (drift.time, drift.value) == (pytest.approx(sx / sw), pytest.approx(sy / sw))
 
 
 def test_single_date_has_no_drift():

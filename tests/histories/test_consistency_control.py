@@ -7,22 +7,22 @@ from counterspin.histories.consistency import individuals_chart
 
 def test_control_limits_closed_form():
     # Changes 2, 4, 2: mean 8/3, over 1.1284.
-    found = individuals_chart([1.0, 3.0, -1.0, 1.0], list("abcd"))
-    assert (found.centre, found.mean_range) == (1.0, pytest.approx(8.0 / 3.0))
+    chart = individuals_chart([1.0, 3.0, -1.0, 1.0], list("abcd"))
+    assert (chart.centre, chart.mean_range) == (1.0, pytest.approx(8.0 / 3.0))
     sigma = 8.0 / 3.0 / 1.128379
     warning, action = (1.0 - 2.0 * sigma, 1.0 + 2.0 * sigma), (1.0 - 3.0 * sigma, 1.0 + 3.0 * sigma)
-    assert (found.warning_low, found.warning_high) == pytest.approx(warning, rel=1e-6)
-    assert (found.action_low, found.action_high) == pytest.approx(action, rel=1e-6)
+    assert (chart.warning_low, chart.warning_high) == pytest.approx(warning, rel=1e-6)
+    assert (chart.action_low, chart.action_high) == pytest.approx(action, rel=1e-6)
     # The factor D4 of two: 3.267.
-    assert found.range_limit == pytest.approx(3.267 * 8.0 / 3.0, rel=2e-4)
-    assert (found.beyond, found.leaps) == ([], [])
+    assert chart.range_limit == pytest.approx(3.267 * 8.0 / 3.0, rel=2e-4)
+    assert (chart.beyond, chart.leaps) == ([], [])
 
 
 def test_points_beyond_limits_are_named():
     values = [0.0, 1.0] * 8 + [20.0] + [0.0, 1.0] * 4
-    found = individuals_chart(values, [str(place) for place in range(len(values))])
-    assert found.beyond == ["16"]
-    assert found.leaps == ["16", "17"]
+    chart = individuals_chart(values, [str(place) for place in range(len(values))])
+    assert chart.beyond == ["16"]
+    assert chart.leaps == ["16", "17"]
 
 
 def test_fewer_than_three_results_have_no_limits():

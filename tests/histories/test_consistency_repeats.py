@@ -106,8 +106,8 @@ def test_shared_uncertainty_is_not_repeatability():
         }
     ]
     results = []
-    for one in make_twelve():
-        document = json.loads(one.model_dump_json(by_alias=True))
+    for result in make_twelve():
+        document = json.loads(result.model_dump_json(by_alias=True))
         qx = document["accelerometers"]["Qx"]
         line = {"contribution": 2e-7, "share": 0.9, **budget[0]}
         qx["budget"] = {"K_II": [line]}
@@ -122,8 +122,8 @@ def test_shared_uncertainty_is_not_repeatability():
 
 
 def test_report_lists_components_with_intervals(tmp_path):
-    found = history(make_twelve())
-    blocks = list(history_blocks(found))
+    histories = history(make_twelve())
+    blocks = list(history_blocks(histories))
     (table,) = (
         block
         for block in blocks
@@ -131,18 +131,18 @@ def test_report_lists_components_with_intervals(tmp_path):
     )
     rows = {row[0]: row[1:] for row in table.rows}
     assert list(rows) == ["another day", "another mounting", "another turn-on", "all results"]
-    own = found.instruments[0].repeatability.components["turn_on"]
+    own = histories.instruments[0].repeatability.components["turn_on"]
     assert rows["another turn-on"][2:] == ("12 turn-ons", "6")
     assert float(rows["another turn-on"][0]) == pytest.approx(own.value * 1e6, rel=0.05)
     assert rows["another day"][1].startswith("0 to ")
-    told = " ".join(getattr(block, "text", "") for block in blocks)
+    text = " ".join(getattr(block, "text", "") for block in blocks)
     assert (
         "With few days and mountings, the estimates are unreliable. Use the intervals instead."
-        in told
+        in text
     )
     path = tmp_path / "history.json"
-    found.write(path)
-    assert History.read(path) == found
+    histories.write(path)
+    assert History.read(path) == histories
     both = [
         make_result(v, str(d), mounting=str(d), turn_on=f"t{i}")
         for i, (v, d) in enumerate(zip(VALUES, DAYS, strict=True))

@@ -15,14 +15,14 @@ X = np.array([1.0, 4.0, 2.0])
 
 def test_mean_and_drift_match_generalised_least_squares():
     inverse = np.linalg.inv(V)
-    found = weighted_mean(X, np.sqrt(np.diag(V)), V)
+    mean = weighted_mean(X, np.sqrt(np.diag(V)), V)
     variance = 1.0 / inverse.sum()
-    assert found.value == pytest.approx(variance * (inverse @ X).sum())
-    assert found.u == pytest.approx(math.sqrt(variance))
-    away = X - found.value
-    assert found.scatter.chi2 == pytest.approx(away @ inverse @ away)
+    assert mean.value == pytest.approx(variance * (inverse @ X).sum())
+    assert mean.u == pytest.approx(math.sqrt(variance))
+    away = X - mean.value
+    assert mean.scatter.chi2 == pytest.approx(away @ inverse @ away)
     project = np.eye(3) - variance * np.ones((3, 1)) @ np.ones((1, 3)) @ inverse
-    assert found.z == pytest.approx(away / np.sqrt(np.diag(project @ V @ project.T)))
+    assert mean.z == pytest.approx(away / np.sqrt(np.diag(project @ V @ project.T)))
     time = np.array([0.0, 1.0, 4.0])
     design = np.stack([np.ones(3), time], axis=1)
     covariance = np.linalg.inv(design.T @ inverse @ design)

@@ -44,7 +44,7 @@ def test_history_of_nine_parameters_has_shared_defaults(tmp_path, kind):
     found = write_results(tmp_path)
     parameters = [name for name in found[0].triad.parameters if name.startswith(kind)]
     history = cs.history([tmp_path], term=kind)
-    assert [one.serial_number for one in history.instruments] == (
+    assert [instrument.serial_number for instrument in history.instruments] == (
         ["A B", "A C", "B C"] if kind == "angle" else ["A", "B", "C"]
     )
     assert history.unit == {"offset": "g", "sensitivity": "g/g", "angle": "rad"}[kind]
@@ -88,8 +88,8 @@ def test_budget_sensitivity_matches_change_of_parameter(tmp_path):
     )
     for name, parameter in plain.triad.parameters.items():
         lines = plain.triad.budget[name]
-        assert sum(one.contribution**2 for one in lines) == pytest.approx(parameter.u**2)
-        slope = sum(one.sensitivity for one in lines if one.source == "Y.K_II")
+        assert sum(line.contribution**2 for line in lines) == pytest.approx(parameter.u**2)
+        slope = sum(line.sensitivity for line in lines if line.source == "Y.K_II")
         change = moved.triad.parameters[name].value - parameter.value
         assert change == pytest.approx(-slope * delta, rel=1e-2, abs=1e-9)
     assert abs(plain.triad.parameters["offset.Y"].value - triads.BIAS[1]) < 1e-6
@@ -111,8 +111,12 @@ def test_angle_requires_both_serial_numbers_or_campaign_number(tmp_path):
     values = triads.indications(triads.directions(24, np.random.default_rng(3)))
     result = write_triad_result(tmp_path, DATES[0], values, serials=("A", "B", None))
     history = cs.history([tmp_path], term="angle")
-    assert [one.serial_number for one in history.instruments] == ["A B"]
+    assert [instrument.serial_number for instrument in history.instruments] == ["A B"]
     assert {left.accelerometer for left in history.left_out} == {"X, Z", "Y, Z"}
     of_campaign = result.model_copy(update={"details": {**result.details, "serial_number": "S"}})
     history = cs.history([of_campaign], term="angle")
-    assert [one.serial_number for one in history.instruments] == ["A B", "S X Z", "S Y Z"]
+    assert [instrument.serial_number for instrument in history.instruments] == [
+        "A B",
+        "S X Z",
+        "S Y Z",
+    ]

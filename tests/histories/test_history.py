@@ -95,10 +95,10 @@ def test_drift_is_per_year(tmp_path):
     ],
 )
 def test_verdict_follows_from_shifts(tmp_path, shifts, verdict, words):
-    found = history([write_series(tmp_path, [2.7e-5 + U * shift for shift in shifts])])
-    assert only_instrument(found).verdict == verdict
-    told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
-    assert words in told
+    histories = history([write_series(tmp_path, [2.7e-5 + U * shift for shift in shifts])])
+    assert only_instrument(histories).verdict == verdict
+    text = " ".join(getattr(block, "text", "") for block in history_blocks(histories))
+    assert words in text
 
 
 def test_results_of_one_date_have_no_drift(tmp_path):
@@ -123,41 +123,46 @@ def test_values_of_other_sites_are_converted_to_latest_gravity(tmp_path):
     there = dated(2.7e-5, "2023-03-01") | {"inputs": FROZEN_RESULT["inputs"] | {"gravity": 9.78}}
     here = dated(2.7e-5, "2024-03-01") | {"inputs": FROZEN_RESULT["inputs"] | {"gravity": 9.83}}
     folder = write_results(tmp_path, there=there, here=here)
-    found = history([folder])
-    assert found.gravity == 9.83
-    assert found.converted
+    histories = history([folder])
+    assert histories.gravity == 9.83
+    assert histories.converted
     # K_II in SI is K_II/g: the same sensor has a larger number where g is larger.
-    assert only_instrument(found).points[0].value == pytest.approx(2.7e-5 * 9.83 / 9.78, rel=1e-12)
-    assert only_instrument(found).points[1].value == 2.7e-5
+    assert only_instrument(histories).points[0].value == pytest.approx(
+        2.7e-5 * 9.83 / 9.78, rel=1e-12
+    )
+    assert only_instrument(histories).points[1].value == 2.7e-5
     bias = only_instrument(history([folder], term="K_F")).points[0]
     stated = FROZEN_RESULT["accelerometers"]["Qx"]["coefficients"]["K_F"]["value"]
     assert bias.value == pytest.approx(stated * 9.78 / 9.83, rel=1e-12)
-    told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
-    assert "g = 9.83 m/s^2" in told
+    text = " ".join(getattr(block, "text", "") for block in history_blocks(histories))
+    assert "g = 9.83 m/s^2" in text
 
 
 # Included files
 
 
 def test_frozen_results_of_every_schema_are_read():
-    found = history([FROZEN])
-    assert not found.damaged
-    assert [one.serial_number for one in found.instruments] == ["P-7 Qx", "P-7 Qy"]
-    for instrument, name in zip(found.instruments, ("Qx", "Qy"), strict=True):
+    histories = history([FROZEN])
+    assert not histories.damaged
+    assert [instrument.serial_number for instrument in histories.instruments] == [
+        "P-7 Qx",
+        "P-7 Qy",
+    ]
+    for instrument, name in zip(histories.instruments, ("Qx", "Qy"), strict=True):
         assert instrument.stated_by == "campaign"
         stated = [
             json.loads(path.read_text("utf-8"))["accelerometers"][name]["coefficients"]["K_II"]
             for path in (FROZEN / "schema-1-joint.json", FROZEN / "schema-1-two-stage.json")
         ]
         assert [(p.value, p.u) for p in instrument.points] == [(c["value"], c["u"]) for c in stated]
-    assert "(of the campaign)" in str(list(history_blocks(found)))
+    assert "(of the campaign)" in str(list(history_blocks(histories)))
 
 
 def test_results_are_grouped_by_serial_number(tmp_path):
     write_series(tmp_path / "a", [2.7e-5, 2.7e-5], serial="A")
     write_series(tmp_path / "deep" / "b", [3.1e-5, 3.1e-5, 3.1e-5], serial="B")
-    found = history([tmp_path])
-    assert [(i.serial_number, len(i.points)) for i in found.instruments] == [("A", 2), ("B", 3)]
+    histories = history([tmp_path])
+    assert [(i.serial_number, len(i.points)) for i in histories.instruments] == [("A", 2), ("B", 3)]
     assert only_instrument(history([tmp_path], serial="B")).mean == pytest.approx(3.1e-5)
     assert (
         only_instrument(history([tmp_path / "a", tmp_path / "a" / "r0.json"])).serial_number == "A"
@@ -192,8 +197,8 @@ def make_contradicted(**more):
 def test_accepted_misfit_is_included(tmp_path):
     accepted = make_contradicted(state="contradicted", accepted_misfit="known play of the arm")
     accepted["accelerometers"]["Qx"] |= {"state": "contradicted"}
-    found = history([write_results(tmp_path, good=dated(run="1"), other=accepted)])
-    assert len(only_instrument(found).points) == 2
+    histories = history([write_results(tmp_path, good=dated(run="1"), other=accepted)])
+    assert len(only_instrument(histories).points) == 2
 
 
 @pytest.mark.parametrize(
@@ -213,14 +218,14 @@ def test_accepted_misfit_is_included(tmp_path):
 )
 def test_excluded_result_has_reason(tmp_path, document, reason):
     folder = write_results(tmp_path, good=dated(run="same"), other=document)
-    found = history([folder])
-    assert [Path(p.file).name for p in only_instrument(found).points] == ["good.json"]
-    (left,) = found.left_out
+    histories = history([folder])
+    assert [Path(p.file).name for p in only_instrument(histories).points] == ["good.json"]
+    (left,) = histories.left_out
     assert Path(left.file).name == "other.json"
     assert reason in left.reason
-    assert found.damaged == []
-    told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
-    assert reason in told
+    assert histories.damaged == []
+    text = " ".join(getattr(block, "text", "") for block in history_blocks(histories))
+    assert reason in text
 
 
 def test_joint_result_replaces_two_stage_of_same_records(tmp_path):
@@ -230,9 +235,9 @@ def test_joint_result_replaces_two_stage_of_same_records(tmp_path):
 
 def test_copies_are_counted_once(tmp_path):
     folder = write_results(tmp_path, a=dated(), b=dated())
-    found = history([folder, folder / "a.json"])
-    assert len(only_instrument(found).points) == 1
-    (left,) = found.left_out
+    histories = history([folder, folder / "a.json"])
+    assert len(only_instrument(histories).points) == 1
+    (left,) = histories.left_out
     assert left.reason == f"this file is the same as {folder / 'a.json'}"
 
 
@@ -240,9 +245,9 @@ def test_shared_records_are_reported(tmp_path):
     first, second = dated(2.7e-5, DATES[0]), dated(2.71e-5, DATES[1])
     for document, own in ((first, "b"), (second, "c")):
         document["provenance"]["inputs"] = {"1.csv": "sha256:a", "2.csv": f"sha256:{own}"}
-    found = history([write_results(tmp_path, first=sealed(first), second=sealed(second))])
-    assert len(only_instrument(found).points) == 2
-    (note,) = found.notes
+    histories = history([write_results(tmp_path, first=sealed(first), second=sealed(second))])
+    assert len(only_instrument(histories).points) == 2
+    (note,) = histories.notes
     assert "second.json shares 1 of 2 records with" in note
 
 
@@ -258,9 +263,9 @@ def test_missing_seals_are_reported(tmp_path):
 
 def test_other_json_files_are_skipped(tmp_path):
     folder = write_results(tmp_path, good=dated(), plan={"schema": 1, "runs": []}, numbers=[1, 2])
-    found = history([folder])
-    assert [Path(name).name for name in found.passed_over] == ["numbers.json", "plan.json"]
-    assert found.damaged == []
+    histories = history([folder])
+    assert [Path(name).name for name in histories.passed_over] == ["numbers.json", "plan.json"]
+    assert histories.damaged == []
     # A file given by name must be a result.
     assert len(history([folder / "good.json", folder / "plan.json"]).damaged) == 1
 
@@ -283,16 +288,16 @@ def test_other_json_files_are_skipped(tmp_path):
 )
 def test_damaged_file_does_not_stop_history(tmp_path, text, words, capsys):
     folder = write_results(tmp_path, good=dated(), bad=text)
-    found = history([folder])
-    assert len(only_instrument(found).points) == 1
-    (damaged,) = found.damaged
+    histories = history([folder])
+    assert len(only_instrument(histories).points) == 1
+    (damaged,) = histories.damaged
     assert words in damaged.reason
     kept = tmp_path / "kept.txt"
     assert main(["history", str(folder), "--json", str(kept)]) == 1
-    told = capsys.readouterr()
-    assert "Q-104" in told.out
-    assert "bad.json" in told.out.replace("\n", "")
-    assert told.err.startswith("counterspin: 1 of the result files")
+    captured = capsys.readouterr()
+    assert "Q-104" in captured.out
+    assert "bad.json" in captured.out.replace("\n", "")
+    assert captured.err.startswith("counterspin: 1 of the result files")
     assert History.read(kept).damaged[0].file.endswith("bad.json")
 
 
@@ -308,9 +313,9 @@ def test_wrong_usage_exits_with_2(tmp_path, capsys):
     assert main(["history"]) == 2
     assert "give result files, or folders" in capsys.readouterr().err
     assert main(["history", str(tmp_path / "x"), str(tmp_path / "y")]) == 2
-    told = capsys.readouterr().err
-    assert "2 mistakes" in told
-    assert told.count("file not found") == 2
+    error = capsys.readouterr().err
+    assert "2 mistakes" in error
+    assert error.count("file not found") == 2
     assert main(["history", str(tmp_path / "x")]) == 2
     assert capsys.readouterr().err == f"counterspin: {tmp_path / 'x'}: file not found\n"
     write_results(tmp_path, a=dated())
@@ -325,9 +330,9 @@ def test_wrong_usage_exits_with_2(tmp_path, capsys):
 
 @pytest.mark.parametrize("term", ["K_F", "K_III"])
 def test_history_of_other_term(tmp_path, term):
-    found = history([write_results(tmp_path, a=dated())], term=term)
+    histories = history([write_results(tmp_path, a=dated())], term=term)
     stated = FROZEN_RESULT["accelerometers"]["Qx"]["coefficients"][term]
-    assert (only_instrument(found).points[0].value, found.unit) == (
+    assert (only_instrument(histories).points[0].value, histories.unit) == (
         stated["value"],
         TERMS[term].unit,
     )
@@ -342,28 +347,32 @@ def test_date_with_time_zone_is_converted_to_utc(tmp_path):
 
 
 def test_control_plot_shows_results_mean_and_drift(tmp_path):
-    found = history([write_series(tmp_path, [2.70e-5 + 1e-7 * i for i in range(5)])])
-    mean, centre, *limits, drift, results = control_plot(found, only_instrument(found)).series
+    histories = history([write_series(tmp_path, [2.70e-5 + 1e-7 * i for i in range(5)])])
+    mean, centre, *limits, drift, results = control_plot(
+        histories, only_instrument(histories)
+    ).series
     assert centre.y == pytest.approx((27.2, 27.2))
     # Each change is 0.1: two and three times 0.1/1.1284 from the centre.
     away = [2.0, -2.0, 3.0, -3.0]
-    assert [one.y[0] for one in limits] == pytest.approx(
+    assert [limit.y[0] for limit in limits] == pytest.approx(
         [27.2 - a * 0.1 / 1.128379 for a in away], rel=1e-6
     )
     assert results.kind == "points"
     assert results.y == pytest.approx([27.0, 27.1, 27.2, 27.3, 27.4])
     assert results.high[0] - results.low[0] == pytest.approx(2 * 1.959963984540054 * U * 1e6)
-    dates = np.array([point.date for point in only_instrument(found).points], dtype="datetime64[D]")
+    dates = np.array(
+        [point.date for point in only_instrument(histories).points], dtype="datetime64[D]"
+    )
     assert results.x == tuple(dates.astype(float))
     assert mean.y == pytest.approx((27.2, 27.2))
     assert drift.y == pytest.approx((27.0, 27.4), abs=1e-3)
     assert drift.stands_out
-    assert any(isinstance(block, Plot) for block in history_blocks(found))
+    assert any(isinstance(block, Plot) for block in history_blocks(histories))
 
 
 def test_limits_of_two_results_follow_from_their_uncertainties(tmp_path):
-    found = history([write_series(tmp_path, [2.70e-5, 2.71e-5])])
-    _, upper, lower, _ = control_plot(found, only_instrument(found)).series
+    histories = history([write_series(tmp_path, [2.70e-5, 2.71e-5])])
+    _, upper, lower, _ = control_plot(histories, only_instrument(histories)).series
     # Three standard uncertainties of the difference from the mean of both results.
     limit = 3e6 * U * math.sqrt(1 - 1 / 2)
     assert upper.y == pytest.approx([27.05 + limit] * 2)
@@ -394,19 +403,19 @@ def test_drift_towards_limit_sets_due_date(tmp_path):
     documents = {
         f"r{i}": add_limits(dated(2.70e-5 + 5e-8 * i, date, u=1e-8)) for i, date in enumerate(DATES)
     }
-    found = history([write_results(tmp_path, **documents)])
-    instrument = only_instrument(found)
+    histories = history([write_results(tmp_path, **documents)])
+    instrument = only_instrument(histories)
     assert (instrument.specification.high, instrument.verdict) == (2.75e-5, "drifts")
     # 27.2 in March 2026, at 0.05 a year: six years less what is uncertain.
     assert instrument.due.date.startswith("2031")
     longer = only_instrument(history([tmp_path], reliability=0.999)).due.date
     assert longer < instrument.due.date
-    told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
+    text = " ".join(getattr(block, "text", "") for block in history_blocks(histories))
     assert (
         f"is due on {instrument.due.date}. Until this date, the straight line through the results "
-        "stays within the specification with 95.0 %" in told
+        "stays within the specification with 95.0 %" in text
     )
-    lines = [one.label for one in control_plot(found, instrument).series]
+    lines = [series.label for series in control_plot(histories, instrument).series]
     assert lines.count("specification") == 1
     with pytest.raises(CampaignError, match="is not between"):
         history([tmp_path], reliability=0.4)
@@ -421,8 +430,8 @@ def test_no_due_date_without_specification_or_after_jump(tmp_path):
         f"r{i}": add_limits(dated(2.70e-5 + shift * U, date))
         for i, (shift, date) in enumerate(zip([0, 0, 0, 0, 8], DATES, strict=True))
     }
-    found = history([write_results(tmp_path / "b", **jump)])
-    assert "are not consistent with a straight line" in only_instrument(found).due.reason
+    histories = history([write_results(tmp_path / "b", **jump)])
+    assert "are not consistent with a straight line" in only_instrument(histories).due.reason
 
 
 def test_laboratories_are_compared(tmp_path):
@@ -431,32 +440,32 @@ def test_laboratories_are_compared(tmp_path):
         f"r{i}": add_limits(dated(value, DATES[i]), laboratory=name)
         for i, (name, value) in enumerate(values)
     }
-    found = history([write_results(tmp_path, **documents)])
-    (pair,) = only_instrument(found).laboratories
+    histories = history([write_results(tmp_path, **documents)])
+    (pair,) = only_instrument(histories).laboratories
     assert (pair.first, pair.second) == ("A", "B")
     assert pair.difference == pytest.approx(3e-7)
     # Each mean has u over sqrt(2): U of the difference is 1.96 u (ISO 13528:2015, 9.7).
     assert pair.e_n == pytest.approx(3e-7 / (1.959964 * U), rel=1e-6)
-    told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
-    assert "B minus A = 0.3 ug/g^2, E_n = 3.06; the results differ significantly." in told
+    text = " ".join(getattr(block, "text", "") for block in history_blocks(histories))
+    assert "B minus A = 0.3 ug/g^2, E_n = 3.06; the results differ significantly." in text
 
 
 def test_result_beyond_action_limits_is_named(tmp_path):
     dates = [f"{year}-03-01" for year in range(2000, 2021)]
     shifts = [0, 1] * 8 + [30] + [0, 1] * 2
-    found = history([write_series(tmp_path, [2.7e-5 + 1e-8 * s for s in shifts], dates)])
-    (beyond,) = only_instrument(found).control.beyond
+    histories = history([write_series(tmp_path, [2.7e-5 + 1e-8 * s for s in shifts], dates)])
+    (beyond,) = only_instrument(histories).control.beyond
     assert beyond.endswith("r16.json")
-    told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
-    assert f"The process is out of control: {beyond} is outside the action limits;" in told
+    text = " ".join(getattr(block, "text", "") for block in history_blocks(histories))
+    assert f"The process is out of control: {beyond} is outside the action limits;" in text
 
 
 def test_figure_has_chart_per_instrument_and_is_reproducible(tmp_path):
     write_series(tmp_path / "a", [2.7e-5, 2.71e-5, 2.69e-5], serial="A")
     write_series(tmp_path / "b", [3.1e-5], serial="B")
-    found = history([tmp_path])
+    histories = history([tmp_path])
     for name in ("one.svg", "two.svg"):
-        save_figure(history_plots(found), tmp_path / name)
+        save_figure(history_plots(histories), tmp_path / name)
     drawn = (tmp_path / "one.svg").read_text("utf-8")
     assert drawn == (tmp_path / "two.svg").read_text("utf-8")
     assert "K_II of A" in drawn
@@ -519,12 +528,12 @@ def test_hidden_files_and_pipes_are_skipped(tmp_path):
     folder = write_results(tmp_path, good=dated(), **{".tmpx1y2": dated(2.6e-5)})
     write_results(tmp_path / ".git", index=dated(2.5e-5))
     os.mkfifo(folder / "pipe.json")
-    found = history([folder])
-    assert len(only_instrument(found).points) == 1
-    (hidden,) = found.left_out
+    histories = history([folder])
+    assert len(only_instrument(histories).points) == 1
+    (hidden,) = histories.left_out
     assert hidden.file.endswith(".tmpx1y2.json")
     assert "hidden file is a remainder of an interrupted command" in hidden.reason
-    (pipe,) = found.damaged
+    (pipe,) = histories.damaged
     assert "this is a pipe, not a file" in pipe.reason
     # A file given by name must be a result.
     assert len(only_instrument(history([folder / ".tmpx1y2.json"])).points) == 1

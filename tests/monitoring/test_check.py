@@ -79,9 +79,9 @@ def add_spikes(part):
 )
 def test_documented_faults_make_run_unfit(folder, change, wrong):
     change(pl.read_csv(folder / "slow.csv")).write_csv(folder / "slow.csv")
-    told = " ".join(cs.check(folder / "slow.csv", folder).remarks)
+    text = " ".join(cs.check(folder / "slow.csv", folder).remarks)
     for words in ("instead of the nominal", "instead of the stated", "samples are outliers"):
-        assert (words in told) == (words == wrong), told
+        assert (words in text) == (words == wrong), text
 
 
 def test_unreadable_record_fails_run(folder):
@@ -124,9 +124,9 @@ def test_given_file_replaces_record_of_run(folder, tmp_path):
 def test_command_prints_and_writes_check(folder, tmp_path, capsys):
     words = ["check", str(folder / "slow.csv"), "--campaign", str(folder)]
     assert main([*words, "--json", str(tmp_path / "c.json")]) == 0
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     for word in ("The run is usable", "Clock", "Ripple", "Residuals of Qx", "Qx.K_II"):
-        assert word in told
+        assert word in output
     assert cs.CheckedRun.read(tmp_path / "c.json") == cs.check(folder / "slow.csv", folder)
     (folder / "slow.csv").write_text("")
     assert main(words) == 1

@@ -57,12 +57,14 @@ def test_arm_record_has_rate_and_mean(folder):
     assert run.means["A"].value == pytest.approx(9.0 * 1.0006 + 2e-3 + 15e-6 * 81, abs=5e-3)
     assert run.means["A"].revolutions == math.floor(20.0 * rate * 1.0001 / (2.0 * math.pi))
     result = cs.calibrate(folder)
-    (reading,) = [one for one in result.accelerometers["A"].readings if one.name == "in 9"]
+    (reading,) = [
+        reading for reading in result.accelerometers["A"].readings if reading.name == "in 9"
+    ]
     assert (run.means["A"].value, run.rate) == (reading.value, reading.rate)
     assert checked.others == ["in 1", "in 4", "out 1", "out 4", "out 9", "up"]
     (reached,) = checked.reached
-    found = result.coefficient("A.K_II")
-    assert (reached.name, reached.value, reached.u) == ("A.K_II", found.value, found.u)
+    coefficient = result.coefficient("A.K_II")
+    assert (reached.name, reached.value, reached.u) == ("A.K_II", coefficient.value, coefficient.u)
 
 
 def test_wrong_rate_has_same_remark_as_double_turntable(folder):
@@ -94,6 +96,6 @@ def test_other_file_and_frame_match_and_fault_fails_check(folder, tmp_path, caps
     assert main(words) == 1
     assert "The angle changes in the opposite sense" in capsys.readouterr().out
     assert main(["check", str(folder / "in 9.csv"), "--campaign", str(folder)]) == 0
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     for said in ("The run is usable", "Rate", "Ripple", "Mean of A", "over 29 revolutions"):
-        assert said in told
+        assert said in output

@@ -58,11 +58,11 @@ def find_component(signal, key):
 
 def test_components_are_estimated_from_file_and_frame(tmp_path):
     file = write_record(tmp_path, temperature_degC=np.full(6_000, 23.0))
-    found = cs.noise(file)
-    (signal,) = found.signals
+    estimate = cs.noise(file)
+    (signal,) = estimate.signals
     assert (signal.name, signal.observable, signal.in_g) == ("Qx_g", "specific_force", True)
-    assert found.unused == ["temperature_degC"]
-    assert found.checksum.startswith("sha256:")
+    assert estimate.unused == ["temperature_degC"]
+    assert estimate.checksum.startswith("sha256:")
     for key, true in (("acceleration", N), ("flicker", B)):
         assert find_component(signal, key).low < true < find_component(signal, key).high
     assert find_component(signal, "bias_walk").value is None
@@ -122,14 +122,14 @@ def test_spectral_lines_are_named():
 
 
 def test_noise_table_is_valid_in_campaign(tmp_path, folder):
-    found = cs.noise(write_record(tmp_path))
-    (tmp_path / "noise.toml").write_text(found.table, encoding="utf-8")
+    estimate = cs.noise(write_record(tmp_path))
+    (tmp_path / "noise.toml").write_text(estimate.table, encoding="utf-8")
     stated = load_document(tmp_path / "noise.toml")["noise"]
     assert set(stated) == {"acceleration", "flicker"}
     campaign = cs.read_campaign(folder).change({"noise": None})
     campaign = campaign.change({"noise": stated})
     assert campaign.noise.flicker == pytest.approx(
-        find_component(found.signals[0], "flicker").value, rel=6e-3
+        find_component(estimate.signals[0], "flicker").value, rel=6e-3
     )
 
 
@@ -137,10 +137,10 @@ def test_campaign_identifies_columns(folder, tmp_path):
     time, values = make_columns(order=2)
     values += 1e-5 * np.random.default_rng(3).standard_normal(time.size)
     pl.DataFrame({"time_s": time, "east_m": values}).write_csv(tmp_path / "rest.csv")
-    found = cs.noise(tmp_path / "rest.csv", campaign=folder)
-    (signal,) = found.signals
+    estimate = cs.noise(tmp_path / "rest.csv", campaign=folder)
+    (signal,) = estimate.signals
     assert (signal.name, signal.column, signal.observable) == ("Qx", "east_m", "displacement")
-    assert found.gravity == cs.read_campaign(folder).gravity.value
+    assert estimate.gravity == cs.read_campaign(folder).gravity.value
     assert (
         find_component(signal, "displacement").low
         < 1e-5
@@ -159,9 +159,9 @@ def test_gaps_outliers_and_resolution_are_reported():
     ).signals
     assert (signal.outliers, signal.gaps) == (1, 1)
     assert signal.resolution == pytest.approx(2e-3)
-    told = " ".join(signal.remarks)
+    text = " ".join(signal.remarks)
     for words in ("outliers: 1 sample.", "split at 1 gap.", "multiples of 0.002"):
-        assert words in told
+        assert words in text
 
 
 @pytest.mark.slow
@@ -293,7 +293,7 @@ def test_sampling_rate_replaces_time_column():
     frame = {"Qx_g": values / G}
     (signal,) = cs.noise(frame, sampling_rate="100 Hz").signals
     found, expected = (
-        {key: one.value for key, one in each.components.items()}
+        {key: component.value for key, component in each.components.items()}
         for each in (signal, estimate_from_frame())
     )
     assert found == expected
@@ -365,9 +365,9 @@ def test_column_of_zeros_is_unused(tmp_path):
         "a_g": make_columns()[1] / G,
         "residual_g": np.zeros(6_000),
     }
-    found = cs.noise(frame)
-    assert [signal.column for signal in found.signals] == ["a_g"]
-    assert found.unused == ["residual_g"]
+    estimate = cs.noise(frame)
+    assert [signal.column for signal in estimate.signals] == ["a_g"]
+    assert estimate.unused == ["residual_g"]
     with pytest.raises(RecordError, match="all samples are equal"):
         cs.noise(frame, columns=["residual_g"])
 

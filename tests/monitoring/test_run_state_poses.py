@@ -72,7 +72,7 @@ def test_missing_directions_have_largest_uncertainty_of_force(tmp_path, lowest):
         expected.append(describe_direction(most))
         along = np.vstack([along, most])
     assert missing == expected
-    assert any("-Z" in one for one in missing)
+    assert any("-Z" in entry for entry in missing)
 
 
 def test_full_set_of_poses_has_no_missing_direction(tmp_path):
@@ -129,10 +129,10 @@ def test_record_shorter_than_rest_fails(tmp_path, capsys):
 def test_command_prints_pose_check(tmp_path, capsys):
     posed_records.campaign(tmp_path, {"all": MANY})
     assert main(["check", str(tmp_path / "all.log"), "--campaign", str(tmp_path)]) == 0
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     for word in ("is usable", "Clock", "Poses", "Missing directions", "Y.delta_P", "m/s^2"):
-        assert word in told
-    assert "uncertainty of the whole campaign" not in told
+        assert word in output
+    assert "uncertainty of the whole campaign" not in output
 
 
 @pytest.mark.parametrize("suffix", ["log", "tsv"])

@@ -158,9 +158,9 @@ def test_interrupt_exits_with_130(folder, capsys, monkeypatch):
 
     monkeypatch.setattr("time.sleep", raise_interrupt)
     assert main(["watch", str(folder)]) == 130
-    told = capsys.readouterr()
-    assert "fast waits: no file yet" in told.out
-    assert told.err == "counterspin: stopped\n"
+    captured = capsys.readouterr()
+    assert "fast waits: no file yet" in captured.out
+    assert captured.err == "counterspin: stopped\n"
 
 
 def test_documentation_lists_growing_formats():

@@ -16,6 +16,6 @@ def test_flow_rate_example():
     # The limits' own: 1.128 and 1.128379 differ by 3.4e-4 of the distance of 4.99 from the centre.
     assert check_case(CASE).state == "passed"
     values = CASE.given["values"]
-    found = individuals_chart(values, [str(place) for place in range(len(values))])
-    assert (f"{found.action_low:.2f}", f"{found.action_high:.2f}") == ("45.82", "55.80")
-    assert found.beyond == found.leaps == []
+    chart = individuals_chart(values, [str(place) for place in range(len(values))])
+    assert (f"{chart.action_low:.2f}", f"{chart.action_high:.2f}") == ("45.82", "55.80")
+    assert chart.beyond == chart.leaps == []

@@ -286,7 +286,7 @@ def test_zoom_data_have_screen_resolution(text, name):
         "residual, mm",
         [0.0],
     )
-    assert [one["label"] for one in first["series"]] == [name, "mean", "left out"]
+    assert [series["label"] for series in first["series"]] == [name, "mean", "left out"]
     for one, series in zip(first["series"], plot.series, strict=True):
         for key in ("x", "y", "low", "high"):
             wanted = getattr(series, key)
@@ -341,7 +341,7 @@ def test_zoomed_and_static_plots_have_same_colours(kind):
             PlotSeries("o", x, x, kind="points", stands_out=True),
         ),
     )
-    used = {one["colour"] for one in json.loads(plot_data(plot))["series"]}
+    used = {series["colour"] for series in json.loads(plot_data(plot))["series"]}
     drawn = set(re.findall(r"var\((--(?:series-\d|warning))", svg(plot, theme="page")))
     assert drawn == used - {"--muted"}
 

@@ -279,7 +279,7 @@ def make_attachments():
 def test_attachments_are_identical():
     found = read_pdf(Paragraph("words"), attachments=make_attachments())
     assert {name: data[0] for name, data in found.attachments.items()} == {
-        one.name: one.data for one in make_attachments()
+        attachment.name: attachment.data for attachment in make_attachments()
     }
     embedded = found.trailer["/Root"]["/AF"]
     files = {file.get_object()["/UF"]: file.get_object() for file in embedded}
@@ -319,9 +319,9 @@ def test_verapdf_reports_no_error(tmp_path, flavour):
     own.write_bytes(make_pdf(Heading("Part", 2), table, *PICTURES, attachments=attached))
     for path in (own, EXAMPLE):
         words = ["verapdf", "--flavour", flavour, "--format", "text", str(path)]
-        told = subprocess.run(words, capture_output=True, text=True, check=False)
-        assert told.returncode == 0, told.stdout
-        assert told.stdout.startswith("PASS"), told.stdout
+        process = subprocess.run(words, capture_output=True, text=True, check=False)
+        assert process.returncode == 0, process.stdout
+        assert process.stdout.startswith("PASS"), process.stdout
 
 
 def test_outline_contains_chapters():

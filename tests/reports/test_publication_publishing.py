@@ -23,11 +23,11 @@ def test_report_formats_are_reproducible(suffix, tmp_path):
     write_report(result(), second, issued=FIXED)
     assert first.read_bytes() == second.read_bytes()
     assert len(first.read_bytes()) > 1000
-    other = result(warnings=["Qx: odd"])
+    calibration = result(warnings=["Qx: odd"])
     with raises("file-exists", "`overwrite"):
-        write_report(other, second, issued=FIXED)
+        write_report(calibration, second, issued=FIXED)
     assert first.read_bytes() == second.read_bytes()
-    write_report(other, second, issued=FIXED, overwrite=True)
+    write_report(calibration, second, issued=FIXED, overwrite=True)
     assert first.read_bytes() != second.read_bytes()
     assert sorted(p.name for p in tmp_path.iterdir()) == [first.name, second.name]
 
@@ -105,10 +105,10 @@ def result_file(tmp_path):
 
 def test_report_without_file_is_printed(result_file, capsys):
     assert main(["report", str(result_file)]) == 0
-    said = capsys.readouterr().out
-    assert "27.0000 ± 0.0010 µg/g²" in said
-    assert "Quality checks" in said
-    assert "counterspin calibrate ." in said
+    output = capsys.readouterr().out
+    assert "27.0000 ± 0.0010 µg/g²" in output
+    assert "Quality checks" in output
+    assert "counterspin calibrate ." in output
 
 
 def test_campaign_is_calibrated_before_report(tmp_path, capsys):

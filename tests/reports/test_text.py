@@ -200,8 +200,8 @@ def test_answer_is_first_with_student_interval():
 
 def test_infinite_degrees_of_freedom_give_normal_interval():
     normal = K_II.model_copy(update={"dof": None})
-    found = make_result(accelerometers={"Qx": make_accelerometer(coefficients={"K_II": normal})})
-    assert "(95 %: 27.04313 to 27.04587)" in render_text(found)
+    result = make_result(accelerometers={"Qx": make_accelerometer(coefficients={"K_II": normal})})
+    assert "(95 %: 27.04313 to 27.04587)" in render_text(result)
 
 
 def test_gravity_and_meaning_of_uncertainty_are_stated():
@@ -217,16 +217,16 @@ def test_gravity_and_meaning_of_uncertainty_are_stated():
 def test_undetermined_answer_has_no_value(prior):
     u = None if prior is None else 2e-6
     unknown = Coefficient(value=prior, u=u, unit="g/g^2", estimated=False)
-    found = make_result(accelerometers={"Qx": make_accelerometer(coefficients={"K_II": unknown})})
-    answer = find_line(render_text(found), "K_II of Qx")
+    result = make_result(accelerometers={"Qx": make_accelerometer(coefficients={"K_II": unknown})})
+    answer = find_line(render_text(result), "K_II of Qx")
     assert answer.startswith("K_II of Qx: not determined by these records")
     assert ("prior: 3.2 ± 2.0 ug/g^2" in answer) == (prior is not None)
     assert "95 %" not in answer
 
 
 def test_report_of_campaign_without_k_ii():
-    found = make_result(accelerometers={"Qx": make_accelerometer(coefficients={"K_F": K_F})})
-    assert "K_II of" not in render_text(found)
+    result = make_result(accelerometers={"Qx": make_accelerometer(coefficients={"K_F": K_F})})
+    assert "K_II of" not in render_text(result)
 
 
 # Coefficients
@@ -307,8 +307,8 @@ def test_fit_noise_and_checks_are_reported():
 
 def test_disagreement_with_two_stage_method_is_reported():
     apart = Comparison(value=2.8e-5, u=5e-9, difference=1e-6, u_difference=5e-9, z=200.0)
-    found = make_result(accelerometers={"Qx": make_accelerometer(two_stage=apart)})
-    assert "(z = 200); not consistent." in collapse_spaces(render_text(found))
+    result = make_result(accelerometers={"Qx": make_accelerometer(two_stage=apart)})
+    assert "(z = 200); not consistent." in collapse_spaces(render_text(result))
 
 
 def test_jackknife_is_rounded_like_estimate():
@@ -391,13 +391,13 @@ def test_first_stage_and_fit_of_runs_are_printed():
 
 @pytest.mark.parametrize("width", [80, 100])
 def test_text_is_not_cut_at_usual_widths(width):
-    found = make_full_result()
-    text = render_text(found, width, budget=True, details=True)
+    result = make_full_result()
+    text = render_text(result, width, budget=True, details=True)
     assert "…" not in text
     assert max(map(len, text.splitlines())) <= width
     tokens = set(text.split())
     numbers = 0
-    for block in sections(found, budget=True, details=True):
+    for block in sections(result, budget=True, details=True):
         for row in getattr(block, "rows", ()):
             for column, cell in zip(block.columns, row, strict=True):
                 if not column.wraps:
@@ -408,14 +408,14 @@ def test_text_is_not_cut_at_usual_widths(width):
 
 @pytest.mark.parametrize("width", [30, 44, 60])
 def test_narrow_terminal_loses_no_text(width):
-    found = make_full_result()
-    text = render_text(found, width, budget=True, details=True)
+    result = make_full_result()
+    text = render_text(result, width, budget=True, details=True)
     assert "…" not in text
     assert max(map(len, text.splitlines())) <= width
-    for block in sections(found, budget=True, details=True):
+    for block in sections(result, budget=True, details=True):
         if not hasattr(block, "rows"):
             assert "".join(block.text.split()) in "".join(text.split())
-    wide = render_text(found, 200, budget=True, details=True)
+    wide = render_text(result, 200, budget=True, details=True)
     # Wrapping keeps all characters of the wide layout; names are repeated
     # where a table's columns have no room side by side.
     for character in "0123456789±":
@@ -426,9 +426,9 @@ def test_narrow_terminal_loses_no_text(width):
 
 
 def test_plain_output_has_no_escape_codes_or_markup():
-    found = make_result(title="[bold]Batch[/bold] [3]", runs={"[red]": run()})
+    result = make_result(title="[bold]Batch[/bold] [3]", runs={"[red]": run()})
     stream = io.StringIO()
-    print_result(found, report_console(stream), budget=True, details=True)
+    print_result(result, report_console(stream), budget=True, details=True)
     assert "\x1b" not in stream.getvalue()
     assert stream.getvalue().startswith("[bold]Batch[/bold] [3]\n")
     assert "[red]" in stream.getvalue()

@@ -40,9 +40,11 @@ def test_campaign_has_values_of_paper(demonstration):
 def test_methods_recover_truth_and_printed_equations_half_of_it(demonstration):
     # Five standard uncertainties, for a fixed seed: only a mistake can fail this.
     for method in (demonstration.joint, demonstration.two_stage.result):
-        for symbol, found in method.coefficients.items():
-            if found.estimated:
-                assert abs(found.value - demonstration.truth[symbol]) < 5 * found.u, symbol
+        for symbol, coefficient in method.coefficients.items():
+            if coefficient.estimated:
+                assert abs(coefficient.value - demonstration.truth[symbol]) < 5 * coefficient.u, (
+                    symbol
+                )
     half = demonstration.as_printed.result.coefficients["K_II"]
     assert abs(half.value - demonstration.truth["K_II"] / 2) < 5 * half.u
     assert abs(half.value - demonstration.truth["K_II"]) > 100 * half.u

@@ -53,17 +53,17 @@ def dossier():
 def test_all_cases_pass(dossier):
     assert len(dossier.cases) >= 40
     # The schema of DCC is not part of the package.
-    assert [one.name for one in dossier.cases if one.state != "passed"] == [SCHEMA_CASE]
+    assert [case.name for case in dossier.cases if case.state != "passed"] == [SCHEMA_CASE]
     assert any("name its folder (`schema`)" in text for text in dossier.not_covered)
     assert dossier.passed
-    run = [one for one in dossier.cases if one.name != SCHEMA_CASE]
+    run = [case for case in dossier.cases if case.name != SCHEMA_CASE]
     assert all(one.numbers > 0 and one.source and one.limit is not None for one in run)
 
 
 @pytest.mark.parametrize("kernel", [pytest.param(CHECKS[0], marks=needs_schema), CHECKS[1]])
 def test_check_that_always_or_never_passes_is_named(kernel, monkeypatch):
-    chosen = [one for one in cases() if one.kernel == kernel]
-    assert [one.state for one in validate(schema=schema(), chosen=chosen).cases] == ["passed"]
+    chosen = [case for case in cases() if case.kernel == kernel]
+    assert [case.state for case in validate(schema=schema(), chosen=chosen).cases] == ["passed"]
     module, _, name = kernel.partition(":")
     for wrong in (lambda *_: None, raise_record_error):
         monkeypatch.setattr(import_module(module), name, wrong)
@@ -76,13 +76,13 @@ def test_wrong_coverage_factor_fails_case(of, monkeypatch):
     owner = import_module(f"counterspin.certificates.{module}")
     right = getattr(owner, name)
     monkeypatch.setattr(owner, name, lambda *given: 1.001 * right(*given))
-    chosen = [one for one in cases() if one.kernel == CERTIFICATE]
+    chosen = [case for case in cases() if case.kernel == CERTIFICATE]
     assert validate(chosen=chosen).failed == [one.name for one in chosen]
 
 
 def test_tolerances_of_fits_are_small_relative_to_u():
     """Tolerances are at most 0.5 % of u, and 0.0003 u for a stated noise."""
-    fits = [one for one in cases() if one.absolute is None]
+    fits = [case for case in cases() if case.absolute is None]
     assert len(fits) >= 6
     for one in fits:
         for name, line in one.expected.items():
@@ -107,10 +107,10 @@ def test_missing_schema_folder_raises_before_cases_run(tmp_path, capsys):
 
 
 def test_all_requirements_and_formats_have_cases():
-    assert {one.requirement for one in cases()} >= REQUIREMENTS
-    read = [one.given["file"] for one in cases() if one.kernel.endswith(":read_record")]
+    assert {case.requirement for case in cases()} >= REQUIREMENTS
+    read = [case.given["file"] for case in cases() if case.kernel.endswith(":read_record")]
     assert {f".{name.rpartition('.')[2]}" for name in read} == {*RECORD_FORMATS}
-    names = [one.name for one in cases()]
+    names = [case.name for case in cases()]
     assert len(set(names)) == len(names)
 
 
@@ -151,7 +151,7 @@ def test_relative_kernel_error_of_1e_6_fails_case(kernel, monkeypatch):
         owner = getattr(owner, part)
     right = getattr(owner, last)
     monkeypatch.setattr(owner, last, lambda *given, **more: perturb(right(*given, **more)))
-    states = {one.name: check_case(one).state for one in cases() if one.kernel == kernel}
+    states = {case.name: check_case(case).state for case in cases() if case.kernel == kernel}
     assert "failed" in states.values(), states
 
 
@@ -161,9 +161,9 @@ def test_term_without_integrals_fails_only_its_cases(monkeypatch):
     new = replace(fourth, symbol="K_NEW", effect=replace(fourth.effect, factors=6 * ("I",)))
     monkeypatch.setattr("counterspin.validation.cases.TERMS", {**TERMS, "K_NEW": new})
     cases.cache_clear()
-    asked = [one for one in cases() if one.kernel.endswith(":columns")][:1]
+    asked = [case for case in cases() if case.kernel.endswith(":columns")][:1]
     found = validate(chosen=[*asked, case("normal quantile")])
-    assert [one.state for one in found.cases] == ["failed", "passed"]
+    assert [case.state for case in found.cases] == ["failed", "passed"]
     assert "double_integrals.json does not contain the integral of K_NEW" in found.cases[0].note
 
 
@@ -178,7 +178,7 @@ def test_command_fails_with_name_of_case(tmp_path, monkeypatch, capsys):
     assert "reference cases failed: normal quantile" in capsys.readouterr().err
     read = cs.Dossier.read(tmp_path / "dossier" / "validation.json")
     assert read.failed == ["normal quantile"]
-    (found,) = (one for one in read.cases if one.state == "failed")
+    (found,) = (case for case in read.cases if case.state == "failed")
     assert found.digits == pytest.approx(6.0, abs=1e-3)
 
 

@@ -158,10 +158,10 @@ def test_history_excludes_incredible_value(tmp_path):
         calibrate_tumble(good, float, **known),
         calibrate_tumble(wrong, lambda g: -g, **known),
     ]
-    found = history(results, term="K_I")
-    (instrument,) = found.instruments
+    histories = history(results, term="K_I")
+    (instrument,) = histories.instruments
     assert [round(point.value, 4) for point in instrument.points] == [1.0005]
-    (left_out,) = found.left_out
+    (left_out,) = histories.left_out
     assert "K_I = -1.0005 g/g is not credible" in left_out.reason
 
 

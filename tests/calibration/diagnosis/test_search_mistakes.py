@@ -352,8 +352,8 @@ def sound_records(tmp_path_factory):
 
 @pytest.mark.parametrize("estimated", [False, True])
 def test_sound_campaign_is_good(sound_records, tmp_path, estimated):
-    found = calibrate(mistaken(tmp_path, Mistake("", "", estimated=estimated), sound_records))
-    assert (found.state, found.findings) == ("good", [])
+    result = calibrate(mistaken(tmp_path, Mistake("", "", estimated=estimated), sound_records))
+    assert (result.state, result.findings) == ("good", [])
 
 
 @pytest.mark.slow
@@ -366,10 +366,10 @@ def test_mistake_is_named(mistake, sound_records, tmp_path):
             calibrate(folder)
         assert mistake.says in " ".join(str(refused.value).split())
         return
-    found = calibrate(folder)
-    first = found.findings[0]
+    result = calibrate(folder)
+    first = result.findings[0]
     assert f"{first.code} {first.subject}" == mistake.says
-    assert found.state == mistake.state
+    assert result.state == mistake.state
 
 
 ONE_READING = """
@@ -402,8 +402,8 @@ def test_mistake_in_record_is_named_with_readings(mistake, sound_records, tmp_pa
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     at = text.index("[simulation]") if "[simulation]" in text else len(text)
     (folder / "campaign.toml").write_text(text[:at] + ONE_READING + text[at:], encoding="utf-8")
-    found = calibrate(folder)
-    first = [f"{finding.code} {finding.subject}" for finding in found.findings][:1]
+    result = calibrate(folder)
+    first = [f"{finding.code} {finding.subject}" for finding in result.findings][:1]
     assert first == [mistake.says] * bool(mistake.says)
 
 
@@ -434,10 +434,10 @@ def test_readings_remain_in_fit_while_noise_is_estimated_again(
 def test_common_bias_drift_is_named_with_platform_drift(sound_records, tmp_path):
     """Both grow with t^3: 5e-7 g/s is 300 typical bias drifts or 11 typical platform drifts."""
     mistake = Mistake("", "", records=added(None, EAST, warming_bias(5e-7)))
-    (found,) = calibrate(mistaken(tmp_path, mistake, sound_records)).findings
-    assert (found.subject, found.contradicts) == ("platform.drift.north", True)
-    assert "Qx" in found.as_well
-    assert "bias drift of Qx" in found.text
+    (finding,) = calibrate(mistaken(tmp_path, mistake, sound_records)).findings
+    assert (finding.subject, finding.contradicts) == ("platform.drift.north", True)
+    assert "Qx" in finding.as_well
+    assert "bias drift of Qx" in finding.text
 
 
 @pytest.mark.slow
@@ -514,10 +514,10 @@ def test_frequency_response_is_named_before_stretch(tmp_path, ppm, way):
         file.write_text("\n".join([head, *written]) + "\n")
     first = calibrate(tmp_path / "made").findings[0]
     assert (first.code, first.subject) == ("frequency-response", "Qx")
-    found = re.search(
+    match = re.search(
         rf"gain {way} .* of \(?([\d.]+) ± ([\d.]+)\)?( x 1e3)? ppm at 1 Hz", first.text
     )
-    size, u = (float(x) * (1e3 if found.group(3) else 1.0) for x in found.groups()[:2])
+    size, u = (float(x) * (1e3 if match.group(3) else 1.0) for x in match.groups()[:2])
     assert abs(size - 1000.0) < 4.0 * u
     assert u < 100.0
 

@@ -82,14 +82,14 @@ def test_head_with_understated_error_has_remark(tmp_path, source, symbol, unit, 
     result = calibrate_tumble(tmp_path / "stated")
     assert (result.state, result.findings) == ("good", [])
     (text,) = untested_remarks(result)
-    said = re.search(
+    match = re.search(
         rf"the stated value of head\.harmonic\.{re.escape(source)} has an error of ([\d.]+) "
         rf"arcsec, "
         rf"the error of {symbol} is ([\d.e-]+) \S+, ([\d.]+) times the u of",
         text,
     )
-    assert said, text
-    size, shift, times = (float(number) for number in said.groups())
+    assert match, text
+    size, shift, times = (float(number) for number in match.groups())
     typical = math.degrees(1e-5) * 3600.0
     assert size < 0.9 * typical if seen else size == pytest.approx(typical, rel=0.03)
     erring = f'"head.harmonic.{source}" = "{size} ± 0.2 arcsec", '

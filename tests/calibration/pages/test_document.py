@@ -54,10 +54,10 @@ def test_answer_is_first_in_both_units():
 
 @pytest.mark.parametrize(("dof", "shown"), [(999.0, True), (1000.0, False), (9.7e8, False)])
 def test_large_degrees_of_freedom_are_not_shown(dof, shown):
-    found = result()
-    coefficients = found.accelerometers["Qx"].coefficients
+    calibration = result()
+    coefficients = calibration.accelerometers["Qx"].coefficients
     coefficients["K_II"] = coefficients["K_II"].model_copy(update={"dof": dof})
-    assert (" dof)" in build_document(found)[1].text) is shown
+    assert (" dof)" in build_document(calibration)[1].text) is shown
 
 
 def test_chapters_are_in_order():
@@ -241,10 +241,12 @@ def test_angle_without_samples_is_gap():
 
 
 def test_run_has_same_colour_in_all_plots():
-    found = result(traces={"fast": trace(rows=3, rms=0.01), "slow": trace(rows=900, rms=0.02)})
+    calibration = result(
+        traces={"fast": trace(rows=3, rms=0.01), "slow": trace(rows=900, rms=0.02)}
+    )
     colours = {"fast": set(), "slow": set()}
-    pictures = [*residual_plots("Qx", found.accelerometers["Qx"], found.runs)]
-    for plot in [*pictures, ripple_plot(found.runs)]:
+    pictures = [*residual_plots("Qx", calibration.accelerometers["Qx"], calibration.runs)]
+    for plot in [*pictures, ripple_plot(calibration.runs)]:
         for series in plot.series:
             run = series.label or plot.title.rpartition(", ")[2]
             run = plot.title.rpartition(", ")[2] if run.startswith("samples") else run
@@ -254,9 +256,9 @@ def test_run_has_same_colour_in_all_plots():
 
 
 def test_residual_plot_has_labels_and_rms_limits():
-    found = result(traces={"slow": trace(rows=3, rms=0.01)})
-    found.runs["slow"].counts["block"] = 7
-    first = next(residual_plots("Qx", found.accelerometers["Qx"], found.runs))
+    calibration = result(traces={"slow": trace(rows=3, rms=0.01)})
+    calibration.runs["slow"].counts["block"] = 7
+    first = next(residual_plots("Qx", calibration.accelerometers["Qx"], calibration.runs))
     band, upper, lower, _ = first.series
     assert band.label == "means of 7 samples, smallest to largest"
     assert (upper.label, upper.y, lower.y) == ("± 2 rms", (20.0, 20.0), (-20.0, -20.0))
@@ -264,8 +266,8 @@ def test_residual_plot_has_labels_and_rms_limits():
 
 def test_spectrum_has_white_noise_band():
     spectrum = {"frequency": [0.1, 1.0], "power": [0.9, 1.1], "lines": [1, 100]}
-    found = result(traces={"slow": trace(spectrum=spectrum)})
-    plots = list(residual_plots("Qx", found.accelerometers["Qx"], found.runs))
+    calibration = result(traces={"slow": trace(spectrum=spectrum)})
+    plots = list(residual_plots("Qx", calibration.accelerometers["Qx"], calibration.runs))
     (plot,) = (plot for plot in plots if plot.title.startswith("Spectrum"))
     band, _ = plot.series
     # One line is exponential; a mean of 100 lines is nearly normal with standard deviation 0.1.
@@ -275,8 +277,8 @@ def test_spectrum_has_white_noise_band():
 
 
 def test_quantile_plot_shows_difference_from_normal_with_band():
-    found = result(traces={"slow": trace(rows=400)})
-    *_, plot = residual_plots("Qx", found.accelerometers["Qx"], found.runs)
+    calibration = result(traces={"slow": trace(rows=400)})
+    *_, plot = residual_plots("Qx", calibration.accelerometers["Qx"], calibration.runs)
     band, series = plot.series
     assert series.y == pytest.approx((0.2, 0.1, 0.3))
     # The median of n normal samples has the standard deviation sqrt(pi/2/n).
@@ -295,14 +297,14 @@ def test_jackknife_plot_shows_uncertainty_of_shift():
 
 
 def test_budget_and_correlation_plots():
-    found = result().accelerometers["Qx"]
-    bars = budget_bars("Qx", found)
+    accelerometer = result().accelerometers["Qx"]
+    bars = budget_bars("Qx", accelerometer)
     assert bars.stacked
     assert bars.values == pytest.approx((64.0, 36.0))
     assert bars.labels == ("noise of Qx (Type B)", "scale factor, K_I (Type B)")
     assert bars.colours[0] != bars.colours[1]
     assert bars.texts == ("0.00080 (64 %)", "0.00060 (36 %)")
-    assert correlation_map("Qx", found).values == ((1.0, 0.25), (0.25, 1.0))
+    assert correlation_map("Qx", accelerometer).values == ((1.0, 0.25), (0.25, 1.0))
 
 
 @pytest.mark.parametrize(
@@ -317,9 +319,9 @@ def test_strongly_correlated_estimates_are_listed(correlation, rows):
     matrix = [[1.0, correlation], [correlation, 1.0]]
     kept = result(correlation={"terms": ["K_F", "K_II"], "matrix": matrix})
     blocks = list(accelerometer_blocks("Qx", kept.accelerometers["Qx"], 9.8, details=True))
-    told = [block for block in blocks if isinstance(block, Paragraph)][-1].text
+    text = [block for block in blocks if isinstance(block, Paragraph)][-1].text
     tables = [block for block in blocks if isinstance(block, Table)]
-    assert told == (
+    assert text == (
         "Correlations with magnitude above 0.9:"
         if rows
         else "No correlation between two estimates exceeds 0.9 in magnitude."

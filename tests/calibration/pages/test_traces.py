@@ -44,9 +44,9 @@ def results(tmp_path_factory):
 
 def test_each_run_and_accelerometer_has_trace(results):
     clean, _, _ = results
-    for found in clean.accelerometers.values():
-        assert list(found.traces) == list(clean.runs)
-        for name, trace in found.traces.items():
+    for accelerometer in clean.accelerometers.values():
+        assert list(accelerometer.traces) == list(clean.runs)
+        for name, trace in accelerometer.traces.items():
             used = clean.runs[name].samples
             assert len(trace.time) == len(trace.low) == len(trace.high) == min(used, 1500)
             assert not trace.left_out
@@ -54,17 +54,17 @@ def test_each_run_and_accelerometer_has_trace(results):
 
 def test_traces_match_residuals(results):
     clean, _, _ = results
-    found = clean.accelerometers["Qx"]
-    values = [v for trace in found.traces.values() for v in (*trace.low, *trace.high)]
+    accelerometer = clean.accelerometers["Qx"]
+    values = [v for trace in accelerometer.traces.values() for v in (*trace.low, *trace.high)]
     # Chunks of one sample: low and high are the residuals, to four digits.
-    short = [t for n, t in found.traces.items() if clean.runs[n].samples <= 1500]
+    short = [t for n, t in accelerometer.traces.items() if clean.runs[n].samples <= 1500]
     assert short
     squares = np.concatenate([np.square(t.low) for t in short])
     n = squares.size
     # Residuals of a good fit have the noise's standard deviation, 1 mm, to 1/sqrt(2n).
     assert np.sqrt(squares.mean()) == pytest.approx(1e-3, rel=4 / np.sqrt(2 * n))
     assert max(map(abs, values)) < 6e-3
-    for trace in found.traces.values():
+    for trace in accelerometer.traces.values():
         power = np.array(trace.spectrum.power)
         assert power.min() > 0.0
         # Noise is stated ten times too large in this campaign: the spectrum says so.

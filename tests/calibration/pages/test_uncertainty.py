@@ -46,10 +46,10 @@ def make_result(unstated, noise=1e-7, **more):
         # The data do not determine K_OO, so its error is fully in K_II.
         "weighed": [[u**2, -square], [-square, square]],
     }
-    found = result(
+    calibration = result(
         coefficients={"K_II": k_ii}, budget={"K_II": lines}, correlation=None, what_if=update
     )
-    return found.model_copy(update=more)
+    return calibration.model_copy(update=more)
 
 
 def test_largest_default_prior_is_named_with_remaining_u():

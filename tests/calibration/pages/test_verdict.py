@@ -44,15 +44,15 @@ def test_contradicted_result_lists_no_passed_checks():
 def test_undetermined_result_lists_no_passed_checks():
     lacking = {"code": "not-determined", "subject": "Qx.K_III", "text": "Add a run."}
     lacking["undetermined"] = True
-    found = judge_result(result(findings=[lacking]))
-    told = verdict_sentence("Qx", found.accelerometers["Qx"])
+    calibration = judge_result(result(findings=[lacking]))
+    told = verdict_sentence("Qx", calibration.accelerometers["Qx"])
     assert told == "The result for Qx is not fully determined by the data: Add a run."
-    (first,) = misfit_blocks(found)
+    (first,) = misfit_blocks(calibration)
     assert first.style == "undetermined"
     assert first.text.startswith(
         "The data do not fully determine this result (Qx.K_III). Add a run."
     )
-    (paragraph,) = verdict_blocks(found)
+    (paragraph,) = verdict_blocks(calibration)
     assert paragraph.style == "undetermined"
 
 

@@ -312,13 +312,13 @@ def test_undetected_noise_has_remark(tmp_path, monkeypatch):
 def test_contradicted_prior_is_named(tmp_path):
     """K_F is stated with an error of 40 ug and u of 2 ug: it explains the misfit of the runs."""
     wrong = (PRIORS[0], changed(PRIORS[1], ("0.005 ± 2e-6 g", "0.00504 ± 2e-6 g")))
-    found = calibrate_records(tmp_path, wrong)
-    first = qx(found).findings[0]
+    result = calibrate_records(tmp_path, wrong)
+    first = qx(result).findings[0]
     assert (first.code, first.subject, first.contradicts) == ("prior-conflict", "Qx.K_F", True)
     assert "Qx.K_F is stated as 5040.0 ± 2.0 ug, but the records and all other" in first.text
     assert first.size > 6.0
     assert [below.code for below in first.explains] == ["lack-of-fit"]
-    assert "lack-of-fit" not in {finding.code for finding in qx(found).findings}
+    assert "lack-of-fit" not in {finding.code for finding in qx(result).findings}
     right = qx(calibrate_records(tmp_path / "right", PRIORS))
     assert "prior-conflict" not in {finding.code for finding in right.findings}
 
@@ -348,9 +348,9 @@ def test_trials_with_walk_have_stated_uncertainty(tmp_path, noise):
         for name, c in calibrate(folder, method="two-stage").accelerometers.items():
             truth = campaign.simulation.truth.coefficients[name]
             for symbol in ("K_II", "K_F"):
-                found = c.coefficients[symbol]
-                z.append((found.value - truth[symbol]) / found.u)
-                covered += abs(z[-1]) < stdtrit(found.dof, 0.975)
+                coefficient = c.coefficients[symbol]
+                z.append((coefficient.value - truth[symbol]) / coefficient.u)
+                covered += abs(z[-1]) < stdtrit(coefficient.dof, 0.975)
     assert 1e-4 < chdtrc(len(z), sum(x * x for x in z)) < 1 - 1e-4
     assert covered / len(z) == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / len(z)))
 
@@ -580,10 +580,10 @@ def test_full_trials_have_stated_uncertainty(tmp_path):
         simulate(campaign, folder)
         problem = JointProblem(campaign, list(observe(campaign)))
         for name, truth in K_II.items():
-            found = calibrate_accelerometer(
+            result = calibrate_accelerometer(
                 problem, campaign.accelerometers[name], TwoStageOptions(), {}, problem.series
             )
-            c = found.result.coefficients["K_II"]
+            c = result.result.coefficients["K_II"]
             chi2 += ((c.value - truth) / c.u) ** 2
             covered += abs(c.value - truth) < 1.96 * c.u
     n = len(K_II) * TRIALS
