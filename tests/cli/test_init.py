@@ -81,7 +81,7 @@ def test_missing_answer_is_requested(tmp_path, plain_folder, monkeypatch, capsys
     words = ["init", str(tmp_path), "--from", str(plain_folder / "slow.csv"), *PLACE]
     assert main([*words, "--yes"]) == 2
     told = capsys.readouterr().err
-    assert 'Give this value with --answer, such as "radius=2.5' in told
+    assert 'Set this value with --answer, for example "radius=2.5' in told
     assert "sense: In which sense does the angle increase" in told
     assert not (tmp_path / "campaign.toml").exists()
     assert main(words) == 2  # no terminal for questions
