@@ -401,7 +401,7 @@ def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
         name = component_name(key)
         if size.value is None:
             if key in BIAS_COMPONENTS_BY_KEY:
-                scale = BIAS_COMPONENTS_BY_KEY[key].process.limit_scale
+                scale = BIAS_COMPONENTS_BY_KEY[key].limit_scale
                 yield (
                     f"The record does not show {name}. The stated upper limit decreases "
                     f"approximately in proportion to {scale}, so a longer record (hours) can show "

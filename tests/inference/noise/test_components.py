@@ -7,8 +7,8 @@ import pytest
 
 from counterspin.campaign.settings import OBSERVABLES, StatedNoise
 from counterspin.inference.noise.components import (
+    BIAS_COMPONENTS,
     BIAS_COMPONENTS_BY_KEY,
-    BIAS_PROCESSES,
     COMPONENTS,
     Sampling,
     size_keys,
@@ -34,11 +34,11 @@ def test_noise_from_sizes_by_key():
 
 
 @pytest.mark.parametrize("order", [0, 1, 2])
-def test_density_of_slow_samples_is_density_of_process(order):
+def test_density_of_slow_samples_is_density_of_bias(order):
     """At a hundredth of the sampling rate, means and aliases change a density by less than 1 %."""
     step, angle = 0.2, 2.0 * np.pi * 0.01
-    for process in BIAS_PROCESSES:
-        sampled = process.sampled_density(np.array([angle]), step, Sampling(order, order))[0]
+    for component in BIAS_COMPONENTS.values():
+        sampled = component.sampled_density(np.array([angle]), step, Sampling(order, order))[0]
         assert step * sampled == pytest.approx(
-            1.0 / process.inverse_density(angle / step), rel=0.01
+            1.0 / component.inverse_density(angle / step), rel=0.01
         )

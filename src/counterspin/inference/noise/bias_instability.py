@@ -23,7 +23,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.inference.noise.components import BIAS_PROCESSES
+from counterspin.inference.noise.components import BIAS_COMPONENTS
 
 #: At the highest frequency that is taken along, the wander is this part of the other noise.
 _MIN_RELATIVE_DENSITY: Final = 1e-3
@@ -65,8 +65,8 @@ def basis_size(variances: Variances, spacing: float, length: float, order: int) 
     while count < upper_limit:
         w = math.pi * count / length
         bias_density = sum(
-            variance / process.inverse_density(w)
-            for variance, process in zip(bias_variances, BIAS_PROCESSES, strict=True)
+            variance / component.inverse_density(w)
+            for variance, component in zip(bias_variances, BIAS_COMPONENTS.values(), strict=True)
         )
         if bias_density <= _MIN_RELATIVE_DENSITY * (
             white * spacing * w ** (2 * order) + white_force
@@ -103,13 +103,15 @@ def integrated_cosines(
 
 @lru_cache(maxsize=256)
 def _coefficient_covariances(count: int, length: float) -> tuple[Array, ...]:
-    """Return the cosines' covariance for each process of unit size, (count, count)."""
+    """Return the cosines' covariance for each bias component of unit size, (count, count)."""
     points = _POINTS_PER_FUNCTION * count
     positions = (np.arange(points) + 0.5) / points
     project = 2.0 / points * np.cos(math.pi * np.outer(np.arange(count), positions))
     project[0] *= 0.5
     high = points / (2.0 * length)
-    covariances = (process.covariance(length * positions, high) for process in BIAS_PROCESSES)
+    covariances = (
+        component.covariance(length * positions, high) for component in BIAS_COMPONENTS.values()
+    )
     return tuple(project @ covariance @ project.T for covariance in covariances)
 
 
@@ -120,12 +122,11 @@ def coefficient_covariance(
 
     walk_duration: For how long the bias had walked when the record began, s.
     """
-    total = np.zeros((count, count))
-    for variance, process, covariance in zip(
-        variances[2:], BIAS_PROCESSES, _coefficient_covariances(count, length), strict=True
-    ):
+    total, covariances = np.zeros((count, count)), _coefficient_covariances(count, length)
+    components = BIAS_COMPONENTS.values()
+    for variance, component, covariance in zip(variances[2:], components, covariances, strict=True):
         total += variance * covariance
-        total[0, 0] += variance * process.growth * walk_duration
+        total[0, 0] += variance * component.growth * walk_duration
     return total
 
 

@@ -2,17 +2,17 @@
 
 A record contains the white noise of its samples, the white noise of the accelerometer, and the
 noise of the accelerometer's bias. The conventions are those of IEEE Std 952. White noise has a
-banded whitener (`counterspin.inference.noise.model`). A component of the bias is added to the
-table with a class that has the methods of `BiasProcess`, as a field of `Noise`, and as a key of
-[noise]; simulation, fit, planning and reports take it from the table.
+banded whitener (`counterspin.inference.noise.model`). A new component of the bias needs a class
+that derives from `BiasComponent`, a row of the table, a field of `Noise` and a key of [noise].
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
@@ -42,79 +42,87 @@ class Sampling:
     averaging_order: int
 
 
-class NoiseProcess(Protocol):
-    """A noise process of unit size in a record."""
+class NoiseComponent(ABC):
+    """A component of the noise of a record."""
 
+    key = ""  #: Key of the size in a description; empty for the key of the observable.
+    symbol = ""
+    unit = ""  #: SI unit of the size; empty for the unit of the observable.
+    description: str
+
+    @abstractmethod
     def sampled_density(self, angle: Array, step: float, sampling: Sampling) -> Array:
-        """Return the density of samples of the specific force, shape (m,).
+        """Return the density of samples of the specific force for unit size, shape (m,).
 
         angle: 2 pi f step, above 0 and up to pi, shape (m,).
         step: Time between samples, s.
         Returns: Two-sided density over the step, so that white samples have their variance.
         """
-        ...
 
 
-class BiasProcess(NoiseProcess, Protocol):
-    """A noise process of the bias, of unit size."""
+class BiasComponent(NoiseComponent):
+    """A component of the noise of the bias."""
 
-    @property
-    def limit_scale(self) -> str:
-        """Length to which the upper limit of an undetected component is inversely proportional."""
-        ...
+    #: The upper limit of an undetected component decreases in proportion to this.
+    limit_scale: str
+    growth = 0.0  #: Variance of unit size that the bias accumulates per second before a record.
 
+    @abstractmethod
     def inverse_density(self, w: float) -> float:
-        """Return the inverse of the two-sided density at the angular frequency w, rad/s."""
-        ...
+        """Return the inverse of the two-sided density of unit size at w rad/s."""
 
+    @abstractmethod
     def covariance(self, times: Array, high: float) -> Array:
-        """Return the covariance of the bias at even times since the process began, (m, m).
+        """Return the covariance of the bias for unit size at even times of a record, (m, m).
 
-        times: s, shape (m,).
-        high: Highest frequency of the process, Hz.
+        times: s from the start of the record, shape (m,).
+        high: Highest frequency, Hz.
         """
-        ...
 
-    @property
-    def growth(self) -> float:
-        """Variance that the bias accumulates per second before a record, 1/s."""
-        ...
-
-    def transform_covariance(self, n: int, averaging_order: int) -> Array | None:
+    def transform_covariance(self, n: int, averaging_order: int) -> Array | None:  # noqa: ARG002
         """Return the covariance of the slowest rows of the cosine transform of n samples.
 
         None if the rows are independent.
         """
-        ...
+        return None
 
+    @abstractmethod
     def draw(
         self, generator: np.random.Generator, times: Array, size: float, elapsed: float
     ) -> Array:
-        """Draw the bias at even times, at least 2, shape (n,)."""
-        ...
+        """Draw the bias at even times, at least 2, shape (n,).
+
+        elapsed: Time from the start of the process to the first time, s.
+        """
 
 
-class SampleNoise:
+class SampleNoise(NoiseComponent):
     """White noise of the samples of the observable."""
+
+    description = "white noise of the samples"
 
     def sampled_density(self, angle: Array, step: float, sampling: Sampling) -> Array:
         """Return the density of differences of white samples."""
         return np.asarray((_squared_difference_gain(angle) / step**2) ** sampling.order)
 
 
-class ForceNoise:
+class ForceNoise(NoiseComponent):
     """White noise of the specific force, which is a random walk of the velocity."""
+
+    key, symbol, unit = "acceleration", "N", "m/s^2/Hz^0.5"
+    description = "white noise of the accelerometer"
 
     def sampled_density(self, angle: Array, step: float, sampling: Sampling) -> Array:
         """Return the density of means over a step, or over a triangle of two steps."""
         return np.asarray(_mean_walk_gain(angle, 1 if sampling.order == 2 else 0) / step)
 
 
-class Flicker:
+class Flicker(BiasComponent):
     """Flicker, with the density 1/(2 pi f): the floor of the Allan deviation is 0.664."""
 
+    key, symbol, unit = "flicker", "B", "m/s^2"
+    description = "flicker (bias instability)"
     limit_scale = "the square root of the length of the record"
-    growth = 0.0
 
     def inverse_density(self, w: float) -> float:
         """Return the angular frequency."""
@@ -170,9 +178,11 @@ class Flicker:
         return bias
 
 
-class BiasWalk:
+class BiasWalk(BiasComponent):
     """Random walk of the bias: its variance grows by 1 per second."""
 
+    key, symbol, unit = "bias_walk", "K", "m/s^2/s^0.5"
+    description = "bias random walk"
     limit_scale = "the length of the record"
     growth = 1.0
 
@@ -189,9 +199,6 @@ class BiasWalk:
         """Return the covariance of a walk from 0."""
         return np.minimum(times[:, None], times)
 
-    def transform_covariance(self, n: int, averaging_order: int) -> None:
-        """Return None: the cosines diagonalise the covariance of a walk."""
-
     def draw(
         self, generator: np.random.Generator, times: Array, size: float, elapsed: float
     ) -> Array:
@@ -201,61 +208,35 @@ class BiasWalk:
         return size * np.cumsum(steps)
 
 
-@frozen
-class NoiseComponent:
-    """A row of the table of noise components."""
-
-    #: Key of the size in a description; empty for the key of the observable (``displacement``).
-    key: str
-    symbol: str
-    unit: str  #: SI unit of the size; empty for the unit of the observable.
-    description: str
-    process: NoiseProcess
-
-
-@frozen
-class BiasComponent(NoiseComponent):
-    """A row for a component of the bias."""
-
-    process: BiasProcess
-
-
-_BIAS_COMPONENTS: Final[Mapping[str, BiasComponent]] = {
-    "flicker": BiasComponent("flicker", "B", "m/s^2", "flicker (bias instability)", Flicker()),
-    "bias_walk": BiasComponent("bias_walk", "K", "m/s^2/s^0.5", "bias random walk", BiasWalk()),
+#: Field of `counterspin.inference.noise.model.Noise` -> component of the bias.
+BIAS_COMPONENTS: Final[Mapping[str, BiasComponent]] = {
+    "flicker": Flicker(),
+    "bias_walk": BiasWalk(),
 }
 
-#: Field of `counterspin.inference.noise.model.Noise` -> component, in the order of the variances.
+#: Field of `Noise` -> component, in the order of `Noise.variances`.
 NOISE_COMPONENTS: Final[Mapping[str, NoiseComponent]] = {
-    "white": NoiseComponent("", "", "", "white noise of the samples", SampleNoise()),
-    "random_walk": NoiseComponent(
-        "acceleration", "N", "m/s^2/Hz^0.5", "white noise of the accelerometer", ForceNoise()
-    ),
-    **_BIAS_COMPONENTS,
+    "white": SampleNoise(),
+    "random_walk": ForceNoise(),
+    **BIAS_COMPONENTS,
 }
 
-#: Names of the components, in the order of `Noise.variances`.
 COMPONENTS: Final = tuple(NOISE_COMPONENTS)
-
-#: Names and processes of the components of the bias, which make the noise coloured.
-BIAS_COMPONENTS: Final = tuple(_BIAS_COMPONENTS)
-BIAS_PROCESSES: Final = tuple(row.process for row in _BIAS_COMPONENTS.values())
 
 #: Key of a size that every observable has -> component.
 COMPONENTS_BY_KEY: Final = {row.key: row for row in NOISE_COMPONENTS.values() if row.key}
 
-#: Key of a size -> component of the bias.
-BIAS_COMPONENTS_BY_KEY: Final = {row.key: row for row in _BIAS_COMPONENTS.values()}
+BIAS_COMPONENTS_BY_KEY: Final = {row.key: row for row in BIAS_COMPONENTS.values()}
 
 
 def sampled_densities(angle: Array, step: float, sampling: Sampling) -> Array:
     """Return the densities of samples of the specific force for each component of unit size.
 
-    angle, step: As of `NoiseProcess.sampled_density`.
+    angle, step: As of `NoiseComponent.sampled_density`.
     Returns: (4, m).
     """
     rows = NOISE_COMPONENTS.values()
-    return np.stack([row.process.sampled_density(angle, step, sampling) for row in rows])
+    return np.stack([row.sampled_density(angle, step, sampling) for row in rows])
 
 
 def size_keys(observable: str) -> dict[str, str]:

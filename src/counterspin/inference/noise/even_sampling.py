@@ -25,7 +25,7 @@ from counterspin.arrays import Array, triangle_of
 from counterspin.frozen import frozen
 from counterspin.inference.noise.bias_instability import Variances
 from counterspin.inference.noise.components import (
-    BIAS_PROCESSES,
+    BIAS_COMPONENTS,
     SLOW_ROWS,
     Sampling,
     sampled_densities,
@@ -110,7 +110,7 @@ class TransformedRecord:
     row_variances: Array  #: Variance of each row per unit of each of `COMPONENTS`, (4, m).
     counts: Array  #: How many rows of the transform each group has, (g,).
     places: NDArray[np.intp]  #: Of each group's first row in `stack`, (g,).
-    #: Covariance of the slowest rows for each process of the bias; None: they are independent.
+    #: Covariance of the slowest rows for each bias component; None: they are independent.
     slow_covariances: tuple[Array | None, ...]
     walk_duration: float = 0.0
     added_variance: float = 0.0
@@ -184,7 +184,6 @@ def _row_variances(k: Array, n: int, step: float, kind: Sampling) -> Array:
 
 
 def _slow_covariances(n: int, kind: Sampling) -> tuple[Array | None, ...]:
-    """Return the covariance of the slowest rows for each process of unit size."""
-    return tuple(
-        process.transform_covariance(n, kind.averaging_order) for process in BIAS_PROCESSES
-    )
+    """Return the covariance of the slowest rows for each bias component of unit size."""
+    order, components = kind.averaging_order, BIAS_COMPONENTS.values()
+    return tuple(component.transform_covariance(n, order) for component in components)

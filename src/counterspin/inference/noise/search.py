@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.noise.bias_instability import Variances
-from counterspin.inference.noise.components import BIAS_COMPONENTS, BIAS_PROCESSES, COMPONENTS
+from counterspin.inference.noise.components import BIAS_COMPONENTS, COMPONENTS
 from counterspin.inference.noise.likelihood import WHITE, RecordData, RestrictedLikelihood
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.undetected_walk import (
@@ -350,7 +350,7 @@ def _first_guess(likelihood: RestrictedLikelihood, noise: Noise, base: Maximum |
     order, spacing = likelihood.order, likelihood.records[0].spacing
     w = 2.0 * math.pi * _ONSET_RATIO / likelihood.length
     density = max(white + added, 1e-30) * spacing * w ** (2 * order) + walk
-    bias = (density * process.inverse_density(w) for process in BIAS_PROCESSES)
+    bias = (density * component.inverse_density(w) for component in BIAS_COMPONENTS.values())
     return white, walk or 0.1 * density, *bias
 
 

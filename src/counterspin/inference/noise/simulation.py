@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.inference.noise.components import BIAS_COMPONENTS, BIAS_PROCESSES
+from counterspin.inference.noise.components import BIAS_COMPONENTS
 from counterspin.inference.noise.model import Noise
 
 
@@ -74,10 +74,10 @@ def draw_bias_noise(
     Returns: shape (n,), zero at the first time for orders 1 and 2.
     """
     bias, step = np.zeros(times.size), float(times[1] - times[0])
-    for name, process in zip(BIAS_COMPONENTS, BIAS_PROCESSES, strict=True):
+    for name, component in BIAS_COMPONENTS.items():
         size = getattr(noise, name)
         if size > 0.0:
-            bias += process.draw(generator, times, size, elapsed)
+            bias += component.draw(generator, times, size, elapsed)
     if order == 0:
         return bias
     # The bias is taken as linear between samples.
