@@ -9,7 +9,7 @@ from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.conditions import AT_REFERENCE, RunConditions
 from counterspin.physics.motion import Site
-from counterspin.physics.simulation import coefficients_in_run
+from counterspin.physics.simulation import run_coefficients
 from counterspin.physics.station import FRAMES, mean_products
 from counterspin.physics.terms import TERMS, term
 from counterspin.readings.known_attitudes import Readings
@@ -89,7 +89,7 @@ def simulated(test, rng, sigma, machine=(), u_head=0.0, truth=TRUTH, temperature
         lever = RunConditions(
             float(blank.time[index]), float(blank.conditions["temperature"][index])
         )
-        own = coefficients_in_run(truth, lever, 0.0)
+        own = run_coefficients(truth, lever, 0.0)
         coefficients.append([own.get(symbol, row.nominal) for symbol, row in TERMS.items()])
     values = np.sum(mean_products(actual, SITE) * coefficients, axis=1)
     return values + rng.normal(0.0, sigma, count)

@@ -11,7 +11,7 @@ from counterspin.physics.closed_forms import parabola
 from counterspin.physics.conditions import RunConditions
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import ORDERS, columns
-from counterspin.physics.simulation import coefficients_in_run, simulate_record
+from counterspin.physics.simulation import run_coefficients, simulate_record
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import CONDITION_TERMS, TERMS, term
 
@@ -129,11 +129,11 @@ def test_self_heating_has_parabola_of_k_ii_without_harmonic():
 
 def test_coefficients_are_nominal_at_reference_conditions():
     coefficients = {"K_F": 1e-3, **dict.fromkeys(CONDITION_TERMS, 1.0)}
-    assert coefficients_in_run(coefficients, RunConditions(), 0.0) == {
+    assert run_coefficients(coefficients, RunConditions(), 0.0) == {
         "K_F": 1e-3,
         **{s: TERMS[s].nominal for s in ("K_I", "K_II")},
     }
-    assert coefficients_in_run(
+    assert run_coefficients(
         {"K_I.temperature": 1e-4}, RunConditions(temperature_offset=2.0), 0.0
     ) == {"K_I": 1.0002}
 

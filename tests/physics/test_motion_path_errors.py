@@ -9,7 +9,7 @@ import sympy as sp
 
 from counterspin.physics.accelerometer import QX, QY, Mounting
 from counterspin.physics.closed_forms import parabola
-from counterspin.physics.motion import Site, Trajectory, encoder_error, perturbed_trajectory
+from counterspin.physics.motion import Site, Trajectory, encoder_error, perturb_trajectory
 from counterspin.physics.observation import ORDERS, columns, reference
 from counterspin.physics.simulation import simulate_record
 from counterspin.physics.spindle import Ripple, Spindle
@@ -51,7 +51,7 @@ def derive_path():
 
 
 def test_path_matches_definition():
-    motion = perturbed_trajectory(TRAJECTORY, ERRORS).at(TIMES)
+    motion = perturb_trajectory(TRAJECTORY, ERRORS).at(TIMES)
     got = (motion.position, motion.velocity, motion.acceleration)
     for value, expected in zip(got, derive_path(), strict=True):
         np.testing.assert_allclose(value[:, :2], expected, rtol=0, atol=1e-13)
@@ -59,8 +59,8 @@ def test_path_matches_definition():
 
 
 def test_path_without_errors_is_circle():
-    assert perturbed_trajectory(TRAJECTORY, {"platform.tilt.north": 1e-3}) is TRAJECTORY
-    assert perturbed_trajectory(TRAJECTORY, {"encoder.harmonic.1.cos": 1e-3}) is TRAJECTORY
+    assert perturb_trajectory(TRAJECTORY, {"platform.tilt.north": 1e-3}) is TRAJECTORY
+    assert perturb_trajectory(TRAJECTORY, {"encoder.harmonic.1.cos": 1e-3}) is TRAJECTORY
 
 
 @pytest.mark.parametrize("observable", ORDERS)

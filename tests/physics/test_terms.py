@@ -14,12 +14,12 @@ from counterspin.physics.terms import (
     READING_TERMS,
     TABLE,
     TERMS,
-    accelerometer_of,
+    accelerometer_name,
     affects_readings,
+    find_symbol,
     is_term,
-    mounting_of,
+    mounting_name,
     same_for_all,
-    symbol_of,
     term,
 )
 
@@ -160,18 +160,18 @@ def test_symbol_with_mounting(mounting):
     assert term(radius) is TABLE["centrifuge.radius.MOUNTING"]
     assert term(turn) is TABLE["fixture.misalignment.MOUNTING.east"]
     if mounting != "MOUNTING":
-        assert (mounting_of(radius), mounting_of(turn)) == (mounting, mounting)
+        assert (mounting_name(radius), mounting_name(turn)) == (mounting, mounting)
     assert affects_readings(turn)
-    assert symbol_of(turn) == turn
-    assert symbol_of(f"A.{turn}") == turn
+    assert find_symbol(turn) == turn
+    assert find_symbol(f"A.{turn}") == turn
 
 
 def test_symbol_with_accelerometer_and_mounting():
     radius = "centrifuge.radius.A.in"
     assert term(radius) is TABLE["centrifuge.radius.ACCELEROMETER.MOUNTING"]
-    assert (accelerometer_of(radius), mounting_of(radius)) == ("A", "in")
+    assert (accelerometer_name(radius), mounting_name(radius)) == ("A", "in")
     assert same_for_all(radius) == "centrifuge.radius.in"
-    assert accelerometer_of("centrifuge.radius.in") == ""
+    assert accelerometer_name("centrifuge.radius.in") == ""
     assert same_for_all("centrifuge.radius.in") == "centrifuge.radius.in"
 
 
@@ -188,7 +188,7 @@ def test_symbol_with_accelerometer_and_mounting():
 )
 def test_unknown_mounting_symbol_is_not_term(name):
     assert not is_term(name)
-    assert mounting_of(name) == ""
+    assert mounting_name(name) == ""
     assert not affects_readings(name)
 
 

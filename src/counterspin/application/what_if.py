@@ -34,9 +34,9 @@ from counterspin.inference.joint.summary import WhatIf
 from counterspin.physics.terms import (
     ACCELEROMETER_TERMS,
     INPUTS,
-    description_of,
+    describe_term,
+    find_symbol,
     is_term,
-    symbol_of,
     term,
 )
 from counterspin.planning.recorded import SuggestedRuns
@@ -76,7 +76,7 @@ def what_if(
         "sources": [
             {
                 "name": source,
-                "words": description_of(source),
+                "words": describe_term(source),
                 "u": update.known[source],
                 "factor": field_unit(units[source])[1],
                 "unit": typeset(field_unit(units[source])[0]),
@@ -141,12 +141,12 @@ def _prior_improvements(result: Result, owner: str) -> Iterator[PriorImprovement
             return
         improved_u, source_unit = (
             IMPROVEMENT_FACTOR * update.known[source],
-            term(symbol_of(source)).unit,
+            term(find_symbol(source)).unit,
         )
         yield {
             "symbol": symbol,
             "source": source,
-            "words": description_of(source),
+            "words": describe_term(source),
             "known": _format_u(improved_u, source_unit),
             "now": _format_u(current_u, unit),
             "left": _format_u(remaining_u[source], unit),
@@ -268,7 +268,7 @@ def _best_prior(result: Result, accelerometer: str) -> tuple[tuple[str, str], st
         improvement["source"],
         _requested_update(_accelerometer_result(result, accelerometer)),
     )
-    symbol = symbol_of(source)
+    symbol = find_symbol(source)
     row = term(symbol)
     key = f"{accelerometer}.{source}" if symbol in ACCELEROMETER_TERMS else symbol
     prior_u = IMPROVEMENT_FACTOR * update.known[source]

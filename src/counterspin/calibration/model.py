@@ -36,7 +36,7 @@ from counterspin.physics.terms import (
     LINEAR,
     SHARED_TERMS,
     Term,
-    accelerometer_of,
+    accelerometer_name,
     same_for_all,
     term,
 )
@@ -235,7 +235,7 @@ def _acting_terms(campaign: Campaign, accelerometer: str = "") -> list[tuple[str
         for o, s in reading_terms
         if s in named
         or not s.startswith("centrifuge.radius.")
-        or (accelerometer_of(s) and same_for_all(s) not in named)
+        or (accelerometer_name(s) and same_for_all(s) not in named)
     ]
     return list(
         dict.fromkeys([*accelerometer_terms, *_platform_terms(campaign, names), *reading_terms])

@@ -42,7 +42,7 @@ from counterspin.inference.joint.unknowns import ROTATION, Unknown
 from counterspin.inference.noise.components import size_keys
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.search import NoiseEstimate
-from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of
+from counterspin.physics.terms import SHARED_TERMS, TERMS, find_symbol
 from counterspin.records.record import rejected_count
 
 #: More outliers than this part of a record's samples are worth a warning.
@@ -151,7 +151,7 @@ def confounded_platform(assessment: Assessment) -> list[ConfoundedTerms]:
     return [
         item
         for item in assessment.confounded
-        if all(symbol_of(name) in SHARED_TERMS for name in item.terms)
+        if all(find_symbol(name) in SHARED_TERMS for name in item.terms)
     ]
 
 

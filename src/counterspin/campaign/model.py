@@ -34,7 +34,7 @@ from counterspin.physics.terms import (
     SHARED_TERMS,
     TABLE,
     TERMS,
-    accelerometer_of,
+    accelerometer_name,
     condition_of,
     is_term,
     same_for_all,
@@ -225,7 +225,7 @@ def resolve_model(
             "missing-prior",
         )
     for symbol in (*terms, *considered, *shared):
-        if accelerometer_of(symbol) and same_for_all(symbol) in {*terms, *considered, *shared}:
+        if accelerometer_name(symbol) and same_for_all(symbol) in {*terms, *considered, *shared}:
             general = same_for_all(symbol)
             message = f'"{general}" applies to all accelerometers, but "{symbol}" is given too'
             problems.add(("model",), f"{message}; keep one")
@@ -337,9 +337,9 @@ def _remove_duplicates(symbols: Sequence[str]) -> tuple[str, ...]:
 
     With several accelerometers each has a radius; with one, the mounting has it.
     """
-    has_several = len({owner for symbol in symbols if (owner := accelerometer_of(symbol))}) > 1
-    common = {same_for_all(symbol) for symbol in symbols if accelerometer_of(symbol)}
-    return tuple(s for s in symbols if not (s in common if has_several else accelerometer_of(s)))
+    has_several = len({owner for symbol in symbols if (owner := accelerometer_name(symbol))}) > 1
+    common = {same_for_all(symbol) for symbol in symbols if accelerometer_name(symbol)}
+    return tuple(s for s in symbols if not (s in common if has_several else accelerometer_name(s)))
 
 
 def _report_unknown(name: str, path: KeyPath, problems: Problems) -> None:

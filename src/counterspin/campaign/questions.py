@@ -15,7 +15,7 @@ from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
 from counterspin.physics.gravity import HEIGHTS, gravity_range
 from counterspin.physics.own_velocity import NAVIGATED, AxisError, coriolis, unobserved_projection
-from counterspin.physics.terms import symbol_of
+from counterspin.physics.terms import find_symbol
 
 #: Standard gravity, which a computer may take away at any place, m/s^2.
 _STANDARD_GRAVITIES: Final = (9.80665, 9.8066, 9.8)
@@ -154,7 +154,7 @@ def _exact_priors(campaign: Campaign) -> Iterator[Question]:
     for subject, prior in {**stated, **campaign.model.priors}.items():
         if prior.u == 0.0:
             value = f"{prior.value:.9g}"
-            assumed = campaign.model.assumes(symbol_of(subject))
+            assumed = campaign.model.assumes(find_symbol(subject))
             taken = (
                 "as exact, because model.assume names it"
                 if assumed

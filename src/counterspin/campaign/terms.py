@@ -23,7 +23,7 @@ from counterspin.campaign.reading import Reading
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import AttitudeError, TrajectoryError
 from counterspin.physics.terms import (
-    HEAD_WAVES,
+    HEAD_HARMONICS,
     READING_TERMS,
     SHARED_TERMS,
     Term,
@@ -93,7 +93,7 @@ def symbols_shown(readings: Sequence[Reading], *, recorded: bool = False) -> tup
         if not motions & set(row.motions):
             continue
         # A zero needs a head, a wave another angle of it.
-        fewest = 2 if row.symbol.startswith(HEAD_WAVES) else 1
+        fewest = 2 if row.symbol.startswith(HEAD_HARMONICS) else 1
         if row.symbol.startswith("head.") and len(shown) < fewest:
             continue
         if row.scope == "position":

@@ -22,7 +22,7 @@ from counterspin.certificates.schema import format_decimal
 from counterspin.inference.distributions import COVERAGE, expanded_uncertainty
 from counterspin.inference.verdicts import Conformity
 from counterspin.physics.grades import GRADES
-from counterspin.physics.terms import TABLE, TERMS, symbol_of
+from counterspin.physics.terms import TABLE, TERMS, find_symbol
 from counterspin.reports.blocks import Paragraph
 from counterspin.reports.numbers import (
     field_unit,
@@ -267,7 +267,7 @@ def assumption_lines(name: str, result: Result) -> list[str]:
 
 def _source_of_default(source: str, u: float) -> str:
     """Return the document behind a default uncertainty; empty for one that a campaign states."""
-    row = TABLE.get(symbol_of(source))
+    row = TABLE.get(find_symbol(source))
     sizes = [] if row is None else [row.sizes(grade) for grade in GRADES]
     return next((f" ({s.source})" for s in sizes if math.isclose(s.typical, u)), "")
 

@@ -12,7 +12,7 @@ from fnmatch import fnmatchcase
 from typing import Final
 
 from counterspin.errors import CampaignError
-from counterspin.physics.terms import TABLE, description_of, is_term, symbol_of
+from counterspin.physics.terms import TABLE, describe_term, find_symbol, is_term
 
 #: Key of [evidence], or name in `assume`, for all unstated terms.
 ALL: Final = "all"
@@ -27,7 +27,7 @@ def _covers(key: str, name: str) -> bool:
     """Return whether a key of [evidence] covers an assumed term."""
     if key == ALL:
         return True
-    term = name if _is_pattern(name) else symbol_of(name)
+    term = name if _is_pattern(name) else find_symbol(name)
     return any(
         fnmatchcase(candidate, key) or candidate.startswith(f"{key}.")
         for candidate in dict.fromkeys((name, term))
@@ -74,5 +74,5 @@ def evidence_lines(assumed: Sequence[str], evidence: Mapping[str, str]) -> Itera
 
 def name_with_words(source: str) -> str:
     """Return a term or source of uncertainty with its description in parentheses."""
-    words = description_of(source)
+    words = describe_term(source)
     return f"{source} ({words})" if words else source

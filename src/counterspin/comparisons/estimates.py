@@ -23,7 +23,7 @@ from counterspin.calibration.result_parts import Coefficient
 from counterspin.comparisons.rerun import terms_of
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail
-from counterspin.physics.terms import TERMS, mounting_of
+from counterspin.physics.terms import TERMS, mounting_name
 
 #: Part of a variance below which a difference of variances is rounding.
 NEGLIGIBLE: Final = 1e-9
@@ -290,7 +290,7 @@ def _sources(result: Result, name: str, symbols: Sequence[str]) -> dict[str, Sha
                     estimated=line.kind in ("stated", "unstated"),
                     stated=(_value(result, name, line.source), line.u),
                     shifts=np.zeros(len(symbols)),
-                    of_run=bool(mounting_of(line.source))
+                    of_run=bool(mounting_name(line.source))
                     or any(line.source.startswith(f"{run}.") for run in result.runs),
                 )
             source.shifts[index] = line.sensitivity * line.u

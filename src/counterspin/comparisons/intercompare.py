@@ -33,7 +33,7 @@ from counterspin.comparisons.result import (
     ReferenceValue,
 )
 from counterspin.errors import CampaignError
-from counterspin.physics.terms import is_term, symbol_of, term
+from counterspin.physics.terms import find_symbol, is_term, term
 
 #: Significance of the chi-square test (Cox 2002).
 SIGNIFICANCE: Final = 0.05
@@ -253,6 +253,6 @@ def _sources_of_instrument(estimates: Estimates) -> Estimates:
     kept = {
         name: source
         for name, source in estimates.sources.items()
-        if is_term(symbol_of(name)) and term(symbol_of(name)).scope == "accelerometer"
+        if is_term(find_symbol(name)) and term(find_symbol(name)).scope == "accelerometer"
     }
     return replace(estimates, sources=kept)

@@ -20,7 +20,7 @@ from counterspin.campaign.documents import require_source, with_source
 from counterspin.campaign.model import ALL_TERMS
 from counterspin.comparisons.result import Change, RepeatedCalibration, RepeatedCoefficient
 from counterspin.errors import RecordError
-from counterspin.physics.terms import symbol_of
+from counterspin.physics.terms import find_symbol
 from counterspin.reports.numbers import field_unit, format_estimate, format_number
 from counterspin.temporary_folders import temporary_folder
 
@@ -108,7 +108,7 @@ def _prior_information(result: Result, name: str) -> tuple[list[str], Mapping[st
 def _default_priors(result: Result) -> list[str]:
     """Return the terms with default priors and their sizes, once for all runs."""
     sizes = (
-        f"{symbol_of(known.name)} ± {_quantity(known.u, 0.0, known.unit)}"
+        f"{find_symbol(known.name)} ± {_quantity(known.u, 0.0, known.unit)}"
         for known in result.rests_on
         if known.kind == "unstated"
     )

@@ -79,13 +79,13 @@ class Mounting:
         p /= np.linalg.norm(p)
         o = np.cross(i, p)
         if output_axis is not None:
-            given = direction(output_axis)
-            if float(given @ o) < -1.0 + 1e-6:
+            output_direction = direction(output_axis)
+            if float(output_direction @ o) < -1.0 + 1e-6:
                 raise ValueError(
                     "the axes are left-handed: input x pendulous must be the output axis; "
                     "reverse one of them"
                 )
-            if float(given @ o) < 1.0 - 1e-6:
+            if float(output_direction @ o) < 1.0 - 1e-6:
                 raise ValueError("the output axis must be at right angles to the other two axes")
         return cls(tuple((float(v[0]), float(v[1]), float(v[2])) for v in (i, p, o)))
 

@@ -88,17 +88,21 @@ class AngleError:
         for n in self.harmonics:
             n_w0 = n * self.rate
             cos, sin = np.cos(n_w0 * t), np.sin(n_w0 * t)
-            size = abs(n_w0)
-            columns.append((cos / size, -n_w0 * sin / size, -size * cos))
-            columns.append((sin / size, n_w0 * cos / size, -size * sin))
-        value, first, second = (np.stack(parts, -1) for parts in zip(*columns, strict=True))
-        return value, first, second
+            frequency = abs(n_w0)
+            columns.append((cos / frequency, -n_w0 * sin / frequency, -frequency * cos))
+            columns.append((sin / frequency, n_w0 * cos / frequency, -frequency * sin))
+        value, first_derivative, second_derivative = (
+            np.stack(derivatives, -1) for derivatives in zip(*columns, strict=True)
+        )
+        return value, first_derivative, second_derivative
 
 
-def slow_part(monomials: Array, rate: float, start: float, span: float) -> Array:
+def convert_slow_coefficients(monomials: Array, rate: float, start: float, span: float) -> Array:
     """Turn coefficients of 1, t/span, (t/span)^2 into those of `SLOW`; both shape (3, k)."""
-    before = start / span
-    shift = np.array([[1.0, before, before**2], [0.0, 1.0, 2.0 * before], [0.0, 0.0, 1.0]])
+    scaled_start = start / span
+    shift = np.array(
+        [[1.0, scaled_start, scaled_start**2], [0.0, 1.0, 2.0 * scaled_start], [0.0, 0.0, 1.0]]
+    )
     # 1, s and s^2 in Legendre polynomials of 2 s - 1.
     legendre = np.array([[1.0, 0.5, 1.0 / 3.0], [0.0, 0.5, 0.5], [0.0, 0.0, 1.0 / 6.0]])
     slope = 2.0 / span
@@ -108,7 +112,11 @@ def slow_part(monomials: Array, rate: float, start: float, span: float) -> Array
 
 
 def angle_sensitivity(
-    turned: tuple[Array, Array, Array], angle: Array, rate: Array, acceleration: Array, order: int
+    error_functions: tuple[Array, Array, Array],
+    angle: Array,
+    rate: Array,
+    acceleration: Array,
+    order: int,
 ) -> Array:
     """Return the change of position, velocity or acceleration by changes of the angle.
 
@@ -124,16 +132,16 @@ def angle_sensitivity(
     order: 0 for the acceleration, 1 for the velocity, 2 for the position.
     Returns: east and north components over the radius, shape (n, m, 2).
     """
-    q, first, second = turned
+    q, q_dot, q_ddot = error_functions
     cos, sin = np.cos(angle), np.sin(angle)
     outward, forward = np.stack([cos, sin], -1), np.stack([-sin, cos], -1)
     w = rate[:, None]
     if order == 2:
-        along, across = q, np.zeros_like(q)
+        tangential, radial = q, np.zeros_like(q)
     elif order == 1:
-        along, across = first, -w * q
+        tangential, radial = q_dot, -w * q
     else:
-        along = second - w**2 * q
-        across = -2.0 * w * first - acceleration[:, None] * q
-    change: Array = along[..., None] * forward[:, None] + across[..., None] * outward[:, None]
+        tangential = q_ddot - w**2 * q
+        radial = -2.0 * w * q_dot - acceleration[:, None] * q
+    change: Array = tangential[..., None] * forward[:, None] + radial[..., None] * outward[:, None]
     return change

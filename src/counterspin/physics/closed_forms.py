@@ -36,24 +36,27 @@ def parabola(symbol: str, mounting: Mounting, rate: float, radius: float, gravit
             horizontal = force ** (product.degree - product.factors.count("P"))
             return 0.5 * gravity * product.weight * vertical * horizontal * _mean(product)
         case AttitudeError() as turn:
-            return _parabola_of_platform(turn, matrix, rate, radius, gravity)
+            return _platform_parabola(turn, matrix, rate, radius, gravity)
     return 0.0  # the path comes back to where it was after each revolution
 
 
-def _parabola_of_platform(
+def _platform_parabola(
     effect: AttitudeError, matrix: Array, rate: float, radius: float, gravity: float
 ) -> float:
     force = radius * rate**2 / gravity
-    sensed = np.cross(np.eye(3)[effect.axis], matrix[0])
+    rotation_sensitivity = np.cross(np.eye(3)[effect.axis], matrix[0])
     if effect.kind == "tilt":
-        return 0.5 * gravity * float(sensed[2])
+        return 0.5 * gravity * float(rotation_sensitivity[2])
     if effect.kind == "g_sensitivity" and effect.force_axis in (0, 1):
         # psi follows the velocity gained since the start. About the vertical it turns the
         # centripetal force, and the product has a mean where the two directions cross;
         # about a horizontal axis the start velocity stays behind as a tilt against gravity.
-        tangential = float(np.cross(np.eye(3)[effect.force_axis], sensed)[2])
+        tangential = float(np.cross(np.eye(3)[effect.force_axis], rotation_sensitivity)[2])
         start_velocity = radius * rate if effect.force_axis == 1 else 0.0
-        return 0.25 * radius * rate * force * tangential - 0.5 * float(sensed[2]) * start_velocity
+        return (
+            0.25 * radius * rate * force * tangential
+            - 0.5 * float(rotation_sensitivity[2]) * start_velocity
+        )
     if effect.kind == "table" and effect.harmonic == 1:
         # The centripetal force turns with the table's error: half of it stays in the mean.
         side = -matrix[0, 1] if effect.quadrature == "cos" else matrix[0, 0]
@@ -61,7 +64,12 @@ def _parabola_of_platform(
     if effect.kind == "compliance" and effect.force_axis is not None:
         # Gravity leans the platform for good; a level force comes round with what it turns.
         level = effect.force_axis < 2
-        return 0.5 * gravity * float(sensed[effect.force_axis]) * (0.5 * force**2 if level else 1.0)
+        return (
+            0.5
+            * gravity
+            * float(rotation_sensitivity[effect.force_axis])
+            * (0.5 * force**2 if level else 1.0)
+        )
     return 0.0
 
 

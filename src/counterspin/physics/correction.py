@@ -48,7 +48,7 @@ class NotInvertibleError(ConvergenceError):
 
 def invert(
     coefficients: Mapping[str, Array | float],
-    indicated: Array,
+    indications: Array,
     a_p: Array | float = 0.0,
     a_o: Array | float = 0.0,
 ) -> Array:
@@ -62,10 +62,10 @@ def invert(
         all.
     Returns: a_I in g, shape (n,), to rounding.
     """
-    y, p, o = np.broadcast_arrays(np.asarray(indicated, dtype=np.float64), a_p, a_o)
-    present = np.isfinite(y) & np.isfinite(p) & np.isfinite(o)
+    y, p, o = np.broadcast_arrays(np.asarray(indications, dtype=np.float64), a_p, a_o)
+    is_finite = np.isfinite(y) & np.isfinite(p) & np.isfinite(o)
     force = np.full(y.shape, np.nan)
-    rows = np.flatnonzero(present)
+    rows = np.flatnonzero(is_finite)
     if rows.size:
         row_coefficients = {
             s: value[rows] if np.ndim(value) else value  # type: ignore[index]
@@ -80,13 +80,15 @@ def _solve_rising_branch(
 ) -> Array:
     """Return the root of the indication less y on the branch that holds a_I = 0."""
     # With K_0_asym the indication jumps at zero, and the middle of the jump divides the sides.
-    used = _used_products(coefficients)
-    constant = {product: value for product, value in used.items() if product.power == 0}
-    above, below = (_polynomial(constant, np.full_like(y, sign), p, o)[0] for sign in (1, -1))
-    side = np.where(y >= 0.5 * (above + below), 1.0, -1.0)
+    products = _nonzero_products(coefficients)
+    constant = {product: value for product, value in products.items() if product.power == 0}
+    jump_top, jump_bottom = (
+        _polynomial(constant, np.full_like(y, sign), p, o)[0] for sign in (1, -1)
+    )
+    side = np.where(y >= 0.5 * (jump_top + jump_bottom), 1.0, -1.0)
     # In x = |a_I|, and with this sign, what is sought is the root of a polynomial that begins
     # below zero and rises. An indication inside the jump stands for zero.
-    poly = _polynomial(used, side, p, o)
+    poly = _polynomial(products, side, p, o)
     poly[0] -= y
     poly *= side
     poly[0] = np.minimum(poly[0], 0.0)
@@ -99,25 +101,29 @@ def _solve_rising_branch(
             f"increase with the specific force (slope {poly[1, row]:.3g}); check the "
             "coefficients and their units.",
         )
-    high = 2.0 * -poly[0] / poly[1]
+    upper_bound = 2.0 * -poly[0] / poly[1]
     # The slope without its positive terms decreases: if it is positive at `high`, no turning point
     # is below.
-    lowest_slope = poly[1] + high * _evaluate_polynomial(
-        np.minimum(_derivative(poly)[1:], 0.0), high
+    lowest_slope = poly[1] + upper_bound * _evaluate_polynomial(
+        np.minimum(_derivative(poly)[1:], 0.0), upper_bound
     )
-    may_turn = ~((lowest_slope > 0.0) & (_evaluate_polynomial(poly, high) >= 0.0))
-    turning_point = np.full_like(high, np.inf)
+    may_turn = ~((lowest_slope > 0.0) & (_evaluate_polynomial(poly, upper_bound) >= 0.0))
+    turning_point = np.full_like(upper_bound, np.inf)
     if may_turn.any():
         turning_point[may_turn] = _turning_point(poly[:, may_turn])
-    high = np.minimum(turning_point, high)
+    upper_bound = np.minimum(turning_point, upper_bound)
     while True:
-        is_too_low = (_evaluate_polynomial(poly, high) < 0.0) & (high < turning_point)
+        is_too_low = (_evaluate_polynomial(poly, upper_bound) < 0.0) & (upper_bound < turning_point)
         if not is_too_low.any():
             break
-        high = np.where(is_too_low, np.minimum(2.0 * high, turning_point), high)
-    beyond = np.flatnonzero(_evaluate_polynomial(poly, high) < -_rounding_bound(poly, high, y))
-    if beyond.size:
-        row = int(beyond[0])
+        upper_bound = np.where(
+            is_too_low, np.minimum(2.0 * upper_bound, turning_point), upper_bound
+        )
+    unreachable_rows = np.flatnonzero(
+        _evaluate_polynomial(poly, upper_bound) < -_rounding_bound(poly, upper_bound, y)
+    )
+    if unreachable_rows.size:
+        row = int(unreachable_rows[0])
         force = float(side[row] * turning_point[row])
         largest = _evaluate_polynomial(poly[:, row : row + 1], turning_point[row : row + 1])
         max_indication = float(y[row] + side[row] * largest[0])
@@ -126,10 +132,10 @@ def _solve_rising_branch(
             f"cannot be corrected, because the indication is {y[row]:.6g} g, but the model has "
             f"a turning point at {force:.6g} g, where the indication is {max_indication:.6g} g.",
         )
-    return side * _root(poly, high, y, rows)
+    return side * _root(poly, upper_bound, y, rows)
 
 
-def _used_products(
+def _nonzero_products(
     coefficients: Mapping[str, Array | float],
 ) -> dict[SpecificForceProduct, Array | float]:
     """Return the products whose coefficient is not zero in every sample, and their coefficients."""
@@ -138,12 +144,12 @@ def _used_products(
 
 
 def _polynomial(
-    used: Mapping[SpecificForceProduct, Array | float], side: Array, p: Array, o: Array
+    products: Mapping[SpecificForceProduct, Array | float], side: Array, p: Array, o: Array
 ) -> Array:
     """Return the indication's coefficients in powers of |a_I|, lowest first, shape (m, n)."""
     unit = np.stack([side, p, o])
-    poly = np.zeros((1 + max([3, *(product.power for product in used)]), side.size))
-    for product, value in used.items():
+    poly = np.zeros((1 + max([3, *(product.power for product in products)]), side.size))
+    for product, value in products.items():
         # Each product is homogeneous in a_I on its side: its value at +-1 times |a_I|^power.
         poly[product.power] += value * product.evaluate(unit)
     return poly
@@ -153,9 +159,9 @@ def _turning_point(poly: Array) -> Array:
     """Return the first positive zero of the slope, which is positive at 0; infinite if none."""
     slope = _derivative(poly)
     if poly.shape[0] == 4:
-        return _first_zero_of_parabola(slope)
-    first: Array = _positive_zeros(slope)[0]
-    return first
+        return _first_parabola_root(slope)
+    turning_point: Array = _positive_roots(slope)[0]
+    return turning_point
 
 
 def _derivative(poly: Array) -> Array:
@@ -163,7 +169,7 @@ def _derivative(poly: Array) -> Array:
     return slope
 
 
-def _positive_zeros(poly: Array) -> Array:
+def _positive_roots(poly: Array) -> Array:
     """Return the zeros of a polynomial between 0 and `_MAX_FORCE`, ascending, shape (degree, n).
 
     Infinite where a sample has fewer. Between the zeros of its derivative a polynomial is monotone,
@@ -171,49 +177,49 @@ def _positive_zeros(poly: Array) -> Array:
     """
     if poly.shape[0] == 2:
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            zero = -poly[:1] / poly[1:]
-        return np.where((zero > 0.0) & (zero <= _MAX_FORCE), zero, np.inf)
+            root = -poly[:1] / poly[1:]
+        return np.where((root > 0.0) & (root <= _MAX_FORCE), root, np.inf)
     intervals = np.empty((poly.shape[0] + 1, poly.shape[1]))
     intervals[0], intervals[-1] = 0.0, _MAX_FORCE
-    intervals[1:-1] = np.minimum(_positive_zeros(_derivative(poly)), _MAX_FORCE)
+    intervals[1:-1] = np.minimum(_positive_roots(_derivative(poly)), _MAX_FORCE)
     low, high = intervals[:-1], intervals[1:]
     interval_poly = poly[:, None]
     low_is_positive, high_is_positive = (
         _evaluate_polynomial(interval_poly, at) > 0.0 for at in (low, high)
     )
     crosses = low_is_positive != high_is_positive
-    zero = np.where(crosses, 0.5 * (low + high), np.inf)
+    root = np.where(crosses, 0.5 * (low + high), np.inf)
     for _ in range(_MAX_STEPS if crosses.any() else 0):
-        zero_is_positive = _evaluate_polynomial(interval_poly, np.where(crosses, zero, 0.0)) > 0.0
+        root_is_positive = _evaluate_polynomial(interval_poly, np.where(crosses, root, 0.0)) > 0.0
         low, high = (
-            np.where(zero_is_positive == low_is_positive, zero, low),
-            np.where(zero_is_positive == low_is_positive, high, zero),
+            np.where(root_is_positive == low_is_positive, root, low),
+            np.where(root_is_positive == low_is_positive, high, root),
         )
         midpoint = np.where(crosses, 0.5 * (low + high), np.inf)
-        if np.all((midpoint == zero) | ~crosses):
+        if np.all((midpoint == root) | ~crosses):
             break
-        zero = midpoint
-    return np.sort(zero, axis=0)
+        root = midpoint
+    return np.sort(root, axis=0)
 
 
-def _first_zero_of_parabola(poly: Array) -> Array:
+def _first_parabola_root(poly: Array) -> Array:
     """Return the first zero beyond zero of a + b x + c x^2, a > 0; infinite if there is none."""
     a, b, c = poly
-    square = b * b - 4.0 * a * c
+    discriminant = b * b - 4.0 * a * c
     # This form of the root keeps its digits as c goes to zero.
-    divisor = -b + np.sqrt(np.maximum(square, 0.0))
-    has_zero = (square >= 0.0) & (divisor > 0.0)
-    zero = np.full(a.shape, np.inf)
+    divisor = -b + np.sqrt(np.maximum(discriminant, 0.0))
+    has_root = (discriminant >= 0.0) & (divisor > 0.0)
+    root = np.full(a.shape, np.inf)
     with np.errstate(over="ignore"):
-        zero[has_zero] = 2.0 * a[has_zero] / divisor[has_zero]
-    return zero
+        root[has_root] = 2.0 * a[has_root] / divisor[has_root]
+    return root
 
 
 def _evaluate_polynomial(poly: Array, x: Array) -> Array:
-    total: Array = poly[-1]
+    value: Array = poly[-1]
     for row in poly[-2::-1]:
-        total = total * x + row
-    return total
+        value = value * x + row
+    return value
 
 
 def _slope(poly: Array, x: Array) -> Array:
@@ -350,10 +356,10 @@ _AS_CALIBRATED: Final = TemperatureOffset()
 
 
 def missing_axes(
-    instruments: Sequence[CalibratedAccelerometer], known: Sequence[KnownForce]
+    instruments: Sequence[CalibratedAccelerometer], known_forces: Sequence[KnownForce]
 ) -> list[tuple[CalibratedAccelerometer, str, tuple[str, ...]]]:
     """Return (instrument, ``P`` or ``O``, symbols that need it) where the force is not known."""
-    _, is_determined = _projections(instruments, known)
+    _, is_determined = _projections(instruments, known_forces)
     return [
         (instrument, axis, instrument.symbols_using(axis))
         for k, instrument in enumerate(instruments)
@@ -364,9 +370,9 @@ def missing_axes(
 
 def correct(
     instruments: Sequence[CalibratedAccelerometer],
-    indicated: Array,
-    known: Sequence[KnownForce] = (),
-    between: Mapping[tuple[int, int], Array] = MappingProxyType({}),
+    indications: Array,
+    known_forces: Sequence[KnownForce] = (),
+    cross_covariances: Mapping[tuple[int, int], Array] = MappingProxyType({}),
     temperature_offset: TemperatureOffset = _AS_CALIBRATED,
 ) -> CorrectedForces:
     """Correct the indications of accelerometers that stand on one platform.
@@ -384,24 +390,24 @@ def correct(
     temperature_offset: For slopes with temperature. Its u moves the force by the slopes, and their
         own uncertainty counts at every temperature that it may have been.
     """
-    missing = missing_axes(instruments, known)
-    if missing:
-        instrument, axis, symbols = missing[0]
+    unknown_axes = missing_axes(instruments, known_forces)
+    if unknown_axes:
+        instrument, axis, symbols = unknown_axes[0]
         raise ValueError(
             f"{instrument.name}: {', '.join(symbols)} need a_{axis}, which is not known"
         )
-    weights, _ = _projections(instruments, known)
-    n, m = indicated.shape
-    known_forces = np.empty((n, len(known)))
-    for index, item in enumerate(known):
-        known_forces[:, index] = item.force
+    weights, _ = _projections(instruments, known_forces)
+    n, m = indications.shape
+    known_values = np.empty((n, len(known_forces)))
+    for index, item in enumerate(known_forces):
+        known_values[:, index] = item.force
     force = _correct_jointly(
-        instruments, indicated, known_forces, weights, temperature_offset.value
+        instruments, indications, known_values, weights, temperature_offset.value
     )
-    a_ipo = _forces_along_axes(force, known_forces, weights)
+    a_ipo = _forces_along_axes(force, known_values, weights)
 
     jacobian = np.empty((n, m, m))
-    known_sensitivity = np.zeros((n, m, len(known) + 1))
+    known_sensitivity = np.zeros((n, m, len(known_forces) + 1))
     variance = np.zeros((n, m, m))
     for k, instrument in enumerate(instruments):
         coefficients_at = instrument.at(temperature_offset.value)
@@ -413,7 +419,7 @@ def correct(
             instrument, a_ipo[k], temperature_offset.value
         )
         variance[:, k, k] = _variance(instrument, a_ipo[k], temperature_offset)
-    for (k, column), covariance in between.items():
+    for (k, column), covariance in cross_covariances.items():
         for weight, value in temperature_offset.nodes:
             row_products, column_products = (
                 _coefficient_sensitivities(
@@ -428,11 +434,11 @@ def correct(
     inverse = np.full_like(jacobian, np.nan)
     is_finite = np.isfinite(jacobian).all(axis=(1, 2))
     inverse[is_finite] = np.linalg.inv(jacobian[is_finite])
-    total = np.sum((inverse @ variance) * inverse, axis=2)
-    sds = inverse @ known_sensitivity * [*(item.u for item in known), temperature_offset.u]
-    total += np.sum(sds**2, axis=2)
+    force_variance = np.sum((inverse @ variance) * inverse, axis=2)
+    sds = inverse @ known_sensitivity * [*(item.u for item in known_forces), temperature_offset.u]
+    force_variance += np.sum(sds**2, axis=2)
     # Rounding alone may leave less than nothing where errors of two accelerometers cancel.
-    return CorrectedForces(force, np.sqrt(np.maximum(total, 0.0)))
+    return CorrectedForces(force, np.sqrt(np.maximum(force_variance, 0.0)))
 
 
 @frozen(eq=False)
@@ -469,19 +475,19 @@ def indication(instrument: CalibratedAccelerometer, a_ipo: Array) -> tuple[Array
 
 
 def _projections(
-    instruments: Sequence[CalibratedAccelerometer], known: Sequence[KnownForce]
+    instruments: Sequence[CalibratedAccelerometer], known_forces: Sequence[KnownForce]
 ) -> tuple[Array, np.ndarray]:
     """Return the weights of forces along the known directions that give a_P and a_O.
 
     Shape (m, 2, m + len(known)); and whether they determine a_P and a_O, shape (m, 2).
     """
     rows = [instrument.mounting.input_axis for instrument in instruments]
-    directions = np.stack([*rows, *(item.direction for item in known)])
+    directions = np.stack([*rows, *(item.direction for item in known_forces)])
     if np.linalg.matrix_rank(directions, tol=_PROJECTION_ROUNDING) < directions.shape[0]:
         raise InputError(
             f"the specific force along a direction is overdetermined: {len(rows)} "
-            f"accelerometers ({', '.join(i.name for i in instruments)}) and {len(known)} known "
-            "specific forces have linearly dependent directions",
+            f"accelerometers ({', '.join(i.name for i in instruments)}) and {len(known_forces)} "
+            "known specific forces have linearly dependent directions",
             "conflicting-values",
         )
     targets = np.stack([instrument.mounting.matrix[1:] for instrument in instruments])
@@ -491,46 +497,46 @@ def _projections(
     return np.where(np.abs(weights) < _PROJECTION_ROUNDING, 0.0, weights), is_determined
 
 
-def _forces_along_axes(force: Array, known_forces: Array, weights: Array) -> Array:
+def _forces_along_axes(force: Array, known_values: Array, weights: Array) -> Array:
     """Return the forces along I, P, O of each instrument, shape (m, 3, n)."""
-    all_known = np.concatenate([force, known_forces], axis=1).T
+    all_known = np.concatenate([force, known_values], axis=1).T
     return np.concatenate([force.T[:, None], weights @ all_known], axis=1)
 
 
 def _correct_jointly(
     instruments: Sequence[CalibratedAccelerometer],
-    indicated: Array,
-    known_forces: Array,
+    indications: Array,
+    known_values: Array,
     weights: Array,
     temperature_offset: Array | float,
 ) -> Array:
     """Correct each accelerometer with the others' corrected forces until none moves."""
-    force = np.array(indicated, dtype=np.float64)
+    force = np.array(indications, dtype=np.float64)
     # A sample that one accelerometer misses is missing altogether.
-    finite = np.isfinite(np.concatenate([force, known_forces], axis=1)).all(axis=1)
-    force[~(finite & np.isfinite(temperature_offset))] = np.nan
+    is_finite = np.isfinite(np.concatenate([force, known_values], axis=1)).all(axis=1)
+    force[~(is_finite & np.isfinite(temperature_offset))] = np.nan
     m = len(instruments)
-    coupled = bool(np.any(weights[:, :, :m]))
+    is_coupled = bool(np.any(weights[:, :, :m]))
     scale = 32.0 * _EPSILON * (1.0 + np.max(np.abs(force), axis=1, keepdims=True))
     coefficients = [instrument.at(temperature_offset) for instrument in instruments]
-    for _ in range(_MAX_ROUNDS if coupled else 1):
-        a_ipo = _forces_along_axes(force, known_forces, weights)
-        new = np.empty_like(force)
+    for _ in range(_MAX_ROUNDS if is_coupled else 1):
+        a_ipo = _forces_along_axes(force, known_values, weights)
+        new_force = np.empty_like(force)
         for k, (instrument, (_, p, o)) in enumerate(zip(instruments, a_ipo, strict=True)):
-            target = np.where(np.isnan(force[:, k]), np.nan, indicated[:, k])
+            target = np.where(np.isnan(force[:, k]), np.nan, indications[:, k])
             try:
-                new[:, k] = invert(coefficients[k], target, p, o)
+                new_force[:, k] = invert(coefficients[k], target, p, o)
             except NotInvertibleError as error:
                 raise NotInvertibleError(
                     error.row, f"of {instrument.name} {error.reason}"
                 ) from error
-        is_moving = np.abs(new - force) > scale
-        force = new
-        if not coupled or not is_moving.any():
+        is_moving = np.abs(new_force - force) > scale
+        force = new_force
+        if not is_coupled or not is_moving.any():
             return force
-    worst = int(np.flatnonzero(is_moving.any(axis=1))[0])
+    moving_row = int(np.flatnonzero(is_moving.any(axis=1))[0])
     raise NotInvertibleError(
-        worst,
+        moving_row,
         "cannot be corrected: the accelerometers' mutual corrections have not converged after "
         f"{_MAX_ROUNDS} rounds; check the coefficients and their units.",
     )

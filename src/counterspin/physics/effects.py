@@ -94,17 +94,17 @@ class SpecificForceProduct:
         a_ipo: Specific force along I, P, O in g, shape (3, ...).
         Returns: shape ``a_ipo.shape[1:]``, in g to the power of the product's degree less one.
         """
-        total = np.zeros(a_ipo.shape[1:])
-        for place, factor in enumerate(self.factors):
+        derivative = np.zeros(a_ipo.shape[1:])
+        for index, factor in enumerate(self.factors):
             if factor.strip("|") != axis:
                 continue
             value = np.full(a_ipo.shape[1:], self.weight, dtype=np.float64)
             if factor == "|I|":
                 value *= np.sign(a_ipo[0])
-            for remaining in self.factors[:place] + self.factors[place + 1 :]:
-                value *= _component(a_ipo, remaining)
-            total += value
-        return total
+            for other_factor in self.factors[:index] + self.factors[index + 1 :]:
+                value *= _component(a_ipo, other_factor)
+            derivative += value
+        return derivative
 
 
 #: Factors of the instrument's rotation, in the order in which `Product.evaluate` takes them.

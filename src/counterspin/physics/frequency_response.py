@@ -26,7 +26,7 @@ from counterspin.physics.spindle import Spindle
 ComplexArray = npt.NDArray[np.complex128]
 
 #: Harmonics of the rotation for which the response is approximated.
-_HARMONICS: Final = 8
+_HARMONIC_COUNT: Final = 8
 
 #: Frequencies per harmonic at which it is approximated.
 _POINTS_PER_HARMONIC: Final = 4
@@ -70,17 +70,17 @@ class ResponseTable:
         """
         from scipy.interpolate import PchipInterpolator
 
-        known = np.array(self.frequency)
+        table_frequency = np.array(self.frequency)
         gain, phase = np.array(self.gain), np.array(self.phase)
         if self.u_gain:
             gain = gain + gain_error * np.array(self.u_gain)
         if self.u_phase:
             phase = phase + phase_error * np.array(self.u_phase)
-        inside = np.minimum(frequency, known[-1])
-        points = np.append(0.0, known)
-        gains = PchipInterpolator(points, np.append(1.0, gain))(inside)
-        phases = PchipInterpolator(points, np.append(0.0, phase))(inside) * (
-            np.maximum(frequency, known[-1]) / known[-1]
+        clipped_frequency = np.minimum(frequency, table_frequency[-1])
+        points = np.append(0.0, table_frequency)
+        gains = PchipInterpolator(points, np.append(1.0, gain))(clipped_frequency)
+        phases = PchipInterpolator(points, np.append(0.0, phase))(clipped_frequency) * (
+            np.maximum(frequency, table_frequency[-1]) / table_frequency[-1]
         )
         return np.asarray(gains * np.exp(1j * phases), dtype=np.complex128)
 
@@ -155,8 +155,8 @@ class FrequencyResponse:
     def filter_record(
         self,
         spindle: Spindle,
-        recorded: Callable[[Spindle], Array],
-        sensed: Callable[[Spindle], Array],
+        record_at: Callable[[Spindle], Array],
+        sensed_at: Callable[[Spindle], Array],
     ) -> Array:
         """Return the record of a perfect accelerometer with this response.
 
@@ -166,9 +166,14 @@ class FrequencyResponse:
         recorded: Maps a rotation to the record without dynamics.
         sensed: Maps a rotation to the contribution of the specific force to this record.
         """
-        recorder, total = self.recorder_shifts(spindle.rate), self.total_shifts(spindle.rate)
-        rest = recorder.apply(spindle, lambda shifted: recorded(shifted) - sensed(shifted))
-        return rest + total.apply(spindle, sensed)
+        recorder_shifts, total_shifts = (
+            self.recorder_shifts(spindle.rate),
+            self.total_shifts(spindle.rate),
+        )
+        unsensed_record = recorder_shifts.apply(
+            spindle, lambda shifted_spindle: record_at(shifted_spindle) - sensed_at(shifted_spindle)
+        )
+        return unsensed_record + total_shifts.apply(spindle, sensed_at)
 
     def total_shifts(self, rate: float) -> TimeShifts:
         """Return the response of accelerometer and recorder for a rate in rad/s."""
@@ -199,13 +204,13 @@ def _time_shifts(response: FrequencyResponse, rate: float, *, recorder: bool) ->
     )
     if recorder and math.isinf(response.cutoff_frequency):
         return TimeShifts((0.0,), (1.0,))
-    turn = 2.0 * math.pi
-    delay = -float(np.angle(evaluate(np.array([rate / turn])))[0]) / rate
-    spacing = turn * _SHIFT_SPACING / (_HARMONICS * rate)
-    orders = np.arange(1, _HARMONICS * _POINTS_PER_HARMONIC + 1) / _POINTS_PER_HARMONIC
+    two_pi = 2.0 * math.pi
+    delay = -float(np.angle(evaluate(np.array([rate / two_pi])))[0]) / rate
+    spacing = two_pi * _SHIFT_SPACING / (_HARMONIC_COUNT * rate)
+    orders = np.arange(1, _HARMONIC_COUNT * _POINTS_PER_HARMONIC + 1) / _POINTS_PER_HARMONIC
     frequencies = rate * orders  # rad/s
-    rest = evaluate(frequencies / turn) * np.exp(1j * frequencies * delay) - 1.0
-    targets = np.concatenate([rest.real, rest.imag])
+    undelayed_response = evaluate(frequencies / two_pi) * np.exp(1j * frequencies * delay) - 1.0
+    targets = np.concatenate([undelayed_response.real, undelayed_response.imag])
     for count in range(1, _MAX_SHIFTS + 1):
         steps = np.array([*range(-count, 0), *range(1, count + 1)])
         waves = np.exp(1j * np.outer(frequencies, steps) * spacing) - 1.0
@@ -231,8 +236,8 @@ def _interpolate(
     rate: rad/s.
     delay: About which the shifts lie, s.
     """
-    orders = np.arange(-_HARMONICS, _HARMONICS + 1)
-    positive = evaluate(np.arange(1.0, _HARMONICS + 1.0) * (rate / (2.0 * math.pi)))
+    orders = np.arange(-_HARMONIC_COUNT, _HARMONIC_COUNT + 1)
+    positive = evaluate(np.arange(1.0, _HARMONIC_COUNT + 1.0) * (rate / (2.0 * math.pi)))
     gains = np.concatenate([positive[::-1].conj(), [1.0], positive])
     angles = 2.0 * math.pi * orders / orders.size
     waves = np.exp(1j * np.outer(orders, rate * delay - angles))

@@ -301,12 +301,12 @@ class Motion:
     def acceleration(self) -> Array:
         """m/s^2, relative to the Earth."""
         cos, sin = self._outward
-        squared, alpha = self.rate**2, self.angular_acceleration
-        inward = _vectors(squared * cos + alpha * sin, squared * sin - alpha * cos)
+        squared_rate, alpha = self.rate**2, self.angular_acceleration
+        inward = _vectors(squared_rate * cos + alpha * sin, squared_rate * sin - alpha * cos)
         acceleration: Array = -self.trajectory.radius * inward
         if self._radius_growth is not None:
-            growth, speed, curve = self._radius_growth
-            outward = curve - growth * squared
+            growth, speed, growth_acceleration = self._radius_growth
+            outward = growth_acceleration - growth * squared_rate
             forward = 2.0 * speed * self.rate + growth * alpha
             acceleration += _vectors(outward * cos - forward * sin, outward * sin + forward * cos)
         return self._tilt_level_vector(acceleration)
@@ -399,37 +399,39 @@ def _vectors(east: Array, north: Array, up: Array | None = None) -> Array:
 # Errors of the path ----------------------------------------------------------------------------
 
 
-def perturbed_trajectory(trajectory: Trajectory, shared: Mapping[str, float]) -> Trajectory:
+def perturb_trajectory(trajectory: Trajectory, shared_values: Mapping[str, float]) -> Trajectory:
     """Return the trajectory with errors of radius and axis applied."""
-    errors = [(MOTION_TERMS[s].effect, value) for s, value in shared.items() if s in MOTION_TERMS]
+    errors = [
+        (MOTION_TERMS[s].effect, value) for s, value in shared_values.items() if s in MOTION_TERMS
+    ]
     imbalance = tuple(
         (error.harmonic, value, 0.0) if error.quadrature == "cos" else (error.harmonic, 0.0, value)
         for error, value in errors
         if error.kind == "imbalance" and value != 0.0
     )
-    stretch = shared.get("centrifuge.stretch", 0.0)
+    stretch = shared_values.get("centrifuge.stretch", 0.0)
     axis_tilt = (
-        shared.get("centrifuge.axis_tilt.east", 0.0),
-        shared.get("centrifuge.axis_tilt.north", 0.0),
+        shared_values.get("centrifuge.axis_tilt.east", 0.0),
+        shared_values.get("centrifuge.axis_tilt.north", 0.0),
     )
     if not imbalance and stretch == 0.0 and axis_tilt == (0.0, 0.0):
         return trajectory
     return replace(trajectory, stretch=stretch, imbalance=imbalance, axis_tilt=axis_tilt)
 
 
-def encoder_error(shared: Mapping[str, float], angle: Array) -> Array:
+def encoder_error(shared_values: Mapping[str, float], angle: Array) -> Array:
     """Return the recorded angle minus the true angle in rad, shape (n,).
 
     angle: The true angle, rad, shape (n,).
     """
     total = np.zeros_like(angle)
-    for symbol, value in shared.items():
+    for symbol, value in shared_values.items():
         if symbol not in MOTION_TERMS or value == 0.0:
             continue
         error = MOTION_TERMS[symbol].effect
         if error.kind == "encoder":
-            wave = np.cos if error.quadrature == "cos" else np.sin
-            total += value * wave(error.harmonic * angle)
+            quadrature_function = np.cos if error.quadrature == "cos" else np.sin
+            total += value * quadrature_function(error.harmonic * angle)
     return total
 
 
@@ -442,14 +444,14 @@ def trajectory_sensitivity(symbol: str, circle: Motion, order: int) -> Array:
     if (error := MOTION_TERMS[symbol].effect).kind == "encoder":
         return _encoder_sensitivity(error, circle, order)
     # The motion is linear in radius and tilt: a whole unit of the error shows its derivative.
-    perturbed = motion_at(perturbed_trajectory(circle.trajectory, {symbol: 1.0}), circle.t)
+    perturbed_motion = motion_at(perturb_trajectory(circle.trajectory, {symbol: 1.0}), circle.t)
     change: Array
     if order == 2:
-        change = perturbed.position - circle.position
+        change = perturbed_motion.position - circle.position
     elif order == 1:
-        change = perturbed.velocity - circle.velocity
+        change = perturbed_motion.velocity - circle.velocity
     else:
-        change = perturbed.specific_force - circle.specific_force
+        change = perturbed_motion.specific_force - circle.specific_force
     return change
 
 

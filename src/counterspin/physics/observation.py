@@ -182,14 +182,16 @@ def columns(
         for i, effect in enumerate(effects)
         if isinstance(effect, Slope) and effect.condition not in trajectory.conditions.changing
     }
-    evaluated = {*linear, *bias_indices, *kinked_effects, *motion_errors, *slopes}
+    evaluated_indices = {*linear, *bias_indices, *kinked_effects, *motion_errors, *slopes}
     smooth_effects = {
         i: effect
         for i, effect in enumerate(effects)
-        if i not in evaluated and isinstance(effect, Integrated)
+        if i not in evaluated_indices and isinstance(effect, Integrated)
     }
-    if unobserved := set(range(len(effects))) - evaluated - set(smooth_effects):
-        raise ValueError(f"no record observes {', '.join(symbols[i] for i in sorted(unobserved))}")
+    if unobserved_indices := set(range(len(effects))) - evaluated_indices - set(smooth_effects):
+        raise ValueError(
+            f"no record observes {', '.join(symbols[i] for i in sorted(unobserved_indices))}"
+        )
     result = np.empty((len(effects), times.size))
     result[bias_indices] = trajectory.site.gravity * times**order / max(1, order)
     if kinked_effects:
@@ -201,10 +203,12 @@ def columns(
     for i in motion_errors:
         result[i] = integrals.trajectory_error(symbols[i])
     product_columns = {symbol: result[i] for i, symbol in enumerate(symbols) if i not in slopes}
-    missing = {slope.coefficient for slope in slopes.values()} - product_columns.keys()
-    if missing:
-        extra = columns(trajectory, mounting, [*missing], times, observable, attitude=attitude)
-        product_columns |= dict(zip(missing, extra.T, strict=True))
+    missing_coefficients = {slope.coefficient for slope in slopes.values()} - product_columns.keys()
+    if missing_coefficients:
+        extra_columns = columns(
+            trajectory, mounting, [*missing_coefficients], times, observable, attitude=attitude
+        )
+        product_columns |= dict(zip(missing_coefficients, extra_columns.T, strict=True))
     for i, slope in slopes.items():
         factor = slope.design_factor(trajectory.conditions, trajectory.centripetal)
         result[i] = factor * product_columns[slope.coefficient]
@@ -266,40 +270,43 @@ class _Integrals:
         if self._panels.nodes.size > _MAX_NODES:
             return self._panels.series(_integrands(effects, self._motion, axes, attitude), order)
         key = (axes.matrix.tobytes(), attitude.tobytes(), order)
-        missing = [effect for effect in effects if (*key, effect) not in self._kept]
-        integrals = self._panels.series(_integrands(missing, self._motion, axes, attitude), order)
+        missing_effects = [effect for effect in effects if (*key, effect) not in self._kept]
+        integrals = self._panels.series(
+            _integrands(missing_effects, self._motion, axes, attitude), order
+        )
         self._kept |= {
-            (*key, effect): integral for effect, integral in zip(missing, integrals, strict=True)
+            (*key, effect): integral
+            for effect, integral in zip(missing_effects, integrals, strict=True)
         }
-        if len(missing) == len(effects):
+        if len(missing_effects) == len(effects):
             return integrals
         return np.stack([self._kept[*key, effect] for effect in effects])
 
 
 def _trajectory_integrals(
-    trajectory: Trajectory, duration: float, kinked: tuple[float, ...] = ()
+    trajectory: Trajectory, duration: float, kink_axis: tuple[float, ...] = ()
 ) -> _Integrals:
     """Return the cached integrals along a trajectory.
 
     Accelerometers of one run share the motion, and a fit and its checks the integrals.
 
-    kinked: An axis; there is an edge wherever the specific force along it changes sign.
+    kink_axis: An axis; there is an edge wherever the specific force along it changes sign.
     """
     edges = quadrature.panel_edges(trajectory.spindle, duration, coarse=trajectory.coarse)
     is_cacheable = edges.size * quadrature.NODES <= _MAX_NODES
-    return (_along_short if is_cacheable else _along_long)(trajectory, duration, kinked)
+    return (_along_short if is_cacheable else _along_long)(trajectory, duration, kink_axis)
 
 
 def _make_integrals(
-    trajectory: Trajectory, duration: float, kinked: tuple[float, ...]
+    trajectory: Trajectory, duration: float, kink_axis: tuple[float, ...]
 ) -> _Integrals:
     make_edges = partial(
         quadrature.panel_edges, trajectory.spindle, duration, coarse=trajectory.coarse
     )
     breaks = trajectory.conditions.breaks
     edges = make_edges(breaks)
-    if kinked:
-        axis = np.array(kinked)
+    if kink_axis:
+        axis = np.array(kink_axis)
         changes = quadrature.sign_changes(lambda t: trajectory.specific_force(t) @ axis, edges)
         edges = make_edges(np.append(breaks, changes))
     return _Integrals(trajectory, Panels(edges))
@@ -324,10 +331,10 @@ def _integrands(
     effects: Sequence[Integrated], motion: Motion, axes: Mounting, attitude: Array
 ) -> Array:
     """Return the integrands of terms, m/s^2 per unit coefficient and K_I, shape (k, m)."""
-    sensed = _SensorInputs(motion, axes, attitude)
+    sensor_inputs = _SensorInputs(motion, axes, attitude)
     values = np.empty((len(effects), motion.t.size))
     for index, effect in enumerate(effects):
-        values[index] = sensed.integrand(effect)
+        values[index] = sensor_inputs.integrand(effect)
     return values
 
 
@@ -391,8 +398,8 @@ class _TimeIntegrals:
         if self._order == 0:
             return self._specific_force_columns(effects)
         axis = tuple(self._axes.input_axis.tolist())
-        kinked = _trajectory_integrals(self._trajectory, self._duration, axis)
-        return kinked.at(self._times, effects, self._axes, self._attitude, self._order)
+        integrals = _trajectory_integrals(self._trajectory, self._duration, axis)
+        return integrals.at(self._times, effects, self._axes, self._attitude, self._order)
 
     def _specific_force_columns(self, effects: Sequence[Integrated]) -> Array:
         """Return the contributions of terms to the specific force, m/s^2, (k, n)."""

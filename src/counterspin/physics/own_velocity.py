@@ -25,7 +25,7 @@ NAVIGATED: Final = ("displacement", "velocity")
 _MIN_RECORDED_FRACTION: Final = 0.05
 
 #: Terms of the solution's series in 2 Omega t: in two hours the next one is below 1e-15.
-_TERMS: Final = 20
+_TERM_COUNT: Final = 20
 
 #: Degree of the polynomial that is integrated exactly; only waves and noise remain.
 _DEGREE: Final = 7
@@ -85,22 +85,22 @@ def _coriolis_projections(
     site: Site, errors: Sequence[AxisError], coriolis_matrix: Array
 ) -> list[Array]:
     """Return the Coriolis part of each error, from d = d(recorded) - integral of acting @ d."""
-    navigated = [record for record in errors if record.observable in NAVIGATED]
-    if not navigated:
+    navigated_errors = [record for record in errors if record.observable in NAVIGATED]
+    if not navigated_errors:
         return [np.zeros(record.time.size) for record in errors]
-    grid = np.unique(np.concatenate([record.time for record in navigated]))
+    grid = np.unique(np.concatenate([record.time for record in navigated_errors]))
     integral = _make_integrator(grid)
-    recorded = np.linalg.pinv(_axes(errors), rcond=_MIN_RECORDED_FRACTION) @ [
-        _position_error(record, grid) for record in navigated
+    recorded_positions = np.linalg.pinv(_axes(errors), rcond=_MIN_RECORDED_FRACTION) @ [
+        _position_error(record, grid) for record in navigated_errors
     ]
-    positions, term = recorded, recorded
-    for _ in range(_TERMS):
+    positions, term = recorded_positions, recorded_positions
+    for _ in range(_TERM_COUNT):
         term = -coriolis_matrix @ integral(term)
         positions = positions + term
     velocity = coriolis(site) @ positions
-    projected = {"velocity": velocity, "displacement": integral(velocity)}
+    coriolis_errors = {"velocity": velocity, "displacement": integral(velocity)}
     return [
-        np.interp(record.time, grid, record.input_axis @ projected[record.observable])
+        np.interp(record.time, grid, record.input_axis @ coriolis_errors[record.observable])
         if record.observable in NAVIGATED
         else np.zeros(record.time.size)
         for record in errors
@@ -124,19 +124,19 @@ def _make_integrator(time: Array) -> Callable[[Array], Array]:
     then costs next to nothing, for across it the error is not straight.
     """
     half = 0.5 * float(time[-1] - time[0])
-    part = (time - time[0]) / half - 1.0 if half else np.zeros_like(time)
-    powers = chebvander(part, min(_DEGREE, time.size - 1))
+    scaled_time = (time - time[0]) / half - 1.0 if half else np.zeros_like(time)
+    powers = chebvander(scaled_time, min(_DEGREE, time.size - 1))
     inverse = np.linalg.pinv(powers)
     integrated_basis = half * chebint(np.eye(powers.shape[1]), lbnd=-1.0, axis=1)
-    integrals = chebvander(part, powers.shape[1]) @ integrated_basis.T
+    integrals = chebvander(scaled_time, powers.shape[1]) @ integrated_basis.T
     steps = 0.5 * np.diff(time)
 
     def integral(values: Array) -> Array:
         smooth = values @ inverse.T
         remainder = values - smooth @ powers.T
-        left = np.cumsum(steps * (remainder[:, 1:] + remainder[:, :-1]), axis=1)
+        remainder_integral = np.cumsum(steps * (remainder[:, 1:] + remainder[:, :-1]), axis=1)
         result: Array = smooth @ integrals.T
-        result[:, 1:] += left
+        result[:, 1:] += remainder_integral
         return result
 
     return integral

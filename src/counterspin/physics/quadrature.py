@@ -38,9 +38,9 @@ def _series_of_integral(times_integrated: int) -> Array:
     """Matrix from node values to the Chebyshev series of the integral, (NODES + 2, NODES)."""
     series = np.linalg.inv(chebyshev.chebvander(_X, NODES - 1))
     integral = chebyshev.chebint(series, m=times_integrated, lbnd=-1.0, axis=0)
-    padded = np.zeros((NODES + 2, NODES))
-    padded[: len(integral)] = integral
-    return padded
+    padded_integral = np.zeros((NODES + 2, NODES))
+    padded_integral[: len(integral)] = integral
+    return padded_integral
 
 
 _X, _WEIGHTS = legendre.leggauss(NODES)
@@ -84,10 +84,15 @@ def sign_changes(function: Callable[[Array], Array], edges: Array) -> Array:
     steps = np.linspace(0.0, 1.0, 8, endpoint=False)
     grid = np.append((edges[:-1, None] + np.diff(edges)[:, None] * steps).ravel(), edges[-1])
     values = function(grid)
-    at = np.flatnonzero((values[1:] > 0.0) != (values[:-1] > 0.0))
-    left, right, f_left, f_right = grid[at], grid[at + 1], values[at], values[at + 1]
+    indices = np.flatnonzero((values[1:] > 0.0) != (values[:-1] > 0.0))
+    left, right, f_left, f_right = (
+        grid[indices],
+        grid[indices + 1],
+        values[indices],
+        values[indices + 1],
+    )
     # A step this short is rounding; the limit of rounds is what halving would take.
-    short = 2.0 * np.finfo(float).eps * edges[-1]
+    rounding = 2.0 * np.finfo(float).eps * edges[-1]
     for _ in range(52):
         slope = f_right - f_left
         step = np.divide(
@@ -102,7 +107,7 @@ def sign_changes(function: Callable[[Array], Array], edges: Array) -> Array:
             np.where(same_sign_as_right, 0.5 * f_left, f_right),
         )
         right, f_right = next_time, next_value
-        if np.all(np.abs(step) <= short):
+        if np.all(np.abs(step) <= rounding):
             break
     return right
 
@@ -159,9 +164,9 @@ class Panels:
         over the rest is neglected: a few milliseconds of a product whose sign just changes.
         """
         edges = self._edges
-        first = edges[0] - _EXTRAPOLATION * 2.0 * self._half.max()
-        last = edges[-1] + 1e-12 * (edges[-1] - edges[0])
-        if times.size and (times.min() < first or times.max() > last):
+        min_time = edges[0] - _EXTRAPOLATION * 2.0 * self._half.max()
+        max_time = edges[-1] + 1e-12 * (edges[-1] - edges[0])
+        if times.size and (times.min() < min_time or times.max() > max_time):
             raise ValueError("times lie outside the panels")
         times = np.maximum(times, edges[0] - _EXTRAPOLATION * (edges[1] - edges[0]))
         chunks = []
@@ -200,9 +205,9 @@ class _PanelPositions:
         slots = np.arange(times.size) - np.repeat(np.cumsum(counts) - counts, counts)
         self._slots = np.empty(times.size, dtype=np.intp)
         self._slots[order] = slots + np.repeat(width * (np.cumsum(rows) - rows), counts)
-        filled = np.zeros(width * rows.sum())
-        filled[self._slots] = (times - edges[panel]) / half_width[panel] - 1.0
-        values = chebyshev.chebvander(filled.reshape(-1, width), NODES + 1)
+        slot_positions = np.zeros(width * rows.sum())
+        slot_positions[self._slots] = (times - edges[panel]) / half_width[panel] - 1.0
+        values = chebyshev.chebvander(slot_positions.reshape(-1, width), NODES + 1)
         self._powers = np.moveaxis(values, 2, 1)
         # The panel of each row, where that is not simply the next one.
         all_single = occupied_panels.size == half_width.size and rows.max() == 1
@@ -210,15 +215,15 @@ class _PanelPositions:
 
     def evaluate(self, series: Array) -> Array:
         """Return the values of series (k, panels, NODES + 2) at the times, shape (k, n)."""
-        needed = series.transpose(1, 0, 2)
+        row_series = series.transpose(1, 0, 2)
         if self._panels is not None:
-            needed = needed[self._panels]
+            row_series = row_series[self._panels]
         rows, _, width = self._powers.shape
         # Written where they are taken from: memory that a process has not had yet takes longer to
         # get than it takes to fill.
-        evaluated = np.empty((len(series), rows, width))
-        np.matmul(needed, self._powers, out=evaluated.transpose(1, 0, 2))
-        return evaluated.reshape(len(series), -1).take(self._slots, axis=1)
+        slot_values = np.empty((len(series), rows, width))
+        np.matmul(row_series, self._powers, out=slot_values.transpose(1, 0, 2))
+        return slot_values.reshape(len(series), -1).take(self._slots, axis=1)
 
 
 @lru_cache(maxsize=6)

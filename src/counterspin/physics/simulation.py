@@ -16,7 +16,7 @@ from counterspin.arrays import Array
 from counterspin.physics import observation, quadrature
 from counterspin.physics.accelerometer import Mounting, indicated
 from counterspin.physics.conditions import RunConditions
-from counterspin.physics.motion import Trajectory, perturbed_trajectory
+from counterspin.physics.motion import Trajectory, perturb_trajectory
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import (
     CONDITION_TERMS,
@@ -54,12 +54,14 @@ def attitude_error(
             psi[:, 2] += value * observation.table_angle_error(row, motion)
             continue
         if row.kind == "g_sensitivity":
-            size = motion.velocity_of_specific_force @ attitude[row.force_axis] / g
+            angle_per_unit = motion.velocity_of_specific_force @ attitude[row.force_axis] / g
         elif row.kind == "compliance":
-            size = motion.specific_force @ attitude[row.force_axis] / g
+            angle_per_unit = motion.specific_force @ attitude[row.force_axis] / g
         else:
-            size = times if row.kind == "drift" else motion.square_of_specific_force / g**2
-        psi += value * size[:, None] * attitude[row.axis]
+            angle_per_unit = (
+                times if row.kind == "drift" else motion.square_of_specific_force / g**2
+            )
+        psi += value * angle_per_unit[:, None] * attitude[row.axis]
     return psi
 
 
@@ -67,7 +69,7 @@ def simulate_record(
     trajectory: Trajectory,
     mounting: Mounting,
     coefficients: Mapping[str, float],
-    shared: Mapping[str, float],
+    shared_values: Mapping[str, float],
     times: Array,
     observable: str = "displacement",
     *,
@@ -87,18 +89,20 @@ def simulate_record(
     """
     if mounting.response is not None:
         return _filtered_record(
-            trajectory, mounting, coefficients, shared, times, observable, attitude
+            trajectory, mounting, coefficients, shared_values, times, observable, attitude
         )
     order = observation.ORDERS[observable]
     axes = mounting.turned(attitude)
-    trajectory = perturbed_trajectory(trajectory, shared)
-    platform = {symbol: value for symbol, value in shared.items() if symbol in PLATFORM_TERMS}
+    trajectory = perturb_trajectory(trajectory, shared_values)
+    platform = {
+        symbol: value for symbol, value in shared_values.items() if symbol in PLATFORM_TERMS
+    }
     g = trajectory.site.gravity
     trend = sum(slope for symbol, slope in coefficients.items() if condition_of(symbol) == "time")
     conditions, all_coefficients = trajectory.conditions, coefficients
-    coefficients = coefficients_in_run(coefficients, conditions, trajectory.centripetal)
+    coefficients = run_coefficients(coefficients, conditions, trajectory.centripetal)
     scale_error = coefficients.get("K_I", 1.0) - 1.0
-    lever_arm = shared.get(LEVER_ARM, 0.0)
+    lever_arm = shared_values.get(LEVER_ARM, 0.0)
 
     def residual(t: Array) -> Array:
         """Return the indicated force's error less that of the scale factor, m/s^2."""
@@ -110,10 +114,10 @@ def simulate_record(
         psi = attitude_error(trajectory, platform, t, attitude)
         sensed_force = _rotate_force(proof_mass_force, psi) / g
         rotation = motion.table.instrument_rotation(axes)
-        sensed = indicated(axes, coefficients, sensed_force, rotation) + _change_since_start(
+        sensor_output = indicated(axes, coefficients, sensed_force, rotation) + _change_since_start(
             all_coefficients, conditions, axes, sensed_force, t
         )
-        return g * (sensed + trend * t) - (1.0 + scale_error) * (force @ axes.input_axis)
+        return g * (sensor_output + trend * t) - (1.0 + scale_error) * (force @ axes.input_axis)
 
     # The scale factor's own part has an exact integral, which a quadrature would spoil.
     exact_output = observation.columns(
@@ -138,7 +142,7 @@ def _filtered_record(
     trajectory: Trajectory,
     mounting: Mounting,
     coefficients: Mapping[str, float],
-    shared: Mapping[str, float],
+    shared_values: Mapping[str, float],
     times: Array,
     observable: str,
     attitude: Array,
@@ -150,7 +154,7 @@ def _filtered_record(
     def error(spindle: Spindle) -> Array:
         motion = replace(trajectory, spindle=spindle)
         record = simulate_record(
-            motion, ideal, coefficients, shared, times, observable, attitude=attitude
+            motion, ideal, coefficients, shared_values, times, observable, attitude=attitude
         )
         return record - observation.reference(motion, ideal, times, observable, attitude)
 
@@ -166,7 +170,7 @@ def _change_since_start(
     force: Array,
     times: Array,
 ) -> Array | float:
-    """Return the change of the indication with conditions since that of `coefficients_in_run`.
+    """Return the change of the indication with conditions since that of `run_coefficients`.
 
     force: Sensed at the times, g, shape (n, 3).
     times: s from the run's start, shape (n,).
@@ -185,7 +189,7 @@ def _change_since_start(
     return further_change
 
 
-def coefficients_in_run(
+def run_coefficients(
     coefficients: Mapping[str, float], conditions: RunConditions, force: float
 ) -> dict[str, float]:
     """Return an accelerometer's coefficients at the start of a run, in its mean temperature."""
@@ -205,9 +209,9 @@ def coefficients_in_run(
 def _rotate_force(force: Array, psi: Array) -> Array:
     """Return the specific force in the axes of a platform turned by psi (Rodrigues)."""
     angle = np.linalg.norm(psi, axis=1)[:, None]
-    first = np.cross(psi, force)
-    second = np.cross(psi, first)
+    cross_product = np.cross(psi, force)
+    double_cross_product = np.cross(psi, cross_product)
     # sin(x)/x and (1 - cos x)/x^2, both written so that x = 0 does no harm
-    rotated: Array = force - np.sinc(angle / np.pi) * first
-    rotated += 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * second
-    return rotated
+    rotated_force: Array = force - np.sinc(angle / np.pi) * cross_product
+    rotated_force += 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * double_cross_product
+    return rotated_force

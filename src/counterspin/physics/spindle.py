@@ -17,12 +17,18 @@ import numpy as np
 from counterspin.arrays import Array, in_parts, median, triangle_of, triangular_root
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.physics.angle_error import HARMONICS, SLOW, UNRESOLVED_SD, AngleError, slow_part
+from counterspin.physics.angle_error import (
+    HARMONICS,
+    SLOW,
+    UNRESOLVED_SD,
+    AngleError,
+    convert_slow_coefficients,
+)
 
 TURN: Final = 2.0 * math.pi  #: rad
 
 #: Rows whose functions of the angle's error are in memory at once.
-_ROWS: Final = 65536
+_CHUNK_ROWS: Final = 65536
 
 MAX_HARMONICS: Final = 8  #: highest ripple harmonic that `fit_spindle` tries by itself
 
@@ -179,7 +185,7 @@ class Spindle:
             rate=start_rate,
             drift=curvature / start_rate,
             ripples=tuple(
-                ripple_of(n, start_rate, wave_coefficients[n])
+                make_ripple(n, start_rate, wave_coefficients[n])
                 for n in sorted(wave_coefficients)
                 if wave_coefficients[n]
             ),
@@ -192,7 +198,7 @@ class Spindle:
         As `AngleError.functions`, shapes (n, m), and with a rate the frequencies of the ripples
         change.
         """
-        value, first, second_function = error.functions(t)
+        value, first_derivative, second_derivative = error.functions(t)
         # What a coefficient changes of the rate at t = 0, to which the ripples belong.
         rate_change = error.functions(np.zeros(1))[1][0, : len(SLOW)]
         for ripple in self.ripples:
@@ -200,16 +206,16 @@ class Spindle:
             wave = 1j * ripple.harmonic * self._wave(ripple) * np.exp(angular_frequency * t)
             for component, slope in (
                 (value, t * wave),
-                (first, (1.0 + angular_frequency * t) * wave),
-                (second_function, (2.0 + angular_frequency * t) * angular_frequency * wave),
+                (first_derivative, (1.0 + angular_frequency * t) * wave),
+                (second_derivative, (2.0 + angular_frequency * t) * angular_frequency * wave),
             ):
                 component[:, : len(SLOW)] += slope.real[:, None] * rate_change
-        return value, first, second_function
+        return value, first_derivative, second_derivative
 
     def _wave(self, ripple: Ripple) -> complex:
         """Return a - ib of a ripple's angle, a cos(n w0 t) + b sin(n w0 t), rad."""
-        size = ripple.amplitude / (ripple.harmonic * self.rate)
-        return -size * cmath.exp(1j * ripple.phase)
+        amplitude = ripple.amplitude / (ripple.harmonic * self.rate)
+        return -amplitude * cmath.exp(1j * ripple.phase)
 
     @property
     def highest_harmonic(self) -> int:
@@ -217,7 +223,7 @@ class Spindle:
         return max((ripple.harmonic for ripple in self.ripples), default=0)
 
 
-def ripple_of(harmonic: int, rate: float, wave: complex) -> Ripple:
+def make_ripple(harmonic: int, rate: float, wave: complex) -> Ripple:
     """Return the ripple of an angle a cos(n w0 t) + b sin(n w0 t), rad.
 
     The sign of w0 goes into the phase so that the amplitude stays positive.
@@ -253,7 +259,7 @@ class SpindleFit:
         rate = self.spindle.angular_rate(t)
         value = math.copysign(math.sqrt(float(np.mean(rate**2))), self.spindle.rate)
         slopes = np.zeros(self.error.deviation.size)
-        for rows in (slice(start, start + _ROWS) for start in range(0, t.size, _ROWS)):
+        for rows in (slice(start, start + _CHUNK_ROWS) for start in range(0, t.size, _CHUNK_ROWS)):
             slopes += rate[rows] @ self.error.functions(t[rows])[1]
         slopes /= t.size * value
         return value, float(np.linalg.norm(slopes @ self.error.root))
@@ -303,30 +309,34 @@ def fit_spindle(
         If w0 does not settle.
     """
     # What spans more than a turn has been unwrapped already, perhaps across gaps.
-    wrapped = angle.size == 0 or np.ptp(angle) <= TURN * (1.0 + 1e-9)
-    theta = np.unwrap(angle) if wrapped else angle
+    is_wrapped = angle.size == 0 or np.ptp(angle) <= TURN * (1.0 + 1e-9)
+    theta = np.unwrap(angle) if is_wrapped else angle
     root_weight = np.ones_like(time) if weights is None else np.sqrt(weights / np.mean(weights))
     samples = _FitSamples(time, theta, root_weight, spread if np.any(spread) else None)
     if harmonics is not None:
         return _fit(samples, nominal_rate, range(1, harmonics + 1))[0]
-    resolved = _resolvable(time, nominal_rate)
-    all_harmonics, all_coefficients = _fit(samples, nominal_rate, range(1, resolved + 1))
+    resolved_count = _count_resolvable_harmonics(time, nominal_rate)
+    all_harmonics, all_coefficients = _fit(samples, nominal_rate, range(1, resolved_count + 1))
     # The first harmonics reach a coefficient even where the samples do not resolve them.
-    highest = max(resolved, _count_harmonics(time, HARMONICS))
+    max_harmonic = max(resolved_count, _count_harmonics(time, HARMONICS))
     prior = None
-    for _ in range(_PRIOR_ROUNDS if highest > resolved else 0):
-        prior = _UnresolvedPrior(resolved, all_harmonics.rms)
-        all_harmonics, all_coefficients = _fit(samples, nominal_rate, range(1, highest + 1), prior)
-    significant = [
+    for _ in range(_PRIOR_ROUNDS if max_harmonic > resolved_count else 0):
+        prior = _UnresolvedPrior(resolved_count, all_harmonics.rms)
+        all_harmonics, all_coefficients = _fit(
+            samples, nominal_rate, range(1, max_harmonic + 1), prior
+        )
+    significant_harmonics = [
         ripple.harmonic
         for ripple, u_ripple in zip(
             all_harmonics.spindle.ripples, all_harmonics.u_ripples, strict=True
         )
         if _is_significant(ripple, u_ripple, time.size)
     ]
-    fit, selected_coefficients = _fit(samples, all_harmonics.spindle.rate, significant, prior)
+    fit, selected_coefficients = _fit(
+        samples, all_harmonics.spindle.rate, significant_harmonics, prior
+    )
     # What the criterion has left out may be there all the same, as far as its noise allows.
-    error_harmonics = sorted({*significant, *range(1, min(HARMONICS, highest) + 1)})
+    error_harmonics = sorted({*significant_harmonics, *range(1, min(HARMONICS, max_harmonic) + 1)})
     return replace(
         fit, error=_angle_error(time, error_harmonics, all_coefficients, selected_coefficients)
     )
@@ -341,18 +351,18 @@ def forecast_angle_error(time: Array, rate: float, noise: float, weights: Array)
     weights: Samples in each block, shape (n,).
     """
     harmonics = range(1, _count_harmonics(time, HARMONICS) + 1)
-    size, scaled = np.sqrt(weights), time / float(np.ptp(time))
+    root_weight, scaled_time = np.sqrt(weights), time / float(np.ptp(time))
     columns = np.empty((3 + 2 * len(harmonics), time.size))
-    columns[:3] = size, size * scaled, size * scaled**2
-    _fill_harmonics(rate * time, harmonics, size, columns[3:])
-    prior = _UnresolvedPrior(_resolvable(time, rate), noise)
+    columns[:3] = root_weight, root_weight * scaled_time, root_weight * scaled_time**2
+    _fill_harmonics(rate * time, harmonics, root_weight, columns[3:])
+    prior = _UnresolvedPrior(_count_resolvable_harmonics(time, rate), noise)
     triangle = triangle_of(np.vstack([triangle_of(in_parts(columns.T)), prior.rows(harmonics)]))
     factor = np.asarray(noise * np.linalg.inv(triangle), np.float64)
     coefficients = _Coefficients(rate, harmonics, np.zeros(len(columns)), factor)
     return _angle_error(time, harmonics, coefficients, coefficients)
 
 
-def _resolvable(time: Array, rate: float) -> int:
+def _count_resolvable_harmonics(time: Array, rate: float) -> int:
     """Return the largest number of harmonics that the samples of a revolution can resolve."""
     spacing = median(np.diff(time)) if time.size > 1 else 0.0
     resolvable = int(math.pi / abs(rate * spacing)) - 1 if spacing else 0
@@ -392,10 +402,10 @@ class _UnresolvedPrior(NamedTuple):
 
     def rows(self, harmonics: Sequence[int]) -> Array:
         """Return the rows of the priors, in units of the noise, shape (m, 3 + 2 h)."""
-        unresolved = [place for place, n in enumerate(harmonics) if n > self.resolved]
-        rows = np.zeros((2 * len(unresolved), 3 + 2 * len(harmonics)))
-        for row, place in enumerate(unresolved):
-            rows[2 * row, 3 + 2 * place] = rows[2 * row + 1, 4 + 2 * place] = 1.0
+        unresolved_indices = [index for index, n in enumerate(harmonics) if n > self.resolved]
+        rows = np.zeros((2 * len(unresolved_indices), 3 + 2 * len(harmonics)))
+        for row, index in enumerate(unresolved_indices):
+            rows[2 * row, 3 + 2 * index] = rows[2 * row + 1, 4 + 2 * index] = 1.0
         return rows * (self.noise / UNRESOLVED_SD)
 
 
@@ -414,21 +424,21 @@ def _angle_error(
 ) -> AngleError:
     """Return the angle error of `reduced_fit`, given the coefficients of `full_fit`."""
     start, span = float(np.min(time)), float(np.ptp(time))
-    rows = [slow_part(full_fit.factor[:3], reduced_fit.rate, start, span)]
+    rows = [convert_slow_coefficients(full_fit.factor[:3], reduced_fit.rate, start, span)]
     differences = [
-        slow_part(
+        convert_slow_coefficients(
             (full_fit.value[:3] - reduced_fit.value[:3])[:, None], reduced_fit.rate, start, span
         )[:, 0]
     ]
     for n in harmonics:
-        size = abs(n * reduced_fit.rate)
+        frequency = abs(n * reduced_fit.rate)
         index = 3 + 2 * list(full_fit.harmonics).index(n)
         quadratures = full_fit.value[index : index + 2]
         if n in reduced_fit.harmonics:
             offset = 3 + 2 * list(reduced_fit.harmonics).index(n)
             quadratures = quadratures - reduced_fit.value[offset : offset + 2]
-        rows.append(size * full_fit.factor[index : index + 2])
-        differences.append(size * quadratures)
+        rows.append(frequency * full_fit.factor[index : index + 2])
+        differences.append(frequency * quadratures)
     return AngleError(
         rate=reduced_fit.rate,
         start=start,
@@ -446,21 +456,21 @@ def _fit(
     prior: _UnresolvedPrior | None = None,
 ) -> tuple[SpindleFit, _Coefficients]:
     time, theta, root_weight, spread = samples
-    count = len(harmonics)
-    n, unknowns = time.size, 3 + 2 * count
-    if n <= unknowns:
+    harmonic_count = len(harmonics)
+    n, unknown_count = time.size, 3 + 2 * harmonic_count
+    if n <= unknown_count:
         raise NotIdentifiableError(
-            f"{n} angle samples cannot determine a spindle with {count} harmonics ({unknowns} "
-            "unknowns); use a longer record or request fewer harmonics"
+            f"{n} angle samples cannot determine a spindle with {harmonic_count} harmonics "
+            f"({unknown_count} unknowns); use a longer record or request fewer harmonics"
         )
     span = float(np.ptp(time))
-    scaled = time / span  # keeps the columns of one size
+    scaled_time = time / span  # keeps the columns of one size
     # Residuals from the nominal rotation keep the digits that the full angle would take.
     target = theta - start_rate * time
     w0 = start_rate
     # One row for each unknown's column of the design, and the target's; all of them weighted.
-    columns = np.empty((unknowns + 1, n))
-    columns[:3] = root_weight, root_weight * scaled, root_weight * scaled**2
+    columns = np.empty((unknown_count + 1, n))
+    columns[:3] = root_weight, root_weight * scaled_time, root_weight * scaled_time**2
     if spread is not None:
         columns[2] += root_weight * (spread / span) ** 2
     columns[-1] = root_weight * target
@@ -474,15 +484,16 @@ def _fit(
         if prior is not None:
             rows = np.pad(prior.rows(harmonics), ((0, 0), (0, 1)))
             triangle = triangle_of(np.vstack([triangle, rows]))
-        r = triangle[:unknowns, :unknowns]
+        r = triangle[:unknown_count, :unknown_count]
         # R's columns are as long as the design's.
-        size = np.maximum(np.linalg.norm(r, axis=0), math.sqrt(n))
-        if np.any(np.abs(np.diag(r)) < 1e-12 * size):
+        column_norms = np.maximum(np.linalg.norm(r, axis=0), math.sqrt(n))
+        if np.any(np.abs(np.diag(r)) < 1e-12 * column_norms):
             raise NotIdentifiableError(
-                f"the angle samples do not separate {count} harmonics: there are too few samples "
-                "per revolution, or the samples repeat the same angles; request fewer harmonics"
+                f"the angle samples do not separate {harmonic_count} harmonics: there are too few "
+                "samples per revolution, or the samples repeat the same angles; request fewer "
+                "harmonics"
             )
-        solution = np.asarray(np.linalg.solve(r, triangle[:unknowns, -1]))
+        solution = np.asarray(np.linalg.solve(r, triangle[:unknown_count, -1]))
         previous_rate, w0 = w0, start_rate + float(solution[1]) / span
         # Once the harmonics turn by less than 1e-9 rad over the record they are settled.
         if abs(w0 - previous_rate) * span * max(harmonics, default=0) < 1e-9:
@@ -493,7 +504,7 @@ def _fit(
             "rate of the run"
         )
     residuals = columns[-1] - solution @ columns[:-1]
-    dof = n - unknowns
+    dof = n - unknown_count
     variance = float(residuals @ residuals) / dof
     inverse = np.asarray(np.linalg.inv(r))
     covariance = variance * inverse @ inverse.T
@@ -503,7 +514,7 @@ def _fit(
     ripples, u_ripples = _to_ripples(w0, harmonics, solution[3:], covariance[3:, 3:])
     half_drift = float(solution[2]) / span**2
     # start_angle is theta(0); the model's own ripple vanishes at t = 0, so the cosines add here.
-    at_zero = np.zeros(unknowns)
+    at_zero = np.zeros(unknown_count)
     at_zero[0] = 1.0
     at_zero[3::2] = 1.0
     fit = SpindleFit(
@@ -524,20 +535,20 @@ def _fit(
     return fit, coefficients
 
 
-def _fill_harmonics(angle: Array, harmonics: Sequence[int], size: Array, rows: Array) -> None:
+def _fill_harmonics(angle: Array, harmonics: Sequence[int], weights: Array, rows: Array) -> None:
     """Write cosine and sine of each harmonic of an angle, times `size`, into rows (2 h, n).
 
     They are the powers of one complex wave.
     """
-    wave = np.empty(angle.shape, dtype=complex)
-    wave.real, wave.imag = np.cos(angle), np.sin(angle)
-    power = size.astype(complex)
-    place = 0
+    phasor = np.empty(angle.shape, dtype=complex)
+    phasor.real, phasor.imag = np.cos(angle), np.sin(angle)
+    power = weights.astype(complex)
+    row = 0
     for harmonic in range(1, max(harmonics, default=0) + 1):
-        power *= wave
+        power *= phasor
         if harmonic in harmonics:
-            rows[place], rows[place + 1] = power.real, power.imag
-            place += 2
+            rows[row], rows[row + 1] = power.real, power.imag
+            row += 2
 
 
 def _to_ripples(
@@ -548,14 +559,14 @@ def _to_ripples(
     for k, harmonic in enumerate(harmonics):
         n_w0 = harmonic * w0
         a, b = float(coefficients[2 * k]), float(coefficients[2 * k + 1])
-        size = math.hypot(a, b)
-        ripples.append(ripple_of(harmonic, w0, complex(a, -b)))
+        amplitude = math.hypot(a, b)
+        ripples.append(make_ripple(harmonic, w0, complex(a, -b)))
         block = covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2]
-        if size == 0.0:
+        if amplitude == 0.0:
             uncertainties.append((abs(n_w0) * math.sqrt(block[0, 0]), math.inf))
             continue
-        radial = np.array([a, b]) / size
-        tangential = np.array([-b, a]) / size**2
+        radial = np.array([a, b]) / amplitude
+        tangential = np.array([-b, a]) / amplitude**2
         uncertainties.append(
             (
                 abs(n_w0) * math.sqrt(float(radial @ block @ radial)),

@@ -35,7 +35,7 @@ from counterspin.physics.motion import Site
 from counterspin.physics.table import rotate_about_up
 from counterspin.physics.terms import TERMS, MotionKind, term
 
-_ON_THE_ARM: Final[Mapping[str, tuple[float, float, float]]] = {
+_ARM_DIRECTIONS: Final[Mapping[str, tuple[float, float, float]]] = {
     "outward": (1.0, 0.0, 0.0),
     "inward": (-1.0, 0.0, 0.0),
     "forward": (0.0, 1.0, 0.0),
@@ -47,9 +47,9 @@ _ON_THE_ARM: Final[Mapping[str, tuple[float, float, float]]] = {
 #: Motion -> the directions that have a name in its frame, unit vectors.
 FRAMES: Final[Mapping[str, Mapping[str, tuple[float, float, float]]]] = {
     "counter-rotating": DIRECTIONS,
-    "arm": _ON_THE_ARM,
+    "arm": _ARM_DIRECTIONS,
     # An arm that stands still is one that points east: gravity is all that acts.
-    "static": {**DIRECTIONS, **_ON_THE_ARM},
+    "static": {**DIRECTIONS, **_ARM_DIRECTIONS},
     "vibration": DIRECTIONS,
 }
 
@@ -63,7 +63,7 @@ READINGS: Final = {
 }
 
 #: Angles of a revolution at which the mean is taken: exact for products of degree below this.
-_ANGLES: Final = 16
+_ANGLE_COUNT: Final = 16
 
 
 @frozen
@@ -137,8 +137,10 @@ class Stations:
         cos, sin = np.cos(angles), np.sin(angles)
         if self.motion == "vibration":
             # The shaker moves along the nominal input axis; its phase is the angle.
-            along_axis = self.bias_acceleration[:, None] + self.amplitude[:, None] * np.sin(angles)
-            forces: Array = along_axis[:, :, None] * self.axes[:, None, 0]
+            axial_acceleration = self.bias_acceleration[:, None] + self.amplitude[:, None] * np.sin(
+                angles
+            )
+            forces: Array = axial_acceleration[:, :, None] * self.axes[:, None, 0]
             forces[:, :, 2] += site.gravity
             return forces
         if self.motion == "arm":
@@ -157,11 +159,11 @@ class Stations:
         _, north, up = site.earth_rotation
         # 2 Omega x v of the velocity R w forward; the part along the arm is the same everywhere.
         # The platform stays level; a tilted axis lifts and lowers it.
-        along = -radius * (w * w + 2.0 * w * up)
+        radial = -radius * (w * w + 2.0 * w * up)
         rises = radius * (about_east * sin - about_north * cos)
         speed = radius * w * (about_east * cos + about_north * sin)
-        lifted = site.gravity + 2.0 * radius * w * north * sin - w * w * rises
-        forces = np.stack([along * cos + 2.0 * north * speed, along * sin, lifted], axis=-1)
+        vertical = site.gravity + 2.0 * radius * w * north * sin - w * w * rises
+        forces = np.stack([radial * cos + 2.0 * north * speed, radial * sin, vertical], axis=-1)
         return rotate_about_up(forces, self.table_errors(angles)) if self.table else forces
 
     def products(self, site: Site, forces: Array) -> Array:
@@ -199,55 +201,62 @@ class Stations:
             rotations[:, :2, 0] = axes[:, :2, 2] * self.rate[:, None]
         return rotations
 
-    def perturb(self, symbol: str, size: Array, head: Array, head_angle: Array) -> Stations:
+    def perturb(self, symbol: str, change: Array, head: Array, head_angle: Array) -> Stations:
         """Return the stations with one of the machine's terms larger by a size.
 
         size: By how much, in the term's unit, shape (n,).
         head: The axis about which the dividing head turns, in the station's frame, shape (n, 3).
         head_angle: Indicated angle of the head, rad, shape (n,).
         """
-        moved: dict[str, Any]
+        changed_fields: dict[str, Any]
         match term(symbol).effect:
             case SetupError("radius"):
-                moved = {"radius": self.radius + size}
+                changed_fields = {"radius": self.radius + change}
             case SetupError("rate") | Input("clock"):
                 # A fast clock counts too few revolutions: the rate is larger than the one stated.
-                moved = {"rate": self.rate * (1.0 + size)}
+                changed_fields = {"rate": self.rate * (1.0 + change)}
             case TrajectoryError("stretch"):
-                moved = {"stretch": self.stretch + size}
+                changed_fields = {"stretch": self.stretch + change}
             case TrajectoryError("axis_tilt", axis=axis):
-                tilted = np.outer(size, (axis == "east", axis == "north"))
-                moved = {"axis_tilt": self.axis_tilt + tilted}
+                tilt_change = np.outer(change, (axis == "east", axis == "north"))
+                changed_fields = {"axis_tilt": self.axis_tilt + tilt_change}
             case SetupError("amplitude"):
-                moved = {"amplitude": self.amplitude * (1.0 + size)}
+                changed_fields = {"amplitude": self.amplitude * (1.0 + change)}
             case SetupError("droop"):
-                moved = {"droop": self.droop + size}
+                changed_fields = {"droop": self.droop + change}
             case AttitudeError("table", harmonic=n, quadrature=quadrature):
-                components = np.outer(size, (quadrature == "cos", quadrature == "sin"))
-                moved = {"table": {**self.table, n: self.table.get(n, 0.0) + components}}
+                components = np.outer(change, (quadrature == "cos", quadrature == "sin"))
+                changed_fields = {"table": {**self.table, n: self.table.get(n, 0.0) + components}}
             case SetupError("misalignment", axis):
-                moved = {"turn": self.turn + np.outer(size, _named_axis(axis, self.motion))}
+                changed_fields = {
+                    "turn": self.turn + np.outer(change, _named_axis(axis, self.motion))
+                }
             case SetupError("zero" | "wave", harmonic=n, quadrature=quadrature):
                 # The zero is a wave of no turns.
-                wave = np.sin if quadrature == "sin" else np.cos
-                moved = {"turn": self.turn + (size * wave(n * head_angle))[:, None] * head}
+                quadrature_function = np.sin if quadrature == "sin" else np.cos
+                changed_fields = {
+                    "turn": self.turn
+                    + (change * quadrature_function(n * head_angle))[:, None] * head
+                }
             case _:
                 raise ValueError(f"{symbol} does not affect any station")
-        return replace(self, **moved)
+        return replace(self, **changed_fields)
 
 
-def _rotate_axes(axes: Array, turns: Array) -> Array:
+def _rotate_axes(axes: Array, rotation_vectors: Array) -> Array:
     """Return axes, rows, after right-handed turns (Rodrigues), shapes (n, 3, 3) and (n, 3)."""
-    if not turns.any():
+    if not rotation_vectors.any():
         return axes
-    size = np.linalg.norm(turns, axis=1)[:, None, None]
-    about = turns[:, None] / np.where(size > 0.0, size, 1.0)
+    angle = np.linalg.norm(rotation_vectors, axis=1)[:, None, None]
+    unit_vectors = rotation_vectors[:, None] / np.where(angle > 0.0, angle, 1.0)
     x, y, z = np.moveaxis(axes, -1, 0)
-    u, v, w = np.moveaxis(about, -1, 0)
-    across = np.stack([v * z - w * y, w * x - u * z, u * y - v * x], axis=-1)
-    along = np.sum(axes * about, axis=-1)[..., None] * about
-    turned: Array = np.cos(size) * axes + np.sin(size) * across + (1.0 - np.cos(size)) * along
-    return turned
+    u, v, w = np.moveaxis(unit_vectors, -1, 0)
+    cross_product = np.stack([v * z - w * y, w * x - u * z, u * y - v * x], axis=-1)
+    parallel = np.sum(axes * unit_vectors, axis=-1)[..., None] * unit_vectors
+    rotated_axes: Array = (
+        np.cos(angle) * axes + np.sin(angle) * cross_product + (1.0 - np.cos(angle)) * parallel
+    )
+    return rotated_axes
 
 
 def mean_products(stations: Stations, site: Site) -> Array:
@@ -257,7 +266,7 @@ def mean_products(stations: Stations, site: Site) -> Array:
     """
     # At rest the force is the same at all angles.
     is_static = stations.motion == "static" and not stations.rate.any()
-    angles = np.linspace(0.0, 2.0 * np.pi, 1 if is_static else _ANGLES, endpoint=False)
+    angles = np.linspace(0.0, 2.0 * np.pi, 1 if is_static else _ANGLE_COUNT, endpoint=False)
     forces, axes = stations.forces(site, angles), stations.axes_under_load()
     a_ipo = np.einsum("nij,nmj->inm", axes, forces)
     a_ipo /= site.gravity
@@ -267,27 +276,27 @@ def mean_products(stations: Stations, site: Site) -> Array:
         return means
     lowest, highest = a_ipo[0].min(axis=1), a_ipo[0].max(axis=1)
     has_kink = (lowest < SIGN_WIDTH) & (highest > -SIGN_WIDTH) & (highest - lowest > _ROUNDING)
-    harmonics = np.fft.rfft(a_ipo[0]) / _ANGLES
+    harmonics = np.fft.rfft(a_ipo[0]) / _ANGLE_COUNT
     is_sine = np.abs(harmonics[:, 2:]).max(axis=1) <= _ROUNDING
-    means[np.ix_(has_kink & is_sine, _KINKED_PRODUCTS)] = _kinked_means_of_sine(
+    means[np.ix_(has_kink & is_sine, _KINKED_INDICES)] = _kinked_sine_means(
         harmonics[has_kink & is_sine, 0].real, 2.0 * np.abs(harmonics[has_kink & is_sine, 1])
     )
     for k in np.flatnonzero(has_kink & ~is_sine).tolist():
-        means[k, _KINKED_PRODUCTS] = _means_with_kinks(stations.take(np.array([k])), site)
+        means[k, _KINKED_INDICES] = _means_with_kinks(stations.take(np.array([k])), site)
     return means
 
 
 #: Places in `TERMS` of the products with a kink or a jump where a_I changes sign.
-_KINKED_PRODUCTS: Final = [place for place, row in enumerate(TERMS.values()) if row.effect.has_kink]
+_KINKED_INDICES: Final = [place for place, row in enumerate(TERMS.values()) if row.effect.has_kink]
 
 #: Forces (g) and angles (rad) that differ by less are the same.
 _ROUNDING: Final = 1e-12
 
 #: Panels of a revolution in which sign changes are sought.
-_PANELS: Final = 8
+_PANEL_COUNT: Final = 8
 
 
-def _kinked_means_of_sine(mean: Array, amplitude: Array) -> Array:
+def _kinked_sine_means(mean: Array, amplitude: Array) -> Array:
     """Return the means of the products that have a kink of a_I = m + A sin(phase).
 
     mean, amplitude: g, shape (n,).
@@ -297,18 +306,20 @@ def _kinked_means_of_sine(mean: Array, amplitude: Array) -> Array:
     def moments_above(threshold: float) -> tuple[Array, Array, Array]:
         """Return the means of 1, a_I and a_I^2 where a_I is above a threshold, and 0 elsewhere."""
         start = np.arcsin(np.clip((threshold - mean) / amplitude, -1.0, 1.0))
-        part, sine = 0.5 - start / np.pi, np.cos(start) / np.pi
-        square = 0.5 * part + np.sin(2.0 * start) / (4.0 * np.pi)
-        first = mean * part + amplitude * sine
-        second = mean**2 * part + 2.0 * mean * amplitude * sine + amplitude**2 * square
-        return part, first, second
+        fraction, sine = 0.5 - start / np.pi, np.cos(start) / np.pi
+        square = 0.5 * fraction + np.sin(2.0 * start) / (4.0 * np.pi)
+        first_moment = mean * fraction + amplitude * sine
+        second_moment = mean**2 * fraction + 2.0 * mean * amplitude * sine + amplitude**2 * square
+        return fraction, first_moment, second_moment
 
-    (low, first_low, _), (high, first_high, _) = map(moments_above, (-SIGN_WIDTH, SIGN_WIDTH))
-    _, first, second = moments_above(0.0)
+    (low_fraction, first_low, _), (high_fraction, first_high, _) = map(
+        moments_above, (-SIGN_WIDTH, SIGN_WIDTH)
+    )
+    _, first_moment, second_moment = moments_above(0.0)
     by_factors = {
-        ("sign_I",): high + low - 1.0 + (first_low - first_high) / SIGN_WIDTH,
-        ("|I|",): 2.0 * first - mean,
-        ("I", "|I|"): 2.0 * second - mean**2 - 0.5 * amplitude**2,
+        ("sign_I",): high_fraction + low_fraction - 1.0 + (first_low - first_high) / SIGN_WIDTH,
+        ("|I|",): 2.0 * first_moment - mean,
+        ("I", "|I|"): 2.0 * second_moment - mean**2 - 0.5 * amplitude**2,
     }
     effects = [row.effect for row in TERMS.values() if row.effect.has_kink]
     return np.stack([effect.weight * by_factors[effect.factors] for effect in effects], axis=-1)
@@ -318,15 +329,15 @@ def _means_with_kinks(stations: Stations, site: Site) -> Array:
     """Return one station's means of products that have a kink, by panels between sign changes."""
     axes, end = stations.axes_under_load(), 2.0 * np.pi
     axis, rotation = axes[0, 0] / site.gravity, stations.rotations(axes)[0]
-    edges = np.linspace(0.0, end, _PANELS + 1)
+    edges = np.linspace(0.0, end, _PANEL_COUNT + 1)
 
-    def above(least: float, angle: Array) -> Array:
-        over: Array = stations.forces(site, angle)[0] @ axis - least
-        return over
+    def above(threshold: float, angle: Array) -> Array:
+        excess: Array = stations.forces(site, angle)[0] @ axis - threshold
+        return excess
 
     changes = [
-        quadrature.sign_changes(partial(above, least), edges)
-        for least in (-SIGN_WIDTH, 0.0, SIGN_WIDTH)
+        quadrature.sign_changes(partial(above, threshold), edges)
+        for threshold in (-SIGN_WIDTH, 0.0, SIGN_WIDTH)
     ]
     edges = np.unique(np.concatenate([edges, *changes]))
     edges = edges[np.append(np.diff(edges) > _ROUNDING, True)]

@@ -15,9 +15,9 @@ from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import AttitudeError
 
 
-def rotate_about_up(vectors: Array, turn: Array) -> Array:
+def rotate_about_up(vectors: Array, angle: Array) -> Array:
     """Return vectors (..., 3) in a frame that is turned about up by (...), rad."""
-    cos, sin = np.cos(turn), np.sin(turn)
+    cos, sin = np.cos(angle), np.sin(angle)
     east, north, up = np.moveaxis(vectors, -1, 0)
     return np.stack([cos * east + sin * north, cos * north - sin * east, up], axis=-1)
 
@@ -37,8 +37,8 @@ class TableMotion:
         """Return east-north-up vectors, shape (n, ..., 3), in the frame of the table."""
         if self.turns == 0.0:
             return vectors
-        turn = (self.turns * self.angle).reshape(-1, *[1] * (vectors.ndim - 2))
-        return rotate_about_up(vectors, turn)
+        angle = (self.turns * self.angle).reshape(-1, *[1] * (vectors.ndim - 2))
+        return rotate_about_up(vectors, angle)
 
     def rotate_axis(self, axis: Array) -> Array:
         """Return an east-north-up vector, shape (3,), in the frame of the table, shape (n, 3)."""
@@ -52,8 +52,8 @@ class TableMotion:
         axis = np.eye(3)[tilt.axis]
         if tilt.kind == "tilt":
             return self.rotate_axis(axis)
-        turn = (self.turns - 1.0) * self.angle
-        return rotate_about_up(np.broadcast_to(axis, (turn.size, 3)), turn)
+        angle = (self.turns - 1.0) * self.angle
+        return rotate_about_up(np.broadcast_to(axis, (angle.size, 3)), angle)
 
     def force_change(self, force: Array, change: Array, angle_change: Array) -> Array:
         """Return the change of the specific force by a change of the spindle's angle.
@@ -65,10 +65,10 @@ class TableMotion:
         """
         if self.turns == 0.0:
             return change
-        turned = np.cross([0.0, 0.0, self.turns], force)
-        turned = turned.reshape(-1, *[1] * (change.ndim - 2), 3)
-        rotated: Array = self.rotate(change) - angle_change[..., None] * turned
-        return rotated
+        force_derivative = np.cross([0.0, 0.0, self.turns], force)
+        force_derivative = force_derivative.reshape(-1, *[1] * (change.ndim - 2), 3)
+        rotated_change: Array = self.rotate(change) - angle_change[..., None] * force_derivative
+        return rotated_change
 
     def lever_arm_force(self, direction: Array) -> Array:
         """Return the specific force per metre of a proof mass's distance from the table's axis.

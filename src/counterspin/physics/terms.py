@@ -36,20 +36,20 @@ MotionKind = Literal["counter-rotating", "arm", "static", "vibration"]
 LEVER_ARM: Final = "table.lever_arm"
 
 #: What the symbols of those errors of a dividing head begin with that vary with its angle.
-HEAD_WAVES: Final = "head.harmonic."
+HEAD_HARMONICS: Final = "head.harmonic."
 
-Does = TypeVar("Does", bound=Effect)
-Does_co = TypeVar("Does_co", bound=Effect, covariant=True)
+EffectT = TypeVar("EffectT", bound=Effect)
+EffectT_co = TypeVar("EffectT_co", bound=Effect, covariant=True)
 
 
 @frozen
-class Term(Generic[Does_co]):
+class Term(Generic[EffectT_co]):
     """One row of the table: something that may differ from what is assumed."""
 
     #: The paper's symbol for a coefficient, else a name of words with dots; used everywhere. The
     #: words ``MOUNTING``, ``ACCELEROMETER.MOUNTING`` and ``POSITION`` stand for names.
     symbol: str
-    effect: Does_co  #: Effect on an output.
+    effect: EffectT_co  #: Effect on an output.
     words: str  #: Description for readers.
     unit: str  #: g-units for coefficients of an accelerometer, else SI.
     #: The largest credible size. A standard uncertainty that is not below it says that the data do
@@ -101,23 +101,23 @@ class Term(Generic[Does_co]):
         return self.words.partition(" (")[0]
 
 
-_NAMES: Final = ("east", "north", "up")
-_TURNING: Final = ("arm", "counter-rotating")
-_EVERYWHERE: Final = (*_TURNING, "static", "vibration")
+_AXIS_NAMES: Final = ("east", "north", "up")
+_ROTATING_MOTIONS: Final = ("arm", "counter-rotating")
+_ALL_MOTIONS: Final = (*_ROTATING_MOTIONS, "static", "vibration")
 
 
 def _accelerometer_term(
     symbol: str,
-    effect: Does,
-    words: str,
+    effect: EffectT,
+    description: str,
     unit: str,
     nominal: float = 0.0,
     motions: tuple[str, ...] = (),
-) -> Term[Does]:
+) -> Term[EffectT]:
     """Return the row of a term that every accelerometer has for itself."""
     size = SIZES[symbol][DEFAULT_GRADE]
-    sizes = (size.limit, size.typical, size.source)
-    return Term(symbol, effect, words, unit, *sizes, "accelerometer", nominal, motions)
+    size_fields = (size.limit, size.typical, size.source)
+    return Term(symbol, effect, description, unit, *size_fields, "accelerometer", nominal, motions)
 
 
 #: IEEE Std 1293 halves the asymmetries: K0' is the bias at positive less that at negative input.
@@ -132,7 +132,7 @@ _UNITS: Final = {
 
 def _product_rows() -> Iterator[Term[SpecificForceProduct]]:
     asymmetry = "{} asymmetry, positive minus negative input"
-    for symbol, factors, ieee, words in (
+    for symbol, factors, ieee_symbol, description in (
         ("K_F", "", "K0", "bias"),
         ("K_I", "I", "K1", "scale factor"),
         ("K_II", "I I", "K2", "second-order coefficient"),
@@ -152,54 +152,64 @@ def _product_rows() -> Iterator[Term[SpecificForceProduct]]:
         ("delta_O", "P", "delta_o", "misalignment about the output axis"),
         ("delta_P", "O", "delta_p", "misalignment about the pendulous axis"),
     ):
-        product = SpecificForceProduct(tuple(factors.split()), ieee, _WEIGHTS.get(symbol, 1.0))
+        product = SpecificForceProduct(
+            tuple(factors.split()), ieee_symbol, _WEIGHTS.get(symbol, 1.0)
+        )
         degree = product.degree
         unit = "g" if degree == 0 else "g/g" if degree == 1 else f"g/g^{degree}"
         unit = _UNITS.get(symbol, unit)
-        yield _accelerometer_term(symbol, product, words, unit, 1.0 if symbol == "K_I" else 0.0)
+        yield _accelerometer_term(
+            symbol, product, description, unit, 1.0 if symbol == "K_I" else 0.0
+        )
 
 
 def _slope_rows() -> Iterator[Term[Slope]]:
     heating = "increase in K_F proportional to the square of the centripetal force"
     warming = "change in {} with {}temperature"
     powers = ((1, ""), (2, "the square of "), (3, "the cube of "))
-    for symbol, condition, unit, words in (
+    for symbol, condition, unit, description in (
         *(
             (
-                f"{of}.temperature{f'.{n}' if n > 1 else ''}",
+                f"{coefficient}.temperature{f'.{n}' if n > 1 else ''}",
                 "temperature",
                 f"{unit}/K{f'^{n}' if n > 1 else ''}",
-                warming.format(of, power),
+                warming.format(coefficient, power),
             )
-            for of, unit, degree in (("K_F", "g", 3), ("K_I", "g/g", 3), ("K_II", "g/g^2", 1))
+            for coefficient, unit, degree in (
+                ("K_F", "g", 3),
+                ("K_I", "g/g", 3),
+                ("K_II", "g/g^2", 1),
+            )
             for n, power in powers[:degree]
         ),
         ("K_F.hysteresis", "direction", "g", "difference in K_F between warming and cooling"),
         ("K_F.trend", "time", "g/s", "change in K_F with time"),
         ("K_F.heating", "force", "g/g^2", heating),
     ):
-        motions = _TURNING if condition == "force" else _EVERYWHERE
+        motions = _ROTATING_MOTIONS if condition == "force" else _ALL_MOTIONS
         power = symbol.rpartition(".")[2]
         slope = Slope(symbol.partition(".")[0], condition, int(power) if power.isdigit() else 1)
-        yield _accelerometer_term(symbol, slope, words, unit, motions=motions)
+        yield _accelerometer_term(symbol, slope, description, unit, motions=motions)
 
 
 _NO_SOURCE: Final = "order-of-magnitude estimate, no source"
 
 
 def _attitude_rows() -> Iterator[Term[AttitudeError]]:
-    levelled = f"{_NO_SOURCE}: 0.5 arcsec, a good level or autocollimator", 0.5 * ARCSEC
-    aligned = f"{_NO_SOURCE}: 10 arcsec, because azimuth is harder to determine", 10.0 * ARCSEC
-    for axis, name in enumerate(_NAMES):
-        source, typical = aligned if name == "up" else levelled
-        turn, words = AttitudeError("tilt", axis), f"tilt about {name}"
-        yield Term(f"platform.tilt.{name}", turn, words, "rad", 1e-2, typical, source, "run")
+    level_size = f"{_NO_SOURCE}: 0.5 arcsec, a good level or autocollimator", 0.5 * ARCSEC
+    azimuth_size = f"{_NO_SOURCE}: 10 arcsec, because azimuth is harder to determine", 10.0 * ARCSEC
+    for axis, name in enumerate(_AXIS_NAMES):
+        source, typical_size = azimuth_size if name == "up" else level_size
+        effect, template = AttitudeError("tilt", axis), f"tilt about {name}"
+        yield Term(
+            f"platform.tilt.{name}", effect, template, "rad", 1e-2, typical_size, source, "run"
+        )
     # kind, unit, words; credible and typical size, source
     rate = 10.0 * DEGREE_PER_HOUR, 0.01 * DEGREE_PER_HOUR
-    of_square = "g²-sensitivity of the gyro about {}"
-    of_force = "g-sensitivity of the {} gyro to force along {}"
-    lean = "platform rotation about {} due to force along {}"
-    by_axis = (
+    g2_template = "g²-sensitivity of the gyro about {}"
+    g_template = "g-sensitivity of the {} gyro to force along {}"
+    compliance_template = "platform rotation about {} due to force along {}"
+    drift_row = (
         ("drift", "rad/s", "gyro drift about {}"),
         (
             *rate,
@@ -207,37 +217,39 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
             "per hour",
         ),
     )
-    by_square = (
-        ("g2_sensitivity", "rad/s/g^2", of_square),
+    g2_row = (
+        ("g2_sensitivity", "rad/s/g^2", g2_template),
         (DEGREE_PER_HOUR, 1e-4 * DEGREE_PER_HOUR, _NO_SOURCE),
     )
-    by_force = (
-        ("g_sensitivity", "rad/s/g", of_force),
+    g_row = (
+        ("g_sensitivity", "rad/s/g", g_template),
         (*rate, "same effect as the drift, at 1 g"),
     )
-    by_lean = (
-        ("compliance", "rad/g", lean),
+    compliance_row = (
+        ("compliance", "rad/g", compliance_template),
         (1e-4, 0.1 * ARCSEC, f"{_NO_SOURCE}: 0.1 arcsec/g, or 0.5 µm/g over a length of 1 m"),
     )
-    for ((kind, unit, words), sizes), crossed in (
-        (by_axis, False),
-        (by_force, True),
-        (by_square, False),
-        (by_lean, True),
+    for ((error_kind, unit, template), sizes), is_crossed in (
+        (drift_row, False),
+        (g_row, True),
+        (g2_row, False),
+        (compliance_row, True),
     ):
-        for i, name in enumerate(_NAMES):
-            for j in range(3) if crossed else (None,):
+        for i, name in enumerate(_AXIS_NAMES):
+            for j in range(3) if is_crossed else (None,):
                 suffix = name if j is None else "xyz"[i] + "xyz"[j]
-                called = words.format(*([name] if j is None else suffix))
-                turn = AttitudeError(kind, i, j)
-                yield Term(f"platform.{kind}.{suffix}", turn, called, unit, *sizes, "platform")
-    for n, quadrature, called in _wave_orders(
+                description = template.format(*([name] if j is None else suffix))
+                effect = AttitudeError(error_kind, i, j)
+                yield Term(
+                    f"platform.{error_kind}.{suffix}", effect, description, unit, *sizes, "platform"
+                )
+    for n, quadrature, description in _harmonic_terms(
         (1, 2), "counter-rotating table error, {} per revolution"
     ):
         yield Term(
             f"table.harmonic.{n}.{quadrature}",
             AttitudeError("table", 2, harmonic=n, quadrature=quadrature),
-            called,
+            description,
             "rad",
             1e-3,
             ARCSEC,
@@ -246,12 +258,12 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
             motions=("counter-rotating",),
         )
     for axis, name in enumerate(("outward", "forward")):
-        tilt, words = (
+        tilt, template = (
             AttitudeError("table_axis", axis),
             f"tilt of the table axis about the {name} axis",
         )
         sizes = (1e-2, 10.0 * ARCSEC, f"{_NO_SOURCE}: 10 arcsec, bearings machined in one setting")
-        yield Term(f"table.axis_tilt.{name}", tilt, words, "rad", *sizes, "machine")
+        yield Term(f"table.axis_tilt.{name}", tilt, template, "rad", *sizes, "machine")
 
 
 def _trajectory_rows() -> Iterator[Term[TrajectoryError]]:
@@ -264,7 +276,7 @@ def _trajectory_rows() -> Iterator[Term[TrajectoryError]]:
         4.6e-9,
         f"{_NO_SOURCE}: 0.1 µm at a radius of 2.5 m and 1 g",
         "machine",
-        motions=_TURNING,
+        motions=_ROTATING_MOTIONS,
     )
     yield from _harmonic_rows(
         "centrifuge.imbalance",
@@ -282,7 +294,7 @@ def _trajectory_rows() -> Iterator[Term[TrajectoryError]]:
             10.0 * ARCSEC,
             f"{_NO_SOURCE}: 10 arcsec, for a spindle levelled with a machinist's level",
             "machine",
-            motions=_TURNING,
+            motions=_ROTATING_MOTIONS,
         )
     yield from _harmonic_rows(
         "encoder.harmonic",
@@ -303,21 +315,21 @@ def _trajectory_rows() -> Iterator[Term[TrajectoryError]]:
 
 
 def _harmonic_rows(
-    name: str, orders: tuple[int, ...], sizes: tuple[str, float, float, str], words: str
+    name: str, orders: tuple[int, ...], unit_and_sizes: tuple[str, float, float, str], template: str
 ) -> Iterator[Term[TrajectoryError]]:
     """Yield both quadratures of harmonics; `sizes` are unit, credible and typical size, source."""
-    kind = "encoder" if name.startswith("encoder") else "imbalance"
-    for n, quadrature, called in _wave_orders(orders, words):
-        effect = TrajectoryError(kind, n, quadrature)
-        yield Term(f"{name}.{n}.{quadrature}", effect, called, *sizes, "machine")
+    error_kind = "encoder" if name.startswith("encoder") else "imbalance"
+    for n, quadrature, description in _harmonic_terms(orders, template):
+        effect = TrajectoryError(error_kind, n, quadrature)
+        yield Term(f"{name}.{n}.{quadrature}", effect, description, *unit_and_sizes, "machine")
 
 
-def _wave_orders(orders: tuple[int, ...], words: str) -> Iterator[tuple[int, str, str]]:
+def _harmonic_terms(orders: tuple[int, ...], template: str) -> Iterator[tuple[int, str, str]]:
     """Yield number, quadrature and words of both quadratures of harmonics."""
-    times = ("once", "twice", "three times", "four times")
+    frequencies = ("once", "twice", "three times", "four times")
     for n in orders:
-        for quadrature, wave in (("cos", "cosine"), ("sin", "sine")):
-            yield n, quadrature, f"{words.format(times[n - 1])} ({wave})"
+        for quadrature, quadrature_name in (("cos", "cosine"), ("sin", "sine")):
+            yield n, quadrature, f"{template.format(frequencies[n - 1])} ({quadrature_name})"
 
 
 def _setup_rows() -> Iterator[Term[SetupError]]:
@@ -326,7 +338,7 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
     head = f"{_NO_SOURCE}: 5 arcsec"
     rate = f"{_NO_SOURCE}: typical mean rate error of a precision centrifuge"
     iso = "ISO 16063-21: 1 % (k = 2) for transducers calibrated by comparison"
-    for symbol, words, unit, limit, typical, source, motions in (
+    for symbol, description, unit, limit, typical_size, source, motions in (
         ("centrifuge.radius.MOUNTING", "radius of the mounting", "m", 0.1, 1e-3, radius, ("arm",)),
         (proof_mass, "radius to the proof mass", "m", 0.1, 1e-3, radius, ("arm",)),
         ("centrifuge.rate", "random error of the rate", "1", 1e-2, 1e-7, rate, ()),
@@ -339,7 +351,7 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
                 1e-2,
                 5e-5,
                 f"{_NO_SOURCE}: 10 arcsec",
-                _EVERYWHERE,
+                _ALL_MOTIONS,
             )
             for axis in ("east", "north", "outward", "forward", "up")
         ),
@@ -362,21 +374,31 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
             (owner for owner in ("mounting", "position") if owner.upper() in symbol), "machine"
         )
         scope = "reading" if symbol == "centrifuge.rate" else scope
-        of, about = symbol.split(".")[1], symbol.rpartition(".")[2]
-        turned = symbol.startswith("fixture.")
-        effect = SetupError("misalignment", about) if turned else SetupError(of)
-        yield Term(symbol, effect, words, unit, limit, typical, source, scope, motions=motions)
+        quantity, axis_name = symbol.split(".")[1], symbol.rpartition(".")[2]
+        is_misalignment = symbol.startswith("fixture.")
+        effect = SetupError("misalignment", axis_name) if is_misalignment else SetupError(quantity)
+        yield Term(
+            symbol, effect, description, unit, limit, typical_size, source, scope, motions=motions
+        )
     arcseconds = (
         "order-of-magnitude estimate: mounting errors of arcseconds (Lu et al.), ±5 arcsec "
         "distributed over the harmonics"
     )
-    graduated = (1e-3, 1e-5, arcseconds)
-    for n, quadrature, called in _wave_orders(
+    size_fields = (1e-3, 1e-5, arcseconds)
+    for n, quadrature, harmonic_description in _harmonic_terms(
         (1, 2, 3, 4), "dividing head error, {} per revolution"
     ):
         effect = SetupError("wave", "", n, quadrature)
-        symbol = f"{HEAD_WAVES}{n}.{quadrature}"
-        yield Term(symbol, effect, called, "rad", *graduated, "machine", motions=("static",))
+        symbol = f"{HEAD_HARMONICS}{n}.{quadrature}"
+        yield Term(
+            symbol,
+            effect,
+            harmonic_description,
+            "rad",
+            *size_fields,
+            "machine",
+            motions=("static",),
+        )
 
 
 def _input_rows() -> Iterator[Term[Input]]:
@@ -385,9 +407,9 @@ def _input_rows() -> Iterator[Term[Input]]:
     gravity = f"{_NO_SOURCE}: value from a gravity map, corrected for height"
     delay, cutoff = "delay of the recorded angle", "low-pass cutoff frequency of the recorder"
     natural, low_pass = f"{_NO_SOURCE}: 5 % of 400 Hz", f"{_NO_SOURCE}: 5 % of 100 Hz"
-    measured, numbers = "standard uncertainty in the response table", (-100.0, 100.0)
+    table_source, multiple_bounds = "standard uncertainty in the response table", (-100.0, 100.0)
     # symbol, words, unit, what is possible, largest credible and typical error, source
-    for symbol, words, unit, between, limit, typical, source in (
+    for symbol, description, unit, bounds, limit, typical_size, source in (
         ("centrifuge.radius", "radius of the centrifuge", "m", (0.01, 100.0), 0.1, 1e-5, radius),
         # On Earth, from Huascaran to the Arctic Ocean.
         ("site.gravity", "gravity of the site", "m/s^2", (9.76, 9.84), 0.08, 1e-4, gravity),
@@ -421,15 +443,31 @@ def _input_rows() -> Iterator[Term[Input]]:
         ),
         ("sensor.natural_frequency", "natural frequency", "Hz", (1e-2, 1e6), 1e4, 20.0, natural),
         ("sensor.damping", "damping ratio", "1", (0.0, 100.0), 10.0, 0.1, f"{_NO_SOURCE}: 0.1"),
-        ("sensor.gain", "gain error, as a multiple of u", "1", numbers, 100.0, 1.0, measured),
-        ("sensor.phase", "phase error, as a multiple of u", "1", numbers, 100.0, 1.0, measured),
+        (
+            "sensor.gain",
+            "gain error, as a multiple of u",
+            "1",
+            multiple_bounds,
+            100.0,
+            1.0,
+            table_source,
+        ),
+        (
+            "sensor.phase",
+            "phase error, as a multiple of u",
+            "1",
+            multiple_bounds,
+            100.0,
+            1.0,
+            table_source,
+        ),
         ("records.cutoff_frequency", cutoff, "Hz", (1e-2, 1e6), 1e4, 5.0, low_pass),
     ):
-        effect = Input(symbol.partition(".")[2], between)
-        yield Term(symbol, effect, words, unit, limit, typical, source, "input")
+        effect = Input(symbol.partition(".")[2], bounds)
+        yield Term(symbol, effect, description, unit, limit, typical_size, source, "input")
 
 
-def _by_symbol(rows: Iterator[Term[Does]]) -> Mapping[str, Term[Does]]:
+def _by_symbol(rows: Iterator[Term[EffectT]]) -> Mapping[str, Term[EffectT]]:
     return {row.symbol: row for row in rows}
 
 
@@ -474,7 +512,7 @@ COMMON_NAMES: Final = {"bias": "K_F", "scale_factor": "K_I"}
 _PLACEHOLDERS: Final = ("ACCELEROMETER.MOUNTING", "MOUNTING", "POSITION")
 
 #: Rows whose symbols have a name in them, and the word that stands for it.
-_NAMED: Final = [
+_PLACEHOLDER_ROWS: Final = [
     (row, word)
     for row in TABLE.values()
     for word in [next((word for word in _PLACEHOLDERS if word in row.symbol), "")]
@@ -486,12 +524,14 @@ def _find_row(symbol: str) -> tuple[Term[Effect] | None, str]:
     """Return the row that a symbol belongs to, if any, and the name in the symbol."""
     if symbol in TABLE:
         return TABLE[symbol], ""
-    for row, word in _NAMED:
-        before, _, after = row.symbol.partition(word)
-        name = symbol.removeprefix(before).removesuffix(after)
-        owner, dot, last = name.rpartition(".")
-        complete = bool(owner and last) if "." in word else bool(last and not dot)
-        if complete and symbol == f"{before}{name}{after}":
+    for row, placeholder in _PLACEHOLDER_ROWS:
+        prefix, _, suffix = row.symbol.partition(placeholder)
+        name = symbol.removeprefix(prefix).removesuffix(suffix)
+        owner, dot, final_name = name.rpartition(".")
+        is_complete = (
+            bool(owner and final_name) if "." in placeholder else bool(final_name and not dot)
+        )
+        if is_complete and symbol == f"{prefix}{name}{suffix}":
             return row, name
     return None, ""
 
@@ -513,19 +553,19 @@ def coefficient_of(symbol: str) -> str:
     return symbol if row is None else row.effect.coefficient
 
 
-def mounting_of(symbol: str) -> str:
+def mounting_name(symbol: str) -> str:
     """Return the mounting, or position, that a symbol names; empty if it names none."""
     return _find_row(symbol)[1].rpartition(".")[2]
 
 
-def accelerometer_of(symbol: str) -> str:
+def accelerometer_name(symbol: str) -> str:
     """Return the accelerometer that the symbol of a machine's term names; empty without one."""
     return _find_row(symbol)[1].rpartition(".")[0]
 
 
 def same_for_all(symbol: str) -> str:
     """Return the symbol of the same term for all accelerometers of a mounting."""
-    owner = accelerometer_of(symbol)
+    owner = accelerometer_name(symbol)
     return symbol.replace(f".{owner}.", ".", 1) if owner else symbol
 
 
@@ -543,17 +583,17 @@ def term(symbol: str) -> Term[Any]:
     return row
 
 
-def symbol_of(name: str) -> str:
+def find_symbol(name: str) -> str:
     """Return the term in the name of an unknown: ``K_II`` of ``Qx.K_II``."""
     return name if is_term(name) else name.partition(".")[2] or name
 
 
-def description_of(name: str) -> str:
+def describe_term(name: str) -> str:
     """Return the description of the term in the name of an unknown, with mounting or position.
 
     Empty if the name contains no term.
     """
-    row, mounting = _find_row(symbol_of(name))
+    row, mounting = _find_row(find_symbol(name))
     if row is None:
         return ""
     return f"{row.words} ({mounting})" if mounting else row.words

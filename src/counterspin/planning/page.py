@@ -10,7 +10,7 @@ from counterspin.calibration.pages.accelerometer import confounding_text
 from counterspin.calibration.pages.uncertainty import assumption_sentence, default_prior_sentence
 from counterspin.inference.joint.summary import BudgetLine
 from counterspin.inference.joint.unknowns import unit_of
-from counterspin.physics.terms import SHARED_TERMS, TERMS, description_of, symbol_of
+from counterspin.physics.terms import SHARED_TERMS, TERMS, describe_term, find_symbol
 from counterspin.planning.faults import Requirement
 from counterspin.planning.result import (
     GoalResult,
@@ -254,7 +254,7 @@ def _budget_blocks(
         size = sizes.pop() if len(sizes) == 1 else None
         its_unit, its_factor = field_unit(together[0].unit)
         known = "" if size is None else f"{format_number(size * its_factor, 3)} {its_unit}"
-        words = description_of(source.removesuffix(", all runs"))
+        words = describe_term(source.removesuffix(", all runs"))
         rows.append((share, (source, words, known, format_number(contribution * factor, 2))))
     rows.sort(key=lambda row: -row[0])
     yield Table(
@@ -418,7 +418,7 @@ def _unit_of_name(name: str) -> str:
 
 
 def _symbol_of_name(name: str) -> str:
-    return symbol_of(name)
+    return find_symbol(name)
 
 
 def _spoken_name(name: str) -> str:

@@ -19,7 +19,7 @@ from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.budget import budget
 from counterspin.inference.least_squares import Block
 from counterspin.inference.priors import prior_correlation
-from counterspin.physics.terms import symbol_of, term
+from counterspin.physics.terms import find_symbol, term
 from counterspin.planning.candidate_set import Optimum, relax
 from counterspin.planning.design import (
     Design,
@@ -289,7 +289,7 @@ def words_of_missed_target(
     """
     u = prediction.u
     name = max(goal, key=lambda key: u[key] / goal[key])
-    unit = term(symbol_of(name)).unit
+    unit = term(find_symbol(name)).unit
     index = [unknown.name for unknown in prediction.fit.model.unknowns].index(name)
     shares: dict[str, float] = {}
     for line in budget(prediction.fit, index):
@@ -383,7 +383,7 @@ def unreachable(search: Search) -> CounterspinError:
     if len(goal) > 1:
         return CounterspinError(text + ".", code="goal-not-reached")
     ((name, size),) = goal.items()
-    unit = term(symbol_of(name)).unit
+    unit = term(find_symbol(name)).unit
     if search.bounded:
         unlimited = replace(
             search.limits,

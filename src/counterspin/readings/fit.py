@@ -21,7 +21,7 @@ from counterspin.inference.joint.fit import JointFit, solve_blocks
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import Noise
-from counterspin.physics.terms import HEAD_WAVES
+from counterspin.physics.terms import HEAD_HARMONICS
 from counterspin.readings.fitted import MIN_DOF, FittedReadings, evaluate_positions
 from counterspin.readings.linear import LinearReadings, ReadingGroup
 
@@ -168,7 +168,7 @@ def _constrained_models(readings: Sequence[ReadingGroup], model: Unknowns) -> It
         def held(other: U, owners: Collection[str] = owners) -> U:
             hides = other.owner in pose_accelerometers
             if other.has_default_prior and reading_accelerometers:
-                hides |= other.owner in owners or other.symbol.startswith(HEAD_WAVES)
+                hides |= other.owner in owners or other.symbol.startswith(HEAD_HARMONICS)
             if not hides or other.is_of_interest or math.isinf(other.prior[1]):
                 return other
             return replace(other, prior=(other.prior[0], _CONSTRAINT_FACTOR * other.prior[1]))

@@ -27,10 +27,10 @@ from counterspin.physics.terms import (
     ACCELEROMETER_TERMS,
     TABLE,
     TERMS,
-    accelerometer_of,
+    accelerometer_name,
     coefficient_of,
     is_term,
-    mounting_of,
+    mounting_name,
     term,
 )
 from counterspin.readings.linear import MIN_RELATIVE_NOISE, LinearReadings
@@ -261,10 +261,10 @@ class Readings:
         """Return 1 for each reading on which a term of the machine acts, else 0, shape (n,)."""
         if not is_term(symbol) or self.motion not in term(symbol).motions:
             return np.zeros(self.size)
-        name = mounting_of(symbol)
+        name = mounting_name(symbol)
         if not name:
             return np.ones(self.size)
-        if accelerometer_of(symbol) not in ("", self.accelerometer):
+        if accelerometer_name(symbol) not in ("", self.accelerometer):
             return np.zeros(self.size)
         names = self.mountings if term(symbol).per_mounting else self.position
         return np.array(

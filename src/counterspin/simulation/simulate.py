@@ -27,7 +27,7 @@ from counterspin.inference.noise.model import SPECIFIC_FORCE, Noise
 from counterspin.inference.noise.simulation import add_noise, add_white_noise
 from counterspin.output import make_folder, write_text, write_whole
 from counterspin.physics import observation, simulation
-from counterspin.physics.motion import Trajectory, encoder_error, perturbed_trajectory
+from counterspin.physics.motion import Trajectory, encoder_error, perturb_trajectory
 from counterspin.physics.own_velocity import AxisError, own_velocity_errors
 from counterspin.records.memory import MemoryTable, memory_table
 from counterspin.records.record import ColumnSpec
@@ -408,7 +408,7 @@ def _indicated_output(
     if not campaign.own_velocity:
         return signals
     site = replace(campaign.site, removed_gravity=None)  # its velocity is off by what is left too
-    moved = perturbed_trajectory(replace(trajectory, site=site), shared)
+    moved = perturb_trajectory(replace(trajectory, site=site), shared)
     errors = []
     for name, accelerometer in campaign.accelerometers.items():
         observable = accelerometer.observable

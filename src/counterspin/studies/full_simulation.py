@@ -32,7 +32,7 @@ from counterspin.inference.two_stage.second_stage import (
 from counterspin.physics import observation, simulation
 from counterspin.physics.motion import encoder_error
 from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
-from counterspin.physics.terms import affects_readings, symbol_of
+from counterspin.physics.terms import affects_readings, find_symbol
 from counterspin.readings.groups import numbered_groups
 from counterspin.readings.joint_data import estimate_with_groups
 from counterspin.readings.known_attitudes import INPUT_STEPS, Readings, with_input
@@ -338,7 +338,7 @@ class TrialReadings:
             for symbol, input_error in input_errors.items():
                 actual = with_input(actual, symbol, input_error, known_symbols)
             for name in dict.fromkeys(filter(None, group.clocks)):
-                symbol = symbol_of(name)
+                symbol = find_symbol(name)
                 clock_error = draws.input_error(
                     symbol, name.removesuffix(symbol).removesuffix(".")
                 )[0]

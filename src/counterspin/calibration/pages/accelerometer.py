@@ -19,7 +19,7 @@ from counterspin.calibration.result_parts import (
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.summary import Jackknife
 from counterspin.inference.noise.components import COMPONENTS_BY_KEY
-from counterspin.physics.terms import description_of, is_term, term
+from counterspin.physics.terms import describe_term, is_term, term
 from counterspin.records.record import rejected_count
 from counterspin.reports.blocks import TERMINAL_ROWS, Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
@@ -164,7 +164,7 @@ def _symbol_and_description(symbol: str) -> tuple[str, str]:
     base_symbol, bracket, run = symbol.partition(" (")
     if not is_term(base_symbol):
         return _SPINDLE.get(base_symbol, (symbol, ""))
-    return symbol, description_of(base_symbol) + bracket + run
+    return symbol, describe_term(base_symbol) + bracket + run
 
 
 def coefficient_cells(coefficient: Coefficient) -> tuple[str, str, str, str]:

@@ -10,7 +10,7 @@ from counterspin.calibration.pages.uncertainty import split_small_lines
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.inference.joint.summary import BudgetLine
-from counterspin.physics.terms import description_of
+from counterspin.physics.terms import describe_term
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     field_unit,
@@ -128,7 +128,7 @@ def budget_table(
     rows: list[tuple[str, ...]] = [
         (
             line.source,
-            description_of(line.source),
+            describe_term(line.source),
             evaluation_type(line, accelerometer),
             *_prior_cells(line, values.get(line.source)),
             _sensitivity_cell(line, factor),

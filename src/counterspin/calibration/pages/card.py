@@ -14,7 +14,7 @@ from counterspin.calibration.pages.verdict import finding_text
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, State
 from counterspin.inference.distributions import expanded_uncertainty
 from counterspin.inference.joint.summary import BudgetLine
-from counterspin.physics.terms import description_of
+from counterspin.physics.terms import describe_term
 from counterspin.reports.blocks import Card, Check, Paragraph, Share
 from counterspin.reports.numbers import (
     field_unit,
@@ -116,7 +116,7 @@ def _shares(budget: Sequence[BudgetLine]) -> Iterator[Share]:
 
 def _short_name(source: str) -> str:
     """Return the printed symbol of a source, or else its meaning."""
-    return source if re.fullmatch(SYMBOL, source) else description_of(source) or source
+    return source if re.fullmatch(SYMBOL, source) else describe_term(source) or source
 
 
 def _note(accelerometer: AccelerometerResult, symbol: str) -> str:

@@ -8,7 +8,7 @@ from typing import Final, Protocol
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Knowledge
 from counterspin.inference.joint.summary import BudgetLine, WhatIf
-from counterspin.physics.terms import description_of
+from counterspin.physics.terms import describe_term
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     field_unit,
@@ -113,7 +113,7 @@ def kind_words(kind: str) -> str:
 
 def source_label(source: str) -> str:
     """Return description and symbol of a term or source of uncertainty, for a table."""
-    words = description_of(source)
+    words = describe_term(source)
     return f"{words}, {source}" if words else source
 
 
@@ -128,7 +128,7 @@ def main_source_sentence(accelerometer: HasAnswer, symbol: str = "K_II") -> str:
 
 def _contribution_sentence(line: BudgetLine, symbol: str) -> str:
     """Return a sentence on the share of a source in the variance of a coefficient."""
-    words = description_of(line.source)
+    words = describe_term(line.source)
     source = f"{line.source} ({words})" if words else line.source[:1].upper() + line.source[1:]
     return f"{source} contributes {format_share(line.share)} of the variance of {symbol}."
 
@@ -213,7 +213,7 @@ def _prior_row(row: Knowledge, share: float) -> tuple[str, ...]:
         posterior = format_estimate(row.found * factor, row.u_found * factor, unit)
     return (
         row.name,
-        description_of(row.name),
+        describe_term(row.name),
         kind_words(row.kind),
         format_estimate(row.value * factor, row.u * factor, unit),
         posterior,

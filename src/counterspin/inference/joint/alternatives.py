@@ -28,7 +28,7 @@ from counterspin.inference.joint import encoder
 from counterspin.inference.joint.fit import JointFit, augment_block, solve_blocks
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import Block, Solution
-from counterspin.physics.terms import INPUTS, mounting_of
+from counterspin.physics.terms import INPUTS, mounting_name
 
 #: Of the centrifuge, and behind a point each mounting's.
 RADIUS: Final = "centrifuge.radius"
@@ -171,7 +171,7 @@ def _shared_alternatives(
             family, _, _ = unknown.symbol.rpartition(".")
             for name in (unknown.symbol, family) if family else (unknown.symbol,):
                 groups.setdefault(name, {})[place] = 1.0
-        elif unknown.symbol == f"{RADIUS}.{mounting_of(unknown.symbol)}":
+        elif unknown.symbol == f"{RADIUS}.{mounting_name(unknown.symbol)}":
             groups.setdefault(RADIUS, {})[place] = 1.0
     yielded: list[Mapping[int, float]] = []
     for symbol, places in groups.items():
