@@ -90,7 +90,7 @@ def check_readings(view: AccelerometerView) -> list[Finding]:
     level = 0.5 * SIGNIFICANCE
     patterns = {
         index: pattern
-        for index, pattern in _find_patterns(view)
+        for index, pattern in find_patterns(view.fit, reading_groups(view))
         if pattern.p * pattern.tests < level
     }
     too_few = _check_redundancy(view) or _check_residual_dof(view)
@@ -203,22 +203,19 @@ def untestable_finding(name: str, group: FittedReadings) -> Finding:
     return Finding(code="unjudged-readings", subject=name, text=text)
 
 
-def _find_patterns(view: AccelerometerView) -> Iterator[tuple[int, Pattern]]:
-    """Yield what the residuals of each motion follow most: its place, and what it is."""
-    fit = estimate_considered(view.fit)
-    testable = {
-        index: group
-        for index, group in enumerate(reading_groups(view))
-        if group.index_in(fit) is not None and group.tested_dof >= MIN_DOF
+def find_patterns(fit: JointFit, groups: Sequence[FittedReadings]) -> Iterator[tuple[int, Pattern]]:
+    """Yield the index of each group of readings or poses, and the pattern of its residuals."""
+    fit = estimate_considered(fit)
+    residual_groups = {
+        index: residual_group(group, place)
+        for index, group in enumerate(groups)
+        if (place := group.index_in(fit)) is not None and group.tested_dof >= MIN_DOF
     }
-    if not testable:
+    if not residual_groups:
         return
-    residual_groups = [
-        residual_group(group, group.index_in(fit) or 0) for group in testable.values()
-    ]
-    columns = [pattern_columns(fit, item) for item in residual_groups]
-    indices = list(testable)
-    for pattern in best_patterns(fit, residual_groups, columns):
+    columns = [pattern_columns(fit, group) for group in residual_groups.values()]
+    indices = list(residual_groups)
+    for pattern in best_patterns(fit, list(residual_groups.values()), columns):
         yield indices[pattern.group], pattern
 
 

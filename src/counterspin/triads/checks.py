@@ -13,17 +13,16 @@ from counterspin.calibration.findings import (
 from counterspin.calibration.outcome import residual_of
 from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import SIGNIFICANCE
-from counterspin.inference.joint.fit import JointFit, estimate_considered
+from counterspin.inference.joint.fit import JointFit
 from counterspin.readings.checks import (
     TRIAD,
+    find_patterns,
     outlier_findings,
     pattern_clause,
-    pattern_columns,
-    residual_group,
     untestable_finding,
 )
 from counterspin.readings.fitted import MIN_DOF, FittedReadings
-from counterspin.readings.patterns import STEP, TERM, Pattern, best_patterns
+from counterspin.readings.patterns import STEP, TERM, Pattern
 from counterspin.reports.numbers import format_number
 
 #: So many terms are named that explain residuals of poses as well as the first.
@@ -36,7 +35,12 @@ def pose_findings(fit: JointFit, groups: Sequence[FittedReadings]) -> list[Findi
     fit: Which has them.
     """
     findings = []
-    for group, pattern in zip(groups, _find_patterns(fit, groups), strict=True):
+    patterns = {
+        index: pattern
+        for index, pattern in find_patterns(fit, groups)
+        if pattern.p * pattern.tests < 0.5 * SIGNIFICANCE
+    }
+    for index, group in enumerate(groups):
         if group.noise_dof < MIN_DOF:
             findings.append(untestable_finding(TRIAD, group))
         elif group.residual_dof < MIN_DOF:
@@ -48,26 +52,9 @@ def pose_findings(fit: JointFit, groups: Sequence[FittedReadings]) -> list[Findi
                 f"The residuals of the {group.label} are not consistent with the stated noise"
             )
             findings.append(lack_of_fit_finding(TRIAD, [f"{statement} (p = {p:.2g})."], residual))
-        findings += [_pattern_finding(group, pattern)] if pattern else []
+        findings += [_pattern_finding(group, patterns[index])] if index in patterns else []
         findings += outlier_findings(TRIAD, group)
     return findings
-
-
-def _find_patterns(fit: JointFit, posed: Sequence[FittedReadings]) -> list[Pattern | None]:
-    """Return for each group of poses what its residuals follow, beyond chance."""
-    patterns: list[Pattern | None] = [None] * len(posed)
-    fit = estimate_considered(fit)
-    testable = [
-        index for index, fitted_group in enumerate(posed) if fitted_group.tested_dof >= MIN_DOF
-    ]
-    residual_groups = [
-        residual_group(posed[index], posed[index].index_in(fit) or 0) for index in testable
-    ]
-    columns = [pattern_columns(fit, group) for group in residual_groups]
-    for pattern in best_patterns(fit, residual_groups, columns) if testable else ():
-        if pattern.p * pattern.tests < 0.5 * SIGNIFICANCE:
-            patterns[testable[pattern.group]] = pattern
-    return patterns
 
 
 def _pattern_finding(group: FittedReadings, pattern: Pattern) -> Finding:
