@@ -138,7 +138,9 @@ class TruthReader:
         self.raw, self.names, self.problems, self.gravity = raw, names, problems, gravity
         #: Table -> what it says; None with its mistakes noted.
         self.tables: dict[str, Any] = {
-            name: problems.check(model, raw.get(name, {}), ("truth", name), gravity=gravity)
+            name: problems.check(model, raw[name], ("truth", name), gravity=gravity)
+            if name in raw
+            else model.model_construct()  # the defaults, without the cost of a validator
             for name, model in TRUE_TABLES.items()
         }
         self._take_stretch()
@@ -169,7 +171,11 @@ class TruthReader:
         truth, path: Its `truth`, and where that is.
         """
         common_settings = self.tables["spindle"]
-        run_settings: Any = self.problems.check(RunTruthSettings, truth or {}, path)
+        run_settings: Any = (
+            self.problems.check(RunTruthSettings, truth, path)
+            if truth
+            else RunTruthSettings.model_construct()
+        )
         shared = {family: self.tables[family] for family in _SHARED}
         if common_settings is None or None in shared.values() or run_settings is None:
             return None

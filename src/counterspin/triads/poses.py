@@ -332,9 +332,15 @@ def design_factors(
 
 def _products(axes: Array, direction: Array) -> Array:
     """Return every term's product at poses, shape (n, 3, number of `TERMS`)."""
-    a_ipo = np.einsum("kij,nj->ink", axes, direction)
+    a_ipo = _force_along_axes(axes, direction)
     effects = (row.effect for row in TERMS.values())
     return np.stack([effect.evaluate(a_ipo, sign_width=SIGN_WIDTH) for effect in effects], axis=-1)
+
+
+def _force_along_axes(axes: Array, direction: Array) -> Array:
+    """Return the specific force along each axis of the accelerometers, shape (3, n, 3)."""
+    along = direction @ axes.reshape(-1, 3).T
+    return np.moveaxis(along.reshape(-1, *axes.shape[:2]), 2, 0)
 
 
 _ActiveTerms = list[tuple[SpecificForceProduct, Array]]
@@ -353,14 +359,14 @@ def _indications_and_slopes(
 
     Returns: shapes (n, 3) and (n, 3, 3).
     """
-    a_ipo = np.einsum("kij,nj->ink", axes, direction)
+    a_ipo = _force_along_axes(axes, direction)
     indicated, by_axis = np.zeros(a_ipo.shape[1:]), np.zeros((3, *a_ipo.shape[1:]))
     for effect, coefficient in terms:
         indicated += coefficient * effect.evaluate(a_ipo, sign_width=SIGN_WIDTH)
         for axis, name in enumerate("IPO"):
             if not {name, f"|{name}|"}.isdisjoint(effect.factors):
                 by_axis[axis] += coefficient * effect.slope(a_ipo, name)
-    return indicated, np.einsum("ink,kij->nkj", by_axis, axes)
+    return indicated, np.moveaxis(np.moveaxis(by_axis, (0, 2), (2, 0)) @ axes, 0, 1)
 
 
 def _tangent_basis(direction: Array) -> Array:
