@@ -130,7 +130,7 @@ def test_overwrite_option_replaces_earlier_output(words, work_folder, capsys):
     assert cli.main(words) == 1
     captured = capsys.readouterr()
     assert "exists; " in captured.err
-    assert "give --overwrite" in captured.err
+    assert "--overwrite" in captured.err
     assert read_contents(work_folder) == before
     assert cli.main([*words, "--overwrite"]) == 0
 
