@@ -1,4 +1,4 @@
-"""The certificate of a centrifuge: numbers, capability, missing data, and its command."""
+"""The certificate of a centrifuge: numbers, CMC, missing data and command."""
 
 import pytest
 from arm_centrifuge import DESCRIPTION, STATED
@@ -19,7 +19,7 @@ EXPANDED = f"{QUANTITY}/si:measurementUncertaintyUnivariate/si:expandedMU/si:val
 
 @pytest.fixture(scope="module")
 def calculate_budget(tmp_path_factory):
-    """Return a function from a description to its budget."""
+    """Return a function that calculates the budget of a description."""
 
     def calculate(text=COMPLETE):
         folder = tmp_path_factory.mktemp("machine")
@@ -53,7 +53,7 @@ def test_uncertainty_is_at_least_cmc(calculate_budget, tmp_path):
 
 
 def test_uncertainty_covers_monte_carlo_interval_if_not_validated(calculate_budget, tmp_path):
-    """A misalignment of 0.02 rad lowers the acceleration by chi-square of one degree."""
+    """A misalignment of 0.02 rad lowers the acceleration by a chi-square variable with 1 dof."""
     azimuth = '"fixture.misalignment.in.up" = "0 ± 0.02 rad"\n'
     result = calculate_budget(COMPLETE + azimuth)
     made = certify_applied(result, write_lab(tmp_path))

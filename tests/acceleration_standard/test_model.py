@@ -32,7 +32,7 @@ U = dict.fromkeys(UNITS, 0.0) | {
 NOMINAL = dict.fromkeys(UNITS, 0.0) | {"radius": 1.0, "gravity": G, "latitude": 0.8}
 RELATIVE = {1.0: 9.77e-6, 10.0: 1.59e-6, 50.0: 2.72e-6, 100.0: 5.03e-6}
 
-#: Sources far from nominal, so that every derivative is different from zero.
+#: Sources far from nominal, so that all derivatives are nonzero.
 IMPERFECT = {
     "radius": 0.9,
     "stretch": 3e-5,
@@ -102,7 +102,7 @@ def test_large_misalignment_does_not_validate_gum_interval():
 
 
 def test_dominant_rectangular_radius_has_rectangular_interval():
-    """95 % of a rectangular distribution of half-width a is 0.95 a; the GUM has 1.13 a."""
+    """The 95 % half-width of a rectangular distribution is 0.95 a; the GUM gives 1.13 a."""
     u = dict.fromkeys(UNITS, 0.0) | {"radius": 1e-5}
     limits = {"radius": InputDistribution("rectangular")}
     (drawn,) = draw_distributions(NOMINAL, u, [10.0], 200_000, 3, limits)

@@ -13,7 +13,7 @@ from counterspin.application.served_folder import ServedFolder
 from counterspin.application.server import make_application
 
 with warnings.catch_warnings():
-    # It asks for the successor of httpx, which is not among our pins.
+    # Starlette recommends the successor of httpx, which is not installed.
     warnings.simplefilter("ignore")
     from starlette.testclient import TestClient
 

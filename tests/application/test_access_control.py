@@ -103,7 +103,7 @@ def test_link_is_valid_once_and_next_link_is_printed(anonymous, credentials):
 
 def test_servers_do_not_share_credentials():
     one, other = Credentials(1), Credentials(1)
-    # No browser sends a fragment.
+    # Browsers do not send fragments.
     assert one.link.startswith("http://127.0.0.1:1/#token=")
     tokens = token_of(one), token_of(other)
     found = {
@@ -137,7 +137,7 @@ def test_download_ticket_is_valid_once_and_for_one_file(page):
         assert page.get(address).status_code == 404
 
 
-def test_tickets_are_limited_to_downloads_and_to_the_page(page):
+def test_tickets_are_limited_to_downloads_and_page(page):
     assert page.post("/api/ticket", json={"name": "folder", "said": {}}).status_code == 400
     outside = _request_ticket(page, name="../outside.toml").json()["ticket"]
     assert page.get(f"/api/ticket/{outside}").status_code == 403
@@ -156,7 +156,7 @@ def test_oldest_tickets_expire(monkeypatch):
     assert tickets.take(many[1]) is None
 
 
-def test_content_security_policy_allows_only_the_server(page):
+def test_content_security_policy_allows_only_same_origin(page):
     for path in ("/", "/assets/main.js", FOLDER, "/nowhere"):
         headers = page.get(path).headers
         policy = dict(

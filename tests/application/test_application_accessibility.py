@@ -10,7 +10,7 @@ from served import PLACES
 
 from counterspin.application import laboratory
 
-#: `make setup` installs it beside TypeScript, where there is node.
+#: `make setup` installs axe-core next to TypeScript if node is available.
 AXE = Path(sys.prefix) / "typescript" / "node_modules" / "axe-core" / "axe.min.js"
 
 pytestmark = [
@@ -25,7 +25,7 @@ COLOURS = ["color-contrast"]
 #: Width of the screen -> schemes with their rules.
 SCHEMES = {1400: {"light": RULES, "dark": COLOURS}, 390: {"dark": RULES}}
 
-#: Serious complaints by some rules.
+#: Serious violations of the rules.
 SERIOUS = """async (rules) => {
   const { violations } = await axe.run(document, { runOnly: rules, resultTypes: ["violations"] });
   return violations
@@ -33,7 +33,7 @@ SERIOUS = """async (rules) => {
     .flatMap((one) => one.nodes.map((node) => `${one.id}: ${node.html}`));
 }"""
 
-#: Open what is folded; of a form with many keys the first parts stand for all.
+#: Open folded elements; check only the first parts of large forms.
 OPENED = """() => {
   for (const one of [...document.querySelectorAll("details")].slice(0, 40)) one.open = true;
 }"""
@@ -104,7 +104,7 @@ def test_axe_reports_no_serious_violation(open_window, app, width, monkeypatch):
             if found := tab.evaluate(SERIOUS, rules):
                 complaints[state, scheme] = found
     assert complaints == {}
-    # Complaints of both kinds are found.
+    # Both kinds of violations are detected.
     tab.evaluate("document.querySelector('main').append(document.createElement('button'))")
     assert [violation.split(":")[0] for violation in tab.evaluate(SERIOUS, RULES)] == [
         "button-name"

@@ -25,7 +25,7 @@ from counterspin.certificates.issuing import check_certificate
 
 pytestmark = needs_chromium
 
-#: Of a person: five minutes, of which the program may take half a minute.
+#: Limits: five minutes for the user, including half a minute of run time.
 MOST_CLICKS, MOST_FIELDS, MOST_SECONDS = 10, 8, 270.0
 
 #: 60 words a minute, five letters each; to point and press, and to think before a field: Card,
@@ -56,7 +56,7 @@ LABORATORY = {
     "evidence.all": "Type test 4714.",
 }
 
-#: What a person knows that no file says: how a question begins -> the answer.
+#: Start of a question that the files do not answer -> the answer of the user.
 KNOWN = {
     "Which sheet contains the table": "all",
     "Local gravity": "9.8066 m/s^2",
@@ -75,7 +75,7 @@ KNOWN = {
 
 
 def write_labview(frames, folder):
-    """Write LabVIEW measurement files with a head, decimal commas and Windows line ends."""
+    """Write LabVIEW measurement files with a header, decimal commas and Windows line ends."""
     for name, frame in frames.items():
         lines = [
             "LabVIEW Measurement\t",
@@ -93,9 +93,9 @@ def write_labview(frames, folder):
 
 
 def write_excel(frames, folder):
-    """Write one book with a sheet for each run, title and units above the numbers.
+    """Write a workbook with a sheet for each run, with title and units above the numbers.
 
-    Its axis has the wrong name, as after a change of cables, and is guessed by it.
+    The name of the axis is wrong, as after a change of cables, and is used for detection.
     """
     write_workbook(
         folder / "book.xlsx",
@@ -143,15 +143,15 @@ def write_blanks(frames, folder):
         (folder / f"{name}.dat").write_text("\n".join(rows) + "\n")
 
 
-#: What is guessed wrong, and changed.
+#: Detected values that are wrong and corrected.
 WRONG = {write_excel: {"Along which axis": "east"}}
-#: Whose is the laboratory's first certificate, and whose is a later one.
+#: Formats of the first certificate of the laboratory and of a later one.
 FIRST, LATER = write_matlab, write_excel
-#: From the result to the certificate: the same clicks and fields whatever the files are.
+#: From the result to the certificate: equal clicks and fields for all file formats.
 CERTIFICATE_CLICKS, CERTIFICATE_FIELDS = 4, 1
 
 
-#: The entries of menus that are not chosen.
+#: Menu entries that are not selected.
 CLOSED = """element => [...element.querySelectorAll("option:not(:checked)")]
   .filter(option => option.closest("select").checkVisibility())
   .map(option => option.textContent).join(" ")"""
@@ -164,7 +164,7 @@ class UserEffort:
         self.tab, self.clicks, self.fields, self.letters, self.words = tab, 0, 0, 0, 0
 
     def read(self, *found):
-        """Count the words that are seen; of a closed menu that is its chosen entry."""
+        """Count the visible words; a closed menu shows its selected entry."""
         for element in found:
             seen, closed = element.inner_text(), element.evaluate(CLOSED)
             self.words += len(re.findall(r"\w+", seen)) - len(re.findall(r"\w+", closed))
@@ -175,10 +175,10 @@ class UserEffort:
 
     def choose_files(self, found, files):
         found.set_input_files(files)
-        self.clicks += 2  # the button, and Open in the system's dialogue
+        self.clicks += 2  # the button, and Open in the system dialogue
 
     def fill(self, found, text):
-        """Type into a field, or choose in it; from field to field a person tabs."""
+        """Type into a field or select an option; the user moves between fields with the tab key."""
         self.fields += 1
         if found.evaluate("field => field.tagName") == "SELECT":
             found.select_option(text)
@@ -194,12 +194,12 @@ class UserEffort:
 
 
 def fill_laboratory_form(tab):
-    """Fill in the laboratory's form, as before the first certificate; return the hand."""
+    """Fill in the laboratory form before the first certificate; return the user effort."""
     hand = UserEffort(tab)
     hand.read(tab.locator("#missing"))
     for key, text in LABORATORY.items():
         hand.fill(tab.locator(f'[id="f-{key}"]'), text)
-        hand.words += len(re.findall("[a-z]+", key))  # its section, its label
+        hand.words += len(re.findall("[a-z]+", key))  # section, label
     tab.locator('[id="f-evidence.all"]').blur()
     return hand
 

@@ -30,7 +30,7 @@ def test_copy_has_all_files_of_campaign(app, folder):
     assert copy_campaign(app, "three", "lab/second") == {"name": "lab/second"}
     assert file_names(folder / "lab" / "second") == before
     assert app.campaign("lab/second").runs
-    assert file_names(folder / "lab") == ["second"]  # no part of it is left beside it
+    assert file_names(folder / "lab") == ["second"]  # no partial copy remains
 
 
 def test_rename_moves_campaign_folder(app, folder):
@@ -177,7 +177,7 @@ def test_served_folder_cannot_be_moved(app, folder):
 
 
 def add_record(folder, name, rate, **columns):
-    """Write a record of 40 s at a rate, rad/s, as those of the campaign are."""
+    """Write a record of 40 s at a rate, rad/s, in the format of the campaign."""
     time = np.arange(800) * 0.05
     wave = {"east_m": 2.5 * np.cos(rate * time), "north_m": 2.5 * np.sin(rate * time)}
     data = {"time_s": time, "angle_rad": rate * time, **wave, **columns}
@@ -185,7 +185,7 @@ def add_record(folder, name, rate, **columns):
     return f"three/{name}"
 
 
-def test_added_record_becomes_run_at_its_measured_rate(app, folder):
+def test_added_record_becomes_run_at_measured_rate(app, folder):
     files = [add_record(folder, "a.csv", 1.5 * np.pi), add_record(folder, "b c.csv", -0.6 * np.pi)]
     told = add_records(app, "three", files)
     assert told == {"added": ["a at 0.75 rev/s", "b_c at -0.3 rev/s"]}

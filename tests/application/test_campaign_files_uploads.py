@@ -55,7 +55,7 @@ def test_aborted_upload_removes_folders_it_created(app, folder):
     first.discard()
     assert [path.name for path in (folder / "far").iterdir()] == [second.temporary_path.parent.name]
     second.discard()
-    assert (folder / "far").is_dir()  # it was there when the second one came
+    assert (folder / "far").is_dir()  # the folder existed before the second upload
     third = open_upload(app, "three/a.csv")
     third.discard()
     assert (folder / "three").is_dir()

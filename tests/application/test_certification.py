@@ -162,7 +162,7 @@ def test_template_data_is_rejected_before_key_is_read(with_lab, folder):
     assert "laboratory.name" in response.json()["error"]
     assert "values of the template" in response.json()["error"]
     assert not (folder / "three" / "certificate.xml").exists()
-    # The page knows before it asks.
+    # The page shows this before the request.
     lab = with_lab.get("/api/lab", params={"file": "LAB.toml", "result": SAID["result"]}).json()
     missing = {entry["key"] for entry in lab["missing"]}
     assert {"laboratory.name", "item.model", "conditions.temperature"} < missing
@@ -192,7 +192,7 @@ def test_signer_command_of_server_signs(with_real_lab, folder, app, tmp_path):
 
 
 def test_plots_are_drawn_while_signer_command_runs(with_real_lab, app, tmp_path):
-    """A card waits for its PIN."""
+    """A smart card waits for its PIN."""
     signer = read_signer(*write_pair(tmp_path / "k", ec.generate_private_key(ec.SECP256R1())))
     held = []
 
@@ -203,7 +203,7 @@ def test_plots_are_drawn_while_signer_command_runs(with_real_lab, app, tmp_path)
     app.signer = replace(signer, sign=sign)
     said = SAID | {"signing": {}, "both": True}
     assert with_real_lab.post("/api/certificate", json=said).status_code == 200
-    assert held == [False, False]  # of the XML, and of the pages
+    assert held == [False, False]  # for the XML and for the pages
     assert not app.drawing.locked()
 
 

@@ -101,11 +101,11 @@ def test_draft_shows_columns_and_problems(page, uploaded):
     assert list(columns)[:2] == ["time_s", "angle_rad"]
     assert {len(column["first"]) for column in columns.values()} == {4}
     time, angle, east = (columns[name]["curve"] for name in ("time_s", "angle_rad", "east_m"))
-    # A time has even steps; an angle at a steady rate is a straight line.
+    # Times have equal steps; an angle at constant rate is a straight line.
     assert (time["words"], time["size"]) == ("row-to-row step", pytest.approx(0.0, abs=1e-9))
     assert angle["words"] == "straight line removed"
     assert angle["size"] < 1e-3
-    # The wave has the radius of 2.5 m as its amplitude, about a parabola that is subtracted.
+    # The harmonic has the radius of 2.5 m as amplitude, after removal of a parabola.
     assert east["words"] == "parabola removed, first 4 revolutions"
     assert (east["unit"], east["size"]) == ("m", pytest.approx(2.5, rel=0.05))
     low, high = np.array(east["extent"]).T
@@ -136,7 +136,7 @@ def test_unused_column_has_reason(page, folder):
 
 def test_site_values_are_suggested_from_measured_campaigns(page, folder, uploaded):
     told, _ = draft_columns(page, uploaded)
-    assert told["remembered"] == {}  # the campaign there is simulated
+    assert told["remembered"] == {}  # that campaign is simulated
     answers = {
         question["key"]: question["example"]
         for question in told["questions"]
@@ -148,7 +148,7 @@ def test_site_values_are_suggested_from_measured_campaigns(page, folder, uploade
     assert told["remembered"] == {
         key: {"answer": answer, "campaign": "new"} for key, answer in ANSWERS.items()
     }
-    # A mistake is not remembered.
+    # An invalid value is not suggested.
     file = folder / "new" / "campaign.toml"
     file.write_text(file.read_text().replace('"2.5 m"', '"2.5 kg"'))
     told, _ = draft_columns(page, uploaded)

@@ -43,7 +43,7 @@ def test_field_changes_text_and_file_changes_on_save(page, folder):
     save = {"file": FILE, "text": body["text"], "version": seen["version"]}
     saved = page.put("/api/text", json=save).json()
     assert (folder / FILE).read_text() == body["text"]
-    # Another window, which still has the first version.
+    # Another window still has the first version.
     late = page.put("/api/text", json=save | {"text": "mine"})
     assert late.status_code == 409
     assert late.json()["text"] == body["text"]

@@ -47,7 +47,7 @@ def test_form_states_units_and_lists_all_coefficients():
     latitude = find_field(form, "site", "latitude")
     assert latitude["kind"] == "quantity"
     assert latitude["unit"] == "rad"
-    assert latitude["units"][0] == "deg"  # in which it is usually written
+    assert latitude["units"][0] == "deg"  # the usual unit
     assert set(latitude["units"]) > {"rad", "arcsec"}
     assert find_field(form, "noise", "acceleration")["unit"] == "m/s^2/Hz^0.5"
     assert find_field(form, "runs", "rate")["unit"] == "rad/s"

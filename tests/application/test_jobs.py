@@ -11,7 +11,7 @@ def test_calibration_job_reports_progress_and_writes_result(page, folder):
     result.unlink()
     asked = {"name": "three"}
     begun = page.post("/api/jobs", json=asked).json()
-    # A second click, or a page that is loaded again, finds the same one.
+    # A second click or a reloaded page finds the same job.
     assert page.post("/api/jobs", json=asked).json()["number"] == begun["number"]
     job = wait(page, begun["number"])
     assert (job["state"], job["progress"]) == ("done", [3, 3])

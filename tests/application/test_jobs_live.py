@@ -61,7 +61,7 @@ def test_live_worker_stops_without_viewers(app, page, monkeypatch):
     monkeypatch.setattr(jobs, "VIEW_TIMEOUT", 0.2)
     page.get("/api/watch", params={"name": "three"})
     (view,) = app.live._views.values()
-    # Of two threads that wait for a process at once, one is told nothing of its end.
+    # If two threads wait for a process, only one is notified of its end.
     deadline = time.monotonic() + 300.0
     while app.live._views and time.monotonic() < deadline:
         time.sleep(0.02)

@@ -1,4 +1,4 @@
-"""The laboratory's data for a certificate: preview, profile."""
+"""Laboratory data for a certificate: preview and profile."""
 
 import tomllib
 
@@ -16,7 +16,7 @@ def get_lab(page, file=FILE):
 
 
 def test_preview_shows_all_pages_as_draft(page):
-    # Evidence for what the result assumes does not block a preview.
+    # Missing evidence for assumed terms does not block a preview.
     for text in (example_text(), LAB, ""):
         body = page.post(
             "/api/certificate-preview", json={"file": FILE, "result": RESULT, "text": text}
@@ -51,7 +51,7 @@ def test_profile_prefills_next_certificate(page, folder):
         "file": "laboratory.toml"
     }
     kept = tomllib.loads((folder / "laboratory.toml").read_text("utf-8"))
-    # Nothing of the item, of the customer or of one calibration.
+    # No data of the item, the customer or a single calibration.
     assert kept.keys() == {"certificate", "laboratory", "persons"}
     assert kept["certificate"] == {"language": "de", "traceability": "Rückgeführt auf das SI."}
     assert page.get("/api/folder").json()["labs"] == []
@@ -63,7 +63,7 @@ def test_profile_prefills_next_certificate(page, folder):
     missing = {entry["key"] for entry in body["missing"]}
     assert {"customer.name", "item.serial_number"} < missing
     assert not {key for key in missing if key.startswith(("laboratory", "persons"))}
-    # The campaign states its day.
+    # The campaign states its date.
     assert document["certificate"]["begin"] == "2026-01-12"
 
 

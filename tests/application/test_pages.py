@@ -81,7 +81,7 @@ def test_campaign_without_records_shows_forecast(page, folder):
     asked = {"kind": "forecast", "names": "three/campaign.toml"}
     picture = page.get("/api/picture", params=asked | {"place": 0})
     assert picture.status_code == 404
-    # Asked again while it is at work, the page finds the same job.
+    # A second request finds the running job.
     jobs = [page.get("/api/page", params=asked).json()["job"] for _ in range(2)]
     assert {(job["number"], job["kind"]) for job in jobs} == {(1, "forecast")}
     assert wait(page, 1)["state"] == "done"

@@ -37,7 +37,7 @@ def test_manual_page_has_no_broken_link(name):
     assert [one for one, _ in page["pages"]] == list(PAGES)
     assert dict(page["pages"])[name] == page["title"]
     assert page["html"].startswith("<h1 ")
-    # Its rules forbid styles in an element; pictures are the site's; a mark of a table is none.
+    # The policy forbids inline styles; images come from the site; table alignment is exempt.
     assert re.findall(r"<img|<script|style=|&lt;!--", page["html"]) == []
     for address in re.findall(r'href="([^"]*)"', page["html"]):
         assert address.startswith("#/manual/")

@@ -57,7 +57,7 @@ def test_plan_page_matches_command_within_changed_limits(planned, folder):
     found = plan(file).result
     assert render_plan(found) == shown
     assert "best plan in half the time" in shown
-    # The file of the plan has changed, so that its page is searched for again.
+    # The plan file has changed, so the search is repeated.
     assert planned.post("/api/plan-page", json={"name": "PLAN.toml"}).json()["job"] is not None
 
 

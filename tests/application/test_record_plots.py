@@ -24,7 +24,7 @@ def test_chunk_extremes_match_loop():
 
 @pytest.fixture
 def spiked_record(folder):
-    """Return the fast run's record as it is filed, with one value far out in its middle."""
+    """Return the stored record of the fast run with one outlier in its middle."""
     file = folder / "three" / "fast.csv"
     header, *rows = file.read_text().splitlines()
     cells = rows[60].split(",")
@@ -62,7 +62,7 @@ def test_short_window_has_all_rows_and_long_window_keeps_outlier(page, spiked_re
     assert np.all(np.diff(body["time"]) > 0.0)
     assert max(body["columns"][1]) == 99.5
     assert min(body["columns"][1]) == pytest.approx(east.min(), rel=1e-6)
-    # A closer look shows the rows themselves, and one more on either side.
+    # A zoomed window has the rows and one additional row on each side.
     near = RUN | {"low": time[58], "high": time[62], "parts": 10}
     body = page.get("/api/record", params=near).json()
     assert body["time"] == pytest.approx(time[57:64])

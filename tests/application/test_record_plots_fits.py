@@ -28,7 +28,7 @@ def test_data_minus_fit_equals_residuals(page, app, folder):
     data, fitted = (np.array(column, float) for column in body["columns"][:2])
     trace = Result.read(folder / "three" / "result.json").accelerometers["Qx"].traces["fast"]
     assert np.sqrt(np.mean((data - fitted) ** 2)) == pytest.approx(trace.rms, rel=1e-3)
-    # 2.7e-5 g/g^2 at 1 rev/s is a wave of a millimetre, and the bias a parabola of metres.
+    # 2.7e-5 g/g^2 at 1 rev/s is a harmonic of 1 mm, and the bias a parabola of metres.
     assert 1e-5 < np.ptp(fitted) < 0.1
     time = np.array(body["time"])
     powers = np.vander(time, 3)
@@ -51,7 +51,7 @@ def test_rejects_fit_plot_of_readings(page):
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2])
-def test_detrending_removes_only_the_polynomial(degree):
+def test_detrending_removes_only_polynomial(degree):
     time = np.linspace(0.0, 400.0, 1000)
     wave = subtract_polynomial(time, np.sin(time), degree)
     more = subtract_polynomial(time, np.sin(time) + 3.0 * time**degree - 1.0, degree)

@@ -30,7 +30,7 @@ def test_invalid_study_is_rejected_before_start(page, folder):
     description.write_text(text + "[study.vary]\ncolour = 1\n")
     body = page.post("/api/study", json={"name": "three", "trials": 6}).json()
     assert any(problem.startswith("study.vary.colour") for problem in body["problems"])
-    # And at its key, while it is written.
+    # The editor also shows the error at its key.
     asked = {"file": "three/campaign.toml", "text": description.read_text()}
     wrong = page.post("/api/check", json=asked).json()["problems"]
     assert [one["key"] for one in wrong] == ["study.vary.colour"] * len(wrong) != []
@@ -55,7 +55,7 @@ def test_study_duration_is_estimated_again_after_change(page, folder):
 def test_records_are_simulated_into_new_folder(page, folder):
     job = run_job(page, "simulation", folder="again")
     assert (job["state"], job["output"]) == ("done", "again")
-    # The description has its seed.
+    # The description states the seed.
     assert (folder / "again" / "slow.csv").read_bytes() == (
         folder / "three" / "slow.csv"
     ).read_bytes()

@@ -22,7 +22,7 @@ from counterspin import cli
 from counterspin.application import server
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"
-#: Longest wait for anything, s; only a failure takes so long.
+#: Timeout of all waits, s; only a failure reaches it.
 BOUND = 300.0
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -180,7 +180,7 @@ def test_drawings_have_description_and_page_colours(anonymous, name):
         element = drawing.find(f"{SVG}{tag}")
         assert element.get("id") == drawing.get(attribute)
         assert len(element.text) > 10
-    # Apart from the colours and the background, the page shows what the documentation shows.
+    # The page shows the drawing of the documentation except for colours and background.
     shapes = [(e.tag, e.get("d"), e.get("cx"), e.text) for e in drawing]
     background = f"M0 0H480V{printed.get('height')}H0Z"
     assert shapes == [

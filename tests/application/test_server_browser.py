@@ -38,7 +38,7 @@ PHONE = {"width": 360, "height": 740}
 
 
 def wait_for_plots(tab):
-    """Wait for a picture of the open chapter, and for a plot of the residuals."""
+    """Wait for a plot of the open chapter and for a plot of the residuals."""
     still = tab.locator("figure:not(.zoomable)").first
     still.scroll_into_view_if_needed()
     still.locator("svg").wait_for()
@@ -47,7 +47,7 @@ def wait_for_plots(tab):
 
 
 def leave_and_return(tab):
-    """Reload the Confirm step, then discard its files and undo this: files and answers remain."""
+    """Reload the Confirm step, discard its files and undo: files and answers remain."""
     answer_field(tab, "Radius").blur()
     tab.reload()
     answer_field(tab, "Radius").wait_for()
@@ -57,7 +57,7 @@ def leave_and_return(tab):
 
 
 def test_exports_to_certificate_workflow(open_window, app, folder):
-    """As a person would: bring the recorder's files, calibrate, look, issue the certificate."""
+    """Upload recorder files, calibrate, inspect the result and issue the certificate."""
     tab = open_window()
     tab.get_by_label("Folder for the new campaign").fill("mine")
     assert "token" not in tab.url
@@ -66,9 +66,9 @@ def test_exports_to_certificate_workflow(open_window, app, folder):
     for question, said in PLACE:
         answer_field(tab, question).fill(said)
     leave_and_return(tab)
-    # The axes and the angle that are asked for are drawn.
+    # The drawing shows the requested axes and angle.
     tab.get_by_role("img", name="Double turntable").wait_for()
-    # What is guessed of a column may be changed, and changed back, before anything is written.
+    # The detected role of a column can be changed and reset before files are written.
     what = tab.get_by_label("Role of column north_m")
     what.select_option("velocity")
     tab.get_by_label("What is the unit of column 'north_m'?").wait_for()
@@ -81,26 +81,26 @@ def test_exports_to_certificate_workflow(open_window, app, folder):
     tab.get_by_label("Latitude", exact=True).fill("45.75 degs")
     tab.get_by_role("button", name="Calibrate").click()
     tab.get_by_text("unknown unit 'degs'").wait_for()
-    # The files may be brought once more: they are the same.
+    # The same files can be uploaded again.
     with tab.expect_response(lambda answer: answer.url.endswith("/api/draft")):
         tab.get_by_label("Recorder files").set_input_files(records[::-1])
     tab.get_by_label("Latitude", exact=True).wait_for()
     for question, said in PLACE:
         answer_field(tab, question).fill(said)
-    # Loaded again in the middle of it, the page finds its calibration; as if another one went on,
-    # so that it does not end before.
+    # A reloaded page finds the running calibration; another job is simulated,
+    # so that the calibration does not end first.
     with app.jobs._run_lock:
         tab.get_by_role("button", name="Calibrate").click()
         tab.get_by_role("progressbar").wait_for()
         tab.reload()
         tab.get_by_role("progressbar").wait_for()
         tab.get_by_text(re.compile(r"^Waiting for another job, \d+ s$")).wait_for()
-        # No seconds are spoken.
+        # Screen readers do not announce seconds.
         assert tab.locator(".job [aria-live]").all_inner_texts() == ["Waiting for another job"]
     tab.get_by_role("heading", name="Quality checks").wait_for()
     assert (folder / "mine" / "result.json").is_file()
     assert tab.locator(".instrument").count() == 2
-    # Other pictures than those that can be zoomed come as they come near.
+    # Static plots are loaded when scrolled near.
     wait_for_plots(tab)
     tab.get_by_role("link", name="Certify", exact=True).last.click()
     tab.get_by_label("Signature").select_option("No signature")
@@ -122,7 +122,7 @@ def test_certificate_is_signed_by_mouse(open_window, folder, tmp_path, kind):
     write = write_pkcs12 if kind == "pkcs12" else write_pair
     key, cert = write(tmp_path, ec.generate_private_key(ec.SECP256R1()), b"vy secret")
     tab = open_window("/certificate/three%2Fresult.json")
-    # A value of the template is an empty field, and nothing is signed before it is filled in.
+    # Template values are empty fields, and signing requires them to be filled in.
     tab.get_by_role("heading", name="Complete 2 entries before you sign").wait_for()
     tab.get_by_role("img", name="Page 1 of").wait_for()
     customer = tab.locator('[id="f-customer.name"]')
@@ -159,7 +159,7 @@ def test_certificate_is_signed_by_mouse(open_window, folder, tmp_path, kind):
     assert "secret" not in kept
 
 
-def test_drawing_is_shown_beside_its_fields(open_window):
+def test_drawing_is_shown_beside_fields(open_window):
     tab = open_window("/description/three")
     for question, name in (
         ("Accelerometer axes", "Axes of an accelerometer"),
@@ -167,7 +167,7 @@ def test_drawing_is_shown_beside_its_fields(open_window):
     ):
         tab.get_by_text(question).click()
         tab.get_by_role("img", name=name).wait_for()
-    # It stays when the fields are drawn again.
+    # The drawing stays after the fields are rendered again.
     radius = tab.locator('[id="f-centrifuge.radius"]')
     radius.fill("2.6")
     radius.press("Tab")
@@ -216,13 +216,13 @@ def test_table_of_readings_to_result_workflow(open_window, folder, tmp_path):
     files = tab.get_by_label("Recorder files")
     files.set_input_files(tmp_path / "tumble.csv")
     tab.get_by_label("What is the nominal sensitivity").wait_for()
-    # A slow server: an answer that it has not judged yet is kept for the next file.
+    # With a slow server, an unchecked answer is kept for the next file.
     held, holding = [], [True]
     tab.route("**/api/draft", lambda route: held.append(route) if holding else route.continue_())
     for question, said in (*PLACE[:2], ("What is the nominal sensitivity", "1.25 mA/g")):
         answer_field(tab, question).fill(said)
     assert tab.get_by_label("In which direction does the input axis point").input_value() == "up"
-    # What is guessed of one file is none of another.
+    # Detected values of a file do not apply to another.
     kind = tab.get_by_label("Kind of test")
     assert kind.input_value() == "tumble"
     files.set_input_files(folder / "three" / "slow.csv")
@@ -234,7 +234,7 @@ def test_table_of_readings_to_result_workflow(open_window, folder, tmp_path):
     files.set_input_files(tmp_path / "tumble.csv")
     tab.get_by_label("What is the nominal sensitivity").wait_for()
     assert tab.get_by_label("Latitude", exact=True).input_value() == PLACE[1][1].split()[0]
-    # A slow finger: the last answer is taken up, and shown, before the button is let go.
+    # With a slow click, the last answer is applied before the button is released.
     tab.get_by_role("button", name="Calibrate").hover()
     tab.mouse.down()
     tab.wait_for_timeout(1000)
@@ -258,7 +258,7 @@ def test_pasted_arm_table_to_result_workflow(open_window, folder):
     known = (*PLACE[:2], ("Radius", "1.0 ± 1e-3 m"))
     for question, said in (*known, ("What is the nominal sensitivity", "1.25 mA/g")):
         answer_field(tab, question).fill(said)
-    # What was guessed is shown, of columns of words too.
+    # Detected values are shown, also of text columns.
     assert tab.get_by_label("Kind of test").input_value() == "arm"
     assert tab.get_by_label("Role of column side").input_value() == "position"
     assert tab.get_by_label("in the mounting 'B'").input_value() == "outward"
@@ -276,7 +276,7 @@ def test_pose_log_to_triad_workflow(open_window, folder, tmp_path):
     answers = (*PLACE[:2], ("What is the sampling rate", "100 Hz"))
     for question, said in answers:
         answer_field(tab, question).fill(said)
-    # What was guessed is shown.
+    # Detected values are shown.
     kind = tab.get_by_label("Kind of test")
     assert kind.input_value() == "poses"
     assert tab.get_by_label("Role of column column 2").input_value() == "Y"
@@ -297,13 +297,13 @@ def test_campaigns_are_copied_renamed_searched_and_deleted(open_window, folder, 
     tab.get_by_role("button", name="Copy", exact=True).click()
     tab.get_by_text(re.compile(r" four$")).wait_for()
     tab.get_by_text("Add records, copy").click()
-    # Every second row, so that its samples are not those of a run that is there.
+    # Every second row, so that the samples differ from those of existing runs.
     rows = (folder / "three" / "slow.csv").read_text().splitlines()
     other = tmp_path / "slower.csv"
     other.write_text("\n".join(rows[:1] + rows[1::2]))
     tab.get_by_label("Records to add").set_input_files(other)
     tab.get_by_text("Added run: slower at 0.25 rev/s.").wait_for()
-    # The page is drawn again then, with its parts folded.
+    # The page is then rendered again with folded parts.
     tab.locator("#view:not([aria-busy])").wait_for()
     assert read_campaign(folder / "four").runs[-1].record == folder / "four" / "slower.csv"
     tab.get_by_text("Add records, copy").click()
@@ -320,7 +320,7 @@ def test_campaigns_are_copied_renamed_searched_and_deleted(open_window, folder, 
     tab.get_by_role("button", name="Move to trash").click()
     tab.wait_for_url("**#/")
     assert not (folder / "four").exists()
-    # What was moved to the trash comes back: at once, or later from its list.
+    # Items in the trash can be restored immediately or later from the list.
     tab.get_by_role("button", name="Undo").click()
     tab.wait_for_url("**#/campaign/four")
     assert (folder / "four" / "campaign.toml").is_file()
@@ -352,7 +352,7 @@ def test_pasted_readings_become_campaign(open_window, folder):
     tab.get_by_label("Folder for the new campaign").fill("pasted")
     tab.get_by_text("Paste a table").click()
     rows = [(angle, 1.25 * (0.002 + math.cos(math.radians(angle)))) for angle in range(0, 360, 30)]
-    # As a spreadsheet gives it where numbers have a decimal comma.
+    # As copied from a spreadsheet with decimal commas.
     lines = ["position_deg\treading_mA", *(f"{a}\t{v:.6f}".replace(".", ",") for a, v in rows)]
     tab.get_by_label("Table copied from a spreadsheet").fill("\r\n".join(lines))
     tab.get_by_role("button", name="Use this table").click()
@@ -379,7 +379,7 @@ def test_plan_search_starts_on_click_and_can_be_stopped(open_window, folder):
     tab.get_by_text("The plan was stopped.").wait_for()
     search.click()
     tab.get_by_role("heading", name="Active limits").wait_for()
-    # In the unit of the file; spoken once: by the slider, not by the figure beside it too.
+    # In the unit of the file; announced once, by the slider and not by the number beside it.
     tab.get_by_label("Highest rate").fill("0.6366")
     assert tab.get_by_label("Highest rate").get_attribute("aria-valuetext") == "0.6366 rev/s"
     assert tab.locator("output:not([aria-live=off])").count() == 0
@@ -436,12 +436,12 @@ def test_page_without_key_shows_instructions(open_window, server_credentials):
     tab.get_by_role("link", name="three").wait_for()
     tab.evaluate("sessionStorage.clear()")
     for open_again in (tab.reload, lambda: tab.goto(used)):
-        # In the same window the page loads itself again for a link.
+        # In the same window the page reloads for a link.
         open_again()
         tab.wait_for_url(lambda address: "token" not in address)
         tab.get_by_role("heading", name="This window is not authorised").wait_for()
         tab.get_by_text("Open the newest link in the terminal").wait_for()
-    # In the same window, in which nothing but the fragment differs.
+    # In the same window, where only the fragment differs.
     tab.goto(server_credentials.link)
     tab.get_by_role("link", name="three").wait_for()
     assert "token" not in tab.url
@@ -482,7 +482,7 @@ def test_problems_are_at_fields_and_form_follows_text(open_window, folder):
     radius.fill("2750 ± 0.5")
     unit.select_option("mm")
     wait_until(tab, lambda: "2750 ± 0.5 mm" in text.input_value())
-    # An edit is undone and redone, in the form as in the text.
+    # An edit can be undone and redone in the form and in the text.
     undo, redo = (tab.get_by_role("button", name=name) for name in ("Undo", "Redo"))
     assert redo.is_disabled()
     unit.select_option("m")
@@ -491,7 +491,7 @@ def test_problems_are_at_fields_and_form_follows_text(open_window, folder):
         button.click()
         wait_until(tab, lambda expected=expected: unit.input_value() == expected)
         assert f'radius = "2750 ± 0.5 {expected}"' in text.input_value()
-    # What is typed while the text is saved stays.
+    # Input during saving is preserved.
     held = []
 
     def hold_route(route):
@@ -557,7 +557,7 @@ def test_scroll_hint_is_not_shown_outside_tables(open_window):
     assert tab.evaluate(hints) == 0
 
 
-def test_two_windows_lose_no_edit(open_window, folder):
+def test_edits_in_two_windows_are_preserved(open_window, folder):
     file = folder / "three" / "campaign.toml"
     tabs = [open_window("/description/three"), open_window("/description/three")]
     for tab, radius in zip(tabs, ("3 m", "4 m"), strict=True):
@@ -579,7 +579,7 @@ def test_two_windows_lose_no_edit(open_window, folder):
 #: A small screen.
 SMALL_SCREEN = {"width": 1024, "height": 600}
 
-#: Of every control on the page: its kind and what a screen reader calls it.
+#: Type and accessible name of all controls on the page.
 UNNAMED = """[..."input select textarea button".split(" ")]
   .flatMap((name) => [...document.querySelectorAll(`main ${name}`)])
   .filter((one) => !(one.getAttribute("aria-label") || one.textContent.trim()
@@ -590,7 +590,7 @@ UNNAMED = """[..."input select textarea button".split(" ")]
 
 def test_pages_fit_small_screen_and_controls_are_named(open_window, app):
     """Nothing goes wrong in any (see `open_window`)."""
-    # No process is needed to follow what is complete.
+    # A complete campaign needs no live process.
     app.live.poll = lambda *_: {"html": "<p>Live</p>", "events": ["A run"], "complete": True}
     tab = open_window("/")
     tab.set_viewport_size(SMALL_SCREEN)
@@ -604,7 +604,7 @@ def test_pages_fit_small_screen_and_controls_are_named(open_window, app):
 
 
 @pytest.mark.usefixtures("inline_jobs")
-def test_calibration_to_other_file_opens_that_result(open_window):
+def test_calibration_to_chosen_file_opens_result(open_window):
     tab = open_window("/campaign/three")
     tab.get_by_text("Method, result file and command").click()
     tab.get_by_label("Method").select_option("two-stage")

@@ -16,7 +16,7 @@ from served import serving, token_of
 from counterspin.application import access_control, server
 from counterspin.application.server import Connection
 
-#: Longest wait for anything, s; only a failure takes so long.
+#: Timeout of all waits, s; only a failure reaches it.
 BOUND = 300.0
 HALF = b"GET /api/folder HTTP/1.1\r\nHost: 127.0"
 
@@ -33,7 +33,7 @@ def _request_page(port, key):
 
 
 def test_unauthenticated_connections_do_not_block_server(tmp_path):
-    """More connections than descriptors, half-sent, and then a hundred whole requests."""
+    """Open more incomplete connections than descriptors, then send 100 complete requests."""
     limited = ["sh", "-c", 'ulimit -n 256; exec "$@"', "sh"]
     words = [*limited, sys.executable, "-m", "counterspin", "serve", str(tmp_path), "--no-browser"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -60,7 +60,7 @@ def test_unauthenticated_connections_do_not_block_server(tmp_path):
     for connection in connections:
         connection.close()
     assert [status for status, _ in taken] == [200, 200]
-    # It takes some milliseconds; where descriptors had run out it took 40 s.
+    # It takes milliseconds; without free descriptors it took 40 s.
     assert max(seconds for _, seconds in taken) < 30.0
     assert (server.returncode, out.splitlines()[-1], err) == (0, "Server stopped.", "")
 
@@ -104,7 +104,7 @@ def test_incomplete_request_times_out(server_credentials, monkeypatch, sent):
         ("127.0.0.1", server_credentials.port), timeout=BOUND
     ) as connection:
         connection.sendall(sent)
-        # A byte now and then gains no time.
+        # Occasional bytes do not extend the timeout.
         with pytest.raises(ConnectionError):
             _send_slowly(connection)
 

@@ -64,7 +64,7 @@ def test_batch_equals_separate_calibrations(folders, count):
     assert "file not found" in broken.error
 
 
-def test_command_prints_a_summary_and_fails_if_any_failed(folders, tmp_path, capsys):
+def test_command_prints_summary_and_exits_with_1_on_failure(folders, tmp_path, capsys):
     kept = tmp_path / "all.json"
     status = main(["calibrate", *map(str, folders), "--json", str(kept)])
     shown = capsys.readouterr()
@@ -79,7 +79,7 @@ def test_command_prints_a_summary_and_fails_if_any_failed(folders, tmp_path, cap
     assert main(["calibrate", str(folders[0]), str(folders[2])]) == 0
 
 
-def test_run_is_excluded_from_each_campaign_that_has_it(folders, tmp_path, capsys):
+def test_run_is_excluded_from_all_campaigns(folders, tmp_path, capsys):
     text = (folders[0] / "campaign.toml").read_text(encoding="utf-8")
     run = re.search(r'\[\[runs\]\]\nname = "(.+)"', text)[1]
     other = tmp_path / "other"
@@ -120,7 +120,7 @@ class WorkerKiller:
 
     def _kill(self):
         while self.killed < self.times:
-            # Opening waits for a reader.
+            # Opening blocks until a reader opens the file.
             held = os.open(self.gate, os.O_WRONLY)
             self.killed += 1
             self.gate.unlink()
@@ -159,7 +159,7 @@ def test_campaign_that_kills_workers_fails_without_stopping_others(folders, tmp_
 @pytest.fixture(scope="module")
 def cluster(gated_workers):
     """Start one worker, because the worker of a campaign is unknown among several."""
-    # Loaded before its settings are changed: when a change ends, all settings go that came with it.
+    # Import before changing settings, because the end of a change removes later defaults.
     pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")
     import dask
 
@@ -199,7 +199,7 @@ def test_dead_dask_worker_loses_no_campaign(folders, cluster, tmp_path):
 
 @pytest.fixture
 def scheduler(tmp_path):
-    """A scheduler with a worker as docs/study.md starts them: (address, process)."""
+    """Start a scheduler with a worker as in docs/study.md; yield (address, process)."""
     with cluster_of_the_page(tmp_path) as (address, process, _):
         yield address, process
 

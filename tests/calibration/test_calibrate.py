@@ -58,7 +58,7 @@ def test_rejects_record_that_changes_during_calibration(folder, monkeypatch, cha
         return result
 
     monkeypatch.setattr(observed_runs, "read_record", read_and_change)
-    # Checksums are taken on a thread; here at once, or at the end.
+    # Checksums are computed in a thread; in this test immediately or at the end.
     expect = (lambda self, _: self.checksums([record]) and []) if early else (lambda *_: [])
     monkeypatch.setattr(Checksums, "prefetch", expect)
     with raises("file-changed", "fast.csv:"):

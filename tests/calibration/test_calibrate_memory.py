@@ -43,7 +43,7 @@ def block_texts(result):
     return [block.text for block in document(result) if hasattr(block, "text")]
 
 
-def test_folder_gives_identical_result(found, written_folder):
+def test_folder_has_identical_result(found, written_folder):
     again = calibrate(written_folder)
     for part in ("accelerometers", "runs", "platform", "inputs"):
         assert getattr(again, part) == getattr(found, part), part

@@ -45,17 +45,17 @@ EXTRAS = {
     "readings": (("readings", "triads"), ABOVE_READINGS),
 }
 
-#: Fields of an accelerometer that an extra fills; its state follows its own findings.
+#: Fields of an accelerometer that an extra fills; the state follows its findings.
 FILLED = {"diagnosis": {"findings", "state", "warnings"}, "two-stage": {"two_stage"}}
 
-#: Statements that the records contradict by far.
+#: Statements that the records contradict strongly.
 CONTRADICTED = {
     "prior": ('"1.002 g/g"\ndisp', '"1.003 ± 1e-6 g/g"\ndisp'),
     "noise": ('[noise]\ndisplacement = "0.01 m"', '[noise]\ndisplacement = "0.001 m"'),
 }
 
-#: Prints, for each line with folders, the packages that import what is not there, and the results
-#: of campaigns. It imports counterspin again each time, and what counterspin is built on once.
+#: Print, for each line with folders, the packages with missing imports and the results
+#: of campaigns. Import counterspin again for each line, and its dependencies once.
 PROGRAM = """
 import importlib, json, pkgutil, sys
 
@@ -100,7 +100,7 @@ def folders(tmp_path_factory):
 def run_without_modules(tmp_path_factory, folders):
     """Yield a function that runs the program with a copy of the package."""
     root = tmp_path_factory.mktemp("package")
-    # With bytecode, which the processes would compile again.
+    # Copy the bytecode, which the processes would otherwise compile again.
     shutil.copytree(PACKAGE, root / "counterspin")
 
     @contextmanager

@@ -20,7 +20,7 @@ TESTS = Path(__file__).parents[1]
 #: Extension -> its packages.
 EXTENSIONS = {"triads": ("triads",), "readings": ("readings", "triads")}
 
-#: Tests of records that simulate nothing.
+#: Tests of records without simulation.
 OF_RECORDS = (
     "calibration/test_result.py",
     "campaign/test_validation.py",
@@ -55,7 +55,7 @@ def run_without(tmp_path_factory):
     def run_python(extension, *arguments):
         if extension not in roots:
             roots[extension] = root = tmp_path_factory.mktemp(extension)
-            # With bytecode, which the processes would compile again.
+            # Copy the bytecode, which the processes would otherwise compile again.
             shutil.copytree(PACKAGE, root / "counterspin")
             for name in EXTENSIONS[extension]:
                 shutil.rmtree(root / "counterspin" / name)

@@ -75,7 +75,7 @@ NOTHING = {"K_II": {"value": None, "u": None, "unit": "g/g^2", "estimated": Fals
         ({"jackknife": make_jackknife(2.9)}, None, "good", None),
         ({"jackknife": make_jackknife(-3.1)}, "run-disagrees", "reservations", 3.1),
         ({"jackknife": make_jackknife(-6.1)}, "run-disagrees", "contradicted", 6.1),
-        # Of sixteen shifts one is beyond 3.2 in 2.2 % of good campaigns.
+        # One of sixteen shifts exceeds 3.2 in 2.2 % of good campaigns.
         ({"jackknife": [*make_jackknife(3.2), *(15 * make_jackknife(0.0))]}, None, "good", None),
         (
             {"jackknife": [*make_jackknife(3.9), *(15 * make_jackknife(0.0))]},

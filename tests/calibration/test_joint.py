@@ -214,7 +214,7 @@ def test_noisier_run_has_separate_noise(tmp_path, capsys):
     rows.with_columns(pl.col("east_m") + shaken).write_csv(record)
     result = calibrate(read_campaign(folder / "campaign.toml"))
     sizes = result.accelerometers["Qx"].noise["displacement"].runs
-    # As many rows as a run has tell their own size to 1/sqrt(2 x 400/2.31), 5.4 %.
+    # The rows of a run determine its noise to 1/sqrt(2 x 400/2.31), 5.4 %.
     expected = {"run1": 0.01, "run2": 0.01, "run3": math.hypot(0.01, 0.04)}
     assert sizes == pytest.approx(expected, rel=4 * 0.054)
     assert not result.accelerometers["Qy"].noise["displacement"].runs
@@ -578,7 +578,7 @@ CONDITIONS = {
 
 
 def add_conditions(*changes):
-    """The campaign with a temperature and a time of each run."""
+    """Return the campaign with a temperature and a time of each run."""
     stated = [
         (f'record = "{name}.csv"\n', f'record = "{name}.csv"\n{lines}')
         for name, lines in CONDITIONS.items()
@@ -638,7 +638,7 @@ def test_both_methods_hold_heating(tmp_path):
     calibration = calibrate(folder)
     assert_true(calibration)
     qx = calibration.accelerometers["Qx"]
-    # The t^2 coefficient of K_II has half of the squared force's mean: 2 of the heating.
+    # The t^2 coefficient of K_II is half of the mean squared force: 2 of the heating.
     assert qx.coefficients["K_II"].u_stated == pytest.approx(2e-6, rel=0.01)
     (line,) = (line for line in qx.budget["K_II"] if "heating" in line.source)
     assert (line.source, line.kind) == ("K_F.heating", "held")

@@ -50,9 +50,9 @@ def test_recorded_angle_or_displacement_has_no_finding(observable, angle):
 
 
 def test_run_without_information_on_k_ii_has_no_z():
-    """An upright accelerometer has the same 1 g in every run: K_II is its prior, with or without.
+    """An upright accelerometer has 1 g in each run, so K_II equals its prior in all fits.
 
-    What rounding leaves of a shift and of its u is no number of standard uncertainties.
+    Rounding errors of a shift and of its u do not define z.
     """
     known = make_campaign(
         {
@@ -83,9 +83,9 @@ def test_run_without_information_on_k_ii_has_no_z():
 
 
 def test_two_stage_comparison_uses_model_of_joint_fit(tmp_path):
-    """A drift of 100 typical sizes that is asked for is in the joint fit; two stages have no t^3.
+    """The joint fit has a requested drift of 100 typical sizes; two stages have no t^3 term.
 
-    Given what the joint fit found of it, the differences of both K_II are of their own u.
+    With the joint estimate of the drift, the differences of both K_II have the stated u.
     """
     terms = '"platform.tilt"]'
     asked = (terms, '"platform.tilt", "platform.drift"]')
@@ -100,6 +100,6 @@ def test_two_stage_comparison_uses_model_of_joint_fit(tmp_path):
         beside = [accelerometer.two_stage for accelerometer in result.accelerometers.values()]
         distances += [one.z for one in beside]
         assert "methods-disagree" not in {finding.code for finding in result.findings}
-    # Chi-square of 16: below 3.9 and above 39 each once in a thousand. Two stages that did not know
-    # what the joint fit found had 8e3.
+    # Chi-square of 16: below 3.9 and above 39 each with p = 0.001. Two stages without
+    # the joint estimate had 8e3.
     assert 3.9 < np.sum(np.square(distances)) < 39.3

@@ -37,7 +37,7 @@ specific_force = {{ column = "x", unit = "m/s^2" }}
 
 @pytest.mark.parametrize("sampling_rate", [7.0, 8.0, 9.3])
 def test_unresolved_encoder_error_is_in_u(tmp_path, sampling_rate):
-    """The fastest run turns once a second; in the others the samples resolve the harmonic."""
+    """The fastest run has 1 rev/s; in the other runs the samples resolve the harmonic."""
     rng = np.random.default_rng(5)
     text = HEAD
     for i, rate in enumerate((math.pi / 2, math.pi, 2 * math.pi)):

@@ -238,9 +238,9 @@ def test_two_recorders_have_separate_clocks(tmp_path):
 
 
 def test_default_errors_of_two_clocks_are_independent_in_u(tmp_path):
-    """One of two runs each: of K_I, twice 2e-5, less than what one clock alone makes of it.
+    """With a clock per run, u(K_I) is below 2 x 2e-5, the value for a common clock.
 
-    Weighed by their own noise, which is far less, the runs differ by their clocks only.
+    The noise is negligible, so the runs differ only by their clocks.
     """
     record_with_clocks(tmp_path)
     _, one = calibrate_description(tmp_path, FORCE)
@@ -286,7 +286,7 @@ record = "run1.csv"
     ],
 )
 def test_walk_stated_as_zero_is_not_estimated(tmp_path, noise, white, walk):
-    """Without any size the noise is estimated, except the walk that the description excludes."""
+    """Unstated noise is estimated, except the walk that the description excludes."""
     (tmp_path / "campaign.toml").write_text(CAMPAIGN.format(noise=noise), encoding="utf-8")
     (of_qx,) = make_noise(read_campaign(tmp_path)).values()
     assert (of_qx.white, of_qx.random_walk) == (white, walk)

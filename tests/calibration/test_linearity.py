@@ -1,4 +1,4 @@
-"""Test of the linear sensitivities against a reciprocal radius, whose distribution is known."""
+"""Linear sensitivities against a reciprocal radius with known distribution."""
 
 import math
 

@@ -72,7 +72,7 @@ def test_interval_of_rectangular_input_covers_95_percent():
     assert np.abs(truths).max() < 1.96
 
 
-def test_held_prior_is_drawn_from_its_distribution():
+def test_held_prior_is_drawn_from_stated_distribution():
     errors, _ = draw_coefficient(
         [make_line("K_PP", 1.0, "held")], {"K_PP": InputDistribution("rectangular")}
     )
@@ -90,7 +90,7 @@ def test_normal_inputs_validate_gum_interval():
 def test_estimated_noise_is_drawn_from_student_t():
     errors, interval = draw_coefficient([make_line("noise of A", 1.0, "noise")], dof=5.0)
     assert stats.kstest(errors, stats.t(5.0).cdf).pvalue > 1e-3
-    assert interval.gum_validated is not False  # the GUM's interval is that of Student's t
+    assert interval.gum_validated is not False  # the GUM interval is that of Student's t
 
 
 @pytest.mark.parametrize(("share", "noise_dof"), [(0.1, 3.0), (0.4, 3.0), (0.9, 5.0)])
@@ -109,7 +109,7 @@ def test_noise_with_few_degrees_of_freedom_and_known_part(share, noise_dof):
     assert interval.gum_validated is not False
 
 
-def test_stated_t_distribution_has_its_tails():
+def test_stated_t_distribution_has_heavy_tails():
     errors, interval = draw_coefficient(
         [make_line("K_PP", 1.0)], {"K_PP": InputDistribution("t", 4.0)}
     )

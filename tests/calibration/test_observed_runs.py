@@ -317,7 +317,7 @@ def test_good_campaign_has_no_detrending_finding(displacement_folder):
         run.run.name: run.record.polynomials
         for run in observe(campaign_of(displacement_folder, SMALL))
     }
-    # Rounding would be below 0.02; the noise makes about 1, and a bias of 5 mg 1e5.
+    # Rounding gives less than 0.02; noise gives about 1, and a bias of 5 mg 1e5.
     assert min(abs(part[0]) for own in parts.values() for part in own.values()) > 1e3
     warnings = calibrate(campaign_of(displacement_folder, SMALL)).warnings
     assert not any("removed" in text for text in warnings)

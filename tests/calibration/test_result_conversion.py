@@ -274,7 +274,7 @@ def test_plots_are_drawn_on_given_axes(result, plot, pictures):
     assert "Qy" in drawn[0].get_title(loc="left")
     _, own = plt.subplots(len(drawn), 1)
     assert plot(result, "Qy", axes=own) == list(np.atleast_1d(own))
-    assert mpl.rcParams["axes.spines.top"]  # the reports' style ends with the drawing
+    assert mpl.rcParams["axes.spines.top"]  # the report style applies only during drawing
     _, too_many = plt.subplots(len(drawn) + 1, 1)
     with pytest.raises(ValueError, match="axes were given for"):
         plot(result, "Qy", axes=too_many)

@@ -72,7 +72,7 @@ def test_degrees_of_freedom_of_gtc_numbers_are_bounded():
             assert number.df >= 1.0 - 1e-9
 
 
-def test_sum_of_equal_degrees_of_freedom_keeps_them():
+def test_sum_keeps_equal_degrees_of_freedom():
     pytest.importorskip("GTC")
     numbers = make_result(make_correlation(0.6), (9.0, 9.0)).to_gtc()
     first, second = numbers.values()

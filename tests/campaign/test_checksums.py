@@ -13,7 +13,7 @@ from counterspin.__main__ import _head_start
 from counterspin.campaign.checksums import _STARTED, Checksums, checksums_of, prefetch_campaign
 from counterspin.input import open_file
 
-#: Longest wait for anything, s; only a failure takes so long.
+#: Timeout of all waits, s; only a failure reaches it.
 BOUND = 300.0
 
 
@@ -84,7 +84,7 @@ def test_unreadable_path_has_no_checksum(tmp_path):
 
 
 def test_unrequested_checksum_does_not_delay_exit(tmp_path):
-    # A file with a hole of 200 GB would take a quarter of an hour at least.
+    # A sparse file of 200 GB would take at least a quarter of an hour.
     file = tmp_path / "a.csv"
     with file.open("wb") as stream:
         stream.truncate(200_000_000_000)

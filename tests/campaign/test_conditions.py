@@ -232,7 +232,7 @@ def test_direction_follows_from_turning_points(temperatures, ways, tmp_path):
     }
     found = temperature_directions(make_campaign(described))
     assert [2 * found.get(str(place), (0,))[0] for place in range(len(ways))] == ways
-    # In the order of their times, where all state them.
+    # Ordered by time if all runs state it.
     for place, run in enumerate(described["runs"]):
         run["time"] = f"{-place} min"
     back = temperature_directions(make_campaign(described))

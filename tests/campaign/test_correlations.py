@@ -64,7 +64,7 @@ def test_data_and_priors_match_dense_generalised_least_squares():
 
 
 def test_shifted_prior_changes_its_row():
-    """A prior that is off by d leaves -W d in the rows of the priors, W'W the inverse covariance.
+    """An error d of the priors gives -W d in their rows, with W'W the inverse covariance.
 
     Without data the residual is zero; with W lower triangular, row i has the unknowns up to i.
     """
@@ -114,7 +114,7 @@ def solve_dense(r):
     """Return estimate and covariance of K_F, K_I, K_II, K_OO and K_PP, K_I minus 1."""
     cos, sin = (np.array([f(math.radians(a)) for a, _ in ANGLES]) for f in (np.cos, np.sin))
     north = np.array([about == "north" for _, about in ANGLES])
-    # A turn about north tilts the pendulous axis, west, into the vertical; about east the other.
+    # Rotation about north tilts the pendulous axis, west, into the vertical; about east the other.
     squares = [sin**2 * ~north, sin**2 * north]
     design = np.column_stack([np.ones(16), cos, cos**2, *squares])
     prior = np.array([[9.0, 6.0 * r], [6.0 * r, 4.0]]) * 1e-12

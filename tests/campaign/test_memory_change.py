@@ -1,4 +1,4 @@
-"""A campaign with another description: a merge patch, and other records."""
+"""Changing a campaign in memory: merge patches and records."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ def campaign():
     return make_campaign(frames.small())
 
 
-def test_mapping_changes_its_keys(campaign):
+def test_mapping_changes_listed_keys(campaign):
     changed = campaign.change(
         {
             "campaign": {"title": "Other"},

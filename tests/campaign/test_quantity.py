@@ -208,7 +208,7 @@ def test_factors_of_same_dimension_are_inverse(one, other):
 
 @pytest.mark.slow
 @given(st.text(max_size=20))
-def test_any_text_gives_finite_quantity_or_value_error(text):
+def test_any_text_is_quantity_or_raises_value_error(text):
     try:
         quantity = parse(text, "m")
     except ValueError:

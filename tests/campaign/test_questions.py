@@ -93,7 +93,7 @@ UPRIGHT = (
 
 def test_unrecorded_axis_of_own_velocity_is_a_question(tmp_path):
     found = questions(campaign_of(tmp_path, changed(SURE, OWN_VELOCITY)))
-    # An error upwards acts to the west, as the Earth's rotation points north and up.
+    # An upward velocity error acts towards west through the Earth's rotation.
     assert [(q.code, q.subject) for q in found] == [("unrecorded-axis", "Qx.K_F")]
     # 2 Omega cos L x 1 mg x 100 s / 2
     assert (

@@ -42,14 +42,14 @@ def largest_white_noise(folder):
     """Return the larger estimated white noise of the two accelerometers, m."""
     estimate = cs.noise(folder / "rest.csv", campaign=folder).signals
     sizes = [signal.components["displacement"].value for signal in estimate]
-    # Of 2000 samples a standard deviation is known to 1.6 %.
+    # The standard deviation of 2000 samples has a relative error of 1.6 %.
     assert sizes == pytest.approx(list(WHITE.values()), rel=0.06)
     assert sizes[0] != sizes[1]
     return max(sizes)
 
 
 def state_noise(folder, largest_white_noise):
-    """Return the campaign with the noise as `counterspin noise` prints it."""
+    """Return the campaign with the [noise] table that `counterspin noise` prints."""
     return read_campaign(folder).change(
         {"noise": {"from": None, "displacement": f"{largest_white_noise!r} m"}}
     )

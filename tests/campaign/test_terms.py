@@ -44,7 +44,7 @@ def expand_name(bare, mountings, attitudes=(LEVEL,)):
         ({"Qy": QY}, "east", "xy zy"),
         ({"Qx": QX, "Qy": QY}, "east north", "xy yy zx zy"),
         ({"Q": OBLIQUE}, "east north", "xy yy zx zy"),
-        # The level gyros turn the level force into the vertical, half a turn later again.
+        # The level gyros rotate the level force into the vertical, again after half a turn.
         ({"Qx": QX, "Qz": QZ}, "north", "xx yy zx"),
     ],
 )
@@ -61,7 +61,7 @@ def test_no_component_acts_on_vertical_input_axis():
     )
 
 
-def test_gyro_terms_turn_with_the_platform():
+def test_gyro_terms_rotate_with_platform():
     # x east, y up, z south: the azimuth gyro is y, and the gyro about north is -z.
     turned = attitude_rows("90 deg about east")
     assert expand_name("platform.tilt", {"Qx": QX}, [turned]) == "north"

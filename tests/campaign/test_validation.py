@@ -52,7 +52,7 @@ class Section(SettingsSection):
         ({"reading": []}, "reading: must have at least one entry"),
     ],
 )  # fmt: skip
-def test_error_is_reported_once_at_its_key(raw, told):
+def test_error_is_reported_once_at_key(raw, told):
     problems = Problems(raw)
     assert problems.check(Section, raw, ()) is None
     assert problems.lines == [told]

@@ -58,7 +58,7 @@ def test_documentation_lists_units_of_all_terms():
 
 @pytest.mark.parametrize("unit", sorted({row.unit for row in [*TERMS.values()]}))
 def test_error_model_is_equivalent_in_si(unit):
-    # g (sum of K (a/g)^n) = sum of K' a^n, with the table's own products.
+    # g (sum of K (a/g)^n) = sum of K' a^n, with the products of the table.
     force = np.array([[-23.0], [4.0], [11.0]])  # m/s^2
     for row in TERMS.values():
         if row.unit == unit:
@@ -147,7 +147,7 @@ def test_coefficient_in_si(tmp_path):
     assert expanded == pytest.approx(k * 1e-9 / 9.8, rel=1e-15)
     assert find(made, f"{mu}/si:coverageProbability")[0].text == "0.95"
     assert find(made, f"{mu}/si:distribution")[0].text == "t"
-    # u is 1.02e-10 s^2/m: its second digit is that of 1e-11.
+    # u is 1.02e-10 s^2/m: its second digit is 1e-11.
     assert find(made, f"{real}/si:significantDigit")[0].text == "-11"
     said = find(made, f"{QUANTITY}[dcc:name/dcc:content='K_II']/dcc:description/dcc:content")[0]
     assert "27.0000 ± 0.0020 ug/g^2 (U, k = 2.0086)" in said.text
@@ -199,7 +199,7 @@ def test_region_factor_uses_fewest_degrees_of_freedom(tmp_path):
             "K_II": coefficient(2.7e-5, 1e-9, "g/g^2", dof=50.0),
         }
     )
-    made = document(tmp_path, given)  # correlated are K_F and K_II
+    made = document(tmp_path, given)  # K_F and K_II are correlated
     region = "//si:ellipsoidalRegionMUXMLList"
     k = float(find(made, f"{region}/si:coverageFactorXMLList")[0].text)
     assert k == region_factor(2, 50.0)
@@ -395,7 +395,7 @@ def test_procedure_and_customer_data_are_stated(tmp_path):
     made = document(tmp_path, result(), text=text)
     method = "//dcc:measurementResult[1]/dcc:usedMethods/dcc:usedMethod[1]"
     assert [e.text for e in find(made, f"{method}/dcc:reference")] == ["AP-17, edition 3"]
-    assert not find(made, f"{method}/dcc:norm")  # IEEE Std 1293 is departed from
+    assert not find(made, f"{method}/dcc:norm")  # the procedure deviates from IEEE Std 1293
     (described,) = find(made, f"{method}/dcc:description/dcc:content")
     assert described.text.startswith("The coefficients are based on the terms of IEEE Std 1293")
     assert described.text.endswith("Deviation: Two rates in place of three.")

@@ -1,4 +1,4 @@
-"""Codes of countries and languages are those in force."""
+"""Country and language codes in force."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,7 @@ from certificates import LAB, lab_of
 from counterspin.certificates.codes import check_code, codes_in_force
 from counterspin.errors import CampaignError
 
-#: Lists of Debian's package iso-codes, where it is installed.
+#: Lists of the Debian package iso-codes, if installed.
 DEBIAN = Path("/usr/share/iso-codes/json")
 
 

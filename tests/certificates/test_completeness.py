@@ -1,4 +1,4 @@
-"""Missing data of a certificate is listed by key, and makes it a draft."""
+"""Missing data of a certificate are listed by key and make it a draft."""
 
 import pytest
 from results import result
@@ -9,7 +9,7 @@ from counterspin.inference.joint.summary import BudgetLine
 
 
 def add_default(share):
-    """Return a result in which the default of K_OO has a share of the variance of K_II."""
+    """Return a result in which the default prior of K_OO has a share of the variance of K_II."""
     made = result()
     part = made.accelerometers["Qx"]
     line = BudgetLine(

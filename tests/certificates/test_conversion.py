@@ -59,7 +59,7 @@ def test_si_uncertainty_matches_effect_of_gravity_change(records, tmp_path, meth
         in_g = to_si(c.u, c.unit, G)
         rest = math.sqrt(max(in_g**2 - estimate.shift_kept**2, 0.0))
         assert estimate.u == pytest.approx(math.hypot(rest, shift), rel=1e-6)
-    # K_F is an acceleration over g: in SI nothing of u(g) remains.
+    # K_F is an acceleration over g: in SI it does not depend on u(g).
     assert abs(estimates["K_F"].shift) < 1e-6 * abs(estimates["K_F"].shift_kept)
     assert abs(estimates["K_F"].shift_kept) == pytest.approx(0.005 * U_G, rel=1e-3)
 
@@ -140,7 +140,7 @@ def test_covariance_is_converted(records):
     assert np.array_equal(matrix, matrix.T)
     assert np.linalg.eigvalsh(matrix / np.outer(*2 * [np.sqrt(np.diag(matrix))])).min() > 0.0
     assert np.diag(matrix) == pytest.approx([e.u**2 for e in estimates.values()], rel=1e-12)
-    # Without any u(g) the correlations are those of the result.
+    # With u(g) = 0 the correlations equal those of the result.
     exact = calibration.model_copy(
         update={"inputs": calibration.inputs.model_copy(update={"u_gravity": 0.0})}
     )
@@ -154,7 +154,7 @@ def test_covariance_is_converted(records):
 
 
 def test_degrees_of_freedom_without_cancelled_gravity():
-    # Half of u^2 of K_F is that of g, and cancels: -K_F/g per m/s^2.
+    # Half of u^2 of K_F comes from g and cancels: -K_F/g per m/s^2.
     u_gravity = 1e-6 * math.sqrt(0.5) / (0.005 / 9.8)
     line = {
         "source": "site.gravity",

@@ -30,7 +30,7 @@ def _indications(count, noise=3e-4):
 
 @pytest.fixture(scope="module")
 def pose_result(tmp_path_factory):
-    """Return the result of a triad in 25 poses, whose noise is estimated."""
+    """Return the result of a triad in 25 poses with estimated noise."""
     return cs.calibrate(triads.table(tmp_path_factory.mktemp("triad"), _indications(25)))
 
 
@@ -47,7 +47,7 @@ def _page_blocks(folder, result, text=OWN):
 def test_parameters_are_in_si_with_covariance(tmp_path, pose_result):
     made, triad = document(tmp_path, pose_result, text=OWN), pose_result.triad
     quantities = find(made, f"{PART}/dcc:data/dcc:quantity[@refType='basic_measuredValue']")
-    scale = np.array([G, G, G, 1, 1, 1, 1, 1, 1])  # offsets alone are accelerations
+    scale = np.array([G, G, G, 1, 1, 1, 1, 1, 1])  # only offsets are accelerations
     units = [r"\metre\second\tothe{-2}"] * 3 + [r"\one"] * 3 + [r"\radian"] * 3
     assert len(quantities) == 9
     for quantity, (name, c), by, unit in zip(
@@ -180,7 +180,7 @@ def test_pages_and_xml_have_equal_statements(tmp_path, pose_result):
     assert first[0] == "offset of X"
     assert first[-1] == "angle between Y and Z minus 90 deg"
     assert [row[0] for row in tables["M ± U"].rows] == ["f_x", "f_y", "f_z"]
-    assert tables["M ± U"].rows[0][2:4] == ("0", "0")  # by choice of the frame
+    assert tables["M ± U"].rows[0][2:4] == ("0", "0")  # zero by definition of the frame
 
 
 def test_method_statement_describes_poses(tmp_path, pose_result):

@@ -51,7 +51,7 @@ def default_identifier(lab=LAB, given=None):
     return certificate(given or result(), tomllib.loads(lab)).identifier
 
 
-def test_same_result_gives_identical_bytes(certificate_folder, capsys):
+def test_certificate_is_reproducible(certificate_folder, capsys):
     for name in ("a.xml", "b.xml", "a.pdf", "b.pdf"):
         status, out, err = run_certificate(capsys, "r.json", "LAB.toml", "-o", name)
         assert (status, err) == (0, "")
@@ -97,7 +97,7 @@ def test_laboratory_specification_overrides_campaign(certificate_folder, capsys)
     assert run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.xml")[0] == 0
     made = (certificate_folder / "c.xml").read_bytes()
     assert [e.text for e in find(made, "//dcc:statement/dcc:conformity")] == ["fail"]
-    # Without it, that of the result counts: up to 5e-5.
+    # Otherwise the specification of the result applies: up to 5e-5.
     write_lab(certificate_folder)
     assert run_certificate(capsys, "r.json", "LAB.toml", "-o", "d.xml")[0] == 0
     made = (certificate_folder / "d.xml").read_bytes()
@@ -254,7 +254,7 @@ def test_issue_date_before_end_is_reported(certificate_folder, capsys, monkeypat
     assert "The day of issue, 2023-11-14, is earlier than certificate.end, 2026-01-14." in out
 
 
-def test_template_gives_draft_that_cannot_be_signed(certificate_folder, capsys):
+def test_template_draft_cannot_be_signed(certificate_folder, capsys):
     assert run_certificate(capsys, "--init", "mine.toml")[0] == 0
     status, out, _ = run_certificate(capsys, "r.json", "mine.toml", "-o", "c.pdf")
     assert status == 0

@@ -134,7 +134,7 @@ def test_concurrent_writers_lose_no_entry(tmp_path):
     assert [writer.wait() for writer in writers] == [0, 0, 0]
     names = [entry.of["file"] for entry in verify_ledger(path).entries]
     assert sorted(names) == sorted(f"{name}{n}" for name in "abc" for n in range(10))
-    for name in "abc":  # of each writer in its order
+    for name in "abc":  # each writer in its order
         assert [n for n in names if n[0] == name] == [f"{name}{n}" for n in range(10)]
 
 

@@ -99,7 +99,7 @@ class KilledError(BaseException):
 
 @pytest.fixture
 def run_killed(monkeypatch):
-    """Return a function that runs a command which is killed before it calls a function."""
+    """Return a function that runs a command and kills it before a function call."""
 
     def kill(name, *words):
         def raise_killed(*_, **__):
@@ -192,7 +192,7 @@ def test_interrupted_command_completes_both_files(ledger_folder, monkeypatch, la
 
 
 def kill_at_call(function, call):
-    """Return a function that raises KilledError at one of its calls."""
+    """Return a function that raises KilledError at a given call."""
     calls = count(1)
 
     def count_call(*words):

@@ -65,7 +65,7 @@ def test_png_and_svg_are_read_unchanged(tmp_path, data):
         (b"<" + b" " * MAX_BYTES, f"more than {MAX_BYTES} bytes|File too large"),
     ],
 )
-def test_rejects_other_files_with_cause(tmp_path, data, words):
+def test_rejects_other_file_types(tmp_path, data, words):
     (tmp_path / "logo").write_bytes(data)
     with pytest.raises(ValueError, match=words):
         read_logo(tmp_path, "logo")

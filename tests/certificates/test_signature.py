@@ -50,7 +50,7 @@ def test_signed_certificate_is_valid_and_readable(tmp_path, key_pairs, kind):
 
 
 def verify_with_xmlsec(path, cert):
-    """Return the status of xmlsec1, which trusts one certificate."""
+    """Return the exit status of xmlsec1 with one trusted certificate."""
     words = ["xmlsec1", "--verify", "--trusted-pem", str(cert), str(path)]
     return subprocess.run(words, capture_output=True, check=False).returncode
 
@@ -107,7 +107,7 @@ def test_error_distinguishes_changed_signature_from_changed_document(tmp_path, k
     with pytest.raises(RecordError, match="the signature itself was changed"):
         verify(etree.tostring(root), key_pairs["ec"][1], "x.xml")
     stated = root.find(".//{http://www.w3.org/2000/09/xmldsig#}KeyInfo")
-    del stated[:]  # not as XML-DSig has it
+    del stated[:]  # not in the format of XML-DSig
     with pytest.raises(RecordError, match="the signature is not valid"):
         verify(etree.tostring(root), key_pairs["ec"][1], "x.xml")
     root = etree.fromstring(sign_certificate(tmp_path, key_pairs["rsa"]))
@@ -120,7 +120,7 @@ def test_error_distinguishes_changed_signature_from_changed_document(tmp_path, k
 
 
 def test_signer_certificate_valid_at_issue_is_accepted(tmp_path):
-    """The issue is of 2026-01-20; signed with the key, as `read_signer` would refuse it today."""
+    """Issue on 2026-01-20; sign with the key directly, because `read_signer` rejects it today."""
     key = ec.generate_private_key(ec.SECP256R1())
     today = datetime.now(UTC).date()
     since = (ISSUE.date.date() - today).days

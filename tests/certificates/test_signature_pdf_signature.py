@@ -106,7 +106,7 @@ def test_signing_preserves_pages_metadata_and_attachments(signed_pages, kind):
     """The signed file starts with the unsigned file and still conforms to PDF/A and PDF/UA."""
     before, after = PAGES.read_bytes(), signed_pages[kind]
     assert after.startswith(before)
-    # PDF/A-3, 6.1.9: an object begins on a line of its own.
+    # PDF/A-3, 6.1.9: objects start on a new line.
     assert re.match(rb"\n\d+ 0 obj\n", after[len(before) :])
     old, new = pypdf.PdfReader(io.BytesIO(before)), pypdf.PdfReader(io.BytesIO(after))
     roots = [reader.trailer["/Root"] for reader in (old, new)]
@@ -118,16 +118,16 @@ def test_signing_preserves_pages_metadata_and_attachments(signed_pages, kind):
     }
     assert [page.extract_text() for page in new.pages] == [p.extract_text() for p in old.pages]
     (widget,) = new.pages[0]["/Annots"]
-    # PDF/A-3, 6.3.2: it is printed, and neither hidden nor without a view; 6.3.3: nothing to see.
+    # PDF/A-3, 6.3.2: the annotation is printed and not hidden; 6.3.3: it has no appearance.
     flags = widget.get_object()["/F"]
     assert flags & 4
     assert not flags & (1 | 2 | 32 | 256)
     assert widget.get_object()["/Rect"] == [0, 0, 0, 0]
-    # PDF/UA-1, 7.18.1 and 7.18.3: what a screen reader says, and the order of tabs.
+    # PDF/UA-1, 7.18.1 and 7.18.3: alternative text and tab order.
     assert widget.get_object()["/TU"] == "Electronic signature of this certificate"
     assert new.pages[0]["/Tabs"] == "/S"
     assert roots[1]["/AcroForm"].get("/NeedAppearances") is None
-    # PAdES: CAdES inside, and the certified document allows no change.
+    # PAdES: a CAdES signature, and a certified document that permits no change.
     value = widget.get_object()["/V"]
     assert value["/SubFilter"] == "/ETSI.CAdES.detached"
     assert value["/M"] == "D:20260309103000Z"
@@ -175,7 +175,7 @@ def test_openssl_verifies_signature_of_whole_file(tmp_path, signed_pages, kind):
         first, length, second, rest = map(int, match.groups())
         assert (first, second + rest) == (0, len(content))
         (tmp_path / "covered").write_bytes(content[:length] + content[second:])
-        # The hexadecimal digits between < and > are filled up with zeros behind the signature.
+        # The hexadecimal digits between < and > are padded with zeros.
         filled = bytes.fromhex(content[length + 1 : second - 1].decode("ascii"))
         size = int.from_bytes(filled[2:4], "big") + 4
         (tmp_path / "signature").write_bytes(filled[:size])

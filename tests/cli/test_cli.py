@@ -50,7 +50,7 @@ def test_help_wraps_lines_at_terminal_width(command, monkeypatch, capsys):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_omits_negative_options_and_empty_defaults(command, monkeypatch, capsys):
-    """Such as `--no-yes`, `--empty-from` and `[default: ()]`."""
+    """Examples are `--no-yes`, `--empty-from` and `[default: ()]`."""
     monkeypatch.setenv("COLUMNS", "400")
     assert cli.main([command, "--help"]) == 0
     shown = capsys.readouterr().out
@@ -239,7 +239,7 @@ def test_polars_max_threads_is_checked_before_reading(tmp_path):
 # Text from files
 
 
-#: Colours, a bell, a C1 control, text from right to left, and a line that pretends to be ours.
+#: Colours, a bell, a C1 control, right-to-left text and a forged output line.
 HOSTILE = "x\x1b[31m\x07\x9b1m\u202e\u2066\nK_II = 1"
 
 
@@ -290,7 +290,7 @@ def test_output_has_no_control_characters_from_files(words, hostile_campaign, mo
     assert not [line for line in lines if line.startswith("K_II = 1")]
 
 
-def test_errors_with_hostile_text_have_one_line_each(hostile_campaign, tmp_path, capsys):
+def test_errors_with_hostile_text_stay_on_one_line(hostile_campaign, tmp_path, capsys):
     text = (hostile_campaign / "campaign.toml").read_text("utf-8")
     wrong = text.replace('"2.5 m"', json.dumps(HOSTILE)).replace("east", HOSTILE[:4])
     (tmp_path / "campaign.toml").write_text(wrong.replace("\x1b", "\\u001b"), "utf-8")

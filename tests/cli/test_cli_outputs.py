@@ -50,7 +50,7 @@ WRITERS = {
 
 @pytest.fixture(scope="module")
 def output_folder(tmp_path_factory):
-    """Return a folder with one file of each kind."""
+    """Return a folder with one file of each type."""
     folder = tmp_path_factory.mktemp("desk")
     simulate(write(folder, SMALL, "plan.toml"), folder / "camp")
     for name in ("campaign.toml", "slow.csv"):

@@ -106,11 +106,11 @@ BESIDE = Path(sys.executable).parent
     "command", [[BESIDE / "counterspin"], [sys.executable, "-m", "counterspin"]]
 )
 def test_new_process_ignores_files_in_working_folder(command, in_planted_folder):
-    # As in a cell of a notebook, whose backend need not be installed for this Python.
+    # As in a notebook cell, whose backend may not be installed for this Python.
     environment = {**os.environ, "MPLBACKEND": "widget of another Python"}
     environment.pop("PYTHONSAFEPATH", None)
     drawing = ["report", "result.json", "-o", "report.html"]
-    # The two start in their ways, and go on in the same way.
+    # Both start differently and continue in the same way.
     for words in (["calibrate", "."], *([drawing] if len(command) == 1 else [])):
         done = subprocess.run(
             [*command, *words], env=environment, capture_output=True, check=False, text=True

@@ -167,7 +167,7 @@ def test_differences_have_stated_standard_uncertainty(calibrate_seed):
     assert low < squares < high
 
 
-def test_changed_input_gives_difference_without_uncertainty(seed_1):
+def test_changed_input_has_difference_without_uncertainty(seed_1):
     records, result, _, _ = seed_1
     exact = records.change({"centrifuge": {"radius": "2.5 m"}})
     other = cs.compare(
@@ -181,7 +181,7 @@ def test_changed_input_gives_difference_without_uncertainty(seed_1):
     again = cs.compare(cs.calibrate(exact), cs.calibrate(exact))
     assert again.agreements[0].p is None
     assert "are equal (the same records)" in comparison_text(again)
-    # The same change of a radius that is uncertain, stated twice: the two are independent.
+    # The same change of an uncertain radius, stated twice: the values are independent.
     twice = cs.compare(
         result, cs.calibrate(records.change({"centrifuge": {"radius": "2.5001 ± 1e-4 m"}}))
     )
@@ -207,7 +207,7 @@ def make_result(value=2.7e-5, **changes):
 
 
 def test_shared_prior_is_counted_once():
-    # u of each is 1e-9 with 0.6e-9 from K_I, which both have: sqrt(2) 0.8e-9 is left.
+    # u of each is 1e-9 with 0.6e-9 from the shared K_I: sqrt(2) 0.8e-9 remains.
     first, second = make_result(), make_result(2.7002e-5)
     found = k_ii_estimate(cs.compare(first, second))
     assert found.u_difference == pytest.approx(math.sqrt(2.0 * (1e-18 - 0.36e-18)), rel=1e-12)
@@ -215,7 +215,7 @@ def test_shared_prior_is_counted_once():
     assert (agreement.records, agreement.shared) == ("independent", ["K_I"])
 
 
-#: All that acts on readings at rest but K_OO.
+#: All terms that act on readings at rest, except K_OO.
 PERFECT = [
     *(f"K_{name}" for name in ("F", "I", "II", "III", "4", "IP", "IO", "PO", "PP", "OQ")),
     *("delta_O", "delta_P", "head.zero", "site.*"),
@@ -226,7 +226,7 @@ def calibrate_tumble(k_oo, roll, generator, noise):
     """Return a result of twelve positions; `roll` is from the pendulous axis to the plane."""
     runs = []
     for place, angle in enumerate(2.0 * np.pi * (np.arange(12) + 0.3) / 12):
-        # The vertical and the axis of the turn in the instrument's axes: input, pendulous, output.
+        # The vertical and the axis of rotation in instrument axes: input, pendulous, output.
         side = math.sin(angle)
         up = np.array([math.cos(angle), side * math.cos(roll), side * math.sin(roll)])
         east = np.array([0.0, -math.sin(roll), math.cos(roll)])
@@ -398,7 +398,7 @@ def test_command_writes_report(ending, seed_1, tmp_path, capsys):
     # Only an earlier comparison is overwritten, and only on request.
     assert main([*words, "--report", str(report)]) == 1
     assert main([*words, "--report", str(report), "--overwrite"]) == 0
-    # A report of one result is of another kind.
+    # A report of a single result has a different type.
     assert main(["report", words[1], "-o", str(report), "--overwrite"]) == 1
     report.write_text("mine")
     assert main([*words, "--report", str(report), "--overwrite"]) == 1

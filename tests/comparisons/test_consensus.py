@@ -1,4 +1,4 @@
-"""Reference values against closed forms and values that other programs publish."""
+"""Reference values against closed forms and published values of other programs."""
 
 import numpy as np
 import pytest

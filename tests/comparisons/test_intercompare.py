@@ -1,4 +1,4 @@
-"""Laboratories compared: common sources, refusals, and the command's files."""
+"""Interlaboratory comparison: common sources, errors and output files."""
 
 import json
 
@@ -16,7 +16,7 @@ U = 1e-7
 
 
 def make_result(laboratory, k_ii, k_f=0.0, sources=(), **parts):
-    """Return a laboratory's result; sources are names, u and shifts of K_II, rest is noise."""
+    """Return a laboratory result; sources are names, u and shifts of K_II, the rest is noise."""
     budget = [
         {"source": name, "kind": "unstated", "u": u, "unit": "", "share": 0.0}
         | {"sensitivity": shift / u, "contribution": shift}
@@ -61,8 +61,8 @@ def test_outlier_is_named(laboratories):
     ("names", "source", "shared"),
     [
         (("A", "B"), "K_OO", True),  # a term of the instrument is common to all laboratories
-        (("A", "B"), "centrifuge.radius", False),  # each laboratory has its machine
-        (("A", None), "centrifuge.radius", True),  # the same machine, as far as is stated
+        (("A", "B"), "centrifuge.radius", False),  # each laboratory has a separate machine
+        (("A", None), "centrifuge.radius", True),  # the same machine according to the statements
     ],
 )
 def test_common_sources_are_covariances(names, source, shared):

@@ -114,7 +114,7 @@ def test_result_without_environment_can_be_repeated(campaign_folder):
 
 
 def test_frozen_result_is_reproduced():
-    """On any machine: rounding is far below a millionth of u."""
+    """On any computer, rounding is far below a millionth of u."""
     repeated = cs.rerun(FROZEN / "repeat" / "result.json")
     assert repeated.largest_in_u < 1e-6
     assert {c.name for c in repeated.coefficients} >= {"A.K_F", "A.K_I"}

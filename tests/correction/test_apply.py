@@ -103,7 +103,7 @@ def test_default_prior_is_in_u_where_force_is_known():
     found = make_result().model_copy(update={"rests_on": rows})
     taken = apply(found, "Qx", np.array([10.0]))
     assert taken.corrected == pytest.approx(apply(make_result(), "Qx", np.array([10.0])).corrected)
-    # 1e-9 of the force's fourth power, over the slope of the model, which is K_I but for 1e-3.
+    # 1e-9 of the force to the fourth power over the slope of the model, which is K_I within 1e-3.
     of_fourth = 1e-9 * taken.corrected[0] ** 4
     assert taken.u == pytest.approx([of_fourth], rel=5e-3)
     (said,) = (w for w in taken.warnings if "are not stated" in w)
@@ -253,7 +253,7 @@ def test_second_sheet_requires_choice_and_unit_row_is_skipped(folder):
         np.testing.assert_array_equal(found, expected)
 
 
-def test_missing_number_gives_empty_row(folder, capsys):
+def test_missing_number_leaves_row_empty(folder, capsys):
     write_table("t,Qx\n0,1.0\n1,\n2,nan\n3,2.0\n")
     assert run("result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv") == 0
     assert pl.read_csv("out.csv")["Qx_corrected"].is_null().to_list() == [False, True, True, False]
@@ -301,7 +301,7 @@ def test_cross_axis_force_from_column_constant_or_accelerometer(folder, capsys):
         assert run(*words, "--pendulous", constant, "--output-axis", "o") == 0
         got = pl.read_csv("out.csv")["qx_corrected"]
         np.testing.assert_allclose(got, force[:, 0], rtol=0, atol=1e-12)
-        # K_IP a_I + 2 K_PP a_P + delta_O, times 1e-3 g, is all that is uncertain.
+        # Only K_IP a_I + 2 K_PP a_P + delta_O, times 1e-3 g, is uncertain.
         slope = CROSS["K_IP"] * force[:, 0] - 2 * CROSS["K_PP"] + CROSS["delta_O"]
         expected = np.abs(slope) * (1e-3 if "±" in constant else 0.0)
         u = pl.read_csv("out.csv")["qx_corrected_u"]
@@ -401,7 +401,7 @@ def test_rejects_result_with_undetermined_coefficient():
 
     with raises("not-determined", "K_III", "Add a run."):
         apply(make_undetermined("K_III"), "Qx", [1.0])
-    # A drift over the calibration is no part of the correction.
+    # The correction does not include a drift during the calibration.
     assert apply(make_undetermined("K_F.trend"), "Qx", [1.0]).corrected[0] == pytest.approx(1.0)
 
 
@@ -446,7 +446,7 @@ def test_result_contains_priors_of_campaign(tmp_path):
 
 
 def test_correlated_errors_cancel():
-    """K_F was estimated with K_PP held, both seen as one: K_F + K_PP is what is known."""
+    """K_F was estimated with K_PP held: only K_F + K_PP is determined."""
     line = BudgetLine(
         source="K_PP",
         kind="held",
@@ -471,9 +471,9 @@ def test_correlated_errors_cancel():
 
 
 def test_inconsistent_correlations_do_not_give_zero_uncertainty():
-    """K_F and K_I as one, K_II with the one and against the other: no coefficients are like that.
+    """K_F and K_I fully correlated, K_II with opposite signs: impossible correlations.
 
-    The variance of a force at which the parts seem to cancel was negative, and printed as zero.
+    The variance of a force at which contributions seemed to cancel was negative.
     """
     u = {"K_F": 1e-5, "K_I": 1e-5, "K_II": 1e-5}
     impossible = [[1.0, 0.9, -0.9], [0.9, 1.0, 0.9], [-0.9, 0.9, 1.0]]
@@ -495,7 +495,7 @@ def test_inconsistent_correlations_do_not_give_zero_uncertainty():
 
 
 def test_uncertainty_matches_trials():
-    """Scatter of corrections with coefficients drawn from the covariance of the result.
+    """Compare u with the scatter of corrections for coefficients drawn from the covariance.
 
     With 2000 trials a standard deviation is known to 1/sqrt(4000) = 1.6 %; 8 % is 5 sigma.
     """
@@ -524,7 +524,7 @@ def test_uncertainty_matches_trials():
 
 
 def invert_cubics(coefficients, y):
-    """Return forces of which cubics of coefficients (n, 4) are y (m,), by Newton, (n, m)."""
+    """Return the forces (n, m) at which cubics with coefficients (n, 4) equal y (m,), by Newton."""
     bias, scale, square, cube = np.transpose(coefficients)[:, :, None]
     force = np.broadcast_to(y, (len(bias), y.size))
     for _ in range(6):
@@ -585,7 +585,7 @@ def test_record_formats_can_be_corrected(tmp_path, name):
 
 
 def test_calibrated_output_unit_is_corrected_directly(tmp_path):
-    """Counts from 33000 on, 4000 a g: as the same forces in g."""
+    """Counts with an offset of 33000 and 4000 per g equal the same forces in g."""
     ready = make_result({"Qx": make_accelerometer(MODEL)})
     nominal = NominalOutput(unit="count", sensitivity=4000.0, zero=33000.0)
     counting = make_result({"Qx": make_accelerometer(MODEL, nominal=nominal)})
@@ -605,7 +605,7 @@ def test_calibrated_output_unit_is_corrected_directly(tmp_path):
     )
     assert (done.low, done.high) == (pytest.approx(-1.0), pytest.approx(0.999))
     np.testing.assert_allclose(pl.read_csv(done.path)["n_corrected"], plain.corrected, rtol=1e-13)
-    # The unit of another output, or of an output that the result does not state, is refused.
+    # A unit of another or an unstated output is rejected.
     for one, unit, said in (
         (counting, "V", "'V' is not a unit of quantity in count"),
         (ready, "count", "the result does not state a different output for Qx"),

@@ -22,7 +22,7 @@ GRAVITY = 9.81
 
 
 def make_result(**parts):
-    """Return a result with correlated K_F, K_I and K_II, and a prior K_OO that moved K_II."""
+    """Return a result with correlated K_F, K_I and K_II, and a prior K_OO that affects K_II."""
     correlation = [[1.0, 0.3, -0.2], [0.3, 1.0, 0.5], [-0.2, 0.5, 1.0]]
     moved = {"source": "K_OO", "kind": "stated", "u": 2e-6, "unit": "g/g^2", "sensitivity": 0.3}
     accelerometer = by_hand.accelerometer(
@@ -54,7 +54,7 @@ def test_normalised_covariance_matches_finite_differences():
     normalised = normalise(table, make_result())
     assert table.symbols == ("K_F", "K_I", "K_II", "K_OO")
     assert normalised.symbols == ("K0", "K1", "K2", "Koo")
-    # The prior of K_OO is correlated with the estimate that it moved: sensitivity times u^2.
+    # The prior of K_OO is correlated with the estimate that it affects: sensitivity times u^2.
     assert table.covariance[2, 3] == pytest.approx(0.3 * 2e-6**2)
 
     def normalise_ieee(k):

@@ -62,7 +62,7 @@ def test_output_and_u_match_nine_parameters(result):
 
 
 def test_correlations_between_accelerometers_are_included(result):
-    # Along the force of a pose, |f| is better known than its parts by themselves would say.
+    # Along the force of a pose, u of |f| is smaller than from uncorrelated components.
     y = triads.indications(FORCES)
     plain = result.model_copy(update={"correlation": None})
     alone = np.column_stack([correction.u for correction in correct_all(plain, y)])
@@ -77,7 +77,7 @@ def test_default_priors_are_included_for_all_three_axes(tmp_path, result):
     unstated = cs.calibrate(triads.table(tmp_path, values, u=3e-4, description=text))
     y = triads.indications(np.vstack([FORCES, 3.0 * FORCES]))
     found = correct_all(unstated, y)
-    # Values are those at the temperature of the poses.
+    # Values apply at the temperature of the poses.
     texts = [
         text
         for text in found[0].warnings
@@ -85,7 +85,7 @@ def test_default_priors_are_included_for_all_three_axes(tmp_path, result):
     ]
     assert all("temperature" in text for text in texts), texts
     u = np.column_stack([one.u for one in found])
-    # K_II of a MEMS sensor is 1e-3 g/g^2 if nothing is stated: 9e-3 g at 3 g.
+    # The default u of K_II of a MEMS sensor is 1e-3 g/g^2: 9e-3 g at 3 g.
     assert u[4, 2] == pytest.approx(9e-3, rel=0.25)
     assert (
         u[:4] > np.column_stack([correction.u for correction in correct_all(result, y[:4])])

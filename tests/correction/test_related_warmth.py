@@ -1,4 +1,4 @@
-"""Records at other temperatures than that of the calibration."""
+"""Correction of records at temperatures other than that of the calibration."""
 
 import math
 from pathlib import Path
@@ -46,7 +46,7 @@ def make_result(values, u=(), temperatures=(270.0, 340.0), reference=REFERENCE, 
 
 
 def predict_indication(celsius, force=FORCE):
-    """Return Eq. 7 with each coefficient at its own temperature, sample by sample."""
+    """Return Eq. 7 with the coefficients at the temperature of each sample."""
     t = np.broadcast_to(np.asarray(celsius) - REFERENCE, force.shape)
     made = []
     for warm, f in zip(t, force, strict=True):
@@ -303,7 +303,7 @@ def test_result_contains_calibration_temperatures():
     result = cs.calibrate(cs.make_campaign(described, readings=frame))
     assert result.inputs.reference_temperature == pytest.approx(298.15)
     assert result.inputs.temperatures == pytest.approx([283.15, 313.15])
-    # 3 g cos(60 deg) at 35 degC, ten kelvin above the reference.
+    # 3 g cos(60 deg) at 35 degC, 10 K above the reference.
     y = 0.002 + 3e-4 + (1.001 + 1e-3) * 0.5
     done = apply(result, "A", [y], ApplyOptions(temperature=35.0))
     assert abs(done.corrected[0] - 0.5) < 4 * done.u[0]

@@ -47,10 +47,10 @@ def test_one_measurement_has_no_consistency_test():
 
 
 @given(series)
-def test_z_is_difference_over_its_uncertainty(measured):
+def test_z_is_difference_over_uncertainty(measured):
     values, u = np.array(measured).T
     mean = weighted_mean(values, u)
-    # Var(x_i - mean) = u_i^2 - u^2; the tolerance is its cancellation.
+    # Var(x_i - mean) = u_i^2 - u^2; the tolerance allows for cancellation.
     spread = u**2 - mean.u**2
     clear = spread > 1e-6 * u**2
     assert mean.z[clear] == pytest.approx(
@@ -74,7 +74,7 @@ def test_rejects_invalid_uncertainty(u):
 def test_drift_through_two_points():
     drift = fit_drift([2000.0, 2004.0], [1.0, 3.0], [0.3, 0.4])
     assert drift.slope == pytest.approx(0.5)
-    assert drift.u == pytest.approx(0.5 / 4.0)  # root of 0.3^2 + 0.4^2, over four years
+    assert drift.u == pytest.approx(0.5 / 4.0)  # sqrt(0.3^2 + 0.4^2) over four years
     assert drift.p == pytest.approx(math.erfc(4.0 / math.sqrt(2.0)))
     assert drift.scatter.p is None
     value, u = drift.evaluate([2000.0, 2004.0])
@@ -108,14 +108,14 @@ def test_single_date_has_no_drift():
     assert fit_drift([5.0], [1.0], [1.0]) is None
 
 
-def test_drift_is_unbiased_and_its_interval_covers():
+def test_drift_is_unbiased_with_correct_coverage():
     rng = np.random.default_rng(17043)
     trials, true = 2000, 0.3
     time = np.array([0.0, 0.4, 1.1, 1.9, 2.5, 3.6])
     u = np.array([0.5, 0.2, 0.4, 0.3, 0.6, 0.25])
     found = [fit_drift(time, 5.0 + true * time + rng.normal(0.0, u), u) for _ in range(trials)]
     slopes, claimed = np.array([one.slope for one in found]), found[0].u
-    # Four and a half standard deviations of each statistic: 1 in 150 000.
+    # 4.5 standard deviations of each statistic: 1 in 150,000.
     assert abs(slopes.mean() - true) < 4.5 * claimed / math.sqrt(trials)
     assert abs(slopes.std() / claimed - 1.0) < 4.5 / math.sqrt(2.0 * trials)
     covered = np.mean(np.abs(slopes - true) < 1.959963984540054 * claimed)

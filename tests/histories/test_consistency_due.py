@@ -24,10 +24,10 @@ def make_drift(slope, u=0.0, u_value=0.1, birge=1.0):
 
 
 def test_known_drift_is_due_when_guarded_limit_is_reached():
-    # One side: 1.6449 u below the limit of 10, at a slope of one a year.
+    # One-sided: 1.6449 u below the limit of 10, at a slope of 1 per year.
     due = next_due_date(make_drift(1.0), START, LAST, (None, 10.0), 0.95)
     assert (due - START) / timedelta(days=365.25) == pytest.approx(10.0 - 0.164485, abs=2e-4)
-    # A Birge ratio above 1 counts, one below does not.
+    # A Birge ratio above 1 is applied, one below is not.
     due = next_due_date(make_drift(1.0, birge=2.0), START, LAST, (None, 10.0), 0.95)
     assert (due - START) / timedelta(days=365.25) == pytest.approx(10.0 - 0.328971, abs=2e-4)
     assert next_due_date(
@@ -36,7 +36,7 @@ def test_known_drift_is_due_when_guarded_limit_is_reached():
 
 
 def test_uncertain_slope_without_drift_has_due_date():
-    # Both sides: 1.9600 times the root of 0.1^2 + (0.2 t)^2 is 2.
+    # Two-sided: 1.9600 sqrt(0.1^2 + (0.2 t)^2) is 2.
     due = next_due_date(make_drift(0.0, u=0.2), START, LAST, (-2.0, 2.0), 0.95)
     expected = ((2.0 / 1.959964) ** 2 - 0.01) ** 0.5 / 0.2
     assert (due - START) / timedelta(days=365.25) == pytest.approx(expected, abs=2e-4)

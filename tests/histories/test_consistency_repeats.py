@@ -19,14 +19,14 @@ U = 5e-8
 
 
 def make_result(value, date, **labels):
-    """Return the frozen result's Qx with a K_II, a date, and names of mounting and turn-on."""
+    """Return Qx of the frozen result with a K_II, a date and names of mounting and turn-on."""
     made = dated(value, date, u=U, run=f"{value}{date}{labels}")
     made["accelerometers"]["Qx"]["budget"] = {}
     made["details"] |= labels
     return Result.model_validate(made)
 
 
-#: Two mountings on each of three days, switched on twice in each.
+#: Two mountings on each of three days, with two turn-ons per mounting.
 DAYS = np.repeat(["2026-03-01", "2026-03-02", "2026-03-03"], 4)
 MOUNTINGS = np.repeat(["a", "b", "c", "d", "e", "f"], 2)
 VALUES = 2.7e-5 + 1e-7 * np.array([0, 1, 9, 7, -4, -2, 6, 5, -9, -8, 2, 0.5])
@@ -45,7 +45,7 @@ def repeatability_of(results):
 
 
 def test_variance_components_of_nested_days_mountings_and_turn_ons():
-    """With u known beforehand: the mean squares of balanced classes, u^2 taken off the finest."""
+    """With known u: mean squares of balanced classes, with u^2 subtracted from the finest."""
     found = repeatability_of(make_twelve())
     cube = VALUES.reshape(3, 2, 2)
     of_mounting, of_day = cube.mean(axis=2), cube.mean(axis=(1, 2))

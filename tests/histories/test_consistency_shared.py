@@ -51,7 +51,7 @@ def test_shared_uncertainty_cancels_in_difference():
 
 
 def budget_of(given):
-    """Return a result, and u and budget of its K_II."""
+    """Return a result and u and budget of its K_II."""
     qx = given.accelerometers["Qx"]
     return given, qx.coefficients["K_II"].u, qx.budget["K_II"]
 
@@ -124,7 +124,7 @@ def test_budget_of_different_uncertainty_is_ignored():
     assert shared_sources(*budget_of(result(coefficients=small, budget={"K_II": LINES}))) == {}
 
 
-def test_terms_of_same_other_accelerometer_are_shared():
+def test_terms_of_same_second_accelerometer_are_shared():
     lines = [
         budget_line("Qx.K_OO", 2e-6, -3e-4, kind="unstated"),
         budget_line("slow.K_F", 1e-6, 1e-4),

@@ -63,7 +63,7 @@ def test_results_are_sorted_by_date_with_differences(tmp_path):
     assert found.mean == pytest.approx(2.71e-5)
     assert found.u_mean == pytest.approx(U / math.sqrt(3.0))
     assert [p.difference for p in found.points] == pytest.approx([1e-7, -1e-7, 0.0], abs=1e-15)
-    # u of each difference: root of u^2 - u^2/3.
+    # u of each difference: sqrt(u^2 - u^2/3).
     assert found.points[0].z == pytest.approx(1e-7 / (U * math.sqrt(2.0 / 3.0)))
     expanded = 1.959963984540054 * U * math.sqrt(2.0)
     assert [p.e_n for p in found.points[1:]] == pytest.approx([-2e-7 / expanded, 1e-7 / expanded])
@@ -78,7 +78,7 @@ def test_drift_is_per_year(tmp_path):
     assert found.drift.value == pytest.approx(1e-7, rel=0.003)
     assert found.drift.level == pytest.approx(2.72e-5, rel=1e-5)
     assert found.drift.date == "2024-02-29"
-    # Times -2, -1, 0, 1, 2: u of the slope is u over the root of 10.
+    # Times -2, -1, 0, 1, 2: u of the slope is u/sqrt(10).
     assert found.drift.u == pytest.approx(U / math.sqrt(10.0), rel=0.003)
 
 
@@ -352,7 +352,7 @@ def test_control_plot_shows_results_mean_and_drift(tmp_path):
         histories, only_instrument(histories)
     ).series
     assert centre.y == pytest.approx((27.2, 27.2))
-    # Each change is 0.1: two and three times 0.1/1.1284 from the centre.
+    # Each change is 0.1: limits are two and three times 0.1/1.1284 from the centre.
     away = [2.0, -2.0, 3.0, -3.0]
     assert [limit.y[0] for limit in limits] == pytest.approx(
         [27.2 - a * 0.1 / 1.128379 for a in away], rel=1e-6
@@ -406,7 +406,7 @@ def test_drift_towards_limit_sets_due_date(tmp_path):
     histories = history([write_results(tmp_path, **documents)])
     instrument = only_instrument(histories)
     assert (instrument.specification.high, instrument.verdict) == (2.75e-5, "drifts")
-    # 27.2 in March 2026, at 0.05 a year: six years less what is uncertain.
+    # 27.2 in March 2026, at 0.05 per year: six years minus the effect of u.
     assert instrument.due.date.startswith("2031")
     longer = only_instrument(history([tmp_path], reliability=0.999)).due.date
     assert longer < instrument.due.date
@@ -476,7 +476,7 @@ def test_figure_has_chart_per_instrument_and_is_reproducible(tmp_path):
 def test_figure_axis_has_no_offset(tmp_path):
     write_series(tmp_path, [2.7e-5, 2.70001e-5], u=1e-11)
     save_figure(history_plots(history([tmp_path])), tmp_path / "one.svg")
-    # Not 0.0001, with 27 above the axis.
+    # The labels are not 0.0001 with an offset of 27.
     assert ">27.0001" in (tmp_path / "one.svg").read_text("utf-8")
 
 

@@ -22,7 +22,7 @@ record = "up.csv"
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A campaign on an arm whose run "in 4" turned 1 % faster than stated."""
+    """Return a campaign on an arm whose run "in 4" has a rate 1 % above the stated rate."""
     rng = np.random.default_rng(1)
     text, records = HEAD, {}
     for side in (1, -1):
@@ -47,8 +47,8 @@ def test_arm_record_has_rate_and_mean(folder):
     run, rate = checked.run, math.sqrt(9.0 * GRAVITY / RADIUS)
     assert (checked.good, checked.remarks, run.state) == (True, [], "read")
     assert run.nominal_rate == rate
-    # The drift adds its part in the middle of the revolutions; the last of them ends within a row,
-    # 0.2 rad, which is 2e-7 of the ripple's wave.
+    # The drift acts at the middle of the revolutions; the last revolution ends within a row,
+    # 0.2 rad, which has 2e-7 of the ripple.
     middle = run.means["A"].revolutions * math.pi / rate
     assert run.rate == pytest.approx(rate * (1.0 + 1e-5 * middle), rel=2e-7)
     assert 0.0 < run.u_rate < 1e-6 * rate

@@ -1,4 +1,4 @@
-"""The noise of records at rest, from files as recorders write them to table, report and plot."""
+"""Noise of records at rest, from recorder files to table, report and plot."""
 
 import datetime
 import json

@@ -26,7 +26,7 @@ def make_rests(along):
 
 
 def compute_leverage(along, of):
-    """Return u^2 of |f| over that of one pose, of nine unknowns, by the normal equations."""
+    """Return u^2 of |f| relative to one pose, for nine unknowns, by the normal equations."""
 
     def design_rows(d):
         x, y, z = d.T
@@ -102,7 +102,7 @@ def test_too_few_poses_list_missing_directions_and_remain_usable(tmp_path):
     assert "do not determine the noise" in checked.remarks[0]
     assert (checked.run.state, checked.run.poses.count) == ("read", 5)
     assert checked.run.poses.rms is None
-    assert len(checked.run.poses.missing) >= 4  # of nine unknowns five are known at best
+    assert len(checked.run.poses.missing) >= 4  # at most five of nine unknowns are determined
     assert {found.u for found in checked.reached} == {None}
     (tmp_path / "many.log").write_text(posed_records.log(MANY), "utf-8")
     checked = cs.check(tmp_path / "few.log", tmp_path)

@@ -44,7 +44,7 @@ def test_parabola_and_loop_have_exact_errors(tmp_path):
 def test_u_covers_errors_of_noisy_ramps():
     """200 ramps: z rms of slope, bias and linearity error within 4 sqrt(1 / 400) = 0.2 of 1.
 
-    Linearity and bias by their exact values: one input is 0.1 off, so that it is always the worst.
+    Use exact values of linearity and bias: one input deviates by 0.1 and is always the worst.
     """
     from counterspin.operating_tests.model import fit_line, linearity_error
 
@@ -84,7 +84,7 @@ def test_u_of_hysteresis_loop_follows_from_two_means():
 
 @pytest.mark.parametrize("band", [0.0, 1.5e-6])
 def test_threshold_and_dead_band_lie_between_tested_steps(tmp_path, band):
-    """The output does not follow inputs below 1.5 ug; 1, 2, 5 and 10 ug are tried."""
+    """The output does not follow inputs below 1.5 ug; 1, 2, 5 and 10 ug are tested."""
     sizes = np.array([1e-6, 2e-6, 5e-6, 1e-5])
     inputs = np.concatenate([[0.0, size, 0.0, -size] for size in sizes] + [[0.0, 1.0, 0.0]])
     output = np.where(np.abs(inputs) < band, 0.0, 1.25 * inputs)
@@ -186,7 +186,7 @@ def test_rejects_constant_warm_up(tmp_path):
 
 
 def test_steps_far_below_full_scale_are_resolved(tmp_path):
-    """A step of 1e-8 g beside a ramp to 50 g is no zero input."""
+    """A step of 1e-8 g with a ramp to 50 g is not a zero input."""
     inputs = np.array([0.0, 1e-8, 0.0, 2e-8, 0.0, 25.0, 50.0, 25.0, 0.0])
     output = np.where(inputs < 1.5e-8, 0.0, 1.25 * inputs)
     threshold = evaluate_ramp(write_ramp(tmp_path / "r.csv", inputs, output)).quantity("threshold")

@@ -20,7 +20,7 @@ CORRECTION = np.array(CASE.given["y"])
 def test_calibration_curve_and_prediction():
     result = fit(np.column_stack([np.ones(11), READING - 20.0]), CORRECTION)
     correlation = result.covariance[0, 1] / np.prod(result.u)
-    # Half a unit of the last digit printed.
+    # Half a unit of the last printed digit.
     assert check_case(CASE).state == "passed"
     assert correlation == pytest.approx(-0.930, abs=0.5e-3)
     assert result.sigma_from_residuals

@@ -13,7 +13,7 @@ CASE = case("individuals chart of a flow rate")
 
 
 def test_flow_rate_example():
-    # The limits' own: 1.128 and 1.128379 differ by 3.4e-4 of the distance of 4.99 from the centre.
+    # 1.128 and 1.128379 differ by 3.4e-4 of the distance of 4.99 from the centre.
     assert check_case(CASE).state == "passed"
     values = CASE.given["values"]
     chart = individuals_chart(values, [str(place) for place in range(len(values))])

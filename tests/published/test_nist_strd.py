@@ -47,12 +47,12 @@ def test_correct_digits_of_difficult_datasets(name, estimate, others):
 
 
 def test_filip_dataset():
-    """The columns' condition number is 5e9 even when they are scaled.
+    """The condition number of the scaled columns is 5e9.
 
-    So of the 16 digits of a double some 7 are left, by the best algorithm.
+    So about 7 of the 16 digits of a double remain with the best algorithm.
     """
     assert correct_digits("NIST Filip", "sigma") > 7.0
-    # Centred and scaled, the same problem is a kind one: the fit itself is well determined.
+    # Centred and scaled, the problem is well conditioned: the fit is well determined.
     given = case("NIST Filip").given
     x = np.array(given["x"])
     centred = fit(np.vander((x + 6) / 3, 11, increasing=True), given["y"])

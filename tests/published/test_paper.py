@@ -68,12 +68,12 @@ def test_factor_one_quarter_doubles_sigma_k_ii():
     assert unweighted_sigma(columns, PRINTED_SIGMA_B2) == pytest.approx(6.0709e-7, abs=0.5e-11)
 
 
-def test_sigma_b2_of_the_stated_plan(stated_plan_sigma):
+def test_sigma_b2_of_stated_plan(stated_plan_sigma):
     np.testing.assert_allclose(stated_plan_sigma, [8.38735e-8, 3.35494e-7, 1.34198e-6], rtol=5e-6)
 
 
 def test_sigma_b2_grows_with_square_of_rate(stated_plan_sigma):
-    """As many strobes in half the time: the printed values hardly change from rate to rate."""
+    """An equal number of strobes in half the time; the printed values hardly depend on rate."""
     np.testing.assert_allclose(stated_plan_sigma[1:] / stated_plan_sigma[:-1], 4.0, rtol=1e-10)
 
 
@@ -96,14 +96,14 @@ def test_sigma_b2_is_independent_of_first_strobe(stated_plan_sigma):
 )
 def test_exact_model_sigma_of_stated_plan(stated_plan_sigma, symbols, drift, expected):
     columns = [compute_exact_column(symbol) for symbol in symbols]
-    if drift:  # against the nominal angle a strobe sees -1/2 K_I R C w0 t^2
+    if drift:  # relative to the nominal angle, a strobe has -1/2 K_I R C w0 t^2
         columns.append(-SCALE_FACTOR * RADIUS * RATES / 2)
     sigma = weighted_sigma(np.column_stack(columns), stated_plan_sigma)
     assert sigma == pytest.approx(expected, abs=0.5e-12)
 
 
 def test_printed_columns_sigma_of_stated_plan(stated_plan_sigma):
-    """Smaller figures than the exact model's, for a K_II that is half the true value."""
+    """The printed columns give smaller values for a K_II that is half the true value."""
     unweighted = unweighted_sigma(compute_printed_columns(), stated_plan_sigma)
     weighted = weighted_sigma(compute_printed_columns(), stated_plan_sigma)
     assert unweighted == pytest.approx(3.223e-9, abs=0.5e-12)

@@ -68,7 +68,7 @@ def number_pairs(path):
 
 
 def paths(text, colour, *, kind="stroke"):
-    """Return the points of every path of a colour of paper that crosses the drawing."""
+    """Return the points of all paths with a paper colour across the drawing."""
     found = ET.fromstring(text).iter(f"{NAMESPACE}path")
     style = f"{kind}: {PAPER_COLOURS[colour]}"
     return [
@@ -151,7 +151,7 @@ def test_paper_theme_has_fixed_colours():
     )
 
 
-def test_text_is_kept_as_unchanged_text():
+def test_text_is_not_changed():
     odd = {"time / $s^2$", "a_b < c & d", 'x$y$ #0100fe id="m" "z"\u3000d="M 1  2"'}
     x_label, y_label, label = sorted(odd)
     plot = Plot("", x_label, y_label, (PlotSeries(label, (0.0, 1.0), (0.0, 1.0)),))
@@ -184,11 +184,11 @@ def test_missing_glyphs_and_control_characters_in_text():
 # Curves
 
 
-def test_line_keeps_its_proportions():
+def test_line_keeps_proportions():
     (line,) = paths(svg(LINE), "series-1")
     (x0, y0), (x1, y1), (x2, y2) = line
     assert x1 - x0 == pytest.approx(x2 - x1, abs=1e-4)
-    # Heights 1, 3, 2, upwards on paper being downwards in SVG.
+    # Heights 1, 3, 2; the y axis of SVG points down.
     assert (y2 - y1) / (y0 - y1) == pytest.approx(0.5, abs=1e-4)
 
 
@@ -238,7 +238,7 @@ def test_points_at_same_integer_are_offset():
         [bar[0][0] for bar in paths(text, colour) if len(bar) == 2]
         for colour in ("series-1", "series-2")
     )
-    # Two steps of the axis between 1 and 3; 0.12 of one between the series.
+    # Two axis steps between 1 and 3; 0.12 of a step between the series.
     step = 0.5 * (first[1] - first[0])
     assert second[0] - first[0] == pytest.approx(0.12 * step, rel=1e-4)
     assert second[1] - second[0] == pytest.approx(2.0 * step, rel=1e-4)
@@ -263,7 +263,7 @@ def test_logarithmic_axes():
     assert len(line) == 2
 
 
-def test_empty_data_gives_empty_drawing():
+def test_empty_data_draws_empty_plot():
     for y in ((None, None), (math.nan, math.inf)):
         assert svg(Plot("", "x", "y", (PlotSeries("a", (0.0, 1.0), y),), log_y=True))
     assert svg(Plot("", "x", "y", ()))
@@ -348,7 +348,7 @@ def test_date_ticks_fit_axis_of_any_length(years):
 
 def test_last_date_label_is_not_clipped():
     first, last = day_numbers("2025-10-01", "2026-03-01")
-    # The axis ends a hundredth of its length after the last point.
+    # The axis ends 1 % of its length after the last point.
     line = PlotSeries("", (first, last), (1.0, 2.0), kind="points")
     with settings(PAPER_COLOURS):
         figure = draw_pictures(
@@ -447,7 +447,7 @@ def test_thinning_keeps_outliers(kind):
     assert seen_x.size < 3000
     assert {9.0, -8.0, 7.5} <= set(seen_y)
     assert (np.diff(seen_x) > 0.0).all()
-    # Each hundredth of the axis keeps its own extremes.
+    # Each hundredth of the axis keeps its extremes.
     for part in np.array_split(np.arange(y.size), 100):
         there = (seen_x >= x[part[0]]) & (seen_x <= x[part[-1]])
         assert seen_y[there].max() >= np.sort(y[part])[-2]
@@ -468,7 +468,7 @@ def test_thinning_keeps_gaps():
     assert np.isnan(seen_y[between]).all()
 
 
-def test_long_record_gives_small_svg():
+def test_svg_of_long_record_is_small():
     n = 100_000
     y = tuple(np.random.default_rng(5).normal(size=n))
     text = svg(Plot("", "t", "y", (PlotSeries("", tuple(map(float, range(n))), y, kind="points"),)))

@@ -174,7 +174,7 @@ def test_hostile_text_is_escaped(tree, text):
     assert all(
         script.get("type") in (None, "application/json") for script in tree.xpath("//script")
     )
-    # Our two, and one for each plot that can be zoomed.
+    # Two scripts, and one for each plot that can be zoomed.
     assert len(tree.xpath("//script[not(@type)]")) == 2
     assert len(tree.xpath("//script[@type]")) == 2
     assert len(tree.xpath("//style")) == 1
@@ -347,7 +347,7 @@ def test_zoomed_and_static_plots_have_same_colours(kind):
 
 
 def test_page_of_long_campaign_is_below_3_mb():
-    # A record's traces have 1500 stretches, however long it is.
+    # Traces have at most 1500 chunks, for records of any length.
     plots = [residuals(f"Residuals of Q{index}, run") for index in range(20)]
     assert len(page(made=plots).encode()) < 3e6
 
@@ -386,7 +386,7 @@ def test_text_and_lines_meet_wcag_contrast(theme):
             "--undetermined-ground",
         )
     ]
-    # WCAG 2.1: 4.5 for words (1.4.3), 3 for what is drawn (1.4.11).
+    # WCAG 2.1: 4.5 for text (1.4.3), 3 for graphics (1.4.11).
     for ground in grounds:
         assert contrast_ratio(colours["--ink"], ground) >= 4.5
         assert contrast_ratio(colours["--muted"], ground) >= 4.5

@@ -271,7 +271,7 @@ def test_outliers_are_visible_and_do_not_set_axis_range(report_tab):
     figure = first_plot(report_tab)
     warning = [0xB3, 0x26, 0x1E]
     _, _, low, high = axis_limits(figure)
-    # The band reaches from -6 to 6; 12 and -13 widen it, 4000 does not.
+    # The band is from -6 to 6; 12 and -13 widen the axis, 4000 does not.
     assert low == pytest.approx(-13.0 - 0.06 * 25.0, abs=0.1)
     assert high == pytest.approx(12.0 + 0.06 * 25.0, abs=0.1)
     assert colour_at(figure, 600.0, 4) == warning

@@ -50,7 +50,7 @@ BY_HAND = [
     (1.5e-300, 2e-302, "m", "(1.500 ± 0.020) x 1e-300 m", "1.500(20)e-300"),
     (5e-324, 5e-324, "m", "(5.0 ± 5.0) x 1e-324 m", "5.0(5.0)e-324"),
     (1.7e308, 1.6e308, "m", "(1.7 ± 1.6) x 1e308 m", "1.7(1.6)e308"),
-    # More digits than a double has.
+    # More digits than the precision of a double.
     (1.0e5, 1.0e-20, "m", "100000 ± 1e-20 m", "100000 ± 1e-20"),
     # No value and no uncertainty.
     (9.8066, 0.0, "m/s^2", "9.8066 m/s^2 (exact)", "9.8066"),

@@ -203,7 +203,7 @@ def test_long_table_starts_with_at_least_three_rows():
         found = read_pdf(*(Paragraph("x") for _ in range(lines)), long_table(20))
         first = next(text for page in found.pages if "run0 " in (text := page_text(page)))
         counts.append(sum(f"run{row} {row}." in first for row in range(20)))
-    # Wherever on the page the table happens to stand, which differs between these.
+    # For all positions of the table on the page, which differ in these cases.
     assert min(counts) >= 3
     assert len(set(counts)) > 3
 
@@ -235,7 +235,7 @@ def test_short_table_is_not_split():
     ids=["11 columns", "31 columns", "long name", "long words"],
 )
 def test_wide_table_fits_page(table, monkeypatch):
-    margin = 61  # 22 mm are 62.4 points; a letter may reach out by a fraction of one
+    margin = 61  # 22 mm are 62.4 points; a glyph may extend by a fraction of a point
     for page in page_pixels(monkeypatch, table):
         assert page[:, :-margin].min() < 0.5
         assert page[:, -margin:].min() == 1.0
@@ -261,7 +261,7 @@ def test_numbers_are_right_aligned():
             ends[text.strip()] = current[4] + matrix[4]
 
     page.extract_text(visitor_text=visit)
-    # All digits are equally wide; "1.5" and "0.5" begin at the same place, the longest before.
+    # All digits have equal width; "1.5" and "0.5" start at the same x, the longest before.
     assert ends["1.5"] == pytest.approx(ends["0.5"], abs=0.01)
     assert ends["-1234.5"] < ends["1.5"] - 9.0
 
@@ -305,7 +305,7 @@ def test_file_declares_pdf_a_metadata(attached):
     assert found.metadata.title == "Campaign"
     assert found.metadata.keywords == "CS-0123456789ab"
     assert found.metadata.creation_date == DATE.astimezone(UTC)
-    # PDF/A wants every font in the file and the meaning of its colours.
+    # PDF/A requires embedded fonts and an output intent.
     assert "/OutputIntents" in found.trailer["/Root"]
 
 

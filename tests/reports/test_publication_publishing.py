@@ -166,7 +166,7 @@ def test_damaged_or_newer_result_writes_no_report(result_file, tmp_path, capsys)
 
 @pytest.fixture(scope="module")
 def demonstration(tmp_path_factory):
-    """A small campaign with its result beside it, in a folder of files that commands write."""
+    """Return a folder with a small campaign, its result and outputs of commands."""
     folder = tmp_path_factory.mktemp("files")
     assert main(["demo", "-o", str(folder / "demo")]) == 0
     assert main(["calibrate", str(folder / "demo"), "--json", str(folder / "result.json")]) == 0
@@ -200,7 +200,7 @@ def test_results_of_all_commands_have_reports(
     capsys.readouterr()
     assert main(["report", str(file)]) == 0
     assert title in capsys.readouterr().out
-    # What is not a report of the same kind stays.
+    # A file that is not a report of the same type is not overwritten.
     write_report(result(), tmp_path / "other.md", issued=FIXED)
     assert main(["report", str(file), "-o", str(tmp_path / "other.md"), "--overwrite"]) == 1
     assert f"is not {mark} written by counterspin" in capsys.readouterr().err

@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 
-#: What ipykernel's backend does when the first figure loads it; it shows what is made from then on.
+#: The backend of ipykernel, loaded with the first figure; it shows the figures made afterwards.
 BACKEND = """
 import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg as FigureCanvas

@@ -22,7 +22,7 @@ def markers(sphere):
 
 
 def test_projection_preserves_area():
-    # Up to the polar angle t a cap has the part 1 - cos t of a half.
+    # A cap up to polar angle t has the fraction 1 - cos t of a hemisphere.
     angles = np.radians([0.0, 20.0, 60.0, 89.9])
     points = [(math.sin(t), 0.0, math.cos(t)) for t in angles]
     sphere = Sphere("", ("X", "Y", "Z"), tuple(points), (1.0,) * 4, tuple("abcd"), "")
@@ -37,7 +37,7 @@ def test_hemispheres_are_viewed_from_outside():
     points = ((near, near, math.cos(eighth)), (near, near, -math.cos(eighth)))
     sphere = Sphere("", ("X", "Y", "Z"), points, (1.0, 1.0), ("a", "b"), "")
     up, down = markers(sphere)[0][:2]
-    # Seen from above X is to the right, from below to the left; Y stays on top.
+    # From above X is on the right, from below on the left; Y is at the top.
     assert up[0] < 0.0 < down[0]
     assert up[0] + 1.3 == pytest.approx(1.3 - down[0])
     assert up[1] == pytest.approx(down[1])

@@ -480,7 +480,7 @@ def test_control_characters_are_escaped():
     report_console(stream).print(Report(blocks))
     lines = [line.rstrip() for line in stream.getvalue().splitlines()]
     assert lines[:2] == [r"red\x1b[31m", r"title\x9b31m\nK_II = 1"]
-    # A cell may have several lines, which stay in its column; a name has one.
+    # A cell may have several lines in its column; a name has one line.
     title, _, *cells = (line.split() for line in lines[3:])
     assert title == [r"a\u202e\nb", "e"]
     assert cells == [[r"c\x00\nd", r"f\x00\ng"], ["h"]]

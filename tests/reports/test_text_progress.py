@@ -40,7 +40,7 @@ def test_long_task_shows_progress_and_erases_it():
     assert "1/3" in reading
     written = console.file.getvalue()
     assert "Estimating" in written
-    # The last thing written moves up and erases the line.
+    # The last output moves up and erases the line.
     assert written.endswith("\x1b[1A\x1b[2K")
 
 

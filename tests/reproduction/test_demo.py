@@ -37,8 +37,8 @@ def test_campaign_has_values_of_paper(demonstration):
     ]
 
 
-def test_methods_recover_truth_and_printed_equations_half_of_it(demonstration):
-    # Five standard uncertainties, for a fixed seed: only a mistake can fail this.
+def test_methods_recover_truth_and_printed_equations_half(demonstration):
+    # Five standard uncertainties with a fixed seed: only an error fails.
     for method in (demonstration.joint, demonstration.two_stage.result):
         for symbol, coefficient in method.coefficients.items():
             if coefficient.estimated:
@@ -67,7 +67,7 @@ def test_figure_shows_first_stage_minus_bias(demonstration):
         _, residuals = panel.series
         assert residuals.x == tuple(run.parabola.strobes.time)
         assert residuals.y == pytest.approx(1e3 * run.parabola.residuals)
-        # What is left grows with the fourth power of the rate: K_II R^2 w^4 / (4 g) t^2.
+        # The remainder grows with the fourth power of the rate: K_II R^2 w^4 / (4 g) t^2.
         rate = run.trajectory.spindle.rate
         k_ii = plan.TABLE_1["K_II"] * plan.RADIUS**2 * rate**4 / (4 * plan.GRAVITY)
         fitted = run.parabola.b2 - half_bias
@@ -76,7 +76,7 @@ def test_figure_shows_first_stage_minus_bias(demonstration):
         every = dict(zip(run.parabola.strobes.time, run.parabola.residuals, strict=True))
         for t, y in zip(points.x, points.y, strict=True):
             assert y == pytest.approx(fitted * t**2 + every[t], abs=1e-9)
-        # 100 strobes: the band of two standard deviations is right within a quarter.
+        # 100 strobes: the band of two standard deviations is correct within 25 %.
         spread = math.sqrt((run.parabola.residuals**2).mean())
         assert panel.series[0].high[0] == pytest.approx(2e3 * spread, rel=0.25)
         assert panel.y_range[1] > 1e3 * abs(run.parabola.residuals).max()

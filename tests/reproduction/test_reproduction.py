@@ -27,7 +27,7 @@ def reproduction():
 
 @pytest.mark.parametrize(("nominal_reference", "drift"), [(False, 0.0), (True, 1e-6)])
 def test_simulation_agrees_with_differential_equation(nominal_reference, drift):
-    """Navigation as an initial value problem, written out here from Eq. 1, 2 and 7."""
+    """Navigation as an independent initial value problem from Eq. 1, 2 and 7."""
     rate, phase = RATES[0], RIPPLE_PHASE
     ripple = RIPPLE_RATIO * rate
 
@@ -48,7 +48,7 @@ def test_simulation_agrees_with_differential_equation(nominal_reference, drift):
         )
 
     time, error = simulate_strobes(rate, drift=drift, nominal_reference=nominal_reference)
-    few = 8  # strobes; more take long and show nothing else
+    few = 8  # strobes; more strobes take longer without new information
     solution = solve_ivp(
         lambda t, state: [state[1], indicated_acceleration(t)],
         (0.0, time[few - 1]),
@@ -129,7 +129,7 @@ def test_ripple_shifts_strobes_by_constant(reproduction):
 
 
 def test_remaining_effect_of_ripple_is_product_with_k_iii(reproduction):
-    """b2 of K_III is -3/4 K_III R^3 w^6 eps sin(phi)/g^2; at the fastest rate that is all."""
+    """b2 of K_III is -3/4 K_III R^3 w^6 eps sin(phi)/g^2; at the fastest rate this is the total."""
     rate = RATES[-1]
     relative = (-3 * TABLE_1["K_III"] * RADIUS * rate**2 * RIPPLE_RATIO * np.sin(RIPPLE_PHASE)) / (
         GRAVITY * TABLE_1["K_II"]
@@ -139,7 +139,7 @@ def test_remaining_effect_of_ripple_is_product_with_k_iii(reproduction):
 
 
 def test_second_column_absorbs_drift(reproduction):
-    """-3/4 K_I R w x = -1/2 K_I R w C; K_II under drift grows as w^3 and takes some of it."""
+    """-3/4 K_I R w x = -1/2 K_I R w C; K_II under drift grows as w^3 and absorbs a part."""
     taken_up = reproduction["separation.drift_as_ripple"].ours
     assert taken_up == pytest.approx(2 / 3 * DRIFT_RATE, rel=0.03)
     ignored = reproduction["separation.drift_ignored"].ours

@@ -52,7 +52,7 @@ def dossier():
 @pytest.mark.slow
 def test_all_cases_pass(dossier):
     assert len(dossier.cases) >= 40
-    # The schema of DCC is not part of the package.
+    # The DCC schema is not part of the package.
     assert [case.name for case in dossier.cases if case.state != "passed"] == [SCHEMA_CASE]
     assert any("name its folder (`schema`)" in text for text in dossier.not_covered)
     assert dossier.passed

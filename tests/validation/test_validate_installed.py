@@ -1,4 +1,4 @@
-"""Files of an installation against the hashes of its RECORD."""
+"""Verification of installed files against the hashes of RECORD."""
 
 import base64
 import hashlib

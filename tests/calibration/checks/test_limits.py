@@ -22,7 +22,7 @@ SIGN = "the sign of the output, and the senses of the input axis and of the atti
 
 
 def calibrate_tumble(folder, change, *, turned=0.0, terms=tuple(TRUTH), more="", accelerometer=""):
-    """Calibrate a tumble whose indications were changed, or whose positions are turned, deg."""
+    """Calibrate a tumble with changed indications or rotated positions, deg."""
     values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=TRUTH)
     step = 360 / len(values)
     runs = "".join(
@@ -126,9 +126,9 @@ def make_coefficient(value, u, *, estimated=True, unit="g/g^2"):
     [
         (5e-4, 1e-6, True, True),
         (-5e-4, 1e-6, True, True),
-        (1.29e-4, 1e-5, True, False),  # within three u of the size
+        (1.29e-4, 1e-5, True, False),  # within 3 u of the limit
         (1.31e-4, 1e-5, True, True),
-        (5e-4, 1e-6, False, False),  # a prior is no estimate
+        (5e-4, 1e-6, False, False),  # a prior is not an estimate
         (None, None, False, False),
     ],
 )
@@ -165,7 +165,7 @@ def test_history_excludes_incredible_value(tmp_path):
     assert "K_I = -1.0005 g/g is not credible" in left_out.reason
 
 
-def test_mounting_radius_is_checked_against_its_stated_value():
+def test_mounting_radius_is_checked_against_stated_value():
     """2.3995 m, stated as 2.4 m ± 1 mm, beside a double turntable of 2.5 m."""
     result = calibrate(Path(validation.__file__).parent / "data" / "fits" / "mixed")
     assert result.platform["centrifuge.radius.out"].value == pytest.approx(2.3995, abs=1e-4)

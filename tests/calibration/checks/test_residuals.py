@@ -62,7 +62,7 @@ def test_dominant_undetected_walk_has_remark():
     assert "acceleration in [noise]" in remark
 
 
-def test_small_or_other_walk_has_no_remark():
+def test_small_walk_or_other_accelerometer_has_no_remark():
     assert list(undetected_walk_remarks([make_fit_with_walk(0.3)])) == []
     assert list(undetected_walk_remarks([make_fit_with_walk(0.8, name="Qy")])) == []
 

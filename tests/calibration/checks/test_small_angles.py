@@ -15,7 +15,7 @@ from counterspin.simulation.simulate import simulate
 
 ARCMIN = math.radians(1.0 / 60.0)
 
-#: Nothing stated as exact; the same noise each time.
+#: No exact inputs; the same noise in each simulation.
 QUIET = changed(
     SMALL,
     ('"1.002 g/g"\ndisp', '"1.002 ± 1e-4 g/g"\ndisp'),
@@ -66,7 +66,7 @@ def test_second_order_of_tilt_changes_named_coefficients(tmp_path, key):
 
 def test_tilt_about_input_axis_does_not_change_scale_factor(tmp_path):
     found = large_tilt_findings(calibrate_tilted(tmp_path, "20 arcmin", "1200 ± 0.1 arcsec"))
-    # About north: Qy's input axis, along which the platform turns.
+    # Tilt about north, the input axis of Qy.
     assert "Qy.K_I" not in found
 
 

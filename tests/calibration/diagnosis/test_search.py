@@ -133,7 +133,7 @@ def test_alternatives_have_credible_range(tmp_path):
     assert latitude.is_credible(math.radians(10.0))
     assert not latitude.is_credible(math.radians(12.0))
     assert not latitude.is_credible(math.radians(-4200.0))
-    # Of 45.75 deg: what 9.8066 m/s^2 allows between -500 and 3000 m, and the same in the south.
+    # For 45.75 deg: latitudes with 9.8066 m/s^2 between -500 and 3000 m, also in the south.
     degrees = np.linspace(-90.0, 90.0, 361) - 45.75
     allowed = [float(d) + 45.75 for d in degrees if latitude.is_credible(math.radians(float(d)))]
     assert min(abs(d) for d in allowed) == pytest.approx(42.7, abs=0.5)

@@ -75,9 +75,9 @@ def calibrate_tumble(folder, mountings=(0,), more=""):
     [("1.sin", "K_F", 1e-6, False), ("4.sin", "K_I", 1.0, True)],
 )
 def test_head_with_understated_error_has_remark(tmp_path, source, symbol, unit, seen):
-    """Once a turn, 2.06 arcsec of it move K_F by 10 ug, and by nothing else are they seen.
+    """A first harmonic of 2.06 arcsec shifts K_F by 10 ug and has no other effect.
 
-    Four times a turn so much would be seen a little: what is said is the most that is not.
+    A fourth harmonic of this size is slightly visible: the remark states the undetected size.
     """
     result = calibrate_tumble(tmp_path / "stated")
     assert (result.state, result.findings) == ("good", [])

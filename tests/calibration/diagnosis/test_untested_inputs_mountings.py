@@ -191,8 +191,8 @@ def make_mounting(gain, dof):
 @pytest.mark.parametrize(
     ("gain", "dof", "blamed"),
     [
-        # One in 1200 for each of three: 3.14 standard deviations of the normal distribution, and
-        # 11 of Student's with 3 degrees of freedom.
+        # A level of 1/1200 for each of three: 3.14 standard deviations of a normal distribution,
+        # or 11 of Student's t distribution with 3 degrees of freedom.
         (3.1**2, None, False),
         (3.2**2, None, True),
         (10.0**2, 3.0, False),

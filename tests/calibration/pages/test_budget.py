@@ -25,7 +25,7 @@ def make_line(source, kind, u, unit, sensitivity, contribution):
 
 @pytest.fixture
 def with_priors():
-    """Return a result whose K_II depends on K_OO, on the radius and on noise, 3 : 4 : 0."""
+    """Return a result whose u(K_II) comes from K_OO, the radius and noise as 3 : 4 : 0."""
     lines = [
         make_line("centrifuge.radius", "stated", 1e-5, "m", 4e-2, 4e-7),
         make_line("K_OO", "unstated", 2e-6, "g/g^2", -0.15, 3e-7),

@@ -20,7 +20,7 @@ from counterspin.calibration.result import Result
 from counterspin.inference.diagnostics import periodogram
 from counterspin.simulation.simulate import simulate
 
-#: Where samples are displaced, and by how much, in metres.
+#: Displaced samples -> displacement, m.
 PLANTED = {100: 0.4, 371: -0.25}
 
 
@@ -28,7 +28,7 @@ PLANTED = {100: 0.4, 371: -0.25}
 def results(tmp_path_factory):
     """Return results of a clean campaign and of the same campaign with two displaced samples."""
     folder = tmp_path_factory.mktemp("traces")
-    # The noise is a tenth of what the campaign states.
+    # The noise is a tenth of the stated noise.
     description = write(folder, changed(SMALL, ('"0.01 m"\nangle', '"0.001 m"\nangle')))
     simulate(description, folder / "made")
     clean = calibrate(folder / "made")
@@ -67,7 +67,7 @@ def test_traces_match_residuals(results):
     for trace in accelerometer.traces.values():
         power = np.array(trace.spectrum.power)
         assert power.min() > 0.0
-        # Noise is stated ten times too large in this campaign: the spectrum says so.
+        # The stated noise is ten times too large, which the spectrum shows.
         assert np.median(power) < 0.05
         assert trace.quantiles.found == sorted(trace.quantiles.found)
         assert max(trace.quantiles.found) < 1.0
@@ -98,7 +98,7 @@ def test_result_file_has_one_line_per_list(results, tmp_path):
 
 
 def test_samples_synchronous_with_spindle_leave_no_gap(results):
-    # 20 Hz at 1 rev/s: twenty angles, so that 15 parts have samples and 30 have not.
+    # 20 Hz at 1 rev/s: twenty angles; 15 bins have samples, and 30 bins would not.
     clean, _, _ = results
     sizes = {n: len(t.by_angle.mean) for n, t in clean.accelerometers["Qx"].traces.items()}
     assert sizes == {"slow": 60, "middle": 30, "fast": 15}
@@ -175,7 +175,7 @@ def test_spectrum_satisfies_parseval(n):
     assert 2 * power.sum() + ends == pytest.approx(x @ x)
 
 
-def test_spectral_line_is_in_its_band():
+def test_spectral_line_is_in_correct_band():
     n, interval, cycles = 4096, 0.02, 200
     x = np.sin(2 * np.pi * cycles * np.arange(n) / n)
     frequency, power, each = smoothed_spectrum(periodogram(x), n * interval, 60)
@@ -185,7 +185,7 @@ def test_spectral_line_is_in_its_band():
     assert np.delete(power, peak).max() < 1e-20
 
 
-def test_white_noise_has_power_one():
+def test_white_noise_has_unit_power():
     n = 100_000
     x = np.random.default_rng(1).standard_normal(n)
     _, power, _ = smoothed_spectrum(periodogram(x), float(n), 10)

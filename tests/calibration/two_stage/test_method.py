@@ -221,11 +221,11 @@ def test_sigma_is_estimated_from_residuals(tmp_path, capsys, how):
         assert run.parabolas["Qx"].sigma_from_residuals
         assert run.parabolas["Qx"].sigma == pytest.approx(0.01, rel=0.6)
     c = qx(result).coefficients["K_II"]
-    assert 17 <= c.dof <= 51  # between one run's degrees of freedom and all runs'
+    assert 17 <= c.dof <= 51  # between the degrees of freedom of one run and of all runs
     assert qx(result).residual.chi2 is None
 
 
-WALK = 1e-4 * 9.8066  #: noise of the accelerometer, m/s^2/Hz^0.5: most of u of K_F
+WALK = 1e-4 * 9.8066  #: Accelerometer noise, m/s^2/Hz^0.5, which dominates u(K_F)
 
 
 def add_walk(noise):
@@ -268,7 +268,7 @@ def test_unstated_accelerometer_noise_is_taken_from_joint_fit(tmp_path, noise):
     assert comparison.u == pytest.approx(c.u, rel=1e-4)
 
 
-def test_comparison_in_joint_result_uses_its_estimates(tmp_path):
+def test_comparison_in_joint_result_uses_joint_estimates(tmp_path):
     folder = make_records(tmp_path)
     jointly = qx(calibrate(folder))
     k_iii = jointly.coefficients["K_III"]
@@ -360,7 +360,7 @@ def test_degrees_of_freedom_follow_welch_satterthwaite(tmp_path):
     c = qx(
         calibrate(folder, method="two-stage", options=TwoStageOptions(from_residuals=True))
     ).coefficients["K_II"]
-    # GUM G.4.1: u^4 over the sum of u_i^4/dof_i, here of the noise alone.
+    # GUM G.4.1: u^4 over the sum of u_i^4/dof_i, of the noise alone.
     alone = c.dof * (c.u_noise / c.u) ** 4
     assert 17 <= alone <= 51
     assert c.u_stated > 0.1 * c.u_noise
@@ -508,7 +508,7 @@ def test_method_requires_horizontal_displacement(tmp_path):
 # --- options and warnings -------------------------------------------------------------------------
 
 
-def test_as_printed_model_gives_half_with_warning(tmp_path):
+def test_as_printed_model_returns_half_with_warning(tmp_path):
     folder = make_records(tmp_path, PRIORS)
     for ripple, unit in (("amplitude", "rad/s"), ("ratio", "1")):
         options = TwoStageOptions(model="as-printed", weighted=False, ripple=ripple)
@@ -533,7 +533,7 @@ def test_drift_is_estimated_without_angle(tmp_path, capsys):
 
 
 def test_held_terms_may_deviate_within_stated_uncertainty(tmp_path):
-    """Tilts of 5 arcsec, as stated, move K_F by 24 ug: 12 times the u of its prior."""
+    """Stated tilts of 5 arcsec shift K_F by 24 ug, 12 times the u of its prior."""
     truth = ("[truth.Qx]", '[truth.platform]\ntilt = { north = "5 arcsec" }\n[truth.Qx]')
     for u, codes in (("5", set()), ("0.05", {"lack-of-fit", "prior-conflict"})):
         stated = extend_model(f'priors = {{ "platform.tilt" = "0 ± {u} arcsec" }}')
@@ -549,7 +549,7 @@ def test_inconsistent_runs_are_named(tmp_path):
     assert first.code == "lack-of-fit"
     assert "are not consistent with the model" in first.text
     assert "slow deviates most" in first.text
-    # Without weights the sum of squares is not distributed like chi-square.
+    # Without weights the sum of squares has no chi-square distribution.
     unweighted = qx(calibrate_records(tmp_path / "b", wrong, weighted=False))
     assert "lack-of-fit" not in {finding.code for finding in unweighted.findings}
 
@@ -572,7 +572,7 @@ def test_strobes_in_gaps_are_counted(tmp_path):
 
 @pytest.mark.slow
 def test_full_trials_have_stated_uncertainty(tmp_path):
-    # Encoder noise included: each trial identifies its own rotation, and strobes by it.
+    # With encoder noise: each trial estimates its rotation and strobe times.
     chi2, covered = 0.0, 0
     for trial in range(TRIALS):
         folder = tmp_path / str(trial)
