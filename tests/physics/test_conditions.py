@@ -12,7 +12,8 @@ def test_without_a_change_each_condition_keeps_its_value_at_the_start():
     conditions = RunConditions(start=750.0, temperature_offset=-1.7, direction=-0.5)
     assert not conditions.changing
     start = conditions.at_start(3.0)
-    assert start == {"time": 750.0, "temperature": -1.7, "direction": -0.5, "force": 9.0}
+    expected = {"time": 750.0, "temperature": -1.7, "direction": -0.5, "force": 9.0}
+    assert {name: start[name] for name in expected} == expected
     later = conditions.at(np.array([0.0, 4.0, 9.0]), 3.0)
     assert {name: values.tolist() for name, values in later.items()} == {
         name: [value] * 3 for name, value in start.items()

@@ -8,6 +8,7 @@ import triads
 from counterspin.campaign.reading import PoseRecord
 from counterspin.cli import main
 from counterspin.errors import CampaignError
+from counterspin.physics.conditions import STATED_CONDITIONS
 from counterspin.simulation.pose_record import record_seconds, simulate_forces
 from counterspin.simulation.readings import true_directions
 from counterspin.studies.description import read_study
@@ -38,7 +39,7 @@ def described(more="", clock='{ sampling_rate = "100 Hz" }', noise="[truth.noise
 
 
 def test_a_sensor_rests_and_is_turned(tmp_path):
-    record = PoseRecord("all", tmp_path / "a.csv", 1.5, None, temperature=None, time=None)
+    record = PoseRecord("all", tmp_path / "a.csv", 1.5, None, **dict.fromkeys(STATED_CONDITIONS))
     time, force, along = simulate_forces(record, 40, 100.0, np.random.default_rng(2))
     assert time[-1] == pytest.approx(record_seconds(record, 40)) == pytest.approx(40 * 5.5 - 1.5)
     np.testing.assert_allclose(np.linalg.norm(along, axis=1), 1.0)
@@ -69,7 +70,7 @@ def test_what_was_simulated_comes_back(tmp_path):
     z = off / [c.u for c in found]
     assert np.abs(z).max() < 5.0  # Student's t of 21 degrees of freedom, nine of them: p = 5e-4
     assert max(c.u for c in found) < 1e-4
-    record = PoseRecord("all", tmp_path / "a.csv", 1.5, None, temperature=None, time=None)
+    record = PoseRecord("all", tmp_path / "a.csv", 1.5, None, **dict.fromkeys(STATED_CONDITIONS))
     campaign = cs.read_campaign(tmp_path)
     from counterspin.simulation.readings import reading_generator
 
