@@ -127,7 +127,7 @@ def angle_sensitivity(
 
     q being the change of the angle, w and w' the rate and its derivative.
 
-    turned: q, q', q'', shapes (n, m).
+    error_functions: q, q', q'', shapes (n, m).
     angle, rate, acceleration: Of the spindle, shape (n,).
     order: 0 for the acceleration, 1 for the velocity, 2 for the position.
     Returns: east and north components over the radius, shape (n, m, 2).

@@ -56,8 +56,8 @@ def invert(
 
     coefficients: Coefficients by symbol, in g-units, of shape (n,) or one for all; those not named
         have their nominal value.
-    indicated: Indicated specific force in g, shape (n,). Where it, a_p or a_o is not finite, so is
-        the result.
+    indications: Indicated specific force in g, shape (n,). Where it, a_p or a_o is not finite, the
+        result is not finite.
     a_p, a_o: Specific force along the pendulous and the output axis in g, shape (n,) or one for
         all.
     Returns: a_I in g, shape (n,), to rounding.
@@ -384,9 +384,10 @@ def correct(
     is u(a_I) = sqrt(J C J^T) / |d a_ind/d a_I|.
 
     instruments: The accelerometers, m of them, each with an input axis of its own.
-    indicated: Indicated specific force in g, shape (n, m); not finite: nor is the sample's result.
-    between: Places of two accelerometers, the lower first -> covariance of their coefficients, of
-        the first along the rows; where there is none they are uncorrelated.
+    indications: Indicated specific force in g, shape (n, m); where it is not finite, the result of
+        the sample is not finite.
+    cross_covariances: Indices of two accelerometers, the lower first -> covariance of their
+        coefficients, of the first along the rows; accelerometers without an entry are uncorrelated.
     temperature_offset: For slopes with temperature. Its u moves the force by the slopes, and their
         own uncertainty counts at every temperature that it may have been.
     """

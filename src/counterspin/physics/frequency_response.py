@@ -163,8 +163,8 @@ class FrequencyResponse:
         The recorder filters the record. The accelerometer filters the specific force only, and not
         the Coriolis acceleration that the computer subtracts.
 
-        recorded: Maps a rotation to the record without dynamics.
-        sensed: Maps a rotation to the contribution of the specific force to this record.
+        record_at: Maps a rotation to the record without dynamics.
+        sensed_at: Maps a rotation to the contribution of the specific force to this record.
         """
         recorder_shifts, total_shifts = (
             self.recorder_shifts(spindle.rate),

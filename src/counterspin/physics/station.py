@@ -204,7 +204,7 @@ class Stations:
     def perturb(self, symbol: str, change: Array, head: Array, head_angle: Array) -> Stations:
         """Return the stations with one of the machine's terms larger by a size.
 
-        size: By how much, in the term's unit, shape (n,).
+        change: By how much, in the term's unit, shape (n,).
         head: The axis about which the dividing head turns, in the station's frame, shape (n, 3).
         head_angle: Indicated angle of the head, rad, shape (n,).
         """
