@@ -204,45 +204,35 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
         yield Term(
             f"platform.tilt.{name}", effect, template, "rad", 1e-2, typical_size, source, "run"
         )
-    # kind, unit, words; credible and typical size, source
-    rate = 10.0 * DEGREE_PER_HOUR, 0.01 * DEGREE_PER_HOUR
-    g2_template = "g²-sensitivity of the gyro about {}"
+    drift_source = (
+        "one nautical mile per hour, as for K_F: 0.01 deg/h corresponds to 0.6 nautical miles per "
+        "hour"
+    )
+    compliance_source = f"{_NO_SOURCE}: 0.1 arcsec/g, or 0.5 µm/g over a length of 1 m"
     g_template = "g-sensitivity of the {} gyro to force along {}"
     compliance_template = "platform rotation about {} due to force along {}"
-    drift_row = (
-        ("drift", "rad/s", "gyro drift about {}"),
+    rate = DEGREE_PER_HOUR
+    # kind, unit, description, largest credible and typical size, source, whether it is crossed
+    for error_kind, unit, template, limit, typical_size, source, is_crossed in (
+        ("drift", "rad/s", "gyro drift about {}", 10 * rate, 0.01 * rate, drift_source, False),
         (
-            *rate,
-            "one nautical mile per hour, as for K_F: 0.01 deg/h corresponds to 0.6 nautical miles "
-            "per hour",
+            *("g_sensitivity", "rad/s/g", g_template),
+            *(10 * rate, 0.01 * rate, "same effect as the drift, at 1 g", True),
         ),
-    )
-    g2_row = (
-        ("g2_sensitivity", "rad/s/g^2", g2_template),
-        (DEGREE_PER_HOUR, 1e-4 * DEGREE_PER_HOUR, _NO_SOURCE),
-    )
-    g_row = (
-        ("g_sensitivity", "rad/s/g", g_template),
-        (*rate, "same effect as the drift, at 1 g"),
-    )
-    compliance_row = (
-        ("compliance", "rad/g", compliance_template),
-        (1e-4, 0.1 * ARCSEC, f"{_NO_SOURCE}: 0.1 arcsec/g, or 0.5 µm/g over a length of 1 m"),
-    )
-    for ((error_kind, unit, template), sizes), is_crossed in (
-        (drift_row, False),
-        (g_row, True),
-        (g2_row, False),
-        (compliance_row, True),
+        (
+            *("g2_sensitivity", "rad/s/g^2", "g²-sensitivity of the gyro about {}"),
+            *(rate, 1e-4 * rate, _NO_SOURCE, False),
+        ),
+        ("compliance", "rad/g", compliance_template, 1e-4, 0.1 * ARCSEC, compliance_source, True),
     ):
         for i, name in enumerate(_AXIS_NAMES):
             for j in range(3) if is_crossed else (None,):
                 suffix = name if j is None else "xyz"[i] + "xyz"[j]
                 description = template.format(*([name] if j is None else suffix))
                 effect = AttitudeError(error_kind, i, j)
-                yield Term(
-                    f"platform.{error_kind}.{suffix}", effect, description, unit, *sizes, "platform"
-                )
+                symbol = f"platform.{error_kind}.{suffix}"
+                sizes = limit, typical_size, source
+                yield Term(symbol, effect, description, unit, *sizes, "platform")
     for n, quadrature, description in _harmonic_terms(
         (1, 2), "counter-rotating table error, {} per revolution"
     ):
@@ -258,12 +248,10 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
             motions=("counter-rotating",),
         )
     for axis, name in enumerate(("outward", "forward")):
-        tilt, template = (
-            AttitudeError("table_axis", axis),
-            f"tilt of the table axis about the {name} axis",
-        )
+        tilt = AttitudeError("table_axis", axis)
+        description = f"tilt of the table axis about the {name} axis"
         sizes = (1e-2, 10.0 * ARCSEC, f"{_NO_SOURCE}: 10 arcsec, bearings machined in one setting")
-        yield Term(f"table.axis_tilt.{name}", tilt, template, "rad", *sizes, "machine")
+        yield Term(f"table.axis_tilt.{name}", tilt, description, "rad", *sizes, "machine")
 
 
 def _trajectory_rows() -> Iterator[Term[TrajectoryError]]:
@@ -407,60 +395,22 @@ def _input_rows() -> Iterator[Term[Input]]:
     gravity = f"{_NO_SOURCE}: value from a gravity map, corrected for height"
     delay, cutoff = "delay of the recorded angle", "low-pass cutoff frequency of the recorder"
     natural, low_pass = f"{_NO_SOURCE}: 5 % of 400 Hz", f"{_NO_SOURCE}: 5 % of 100 Hz"
-    table_source, multiple_bounds = "standard uncertainty in the response table", (-100.0, 100.0)
+    table, multiples = "standard uncertainty in the response table", (-100.0, 100.0)
+    poles, position = (-0.5 * math.pi, 0.5 * math.pi), "position error of 30 m on the ground"
+    quartz = "a free-running quartz oscillator"
     # symbol, words, unit, what is possible, largest credible and typical error, source
     for symbol, description, unit, bounds, limit, typical_size, source in (
         ("centrifuge.radius", "radius of the centrifuge", "m", (0.01, 100.0), 0.1, 1e-5, radius),
         # On Earth, from Huascaran to the Arctic Ocean.
         ("site.gravity", "gravity of the site", "m/s^2", (9.76, 9.84), 0.08, 1e-4, gravity),
-        (
-            "site.latitude",
-            "latitude of the site",
-            "rad",
-            (-0.5 * math.pi, 0.5 * math.pi),
-            math.pi,
-            5e-6,
-            "position error of 30 m on the ground",
-        ),
+        ("site.latitude", "latitude of the site", "rad", poles, math.pi, 5e-6, position),
         ("records.timing_offset", delay, "s", (-1.0, 1.0), 10.0, 1e-5, "one sample at 100 kHz"),
-        (
-            "records.clock",
-            "recorder clock error",
-            "1",
-            (-1e-2, 1e-2),
-            1e-2,
-            2e-5,
-            "a free-running quartz oscillator",
-        ),
-        (
-            "centrifuge.clock",
-            "rate counter clock error",
-            "1",
-            (-1e-2, 1e-2),
-            1e-2,
-            2e-5,
-            "a free-running quartz oscillator",
-        ),
+        ("records.clock", "recorder clock error", "1", (-1e-2, 1e-2), 1e-2, 2e-5, quartz),
+        ("centrifuge.clock", "rate counter clock error", "1", (-1e-2, 1e-2), 1e-2, 2e-5, quartz),
         ("sensor.natural_frequency", "natural frequency", "Hz", (1e-2, 1e6), 1e4, 20.0, natural),
         ("sensor.damping", "damping ratio", "1", (0.0, 100.0), 10.0, 0.1, f"{_NO_SOURCE}: 0.1"),
-        (
-            "sensor.gain",
-            "gain error, as a multiple of u",
-            "1",
-            multiple_bounds,
-            100.0,
-            1.0,
-            table_source,
-        ),
-        (
-            "sensor.phase",
-            "phase error, as a multiple of u",
-            "1",
-            multiple_bounds,
-            100.0,
-            1.0,
-            table_source,
-        ),
+        ("sensor.gain", "gain error, as a multiple of u", "1", multiples, 100.0, 1.0, table),
+        ("sensor.phase", "phase error, as a multiple of u", "1", multiples, 100.0, 1.0, table),
         ("records.cutoff_frequency", cutoff, "Hz", (1e-2, 1e6), 1e4, 5.0, low_pass),
     ):
         effect = Input(symbol.partition(".")[2], bounds)
