@@ -204,6 +204,16 @@ def inflate_covariance(
     return replace(fit, solution=wider, undetected_walks=walks), total_dof
 
 
+def inflate_for_noise(
+    fit: JointFit, estimates: Mapping[str, NoiseEstimate]
+) -> tuple[JointFit, Array, dict[str, Array]]:
+    """Return a fit as of `inflate_covariance`, degrees of freedom, and `information_losses`."""
+    names = noise_covariances(fit.noise, estimates)
+    lost = {name: information_losses(fit, name) for name in names}
+    wider, dof = inflate_covariance(fit, covariance_sensitivities(fit, lost), fit.noise, estimates)
+    return wider, dof, lost
+
+
 def undetected_walk_covariance(fit: JointFit, estimates: Mapping[str, NoiseEstimate]) -> Array:
     """Return the covariance that undetected walks may add to a fit, (p, p)."""
     with_walk = {
@@ -211,7 +221,6 @@ def undetected_walk_covariance(fit: JointFit, estimates: Mapping[str, NoiseEstim
         for name, estimate in estimates.items()
         if estimate.undetected_walk is not None
     }
-    lost = {name: information_losses(fit, name) for name in noise_covariances(fit.noise, with_walk)}
-    wider, _ = inflate_covariance(fit, covariance_sensitivities(fit, lost), fit.noise, with_walk)
+    wider, *_ = inflate_for_noise(fit, with_walk)
     added = wider.solution.covariance_undetected
     return np.zeros_like(fit.solution.covariance) if added is None else added

@@ -25,11 +25,8 @@ from counterspin.inference.joint.design_blocks import (
     update_design_blocks,
 )
 from counterspin.inference.joint.estimated_noise import (
-    covariance_sensitivities,
     estimate_noise_by_accelerometer,
-    inflate_covariance,
-    information_losses,
-    noise_covariances,
+    inflate_for_noise,
 )
 from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.heteroscedasticity import (
@@ -428,13 +425,7 @@ def _finish(
     core: The same fit, compressed.
     """
     model = fit.model
-    lost = {
-        name: information_losses(core, name)
-        for name in noise_covariances(core.noise, noise_estimates)
-    }
-    core, dof = inflate_covariance(
-        core, covariance_sensitivities(core, lost), core.noise, noise_estimates
-    )
+    core, dof, lost = inflate_for_noise(core, noise_estimates)
     # Parameters of interest come first in the compressed fit; uncompressed, it has all unknowns.
     places = [place for place, unknown in enumerate(model.unknowns) if unknown.is_of_interest]
     if core.model.unknowns == model.unknowns:
