@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,12 +31,14 @@ from counterspin.inference.noise.bias_instability import (
     integrated_cosines,
 )
 from counterspin.inference.noise.components import COMPONENTS
-from counterspin.inference.noise.even_sampling import EvenlySampledData, TransformedRecord
 from counterspin.inference.noise.model import (
     SPECIFIC_FORCE,
     Differences,
     solve_banded_factor,
 )
+
+if TYPE_CHECKING:
+    from counterspin.inference.noise.even_sampling import EvenlySampledData, TransformedRecord
 
 #: White noise alone.
 WHITE: Final = (1.0, *(0.0 for _ in COMPONENTS[1:]))
