@@ -35,13 +35,13 @@ def read_numbers(certificate, path):
 
 def test_values_and_expanded_uncertainties_match_budget(calculate_budget, tmp_path):
     result = calculate_budget()
-    made = certify_applied(result, write_lab(tmp_path))
-    assert not made.draft
+    certificate = certify_applied(result, write_lab(tmp_path))
+    assert not certificate.draft
     values = [level.acceleration for level in result.levels]
-    assert read_numbers(made, f"{QUANTITY}/si:value") == pytest.approx(values, rel=1e-15)
+    assert read_numbers(certificate, f"{QUANTITY}/si:value") == pytest.approx(values, rel=1e-15)
     expanded = [1.96 * level.u for level in result.levels]
-    assert read_numbers(made, EXPANDED) == pytest.approx(expanded, rel=1e-4)
-    assert made.pdf().startswith(b"%PDF")
+    assert read_numbers(certificate, EXPANDED) == pytest.approx(expanded, rel=1e-4)
+    assert certificate.pdf().startswith(b"%PDF")
 
 
 def test_uncertainty_is_at_least_cmc(calculate_budget, tmp_path):
@@ -56,13 +56,13 @@ def test_uncertainty_covers_monte_carlo_interval_if_not_validated(calculate_budg
     """A misalignment of 0.02 rad lowers the acceleration by a chi-square variable with 1 dof."""
     azimuth = '"fixture.misalignment.in.up" = "0 ± 0.02 rad"\n'
     result = calculate_budget(COMPLETE + azimuth)
-    made = certify_applied(result, write_lab(tmp_path))
-    for level, expanded in zip(result.levels, read_numbers(made, EXPANDED), strict=True):
+    certificate = certify_applied(result, write_lab(tmp_path))
+    for level, expanded in zip(result.levels, read_numbers(certificate, EXPANDED), strict=True):
         assert not level.monte_carlo.validated
         assert expanded == pytest.approx(level.acceleration - level.monte_carlo.low, rel=1e-4)
         # The 97.5 % quantile of beta^2/2 is 5.0239 u^2/2.
         assert expanded == pytest.approx(level.acceleration * 5.0239 * 2e-4, rel=0.02)
-    assert b"U covers the Monte Carlo interval" in made.xml
+    assert b"U covers the Monte Carlo interval" in certificate.xml
 
 
 @needs_schema

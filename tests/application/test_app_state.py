@@ -21,8 +21,8 @@ def outside_folder(folder):
 
 
 def _issue_certificate(page, output):
-    said = {"result": RESULT, "lab": "LAB.toml", "output": output}
-    return page.post("/api/certificate", json=said)
+    request = {"result": RESULT, "lab": "LAB.toml", "output": output}
+    return page.post("/api/certificate", json=request)
 
 
 def test_ledger_outside_folder_is_rejected(page, folder, outside_folder):
@@ -31,10 +31,10 @@ def test_ledger_outside_folder_is_rejected(page, folder, outside_folder):
     head = "[certificate]\n"
     assert head in text
     lab.write_text(text.replace(head, head + 'ledger = "sub/led.jsonl"\n'))
-    told = _issue_certificate(page, "new.xml")
-    assert told.status_code == 422
-    assert told.json()["codes"] == ["path-outside-folder"]
-    assert told.json()["problems"][0].startswith("certificate.ledger: 'sub/led.jsonl' ")
+    response = _issue_certificate(page, "new.xml")
+    assert response.status_code == 422
+    assert response.json()["codes"] == ["path-outside-folder"]
+    assert response.json()["problems"][0].startswith("certificate.ledger: 'sub/led.jsonl' ")
     assert list(outside_folder.iterdir()) == []
     assert not (folder / "new.xml").exists()
     lab.write_text(text.replace(head, head + 'ledger = "led.jsonl"\n'))
@@ -72,13 +72,13 @@ def test_rejects_writing_through_symlink(page, folder, outside_folder):
     (folder / "new" / "campaign.toml").symlink_to(outside_folder / "campaign.toml")
     write_plan(folder / "PLAN.toml")
     files = {"folder": "new", "names": ["three/slow.csv", "three/fast.csv"], "answers": ANSWERS}
-    asked = {
+    request = {
         "campaign": {"name": "new"},
         "simulation": {"name": "three", "folder": "new"},
         "drafted": files,
         "planned": {"name": "PLAN.toml", "folder": "new"},
     }
-    for name, said in asked.items():
+    for name, said in request.items():
         response = page.post(f"/api/{name}", json=said)
         assert response.json()["error"].startswith("new/campaign.toml ")
         assert (response.status_code, response.json()["code"]) == (

@@ -90,8 +90,8 @@ def test_damaged_result_is_listed_as_damaged(page, folder):
 
 
 def test_example_campaign_is_created(page, folder):
-    made = page.post("/api/campaign", json={"name": "a/new", "test": "tumble"}).json()
-    assert made["command"].startswith("counterspin init ")
+    body = page.post("/api/campaign", json={"name": "a/new", "test": "tumble"}).json()
+    assert body["command"].startswith("counterspin init ")
     assert (folder / "a" / "new" / "readings.csv").is_file()
     assert campaign_state(page, "a/new") == "not calibrated"
     again = page.post("/api/campaign", json={"name": "a/new"})

@@ -27,12 +27,12 @@ def with_lab(page, folder):
 
 def test_certificate_is_issued_once_and_can_be_downloaded(with_lab, folder):
     assert with_lab.get("/api/folder").json()["labs"] == ["LAB.toml"]
-    made = with_lab.post("/api/certificate", json=SAID).json()
-    assert made["accelerometers"] == ["Qx", "Qy"]
-    assert made["files"] == ["three/certificate.xml"]
-    assert any("values of the template" in note for note in made["notes"])
+    body = with_lab.post("/api/certificate", json=SAID).json()
+    assert body["accelerometers"] == ["Qx", "Qy"]
+    assert body["files"] == ["three/certificate.xml"]
+    assert any("values of the template" in note for note in body["notes"])
     certified = check_certificate(folder / "three" / "certificate.xml").certified
-    assert certified.identifier == made["identifier"]
+    assert certified.identifier == body["identifier"]
     again = with_lab.post("/api/certificate", json=SAID)
     assert again.status_code == 422
     assert "never replaces a file" in again.json()["error"]
@@ -103,9 +103,11 @@ def test_uploaded_key_signs_both_files_and_is_not_stored(
     signing = {"key": encode_file(key), "password": PASSWORD}
     if write is write_pair:
         signing["certificate"] = encode_file(cert)
-    made = with_real_lab.post("/api/certificate", json=SAID | {"both": True, "signing": signing})
-    assert made.status_code == 200, made.json()
-    told = made.json()
+    response = with_real_lab.post(
+        "/api/certificate", json=SAID | {"both": True, "signing": signing}
+    )
+    assert response.status_code == 200, response.json()
+    told = response.json()
     assert told["files"] == ["three/certificate.xml", "three/certificate.pdf"]
     for name in told["files"]:
         assert check_certificate(folder / name, cert=cert).signature == "valid"
@@ -121,7 +123,7 @@ def test_uploaded_key_signs_both_files_and_is_not_stored(
         encode_file(key)["content"][40:100].encode(),
     ]
     seen = [path.read_bytes() for path in folder.rglob("*") if path.is_file()]
-    seen += [made.content, caplog.text.encode(), "".join(capfd.readouterr()).encode()]
+    seen += [response.content, caplog.text.encode(), "".join(capfd.readouterr()).encode()]
     seen.append(with_real_lab.get("/api/jobs").content)
     assert [secret for secret in secrets for place in seen if secret in place] == []
 
@@ -184,8 +186,8 @@ def test_signer_command_of_server_signs(with_real_lab, folder, app, tmp_path):
     command = shlex.join([sys.executable, str(tmp_path / "sign.py")])
     app.signer = command_signer(command, cert)
     app.signer_options = {"signer": command, "cert": str(cert)}
-    asked = {"file": "LAB.toml", "result": SAID["result"]}
-    assert with_real_lab.get("/api/lab", params=asked).json()["signer"] == "CN=Example laboratory"
+    request = {"file": "LAB.toml", "result": SAID["result"]}
+    assert with_real_lab.get("/api/lab", params=request).json()["signer"] == "CN=Example laboratory"
     body = with_real_lab.post("/api/certificate", json=SAID | {"signing": {}}).json()
     assert check_certificate(folder / "three/certificate.xml", cert=cert).signature == "valid"
     assert shlex.split(body["command"])[6:] == [f"--signer={command}", f"--cert={cert}"]

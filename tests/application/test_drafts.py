@@ -40,14 +40,14 @@ def test_uploaded_files_become_campaign(page, folder, uploaded):
     body = page.post("/api/draft", json={"names": uploaded}).json()
     assert any("time_s" in statement for statement in body["statements"])
     assert {"gravity", "latitude", "radius"} <= {question["key"] for question in body["questions"]}
-    said = {"folder": "new", "names": uploaded}
-    unanswered = page.post("/api/drafted", json=said)
+    request = {"folder": "new", "names": uploaded}
+    unanswered = page.post("/api/drafted", json=request)
     assert unanswered.status_code == 422
     assert any(problem.startswith("radius: ") for problem in unanswered.json()["problems"])
     needed = [question for question in body["questions"] if question["guess"] is None]
     answers = {entry["key"]: entry["example"] for entry in needed} | ANSWERS
-    made = page.post("/api/drafted", json=said | {"answers": answers}).json()
-    assert made["command"].startswith("counterspin init ")
+    data = page.post("/api/drafted", json=request | {"answers": answers}).json()
+    assert data["command"].startswith("counterspin init ")
     campaign = read_campaign(folder / "new")
     rates = [run.rate for run in read_campaign(folder / "three").runs]
     assert [run.rate for run in campaign.runs] == pytest.approx(rates, rel=1e-3)
@@ -65,8 +65,8 @@ def calibrate_from_page(page, folder, files, sense="counterclockwise"):
     known = ANSWERS | COUNTED | {"sense": sense}
     needed = [one for one in asked if one["guess"] is None]
     answers = {entry["key"]: known.get(entry["key"], entry["example"]) for entry in needed}
-    said = {"folder": "lab", "names": names, "answers": answers}
-    response = page.post("/api/drafted", json=said)
+    request = {"folder": "lab", "names": names, "answers": answers}
+    response = page.post("/api/drafted", json=request)
     assert response.status_code == 200, response.json()
     return calibrate(folder / "lab").accelerometers["Qx"].coefficients["K_II"]
 
@@ -142,8 +142,8 @@ def test_site_values_are_suggested_from_measured_campaigns(page, folder, uploade
         for question in told["questions"]
         if question["guess"] is None
     }
-    said = {"folder": "new", "names": uploaded, "answers": answers | ANSWERS}
-    assert page.post("/api/drafted", json=said).status_code == 200
+    request = {"folder": "new", "names": uploaded, "answers": answers | ANSWERS}
+    assert page.post("/api/drafted", json=request).status_code == 200
     told, _ = draft_columns(page, uploaded)
     assert told["remembered"] == {
         key: {"answer": answer, "campaign": "new"} for key, answer in ANSWERS.items()

@@ -14,8 +14,8 @@ STARTER = (files("counterspin.ingest") / "starter.toml").read_text("utf-8")
 
 def changed_lines(path, value, kind=""):
     """Return the lines that a change removes from the starter and those that it adds."""
-    made = set_value(STARTER, path, value, kind)
-    lines = difflib.ndiff(STARTER.splitlines(), made.splitlines())
+    text = set_value(STARTER, path, value, kind)
+    lines = difflib.ndiff(STARTER.splitlines(), text.splitlines())
     return [line for line in lines if line[:2] in ("- ", "+ ") and line[2:].strip()]
 
 
@@ -74,11 +74,11 @@ name = "A"
     ],
 )
 def test_new_key_precedes_commented_out_tables(path, after, ends):
-    made = set_value(CLOSED + ends, path, "1")
+    text = set_value(CLOSED + ends, path, "1")
     line = f'{path[-1]} = "1"' if len(path) == 2 else f'{path[1]} = {{{path[2]} = "1"}}'
-    assert f"{after}\n{line}\n" in made
-    assert path[1] in tomllib.loads(made.replace("# [", "["))[path[0]]
-    assert made.replace(f"{line}\n", "", 1).rstrip() == CLOSED
+    assert f"{after}\n{line}\n" in text
+    assert path[1] in tomllib.loads(text.replace("# [", "["))[path[0]]
+    assert text.replace(f"{line}\n", "", 1).rstrip() == CLOSED
 
 
 def test_trailing_comment_is_preserved():

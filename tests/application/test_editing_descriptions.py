@@ -58,8 +58,8 @@ def test_only_descriptions_and_laboratory_data_are_written(page, folder):
         ("../x.toml", 403),
         ("new/campaign.toml", 200),
     ):
-        said = {"file": file, "text": "schema = 1\n", "version": ""}
-        assert page.put("/api/text", json=said).status_code == status
+        request = {"file": file, "text": "schema = 1\n", "version": ""}
+        assert page.put("/api/text", json=request).status_code == status
     assert (folder / "new" / "campaign.toml").read_text() == "schema = 1\n"
 
 

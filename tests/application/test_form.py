@@ -95,13 +95,13 @@ def flatten_fields(fields):
 def test_fields_have_label_and_help():
     for form in (campaign_form(), lab_form(), plan_form(False), plan_form(True)):
         for section in form:
-            for asked in flatten_fields(section["fields"]):
-                assert re.match(r"[A-Z][a-z]", asked["label"]), asked
-                assert asked["key"] in ACCELEROMETER_TERMS or "_" not in asked["label"], asked
+            for field in flatten_fields(section["fields"]):
+                assert re.match(r"[A-Z][a-z]", field["label"]), field
+                assert field["key"] in ACCELEROMETER_TERMS or "_" not in field["label"], field
             tables = (section.get("of_readings", []), *section.get("of_tables", {}).values())
-            for asked in flatten_fields(chain(section["fields"], *tables)):
-                assert asked["help"] or asked["key"] in ACCELEROMETER_TERMS, asked
-                assert not re.search(r"`|\]\(", asked["help"]), asked
+            for field in flatten_fields(chain(section["fields"], *tables)):
+                assert field["help"] or field["key"] in ACCELEROMETER_TERMS, field
+                assert not re.search(r"`|\]\(", field["help"]), field
     assert find_field(campaign_form(), "accelerometers", "K_II")["label"] == (
         "Second-order coefficient (K_II)"
     )

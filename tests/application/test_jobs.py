@@ -9,10 +9,10 @@ def test_calibration_job_reports_progress_and_writes_result(page, folder):
     result = folder / "three" / "result.json"
     before = json.loads(result.read_text())
     result.unlink()
-    asked = {"name": "three"}
-    begun = page.post("/api/jobs", json=asked).json()
+    request = {"name": "three"}
+    begun = page.post("/api/jobs", json=request).json()
     # A second click or a reloaded page finds the same job.
-    assert page.post("/api/jobs", json=asked).json()["number"] == begun["number"]
+    assert page.post("/api/jobs", json=request).json()["number"] == begun["number"]
     job = wait(page, begun["number"])
     assert (job["state"], job["progress"]) == ("done", [3, 3])
     assert json.loads(result.read_text()) == before

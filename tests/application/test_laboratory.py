@@ -36,8 +36,8 @@ def test_preview_of_invalid_data_names_key(page):
 
 def test_missing_entries_are_listed_despite_invalid_entry(page):
     text = example_text().replace('"Exampletown"', "7", 1)
-    said = {"file": FILE, "text": text, "result": RESULT}
-    body = page.post("/api/check", json=said).json()
+    request = {"file": FILE, "text": text, "result": RESULT}
+    body = page.post("/api/check", json=request).json()
     assert [problem["key"] for problem in body["problems"]] == ["laboratory.city"]
     missing = {entry["key"] for entry in body["missing"]}
     assert {"laboratory.name", "item.model", "conditions.temperature"} < missing
@@ -100,7 +100,7 @@ def test_profile_path_of_logo_stays_valid(page, folder):
 
 def test_logo_outside_served_folder_is_rejected(page):
     text = LAB.replace('code = "D-K-1"', 'logo = "../../logo.svg"')
-    said = {"file": FILE, "text": text, "result": RESULT}
-    response = page.post("/api/certificate-preview", json=said)
+    request = {"file": FILE, "text": text, "result": RESULT}
+    response = page.post("/api/certificate-preview", json=request)
     assert response.status_code == 422
     assert "outside the served folder" in response.json()["error"]

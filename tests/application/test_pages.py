@@ -52,8 +52,8 @@ def test_results_are_compared_and_shown_as_history(page, folder):
 
 
 def test_history_without_usable_results_is_empty_page(page):
-    asked = {"kind": "history", "names": "three/result.json", "term": "K_OQ"}
-    response = page.get("/api/page", params=asked)
+    request = {"kind": "history", "names": "three/result.json", "term": "K_OQ"}
+    response = page.get("/api/page", params=request)
     assert response.status_code == 200
     assert response.json()["empty"] is True
     assert ": the result has no K" in response.json()["html"]
@@ -78,14 +78,14 @@ def test_invalid_page_query_is_rejected(page, query, status):
 
 def test_campaign_without_records_shows_forecast(page, folder):
     (folder / "three" / "slow.csv").unlink()
-    asked = {"kind": "forecast", "names": "three/campaign.toml"}
-    picture = page.get("/api/picture", params=asked | {"place": 0})
+    request = {"kind": "forecast", "names": "three/campaign.toml"}
+    picture = page.get("/api/picture", params=request | {"place": 0})
     assert picture.status_code == 404
     # A second request finds the running job.
-    jobs = [page.get("/api/page", params=asked).json()["job"] for _ in range(2)]
+    jobs = [page.get("/api/page", params=request).json()["job"] for _ in range(2)]
     assert {(job["number"], job["kind"]) for job in jobs} == {(1, "forecast")}
     assert wait(page, 1)["state"] == "done"
-    body = page.get("/api/page", params=asked).json()
+    body = page.get("/api/page", params=request).json()
     assert "u(K<sub>" in body["html"]
     assert body["command"].startswith("counterspin plan --check ")
 
@@ -96,8 +96,8 @@ def test_forecast_exceeding_memory_fails_with_message(page, folder):
     text = (folder / "three" / "campaign.toml").read_text().replace("drift =", "# drift =")
     text = text.replace('rate = "0.5 rev/s"', 'rate = "1e-9 rev/s"')
     (folder / "endless" / "campaign.toml").write_text(text)
-    asked = {"kind": "forecast", "names": "endless/campaign.toml"}
-    number = page.get("/api/page", params=asked).json()["job"]["number"]
+    request = {"kind": "forecast", "names": "endless/campaign.toml"}
+    number = page.get("/api/page", params=request).json()["job"]["number"]
     job = wait(page, number)
     assert job["state"] == "failed"
     assert "at 1e-09 rev/s" in job["error"]

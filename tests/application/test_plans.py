@@ -25,11 +25,11 @@ def planned(page, folder):
 
 def get_plan_page(page, name="PLAN.toml", **moved):
     """Return the page of a plan within changed limits, after its job."""
-    asked = {"name": name, "moved": moved}
-    job = page.post("/api/plan-page", json=asked).json()["job"]
+    request = {"name": name, "moved": moved}
+    job = page.post("/api/plan-page", json=request).json()["job"]
     assert (job["kind"], job["output"]) == ("plan", "")
     assert wait(page, job["number"])["state"] == "done"
-    return page.post("/api/plan-page", json=asked).json()["html"]
+    return page.post("/api/plan-page", json=request).json()["html"]
 
 
 def render_plan(result):
@@ -66,20 +66,20 @@ def test_failed_plan_search_states_cause(planned, folder):
     refusal = planned.post("/api/plan-page", json={"name": "PLAN.toml", "moved": {"colour": 1.0}})
     assert refusal.json()["code"] == "request-refused"
     assert refusal.json()["error"].startswith("colour ")
-    asked = {"name": "PLAN.toml", "moved": {"total_time": 1e8}}
+    request = {"name": "PLAN.toml", "moved": {"total_time": 1e8}}
     file = folder / "PLAN.toml"
     walk = 'displacement = "0.01 m"\nacceleration = "3e-6 g/Hz^0.5"'
     file.write_text(file.read_text().replace('displacement = "0.01 m"', walk))
-    job = wait(planned, planned.post("/api/plan-page", json=asked).json()["job"]["number"])
+    job = wait(planned, planned.post("/api/plan-page", json=request).json()["job"]["number"])
     assert job["state"] == "failed"
     assert "the search is limited" in job["error"]
 
 
 def test_plan_search_can_be_stopped(planned):
-    asked = {"name": "PLAN.toml"}
-    number = planned.post("/api/plan-page", json=asked).json()["job"]["number"]
+    request = {"name": "PLAN.toml"}
+    number = planned.post("/api/plan-page", json=request).json()["job"]["number"]
     # Another request finds the same job while it runs.
-    assert planned.post("/api/plan-page", json=asked).json()["job"]["number"] == number
+    assert planned.post("/api/plan-page", json=request).json()["job"]["number"] == number
     planned.request("DELETE", "/api/jobs", json={"number": number})
     assert wait(planned, number)["state"] == "stopped"
 
@@ -97,8 +97,8 @@ def test_limits_are_in_units_of_plan_file(planned, folder):
     assert (rate["unit"], rate["value"] / rate["factor"]) == ("rpm", pytest.approx(60.0))
     assert (limits["settling"]["unit"], limits["settling"]["factor"]) == ("min", 60.0)
     moved = {"highest_rate": 45.0 * rate["factor"], "settling": 15.0, "runs": 3.0}
-    said = {"name": "PLAN.toml", "moved": moved, "folder": "planned"}
-    number = planned.post("/api/planned", json=said).json()["number"]
+    request = {"name": "PLAN.toml", "moved": moved, "folder": "planned"}
+    number = planned.post("/api/planned", json=request).json()["number"]
     assert wait(planned, number)["state"] == "done"
     written = tomllib.loads(file.read_text())["limits"]
     assert (written["highest_rate"], written["settling"]) == ("45 rpm", "0.25 min")
@@ -118,8 +118,8 @@ def test_plan_page_of_poses_matches_command(page, folder):
     assert (limit["key"], limit["value"], limit["low"], limit["high"]) == ("readings", 18, 4, 72)
     shown = get_plan_page(page, "POSES.toml", readings=12.0)
     text = file.read_text()
-    said = {"name": "POSES.toml", "moved": {"readings": 12.0}, "folder": "poses"}
-    number = page.post("/api/planned", json=said).json()["number"]
+    request = {"name": "POSES.toml", "moved": {"readings": 12.0}, "folder": "poses"}
+    number = page.post("/api/planned", json=request).json()["number"]
     assert wait(page, number)["state"] == "done"
     assert file.read_text() == text.replace("readings = 18", "readings = 12")
     assert render_plan(plan(file).result) == shown
@@ -131,39 +131,39 @@ def test_plan_file_can_be_edited(planned, folder):
     body = planned.get("/api/plan-text", params={"name": "PLAN.toml"}).json()
     assert [section["key"] for section in body["form"]][:2] == ["goal", "limits"]
     assert body["problems"] == []
-    asked = {"file": "PLAN.toml", "text": body["text"], "path": ["limits", "settling"]}
-    wrong = planned.post("/api/change", json=asked | {"value": "10 kg"}).json()
+    request = {"file": "PLAN.toml", "text": body["text"], "path": ["limits", "settling"]}
+    wrong = planned.post("/api/change", json=request | {"value": "10 kg"}).json()
     ((key, words),) = ((problem["key"], problem["words"]) for problem in wrong["problems"])
     assert key == "limits.settling"
     assert "kg" in words
-    good = planned.post("/api/change", json=asked | {"value": "20 s"}).json()
+    good = planned.post("/api/change", json=request | {"value": "20 s"}).json()
     assert good["problems"] == []
-    said = {"file": "PLAN.toml", "text": good["text"], "version": body["version"]}
-    assert planned.put("/api/text", json=said).is_success
+    payload = {"file": "PLAN.toml", "text": good["text"], "version": body["version"]}
+    assert planned.put("/api/text", json=payload).is_success
     limits = planned.get("/api/plan", params={"name": "PLAN.toml"}).json()["limits"]
     assert {limit["key"]: limit["value"] for limit in limits}["settling"] == 20.0
-    refusal = planned.put("/api/text", json=said | {"text": "schema = 1"})
+    refusal = planned.put("/api/text", json=payload | {"text": "schema = 1"})
     assert "nothing was saved" in refusal.json()["error"]
     (folder / "other.toml").write_text("schema = 1\n")
     assert planned.get("/api/plan-text", params={"name": "other.toml"}).status_code == 403
-    other = said | {"file": "other.toml"}
-    asked = {"file": "other.toml", "text": "a = 1"}
-    assert planned.post("/api/check", json=asked).status_code == 403
+    other = payload | {"file": "other.toml"}
+    request = {"file": "other.toml", "text": "a = 1"}
+    assert planned.post("/api/check", json=request).status_code == 403
     assert planned.put("/api/text", json=other).status_code == 403
 
 
 @pytest.mark.usefixtures("inline_jobs")
 def test_limits_and_planned_campaign_are_written(planned, folder):
-    said = {"name": "PLAN.toml", "moved": {"total_time": 600.0}, "folder": "planned"}
-    made = planned.post("/api/planned", json=said).json()
-    assert made["command"].startswith("counterspin plan ")
-    assert made["output"] == "planned"
-    assert wait(planned, made["number"])["state"] == "done"
+    request = {"name": "PLAN.toml", "moved": {"total_time": 600.0}, "folder": "planned"}
+    body = planned.post("/api/planned", json=request).json()
+    assert body["command"].startswith("counterspin plan ")
+    assert body["output"] == "planned"
+    assert wait(planned, body["number"])["state"] == "done"
     text = (folder / "PLAN.toml").read_text()
     assert tomllib.loads(text)["limits"]["total_time"] == "600 s"
     assert "# records, spin-up, settling and changes of attitude" in text
     assert (folder / "planned" / "campaign.toml").is_file()
-    again = planned.post("/api/planned", json=said)
+    again = planned.post("/api/planned", json=request)
     assert again.status_code == 422
     assert "exists" in again.json()["error"]
 
@@ -181,10 +181,10 @@ def test_example_plan_is_created_and_other_file_type_rejected(page, folder):
 def test_failed_plan_changes_no_file(planned, folder):
     file = folder / "PLAN.toml"
     before = file.read_text()
-    said = {"name": "PLAN.toml", "moved": {"total_time": 1.0}, "folder": "planned"}
+    request = {"name": "PLAN.toml", "moved": {"total_time": 1.0}, "folder": "planned"}
     # A plan whose folder cannot be created changes no file either.
-    other = said | {"moved": {"total_time": 600.0}, "folder": "three/slow.csv"}
-    for asked in (said, other):
+    other = request | {"moved": {"total_time": 600.0}, "folder": "three/slow.csv"}
+    for asked in (request, other):
         number = planned.post("/api/planned", json=asked).json()["number"]
         assert wait(planned, number)["state"] == "failed"
         assert file.read_text() == before
@@ -193,8 +193,8 @@ def test_failed_plan_changes_no_file(planned, folder):
 
 def test_stopped_plan_changes_no_file(planned, folder):
     before = (folder / "PLAN.toml").read_text()
-    said = {"name": "PLAN.toml", "moved": {"total_time": 600.0}, "folder": "planned"}
-    number = planned.post("/api/planned", json=said).json()["number"]
+    request = {"name": "PLAN.toml", "moved": {"total_time": 600.0}, "folder": "planned"}
+    number = planned.post("/api/planned", json=request).json()["number"]
     planned.request("DELETE", "/api/jobs", json={"number": number})
     assert wait(planned, number)["state"] == "stopped"
     assert (folder / "PLAN.toml").read_text() == before

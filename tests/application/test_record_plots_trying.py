@@ -31,8 +31,8 @@ def test_invalid_study_is_rejected_before_start(page, folder):
     body = page.post("/api/study", json={"name": "three", "trials": 6}).json()
     assert any(problem.startswith("study.vary.colour") for problem in body["problems"])
     # The editor also shows the error at its key.
-    asked = {"file": "three/campaign.toml", "text": description.read_text()}
-    wrong = page.post("/api/check", json=asked).json()["problems"]
+    request = {"file": "three/campaign.toml", "text": description.read_text()}
+    wrong = page.post("/api/check", json=request).json()["problems"]
     assert [one["key"] for one in wrong] == ["study.vary.colour"] * len(wrong) != []
 
 
@@ -67,8 +67,8 @@ def test_records_are_simulated_into_new_folder(page, folder):
 )
 def test_simulation_does_not_overwrite_files_or_leave_folder(page, folder, where, status):
     (folder / "slow.csv").write_text("mine")
-    said = {"name": "three", "folder": where}
-    answered = page.post("/api/simulation", json=said)
+    request = {"name": "three", "folder": where}
+    answered = page.post("/api/simulation", json=request)
     assert answered.status_code == status
     if status == 200:
         assert wait(page, answered.json()["number"])["state"] == "failed"

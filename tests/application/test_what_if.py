@@ -65,8 +65,8 @@ def test_stated_value_is_prepared_in_copy(page, folder, result):
     stated = body["ways"][0]["stated"]
     assert (stated["source"], stated["known"]) == ("K_OO", "0.20 µg/g²")
     before = (folder / "three" / "campaign.toml").read_bytes()
-    made = page.post("/api/way", json=CAMPAIGN | {"accelerometer": "Qx", "way": "state"}).json()
-    assert made == {"name": "three-K_OO", "key": 'model.priors."Qx.K_OO"'}
+    data = page.post("/api/way", json=CAMPAIGN | {"accelerometer": "Qx", "way": "state"}).json()
+    assert data == {"name": "three-K_OO", "key": 'model.priors."Qx.K_OO"'}
     prior = load_document(folder / "three-K_OO" / "campaign.toml")["model"]["priors"]
     assert prior == {"Qx.K_OO": "0 ± 2e-07 g/g^2"}
     assert (folder / "three" / "campaign.toml").read_bytes() == before
@@ -87,8 +87,8 @@ def test_additional_runs_are_searched_and_prepared(page, app, folder, result):
     runs = body["ways"][0]["runs"]
     assert runs["attitude"].startswith(("90 deg about", "180 deg about"))
     assert page.post("/api/way", json=way).json() == {"name": "three-further-runs", "key": None}
-    made = read_campaign(folder / "three-further-runs")
-    assert len(made.runs) == 3 + runs["count"]
+    campaign = read_campaign(folder / "three-further-runs")
+    assert len(campaign.runs) == 3 + runs["count"]
     assert page.get("/api/campaign", params={"name": "three-further-runs"}).json()["missing"]
 
 

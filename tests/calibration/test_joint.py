@@ -218,8 +218,8 @@ def test_noisier_run_has_separate_noise(tmp_path, capsys):
     expected = {"run1": 0.01, "run2": 0.01, "run3": math.hypot(0.01, 0.04)}
     assert sizes == pytest.approx(expected, rel=4 * 0.054)
     assert not result.accelerometers["Qy"].noise["displacement"].runs
-    (said,) = [remark for remark in result.warnings if "weights each run" in remark]
-    assert said.startswith("Qx: the noise in run3 is ")
+    (warning,) = [remark for remark in result.warnings if "weights each run" in remark]
+    assert warning.startswith("Qx: the noise in run3 is ")
     assert result.state == "good"
     assert main(["calibrate", str(folder)]) == 0
     assert re.search(r"by run 0\.01\d* in run1", " ".join(capsys.readouterr().out.split()))

@@ -223,20 +223,20 @@ def test_unstated_own_velocity_is_named(own_velocity):
     folder, text = own_velocity
     result = calibrate(campaign_of(folder, changed(text, (REFERENCE, ""))))
     assert {"Qx.K_F", "Qx.K_II", "Qy.K_F", "Qz.K_F"} <= biased_coefficients(result)
-    (found,) = (f for f in result.findings if f.code == "own-velocity")
-    assert result.findings[0] == found
-    assert found.contradicts
-    assert {"lack-of-fit"} <= {f.code for f in found.explains}
-    assert "the computer uses its own velocity" in found.text
-    assert 'enter reference = "own velocity"' in found.text
+    (finding,) = (f for f in result.findings if f.code == "own-velocity")
+    assert result.findings[0] == finding
+    assert finding.contradicts
+    assert {"lack-of-fit"} <= {f.code for f in finding.explains}
+    assert "the computer uses its own velocity" in finding.text
+    assert 'enter reference = "own velocity"' in finding.text
 
 
 def test_wrongly_stated_own_velocity_is_named(own_velocity, tmp_path):
     _, text = own_velocity
     simulate(campaign_of(tmp_path / "given", changed(text, (REFERENCE, ""))), tmp_path)
     result = calibrate(campaign_of(tmp_path, text))
-    (found,) = (f for f in result.findings if f.code == "own-velocity")
-    assert 'enter reference = "platform"' in found.text
+    (finding,) = (f for f in result.findings if f.code == "own-velocity")
+    assert 'enter reference = "platform"' in finding.text
     assert (
         biased_coefficients(calibrate(campaign_of(tmp_path, changed(text, (REFERENCE, "")))))
         == set()

@@ -92,8 +92,10 @@ def test_slopes_require_conditions_of_all_runs(tmp_path):
 
 
 def test_time_of_some_runs_only_is_an_error(tmp_path):
-    (found,) = list_problems(tmp_path, add_conditions(SMALL, keys=("time",), runs=("slow", "fast")))
-    assert found.startswith(
+    (problem,) = list_problems(
+        tmp_path, add_conditions(SMALL, keys=("time",), runs=("slow", "fast"))
+    )
+    assert problem.startswith(
         "runs[1].time: is missing: other runs state this value; write for example time = "
     )
 
@@ -107,10 +109,10 @@ def test_slope_at_single_temperature_requires_reference(tmp_path):
 @pytest.mark.parametrize("stated", ["23 C", "warm", "", "23 °C ± 1 °C"])
 def test_rejects_reference_that_is_not_a_temperature(stated, tmp_path):
     text = changed(SMALL, ('"2.5 m"', f'"2.5 m"\nreference_temperature = "{stated}"'))
-    (told,) = list_problems(tmp_path, text)
-    assert told.startswith("centrifuge.reference_temperature: ")
+    (problem,) = list_problems(tmp_path, text)
+    assert problem.startswith("centrifuge.reference_temperature: ")
     if stated:
-        assert f"'{stated}' is not a temperature" in told
+        assert f"'{stated}' is not a temperature" in problem
 
 
 def test_heating_cannot_be_estimated(tmp_path):

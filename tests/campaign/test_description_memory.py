@@ -22,13 +22,13 @@ def test_mapping_is_equivalent_to_file(tmp_path):
 
 def test_frames_replace_files(tmp_path):
     records = frames.arrays(tmp_path)
-    made = make_campaign(frames.untrue(), records, folder=tmp_path)
-    assert [run.record.name for run in made.runs] == [
+    campaign = make_campaign(frames.untrue(), records, folder=tmp_path)
+    assert [run.record.name for run in campaign.runs] == [
         "slow.parquet",
         "middle.parquet",
         "fast.parquet",
     ]
-    table = made.record_at(made.runs[0].record)
+    table = campaign.record_at(campaign.runs[0].record)
     assert str(table) == "slow in memory"
     assert (table.columns["time_s"] == records["slow"]["time_s"]).all()
 
@@ -39,10 +39,10 @@ def test_record_may_be_path_or_frame(tmp_path):
     records["slow"] = tmp_path / "elsewhere.csv"
     document = frames.untrue()
     document["runs"][1]["record"] = "stated.csv"
-    made = make_campaign(document, records, folder=tmp_path)
-    slow, middle, _ = made.runs
-    assert made.record_at(slow.record) == tmp_path / "elsewhere.csv"
-    assert (middle.record.name, str(made.record_at(middle.record))) == (
+    campaign = make_campaign(document, records, folder=tmp_path)
+    slow, middle, _ = campaign.runs
+    assert campaign.record_at(slow.record) == tmp_path / "elsewhere.csv"
+    assert (middle.record.name, str(campaign.record_at(middle.record))) == (
         "stated.csv",
         "middle in memory",
     )
@@ -56,17 +56,17 @@ def test_record_names_are_valid_and_unique_file_names(tmp_path):
         {"name": "..", "rate": "3 rad/s"},
     ]
     columns = frames.arrays(tmp_path)["slow"]
-    made = make_campaign(document, {run["name"]: columns for run in document["runs"]})
-    names = [run.record.name for run in made.runs]
+    campaign = make_campaign(document, {run["name"]: columns for run in document["runs"]})
+    names = [run.record.name for run in campaign.runs]
     assert names == ["10_g_in.parquet", "10_g_in-2.parquet", "run.parquet"]
 
 
 def test_description_in_file_accepts_records_in_memory(tmp_path):
     records = frames.arrays(tmp_path)
     file = campaigns.write(tmp_path, campaigns.SMALL)
-    made = make_campaign(tmp_path, {"slow": records["slow"]})
-    assert made.source.file == file
-    assert [str(made.record_at(run.record)) for run in made.runs] == [
+    campaign = make_campaign(tmp_path, {"slow": records["slow"]})
+    assert campaign.source.file == file
+    assert [str(campaign.record_at(run.record)) for run in campaign.runs] == [
         "slow in memory",
         str(tmp_path / "middle.csv"),
         str(tmp_path / "fast.csv"),
@@ -122,8 +122,8 @@ def test_runs_without_record_get_default_name():
     document = frames.untrue()
     document["runs"][0]["name"] = "a/b"
     document["runs"][1]["name"] = "a:b"
-    made = make_campaign(document)
-    assert [run.record.name for run in made.runs] == [
+    campaign = make_campaign(document)
+    assert [run.record.name for run in campaign.runs] == [
         "a_b.parquet",
         "a_b-2.parquet",
         "fast.parquet",

@@ -14,15 +14,17 @@ def test_written_campaign_round_trips_exactly(tmp_path):
     records = frames.arrays(tmp_path)
     document = frames.untrue()
     document["runs"][1]["record"] = "in/middle.csv"
-    made = make_campaign(document, records)
-    file = made.write(tmp_path / "written")
+    campaign = make_campaign(document, records)
+    file = campaign.write(tmp_path / "written")
     back = read_campaign(tmp_path / "written")
-    assert back.source.document == made.source.document
-    assert back.source.content_checksum() == made.source.content_checksum()
+    assert back.source.document == campaign.source.document
+    assert back.source.content_checksum() == campaign.source.content_checksum()
     assert file == tmp_path / "written" / "campaign.toml"
-    for run, read in zip(made.runs, (pl.read_parquet, pl.read_csv, pl.read_parquet), strict=True):
-        columns = read(tmp_path / "written" / run.record.relative_to(made.folder))
-        for name, values in made.record_at(run.record).columns.items():
+    for run, read in zip(
+        campaign.runs, (pl.read_parquet, pl.read_csv, pl.read_parquet), strict=True
+    ):
+        columns = read(tmp_path / "written" / run.record.relative_to(campaign.folder))
+        for name, values in campaign.record_at(run.record).columns.items():
             np.testing.assert_array_equal(columns[name].to_numpy(), values)
 
 

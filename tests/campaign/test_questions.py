@@ -39,8 +39,8 @@ def test_complete_campaign_has_no_questions(tmp_path):
 )
 def test_gravity_is_checked_against_latitude(tmp_path, gravity, latitude, fits):
     text = changed(SURE, ("9.8066 m/s^2", f"{gravity} m/s^2"), ('"45.75 deg"', f'"{latitude}"'))
-    found = ask_questions(tmp_path, text)
-    assert found == ([] if fits else [("gravity-latitude", "site")])
+    subjects = ask_questions(tmp_path, text)
+    assert subjects == ([] if fits else [("gravity-latitude", "site")])
 
 
 def test_question_states_range_of_gravity(tmp_path):
@@ -53,8 +53,8 @@ def test_removed_gravity_is_checked_against_latitude(tmp_path):
     for removed, fits in (("9.80665", True), ("9.8061", True), ("9.78033", False)):
         line = f'gravity = "9.8066 m/s^2"\nremoved_gravity = "{removed} m/s^2"'
         text = changed(SURE, ('gravity = "9.8066 m/s^2"', line), ('"45.75 deg"', '"47 deg"'))
-        found = ask_questions(tmp_path, text)
-        assert found == ([] if fits else [("gravity-latitude", "site.removed_gravity")])
+        subjects = ask_questions(tmp_path, text)
+        assert subjects == ([] if fits else [("gravity-latitude", "site.removed_gravity")])
 
 
 @pytest.mark.parametrize(

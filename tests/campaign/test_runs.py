@@ -75,8 +75,8 @@ def test_file_may_contain_consecutive_runs(tmp_path):
     read = read_changed(tmp_path, *two_parts('stop = "40 s"', 'start = "40 s"'))
     assert [run.part for run in read.runs[:2]] == [(-math.inf, 40.0), (40.0, math.inf)]
     for second in ('start = "39 s"', "", 'start = "x"'):
-        told = list_problems(tmp_path, *two_parts('stop = "40 s"', second))
-        assert any("is already used by runs[0]" in line or "start" in line for line in told)
+        problems = list_problems(tmp_path, *two_parts('stop = "40 s"', second))
+        assert any("is already used by runs[0]" in line or "start" in line for line in problems)
     with raises("not-simulable"):
         simulate(read, tmp_path / "out")
 
@@ -94,8 +94,8 @@ def test_file_may_contain_run_per_table(tmp_path, key):
     assert [run.record.name for run in read.runs[:2]] == ["all.xlsx"] * 2
     # One table, or a possibly identical one, belongs to one run.
     for first, second in (("two", own), ("one", "")):
-        told = list_problems(tmp_path, *two_tables(first, second))
-        assert any("is already used by runs[0]" in line for line in told)
+        problems = list_problems(tmp_path, *two_tables(first, second))
+        assert any("is already used by runs[0]" in line for line in problems)
 
 
 @pytest.mark.parametrize(

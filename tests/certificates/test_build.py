@@ -118,40 +118,40 @@ def test_output_units_known_to_si_are_certified(tmp_path):
     one = one.model_copy(update={"coefficients": coefficients})
     plain = plain.model_copy(update={"accelerometers": {"Qx": one}})
     own = one.model_copy(update={"output": output})
-    made = document(tmp_path, plain.model_copy(update={"accelerometers": {"Qx": own}}))
+    xml = document(tmp_path, plain.model_copy(update={"accelerometers": {"Qx": own}}))
     values = {"Bias": (6.25e-3, r"\ampere"), "Scale factor": (1.25e-3 / 9.8, "")}
     for name, (value, unit) in values.items():
         real = f"{QUANTITY}[dcc:name/dcc:content='{name}']/si:real"
-        assert float(find(made, f"{real}/si:value")[0].text) == pytest.approx(value, rel=1e-15)
-        assert unit in find(made, f"{real}/si:unit")[0].text
-    assert list(read_certificate(made, "c").accelerometers["Qx"].coefficients) == list(
+        assert float(find(xml, f"{real}/si:value")[0].text) == pytest.approx(value, rel=1e-15)
+        assert unit in find(xml, f"{real}/si:unit")[0].text
+    assert list(read_certificate(xml, "c").accelerometers["Qx"].coefficients) == list(
         read_certificate(document(tmp_path, plain), "c").accelerometers["Qx"].coefficients
     )
     odd = own.model_copy(
         update={"output": {"bias": Coefficient(**coefficient(6.25, 1e-3, "V/Hz^0.5"))}}
     )
-    made = document(tmp_path, plain.model_copy(update={"accelerometers": {"Qx": odd}}))
-    assert not find(made, f"{QUANTITY}[dcc:name/dcc:content='Bias']")
-    assert b"In the unit of the readings, the bias" in made
+    xml = document(tmp_path, plain.model_copy(update={"accelerometers": {"Qx": odd}}))
+    assert not find(xml, f"{QUANTITY}[dcc:name/dcc:content='Bias']")
+    assert b"In the unit of the readings, the bias" in xml
 
 
 def test_coefficient_in_si(tmp_path):
-    made = document(tmp_path, result())
+    xml = document(tmp_path, result())
     real = f"{QUANTITY}[dcc:name/dcc:content='K_II']/si:real"
-    assert float(find(made, f"{real}/si:value")[0].text) == pytest.approx(2.7e-5 / 9.8, rel=1e-15)
-    assert find(made, f"{real}/si:unit")[0].text == r"\metre\tothe{-1}\second\tothe{2}"
+    assert float(find(xml, f"{real}/si:value")[0].text) == pytest.approx(2.7e-5 / 9.8, rel=1e-15)
+    assert find(xml, f"{real}/si:unit")[0].text == r"\metre\tothe{-1}\second\tothe{2}"
     mu = f"{real}/si:measurementUncertaintyUnivariate/si:expandedMU"
-    k = float(find(made, f"{mu}/si:coverageFactor")[0].text)
+    k = float(find(xml, f"{mu}/si:coverageFactor")[0].text)
     assert k == pytest.approx(2.0086, abs=1e-4)  # t for 50 degrees of freedom
-    expanded = float(find(made, f"{mu}/si:valueExpandedMU")[0].text)
+    expanded = float(find(xml, f"{mu}/si:valueExpandedMU")[0].text)
     assert expanded == pytest.approx(k * 1e-9 / 9.8, rel=1e-15)
-    assert find(made, f"{mu}/si:coverageProbability")[0].text == "0.95"
-    assert find(made, f"{mu}/si:distribution")[0].text == "t"
+    assert find(xml, f"{mu}/si:coverageProbability")[0].text == "0.95"
+    assert find(xml, f"{mu}/si:distribution")[0].text == "t"
     # u is 1.02e-10 s^2/m: its second digit is 1e-11.
-    assert find(made, f"{real}/si:significantDigit")[0].text == "-11"
-    said = find(made, f"{QUANTITY}[dcc:name/dcc:content='K_II']/dcc:description/dcc:content")[0]
+    assert find(xml, f"{real}/si:significantDigit")[0].text == "-11"
+    said = find(xml, f"{QUANTITY}[dcc:name/dcc:content='K_II']/dcc:description/dcc:content")[0]
     assert "27.0000 ± 0.0020 ug/g^2 (U, k = 2.0086)" in said.text
-    gravity = find(made, "//dcc:statement/dcc:nonSIDefinition")[0].text
+    gravity = find(xml, "//dcc:statement/dcc:nonSIDefinition")[0].text
     assert gravity == "1 g = 9.8 m/s^2, the local gravity of the site"
 
 
@@ -199,11 +199,11 @@ def test_region_factor_uses_fewest_degrees_of_freedom(tmp_path):
             "K_II": coefficient(2.7e-5, 1e-9, "g/g^2", dof=50.0),
         }
     )
-    made = document(tmp_path, given)  # K_F and K_II are correlated
+    xml = document(tmp_path, given)  # K_F and K_II are correlated
     region = "//si:ellipsoidalRegionMUXMLList"
-    k = float(find(made, f"{region}/si:coverageFactorXMLList")[0].text)
+    k = float(find(xml, f"{region}/si:coverageFactorXMLList")[0].text)
     assert k == region_factor(2, 50.0)
-    units = [e.text for e in find(made, f"{region}//si:unitXMLList")]
+    units = [e.text for e in find(xml, f"{region}//si:unitXMLList")]
     assert units[0] == r"\metre\tothe{2}\second\tothe{-4}"
     assert units[1] == units[2] == r"\one"
     assert units[3] == r"\metre\tothe{-2}\second\tothe{4}"
@@ -218,14 +218,14 @@ def test_undetermined_coefficient_is_omitted_with_statement(tmp_path):
         },
         correlation={"terms": ["K_II"], "matrix": [[1.0]]},
     )
-    made = document(tmp_path, given)
-    assert [e.text for e in find(made, f"{QUANTITY}/dcc:name/dcc:content")] == ["K_II"]
-    statements = find(made, "//dcc:statement/dcc:declaration/dcc:content")
+    xml = document(tmp_path, given)
+    assert [e.text for e in find(xml, f"{QUANTITY}/dcc:name/dcc:content")] == ["K_II"]
+    statements = find(xml, "//dcc:statement/dcc:declaration/dcc:content")
     said = [line for e in statements for line in e.text.splitlines()]
     assert "K_III of Qx is not certified: the records do not determine this coefficient." in said
     (known,) = [line for line in said if line.startswith("K_I of Qx")]
     assert "used the prior 1.0020000 ± 0.0000098 g/g (U, k = 1.96)" in known
-    assert not find(made, "//si:realListXMLList")  # one coefficient has no covariance
+    assert not find(xml, "//si:realListXMLList")  # one coefficient has no covariance
 
 
 def test_prior_information_is_stated(tmp_path):
@@ -271,39 +271,39 @@ def test_rejects_as_printed_and_undetermined_results():
 
 
 def test_administrative_data_of_laboratory(tmp_path):
-    made = document(tmp_path, result())
+    xml = document(tmp_path, result())
     core = "//dcc:coreData"
-    assert [e.text for e in find(made, f"{core}/dcc:usedLangCodeISO639_1")] == ["en", "de"]
-    assert find(made, f"{core}/dcc:countryCodeISO3166_1")[0].text == "DE"
-    assert find(made, f"{core}/dcc:endPerformanceDate")[0].text == "2026-01-14"
-    assert find(made, f"{core}/dcc:issueDate")[0].text == "2026-01-20"
-    content = find(made, "//dcc:items/dcc:item/dcc:name/dcc:content")[0]
+    assert [e.text for e in find(xml, f"{core}/dcc:usedLangCodeISO639_1")] == ["en", "de"]
+    assert find(xml, f"{core}/dcc:countryCodeISO3166_1")[0].text == "DE"
+    assert find(xml, f"{core}/dcc:endPerformanceDate")[0].text == "2026-01-14"
+    assert find(xml, f"{core}/dcc:issueDate")[0].text == "2026-01-20"
+    content = find(xml, "//dcc:items/dcc:item/dcc:name/dcc:content")[0]
     # By PTB's rules a text in one of two languages has no language attribute.
     assert (content.text, content.get("lang")) == ("Plattform", None)
     serial = "//dcc:subItems//dcc:identification[@refType='basic_serialNumber']/dcc:value"
-    assert find(made, serial)[0].text == "Q-104"  # as the result has it
-    signs = [e.text for e in find(made, "//dcc:respPerson/dcc:mainSigner")]
+    assert find(xml, serial)[0].text == "Q-104"  # as the result has it
+    signs = [e.text for e in find(xml, "//dcc:respPerson/dcc:mainSigner")]
     assert signs == ["true", "false"]
-    temperature = find(made, "//dcc:influenceCondition[@refType='basic_temperature']//si:real")[0]
+    temperature = find(xml, "//dcc:influenceCondition[@refType='basic_temperature']//si:real")[0]
     assert [e.text for e in temperature[:2]] == ["20.5", r"\degreecelsius"]
 
 
 def test_conditions_have_expanded_uncertainty(tmp_path):
     given = result()
     inputs = given.inputs.model_copy(update={"u_gravity": 3e-6, "u_radius": 0.0})
-    made = document(tmp_path, given.model_copy(update={"inputs": inputs}))
+    xml = document(tmp_path, given.model_copy(update={"inputs": inputs}))
     condition = "//dcc:influenceCondition[dcc:name/dcc:content='{}']//si:real"
-    (value,) = find(made, condition.format("Local gravity") + "/si:value")
-    (expanded,) = find(made, condition.format("Local gravity") + "//si:valueExpandedMU")
+    (value,) = find(xml, condition.format("Local gravity") + "/si:value")
+    (expanded,) = find(xml, condition.format("Local gravity") + "//si:valueExpandedMU")
     assert float(expanded.text) == pytest.approx(2.0 * 3e-6, rel=0.02)  # k = 2, two digits
     assert float(value.text) == pytest.approx(inputs.gravity, abs=1e-7)
-    assert not find(made, condition.format("Radius of the centrifuge") + "//si:valueExpandedMU")
+    assert not find(xml, condition.format("Radius of the centrifuge") + "//si:valueExpandedMU")
 
 
 def test_slash_in_identifier_is_replaced_in_file_name(tmp_path):
-    made = document(tmp_path, result(), issue=Issue("2026/1 a", ISSUE.date))
-    assert find(made, "//dcc:uniqueIdentifier")[0].text == "2026/1 a"
-    assert find(made, "/*/dcc:document/dcc:fileName")[0].text == "2026_1_a.pdf"
+    xml = document(tmp_path, result(), issue=Issue("2026/1 a", ISSUE.date))
+    assert find(xml, "//dcc:uniqueIdentifier")[0].text == "2026/1 a"
+    assert find(xml, "/*/dcc:document/dcc:fileName")[0].text == "2026_1_a.pdf"
 
 
 def test_unstated_conditions_are_omitted(tmp_path):
@@ -314,8 +314,8 @@ customer = { name = "K", city = "C" }
 item = { name = "I", manufacturer = "M", model = "1", serial_number = "2" }
 persons = [{ name = "P", role = "R" }]
 """
-    made = document(tmp_path, result(), text=text)
-    names = [e.text for e in find(made, "//dcc:influenceCondition/dcc:name/dcc:content")]
+    xml = document(tmp_path, result(), text=text)
+    names = [e.text for e in find(xml, "//dcc:influenceCondition/dcc:name/dcc:content")]
     assert names == [
         "Local gravity",
         "Geographic latitude",
@@ -327,19 +327,19 @@ persons = [{ name = "P", role = "R" }]
 
 def test_result_and_report_are_attached(tmp_path):
     given = result()
-    made = document(tmp_path, given, pages=b"%PDF-1.7 for people")
-    (data,) = find(made, "//dcc:measurementMetaData//dcc:byteData/dcc:dataBase64")
+    xml = document(tmp_path, given, pages=b"%PDF-1.7 for people")
+    (data,) = find(xml, "//dcc:measurementMetaData//dcc:byteData/dcc:dataBase64")
     (tmp_path / "r.json").write_bytes(b64decode(data.text))
     assert Result.read(tmp_path / "r.json") == given
-    (data,) = find(made, "/dcc:digitalCalibrationCertificate/dcc:document/dcc:dataBase64")
+    (data,) = find(xml, "/dcc:digitalCalibrationCertificate/dcc:document/dcc:dataBase64")
     assert b64decode(data.text) == b"%PDF-1.7 for people"
 
 
 def test_warnings_are_included_with_control_characters_escaped(tmp_path):
     given = result(warnings=["Qx: does not fit\x00\nK_II = 1\u202e & more"])
     given = given.model_copy(update={"warnings": ["of the campaign"]})
-    made = document(tmp_path, given)
-    (comment,) = find(made, "/*/dcc:comment/dcc:content")
+    xml = document(tmp_path, given)
+    (comment,) = find(xml, "/*/dcc:comment/dcc:content")
     assert comment.text.splitlines() == [
         "Warning: of the campaign",
         r"Warning: Qx: does not fit\x00\nK_II = 1\u202e & more",
@@ -370,10 +370,10 @@ def test_conformity_uses_schema_terms(tmp_path, rule, verdict, high, word):
         probability=0.9,
         risk=None if verdict == "undecided" else 0.1,
     )
-    made = document(tmp_path, result(), verdicts={"Qx": {"K_II": judged}})
-    assert [e.text for e in find(made, "//dcc:statement/dcc:conformity")] == word
-    (statement,) = find(made, "//dcc:statement[dcc:norm='JCGM 106:2012']")
-    assert find(made, f"//dcc:quantity[@id='{statement.get('refId')}']/dcc:name/dcc:content")
+    xml = document(tmp_path, result(), verdicts={"Qx": {"K_II": judged}})
+    assert [e.text for e in find(xml, "//dcc:statement/dcc:conformity")] == word
+    (statement,) = find(xml, "//dcc:statement[dcc:norm='JCGM 106:2012']")
+    assert find(xml, f"//dcc:quantity[@id='{statement.get('refId')}']/dcc:name/dcc:content")
     lines = " ".join(statement.itertext())
     said = {"conditionalPass": "conditional pass", "conditionalFail": "conditional fail"}
     words = [said.get(w, w) for w in word] or [verdict]
@@ -392,17 +392,17 @@ customer_data = ["K_I, from the maker's data sheet"]
 
 def test_procedure_and_customer_data_are_stated(tmp_path):
     text = LAB.replace('language = "de"', MORE).replace('"0815"', '"0815"\nstate = "as received"')
-    made = document(tmp_path, result(), text=text)
+    xml = document(tmp_path, result(), text=text)
     method = "//dcc:measurementResult[1]/dcc:usedMethods/dcc:usedMethod[1]"
-    assert [e.text for e in find(made, f"{method}/dcc:reference")] == ["AP-17, edition 3"]
-    assert not find(made, f"{method}/dcc:norm")  # the procedure deviates from IEEE Std 1293
-    (described,) = find(made, f"{method}/dcc:description/dcc:content")
+    assert [e.text for e in find(xml, f"{method}/dcc:reference")] == ["AP-17, edition 3"]
+    assert not find(xml, f"{method}/dcc:norm")  # the procedure deviates from IEEE Std 1293
+    (described,) = find(xml, f"{method}/dcc:description/dcc:content")
     assert described.text.startswith("The coefficients are based on the terms of IEEE Std 1293")
     assert described.text.endswith("Deviation: Two rates in place of three.")
-    (state,) = find(made, "//dcc:influenceCondition[dcc:status='beforeAdjustment']/dcc:data")
+    (state,) = find(xml, "//dcc:influenceCondition[dcc:status='beforeAdjustment']/dcc:data")
     assert "".join(state.itertext()).strip() == "The item was calibrated as received."
     (known, supplied) = (
-        find(made, f"//dcc:statement[dcc:name/dcc:content='{name}']/dcc:declaration/dcc:content")
+        find(xml, f"//dcc:statement[dcc:name/dcc:content='{name}']/dcc:declaration/dcc:content")
         for name in ("Prior information", "Data supplied by the customer")
     )
     assert known[0].text == (
@@ -414,21 +414,21 @@ def test_procedure_and_customer_data_are_stated(tmp_path):
 
 def test_uncertainty_is_at_least_cmc(tmp_path):
     # K_II: U = 2.0086 nano-g/g^2 as evaluated; K_F: 1.96 ug.
-    made = document(tmp_path, result(), text=LAB + '[cmc]\nK_II = "4 ng/g^2"\nK_F = "1 ug"\n')
-    accelerometer = read_certificate(made, "x.xml").accelerometers["Qx"]
+    xml = document(tmp_path, result(), text=LAB + '[cmc]\nK_II = "4 ng/g^2"\nK_F = "1 ug"\n')
+    accelerometer = read_certificate(xml, "x.xml").accelerometers["Qx"]
     k_ii, k_f = accelerometer.coefficients["K_II"], accelerometer.coefficients["K_F"]
     assert coverage_factor(50.0) * k_ii.u == pytest.approx(4e-9, rel=1e-14)
     assert k_ii.dof == 50.0
     assert k_f.u == pytest.approx(1e-6, rel=1e-14)
     # The added variance is independent of K_F: the covariance stays.
     assert accelerometer.covariance[0, 1] == pytest.approx(0.25 * 1e-6 * 1e-9, rel=1e-14)
-    said = find(made, "//dcc:statement[dcc:norm='ILAC-P14:09/2020']/dcc:declaration/dcc:content")
+    said = find(xml, "//dcc:statement[dcc:norm='ILAC-P14:09/2020']/dcc:declaration/dcc:content")
     assert said[0].text.startswith(
         "K_II of Qx: the evaluated uncertainty is U = 0.0020 ug/g^2. The certificate states"
     )
     assert "K_F" not in said[0].text
     # The attached result is unchanged.
-    (data,) = find(made, "//dcc:measurementMetaData//dcc:byteData/dcc:dataBase64")
+    (data,) = find(xml, "//dcc:measurementMetaData//dcc:byteData/dcc:dataBase64")
     attached = Result.model_validate_json(b64decode(data.text))
     assert attached.accelerometers["Qx"].coefficients["K_II"].u == 1e-9
 
@@ -437,9 +437,9 @@ def test_accelerometers_with_shared_inputs_are_correlated(tmp_path):
     terms = ["Qx.K_F", "platform.drift.north", "Qy.K_F", "Qy.K_II"]
     matrix = np.eye(4)
     matrix[0, 2] = matrix[2, 0] = 0.75
-    made = document(tmp_path, two_accelerometers(result(), terms, matrix.tolist()))
+    xml = document(tmp_path, two_accelerometers(result(), terms, matrix.tolist()))
     (together,) = find(
-        made, "//dcc:measurementResult[dcc:name/dcc:content='Joint results for all accelerometers']"
+        xml, "//dcc:measurementResult[dcc:name/dcc:content='Joint results for all accelerometers']"
     )
     labels = together.xpath(".//si:labelXMLList", namespaces=NAMESPACES)[0].text.split()
     assert labels == ["Qx.K_F", "Qy.K_F", "Qy.K_II"]
@@ -447,7 +447,7 @@ def test_accelerometers_with_shared_inputs_are_correlated(tmp_path):
     found = np.array([float(value.text) for value in values]).reshape(3, 3)
     assert found[0, 1] == pytest.approx(0.75 * (9.8 * 1e-6) ** 2, rel=1e-14)
     assert found[0, 2] == 0.0
-    assert list(read_certificate(made, "x.xml").accelerometers) == ["Qx", "Qy"]
+    assert list(read_certificate(xml, "x.xml").accelerometers) == ["Qx", "Qy"]
 
 
 def test_rejects_document_that_is_not_a_certificate():
@@ -458,8 +458,8 @@ def test_rejects_document_that_is_not_a_certificate():
 
 
 def test_rejects_coverage_factor_of_zero(tmp_path):
-    made = document(tmp_path, result())
-    spoilt = made.replace(b"coverageFactor>1.96<", b"coverageFactor>0<")
-    assert spoilt != made
+    xml = document(tmp_path, result())
+    spoilt = xml.replace(b"coverageFactor>1.96<", b"coverageFactor>0<")
+    assert spoilt != xml
     with pytest.raises(RecordError, match="not a calibration certificate"):
         read_certificate(spoilt, "x.xml")

@@ -62,27 +62,29 @@ def test_ptb_rules_report_no_error(tmp_path, rules, language):
     text = LAB.replace('language = "de"', f'language = "{language}"{MORE}')
     text = text.replace('"0815"', '"0815"\nstate = "after adjustment"')
     verdicts = {"Qx": {"K_II": Conformity(**CONFORMITY)}}
-    made = document(
+    xml = document(
         tmp_path, make_full_result(), text=text + '[cmc]\nK_F = "1 ug"\n', verdicts=verdicts
     )
-    found = rule_violations(rules, made)
+    violations = rule_violations(rules, xml)
     # With two languages a text has no language attribute, which gives a permitted remark.
-    assert [line for line in found if language == "en" or "anguage attribute" not in line] == []
+    assert [
+        line for line in violations if language == "en" or "anguage attribute" not in line
+    ] == []
 
 
 def test_ptb_rules_report_errors_of_invalid_certificate(tmp_path, rules):
-    made = document(tmp_path, result()).replace(b">v9.9<", b">9.9<")
-    assert len([line for line in rule_violations(rules, made) if line.startswith("error")]) == 2
+    xml = document(tmp_path, result()).replace(b">v9.9<", b">9.9<")
+    assert len([line for line in rule_violations(rules, xml) if line.startswith("error")]) == 2
 
 
 def test_ptb_rules_report_no_error_for_triad(tmp_path, rules):
     generator = np.random.default_rng(7)
     values = triads.indications(triads.directions(25, generator))
     values = values + 3e-4 * generator.standard_normal(values.shape)
-    made = document(
+    xml = document(
         tmp_path,
         calibrate(triads.table(tmp_path / "triad", values)),
         text=LAB.replace('language = "de"', 'language = "en"') + '[evidence]\nall = "Type test."\n',
     )
-    assert b">Triad X, Y, Z</dcc:content>" in made
-    assert rule_violations(rules, made) == []
+    assert b">Triad X, Y, Z</dcc:content>" in xml
+    assert rule_violations(rules, xml) == []

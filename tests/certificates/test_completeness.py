@@ -10,8 +10,8 @@ from counterspin.inference.joint.summary import BudgetLine
 
 def add_default(share):
     """Return a result in which the default prior of K_OO has a share of the variance of K_II."""
-    made = result()
-    part = made.accelerometers["Qx"]
+    calibration = result()
+    part = calibration.accelerometers["Qx"]
     line = BudgetLine(
         source="K_OO",
         kind="unstated",
@@ -22,7 +22,7 @@ def add_default(share):
         share=share,
     )
     changed = part.model_copy(update={"budget": {"K_II": [line]}})
-    return made.model_copy(update={"accelerometers": {"Qx": changed}})
+    return calibration.model_copy(update={"accelerometers": {"Qx": changed}})
 
 
 def test_complete_file_has_no_missing_data(tmp_path):

@@ -102,9 +102,9 @@ def test_parameters_and_matrix_round_trip(tmp_path, pose_result):
 
 
 def test_verify_prints_parameters_and_reports_changed_matrix(tmp_path, pose_result, capsys):
-    made = document(tmp_path, pose_result, text=OWN)
+    xml = document(tmp_path, pose_result, text=OWN)
     file = tmp_path / "c.xml"
-    file.write_bytes(made)
+    file.write_bytes(xml)
     assert main(["certificate", "--verify", str(file)]) == 0
     output = capsys.readouterr().out
     for words in (
@@ -115,17 +115,17 @@ def test_verify_prints_parameters_and_reports_changed_matrix(tmp_path, pose_resu
     ):
         assert words in output
     first = f"{pose_result.triad.matrix[2][2]!r}".encode()
-    assert made.count(first) == 1
-    file.write_bytes(made.replace(first, f"{pose_result.triad.matrix[2][2] + 1e-9!r}".encode()))
+    assert xml.count(first) == 1
+    file.write_bytes(xml.replace(first, f"{pose_result.triad.matrix[2][2] + 1e-9!r}".encode()))
     assert main(["certificate", "--verify", str(file)]) == 1
     assert "sensitivity.Z" in capsys.readouterr().err
 
 
 def test_amendment_lists_changed_parameters(tmp_path, pose_result):
-    one = document(tmp_path, pose_result, text=OWN)
-    other = one.replace(b">angle.X.Y<", b">angle.Y.X<")
+    xml = document(tmp_path, pose_result, text=OWN)
+    other = xml.replace(b">angle.X.Y<", b">angle.Y.X<")
     shown = format_parameter(pose_result.triad.parameters["angle.X.Y"])
-    assert [line for line in describe_changes(one, other) if "triad" in line] == [
+    assert [line for line in describe_changes(xml, other) if "triad" in line] == [
         f"angle.X.Y of the triad was {shown} and is now not certified.",
         f"angle.Y.X of the triad was not certified and is now {shown}.",
     ]
@@ -138,15 +138,15 @@ def format_parameter(c):
 
 
 def test_matrix_and_bias_correct_indications(tmp_path, pose_result):
-    made = document(tmp_path, pose_result, text=OWN)
+    xml = document(tmp_path, pose_result, text=OWN)
     output = f"{PART}[dcc:name/dcc:content='Corrected output']"
-    matrix = _read_numbers(made, f"{output}//dcc:quantity[1]//si:valueXMLList").reshape(3, 3)
-    bias = _read_numbers(made, f"{output}//dcc:quantity[2]//si:valueXMLList")
+    matrix = _read_numbers(xml, f"{output}//dcc:quantity[1]//si:valueXMLList").reshape(3, 3)
+    bias = _read_numbers(xml, f"{output}//dcc:quantity[2]//si:valueXMLList")
     along = triads.directions(5, np.random.default_rng(8))
     corrected = (G * triads.indications(along) - bias) @ matrix.T
     np.testing.assert_allclose(corrected, G * along, atol=5.0 * G * 3e-4)
     np.testing.assert_allclose(bias, G * triads.BIAS, atol=5.0 * G * 3e-4)
-    expanded = _read_numbers(made, f"{output}//si:valueExpandedMUXMLList").reshape(3, 3)
+    expanded = _read_numbers(xml, f"{output}//si:valueExpandedMUXMLList").reshape(3, 3)
     np.testing.assert_allclose(
         expanded, coverage_factor(16.0) * np.array(pose_result.triad.u_matrix)
     )
@@ -209,28 +209,28 @@ def test_undetermined_parameters_have_no_value(tmp_path):
     result = cs.calibrate(folder)
     angles = [c for name, c in result.triad.parameters.items() if name.startswith("angle")]
     assert not any(c.estimated for c in angles)
-    made = document(tmp_path, result, text=OWN)
-    labels = [element.text for element in find(made, f"{PART}//si:real/si:label")]
+    xml = document(tmp_path, result, text=OWN)
+    labels = [element.text for element in find(xml, f"{PART}//si:real/si:label")]
     assert labels == [f"{kind}.{name}" for kind in ("offset", "sensitivity") for name in "XYZ"]
-    text = "".join(find(made, "//dcc:statements")[0].itertext())
+    text = "".join(find(xml, "//dcc:statements")[0].itertext())
     assert 'The parameter "angle between X and Y" is not certified' in text
 
 
 def test_uncertainty_of_parameter_is_at_least_cmc(tmp_path, pose_result):
     cmc = '\n[cmc]\nK_F = "1 mg"\nK_I = "1e-6 g/g"\ndelta_O = "200 arcsec"\ndelta_P = "1 arcsec"\n'
-    made = document(tmp_path, pose_result, text=OWN + cmc)
+    xml = document(tmp_path, pose_result, text=OWN + cmc)
     expanded = {
         element.getparent()
         .getparent()
         .getparent()
         .findtext("si:label", namespaces=NAMESPACES): float(element.text)
-        for element in find(made, f"{PART}//si:real//si:valueExpandedMU")
+        for element in find(xml, f"{PART}//si:real//si:valueExpandedMU")
     }
     assert expanded["offset.Y"] == pytest.approx(1e-3 * G, rel=1e-12)
     assert expanded["angle.X.Z"] == pytest.approx(np.deg2rad(200 / 3600), rel=1e-12)
     c = pose_result.triad.parameters["sensitivity.Z"]
     assert expanded["sensitivity.Z"] == pytest.approx(coverage_factor(16.0) * c.u, rel=1e-12)
-    text = "".join(find(made, "//dcc:statements")[0].itertext())
+    text = "".join(find(xml, "//dcc:statements")[0].itertext())
     assert "offset of Y: the evaluated uncertainty is U = " in text
     assert "sensitivity of Z: evaluated" not in text
 

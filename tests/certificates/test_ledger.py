@@ -34,13 +34,13 @@ def altered_entry(path):
 def test_entries_round_trip_with_hash_of_previous_entry(tmp_path):
     path = tmp_path / "ledger.jsonl"
     given = append_entries(path, 3)
-    found = verify_ledger(path)
-    assert (list(found.entries), found.partial_entry) == (given, b"")
+    ledger = verify_ledger(path)
+    assert (list(ledger.entries), ledger.partial_entry) == (given, b"")
     lines = [json.loads(line) for line in path.read_bytes().splitlines()]
     assert [line["number"] for line in lines] == [1, 2, 3]
     assert lines[0]["previous"] == "0" * 64
     assert [line["previous"] for line in lines[1:]] == [line["hash"] for line in lines[:-1]]
-    assert found.head == lines[-1]["hash"]
+    assert ledger.head == lines[-1]["hash"]
 
 
 def test_altered_byte_is_detected_with_entry_number(tmp_path):
@@ -114,9 +114,9 @@ def test_partial_entry_is_preserved_in_next_entry(tmp_path):
     start = whole.index(b"\n") + 1
     for cut in range(start, len(whole)):
         path.write_bytes(whole[:cut])
-        found = verify_ledger(path)
-        assert found.entries == (given[0],)
-        assert found.partial_entry == whole[start:cut]
+        ledger = verify_ledger(path)
+        assert ledger.entries == (given[0],)
+        assert ledger.partial_entry == whole[start:cut]
     (new,) = append_entries(path, 1, first=9)
     assert (new.number, new.of["unfinished"].encode()) == (2, whole[start:-1])
     assert verify_ledger(path).entries == (given[0], new)

@@ -42,18 +42,20 @@ def test_result_certificate_and_amendment_are_entered(ledger_folder, capsys):
     assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
     why = ("--amends", "a.xml", "--reason", "The customer has moved.")
     assert run("r.json", "LAB.toml", "-o", "b.pdf", *why) == 0
-    found = verify_ledger(ledger_folder / "ledger.jsonl").entries
-    assert [entry.what for entry in found] == ["result", "certificate", "amendment"]
-    assert found[0].of == {"file": "r.json", "sha256": digest(ledger_folder / "r.json")}
-    assert found[1].of["sha256"] == found[1].of["file_sha256"] == digest(ledger_folder / "a.xml")
-    assert found[1].of["result"] == digest(ledger_folder / "r.json")
-    assert found[2].of["file_sha256"] == digest(ledger_folder / "b.pdf")
-    assert found[2].of["amends"] == found[1].of["identifier"]
-    assert (found[2].why, found[2].who) == ("The customer has moved.", "A. Erste")
-    assert found[1].when == "2027-01-15T08:00:00Z"
+    entries = verify_ledger(ledger_folder / "ledger.jsonl").entries
+    assert [entry.what for entry in entries] == ["result", "certificate", "amendment"]
+    assert entries[0].of == {"file": "r.json", "sha256": digest(ledger_folder / "r.json")}
+    assert (
+        entries[1].of["sha256"] == entries[1].of["file_sha256"] == digest(ledger_folder / "a.xml")
+    )
+    assert entries[1].of["result"] == digest(ledger_folder / "r.json")
+    assert entries[2].of["file_sha256"] == digest(ledger_folder / "b.pdf")
+    assert entries[2].of["amends"] == entries[1].of["identifier"]
+    assert (entries[2].why, entries[2].who) == ("The customer has moved.", "A. Erste")
+    assert entries[1].when == "2027-01-15T08:00:00Z"
     capsys.readouterr()
     assert cli.main(["ledger", "verify", "ledger.jsonl"]) == 0
-    assert found[2].digest in capsys.readouterr().out
+    assert entries[2].digest in capsys.readouterr().out
     more = ("--who", "B. Zweite", "--why", "once more")
     assert cli.main(["ledger", "add", "ledger.jsonl", "r.json", *more]) == 0
     assert verify_ledger(ledger_folder / "ledger.jsonl").entries[3].who == "B. Zweite"
@@ -119,9 +121,9 @@ def test_killed_command_leaves_no_certificate_without_entry(ledger_folder, run_k
     run_killed(moment, *words)
     assert not (ledger_folder / "a.xml").exists()
     assert run(*words) == 0
-    found = verify_ledger(ledger_folder / "ledger.jsonl").entries
-    assert [entry.what for entry in found] == ["result", "certificate"]
-    assert found[1].of["file_sha256"] == digest(ledger_folder / "a.xml")
+    entries = verify_ledger(ledger_folder / "ledger.jsonl").entries
+    assert [entry.what for entry in entries] == ["result", "certificate"]
+    assert entries[1].of["file_sha256"] == digest(ledger_folder / "a.xml")
     assert not [path for path in ledger_folder.iterdir() if path.name.startswith(".")]
 
 
@@ -133,8 +135,8 @@ def test_interrupted_certificate_is_completed_on_later_day(
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800086400")  # the day after
     assert run(*words) == 0
     assert "but was then interrupted" in capsys.readouterr().out
-    found = verify_ledger(ledger_folder / "ledger.jsonl").entries
-    assert [entry.of["file_sha256"] for entry in found[1:]] == [digest(ledger_folder / "a.xml")]
+    entries = verify_ledger(ledger_folder / "ledger.jsonl").entries
+    assert [entry.of["file_sha256"] for entry in entries[1:]] == [digest(ledger_folder / "a.xml")]
     assert b"2027-01-15" in (ledger_folder / "a.xml").read_bytes()
 
 
@@ -217,16 +219,16 @@ def test_identifier_is_unique_per_content(ledger_folder, monkeypatch, capsys):
     # The same content as another file type, and under another name.
     assert run("r.json", "LAB.toml", "-o", "a.pdf") == 0
     assert run("r.json", "LAB.toml", "-o", "b.xml") == 0
-    found = verify_ledger(ledger_folder / "ledger.jsonl").entries
-    assert [entry.of.get("file") for entry in found] == ["r.json", "a.xml", "a.pdf", "b.xml"]
-    assert len({entry.of["sha256"] for entry in found[1:]}) == 1
+    entries = verify_ledger(ledger_folder / "ledger.jsonl").entries
+    assert [entry.of.get("file") for entry in entries] == ["r.json", "a.xml", "a.pdf", "b.xml"]
+    assert len({entry.of["sha256"] for entry in entries[1:]}) == 1
     capsys.readouterr()
     result(serial_number="Q-105").write("r.json", overwrite=True)
     assert run("r.json", "LAB.toml", "-o", "c.xml") == 1
     error = " ".join(capsys.readouterr().err.split())
     assert "already contains certificate K 7 (entry 4), with different content" in error
     assert not (ledger_folder / "c.xml").exists()
-    assert verify_ledger(ledger_folder / "ledger.jsonl").entries == found
+    assert verify_ledger(ledger_folder / "ledger.jsonl").entries == entries
 
 
 def test_concurrent_commands_issue_one_certificate(ledger_folder):
@@ -250,5 +252,5 @@ def test_concurrent_commands_issue_one_certificate(ledger_folder):
     for process in both:
         process.communicate(b"\n")
     assert sorted(process.returncode for process in both) == [0, 1]
-    found = verify_ledger(ledger_folder / "ledger.jsonl").entries
-    assert [entry.of["file_sha256"] for entry in found[1:]] == [digest(ledger_folder / "a.xml")]
+    entries = verify_ledger(ledger_folder / "ledger.jsonl").entries
+    assert [entry.of["file_sha256"] for entry in entries[1:]] == [digest(ledger_folder / "a.xml")]

@@ -24,8 +24,8 @@ name = "Frequenznormal"
 
 
 def make_blocks(tmp_path, text=LAB):
-    made = result()
-    return list(page_blocks(lab_of(tmp_path, made, text), made, ISSUE, {}))
+    calibration = result()
+    return list(page_blocks(lab_of(tmp_path, calibration, text), calibration, ISSUE, {}))
 
 
 def find_table(blocks, title):
@@ -62,12 +62,12 @@ def test_equipment_conforms_to_schema(tmp_path):
 
 
 def test_equipment_is_in_xml(tmp_path):
-    made = document(tmp_path, result(), text=LAB + EQUIPMENT)
-    names = find(made, "//dcc:measuringEquipment/dcc:name/dcc:content/text()")
+    xml = document(tmp_path, result(), text=LAB + EQUIPMENT)
+    names = find(xml, "//dcc:measuringEquipment/dcc:name/dcc:content/text()")
     assert names == ["Interferometer", "Frequenznormal"]
-    (number,) = find(made, "//dcc:measuringEquipment//dcc:value/text()")
+    (number,) = find(xml, "//dcc:measuringEquipment//dcc:value/text()")
     assert number == "1138"
-    (text,) = find(made, "//dcc:measuringEquipment/dcc:description/dcc:content/text()")
+    (text,) = find(xml, "//dcc:measuringEquipment/dcc:description/dcc:content/text()")
     assert text.splitlines() == [
         "Quantity: radius.",
         "Calibration certificate: 4711.",

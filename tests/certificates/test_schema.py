@@ -46,8 +46,8 @@ def test_complete_certificate_is_valid(tmp_path):
     }
     given = result(coefficients=many, warnings=["Qx: hm"])
     verdicts = {"Qx": {"K_II": Conformity(**CONFORMITY)}}
-    made = document(tmp_path, given, verdicts=verdicts)
-    check_schema(made, SCHEMA, "x.xml")
+    xml = document(tmp_path, given, verdicts=verdicts)
+    check_schema(xml, SCHEMA, "x.xml")
 
 
 @needs_schema
@@ -65,9 +65,9 @@ def test_minimal_certificate_is_valid(tmp_path):
 
 @needs_schema
 def test_error_states_line(tmp_path):
-    made = document(tmp_path, result()).replace(b">1.96<", b">1,96<", 1)
+    xml = document(tmp_path, result()).replace(b">1.96<", b">1,96<", 1)
     with raises("wrong-document", "x.xml", "line ", "1,96") as caught:
-        check_schema(made, SCHEMA, "x.xml")
+        check_schema(xml, SCHEMA, "x.xml")
     assert "{https" not in str(caught.value)
 
 

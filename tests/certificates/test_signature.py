@@ -41,9 +41,9 @@ def sign_certificate(folder, pair):
 
 @pytest.mark.parametrize("kind", ["rsa", "ec"])
 def test_signed_certificate_is_valid_and_readable(tmp_path, key_pairs, kind):
-    made = sign_certificate(tmp_path, key_pairs[kind])
-    assert etree.fromstring(made)[-1].tag == "{http://www.w3.org/2000/09/xmldsig#}Signature"
-    covered = verify(made, key_pairs[kind][1], "x.xml")
+    xml = sign_certificate(tmp_path, key_pairs[kind])
+    assert etree.fromstring(xml)[-1].tag == "{http://www.w3.org/2000/09/xmldsig#}Signature"
+    covered = verify(xml, key_pairs[kind][1], "x.xml")
     assert covered.expired is None
     found = read_certificate(covered.content, "x.xml")
     assert found.accelerometers["Qx"].coefficients["K_II"].value == pytest.approx(2.7e-5, rel=1e-15)
@@ -83,21 +83,21 @@ def test_rsa_signature_is_deterministic(tmp_path, key_pairs):
 
 
 def test_changed_digit_invalidates_signature(tmp_path, key_pairs):
-    made = sign_certificate(tmp_path, key_pairs["rsa"])
-    changed = made.replace(b"<si:value>9.8</si:value>", b"<si:value>9.9</si:value>", 1)
-    assert changed != made
+    xml = sign_certificate(tmp_path, key_pairs["rsa"])
+    changed = xml.replace(b"<si:value>9.8</si:value>", b"<si:value>9.9</si:value>", 1)
+    assert changed != xml
     with raises("invalid-signature", "changed"):
         verify(changed, key_pairs["rsa"][1], "x.xml")
 
 
 def test_signature_of_other_signer_is_rejected(tmp_path, key_pairs):
     other = r"the signer is CN=Example laboratory, not the holder of"
-    made = sign_certificate(tmp_path, key_pairs["rsa"])
+    xml = sign_certificate(tmp_path, key_pairs["rsa"])
     with pytest.raises(RecordError, match=other):
-        verify(made, key_pairs["ec"][1], "x.xml")
+        verify(xml, key_pairs["ec"][1], "x.xml")
     # A later change of the document does not matter.
     with pytest.raises(RecordError, match=other):
-        verify(made.replace(b">9.8<", b">9.9<", 1), key_pairs["ec"][1], "x.xml")
+        verify(xml.replace(b">9.8<", b">9.9<", 1), key_pairs["ec"][1], "x.xml")
 
 
 def test_error_distinguishes_changed_signature_from_changed_document(tmp_path, key_pairs):

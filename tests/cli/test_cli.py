@@ -330,7 +330,9 @@ def test_hostile_report_is_safe_in_html_and_pdf(hostile_campaign, tmp_path):
 
 def test_hostile_result_is_safe_in_notebook(hostile_campaign):
     result = Result.read(hostile_campaign / "result.json")
-    names = {f"{name}{HOSTILE}": made for name, made in result.accelerometers.items()}
+    names = {
+        f"{name}{HOSTILE}": accelerometer for name, accelerometer in result.accelerometers.items()
+    }
     result = result.model_copy(update={"accelerometers": names})
     html, covariance = result._repr_html_(), result.covariance
     shown = [str(result), html, result._repr_markdown_()]

@@ -118,10 +118,10 @@ def test_omitted_run_matches_jackknife(seed_1):
     _, whole, _, part = seed_1
     compared = cs.compare(whole, part)
     (left_out,) = (line for line in whole.accelerometers["Qx"].jackknife if line.run == "middle")
-    found = k_ii_estimate(compared)
+    estimate = k_ii_estimate(compared)
     assert compared.agreements[0].records == "part"
-    assert found.difference == pytest.approx(left_out.shift, rel=1e-6)
-    assert abs(found.z) == pytest.approx(abs(left_out.z), rel=1e-3)
+    assert estimate.difference == pytest.approx(left_out.shift, rel=1e-6)
+    assert abs(estimate.z) == pytest.approx(abs(left_out.z), rel=1e-3)
 
 
 def test_changes_list_assumed_and_unstated_terms(seed_1):
@@ -209,8 +209,8 @@ def make_result(value=2.7e-5, **changes):
 def test_shared_prior_is_counted_once():
     # u of each is 1e-9 with 0.6e-9 from the shared K_I: sqrt(2) 0.8e-9 remains.
     first, second = make_result(), make_result(2.7002e-5)
-    found = k_ii_estimate(cs.compare(first, second))
-    assert found.u_difference == pytest.approx(math.sqrt(2.0 * (1e-18 - 0.36e-18)), rel=1e-12)
+    estimate = k_ii_estimate(cs.compare(first, second))
+    assert estimate.u_difference == pytest.approx(math.sqrt(2.0 * (1e-18 - 0.36e-18)), rel=1e-12)
     agreement = cs.compare(first, second).agreements[0]
     assert (agreement.records, agreement.shared) == ("independent", ["K_I"])
 
@@ -278,8 +278,8 @@ def test_different_priors_are_independent():
     document = json.loads(second.to_json())
     document["accelerometers"]["Qx"]["known"]["K_I"]["value"] = 1.003
     other = cs.Result.model_validate(document)
-    found = k_ii_estimate(cs.compare(first, other))
-    assert found.u_difference == pytest.approx(math.sqrt(2.0) * 1e-9, rel=1e-12)
+    estimate = k_ii_estimate(cs.compare(first, other))
+    assert estimate.u_difference == pytest.approx(math.sqrt(2.0) * 1e-9, rel=1e-12)
 
 
 def test_values_are_converted_to_gravity_of_first_result():
@@ -291,9 +291,9 @@ def test_values_are_converted_to_gravity_of_first_result():
 
 def test_conversion_to_local_gravity_is_reported():
     here, there = make_result(), make_result(gravity=9.9)
-    told = comparison_text(cs.compare(here, there, names=["here", "there"]))
-    assert "there was calibrated at a gravity of 9.9 m/s^2" in told
-    assert "here (9.8 m/s^2). The conversion changes K_F by +1 %; K_II by -1 %." in told
+    text = comparison_text(cs.compare(here, there, names=["here", "there"]))
+    assert "there was calibrated at a gravity of 9.9 m/s^2" in text
+    assert "here (9.8 m/s^2). The conversion changes K_F by +1 %; K_II by -1 %." in text
     assert "calibrated at" not in comparison_text(cs.compare(here, make_result()))
 
 
@@ -309,11 +309,11 @@ def test_accelerometer_missing_in_first_result_has_later_reference():
     compared = cs.compare(one, two, three, names=["one", "two", "three"])
     assert compared.reference("Qx").name == "one"
     assert compared.reference("Qy").name == "two"
-    told = comparison_text(compared)
-    assert "Qx: two and one agree" in told
-    assert "Qy: three and two agree" in told
-    assert "Qy: three and one" not in told
-    assert "Differences are relative to one (Qx) and two (Qy)" in told
+    text = comparison_text(compared)
+    assert "Qx: two and one agree" in text
+    assert "Qy: three and two agree" in text
+    assert "Qy: three and one" not in text
+    assert "Differences are relative to one (Qx) and two (Qy)" in text
     tables = [block for block in comparison_blocks(compared) if isinstance(block, Table)]
     assert {row[1] for row in tables[0].rows} == {"one", "two", "three"}
     assert {row[1] for row in tables[1].rows} == {"two", "three"}

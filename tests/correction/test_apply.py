@@ -100,19 +100,19 @@ def default_prior(symbol, u):
 
 def test_default_prior_is_in_u_where_force_is_known():
     rows = [default_prior("K_4", 1e-9), default_prior("K_OO", 2e-6), default_prior("K_IP", 2e-6)]
-    found = make_result().model_copy(update={"rests_on": rows})
-    taken = apply(found, "Qx", np.array([10.0]))
+    result = make_result().model_copy(update={"rests_on": rows})
+    taken = apply(result, "Qx", np.array([10.0]))
     assert taken.corrected == pytest.approx(apply(make_result(), "Qx", np.array([10.0])).corrected)
     # 1e-9 of the force to the fourth power over the slope of the model, which is K_I within 1e-3.
     of_fourth = 1e-9 * taken.corrected[0] ** 4
     assert taken.u == pytest.approx([of_fourth], rel=5e-3)
-    (said,) = (w for w in taken.warnings if "are not stated" in w)
-    assert "K_OO, K_IP" in said
-    across = apply(found, "Qx", np.array([10.0]), ApplyOptions(output_axis="3 g"))
+    (warning,) = (w for w in taken.warnings if "are not stated" in w)
+    assert "K_OO, K_IP" in warning
+    across = apply(result, "Qx", np.array([10.0]), ApplyOptions(output_axis="3 g"))
     assert across.u == pytest.approx([math.hypot(of_fourth, 2e-6 * 9.0)], rel=5e-3)
-    (said,) = (w for w in across.warnings if "are not stated" in w)
-    assert "K_IP" in said
-    assert "K_OO" not in said
+    (warning,) = (w for w in across.warnings if "are not stated" in w)
+    assert "K_IP" in warning
+    assert "K_OO" not in warning
 
 
 # --- the page -------------------------------------------------------------------------------------
@@ -409,10 +409,10 @@ def test_rejects_result_with_undetermined_coefficient():
 
 
 def test_undetermined_scale_factor_is_not_applied():
-    found = make_accelerometer({"K_F": 0.005})
+    accelerometer = make_accelerometer({"K_F": 0.005})
     nothing = make_coefficient("K_III", None, None, estimated=False)
     scale = make_coefficient("K_I", None, None, estimated=False)
-    terms = found.coefficients | {"K_III": nothing, "K_I": scale}
+    terms = accelerometer.coefficients | {"K_III": nothing, "K_I": scale}
     done = apply(make_result({"Qx": make_accelerometer({}, coefficients=terms)}), "Qx", [1.005])
     assert done.corrected[0] == pytest.approx(1.0, abs=1e-15)
     assert done.u[0] == 0.0
@@ -420,7 +420,7 @@ def test_undetermined_scale_factor_is_not_applied():
     assert "the result does not determine K_III, K_I" in done.warnings[0]
     assert "no value for K_I (scale factor). The correction uses 1 g/g" in done.warnings[1]
     # The same holds for a campaign in which K_I is not requested.
-    (warning,) = apply(make_result({"Qx": found}), "Qx", [1.005]).warnings
+    (warning,) = apply(make_result({"Qx": accelerometer}), "Qx", [1.005]).warnings
     assert "The correction uses 1 g/g" in warning
 
 
@@ -456,14 +456,14 @@ def test_correlated_errors_cancel():
         contribution=2e-6,
         share=1.0,
     )
-    found = make_accelerometer(
+    accelerometer = make_accelerometer(
         {},
         coefficients={"K_F": make_coefficient("K_F", 0.005, math.hypot(2e-6, 1e-8))},
         known={"K_PP": make_coefficient("K_PP", 0.0, 2e-6, estimated=False)},
         budget={"K_F": [line]},
     )
     level, side = (
-        apply(make_result({"Qx": found}), "Qx", [0.5], ApplyOptions(pendulous=p)).u[0]
+        apply(make_result({"Qx": accelerometer}), "Qx", [0.5], ApplyOptions(pendulous=p)).u[0]
         for p in (-1.0, 0.0)
     )
     assert level == pytest.approx(1e-8, rel=1e-6)

@@ -32,8 +32,8 @@ def test_indication_is_sum_of_terms(result):
     scale = result.accelerometers["Qx"].known["K_I"].value
     expected = k["K_F"] + scale * FORCE + k["K_II"] * FORCE**2 + k["K_III"] * FORCE**3
     assert result.predict("Qx", FORCE).indicated == pytest.approx(expected, rel=1e-14, abs=1e-15)
-    one = result.predict("Qx", 2.0)
-    assert one.indicated == pytest.approx(
+    prediction = result.predict("Qx", 2.0)
+    assert prediction.indicated == pytest.approx(
         [k["K_F"] + 2.0 * scale + 4.0 * k["K_II"] + 8.0 * k["K_III"]], rel=1e-14
     )
 
@@ -59,9 +59,9 @@ def test_u_matches_covariance(result):
     places = [result.covariance.terms.index(name) for name in names]
     covariance = result.covariance.matrix[np.ix_(places, places)]
     variance = np.einsum("ni,ij,nj->n", jacobian, covariance, jacobian)
-    found = result.predict("Qx", FORCE)
-    assert found.u == pytest.approx(np.sqrt(variance), rel=1e-9)
-    assert repr(found).startswith("<5 indications from ")
+    prediction = result.predict("Qx", FORCE)
+    assert prediction.u == pytest.approx(np.sqrt(variance), rel=1e-9)
+    assert repr(prediction).startswith("<5 indications from ")
 
 
 def test_u_includes_default_prior(result, tmp_path):
@@ -75,8 +75,8 @@ def test_u_includes_default_prior(result, tmp_path):
 
 
 def test_correction_inverts_prediction(result):
-    made = result.predict("Qx", FORCE, pendulous=PENDULOUS)
-    back = apply(result, "Qx", made.indicated, ApplyOptions(pendulous=PENDULOUS))
+    prediction = result.predict("Qx", FORCE, pendulous=PENDULOUS)
+    back = apply(result, "Qx", prediction.indicated, ApplyOptions(pendulous=PENDULOUS))
     assert back.corrected == pytest.approx(FORCE, abs=1e-12)
     assert repr(back).startswith("<5 corrected in g, u at most ")
 

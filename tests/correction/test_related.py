@@ -39,10 +39,10 @@ def apply_nine_parameters(parameters, y):
 
 def test_output_and_u_match_nine_parameters(result):
     y = triads.indications(FORCES)
-    found = correct_all(result, y)
+    corrections = correct_all(result, y)
     values = [result.triad.parameters[name].value for name in result.triad.correlation.terms]
     u = np.array([result.triad.parameters[name].u for name in result.triad.correlation.terms])
-    force = np.column_stack([one.corrected for one in found])
+    force = np.column_stack([one.corrected for one in corrections])
     assert force == pytest.approx(apply_nine_parameters(values, y), abs=1e-12)
     matrix, bias = np.array(result.triad.matrix), np.array(result.triad.bias)
     assert force == pytest.approx((y - bias) @ matrix.T, abs=1e-12)
@@ -57,7 +57,7 @@ def test_output_and_u_match_nine_parameters(result):
             / 2e-6
         )
     variance = np.einsum("pni,pq,qni->ni", slopes, covariance, slopes)
-    claimed = np.column_stack([one.u for one in found])
+    claimed = np.column_stack([one.u for one in corrections])
     assert claimed == pytest.approx(np.sqrt(variance), rel=1e-6)
 
 
@@ -76,15 +76,15 @@ def test_default_priors_are_included_for_all_three_axes(tmp_path, result):
     text = triads.head(model='terms = ["K_F", "K_I", "delta_O", "delta_P"]')
     unstated = cs.calibrate(triads.table(tmp_path, values, u=3e-4, description=text))
     y = triads.indications(np.vstack([FORCES, 3.0 * FORCES]))
-    found = correct_all(unstated, y)
+    corrections = correct_all(unstated, y)
     # Values apply at the temperature of the poses.
     texts = [
         text
-        for text in found[0].warnings
+        for text in corrections[0].warnings
         if "u does not include the uncertainty of these terms" in text
     ]
     assert all("temperature" in text for text in texts), texts
-    u = np.column_stack([one.u for one in found])
+    u = np.column_stack([one.u for one in corrections])
     # The default u of K_II of a MEMS sensor is 1e-3 g/g^2: 9e-3 g at 3 g.
     assert u[4, 2] == pytest.approx(9e-3, rel=0.25)
     assert (

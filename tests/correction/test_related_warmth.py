@@ -178,8 +178,10 @@ def test_u_of_cross_coupled_accelerometers_matches_jacobian():
 def test_known_slopes_require_temperature():
     with pytest.raises(CampaignError) as refused:
         apply(make_result(MODEL | {"K_F.temperature": 3e-5}), "A", [1.0])
-    (said,) = refused.value.problems
-    assert said.startswith("K_F.temperature of A changes with the temperature of the record; give")
+    (problem,) = refused.value.problems
+    assert problem.startswith(
+        "K_F.temperature of A changes with the temperature of the record; give"
+    )
     with raises("missing-input"):
         apply(
             make_result(MODEL | SLOPES, reference=None),
@@ -202,8 +204,8 @@ def test_default_slopes_are_in_u_where_temperature_is_known():
     assert not there.warnings
     unknown = apply(result, "A", [2.0])
     assert unknown.u == pytest.approx([0.0])
-    (said,) = unknown.warnings
-    assert "K_F.temperature, K_I.temperature are not stated, and the temperature is not" in said
+    (warning,) = unknown.warnings
+    assert "K_F.temperature, K_I.temperature are not stated, and the temperature is not" in warning
 
 
 def test_half_of_hysteresis_of_unknown_sign_is_in_u():
@@ -224,13 +226,15 @@ def test_temperature_beyond_calibration_is_reported():
     calibration = make_result(MODEL | SLOPES, temperatures=(283.15, 303.15))
     inside = apply(calibration, "A", [1.0], ApplyOptions(temperature=30.9))
     assert not inside.warnings
-    (said,) = apply(calibration, "A", [1.0, 1.0], ApplyOptions(temperature=[25.0, 40.0])).warnings
-    assert said.startswith(
+    (warning,) = apply(
+        calibration, "A", [1.0, 1.0], ApplyOptions(temperature=[25.0, 40.0])
+    ).warnings
+    assert warning.startswith(
         "The temperature is 25 to 40 degC, but the calibration temperature was 10 "
     )
     result = make_result(MODEL | {"K_F.trend": 1e-9, "K_F.heating": 1e-7})
-    (said,) = apply(result, "A", [1.0]).warnings
-    assert "the correction does not apply K_F.trend, K_F.heating" in said
+    (warning,) = apply(result, "A", [1.0]).warnings
+    assert "the correction does not apply K_F.trend, K_F.heating" in warning
     (note,) = apply(make_result(MODEL), "A", [1.0], ApplyOptions(temperature=25.0)).notes[1:]
     assert note == "The result contains no temperature slope, so the temperature has no effect."
 

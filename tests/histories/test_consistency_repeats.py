@@ -46,7 +46,7 @@ def repeatability_of(results):
 
 def test_variance_components_of_nested_days_mountings_and_turn_ons():
     """With known u: mean squares of balanced classes, with u^2 subtracted from the finest."""
-    found = repeatability_of(make_twelve())
+    repeatability = repeatability_of(make_twelve())
     cube = VALUES.reshape(3, 2, 2)
     of_mounting, of_day = cube.mean(axis=2), cube.mean(axis=(1, 2))
     within = float(np.sum((cube - of_mounting[:, :, None]) ** 2)) / 6.0
@@ -55,30 +55,30 @@ def test_variance_components_of_nested_days_mountings_and_turn_ons():
     # The component of the day is zero, and its mean square is pooled with the mountings.
     assert days < between
     pooled = (2.0 * days + 3.0 * between) / 5.0
-    assert found.components["day"].value == 0.0
+    assert repeatability.components["day"].value == 0.0
     expected = {"turn_on": within - U**2, "mounting": (pooled - within) / 2.0}
     for name, variance in expected.items():
-        assert found.components[name].value == pytest.approx(math.sqrt(variance), rel=1e-3)
-    assert found.total == pytest.approx(math.sqrt(sum(expected.values())), rel=1e-3)
-    assert [own.freedom for own in found.components.values()] == [2, 3, 6]
-    assert found.value == pytest.approx(VALUES.mean(), rel=1e-9)
-    assert found.u == pytest.approx(math.sqrt(pooled / 12.0), rel=1e-3)
-    assert found.about == "mean"
-    assert found.not_told == {}
+        assert repeatability.components[name].value == pytest.approx(math.sqrt(variance), rel=1e-3)
+    assert repeatability.total == pytest.approx(math.sqrt(sum(expected.values())), rel=1e-3)
+    assert [own.freedom for own in repeatability.components.values()] == [2, 3, 6]
+    assert repeatability.value == pytest.approx(VALUES.mean(), rel=1e-9)
+    assert repeatability.u == pytest.approx(math.sqrt(pooled / 12.0), rel=1e-3)
+    assert repeatability.about == "mean"
+    assert repeatability.not_told == {}
 
 
 def test_unstated_or_constant_factor_has_no_component():
     one = [make_result(v, d) for v, d in zip(VALUES[::2], DAYS[::2], strict=True)]
-    found = repeatability_of(one)
-    assert list(found.components) == ["day"]
-    assert found.not_told == {
+    repeatability = repeatability_of(one)
+    assert list(repeatability.components) == ["day"]
+    assert repeatability.not_told == {
         "mounting": "6 of 6 results do not contain this value",
         "turn_on": "6 of 6 results do not contain this value",
     }
     same = [make_result(v, "2026-03-01", mounting="a", turn_on=str(v)) for v in VALUES[:4]]
-    found = repeatability_of(same)
-    assert list(found.components) == ["turn_on"]
-    assert found.not_told["mounting"] == "all results have the same label"
+    repeatability = repeatability_of(same)
+    assert list(repeatability.components) == ["turn_on"]
+    assert repeatability.not_told["mounting"] == "all results have the same label"
     assert repeatability_of(one[:2]) is None
     assert repeatability_of([make_result(v, "2026-03-01") for v in VALUES[:4]]) is None
 
@@ -86,12 +86,12 @@ def test_unstated_or_constant_factor_has_no_component():
 def test_drifting_results_are_evaluated_about_line():
     years = np.arange(8)
     values = 2.7e-5 + 1e-6 * years + U * np.array([1, -1, 0.5, -0.5, 1, -1, 0.5, -0.5])
-    found = repeatability_of(
+    repeatability = repeatability_of(
         [make_result(v, f"{2010 + y}-03-01") for v, y in zip(values, years, strict=True)]
     )
-    assert found.about == "line"
-    assert found.components["day"].value == 0.0
-    assert found.u == pytest.approx(U / math.sqrt(8.0), rel=1e-6)
+    assert repeatability.about == "line"
+    assert repeatability.components["day"].value == 0.0
+    assert repeatability.u == pytest.approx(U / math.sqrt(8.0), rel=1e-6)
 
 
 def test_shared_uncertainty_is_not_repeatability():

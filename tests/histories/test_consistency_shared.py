@@ -91,8 +91,8 @@ def test_default_priors_are_shared_by_results_of_instrument():
     assert find_shared_inputs([1e-9, 1e-9], [first, first]).largest == pytest.approx(0.50)
     # Defaults of different sizes may differ: the shared part is then smaller, never larger.
     lines[0] = budget_line("K_OO", 1e-6, -3e-4, kind="unstated")
-    other = shared_sources(*budget_of(result(budget={"K_II": lines})))
-    assert find_shared_inputs([1e-9, 1e-9], [first, other]).largest == pytest.approx(0.14)
+    sources = shared_sources(*budget_of(result(budget={"K_II": lines})))
+    assert find_shared_inputs([1e-9, 1e-9], [first, sources]).largest == pytest.approx(0.14)
 
 
 LINES = [
@@ -114,8 +114,8 @@ def test_radius_and_priors_are_shared_but_not_run_inputs():
     assert common.names == ("centrifuge.radius", "K_I")
     # A different radius is a separate measurement.
     inputs = given.inputs.model_copy(update={"radius": 2.51})
-    other = shared_sources(*budget_of(given.model_copy(update={"inputs": inputs})))
-    assert find_shared_inputs([1e-9, 1e-9], [found, other]).names == ("K_I",)
+    sources = shared_sources(*budget_of(given.model_copy(update={"inputs": inputs})))
+    assert find_shared_inputs([1e-9, 1e-9], [found, sources]).names == ("K_I",)
     assert find_shared_inputs([1e-9, 1e-9], [found, {}]) is None
 
 
@@ -132,6 +132,6 @@ def test_terms_of_same_second_accelerometer_are_shared():
     given = result(budget={"K_II": lines}, serial_number="Q-1")
     found = shared_sources(*budget_of(given))
     assert found == {("Qx.K_OO", "2e-06 of Q-1"): pytest.approx(-6e-10)}
-    other = shared_sources(*budget_of(result(budget={"K_II": lines}, serial_number="Q-2")))
+    sources = shared_sources(*budget_of(result(budget={"K_II": lines}, serial_number="Q-2")))
     assert find_shared_inputs([1e-9, 1e-9], [found, found]).largest == pytest.approx(0.36)
-    assert find_shared_inputs([1e-9, 1e-9], [found, other]) is None
+    assert find_shared_inputs([1e-9, 1e-9], [found, sources]) is None

@@ -41,15 +41,15 @@ def write_results(folder, **options):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["offset", "sensitivity", "angle"])
 def test_history_of_nine_parameters_has_shared_defaults(tmp_path, kind):
-    found = write_results(tmp_path)
-    parameters = [name for name in found[0].triad.parameters if name.startswith(kind)]
+    results = write_results(tmp_path)
+    parameters = [name for name in results[0].triad.parameters if name.startswith(kind)]
     history = cs.history([tmp_path], term=kind)
     assert [instrument.serial_number for instrument in history.instruments] == (
         ["A B", "A C", "B C"] if kind == "angle" else ["A", "B", "C"]
     )
     assert history.unit == {"offset": "g", "sensitivity": "g/g", "angle": "rad"}[kind]
     for parameter, one in zip(parameters, history.instruments, strict=True):
-        own = [result.triad.parameters[parameter] for result in found]
+        own = [result.triad.parameters[parameter] for result in results]
         less = 0.5 * math.pi if kind == "angle" else 0.0
         assert [p.value for p in one.points] == pytest.approx([c.value - less for c in own])
         # Directions differ with the noise of the poses, and with them the effect of K_0_asym and
@@ -71,12 +71,12 @@ def test_history_of_nine_parameters_has_shared_defaults(tmp_path, kind):
 
 
 def test_triad_results_share_terms_of_other_accelerometers(tmp_path):
-    found = write_results(tmp_path)
+    results = write_results(tmp_path)
     (first, *_) = cs.history([tmp_path], term="K_F").instruments
-    own = found[0].coefficient("X.K_F")
+    own = results[0].coefficient("X.K_F")
     common = math.hypot(own.u_stated, own.u_unstated)
     assert first.u_mean == pytest.approx(math.hypot(own.u_noise / 2.0, common), rel=1e-3)
-    assert any(line.source.startswith(("Y.", "Z.")) for line in found[0].triad.budget["offset.X"])
+    assert any(line.source.startswith(("Y.", "Z.")) for line in results[0].triad.budget["offset.X"])
 
 
 def test_budget_sensitivity_matches_change_of_parameter(tmp_path):

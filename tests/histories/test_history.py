@@ -57,29 +57,35 @@ def only_instrument(found):
 
 def test_results_are_sorted_by_date_with_differences(tmp_path):
     folder = write_series(tmp_path, [2.71e-5, 2.70e-5, 2.72e-5], DATES[:3][::-1])
-    found = only_instrument(history([folder]))
-    assert [point.date for point in found.points] == list(DATES[:3])
-    assert [Path(point.file).name for point in found.points] == ["r2.json", "r1.json", "r0.json"]
-    assert found.mean == pytest.approx(2.71e-5)
-    assert found.u_mean == pytest.approx(U / math.sqrt(3.0))
-    assert [p.difference for p in found.points] == pytest.approx([1e-7, -1e-7, 0.0], abs=1e-15)
+    instrument = only_instrument(history([folder]))
+    assert [point.date for point in instrument.points] == list(DATES[:3])
+    assert [Path(point.file).name for point in instrument.points] == [
+        "r2.json",
+        "r1.json",
+        "r0.json",
+    ]
+    assert instrument.mean == pytest.approx(2.71e-5)
+    assert instrument.u_mean == pytest.approx(U / math.sqrt(3.0))
+    assert [p.difference for p in instrument.points] == pytest.approx([1e-7, -1e-7, 0.0], abs=1e-15)
     # u of each difference: sqrt(u^2 - u^2/3).
-    assert found.points[0].z == pytest.approx(1e-7 / (U * math.sqrt(2.0 / 3.0)))
+    assert instrument.points[0].z == pytest.approx(1e-7 / (U * math.sqrt(2.0 / 3.0)))
     expanded = 1.959963984540054 * U * math.sqrt(2.0)
-    assert [p.e_n for p in found.points[1:]] == pytest.approx([-2e-7 / expanded, 1e-7 / expanded])
-    assert found.points[0].e_n is None
+    assert [p.e_n for p in instrument.points[1:]] == pytest.approx(
+        [-2e-7 / expanded, 1e-7 / expanded]
+    )
+    assert instrument.points[0].e_n is None
 
 
 def test_drift_is_per_year(tmp_path):
-    found = only_instrument(
+    instrument = only_instrument(
         history([write_series(tmp_path, [2.70e-5 + 1e-7 * i for i in range(5)])])
     )
     # Leap years make calendar years differ from 365.25 days by 0.3 % at most.
-    assert found.drift.value == pytest.approx(1e-7, rel=0.003)
-    assert found.drift.level == pytest.approx(2.72e-5, rel=1e-5)
-    assert found.drift.date == "2024-02-29"
+    assert instrument.drift.value == pytest.approx(1e-7, rel=0.003)
+    assert instrument.drift.level == pytest.approx(2.72e-5, rel=1e-5)
+    assert instrument.drift.date == "2024-02-29"
     # Times -2, -1, 0, 1, 2: u of the slope is u/sqrt(10).
-    assert found.drift.u == pytest.approx(U / math.sqrt(10.0), rel=0.003)
+    assert instrument.drift.u == pytest.approx(U / math.sqrt(10.0), rel=0.003)
 
 
 @pytest.mark.parametrize(
@@ -102,9 +108,11 @@ def test_verdict_follows_from_shifts(tmp_path, shifts, verdict, words):
 
 
 def test_results_of_one_date_have_no_drift(tmp_path):
-    found = only_instrument(history([write_series(tmp_path, [2.7e-5, 2.75e-5], [DATES[0]] * 2)]))
-    assert found.drift is None
-    assert found.verdict == "disagree"
+    instrument = only_instrument(
+        history([write_series(tmp_path, [2.7e-5, 2.75e-5], [DATES[0]] * 2)])
+    )
+    assert instrument.drift is None
+    assert instrument.verdict == "disagree"
 
 
 def test_false_alarm_rate_is_as_stated(tmp_path):

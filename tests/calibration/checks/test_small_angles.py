@@ -52,22 +52,22 @@ def test_second_order_of_tilt_changes_named_coefficients(tmp_path, key):
     level = calibrate_tilted(tmp_path / "level", "0 arcsec", "0 ± 0.1 arcsec", key)
     tilted = calibrate_tilted(tmp_path / "tilted", "20 arcmin", "1200 ± 0.1 arcsec", key)
     assert large_tilt_findings(level) == {}
-    found = large_tilt_findings(tilted)
-    assert set(found) == {"Qx.K_I"}
+    findings = large_tilt_findings(tilted)
+    assert set(findings) == {"Qx.K_I"}
     one, other = (r.accelerometers["Qx"].coefficients["K_I"] for r in (level, tilted))
     # -psi^2/2 and, from K_II (a_I - psi)^2, -2 K_II psi
     expected = -0.5 * (20 * ARCMIN) ** 2 - 2.0 * 2.7e-5 * 20 * ARCMIN
     assert other.value - one.value == pytest.approx(expected, abs=0.3 * other.u)
-    assert found["Qx.K_I"].size == pytest.approx(-expected / other.u, rel=0.02)
-    assert found["Qx.K_I"].size > 1.0
+    assert findings["Qx.K_I"].size == pytest.approx(-expected / other.u, rel=0.02)
+    assert findings["Qx.K_I"].size > 1.0
     assert tilted.state == "reservations"
-    assert "may reach 1.2e+03 arcsec (estimate plus 2 u)" in found["Qx.K_I"].text
+    assert "may reach 1.2e+03 arcsec (estimate plus 2 u)" in findings["Qx.K_I"].text
 
 
 def test_tilt_about_input_axis_does_not_change_scale_factor(tmp_path):
-    found = large_tilt_findings(calibrate_tilted(tmp_path, "20 arcmin", "1200 ± 0.1 arcsec"))
+    findings = large_tilt_findings(calibrate_tilted(tmp_path, "20 arcmin", "1200 ± 0.1 arcsec"))
     # Tilt about north, the input axis of Qy.
-    assert "Qy.K_I" not in found
+    assert "Qy.K_I" not in findings
 
 
 @pytest.mark.parametrize(

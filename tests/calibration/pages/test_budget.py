@@ -31,12 +31,12 @@ def with_priors():
         make_line("K_OO", "unstated", 2e-6, "g/g^2", -0.15, 3e-7),
         make_line("noise of Qx", "noise", None, "", None, 0.0),
     ]
-    made = result(budget={"K_II": lines})
+    calibration = result(budget={"K_II": lines})
     rows = [
         make_prior("centrifuge.radius", 2.5, 1e-5, "m"),
         make_prior("Qx.K_OO", 0.0, 2e-6, "g/g^2", "unstated"),
     ]
-    return made.model_validate(made.model_dump(by_alias=True) | {"rests_on": rows})
+    return calibration.model_validate(calibration.model_dump(by_alias=True) | {"rests_on": rows})
 
 
 def test_budget_has_gum_columns_in_order(with_priors):

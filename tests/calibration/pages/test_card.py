@@ -20,53 +20,53 @@ def check_outcomes(made):
 
 
 def test_card_of_good_result():
-    made = make_card()
-    assert (made.state, made.symbol, made.value, made.unit) == (
+    card = make_card()
+    assert (card.state, card.symbol, card.value, card.unit) == (
         "good",
         "K_II",
         "27.0000 ± 0.0010",
         "ug/g^2",
     )
     # Student's t for 50 degrees of freedom: 2.0086.
-    assert made.remarks == (
+    assert card.remarks == (
         "= (2.70000 ± 0.00010) x 1e-5 g/g^2",
         "95 % interval: 26.9980 to 27.0020 ug/g^2",
         "U = 0.0020 ug/g^2, k = 2.01",
     )
-    assert check_outcomes(made) == {"Fit": "passed", "Runs": "passed", "Method": "passed"}
-    assert made.detail == "serial number Q-104, input axis east, pendulous axis down"
+    assert check_outcomes(card) == {"Fit": "passed", "Runs": "passed", "Method": "passed"}
+    assert card.detail == "serial number Q-104, input axis east, pendulous axis down"
 
 
 def test_shares_of_bar_sum_to_one():
-    made = make_card()
-    assert sum(share.size for share in made.shares) == pytest.approx(1.0, abs=1e-9)
-    assert made.shares[0].label == "noise of Qx 64 %"
+    card = make_card()
+    assert sum(share.size for share in card.shares) == pytest.approx(1.0, abs=1e-9)
+    assert card.shares[0].label == "noise of Qx 64 %"
 
 
 def test_contradicted_result_has_no_interval():
-    made = make_card(residual=MISFIT)
-    assert made.state == "contradicted"
-    assert made.remarks == ()
-    assert check_outcomes(made)["Fit"] == "failed"
-    assert made.note.startswith("The residuals are 8")
+    card = make_card(residual=MISFIT)
+    assert card.state == "contradicted"
+    assert card.remarks == ()
+    assert check_outcomes(card)["Fit"] == "failed"
+    assert card.note.startswith("The residuals are 8")
 
 
 def test_missing_check_is_open():
-    made = make_card(jackknife=[], two_stage=None)
-    assert check_outcomes(made) == {"Fit": "passed", "Runs": "open", "Method": "open"}
+    card = make_card(jackknife=[], two_stage=None)
+    assert check_outcomes(card) == {"Fit": "passed", "Runs": "open", "Method": "open"}
 
 
 def test_influential_run_fails_check():
-    made = make_card(jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -7.0}])
-    assert check_outcomes(made)["Runs"] == "failed"
-    assert "if slow is omitted" in next(c.text for c in made.checks if c.title == "Runs")
+    card = make_card(jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -7.0}])
+    assert check_outcomes(card)["Runs"] == "failed"
+    assert "if slow is omitted" in next(c.text for c in card.checks if c.title == "Runs")
 
 
 def test_undetermined_coefficient_has_no_value():
     undetermined = coefficient(0.0, 1e-5, "g/g^2", estimated=False)
-    made = make_card(coefficients={"K_II": undetermined})
-    assert made.value == ""
-    assert made.remarks == made.shares == ()
+    card = make_card(coefficients={"K_II": undetermined})
+    assert card.value == ""
+    assert card.remarks == card.shares == ()
 
 
 def test_card_without_k_ii_has_first_coefficient():

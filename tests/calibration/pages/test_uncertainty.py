@@ -53,9 +53,9 @@ def make_result(unstated, noise=1e-7, **more):
 
 
 def test_largest_default_prior_is_named_with_remaining_u():
-    told = default_prior_sentence(make_result(2e-6).accelerometers["Qx"])
+    sentence = default_prior_sentence(make_result(2e-6).accelerometers["Qx"])
     # With u(K_OO) at a tenth of its typical size, hypot(0.2, 0.1) ug/g^2 remains.
-    assert told == (
+    assert sentence == (
         "K_OO (second-order output-axis coefficient) contributes 100 % of the variance of K_II. "
         "No uncertainty was stated for this term, so the default of 2 ug/g^2 was used. If K_OO "
         "were known to 0.2 ug/g^2, u would fall to 0.22 ug/g^2."

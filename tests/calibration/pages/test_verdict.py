@@ -20,11 +20,11 @@ def test_sentence_of_good_result():
 
 
 def test_reservations_state_most_serious_finding_and_number_of_others():
-    told = make_sentence(
+    sentence = make_sentence(
         warnings=["Qx: one", "Qx: two"],
         jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -3.1}],
     )
-    assert told == (
+    assert sentence == (
         "The result for Qx is usable with reservations: Omitting slow shifts K_II by 0.01 ug/g^2, "
         "3.1 times the standard uncertainty of the shift. Therefore, this run is not consistent "
         "with the others. 2 more findings are listed below. Passed checks: the residuals are "
@@ -34,19 +34,19 @@ def test_reservations_state_most_serious_finding_and_number_of_others():
 
 
 def test_contradicted_result_lists_no_passed_checks():
-    told = make_sentence(jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -6.1}])
-    assert told.startswith(
+    sentence = make_sentence(jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -6.1}])
+    assert sentence.startswith(
         "The result for Qx is contradicted by the records and must not be used: Omitting"
     )
-    assert "Passed checks" not in told
+    assert "Passed checks" not in sentence
 
 
 def test_undetermined_result_lists_no_passed_checks():
     lacking = {"code": "not-determined", "subject": "Qx.K_III", "text": "Add a run."}
     lacking["undetermined"] = True
     calibration = judge_result(result(findings=[lacking]))
-    told = verdict_sentence("Qx", calibration.accelerometers["Qx"])
-    assert told == "The result for Qx is not fully determined by the data: Add a run."
+    sentence = verdict_sentence("Qx", calibration.accelerometers["Qx"])
+    assert sentence == "The result for Qx is not fully determined by the data: Add a run."
     (first,) = misfit_blocks(calibration)
     assert first.style == "undetermined"
     assert first.text.startswith(

@@ -174,35 +174,39 @@ def test_tilt_is_held_per_run(tmp_path):
 def test_budget_contains_all_sources_of_u(tmp_path, options):
     tilt = extend_model('hold = ["platform.tilt"]\npriors = { "platform.tilt" = "0 ± 0.5 arcsec" }')
     radius = ('"2.5 m"', '"2.5 ± 2.5e-3 m"')
-    found = qx(calibrate_records(tmp_path, PRIORS, tilt, radius, **options))
-    estimated = {symbol for symbol, c in found.coefficients.items() if c.estimated}
+    accelerometer = qx(calibrate_records(tmp_path, PRIORS, tilt, radius, **options))
+    estimated = {symbol for symbol, c in accelerometer.coefficients.items() if c.estimated}
     assert "K_II" in estimated
     for symbol in estimated:
-        c, lines = found.coefficients[symbol], found.budget[symbol]
+        c, lines = accelerometer.coefficients[symbol], accelerometer.budget[symbol]
         assert math.hypot(*(line.contribution for line in lines)) == pytest.approx(c.u, rel=1e-9)
         noise = next(line for line in lines if line.source == "noise of Qx")
         assert noise.contribution == pytest.approx(c.u_noise, rel=1e-9)
-    sources = {line.source: line for line in found.budget["K_II"]}
-    c = found.coefficients["K_II"]
+    sources = {line.source: line for line in accelerometer.budget["K_II"]}
+    c = accelerometer.coefficients["K_II"]
     assert sources["centrifuge.radius"].contribution == pytest.approx(2e-3 * abs(c.value), rel=1e-4)
     if not options:
         psi = [sources[f"{run}.platform.tilt.north"] for run in ("slow", "fast")]
         assert {(line.unit, line.kind) for line in psi} == {("rad", "held")}
         assert sources["K_F"].kind == "stated"
-        stated = [line.contribution for line in found.budget["K_II"] if line.kind != "noise"]
+        stated = [
+            line.contribution for line in accelerometer.budget["K_II"] if line.kind != "noise"
+        ]
         assert math.hypot(*stated) == pytest.approx(c.u_stated, rel=1e-9)
 
 
 def test_stated_noise_is_total_noise(tmp_path):
     noise = 'displacement = "0.01 m"\nquantisation = "0.02 m"\nacceleration = "1e-6 g/Hz^0.5"'
-    found = qx(
+    accelerometer = qx(
         calibrate_records(tmp_path, ('[noise]\ndisplacement = "0.01 m"', f"[noise]\n{noise}"))
     )
-    assert found.noise["displacement"].value == pytest.approx(math.hypot(0.01, 0.02 / 12**0.5))
-    assert found.noise["acceleration"].value == pytest.approx(9.8066e-6)
+    assert accelerometer.noise["displacement"].value == pytest.approx(
+        math.hypot(0.01, 0.02 / 12**0.5)
+    )
+    assert accelerometer.noise["acceleration"].value == pytest.approx(9.8066e-6)
     plain = qx(calibrate_records(tmp_path / "b"))
-    assert found.coefficients["K_II"].u_noise > 1.15 * plain.coefficients["K_II"].u_noise
-    assert found.residual.lack_of_fit_p > 1e-3
+    assert accelerometer.coefficients["K_II"].u_noise > 1.15 * plain.coefficients["K_II"].u_noise
+    assert accelerometer.residual.lack_of_fit_p > 1e-3
 
 
 @pytest.mark.parametrize("how", ["asked", "estimate"])
@@ -249,21 +253,21 @@ ESTIMATED = [
 def test_unstated_accelerometer_noise_is_taken_from_joint_fit(tmp_path, noise):
     folder = make_records(tmp_path, *add_walk(noise))
     jointly = qx(calibrate(folder))
-    found = qx(calibrate(folder, method="two-stage"))
-    assert found.noise == jointly.noise
-    walk = found.noise["acceleration"]
+    accelerometer = qx(calibrate(folder, method="two-stage"))
+    assert accelerometer.noise == jointly.noise
+    walk = accelerometer.noise["acceleration"]
     assert walk.estimated
     assert abs(walk.value - WALK) < 4 * walk.u
     stated = noise or ESTIMATED[0]
     known = changed(stated, ("estimate", "1e-4 g/Hz^0.5")) if noise == ESTIMATED[0] else None
     if known:
         sure = qx(calibrate_records(tmp_path / "sure", *add_walk(known))).coefficients["K_F"]
-        c = found.coefficients["K_F"]
+        c = accelerometer.coefficients["K_F"]
         assert c.u == pytest.approx(sure.u, rel=0.3)
         assert sure.dof is None
         assert 3 < c.dof < 1000
     # The comparison in the joint result is the same estimate, except for its estimate of K_III.
-    comparison, c = jointly.two_stage, found.coefficients["K_II"]
+    comparison, c = jointly.two_stage, accelerometer.coefficients["K_II"]
     assert comparison.value == pytest.approx(c.value, abs=0.01 * c.u)
     assert comparison.u == pytest.approx(c.u, rel=1e-4)
 
@@ -282,16 +286,16 @@ def test_comparison_in_joint_result_uses_joint_estimates(tmp_path):
 
 def test_undetected_noise_is_in_u(tmp_path):
     estimated = ('[noise]\ndisplacement = "0.01 m"\n', ESTIMATED[0])
-    found = qx(calibrate_records(tmp_path / "a", estimated))
+    accelerometer = qx(calibrate_records(tmp_path / "a", estimated))
     none = qx(calibrate_records(tmp_path / "b"))
-    assert found.noise["acceleration"].value == 0.0
-    assert found.noise["acceleration"].estimated
+    assert accelerometer.noise["acceleration"].value == 0.0
+    assert accelerometer.noise["acceleration"].estimated
     for symbol in ("K_II", "K_F"):
-        c, without = found.coefficients[symbol], none.coefficients[symbol]
+        c, without = accelerometer.coefficients[symbol], none.coefficients[symbol]
         assert c.value == without.value
         assert c.u_noise > without.u_noise
         assert c.dof is not None
-    assert found.coefficients["K_F"].u_noise > 1.05 * none.coefficients["K_F"].u_noise
+    assert accelerometer.coefficients["K_F"].u_noise > 1.05 * none.coefficients["K_F"].u_noise
 
 
 def test_undetected_noise_has_remark(tmp_path, monkeypatch):
@@ -397,15 +401,15 @@ def test_confounded_terms_are_reported_with_combination(tmp_path, capsys):
     folder, file = make_records(tmp_path, PRIORS), tmp_path / "result.json"
     main(["calibrate", str(folder), "--method", "two-stage", "--json", str(file)])
     text = " ".join(capsys.readouterr().out.split())
-    found = qx(Result.read(file))
-    second, bias = found.confounded
+    accelerometer = qx(Result.read(file))
+    second, bias = accelerometer.confounded
     assert second.terms == ["K_II", "K_OO", "K_F.heating", "platform.compliance.zy"]
     assert second.determined == "K_II + K_OO + 2 K_F.heating + 1.002 platform.compliance.zy"
     alike = ["platform.tilt.north", "platform.compliance.yz"]
     assert bias.terms == ["K_F", "K_PP", "delta_O", *alike]
     assert bias.determined == "K_F + K_PP - delta_O" + "".join(f" - 1.002 {s}" for s in alike)
     for item in (second, bias):
-        c = found.coefficients[item.terms[0]]
+        c = accelerometer.coefficients[item.terms[0]]
         assert (item.value, item.u) == (c.value, c.u)
         assert item.correlation == -1.0
         assert f"the records determine only {item.determined} = " in text
@@ -413,9 +417,9 @@ def test_confounded_terms_are_reported_with_combination(tmp_path, capsys):
 
 def test_default_priors_are_in_u(tmp_path):
     unassumed = (MODEL, "")
-    found = qx(calibrate_records(tmp_path, PRIORS, unassumed))
-    c = found.coefficients["K_II"]
-    lines = {line.source: line for line in found.budget["K_II"]}
+    accelerometer = qx(calibrate_records(tmp_path, PRIORS, unassumed))
+    c = accelerometer.coefficients["K_II"]
+    lines = {line.source: line for line in accelerometer.budget["K_II"]}
     assert {line.kind for line in lines.values()} == {"noise", "stated", "unstated", "held"} - {
         "unstated",
     }
@@ -461,22 +465,22 @@ def test_combination_equals_sum_of_true_terms(tmp_path):
 
 def test_two_confounded_requested_terms_are_undetermined(tmp_path):
     asked = extend_model('terms = ["K_F", "K_II", "K_OO"]')
-    found = qx(calibrate_records(tmp_path, asked))
+    accelerometer = qx(calibrate_records(tmp_path, asked))
     for symbol in ("K_II", "K_OO"):
-        c = found.coefficients[symbol]
+        c = accelerometer.coefficients[symbol]
         assert (c.estimated, c.value) == (False, None)
-    assert found.correlation.terms == ["K_F"]
-    assert abs(found.confounded[0].value - 2.7e-5) < 4 * found.confounded[0].u
-    assert any("do not determine K_II" in warning for warning in found.warnings)
+    assert accelerometer.correlation.terms == ["K_F"]
+    assert abs(accelerometer.confounded[0].value - 2.7e-5) < 4 * accelerometer.confounded[0].u
+    assert any("do not determine K_II" in warning for warning in accelerometer.warnings)
 
 
 def test_prior_of_confounded_term_is_in_u(tmp_path):
     known = extend_model('hold = ["K_OO"]\npriors = { "K_OO" = "1e-6 ± 2e-6 g/g^2" }')
     plain = qx(calibrate_records(tmp_path / "a"))
-    found = qx(calibrate_records(tmp_path / "b", known))
+    accelerometer = qx(calibrate_records(tmp_path / "b", known))
     # The platform compliance acts like K_OO and has no prior.
-    assert found.confounded[0].terms == ["K_II", "K_F.heating", "platform.compliance.zy"]
-    c = found.coefficients["K_II"]
+    assert accelerometer.confounded[0].terms == ["K_II", "K_F.heating", "platform.compliance.zy"]
+    c = accelerometer.coefficients["K_II"]
     assert c.u_stated == pytest.approx(2e-6, rel=1e-4)
     assert c.value == pytest.approx(plain.coefficients["K_II"].value - 1e-6, rel=1e-6)
 
@@ -512,12 +516,12 @@ def test_as_printed_model_returns_half_with_warning(tmp_path):
     folder = make_records(tmp_path, PRIORS)
     for ripple, unit in (("amplitude", "rad/s"), ("ratio", "1")):
         options = TwoStageOptions(model="as-printed", weighted=False, ripple=ripple)
-        found = qx(calibrate(folder, method="two-stage", options=options))
-        c = found.coefficients["K_II"]
+        accelerometer = qx(calibrate(folder, method="two-stage", options=options))
+        c = accelerometer.coefficients["K_II"]
         assert c.value == pytest.approx(2.7e-5 / 2, abs=4 * c.u)
         assert abs(c.value - 2.7e-5) > 10 * c.u
-        assert found.second_unknown["spindle.ripple"].unit == unit
-        assert "the estimate is half the true K_II" in found.warnings[0]
+        assert accelerometer.second_unknown["spindle.ripple"].unit == unit
+        assert "the estimate is half the true K_II" in accelerometer.warnings[0]
 
 
 def test_drift_is_estimated_without_angle(tmp_path, capsys):
@@ -537,9 +541,9 @@ def test_held_terms_may_deviate_within_stated_uncertainty(tmp_path):
     truth = ("[truth.Qx]", '[truth.platform]\ntilt = { north = "5 arcsec" }\n[truth.Qx]')
     for u, codes in (("5", set()), ("0.05", {"lack-of-fit", "prior-conflict"})):
         stated = extend_model(f'priors = {{ "platform.tilt" = "0 ± {u} arcsec" }}')
-        found = qx(calibrate_records(tmp_path / u, PRIORS, truth, stated))
-        assert bool(codes) == bool({finding.code for finding in found.findings} & codes)
-        assert (found.state == "good") == (not codes)
+        accelerometer = qx(calibrate_records(tmp_path / u, PRIORS, truth, stated))
+        assert bool(codes) == bool({finding.code for finding in accelerometer.findings} & codes)
+        assert (accelerometer.state == "good") == (not codes)
 
 
 def test_inconsistent_runs_are_named(tmp_path):
@@ -630,8 +634,8 @@ def test_harmonics_reveal_incredible_scale_factor(tmp_path, scale, told):
     folder = make_records(tmp_path, limits, ('K_I = "1.002 g/g"', f'K_I = "{scale} g/g"'))
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     write(folder, changed(text, (limits[1], MODEL)))
-    found = qx(calibrate(folder, method="two-stage"))
-    of_k_i = [f for f in found.findings if (f.code, f.subject) == ("incredible", "Qx.K_I")]
+    accelerometer = qx(calibrate(folder, method="two-stage"))
+    of_k_i = [f for f in accelerometer.findings if (f.code, f.subject) == ("incredible", "Qx.K_I")]
     assert len(of_k_i) == told
     for finding in of_k_i:
         (value,) = re.findall(r"K_I = (\S+) g/g", finding.text)
