@@ -33,7 +33,7 @@ class Values(Observation):
         return reduce_block(self.design / self.u, self.values / self.u, None, self.fixed / self.u)
 
 
-def values_of(kind, values, u, columns=None, considered=None):
+def make_values(kind, values, u, columns=None, considered=None):
     values = np.atleast_1d(values)
     design = np.ones((values.size, 1)) if columns is None else np.asarray(columns, float)
     fixed = np.zeros((values.size, 0)) if considered is None else np.asarray(considered, float)
@@ -41,8 +41,8 @@ def values_of(kind, values, u, columns=None, considered=None):
     return Values(*places, values, u, kind)
 
 
-def test_two_means_differ_by_their_difference():
-    kinds = [values_of("first", [1e-3, 3e-3], 1e-3), values_of("second", 5e-3, 2e-3)]
+def test_shift_of_two_means_is_their_difference():
+    kinds = [make_values("first", [1e-3, 3e-3], 1e-3), make_values("second", 5e-3, 2e-3)]
     model = Unknowns((MEAN,))
     whole = solve_joint(kinds, model, {})
     u = math.hypot(1e-3 / math.sqrt(2.0), 2e-3)
@@ -54,12 +54,12 @@ def test_two_means_differ_by_their_difference():
         assert (found.chi2, found.dof) == (pytest.approx((3e-3 / u) ** 2, rel=1e-6), 1)
 
 
-def test_what_both_share_is_counted_once():
+def test_shared_considered_term_cancels_in_shift():
     """A considered term that moves both alike takes no part in their difference."""
     both = Considered("A", "K_PP", (0.0, 1e-2), 1.0)
     kinds = [
-        values_of("first", 2e-3, 1e-3, considered=[[1.0]]),
-        values_of("second", 5e-3, 2e-3, considered=[[1.0]]),
+        make_values("first", 2e-3, 1e-3, considered=[[1.0]]),
+        make_values("second", 5e-3, 2e-3, considered=[[1.0]]),
     ]
     model = Unknowns((MEAN,), (both,))
     whole = solve_joint(kinds, model, {})
@@ -69,11 +69,11 @@ def test_what_both_share_is_counted_once():
     assert found.chi2 == pytest.approx(z**2, rel=1e-6)
 
 
-def test_one_that_only_one_kind_feels_explains_a_difference():
+def test_considered_term_of_one_kind_widens_shift():
     own = Considered("A", "K_PP", (0.0, 3e-3), 1.0)
     kinds = [
-        values_of("first", 2e-3, 1e-3, considered=[[1.0]]),
-        values_of("second", 5e-3, 2e-3, considered=[[0.0]]),
+        make_values("first", 2e-3, 1e-3, considered=[[1.0]]),
+        make_values("second", 5e-3, 2e-3, considered=[[0.0]]),
     ]
     model = Unknowns((MEAN,), (own,))
     whole = solve_joint(kinds, model, {})
@@ -83,12 +83,12 @@ def test_one_that_only_one_kind_feels_explains_a_difference():
     assert found.chi2 == pytest.approx(z**2, rel=1e-6)
 
 
-def test_what_the_others_know_nothing_of_is_no_test():
+def test_undetermined_combination_is_not_tested():
     """The first kind determines both unknowns, the second their sum alone: one comparison."""
     other = Unknown("A", "K_PP", FREE, 1e-4)
     kinds = [
-        values_of("first", [1e-3, 2e-3, 2.5e-3], 1e-6, [[1, 0], [0, 1], [1, 1]]),
-        values_of("second", [4e-3], 1e-6, [[1, 1]]),
+        make_values("first", [1e-3, 2e-3, 2.5e-3], 1e-6, [[1, 0], [0, 1], [1, 1]]),
+        make_values("second", [4e-3], 1e-6, [[1, 1]]),
     ]
     model = Unknowns((MEAN, other))
     whole = solve_joint(kinds, model, {})

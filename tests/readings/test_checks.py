@@ -19,7 +19,7 @@ LEVEL = {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5}
 HEAD = place("1.0 ± 1e-6 m", "9.80665 m/s^2", "0.8 rad") + ACCELEROMETER
 
 
-def there_and_back(count=12):
+def mirrored_tumble(count=12):
     """Return a tumble through all positions and back again, and its angles in degrees."""
     angles = np.arange(count) * 360.0 / count
     angles = np.append(angles, angles[::-1])
@@ -30,7 +30,7 @@ def there_and_back(count=12):
     return (stations, [""] * angles.size, np.tile([0.0, 1.0, 0.0], (angles.size, 1))), angles
 
 
-def calibrated(folder, angles, values, **how):
+def calibrate_readings(folder, angles, values, **how):
     """Calibrate readings in g; of an array of repeats each position has a list."""
     u, head, terms = how.get("u"), how.get("head", ""), how.get("terms", LEVEL)
     runs = []
@@ -48,67 +48,73 @@ def calibrated(folder, angles, values, **how):
     return calibrate(folder)
 
 
-def even(count):
+def evenly_spaced_angles(count):
     return (np.arange(count) * 360.0 / count).tolist()
 
 
-def misfits(result):
+def lack_of_fit_findings(result):
     return [finding for finding in result.findings if finding.code == "lack-of-fit"]
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
-def test_a_term_that_is_left_out_is_named_with_those_like_it(tmp_path, u):
+def test_missing_term_is_named_with_collinear_terms(tmp_path, u):
     truth = {**LEVEL, "K_II": 15e-6}
     values = simulated(tumble(24), np.random.default_rng(1), SIGMA, truth=truth)
-    (found,) = misfits(calibrated(tmp_path, even(24), values, u=u))
+    (found,) = lack_of_fit_findings(
+        calibrate_readings(tmp_path, evenly_spaced_angles(24), values, u=u)
+    )
     assert found.contradicts
     assert "follow cos 2 phi, where phi is the head" in found.text
     assert "K_II or K_PP in the accelerometer" in found.text
-    fitting = calibrated(tmp_path, even(24), values, u=u, terms=(*LEVEL, "K_II"))
-    assert not misfits(fitting)
+    fitting = calibrate_readings(
+        tmp_path, evenly_spaced_angles(24), values, u=u, terms=(*LEVEL, "K_II")
+    )
+    assert not lack_of_fit_findings(fitting)
 
 
-def test_a_pure_wave_of_the_head_beside_readings_without_a_stated_u_is_no_good_tumble(tmp_path):
+def test_head_wave_without_stated_u_contradicts(tmp_path):
     """K_F moves by twice its u, and nothing but the residuals shows it."""
-    angles = even(12)
+    angles = evenly_spaced_angles(12)
     values = simulated(tumble(), np.random.default_rng(2), 1e-7, truth=LEVEL)
     values += 4e-5 * np.cos(2.0 * np.radians(angles))
-    result = calibrated(tmp_path, angles, values)
+    result = calibrate_readings(tmp_path, angles, values)
     assert result.state == "contradicted"
-    assert "cos 2 phi" in misfits(result)[0].text
+    assert "cos 2 phi" in lack_of_fit_findings(result)[0].text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
-def test_a_drift_of_ten_times_the_noise_is_named(tmp_path, u):
+def test_drift_of_ten_times_noise_is_named(tmp_path, u):
     values = simulated(tumble(24), np.random.default_rng(3), SIGMA, truth=LEVEL)
     values += 10.0 * SIGMA * np.linspace(0.0, 1.0, 24)
-    (found,) = misfits(calibrated(tmp_path, even(24), values, u=u))
+    (found,) = lack_of_fit_findings(
+        calibrate_readings(tmp_path, evenly_spaced_angles(24), values, u=u)
+    )
     assert "drift with the order of the readings" in found.text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
-def test_hysteresis_of_five_times_the_noise_is_named(tmp_path, u):
-    test, angles = there_and_back()
+def test_hysteresis_of_five_times_noise_is_named(tmp_path, u):
+    test, angles = mirrored_tumble()
     values = simulated(test, np.random.default_rng(4), SIGMA, truth=LEVEL)
     # The last position of the way there is read again without a move.
     values[:13] += 5.0 * SIGMA
-    (found,) = misfits(calibrated(tmp_path, angles.tolist(), values, u=u))
+    (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, angles.tolist(), values, u=u))
     assert "at rest depend on the direction from which a position was approached" in found.text
     assert found.size > 5.0
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
-def test_a_drift_that_turns_back_is_named_though_a_mirrored_order_hides_it(tmp_path, u):
+def test_reversing_drift_in_mirrored_order_is_named(tmp_path, u):
     """It is the same there and back, so that each position seems to be off by itself."""
-    test, angles = there_and_back()
+    test, angles = mirrored_tumble()
     values = simulated(test, np.random.default_rng(12), SIGMA, truth=LEVEL)
     values += 12.0 * SIGMA * np.linspace(-1.0, 1.0, 24) ** 2
-    (found,) = misfits(calibrated(tmp_path, angles.tolist(), values, u=u))
+    (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, angles.tolist(), values, u=u))
     assert "drift with the order of the readings and reverse" in found.text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
-def test_what_depends_on_the_sense_of_rotation_is_named(tmp_path, u):
+def test_dependence_on_sense_of_rotation_is_named(tmp_path, u):
     test = arm()
     truth = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6}
     values = simulated(test, np.random.default_rng(13), SIGMA, truth=truth)
@@ -122,39 +128,39 @@ def test_what_depends_on_the_sense_of_rotation_is_named(tmp_path, u):
     (tmp_path / "campaign.toml").write_text("".join([HEAD, model, *runs]), encoding="utf-8")
     result = calibrate(tmp_path)
     assert result.state == "contradicted"
-    assert "depend on the sense of rotation of the machine" in misfits(result)[0].text
+    assert "depend on the sense of rotation of the machine" in lack_of_fit_findings(result)[0].text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
 @pytest.mark.parametrize("count", [12, 24])
-def test_hysteresis_shows_in_one_turn_too(tmp_path, u, count):
+def test_hysteresis_in_single_revolution_is_named(tmp_path, u, count):
     """Of 15 times the noise between falling and rising force; delta_O was 5 u off, and good."""
     values = simulated(tumble(count), np.random.default_rng(16), SIGMA, truth=LEVEL)
     values[1 : count // 2 + 1] += 15.0 * SIGMA
     terms = (*LEVEL, "K_II")
-    result = calibrated(tmp_path, even(count), values, u=u, terms=terms)
+    result = calibrate_readings(tmp_path, evenly_spaced_angles(count), values, u=u, terms=terms)
     assert result.state != "good"
     assert (
         "the sense in which the specific force along the input axis changed before the reading"
-        in misfits(result)[0].text
+        in lack_of_fit_findings(result)[0].text
     )
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
 @pytest.mark.parametrize("count", [12, 24])
-def test_a_step_is_named_with_the_position_from_which_on_it_is(tmp_path, u, count):
+def test_step_is_named_with_first_position(tmp_path, u, count):
     """Of 15 times the noise; without this column 12 positions were good, and delta_O 6 u off."""
     values = simulated(tumble(count), np.random.default_rng(15), SIGMA, truth=LEVEL)
     values[count // 2 :] += 15.0 * SIGMA
     terms = (*LEVEL, "K_II")
-    result = calibrated(tmp_path, even(count), values, u=u, terms=terms)
+    result = calibrate_readings(tmp_path, evenly_spaced_angles(count), values, u=u, terms=terms)
     assert result.state != "good"
-    assert f'have a step that starts at "at {count // 2}"' in misfits(result)[0].text
+    assert f'have a step that starts at "at {count // 2}"' in lack_of_fit_findings(result)[0].text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
 @pytest.mark.parametrize("assume", ['assume = "all"', ""], ids=["all assumed", "nothing assumed"])
-def test_a_drift_of_the_scale_is_named_or_in_the_uncertainty(tmp_path, u, assume):
+def test_scale_factor_drift_is_named_or_in_uncertainty(tmp_path, u, assume):
     """Of 100 ppm on an arm, as K_I.temperature of typical size makes it in 1 K."""
     test = arm()
     truth = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6}
@@ -172,7 +178,9 @@ def test_a_drift_of_the_scale_is_named_or_in_the_uncertainty(tmp_path, u, assume
     result = calibrate(tmp_path)
     if assume:
         assert result.state != "good"
-        assert "have a scale factor that drifts with the order" in misfits(result)[0].text
+        assert (
+            "have a scale factor that drifts with the order" in lack_of_fit_findings(result)[0].text
+        )
     else:
         k_ii = result["A.K_II"]
         assert (result.state, result.findings) == ("good", [])
@@ -181,60 +189,62 @@ def test_a_drift_of_the_scale_is_named_or_in_the_uncertainty(tmp_path, u, assume
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
-def test_a_swing_of_the_room_s_temperature_is_named(tmp_path, u):
+def test_oscillation_of_room_temperature_is_named(tmp_path, u):
     """2.4 swings of 12 times the noise: K_I was 8 u off and good where the noise was estimated."""
-    test, angles = there_and_back()
+    test, angles = mirrored_tumble()
     values = simulated(test, np.random.default_rng(18), SIGMA, truth=LEVEL)
     values += 12.0 * SIGMA * np.sin(2.0 * math.pi * 2.4 * np.linspace(0.0, 1.0, 24) + 0.5)
-    (found,) = misfits(calibrated(tmp_path, angles.tolist(), values, u=u))
+    (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, angles.tolist(), values, u=u))
     assert "oscillate 2.5 times with the order of the readings" in found.text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
-def test_positions_that_turn_away_are_named(tmp_path, u):
+def test_steady_rotation_of_positions_is_named(tmp_path, u):
     """The floor tilts by 8 arcsec during two turns."""
-    test, angles = there_and_back()
+    test, angles = mirrored_tumble()
     values = simulated(test, np.random.default_rng(19), SIGMA, truth=LEVEL)
     values -= 4e-5 * np.linspace(0.0, 1.0, 24) * np.sin(np.radians(angles))
-    (found,) = misfits(calibrated(tmp_path, angles.tolist(), values, u=u))
+    (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, angles.tolist(), values, u=u))
     assert "have the pattern of positions that rotate steadily with the order" in found.text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
-def test_a_bias_that_is_another_for_negative_forces_is_named(tmp_path, u):
+def test_bias_asymmetry_is_named(tmp_path, u):
     """By 40 ug (K0' of IEEE Std 1293): K_I takes most of a square wave, and not all."""
-    angles = even(24)
+    angles = evenly_spaced_angles(24)
     values = simulated(tumble(24), np.random.default_rng(20), SIGMA, truth=LEVEL)
     values += 2e-5 * np.sign(np.round(np.cos(np.radians(angles)), 9))
-    (found,) = misfits(calibrated(tmp_path, angles, values, u=u, terms=(*LEVEL, "K_II")))
+    (found,) = lack_of_fit_findings(
+        calibrate_readings(tmp_path, angles, values, u=u, terms=(*LEVEL, "K_II"))
+    )
     assert "have the pattern of a bias that differs for negative specific forces" in found.text
 
 
-def test_as_many_readings_as_coefficients_judge_nothing(tmp_path):
+def test_saturated_fit_is_unjudged(tmp_path):
     values = simulated(tumble(4), np.random.default_rng(14), SIGMA, truth=LEVEL)
-    three = calibrated(tmp_path, even(4)[:3], values[:3], u=SIGMA)
+    three = calibrate_readings(tmp_path, evenly_spaced_angles(4)[:3], values[:3], u=SIGMA)
     assert [f.code for f in three.findings] == ["unjudged-readings"]
     assert "3 readings cannot test the 3 coefficients" in three.findings[0].text
     assert three.state == "reservations"
-    four = calibrated(tmp_path, even(4), values, u=SIGMA)
+    four = calibrate_readings(tmp_path, evenly_spaced_angles(4), values, u=SIGMA)
     assert "4 readings leave 1 degree of freedom" in four.findings[0].text
 
 
-def test_a_warm_up_is_named(tmp_path):
+def test_warm_up_is_named(tmp_path):
     values = simulated(tumble(24), np.random.default_rng(5), SIGMA, truth=LEVEL)
     values += 20.0 * SIGMA * np.exp(-np.arange(24) / 2.3)
-    (found,) = misfits(calibrated(tmp_path, even(24), values))
+    (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, evenly_spaced_angles(24), values))
     assert "settle with the order of the readings, as during a warm-up" in found.text
 
 
-def test_one_reading_that_is_off_is_no_pattern(tmp_path):
+def test_single_outlying_reading_is_not_pattern(tmp_path):
     values = simulated(tumble(24), np.random.default_rng(6), SIGMA, truth=LEVEL)
     values[0] += 100.0 * SIGMA
-    result = calibrated(tmp_path, even(24), values)
+    result = calibrate_readings(tmp_path, evenly_spaced_angles(24), values)
     assert [f.code for f in result.findings] == ["outlying-reading"]
 
 
-def test_a_cubic_term_on_the_arm_is_named(tmp_path):
+def test_missing_cubic_term_on_arm_is_named(tmp_path):
     test = arm()
     truth = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6, "K_III": 2e-6}
     values = simulated(test, np.random.default_rng(7), SIGMA, truth=truth)
@@ -244,11 +254,11 @@ def test_a_cubic_term_on_the_arm_is_named(tmp_path):
     ]
     model = '[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II"]\n'
     (tmp_path / "campaign.toml").write_text("".join([HEAD, model, *runs]), encoding="utf-8")
-    (found,) = misfits(calibrate(tmp_path))
+    (found,) = lack_of_fit_findings(calibrate(tmp_path))
     assert found.text.startswith("The residuals of the readings on the arm follow K_III")
 
 
-def on_an_arm(folder, radius, drift=0.0):
+def calibrate_on_arm(folder, radius, drift=0.0):
     """Calibrate six forces inward and outward on an arm of some radius, with rest before and after.
 
     drift: g from each reading to the next.
@@ -276,31 +286,33 @@ def on_an_arm(folder, radius, drift=0.0):
     return calibrate(folder)
 
 
-def test_no_more_readings_are_off_than_there_are(tmp_path):
+def test_outlier_count_does_not_exceed_reading_count(tmp_path):
     """A position that is off twice over, and each of its readings, are two readings."""
-    result = on_an_arm(tmp_path, 1.0, drift=4e-6)
+    result = calibrate_on_arm(tmp_path, 1.0, drift=4e-6)
     text = " ".join(finding.text for finding in result.findings)
     said = re.findall(r"(\d+) of (\d+) readings", text)
     assert result.state == "contradicted"
     assert all(int(off) <= int(there) for off, there in said)
 
 
-def test_a_radius_of_all_mountings_is_one_mistake(tmp_path):
+def test_radius_error_of_all_mountings_is_one_finding(tmp_path):
     """1 mm more in both mountings, known to 1 um each: gravity, or the radius as it is stated."""
-    assert on_an_arm(tmp_path, 1.0).state == "good"
-    first = next(f for f in on_an_arm(tmp_path, 1.001).findings if f.code == "wrong-input")
+    assert calibrate_on_arm(tmp_path, 1.0).state == "good"
+    first = next(f for f in calibrate_on_arm(tmp_path, 1.001).findings if f.code == "wrong-input")
     assert {first.subject, *first.as_well} >= {"centrifuge.radius"}
-    shown = re.search(r"radius of the centrifuge(?: of ([\d.]+) ±)?", first.text)
-    assert shown.group(1) is None or float(shown.group(1)) == pytest.approx(1.001, abs=1e-5)
+    simulate_fault = re.search(r"radius of the centrifuge(?: of ([\d.]+) ±)?", first.text)
+    assert simulate_fault.group(1) is None or float(simulate_fault.group(1)) == pytest.approx(
+        1.001, abs=1e-5
+    )
 
 
 @pytest.mark.parametrize(("count", "codes"), [(7, ["unjudged-readings"]), (8, [])])
-def test_less_than_five_degrees_of_freedom_are_not_judged(tmp_path, count, codes):
+def test_fewer_than_five_degrees_of_freedom_are_unjudged(tmp_path, count, codes):
     values = simulated(tumble(count), np.random.default_rng(8), SIGMA, truth=LEVEL)
-    result = calibrated(tmp_path, even(count), values)
+    result = calibrate_readings(tmp_path, evenly_spaced_angles(count), values)
     assert [f.code for f in result.findings] == codes
     assert result.state == ("reservations" if codes else "good")
-    stated = calibrated(tmp_path, even(count), values, u=SIGMA)
+    stated = calibrate_readings(tmp_path, evenly_spaced_angles(count), values, u=SIGMA)
     assert [f.code for f in stated.findings] == codes
     assert stated.state == result.state
     if codes:
@@ -310,19 +322,21 @@ def test_less_than_five_degrees_of_freedom_are_not_judged(tmp_path, count, codes
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
-def test_twelve_positions_of_which_nothing_is_stated_are_not_judged(tmp_path, u):
+def test_twelve_positions_without_stated_u_are_unjudged(tmp_path, u):
     """Four waves of an unknown head, and what they leave to drifts, take up all twelve."""
     for seed in range(4):
         values = simulated(tumble(), np.random.default_rng(seed), SIGMA, truth=LEVEL)
-        result = calibrated(tmp_path, even(12), values, u=u, assume=[])
+        result = calibrate_readings(tmp_path, evenly_spaced_angles(12), values, u=u, assume=[])
         assert [f.code for f in result.findings] == ["unjudged-readings"]
         for symbol, value in LEVEL.items():
             assert abs(result[f"A.{symbol}"].value - value) < 4.0 * result[f"A.{symbol}"].u
-        known = calibrated(tmp_path, even(12), values, u=SIGMA, assume=[], more=[STATED_HEAD])
+        known = calibrate_readings(
+            tmp_path, evenly_spaced_angles(12), values, u=SIGMA, assume=[], more=[STATED_HEAD]
+        )
         assert (known.state, known.findings) == ("good", [])
 
 
-def shown(kind, rng):
+def simulate_fault(kind, rng):
     """Return a tumble of 12 positions in a random order with something wrong, and its angles."""
     order = rng.permutation(12)
     angle, at = np.arange(12) * math.pi / 6.0, np.arange(12.0)
@@ -337,16 +351,16 @@ def shown(kind, rng):
 
 
 @pytest.mark.parametrize("kind", ["drift", "settle", "2 phi and 3 phi", "K_III"])
-def test_nine_degrees_of_freedom_show_what_is_wrong(tmp_path, kind):
+def test_nine_degrees_of_freedom_reveal_fault(tmp_path, kind):
     """In four tumbles of four; a random order keeps time and angle apart."""
     rng = np.random.default_rng(sum(map(ord, kind)))
     for _ in range(4):
-        (found,) = misfits(calibrated(tmp_path, *shown(kind, rng)))
+        (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, *simulate_fault(kind, rng)))
         assert kind in found.text
 
 
 @pytest.mark.slow
-def test_five_readings_on_an_arm_claim_no_more_than_they_know(tmp_path):
+def test_five_arm_readings_have_coverage(tmp_path):
     """Their noise has one to two degrees of freedom: in a few dozen it comes out very small too.
 
     Four standard deviations of a share of 95 %; Satterthwaite's formula had 1e4 of them, and
@@ -365,7 +379,9 @@ def test_five_readings_on_an_arm_claim_no_more_than_they_know(tmp_path):
             on_arm(f"{k}", f"{one.rate!r} rad/s", f"{1.25 * value!r} mA", side=side)
             for k, (one, side, value) in enumerate(zip(*test[:2], values.tolist(), strict=True))
         ]
-        result = calibrated(tmp_path, even(12), at_rest_, u=SIGMA, terms=tuple(truth), more=runs)
+        result = calibrate_readings(
+            tmp_path, evenly_spaced_angles(12), at_rest_, u=SIGMA, terms=tuple(truth), more=runs
+        )
         codes = {finding.code for finding in result.findings}
         assert "unjudged-readings" in codes
         assert not any("on the arm are off" in finding.text for finding in result.findings)
@@ -378,20 +394,24 @@ def test_five_readings_on_an_arm_claim_no_more_than_they_know(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
-def test_good_tumbles_are_seldom_blamed(tmp_path, u):
+def test_false_alarms_of_good_tumbles_are_rare(tmp_path, u):
     """At 1 % of them, in 30 no more than 2 (p = 0.003), in 150 no more than 6 (p = 0.002)."""
     rng = np.random.default_rng(9)
     trials, most = (150, 6) if FULL else (30, 2)
     blamed = 0
     for _ in range(trials):
         values = simulated(tumble(), rng, SIGMA, truth=LEVEL)
-        blamed += bool(misfits(calibrated(tmp_path, even(12), values, u=u)))
+        blamed += bool(
+            lack_of_fit_findings(
+                calibrate_readings(tmp_path, evenly_spaced_angles(12), values, u=u)
+            )
+        )
     assert blamed <= most
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("u_head", [1e-5, 2e-6], ids=["head ten times the noise", "head twice"])
-def test_repeats_at_one_setting_do_not_show_the_head_s_error(tmp_path, u_head):
+def test_head_error_shared_by_repeats_is_not_named(tmp_path, u_head):
     """Three repeats share it, positions do not.
 
     At 1 % of good tumbles at most 2 of 20 (p = 0.001) and 4 of 66 (p = 0.001) are blamed.
@@ -404,16 +424,22 @@ def test_repeats_at_one_setting_do_not_show_the_head_s_error(tmp_path, u_head):
         exact = simulated(test, rng, 0.0, u_head=u_head, truth=LEVEL)
         values = exact[:, None] + rng.normal(0.0, 1e-6, (24, 3))
         head = f" ± {math.degrees(u_head)!r}"
-        blamed += bool(misfits(calibrated(tmp_path, even(24), values, head=head)))
+        blamed += bool(
+            lack_of_fit_findings(
+                calibrate_readings(tmp_path, evenly_spaced_angles(24), values, head=head)
+            )
+        )
     assert blamed <= most
     # A term that is missing is still seen beside the head.
-    exact += 3.0 * u_head * np.cos(2.0 * np.radians(even(24)))
+    exact += 3.0 * u_head * np.cos(2.0 * np.radians(evenly_spaced_angles(24)))
     values = exact[:, None] + rng.normal(0.0, 1e-6, (24, 3))
-    assert misfits(calibrated(tmp_path, even(24), values, head=head))
+    assert lack_of_fit_findings(
+        calibrate_readings(tmp_path, evenly_spaced_angles(24), values, head=head)
+    )
 
 
 @pytest.mark.slow
-def test_few_repeats_beside_a_large_error_of_the_head_are_no_noise_to_explain_away(tmp_path):
+def test_few_repeats_with_large_head_error_raise_no_alarm(tmp_path):
     """A wave takes from the residuals what the head made, and not the scatter of repeats.
 
     At 0.25 % of good tumbles, in 30 no more than 1 (p = 0.003), in 100 no more than 2 (p = 0.002);
@@ -425,7 +451,11 @@ def test_few_repeats_beside_a_large_error_of_the_head_are_no_noise_to_explain_aw
     for _ in range(trials):
         exact = simulated(test, rng, 0.0, u_head=u_head, truth=LEVEL)
         values = exact[:, None] + rng.normal(0.0, SIGMA, (8, 2))
-        blamed += bool(misfits(calibrated(tmp_path, even(8), values, head=head)))
+        blamed += bool(
+            lack_of_fit_findings(
+                calibrate_readings(tmp_path, evenly_spaced_angles(8), values, head=head)
+            )
+        )
     assert blamed <= most
 
 
@@ -434,7 +464,7 @@ STATED_HEAD = '[model.priors]\n"head.harmonic" = "0 ± 0.1 arcsec"\n'
 
 
 @pytest.mark.parametrize("count", [12, 24])
-def test_a_drift_of_ten_typical_sizes_that_nobody_states_is_not_good(tmp_path, count):
+def test_unstated_drift_of_ten_typical_sizes_is_not_good(tmp_path, count):
     """The typical size holds it back, and K_F is off by four of its u; no u is stated.
 
     An unknown change of temperature could make it, so that temperatures are stated.
@@ -444,41 +474,47 @@ def test_a_drift_of_ten_typical_sizes_that_nobody_states_is_not_good(tmp_path, c
         values = simulated(tumble(count), rng, SIGMA, truth=LEVEL)
         values += 12.0 * SIGMA * np.linspace(0.0, 1.0, count)
         how = {"assume": [], "time": True, "more": [STATED_HEAD]}
-        result = calibrated(tmp_path, even(count), values, **how)
+        result = calibrate_readings(tmp_path, evenly_spaced_angles(count), values, **how)
         assert result.state != "good"
         assert "K_F.trend" in result.findings[0].text or "drift" in result.findings[0].text
 
 
 @pytest.mark.parametrize("count", [12, 24])
-def test_a_drift_that_an_unstated_head_hides_is_in_the_uncertainty(tmp_path, count):
+def test_drift_hidden_by_unstated_head_error_is_in_uncertainty(tmp_path, count):
     """Errors of the head look like most of it: it moves K_F by 1.4 u, and is noticed."""
     rng = np.random.default_rng(count)
     for _ in range(6):
         values = simulated(tumble(count), rng, SIGMA, truth=LEVEL)
         values += 12.0 * SIGMA * np.linspace(0.0, 1.0, count)
-        result = calibrated(tmp_path, even(count), values, assume=[], time=True)
+        result = calibrate_readings(
+            tmp_path, evenly_spaced_angles(count), values, assume=[], time=True
+        )
         low, high = result["A.K_F"].interval(0.95)
         assert low < LEVEL["K_F"] < high
         assert result.state != "good"
 
 
-def turned_head(count, trial, *, again):
+def simulate_turned_head(count, trial, *, again):
     """Return angles of a head that errs once a turn, and readings of what is mounted on it.
 
     again: Whether the accelerometer is mounted on the head a second time, a quarter turn on.
     """
     rng = np.random.default_rng(trial)
-    shown = np.tile(np.arange(count) * 360.0 / count, 2 if again else 1)
-    mounted = np.repeat([0.0, 90.0], count)[: shown.size]
-    true = np.radians(shown + mounted) + 2e-5 * np.sin(np.radians(shown))
+    simulate_fault = np.tile(np.arange(count) * 360.0 / count, 2 if again else 1)
+    mounted = np.repeat([0.0, 90.0], count)[: simulate_fault.size]
+    true = np.radians(simulate_fault + mounted) + 2e-5 * np.sin(np.radians(simulate_fault))
     values = LEVEL["K_F"] + LEVEL["K_I"] * np.cos(true) + LEVEL["delta_O"] * np.sin(true)
-    return shown, shown + mounted, values + rng.normal(0.0, SIGMA, shown.size)
+    return (
+        simulate_fault,
+        simulate_fault + mounted,
+        values + rng.normal(0.0, SIGMA, simulate_fault.size),
+    )
 
 
-def test_a_head_that_errs_once_a_turn_is_in_the_uncertainty(tmp_path):
+def test_first_harmonic_of_head_is_in_uncertainty(tmp_path):
     """4 arcsec look like K_PP to the last digit: 10 ug of K_F, in a closed form."""
-    _, angles, values = turned_head(24, 21, again=False)
-    result = calibrated(tmp_path, angles.tolist(), values, u=SIGMA, assume=[])
+    _, angles, values = simulate_turned_head(24, 21, again=False)
+    result = calibrate_readings(tmp_path, angles.tolist(), values, u=SIGMA, assume=[])
     assert result.state == "good"
     bias = result["A.K_F"]
     # The prior takes a part of the 10 ug that noise and other terms leave to it.
@@ -486,13 +522,13 @@ def test_a_head_that_errs_once_a_turn_is_in_the_uncertainty(tmp_path):
     assert 5e-6 < bias.u < 10e-6
 
 
-def test_a_second_mounting_on_the_head_parts_its_error_from_the_accelerometer(tmp_path):
-    shown, angles, values = turned_head(24, 22, again=True)
+def test_second_mounting_separates_head_error_from_accelerometer(tmp_path):
+    simulate_fault, angles, values = simulate_turned_head(24, 22, again=True)
     runs = [
         at_rest(f"at {k}", f"{angle!r} deg about north", f"{1.25 * value!r} ± {1.25 * SIGMA!r} mA")
         + f'head = "{head!r} deg"\n'
         for k, (head, angle, value) in enumerate(
-            zip(shown.tolist(), angles.tolist(), values.tolist(), strict=True)
+            zip(simulate_fault.tolist(), angles.tolist(), values.tolist(), strict=True)
         )
     ]
     model = f"[model]\nterms = {[*LEVEL, 'head.harmonic.1']}\n".replace("'", '"')
@@ -507,7 +543,7 @@ def test_a_second_mounting_on_the_head_parts_its_error_from_the_accelerometer(tm
 
 
 @pytest.mark.slow
-def test_good_tumbles_of_which_little_is_stated_have_seldom_a_reading_that_is_off(tmp_path):
+def test_outliers_in_good_tumbles_with_default_priors_are_rare(tmp_path):
     """Beside typical sizes the noise of the others comes out small by chance now and then.
 
     At 0.25 % of them, in 30 no more than 1 (p = 0.003), in 100 no more than 2 (p = 0.002);
@@ -519,7 +555,7 @@ def test_good_tumbles_of_which_little_is_stated_have_seldom_a_reading_that_is_of
         unstated = {"K_II": 1e-5, "K_III": 2e-6, "K_IP": 2e-6, "K_PP": 2e-6, "K_OQ": 1e-6}
         truth = LEVEL | {symbol: rng.normal(0.0, size) for symbol, size in unstated.items()}
         values = simulated(tumble(), rng, SIGMA, truth=truth)
-        result = calibrated(tmp_path, even(12), values, assume=[])
+        result = calibrate_readings(tmp_path, evenly_spaced_angles(12), values, assume=[])
         blamed += any(f.code == "outlying-reading" for f in result.findings)
     assert blamed <= most
 
@@ -529,10 +565,12 @@ ROUNDED = "fit the model to the last digit"
 
 @pytest.mark.parametrize("assume", ["all", []], ids=["all assumed", "nothing assumed"])
 @pytest.mark.parametrize("digits", [4, 6, 9, 17])
-def test_readings_without_noise_have_that_of_their_last_digit(tmp_path, assume, digits):
+def test_noise_free_readings_have_rounding_noise(tmp_path, assume, digits):
     """Written to a digit of a, they are off by a/sqrt(12) (GUM F.2.2.1); nothing is found in it."""
     values = simulated(tumble(), np.random.default_rng(0), 0.0, truth=LEVEL)
-    result = calibrated(tmp_path, even(12), values, assume=assume, digits=digits)
+    result = calibrate_readings(
+        tmp_path, evenly_spaced_angles(12), values, assume=assume, digits=digits
+    )
     assert {f.code for f in result.findings} <= {"unjudged-readings"}
     (noise,) = result.accelerometers["A"].noise.values()
     least = 10.0**-digits / 1.25 / math.sqrt(12.0)
@@ -548,10 +586,10 @@ def test_readings_without_noise_have_that_of_their_last_digit(tmp_path, assume, 
     assert noise.value >= 1e-9 / math.sqrt(12.0)
 
 
-def test_the_last_digit_is_no_matter_where_there_is_noise(tmp_path):
+def test_rounding_is_negligible_beside_noise(tmp_path):
     values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL)
-    whole = calibrated(tmp_path, even(12), values)
-    rounded = calibrated(tmp_path, even(12), values, digits=8)
+    whole = calibrate_readings(tmp_path, evenly_spaced_angles(12), values)
+    rounded = calibrate_readings(tmp_path, evenly_spaced_angles(12), values, digits=8)
     for result in (whole, rounded):
         assert not any(ROUNDED in warning for warning in result.warnings)
     for symbol, c in rounded.accelerometers["A"].coefficients.items():
@@ -559,29 +597,37 @@ def test_the_last_digit_is_no_matter_where_there_is_noise(tmp_path):
         assert c.u == pytest.approx(before.u, rel=0.01)
 
 
-def test_repeats_that_are_alike_to_the_last_digit_have_no_less_noise_than_rounding(tmp_path):
+def test_identical_repeats_have_rounding_noise(tmp_path):
     values = simulated(tumble(), np.random.default_rng(2), 0.0, truth=LEVEL)
-    result = calibrated(tmp_path, even(12), np.repeat(values[:, None], 3, axis=1), digits=5)
+    result = calibrate_readings(
+        tmp_path, evenly_spaced_angles(12), np.repeat(values[:, None], 3, axis=1), digits=5
+    )
     (noise,) = result.accelerometers["A"].noise.values()
     assert noise.value == pytest.approx(1e-5 / 1.25 / math.sqrt(12.0), rel=1e-9)  # of their mean
     assert result.state == "good"
 
 
-def test_an_error_of_the_head_once_a_revolution_is_k_ii_and_covered_where_it_is_stated(tmp_path):
+def test_stated_first_harmonic_of_head_covers_error_of_k_ii(tmp_path):
     """e sin(t + p) sin t = e/2 (cos p - cos(2 t + p)): K_II = -e cos p, K_F = e cos p.
 
     No residual shows it; an amplitude of 4.1 arcsec is an error of setting of 2.9 arcsec.
     """
-    error, angle = 2e-5, np.radians(even(12))
+    error, angle = 2e-5, np.radians(evenly_spaced_angles(12))
     for phase in (0.0, 1.0, math.pi):
         values = simulated(tumble(), np.random.default_rng(3), 0.0, truth=LEVEL)
         values += error * np.sin(angle + phase) * np.sin(angle)
         asked = (*LEVEL, "K_II", "K_IP")
-        found = calibrated(tmp_path, even(12), values, terms=asked).accelerometers["A"].coefficients
+        found = (
+            calibrate_readings(tmp_path, evenly_spaced_angles(12), values, terms=asked)
+            .accelerometers["A"]
+            .coefficients
+        )
         off = found["K_F"].value - LEVEL["K_F"]
         assert off == pytest.approx(error * math.cos(phase), abs=1e-9)
         position = ('[fixture]\nposition = "0 ± 2.9 arcsec"\n',)
-        stated = calibrated(tmp_path, even(12), values, u=SIGMA, assume=[], more=position)
+        stated = calibrate_readings(
+            tmp_path, evenly_spaced_angles(12), values, u=SIGMA, assume=[], more=position
+        )
         for symbol, size in LEVEL.items():
             c = stated.accelerometers["A"].coefficients[symbol]
             assert abs(c.value - size) < 3.0 * c.u

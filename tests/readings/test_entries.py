@@ -24,13 +24,13 @@ def read(folder, text):
     return read_campaign(folder)
 
 
-def problems(folder, text):
+def read_problems(folder, text):
     with pytest.raises(CampaignError) as caught:
         read(folder, text)
     return caught.value.problems
 
 
-def test_a_run_with_a_reading(tmp_path):
+def test_run_with_reading_is_converted_to_g(tmp_path):
     (reading,) = read(tmp_path, HEAD + RUN).readings
     assert reading.value == pytest.approx(1.082532 / 1.25)
     assert reading.u == pytest.approx(2e-6 / 1.25)
@@ -41,7 +41,7 @@ def test_a_run_with_a_reading(tmp_path):
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("g", 1.0), ("mg", 1e-3)])
-def test_an_output_in_g_needs_no_sensitivity(tmp_path, unit, scale):
+def test_output_in_g_needs_no_sensitivity(tmp_path, unit, scale):
     output = f'output = {{ unit = "{unit}" }}\nsensitivity_prior = "{1.01 / scale} {unit}/g"\n'
     head = HEAD.replace('output = { unit = "mA", sensitivity = "1.25 mA/g" }\n', output)
     campaign = read(tmp_path, head + RUN.replace("mA", unit))
@@ -49,34 +49,34 @@ def test_an_output_in_g_needs_no_sensitivity(tmp_path, unit, scale):
     assert campaign.accelerometers["A"].priors["K_I"].value == pytest.approx(1.01, rel=1e-15)
 
 
-def test_a_mistake_in_an_accelerometer_makes_none_of_its_readings(tmp_path):
+def test_accelerometer_error_causes_no_errors_of_readings(tmp_path):
     wrong = HEAD.replace('input_axis = "up"', 'input_axis = "upp"')
     assert wrong != HEAD
-    (told,) = problems(tmp_path, wrong + RUN)
+    (told,) = read_problems(tmp_path, wrong + RUN)
     assert told.startswith("accelerometers.A.input_axis: unknown direction")
     unknown = HEAD.replace('sensitivity = "1.25 mA/g"', 'sensitivty = "1.25 mA/g"')
-    told = problems(tmp_path, unknown + RUN)
+    told = read_problems(tmp_path, unknown + RUN)
     assert all(one.startswith("accelerometers.A.output.") for one in told)
     # What its output is in holds whatever else is wrong: the reading's own mistake is told too.
-    both = problems(tmp_path, wrong + RUN.replace("1.082532 ± 2e-6 mA", "1.08 V"))
+    both = read_problems(tmp_path, wrong + RUN.replace("1.082532 ± 2e-6 mA", "1.08 V"))
     assert (
         both[1]
         == "runs[0].reading: 'V' is not a unit of quantity in mA; use mA (run \"tumble 30\")"
     )
 
 
-def test_a_mistake_in_a_reading_makes_none_of_what_it_shows(tmp_path):
+def test_reading_error_causes_no_unused_prior_error(tmp_path):
     radius = '"centrifuge.radius.in" = "0 ± 1e-5 m"\n'
     known = f"[model.priors]\n{radius}[truth.machine]\n{radius.replace(' ± 1e-5', '')}"
     read(tmp_path, HEAD + ARM + known + ON_ARM)
-    (told,) = problems(tmp_path, HEAD + ARM + known + ON_ARM.replace("9.9 rad/s", "9.9 rad"))
+    (told,) = read_problems(tmp_path, HEAD + ARM + known + ON_ARM.replace("9.9 rad/s", "9.9 rad"))
     assert told.startswith("runs[0].rate: ")
     other = known.replace("radius.in", "radius.out")
-    told = problems(tmp_path, HEAD + ARM + other + ON_ARM)
+    told = read_problems(tmp_path, HEAD + ARM + other + ON_ARM)
     assert [one.partition(": ")[2][:24] for one in told] == ['no reading depends on "c'] * 2
 
 
-def test_an_output_that_is_not_zero_where_nothing_is_felt(tmp_path):
+def test_output_zero_is_subtracted_from_reading(tmp_path):
     """A loop of 4 mA to 20 mA: reading less zero, over the sensitivity."""
     head = HEAD.replace('"1.25 mA/g" }', '"1.25 mA/g", zero = "4 mA" }')
     reading = RUN.replace("1.082532", "5.082532")
@@ -87,7 +87,7 @@ def test_an_output_that_is_not_zero_where_nothing_is_felt(tmp_path):
     assert output.of_g(output.in_g(4.7)) == pytest.approx(4.7, rel=1e-15)
 
 
-def test_the_zero_of_an_output_is_that_of_its_records_too(tmp_path):
+def test_output_zero_applies_to_records(tmp_path):
     head = HEAD.replace('"1.25 mA/g" }', '"1.25 mA/g", zero = "4 mA" }')
     records = '[records]\ntime = { column = "t", unit = "s" }\n'
     run = RUN.replace('reading = "1.082532 ± 2e-6 mA"', 'record = "rest.csv"')
@@ -103,24 +103,26 @@ def test_the_zero_of_an_output_is_that_of_its_records_too(tmp_path):
     assert channel.offset == 0.0
 
 
-def test_records_at_rest_need_no_centrifuge_and_those_on_an_arm_do(tmp_path):
+def test_only_records_on_arm_require_centrifuge(tmp_path):
     recorded = 'specific_force = { column = "mA", unit = "mA" }\n'
     records = '[records]\ntime = { column = "t", unit = "s" }\n'
     run = RUN.replace('reading = "1.082532 ± 2e-6 mA"', 'record = "rest.csv"')
     campaign = read(tmp_path, HEAD + recorded + records + run)
     assert campaign.readings[0].record == tmp_path / "rest.csv"
     turning = ON_ARM.replace('reading = "12.5 ± 2e-6 mA"', 'record = "in.csv"')
-    assert problems(tmp_path, HEAD + recorded + records + turning) == ("centrifuge: is missing",)
+    assert read_problems(tmp_path, HEAD + recorded + records + turning) == (
+        "centrifuge: is missing",
+    )
 
 
-def test_a_run_on_the_arm(tmp_path):
+def test_run_on_arm_has_rate_mounting_and_temperature(tmp_path):
     reading = read(tmp_path, HEAD + ARM + RUN + ON_ARM).readings[1]
     assert (reading.motion, reading.rate, reading.mounting) == ("arm", 9.9, "in")
     assert reading.axes.axes[:2] == ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     assert reading.temperature == pytest.approx((296.55,))
 
 
-def test_a_reading_without_its_uncertainty_has_none(tmp_path):
+def test_reading_without_uncertainty_has_no_u(tmp_path):
     (reading,) = read(tmp_path, HEAD + RUN.replace(" ± 2e-6", "")).readings
     assert reading.u is None
 
@@ -224,12 +226,14 @@ SLIPS = {
 
 
 @pytest.mark.parametrize("slip", SLIPS)
-def test_each_slip_is_told_with_its_key(tmp_path, slip):
+def test_invalid_entry_raises_with_key(tmp_path, slip):
     text, message = SLIPS[slip]
-    assert any(message in line for line in problems(tmp_path, text)), problems(tmp_path, text)
+    assert any(message in line for line in read_problems(tmp_path, text)), read_problems(
+        tmp_path, text
+    )
 
 
-def test_repeats_of_one_setting_are_averaged_and_their_scatter_is_kept(tmp_path):
+def test_repeats_have_mean_and_scatter(tmp_path):
     several = 'reading = ["1.0 mA", "1.1 mA", "1.3 mA"]'
     run = RUN.replace('reading = "1.082532 ± 2e-6 mA"', several)
     (reading,) = read(tmp_path, HEAD + run).readings
@@ -253,20 +257,20 @@ record = "in.csv"
 """
 
 
-def test_records_of_the_arm_have_a_column_beside_those_of_the_turntable(tmp_path):
+def test_arm_records_have_specific_force_column(tmp_path):
     displacement = 'displacement = { column = "m", unit = "m" }\n'
     force = 'specific_force = { column = "i", unit = "mA" }\n'
     campaign = read(tmp_path, HEAD + displacement + force + ARM + TURNTABLE)
     a = campaign.accelerometers["A"]
     assert (a.observable, a.channel.name, a.force.name) == ("displacement", "m", "i")
     assert a.force.factor == pytest.approx(9.8 / 1.25)
-    (line,) = problems(tmp_path, HEAD + displacement + ARM + TURNTABLE)
+    (line,) = read_problems(tmp_path, HEAD + displacement + ARM + TURNTABLE)
     assert (
         "has no specific_force, which names the column of its records on an arm or at rest" in line
     )
 
 
-def test_errors_of_the_path_count_beside_readings_at_rest(tmp_path):
+def test_path_errors_are_considered_beside_static_readings(tmp_path):
     """The records show them, though no reading does; both axes of a tilt have one prior."""
     displacement = 'displacement = { column = "m", unit = "m" }\n'
     more = 'stretch = "0 ± 5e-9 s^2/m"\naxis_tilt = "0 ± 5 arcsec"\n'
@@ -294,7 +298,7 @@ FACES = (
 )
 
 
-def test_readings_of_one_attitude_and_mounting_are_of_one_position(tmp_path):
+def test_readings_of_same_attitude_and_mounting_share_position(tmp_path):
     campaign = read(tmp_path, HEAD + SET + FACES)
     assert [reading.position for reading in campaign.readings] == ["1", "1", "2", "3"]
     symbols = [f"fixture.position.{k}.{axis}" for axis in ("east", "north") for k in (1, 2, 3)]
@@ -302,7 +306,7 @@ def test_readings_of_one_attitude_and_mounting_are_of_one_position(tmp_path):
     assert {campaign.model.priors[s].u for s in symbols} == {math.radians(0.5)}
 
 
-def test_accelerometers_of_one_body_share_their_positions(tmp_path):
+def test_accelerometers_of_same_body_share_positions(tmp_path):
     other = ACCELEROMETER.replace("accelerometers.A", "accelerometers.B")
     text = HEAD + other.replace('"west"', '"north"') + SET
     for name, attitude in (("up", "level"), ("over", "90 deg about north")):
@@ -316,13 +320,13 @@ def test_accelerometers_of_one_body_share_their_positions(tmp_path):
     ]
 
 
-def test_without_a_stated_error_positions_have_no_name(tmp_path):
+def test_positions_without_stated_error_are_unnamed(tmp_path):
     campaign = read(tmp_path, HEAD + FACES)
     assert {reading.position for reading in campaign.readings} == {""}
     assert not any("position" in symbol for symbol in campaign.model.priors)
 
 
-def test_what_is_known_of_one_position_takes_precedence(tmp_path):
+def test_prior_of_single_position_takes_precedence(tmp_path):
     known = '[model.priors]\n"fixture.position.2.north" = "3 ± 1 arcmin"\n'
     priors = read(tmp_path, HEAD + SET + known + FACES).model.priors
     assert priors["fixture.position.2.north"].value == pytest.approx(math.radians(0.05))
@@ -330,14 +334,14 @@ def test_what_is_known_of_one_position_takes_precedence(tmp_path):
 
 
 @pytest.mark.parametrize("error", ["1 ± 0.5 deg", "0.5 deg", "0 deg"])
-def test_a_setting_error_is_about_nothing_and_has_a_size(tmp_path, error):
-    (line,) = problems(tmp_path, HEAD + SET.replace("0 ± 0.5 deg", error) + FACES)
+def test_setting_error_requires_zero_value_and_positive_u(tmp_path, error):
+    (line,) = read_problems(tmp_path, HEAD + SET.replace("0 ± 0.5 deg", error) + FACES)
     assert line.startswith("fixture.position: ")
 
 
-def test_all_that_is_wrong_in_a_run_is_told_together(tmp_path):
+def test_all_errors_of_run_are_reported_together(tmp_path):
     wrong = RUN.replace("mA", "V").replace("about north", "about nort")
-    told = problems(tmp_path, HEAD + wrong + 'rate = "1 rad/s"\nu = 3\n')
+    told = read_problems(tmp_path, HEAD + wrong + 'rate = "1 rad/s"\nu = 3\n')
     assert [line.partition(":")[0] for line in told] == [
         "runs[0].attitude",
         "runs[0].reading",
@@ -345,5 +349,5 @@ def test_all_that_is_wrong_in_a_run_is_told_together(tmp_path):
         "runs[0].u",
     ]
     # What hangs on a wrong key is not told: how it moves says whether it needs a rate.
-    told = problems(tmp_path, HEAD + RUN.replace('"static"', '"statc"'))
+    told = read_problems(tmp_path, HEAD + RUN.replace('"static"', '"statc"'))
     assert [line.partition(":")[0] for line in told if "runs" in line] == ["runs[0].motion"]

@@ -33,7 +33,7 @@ FULL = 2000 if os.environ.get("COUNTERSPIN_FULL") else None
 SIGMA = 2e-6
 
 
-def test_readings_without_noise_give_back_the_truth():
+def test_noise_free_readings_return_truth():
     rng = np.random.default_rng(1)
     tests = [tumble(), arm()]
     groups = [readings(test, simulated(test, rng, 0.0), SIGMA) for test in tests]
@@ -45,7 +45,7 @@ def test_readings_without_noise_give_back_the_truth():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_term_that_readings_hardly_feel_settles(seed):
+def test_fit_converges_with_insensitive_term(seed):
     """A mean keeps the square of the spindle's tilt only, whose derivative is mostly rounding."""
     tilt = [unknown(f"centrifuge.axis_tilt.{axis}", (0.0, 5e-5), "") for axis in ("east", "north")]
     tests = [tumble(), arm()]
@@ -57,7 +57,7 @@ def test_a_term_that_readings_hardly_feel_settles(seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_an_unknown_that_the_considered_terms_carry_far_off_settles(seed):
+def test_fit_converges_with_large_considered_terms(seed):
     """Turns of the fixtures look like each other's; what is considered is 100 times the noise."""
     turns = ("inward.up", "outward.up", "inward.forward")
     first, *rest = (f"fixture.misalignment.{turn}" for turn in turns)
@@ -85,14 +85,14 @@ def test_an_unknown_that_the_considered_terms_carry_far_off_settles(seed):
     assert np.all(np.abs(solution.estimate - wanted) < 3.3 * solution.u)
 
 
-def test_u_of_a_tumble_is_the_textbook_s():
+def test_u_of_tumble_matches_textbook():
     terms = ("K_F", "K_I", "delta_O", "K_II", "K_IP")
     fit = solve_readings([readings(tumble(), np.zeros(12), SIGMA)], model(terms))
     expected = [0.5, 0.408248, 0.408248, 0.816497, 0.816497]
     np.testing.assert_allclose(fit.solution.u / SIGMA, expected, rtol=0, atol=6e-7)
 
 
-def test_the_head_errs_on_a_double_turntable_as_at_rest():
+def test_head_error_on_double_turntable_equals_error_at_rest():
     """With the input axis level the mean changes by g times the angle."""
     level = Mounting.from_axes([1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
     station = Station("counter-rotating", level, rate=3.0, radius=1.0)
@@ -105,7 +105,7 @@ def test_the_head_errs_on_a_double_turntable_as_at_rest():
     np.testing.assert_allclose(fit.groups[0].sigma, math.hypot(SIGMA, 1e-4), rtol=1e-7)
 
 
-def test_what_one_g_cannot_tell_is_named():
+def test_terms_undetermined_at_one_g_are_identified():
     """a_I^2 + a_P^2 + a_O^2 = 1 at rest, in whatever attitude."""
     terms = ("K_F", "K_I", "K_II", "K_PP", "K_OO")
     asked = model(terms)
@@ -115,7 +115,7 @@ def test_what_one_g_cannot_tell_is_named():
     assert assessment.determined["K_I"]
 
 
-def test_an_unseen_mistake_in_one_position_stands_out():
+def test_error_of_one_position_has_largest_standardised_residual():
     rng = np.random.default_rng(3)
     values = simulated(tumble(), rng, SIGMA)
     values[5] += 160e-6
@@ -125,7 +125,7 @@ def test_an_unseen_mistake_in_one_position_stands_out():
     assert sizes[5] > 50.0
 
 
-def test_the_noise_is_what_the_search_of_records_finds():
+def test_noise_matches_likelihood_search_of_records():
     """Of the same rows, repeats and priors: the one is stepped to, the other searched for."""
     rng = np.random.default_rng(31)
     values = [simulated(tumble(), rng, SIGMA, u_head=0.0) for _ in range(4)]
@@ -157,7 +157,7 @@ def test_the_noise_is_what_the_search_of_records_finds():
     assert fit.groups[0].noise == pytest.approx(found.noise.white, rel=1e-5)
 
 
-def test_repeats_at_one_setting_tell_the_noise_with_the_residuals():
+def test_repeats_and_residuals_determine_noise():
     """By the mean and scatter of repeats the fit finds what it finds from all of them, one by one.
 
     The head's random error is shared by the repeats of a setting, and so has no part here.
@@ -180,7 +180,7 @@ def test_repeats_at_one_setting_tell_the_noise_with_the_residuals():
     assert fit.groups[0].noise_dof == pytest.approx(57.0, abs=1e-6)
 
 
-def test_readings_of_one_position_are_judged_together():
+def test_readings_of_same_position_are_tested_together():
     """The sum of the residuals of a position over its deviation, as the definition has it."""
     rng = np.random.default_rng(12)
     stations, mountings, head = tumble()
@@ -201,7 +201,7 @@ def test_readings_of_one_position_are_judged_together():
         )
 
 
-def test_a_reading_beside_the_others_is_as_a_fit_without_it_predicts():
+def test_studentised_residual_matches_fit_without_reading():
     """Its distance from that prediction, over u of prediction and reading by the others' noise."""
     values = simulated(tumble(), np.random.default_rng(13), SIGMA)
     asked = model(("K_F", "K_I", "delta_O"))
@@ -216,7 +216,7 @@ def test_a_reading_beside_the_others_is_as_a_fit_without_it_predicts():
         assert one.p == pytest.approx(2.0 * stats.t.sf(abs(t), 8.0), rel=1e-3)
 
 
-def test_the_noise_beside_a_head_has_the_freedom_of_its_repeats():
+def test_noise_with_head_error_has_dof_of_repeats():
     """A head of ten times the noise: what positions scatter by tells nothing of that."""
     rng, repeats = np.random.default_rng(14), 3
     stations, mountings, head = tumble()
@@ -240,7 +240,7 @@ def test_the_noise_beside_a_head_has_the_freedom_of_its_repeats():
     assert abs(fit.groups[0].noise / SIGMA - 1.0) < 4.0 / math.sqrt(2.0 * fit.groups[0].noise_dof)
 
 
-def test_fewer_readings_than_unknowns_cannot_tell_their_noise():
+def test_fewer_readings_than_unknowns_raise_without_u():
     values = simulated(tumble(3), np.random.default_rng(2), SIGMA)
     with pytest.raises(NotIdentifiableError, match="without a stated uncertainty"):
         solve_readings([readings(tumble(3), values, None)], model(("K_F", "K_I", "delta_O")))
@@ -264,18 +264,18 @@ SLOPES = {
 WARM = {"temperature": 2.0 * np.sin(np.arange(24.0))}
 
 
-def radius(side):
+def unknown_radius(side):
     return unknown(f"centrifuge.radius.{side}", (0.0, U_RADIUS), "")
 
 
-def turned(side, kind=unknown):
+def fixture_misalignment(side, kind=unknown):
     return [
         kind(f"fixture.misalignment.{side}.{axis}", (0.0, U_TURN), "")
         for axis in ("outward", "forward", "up")
     ]
 
 
-def of_machine(symbol, u):
+def machine_term(symbol, u):
     """An estimated term of the machine, the same for all accelerometers."""
     return unknown(symbol, (0.0, u), "")
 
@@ -288,7 +288,7 @@ CASES = {
         model(("K_F", "K_I", "K_III"), considered=(considered("head.zero", U_ZERO),)),
         {"u_head": U_HEAD},
     ),
-    "arm": ([arm()], model(others=tuple(map(radius, SIDES))), {}),
+    "arm": ([arm()], model(others=tuple(map(unknown_radius, SIDES))), {}),
     "arm, machine considered": (
         [arm()],
         model(
@@ -310,16 +310,16 @@ CASES = {
         [arm()],
         model(
             others=(
-                of_machine("centrifuge.stretch", U_STRETCH),
-                of_machine("centrifuge.droop", U_DROOP),
-                *(term for side in SIDES for term in turned(side)),
+                machine_term("centrifuge.stretch", U_STRETCH),
+                machine_term("centrifuge.droop", U_DROOP),
+                *(term for side in SIDES for term in fixture_misalignment(side)),
             )
         ),
         {},
     ),
     "arm, stretch estimated": (
         [arm()],
-        model(others=(of_machine("centrifuge.stretch", U_STRETCH),)),
+        model(others=(machine_term("centrifuge.stretch", U_STRETCH),)),
         {},
     ),
     "arm, slopes estimated": (
@@ -336,7 +336,7 @@ CASES = {
         [tumble(), arm()],
         model(
             (*TRUTH, "delta_O"),
-            others=(of_machine("head.zero", U_ZERO), *map(radius, SIDES)),
+            others=(machine_term("head.zero", U_ZERO), *map(unknown_radius, SIDES)),
             considered=(STRETCH, DROOP),
         ),
         {"u_head": U_HEAD},
@@ -347,7 +347,7 @@ CASES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("stated", [True, False], ids=["noise stated", "noise estimated"])
 @pytest.mark.parametrize("case", CASES)
-def test_unbiased_and_covers(case, stated):
+def test_fit_is_unbiased_and_has_coverage(case, stated):
     tests, asked, more = CASES[case]
     everything = [*asked.unknowns, *asked.considered]
     trials = FULL or 12
@@ -372,7 +372,7 @@ def test_unbiased_and_covers(case, stated):
         nominal = np.array([u.nominal for u in asked.unknowns])
         off = fit.solution.estimate + nominal - wanted
         z.append(off / fit.solution.u)
-        t.append(stdtrit(effective_dof(fit), 0.975))
+        t.append(stdtrit(satterthwaite_dof(fit), 0.975))
         square += off @ np.linalg.solve(fit.solution.covariance, off)
     z = np.array(z)
     # Four standard errors of a mean, and of a share of 95 %, of so many trials.
@@ -389,7 +389,7 @@ def test_unbiased_and_covers(case, stated):
         assert share.min() > 0.95 - slack
 
 
-def effective_dof(fit):
+def satterthwaite_dof(fit):
     """Satterthwaite's degrees of freedom of each unknown, from the definition."""
     total = np.diag(fit.solution.covariance)
     dof = []
@@ -405,9 +405,12 @@ def effective_dof(fit):
     return dof
 
 
-def test_a_reading_of_the_wrong_sign_that_keeps_a_fit_from_settling_is_named():
+def test_non_convergence_names_reading_with_wrong_sign():
     """It drives turns that are known to arcseconds so far that nothing is linear: NaN, before."""
-    machine = (*(term for side in SIDES for term in turned(side)), *map(radius, SIDES))
+    machine = (
+        *(term for side in SIDES for term in fixture_misalignment(side)),
+        *map(unknown_radius, SIDES),
+    )
     test = arm()
     values = simulated(test, np.random.default_rng(3), SIGMA)
     values[7] = -values[7]

@@ -35,7 +35,7 @@ def tumble_runs(values, u=SIGMA):
         at_rest(
             f"tumble {i}",
             f"{i * step!r} deg about north",
-            f"{float(1.25 * value)!r}{spread(u)} mA",
+            f"{float(1.25 * value)!r}{format_uncertainty(u)} mA",
         )
         for i, value in enumerate(values)
     )
@@ -46,7 +46,7 @@ def arm_runs(test, values, u=SIGMA):
         on_arm(
             f"{side} {i}",
             f"{float(station.rate)!r} rad/s",
-            f"{float(1.25 * value)!r}{spread(u)} mA",
+            f"{float(1.25 * value)!r}{format_uncertainty(u)} mA",
             side=side,
             mounting=side,
         )
@@ -54,25 +54,25 @@ def arm_runs(test, values, u=SIGMA):
     )
 
 
-def spread(u):
+def format_uncertainty(u):
     return f" ± {1.25 * u!r}" if u else ""
 
 
-def calibrated(folder, *parts):
+def write_and_calibrate(folder, *parts):
     (folder / "campaign.toml").write_text("".join([HEAD, *parts]), encoding="utf-8")
     return calibrate(folder)
 
 
-def model(*terms, more=""):
+def model_section(*terms, more=""):
     return f"[model]\nassume = 'all'\nterms = {list(terms)}\n{more}".replace("'", '"')
 
 
 LEVEL_TERMS = {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5}
 
 
-def test_a_tumble(tmp_path):
+def test_tumble_is_calibrated_with_textbook_uncertainty(tmp_path):
     values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
-    result = calibrated(tmp_path, model(*LEVEL_TERMS), tumble_runs(values))
+    result = write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS), tumble_runs(values))
     a = result.accelerometers["A"]
     assert result.state == "good"
     assert all("would not reveal any of these faults" in text for text in result.warnings)
@@ -87,9 +87,9 @@ def test_a_tumble(tmp_path):
     assert len(a.readings) == 12
 
 
-def test_residuals_of_readings_are_kept_by_the_file(tmp_path):
+def test_residuals_of_readings_are_stored_in_result(tmp_path):
     values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
-    result = calibrated(tmp_path, model(*LEVEL_TERMS), tumble_runs(values))
+    result = write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS), tumble_runs(values))
     result.write(tmp_path / "result.json")
     found = {s: c.value for s, c in result.accelerometers["A"].coefficients.items()}
     fitted = simulated(tumble(), np.random.default_rng(1), 0.0, truth=found)
@@ -104,11 +104,13 @@ def test_residuals_of_readings_are_kept_by_the_file(tmp_path):
         result.residuals("A")
 
 
-def test_the_arm_tells_k_ii_and_the_machine_is_in_its_budget(tmp_path):
+def test_arm_determines_k_ii_and_stretch_is_in_budget(tmp_path):
     test = arm()
     values = simulated(test, np.random.default_rng(2), SIGMA)
     stretch = '[model.priors]\n"centrifuge.stretch" = "0 ± 5e-9 s^2/m"\n'
-    result = calibrated(tmp_path, model(*TRUTH, more=stretch), arm_runs(test, values))
+    result = write_and_calibrate(
+        tmp_path, model_section(*TRUTH, more=stretch), arm_runs(test, values)
+    )
     k_ii = result.accelerometers["A"].coefficients["K_II"]
     assert k_ii.estimated
     assert abs(k_ii.value - TRUTH["K_II"]) < 4.0 * k_ii.u
@@ -116,28 +118,28 @@ def test_the_arm_tells_k_ii_and_the_machine_is_in_its_budget(tmp_path):
     assert "centrifuge.stretch" in sources
 
 
-def test_tumble_and_arm_together_are_surer_than_each(tmp_path):
+def test_tumble_and_arm_together_reduce_uncertainty(tmp_path):
     rng = np.random.default_rng(3)
     test = arm()
     runs = {
         "tumble": tumble_runs(simulated(tumble(), rng, SIGMA, truth={**TRUTH})),
         "arm": arm_runs(test, simulated(test, rng, SIGMA)),
     }
-    asked = model("K_F", "K_I", "K_II", "K_III", "delta_O")
-    both = calibrated(tmp_path, asked, *runs.values()).accelerometers["A"].coefficients
-    alone = calibrated(tmp_path, asked, runs["arm"]).accelerometers["A"].coefficients
+    asked = model_section("K_F", "K_I", "K_II", "K_III", "delta_O")
+    both = write_and_calibrate(tmp_path, asked, *runs.values()).accelerometers["A"].coefficients
+    alone = write_and_calibrate(tmp_path, asked, runs["arm"]).accelerometers["A"].coefficients
     for symbol in ("K_F", "K_I", "K_II"):
         assert both[symbol].u < alone[symbol].u
     assert abs(both["K_II"].value - TRUTH["K_II"]) < 4.0 * both["K_II"].u
 
 
-def test_the_noise_of_each_kind_of_motion_is_estimated_by_itself(tmp_path):
+def test_noise_is_estimated_separately_at_rest_and_on_arm(tmp_path):
     rng = np.random.default_rng(4)
     test = arm()
     tumbles = tumble_runs(simulated(tumble(), rng, SIGMA, truth={**TRUTH}), None)
     arms = arm_runs(test, simulated(test, rng, 20.0 * SIGMA), None)
-    asked = model("K_F", "K_I", "K_II", "K_III", "delta_O")
-    noise = calibrated(tmp_path, asked, tumbles, arms).accelerometers["A"].noise
+    asked = model_section("K_F", "K_I", "K_II", "K_III", "delta_O")
+    noise = write_and_calibrate(tmp_path, asked, tumbles, arms).accelerometers["A"].noise
     assert all(line.estimated for line in noise.values())
     at_rest, on_the_arm = sorted(line.value for line in noise.values())
     assert 10.0 < on_the_arm / at_rest < 40.0
@@ -149,11 +151,13 @@ def test_the_noise_of_each_kind_of_motion_is_estimated_by_itself(tmp_path):
     [(SIGMA, "contradicted"), (None, "reservations")],
     ids=["noise stated", "noise estimated"],
 )
-def test_a_prior_of_a_tumble_is_held_to_its_readings(tmp_path, u, state):
+def test_prior_conflicting_with_tumble_is_found(tmp_path, u, state):
     """K_F known beforehand, 8 of its u off: nothing else in the readings would tell."""
     values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
     known = '[model.priors]\nK_F = "0.002016 ± 2e-6 g"\n'
-    result = calibrated(tmp_path, model(*LEVEL_TERMS, more=known), tumble_runs(values, u))
+    result = write_and_calibrate(
+        tmp_path, model_section(*LEVEL_TERMS, more=known), tumble_runs(values, u)
+    )
     first = result.findings[0]
     assert (first.code, first.subject) == ("prior-conflict", "A.K_F")
     assert "A.K_F is stated as 2016.0 ± 2.0 ug, but the records and all other priors" in first.text
@@ -163,19 +167,23 @@ def test_a_prior_of_a_tumble_is_held_to_its_readings(tmp_path, u, state):
     assert result.state == state
 
 
-def test_priors_of_readings_that_are_right_are_not_blamed(tmp_path):
+def test_correct_priors_have_no_finding(tmp_path):
     values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
     known = '[model.priors]\nK_F = "0.002002 ± 2e-6 g"\n'
-    result = calibrated(tmp_path, model(*LEVEL_TERMS, more=known), tumble_runs(values))
+    result = write_and_calibrate(
+        tmp_path, model_section(*LEVEL_TERMS, more=known), tumble_runs(values)
+    )
     assert result.findings == []
 
 
-def test_an_input_of_the_arm_is_held_to_its_readings(tmp_path):
+def test_wrong_radius_of_arm_is_found(tmp_path):
     """The scale factor known to 2e-6 tells that the radius is not what was stated."""
     test = arm(radius=1.0002)
     values = simulated(test, np.random.default_rng(2), SIGMA)
     known = '[model.priors]\nK_I = "1.0005 ± 2e-6 g/g"\n'
-    result = calibrated(tmp_path, model(*TRUTH, more=known), arm_runs(test, values))
+    result = write_and_calibrate(
+        tmp_path, model_section(*TRUTH, more=known), arm_runs(test, values)
+    )
     first = result.findings[0]
     assert (first.code, first.subject) == ("wrong-input", "centrifuge.radius")
     assert "a radius of the centrifuge of 1.0002" in first.text
@@ -183,10 +191,12 @@ def test_an_input_of_the_arm_is_held_to_its_readings(tmp_path):
     assert result.state == "contradicted"
 
 
-def test_at_one_g_k_ii_is_not_determined(tmp_path):
+def test_k_ii_is_undetermined_at_one_g(tmp_path):
     """Nothing is known of K_PP and K_OO: what is determined in place of K_II is said by name."""
     values = simulated(tumble(24), np.random.default_rng(4), SIGMA, truth=TRUTH)
-    result = calibrated(tmp_path, model("K_F", "K_I", "K_II", "delta_O"), tumble_runs(values))
+    result = write_and_calibrate(
+        tmp_path, model_section("K_F", "K_I", "K_II", "delta_O"), tumble_runs(values)
+    )
     a = result.accelerometers["A"]
     assert set(a.coefficients) == {"K_F", "K_I", "K_II", "delta_O"}
     assert not a.coefficients["K_II"].estimated
@@ -201,17 +211,21 @@ def test_at_one_g_k_ii_is_not_determined(tmp_path):
     assert "separates K_II, K_PP and K_OO together from K_F" in finding.text
 
 
-def test_at_one_g_k_ii_is_as_good_as_what_is_known_of_the_other_squares(tmp_path):
+def test_u_of_k_ii_at_one_g_includes_priors_of_squares(tmp_path):
     values = simulated(tumble(24), np.random.default_rng(4), SIGMA, truth=TRUTH)
     known = "".join(f'{symbol} = "0 ± 3e-6 g/g^2"\n' for symbol in ("K_PP", "K_OO"))
     priors = f'considered = ["K_PP", "K_OO"]\n[model.priors]\n{known}'
-    asked = model("K_F", "K_I", "K_II", "delta_O", more=priors)
-    k_ii = calibrated(tmp_path, asked, tumble_runs(values)).accelerometers["A"].coefficients["K_II"]
+    asked = model_section("K_F", "K_I", "K_II", "delta_O", more=priors)
+    k_ii = (
+        write_and_calibrate(tmp_path, asked, tumble_runs(values))
+        .accelerometers["A"]
+        .coefficients["K_II"]
+    )
     assert k_ii.estimated
     assert k_ii.u == pytest.approx(math.hypot(3e-6, 0.5773503 * SIGMA), rel=1e-3)
 
 
-def test_ten_terms_in_48_positions_at_one_g(tmp_path):
+def test_ten_terms_at_one_g_have_rank_nine(tmp_path):
     """Rank 9: the null vector is K_F - K_II - K_PP - K_OO, and the output names it."""
     rng = np.random.default_rng(48)
     terms = ["K_F", "K_I", "delta_O", "delta_P", "K_II", "K_PP", "K_OO", "K_IP", "K_IO", "K_PO"]
@@ -227,7 +241,7 @@ def test_ten_terms_in_48_positions_at_one_g(tmp_path):
             f'[[runs]]\nname = "{i}"\nmotion = "static"\nreading = "{1.25 * value!r} mA"\n'
             f"axes = {{ input = {first.tolist()}, pendulous = {second.tolist()} }}\n"
         )
-    result = calibrated(tmp_path, model(*terms), runs)
+    result = write_and_calibrate(tmp_path, model_section(*terms), runs)
     a = result.accelerometers["A"]
     undetermined = {symbol for symbol, c in a.coefficients.items() if not c.estimated}
     assert undetermined == {"K_F", "K_II", "K_PP", "K_OO"}
@@ -245,10 +259,10 @@ def test_ten_terms_in_48_positions_at_one_g(tmp_path):
 
 
 @pytest.mark.parametrize("u", [SIGMA, None], ids=["noise stated", "noise to be estimated"])
-def test_fewer_readings_than_unknowns_are_refused(tmp_path, capsys, u):
+def test_fewer_readings_than_unknowns_raise(tmp_path, capsys, u):
     values = simulated(tumble(3), np.random.default_rng(4), SIGMA, truth=LEVEL_TERMS)
     with raises("not-identifiable", "3 readings of A", "4 coeff"):
-        calibrated(tmp_path, model(*LEVEL_TERMS, "K_III"), tumble_runs(values, u))
+        write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS, "K_III"), tumble_runs(values, u))
     assert main(["calibrate", str(tmp_path)]) == 1
     out = " ".join(capsys.readouterr().err.split())
     assert "(K_F, K_I, K_III, delta_O); add positions" in out
@@ -261,13 +275,15 @@ ONE_SIDE = tuple(float(size) for size in range(1, 21))
     ("other", "determined"),
     [("K_OQ", "K_II + K_OQ"), ("centrifuge.stretch", "K_II + 9.80")],
 )
-def test_one_side_only_cannot_tell_k_ii_from_what_looks_like_it(tmp_path, other, determined):
+def test_single_mounting_confounds_k_ii_with_similar_term(tmp_path, other, determined):
     """There a |a| is a^2, and a stretch s of the radius makes K_I s a^2, with a in m/s^2."""
     test = [part[:40] for part in arm(ONE_SIDE)]
     truth = {"K_F": 2e-3, "K_II": 15e-6}
     values = simulated(test, np.random.default_rng(5), SIGMA, truth=truth)
     terms = ("K_F", "K_I", "K_II", other)
-    a = calibrated(tmp_path, model(*terms), arm_runs(test, values)).accelerometers["A"]
+    a = write_and_calibrate(tmp_path, model_section(*terms), arm_runs(test, values)).accelerometers[
+        "A"
+    ]
     assert a.coefficients["K_II"].value is None
     (confounded,) = a.confounded
     assert confounded.terms == ["K_II", other]
@@ -276,46 +292,53 @@ def test_one_side_only_cannot_tell_k_ii_from_what_looks_like_it(tmp_path, other,
     # Both sides tell them apart.
     both = arm()
     values = simulated(both, np.random.default_rng(6), SIGMA, truth=truth)
-    a = calibrated(tmp_path, model(*terms), arm_runs(both, values)).accelerometers["A"]
+    a = write_and_calibrate(tmp_path, model_section(*terms), arm_runs(both, values)).accelerometers[
+        "A"
+    ]
     assert a.coefficients["K_II"].estimated
 
 
-def test_a_model_that_lacks_a_term_is_one_finding_and_not_one_a_position(tmp_path):
+def test_missing_term_has_single_finding(tmp_path):
     test = arm()
     values = simulated(test, np.random.default_rng(7), SIGMA)
-    result = calibrated(tmp_path, model("K_F", "K_I", "K_II"), arm_runs(test, values))
+    result = write_and_calibrate(
+        tmp_path, model_section("K_F", "K_I", "K_II"), arm_runs(test, values)
+    )
     (found,) = result.findings
     assert found.code == "lack-of-fit"
     assert "follow K_III, more than the model allows" in found.text
     assert found.text.endswith("24 of 24 readings on the arm deviate from the model.")
 
 
-def test_without_a_model_the_misalignment_of_a_tumble_is_estimated(tmp_path):
+def test_default_model_of_tumble_includes_misalignment(tmp_path):
     """In a table of its own, whose columns have names of their own; no terms are asked for."""
     truth = {**LEVEL_TERMS, "delta_O": 8e-4}
     values = np.array([simulated(tumble(24), np.random.default_rng(9), 1e-5, truth=truth)])
-    result = calibrated(tmp_path, as_table(tmp_path, values))
+    result = write_and_calibrate(tmp_path, write_table(tmp_path, values))
     a = result.accelerometers["A"]
     assert list(a.coefficients) == ["K_F", "K_I", "delta_O"]
     assert abs(a.coefficients["delta_O"].value - 8e-4) < 4.0 * a.coefficients["delta_O"].u
     assert {f.code for f in result.findings} <= {"left-out"}
     # Two positions, up and down, have no room for it.
     two = tumble_runs(values[0][[0, 12]])
-    assert list(calibrated(tmp_path, two).accelerometers["A"].coefficients) == ["K_F", "K_I"]
+    assert list(write_and_calibrate(tmp_path, two).accelerometers["A"].coefficients) == [
+        "K_F",
+        "K_I",
+    ]
 
 
 @pytest.mark.parametrize("stated", [True, False], ids=["noise stated", "noise estimated"])
-def test_a_mistake_in_one_position_is_named(tmp_path, stated):
+def test_outlying_position_is_named(tmp_path, stated):
     values = simulated(tumble(), np.random.default_rng(5), SIGMA, truth=LEVEL_TERMS)
     values[7] += 160e-6
     u = SIGMA if stated else None
-    result = calibrated(tmp_path, model(*LEVEL_TERMS), tumble_runs(values, u))
+    result = write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS), tumble_runs(values, u))
     assert result.state == ("contradicted" if stated else "reservations")
     outlying = [f for f in result.findings if f.code == "outlying-reading"]
     assert outlying[0].subject == "A.tumble 7"
 
 
-def as_table(folder, values, repeats=""):
+def write_table(folder, values, repeats=""):
     """Write a tumble as a laboratory's table has it, one row for each of the arrays' numbers."""
     step = 360 / values.shape[1]
     rows = [
@@ -329,13 +352,13 @@ def as_table(folder, values, repeats=""):
 
 
 @pytest.mark.parametrize("repeats", [1, 2, 4])
-def test_a_lack_of_fit_in_one_of_24_positions_is_named(tmp_path, repeats):
+def test_outlying_position_of_table_is_named(tmp_path, repeats):
     """160 ug beside a noise of 30 ug that nobody stated, however often each position was read."""
     rng = np.random.default_rng(repeats)
     values = np.array([simulated(tumble(24), rng, 3e-5, truth=TRUTH) for _ in range(repeats)])
     values[:, 17] += 160e-6
     terms = ("K_F", "K_I", "K_II", "delta_O", "K_IP")
-    result = calibrated(tmp_path, model(*terms), as_table(tmp_path, values))
+    result = write_and_calibrate(tmp_path, model_section(*terms), write_table(tmp_path, values))
     outlying = [f for f in result.findings if f.code == "outlying-reading"]
     assert [f.subject for f in outlying] == ["A.18"]
     assert "position" in outlying[0].text
@@ -344,21 +367,21 @@ def test_a_lack_of_fit_in_one_of_24_positions_is_named(tmp_path, repeats):
     assert k_ii.value is None
 
 
-def test_positions_that_differ_more_than_repeats_are_a_lack_of_fit(tmp_path):
+def test_scatter_of_positions_above_repeats_is_lack_of_fit(tmp_path):
     """A cubic term that the model lacks: no position stands out, the repeats show it."""
     truth = {**LEVEL_TERMS, "K_III": 1e-5}
     rng = np.random.default_rng(3)
     values = np.array([simulated(tumble(24), rng, SIGMA, truth=truth) for _ in range(3)])
-    table = as_table(tmp_path, values)
-    result = calibrated(tmp_path, model(*LEVEL_TERMS), table)
+    table = write_table(tmp_path, values)
+    result = write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS), table)
     (misfit,) = [f for f in result.findings if f.code == "lack-of-fit"]
     assert "deviate more from the model than repeated readings of one position" in misfit.text
-    fitting = calibrated(tmp_path, model(*LEVEL_TERMS, "K_III"), table)
+    fitting = write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS, "K_III"), table)
     assert all(f.code != "lack-of-fit" for f in fitting.findings)
 
 
-def test_a_row_is_left_out_of_the_table_and_not_by_its_name(tmp_path):
-    table = as_table(tmp_path, np.ones((1, 12)))
+def test_excluding_table_row_by_name_raises(tmp_path):
+    table = write_table(tmp_path, np.ones((1, 12)))
     (tmp_path / "campaign.toml").write_text(HEAD + table, encoding="utf-8")
     with raises("wrong-usage", "`without`", '"3"', "tumble.csv"):
         calibrate(tmp_path, without=["3"])
@@ -368,27 +391,31 @@ CONSIDERED = 'considered = ["delta_O"]\n[model.priors]\ndelta_O = "0 ± 3e-5 rad
 
 
 @pytest.mark.parametrize("repeats", [0, 3], ids=["noise stated", "noise by repeats"])
-def test_a_considered_term_within_its_uncertainty_is_no_lack_of_fit(tmp_path, repeats):
+def test_considered_term_within_uncertainty_fits(tmp_path, repeats):
     """It is as large as its u, and fifteen times the noise."""
     rng = np.random.default_rng(3)
     values = [simulated(tumble(24), rng, SIGMA, truth=LEVEL_TERMS) for _ in range(repeats or 1)]
-    runs = as_table(tmp_path, np.array(values)) if repeats else tumble_runs(values[0])
-    considering = calibrated(tmp_path, model("K_F", "K_I", more=CONSIDERED), runs)
+    runs = write_table(tmp_path, np.array(values)) if repeats else tumble_runs(values[0])
+    considering = write_and_calibrate(tmp_path, model_section("K_F", "K_I", more=CONSIDERED), runs)
     assert considering.findings == []
     if repeats:
         return
     # Chi-square is that of the fit which estimates it, its prior counted as an observation.
     prior = CONSIDERED.partition("\n")[2]
-    estimating = calibrated(tmp_path, model(*LEVEL_TERMS, more=prior), runs).accelerometers["A"]
+    estimating = write_and_calibrate(
+        tmp_path, model_section(*LEVEL_TERMS, more=prior), runs
+    ).accelerometers["A"]
     expected = estimating.residual.chi2 + (estimating.coefficients["delta_O"].value / 3e-5) ** 2
     assert considering.accelerometers["A"].residual.chi2 == pytest.approx(expected, rel=1e-6)
 
 
-def test_few_readings_that_a_considered_term_moves_are_no_outliers(tmp_path):
+def test_readings_shifted_by_considered_term_are_not_outliers(tmp_path):
     """1.8 of its u, in four readings that leave their noise a single degree of freedom."""
     truth = {**LEVEL_TERMS, "delta_O": 5.4e-5}
     values = simulated(tumble(4), np.random.default_rng(3), SIGMA, truth=truth)
-    result = calibrated(tmp_path, model("K_F", "K_I", more=CONSIDERED), tumble_runs(values, None))
+    result = write_and_calibrate(
+        tmp_path, model_section("K_F", "K_I", more=CONSIDERED), tumble_runs(values, None)
+    )
     assert [f.code for f in result.findings] == ["unjudged-readings"]
     assert max(abs(r.z) for r in result.accelerometers["A"].readings) == pytest.approx(1.8, abs=0.1)
 
@@ -397,7 +424,7 @@ def test_few_readings_that_a_considered_term_moves_are_no_outliers(tmp_path):
     ("unit", "part"),
     [("m/s^2", 1.0), ("g", 0.0)],
 )
-def test_gravity_is_in_the_scale_factor_of_readings_in_si(tmp_path, unit, part):
+def test_scale_factor_of_readings_in_si_includes_gravity(tmp_path, unit, part):
     """At rest 1 g acts: of a reading in m/s^2 its uncertainty is that of K_I, and in g none."""
     g, u_g = 9.80665, 1e-4
     head = HEAD.partition("[accelerometers")[0].replace(f"{g} m", f"{g} ± {u_g} m")
@@ -408,46 +435,50 @@ def test_gravity_is_in_the_scale_factor_of_readings_in_si(tmp_path, unit, part):
         at_rest(f"{i}", f"{30 * i} deg about north", f"{value!r} ± {SIGMA * size!r} {unit}")
         for i, value in enumerate(values.tolist())
     )
-    (tmp_path / "campaign.toml").write_text(head + plain + model(*LEVEL_TERMS) + runs)
+    (tmp_path / "campaign.toml").write_text(head + plain + model_section(*LEVEL_TERMS) + runs)
     k_i = calibrate(tmp_path).accelerometers["A"].coefficients["K_I"]
     assert k_i.u == pytest.approx(math.hypot(SIGMA / math.sqrt(6.0), part * u_g / g), rel=1e-3)
 
 
 @pytest.mark.slow
-def test_readings_that_fit_have_no_outlier(tmp_path):
+def test_false_outliers_are_rare(tmp_path):
     """At the level of 1 % a campaign, in 60 campaigns no more than 4 (p = 0.003)."""
     rng = np.random.default_rng(6)
     false = 0
     for _ in range(60):
         values = simulated(tumble(), rng, SIGMA, truth=LEVEL_TERMS)
-        result = calibrated(tmp_path, model(*LEVEL_TERMS), tumble_runs(values, None))
+        result = write_and_calibrate(
+            tmp_path, model_section(*LEVEL_TERMS), tumble_runs(values, None)
+        )
         false += any(f.code == "outlying-reading" for f in result.findings)
     assert false <= 4
 
 
-def test_radius_of_a_mounting_is_shown_as_a_radius(tmp_path):
+def test_radius_of_mounting_is_reported_as_radius(tmp_path):
     rng = np.random.default_rng(7)
     test = arm()
     values = simulated(test, rng, SIGMA, {"centrifuge.radius.inward": 3e-5})
     prior = '[model.priors]\n"centrifuge.radius" = "1.0 ± 1e-4 m"\n'
     terms = ("K_F", "K_I", "K_II", "K_III", "centrifuge.radius")
     tumbled = tumble_runs(simulated(tumble(), rng, SIGMA, truth=TRUTH))
-    result = calibrated(
-        tmp_path, model(*terms, "delta_O", more=prior), tumbled, arm_runs(test, values)
+    result = write_and_calibrate(
+        tmp_path, model_section(*terms, "delta_O", more=prior), tumbled, arm_runs(test, values)
     )
     radius = result.platform["centrifuge.radius.inward"]
     assert abs(radius.value - 1.00003) < 4.0 * radius.u
     assert radius.u < 1e-5
 
 
-def test_a_radius_of_a_mounting_that_is_stated_and_not_asked_for_counts(tmp_path):
+def test_stated_radius_of_mounting_is_used(tmp_path):
     """It is that mounting's own, and the other has the centrifuge's."""
     test = arm()
     values = simulated(test, np.random.default_rng(7), SIGMA, {"centrifuge.radius.inward": 3e-4})
     prior = '[model.priors]\n"centrifuge.radius.inward" = "1.0 ± 1e-3 m"\n'
     tumbled = tumble_runs(simulated(tumble(), np.random.default_rng(8), SIGMA, truth=TRUTH))
     terms = ("K_F", "K_I", "K_II", "K_III", "delta_O")
-    result = calibrated(tmp_path, model(*terms, more=prior), tumbled, arm_runs(test, values))
+    result = write_and_calibrate(
+        tmp_path, model_section(*terms, more=prior), tumbled, arm_runs(test, values)
+    )
     known = {row.name: row for row in result.rests_on}
     inward = known["centrifuge.radius.inward"]
     assert (inward.kind, inward.u) == ("stated", 1e-3)
@@ -456,7 +487,7 @@ def test_a_radius_of_a_mounting_that_is_stated_and_not_asked_for_counts(tmp_path
     assert result.state == "good"
 
 
-def test_records_on_the_arm_are_averaged(tmp_path):
+def test_records_on_arm_are_averaged(tmp_path):
     rng, test = np.random.default_rng(9), arm()
     values = simulated(test, rng, 0.0)
     runs = arm_runs(test, values)
@@ -464,12 +495,12 @@ def test_records_on_the_arm_are_averaged(tmp_path):
     for i, value in enumerate(values):
         current = 1.25 * (value + rng.normal(0.0, 1e-5, t.size))
         write_record(tmp_path / f"r{i}.csv", t, current)
-        given = f'reading = "{float(1.25 * value)!r}{spread(SIGMA)} mA"'
+        given = f'reading = "{float(1.25 * value)!r}{format_uncertainty(SIGMA)} mA"'
         assert given in runs
         runs = runs.replace(given, f'record = "r{i}.csv"', 1)
     column = 'specific_force = { column = "mA", unit = "mA" }\n'
     records = '[records]\ntime = { column = "t", unit = "s" }\n'
-    text = HEAD + column + records + model(*TRUTH) + runs
+    text = HEAD + column + records + model_section(*TRUTH) + runs
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
     result = calibrate(tmp_path)
     for symbol, truth in TRUTH.items():
@@ -494,7 +525,7 @@ def test_records_on_the_arm_are_averaged(tmp_path):
         calibrate(tmp_path)
 
 
-def test_what_was_repaired_in_the_record_of_a_reading_is_counted_and_shown(tmp_path, capsys):
+def test_repairs_of_record_are_counted_and_shown(tmp_path, capsys):
     """One cell of 900, one repeated row, an empty cell, a gap; 6 % outliers in the next record."""
     rng = np.random.default_rng(10)
     values = simulated(tumble(), rng, 0.0, truth=LEVEL_TERMS)
@@ -510,11 +541,11 @@ def test_what_was_repaired_in_the_record_of_a_reading_is_counted_and_shown(tmp_p
             t, current = np.insert(t, 300, t[299]), np.insert(current, 300, current[299])
             current[500] = np.nan
         write_record(tmp_path / f"r{i}.csv", t, current)
-        given = f'reading = "{float(1.25 * value)!r}{spread(SIGMA)} mA"'
+        given = f'reading = "{float(1.25 * value)!r}{format_uncertainty(SIGMA)} mA"'
         runs = runs.replace(given, f'record = "r{i}.csv"', 1)
     column = 'specific_force = { column = "mA", unit = "mA" }\n'
     records = '[records]\ntime = { column = "t", unit = "s" }\n'
-    text = HEAD + column + records + model(*LEVEL_TERMS) + runs
+    text = HEAD + column + records + model_section(*LEVEL_TERMS) + runs
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
     result = calibrate(tmp_path)
     for symbol, truth in LEVEL_TERMS.items():
@@ -546,19 +577,21 @@ def test_what_was_repaired_in_the_record_of_a_reading_is_counted_and_shown(tmp_p
     assert Result.read(tmp_path / "result.json").accelerometers == result.accelerometers
 
 
-def test_a_mounting_with_a_dot_is_refused(tmp_path):
+def test_mounting_name_with_dot_raises(tmp_path):
     test = arm()
     runs = arm_runs(test, simulated(test, np.random.default_rng(9), 0.0))
     assert 'mounting = "inward"' in runs
-    text = HEAD + model(*TRUTH) + runs.replace('mounting = "inward"', 'mounting = "in.ward"')
+    text = (
+        HEAD + model_section(*TRUTH) + runs.replace('mounting = "inward"', 'mounting = "in.ward"')
+    )
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
     with raises("invalid-name", "mounting:", '"in.ward"'):
         calibrate(tmp_path)
 
 
-def test_what_needs_records_says_so(tmp_path, capsys):
+def test_two_stage_method_requires_records(tmp_path, capsys):
     values = simulated(tumble(), np.random.default_rng(8), SIGMA, truth=LEVEL_TERMS)
-    calibrated(tmp_path, model(*LEVEL_TERMS), tumble_runs(values))
+    write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS), tumble_runs(values))
     with pytest.raises(CampaignError, match="this campaign has readings"):
         calibrate(tmp_path, method="two-stage", options=TwoStageOptions())
     assert main(["calibrate", str(tmp_path), "--budget", "--details"]) == 0
@@ -575,11 +608,13 @@ DIRECTIONS = {"east": (1, 0, 0), "north": (0, 1, 0), "up": (0, 0, 1)}
 OPPOSITE = {"west": "east", "south": "north", "down": "up"}
 
 
-def direction(name):
-    return -direction(OPPOSITE[name]) if name in OPPOSITE else np.array(DIRECTIONS[name], float)
+def direction_vector(name):
+    return (
+        -direction_vector(OPPOSITE[name]) if name in OPPOSITE else np.array(DIRECTIONS[name], float)
+    )
 
 
-def set_by_hand(folder, repeats, sigma, spread, seed):
+def calibrate_hand_set_positions(folder, repeats, sigma, setting_sd, seed):
     """Calibrate X and Z of one body in positions that are off; return result, dense u and truth.
 
     The dense covariance is that of plain least squares with what two turns of each position have in
@@ -589,7 +624,7 @@ def set_by_hand(folder, repeats, sigma, spread, seed):
     truth = {"X": (0.002, 1.0005, 3e-4, -2e-4), "Z": (0.003, 1.001, 1e-4, 0.0)}
     tables = [
         'schema = 1\nsite = { gravity = "9.8066 m/s^2", latitude = "45.75 deg" }\n'
-        f'[fixture]\nposition = "0 ± {math.degrees(spread)!r} deg"\n[model]\nassume = "all"\n'
+        f'[fixture]\nposition = "0 ± {math.degrees(setting_sd)!r} deg"\n[model]\nassume = "all"\n'
         'terms = ["K_F", "K_I", "delta_O", "delta_P"]\n'
     ]
     for name, (axis, pendulous) in TRIAD.items():
@@ -597,17 +632,23 @@ def set_by_hand(folder, repeats, sigma, spread, seed):
             f'[accelerometers.{name}]\ninput_axis = "{axis}"\npendulous_axis = "{pendulous}"\n'
             'output = { unit = "g" }\n'
         )
-    rows, turns, vertical = [], [], direction("up")
+    rows, turns, vertical = [], [], direction_vector("up")
     for k, (x, y) in enumerate(SET_BY_HAND):
-        body = np.column_stack([direction(x), direction(y), np.cross(direction(x), direction(y))])
-        turn = spread * np.append(rng.standard_normal(2), 0.0)
+        body = np.column_stack(
+            [
+                direction_vector(x),
+                direction_vector(y),
+                np.cross(direction_vector(x), direction_vector(y)),
+            ]
+        )
+        turn = setting_sd * np.append(rng.standard_normal(2), 0.0)
         size = np.linalg.norm(turn)
         cross = np.cross(np.eye(3), turn / size)
         off = np.eye(3) - math.sin(size) * cross + (1.0 - math.cos(size)) * cross @ cross
         for again in range(repeats):
             read = []
             for name, (axis, pendulous) in TRIAD.items():
-                axes = [body @ direction(axis), body @ direction(pendulous)]
+                axes = [body @ direction_vector(axis), body @ direction_vector(pendulous)]
                 axes.append(np.cross(*axes))
                 felt = [vertical @ off @ one for one in axes]
                 value = float(np.dot(truth[name], [1.0, felt[0], felt[1], -felt[2]]))
@@ -623,7 +664,8 @@ def set_by_hand(folder, repeats, sigma, spread, seed):
                 rows.append(row)
                 turned = np.zeros(2 * len(SET_BY_HAND))
                 turned[2 * k : 2 * k + 2] = [
-                    vertical @ np.cross(direction(about), axes[0]) for about in ("east", "north")
+                    vertical @ np.cross(direction_vector(about), axes[0])
+                    for about in ("east", "north")
                 ]
                 turns.append(turned)
             tables.append(
@@ -632,7 +674,7 @@ def set_by_hand(folder, repeats, sigma, spread, seed):
             )
     (folder / "campaign.toml").write_text("".join(tables), encoding="utf-8")
     design, common = np.array(rows), np.array(turns)
-    covariance = sigma**2 * np.eye(len(rows)) + spread**2 * common @ common.T
+    covariance = sigma**2 * np.eye(len(rows)) + setting_sd**2 * common @ common.T
     u = np.sqrt(np.diag(np.linalg.inv(design.T @ np.linalg.solve(covariance, design))))
     return calibrate(folder), u, np.concatenate([truth[name] for name in TRIAD])
 
@@ -647,8 +689,10 @@ def estimates(result):
 
 
 @pytest.mark.parametrize("repeats", [1, 2])
-def test_what_positions_have_in_common_is_in_u_as_a_dense_covariance_has_it(tmp_path, repeats):
-    result, dense, truth = set_by_hand(tmp_path, repeats, 1e-5, math.radians(0.02), 2)
+def test_setting_errors_in_u_match_dense_covariance(tmp_path, repeats):
+    result, dense, truth = calibrate_hand_set_positions(
+        tmp_path, repeats, 1e-5, math.radians(0.02), 2
+    )
     values, u = estimates(result)
     np.testing.assert_allclose(u, dense, rtol=3e-3)
     assert np.abs((values - truth) / u).max() < 4.0
@@ -656,9 +700,9 @@ def test_what_positions_have_in_common_is_in_u_as_a_dense_covariance_has_it(tmp_
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [8, 16, 23])
-def test_positions_that_are_set_to_half_a_degree_settle(tmp_path, seed):
+def test_fit_of_positions_set_to_half_degree_converges(tmp_path, seed):
     """Of an axis that points up a turn is quadratic: three of 30 such fits went to and fro."""
-    result, _, truth = set_by_hand(tmp_path, 3, 2e-4, math.radians(0.5), seed)
+    result, _, truth = calibrate_hand_set_positions(tmp_path, 3, 2e-4, math.radians(0.5), seed)
     values, u = estimates(result)
     assert result.state == "good"
     assert np.abs((values - truth) / u).max() < 4.0

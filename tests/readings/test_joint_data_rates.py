@@ -20,13 +20,15 @@ SIGMA = U_BIAS = 2e-6
 SIDES = {"in": ("inward", 1.0), "out": ("outward", -1.0)}
 
 
-def indicated(rates, radius, sign):
+def indicate_force(rates, radius, sign):
     """Return the mean readings of an accelerometer with the pendulous axis up, g."""
     force = sign * radius * (rates**2 + 2.0 * rates * EARTH * math.sin(LATITUDE)) / GRAVITY
     return sum(value * force**power for power, value in enumerate(TRUTH.values()))
 
 
-def campaign(folder, *, more="", spread="", u=SIGMA, sides=SIDES, names=("A",), radius="1.0 m"):
+def make_arm_campaign(
+    folder, *, more="", spread="", u=SIGMA, sides=SIDES, names=("A",), radius="1.0 m"
+):
     """Return a campaign of 8 rates in each mounting, whose readings are zero yet."""
     uncertain = f" ± {u}" if u else ""
     read = ", ".join(f'{name} = "0{uncertain} g"' for name in names)
@@ -51,7 +53,7 @@ def campaign(folder, *, more="", spread="", u=SIGMA, sides=SIDES, names=("A",), 
     return cs.read_campaign(folder)
 
 
-def with_values(of, rng, *, rate_errors=0.0, radii=(), sigma=SIGMA):
+def fill_readings(of, rng, *, rate_errors=0.0, radii=(), sigma=SIGMA):
     """Return a campaign with what is read at true rates and radii.
 
     rate_errors: Of the true rates, relative; one for all, or one for each reading.
@@ -60,7 +62,9 @@ def with_values(of, rng, *, rate_errors=0.0, radii=(), sigma=SIGMA):
     radii = dict(radii)
     rates = np.array([r.rate for r in of.readings]) * (1.0 + rate_errors)
     values = [
-        float(indicated(w, radii.get((r.accelerometer, r.mounting), 1.0), SIDES[r.mounting][1]))
+        float(
+            indicate_force(w, radii.get((r.accelerometer, r.mounting), 1.0), SIDES[r.mounting][1])
+        )
         for r, w in zip(of.readings, rates, strict=True)
     ]
     # The bias is drawn from its stated prior.
@@ -69,7 +73,7 @@ def with_values(of, rng, *, rate_errors=0.0, radii=(), sigma=SIGMA):
     return replace(of, readings=tuple(replace(r, value=v, resolution=0.0) for r, v in read))
 
 
-def deviations(of, model):
+def z_scores(of, model):
     """Return z of the coefficients of A."""
     estimate, _ = estimate_with_readings(None, model, of)
     solution = estimate.fit.solution
@@ -84,7 +88,7 @@ TERMS = 'terms = ["K_F", "K_I", "K_II", "K_III"]\n'
 ASSUMED = f'[model]\nassume = ["all"]\n{TERMS}'
 
 
-def bounds(trials, count=3):
+def rms_bounds(trials, count=3):
     """Return the bounds of `count` rms of z, one in a thousand of good ones beyond: chi-square."""
     from scipy.stats import chi2
 
@@ -94,25 +98,25 @@ def bounds(trials, count=3):
 
 def assert_good(z):
     rms = {k: math.sqrt(np.mean([one[k] ** 2 for one in z])) for k in z[0]}
-    low, high = bounds(len(z))
+    low, high = rms_bounds(len(z))
     assert all(low < size < high for size in rms.values()), rms
 
 
 @pytest.mark.parametrize("u", [SIGMA, None])
-def test_random_errors_of_stated_rates_are_in_u(tmp_path, u):
-    of = campaign(tmp_path, more=ASSUMED, spread=" ± 1e-5", u=u)
+def test_random_rate_errors_are_in_u(tmp_path, u):
+    of = make_arm_campaign(tmp_path, more=ASSUMED, spread=" ± 1e-5", u=u)
     rng, model = np.random.default_rng(1), make_unknowns(of)
     rates = np.array([r.rate for r in of.readings])
     errors = rng.normal(0.0, 1e-5, (60, rates.size)) / rates
-    assert_good([deviations(with_values(of, rng, rate_errors=one), model) for one in errors])
+    assert_good([z_scores(fill_readings(of, rng, rate_errors=one), model) for one in errors])
 
 
-def test_a_clock_20_ppm_off_is_within_u_with_nothing_stated(tmp_path):
+def test_clock_error_of_20_ppm_is_within_default_u(tmp_path):
     # The radius is well known here: the clock is most of u.
     known = "".join(f'"centrifuge.radius{name}" = "1e-7 m"\n' for name in ("", ".in", ".out"))
-    of = campaign(tmp_path, more=f"[model]\n{TERMS}[model.typical]\n{known}")
+    of = make_arm_campaign(tmp_path, more=f"[model]\n{TERMS}[model.typical]\n{known}")
     for error in (2e-5, -2e-5):
-        result = cs.calibrate(with_values(of, np.random.default_rng(2), rate_errors=error))
+        result = cs.calibrate(fill_readings(of, np.random.default_rng(2), rate_errors=error))
         k_i = result.accelerometers["A"].coefficients["K_I"]
         assert abs(k_i.value - TRUTH["K_I"] - 2.0 * error) < 3e-6
         assert abs(k_i.value - TRUTH["K_I"]) < 3.0 * k_i.u < 1.5e-4
@@ -120,15 +124,15 @@ def test_a_clock_20_ppm_off_is_within_u_with_nothing_stated(tmp_path):
 
 
 @pytest.mark.parametrize("key", ["[records]", "[centrifuge]"])
-def test_a_stated_clock_is_in_u_and_its_value_in_the_rates(tmp_path, key):
+def test_stated_clock_corrects_rates_and_is_in_u(tmp_path, key):
     clock = 'clock = "100 ± 3 ppm"\n'
     time = 'time = { column = "t", unit = "s" }\n'
     more, radius = f"{key}\n{time}{clock}", "1.0 m"
     if key == "[centrifuge]":
         more, radius = "", f'1.0 m"\n{clock}#'
-    of = campaign(tmp_path, more=more + ASSUMED, sides=["in"], radius=radius)
+    of = make_arm_campaign(tmp_path, more=more + ASSUMED, sides=["in"], radius=radius)
     # The clock counts too few revolutions.
-    result = cs.calibrate(with_values(of, np.random.default_rng(3), rate_errors=1e-4))
+    result = cs.calibrate(fill_readings(of, np.random.default_rng(3), rate_errors=1e-4))
     k_i = result.accelerometers["A"].coefficients["K_I"]
     assert abs(k_i.value - TRUTH["K_I"]) < 3.0 * k_i.u
     assert k_i.u_stated == pytest.approx(math.hypot(6e-6, 1e-6), rel=0.05)
@@ -140,28 +144,31 @@ OFFSET = 3e-5
 RADII = [("A", "in"), ("A", "out"), ("B", "in"), ("B", "out")]
 
 
-def of_two(folder):
+def make_two_accelerometer_campaign(folder):
     priors = "".join(f'"centrifuge.radius.{a}.{m}" = "0 ± {OFFSET} m"\n' for a, m in RADII)
     more = f"{ASSUMED}[model.priors]\n{priors}"
-    return campaign(folder, more=more, names=("A", "B"), radius="1.0 m")
+    return make_arm_campaign(folder, more=more, names=("A", "B"), radius="1.0 m")
 
 
-def test_radii_drawn_from_their_stated_priors_are_in_u(tmp_path):
-    of = of_two(tmp_path)
+def test_radii_drawn_from_priors_are_in_u(tmp_path):
+    of = make_two_accelerometer_campaign(tmp_path)
     rng, model = np.random.default_rng(4), make_unknowns(of)
     z = [
-        deviations(
-            with_values(of, rng, radii={key: 1.0 + rng.normal(0.0, OFFSET) for key in RADII}), model
+        z_scores(
+            fill_readings(of, rng, radii={key: 1.0 + rng.normal(0.0, OFFSET) for key in RADII}),
+            model,
         )
         for _ in range(60)
     ]
     assert_good(z)
 
 
-def test_proof_masses_off_the_fixture_s_centre_and_apart_are_good(tmp_path):
-    of = campaign(tmp_path, more=f"[model]\n{TERMS}", names=("A", "B"), radius="1.0 ± 1e-3 m")
+def test_separate_proof_mass_radii_are_good(tmp_path):
+    of = make_arm_campaign(
+        tmp_path, more=f"[model]\n{TERMS}", names=("A", "B"), radius="1.0 ± 1e-3 m"
+    )
     places = dict(zip(RADII, (1.00001, 0.99999, 1.0001, 1.0001), strict=True))
-    result = cs.calibrate(with_values(of, np.random.default_rng(5), radii=places))
+    result = cs.calibrate(fill_readings(of, np.random.default_rng(5), radii=places))
     assert result.state == "good"
     for name in ("A", "B"):
         for symbol in ("K_I", "K_II", "K_III"):
@@ -176,32 +183,32 @@ def test_proof_masses_off_the_fixture_s_centre_and_apart_are_good(tmp_path):
     assert all(abs(size) < 1e-5 * u for s, size in sources.items() if "radius.B" in s)
 
 
-def test_a_radius_of_a_mounting_is_that_of_all_accelerometers(tmp_path):
+def test_accelerometers_share_radius_of_mounting(tmp_path):
     priors = '[model.priors]\n"centrifuge.radius.in" = "1.0002 ± 1e-6 m"\n'
-    of = campaign(tmp_path, more=ASSUMED + priors, names=("A", "B"), sides=["in"])
+    of = make_arm_campaign(tmp_path, more=ASSUMED + priors, names=("A", "B"), sides=["in"])
     names = [u.name for u in make_unknowns(of).unknowns if "radius" in u.name]
     assert names == ["centrifuge.radius.in"]
     both = {(name, "in"): 1.0002 for name in "AB"}
-    result = cs.calibrate(with_values(of, np.random.default_rng(6), radii=both))
+    result = cs.calibrate(fill_readings(of, np.random.default_rng(6), radii=both))
     for name in "AB":
         k_i = result.accelerometers[name].coefficients["K_I"]
         assert abs(k_i.value - TRUTH["K_I"]) < 3.0 * k_i.u < 5e-6
 
 
-def test_one_radius_is_not_stated_for_all_and_for_one(tmp_path):
+def test_conflicting_radius_priors_raise(tmp_path):
     priors = (
         '[model.priors]\n"centrifuge.radius.in" = "0 ± 1e-6 m"\n'
         '"centrifuge.radius.A.in" = "0 ± 1e-6 m"\n'
     )
     with raises("conflicting-keys", '"centrifuge.radius.in"'):
-        campaign(tmp_path, more=ASSUMED + priors)
+        make_arm_campaign(tmp_path, more=ASSUMED + priors)
 
 
-def test_random_errors_of_rates_have_a_line_of_the_budget(tmp_path):
+def test_random_rate_errors_have_budget_line(tmp_path):
     kinds = {}
     for spread in ("", " ± 1e-5"):
-        of = campaign(tmp_path, more=f"[model]\n{TERMS}", spread=spread)
-        result = cs.calibrate(with_values(of, np.random.default_rng(7)))
+        of = make_arm_campaign(tmp_path, more=f"[model]\n{TERMS}", spread=spread)
+        result = cs.calibrate(fill_readings(of, np.random.default_rng(7)))
         c = result.accelerometers["A"].coefficients["K_III"]
         lines = result.accelerometers["A"].budget["K_III"]
         (line,) = (one for one in lines if one.source == "centrifuge.rate")

@@ -25,7 +25,7 @@ HEAD = place(gravity="9.8 m/s^2") + ACCELEROMETER
 AMPLITUDES = (2.0, 5.0, 10.0, 15.0, 20.0)
 
 
-def means(mounting=UP, amplitude=5.0, bias=0.0):
+def vibration_means(mounting=UP, amplitude=5.0, bias=0.0):
     """Return the mean products by symbol; amplitude and bias acceleration in g."""
     station = Station(
         "vibration",
@@ -37,10 +37,10 @@ def means(mounting=UP, amplitude=5.0, bias=0.0):
 
 
 @pytest.mark.parametrize(("amplitude", "bias"), [(5.0, 0.0), (0.7, 0.0), (3.0, -1.0), (20.0, 9.0)])
-def test_means_are_the_closed_forms(amplitude, bias):
+def test_means_match_closed_forms(amplitude, bias):
     """Of a0 + A sin wt, a0 being gravity along an upright input axis and the bias acceleration."""
     a0, square = 1.0 + bias, amplitude**2
-    found = means(amplitude=amplitude, bias=bias)
+    found = vibration_means(amplitude=amplitude, bias=bias)
     closed = {
         "K_F": 1.0,
         "K_I": a0,
@@ -53,10 +53,10 @@ def test_means_are_the_closed_forms(amplitude, bias):
 
 
 @pytest.mark.parametrize("amplitude", [0.7, 3.0])
-def test_means_with_a_kink_are_those_of_a_quadrature(amplitude):
-    found = means(amplitude=amplitude, bias=-0.5)
+def test_means_of_kinked_products_match_quadrature(amplitude):
+    found = vibration_means(amplitude=amplitude, bias=-0.5)
 
-    def mean_of(function):
+    def mean_over_cycle(function):
         start = math.asin(max(-1.0, -0.5 / amplitude))
         kinks = sorted((start % (2 * math.pi), (math.pi - start) % (2 * math.pi)))
         whole = quad(
@@ -64,19 +64,19 @@ def test_means_with_a_kink_are_those_of_a_quadrature(amplitude):
         )
         return whole[0] / (2 * math.pi)
 
-    assert found["K_OQ"] == pytest.approx(mean_of(lambda a: a * abs(a)), abs=1e-8)
-    assert found["K_I_asym"] == pytest.approx(0.5 * mean_of(abs), abs=1e-8)
+    assert found["K_OQ"] == pytest.approx(mean_over_cycle(lambda a: a * abs(a)), abs=1e-8)
+    assert found["K_I_asym"] == pytest.approx(0.5 * mean_over_cycle(abs), abs=1e-8)
 
 
-def test_a_level_input_axis_vibrates_level():
+def test_vibration_acts_along_level_input_axis():
     """Gravity acts along the output axis, and the vibration along the input axis alone."""
     level = Mounting.from_axes([1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    found = means(level, amplitude=4.0)
+    found = vibration_means(level, amplitude=4.0)
     expected = {"K_I": 0.0, "K_II": 8.0, "K_OO": 1.0, "K_IO": 0.0, "delta_P": -1.0, "K_III": 0.0}
     assert {symbol: found[symbol] for symbol in expected} == pytest.approx(expected, abs=1e-12)
 
 
-def runs(u_amplitude=0.0, reading="? ± 2e-6 mA"):
+def vibration_runs(u_amplitude=0.0, reading="? ± 2e-6 mA"):
     """Return the runs of a test: at rest and at five amplitudes, input axis up and down."""
     text = ""
     for side in ("level", "180 deg about north"):
@@ -100,7 +100,7 @@ TRUE = "[truth.A]\n" + "".join(
 MODEL = '[model]\nterms = ["K_F", "K_I", "K_II", "K_III"]\nassume = "all"\n'
 
 
-def test_coefficients_are_unbiased_and_covered():
+def test_coefficients_are_unbiased_and_have_coverage():
     """100 tests by closed forms, amplitudes with a common error of 0.5 % and random ones of 0.1 %.
 
     The mean of 100 z is within 4 / sqrt(100) of 0; their mean square within 4 sqrt(2 / 100) of 1.
@@ -129,13 +129,13 @@ def test_coefficients_are_unbiased_and_covered():
     assert np.abs((z**2).mean(axis=0) - 1.0).max() < 4.0 * math.sqrt(2.0 / 100)
 
 
-def test_an_amplitude_error_of_1_percent_is_1_percent_of_rectification_and_is_in_u(tmp_path):
+def test_amplitude_error_of_1_percent_is_in_u_of_rectification(tmp_path):
     (tmp_path / "campaign.toml").write_text(
         HEAD
         + MODEL.replace('assume = "all"\n', "")
         + TRUE
         + '[truth.machine]\n"vibration.amplitude" = "0.01 1"\n'
-        + runs(),
+        + vibration_runs(),
         encoding="utf-8",
     )
     simulate(tmp_path, tmp_path / "simulated")
@@ -145,9 +145,11 @@ def test_an_amplitude_error_of_1_percent_is_1_percent_of_rectification_and_is_in
     assert abs(found.value - 2e-5) < 3.0 * found.u
 
 
-def test_a_table_and_runs_say_the_same(tmp_path):
+def test_table_and_runs_return_same_result(tmp_path):
     (tmp_path / "runs").mkdir()
-    (tmp_path / "runs/campaign.toml").write_text(HEAD + MODEL + TRUE + runs(), encoding="utf-8")
+    (tmp_path / "runs/campaign.toml").write_text(
+        HEAD + MODEL + TRUE + vibration_runs(), encoding="utf-8"
+    )
     simulate(tmp_path / "runs", tmp_path / "a")
     by_runs = calibrate(tmp_path / "a").accelerometers["A"]
     assert {r.amplitude for r in by_runs.readings} == {None, *(9.8 * size for size in AMPLITUDES)}
@@ -184,8 +186,8 @@ def test_a_table_and_runs_say_the_same(tmp_path):
         ('attitude = "level"\nreading', "reading", "needs a position"),
     ],
 )
-def test_a_wrong_run_is_named_with_its_key(tmp_path, changed, to, message):
-    right = runs(reading="0.1 ± 2e-6 mA")
+def test_invalid_run_raises_with_key(tmp_path, changed, to, message):
+    right = vibration_runs(reading="0.1 ± 2e-6 mA")
     start = right.index('[[runs]]\nname = "5.0 g level"')
     wrong = right[:start] + right[start:].replace(changed, to, 1)
     assert wrong != right

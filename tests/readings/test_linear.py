@@ -38,7 +38,7 @@ TRUTH = {
 }
 
 
-def faces(values, sigma, repeats=1):
+def make_groups(values, sigma, repeats=1):
     """Return a group of each accelerometer that read every face `repeats` times; None: no u."""
     n = 6 * repeats
     return [
@@ -68,7 +68,7 @@ def faces(values, sigma, repeats=1):
     ]
 
 
-def model(setting, *, held=False):
+def make_model(setting, *, held=False):
     """Return four terms of each accelerometer, and the setting errors, which may be held."""
     own = tuple(
         replace(unknown(symbol, owner=name), limit=0.1) for name in AXES for symbol in TRUTH[name]
@@ -79,7 +79,7 @@ def model(setting, *, held=False):
     return Unknowns((*own, *(unknown(s, (0.0, setting), "") for s in symbols)), ())
 
 
-def indicated(errors):
+def indicate_force(errors):
     """Return what is read on faces that are turned wrongly, rad, shape (6, 2), by turns of up."""
     values = {name: [] for name in AXES}
     for face, (east, north) in zip(FACES, errors, strict=True):
@@ -96,10 +96,10 @@ def indicated(errors):
     return {name: np.array(own) for name, own in values.items()}
 
 
-def solved(values, sigma, setting, repeats=1, *, held=False):
+def simulate_and_solve(values, sigma, setting, repeats=1, *, held=False):
     """Return the fit, and the accelerometers' coefficients with their true values, (8,) each."""
-    asked = model(setting, held=held)
-    fit = solve_readings(faces(values, sigma, repeats), asked)
+    asked = make_model(setting, held=held)
+    fit = solve_readings(make_groups(values, sigma, repeats), asked)
     found = [
         (x + u.nominal, TRUTH[u.owner][u.symbol])
         for x, u in zip(fit.solution.estimate, asked.unknowns, strict=True)
@@ -108,14 +108,14 @@ def solved(values, sigma, setting, repeats=1, *, held=False):
     return fit, *np.array(found).T
 
 
-def test_the_body_is_turned_as_a_whole():
+def test_face_attitudes_are_proper_rotations():
     assert all(np.linalg.det(face) == 1.0 for face in FACES)
 
 
-def test_errors_that_are_known_exactly_give_back_the_truth():
+def test_exactly_known_errors_return_truth():
     """The derivatives have the signs of turns of the body: here to their second order."""
     errors = 1e-4 * np.random.default_rng(3).standard_normal((6, 2))
-    unknowns = model(1e-3).unknowns
+    unknowns = make_model(1e-3).unknowns
     known = {
         f"fixture.position.{k + 1}.{axis}": float(errors[k, i])
         for k in range(6)
@@ -124,17 +124,17 @@ def test_errors_that_are_known_exactly_give_back_the_truth():
     stated = tuple(
         u if u.owner else unknown(u.symbol, (known[u.symbol], 1e-9), "") for u in unknowns
     )
-    fit = solve_readings(faces(indicated(errors), 1e-9), Unknowns(stated, ()))
+    fit = solve_readings(make_groups(indicate_force(errors), 1e-9), Unknowns(stated, ()))
     for u, x in zip(stated, fit.solution.estimate, strict=True):
         if u.owner:
             assert x + u.nominal == pytest.approx(TRUTH[u.owner][u.symbol], abs=5e-9)
 
 
 @pytest.mark.parametrize("repeats", [1, 3])
-def test_an_upright_axis_falls_by_the_square_whichever_way_it_is_off(repeats):
+def test_tilt_of_vertical_axis_has_quadratic_mean_and_variance(repeats):
     """1 - (e^2 + n^2)/2 has a mean of 1 - s^2 and a variance of s^4, common to all repeats."""
     zeros = {name: np.zeros(6 * repeats) for name in AXES}
-    (group, _), asked = faces(zeros, SIGMA, repeats), model(SETTING)
+    (group, _), asked = make_groups(zeros, SIGMA, repeats), make_model(SETTING)
     part = linearize(group, asked, np.zeros(len(asked.unknowns)))
     upright, level = slice(0, 2 * repeats), slice(2 * repeats, None)
     np.testing.assert_allclose(
@@ -147,25 +147,27 @@ def test_an_upright_axis_falls_by_the_square_whichever_way_it_is_off(repeats):
 
 @pytest.mark.parametrize("held", [False, True], ids=["weighed", "held"])
 @pytest.mark.parametrize("repeats", [1, 4])
-def test_a_misalignment_is_known_to_the_setting_error_over_root_two(repeats, held):
+def test_u_of_misalignment_is_setting_error_over_root_two(repeats, held):
     """Two positions show it, each off by itself; repeats lessen the noise's part alone."""
-    values = {name: np.repeat(read, repeats) for name, read in indicated(np.zeros((6, 2))).items()}
-    fit, *_ = solved(values, SIGMA, SETTING, repeats, held=held)
-    for k, u in enumerate(model(SETTING).unknowns[:8]):
+    values = {
+        name: np.repeat(read, repeats) for name, read in indicate_force(np.zeros((6, 2))).items()
+    }
+    fit, *_ = simulate_and_solve(values, SIGMA, SETTING, repeats, held=held)
+    for k, u in enumerate(make_model(SETTING).unknowns[:8]):
         if u.symbol.startswith("delta"):
             setting = TRUTH[u.owner]["K_I"] * SETTING
             expected = math.sqrt((SIGMA**2 / repeats + setting**2) / 2.0)
             assert fit.solution.u[k] == pytest.approx(expected, rel=1e-3)
 
 
-def test_noise_that_setting_errors_hide_is_as_large_as_both():
+def test_noise_estimate_includes_indistinguishable_setting_errors():
     """Each face read once, no u stated: of six readings and four unknowns two are left."""
     rng = np.random.default_rng(6)
     sizes, largest = [], []
     for _ in range(20):
-        read = indicated(rng.normal(0.0, SETTING, (6, 2)))
+        read = indicate_force(rng.normal(0.0, SETTING, (6, 2)))
         values = {name: own + rng.normal(0.0, SIGMA, 6) for name, own in read.items()}
-        fit, found, truth = solved(values, None, SETTING)
+        fit, found, truth = simulate_and_solve(values, None, SETTING)
         assert [group.noise_dof for group in fit.groups] == pytest.approx([2.0, 2.0])
         sizes += [group.noise for group in fit.groups]
         z = np.abs(found - truth) / fit.solution.u[:8]
@@ -177,7 +179,7 @@ def test_noise_that_setting_errors_hide_is_as_large_as_both():
 
 
 @pytest.mark.slow
-def test_small_tumbles_set_by_hand_cover():
+def test_small_hand_set_tumbles_have_coverage():
     """Bodies on six faces, each face read twice, of half of them the noise estimated.
 
     An upright axis is off by the square, 2.7e-5 g in the mean, beside a noise of 1e-5 g, and by the
@@ -190,12 +192,14 @@ def test_small_tumbles_set_by_hand_cover():
         [],
     )
     for trial in range(trials):
-        read = indicated(rng.normal(0.0, SETTING, (6, 2)))
+        read = indicate_force(rng.normal(0.0, SETTING, (6, 2)))
         values = {
             name: np.repeat(own, repeats) + rng.normal(0.0, SIGMA, 6 * repeats)
             for name, own in read.items()
         }
-        fit, found, truth = solved(values, None if trial % 2 else SIGMA, SETTING, repeats)
+        fit, found, truth = simulate_and_solve(
+            values, None if trial % 2 else SIGMA, SETTING, repeats
+        )
         z.append((found - truth) / fit.solution.u[:8])
     # Bounds that one of eight coefficients passes by chance in some thousand changes of the seed.
     rms, inside = np.sqrt(np.mean(np.square(z), axis=0)), np.sum(np.abs(z) < 1.96, axis=0)
@@ -206,7 +210,7 @@ def test_small_tumbles_set_by_hand_cover():
     assert np.abs(np.mean(z, axis=0)).max() < 4.4 / math.sqrt(trials)
 
 
-def test_squares_that_noise_alone_leaves_have_the_moments_of_the_whole_matrix():
+def test_residual_moments_match_full_matrix():
     """R = 1 - rows C rows' of a fit with priors: traces of its powers, and draws of noise."""
     rng = np.random.default_rng(3)
     group = replace(readings(tumble(), np.zeros(12), SIGMA), value=np.ones(12))

@@ -15,7 +15,9 @@ LEVELS = (1.0, 4.0, 6.0, 9.0, 15.0)
 STEADY = {"ripple": 0.0, "drift": 0.0}
 
 
-def campaign(seed, off, *, head=HEAD, sense=1, ripple=1e-4, drift=2e-5, noise=1e-4, encoder=1e-5):
+def make_arm_campaign(
+    seed, off, *, head=HEAD, sense=1, ripple=1e-4, drift=2e-5, noise=1e-4, encoder=1e-5
+):
     """Return a campaign whose spindle turns `off` faster than stated, relative to the rate."""
     rng = np.random.default_rng(seed)
     text, records = head, {}
@@ -37,26 +39,26 @@ def campaign(seed, off, *, head=HEAD, sense=1, ripple=1e-4, drift=2e-5, noise=1e
     return cs.make_campaign(tomllib.loads(text), records)
 
 
-def errors(result):
+def coefficient_errors(result):
     found = {symbol: result.coefficient(f"A.{symbol}") for symbol in TRUTH}
     return {symbol: (c.value - TRUTH[symbol], c.u) for symbol, c in found.items()}
 
 
 @pytest.mark.parametrize("off", [1e-2, -1e-3])
 @pytest.mark.parametrize("sense", [1, -1])
-def test_coefficients_follow_from_the_recorded_angle(off, sense):
+def test_coefficients_follow_recorded_angle(off, sense):
     """Without noise: what remains is the second moment of w^2, 2 ripple^2 of K_II a^2."""
-    result = cs.calibrate(campaign(1, off, sense=sense, noise=1e-9, encoder=0.0))
-    assert abs(errors(result)["K_I"][0]) < 1e-9
-    assert abs(errors(result)["K_II"][0]) < 1e-11
-    assert abs(errors(result)["K_III"][0]) < 1e-11
+    result = cs.calibrate(make_arm_campaign(1, off, sense=sense, noise=1e-9, encoder=0.0))
+    assert abs(coefficient_errors(result)["K_I"][0]) < 1e-9
+    assert abs(coefficient_errors(result)["K_II"][0]) < 1e-11
+    assert abs(coefficient_errors(result)["K_III"][0]) < 1e-11
 
 
-def test_errors_are_within_u_with_noise_ripple_and_drift():
+def test_u_covers_noise_ripple_and_drift():
     """In 20 campaigns; u of means allows for a wander of the level: up to 1.5 times too large."""
     trials = 20
-    results = [cs.calibrate(campaign(seed, 1e-2)) for seed in range(trials)]
-    z = np.array([[error / u for error, u in errors(one).values()] for one in results])
+    results = [cs.calibrate(make_arm_campaign(seed, 1e-2)) for seed in range(trials)]
+    z = np.array([[error / u for error, u in coefficient_errors(one).values()] for one in results])
     assert np.abs(z[:, 1]).max() < 3.0
     rms = np.sqrt(np.mean(z**2, axis=0))
     assert (rms < 1.0 + 3.0 / math.sqrt(2.0 * trials)).all()
@@ -65,63 +67,73 @@ def test_errors_are_within_u_with_noise_ripple_and_drift():
     assert {finding.code for one in results for finding in one.findings} == {"time-base"}
 
 
-def test_measured_rates_and_means_scatter_as_their_noise():
+def test_rates_and_means_scatter_by_their_noise():
     """In 20 campaigns with the u of white noise in place of that which allows for a wander."""
     trials, z = 20, []
     head = HEAD.replace('specific_force = { column = "f", unit = "g" }\n', "")
     records = head.index("[records]"), head.index("[accelerometers")
     for seed in range(trials):
-        one, text = campaign(seed, 1e-2), head[: records[0]] + head[records[1] :]
+        one, text = make_arm_campaign(seed, 1e-2), head[: records[0]] + head[records[1] :]
         for reading in one.readings:
             averaged = average_record(one, reading)
             value, u = averaged.reading.value, 1e-4 / math.sqrt(averaged.mean.samples)
             side = 1 if reading.name.startswith("in") else -1
-            run = arm_run(reading.name, side, averaged.reading.measured.value)
+            calibrate_with_clock = arm_run(reading.name, side, averaged.reading.measured.value)
             of_record = f'record = "{reading.name}.csv"'
-            text += run.replace(of_record, f'reading = "{value!r} ± {u!r} g"')
+            text += calibrate_with_clock.replace(of_record, f'reading = "{value!r} ± {u!r} g"')
         result = cs.calibrate(cs.make_campaign(tomllib.loads(text)))
-        z.append([error / u for error, u in errors(result).values()])
+        z.append([error / u for error, u in coefficient_errors(result).values()])
     squares = np.mean(np.square(z), axis=0)
     assert (np.abs(squares - 1.0) < 3.5 * math.sqrt(2.0 / trials)).all()
 
 
-def test_runs_at_another_rate_are_named_as_those_of_the_double_turntable():
-    one = campaign(2, 0.0)
-    result = cs.calibrate(at_rate(one, "9.3 rad/s"))
+def test_deviating_rate_is_named():
+    one = make_arm_campaign(2, 0.0)
+    result = cs.calibrate(with_stated_rate(one, "9.3 rad/s"))
     (finding,) = result.findings
     rate = math.sqrt(9.0 * GRAVITY / RADIUS)
     assert finding.code == "other-rate"
+    (measured,) = (r.rate for r in calibrated_readings(result) if r.name == "in 9")
     assert finding.text == (
-        f"in 9: the spindle turned at {next(r.rate for r in read(result) if r.name == 'in 9'):.6f} "
-        "rad/s instead of the nominal 9.300000 rad/s. The fit uses the recorded angle."
+        f"in 9: the spindle turned at {measured:.6f} rad/s instead of the nominal 9.300000 rad/s. "
+        "The fit uses the recorded angle."
     )
-    assert next(r.rate for r in read(result) if r.name == "in 9") == pytest.approx(rate, rel=1e-3)
+    assert measured == pytest.approx(rate, rel=1e-3)
     assert cs.calibrate(one).state == "good"
 
 
-def at_rate(one, rate):
+def with_stated_rate(one, rate):
     """Return the campaign with another stated rate of the run "in 9"."""
     runs = one.source.document["runs"]
     return one.change(
-        {"runs": [run | {"rate": rate} if run["name"] == "in 9" else run for run in runs]}
+        {
+            "runs": [
+                calibrate_with_clock | {"rate": rate}
+                if calibrate_with_clock["name"] == "in 9"
+                else calibrate_with_clock
+                for calibrate_with_clock in runs
+            ]
+        }
     )
 
 
-def read(result):
+def calibrated_readings(result):
     return result.accelerometers["A"].readings
 
 
-def test_the_opposite_sense_is_refused():
-    one = at_rate(campaign(3, 0.0), "-9.39 rad/s")
+def test_opposite_sense_raises():
+    one = with_stated_rate(make_arm_campaign(3, 0.0), "-9.39 rad/s")
     with raises("rate-mismatch", "opposite sense"):
         cs.calibrate(one)
 
 
-def test_the_rate_is_the_root_mean_square_over_whole_revolutions():
+def test_rate_is_rms_over_whole_revolutions():
     """Closed form of w(t)^2 at the rows, with a drift of 0.3 % and a ripple of 1 %."""
     record = arm_record(np.random.default_rng(4), 1, 6.0, ripple=1e-2, drift=1e-4, noise=1e-6)
     text = HEAD.replace(', "K_II", "K_III"', "").replace('"K_F", ', "") + arm_run("r", 1, 6.03)
-    (reading,) = read(cs.calibrate(cs.make_campaign(tomllib.loads(text), {"r": record})))
+    (reading,) = calibrated_readings(
+        cs.calibrate(cs.make_campaign(tomllib.loads(text), {"r": record}))
+    )
     angle = np.unwrap(np.radians(-record["angle"]))
     turned = angle - angle[0]
     whole = turned < 2.0 * math.pi * math.floor(turned[-1] / (2.0 * math.pi))
@@ -131,57 +143,57 @@ def test_the_rate_is_the_root_mean_square_over_whole_revolutions():
     assert reading.rate > np.mean(w[1:]) * (1.0 + 2e-5)
 
 
-def test_the_clock_of_the_recorder_acts_on_rates_from_the_angle():
+def test_recorder_clock_affects_rates_from_angle():
     """A clock that runs fast by 20 ppm: K_I is 40 ppm high, which u of the clock covers.
 
     The Coriolis part, which is linear in the rate, tells 1 % of that from K_I.
     """
     fast = 1.0 + 20e-6
 
-    def run(head):
-        one = campaign(5, 0.0, head=head, noise=1e-6, **STEADY)
-        frames = {name: {**f, "t": f["t"] * fast} for name, f in frames_of(one).items()}
+    def calibrate_with_clock(head):
+        one = make_arm_campaign(5, 0.0, head=head, noise=1e-6, **STEADY)
+        frames = {name: {**f, "t": f["t"] * fast} for name, f in record_columns(one).items()}
         return cs.calibrate(one.change({}, records=frames))
 
     for clock, missing, u_clock in (("0 ± 20 ppm", 20e-6, 20e-6), ("20 ± 1 ppm", 0.0, 1e-6)):
         stated = HEAD.replace("[records]", f'[records]\nclock = "{clock}"')
-        error, u = errors(run(stated))["K_I"]
+        error, u = coefficient_errors(calibrate_with_clock(stated))["K_I"]
         assert error == pytest.approx(2.0 * missing, abs=1e-6)
         assert u == pytest.approx(2.0 * u_clock, rel=1e-2)
-    result = run(HEAD.replace('assume = "all"\n', ""))
+    result = calibrate_with_clock(HEAD.replace('assume = "all"\n', ""))
     assert {row.name: row.u for row in result.rests_on}["records.clock"] == 2e-5
-    assert abs(errors(result)["K_I"][0]) < 3.0 * errors(result)["K_I"][1]
+    assert abs(coefficient_errors(result)["K_I"][0]) < 3.0 * coefficient_errors(result)["K_I"][1]
 
 
-def frames_of(one):
+def record_columns(one):
     return {r.name: one.record_at(r.record).columns for r in one.readings}
 
 
-def test_without_the_column_of_the_angle_the_stated_rate_counts():
-    one = campaign(6, 0.0, **STEADY)
-    frames = {name: {c: f[c] for c in ("t", "f")} for name, f in frames_of(one).items()}
+def test_stated_rate_is_used_without_angle_column():
+    one = make_arm_campaign(6, 0.0, **STEADY)
+    frames = {name: {c: f[c] for c in ("t", "f")} for name, f in record_columns(one).items()}
     result = cs.calibrate(one.change({}, records=frames))
     (warning,) = [text for text in result.warnings if "no angle" in text]
     assert warning.startswith("The records of in 1, in 4, in 6, in 9, in 15, out 1")
-    assert read(result)[0].rate == math.sqrt(GRAVITY / RADIUS)
-    assert abs(errors(result)["K_I"][0]) < 3.0 * errors(result)["K_I"][1]
+    assert calibrated_readings(result)[0].rate == math.sqrt(GRAVITY / RADIUS)
+    assert abs(coefficient_errors(result)["K_I"][0]) < 3.0 * coefficient_errors(result)["K_I"][1]
 
 
-def partly_without_angle(seed, by_recorder, by_counter, head):
+def make_campaign_partly_without_angle(seed, by_recorder, by_counter, head):
     """Return a campaign in which every second record has no angle.
 
     by_recorder, by_counter: True relative errors of the clocks behind recorded angles and behind
         the stated rates of records without angle.
     """
-    every = campaign(seed, by_counter, head=head, **STEADY)
-    frames = frames_of(every)
+    every = make_arm_campaign(seed, by_counter, head=head, **STEADY)
+    frames = record_columns(every)
     for position, name in enumerate(frames):
         frame = {**frames[name], "t": frames[name]["t"] * (1.0 + by_recorder)}
         frames[name] = {c: frame[c] for c in ("t", "f")} if position % 2 else frame
     return every.change({}, records=frames)
 
 
-def stated_clocks(recorder, counter):
+def describe_clocks(recorder, counter):
     """Return the description with the clocks stated, and all else assumed perfect."""
     head = HEAD.replace("[records]", f'[records]\nclock = "0 ± {recorder}"')
     return head.replace("[centrifuge]", f'[centrifuge]\nclock = "0 ± {counter}"')
@@ -191,17 +203,19 @@ def stated_clocks(recorder, counter):
     ("by_recorder", "by_counter", "head", "largest_u"),
     [
         (0.0, 2e-5, HEAD.replace('assume = "all"\n', ""), 1e-3),
-        (0.0, 2e-5, stated_clocks("1e-9", "2e-5"), 3e-6),
-        (2e-5, 0.0, stated_clocks("2e-5", "1e-9"), 3e-6),
+        (0.0, 2e-5, describe_clocks("1e-9", "2e-5"), 3e-6),
+        (2e-5, 0.0, describe_clocks("2e-5", "1e-9"), 3e-6),
     ],
 )
-def test_records_with_and_without_angle_have_clocks_of_their_own(
+def test_records_with_and_without_angle_have_separate_clocks(
     by_recorder, by_counter, head, largest_u
 ):
     """The recorder's clock acts on identified rates, that of the rate counter on stated ones."""
     for seed in range(3):
-        result = cs.calibrate(partly_without_angle(seed, by_recorder, by_counter, head))
-        error, u = errors(result)["K_I"]
+        result = cs.calibrate(
+            make_campaign_partly_without_angle(seed, by_recorder, by_counter, head)
+        )
+        error, u = coefficient_errors(result)["K_I"]
         assert abs(error) < 3.0 * u < 3.0 * largest_u
         assert {"records.clock", "centrifuge.clock"} <= {row.name for row in result.rests_on}
         assert result.state != "contradicted"
@@ -227,7 +241,7 @@ angle = "1e-5 rad"
 """
 
 
-def test_simulated_records_are_calibrated_to_their_truth():
+def test_simulated_records_return_true_coefficients():
     """At another rate than the stated one, with a clock that is known to be fast."""
     text = HEAD.replace("[records]", '[records]\nclock = "20 ± 1e-3 ppm"') + SIMULATED
     for side in (1, -1):
@@ -235,6 +249,6 @@ def test_simulated_records_are_calibrated_to_their_truth():
             rate = math.sqrt(level * GRAVITY / RADIUS)
             text += arm_run(f"{'in' if side > 0 else 'out'} {level:.0f}", side, rate)
     result = cs.calibrate(cs.simulate(cs.make_campaign(tomllib.loads(text))))
-    assert all(abs(error) < 4.0 * u for error, u in errors(result).values())
-    assert errors(result)["K_I"][1] < 1e-6
+    assert all(abs(error) < 4.0 * u for error, u in coefficient_errors(result).values())
+    assert coefficient_errors(result)["K_I"][1] < 1e-6
     assert {finding.code for finding in result.findings} == {"time-base"}

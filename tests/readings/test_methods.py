@@ -10,34 +10,39 @@ from counterspin.cli import main
 
 
 @pytest.fixture(scope="module")
-def mixed(tmp_path_factory):
+def campaign_of_three_kinds(tmp_path_factory):
     return MixedCampaign(tmp_path_factory.mktemp("mixed"))
 
 
 @pytest.fixture(scope="module")
-def together(mixed):
-    return mixed.calibrated()
+def joint_result(campaign_of_three_kinds):
+    return campaign_of_three_kinds.calibrated()
 
 
-def test_together_the_tests_are_surer_than_each(mixed, together):
-    a = together.accelerometers["A"]
-    assert together.state == "good"
+def test_joint_tests_reduce_uncertainty(campaign_of_three_kinds, joint_result):
+    a = joint_result.accelerometers["A"]
+    assert joint_result.state == "good"
     for symbol, truth in TRUTH.items():
         c = a.coefficients[symbol]
         assert abs(c.value - truth) < 4.0 * c.u
     for kind in ("double turntable", "arm"):
-        alone = mixed.calibrated([kind]).accelerometers["A"].coefficients["K_II"]
+        alone = campaign_of_three_kinds.calibrated([kind]).accelerometers["A"].coefficients["K_II"]
         assert alone.estimated
         assert a.coefficients["K_II"].u < 0.9 * alone.u
-    assert not mixed.calibrated(["at rest"]).accelerometers["A"].coefficients["K_II"].estimated
+    assert (
+        not campaign_of_three_kinds.calibrated(["at rest"])
+        .accelerometers["A"]
+        .coefficients["K_II"]
+        .estimated
+    )
 
 
-def test_each_kind_alone_is_what_a_campaign_of_it_says(mixed, together):
+def test_single_kind_matches_campaign_of_that_kind(campaign_of_three_kinds, joint_result):
     """The records' kind to the digit; readings are linearised at the joint estimate."""
-    kinds = together.accelerometers["A"].kinds
+    kinds = joint_result.accelerometers["A"].kinds
     assert [(k.kind, k.count) for k in kinds] == list(zip(KINDS, (3, 12, 24), strict=True))
     for kind in kinds:
-        alone = mixed.calibrated([kind.kind]).accelerometers["A"].coefficients
+        alone = campaign_of_three_kinds.calibrated([kind.kind]).accelerometers["A"].coefficients
         for symbol, c in kind.coefficients.items():
             assert c.estimated == alone[symbol].estimated, (kind.kind, symbol)
             # At rest alone, K_PP and K_OO are considered, which moves u of K_F.
@@ -46,10 +51,14 @@ def test_each_kind_alone_is_what_a_campaign_of_it_says(mixed, together):
                 assert c.u == pytest.approx(alone[symbol].u, rel=1e-4)
 
 
-def test_leaving_a_kind_out_is_what_a_campaign_without_it_says(mixed, together):
-    a = together.accelerometers["A"]
+def test_omitted_kind_matches_campaign_without_it(campaign_of_three_kinds, joint_result):
+    a = joint_result.accelerometers["A"]
     rest = next(k for k in a.kinds if k.kind == "at rest")
-    without = mixed.calibrated(["double turntable", "arm"]).accelerometers["A"].coefficients
+    without = (
+        campaign_of_three_kinds.calibrated(["double turntable", "arm"])
+        .accelerometers["A"]
+        .coefficients
+    )
     for symbol, shift in rest.without.items():
         whole, other = a.coefficients[symbol], without[symbol]
         assert shift.shift == pytest.approx(other.value - whole.value, abs=1e-3 * whole.u)
@@ -58,25 +67,31 @@ def test_leaving_a_kind_out_is_what_a_campaign_without_it_says(mixed, together):
         assert shift.u**2 == pytest.approx(noise[0] - noise[1], rel=2e-2)
 
 
-def test_tests_that_agree_make_no_finding(mixed):
+def test_consistent_tests_have_no_finding(campaign_of_three_kinds):
     """All tests share a level of 1 %: in 10 campaigns at most 1 (p = 0.004)."""
     found = 0
     for seed in range(2, 12):
-        mixed.draw(seed)
-        found += any(f.code == "kinds-disagree" for f in mixed.calibrated().findings)
+        campaign_of_three_kinds.draw(seed)
+        found += any(
+            f.code == "kinds-disagree" for f in campaign_of_three_kinds.calibrated().findings
+        )
     assert found <= 1
 
 
 @pytest.mark.parametrize(
     ("kind", "moved"), [("at rest", "K_F"), ("arm", "K_II")], ids=["at rest", "on the arm"]
 )
-def test_the_kind_that_disagrees_is_named(tmp_path, capsys, monkeypatch, kind, moved):
-    mixed = MixedCampaign(tmp_path, u_arm=1e-5)
+def test_inconsistent_kind_is_named(tmp_path, capsys, monkeypatch, kind, moved):
+    campaign_of_three_kinds = MixedCampaign(tmp_path, u_arm=1e-5)
     if kind == "at rest":
-        mixed.at_rest = mixed.at_rest + 1e-4  # a bias of the bench that the others do not have
+        campaign_of_three_kinds.at_rest = (
+            campaign_of_three_kinds.at_rest + 1e-4
+        )  # a bias of the bench that the others do not have
     else:
-        mixed.on_arm = mixed.on_arm + arm_with({"K_II": 20e-6}) - arm_with({})
-    result = mixed.calibrated()
+        campaign_of_three_kinds.on_arm = (
+            campaign_of_three_kinds.on_arm + arm_with({"K_II": 20e-6}) - arm_with({})
+        )
+    result = campaign_of_three_kinds.calibrated()
     # One cause, one finding: each kind by itself fits its own model.
     codes = [f.code for f in result.findings]
     assert codes.count("kinds-disagree") == 1

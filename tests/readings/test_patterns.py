@@ -30,7 +30,7 @@ from counterspin.readings.patterns import (
 LEVEL = ("K_F", "K_I", "delta_O")
 
 
-def held(test, values, u, terms=LEVEL):
+def score_columns(test, values, u, terms=LEVEL):
     """Solve readings, and hold all columns against them."""
     own = readings(test, values, u)
     problem = model(terms)
@@ -51,7 +51,7 @@ def held(test, values, u, terms=LEVEL):
     return fit.fit, group, columns
 
 
-def test_the_angle_of_the_head_is_from_where_the_input_axis_points_up():
+def test_head_angle_is_zero_with_input_axis_up():
     angle, there = head_angle(readings(tumble(8), np.zeros(8), 1.0))
     assert there.all()
     np.testing.assert_allclose(np.cos(angle), np.cos(np.arange(8) * math.pi / 4), atol=1e-12)
@@ -60,7 +60,7 @@ def test_the_angle_of_the_head_is_from_where_the_input_axis_points_up():
     assert not none.any()
 
 
-def test_the_other_sense_of_rotation_changes_the_coriolis_force():
+def test_opposite_sense_column_is_change_of_coriolis_force():
     """By 4 R w Omega sin L, of opposite signs inward and outward; not where an angle shows it."""
     test = arm()
     one = readings(test, np.zeros(len(test[0])), 1e-6)
@@ -77,7 +77,7 @@ def test_the_other_sense_of_rotation_changes_the_coriolis_force():
     assert not any(other.kind == REVERSED for other in candidate_columns(shown, 0, {"K_I"}, set()))
 
 
-def test_positions_about_another_axis_have_no_wave():
+def test_positions_about_other_axis_have_no_head_angle():
     test = tumble(8)
     head = test[2].copy()
     head[:2] = [1.0, 0.0, 0.0]
@@ -85,8 +85,10 @@ def test_positions_about_another_axis_have_no_wave():
     assert there.tolist() == [False] * 2 + [True] * 6
 
 
-def test_columns_are_those_that_the_model_lacks():
-    _, _, columns = held(tumble(24), simulated(tumble(24), np.random.default_rng(1), 1e-6), 1e-6)
+def test_candidate_columns_are_missing_from_model():
+    _, _, columns = score_columns(
+        tumble(24), simulated(tumble(24), np.random.default_rng(1), 1e-6), 1e-6
+    )
     names = {(column.kind, column.symbol) for column in columns}
     assert (WAVE, "cos 2 phi") in names
     assert (TERM, "K_II") in names
@@ -97,7 +99,7 @@ def test_columns_are_those_that_the_model_lacks():
     assert (HYSTERESIS, FORCE) in names
 
 
-def test_what_a_head_makes_that_errs_is_a_column_where_it_was_mounted_on_in_two_ways():
+def test_head_error_columns_require_two_mountings():
     """Turned by d more, cos phi reads less by d sin phi; d is a wave of what the head shows."""
     angle = np.arange(24) * math.pi / 12
     shown = angle - np.where(np.arange(24) < 12, 0.0, 0.5 * math.pi)
@@ -128,7 +130,7 @@ def test_what_a_head_makes_that_errs_is_a_column_where_it_was_mounted_on_in_two_
     ]
 
 
-def test_the_force_falls_on_one_half_of_a_turn_and_rises_on_the_other():
+def test_approach_direction_changes_sign_within_revolution():
     own = readings(tumble(12), np.zeros(12), 1e-6)
     group = ResidualGroup(own, 0, np.ones(12), np.ones(12), 0.0, 1.0, False, 0.0)
     first, other = (
@@ -140,7 +142,7 @@ def test_the_force_falls_on_one_half_of_a_turn_and_rises_on_the_other():
 
 
 @pytest.mark.parametrize(("count", "tried"), [(3, 0), (4, 1), (12, 9), (100, 24)])
-def test_steps_leave_two_readings_on_each_side(count, tried):
+def test_steps_have_two_readings_on_both_sides(count, tried):
     own = readings(tumble(count), np.zeros(count), 1e-6)
     ones = np.ones(count)
     group = ResidualGroup(own, 0, ones, ones, 0.0, 1.0, False, 0.0)
@@ -155,18 +157,18 @@ def test_steps_leave_two_readings_on_each_side(count, tried):
         assert np.all(np.diff(step) >= 0.0)
 
 
-def test_the_gain_is_that_of_a_fit_with_the_column():
+def test_gain_matches_fit_with_column():
     """Rao's score of one more column on a linear problem is exact."""
     test, truth = tumble(24), {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5, "K_II": 15e-6}
     values = simulated(test, np.random.default_rng(2), 2e-6, truth=truth)
-    joint, group, columns = held(test, values, 2e-6)
+    joint, group, columns = score_columns(test, values, 2e-6)
     (found,) = best_patterns(joint, [group], [columns])
     assert found.alternatives[0].symbol == "cos 2 phi"
     assert {"K_II", "K_PP"} <= {other.symbol for other in found.alternatives}
     with_term = solve_readings([readings(test, values, 2e-6)], model((*LEVEL, "K_II")))
     gain = group.chi2 - with_term.groups[0].chi2
     assert found.p == pytest.approx(2.0 * stats.norm.sf(math.sqrt(gain)), rel=1e-3)
-    estimated, own, columns = held(test, values, None)
+    estimated, own, columns = score_columns(test, values, None)
     (found,) = best_patterns(estimated, [own], [columns])
     f = gain / (with_term.groups[0].chi2 / (24 - 4))
     assert found.p == pytest.approx(stats.f.sf(f, 1, 24 - 4), rel=1e-3)
@@ -174,7 +176,7 @@ def test_the_gain_is_that_of_a_fit_with_the_column():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("u", [None, 2e-6], ids=["noise estimated", "noise stated"])
-def test_of_good_readings_as_few_are_blamed_as_the_significance_says(u):
+def test_false_alarm_rate_matches_significance(u):
     """At 5 %, shared out among the columns: of 50 tumbles no more than 8 (p = 0.0008).
 
     Of 300 no more than 27 (p = 0.002).
@@ -184,25 +186,27 @@ def test_of_good_readings_as_few_are_blamed_as_the_significance_says(u):
     truth = {symbol: TRUTH.get(symbol, 3e-5) for symbol in LEVEL}
     blamed = 0
     for _ in range(trials):
-        joint, group, columns = held(tumble(), simulated(tumble(), rng, 2e-6, truth=truth), u)
+        joint, group, columns = score_columns(
+            tumble(), simulated(tumble(), rng, 2e-6, truth=truth), u
+        )
         (found,) = best_patterns(joint, [group], [columns])
         assert 8 <= found.tests <= len(columns)
         blamed += found.p * found.tests < 0.05
     assert blamed <= most
 
 
-def test_a_reading_that_stands_out_is_left_out_and_leads_to_no_column():
+def test_outlying_reading_leads_to_no_column():
     test, rng = tumble(24), np.random.default_rng(4)
     truth = {symbol: TRUTH.get(symbol, 3e-5) for symbol in LEVEL}
     values = simulated(test, rng, 2e-6, truth=truth)
     values[0] += 2e-4
-    joint, group, columns = held(test, values, 2e-6)
+    joint, group, columns = score_columns(test, values, 2e-6)
     (without,) = best_patterns(joint, [replace(group, left_out=(0,))], [columns])
     assert without.p * without.tests > 0.01
 
 
 @pytest.mark.parametrize("columns", [1, 2, 4])
-def test_the_tail_of_a_gain_is_that_of_f(columns):
+def test_tail_probability_of_gain_matches_f_distribution(columns):
     for dof in (3.0, 7.5, 60.0):
         assert _tail_probability(columns, dof, 9.0) == pytest.approx(
             stats.f.sf(9.0 / columns, columns, dof), rel=1e-9
@@ -212,7 +216,7 @@ def test_the_tail_of_a_gain_is_that_of_f(columns):
     )
 
 
-def test_a_wave_at_any_phase_is_found_by_both_its_parts():
+def test_wave_is_found_by_sine_and_cosine_jointly():
     """Five times the noise, 9 degrees of freedom: alone, each part leaves the other as noise."""
     rng, angle = np.random.default_rng(5), np.arange(12) * math.pi / 6.0
     truth = {symbol: TRUTH.get(symbol, 3e-5) for symbol in LEVEL}
@@ -221,7 +225,7 @@ def test_a_wave_at_any_phase_is_found_by_both_its_parts():
         (1e-5 * np.cos(2.0 * angle + 0.7), "2 phi"),
         (1e-5 * (np.cos(2.0 * angle + 0.7) + np.cos(3.0 * angle - 0.4)), "2 phi and 3 phi"),
     ):
-        joint, group, columns = held(tumble(), exact + wave, None)
+        joint, group, columns = score_columns(tumble(), exact + wave, None)
         (found,) = best_patterns(joint, [group], [columns])
         assert [other.symbol for other in found.alternatives] == [f"waves of {turns}"]
         assert found.p * found.tests < 1e-3

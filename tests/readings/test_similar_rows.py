@@ -39,17 +39,17 @@ def read(folder, section, rows, head=HEAD):
     return read_campaign(folder)
 
 
-def rounded(reading):
+def rounded_fields(reading):
     """Return the fields of a reading, numbers to 15 digits, without the number of its row."""
 
-    def plain(value):
+    def round_value(value):
         if isinstance(value, Mounting):
             return tuple(tuple(np.round(axis, 15) + 0.0) for axis in value.axes), value.response
         if isinstance(value, str) and value.startswith("reading "):
             return ""
         return f"{value:.15g}" if isinstance(value, float) else value
 
-    return {part.name: plain(getattr(reading, part.name)) for part in fields(reading)}
+    return {part.name: round_value(getattr(reading, part.name)) for part in fields(reading)}
 
 
 @pytest.mark.parametrize(
@@ -62,15 +62,15 @@ def rounded(reading):
         (VIBRATION, "g,angle,mA", ["1,600,1.25", "1,5400,0.1", "2,5400,0.2", "1,90,0.3"]),
     ],
 )
-def test_rows_together_equal_each_row_alone(tmp_path, section, header, rows):
+def test_rows_together_equal_single_rows(tmp_path, section, header, rows):
     together = read(tmp_path, section, [header, *rows]).readings
     assert len(together) == len(rows)
     for row, reading in zip(rows, together, strict=True):
         (alone,) = read(tmp_path, section, [header, row]).readings
-        assert rounded(reading) == rounded(alone)
+        assert rounded_fields(reading) == rounded_fields(alone)
 
 
-def test_poses_together_equal_each_pose_alone(tmp_path):
+def test_poses_together_equal_single_poses(tmp_path):
     section = """[readings]
 file = "r.csv"
 attitude = "unknown"
@@ -81,7 +81,7 @@ columns = { reading = { X = "x", Y = "y", Z = "z" } }
     assert len(poses) == 3
     for row, pose in zip(rows, poses, strict=True):
         (alone,) = read(tmp_path, section, ["x,y,z", row], triads.head()).triad.poses
-        assert list(map(rounded, pose)) == list(map(rounded, alone))
+        assert list(map(rounded_fields, pose)) == list(map(rounded_fields, alone))
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ columns = { reading = { X = "x", Y = "y", Z = "z" } }
         ("c,30,23,1e14,1.2,1e-6", 'readings."r.csv line 4".time: '),
     ],
 )
-def test_a_row_outside_the_limits_is_named_with_its_line(tmp_path, row, message):
+def test_row_outside_limits_raises_with_line(tmp_path, row, message):
     good = ["a,10,23,0,1.2,1e-6", "b,20,23,30,1.2,1e-6", "d,20,23,30,1.2,1e-6"]
     with pytest.raises(CampaignError) as caught:
         read(tmp_path, TUMBLE, ["p,angle,T,t,mA,u", *good[:2], row, good[2]])

@@ -22,19 +22,19 @@ def read(folder, text):
     return read_campaign(folder)
 
 
-def of_csv(folder, content, keys=SIMPLE):
+def read_csv_table(folder, content, keys=SIMPLE):
     (folder / "r.csv").write_text(content, encoding="utf-8")
     return read(folder, f'[readings]\nfile = "r.csv"\n{keys}\n').readings
 
 
-def problems(folder, content, keys=SIMPLE):
+def read_problems(folder, content, keys=SIMPLE):
     with pytest.raises(CampaignError) as caught:
-        of_csv(folder, content, keys)
+        read_csv_table(folder, content, keys)
     return caught.value.problems
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".xlsx"])
-def test_a_table_says_the_same_as_runs(tmp_path, suffix):
+def test_table_equals_runs(tmp_path, suffix):
     columns = {"p": ["tumble 30"], "deg": [30], "mA": [1.082532], "u": [2e-6]}
     if suffix == ".csv":
         pl.DataFrame(columns).write_csv(tmp_path / "readings.csv")
@@ -54,12 +54,14 @@ columns = {{ name = "p", attitude = "deg", reading = "mA", u = "u" }}
     assert reading == written
 
 
-def test_a_table_of_an_arm_names_its_axes(tmp_path):
+def test_table_of_arm_readings_has_mounting_axes(tmp_path):
     keys = """motion = "arm"
 rate_unit = "rpm"
 columns = { rate = "n", input = "side", pendulous = "below", mounting = "side", reading = "mA" }
 """
-    first, second = of_csv(tmp_path, "n;side;below;mA\n60;inward;up;5\n-60;outward;up;-5\n", keys)
+    first, second = read_csv_table(
+        tmp_path, "n;side;below;mA\n60;inward;up;5\n-60;outward;up;-5\n", keys
+    )
     assert (first.rate, second.rate) == (
         pytest.approx(2.0 * math.pi),
         pytest.approx(-2.0 * math.pi),
@@ -77,9 +79,9 @@ hinten = { input = "backward", pendulous = "inward" }
 """
 
 
-def test_a_rate_of_nothing_is_a_reading_at_rest(tmp_path):
+def test_zero_rate_is_reading_at_rest(tmp_path):
     table = "n,side,mA\n6,innen,5\n0,innen,0\n0,,1.25\n0,hinten,0\n"
-    turning, inward, upright, backward = of_csv(tmp_path, table, ARM)
+    turning, inward, upright, backward = read_csv_table(tmp_path, table, ARM)
     assert (turning.motion, turning.mounting, turning.rate) == ("arm", "innen", 6.0)
     assert turning.axes.axes[:2] == ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     # At rest the axes are east, north and up: those of an arm that points east.
@@ -98,67 +100,67 @@ out = { input = "outward", pendulous = "up", reading = "minus" }
 """
 
 
-def test_mountings_side_by_side_are_readings_of_their_own(tmp_path):
-    beside = of_csv(tmp_path, "n,plus,minus,u\n6,5,-5,2e-6\n0,1e-3,,2e-6\n", BESIDE)
+def test_mounting_columns_are_separate_readings(tmp_path):
+    beside = read_csv_table(tmp_path, "n,plus,minus,u\n6,5,-5,2e-6\n0,1e-3,,2e-6\n", BESIDE)
     assert [one.name for one in beside] == ["reading 1, in", "reading 1, out", "reading 2, in"]
     below = BESIDE.replace(', reading = "plus"', "").replace(', reading = "minus"', "")
     below = below.replace("columns = {", 'columns = { name = "no", mounting = "w", reading = "mA",')
     rows = [f"{one.name.replace(',', ';')},{n}" for one, n in zip(beside, "660", strict=True)]
     table = zip(rows, ["in,5", "out,-5", "in,1e-3"], strict=True)
     content = "no,n,w,mA,u\n" + "".join(f"{head},{rest},2e-6\n" for head, rest in table)
-    written = of_csv(tmp_path, content, below)
+    written = read_csv_table(tmp_path, content, below)
     uncertain = BESIDE.replace(', u = "u"', "").replace('"minus" }', '"minus", u = "u" }')
-    one, other = of_csv(tmp_path, "n,plus,minus,u\n6,5,-5,2e-6\n", uncertain)
+    one, other = read_csv_table(tmp_path, "n,plus,minus,u\n6,5,-5,2e-6\n", uncertain)
     assert (one.u, other.u) == (None, pytest.approx(2e-6 / 1.25))
     assert [replace(one, name=one.name.replace(";", ",")) for one in written] == list(beside)
 
 
-def test_slips_of_mountings_side_by_side(tmp_path):
+def test_invalid_mounting_columns_raise(tmp_path):
     table = "n,plus,minus,u\n6,5,-5,2e-6\n"
-    (said,) = problems(tmp_path, table, BESIDE.replace('"minus"', '"minos"'))
+    (said,) = read_problems(tmp_path, table, BESIDE.replace('"minus"', '"minos"'))
     assert said == 'readings.columns: r.csv has no column "minos"; did you mean "minus"?'
     said = "readings.mountings: give `reading` for every mounting"
     for slip in (
         BESIDE.replace(', reading = "minus"', ""),
         BESIDE.replace('u = "u"', 'u = "u", reading = "plus"'),
     ):
-        assert problems(tmp_path, table, slip)[0].startswith(said)
+        assert read_problems(tmp_path, table, slip)[0].startswith(said)
     rows = "n,plus,minus,u\nrad/s,mA,V,mA\n6,5,-5,2e-6\n7,6,-6,2e-6\n8,6,-6,2e-6\n"
-    (said,) = problems(tmp_path, rows, BESIDE)
+    (said,) = read_problems(tmp_path, rows, BESIDE)
     assert said.endswith(
         'column "minus" is in V according to the units row, but in mA according to the description'
     )
 
 
-def test_the_sense_of_a_row_stands_above_that_of_the_table(tmp_path):
+def test_sense_of_row_overrides_sense_of_table(tmp_path):
     keys = 'sense = "clockwise"\n' + ARM.replace("columns = {", 'columns = { sense = "s",')
     table = "n,side,s,mA\n6,innen,CCW,5\n6,innen,cw,5\n6,innen,,5\n0,innen,,0\n"
-    assert [one.rate for one in of_csv(tmp_path, table, keys)] == [6.0, -6.0, -6.0, 0.0]
-    (said,) = problems(tmp_path, table.replace("CCW", "left"), keys)
+    assert [one.rate for one in read_csv_table(tmp_path, table, keys)] == [6.0, -6.0, -6.0, 0.0]
+    (said,) = read_problems(tmp_path, table.replace("CCW", "left"), keys)
     assert said.startswith(
         "readings.\"r.csv line 2\".sense: 'left' is not one of counterclockwise,"
     )
 
 
-def test_remarks_below_a_table_are_no_readings(tmp_path):
+def test_footer_lines_are_not_readings(tmp_path):
     table = "n,side,mA\n6,innen,5\n0,innen,0\n,,\n,Table 3 of 4,\n"
-    assert len(of_csv(tmp_path, table, ARM)) == 2
+    assert len(read_csv_table(tmp_path, table, ARM)) == 2
     # What was read has a station, or should have one.
-    assert len(problems(tmp_path, f"{table},innen,5\n", ARM)) == 1
+    assert len(read_problems(tmp_path, f"{table},innen,5\n", ARM)) == 1
 
 
-def test_a_dot_in_the_name_of_a_mounting_is_left_out(tmp_path):
+def test_dot_in_mounting_name_is_removed(tmp_path):
     keys = ARM.replace("innen =", '"Pos 1" =').replace("hinten =", '"22,5" =')
-    found = of_csv(tmp_path, "n,side,mA\n6,Pos. 1,5\n6,22.5,0\n", keys)
+    found = read_csv_table(tmp_path, "n,side,mA\n6,Pos. 1,5\n6,22.5,0\n", keys)
     assert [one.mounting for one in found] == ["Pos 1", "22,5"]
 
 
-def test_a_merged_cell_has_the_mounting_above(tmp_path):
+def test_merged_cell_repeats_mounting(tmp_path):
     table = "n,side,mA\n6,innen,5\n6,,5\n\n6,hinten,0\n6,,0\n"
-    found = of_csv(tmp_path, table, "merged = true\n" + ARM)
+    found = read_csv_table(tmp_path, table, "merged = true\n" + ARM)
     assert [one.mounting for one in found] == ["innen", "innen", "hinten", "hinten"]
     assert found[1].axes == found[0].axes
-    assert len(problems(tmp_path, table, ARM)) == 2
+    assert len(read_problems(tmp_path, table, ARM)) == 2
 
 
 @pytest.mark.parametrize(
@@ -176,53 +178,53 @@ def test_a_merged_cell_has_the_mounting_above(tmp_path):
     ],
 )
 @pytest.mark.parametrize(("sense", "sign"), [("counterclockwise", 1.0), ("clockwise", -1.0)])
-def test_rates_are_told_in_many_ways(tmp_path, unit, number, rate, sense, sign):
+def test_rate_columns_are_converted(tmp_path, unit, number, rate, sense, sign):
     keys = f'rate_unit = "{unit}"\nsense = "{sense}"\n{ARM}'
-    (reading,) = of_csv(tmp_path, f"n,side,mA\n{number},innen,5\n", keys)
+    (reading,) = read_csv_table(tmp_path, f"n,side,mA\n{number},innen,5\n", keys)
     assert reading.rate == pytest.approx(sign * rate, rel=1e-12)
 
 
-def test_one_u_is_that_of_readings_without_their_own(tmp_path):
+def test_common_u_applies_to_readings_without_u(tmp_path):
     keys = 'columns = { attitude = "angle", reading = "mA", u = "u" }\nu = "5 uA"\n'
-    own, other = of_csv(tmp_path, "angle,mA,u\n0,1.25,0.001\n90,0,\n", keys)
+    own, other = read_csv_table(tmp_path, "angle,mA,u\n0,1.25,0.001\n90,0,\n", keys)
     assert own.u == pytest.approx(0.001 / 1.25)
     assert other.u == pytest.approx(0.005 / 1.25)
 
 
-def test_repeats_stand_in_columns_and_some_may_be_missing(tmp_path):
+def test_repeat_columns_may_have_empty_cells(tmp_path):
     keys = 'columns = { attitude = "angle", reading = ["a", "b", "c"] }'
-    first, second = of_csv(tmp_path, "angle,a,b,c\n0,1.25,1.26,1.27\n90,0,0.01,\n", keys)
+    first, second = read_csv_table(tmp_path, "angle,a,b,c\n0,1.25,1.26,1.27\n90,0,0.01,\n", keys)
     assert (first.value, first.repeats, first.u) == (pytest.approx(1.26 / 1.25), 3, None)
     assert first.scatter == pytest.approx(2e-4 / 1.25**2)
     assert (second.value, second.repeats) == (pytest.approx(0.005 / 1.25), 2)
 
 
-def test_the_head_scatters_from_position_to_position(tmp_path):
-    (reading,) = of_csv(tmp_path, "angle,mA\n30,1\n", SIMPLE + '\nu_attitude = "2 arcsec"')
+def test_head_uncertainty_and_axis_are_read(tmp_path):
+    (reading,) = read_csv_table(tmp_path, "angle,mA\n30,1\n", SIMPLE + '\nu_attitude = "2 arcsec"')
     assert reading.u_head == pytest.approx(math.radians(2 / 3600))
     assert reading.head == (0.0, 1.0, 0.0)
 
 
-def test_a_column_says_what_the_head_shows_where_it_is_not_the_attitude(tmp_path):
+def test_head_angle_column_differs_from_attitude(tmp_path):
     keys = SIMPLE.replace("reading", 'head = "shown", reading')
-    first, second = of_csv(tmp_path, "angle,shown,mA\n30,120,1\n60,,1\n", keys)
+    first, second = read_csv_table(tmp_path, "angle,shown,mA\n30,120,1\n60,,1\n", keys)
     assert first.head_angle == pytest.approx(math.radians(120.0))
     assert second.head_angle == pytest.approx(math.radians(60.0))
     assert first.head == second.head == (0.0, 1.0, 0.0)
 
 
-def test_times_may_be_dates(tmp_path):
+def test_dates_are_converted_to_time(tmp_path):
     keys = 'columns = { attitude = "angle", reading = "mA", time = "when" }'
     table = "angle,mA,when\n0,1.25,2024-05-01 10:00:00\n90,0,2024-05-01 10:02:30.5\n"
-    first, second = of_csv(tmp_path, table, keys)
+    first, second = read_csv_table(tmp_path, table, keys)
     assert second.time - first.time == 150.5
 
 
-def test_rows_with_nothing_in_them_are_none(tmp_path):
-    assert len(of_csv(tmp_path, "angle,mA\n0,1.25\n,\n90,0\n")) == 2
+def test_empty_rows_are_ignored(tmp_path):
+    assert len(read_csv_table(tmp_path, "angle,mA\n0,1.25\n,\n90,0\n")) == 2
 
 
-def test_a_table_of_no_accelerometer_is_told(tmp_path):
+def test_table_without_accelerometer_raises(tmp_path):
     (tmp_path / "r.csv").write_text("angle,mA\n0,1\n", encoding="utf-8")
     text = f'{place()}[readings]\nfile = "r.csv"\n{SIMPLE}\n'
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
@@ -230,10 +232,10 @@ def test_a_table_of_no_accelerometer_is_told(tmp_path):
         read_campaign(tmp_path)
 
 
-def test_decimals_may_be_parted_by_commas(tmp_path):
+def test_decimal_commas_are_read(tmp_path):
     table = "Lage;Winkel;U\nhoch, links;0,5;-1,25e-1\nhoch;-,5;3\n"
     keys = 'columns = { name = "Lage", attitude = "Winkel", reading = "U" }\ndecimal = ","'
-    first, second = of_csv(tmp_path, table, keys)
+    first, second = read_csv_table(tmp_path, table, keys)
     assert (first.name, first.value) == ("hoch, links", pytest.approx(-0.1))
     assert second.value == pytest.approx(3.0 / 1.25)
 
@@ -249,7 +251,7 @@ GERMAN_KEYS = (
 
 
 @pytest.mark.parametrize("said", ["", 'skip_lines = 1\nunits_row = true\ndelimiter = ";"\n'])
-def test_a_table_is_written_as_records_may_be(tmp_path, said):
+def test_table_layout_is_detected_or_stated(tmp_path, said):
     """Lines before the names and a row of units are found, as in records, or said."""
     (tmp_path / "r.csv").write_bytes(GERMAN.replace("uA", "mA").encode("latin-1"))
     found = read(tmp_path, f'[readings]\nfile = "r.csv"\n{GERMAN_KEYS}{said}').readings
@@ -258,7 +260,7 @@ def test_a_table_is_written_as_records_may_be(tmp_path, said):
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "cp1252", "utf-8", "utf-16"])
-def test_words_are_what_they_are_in_every_encoding(tmp_path, encoding):
+def test_text_is_decoded_in_all_encodings(tmp_path, encoding):
     table = "Lage;Winkel;Strom;Temp\n;deg;mA;°C\naußen;0,0;1,25;21,5\nüber Kopf;180,0;-1,25;22\n"
     (tmp_path / "r.csv").write_bytes(table.encode(encoding))
     keys = GERMAN_KEYS.replace('encoding = "latin-1"\n', "").replace(
@@ -272,7 +274,7 @@ def test_words_are_what_they_are_in_every_encoding(tmp_path, encoding):
 
 @pytest.mark.parametrize("temperature", ["1e4", "1e18", "-300", "1e18 K"])
 @pytest.mark.parametrize("row", [0, 2])
-def test_an_implausible_temperature_is_refused_with_its_row(tmp_path, row, temperature):
+def test_implausible_temperature_raises_with_row(tmp_path, row, temperature):
     lines = ["Lage,Winkel,Strom,Temp", "a,0,1.25,21", "b,90,0,21", "c,180,-1.25,21"]
     lines[row + 1] = lines[row + 1].removesuffix("21") + temperature
     (tmp_path / "r.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -282,13 +284,13 @@ def test_an_implausible_temperature_is_refused_with_its_row(tmp_path, row, tempe
     assert f"row {row + 2}" in str(caught.value) or f"line {row + 2}" in str(caught.value)
 
 
-def test_a_row_of_units_is_compared_with_what_is_said(tmp_path):
+def test_conflicting_units_row_raises(tmp_path):
     (tmp_path / "r.csv").write_bytes(GERMAN.encode("latin-1"))
     with raises("unit-mismatch", '"Strom"', "uA"):
         read(tmp_path, f'[readings]\nfile = "r.csv"\n{GERMAN_KEYS}')
 
 
-def test_a_sheet_may_have_rows_before_its_names(tmp_path):
+def test_sheet_may_have_rows_before_header(tmp_path):
     rows = [["Messung", 7], ["angle", "mA"], ["deg", "mA"], [0, 1.25], [90, 0.0]]
     write_workbook(tmp_path / "r.xlsx", {"Tumble": rows})
     text = f'[readings]\nfile = "r.xlsx"\n{SIMPLE}\nskip_lines = 1\nunits_row = true\n'
@@ -405,7 +407,7 @@ SLIPS = {
 
 
 @pytest.mark.parametrize("slip", SLIPS)
-def test_each_slip_is_one_message(tmp_path, slip):
+def test_error_in_table_has_one_message(tmp_path, slip):
     content, keys, message = SLIPS[slip]
-    (line,) = problems(tmp_path, content, keys)
+    (line,) = read_problems(tmp_path, content, keys)
     assert message in line

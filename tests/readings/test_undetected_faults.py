@@ -41,7 +41,7 @@ assume = "all"
 """
 
 
-def tumble(folder, fault=lambda values, angles: values, seed=4):
+def calibrate_tumble(folder, fault=lambda values, angles: values, seed=4):
     """Calibrate a tumble of 12 positions with a fault of its readings, both in g and rad."""
     rng, angles = np.random.default_rng(seed), np.arange(12) * math.pi / 6.0
     noise = SIGMA * rng.standard_normal(12)
@@ -53,16 +53,16 @@ def tumble(folder, fault=lambda values, angles: values, seed=4):
     return calibrate(write(folder, "".join([TUMBLE, *runs])).parent)
 
 
-def ranging(size, where):
+def change_range(size, where):
     level = float(where.removesuffix(" g"))
     return lambda values, angles: values * (1.0 + 1e-6 * size * (np.abs(values) > level))
 
 
-def stepping(size, where):
+def add_step(size, where):
     return lambda values, angles: values + 1e-6 * size * (np.arange(12) >= int(where[1:]))
 
 
-def gaining(size, where):
+def change_angle_scale(size, where):
     turn = math.radians(size / 3600.0) / (2.0 * math.pi)
     return lambda values, angles: values + np.cos(angles * (1.0 + turn)) - np.cos(angles)
 
@@ -70,15 +70,13 @@ def gaining(size, where):
 @pytest.mark.parametrize(
     ("pattern", "fault"),
     [
-        (r"a meter gain change of ([\d.]+) ppm above ([\d.]+ g)", ranging),
-        (r'a bias step of ([\d.]+) ug starting at "(p\d+)"', stepping),
-        (r"a head error that grows by ([\d.]+) arcsec per (revolution)", gaining),
+        (r"a meter gain change of ([\d.]+) ppm above ([\d.]+ g)", change_range),
+        (r'a bias step of ([\d.]+) ug starting at "(p\d+)"', add_step),
+        (r"a head error that grows by ([\d.]+) arcsec per (revolution)", change_angle_scale),
     ],
 )
-def test_a_fault_moves_a_coefficient_by_as_much_as_is_stated_and_is_not_seen(
-    tmp_path, pattern, fault
-):
-    usual = tumble(tmp_path / "usual")
+def test_undetected_fault_has_stated_shift(tmp_path, pattern, fault):
+    usual = calibrate_tumble(tmp_path / "usual")
     stated = usual.accelerometers["A"].unseen_faults
     (said,) = (
         found
@@ -87,7 +85,7 @@ def test_a_fault_moves_a_coefficient_by_as_much_as_is_stated_and_is_not_seen(
     )
     size, where, symbol, shift, unit, times = said.groups()
     # At the size that is stated noise decides whether it is seen.
-    other = tumble(tmp_path / "other", fault(PART * float(size), where))
+    other = calibrate_tumble(tmp_path / "other", fault(PART * float(size), where))
     assert (other.state, other.findings) == ("good", [])
     before, after = (one.accelerometers["A"].coefficients[symbol] for one in (usual, other))
     factor = 1e-6 if unit.startswith("ug") else math.radians(1 / 3600) if "arc" in unit else 1.0
@@ -98,8 +96,8 @@ def test_a_fault_moves_a_coefficient_by_as_much_as_is_stated_and_is_not_seen(
     assert float(times) >= 2.0
 
 
-def test_a_result_with_unseen_faults_is_good_with_a_qualification(tmp_path):
-    result = tumble(tmp_path)
+def test_result_with_unseen_faults_is_good_with_remark(tmp_path):
+    result = calibrate_tumble(tmp_path)
     a = result.accelerometers["A"]
     assert (result.state, result.findings) == ("good", [])
     assert verdict_sentence("A", a).startswith(
@@ -110,7 +108,7 @@ def test_a_result_with_unseen_faults_is_good_with_a_qualification(tmp_path):
     assert all(clause in remark for clause in a.unseen_faults)
 
 
-def on_an_arm(folder, change, *, sense=1.0, sigma=SIGMA, head=ARM):
+def calibrate_on_arm(folder, change, *, sense=1.0, sigma=SIGMA, head=ARM):
     """Calibrate two mountings, each at eight sizes up to 15 g; above 6 g the gain changes.
 
     sense: Of the stated rates; the true ones are positive.
@@ -129,20 +127,22 @@ def on_an_arm(folder, change, *, sense=1.0, sigma=SIGMA, head=ARM):
     return calibrate(write(folder, "".join([head, *runs])).parent)
 
 
-def test_a_change_of_the_gain_between_two_ranges_is_named(tmp_path):
+def test_gain_change_between_ranges_is_named(tmp_path):
     """10 ppm above 6 g: K_I takes up most of it, and the rest is ten times the noise."""
-    assert on_an_arm(tmp_path / "usual", 0.0).state == "good"
-    (found,) = (f for f in on_an_arm(tmp_path / "other", 1e-5).findings if f.code == "lack-of-fit")
+    assert calibrate_on_arm(tmp_path / "usual", 0.0).state == "good"
+    (found,) = (
+        f for f in calibrate_on_arm(tmp_path / "other", 1e-5).findings if f.code == "lack-of-fit"
+    )
     assert "gain that changes above 6 g" in found.text
 
 
 CUBIC = ARM.replace('"K_II"]', '"K_II", "K_III"]')
 
 
-def test_the_sense_of_rotation_is_an_unseen_fault_where_readings_do_not_show_it(tmp_path):
+def test_wrong_sense_hidden_by_noise_is_unseen_fault(tmp_path):
     """It changes the Coriolis force only, most of which K_I and K_III take up; 60 ug of noise."""
-    right = on_an_arm(tmp_path / "right", 0.0, head=CUBIC, sigma=30.0 * SIGMA)
-    wrong = on_an_arm(tmp_path / "wrong", 0.0, head=CUBIC, sigma=30.0 * SIGMA, sense=-1.0)
+    right = calibrate_on_arm(tmp_path / "right", 0.0, head=CUBIC, sigma=30.0 * SIGMA)
+    wrong = calibrate_on_arm(tmp_path / "wrong", 0.0, head=CUBIC, sigma=30.0 * SIGMA, sense=-1.0)
     a, b = (one.accelerometers["A"] for one in (right, wrong))
     for own, other in ((a, b), (b, a)):
         (clause,) = (text for text in own.unseen_faults if "opposite to the stated sense" in text)
@@ -154,7 +154,7 @@ def test_the_sense_of_rotation_is_an_unseen_fault_where_readings_do_not_show_it(
 
 
 @pytest.mark.parametrize("value", [-0.3, 0.6])
-def test_the_expected_size_of_a_fault_is_that_of_bayes_theorem(value):
+def test_expected_fault_size_matches_bayes_theorem(value):
     """By quadrature over the product of the prior and the likelihood."""
     typical, u = 0.8, 0.5
     size = np.linspace(-8.0, 8.0, 20_001)
@@ -168,17 +168,17 @@ def test_the_expected_size_of_a_fault_is_that_of_bayes_theorem(value):
     assert sense == pytest.approx(math.sqrt(wrong / (right + wrong)), rel=1e-12)
 
 
-def test_a_wrong_sense_of_rotation_that_readings_show_is_named(tmp_path):
+def test_visible_wrong_sense_is_named(tmp_path):
     """With a tenth of the noise."""
-    right = on_an_arm(tmp_path / "right", 0.0, sigma=0.1 * SIGMA, head=CUBIC)
+    right = calibrate_on_arm(tmp_path / "right", 0.0, sigma=0.1 * SIGMA, head=CUBIC)
     assert right.state == "good"
     assert not any("sense" in text for text in right.accelerometers["A"].unseen_faults)
-    wrong = on_an_arm(tmp_path / "wrong", 0.0, sigma=0.1 * SIGMA, head=CUBIC, sense=-1.0)
+    wrong = calibrate_on_arm(tmp_path / "wrong", 0.0, sigma=0.1 * SIGMA, head=CUBIC, sense=-1.0)
     assert wrong.state == "contradicted"
     assert "have the pattern of a rotation opposite to the stated sense" in wrong.findings[0].text
 
 
-def test_a_step_of_one_accelerometer_during_poses(tmp_path):
+def test_step_of_accelerometer_during_poses_has_stated_shift(tmp_path):
     rng = np.random.default_rng(5)
     values = triads.indications(triads.directions(30, rng))
     values += 3e-4 * rng.standard_normal(values.shape)

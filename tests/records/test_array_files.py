@@ -15,22 +15,22 @@ from counterspin.records.formats import open_columns
 from counterspin.records.record import ColumnSpec
 
 
-def test_datasets_without_any_space(tmp_path):
+def test_dataset_without_dataspace_raises(tmp_path):
     with h5py.File(tmp_path / "run.h5", "w") as file:
         for name in table():
             file[name] = h5py.Empty("f8")
     assert f"'{TIME}' has the shape None; one column is needed" in refusal(tmp_path / "run.h5")
 
 
-def test_columns_of_different_length(tmp_path):
+def test_columns_of_different_length_raise(tmp_path):
     with h5py.File(tmp_path / "run.h5", "w") as file:
         for name, values in table().items():
             file[name] = values[: 900 if name == TIME else None]
     assert "length" in refusal(tmp_path / "run.h5")
 
 
-def bomb(path):
-    """Write columns that pack to a thousandth of themselves."""
+def write_compressed_columns(path):
+    """Write columns that compress to a thousandth of their size."""
     zeros = np.zeros(5_000_000)
     if path.suffix == ".mat":
         savemat(path, dict.fromkeys((TIME, ANGLE, SIGNAL), zeros), do_compression=True)
@@ -42,12 +42,12 @@ def bomb(path):
 
 
 @pytest.mark.parametrize("name", ["run.mat", "run.h5"])
-def test_columns_that_no_file_of_this_size_holds(tmp_path, name):
-    message = refusal(bomb(tmp_path / name))
+def test_columns_too_large_for_file_size_raise(tmp_path, name):
+    message = refusal(write_compressed_columns(tmp_path / name))
     assert re.search(r"\d+ bytes, .* \d+ bytes", message)
 
 
-def hdf5(path, signal=None):
+def write_hdf5(path, signal=None):
     """Write a file whose signal is left to the caller."""
     columns = table()
     with h5py.File(path, "w") as file:
@@ -57,14 +57,14 @@ def hdf5(path, signal=None):
     return path
 
 
-def outside(file, values):
+def write_external_dataset(file, values):
     raw = Path(file.filename).with_suffix(".raw")
     raw.write_bytes(values.tobytes())
     where = [(str(raw), 0, h5py.h5f.UNLIMITED)]
     file.create_dataset(SIGNAL, shape=values.shape, dtype="f8", external=where)
 
 
-def virtual(file, values):
+def write_virtual_dataset(file, values):
     other = Path(file.filename).with_suffix(".other")
     with h5py.File(other, "w") as second:
         second["x"] = values
@@ -73,14 +73,14 @@ def virtual(file, values):
     file.create_virtual_dataset(SIGNAL, layout)
 
 
-def external_link(file, values):
+def write_external_link(file, values):
     other = Path(file.filename).with_suffix(".other")
     with h5py.File(other, "w") as second:
         second["x"] = values
     file[SIGNAL] = h5py.ExternalLink(str(other), "x")
 
 
-def inner_link(file, values):
+def write_inner_link(file, values):
     file["y"] = values
     file[SIGNAL] = h5py.SoftLink("/y")
 
@@ -88,45 +88,47 @@ def inner_link(file, values):
 @pytest.mark.parametrize(
     ("signal", "words"),
     [
-        (outside, "are in another file"),
-        (virtual, "are in another file"),
-        (external_link, f"'{SIGNAL}' is a link"),
-        (inner_link, f"'{SIGNAL}' is a link"),
+        (write_external_dataset, "are in another file"),
+        (write_virtual_dataset, "are in another file"),
+        (write_external_link, f"'{SIGNAL}' is a link"),
+        (write_inner_link, f"'{SIGNAL}' is a link"),
     ],
 )
-def test_numbers_that_stand_elsewhere_are_refused(tmp_path, signal, words):
+def test_links_and_external_data_raise(tmp_path, signal, words):
     # The checksum would be of the shell alone.
-    assert words in refusal(hdf5(tmp_path / "run.h5", signal))
+    assert words in refusal(write_hdf5(tmp_path / "run.h5", signal))
 
 
-def test_what_is_beside_the_columns_does_not_matter(tmp_path):
+def test_unused_datasets_are_ignored(tmp_path):
     columns = table()
     savemat(tmp_path / "run.mat", {**columns, "s": scipy.sparse.eye(5).tocsc(), "c": {"a": 1.0}})
 
-    def with_dates(file, values):
+    def write_dates_and_columns(file, values):
         file[SIGNAL] = values
         # A type that NumPy has not.
         space = h5py.h5s.create_simple((3,))
         h5py.h5d.create(file.id, b"stamp", h5py.h5t.UNIX_D32LE, space)
         file["far"] = h5py.ExternalLink("nowhere.h5", "x")
 
-    hdf5(tmp_path / "run.h5", with_dates)
+    write_hdf5(tmp_path / "run.h5", write_dates_and_columns)
     for name in ("run.mat", "run.h5"):
         np.testing.assert_array_equal(read(tmp_path / name).signals["Qx"], columns[SIGNAL])
 
 
-def test_columns_of_other_kinds_are_named(tmp_path):
-    def dates(file, values):
+def test_non_numeric_column_raises_with_name(tmp_path):
+    def write_dates(file, values):
         space = h5py.h5s.create_simple(values.shape)
         h5py.h5d.create(file.id, SIGNAL.encode(), h5py.h5t.UNIX_D32LE, space)
 
-    assert f"'{SIGNAL}' does not contain numbers" in refusal(hdf5(tmp_path / "run.h5", dates))
+    assert f"'{SIGNAL}' does not contain numbers" in refusal(
+        write_hdf5(tmp_path / "run.h5", write_dates)
+    )
     columns = table()
     savemat(tmp_path / "run.mat", {**columns, SIGNAL: scipy.sparse.csc_matrix(columns[SIGNAL])})
     assert f"'{SIGNAL}' does not contain numbers" in refusal(tmp_path / "run.mat")
 
 
-def test_columns_of_a_group_or_a_structure_by_path(tmp_path):
+def test_columns_in_groups_and_structures_are_read_by_path(tmp_path):
     columns = table()
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["other"] = [1.0]
@@ -149,7 +151,7 @@ def test_columns_of_a_group_or_a_structure_by_path(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["run.mat", "run.h5"])
-def test_a_matrix_is_its_columns(tmp_path, name):
+def test_matrix_is_split_into_columns(tmp_path, name):
     columns = table()
     wide = np.stack([columns[ANGLE], columns[SIGNAL]])
     if name == "run.mat":
@@ -172,7 +174,7 @@ def test_a_matrix_is_its_columns(tmp_path, name):
     assert f"one column is needed: 'pos{mark}1', 'pos{mark}2'" in whole
 
 
-def test_text_that_matlab_saved(tmp_path):
+def test_matlab_text_file_is_read(tmp_path):
     rows = np.column_stack([table()[name] for name in (TIME, ANGLE, SIGNAL)])
     np.savetxt(tmp_path / "run.mat", rows, fmt="  %.16e")
     numbered = {"angle": ColumnSpec("column 2"), "signals": {"Qx": ColumnSpec("column 3")}}

@@ -24,7 +24,7 @@ def write(path, groups, properties=None):
     return path
 
 
-def test_channels_are_columns_of_their_group(tmp_path):
+def test_channels_are_read_as_columns_of_group(tmp_path):
     path = write(tmp_path / "a.tdms", {"Run": table(), "Slow": {"T": np.arange(3.0)}})
     assert uses_reader_process(path)
     record = read(path, dialect=Dialect(group="Run"))
@@ -36,13 +36,13 @@ def test_channels_are_columns_of_their_group(tmp_path):
     assert "no group 'Fast' contains columns" in refusal(path, dialect=Dialect(group="Fast"))
 
 
-def test_an_index_beside_the_file_is_not_read(tmp_path):
+def test_index_file_is_ignored(tmp_path):
     path = write(tmp_path / "a.tdms", {"Run": table()})
     (tmp_path / "a.tdms_index").write_bytes(b"not the truth")
     np.testing.assert_array_equal(read(path).time, table()[TIME])
 
 
-def test_units_and_stamps(tmp_path):
+def test_units_and_time_stamps_are_read(tmp_path):
     stamps = np.datetime64("2026-03-01T12:00:00", "us") + np.arange(4) * np.timedelta64(20, "ms")
     path = write(tmp_path / "a.tdms", {"Run": {"t": stamps, "x": np.arange(4.0)}})
     (seconds,) = read_scaled(path, [ColumnSpec("t", kind="stamps")])
@@ -51,7 +51,7 @@ def test_units_and_stamps(tmp_path):
         assert file.units == {"x": "s", "Run/x": "s"}
 
 
-def test_damaged_files_and_a_missing_reader(tmp_path, monkeypatch):
+def test_damaged_file_and_missing_reader_raise(tmp_path, monkeypatch):
     path = write(tmp_path / "a.tdms", {"Run": table()})
     content = path.read_bytes()
     (tmp_path / "cut.tdms").write_bytes(content[:100])
@@ -60,18 +60,18 @@ def test_damaged_files_and_a_missing_reader(tmp_path, monkeypatch):
     assert "damaged" in refusal(tmp_path / "no.tdms")
     real = builtins.__import__
 
-    def without(name, *rest):
+    def import_without_nptdms(name, *rest):
         if name == "nptdms":
             raise ModuleNotFoundError(name)
         return real(name, *rest)
 
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setattr(builtins, "__import__", import_without_nptdms)
     with pytest.raises(Exception, match=r"CSV, or install it: `pip install '\.\[tdms\]'"):
         open_columns(path)
 
 
 @pytest.mark.parametrize(("steps", "interval"), [((0.02, 0.02), 0.02), ((0.02, 0.04), None)])
-def test_the_step_of_waveforms_is_the_interval(tmp_path, steps, interval):
+def test_waveform_step_is_sampling_interval(tmp_path, steps, interval):
     with TdmsWriter(tmp_path / "a.tdms") as file:
         channels = zip("xy", steps, strict=True)
         file.write_segment(

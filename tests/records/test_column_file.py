@@ -9,7 +9,7 @@ from counterspin.records.csv_file import CsvFile
 from counterspin.records.layout import STAMP
 
 
-def test_stamps_in_every_form_of_the_standard():
+def test_time_stamps_of_iso_8601_are_parsed():
     day = 86_400_000_000_000
     written = {
         "1970-01-02T00:00:00": day,
@@ -40,21 +40,21 @@ def test_stamps_in_every_form_of_the_standard():
         "3/5/2024 10:00:00.02 am",
     ],
 )
-def test_stamps_with_names_of_months_or_without_marks(text):
+def test_time_stamps_with_month_names_or_without_separators(text):
     assert STAMP.fullmatch(text)
     moment = pl.DataFrame({"t": [text]}).select(nanoseconds("t"))["t"].to_list()
     assert moment == [1_709_632_800_020_000_000]
 
 
 @pytest.mark.parametrize("text", ["0.25 s", "0,25 sec", "250 ms", "2.5e5 us"])
-def test_durations_have_a_unit(text):
+def test_durations_with_unit_are_parsed(text):
     assert STAMP.fullmatch(text)
     length = pl.DataFrame({"t": [text]}).select(nanoseconds("t"))["t"].to_list()
     assert length == [250_000_000]
 
 
-def test_times_of_day_go_on_after_midnight(tmp_path):
-    """In whatever pieces the file is read."""
+def test_times_of_day_continue_after_midnight(tmp_path):
+    """Vary the chunks in which the file is read."""
     (tmp_path / "a.csv").write_text(
         "t,u,v\n23:59:59.5,1,2026-01-01T23:59:59\n,2,\n00:00:00.5,3,2026-01-01T00:00:00\n"
         "18:00:00,4,2026-01-01T00:00:01\n00:00:00,5,2026-01-01T00:00:02\n"
@@ -88,7 +88,7 @@ def test_times_of_day_go_on_after_midnight(tmp_path):
         OSError("Unable to synchronously open object (bad symbol table)"),
     ],
 )
-def test_words_of_a_library_are_not_repeated(tmp_path, error):
+def test_library_messages_are_replaced(tmp_path, error):
     path = tmp_path / "run.csv"
     with pytest.raises(DamagedFileError) as caught, record_errors(path, lambda: " after row 7"):
         raise error

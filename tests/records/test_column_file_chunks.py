@@ -11,7 +11,7 @@ from counterspin.records.column_file import iter_chunks
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.integers(0, 90_000), min_size=1, max_size=6), st.integers(1, 70_000))
-def test_chunks_hold_every_row_once_and_in_order(lengths, size):
+def test_chunks_contain_every_row_once_in_order(lengths, size):
     ends = np.cumsum([0, *lengths])
     columns = {"b": np.arange(ends[-1], dtype=float), "a": -np.arange(ends[-1], dtype=float)}
     batches = ({name: x[a:b] for name, x in columns.items()} for a, b in pairwise(ends))

@@ -12,7 +12,7 @@ from counterspin.records.record import ColumnSpec
 
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
-def test_dialects_of_csv(tmp_path, separator, end):
+def test_csv_delimiters_and_line_ends_are_read(tmp_path, separator, end):
     columns = table(n=400)
     text = lines({"note": np.zeros(400), **columns}, separator)
     text[0] = separator.join(['"note"', f" {TIME}", f"{ANGLE} ", SIGNAL])
@@ -24,7 +24,7 @@ def test_dialects_of_csv(tmp_path, separator, end):
     np.testing.assert_array_equal(record.signals["Qx"], np.delete(columns[SIGNAL], 8))
 
 
-def test_comments_and_blanks_among_the_numbers(tmp_path):
+def test_comments_and_spaces_among_numbers_are_ignored(tmp_path):
     text = lines(table())
     text[3] = "  " + text[3].replace(",", " , ")
     text.insert(7, "# a comment")
@@ -32,7 +32,7 @@ def test_comments_and_blanks_among_the_numbers(tmp_path):
     np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])
 
 
-def test_blank_lines_after_the_header_and_at_the_end(tmp_path):
+def test_blank_lines_after_header_and_at_end_are_ignored(tmp_path):
     text = lines(table())
     text[1:1] = ["", ""]
     record = read(write(tmp_path / "run.csv", [*text, ""]))
@@ -42,7 +42,7 @@ def test_blank_lines_after_the_header_and_at_the_end(tmp_path):
     assert "line 501: column 'angle_rad' " in message
 
 
-def test_blanks_part_cells_and_lines_stay_lines(tmp_path):
+def test_space_delimited_file_keeps_line_numbers(tmp_path):
     text = [line.replace(",", "   ") for line in lines(table())]
     text.insert(5, "# the operator sneezed here")
     record = read(write(tmp_path / "run.dat", text))
@@ -55,7 +55,7 @@ def test_blanks_part_cells_and_lines_stay_lines(tmp_path):
 
 @pytest.mark.parametrize("delimiter", [" ", ",", ";", "\t"])
 @pytest.mark.parametrize("first", [1, 450])
-def test_exponents_of_fortran_are_numbers(tmp_path, delimiter, first):
+def test_fortran_exponents_are_parsed(tmp_path, delimiter, first):
     columns = table(n=600)
     rows = list(zip(*columns.values(), strict=True))
     text = [
@@ -72,7 +72,7 @@ def test_exponents_of_fortran_are_numbers(tmp_path, delimiter, first):
         np.testing.assert_array_equal(read_columns[name], values)
 
 
-def test_a_file_without_names_says_so(tmp_path):
+def test_file_without_header_raises(tmp_path):
     path = write(tmp_path / "run.log", lines(table())[1:])
     message = refusal(path)
     assert "there is no column" in message
@@ -82,13 +82,13 @@ def test_a_file_without_names_says_so(tmp_path):
     np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])
 
 
-def test_header_only(tmp_path):
+def test_file_without_rows_or_header_raises(tmp_path):
     assert "no rows" in refusal(write(tmp_path / "run.csv", [f"{TIME},{ANGLE},{SIGNAL}"]))
     assert "no header" in refusal(write(tmp_path / "run.csv", ["# only this", ""]))
 
 
 @pytest.mark.parametrize("row", [1, 7, 999])
-def test_text_in_a_numeric_cell(tmp_path, row):
+def test_text_in_numeric_cell_raises_with_line(tmp_path, row):
     text = lines(table())
     text[row] = ",".join([*text[row].split(",")[:2], "abc"])
     text.insert(0, "# a comment line counts too")
@@ -98,7 +98,7 @@ def test_text_in_a_numeric_cell(tmp_path, row):
     assert "'abc'" in message
 
 
-def test_decimal_comma_and_too_many_cells(tmp_path):
+def test_decimal_comma_is_read_and_excess_cells_raise(tmp_path):
     text = [row.replace(".", ",") for row in lines(table(), ";")]
     path = write(tmp_path / "run.csv", text)
     record = read(path)
@@ -110,13 +110,13 @@ def test_decimal_comma_and_too_many_cells(tmp_path):
 
 
 @pytest.mark.parametrize("content", [bytes(3000), bytes(range(256)) * 40, b"\x89PNG\r\n\x1a\n"])
-def test_a_file_that_is_not_text_is_refused(tmp_path, content):
+def test_binary_file_raises(tmp_path, content):
     path = tmp_path / "run.csv"
     path.write_bytes(content)
     assert "line 1: the file is not text in UTF-8" in refusal(path)
 
 
-def test_comments_in_a_long_record_cost_no_row(tmp_path):
+def test_comments_in_long_record_lose_no_row(tmp_path):
     # Where the fast parser meets a comment it may pass over rows and go on for a while.
     columns = table(n=200_000, step=0.005)
     text = lines(columns)
@@ -129,7 +129,7 @@ def test_comments_in_a_long_record_cost_no_row(tmp_path):
 
 
 @pytest.mark.parametrize("line", ['"{}', '{}"', '{},"'])
-def test_a_quotation_mark_that_stands_alone(tmp_path, line):
+def test_unpaired_quotation_mark_raises_with_line(tmp_path, line):
     text = lines(table())
     text[500] = line.format(text[500])
     message = refusal(write(tmp_path / "run.csv", text))
@@ -137,8 +137,8 @@ def test_a_quotation_mark_that_stands_alone(tmp_path, line):
 
 
 @pytest.mark.parametrize("end", ['"', '"\r', '1.0,2.0,"'])
-def test_a_quotation_mark_that_ends_the_file(tmp_path, end, capfd):
-    """Where a number belongs, Polars prints a backtrace of it."""
+def test_unclosed_quotation_mark_at_end_raises_with_line(tmp_path, end, capfd):
+    """In a numeric cell, Polars would print a backtrace."""
     path = write(tmp_path / "run.csv", table())
     path.write_bytes(path.read_bytes() + end.encode())
     assert "line 1002: a quotation mark is not closed" in refusal(path)
@@ -149,7 +149,7 @@ def test_a_quotation_mark_that_ends_the_file(tmp_path, end, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_a_quoted_cell_may_end_the_file(tmp_path):
+def test_quoted_cell_may_end_file(tmp_path):
     text = lines(table())
     text[-1] = ",".join(f'"{cell}"' for cell in text[-1].split(","))
     path = tmp_path / "run.csv"
@@ -157,7 +157,7 @@ def test_a_quoted_cell_may_end_the_file(tmp_path):
     assert len(read(path).time) == 1000
 
 
-def test_notes_of_several_lines_among_comments(tmp_path):
+def test_multiline_notes_in_comments_are_ignored(tmp_path):
     text = [f'{line},"a note, with\na second line"' for line in lines(table())]
     text[0] = lines(table())[0] + ",note"
     text.insert(300, "# a comment")
@@ -165,14 +165,14 @@ def test_notes_of_several_lines_among_comments(tmp_path):
 
 
 @pytest.mark.parametrize("line", [1, 500, 1000])
-def test_short_lines_lack_cells(tmp_path, line):
+def test_missing_cells_of_short_lines_are_empty(tmp_path, line):
     text = lines(table())
     text[line] = text[line].split(",")[0]
     record = read(write(tmp_path / "run.csv", text))
     assert record.report.empty == {TIME: 0, ANGLE: 1, SIGNAL: 1}
 
 
-def test_a_line_without_end(tmp_path):
+def test_overlong_line_raises(tmp_path):
     text = lines(table())
     text[500] = "1" * 200_000
     assert "line 501: the line has more than" in refusal(write(tmp_path / "run.csv", text))
@@ -180,8 +180,8 @@ def test_a_line_without_end(tmp_path):
 
 @pytest.mark.parametrize("row", [11, 9_000, 49_000])
 @pytest.mark.parametrize("later", ["", "closed far below"])
-def test_a_cell_in_an_open_quotation_mark_is_not_read_to_its_end(tmp_path, row, later, monkeypatch):
-    """Polars would look for the end of the cell in the whole file, and so would each later pass."""
+def test_cell_with_unclosed_quotation_mark_is_not_read_to_end(tmp_path, row, later, monkeypatch):
+    """Polars would search the whole file for the end of the cell in every pass."""
     text = lines(table()) * 50
     text[row] = '"' + text[row]
     if later:
@@ -194,7 +194,7 @@ def test_a_cell_in_an_open_quotation_mark_is_not_read_to_its_end(tmp_path, row, 
         read_table(path)
 
 
-def test_quoted_cells_comments_and_heads_with_quotation_marks_are_read(tmp_path):
+def test_quotation_marks_in_cells_comments_and_headers_are_read(tmp_path):
     columns = table(n=60_000)
     text = lines({"note": np.zeros(60_000), **columns})
     text[1:] = [line.replace("0.0,", '"a ""b"" c",', 1) for line in text[1:]]
@@ -221,8 +221,8 @@ def test_open_line_ends_are_counted_across_chunks(seed):
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "latin-1", "utf-16"])
-def test_lines_that_end_in_a_carriage_return_alone(tmp_path, encoding):
-    """As programs of older Macintosh computers write them."""
+def test_carriage_return_line_ends_are_read(tmp_path, encoding):
+    """Programs of older Macintosh computers write such line ends."""
     columns = table()
     text = lines({"Temperatur °C": np.zeros(1000), **columns})
     path = tmp_path / "run.csv"
@@ -234,7 +234,7 @@ def test_lines_that_end_in_a_carriage_return_alone(tmp_path, encoding):
     assert f"line 501: column '{SIGNAL}' contains the text" in refusal(path)
 
 
-def test_a_carriage_return_within_a_line_is_refused_in_our_words(tmp_path):
+def test_carriage_return_within_line_raises_with_line(tmp_path):
     text = lines(table())
     text[500] = text[500].replace(",", ",1\r", 1) + ",1"
     message = refusal(write(tmp_path / "run.csv", text))

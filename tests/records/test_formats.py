@@ -38,14 +38,14 @@ from counterspin.records.record import ColumnSpec
         ("run.odd", "a record file ends in one of .csv, .txt,"),
     ],
 )
-def test_a_file_of_another_kind_is_refused_with_what_to_do(name, words, tmp_path):
+def test_unsupported_format_raises_with_remedy(name, words, tmp_path):
     (tmp_path / name).write_bytes(b"\x1f\x8b")
     with pytest.raises(RecordError) as caught:
         open_columns(tmp_path / name)
     assert str(caught.value).startswith(f"{tmp_path / name}: {words}")
 
 
-def test_every_format_gives_the_same_record(tmp_path):
+def test_all_formats_return_same_record(tmp_path):
     columns = table()
     paths = [write(tmp_path / "a.csv", columns), write(tmp_path / "a.parquet", columns)]
     with h5py.File(tmp_path / "root.h5", "w") as file:
@@ -68,7 +68,7 @@ def test_every_format_gives_the_same_record(tmp_path):
         np.testing.assert_array_equal(other.signals["Qx"], first.signals["Qx"])
 
 
-def test_missing_file_directory_and_unknown_kind(tmp_path):
+def test_missing_file_directory_and_unknown_format_raise(tmp_path):
     assert "file not found" in refusal(tmp_path / "none.csv")
     (tmp_path / "folder.csv").mkdir()
     assert "directory" in refusal(tmp_path / "folder.csv")
@@ -76,7 +76,7 @@ def test_missing_file_directory_and_unknown_kind(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["run.csv", "run.parquet", "run.h5", "run.mat"])
-def test_empty_and_damaged_files(tmp_path, name):
+def test_empty_file_raises(tmp_path, name):
     path = tmp_path / name
     path.write_bytes(b"")
     assert "empty" in refusal(path)
@@ -85,7 +85,7 @@ def test_empty_and_damaged_files(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", ["run.csv", "run.parquet"])
-def test_missing_column_lists_those_present(tmp_path, name):
+def test_missing_column_raises_with_available_columns(tmp_path, name):
     path = write(tmp_path / name, table())
     message = refusal(path, signals={"Qx": ColumnSpec("eastt_m")})
     assert "'eastt_m'" in message
@@ -95,7 +95,7 @@ def test_missing_column_lists_those_present(tmp_path, name):
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5", ".mat"])
 @pytest.mark.parametrize("names", [("run[1]", "run1"), ("run*", "runs"), ("run?", "runs")])
-def test_no_name_is_a_pattern(tmp_path, suffix, names):
+def test_file_name_is_not_glob_pattern(tmp_path, suffix, names):
     # Beside it stands a file that the pattern would match.
     for name, n in zip(names, (1000, 2000), strict=True):
         write(tmp_path / f"{name}{suffix}", table(n=n))
@@ -105,7 +105,7 @@ def test_no_name_is_a_pattern(tmp_path, suffix, names):
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5"])
-def test_no_folder_is_a_pattern(tmp_path, suffix):
+def test_folder_name_is_not_glob_pattern(tmp_path, suffix):
     for name, n in (("camp[1]", 1000), ("camp1", 2000)):
         (tmp_path / name).mkdir()
         write(tmp_path / name / f"run{suffix}", table(n=n))
@@ -114,7 +114,7 @@ def test_no_folder_is_a_pattern(tmp_path, suffix):
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes among the files here")
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5", ".mat"])
-def test_what_is_no_file_is_not_read(tmp_path, suffix):
+def test_pipe_and_device_raise(tmp_path, suffix):
     os.mkfifo(tmp_path / f"run{suffix}")
     assert "this is a pipe, not a file" in refusal(tmp_path / f"run{suffix}")
     (tmp_path / f"zero{suffix}").symlink_to("/dev/zero")
@@ -122,7 +122,7 @@ def test_what_is_no_file_is_not_read(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("name", ["a\0b.csv", "a\0b.parquet", "x" * 300 + ".h5"])
-def test_names_that_no_file_can_have(tmp_path, name):
+def test_invalid_file_name_raises(tmp_path, name):
     assert "cannot be read" in refusal(tmp_path / name)
 
 
@@ -130,7 +130,7 @@ def test_names_that_no_file_can_have(tmp_path, name):
 @pytest.mark.parametrize(
     ("suffix", "readable"), [(".csv", False), (".parquet", False), (".h5", True)]
 )
-def test_a_folder_whose_name_is_no_text(tmp_path, suffix, readable):
+def test_non_utf8_folder_is_read_or_raises(tmp_path, suffix, readable):
     folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff"))
     folder.mkdir()
     write(tmp_path / f"run{suffix}", table()).rename(folder / f"run{suffix}")
@@ -142,7 +142,7 @@ def test_a_folder_whose_name_is_no_text(tmp_path, suffix, readable):
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5"])
 @pytest.mark.parametrize("how", ["replaced", "rewritten"])
-def test_a_file_that_changes_while_it_is_read(tmp_path, suffix, how):
+def test_file_changed_during_reading_raises(tmp_path, suffix, how):
     path = write(tmp_path / f"run{suffix}", table())
     other = write(tmp_path / f"other{suffix}", table(n=2000))
     file = open_columns(path)
@@ -162,7 +162,7 @@ def test_a_file_that_changes_while_it_is_read(tmp_path, suffix, how):
     ("suffix", "files"),
     [(".csv", 40), (".parquet", 8), (".h5", 8), (".mat", 4)],
 )
-def test_damaged_files_are_refused_and_nothing_else(tmp_path, suffix, files):
+def test_damaged_files_raise_only_record_errors(tmp_path, suffix, files):
     whole = write(tmp_path / f"whole{suffix}", table(n=400)).read_bytes()
     rng = np.random.default_rng(7)
     path = tmp_path / f"run{suffix}"
@@ -183,7 +183,7 @@ def test_damaged_files_are_refused_and_nothing_else(tmp_path, suffix, files):
 @pytest.mark.parametrize(
     "error", [KeyError("x"), OverflowError(), RuntimeError("a\nb"), MemoryError(), OSError("no")]
 )
-def test_whatever_a_reader_raises_names_the_file_and_how_far_it_came(tmp_path, error):
+def test_reader_errors_name_file_and_last_row(tmp_path, error):
     class Failing(ColumnFile):
         def _require(self, wanted):
             raise error
@@ -207,9 +207,7 @@ def test_whatever_a_reader_raises_names_the_file_and_how_far_it_came(tmp_path, e
 
 
 @pytest.mark.parametrize("name", ["run.csv", "run.h5"])
-def test_a_file_is_not_opened_with_a_number_of_threads_that_polars_cannot_use(
-    name, monkeypatch, tmp_path
-):
+def test_invalid_polars_thread_count_raises(name, monkeypatch, tmp_path):
     path = tmp_path / name
     path.write_bytes(b"")
     monkeypatch.setenv("POLARS_MAX_THREADS", "0")

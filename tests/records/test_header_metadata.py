@@ -15,13 +15,13 @@ HEAD = [
 NAMES = ["X_Value", "Angle", "East", "Raw", "Comment"]
 
 
-def test_units_and_step_stand_above_their_columns():
+def test_units_and_step_above_columns_are_parsed():
     units, step = parse_header(HEAD, NAMES, ",")
     assert units == {"X_Value": "s", "Angle": "deg", "East": "m", "Raw": "V"}
     assert step == 0.02
 
 
-def test_what_is_not_stated_is_not_invented():
+def test_ambiguous_header_has_no_units_or_step():
     assert parse_header([["about"], []], NAMES, ",") == ({}, None)
     frequencies = [["X_Dimension", "Frequency"], ["Delta_X", "0,5"]]
     assert parse_header(frequencies, NAMES, ",") == ({}, None)
@@ -43,12 +43,12 @@ def test_what_is_not_stated_is_not_invented():
         (["rate of the centrifuge", "1 Hz"], None),
     ],
 )
-def test_the_rate_of_a_head_counts_with_its_unit(cells, interval):
+def test_header_rate_is_converted_to_interval(cells, interval):
     assert parse_interval([cells], ".") == interval
 
 
-def test_names_that_look_like_a_number_with_a_unit_stay_names(tmp_path):
-    """Of a tumble's positions, beside columns of plain numbers."""
+def test_names_resembling_quantities_remain_names(tmp_path):
+    """The positions of a tumble test precede columns of plain numbers."""
     path = tmp_path / "readings.csv"
     rows = "".join(f"{k} deg,{k},{1.25 + k}\n" for k in (0, 90, 180, 270))
     path.write_text("position,angle_deg,reading_mA\n" + rows)

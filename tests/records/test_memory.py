@@ -16,7 +16,7 @@ ANGLES = [0.0, 1.0, float("nan")]
 
 
 class Column:
-    """A column as pandas has it, whose missing values may be of its own kind."""
+    """Provide a column like that of pandas, with its missing-value type."""
 
     def __init__(self, values, dtype=float):
         self.values, self.dtype = values, np.dtype(dtype)
@@ -26,11 +26,11 @@ class Column:
 
 
 class NAType:
-    """What pandas writes for a missing value of a nullable column."""
+    """Represent a missing value of a nullable pandas column."""
 
 
 class Frame:
-    """A frame as pandas has it: `columns`, and each by its name."""
+    """Provide a frame like that of pandas: `columns` and access by name."""
 
     def __init__(self, columns):
         self._columns = columns
@@ -41,7 +41,7 @@ class Frame:
 
 
 class Stream:
-    """A frame of some library that hands over Arrow's columns."""
+    """Provide a frame through the Arrow stream interface."""
 
     def __init__(self, frame):
         self._frame = frame
@@ -66,14 +66,14 @@ STRUCTURED = np.array(list(zip(TIMES, ANGLES, strict=True)), dtype=[("t", "f8"),
     ],
     ids=["arrays", "masked", "lists", "polars", "structured", "pandas", "arrow"],
 )
-def test_frames_of_any_library_give_the_same_columns(frame):
+def test_frames_of_all_libraries_return_same_columns(frame):
     table = memory_table("run", frame)
     np.testing.assert_array_equal(table.columns["t"], TIMES)
     np.testing.assert_array_equal(table.columns["a"], ANGLES)
     assert table.others == ()
 
 
-def test_the_numbers_are_copied():
+def test_values_are_copied():
     times = np.array(TIMES)
     table = memory_table("run", {"t": times})
     times[0] = 7.0
@@ -82,7 +82,7 @@ def test_the_numbers_are_copied():
         table.columns["t"][0] = 7.0
 
 
-def test_the_checksum_is_of_names_and_values():
+def test_checksum_covers_names_and_values():
     little = np.array(TIMES, dtype="<f8").tobytes()
     digest = hashlib.sha256(b"t\0" + little).hexdigest()
     assert memory_table("run", {"t": TIMES}).checksum == f"sha256:{digest}"
@@ -90,7 +90,7 @@ def test_the_checksum_is_of_names_and_values():
     assert other.checksum != f"sha256:{digest}"
 
 
-def test_columns_of_text_are_no_numbers_even_if_they_look_like_it():
+def test_text_column_of_digits_is_not_numeric():
     table = memory_table("run", {"t": TIMES, "a": ["1", "2", "3"]})
     assert table.others == ("a",)
     with raises("not-numeric", "run:", "'a'"):
@@ -106,7 +106,7 @@ def test_columns_of_text_are_no_numbers_even_if_they_look_like_it():
         ({"t": TIMES, "a": np.zeros((3, 3))}, r"column 'a' has the shape \(3, 3\)"),
     ],
 )
-def test_what_is_no_record_is_refused(frame, message):
+def test_unsupported_frame_raises(frame, message):
     with pytest.raises(RecordError, match=message):
         memory_table("run", frame)
 
@@ -114,13 +114,13 @@ def test_what_is_no_record_is_refused(frame, message):
 COLUMNS = RecordColumns(ColumnSpec("t"), ColumnSpec("a"), {"Qx": ColumnSpec("s")})
 
 
-def samples(rows=400):
+def make_samples(rows=400):
     time = np.arange(rows) * 0.1
     return {"t": time, "a": time, "s": np.random.default_rng(1).normal(size=rows)}
 
 
-def test_a_record_in_memory_is_read_as_its_file(tmp_path):
-    frame = samples()
+def test_record_in_memory_equals_record_from_file(tmp_path):
+    frame = make_samples()
     pl.DataFrame(frame).write_csv(tmp_path / "run.csv")
     motion = NominalMotion(1.0)
     of_file = read_record(tmp_path / "run.csv", COLUMNS, motion)
@@ -130,8 +130,8 @@ def test_a_record_in_memory_is_read_as_its_file(tmp_path):
     assert in_memory.identity is None
 
 
-def test_mistakes_are_told_by_row():
-    frame = samples()
+def test_errors_name_row():
+    frame = make_samples()
     frame["t"][200] = 3.0
     with raises("time-backwards", "my run, row 201:"):
         read_record(memory_table("my run", frame), COLUMNS, NominalMotion(1.0))

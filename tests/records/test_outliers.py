@@ -14,7 +14,7 @@ from counterspin.records.signals import FirstHarmonic
 
 
 @pytest.mark.parametrize("block", [None, "auto"])
-def test_gaussian_noise_loses_nothing(tmp_path, block):
+def test_gaussian_noise_has_almost_no_outliers(tmp_path, block):
     columns = table(n=100_000, step=0.005)
     record = read(write(tmp_path / "run.parquet", columns), block=block)
     assert record.report.outliers[SIGNAL] <= 1  # 2e-4 are expected beyond six deviations
@@ -22,7 +22,7 @@ def test_gaussian_noise_loses_nothing(tmp_path, block):
 
 
 @pytest.mark.parametrize("step", [0.02, 0.2, 0.005])
-def test_gross_outliers_are_found(tmp_path, step):
+def test_gross_outliers_are_rejected(tmp_path, step):
     columns = table(n=20_000, step=step)
     rng = np.random.default_rng(3)
     places = np.sort(rng.choice(20_000, 100, replace=False))
@@ -34,7 +34,7 @@ def test_gross_outliers_are_found(tmp_path, step):
 
 
 @pytest.mark.parametrize("filler", [-9.99e33, 9.969209968386869e36, 1e300])
-def test_a_filler_in_place_of_an_empty_cell(tmp_path, filler):
+def test_sentinels_for_empty_cells_are_rejected(tmp_path, filler):
     columns = table()
     columns[SIGNAL][[5, 400, 401, 999]] = filler
     record = read(write(tmp_path / "run.csv", columns))
@@ -43,7 +43,7 @@ def test_a_filler_in_place_of_an_empty_cell(tmp_path, filler):
 
 
 @pytest.mark.parametrize("bias", [0.0, 1.0])
-def test_a_fifth_of_outliers(tmp_path, bias):
+def test_outliers_in_one_fifth_of_rows_are_rejected(tmp_path, bias):
     columns = table(n=10_000)
     rng = np.random.default_rng(4)
     places = rng.random(10_000) < 0.2
@@ -55,7 +55,7 @@ def test_a_fifth_of_outliers(tmp_path, bias):
     assert lost[~places].mean() < 1e-3
 
 
-def test_the_harmonics_of_a_quiet_record_are_no_outliers(tmp_path):
+def test_harmonics_of_low_noise_record_are_not_outliers(tmp_path):
     # Specific force at 16 ppm of noise: a drifting rate and a K_II stand out of it.
     columns = table(n=20_000)
     phase = np.pi / 2 * columns[TIME] * (1 + 5e-7 * columns[TIME])
@@ -68,14 +68,14 @@ def test_the_harmonics_of_a_quiet_record_are_no_outliers(tmp_path):
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-5, 1e-3])
-def test_quantised_signals_keep_their_samples(tmp_path, noise):
+def test_quantised_signals_have_no_outliers(tmp_path, noise):
     columns = table(n=20_000, noise=noise)
     columns[SIGNAL] = np.round(columns[SIGNAL], 3)
     record = read(write(tmp_path / "run.parquet", columns))
     assert record.report.outliers[SIGNAL] == 0
 
 
-def test_noise_free_and_constant_signals(tmp_path):
+def test_noise_free_and_constant_signals_have_no_outliers(tmp_path):
     columns = {**table(n=20_000, noise=0.0), "up_m": np.zeros(20_000)}
     record = read(
         write(tmp_path / "run.parquet", columns),
@@ -85,7 +85,7 @@ def test_noise_free_and_constant_signals(tmp_path):
     assert record.report.outliers == {ANGLE: 0, SIGNAL: 0, "up_m": 0}
 
 
-def test_louder_noise_is_not_outlying(tmp_path):
+def test_increased_noise_is_not_outlying(tmp_path):
     columns = table(n=20_000)
     columns[SIGNAL][8000:9000] += 0.02 * np.random.default_rng(1).standard_normal(1000)
     record = read(write(tmp_path / "run.parquet", columns))
@@ -94,7 +94,7 @@ def test_louder_noise_is_not_outlying(tmp_path):
 
 @pytest.mark.parametrize("size", [0.2, 3.0, 1e300])
 @pytest.mark.parametrize("row", [3, 127, 128, 20_000, 20_010])
-def test_an_outlier_is_found_wherever_it_stands(tmp_path, row, size):
+def test_outlier_is_found_at_any_row(tmp_path, row, size):
     # The last window overlaps the one before; all others are clean.
     columns = dense(20_011)
     columns[SIGNAL][row] += size
@@ -102,7 +102,7 @@ def test_an_outlier_is_found_wherever_it_stands(tmp_path, row, size):
     assert [outlier.row for outlier in record.report.listed] == [row + 1]
 
 
-def test_the_last_window_is_judged_by_what_is_left_of_the_noise(tmp_path):
+def test_last_window_uses_remaining_noise(tmp_path):
     # Many outliers in all windows but the last, which has small ones: these stand out only once
     # those are no longer counted as noise.
     columns = table(n=1000)
@@ -115,5 +115,5 @@ def test_the_last_window_is_judged_by_what_is_left_of_the_noise(tmp_path):
 
 @settings(max_examples=50, deadline=None)
 @given(st.lists(st.floats(-1e6, 1e6) | st.just(math.nan), min_size=1, max_size=40))
-def test_the_median_is_numpys(values):
+def test_median_matches_numpy(values):
     np.testing.assert_equal(median(np.array(values)), np.median(values))

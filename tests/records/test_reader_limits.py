@@ -14,7 +14,7 @@ from counterspin.records.isolation import run_isolated
 
 
 class Kernel:
-    """What kernel32 of Windows is asked for, and answers."""
+    """Replace kernel32 of Windows and log the calls."""
 
     def __init__(self, assigned=1):
         self.limits = []
@@ -53,7 +53,7 @@ def windows(monkeypatch):
     return start
 
 
-def test_a_job_object_limits_time_and_memory_on_windows(windows, tmp_path):
+def test_job_object_limits_time_and_memory_on_windows(windows, tmp_path):
     kernel, file = windows(Kernel()), tmp_path / "run.parquet"
     file.write_bytes(b"")
     used = os.times().user
@@ -71,15 +71,15 @@ def test_a_job_object_limits_time_and_memory_on_windows(windows, tmp_path):
     assert more - memory == 64 * 20_000_000
 
 
-def test_without_a_job_object_the_file_is_read_all_the_same(windows, tmp_path):
+def test_file_is_read_without_job_object(windows, tmp_path):
     kernel, file = windows(Kernel(assigned=0)), tmp_path / "run.parquet"
     file.touch()
     reader_limits.limit_reading(file)
     assert kernel.limits == []
 
 
-def test_a_reader_that_waits_for_ever_is_ended(tmp_path, monkeypatch):
-    """It takes no processor time, so that no limit of the system ends it."""
+def test_hanging_reader_is_terminated(tmp_path, monkeypatch):
+    """The reader uses no processor time, so no system limit terminates it."""
     file = write(tmp_path / "run.parquet", table())
     process = run_isolated(misbehaving.process, file)
     monkeypatch.setattr(reader_limits, "_WAITING_FACTOR", 0.02)
@@ -97,7 +97,7 @@ def test_a_reader_that_waits_for_ever_is_ended(tmp_path, monkeypatch):
         (3, r"it crashed the reader process \(exit status 3\)"),
     ],
 )
-def test_how_a_reader_ends_on_windows(monkeypatch, status, words):
+def test_exit_status_on_windows_is_described(monkeypatch, status, words):
     monkeypatch.setattr("sys.platform", "win32")
     with pytest.raises(AssertionError, match=words):
         raise AssertionError(reader_process._exit_description(status))

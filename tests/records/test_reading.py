@@ -21,7 +21,7 @@ from record_files import (
 from counterspin.records.record import ColumnSpec
 
 
-def test_units_become_si(tmp_path):
+def test_units_are_converted_to_si(tmp_path):
     columns = table()
     filed = {
         TIME: columns[TIME] * 1e3 + 5e6,
@@ -40,7 +40,7 @@ def test_units_become_si(tmp_path):
     np.testing.assert_allclose(record.signals["Qx"], columns[SIGNAL], rtol=1e-14)
 
 
-def test_without_an_angle(tmp_path):
+def test_record_without_angle_is_read(tmp_path):
     columns = table()
     record = read(write(tmp_path / "run.csv", columns), angle=None)
     assert record.angle is None
@@ -48,12 +48,12 @@ def test_without_an_angle(tmp_path):
     np.testing.assert_array_equal(record.signals["Qx"], columns[SIGNAL])
 
 
-def test_short_record(tmp_path):
+def test_short_record_raises_with_revolutions(tmp_path):
     message = refusal(write(tmp_path / "run.csv", table(n=290)))  # 5.78 s of 6 s
     assert "2.89 revolutions" in message
 
 
-def test_infinite_values(tmp_path):
+def test_infinite_value_raises_with_line(tmp_path):
     for column in (TIME, ANGLE, SIGNAL):
         columns = table()
         columns[column][10] = math.inf
@@ -62,7 +62,7 @@ def test_infinite_values(tmp_path):
         assert "infinite" in message
 
 
-def test_an_infinite_value_is_refused_wherever_it_stands(tmp_path):
+def test_infinite_value_raises_at_any_row(tmp_path):
     # In an even stretch, in an uneven one, and in the last window, which overlaps another.
     for row, late in [(500, 0.0), (500, 0.02), (20_010, 0.0)]:
         columns = dense(20_011)
@@ -88,8 +88,8 @@ def test_few_empty_cells_are_counted(tmp_path, word):
 
 @pytest.mark.parametrize("rows", [2.0, 2.5, 4.0])
 @pytest.mark.parametrize("step", [0.02, 0.001])
-def test_values_that_a_faster_log_repeats_are_used_once(tmp_path, rows, step):
-    """The amplitude and the phase are those of the samples, late by a part of a row at most."""
+def test_values_repeated_by_faster_log_are_used_once(tmp_path, rows, step):
+    """Amplitude and phase are those of the samples, delayed by less than one row."""
     columns = table(int(12.0 / step), step)
     new = (np.arange(len(columns[TIME])) / rows).astype(int)
     first = np.searchsorted(new, new)  # the row in which a value first stands
@@ -108,7 +108,7 @@ def test_values_that_a_faster_log_repeats_are_used_once(tmp_path, rows, step):
 
 
 @pytest.mark.parametrize("column", [TIME, ANGLE, SIGNAL])
-def test_more_than_five_percent_empty(tmp_path, column):
+def test_more_than_five_percent_empty_cells_raise(tmp_path, column):
     columns = table()
     columns[column][10:61] = np.nan
     path = write(tmp_path / "run.csv", columns)
@@ -119,7 +119,7 @@ def test_more_than_five_percent_empty(tmp_path, column):
 
 @pytest.mark.parametrize("end", ["first", "last", "both"])
 @pytest.mark.parametrize("dense", [False, True])
-def test_rows_that_stand_alone_are_left_out(tmp_path, end, dense):
+def test_isolated_rows_are_omitted(tmp_path, end, dense):
     columns = table(n=20_000, step=0.0005) if dense else table()
     n = len(columns[TIME])
     gap = 6.0  # three revolutions
@@ -141,7 +141,7 @@ def test_rows_that_stand_alone_are_left_out(tmp_path, end, dense):
     assert record.start_time == without.start_time
 
 
-def test_rows_beyond_a_gap_that_are_more_than_a_few_are_kept(tmp_path):
+def test_many_rows_beyond_gap_are_preserved(tmp_path):
     columns = table()
     columns[TIME][-40:] += 6.0
     columns[ANGLE] = RATE * columns[TIME]
@@ -152,7 +152,7 @@ def test_rows_beyond_a_gap_that_are_more_than_a_few_are_kept(tmp_path):
 
 
 @pytest.mark.parametrize(("revolutions", "refused"), [(4900.0, False), (5100.0, True)])
-def test_more_revolutions_than_there_is_memory_for(tmp_path, revolutions, refused):
+def test_revolutions_are_limited_by_memory(tmp_path, revolutions, refused):
     columns = table(n=1000, step=revolutions * 2.0 * np.pi / RATE / 999.0)
     path = write(tmp_path / "run.csv", columns)
     options = {"swings": {}, "angle": None}
@@ -162,13 +162,13 @@ def test_more_revolutions_than_there_is_memory_for(tmp_path, revolutions, refuse
         assert len(read(path, **options).time) == 1000
 
 
-def test_fewer_rows_than_can_follow_the_rotation(tmp_path):
+def test_too_few_rows_per_revolution_raise(tmp_path):
     columns = table(n=100, step=2.0 * 30.01)
     options = {"swings": {}, "angle": None}
     assert "too few to follow" in refusal(write(tmp_path / "run.csv", columns), **options)
 
 
-def test_the_line_of_a_fault_counts_the_rows_left_out_before_it(tmp_path):
+def test_outlier_row_counts_omitted_rows(tmp_path):
     columns = table()
     columns[TIME][0] -= 6.0
     columns[ANGLE] = RATE * columns[TIME]
@@ -178,7 +178,7 @@ def test_the_line_of_a_fault_counts_the_rows_left_out_before_it(tmp_path):
 
 
 @pytest.mark.parametrize("size", [1e120, 1e305])
-def test_values_that_no_instrument_measures(tmp_path, size):
+def test_implausible_values_raise(tmp_path, size):
     columns = table()
     columns[ANGLE][1::2] *= size
     refusal(write(tmp_path / "run.csv", columns))

@@ -13,7 +13,7 @@ from counterspin.records.record import ColumnSpec
 from counterspin.records.signals import FirstHarmonic
 
 
-def test_blocks_are_the_exact_means(tmp_path):
+def test_blocks_are_exact_means(tmp_path):
     columns = dense()
     record = read(write(tmp_path / "run.parquet", columns))
     assert record.report.block == 50
@@ -26,8 +26,8 @@ def test_blocks_are_the_exact_means(tmp_path):
     assert (record.count == 50).all()
 
 
-def test_angles_tell_the_spread_of_times_that_scatter(tmp_path):
-    """Time stamps that err by a twentieth of a step; those that do not tell it themselves."""
+def test_angle_sd_covers_scattering_times(tmp_path):
+    """Time stamps with an error of 1/20 step; accurate time stamps need no angle_sd."""
     columns = dense(20_000)
     assert np.isnan(read(write(tmp_path / "good.parquet", columns)).angle_sd).all()
     step = columns[TIME][1]
@@ -39,14 +39,14 @@ def test_angles_tell_the_spread_of_times_that_scatter(tmp_path):
     np.testing.assert_allclose(record.angle_sd, spread, rtol=1e-9)
 
 
-def test_point_samples_on_request(tmp_path):
+def test_point_samples_are_not_averaged(tmp_path):
     record = read(write(tmp_path / "run.parquet", dense(20_000)), block=None)
     assert len(record.time) == 20_000
     assert (record.count == 1).all()
     assert (record.time_sd == 0).all()
 
 
-def test_blocks_of_a_damaged_record(tmp_path):
+def test_blocks_of_damaged_record_have_normal_residuals(tmp_path):
     columns = dense()
     rng = np.random.default_rng(5)
     columns[ANGLE] = np.mod(columns[ANGLE], 2 * math.pi)
@@ -70,7 +70,7 @@ def test_blocks_of_a_damaged_record(tmp_path):
     assert np.nanstd(normal) == pytest.approx(1.0, abs=0.05)
 
 
-def test_two_accelerometers_share_a_blocks_rows(tmp_path):
+def test_two_accelerometers_share_rows_of_block(tmp_path):
     columns = dense()
     columns["north_m"] = RADIUS * np.sin(RATE * columns[TIME])
     columns["north_m"][1000:1200] = np.nan  # four whole blocks
@@ -90,7 +90,7 @@ def test_two_accelerometers_share_a_blocks_rows(tmp_path):
 
 @settings(max_examples=6, deadline=None)
 @given(st.integers(1, 200_000), st.integers(0, 2**32 - 1))
-def test_the_result_does_not_depend_on_the_batches(tmp_path_factory, batch, seed):
+def test_result_does_not_depend_on_batch_size(tmp_path_factory, batch, seed):
     # Row groups of any size hand the rows over in other batches; pieces stay the same.
     columns = dense(140_000)
     rng = np.random.default_rng(seed)

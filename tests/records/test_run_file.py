@@ -11,14 +11,14 @@ from counterspin.records.record import ColumnSpec
 from counterspin.records.run_file import pulse_angle
 
 
-def in_two(folder, cut=400):
+def write_in_two_files(folder, cut=400):
     text = lines(table())
     return write(folder / "a.csv", text[:cut]), write(folder / "b.csv", [text[0], *text[cut:]])
 
 
-def test_a_record_goes_on_in_further_files(tmp_path):
+def test_record_continues_in_further_files(tmp_path):
     whole = read(write(tmp_path / "whole.csv", table()))
-    first, second = in_two(tmp_path)
+    first, second = write_in_two_files(tmp_path)
     record = read(first, continuation_files=(second,))
     np.testing.assert_array_equal(record.time, whole.time)
     np.testing.assert_array_equal(record.signals["Qx"], whole.signals["Qx"])
@@ -26,27 +26,27 @@ def test_a_record_goes_on_in_further_files(tmp_path):
     assert "2 files, concatenated" in record.report.notes()[0]
 
 
-def test_a_mistake_in_a_further_file_is_told_by_its_name(tmp_path):
-    first, second = in_two(tmp_path)
+def test_error_in_continuation_file_names_file(tmp_path):
+    first, second = write_in_two_files(tmp_path)
     text = second.read_text().splitlines()
     text[3] = text[3].replace(text[3].split(",")[0], "0.5")
     write(second, text)
     assert "b.csv, line 4: the time decreases" in refusal(first, continuation_files=(second,))
 
 
-def test_rows_are_counted_where_there_is_no_time(tmp_path):
+def test_row_counter_replaces_missing_time(tmp_path):
     columns = table()
     step = columns.pop(TIME)[1]
     time = ColumnSpec("", step, kind="rows")
     record = read(write(tmp_path / "run.csv", columns), time=time)
     np.testing.assert_allclose(record.time, table()[TIME], atol=1e-12)
-    first, second = in_two(tmp_path)
+    first, second = write_in_two_files(tmp_path)
     np.testing.assert_array_equal(
         read(first, continuation_files=(second,), time=time).time, record.time
     )
 
 
-def test_only_a_part_of_a_record_is_used(tmp_path):
+def test_time_range_selects_part_of_record(tmp_path):
     path = write(tmp_path / "run.csv", table())
     record = read(path, time_range=(3.0, 15.0))
     assert record.start_time == 3.0
@@ -56,7 +56,7 @@ def test_only_a_part_of_a_record_is_used(tmp_path):
     assert "in the selected part" in refusal(path, time_range=(30.0, 50.0))
 
 
-def test_units_are_taken_from_the_file_or_compared_with_it(tmp_path):
+def test_units_are_read_from_file_or_compared(tmp_path):
     text = lines(table())
     text.insert(1, "s,rad,m")
     path = write(tmp_path / "run.csv", text)
@@ -77,14 +77,14 @@ def test_units_are_taken_from_the_file_or_compared_with_it(tmp_path):
 # Pulses
 
 
-def stamps(rate=-RATE, per_revolution=2, drift=1e-3, turns=20):
+def pulse_times(rate=-RATE, per_revolution=2, drift=1e-3, turns=20):
     """Return times at which theta = rate (t + drift t^2 / 2) is a whole number of steps."""
     steps = np.arange(turns * per_revolution) * 2 * math.pi / per_revolution / abs(rate)
     return (np.sqrt(1 + 2 * drift * steps) - 1) / drift
 
 
-def test_between_pulses_an_even_change_of_rate_is_followed_exactly():
-    pulses = stamps()
+def test_pulse_angle_follows_constant_drift():
+    pulses = pulse_times()
     time = np.linspace(pulses[0] - 0.5, pulses[-1] + 0.5, 997)
     expected = -RATE * (time + 0.5e-3 * time**2)
     exact = pulse_angle(pulses, time, -RATE, 2)
@@ -96,9 +96,9 @@ def test_between_pulses_an_even_change_of_rate_is_followed_exactly():
     assert np.isnan(pulse_angle(pulses, pulses[-1:] + 2.5, -RATE, 2)).all()
 
 
-def test_the_angle_passes_through_pulses_that_scatter_without_a_jump():
+def test_pulse_angle_is_continuous_through_scattered_pulses():
     scatter = 1e-4 * np.random.default_rng(3).standard_normal(40)
-    pulses = stamps() + scatter
+    pulses = pulse_times() + scatter
     at = [pulse_angle(pulses, pulses + shift, -RATE, 2) for shift in (-1e-9, 0.0, 1e-9)]
     np.testing.assert_allclose(at[1], -math.pi * np.arange(40), atol=1e-12)
     for beside in (at[0], at[2]):
@@ -108,18 +108,18 @@ def test_the_angle_passes_through_pulses_that_scatter_without_a_jump():
 @pytest.mark.parametrize(
     ("pulses", "rate", "words"),
     [
-        (stamps()[:2], RATE, "too few"),
-        (stamps()[::-1], RATE, "not later"),
-        (stamps(), 2 * RATE, "should be 0.5 s"),
-        (np.insert(stamps(), 5, stamps()[4] + 0.4), RATE, "pulse 6 comes 0.4 s after"),
+        (pulse_times()[:2], RATE, "too few"),
+        (pulse_times()[::-1], RATE, "not later"),
+        (pulse_times(), 2 * RATE, "should be 0.5 s"),
+        (np.insert(pulse_times(), 5, pulse_times()[4] + 0.4), RATE, "pulse 6 comes 0.4 s after"),
     ],
 )
-def test_pulses_that_cannot_be_followed(pulses, rate, words):
+def test_invalid_pulses_raise(pulses, rate, words):
     with pytest.raises(ValueError, match=words):
         pulse_angle(pulses, np.zeros(1), rate, 2)
 
 
-def test_pulses_of_another_file(tmp_path):
+def test_angle_from_pulses_in_second_file(tmp_path):
     columns = table()
     angle = columns.pop(ANGLE)
     turns = np.arange(10) * math.tau

@@ -27,7 +27,7 @@ SECONDS, REST = np.floor(TIME) + 1_700_000_000, np.round((TIME % 1.0) * 1e9)
         (("GWk", 0.0 * TIME + 2300), ("GMS", 3e8 + 1e3 * TIME), "GWk [week] + GMS [ms]"),
     ],
 )
-def test_two_columns_make_one_time(tmp_path, coarse, fine, name):
+def test_two_columns_are_combined_to_time(tmp_path, coarse, fine, name):
     file = tmp_path / "record.csv"
     signal = np.random.default_rng(1).normal(size=ROWS)
     columns = [coarse[1], fine[1], signal]
@@ -45,7 +45,7 @@ def test_two_columns_make_one_time(tmp_path, coarse, fine, name):
     assert noise.sampling_rate == pytest.approx(RATE)
 
 
-def test_columns_that_do_not_rise_together_are_no_time():
+def test_unrelated_columns_are_not_time():
     assert find_split_time({"sec": SECONDS, "nanosec": REST[::-1]}) is None
     assert find_split_time({"sec": TIME, "nanosec": REST}) is None
     assert find_split_time({"sec": SECONDS, "ns": 1e9 * TIME}) is None

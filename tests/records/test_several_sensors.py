@@ -32,19 +32,19 @@ VALUES = {"A": 1.0, "B": 2.0, "C": 3.0}
         ("type", ["24.1", "25.2"], False),
     ],
 )
-def test_columns_that_tell_sensors_apart(name, cells, found):
+def test_sensor_columns_are_detected(name, cells, found):
     told = list(sensor_columns({name: cells * 50}))
     assert told == ([(name, sorted(cells))] if found else [])
 
 
-def test_labels_of_poses_and_states_are_no_sensors():
+def test_labels_of_poses_and_states_are_not_sensors():
     poses = [f"P{n}" for n in range(12) for _ in range(30)]
     state = ["rest"] * 100 + ["move"] * 60 + ["rest"] * 100
     assert list(sensor_columns({"pose name": poses, "state": state, "device": ["A"] * 99})) == []
 
 
-def several(path, numbered=False):
-    """Write rows of three sensors in turn; each reads its own value."""
+def write_interleaved_sensors(path, numbered=False):
+    """Write interleaved rows of three sensors, each with a constant value."""
     names = list(VALUES) * 200
     frame = pl.DataFrame(
         {
@@ -59,8 +59,8 @@ def several(path, numbered=False):
 
 @pytest.mark.parametrize("name", ["log.csv", "log.parquet"])
 @pytest.mark.parametrize("numbered", [False, True])
-def test_rows_of_one_sensor_are_selected(tmp_path, name, numbered):
-    path = several(tmp_path / name, numbered)
+def test_rows_of_sensor_are_selected(tmp_path, name, numbered):
+    path = write_interleaved_sensors(tmp_path / name, numbered)
     value = "1" if numbered else "B"
     numbers = read_numbers(path, ["time_s", "a_m/s^2"], Dialect(select=("device", value)))
     assert set(numbers["a_m/s^2"].tolist()) == {2.0}
@@ -69,10 +69,10 @@ def test_rows_of_one_sensor_are_selected(tmp_path, name, numbered):
         read_numbers(path, ["time_s"], Dialect(select=("device", "Q")))
 
 
-def test_init_asks_which_sensor_and_noise_refuses(tmp_path):
+def test_several_sensors_require_selection(tmp_path):
     import counterspin as cs
 
-    path = several(tmp_path / "log.csv")
+    path = write_interleaved_sensors(tmp_path / "log.csv")
     contents = read_files([path])
     assert sensor_question(contents).choices == ("A", "B", "C")
     with raises("missing-answer", "select:", "'device'", "log.csv", "3"):
@@ -86,7 +86,7 @@ def test_init_asks_which_sensor_and_noise_refuses(tmp_path):
     assert read_contents(path).selected is None
 
 
-def stacked(path, names):
+def write_stacked_sensors(path, names):
     """Write the records of two sensors one after the other; the second is five times as noisy."""
     rng = np.random.default_rng(3)
     rows = [
@@ -100,10 +100,10 @@ def stacked(path, names):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("names", [("A", "B"), (1, 2)])
-def test_records_that_follow_one_another_are_told_apart(tmp_path, names):
+def test_stacked_records_require_selection(tmp_path, names):
     import counterspin as cs
 
-    path = stacked(tmp_path / "log.csv", names)
+    path = write_stacked_sensors(tmp_path / "log.csv", names)
     with pytest.raises(RecordError, match="column 'device' takes 2 values"):
         cs.noise(path, sampling_rate="100 Hz")
     (chosen,) = read_files([path], {"select": str(names[1])})
@@ -115,8 +115,8 @@ def test_records_that_follow_one_another_are_told_apart(tmp_path, names):
         assert signal.rows == 3000
 
 
-def test_records_of_sensors_follow_one_another():
-    """Where the time falls at each change, or in a column with the name of a sensor."""
+def test_stacked_sensors_are_detected():
+    """The time decreases at each change, or the column is named like a sensor."""
     cells = [f"P{n}" for n in range(3) for _ in range(50)]
     time = np.tile(np.arange(50.0), 3)
     assert list(stacked_sensors({"device": ["A"] * 150}, {"time": time})) == []
@@ -133,10 +133,10 @@ def test_records_of_sensors_follow_one_another():
     ]
 
 
-def test_selections_that_cannot_be_made(tmp_path):
+def test_invalid_selection_raises(tmp_path):
     import counterspin as cs
 
-    path = several(tmp_path / "log.csv")
+    path = write_interleaved_sensors(tmp_path / "log.csv")
     for select, told in (("device=Q", "does not contain the value 'Q'"), ("dev=A", "select")):
         with pytest.raises(RecordError, match=told):
             cs.noise(path, select=select)
@@ -145,8 +145,8 @@ def test_selections_that_cannot_be_made(tmp_path):
 
 
 @pytest.mark.parametrize("labels", [("wrist", "ankle"), ("1", "2"), ("L", "R", "M")])
-def test_times_tell_sensors_apart_whatever_the_column_is_called(labels):
-    """Rows of sensors with even times, at random places among each other."""
+def test_interleaved_sensors_are_detected_by_time(labels):
+    """Interleave rows of sensors with uniform sampling at random."""
     rng = np.random.default_rng(2)
     time = np.add.outer(np.arange(400) * 0.01, 3e-4 * np.arange(len(labels))).ravel()
     order = np.argsort(time + rng.uniform(0.0, 9e-3, time.size))

@@ -10,7 +10,7 @@ from counterspin.records.signals import FirstHarmonic
 @pytest.mark.parametrize("factor", [1e3, 1e-3, 1e2])
 @pytest.mark.parametrize("place", [300, 1500, 2700])
 @pytest.mark.parametrize("start", [False, True])
-def test_a_unit_that_changes_on_the_way(tmp_path, factor, place, start):
+def test_change_of_unit_raises_with_line(tmp_path, factor, place, start):
     columns = table(n=3000)
     part = slice(None, place) if start else slice(place, None)
     columns[SIGNAL][part] *= factor
@@ -23,8 +23,8 @@ def test_a_unit_that_changes_on_the_way(tmp_path, factor, place, start):
 
 @pytest.mark.parametrize("length", [80, 100, 170])
 @pytest.mark.parametrize("filler", [0.0, -9999.0])
-def test_a_channel_that_is_dead_for_a_while_is_left_out_and_counted(tmp_path, length, filler):
-    """Longer than a window of the search for outliers, in which they would be the most."""
+def test_dropout_is_rejected_and_counted(tmp_path, length, filler):
+    """The dropout is longer than the outlier window, where it would be the majority."""
     columns = table(n=4000)
     columns[SIGNAL] += 0.02 * columns[TIME] ** 2 + 100.0
     dead = slice(1500, 1500 + length)
@@ -36,7 +36,7 @@ def test_a_channel_that_is_dead_for_a_while_is_left_out_and_counted(tmp_path, le
     assert record.report.outliers[SIGNAL] == len(found)
 
 
-def test_an_empty_cell_of_a_dead_channel_is_counted_once(tmp_path):
+def test_empty_cell_in_dropout_is_counted_once(tmp_path):
     columns = table(n=4000)
     columns[SIGNAL][1500:1620] = -9999.0
     columns[SIGNAL][[1520, 1521]] = np.nan
@@ -45,7 +45,7 @@ def test_an_empty_cell_of_a_dead_channel_is_counted_once(tmp_path):
     assert report.outliers[SIGNAL] == 118
 
 
-def test_a_channel_that_is_dead_for_too_long_is_refused(tmp_path):
+def test_long_dropout_raises(tmp_path):
     for dead, words in (
         (slice(1500, 1750), "between 30.24 s and 34.88 s after its start"),
         (slice(2500, None), "the once-per-revolution wave stops"),
@@ -69,20 +69,20 @@ def test_a_channel_that_is_dead_for_too_long_is_refused(tmp_path):
         (lambda s: np.roll(s, 25), "check the input axis"),
     ],
 )
-def test_a_displacement_that_is_not_the_motions(tmp_path, change, words):
+def test_displacement_differing_from_motion_raises(tmp_path, change, words):
     columns = table(n=3000)
     columns[SIGNAL] = change(columns[SIGNAL])
     assert words in refusal(write(tmp_path / "run.csv", columns))
 
 
-def test_a_signal_without_a_stated_swing_is_not_held_to_one(tmp_path):
+def test_signal_without_stated_amplitude_is_accepted(tmp_path):
     columns = table(n=3000)
     columns[SIGNAL] *= -RATE * 10
     read(write(tmp_path / "run.csv", columns), swings={})
 
 
-def test_a_wave_that_noise_hides_is_no_reason_to_refuse(tmp_path):
-    """Specific force of a slow run: the wave is a tenth of the noise of a sample."""
+def test_amplitude_hidden_by_noise_is_accepted(tmp_path):
+    """In a slow run the specific force is a tenth of the noise of a sample."""
     columns = table(n=1000, noise=0.0)
     rng = np.random.default_rng(5)
     columns[SIGNAL] = 1e-3 * np.cos(columns[ANGLE]) + 1e-2 * rng.standard_normal(1000)
@@ -93,8 +93,8 @@ def test_a_wave_that_noise_hides_is_no_reason_to_refuse(tmp_path):
     assert "give 0.1 m/s^2" in message
 
 
-def growing(n=3000, noise=1e-5):
-    """What errors make along the spindle's axis: a wave that grows from nothing, and a trend."""
+def simulate_growing_wave(n=3000, noise=1e-5):
+    """Return the error along the spindle axis: a growing wave and a trend."""
     columns = table(n=n, noise=0.0)
     time, rng = columns[TIME], np.random.default_rng(8)
     wave = 1e-4 * time * np.cos(columns[ANGLE]) + 9.8 + 1e-3 * time**2
@@ -103,20 +103,20 @@ def growing(n=3000, noise=1e-5):
 
 
 @pytest.mark.parametrize("noise", [1e-6, 1e-5, 1e-4, 1e-3])
-def test_a_wave_along_the_spindles_axis_may_grow(tmp_path, noise):
-    read(write(tmp_path / "run.csv", growing(noise=noise)), swings={})
+def test_growing_wave_along_spindle_axis_is_accepted(tmp_path, noise):
+    read(write(tmp_path / "run.csv", simulate_growing_wave(noise=noise)), swings={})
 
 
 @pytest.mark.parametrize("factor", [1e3, 9.80665])
-def test_a_wave_along_the_spindles_axis_does_not_jump(tmp_path, factor):
-    columns = growing()
+def test_jump_of_wave_along_spindle_axis_raises(tmp_path, factor):
+    columns = simulate_growing_wave()
     columns[SIGNAL][1500:] *= factor
     message = refusal(write(tmp_path / "run.csv", columns), swings={})
     assert "changes its unit or scale" in message
     assert abs(int(message.split("line ")[1].split(":")[0]) - 1502) <= 2
 
 
-def test_a_weak_wave_of_few_samples_keeps_its_unit(tmp_path):
+def test_weak_wave_of_few_samples_is_accepted(tmp_path):
     # 13 samples a revolution tell the wave's size to a quarter of itself.
     for seed in range(40):
         columns = table(n=400, step=2 / 13, noise=0.0)
@@ -126,7 +126,7 @@ def test_a_weak_wave_of_few_samples_keeps_its_unit(tmp_path):
 
 
 @pytest.mark.parametrize("part", [0.72, 0.8, 0.88, 0.95])
-def test_the_last_revolution_may_be_incomplete(tmp_path, part):
+def test_incomplete_last_revolution_is_accepted(tmp_path, part):
     # A trend that the fitted parabola does not follow passes for a wave in part of a revolution.
     columns = table(n=int(100 * (6 + part)), noise=0.0)
     columns[SIGNAL] = 0.05 * np.cos(columns[ANGLE]) + 0.02 * columns[TIME] ** 3

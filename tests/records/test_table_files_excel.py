@@ -30,7 +30,7 @@ ROWS = [
 ]
 
 
-def test_a_sheet_has_names_numbers_and_text(tmp_path):
+def test_sheet_has_names_numbers_and_text(tmp_path):
     path = write_workbook(tmp_path / "r.xlsx", {"Notes": [["hello"]], "Tumble": ROWS})
     assert uses_reader_process(path)
     for sheet in (None, "Tumble"):  # the other one has no rows below its names
@@ -44,7 +44,7 @@ def test_a_sheet_has_names_numbers_and_text(tmp_path):
     assert read_small_table(path)[1][1] == "row 2 below the names"
 
 
-def test_which_sheet_must_be_clear(tmp_path):
+def test_ambiguous_or_unknown_sheet_raises(tmp_path):
     path = write_workbook(tmp_path / "r.xlsx", {"before": ROWS, "after": ROWS})
     with raises("ambiguous-selection", "'before'", "'after'"):
         read_small_table(path)
@@ -52,14 +52,14 @@ def test_which_sheet_must_be_clear(tmp_path):
         read_small_table(path, Dialect(sheet="aftr"))
 
 
-def test_a_damaged_workbook_is_told(tmp_path):
+def test_damaged_workbook_raises(tmp_path):
     path = write_workbook(tmp_path / "r.xlsx", {"Tumble": ROWS})
     path.write_bytes(path.read_bytes()[:600])
     with raises("file-damaged", "r.xlsx:"):
         read_small_table(path)
 
 
-def test_what_unpacks_to_more_than_a_table_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
+def test_oversized_workbook_raises_before_decompression(tmp_path, monkeypatch):
     monkeypatch.setattr("counterspin.records.table_files._UNPACKED_BYTES", 1_000_000)
     path = write_workbook(tmp_path / "r.xlsx", {"Tumble": ROWS})
     with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as file:
@@ -70,28 +70,28 @@ def test_what_unpacks_to_more_than_a_table_is_refused_before_it_is_unpacked(tmp_
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="limits are Linux's")
-def test_a_cell_far_out_takes_no_memory_but_its_readers(tmp_path):
+def test_distant_cell_exceeds_memory_limit(tmp_path):
     path = write_workbook(tmp_path / "r.xlsx", {"Tumble": ROWS}, {"B5": "XFD1048576"})
     with pytest.raises(DamagedFileError, match="needs more memory than allowed"):
         read_small_table(path)
 
 
-def test_without_its_reader_the_extra_is_named(tmp_path, monkeypatch):
+def test_missing_reader_raises_with_extra(tmp_path, monkeypatch):
     path = write_workbook(tmp_path / "r.xlsx", {"Tumble": ROWS})
     imported = builtins.__import__
 
-    def without(name, *args, **kwargs):
+    def import_without_reader(name, *args, **kwargs):
         if name == "fastexcel":
             raise ModuleNotFoundError(name)
         return imported(name, *args, **kwargs)
 
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setattr(builtins, "__import__", import_without_reader)
     with raises("missing-package", "`pip install '.[excel]'"):
         excel_table(path)
 
 
-def test_a_sheet_is_read_as_a_record(tmp_path):
-    """Rows above the names, units below them, an empty cell, time stamps as text."""
+def test_sheet_is_read_as_record(tmp_path):
+    """The sheet has rows above the names, a units row, an empty cell and text time stamps."""
     columns = table(n=400)
     stamps = [f"2026-03-01 12:00:{t:09.6f}" for t in columns[TIME]]
     rows = list(
@@ -113,7 +113,7 @@ def test_a_sheet_is_read_as_a_record(tmp_path):
     assert "no rows of numbers" in refusal(path)
 
 
-def test_the_only_sheet_with_rows_of_numbers_is_the_table(tmp_path):
+def test_only_sheet_with_numeric_rows_is_read(tmp_path):
     notes = [["Operator", "Smith"], ["Day", "Monday"], ["Room", "7"]]
     below = [[name, 30.0 * row, 1.25] for row, name in enumerate("abcd")]
     rows = [["Tumble", None], [None, None], [None, "deg", "mA"], *below]
@@ -124,7 +124,7 @@ def test_the_only_sheet_with_rows_of_numbers_is_the_table(tmp_path):
     assert places[1] == "row 5"
 
 
-def test_rows_below_a_sheet_s_table_are_detected_and_ignored(tmp_path):
+def test_rows_below_table_of_sheet_are_ignored(tmp_path):
     angle = np.arange(0.0, 360.0, 30.0)
     output = (1.25 * np.cos(np.radians(angle)) + 0.003).tolist()
     rows = [

@@ -8,12 +8,12 @@ import polars as pl
 from record_files import ANGLE, SIGNAL, TIME, read, refusal, table, write
 
 
-def test_text_column_of_parquet(tmp_path):
+def test_text_column_of_parquet_raises(tmp_path):
     columns = {**table(), SIGNAL: ["x"] * 1000}
     assert "String" in refusal(write(tmp_path / "run.parquet", columns))
 
 
-def test_columns_that_no_file_of_this_size_holds(tmp_path):
+def test_columns_too_large_for_file_size_raise(tmp_path):
     pl.DataFrame(dict.fromkeys((TIME, ANGLE, SIGNAL), np.zeros(5_000_000))).write_parquet(
         tmp_path / "run.parquet"
     )
@@ -21,7 +21,7 @@ def test_columns_that_no_file_of_this_size_holds(tmp_path):
     assert re.search(r"\d+ bytes, .* 120000000 bytes", message)
 
 
-def test_columns_of_other_types_beside_do_not_matter(tmp_path):
+def test_columns_of_other_types_are_ignored(tmp_path):
     columns = table()
     beside = {"when": [datetime(2026, 1, 1)] * 1000, "note": ["x"] * 1000}
     record = read(write(tmp_path / "run.parquet", {**columns, **beside}))

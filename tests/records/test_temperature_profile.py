@@ -15,46 +15,46 @@ TIME = ColumnSpec("t", unit="s", target_unit="s")
 T = np.arange(0.0, 400.0, 0.05)
 
 
-def course(values, *, time=T, spec=CELSIUS, **columns):
+def fit_profile(values, *, time=T, spec=CELSIUS, **columns):
     table = memory_table("record", pl.DataFrame({"t": time, "T": values}))
     return read_temperature_profile(table, RecordColumns(TIME, None, {"T": spec}, **columns))
 
 
-def test_a_ramp_is_a_ramp():
-    found = course(20.0 + 0.01 * T)
+def test_ramp_is_exact():
+    found = fit_profile(20.0 + 0.01 * T)
     assert len(found) == MAX_KNOTS
     expected = 293.15 + np.linspace(0.0, 0.01 * T[-1], MAX_KNOTS)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
 
 
-def test_a_slow_wave_read_to_a_sixteenth_of_a_kelvin_every_two_seconds():
-    """A straight piece of 6.3 s leaves h^2/12 |T''| = 7 mK, and rounding 63 mK/sqrt(12)/sqrt(3)."""
+def test_slow_wave_is_followed_through_coarse_resolution():
+    """A segment of 6.3 s has an error of h^2/12 |T''| = 7 mK, plus 63 mK/sqrt(36) of rounding."""
     true = 25.0 + 5.0 * np.sin(2.0 * np.pi * T / 300.0)
     read = np.where(np.arange(T.size) % 40 == 0, np.round(true * 16.0) / 16.0, np.nan)
-    found = np.array(course(read)) - 273.15
+    found = np.array(fit_profile(read)) - 273.15
     at = np.linspace(0.0, T[-1], MAX_KNOTS)
     assert np.abs(found - 25.0 - 5.0 * np.sin(2.0 * np.pi * at / 300.0)).max() < 0.07
 
 
-def test_a_few_values_make_a_line_of_a_few():
+def test_few_values_have_few_knots():
     values = np.full(T.size, np.nan)
     values[::1000] = 20.0 + T[::1000] / 100.0
-    found = course(values)
+    found = fit_profile(values)
     assert len(found) == 4
     np.testing.assert_allclose(found, 293.15 + np.linspace(0.0, T[-1] / 100.0, 4), atol=1e-6)
 
 
-def test_one_temperature_throughout_is_one():
-    assert course(np.full(T.size, 21.0)) == pytest.approx((294.15,))
+def test_constant_temperature_is_single_value():
+    assert fit_profile(np.full(T.size, 21.0)) == pytest.approx((294.15,))
 
 
-def test_kelvin_are_not_shifted_and_the_part_is_the_one_that_is_used():
+def test_kelvin_profile_covers_time_range():
     kelvin = ColumnSpec("T", unit="K", target_unit="K", kind="temperature")
-    found = course(280.0 + 0.1 * T, spec=kelvin, time_range=(100.0, 200.0))
+    found = fit_profile(280.0 + 0.1 * T, spec=kelvin, time_range=(100.0, 200.0))
     assert (found[0], found[-1]) == pytest.approx((290.0, 300.0))
 
 
-def test_the_files_unit_is_taken_where_none_is_stated(tmp_path):
+def test_unit_of_file_is_default(tmp_path):
     file = tmp_path / "r.csv"
     rows = "".join(f"{t},{20 + t}\n" for t in range(40))
     file.write_text(f"t (s),T (°C)\n{rows}", encoding="utf-8")
@@ -68,7 +68,7 @@ def test_the_files_unit_is_taken_where_none_is_stated(tmp_path):
         read_temperature_profile(file, RecordColumns(time, None, {"T": spec}))
 
 
-def _hole(first, last):
+def make_gap(first, last):
     return np.where((first < T) & (last > T), np.nan, 20.0 + 0.01 * T)
 
 
@@ -76,9 +76,9 @@ def _hole(first, last):
     ("values", "words"),
     [
         (np.full(T.size, np.nan), "column 'T' has no number in the part that is used"),
-        (_hole(100.0, 210.0), "no number from 100 s to 210 s, more than a quarter"),
-        (_hole(-1.0, 110.0), "no number from 0 s to 110 s"),
-        (_hole(200.0, 500.0), "no number from 200 s to 399.95 s"),
+        (make_gap(100.0, 210.0), "no number from 100 s to 210 s, more than a quarter"),
+        (make_gap(-1.0, 110.0), "no number from 0 s to 110 s"),
+        (make_gap(200.0, 500.0), "no number from 200 s to 399.95 s"),
         (np.where(T[70] == T, np.inf, 20.0), "row 71: column 'T' holds inf K"),
         (
             np.where(T[9] == T, 20020.0, 20.0),
@@ -87,19 +87,19 @@ def _hole(first, last):
         (-200.0 + 0.01 * T, r"holds 73.15 K \(-200 degC\).*Check the unit"),
     ],
 )
-def test_columns_that_cannot_be_used(values, words):
+def test_invalid_temperature_column_raises(values, words):
     with pytest.raises(RecordError, match=words):
-        course(values)
+        fit_profile(values)
 
 
 @pytest.mark.parametrize("infinity", [np.inf, -np.inf])
 @pytest.mark.parametrize("row", [0, 1, T.size // 2, T.size - 1])
-def test_an_infinite_time_is_refused_with_its_row(row, infinity):
+def test_infinite_time_raises_with_row(row, infinity):
     time = np.where(np.arange(T.size) == row, infinity, T)
     with pytest.raises(RecordError, match=f"row {row + 1}: the time is infinite"):
-        course(20.0 + 0.01 * T, time=time)
+        fit_profile(20.0 + 0.01 * T, time=time)
 
 
-def test_what_goes_straight_on_over_a_gap():
-    found = course(_hole(100.0, 190.0))
+def test_profile_is_linear_across_gap():
+    found = fit_profile(make_gap(100.0, 190.0))
     np.testing.assert_allclose(found, 293.15 + np.linspace(0, 0.01 * T[-1], MAX_KNOTS), atol=1e-6)

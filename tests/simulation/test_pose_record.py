@@ -17,7 +17,7 @@ from counterspin.studies.study import study
 NOISE = 5e-4  # g, of each row
 
 
-def described(more="", clock='{ sampling_rate = "100 Hz" }', noise="[truth.noise]"):
+def describe_pose_record(more="", clock='{ sampling_rate = "100 Hz" }', noise="[truth.noise]"):
     """Return a description with the truth of `triads`, and a record of poses."""
     text = triads.head(f"records = {{ time = {clock} }}\n")
     for name in triads.NAMES:
@@ -38,7 +38,7 @@ def described(more="", clock='{ sampling_rate = "100 Hz" }', noise="[truth.noise
     )
 
 
-def test_a_sensor_rests_and_is_turned(tmp_path):
+def test_simulated_sensor_rests_and_rotates(tmp_path):
     record = PoseRecord("all", tmp_path / "a.csv", 1.5, None, **dict.fromkeys(STATED_CONDITIONS))
     time, force, along = simulate_forces(record, 40, 100.0, np.random.default_rng(2))
     assert time[-1] == pytest.approx(record_seconds(record, 40)) == pytest.approx(40 * 5.5 - 1.5)
@@ -53,8 +53,8 @@ def test_a_sensor_rests_and_is_turned(tmp_path):
     assert 0.05 < np.abs(moving - 1.0).max() < 0.2
 
 
-def test_what_was_simulated_comes_back(tmp_path):
-    (tmp_path / "campaign.toml").write_text(described("poses = 30\n"), "utf-8")
+def test_calibration_returns_simulated_truth(tmp_path):
+    (tmp_path / "campaign.toml").write_text(describe_pose_record("poses = 30\n"), "utf-8")
     files = cs.simulate(tmp_path, tmp_path / "made")
     assert [file.name for file in files] == ["all.csv"]
     result = cs.calibrate(tmp_path / "made")
@@ -80,9 +80,9 @@ def test_what_was_simulated_comes_back(tmp_path):
 
 
 @pytest.mark.parametrize("begun", ["", 'time = "100 s"\n'])
-def test_a_drift_within_a_record_is_found(tmp_path, begun):
+def test_drift_within_record_is_estimated(tmp_path, begun):
     drift = 5e-5  # g/s, 11 mg in the record
-    text = described("poses = 40\n")
+    text = describe_pose_record("poses = 40\n")
     text = text.replace('record = "all.csv"\n', f'record = "all.csv"\n{begun}')
     text = text.replace("[truth.Z]\n", f'[truth.Z]\n"K_F.trend" = "{drift!r} g/s"\n')
     plain = text.replace('"delta_P"]', '"delta_P", "K_F.trend"]')
@@ -102,9 +102,9 @@ def test_a_drift_within_a_record_is_found(tmp_path, begun):
     assert cs.calibrate(tmp_path / "made").triad.rms_after > 20.0 * result.triad.rms_after
 
 
-def test_the_clock_of_a_record_may_begin_anywhere(tmp_path):
+def test_result_does_not_depend_on_start_time(tmp_path):
     (tmp_path / "campaign.toml").write_text(
-        described("poses = 20\n", clock='{ column = "t", unit = "s" }'), "utf-8"
+        describe_pose_record("poses = 20\n", clock='{ column = "t", unit = "s" }'), "utf-8"
     )
     cs.simulate(tmp_path, tmp_path / "made")
     first = cs.calibrate(tmp_path / "made")
@@ -120,9 +120,9 @@ def test_the_clock_of_a_record_may_begin_anywhere(tmp_path):
         assert again.triad.parameters[name].u == pytest.approx(c.u, rel=0.02)
 
 
-def test_in_memory_it_is_the_same_as_in_files(tmp_path):
+def test_in_memory_result_equals_result_from_files(tmp_path):
     clock = '{ column = "t", unit = "s" }'
-    (tmp_path / "campaign.toml").write_text(described(clock=clock), "utf-8")
+    (tmp_path / "campaign.toml").write_text(describe_pose_record(clock=clock), "utf-8")
     cs.simulate(tmp_path, tmp_path / "made")
     by_file, in_memory = cs.calibrate(tmp_path / "made"), cs.calibrate(cs.simulate(tmp_path))
     assert len(by_file.triad.poses) == 24
@@ -133,20 +133,23 @@ def test_in_memory_it_is_the_same_as_in_files(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (described(noise=""), "truth.noise.specific_force: missing"),
-        (described().replace('e = "100 Hz"\ns', 'e = "50 Hz"\ns'), "records.time states 100 Hz"),
-        (described("poses = 0\n"), "simulation.poses"),
-        (described().replace("all.csv", "all.log"), "write .csv or .parquet"),
+        (describe_pose_record(noise=""), "truth.noise.specific_force: missing"),
+        (
+            describe_pose_record().replace('e = "100 Hz"\ns', 'e = "50 Hz"\ns'),
+            "records.time states 100 Hz",
+        ),
+        (describe_pose_record("poses = 0\n"), "simulation.poses"),
+        (describe_pose_record().replace("all.csv", "all.log"), "write .csv or .parquet"),
     ],
 )
-def test_what_cannot_be_simulated_is_named(tmp_path, text, words):
+def test_invalid_pose_record_raises(tmp_path, text, words):
     (tmp_path / "campaign.toml").write_text(text, "utf-8")
     with pytest.raises(CampaignError, match=words):
         cs.simulate(tmp_path, tmp_path / "made")
 
 
-def test_the_command_and_a_study(tmp_path, capsys):
-    (tmp_path / "campaign.toml").write_text(described(), "utf-8")
+def test_command_line_simulates_checks_and_studies(tmp_path, capsys):
+    (tmp_path / "campaign.toml").write_text(describe_pose_record(), "utf-8")
     made = str(tmp_path / "made")
     assert main(["simulate", str(tmp_path / "campaign.toml"), "-o", made]) == 0
     assert main(["check", f"{made}/all.csv", "--campaign", made]) == 0
@@ -156,9 +159,9 @@ def test_the_command_and_a_study(tmp_path, capsys):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("unit", ["g", "count"])
-def test_a_study_reads_the_poses_of_a_record_one_by_one(tmp_path, unit):
+def test_study_u_matches_noise_of_pose_means(tmp_path, unit):
     """Their noise is that of the mean of 3 s of rows, whose u of a bias is known by algebra."""
-    text = described("poses = 30\n")
+    text = describe_pose_record("poses = 30\n")
     if unit == "count":
         output = 'output = { unit = "count", sensitivity = "16384 count/g", zero = "40 count" }\n'
         text = text.replace('unit = "m/s^2" }\n', 'unit = "count" }\n' + output)

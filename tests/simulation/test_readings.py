@@ -56,7 +56,7 @@ reading = "?"
 """
 
 
-def values(folder, text, head=HEAD):
+def simulate_values(folder, text, head=HEAD):
     readings, _ = true_readings(campaign_of(folder, head + text))
     return [reading.value for reading in readings]
 
@@ -125,21 +125,21 @@ MACHINE = {
 
 
 @pytest.mark.parametrize("name", MACHINE)
-def test_each_error_of_the_machine_does_what_it_says(tmp_path, name):
+def test_machine_error_changes_readings_by_closed_form(tmp_path, name):
     line, at_rest, on_arm = MACHINE[name]
     if line.startswith("[truth.A]"):
         more, line = line.removeprefix("[truth.A]\n"), ""
     else:
         more = ""
     head = HEAD.replace("[truth.A]", f"[truth.A]\n{more}")
-    tumble, arm = values(tmp_path, f"[truth.machine]\n{line}\n{STATIC}{ARM}", head)
+    tumble, arm = simulate_values(tmp_path, f"[truth.machine]\n{line}\n{STATIC}{ARM}", head)
     assert tumble == pytest.approx(at_rest or cubic(A_REST), rel=1e-13)
     # The mean of the vertical Coriolis force's square, through K_III and the turn of the axis, is
     # below 1e-12 g.
     assert arm == pytest.approx(on_arm or cubic(A_IN), rel=1e-11)
 
 
-def test_the_head_errs_anew_at_each_position_and_alike_for_all_accelerometers(tmp_path):
+def test_head_error_is_shared_by_accelerometers_of_position(tmp_path):
     second = '[accelerometers.B]\ninput_axis = "up"\npendulous_axis = "west"\n'
     second += 'specific_force = { column = "other", unit = "g" }\n'
     run = STATIC.replace("30 deg", "30 ± 0.01 deg").replace('"?"', '{ A = "?", B = "?" }')
@@ -155,14 +155,14 @@ def test_the_head_errs_anew_at_each_position_and_alike_for_all_accelerometers(tm
     np.testing.assert_allclose([r.value for r in readings[1::2]], expected, rtol=1e-13)
 
 
-def test_rows_of_a_table_that_are_named_alike_are_positions_of_their_own(tmp_path):
+def test_table_rows_with_same_name_are_separate_positions(tmp_path):
     campaign = campaign_of(tmp_path, HEAD + STATIC.replace("30 deg", "30 ± 0.01 deg"))
     (reading,) = campaign.readings
     first, second = head_errors([reading, reading], np.random.default_rng(1))
     assert first != second
 
 
-def test_a_record_on_the_arm_has_the_wave_of_the_earths_rate(tmp_path):
+def test_arm_record_has_harmonic_of_earth_rate(tmp_path):
     run = ARM.replace('reading = "?"', 'record = "in.csv"\nrevolutions = 10')
     run = run.replace('pendulous = "forward"', 'pendulous = "up"')
     text = HEAD + '[simulation]\nsampling_rate = "20 Hz"\n' + run
@@ -186,7 +186,7 @@ W0 = -6.0 * 1.01
 
 
 def closed_forms(t):
-    """Angle, rate and acceleration of the spindle, written out."""
+    """Return angle, rate and acceleration of the spindle in closed form."""
     wave, phase = 2.0 * W0 * t + math.radians(40.0), math.radians(40.0)
     angle = math.radians(20.0) + W0 * (t + 1e-4 * t**2)
     angle -= 3e-3 / 2.0 * (np.cos(wave) - math.cos(phase))
@@ -194,8 +194,8 @@ def closed_forms(t):
     return angle, rate, W0 * (2e-4 + 3e-3 * 2.0 * W0 * np.cos(wave))
 
 
-def test_a_record_on_the_arm_turns_as_the_spindle_truly_does(tmp_path):
-    """All three specific forces of the arm, by the formula of the documentation."""
+def test_arm_record_follows_true_spindle(tmp_path):
+    """Compare all three specific forces of the arm with the documented formula."""
     run = ARM.replace('reading = "?"', 'record = "in.csv"\nrevolutions = 10')
     run = run.replace('pendulous = "forward"', 'pendulous = "up"')
     text = HEAD.replace(
@@ -226,19 +226,19 @@ def test_a_record_on_the_arm_turns_as_the_spindle_truly_does(tmp_path):
         ("rate_error = 0.01", lambda t: np.full_like(t, 6.06)),
     ],
 )
-def test_a_reading_on_the_arm_is_that_at_the_mean_square_of_the_true_rate(tmp_path, text, rate):
-    """Over 20 revolutions, stated for all runs or for this one."""
+def test_arm_reading_uses_mean_square_of_true_rate(tmp_path, text, rate):
+    """Use 20 revolutions, stated for all runs or for a single run."""
     run = ARM.replace('reading = "?"', 'reading = "?"\nrevolutions = 20')
     length = 20.0 * 2.0 * math.pi / 6.0
     t = (np.arange(200_000) + 0.5) * length / 200_000
-    expected = indicated(-math.sqrt(np.mean(rate(t) ** 2)))
+    expected = indicate_force(-math.sqrt(np.mean(rate(t) ** 2)))
     common = f"[truth.spindle]\n{text}\n{run}"
     own = f"[truth.spindle]\nstart_angle = '5 deg'\n{run}truth = {{ {text} }}\n"
     for described in (common, own):
-        assert values(tmp_path, described) == [pytest.approx(expected, rel=1e-9)]
+        assert simulate_values(tmp_path, described) == [pytest.approx(expected, rel=1e-9)]
 
 
-def indicated(w):
+def indicate_force(w):
     inward = R * (w**2 + 2.0 * w * OMEGA * math.sin(LATITUDE)) / G
     return K_F + K_I * inward + K_II * inward**2 + K_III * inward**3
 
@@ -248,33 +248,41 @@ def indicated(w):
 SET = '[fixture]\nposition = "0 ± 1 deg"\n'
 
 
-def face(name, attitude):
+def describe_face(name, attitude):
     return f'[[runs]]\nname = "{name}"\nmotion = "static"\nattitude = "{attitude}"\nreading = "?"\n'
 
 
-def test_a_position_is_off_for_all_that_is_read_there_and_another_by_itself(tmp_path):
+def test_setting_error_is_shared_within_position_only(tmp_path):
     level = "90 deg about north"
-    first, again, upside = values(
-        tmp_path, SET + face("a", level) + face("b", level) + face("c", "-90 deg about north")
+    first, again, upside = simulate_values(
+        tmp_path,
+        SET
+        + describe_face("a", level)
+        + describe_face("b", level)
+        + describe_face("c", "-90 deg about north"),
     )
     assert first == again
-    assert first != pytest.approx(values(tmp_path, face("a", level))[0], abs=1e-4)
+    assert first != pytest.approx(simulate_values(tmp_path, describe_face("a", level))[0], abs=1e-4)
     # Were both turned by the same angle, their mean would be the bias and a square.
     assert 0.5 * (first + upside) != pytest.approx(K_F, abs=1e-4)
 
 
-def test_a_setting_error_turns_the_instrument_about_its_axis(tmp_path):
-    """Half way over, an input axis that points east is turned down about north."""
+def test_setting_error_rotates_instrument_about_axis(tmp_path):
+    """A setting error about north turns an east-pointing input axis downwards."""
     true = (
         '[truth.machine]\n"fixture.position.1" = "0 rad"\n"fixture.position.1.north" = "0.01 rad"\n'
     )
-    (found,) = values(tmp_path, SET + true + face("a", "90 deg about north"))
+    (found,) = simulate_values(tmp_path, SET + true + describe_face("a", "90 deg about north"))
     a = -math.sin(0.01)
     assert found == pytest.approx(K_F + K_I * a + K_II * a**2 + K_III * a**3, abs=1e-12)
 
 
 def test_setting_errors_have_the_stated_size(tmp_path):
-    text = HEAD + SET + "".join(face(str(k), f"{3.6 * k} deg about north") for k in range(100))
+    text = (
+        HEAD
+        + SET
+        + "".join(describe_face(str(k), f"{3.6 * k} deg about north") for k in range(100))
+    )
     drawn = [
         size
         for symbol, size in true_machine(campaign_of(tmp_path, text)).items()

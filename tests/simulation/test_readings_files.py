@@ -68,7 +68,7 @@ specific_force = "20 ug"
 """
 
 
-def campaign(folder, text=TEXT):
+def write_campaign(folder, text=TEXT):
     (folder / "tables").mkdir(parents=True)
     rows = "".join(f"{i * 30} deg,{i * 30},,2e-6\n" for i in range(12))
     (folder / "tables" / "readings.csv").write_text("position,deg,mA,u\n" + rows, "utf-8")
@@ -76,9 +76,9 @@ def campaign(folder, text=TEXT):
     return folder
 
 
-def test_every_reading_gets_its_value_and_all_else_stays(tmp_path):
+def test_readings_are_filled_and_other_content_is_unchanged(tmp_path):
     made = tmp_path / "made"
-    written = simulate(campaign(tmp_path / "own"), made)
+    written = simulate(write_campaign(tmp_path / "own"), made)
     assert written == (made / "rest.parquet", made / "tables" / "readings.csv")
     before, after = TEXT.splitlines(), (made / "campaign.toml").read_text("utf-8").splitlines()
     changed = [(a, b) for a, b in zip(before, after, strict=True) if a != b]
@@ -100,7 +100,7 @@ def test_every_reading_gets_its_value_and_all_else_stays(tmp_path):
     )
 
 
-def test_noise_is_that_which_the_readings_state_or_the_true_one(tmp_path):
+def test_noise_is_stated_or_true_noise(tmp_path):
     runs = "".join(
         f'[[runs]]\nname = "{i}"\nmotion = "static"\nattitude = "level"\n'
         'reading = ["? ± 3e-6 mA", "? ± 3e-6 mA"]\n'
@@ -108,7 +108,7 @@ def test_noise_is_that_which_the_readings_state_or_the_true_one(tmp_path):
     )
     text = TEXT[: TEXT.index("[readings]")] + runs + TEXT[TEXT.index("[truth.A]") :]
     for name, more, u in (("stated", "", 3e-6), ("true", 'reading = "5 nA"\n', 5e-6)):
-        simulate(campaign(tmp_path / name, text + more), tmp_path / name / "made")
+        simulate(write_campaign(tmp_path / name, text + more), tmp_path / name / "made")
         document = tomllib.loads((tmp_path / name / "made" / "campaign.toml").read_text("utf-8"))
         values = [float(v.split()[0]) for run in document["runs"] for v in run["reading"]]
         off = np.array(values) - 1.25 * (2e-3 + 1.0005 + 15e-6)
@@ -117,7 +117,7 @@ def test_noise_is_that_which_the_readings_state_or_the_true_one(tmp_path):
         assert abs(off.mean()) < 5.0 * u / 20.0
 
 
-def test_mountings_side_by_side_get_their_own_values(tmp_path):
+def test_mounting_columns_are_filled_separately(tmp_path):
     """Of a row only what is read, or blank in all; at rest level, the centripetal force else."""
     table = """motion = "arm"
 columns = { rate = "w" }
@@ -126,7 +126,7 @@ in = { input = "inward", pendulous = "up", reading = "plus", u = "u" }
 out = { input = "outward", pendulous = "up", reading = "minus", u = "v" }
 """
     start, end = TEXT.index("columns = { name"), TEXT.index("[[runs]]")
-    own = campaign(tmp_path / "own", TEXT[:start] + table + TEXT[end:])
+    own = write_campaign(tmp_path / "own", TEXT[:start] + table + TEXT[end:])
     rows = "w,plus,minus,u,v\n9.9,,,1e-9,2e-9\n0,,,1e-9,2e-9\n9.9,,1,1e-9,2e-9\n"
     (own / "tables" / "readings.csv").write_text(rows, "utf-8")
     simulate(own, tmp_path / "made")
@@ -139,12 +139,12 @@ out = { input = "outward", pendulous = "up", reading = "minus", u = "v" }
     assert found == pytest.approx(values, abs=1e-7)
 
 
-def test_noise_of_a_table_is_the_one_u_of_its_readings(tmp_path):
-    """Rows that state none of their own have that of the section."""
+def test_noise_of_table_is_u_of_its_readings(tmp_path):
+    """Rows without a stated uncertainty use the uncertainty of the section."""
     text = TEXT.replace(
         'columns = { name = "position",', 'u = "4 nA"\ncolumns = { name = "position",'
     )
-    own = campaign(tmp_path / "own", text)
+    own = write_campaign(tmp_path / "own", text)
     count = 400
     rows = "".join(f"{i},0,,{'2e-5' if i % 2 else ''}\n" for i in range(count))
     (own / "tables" / "readings.csv").write_text("position,deg,mA,u\n" + rows, "utf-8")
@@ -156,14 +156,14 @@ def test_noise_of_a_table_is_the_one_u_of_its_readings(tmp_path):
         assert abs(np.sqrt(np.mean(part**2)) / u - 1.0) < 5.0 / math.sqrt(count)
 
 
-def test_a_table_that_is_not_plain_is_not_simulated(tmp_path):
+def test_table_with_special_layout_raises(tmp_path):
     text = TEXT.replace('file = "tables', 'delimiter = ","\nfile = "tables')
     with raises("conflicting-keys", "readings.delimiter:"):
-        simulate(campaign(tmp_path / "own", text), tmp_path / "made")
+        simulate(write_campaign(tmp_path / "own", text), tmp_path / "made")
 
 
-def test_repeats_in_a_table_are_as_many_as_before(tmp_path):
-    own = campaign(tmp_path / "own", TEXT.replace('"mA", u =', '["mA", "again"], u ='))
+def test_repeat_count_of_table_is_unchanged(tmp_path):
+    own = write_campaign(tmp_path / "own", TEXT.replace('"mA", u =', '["mA", "again"], u ='))
     rows = "".join(f"{i * 30},,{'' if i else 1},2e-6,{i * 30} deg\n" for i in range(12))
     (own / "tables" / "readings.csv").write_text("deg,mA,again,u,position\n" + rows + ",,,,\n")
     simulate(own, tmp_path / "made")
@@ -173,18 +173,18 @@ def test_repeats_in_a_table_are_as_many_as_before(tmp_path):
     assert [r.repeats for r in read_campaign(tmp_path / "made").readings[3:]] == [1] + [2] * 11
 
 
-def test_calibrating_them_finds_the_truth(tmp_path):
-    simulate(campaign(tmp_path / "own"), tmp_path / "made")
+def test_calibration_of_simulated_readings_returns_truth(tmp_path):
+    simulate(write_campaign(tmp_path / "own"), tmp_path / "made")
     found = calibrate(tmp_path / "made").accelerometers["A"].coefficients
     for symbol, truth in (("K_F", 2e-3), ("K_I", 1.0005), ("K_II", 15e-6)):
         assert abs(found[symbol].value - truth) < 4.0 * found[symbol].u
 
 
-def test_an_output_that_is_not_zero_at_rest_is_simulated_and_calibrated(tmp_path):
-    """A current loop: each value is 12 mA more, and nothing else changes."""
+def test_output_zero_is_simulated_and_calibrated(tmp_path):
+    """A current loop adds 12 mA to each value and changes nothing else."""
     twelve = TEXT.replace('"1.25 mA/g" }', '"1.25 mA/g", zero = "12 mA" }')
     for name, text in (("zero", TEXT), ("twelve", twelve)):
-        simulate(campaign(tmp_path / name, text), tmp_path / name / "made")
+        simulate(write_campaign(tmp_path / name, text), tmp_path / name / "made")
     plain, moved = (tmp_path / name / "made" for name in ("zero", "twelve"))
     values = [
         pl.read_parquet(folder / "rest.parquet")["mA"].to_numpy() for folder in (plain, moved)
@@ -203,41 +203,43 @@ def test_an_output_that_is_not_zero_at_rest_is_simulated_and_calibrated(tmp_path
     )
 
 
-def test_the_same_seed_gives_the_same_files(tmp_path):
-    own = campaign(tmp_path / "own")
+def test_same_seed_writes_same_files(tmp_path):
+    own = write_campaign(tmp_path / "own")
     for place in ("first", "second"):
         simulate(own, tmp_path / place)
     for name in ("campaign.toml", "tables/readings.csv", "rest.parquet"):
         first, second = ((tmp_path / place / name).read_bytes() for place in ("first", "second"))
         assert first == second
     other = TEXT + "[simulation]\nseed = 2\n"
-    simulate(campaign(tmp_path / "other", other), tmp_path / "third")
+    simulate(write_campaign(tmp_path / "other", other), tmp_path / "third")
     texts = {(tmp_path / place / "campaign.toml").read_text() for place in ("first", "third")}
     assert len({tomllib.loads(t)["runs"][0]["reading"] for t in texts}) == 2
 
 
-def test_a_description_of_an_unusual_form_is_written_anew(tmp_path):
+def test_inline_description_is_rewritten(tmp_path):
     start = TEXT.index("[[runs]]")
     end = TEXT.index("[truth.A]")
     runs = tomllib.loads(TEXT)["runs"]
-    quoted = ["{" + ", ".join(f"{k} = {_inline(v)}" for k, v in run.items()) + "}" for run in runs]
+    quoted = [
+        "{" + ", ".join(f"{k} = {format_inline(v)}" for k, v in run.items()) + "}" for run in runs
+    ]
     # Literal strings, which a search for quotation marks does not find.
     text = TEXT[:start] + TEXT[end:]
     text = text.replace("schema = 1", f"schema = 1\nruns = [{', '.join(quoted)}]")
-    simulate(campaign(tmp_path / "own", text), tmp_path / "made")
-    simulate(campaign(tmp_path / "usual"), tmp_path / "known")
+    simulate(write_campaign(tmp_path / "own", text), tmp_path / "made")
+    simulate(write_campaign(tmp_path / "usual"), tmp_path / "known")
     texts = [(tmp_path / p / "campaign.toml").read_text("utf-8") for p in ("made", "known")]
     assert tomllib.loads(texts[0]) == tomllib.loads(texts[1])
 
 
-def _inline(value):
+def format_inline(value):
     if isinstance(value, dict):
         return "{" + ", ".join(f"{k} = '{v}'" for k, v in value.items()) + "}"
     return f"'{value}'"
 
 
-def test_nothing_is_replaced_unasked(tmp_path, capsys):
-    own = campaign(tmp_path / "own")
+def test_existing_files_require_overwrite(tmp_path, capsys):
+    own = write_campaign(tmp_path / "own")
     with raises("file-exists", "readings.csv"):
         simulate(own, own)
     assert (own / "campaign.toml").read_text("utf-8") == TEXT
@@ -247,10 +249,10 @@ def test_nothing_is_replaced_unasked(tmp_path, capsys):
     calibrate(own)
 
 
-def test_blank_readings_are_not_calibrated(tmp_path):
+def test_blank_readings_raise(tmp_path):
     with raises("missing-value", '"in 10"', "13 other readings"):
         calibrate(
-            campaign(
+            write_campaign(
                 tmp_path / "own",
                 TEXT.replace('record = "rest.parquet"', 'reading = "1.25 ± 1e-6 mA"').replace(
                     'duration = "20 s"\n', ""
@@ -259,15 +261,15 @@ def test_blank_readings_are_not_calibrated(tmp_path):
         )
 
 
-def test_excel_tables_are_not_written(tmp_path):
-    own = campaign(tmp_path / "own", TEXT.replace("rest.parquet", "rest.h5"))
+def test_unsupported_record_format_raises(tmp_path):
+    own = write_campaign(tmp_path / "own", TEXT.replace("rest.parquet", "rest.h5"))
     with raises("not-simulable", '"rest":', "rest.h5"):
         simulate(own, tmp_path / "made")
 
 
-def test_in_memory_they_are_those_of_a_folder(tmp_path):
+def test_readings_in_memory_equal_readings_in_folder(tmp_path):
     text = TEXT[: TEXT.index("[readings]")] + TEXT[TEXT.index("[[runs]]") :]
-    own = campaign(tmp_path / "own", text)
+    own = write_campaign(tmp_path / "own", text)
     simulate(own, tmp_path / "made")
     in_memory = simulate(own)
     written = read_campaign(tmp_path / "made")
@@ -278,6 +280,6 @@ def test_in_memory_they_are_those_of_a_folder(tmp_path):
     assert simulate(in_memory).source.document == written.source.document
 
 
-def test_a_table_in_memory_is_refused(tmp_path):
+def test_table_in_memory_raises(tmp_path):
     with raises("wrong-usage"):
-        simulate(campaign(tmp_path / "own"))
+        simulate(write_campaign(tmp_path / "own"))

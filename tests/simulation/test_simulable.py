@@ -20,7 +20,7 @@ from counterspin.studies.study import study
 
 
 @contextmanager
-def in_little_memory():
+def limit_memory():
     """Make what takes 4 GB more than a test does fail, before it takes them."""
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (6 * 2**30, hard))
@@ -34,7 +34,7 @@ DRIFT = ('drift = "1e-6 1/s"\n', "")
 SLOW = ('rate = "0.5 rev/s"', 'rate = "{}"')
 
 
-def asked(tmp_path, old, new):
+def read_changed_campaign(tmp_path, old, new):
     # A rotation that drifts for so long would be wrong for another reason.
     return write(tmp_path, changed(SMALL, (old, new), DRIFT))
 
@@ -50,9 +50,9 @@ def asked(tmp_path, old, new):
         ("revolutions = 20", "revolutions = 1e308"),
     ],
 )
-def test_a_length_that_has_no_room_is_refused_with_its_reason(tmp_path, old, new):
-    """Where a bound were missing, the allocation itself would fail: see `in_little_memory`."""
-    campaign = asked(tmp_path, old, new)
+def test_excessive_run_length_raises_with_reason(tmp_path, old, new):
+    """Where a bound were missing, the allocation itself would fail: see `limit_memory`."""
+    campaign = read_changed_campaign(tmp_path, old, new)
     for work in (
         lambda: check(campaign),
         lambda: forecast(campaign),
@@ -60,7 +60,7 @@ def test_a_length_that_has_no_room_is_refused_with_its_reason(tmp_path, old, new
         lambda: simulate(campaign, tmp_path / "records"),
         lambda: simulate(campaign),
     ):
-        with in_little_memory(), pytest.raises(CampaignError) as caught:
+        with limit_memory(), pytest.raises(CampaignError) as caught:
             work()
         problem, *_ = caught.value.problems
         assert problem.startswith("runs[")
@@ -69,16 +69,18 @@ def test_a_length_that_has_no_room_is_refused_with_its_reason(tmp_path, old, new
     assert not (tmp_path / "records").exists()
 
 
-def test_a_sampling_rate_counts_for_what_takes_samples(tmp_path):
-    """A forecast takes means: it knows no more of 1e6 samples of a revolution than of 64."""
-    campaign = asked(tmp_path, 'sampling_rate = "20 Hz"', 'sampling_rate = "1e5 Hz"')
+def test_sampling_rate_does_not_limit_forecast(tmp_path):
+    """A forecast uses means, so 1e6 samples per revolution are equivalent to 64."""
+    campaign = read_changed_campaign(
+        tmp_path, 'sampling_rate = "20 Hz"', 'sampling_rate = "1e5 Hz"'
+    )
     assert forecast(campaign).u["Qx.K_II"] > 0.0
     for work in (lambda: study(campaign, trials=2), lambda: simulate(campaign, tmp_path / "x")):
-        with in_little_memory(), pytest.raises(CampaignError, match="sampled at 1e\\+05 Hz"):
+        with limit_memory(), pytest.raises(CampaignError, match="sampled at 1e\\+05 Hz"):
             work()
 
 
-def test_rows_are_those_of_the_calibration():
+def test_computed_rows_match_calibration():
     w = 2.0 * 3.141592653589793
     assert computed_rows(w, 100.0, 50.0, means=False) == pytest.approx(6400.0)
     assert computed_rows(w, 100.0, 1000.0, means=False) == 1e5
@@ -88,18 +90,22 @@ def test_rows_are_those_of_the_calibration():
     assert computed_rows(1e-300, 1e300, 1e300, means=True) == float("inf")
 
 
-def test_runs_that_fit_alone_and_not_together(tmp_path):
-    """A simulation makes one after the other, a forecast holds them all."""
-    campaign = read_campaign(asked(tmp_path, "revolutions = 20", "revolutions = 8000"))
+def test_forecast_limits_total_rows_of_runs(tmp_path):
+    """A simulation processes runs sequentially; a forecast needs all runs in memory."""
+    campaign = read_campaign(
+        read_changed_campaign(tmp_path, "revolutions = 20", "revolutions = 8000")
+    )
     alone = [computed_rows(run.rate, run.duration, 20.0, means=True) for run in campaign.runs]
     assert max(alone) < MOST_ROWS < sum(alone)
     with pytest.raises(CampaignError, match="of the"):
         forecast(campaign)
 
 
-def test_a_simulation_has_more_room_than_a_study(tmp_path):
-    """It writes one run after the other, and holds the samples of one alone."""
-    campaign = read_campaign(asked(tmp_path, "revolutions = 20", "revolutions = 20"))
+def test_simulation_allows_more_rows_than_study(tmp_path):
+    """A simulation needs only the samples of a single run in memory."""
+    campaign = read_campaign(
+        read_changed_campaign(tmp_path, "revolutions = 20", "revolutions = 20")
+    )
     longest = max(run.duration for run in campaign.runs)
     fits, too_many = 0.99 * MOST_SIMULATED_ROWS / longest, 1.01 * MOST_SIMULATED_ROWS / longest
     check_size(campaign, fits, "simulation")
@@ -108,11 +114,11 @@ def test_a_simulation_has_more_room_than_a_study(tmp_path):
             check_size(campaign, rate, purpose)
 
 
-def test_trials_that_nobody_can_keep(tmp_path):
+def test_excessive_trial_count_raises(tmp_path):
     campaign = write(tmp_path, SMALL)
-    with in_little_memory(), pytest.raises(CounterspinError, match="`trials`"):
+    with limit_memory(), pytest.raises(CounterspinError, match="`trials`"):
         study(campaign, trials=10**15)
-    with in_little_memory(), pytest.raises(CounterspinError, match="need too much memory"):
+    with limit_memory(), pytest.raises(CounterspinError, match="need too much memory"):
         study(campaign, trials=10**9, engine="full")
     text = SMALL + "\n[study]\ntrials = 1000000000000000\n"
     with pytest.raises(CampaignError, match=r"study\.trials"):
@@ -120,9 +126,9 @@ def test_trials_that_nobody_can_keep(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command_says_it_in_a_sentence(tmp_path):
-    """With less memory than one column of the record would take."""
-    campaign = asked(tmp_path, *(text.format("1e-9 rev/s") for text in SLOW))
+def test_command_reports_excessive_run_in_one_sentence(tmp_path):
+    """The memory limit is smaller than one column of the record."""
+    campaign = read_changed_campaign(tmp_path, *(text.format("1e-9 rev/s") for text in SLOW))
     for words in (["plan", "--check"], ["study"], ["simulate", "-o", str(tmp_path / "o")]):
         done = subprocess.run(
             [sys.executable, "-m", "counterspin", *words, str(campaign)],
@@ -137,7 +143,7 @@ def test_the_command_says_it_in_a_sentence(tmp_path):
         assert "Traceback" not in done.stderr
 
 
-def test_runs_that_nobody_forecasts(tmp_path):
+def test_too_many_records_for_forecast_raise(tmp_path):
     head, tail = SMALL.split("\n[[runs]]\n", 1)
     _, simulation, tail = tail.partition("[simulation]")
     many = "".join(

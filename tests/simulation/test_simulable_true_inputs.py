@@ -19,38 +19,40 @@ TWO = changed(
 )
 
 
-def columns_of(folder, text, run=0):
+def simulate_columns(folder, text, run=0):
     campaign = campaign_of(folder, text)
     return simulate_run(campaign, campaign.runs[run], np.random.default_rng(0))
 
 
-def with_truth(table, text=STEADY):
+def add_truth(table, text=STEADY):
     return f"{text}\n{table}\n"
 
 
-def test_true_radius_and_gravity_are_in_the_displacement(tmp_path):
+def test_displacement_uses_true_radius_and_gravity(tmp_path):
     table = '[truth.centrifuge]\nradius = "2.501 m"\n[truth.site]\ngravity = "9.81 m/s^2"'
     bias = [("K_III = ", "# K_III = "), ("2.7e-5 g", "0 g"), ('K_I = "1.002 g/g"', "")]
-    columns = columns_of(tmp_path, changed(with_truth(table), *bias), run=1)
+    columns = simulate_columns(tmp_path, changed(add_truth(table), *bias), run=1)
     t = columns["time_s"]
     start = 0.02 - 1e-3 * t
     expected = start + 2.501 * np.cos(math.pi * t) + 0.005 * 9.81 * t**2 / 2.0
     np.testing.assert_allclose(columns["east_m"], expected, rtol=0.0, atol=1e-10)
 
 
-def test_a_delayed_angle_is_that_of_a_later_time(tmp_path):
-    columns = columns_of(tmp_path, with_truth('[truth.records]\ntiming_offset = "1e-3 s"'), run=2)
+def test_delayed_angle_is_angle_of_later_time(tmp_path):
+    columns = simulate_columns(
+        tmp_path, add_truth('[truth.records]\ntiming_offset = "1e-3 s"'), run=2
+    )
     expected = 2.0 * math.pi * (columns["time_s"] + 1e-3)
     np.testing.assert_allclose(columns["angle_rad"], expected, rtol=0.0, atol=1e-12)
 
 
-def test_true_responses_of_sensor_and_recorder_delay_the_record(tmp_path):
-    """Well below their frequencies, by zeta/(pi f0) and 1/(2 pi fc)."""
+def test_true_responses_delay_record(tmp_path):
+    """Well below their natural frequencies, the delays are zeta/(pi f0) and 1/(2 pi fc)."""
     stated = changed(STEADY, ("[accelerometers.Qx]\n", "[accelerometers.Qx]\nDAMPED"))
     stated = stated.replace("DAMPED", 'natural_frequency = "600 Hz"\ndamping = "0.5"\n')
     table = '[truth.records]\ncutoff_frequency = "200 Hz"'
     true = changed(stated, ("[truth.Qx]\n", '[truth.Qx]\nnatural_frequency = "500 Hz"\n'))
-    columns = columns_of(tmp_path, with_truth(table, true), run=2)
+    columns = simulate_columns(tmp_path, add_truth(table, true), run=2)
     t = columns["time_s"]
     waves = np.column_stack([np.cos(2.0 * math.pi * t), np.sin(2.0 * math.pi * t)])
     both = np.column_stack([waves, np.vander(t, 3), waves**2, waves**3])
@@ -59,26 +61,26 @@ def test_true_responses_of_sensor_and_recorder_delay_the_record(tmp_path):
     assert math.atan2(sine, cosine) == pytest.approx(expected, rel=1e-3)
 
 
-def test_each_recorder_stamps_by_its_own_clock(tmp_path):
+def test_recorders_use_separate_clocks(tmp_path):
     table = '[truth.records]\nclock = { A = "20 ppm", B = "-5 ppm" }'
     for run, fast in ((0, -5e-6), (1, 2e-5)):
-        columns = columns_of(tmp_path, with_truth(table, TWO), run)
+        columns = simulate_columns(tmp_path, add_truth(table, TWO), run)
         true = np.arange(columns["time_s"].size) / 20.0
         np.testing.assert_allclose(columns["time_s"], true * (1.0 + fast), rtol=1e-15)
         rate = (0.5 + 0.5 * run) * math.pi
         np.testing.assert_allclose(columns["angle_rad"], rate * true, rtol=1e-14, atol=1e-12)
 
 
-def test_what_is_stated_of_a_clock_is_true_of_it_where_truth_says_nothing(tmp_path):
+def test_stated_clock_is_default_true_clock(tmp_path):
     stated = changed(STEADY, ("[records]", '[records]\nclock = "12 ± 0.5 ppm"'))
-    columns = columns_of(tmp_path, stated)
+    columns = simulate_columns(tmp_path, stated)
     true = np.arange(columns["time_s"].size) / 20.0
     np.testing.assert_allclose(columns["time_s"], true * (1.0 + 1.2e-5), rtol=1e-15)
-    other = columns_of(tmp_path, with_truth('[truth.records]\nclock = "-3 ppm"', stated))
+    other = simulate_columns(tmp_path, add_truth('[truth.records]\nclock = "-3 ppm"', stated))
     np.testing.assert_allclose(other["time_s"], true * (1.0 - 3e-6), rtol=1e-15)
 
 
-def test_a_record_in_g_is_in_the_true_one(tmp_path):
+def test_record_in_g_uses_true_gravity(tmp_path):
     force = changed(
         STEADY,
         ('displacement = { column = "east_m", unit = "m" }', ""),
@@ -91,8 +93,8 @@ def test_a_record_in_g_is_in_the_true_one(tmp_path):
         ('K_II = "2.7e-5 g/g^2"\nK_III = "3e-6 g/g^3"\n', ""),
         ('start_velocity = "-1e-3 m/s"', ""),
     )
-    texts = {"stated": force, "true": with_truth('[truth.site]\ngravity = "9.82 m/s^2"', force)}
-    found = {name: columns_of(tmp_path / name, text)["up_g"] for name, text in texts.items()}
+    texts = {"stated": force, "true": add_truth('[truth.site]\ngravity = "9.82 m/s^2"', force)}
+    found = {name: simulate_columns(tmp_path / name, text)["up_g"] for name, text in texts.items()}
     # The mean Coriolis force of whole revolutions is zero.
     for values in found.values():
         assert values[:-1].mean() == pytest.approx(1.005, abs=1e-12)
@@ -120,12 +122,12 @@ reading = "10 ± 1e-12 UNIT"
 
 
 @pytest.mark.parametrize(("unit", "per_g"), [("g", 1.0), ("m/s^2", 9.82)])
-def test_a_reading_on_the_arm_is_of_the_true_radius_in_the_true_g(tmp_path, unit, per_g):
+def test_arm_reading_uses_true_radius_and_gravity(tmp_path, unit, per_g):
     table = '[truth.site]\ngravity = "9.82 m/s^2"\n[truth.centrifuge]\nradius = "1.001 m"'
     text = ARM.replace("UNIT", unit)
     (tmp_path / "true").mkdir()
     read = {}
-    for name, one in (("stated", text), ("true", with_truth(table, text))):
+    for name, one in (("stated", text), ("true", add_truth(table, text))):
         made = simulate(campaign_of(tmp_path / name, one))
         read[name] = made.readings[0].value
     # The file has the accelerometer's g; in m/s^2 it is read with the gravity that is stated.
@@ -134,13 +136,13 @@ def test_a_reading_on_the_arm_is_of_the_true_radius_in_the_true_g(tmp_path, unit
     assert read["true"] == pytest.approx(expected, rel=1e-11)
 
 
-def test_an_input_that_cannot_be_is_refused_once(tmp_path):
+def test_invalid_true_input_raises_once(tmp_path):
     tables = (
         '[truth.centrifuge]\nradius = "-1 m"\n[truth.site]\nlatitude = "95 deg"\n'
         '[truth.records]\nclock = { B = "5 ppm" }'
     )
     with pytest.raises(CampaignError) as error:
-        campaign_of(tmp_path, with_truth(tables))
+        campaign_of(tmp_path, add_truth(tables))
     words = str(error.value)
     assert words.count("truth.centrifuge.radius: must be greater than zero") == 1
     assert words.count("truth.site.latitude") == 1
@@ -150,10 +152,10 @@ def test_an_input_that_cannot_be_is_refused_once(tmp_path):
     )
 
 
-def test_a_run_of_another_recorder_is_written_as_it_is_read(tmp_path):
+def test_columns_of_other_recorder_are_written_as_read(tmp_path):
     other = 'records = { recorder = "B", time = { column = "t", unit = "ms" } }'
     own = changed(STEADY, ('record = "slow.csv"', f'record = "slow.csv"\n{other}'))
-    columns = columns_of(tmp_path, own)
+    columns = simulate_columns(tmp_path, own)
     assert columns["t"][-1] == pytest.approx(1000.0 * 80.0)
     files = simulate(campaign_of(tmp_path, own), tmp_path / "out")
     assert files[0].read_text().startswith("t,angle_rad,east_m,north_m")

@@ -22,20 +22,20 @@ SILENT = changed(without(SMALL, "truth.noise"), ('[noise]\ndisplacement = "0.01 
 RECORDS = ("slow.csv", "middle.csv", "fast.csv")
 
 
-def columns_of(folder, text, run=0, seed=0):
+def simulate_columns(folder, text, run=0, seed=0):
     campaign = campaign_of(folder, text)
     return campaign, simulate_run(campaign, campaign.runs[run], np.random.default_rng(seed))
 
 
-def contents(folder):
+def file_contents(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 # --- what is recorded -----------------------------------------------------------------------------
 
 
-def test_without_noise_the_record_is_what_the_error_model_says(tmp_path):
-    campaign, columns = columns_of(tmp_path, SILENT, run=1)
+def test_noise_free_record_matches_error_model(tmp_path):
+    campaign, columns = simulate_columns(tmp_path, SILENT, run=1)
     run = campaign.runs[1]
     time = columns["time_s"]
     assert time.size == 20 * 2 * 20 + 1  # 40 s at 20 Hz, both ends included
@@ -57,33 +57,33 @@ def test_without_noise_the_record_is_what_the_error_model_says(tmp_path):
         np.testing.assert_allclose(columns[column], expected, rtol=0.0, atol=1e-14)
 
 
-def test_columns_are_in_the_units_of_the_campaign(tmp_path):
-    _, si = columns_of(tmp_path, SILENT)
+def test_columns_have_units_of_campaign(tmp_path):
+    _, si = simulate_columns(tmp_path, SILENT)
     text = changed(
         SILENT,
         ('"time_s", unit = "s"', '"time", unit = "ms"'),
         ('"angle_rad", unit = "rad"', '"angle", unit = "deg"'),
         ('"east_m", unit = "m"', '"east", unit = "mm"'),
     )
-    _, scaled = columns_of(tmp_path, text)
+    _, scaled = simulate_columns(tmp_path, text)
     assert list(scaled) == ["time", "angle", "east", "north_m"]
     np.testing.assert_allclose(scaled["time"], 1e3 * si["time_s"], rtol=1e-14)
     np.testing.assert_allclose(scaled["angle"], np.degrees(si["angle_rad"]), rtol=1e-14)
     np.testing.assert_allclose(scaled["east"], 1e3 * si["east_m"], rtol=1e-14)
 
 
-def test_timing_offset_samples_the_angle_later(tmp_path):
+def test_timing_offset_delays_angle_samples(tmp_path):
     text = changed(SILENT, ("[accelerometers.Qx]", 'timing_offset = "2 ms"\n[accelerometers.Qx]'))
-    campaign, columns = columns_of(tmp_path, text)
+    campaign, columns = simulate_columns(tmp_path, text)
     expected = campaign.simulation.truth.runs["slow"].spindle.angle(columns["time_s"] + 2e-3)
     np.testing.assert_array_equal(columns["angle_rad"], expected)
 
 
-def test_noise_has_the_sizes_that_are_stated(tmp_path):
+def test_noise_has_stated_sizes(tmp_path):
     noise = 'displacement = "0.02 m"\nangle = "3e-6 rad"\ntiming = "1e-4 s"'
     text = changed(SILENT, ("[noise]", f"[noise]\n{noise}"), ("= 20\n", "= 200\n"))
-    _, clean = columns_of(tmp_path, changed(SILENT, ("= 20\n", "= 200\n")))
-    _, noisy = columns_of(tmp_path, text)
+    _, clean = simulate_columns(tmp_path, changed(SILENT, ("= 20\n", "= 200\n")))
+    _, noisy = simulate_columns(tmp_path, text)
     n = clean["time_s"].size
     sizes = {"time_s": 1e-4, "angle_rad": 3e-6, "east_m": 0.02, "north_m": 0.02}
     drawn = np.array([(noisy[c] - clean[c]) / size for c, size in sizes.items()])
@@ -92,13 +92,13 @@ def test_noise_has_the_sizes_that_are_stated(tmp_path):
     assert np.abs(np.corrcoef(drawn) - np.eye(4)).max() < 4.5 / math.sqrt(n)
 
 
-def test_accelerometer_noise_walks(tmp_path):
+def test_accelerometer_noise_is_integrated_to_random_walk(tmp_path):
     text = changed(SILENT, ("[noise]", '[noise]\nacceleration = "1e-5 g/Hz^0.5"'))
-    _, clean = columns_of(tmp_path, SILENT)
+    _, clean = simulate_columns(tmp_path, SILENT)
     walk, step = 1e-5 * 9.8066, 0.05
     ends = []
     for seed in range(150):
-        _, noisy = columns_of(tmp_path, text, seed=seed)
+        _, noisy = simulate_columns(tmp_path, text, seed=seed)
         drawn = noisy["east_m"] - clean["east_m"]
         ends.append(drawn[-1])
     assert abs(drawn[0]) < 1e-15
@@ -109,10 +109,10 @@ def test_accelerometer_noise_walks(tmp_path):
     assert np.std(ends) == pytest.approx(expected, rel=4.0 / math.sqrt(2 * 150))
 
 
-def test_displacement_is_quantised_after_its_noise(tmp_path):
+def test_displacement_is_quantised_after_noise(tmp_path):
     text = changed(SILENT, ("[noise]", '[noise]\nquantisation = "1 mm"\ndisplacement = "0.01 m"'))
-    _, clean = columns_of(tmp_path, changed(text, ('quantisation = "1 mm"\n', "")))
-    _, rounded = columns_of(tmp_path, text)
+    _, clean = simulate_columns(tmp_path, changed(text, ('quantisation = "1 mm"\n', "")))
+    _, rounded = simulate_columns(tmp_path, text)
     steps = rounded["east_m"] / 1e-3
     np.testing.assert_allclose(steps, np.round(steps), rtol=0.0, atol=1e-9)
     error = rounded["east_m"] - clean["east_m"]
@@ -120,7 +120,7 @@ def test_displacement_is_quantised_after_its_noise(tmp_path):
     assert error.std() == pytest.approx(1e-3 / math.sqrt(12), rel=0.05)
 
 
-def test_a_run_s_own_truth_and_length_come_first(tmp_path):
+def test_truth_and_length_of_run_take_precedence(tmp_path):
     text = changed(
         SILENT,
         (
@@ -129,11 +129,11 @@ def test_a_run_s_own_truth_and_length_come_first(tmp_path):
             'truth = { drift = "5e-6 1/s", tilt = { north = "10 arcsec" } }',
         ),
     )
-    campaign, columns = columns_of(tmp_path, text)
+    campaign, columns = simulate_columns(tmp_path, text)
     assert columns["time_s"][-1] == 10.0
     spindle, other = (campaign.simulation.truth.runs[run.name].spindle for run in campaign.runs[:2])
     assert (spindle.drift, other.drift) == (5e-6, 1e-6)
-    _, level = columns_of(tmp_path, SILENT)
+    _, level = simulate_columns(tmp_path, SILENT)
     tilt = math.radians(10 / 3600)
     change = columns["east_m"][-1] - level["east_m"][200]
     # -K_I g t^2/2 per radian, beside 5e-6 of drift in R cos(theta).
@@ -143,19 +143,19 @@ def test_a_run_s_own_truth_and_length_come_first(tmp_path):
 # --- files ----------------------------------------------------------------------------------------
 
 
-def test_same_seed_makes_the_same_files_and_another_seed_others(tmp_path):
+def test_files_are_determined_by_seed(tmp_path):
     path = write(tmp_path, SMALL)
     written = simulate(path, tmp_path / "a")
     assert [file.name for file in written] == list(RECORDS)
     simulate(path, tmp_path / "b")
-    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+    assert file_contents(tmp_path / "a") == file_contents(tmp_path / "b")
     assert (tmp_path / "a" / "campaign.toml").read_text(encoding="utf-8") == SMALL
     simulate(write(tmp_path, changed(SMALL, ("seed = 1", "seed = 2"))), tmp_path / "c")
     for name in RECORDS:
         assert (tmp_path / "a" / name).read_bytes() != (tmp_path / "c" / name).read_bytes()
 
 
-def test_adding_or_changing_a_run_changes_no_other(tmp_path):
+def test_changing_run_changes_no_other_run(tmp_path):
     more = '[[runs]]\nname = "more"\nrate = "-1 rev/s"\nrecord = "more.csv"\n\n'
     text = changed(
         SMALL,
@@ -164,14 +164,14 @@ def test_adding_or_changing_a_run_changes_no_other(tmp_path):
     )
     simulate(write(tmp_path, SMALL), tmp_path / "a")
     simulate(write(tmp_path, text), tmp_path / "b")
-    before, after = contents(tmp_path / "a"), contents(tmp_path / "b")
+    before, after = file_contents(tmp_path / "a"), file_contents(tmp_path / "b")
     assert after["middle.csv"] == before["middle.csv"]
     assert after["fast.csv"] == before["fast.csv"]
     assert len(after["slow.csv"]) < 0.5 * len(before["slow.csv"])
     assert after["more.csv"] != before["fast.csv"]
 
 
-def test_runs_of_one_rate_have_their_own_noise(tmp_path):
+def test_runs_of_same_rate_have_independent_noise(tmp_path):
     text = changed(SMALL, ("1 rev/s", "0.5 rev/s"))
     simulate(write(tmp_path, text), tmp_path / "a")
     middle, fast = (pl.read_csv(tmp_path / "a" / name)["east_m"].to_numpy() for name in RECORDS[1:])
@@ -179,7 +179,7 @@ def test_runs_of_one_rate_have_their_own_noise(tmp_path):
     assert apart.std() == pytest.approx(0.01 * math.sqrt(2), rel=0.1)
 
 
-def test_parquet_holds_what_csv_holds_to_the_last_bit(tmp_path):
+def test_parquet_equals_csv_exactly(tmp_path):
     simulate(write(tmp_path, SMALL), tmp_path / "a")
     simulate(write(tmp_path, SMALL.replace(".csv", ".parquet")), tmp_path / "b")
     for name in ("slow", "fast"):
@@ -188,14 +188,14 @@ def test_parquet_holds_what_csv_holds_to_the_last_bit(tmp_path):
         assert csv.equals(pl.read_parquet(tmp_path / "b" / f"{name}.parquet"))
 
 
-def test_records_in_subfolders_stay_there_and_calibrate(tmp_path):
+def test_records_in_subfolders_are_simulated_and_calibrated(tmp_path):
     text = changed(SMALL, ('"slow.csv"', '"data/slow/run.csv"'), ('"fast.csv"', '"data/fast.csv"'))
     written = simulate(write(tmp_path, text), tmp_path / "made")
     assert written[0] == tmp_path / "made" / "data" / "slow" / "run.csv"
     assert set(calibrate(tmp_path / "made", method="two-stage").runs) == {"slow", "middle", "fast"}
 
 
-def test_record_outside_the_campaign_s_folder_is_refused(tmp_path):
+def test_record_outside_campaign_folder_raises(tmp_path):
     outside = tmp_path / "elsewhere" / "run.csv"
     for record in (outside.as_posix(), "../elsewhere/run.csv"):
         path = write(tmp_path / "c", changed(SMALL, ('"slow.csv"', f'"{record}"')))
@@ -206,50 +206,50 @@ def test_record_outside_the_campaign_s_folder_is_refused(tmp_path):
     assert not (tmp_path / "made").exists()
 
 
-def test_simulating_into_its_own_folder_leaves_the_description(tmp_path):
+def test_simulation_into_campaign_folder_preserves_description(tmp_path):
     path = write(tmp_path, SMALL)
     simulate(path, tmp_path)
     assert path.read_text(encoding="utf-8") == SMALL
-    assert sorted(contents(tmp_path)) == sorted(["campaign.toml", *RECORDS])
+    assert sorted(file_contents(tmp_path)) == sorted(["campaign.toml", *RECORDS])
 
 
 # --- what stands in the way -----------------------------------------------------------------------
 
 
-def test_what_is_there_is_not_overwritten_unless_told_to(tmp_path):
+def test_existing_record_requires_overwrite(tmp_path):
     path = write(tmp_path, SMALL)
     there = {"middle.csv": b"an earlier one", "campaign.toml": b"[truth.Qx]"}
     for name, content in there.items():
         write(tmp_path / "made", content.decode(), name)
     with pytest.raises(CounterspinError, match=r"middle\.csv exists; .*`overwrite=True`"):
         simulate(path, tmp_path / "made")
-    assert contents(tmp_path / "made") == there
+    assert file_contents(tmp_path / "made") == there
     simulate(path, tmp_path / "made", overwrite=True)
-    assert not set(there.values()) & set(contents(tmp_path / "made").values())
+    assert not set(there.values()) & set(file_contents(tmp_path / "made").values())
 
 
-def test_a_record_that_nothing_says_to_be_simulated_is_never_overwritten(tmp_path):
+def test_record_of_unknown_origin_is_never_overwritten(tmp_path):
     path = write(tmp_path, SMALL)
     write(tmp_path / "made", "measured", "middle.csv")
     with raises("file-exists", "middle.csv"):
         simulate(path, tmp_path / "made", overwrite=True)
-    assert contents(tmp_path / "made") == {"middle.csv": b"measured"}
+    assert file_contents(tmp_path / "made") == {"middle.csv": b"measured"}
 
 
 @pytest.mark.parametrize("text", ['schema = 1\n[site]\ngravity = "9.8 m/s^2"\n', "no TOML"])
-def test_a_measured_campaign_is_never_overwritten(tmp_path, text):
+def test_measured_campaign_is_never_overwritten(tmp_path, text):
     path = write(tmp_path, SMALL)
     write(tmp_path / "made", text)
     write(tmp_path / "made", "measured", "middle.csv")
     with raises("file-exists", "campaign.toml"):
         simulate(path, tmp_path / "made", overwrite=True)
-    assert contents(tmp_path / "made") == {
+    assert file_contents(tmp_path / "made") == {
         "campaign.toml": text.encode(),
         "middle.csv": b"measured",
     }
 
 
-def test_campaign_without_truth_cannot_be_simulated(tmp_path):
+def test_campaign_without_truth_raises(tmp_path):
     text = SMALL
     for table in ("simulation", "truth.Qx", "truth.Qy", "truth.spindle", "truth.noise"):
         text = without(text, table)
@@ -260,7 +260,7 @@ def test_campaign_without_truth_cannot_be_simulated(tmp_path):
         simulate_run(campaign, campaign.runs[0], np.random.default_rng(0))
 
 
-def test_formats_that_cannot_be_written_are_named_at_once(tmp_path):
+def test_unsupported_formats_raise_together(tmp_path):
     text = changed(SMALL, ("slow.csv", "slow.mat"), ("fast.csv", "fast.h5"))
     with pytest.raises(CampaignError) as info:
         simulate(write(tmp_path, text), tmp_path / "made")
@@ -269,14 +269,14 @@ def test_formats_that_cannot_be_written_are_named_at_once(tmp_path):
     assert not (tmp_path / "made").exists()
 
 
-def test_folder_that_cannot_be_made_is_an_error(tmp_path):
+def test_folder_that_cannot_be_created_raises(tmp_path):
     path = write(tmp_path, SMALL)
     (tmp_path / "file").write_text("x", encoding="utf-8")
     with raises("file-not-writable", "made", "(Not a directory)"):
         simulate(path, tmp_path / "file" / "made")
 
 
-def test_nothing_half_written_is_left(tmp_path, monkeypatch):
+def test_failed_write_leaves_no_partial_file(tmp_path, monkeypatch):
     def full(frame, path):
         path.write_text("time_s,ang", encoding="utf-8")
         raise OSError(28, "No space left on device")
@@ -284,7 +284,7 @@ def test_nothing_half_written_is_left(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "WRITERS", {".csv": full})
     with raises("file-not-writable", "slow.csv", "(No space left"):
         simulate(write(tmp_path, SMALL), tmp_path / "made")
-    assert contents(tmp_path / "made") == {"campaign.toml": SMALL.encode()}
+    assert file_contents(tmp_path / "made") == {"campaign.toml": SMALL.encode()}
     monkeypatch.undo()
     assert len(simulate(tmp_path, tmp_path / "made", overwrite=True)) == 3
 
@@ -293,7 +293,7 @@ def test_command_line(tmp_path, capsys):
     path = write(tmp_path, SMALL)
     assert main(["simulate", str(path), "-o", str(tmp_path / "made")]) == 0
     assert "Wrote 3 files and campaign.toml" in capsys.readouterr().out
-    assert sorted(contents(tmp_path / "made")) == sorted(["campaign.toml", *RECORDS])
+    assert sorted(file_contents(tmp_path / "made")) == sorted(["campaign.toml", *RECORDS])
     assert main(["simulate", str(path), "-o", str(tmp_path / "made")]) == 1
     error = capsys.readouterr().err
     assert error.startswith("counterspin: ")
@@ -304,7 +304,7 @@ def test_command_line(tmp_path, capsys):
     assert "simulation.sampling_rate" in capsys.readouterr().err
 
 
-def test_what_cannot_be_true_is_not_simulated(tmp_path):
+def test_implausible_truth_raises(tmp_path):
     text = changed(SMALL, ('K_II = "2.7e-5 g/g^2"', 'K_II = "27 g/g^2"'))
     text = changed(text, ('[noise]\ndisplacement = "0.01 m"', '[noise]\nquantisation = "estimate"'))
     campaign = write(tmp_path, without(text, "truth.noise"))
@@ -316,7 +316,7 @@ def test_what_cannot_be_true_is_not_simulated(tmp_path):
     assert not (tmp_path / "records").exists()
 
 
-def test_more_rows_than_there_is_room_for(tmp_path):
+def test_excessive_row_count_raises(tmp_path):
     text = changed(SMALL, ('rate = "0.5 rev/s"', 'rate = "1e-6 rad/s"'))
     campaign = write(tmp_path, text)
     with pytest.raises(CampaignError) as caught:
@@ -330,7 +330,7 @@ def test_more_rows_than_there_is_room_for(tmp_path):
 # --- in memory ------------------------------------------------------------------------------------
 
 
-def test_in_memory_is_the_same_as_in_a_folder(tmp_path):
+def test_simulation_in_memory_equals_simulation_in_folder(tmp_path):
     campaign = campaign_of(tmp_path, SMALL)
     simulate(campaign, tmp_path / "made")
     in_memory = simulate(campaign)
@@ -345,7 +345,7 @@ def test_in_memory_is_the_same_as_in_a_folder(tmp_path):
     assert set(found.provenance.in_memory) == set(RECORDS)
 
 
-def test_a_changed_campaign_is_simulated_with_its_changes(tmp_path):
+def test_changed_campaign_is_simulated_with_changes(tmp_path):
     changes = {"truth": {"Qx": {"K_II": "5e-5 g/g^2"}}, "noise": {"displacement": "0.02 m"}}
     campaign = campaign_of(tmp_path, SMALL).change(changes)
     simulate(campaign, tmp_path / "made")
@@ -360,7 +360,7 @@ def test_a_changed_campaign_is_simulated_with_its_changes(tmp_path):
     )
 
 
-def test_another_seed_is_another_record(tmp_path):
+def test_different_seeds_have_independent_noise(tmp_path):
     campaign = campaign_of(tmp_path, SMALL)
     one, other = (simulate(campaign.change({"simulation": {"seed": seed}})) for seed in (1, 2))
     record = one.runs[0].record
@@ -368,7 +368,7 @@ def test_another_seed_is_another_record(tmp_path):
     assert np.std(errors[0] - errors[1]) == pytest.approx(0.01 * math.sqrt(2.0), rel=0.1)
 
 
-def test_a_campaign_without_its_description_is_not_simulated_in_memory(tmp_path):
+def test_campaign_without_description_raises_in_memory(tmp_path):
     campaign = replace(campaign_of(tmp_path, SMALL), title="other")
     with pytest.raises(CounterspinError, match="its description is unknown"):
         simulate(campaign)

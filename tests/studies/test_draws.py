@@ -74,7 +74,7 @@ CLOSED_FORMS = [
 @pytest.mark.slow
 @pytest.mark.parametrize("analysis", [JOINT, TWO_STAGE], ids=["joint", "two-stage"])
 @pytest.mark.parametrize(("name", "true", "shifts"), CLOSED_FORMS)
-def test_every_engine_finds_what_another_input_does(tmp_path, name, true, shifts, analysis):
+def test_engines_agree_on_effect_of_true_input(tmp_path, name, true, shifts, analysis):
     text = PLAN + analysis
     found, u = {}, {}
     for engine in ("auto", "full"):
@@ -94,7 +94,7 @@ def test_every_engine_finds_what_another_input_does(tmp_path, name, true, shifts
         assert found["full"][symbol] == pytest.approx(fast, abs=bound), symbol
 
 
-def test_a_tilt_is_seen_with_the_scale_factor(tmp_path):
+def test_tilt_is_multiplied_by_scale_factor(tmp_path):
     text = changed(PLAN, ('K_I = "1.001 g/g"', 'K_I = "1.05 g/g"')) + TWO_STAGE
     tilted = text + varied(**{"platform.tilt.north": "3 arcsec"})
     for engine in ("auto", "full"):
@@ -121,7 +121,7 @@ TWO_CLOCKS = changed(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("text", [UNCERTAIN, TWO_CLOCKS], ids=["one clock", "two clocks"])
-def test_what_is_stated_of_inputs_is_covered(tmp_path, text):
+def test_stated_input_uncertainties_have_coverage(tmp_path, text):
     n = 200_000 if FULL else 20_000
     folder = write(tmp_path / "campaign", text + JOINT)
     result = study(folder, trials=n)
@@ -149,7 +149,7 @@ def test_what_is_stated_of_inputs_is_covered(tmp_path, text):
         assert found.sd / found.u == pytest.approx(1.0, abs=0.64)
 
 
-def test_each_recorder_may_have_its_own_clock(tmp_path):
+def test_recorders_may_have_separate_clocks(tmp_path):
     text = changed(TWO_CLOCKS, ("[records]", '[records]\nrecorder = "A"')) + JOINT
     vary = '[study.vary.B]\nrecords.clock = { fixed = "7 ppm" }\n'
     vary += '[study.vary.A]\nrecords.clock = { fixed = "0 ppm" }'
@@ -167,7 +167,7 @@ def test_each_recorder_may_have_its_own_clock(tmp_path):
     assert truth.draw(random_stream(3, 0, 0), 2).inputs["", "records.clock"].any()
 
 
-def test_the_inputs_of_a_response_vary_by_accelerometer_where_they_are_stated(tmp_path):
+def test_response_inputs_vary_by_accelerometer(tmp_path):
     stated = '[accelerometers.Qx]\nnatural_frequency = "400 ± 20 Hz"\ndamping = "0.7 ± 0.1"\n'
     text = changed(UNCERTAIN, ("[accelerometers.Qx]\n", stated)) + JOINT
     vary = '[study.vary]\n"Qx.sensor.damping" = { fixed = "0.6 1" }\n'
@@ -181,7 +181,7 @@ def test_the_inputs_of_a_response_vary_by_accelerometer_where_they_are_stated(tm
         make_setup(campaign)
 
 
-def test_an_input_far_from_what_is_stated_needs_full_records(tmp_path):
+def test_large_input_deviation_requires_full_records(tmp_path):
     """K_II goes as the square of the radius: 4 % of it are 30 of its u."""
     text = changed(UNCERTAIN, ("± 2.5e-4 m", "± 0.1 m")) + JOINT
     result = study(write(tmp_path, text), trials=2)
@@ -199,7 +199,7 @@ def test_an_input_far_from_what_is_stated_needs_full_records(tmp_path):
         ('"C.records.clock" = { fixed = "1 ppm" }', "does not apply to any record or reading here"),
     ],
 )
-def test_an_input_that_cannot_vary_so_is_refused(tmp_path, vary, words):
+def test_invalid_variation_of_input_raises(tmp_path, vary, words):
     with pytest.raises(CampaignError, match=re.escape(words)):
         read_study(write(tmp_path, f"{PLAN}{JOINT}[study.vary]\n{vary}\n"))
 
@@ -212,7 +212,7 @@ def on_the_arm(rate, unit):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("unit", ["g", "m/s^2"])
-def test_readings_on_the_arm_have_the_inputs_of_each_trial(tmp_path, unit):
+def test_arm_readings_use_inputs_of_trial(tmp_path, unit):
     """In g, K_I is known to radius and gravity; in m/s^2 to the radius alone."""
     text = """
 schema = 1

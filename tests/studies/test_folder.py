@@ -30,7 +30,7 @@ def stop(done, _):
 
 
 @pytest.fixture(scope="module", autouse=True)
-def one_batch_a_task():
+def single_batch_tasks():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(batch_runner, "_TASK_DURATION", 0.0)
         yield
@@ -44,15 +44,15 @@ def campaign(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def whole(campaign, tmp_path_factory):
-    """The study without an interruption: result and trials."""
+def uninterrupted_study(campaign, tmp_path_factory):
+    """Return result and trials of the uninterrupted study."""
     out = tmp_path_factory.mktemp("whole") / "out"
     result = study(campaign, trials=TRIALS, output=StudyFolder(out, keep_trials=True))
     return result, pl.read_parquet(out / "trials.parquet")
 
 
 @pytest.fixture(scope="module")
-def interrupted(campaign, tmp_path_factory):
+def interrupted_folder(campaign, tmp_path_factory):
     out = tmp_path_factory.mktemp("interrupted") / "out"
     result = study(
         campaign, trials=TRIALS, output=StudyFolder(out, keep_trials=True), progress=stop
@@ -62,12 +62,12 @@ def interrupted(campaign, tmp_path_factory):
 
 
 @pytest.fixture
-def begun(interrupted, tmp_path):
-    """A folder with a study that was begun, to be damaged."""
-    return shutil.copytree(interrupted, tmp_path / "out")
+def unfinished_folder(interrupted_folder, tmp_path):
+    """Return a copy of the folder of an unfinished study that tests may damage."""
+    return shutil.copytree(interrupted_folder, tmp_path / "out")
 
 
-def resumed(campaign, folder):
+def resume_study(campaign, folder):
     """Resume the study; returns the trials that did not have to be done again."""
     kept = []
     result = study(
@@ -79,9 +79,9 @@ def resumed(campaign, folder):
     return result, pl.read_parquet(folder / "trials.parquet"), kept[0]
 
 
-def assert_whole(outcome, whole):
-    assert outcome[0] == whole[0]
-    assert outcome[1].equals(whole[1])
+def assert_complete(outcome, uninterrupted_study):
+    assert outcome[0] == uninterrupted_study[0]
+    assert outcome[1].equals(uninterrupted_study[1])
 
 
 # Kills
@@ -92,7 +92,9 @@ class KilledError(BaseException):
 
 
 @pytest.mark.parametrize("writes", [1, 2])
-def test_a_study_killed_while_it_saves_goes_on(campaign, tmp_path, monkeypatch, whole, writes):
+def test_study_killed_during_save_resumes(
+    campaign, tmp_path, monkeypatch, uninterrupted_study, writes
+):
     written = []
 
     def write(path, content, **more):
@@ -105,35 +107,37 @@ def test_a_study_killed_while_it_saves_goes_on(campaign, tmp_path, monkeypatch, 
     with pytest.raises(KilledError):
         study(campaign, trials=TRIALS, output=StudyFolder(tmp_path / "out", keep_trials=True))
     monkeypatch.undo()
-    assert_whole(resumed(campaign, tmp_path / "out"), whole)
+    assert_complete(resume_study(campaign, tmp_path / "out"), uninterrupted_study)
 
 
 # Damage
 
 
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.5, 0.9, 0.999])
-def test_progress_that_is_cut_short_is_told_and_the_study_done_anew(campaign, begun, whole, share):
-    file = begun / "progress.npz"
+def test_truncated_progress_restarts_study(campaign, unfinished_folder, uninterrupted_study, share):
+    file = unfinished_folder / "progress.npz"
     content = file.read_bytes()
     file.write_bytes(content[: int(share * len(content))])
     with pytest.warns(CounterspinWarning, match=r"progress\.npz is damaged"):
-        outcome = resumed(campaign, begun)
+        outcome = resume_study(campaign, unfinished_folder)
     assert outcome[2] == 0
-    assert_whole(outcome, whole)
+    assert_complete(outcome, uninterrupted_study)
 
 
 @pytest.mark.slow
-def test_flipped_bits_in_the_progress_are_never_taken_over(campaign, interrupted, tmp_path, whole):
+def test_corrupted_progress_is_never_used(
+    campaign, interrupted_folder, tmp_path, uninterrupted_study
+):
     generator = np.random.default_rng(7)
-    content = (interrupted / "progress.npz").read_bytes()
+    content = (interrupted_folder / "progress.npz").read_bytes()
     for trial in range(12):
-        folder = shutil.copytree(interrupted, tmp_path / str(trial))
+        folder = shutil.copytree(interrupted_folder, tmp_path / str(trial))
         damaged = bytearray(content)
         damaged[generator.integers(len(content))] ^= 1 << generator.integers(8)
         (folder / "progress.npz").write_bytes(damaged)
         # Told, refused as another study's, or harmless: never taken over.
         with suppress(CounterspinWarning, CounterspinError):
-            assert_whole(resumed(campaign, folder), whole)
+            assert_complete(resume_study(campaign, folder), uninterrupted_study)
 
 
 @pytest.mark.slow
@@ -149,19 +153,19 @@ def test_flipped_bits_in_the_progress_are_never_taken_over(campaign, interrupted
         {"sums": np.array(["a", None], dtype=object)},
     ],
 )
-def test_progress_that_does_not_fit_is_told(campaign, begun, whole, change):
-    with np.load(begun / "progress.npz") as kept:
-        arrays = dict(kept) | change
-    np.savez(begun / "progress.npz", **arrays)
-    with pytest.warns(CounterspinWarning, match="starts again from the beginning"):
-        outcome = resumed(campaign, begun)
-    assert_whole(outcome, whole)
-
-
-def test_parts_that_are_damaged_missing_or_of_another_study_are_done_again(
-    campaign, begun, whole, tmp_path
+def test_inconsistent_progress_is_reported(
+    campaign, unfinished_folder, uninterrupted_study, change
 ):
-    parts = sorted((begun / "progress").iterdir())
+    with np.load(unfinished_folder / "progress.npz") as kept:
+        arrays = dict(kept) | change
+    np.savez(unfinished_folder / "progress.npz", **arrays)
+    with pytest.warns(CounterspinWarning, match="starts again from the beginning"):
+        outcome = resume_study(campaign, unfinished_folder)
+    assert_complete(outcome, uninterrupted_study)
+
+
+def test_invalid_chunks_are_recomputed(campaign, unfinished_folder, uninterrupted_study, tmp_path):
+    parts = sorted((unfinished_folder / "progress").iterdir())
     assert len(parts) >= 2
     other = tmp_path / "other"
     study(
@@ -182,35 +186,42 @@ def test_parts_that_are_damaged_missing_or_of_another_study_are_done_again(
         part.unlink()
         lost += 1
     with pytest.warns(CounterspinWarning, match=rf"{lost} of {len(parts)} files are missing, dam"):
-        outcome = resumed(campaign, begun)
+        outcome = resume_study(campaign, unfinished_folder)
     assert outcome[2] == 0
-    assert_whole(outcome, whole)
+    assert_complete(outcome, uninterrupted_study)
 
 
-def test_what_is_whole_is_not_done_again(campaign, begun, whole):
-    outcome = resumed(campaign, begun)
+def test_valid_chunks_are_not_recomputed(campaign, unfinished_folder, uninterrupted_study):
+    outcome = resume_study(campaign, unfinished_folder)
     assert outcome[2] >= 16_000
-    assert_whole(outcome, whole)
-    assert sorted(path.name for path in begun.iterdir()) == ["study.json", "trials.parquet"]
+    assert_complete(outcome, uninterrupted_study)
+    assert sorted(path.name for path in unfinished_folder.iterdir()) == [
+        "study.json",
+        "trials.parquet",
+    ]
 
 
 # Nothing is lost
 
 
-def test_begun_study_is_not_begun_anew_by_a_slip(campaign, begun, whole, capsys):
-    (begun / "study.json").unlink()
-    before = {path: path.read_bytes() for path in begun.rglob("*") if path.is_file()}
+def test_unfinished_study_requires_resume_or_overwrite(
+    campaign, unfinished_folder, uninterrupted_study, capsys
+):
+    (unfinished_folder / "study.json").unlink()
+    before = {path: path.read_bytes() for path in unfinished_folder.rglob("*") if path.is_file()}
     with raises("study-unfinished"):
-        study(campaign, trials=TRIALS, output=begun)
-    assert main(["study", str(campaign), "-o", str(begun)]) == 1
+        study(campaign, trials=TRIALS, output=unfinished_folder)
+    assert main(["study", str(campaign), "-o", str(unfinished_folder)]) == 1
     assert "discard it with --overwrite" in " ".join(capsys.readouterr().err.split())
-    assert {path: path.read_bytes() for path in begun.rglob("*") if path.is_file()} == before
-    folder = StudyFolder(begun, overwrite=True)
-    assert study(campaign, trials=TRIALS, output=folder) == whole[0]
-    assert {path.name for path in begun.iterdir()} <= {"study.json", "trials.parquet"}
+    assert {
+        path: path.read_bytes() for path in unfinished_folder.rglob("*") if path.is_file()
+    } == before
+    folder = StudyFolder(unfinished_folder, overwrite=True)
+    assert study(campaign, trials=TRIALS, output=folder) == uninterrupted_study[0]
+    assert {path.name for path in unfinished_folder.iterdir()} <= {"study.json", "trials.parquet"}
 
 
-def test_earlier_result_is_replaced_only_if_that_is_asked_for(campaign, tmp_path):
+def test_existing_result_requires_overwrite(campaign, tmp_path):
     out = tmp_path / "out"
     study(campaign, trials=100, output=out)
     before = (out / "study.json").read_bytes()
@@ -222,7 +233,7 @@ def test_earlier_result_is_replaced_only_if_that_is_asked_for(campaign, tmp_path
 
 
 @pytest.mark.parametrize("name", ["study.json", "trials.parquet", "z.svg", "coverage.svg"])
-def test_files_of_somebody_else_are_not_replaced(campaign, tmp_path, name):
+def test_foreign_files_are_not_replaced(campaign, tmp_path, name):
     (tmp_path / name).write_text("mine")
     for overwrite in (False, True):
         with pytest.raises(CounterspinError, match="is not"):
@@ -230,7 +241,7 @@ def test_files_of_somebody_else_are_not_replaced(campaign, tmp_path, name):
     assert (tmp_path / name).read_text() == "mine"
 
 
-def test_trials_of_somebody_else_beside_a_study_are_not_replaced(campaign, tmp_path):
+def test_foreign_trials_file_is_not_replaced(campaign, tmp_path):
     folder = StudyFolder(tmp_path, keep_trials=True, overwrite=True)
     for _ in range(2):
         study(campaign, trials=100, output=folder)
@@ -244,14 +255,14 @@ def test_trials_of_somebody_else_beside_a_study_are_not_replaced(campaign, tmp_p
 
 
 @pytest.mark.parametrize("name", ["z.svg", "bias-platform.svg"])
-def test_a_study_is_not_gone_on_with_over_somebody_elses_figure(campaign, begun, name):
-    (begun / name).write_text("mine")
+def test_foreign_figure_prevents_resuming(campaign, unfinished_folder, name):
+    (unfinished_folder / name).write_text("mine")
     with raises("file-exists", "figure of a study"):
-        resumed(campaign, begun)
-    assert (begun / name).read_text() == "mine"
+        resume_study(campaign, unfinished_folder)
+    assert (unfinished_folder / name).read_text() == "mine"
 
 
-def test_options_of_the_folder_need_one(campaign, capsys):
+def test_folder_options_require_folder(campaign, capsys):
     for option in ("--keep-trials", "--resume"):
         assert main(["study", str(campaign), option]) == 1
         assert f"{option} needs the folder " in capsys.readouterr().err
@@ -260,7 +271,7 @@ def test_options_of_the_folder_need_one(campaign, capsys):
 # Patience
 
 
-def test_study_that_takes_long_says_so_first(campaign, monkeypatch, capsys):
+def test_long_study_prints_time_estimate(campaign, monkeypatch, capsys):
     monkeypatch.setattr(study_module, "expected_duration", lambda engine, trials: 0.8 * trials)
     said = []
     monkeypatch.setattr(study_module, "run_batches", lambda *_, **__: said.append(1) or 1 / 0)

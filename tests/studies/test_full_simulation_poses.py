@@ -27,7 +27,7 @@ def _campaign(folder, count=24, noise="0.3 mg", u=None):
     return folder
 
 
-def test_trials_scatter_as_u_says(tmp_path):
+def test_scatter_of_trials_matches_u(tmp_path):
     trials = 50
     result = cs.study(_campaign(tmp_path / "poses"), trials=trials, seed=2)
     (analysis,) = result.analyses.values()
@@ -37,7 +37,7 @@ def test_trials_scatter_as_u_says(tmp_path):
     assert abs(found.bias) < 4.0 * found.sd / np.sqrt(trials)
 
 
-def test_a_forecast_is_what_a_calibration_says(tmp_path):
+def test_forecast_matches_calibration(tmp_path):
     folder = _campaign(tmp_path / "poses", noise=None, u="0.3")
     cs.simulate(folder, tmp_path / "made")
     result = cs.calibrate(tmp_path / "made")

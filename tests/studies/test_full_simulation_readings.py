@@ -119,13 +119,13 @@ def described(folder, *parts):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STUDIES)
-def test_estimates_are_unbiased_and_intervals_hold_the_truth(tmp_path, name):
+def test_estimates_are_unbiased_and_intervals_have_coverage(tmp_path, name):
     """All bounds together fail by chance once in some thousand changes of the random numbers."""
     result = study(described(tmp_path, *STUDIES[name]), trials=TRIALS, seed=5)
-    holds_the_truth(result.analyses["joint"], "readings")
+    check_coverage(result.analyses["joint"], "readings")
 
 
-def test_what_nobody_states_of_readings_is_covered(tmp_path):
+def test_default_priors_of_readings_have_coverage(tmp_path):
     text = AT_REST.replace('assume = "all"\n', "").partition("[study.vary]")[0]
     folder = described(tmp_path, text.replace('considered = ["head.zero", "K_PP"]\n', ""), tumble())
     drawn = {v.symbol for v in read_study(folder).varying}
@@ -133,10 +133,10 @@ def test_what_nobody_states_of_readings_is_covered(tmp_path):
     assert {"head.zero", "K_PP"} <= drawn  # stated
     assert "K_II" not in drawn  # asked for
     result = study(folder, trials=TRIALS, seed=5)
-    holds_the_truth(result.analyses["joint"], "readings")
+    check_coverage(result.analyses["joint"], "readings")
 
 
-def holds_the_truth(analysis, engine):
+def check_coverage(analysis, engine):
     """Check bias, both intervals and efficiency of the coefficients, each by its own scatter."""
     assert analysis.engine == engine
     assert {"A.K_F", "A.K_I", "A.K_II"} <= set(analysis.coefficients)
@@ -151,7 +151,7 @@ def holds_the_truth(analysis, engine):
         )
 
 
-def beside_records(folder, varying):
+def describe_records_and_readings(folder, varying):
     """Describe records of a double turntable with readings at rest and on the arm beside them."""
     resting = "".join(
         at_rest(f"rest {angle}", f"{angle} deg about north", "? ± 2.5e-6 mA")
@@ -174,20 +174,20 @@ TILTED = "[study.vary]\n" + "".join(
 )
 
 
-def test_records_and_readings_of_one_accelerometer(tmp_path):
+def test_records_and_readings_of_same_accelerometer_have_coverage(tmp_path):
     """The tilt that the records share with nothing at rest or on the arm varies as it is known."""
-    beside_records(tmp_path, TILTED)
+    describe_records_and_readings(tmp_path, TILTED)
     result = study(tmp_path, trials=max(TRIALS // 3, 20), seed=5)
-    holds_the_truth(result.analyses["joint"], "full records and readings")
+    check_coverage(result.analyses["joint"], "full records and readings")
 
 
-def test_noise_that_varies_is_that_of_the_records_beside_readings_too(tmp_path):
-    """A hundred times what the analysis assumes, from the same random numbers."""
+def test_varying_noise_applies_to_records_beside_readings(tmp_path):
+    """The true noise is a hundred times the assumed noise, with the same random numbers."""
     noisy = TILTED + '"noise.displacement" = { fixed = "0.1 m" }\n'
     trials = [
-        prepare_study(read_study(beside_records(tmp_path / name, varying)), 5).run_batch(
-            0, 1, keep=True
-        )
+        prepare_study(
+            read_study(describe_records_and_readings(tmp_path / name, varying)), 5
+        ).run_batch(0, 1, keep=True)
         for name, varying in (("stated", TILTED), ("varied", noisy))
     ]
     (truth, estimate, u), (_, varied, _) = (values[:, :, 0].T for _, values in trials)
@@ -195,7 +195,7 @@ def test_noise_that_varies_is_that_of_the_records_beside_readings_too(tmp_path):
     assert np.max(np.abs(varied - truth) / u) > 5.0
 
 
-def test_a_trial_claims_what_a_calibration_claims(tmp_path):
+def test_u_of_trial_matches_calibration(tmp_path):
     parts = STUDIES["both, noise stated"]
     folder = described(tmp_path / "own", *parts)
     result = cs.study(folder, trials=8)
@@ -209,7 +209,7 @@ def test_a_trial_claims_what_a_calibration_claims(tmp_path):
     assert radius.unit == "m"
 
 
-def test_records_of_readings_have_the_uncertainty_of_their_mean(tmp_path):
+def test_record_readings_have_u_of_mean(tmp_path):
     """White noise of 20 Hz over 100 s: the mean's standard deviation is the sample's over 44.7."""
     record = (
         '[[runs]]\nname = "rest"\nmotion = "static"\nattitude = "level"\n'
@@ -226,7 +226,7 @@ def test_records_of_readings_have_the_uncertainty_of_their_mean(tmp_path):
     assert coefficient.bound == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_radius_of_the_machine_may_vary(tmp_path):
+def test_machine_radius_may_vary(tmp_path):
     vary = (
         '[model]\nassume = "all"\nterms = ["K_I"]\n'
         '[study.vary]\n"centrifuge.radius" = { fixed = "1.001 m" }\n'
@@ -238,14 +238,14 @@ def test_the_radius_of_the_machine_may_vary(tmp_path):
     assert not coefficient.trustworthy
 
 
-def test_what_readings_do_not_determine_is_named(tmp_path):
+def test_undetermined_coefficients_are_named(tmp_path):
     text = '[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II", "delta_O"]\n'
     (tmp_path / "campaign.toml").write_text(HEAD + text + tumble(), encoding="utf-8")
     analysis = study(tmp_path, trials=2).analyses["joint"]
     assert analysis.undetermined == ["A.K_II"]
 
 
-def test_a_trial_is_the_same_whoever_makes_it(tmp_path):
+def test_trial_does_not_depend_on_worker(tmp_path):
     parts = STUDIES["arm, noise estimated"]
     engine = prepare_study(read_study(described(tmp_path, *parts)), 7)
     one, again = engine.run_batch(3, 5, keep=True), engine.run_batch(3, 5, keep=True)
@@ -270,7 +270,7 @@ SLIPS = {
 
 
 @pytest.mark.parametrize("slip", SLIPS)
-def test_each_slip_is_told(tmp_path, slip):
+def test_invalid_study_raises(tmp_path, slip):
     more, message = SLIPS[slip]
     runs = arm("") if slip == "no noise" else arm()
     model = '[model]\nassume = "all"\nterms = ["K_F", "K_I"]\n'
@@ -279,7 +279,7 @@ def test_each_slip_is_told(tmp_path, slip):
     assert any(message in line for line in caught.value.problems), caught.value.problems
 
 
-def test_engines_of_records_are_refused(tmp_path):
+def test_linear_engine_raises_for_readings(tmp_path):
     described(tmp_path, *STUDIES["arm, noise stated"])
     with raises("method-not-applicable", '`engine="linear"`'):
         study(tmp_path, engine="linear")

@@ -9,7 +9,7 @@ from counterspin.studies.study import study
 
 
 @pytest.mark.parametrize("trials", [4, MIN_TRIALS - 1])
-def test_too_few_trials_are_not_judged(tmp_path, trials):
+def test_too_few_trials_have_no_verdict(tmp_path, trials):
     """At 4 trials of 4, of 3 and of 2 the intervals of every analysis hold 95 %, or may."""
     result = study(write(tmp_path, SMALL), trials=trials)
     assert {one.trustworthy for one in result.analyses.values()} == {None}
@@ -27,7 +27,7 @@ def test_too_few_trials_are_not_judged(tmp_path, trials):
     assert styles.count("warning") == 1
 
 
-def test_a_study_that_was_stopped_is_judged_by_the_trials_done(tmp_path):
+def test_interrupted_study_has_verdict_of_completed_trials(tmp_path):
     def stop(done, _):
         if done:
             raise KeyboardInterrupt
@@ -40,7 +40,7 @@ def test_a_study_that_was_stopped_is_judged_by_the_trials_done(tmp_path):
     assert result.verdict[0].startswith(f"{result.trials} trials are too few")
 
 
-def test_enough_trials_are_judged(tmp_path):
+def test_enough_trials_have_verdict(tmp_path):
     result = study(write(tmp_path, SMALL), trials=MIN_TRIALS)
     assert None not in {one.trustworthy for one in result.analyses.values()}
     assert "too few" not in " ".join(result.verdict)

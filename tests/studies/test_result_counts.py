@@ -16,7 +16,7 @@ from counterspin.studies.result import (
 )
 
 
-def test_batches_put_together_are_the_trials_at_once():
+def test_merged_batches_match_all_trials():
     rng = np.random.default_rng(5)
     estimate, truth = rng.normal(3.0, 1e-3, 5000), rng.normal(2.0, 1e-4, 5000)
     u, dof = np.full(5000, 1.1e-3), np.full(5000, np.inf)
@@ -45,7 +45,7 @@ def test_batches_put_together_are_the_trials_at_once():
     assert bias[0] == pytest.approx(error[low].mean(), rel=1e-12)
 
 
-def test_coverage_with_degrees_of_freedom_of_each_trial():
+def test_coverage_uses_degrees_of_freedom_per_trial():
     rng = np.random.default_rng(6)
     z, dof = 3.0 * rng.standard_normal(20_000), rng.uniform(3.0, 60.0, 20_000)
     kept = TrialAccumulator(()).accumulate(z, np.zeros_like(z), np.ones_like(z), dof, [])
@@ -58,13 +58,13 @@ def test_coverage_with_degrees_of_freedom_of_each_trial():
 
 @pytest.mark.parametrize("dof", [3.0, 20.0, 291.0, np.inf])
 @pytest.mark.parametrize("level", LEVELS)
-def test_coverage_factor_is_student_s(dof, level):
+def test_coverage_factor_matches_student_t(dof, level):
     expected = stats.t.ppf(0.5 + level / 2, dof)
     assert coverage_factor(np.array([dof]), level)[0] == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize(("hits", "trials"), [(0, 50), (50, 50), (17, 50), (9500, 10000)])
-def test_binomial_interval_is_clopper_and_pearson_s(hits, trials):
+def test_binomial_interval_matches_clopper_pearson(hits, trials):
     expected = stats.binomtest(hits, trials).proportion_ci(0.95, method="exact")
     assert binomial_interval(hits, trials) == pytest.approx((expected.low, expected.high), rel=1e-9)
 
@@ -74,7 +74,7 @@ def truth(*varying):
     return StudyTruth(fixed, (Spindle(1.0), Spindle(2.0)), {}, {}, 0.01, varying)
 
 
-def test_distributions_are_what_they_say():
+def test_draws_follow_stated_distributions():
     varying = (
         VariedQuantity("Qx", "K_II", "normal", 1e-5, 1e-6),
         VariedQuantity("", DRIFT, "uniform", -1e-7, 3e-7, per_run=True),
@@ -88,7 +88,7 @@ def test_distributions_are_what_they_say():
     assert abs(np.corrcoef(draws.drift)[0, 1]) < 0.07
 
 
-def test_streams_are_told_apart_by_batch_and_purpose():
+def test_random_streams_differ_by_batch_and_purpose():
     first = [random_stream(1, b, w).random() for b in (0, 1) for w in (0, 1)]
     assert len(set(first)) == 4
     assert random_stream(1, 1, 0).random() == first[2]

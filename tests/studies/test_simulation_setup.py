@@ -6,7 +6,7 @@ from raising import raises
 from counterspin.studies.study import study
 
 
-def test_a_trial_of_too_few_samples_is_refused(tmp_path):
+def test_trial_with_too_few_samples_raises(tmp_path):
     text = SMALL.replace('sampling_rate = "20 Hz"', 'sampling_rate = "1e-3 Hz"')
     with raises("not-simulable", "runs[0]:", "80 s", "0.001 Hz"):
         study(write(tmp_path, text), trials=2)

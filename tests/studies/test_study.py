@@ -78,7 +78,7 @@ def coefficient(result, analysis, name):
 # What it finds
 
 
-def test_paper_s_plan_exact_unbiased_and_as_printed_half_the_truth(paper):
+def test_paper_plan_is_unbiased_and_as_printed_method_is_half(paper):
     n = 10_000_000 if FULL else 200_000
     result = study(paper, trials=n)
     exact = coefficient(result, "two-stage", "Qx.K_II")
@@ -122,8 +122,8 @@ def engines(folder, *names):
     ]
 
 
-def test_linear_trials_follow_whole_records(tmp_path):
-    """Without noise, in trials other than those that the engine was compared with."""
+def test_linear_trials_match_full_records(tmp_path):
+    """Compare noise-free trials that the engine did not use for its own comparison."""
     analyses = VARYING[: VARYING.index("[study.analyses")] + (
         '[study.analyses.exact]\nmethod = "two-stage"\n'
         '[study.analyses.printed]\nmethod = "two-stage"\nmodel = "as-printed"\n'
@@ -152,7 +152,7 @@ def chi_square_bounds(n):
     return stats.chi2.ppf([5e-4, 1.0 - 5e-4], n)
 
 
-def test_records_of_velocity_are_studied(tmp_path):
+def test_velocity_records_have_coverage(tmp_path):
     text = with_observable(SHORT.replace('assume = "all" ', "# "), "velocity", "m/s", "0.01 m/s")
     folder = write(tmp_path / "a", text)
     n, few = 4000, 8
@@ -171,7 +171,7 @@ def test_records_of_velocity_are_studied(tmp_path):
 
 
 @pytest.mark.parametrize(("unit", "noise"), [("m/s^2", "0.01 m/s^2"), ("g", "1 mg")])
-def test_records_of_specific_force_are_studied(tmp_path, unit, noise):
+def test_specific_force_records_have_coverage(tmp_path, unit, noise):
     """Whole records scatter as u states: the sum of squares of a few trials is a chi-square."""
     text = with_observable(SHORT.replace('assume = "all" ', "# "), "specific_force", unit, noise)
     few = 8
@@ -182,7 +182,7 @@ def test_records_of_specific_force_are_studied(tmp_path, unit, noise):
         assert low < few * c.mse / c.u**2 < high
 
 
-def test_the_two_stage_method_needs_records_of_displacement(tmp_path):
+def test_two_stage_method_requires_displacement(tmp_path):
     text = with_observable(SHORT, "velocity", "m/s", "0.01 m/s")
     text += '[study.analyses.old]\nmethod = "two-stage"\n'
     with raises("method-not-applicable"):
@@ -190,7 +190,7 @@ def test_the_two_stage_method_needs_records_of_displacement(tmp_path):
 
 
 @pytest.mark.slow
-def test_sufficient_statistics_are_distributed_as_whole_records(tmp_path):
+def test_sufficient_statistics_have_distribution_of_full_records(tmp_path):
     joint = '[study.analyses.joint]\nmethod = "joint"\n'
     varying = '[study.vary]\n"platform.tilt.north" = { normal = "0 ± 3 arcsec", per = "run" }\n'
     analyses = VARYING[VARYING.index("[study.analyses.exact]") :]
@@ -226,7 +226,7 @@ _FAR = '[study.vary]\ncentrifuge.radius = { normal = "2.5 ± 0.1 m" }\n'
         (("[truth.noise]", _FAR + "[truth.noise]"), "not linear"),
     ],
 )
-def test_the_linear_engine_refuses_outside_its_validity(tmp_path, change, reason):
+def test_linear_engine_raises_outside_validity(tmp_path, change, reason):
     folder = write(tmp_path / "a", change[1].join(PAPER.rsplit(change[0], 1)))
     description = read_study(folder)
     setup, truth = setup_and_truth(description)
@@ -237,7 +237,7 @@ def test_the_linear_engine_refuses_outside_its_validity(tmp_path, change, reason
 
 
 @pytest.mark.parametrize("engine", ["auto", "full"])
-def test_uncertain_gravity_and_radius_are_in_u_as_calibrate_has_them(tmp_path, engine):
+def test_u_includes_gravity_and_radius_like_calibration(tmp_path, engine):
     analysis = '[study.analyses.exact]\nmethod = "two-stage"\n'
     # A prior of K_F would hold it against what another gravity makes of b2.
     sure = SHORT.replace('bias = "0.004 ± 2e-6 g"', "")
@@ -256,7 +256,7 @@ def test_uncertain_gravity_and_radius_are_in_u_as_calibrate_has_them(tmp_path, e
     assert np.sqrt(found.u**2 - without.u**2)[:, 0] == pytest.approx(expected, rel=3e-6)
 
 
-def test_both_engines_hold_a_prior_of_the_bias_against_another_gravity(tmp_path):
+def test_engines_combine_bias_prior_with_wrong_gravity(tmp_path):
     analysis = '[study.analyses.exact]\nmethod = "two-stage"\n'
     said = []
     for engine in ("auto", "full"):
@@ -295,7 +295,7 @@ def two_stage_part(folder, noise):
         ('timing = "1e-3 s"', "recorded time assumed in the analysis"),
     ],
 )
-def test_analysis_that_assumes_other_noise_than_white_needs_whole_records(tmp_path, noise, reason):
+def test_coloured_noise_requires_full_records(tmp_path, noise, reason):
     _, truth, part = two_stage_part(tmp_path / "a", f'[noise]\ndisplacement = "0.01 m"\n{noise}')
     assert part.cost_class == "full"
     assert reason in part.description
@@ -313,7 +313,7 @@ def test_analysis_that_assumes_other_noise_than_white_needs_whole_records(tmp_pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["two-stage", "joint"])
-def test_time_stamps_that_scatter_move_angle_and_output_together(tmp_path, method):
+def test_time_jitter_shifts_angle_and_output_together(tmp_path, method):
     """By 1 ms, at which the output alone would have 1.6 times its noise at the fastest rate."""
     timing, trials = 'timing = "1e-3 s"', 40
     text = SHORT
@@ -332,8 +332,8 @@ def test_time_stamps_that_scatter_move_angle_and_output_together(tmp_path, metho
     assert math.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=4.0 / math.sqrt(2 * trials))
 
 
-def test_study_claims_the_u_of_the_joint_fit_whole(tmp_path, monkeypatch):
-    """Noise that the records do not show is part of it."""
+def test_u_of_study_matches_joint_fit(tmp_path, monkeypatch):
+    """The uncertainty includes noise that the records do not reveal."""
     unstated = SHORT.replace('[noise]\ndisplacement = "0.01 m"', "")
     text = unstated + '[study.analyses.joint]\nmethod = "joint"\n'
     truth, ((made,),) = engines(write(tmp_path / "a", text), "auto")
@@ -400,7 +400,7 @@ TILTED = '[model.priors]\n"platform.tilt.north" = "0 ± 1 deg"\n[[runs]]'
         (("[[runs]]", TILTED), "the estimates from full records differ by"),
     ],
 )
-def test_joint_fit_that_is_not_linear_needs_whole_records(tmp_path, change, reason):
+def test_nonlinear_joint_fit_requires_full_records(tmp_path, change, reason):
     text = change[1].join(SHORT.split(change[0], 1))
     if "differ by" in reason:
         text = text.replace('"0.01 m"', '"1e-4 m"').replace('"1e-6 rad"', '"1e-9 rad"')
@@ -411,7 +411,7 @@ def test_joint_fit_that_is_not_linear_needs_whole_records(tmp_path, change, reas
 
 
 @pytest.mark.parametrize("assumed", ['assume = "all" ', "# "])
-def test_base_value_of_linear_trials_is_the_mean_truth(tmp_path, assumed):
+def test_constant_of_linear_trials_is_mean_truth(tmp_path, assumed):
     """Without noise the estimate of mean true values that equal their priors has no error."""
     text = SHORT.replace('assume = "all" ', assumed).replace('K_IP = "6e-6', 'K_IP = "0')
     truth, part = joint_part(tmp_path / "a", text)
@@ -433,8 +433,8 @@ def engine(varying):
     return prepare_study(read_study(varying), 3)
 
 
-def test_heating_that_is_held_is_covered(tmp_path):
-    """Its spread is in u of both methods, by whole records and by sufficient statistics."""
+def test_considered_self_heating_has_coverage(tmp_path):
+    """Both methods include its uncertainty, with full records and sufficient statistics."""
     text = SHORT.replace('hold = ["K_IP"]', 'hold = ["K_IP", "K_F.heating"]')
     text = text.replace("[[runs]]", '[model.priors]\n"K_F.heating" = "0 ± 2e-6 g/g^2"\n[[runs]]', 1)
     varying = '\n[study.vary]\n"Qx.K_F.heating" = { normal = "0 ± 2e-6 g/g^2" }\n'
@@ -451,8 +451,8 @@ UNSTATED = SHORT.replace('assume = "all" ', "# ") + '\n[study.analyses.joint]\nm
 
 
 @pytest.mark.slow
-def test_what_nobody_states_is_covered(tmp_path):
-    """Every unknown that nobody states is drawn anew in each trial, and u is that of calibrate."""
+def test_default_priors_have_coverage(tmp_path):
+    """Each trial draws all default priors, and u equals that of calibrate."""
     n = 200_000 if FULL else 20_000
     folder = write(tmp_path / "unstated", UNSTATED)
     result = study(folder, trials=n)
@@ -471,7 +471,7 @@ def test_what_nobody_states_is_covered(tmp_path):
     assert whole.sd / whole.u == pytest.approx(1.0, abs=0.64)
 
 
-def test_what_is_known_is_drawn_and_what_is_true_or_asked_for_is_not(tmp_path):
+def test_only_priors_without_true_value_are_drawn(tmp_path):
     def drawn(name, text):
         return {(v.owner, v.symbol): v for v in read_study(write(tmp_path / name, text)).varying}
 
@@ -504,7 +504,7 @@ def test_what_is_known_is_drawn_and_what_is_true_or_asked_for_is_not(tmp_path):
     assert (k_pp.first, k_pp.second, radius.second) == (3e-6, 1e-6, 2e-6)
 
 
-def test_an_analysis_may_assume_and_hold_something_else(tmp_path):
+def test_analysis_may_assume_and_hold_different_terms(tmp_path):
     text = SHORT + (
         '\n[study.analyses.perfect]\nmethod = "joint"\nterms = ["K_F", "K_II"]\nassume = ["K_OO"]\n'
         '[study.analyses.held]\nmethod = "joint"\nconsidered = ["K_I"]\n'
@@ -515,7 +515,7 @@ def test_an_analysis_may_assume_and_hold_something_else(tmp_path):
     assert (held.assume, held.considered) == (("all",), ("K_I",))
 
 
-def test_a_wandering_bias_is_covered_by_whole_records(tmp_path):
+def test_wandering_bias_has_coverage_in_full_records(tmp_path):
     text = SHORT.replace("[noise]\n", '[noise]\nflicker = "100 ug"\n').replace(
         "[truth.noise]\n", '[truth.noise]\nflicker = "100 ug"\n'
     )
@@ -530,19 +530,19 @@ def test_a_wandering_bias_is_covered_by_whole_records(tmp_path):
 
 
 @pytest.mark.slow
-def test_result_is_the_same_for_any_number_of_workers(varying):
+def test_result_does_not_depend_on_worker_count(varying):
     assert study(varying) == study(varying, workers=Workers(2))
 
 
 @pytest.mark.parametrize("size", [1, 2, 64])
-def test_result_is_the_same_for_any_sharing_out(engine, size):
+def test_result_does_not_depend_on_task_size(engine, size):
     whole, parts = (batch_runner.BatchResults(engine, 5000) for _ in range(2))
     batch_runner.run_batches(engine, whole)
     batch_runner.run_batches(engine, parts, batches_per_task=size)
     assert np.array_equal(whole.sums, parts.sums)
 
 
-def test_a_trial_does_not_depend_on_how_many_there_are(varying, tmp_path):
+def test_trial_does_not_depend_on_trial_count(varying, tmp_path):
     for n, name in ((2500, "few"), (5000, "many")):
         study(varying, trials=n, output=StudyFolder(tmp_path / name, keep_trials=True))
     few, many = (pl.read_parquet(tmp_path / name / "trials.parquet") for name in ("few", "many"))
@@ -552,13 +552,13 @@ def test_a_trial_does_not_depend_on_how_many_there_are(varying, tmp_path):
 
 
 @pytest.mark.slow
-def test_dask_s_workers_give_the_same(varying):
+def test_dask_workers_return_same_result(varying):
     with dask_cluster() as cluster:
         result = study(varying, trials=50_000, workers=Workers(cluster=cluster.scheduler_address))
     assert result == study(varying, trials=50_000)
 
 
-def test_cluster_that_does_not_answer_is_told(varying, monkeypatch):
+def test_unreachable_cluster_raises(varying, monkeypatch):
     monkeypatch.setattr(workers, "_SCHEDULER_TIMEOUT", 0.5)
     pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")
     with pytest.raises(CounterspinError, match="no Dask scheduler answers"):
@@ -566,7 +566,7 @@ def test_cluster_that_does_not_answer_is_told(varying, monkeypatch):
 
 
 @pytest.mark.slow
-def test_worker_that_is_killed_loses_and_doubles_nothing(engine):
+def test_killed_worker_loses_and_repeats_no_trial(engine):
     whole, other = (batch_runner.BatchResults(engine, 100_000) for _ in range(2))
     batch_runner.run_batches(engine, whole)
     killed = []
@@ -587,7 +587,7 @@ def test_worker_that_is_killed_loses_and_doubles_nothing(engine):
     assert np.array_equal(whole.sums, other.sums)
 
 
-def test_interrupted_study_is_valid_and_resumes(varying, tmp_path):
+def test_interrupted_study_is_valid_and_can_resume(varying, tmp_path):
     out = tmp_path / "out"
 
     def stop(done, total):
@@ -605,7 +605,7 @@ def test_interrupted_study_is_valid_and_resumes(varying, tmp_path):
     assert sorted(path.name for path in out.iterdir()) == ["study.json", "trials.parquet"]
 
 
-def test_resuming_another_study_is_refused(varying, paper, tmp_path):
+def test_resuming_different_study_raises(varying, paper, tmp_path):
     out = tmp_path / "out"
 
     def stop(done, total):
@@ -619,7 +619,7 @@ def test_resuming_another_study_is_refused(varying, paper, tmp_path):
         study(varying, output=StudyFolder(tmp_path / "new", resume=True))
 
 
-def test_engine_travels_in_a_pickle(engine):
+def test_engine_survives_pickling(engine):
     import pickle
 
     travelled = pickle.loads(pickle.dumps(engine))
@@ -630,7 +630,7 @@ def test_engine_travels_in_a_pickle(engine):
 # The description
 
 
-def test_all_mistakes_at_once(tmp_path):
+def test_all_errors_are_reported_at_once(tmp_path):
     text = (
         PAPER
         + """
@@ -668,7 +668,7 @@ terms = ["K_XX"]
         read_study(folder)
 
 
-def test_study_s_own_file_names_its_campaign(paper, tmp_path):
+def test_study_file_names_campaign(paper, tmp_path):
     file = tmp_path / "study.toml"
     file.write_text('schema = 1\ncampaign = "paper"\n[study]\ntrials = 50\n', encoding="utf-8")
     assert read_study(file).trials == 50
@@ -678,26 +678,26 @@ def test_study_s_own_file_names_its_campaign(paper, tmp_path):
         read_study(file)
 
 
-def test_chosen_terms_are_those_of_the_analysis(tmp_path):
+def test_chosen_terms_replace_terms_of_model(tmp_path):
     text = PAPER + '[study.analyses.few]\nmethod = "joint"\nterms = ["K_F", "K_II"]\n'
     (one,) = read_study(write(tmp_path / "a", text)).analyses
     assert one.campaign.model.terms == ("K_F", "K_II")
     assert one.campaign.model.considered == ()
 
 
-def test_campaign_without_truth_is_refused(tmp_path):
+def test_campaign_without_truth_raises(tmp_path):
     text = PAPER[: PAPER.index("# What the records are made from")]
     with pytest.raises(CampaignError, match=r"truth: missing; a study needs"):
         read_study(write(tmp_path / "a", text))
 
 
-def test_records_that_no_study_can_make_are_refused(tmp_path):
+def test_unsupported_records_raise(tmp_path):
     text = PAPER.replace('angle = { column = "angle_rad", unit = "rad" }', "")
     with raises("method-not-applicable"):
         study(write(tmp_path / "angle", text))
 
 
-def test_joint_fit_without_a_recorded_angle_is_studied_by_whole_records(tmp_path):
+def test_joint_fit_without_angle_uses_full_records(tmp_path):
     text = SHORT.replace('angle = { column = "angle_rad", unit = "rad" }', "")
     text += '[study.analyses.joint]\nmethod = "joint"\n'
     (found,) = study(write(tmp_path / "angle", text), trials=4).analyses.values()
@@ -707,7 +707,7 @@ def test_joint_fit_without_a_recorded_angle_is_studied_by_whole_records(tmp_path
 # The command
 
 
-def test_command_prints_and_writes(varying, tmp_path, capsys):
+def test_command_prints_verdict_and_writes_files(varying, tmp_path, capsys):
     out = tmp_path / "out"
     status = main(["study", str(varying), "--trials", "3000", "-o", str(out)])
     shown = capsys.readouterr()
@@ -727,7 +727,7 @@ def test_command_prints_and_writes(varying, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_campaign_in_memory_is_studied_as_its_file(tmp_path):
+def test_study_of_campaign_in_memory_matches_file(tmp_path):
     (tmp_path / "campaign.toml").write_text(PAPER, encoding="utf-8")
     campaign = read_campaign(tmp_path)
     of_file, in_memory = (study(where, trials=50, seed=2) for where in (tmp_path, campaign))

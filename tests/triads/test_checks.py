@@ -12,7 +12,7 @@ from counterspin.triads.checks import pose_findings
 NOISE = 1e-4  # g
 
 
-def found(seed, count=30, drift=0.0, squares=(0.0, 0.0, 0.0), minutes=5.0):
+def findings_of_poses(seed, count=30, drift=0.0, squares=(0.0, 0.0, 0.0), minutes=5.0):
     """Return the findings of poses: of a bias of Y that drifts by so much in all, g."""
     generator = np.random.default_rng(seed)
     values = triads.indications(triads.directions(count, generator), squares=squares)
@@ -28,8 +28,8 @@ def found(seed, count=30, drift=0.0, squares=(0.0, 0.0, 0.0), minutes=5.0):
 @pytest.mark.parametrize(
     ("minutes", "cure"), [(5.0, "add K_F.trend"), (0.0, "the time of each pose")]
 )
-def test_a_drift_of_one_accelerometer_is_named(minutes, cure):
-    findings = [found(seed, drift=20.0 * NOISE, minutes=minutes) for seed in range(5)]
+def test_drift_of_accelerometer_is_named(minutes, cure):
+    findings = [findings_of_poses(seed, drift=20.0 * NOISE, minutes=minutes) for seed in range(5)]
     for own in findings:
         (finding,) = [one for one in own if one.code == "lack-of-fit"]
         assert finding.subject == "triad"
@@ -39,14 +39,14 @@ def test_a_drift_of_one_accelerometer_is_named(minutes, cure):
         assert finding.contradicts
 
 
-def test_a_term_that_is_left_out_is_named():
-    (finding,) = found(1, count=60, squares=(0.0, 0.0, 20.0 * NOISE))
+def test_missing_term_is_named():
+    (finding,) = findings_of_poses(1, count=60, squares=(0.0, 0.0, 20.0 * NOISE))
     assert finding.code == "lack-of-fit"
     assert "follow Z.K_II" in finding.text
 
 
-def test_good_poses_are_called_good():
+def test_false_alarms_of_good_poses_are_rare():
     # The tests share a level of 1 %, so that of 30 triads three or more with a finding have a
     # probability of 0.003.
-    alarms = sum(bool(found(seed)) for seed in range(100, 130))
+    alarms = sum(bool(findings_of_poses(seed)) for seed in range(100, 130))
     assert alarms < 3

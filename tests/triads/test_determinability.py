@@ -61,7 +61,7 @@ def _undetermined(fit):
         (lambda generator: triads.directions(24, generator), set()),
     ],
 )
-def test_directions_decide_and_not_the_number_of_poses(directions, undetermined):
+def test_determinability_depends_on_directions(directions, undetermined):
     generator = np.random.default_rng(11)
     fit = _fit(directions(generator), generator)
     assert _undetermined(fit) == undetermined
@@ -71,12 +71,12 @@ def test_directions_decide_and_not_the_number_of_poses(directions, undetermined)
             assert 0.9 * unknown.default_sd**2 < u**2 <= unknown.default_sd**2
 
 
-def test_nine_poses_in_eight_directions_leave_one_parameter_undetermined():
+def test_nine_poses_in_eight_directions_have_one_undetermined_parameter():
     generator = np.random.default_rng(12)
     assert len(_undetermined(_fit(_nine_in_eight(generator), generator))) == 1
 
 
-def test_poses_that_determine_everything_keep_no_prior():
+def test_determined_parameters_do_not_use_default_priors():
     generator = np.random.default_rng(13)
     values = triads.indications(triads.directions(24, generator))
     values = values + NOISE * generator.standard_normal(values.shape)
@@ -89,7 +89,7 @@ def test_poses_that_determine_everything_keep_no_prior():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("angle", [0.0, np.radians(1.0)])
-def test_uncertainties_of_faces_cover(angle):
+def test_u_of_six_faces_has_coverage(angle):
     # The sensor is drawn from the default priors. Bounds: 1e-3 of chi-square, to either side.
     generator = np.random.default_rng(14)
     z: dict[str, list[float]] = {"K_F": [], "K_I": [], "delta": []}

@@ -62,7 +62,7 @@ def _calibrated(folder, runs, model, more=""):
     return cs.calibrate(folder / "made")
 
 
-def test_an_arm_determines_the_second_order_of_a_triad(tmp_path):
+def test_arm_determines_second_order_terms_of_triad(tmp_path):
     result = _calibrated(tmp_path / "both", _poses(24) + _arm(), ASKED + MEASURED)
     alone = _calibrated(tmp_path / "poses", _poses(24), ASKED)
     for name, true in SQUARES.items():
@@ -80,8 +80,8 @@ def test_an_arm_determines_the_second_order_of_a_triad(tmp_path):
     assert not {"delta_O", "delta_P"} & set(alone.accelerometers["X"].coefficients)
 
 
-def test_poses_inform_the_shape_and_known_attitudes_the_common_turn(tmp_path):
-    """One pose at a known attitude adds a turn of the triad, and nothing to its shape."""
+def test_known_attitude_determines_rotation_of_triad(tmp_path):
+    """One known attitude determines the rotation of the triad, but not its shape."""
     model = 'terms = ["K_F", "K_I", "delta_O", "delta_P"]\nassume = ["all"]'
     along = triads.directions(30, np.random.default_rng(3))
     values = triads.indications(along)

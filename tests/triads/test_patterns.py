@@ -11,12 +11,12 @@ from counterspin.triads.patterns import pose_candidates
 
 
 def residuals(poses, fit):
-    """Return what is left of the one row of each pose, its angles found anew, g."""
+    """Return the residual of each pose after refitting its angles, g."""
     rows = poses.linearize(fit.model, fit.solution.estimate)
     return rows.target - rows.design @ fit.solution.estimate
 
 
-def test_a_column_is_what_one_unit_adds_to_the_one_row_of_each_pose():
+def test_column_matches_finite_difference_of_pose_residuals():
     # Indications without the term, and with a little of it, after both fits have turned each pose
     # so that its three indications fit best: what is left along the force differs by the column.
     generator = np.random.default_rng(4)
@@ -46,7 +46,7 @@ def test_a_column_is_what_one_unit_adds_to_the_one_row_of_each_pose():
         np.testing.assert_allclose(every[key].columns[0], moved / size, rtol=0, atol=1e-4)
 
 
-def test_only_what_has_changed_is_tried():
+def test_constant_conditions_are_not_tested():
     along = triads.directions(20, np.random.default_rng(4))
     poses = triads.group(triads.indications(along), u=1e-4)
     fit = solve_readings([poses], triads.unknowns()).fit

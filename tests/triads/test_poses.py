@@ -22,7 +22,7 @@ NOISE = 3e-4
 
 
 def _dense(values, weight):
-    """Return the nine parameters and their covariance, by all unknowns and all angles at once."""
+    """Return the nine parameters and their covariance from a dense fit of all unknowns."""
     n = len(values)
     start = values - values.mean(axis=0)
     along = start / np.linalg.norm(start, axis=1)[:, None]
@@ -51,7 +51,7 @@ def _nominal():
 
 
 @pytest.mark.parametrize("stated", [True, False])
-def test_the_fit_is_that_of_all_angles_at_once(stated):
+def test_fit_matches_dense_fit_with_all_angles(stated):
     generator = np.random.default_rng(4)
     along = triads.directions(25, generator)
     values = triads.indications(along) + NOISE * generator.standard_normal((25, 3))
@@ -76,7 +76,7 @@ def test_the_fit_is_that_of_all_angles_at_once(stated):
     )
 
 
-def test_a_part_with_large_errors_needs_no_guess():
+def test_sensor_with_large_errors_needs_no_initial_guess():
     rows = np.array([[1.4, 0.0, 0.0], [0.2, 0.7, 0.0], [-0.15, 0.1, 1.2]])
     bias = np.array([0.9, -0.6, 0.4])
     along = triads.directions(15, np.random.default_rng(2))
@@ -93,7 +93,7 @@ def test_nine_poses_without_noise_determine_nine_parameters():
     np.testing.assert_allclose(found, triads.truth(), atol=1e-9)
 
 
-def test_fewer_poses_cannot_tell_their_noise():
+def test_fewer_poses_than_unknowns_raise():
     along = np.vstack([np.eye(3), -np.eye(3)])
     with raises("not-identifiable", "6 poses", "9 unknowns", "Y.delta_P", "Z.delta_O, Z.delta_P"):
         solve_readings([triads.group(triads.indications(along))], triads.unknowns())
@@ -107,8 +107,8 @@ def test_fewer_poses_cannot_tell_their_noise():
 
 
 @pytest.fixture(scope="module")
-def beside_unstated_terms():
-    """Return the model of a triad and 18 terms of second order at sizes that nobody states."""
+def model_with_default_priors():
+    """Return the model of a triad with 18 second-order terms at default priors."""
     sizes = {"K_II": 1e-3, **dict.fromkeys(("K_PP", "K_OO", "K_IP", "K_IO", "K_PO"), 2e-4)}
     unstated = (
         Unknown(name, symbol, (0.0, size), 0.1, False, True)
@@ -119,7 +119,7 @@ def beside_unstated_terms():
 
 
 def _few(model, generator):
-    """Return 13 poses of which nothing is stated, their unstated terms drawn at their sizes."""
+    """Return 13 poses without stated uncertainty; draw the second-order terms."""
     values = triads.indications(triads.directions(13, generator))
     true = np.append(triads.truth() - _nominal(), np.zeros(18))
     probe = triads.group(values)
@@ -129,14 +129,14 @@ def _few(model, generator):
     return triads.group(values + probe.at(model, true).projection * off[:, None])
 
 
-def test_few_poses_beside_terms_that_nobody_states_cover(beside_unstated_terms):
+def test_few_poses_with_default_priors_have_coverage(model_with_default_priors):
     # They cannot tell their noise beside 16 combinations of terms. Four standard deviations of how
     # often the nine 50 % intervals of one triad hold.
     generator, trials = np.random.default_rng(5), 300 if FULL else 30
     z, dof = np.empty((trials, 9)), np.empty((trials, 9))
     for trial in range(trials):
-        poses = _few(beside_unstated_terms, generator)
-        estimated, _ = estimate_with_groups(None, beside_unstated_terms, [poses])
+        poses = _few(model_with_default_priors, generator)
+        estimated, _ = estimate_with_groups(None, model_with_default_priors, [poses])
         solution, dof[trial] = estimated.fit.solution, estimated.dof[:9]
         z[trial] = (solution.estimate[:9] + _nominal() - triads.truth()) / solution.u[:9]
 
@@ -151,8 +151,8 @@ def test_few_poses_beside_terms_that_nobody_states_cover(beside_unstated_terms):
     assert hold(0.5, 2.0) > 4.0
 
 
-def test_few_poses_are_weighed_as_a_dense_least_squares_weighs_them(beside_unstated_terms):
-    model = beside_unstated_terms
+def test_few_poses_match_dense_least_squares(model_with_default_priors):
+    model = model_with_default_priors
     poses = _few(model, np.random.default_rng(7))
     estimated, (part,) = estimate_with_groups(None, model, [poses])
     solution = estimated.fit.solution
@@ -163,7 +163,7 @@ def test_few_poses_are_weighed_as_a_dense_least_squares_weighs_them(beside_unsta
     np.testing.assert_allclose(solution.u[:9], np.sqrt(np.diag(covariance)), rtol=1e-6)
 
 
-def test_second_order_terms_that_poses_determine_are_found():
+def test_second_order_terms_are_estimated_exactly_without_noise():
     squares = np.array([2e-3, -1e-3, 3e-3])
     along = triads.directions(60, np.random.default_rng(8))
     values = triads.indications(along, squares=squares)
@@ -174,7 +174,7 @@ def test_second_order_terms_that_poses_determine_are_found():
     np.testing.assert_allclose(found[:9] + _nominal(), triads.truth(), atol=1e-9)
 
 
-def test_a_pose_that_is_off_stands_out():
+def test_outlying_pose_has_smallest_p_value():
     generator = np.random.default_rng(11)
     values = triads.indications(triads.directions(30, generator))
     values += NOISE * generator.standard_normal(values.shape)
@@ -185,7 +185,7 @@ def test_a_pose_that_is_off_stands_out():
     assert p[7] < 1e-4 < np.min(np.delete(p, 7))
 
 
-def test_z_of_the_parameters_are_normal():
+def test_z_scores_of_parameters_are_normal():
     # Of 40 triads with 9 parameters each; the bound is that of chi-square at 4.5 sigma.
     generator, trials = np.random.default_rng(21), 40
     squares = 0.0
@@ -205,7 +205,7 @@ TRIADS = 300 if FULL else 30
 @pytest.mark.parametrize(
     ("count", "stated"), [(10, True), (12, True), (24, True), (12, False), (24, False)]
 )
-def test_few_poses_cover_with_and_without_a_stated_noise(count, stated):
+def test_few_poses_have_coverage_with_and_without_stated_noise(count, stated):
     """z of the nine parameters, by Student's t where the noise is found, are as of a normal one.
 
     Those of one triad depend on each other, so the bound is from how the triads scatter: 4.5
@@ -232,7 +232,7 @@ def test_few_poses_cover_with_and_without_a_stated_noise(count, stated):
         assert 0.95 < math.sqrt(squares.mean()) < 1.05
 
 
-def test_a_thousand_poses_are_fast():
+def test_thousand_poses_need_less_than_ten_seconds():
     generator = np.random.default_rng(6)
     values = triads.indications(triads.directions(1000, generator))
     values += NOISE * generator.standard_normal(values.shape)

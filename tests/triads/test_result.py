@@ -21,7 +21,7 @@ def _values(count, seed, noise=NOISE, **truth):
 
 
 def _expected():
-    """Return NIST's nine parameters of the truth."""
+    """Return the true values of the nine NIST parameters."""
     sizes = np.linalg.norm(triads.ROWS, axis=1)
     x, y, z = triads.ROWS / sizes[:, None]
     return {
@@ -33,7 +33,7 @@ def _expected():
     }
 
 
-def test_nine_parameters_matrix_and_bias_are_those_of_the_truth(tmp_path):
+def test_parameters_matrix_and_bias_match_truth(tmp_path):
     values = _values(30, 1, noise=0.0)
     result = cs.calibrate(triads.table(tmp_path, values, u=1e-5))
     triad = result.triad
@@ -52,7 +52,7 @@ def test_nine_parameters_matrix_and_bias_are_those_of_the_truth(tmp_path):
     )
 
 
-def test_uncertainties_and_correlations_are_those_of_the_parameters(tmp_path):
+def test_uncertainties_and_correlations_match_derivatives(tmp_path):
     # An angle's derivatives, and a sensitivity's, by differences of the matrix.
     result = cs.calibrate(triads.table(tmp_path, _values(30, 2), u=NOISE))
     triad = result.triad
@@ -91,7 +91,7 @@ def test_uncertainties_and_correlations_are_those_of_the_parameters(tmp_path):
     np.testing.assert_allclose(triad.u_matrix, expected, rtol=1e-6)
 
 
-def in_si(folder, values, gravity):
+def write_campaign_in_si(folder, values, gravity):
     """Write a campaign of poses whose indications are in m/s^2, of shape (n, 3)."""
     folder.mkdir()
     runs = (
@@ -105,18 +105,19 @@ def in_si(folder, values, gravity):
     return folder
 
 
-def test_what_g_does_to_the_parameters_is_what_another_g_does(tmp_path):
+def test_sensitivity_to_gravity_matches_difference(tmp_path):
     values = 9.81 * _values(20, 5)
-    stated = cs.calibrate(in_si(tmp_path / "stated", values, "9.81 ± 1e-3")).triad
+    stated = cs.calibrate(write_campaign_in_si(tmp_path / "stated", values, "9.81 ± 1e-3")).triad
     low, high = (
-        cs.calibrate(in_si(tmp_path / g, values, g)).triad.parameters for g in ("9.809", "9.811")
+        cs.calibrate(write_campaign_in_si(tmp_path / g, values, g)).triad.parameters
+        for g in ("9.809", "9.811")
     )
     found = {name: (high[name].value - low[name].value) / 2e-3 for name in high}
     assert stated.by_gravity == pytest.approx(found, rel=1e-5, abs=1e-7)
     assert abs(stated.by_gravity["sensitivity.X"]) == pytest.approx(1.004 / 9.81, rel=1e-2)
 
 
-def test_poses_without_a_stated_noise_have_students_intervals(tmp_path):
+def test_poses_without_stated_noise_have_student_t_intervals(tmp_path):
     result = cs.calibrate(triads.table(tmp_path, _values(20, 3)))
     for parameter in result.triad.parameters.values():
         assert parameter.dof == pytest.approx(11.0, abs=1e-3)
@@ -128,7 +129,7 @@ def test_poses_without_a_stated_noise_have_students_intervals(tmp_path):
     assert set(result.accelerometers["Z"].coefficients) == {"K_F", "K_I", "delta_O", "delta_P"}
 
 
-def test_result_is_read_back_and_printed(tmp_path):
+def test_result_round_trip_and_report(tmp_path):
     result = cs.calibrate(triads.table(tmp_path, _values(20, 3)))
     path = tmp_path / "result.json"
     result.write(path)
@@ -141,7 +142,7 @@ def test_result_is_read_back_and_printed(tmp_path):
         assert "poses of unknown attitude" in report.read_text("utf-8")
 
 
-def test_an_error_of_setting_that_acts_on_nothing_is_told(tmp_path):
+def test_unused_setting_error_has_warning(tmp_path):
     stated = '\n[fixture]\nposition = "0 ± 0.5 deg"\n'
     values = _values(20, 3)
     result = cs.calibrate(triads.table(tmp_path / "poses", values, description=triads.head(stated)))
@@ -155,7 +156,7 @@ def test_an_error_of_setting_that_acts_on_nothing_is_told(tmp_path):
     assert not any("[fixture]" in text for text in cs.calibrate(folder).warnings)
 
 
-def test_one_level_reading_leaves_the_turn_about_the_vertical_open(tmp_path):
+def test_single_known_attitude_leaves_azimuth_undetermined(tmp_path):
     folder = triads.table(tmp_path, _values(20, 3), u=NOISE)
     x, y, z = triads.indications(np.array([[0.0, 0.0, 1.0]]))[0].tolist()
     level = '[[runs]]\nname = "level"\nmotion = "static"\nattitude = "level"\nreading = '
@@ -171,7 +172,7 @@ def test_one_level_reading_leaves_the_turn_about_the_vertical_open(tmp_path):
         assert c.u < 5.0 * NOISE
 
 
-def test_a_notebook_shows_the_parameters_and_has_them_as_a_frame(tmp_path):
+def test_parameters_have_repr_and_frame(tmp_path):
     triad = cs.calibrate(triads.table(tmp_path, _values(20, 3))).triad
     lines = repr(triad).splitlines()
     assert str(triad) == repr(triad)
@@ -185,7 +186,7 @@ def test_a_notebook_shows_the_parameters_and_has_them_as_a_frame(tmp_path):
     assert values["offset.Y"] == pytest.approx(1e6 * triad.parameters["offset.Y"].value)  # ug
 
 
-def test_what_is_not_stated_is_in_u(tmp_path):
+def test_default_priors_are_in_u(tmp_path):
     values = _values(40, 4)
     perfect = cs.calibrate(triads.table(tmp_path / "a", values, u=NOISE))
     model = 'terms = ["K_F", "K_I", "delta_O", "delta_P"]'
@@ -202,7 +203,7 @@ def test_what_is_not_stated_is_in_u(tmp_path):
     )
 
 
-def test_a_pose_that_is_off_is_named(tmp_path):
+def test_outlying_pose_is_named(tmp_path):
     values = _values(30, 5)
     values[12] *= 1.0 + 14.0 * NOISE
     names = [f"p{k}" for k in range(30)]
@@ -212,19 +213,19 @@ def test_a_pose_that_is_off_is_named(tmp_path):
     assert result.state == "contradicted"
 
 
-def test_noise_that_is_stated_too_small_is_a_misfit(tmp_path):
+def test_noise_stated_too_small_is_lack_of_fit(tmp_path):
     result = cs.calibrate(triads.table(tmp_path, _values(40, 6), u=NOISE / 2.5))
     assert ("lack-of-fit", "triad") in {(f.code, f.subject) for f in result.findings}
 
 
-def test_few_poses_cannot_be_judged(tmp_path):
+def test_few_poses_are_unjudged(tmp_path):
     result = cs.calibrate(triads.table(tmp_path, _values(12, 7)))
     (finding,) = [f for f in result.findings if f.code == "unjudged-readings"]
     assert finding.subject == "triad"
     assert result.state == "reservations"
 
 
-def test_faces_say_what_they_do_not_determine(tmp_path):
+def test_six_faces_report_undetermined_parameters(tmp_path):
     faces = triads.indications(np.vstack([np.eye(3), -np.eye(3)]))
     result = cs.calibrate(triads.table(tmp_path, faces, u=NOISE))
     for name in ("angle.X.Y", "angle.X.Z", "angle.Y.Z"):
@@ -235,7 +236,7 @@ def test_faces_say_what_they_do_not_determine(tmp_path):
     assert "6 poses cannot determine 9 unknowns" in subjects["Z.delta_P"]
 
 
-def test_many_poses_in_six_directions_give_no_angles_and_no_matrix(tmp_path):
+def test_six_directions_leave_angles_and_matrix_undetermined(tmp_path):
     faces = np.repeat(np.vstack([np.eye(3), -np.eye(3)]), 4, axis=0)
     generator = np.random.default_rng(15)
     values = triads.indications(faces) + NOISE * generator.standard_normal((24, 3))
@@ -257,7 +258,7 @@ def test_many_poses_in_six_directions_give_no_angles_and_no_matrix(tmp_path):
     assert budget["Z.delta_P"].kind == "unstated"
 
 
-def test_faces_determine_biases_and_scale_factors_where_angles_are_not_asked_for(tmp_path):
+def test_six_faces_determine_biases_and_scale_factors(tmp_path):
     faces = triads.indications(np.vstack([np.eye(3), -np.eye(3)]))
     description = triads.head(model='typical = { K_II = "1 ug/g^2", K_0_asym = "1 ug" }')
     result = cs.calibrate(triads.table(tmp_path, faces, u=1e-5, description=description))
@@ -277,7 +278,7 @@ def test_faces_determine_biases_and_scale_factors_where_angles_are_not_asked_for
     assert [f.code for f in result.findings] == ["unjudged-readings"]
 
 
-def test_poses_on_one_side_say_so(tmp_path):
+def test_poses_in_single_hemisphere_are_reported(tmp_path):
     generator = np.random.default_rng(9)
     along = triads.directions(40, generator)
     along[:, 2] = np.abs(along[:, 2])
@@ -287,7 +288,7 @@ def test_poses_on_one_side_say_so(tmp_path):
 
 
 @pytest.mark.skipif(not REAL.exists(), reason="the real record is not part of the package")
-def test_a_real_sensor_in_a_record_of_poses(tmp_path):
+def test_measured_pose_record_matches_published_values(tmp_path):
     runs = (
         '[[runs]]\nname = "poses"\nmotion = "static"\nattitude = "unknown"\n'
         'record = "imu0.log"\nposes = { rest = "1.5 s" }\n'

@@ -27,7 +27,7 @@ def _refused(folder, text):
     return "\n".join(error.value.problems)
 
 
-def test_poses_are_read_and_the_frame_s_misalignments_are_named(tmp_path):
+def test_poses_and_frame_misalignments_are_read(tmp_path):
     campaign = _read(tmp_path, triads.head() + ONE + TWO)
     first, second = campaign.triad.poses
     assert [reading.value for reading in first] == [0.1, -0.2, 0.97]
@@ -39,7 +39,7 @@ def test_poses_are_read_and_the_frame_s_misalignments_are_named(tmp_path):
     assert campaign.model.terms == ("K_F", "K_I", "delta_O", "delta_P")
 
 
-def test_known_attitudes_tell_how_the_triad_stands(tmp_path):
+def test_known_attitudes_determine_orientation_of_triad(tmp_path):
     known = ONE.replace('"unknown"', '"level"').replace("one", "known")
     campaign = _read(tmp_path, triads.head() + ONE + known)
     assert campaign.triad.of_frame == ()
@@ -96,18 +96,18 @@ def test_rows_of_a_table_may_be_poses(tmp_path):
         ),
     ],
 )
-def test_mistakes_are_named(tmp_path, change, said):
+def test_invalid_section_raises(tmp_path, change, said):
     text = triads.head() + ONE
     assert change[0] in text
     assert said in _refused(tmp_path, text.replace(*change, 1))
 
 
-def test_an_unknown_attitude_takes_a_triad(tmp_path):
+def test_unknown_attitude_requires_triad(tmp_path):
     text = (triads.head() + ONE).replace('[triad]\naccelerometers = ["X", "Y", "Z"]\n', "")
     assert "write [triad] accelerometers" in _refused(tmp_path, text)
 
 
-def test_simulated_poses_are_those_of_the_truth(tmp_path):
+def test_simulated_poses_return_true_bias(tmp_path):
     rows, bias = triads.ROWS, triads.BIAS
     truth = "".join(
         f'[truth.{name}]\nK_F = "{bias[k]} g"\nK_I = "{rows[k, k]} g/g"\n'
@@ -136,7 +136,7 @@ def test_simulated_poses_are_those_of_the_truth(tmp_path):
     np.testing.assert_allclose(result.triad.bias, bias, atol=1e-9)
 
 
-def test_a_record_of_poses_is_read(tmp_path):
+def test_pose_record_is_read(tmp_path):
     columns = '[records]\ntime = { column = "t", unit = "s" }\n'
     text = triads.head(columns) + (
         '[[runs]]\nname = "many"\nmotion = "static"\nattitude = "unknown"\nrecord = "a.csv"\n'
@@ -151,7 +151,7 @@ def test_a_record_of_poses_is_read(tmp_path):
     assert campaign.files == (tmp_path / "a.csv",)
 
 
-def test_one_column_of_uncertainties_is_that_of_all_three(tmp_path):
+def test_single_uncertainty_column_applies_to_all_axes(tmp_path):
     """It was that of the first accelerometer alone, so that the pose counted as without any."""
     values = triads.indications(triads.directions(12, np.random.default_rng(3)))
     folder = triads.table(tmp_path, values, u=2e-4)
@@ -161,7 +161,7 @@ def test_one_column_of_uncertainties_is_that_of_all_three(tmp_path):
     assert {reading.u for pose in poses for reading in pose} == {2e-4}
 
 
-def test_uncertainties_of_some_axes_are_told(tmp_path):
+def test_uncertainty_of_some_axes_raises(tmp_path):
     values = triads.indications(triads.directions(12, np.random.default_rng(3)))
     folder = triads.table(tmp_path, values, u=2e-4)
     file = folder / "campaign.toml"
@@ -172,7 +172,7 @@ def test_uncertainties_of_some_axes_are_told(tmp_path):
         cs.read_campaign(folder)
 
 
-def test_a_triad_that_states_no_axes_has_those_of_one_body(tmp_path):
+def test_default_axes_of_triad_are_body_axes(tmp_path):
     text = triads.head() + ONE + TWO
     bare = "\n".join(line for line in text.splitlines() if "_axis = " not in line)
     assert bare.count("[accelerometers.") == 3

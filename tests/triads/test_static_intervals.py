@@ -19,7 +19,9 @@ from counterspin.triads.static_intervals import find_poses, read_poses
 _REAL = next(filter(Path.exists, (up / "shared/real" for up in Path(__file__).parents)), None)
 
 
-def assert_found(truth: Posed, found, among: np.ndarray | None = None, slack: float = 0.5) -> None:
+def assert_poses_found(
+    truth: Posed, found, among: np.ndarray | None = None, slack: float = 0.5
+) -> None:
     """Check that each rest is found within it, but for `slack` s at either end, with its mean."""
     there = np.ones(len(truth.start), dtype=bool) if among is None else among
     assert len(found.start) == there.sum()
@@ -34,10 +36,10 @@ def assert_found(truth: Posed, found, among: np.ndarray | None = None, slack: fl
 @pytest.mark.parametrize(
     ("rest", "motion"), [(20.0, 1.0), (4.0, 1.5), (3.0, 9.0), (2.5, 20.0)], ids=str
 )
-def test_rests_are_found_whatever_part_of_the_record_they_take(rest: float, motion: float) -> None:
+def test_rests_are_found_for_any_duty_cycle(rest: float, motion: float) -> None:
     truth = posed(rest, motion)
     found = find_poses(truth.time, truth.values)
-    assert_found(truth, found)
+    assert_poses_found(truth, found)
     assert found.warnings == ()
     assert found.rejected == ()
     assert found.scatter == pytest.approx(NOISE, rel=0.3)
@@ -45,7 +47,7 @@ def test_rests_are_found_whatever_part_of_the_record_they_take(rest: float, moti
     assert found.threshold == pytest.approx(2.0 * np.sqrt(3.0) * NOISE, rel=0.05)
 
 
-def test_the_level_is_the_standard_deviation_about_each_row() -> None:
+def test_level_is_moving_standard_deviation() -> None:
     # Of a quiet instrument in a long record: sums over all of it would be off by some percent. What
     # rounding leaves is eps (10 m/s^2)^2 over twice the variance of three axes, 4e-5, at most.
     truth = posed(4.0, 1.5, count=120, noise=1e-5)
@@ -60,7 +62,7 @@ def test_the_level_is_the_standard_deviation_about_each_row() -> None:
             assert found.level[place] == pytest.approx(exact, rel=4e-5)
 
 
-def test_the_level_is_shown_in_few_points_that_miss_no_motion() -> None:
+def test_decimated_level_preserves_motion() -> None:
     truth = posed(4.0, 1.5)
     found = find_poses(truth.time, truth.values)
     time, level = found.trace(100)
@@ -71,7 +73,7 @@ def test_the_level_is_shown_in_few_points_that_miss_no_motion() -> None:
     assert len(found.trace(100_000)[0]) == np.isfinite(found.level).sum()
 
 
-def test_a_stated_threshold_and_rest_decide() -> None:
+def test_stated_threshold_and_rest_are_used() -> None:
     truth = posed(4.0, 1.5)
     assert len(find_poses(truth.time, truth.values, threshold=0.1).start) == 12
     one = find_poses(truth.time, truth.values, threshold=50.0)
@@ -84,7 +86,7 @@ def test_a_stated_threshold_and_rest_decide() -> None:
         find_poses(truth.time, truth.values, threshold=0.01)
 
 
-def test_the_threshold_that_an_error_names_takes_the_quietest_stretch() -> None:
+def test_suggested_threshold_includes_quietest_interval() -> None:
     truth = posed(4.0, 1.5)
     with pytest.raises(RecordError) as error:
         find_poses(truth.time, truth.values, threshold=0.01)
@@ -94,7 +96,7 @@ def test_the_threshold_that_an_error_names_takes_the_quietest_stretch() -> None:
 
 @pytest.mark.parametrize("row", [0, 1, -2, -1])
 @pytest.mark.parametrize("size", [1e9, 1e18, -1e90])
-def test_a_huge_value_at_either_end_changes_no_pose(row: int, size: float) -> None:
+def test_outlier_at_either_end_changes_no_pose(row: int, size: float) -> None:
     truth = posed(4.0, 1.5)
     expected = find_poses(truth.time, truth.values).mean
     values = truth.values.copy()
@@ -103,7 +105,7 @@ def test_a_huge_value_at_either_end_changes_no_pose(row: int, size: float) -> No
     assert found.mean == pytest.approx(expected, abs=NOISE)
 
 
-def test_spikes_and_empty_cells_part_no_rest() -> None:
+def test_outliers_and_empty_cells_do_not_split_rest() -> None:
     truth = posed(4.0, 1.5)
     rng = np.random.default_rng(3)
     values = truth.values.copy()
@@ -112,13 +114,13 @@ def test_spikes_and_empty_cells_part_no_rest() -> None:
     values[np.array(spikes) + 40, 2] = -1e9
     values[rng.choice(len(values), 300, replace=False), 0] = np.nan
     found = find_poses(truth.time, values)
-    assert_found(truth, found)
+    assert_poses_found(truth, found)
     seen = ~np.isnan(values[:, 0])
     assert found.spikes.tolist() == [0, seen[spikes].sum(), seen[np.array(spikes) + 40].sum()]
     assert np.isnan(found.level[spikes]).all()
 
 
-def test_a_gap_ends_a_pose() -> None:
+def test_gap_ends_pose() -> None:
     truth = posed(6.0, 1.5)
     keep = np.ones(len(truth.time), dtype=bool)
     middle = round((truth.start[3] + 3.0) / STEP)
@@ -132,7 +134,7 @@ def test_a_gap_ends_a_pose() -> None:
     assert len(find_poses(truth.time[few], truth.values[few]).start) == 12
 
 
-def test_rows_may_come_unevenly() -> None:
+def test_nonuniform_sampling_is_accepted() -> None:
     truth = posed(4.0, 1.5)
     rng = np.random.default_rng(4)
     keep = rng.random(len(truth.time)) < 0.4
@@ -144,7 +146,7 @@ def test_rows_may_come_unevenly() -> None:
     assert np.abs(off).max() < 5.0
 
 
-def test_few_rows_a_second_are_enough_for_long_rests() -> None:
+def test_low_sampling_rate_is_sufficient_for_long_rests() -> None:
     truth = posed(60.0, 10.0)
     thin = slice(None, None, 100)
     found = find_poses(truth.time[thin], truth.values[thin], rest=20.0)
@@ -153,7 +155,7 @@ def test_few_rows_a_second_are_enough_for_long_rests() -> None:
         find_poses(truth.time[thin], truth.values[thin])
 
 
-def test_a_drift_within_a_pose_is_no_motion_but_a_slow_turn_is_doubtful() -> None:
+def test_drift_is_not_motion_and_slow_rotation_warns() -> None:
     truth = posed(20.0, 1.5)
     drift = 0.002 * truth.time[:, None] * [1.0, -0.5, 0.2]
     assert len(find_poses(truth.time, truth.values + drift).start) == 12
@@ -164,7 +166,7 @@ def test_a_drift_within_a_pose_is_no_motion_but_a_slow_turn_is_doubtful() -> Non
 
 
 @pytest.mark.parametrize("digit", [0.005, 0.05, 0.2])
-def test_coarse_digits_do_no_harm(digit: float) -> None:
+def test_coarse_resolution_preserves_poses(digit: float) -> None:
     truth = posed(4.0, 1.5)
     values = np.round(truth.values / digit) * digit
     found = find_poses(truth.time, values)
@@ -173,13 +175,13 @@ def test_coarse_digits_do_no_harm(digit: float) -> None:
     assert found.rejected == ()
 
 
-def test_saturated_and_held_rests_are_left_out_and_said() -> None:
+def test_saturated_and_constant_rests_are_rejected() -> None:
     truth = posed(4.0, 1.5)
     top = np.sort(truth.force[:, 0])[-1] - 0.5
     cut = np.minimum(truth.values, [top, np.inf, np.inf])
     hit = truth.force[:, 0] > top
     found = find_poses(truth.time, cut)
-    assert_found(truth, found, ~hit)
+    assert_poses_found(truth, found, ~hit)
     assert len(found.rejected) == hit.sum()
     assert "along axis 1 are the largest or smallest of the record" in found.rejected[0]
     held = truth.values.copy()
@@ -198,7 +200,7 @@ def test_saturated_and_held_rests_are_left_out_and_said() -> None:
     assert "axis 2 does not change" in found.rejected[0]
 
 
-def test_a_record_without_a_clear_gap_says_so() -> None:
+def test_unclear_separation_of_rest_and_motion_warns() -> None:
     rng = np.random.default_rng(6)
     time = np.arange(6000) * STEP
     loud = np.where(np.sin(2.0 * np.pi * time / 10.0) > 0.0, 1.0, 2.2)[:, None]
@@ -218,12 +220,12 @@ def test_a_record_without_a_clear_gap_says_so() -> None:
         (np.arange(400) * STEP, np.full((400, 3), np.nan), "0 rows have all three"),
     ],
 )
-def test_what_cannot_be_judged_is_refused(time: Array, values: Array, words: str) -> None:
+def test_invalid_record_raises(time: Array, values: Array, words: str) -> None:
     with pytest.raises(RecordError, match=words):
         find_poses(time, values)
 
 
-def test_a_file_without_names_or_times_is_read(tmp_path: Path) -> None:
+def test_file_without_header_or_time_is_read(tmp_path: Path) -> None:
     truth = posed(4.0, 1.5)
     path = tmp_path / "imu.log"
     values = truth.values.copy()
@@ -235,14 +237,14 @@ def test_a_file_without_names_or_times_is_read(tmp_path: Path) -> None:
         {name: ColumnSpec(f"column {place}") for place, name in enumerate("XYZ", 1)},
     )
     poses, record = read_poses(path, columns)
-    assert_found(truth, poses)
+    assert_poses_found(truth, poses)
     assert len(record.time) == len(truth.time)
     assert record.report.outliers == {"column 1": 0, "column 2": 0, "column 3": 1}
     with raises("no-rest", "imu.log:", "30 s"):
         read_poses(path, columns, rest=30.0)
 
 
-def test_time_is_the_files_own() -> None:
+def test_pose_times_are_times_of_file() -> None:
     truth = posed(4.0, 1.5)
     axes = dict(zip("xyz", truth.values.T, strict=True))
     table = MemoryTable("memory", {"t": truth.time + 1000.0} | axes)
@@ -251,7 +253,7 @@ def test_time_is_the_files_own() -> None:
     assert poses.start == pytest.approx(truth.start + 1000.0, abs=0.52)
 
 
-def test_rows_of_other_sensors_between_may_be_empty() -> None:
+def test_interleaved_empty_rows_are_ignored() -> None:
     truth = posed(4.0, 1.5)
     often = np.repeat(truth.values, 3, axis=0)
     often[np.arange(len(often)) % 3 > 0] = np.nan
@@ -259,12 +261,12 @@ def test_rows_of_other_sensors_between_may_be_empty() -> None:
     table = MemoryTable("memory", {"t": times} | dict(zip("xyz", often.T, strict=True)))
     columns = RecordColumns(ColumnSpec("t"), None, {axis: ColumnSpec(axis) for axis in "xyz"})
     poses, record = read_poses(table, columns)
-    assert_found(truth, poses)
+    assert_poses_found(truth, poses)
     assert record.report.empty["x"] == 2 * len(truth.values)
 
 
 @pytest.mark.skipif(_REAL is None, reason="the real records are not here")
-def test_a_mems_sensor_set_by_hand_lay_in_22_poses() -> None:
+def test_measured_record_has_22_poses() -> None:
     values = np.loadtxt(_REAL / "mpu9150/imu0.log")[:, :3]
     poses = find_poses(np.arange(len(values)) * STEP, values)
     assert len(poses.start) == 22
@@ -272,7 +274,7 @@ def test_a_mems_sensor_set_by_hand_lay_in_22_poses() -> None:
 
 
 @pytest.mark.skipif(_REAL is None, reason="the real records are not here")
-def test_the_six_faces_of_a_wearable_sensor_are_among_its_poses() -> None:
+def test_measured_record_contains_six_faces() -> None:
     import json
 
     folder = _REAL / "imucal"
@@ -286,8 +288,8 @@ def test_the_six_faces_of_a_wearable_sensor_are_among_its_poses() -> None:
         assert poses.end[place] >= end - 0.5
 
 
-def test_rows_of_a_coarse_clock_have_the_same_time():
-    """Two rows for each time: the usual step would be nothing."""
+def test_rows_with_same_time_are_accepted():
+    """With two rows per time stamp, the median step is zero."""
     truth = posed(4.0, 1.5)
     coarse = np.floor(np.arange(len(truth.time)) / 5.0) * 0.05
     assert len(find_poses(coarse, truth.values).start) == 12
