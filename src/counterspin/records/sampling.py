@@ -381,20 +381,20 @@ _SPLIT: Final = re.compile(
 )
 #: Unit of the coarse column -> its names.
 _COARSE: Final = {
-    "week": re.compile(r"(?i)(?!.*of.?week).*(week|wk|(?<![a-z])wn)([ _]?(no|nr|num|number))?"),
-    "s": re.compile(r"(?i)(.*[^a-z])?(secs?|seconds?|s|epoch|unix([ _]?time)?)|.*[a-z]Secs?"),
+    "week": r"(?i)(?!.*of.?week).*(week|wk|(?<![a-z])wn)([ _]?(no|nr|num|number))?",
+    "s": r"(?i)(.*[^a-z])?(secs?|seconds?|s|epoch|unix([ _]?time)?)|.*[a-z]Secs?",
 }
 #: Unit of the fine column -> its names within a second, and within a week.
 _FINE: Final = {
-    "ns": re.compile(r"(?i)(.*[^a-z])?(n_?secs?|nano_?sec(ond)?s?|nanos?|ns)"),
-    "us": re.compile(r"(?i)(.*[^a-z])?(u_?secs?|micro_?sec(ond)?s?|micros?|us)"),
-    "ms": re.compile(r"(?i)(.*[^a-z])?(m_?secs?|milli_?sec(ond)?s?|millis?|ms|gms)"),
+    "ns": r"(?i)(.*[^a-z])?(n_?secs?|nano_?sec(ond)?s?|nanos?|ns)",
+    "us": r"(?i)(.*[^a-z])?(u_?secs?|micro_?sec(ond)?s?|micros?|us)",
+    "ms": r"(?i)(.*[^a-z])?(m_?secs?|milli_?sec(ond)?s?|millis?|ms|gms)",
 }
-_OF_WEEK: Final = re.compile(
+_OF_WEEK: Final = (
     r"(?i).*(tow|sow|(?<![a-z])g?ms|milli|secs?|(time|seconds?).?of.?week)(?![a-z]{2}).*"
 )
 #: A bracketed unit at the end of a name.
-_BRACKETS: Final = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
+_BRACKETS: Final = r"\s*[\[(][^\[\]()]*[\])]\s*$"
 #: Seconds of a week.
 _WEEK: Final = 604_800.0
 
@@ -457,14 +457,14 @@ def find_split_time(columns: Mapping[str, Array]) -> SplitTime | None:
 
 def _candidate_pairs(columns: Mapping[str, Array]) -> Iterator[SplitTime]:
     """Yield pairs of columns with fitting names, those with a common beginning first."""
-    unbracketed = {name: _BRACKETS.sub("", name) for name in columns}
-    weeks = [name for name, text in unbracketed.items() if _COARSE["week"].fullmatch(text)]
+    unbracketed = {name: re.sub(_BRACKETS, "", name) for name in columns}
+    weeks = [name for name, text in unbracketed.items() if re.fullmatch(_COARSE["week"], text)]
     for week, name in product(weeks, columns):
-        if name != week and _OF_WEEK.fullmatch(unbracketed[name]):
+        if name != week and re.fullmatch(_OF_WEEK, unbracketed[name]):
             unit = bracketed_unit(name)
             if unit not in _LENGTHS:
                 unit = next(
-                    (u for u, pattern in _FINE.items() if pattern.fullmatch(unbracketed[name])),
+                    (u for u, pattern in _FINE.items() if re.fullmatch(pattern, unbracketed[name])),
                     "",
                 )
             if not unit:
@@ -473,12 +473,13 @@ def _candidate_pairs(columns: Mapping[str, Array]) -> Iterator[SplitTime]:
     seconds = [
         name
         for name, text in unbracketed.items()
-        if _COARSE["s"].fullmatch(text) or bracketed_unit(name) == "s"
+        if re.fullmatch(_COARSE["s"], text) or bracketed_unit(name) == "s"
     ]
     pairs = [
         SplitTime(second, "s", name, unit)
         for second, name, (unit, pattern) in product(seconds, columns, _FINE.items())
-        if name != second and (pattern.fullmatch(unbracketed[name]) or bracketed_unit(name) == unit)
+        if name != second
+        and (re.fullmatch(pattern, unbracketed[name]) or bracketed_unit(name) == unit)
     ]
     yield from sorted(pairs, key=lambda pair: -_common_prefix_length(pair.coarse, pair.fine))
 

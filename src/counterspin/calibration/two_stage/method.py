@@ -12,7 +12,7 @@ import numpy as np
 from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.checks.limits import check_credibility
 from counterspin.calibration.checks.residuals import undetected_walk_remarks
-from counterspin.calibration.joint_problem import JointProblem
+from counterspin.calibration.joint_problem import STATIC_NOISE, JointProblem
 from counterspin.calibration.model import fixed_terms
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.outcome import (
@@ -41,7 +41,6 @@ from counterspin.calibration.two_stage.findings import (
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.settings import StatedNoise
-from counterspin.campaign.static_noise import resolve_noise
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail
@@ -63,6 +62,7 @@ from counterspin.inference.two_stage.model import (
     two_stage_model,
 )
 from counterspin.inference.two_stage.second_stage import SecondStage, resolve, with_estimated_noise
+from counterspin.loading import load_name
 from counterspin.physics.terms import ACCELEROMETER_TERMS, SHARED_TERMS, TERMS
 
 #: What the second stage estimates of an accelerometer.
@@ -347,7 +347,9 @@ def make_request(
             "joint method",
             code="method-not-applicable",
         )
-    stated = resolve_noise(campaign)[accelerometer.name].sizes
+    stated = campaign.noise
+    if campaign.rest is not None:
+        stated = load_name(STATIC_NOISE)(campaign)[accelerometer.name].sizes
     if stated is not None and stated.wanders:
         keys = ", ".join(f"noise.{key}" for key in BIAS_COMPONENTS_BY_KEY)
         raise NotIdentifiableError(
