@@ -39,19 +39,20 @@ from counterspin.inference.noise.undetected_walk import UndetectedWalk, marginal
 _MIN_RELATIVE_U: Final = 1e-6
 
 
-def jackknife_runs(estimated: Estimate, index: int) -> list[Jackknife]:
+def jackknife_runs(estimate: Estimate, index: int) -> list[Jackknife]:
     """Leave each run out in turn, where there are several, for one accelerometer's unknown."""
-    unknown, u = estimated.fit.model.unknowns[index], float(estimated.fit.solution.u[index])
-    run_names = list(dict.fromkeys(prepared.run for prepared in estimated.fit.design_blocks))
+    unknown, u = estimate.fit.model.unknowns[index], float(estimate.fit.solution.u[index])
+    run_names = list(dict.fromkeys(block.run for block in estimate.fit.design_blocks))
     shifts = {run: Jackknife(run) for run in run_names}
     # What nobody asks for need not be apart.
-    fit = estimated.compressed_fit or estimated.fit
+    fit = estimate.compressed_fit or estimate.fit
     runs = [
         run
         for run in run_names
-        if (without := fit.without_run(run)) is not None and float(without.u[index]) < unknown.limit
+        if (reduced_fit := fit.without_run(run)) is not None
+        and float(reduced_fit.u[index]) < unknown.limit
     ]
-    variance, dof = _shift_variances(estimated, fit, runs, index)
+    variance, dof = _shift_variances(estimate, fit, runs, index)
     for run, variance_of_shift, dof_of_shift in zip(
         runs, variance.tolist(), dof.tolist(), strict=True
     ):
@@ -78,9 +79,9 @@ def _shift_variances(
     estimate = estimated.estimated_noise.get(owner)
     covariance = noise_covariances(estimated.fit.noise, estimated.estimated_noise).get(owner)
     if covariance is not None and runs:
-        lost = estimated.information_losses.get(owner)
+        loss = estimated.information_losses.get(owner)
         slopes = shift_variance_sensitivities(
-            fit, information_losses(fit, owner) if lost is None else lost, runs, index
+            fit, information_losses(fit, owner) if loss is None else loss, runs, index
         )
         inverse = 1.0 / effective_dof(variance, slopes, covariance)
         if estimate is not None and estimate.undetected_walk is not None:
@@ -104,18 +105,18 @@ def _base_variances(fit: JointFit, runs: Sequence[str], index: int) -> Array:
     full = fit.solution
     variances = np.zeros(len(runs))
     for k, run in enumerate(runs):
-        without = _solution_without(fit, run)
-        parts = [s.covariance_noise + s.covariance_prior for s in (without, full)]
+        reduced_solution = _solution_without(fit, run)
+        covariances = [s.covariance_noise + s.covariance_prior for s in (reduced_solution, full)]
         # What is considered moves both, and the shift by the difference.
-        sensitivities = [s.sensitivity_considered[index] for s in (without, full)]
+        sensitivities = [s.sensitivity_considered[index] for s in (reduced_solution, full)]
         considered_shift = (sensitivities[0] - sensitivities[1]) * full.considered_sd
-        difference = float(parts[0][index, index] - parts[1][index, index])
+        difference = float(covariances[0][index, index] - covariances[1][index, index])
         variances[k] = max(difference, 0.0) + float(considered_shift @ considered_shift)
     return variances
 
 
 def shift_variance_sensitivities(
-    fit: JointFit, lost: Array, runs: Sequence[str], index: int
+    fit: JointFit, losses: Array, runs: Sequence[str], index: int
 ) -> Array:
     """Return the change of each shift's variance per unit of each noise variance, (runs, 4).
 
@@ -123,21 +124,21 @@ def shift_variance_sensitivities(
     whole estimate's grows by C L C, that without the run by its own, and their covariance by the
     mixed product; the run itself has no part in the latter two.
 
-    lost: `estimated_noise.information_losses` of the fit.
+    losses: `estimated_noise.information_losses` of the fit.
     """
     full = fit.solution
     unit = np.eye(len(fit.model.unknowns))
     full_root = full.covariance_root(unit[index : index + 1])[0]
-    sensitivities = np.zeros((len(runs), lost.shape[1]))
+    sensitivities = np.zeros((len(runs), losses.shape[1]))
     for k, run in enumerate(runs):
-        without = _solution_without(fit, run)
+        reduced_solution = _solution_without(fit, run)
         # In the coordinates of the losses, in which the whole's own information is the identity.
-        root_without = full.whiten_unknowns(without.weighted_covariance[index])
-        other_losses = lost[[part.run != run for part in fit.design_blocks]].sum(axis=0)
+        root_without = full.whiten_unknowns(reduced_solution.weighted_covariance[index])
+        other_losses = losses[[block.run != run for block in fit.design_blocks]].sum(axis=0)
         root_change = root_without - full_root
         sensitivities[k] = (
             root_change @ other_losses @ root_change
-            + full_root @ (lost.sum(axis=0) - other_losses) @ full_root
+            + full_root @ (losses.sum(axis=0) - other_losses) @ full_root
         )
     return sensitivities
 
@@ -146,12 +147,12 @@ def _add_undetected_walk(
     unseen: UndetectedWalk, variance: Array, slope: Array, inverse: Array
 ) -> tuple[Array, Array]:
     """Return variances of shifts and inverse degrees of freedom with a walk that does not show."""
-    moved = (variance > 0.0) & (slope > 0.0)
-    if not moved.any():
+    active = (variance > 0.0) & (slope > 0.0)
+    if not active.any():
         return variance, inverse
     variance, inverse = variance.copy(), inverse.copy()
-    level, inverse[moved] = marginal_walk(unseen, variance[moved], slope[moved], inverse[moved])
-    variance[moved] += level * slope[moved]
+    level, inverse[active] = marginal_walk(unseen, variance[active], slope[active], inverse[active])
+    variance[active] += level * slope[active]
     return variance, inverse
 
 
@@ -176,40 +177,42 @@ class SlowResiduals:
 
 def compare_slow_residuals(fit: JointFit, accelerometer: str) -> list[SlowResiduals]:
     """Compare the slow residuals of each run of an accelerometer with those of its others."""
-    places = [i for i, part in enumerate(fit.design_blocks) if part.accelerometer == accelerometer]
+    indices = [
+        i for i, block in enumerate(fit.design_blocks) if block.accelerometer == accelerometer
+    ]
     cosines = [
         Alternative("cosine", str(i), "cosine", {i: column})
-        for i in places
+        for i in indices
         for column in _cosines(fit, fit.design_blocks[i])
     ]
-    if len(places) < 2:
+    if len(indices) < 2:
         return []
-    projected = project_columns(fit, cosines)
-    columns = projected.columns / np.sqrt(projected.squared_norms)
+    projection = project_columns(fit, cosines)
+    columns = projection.columns / np.sqrt(projection.squared_norms)
     energies = []
-    for i in places:
+    for i in indices:
         run_columns = columns[:, [cosine.owner == str(i) for cosine in cosines]]
         left_vectors, singular_values, _ = np.linalg.svd(run_columns, full_matrices=False)
         basis = left_vectors[:, singular_values > _RANK_TOLERANCE]
-        energies.append((float(np.sum((basis.T @ projected.residual) ** 2)), basis.shape[1]))
-    return [_f_test(fit.design_blocks[i], energies, k) for k, i in enumerate(places)]
+        energies.append((float(np.sum((basis.T @ projection.residual) ** 2)), basis.shape[1]))
+    return [_f_test(fit.design_blocks[i], energies, k) for k, i in enumerate(indices)]
 
 
-def _f_test(prepared: DesignBlock, energies: list[tuple[float, int]], k: int) -> SlowResiduals:
+def _f_test(block: DesignBlock, energies: list[tuple[float, int]], k: int) -> SlowResiduals:
     from scipy.special import fdtrc
 
     run_energy, run_dof = energies[k]
     other_energy = sum(energy for energy, _ in energies) - run_energy
     other_dof = sum(count for _, count in energies) - run_dof
     if not run_dof or not other_dof or not other_energy > 0.0:
-        return SlowResiduals(prepared.run, 1.0, 1.0)
+        return SlowResiduals(block.run, 1.0, 1.0)
     ratio = run_energy / run_dof / (other_energy / other_dof)
-    return SlowResiduals(prepared.run, ratio, float(fdtrc(run_dof, other_dof, ratio)))
+    return SlowResiduals(block.run, ratio, float(fdtrc(run_dof, other_dof, ratio)))
 
 
-def _cosines(fit: JointFit, prepared: DesignBlock) -> list[Array]:
+def _cosines(fit: JointFit, block: DesignBlock) -> list[Array]:
     """Return cosines of half periods in a record, up to where its own noise is the larger one."""
-    series = prepared.series
+    series = block.series
     noise = series.total_noise(fit.noise[series.accelerometer])
     length = float(series.time[-1] - series.time[0])
     per_sample = length / float(np.sum(series.count))

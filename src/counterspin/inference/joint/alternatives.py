@@ -59,12 +59,12 @@ class Alternative:
 
     def is_credible(self, value: float) -> bool:
         """Return whether the parameter may be as large as that."""
-        (lowest, highest), (low, high) = self.credible_range, self.excluded_range
-        return lowest <= value <= highest and not low < value < high
+        (lowest, highest), (excluded_low, excluded_high) = self.credible_range, self.excluded_range
+        return lowest <= value <= highest and not excluded_low < value < excluded_high
 
     def is_implausible(self, value: float) -> bool:
         """Return whether the parameter is credible, but far from every likely size."""
-        distance = min((abs(value - size) for size in self.likely_values), default=0.0)
+        distance = min((abs(value - likely) for likely in self.likely_values), default=0.0)
         return distance > self.likely_tolerance
 
     @property
@@ -104,25 +104,25 @@ def prior_alternatives(fit: JointFit) -> tuple[Alternative, ...]:
     anew, one for all its components, and one for the radius of several mountings: they are off
     alike if one mistake made them so.
     """
-    known = [
-        (place, unknown)
-        for place, unknown in _unknowns_with_prior(fit)
+    indexed_unknowns = [
+        (index, unknown)
+        for index, unknown in _unknowns_with_prior(fit)
         if not unknown.has_default_prior
     ]
     single = (
         Alternative(
             "prior", *_owner_and_symbol(u), prior_shifts={k: 1.0}, credible_range=_credible_range(u)
         )
-        for k, u in known
+        for k, u in indexed_unknowns
     )
-    return (*single, *_shared_alternatives(fit, known))
+    return (*single, *_shared_alternatives(fit, indexed_unknowns))
 
 
 def default_prior_alternatives(fit: JointFit) -> tuple[Alternative, ...]:
     """Return likewise the alternatives that something unstated is far from its typical size."""
-    known = [
-        (place, unknown)
-        for place, unknown in _unknowns_with_prior(fit)
+    indexed_unknowns = [
+        (index, unknown)
+        for index, unknown in _unknowns_with_prior(fit)
         if unknown.has_default_prior
     ]
     return tuple(
@@ -133,15 +133,15 @@ def default_prior_alternatives(fit: JointFit) -> tuple[Alternative, ...]:
             credible_range=_credible_range(u),
             default_sd=u.prior[1],
         )
-        for k, u in known
+        for k, u in indexed_unknowns
     )
 
 
 def _unknowns_with_prior(fit: JointFit) -> list[tuple[int, Unknown]]:
     """Return places and unknowns of which something is known beforehand, but for encoders'."""
     return [
-        (place, unknown)
-        for place, unknown in enumerate(fit.model.unknowns)
+        (index, unknown)
+        for index, unknown in enumerate(fit.model.unknowns)
         if math.isfinite(unknown.prior[1]) and unknown.symbol not in encoder.SYMBOLS
     ]
 
@@ -158,28 +158,30 @@ def _credible_range(unknown: Unknown) -> tuple[float, float]:
 
 
 def _shared_alternatives(
-    fit: JointFit, known: Sequence[tuple[int, Unknown]]
+    fit: JointFit, indexed_unknowns: Sequence[tuple[int, Unknown]]
 ) -> Iterator[Alternative]:
     """Yield one alternative for each term, and each family of terms, that several runs have.
 
     And one for the radius that several mountings have by one statement.
     """
-    runs = {part.run for part in fit.design_blocks}
+    runs = {block.run for block in fit.design_blocks}
     groups: dict[str, dict[int, float]] = {}
-    for place, unknown in known:
+    for index, unknown in indexed_unknowns:
         if unknown.owner in runs:
             family, _, _ = unknown.symbol.rpartition(".")
             for name in (unknown.symbol, family) if family else (unknown.symbol,):
-                groups.setdefault(name, {})[place] = 1.0
+                groups.setdefault(name, {})[index] = 1.0
         elif unknown.symbol == f"{RADIUS}.{mounting_name(unknown.symbol)}":
-            groups.setdefault(RADIUS, {})[place] = 1.0
-    yielded: list[Mapping[int, float]] = []
-    for symbol, places in groups.items():
-        if len(places) > 1 and places not in yielded:
-            yielded.append(places)
-            limit = min(fit.model.unknowns[place].limit for place in places)
+            groups.setdefault(RADIUS, {})[index] = 1.0
+    groups_done: list[Mapping[int, float]] = []
+    for symbol, indices in groups.items():
+        if len(indices) > 1 and indices not in groups_done:
+            groups_done.append(indices)
+            limit = min(fit.model.unknowns[index].limit for index in indices)
             kind = "prior" if symbol == RADIUS else "priors"  # one statement, or one a run
-            yield Alternative(kind, "", symbol, prior_shifts=places, credible_range=(-limit, limit))
+            yield Alternative(
+                kind, "", symbol, prior_shifts=indices, credible_range=(-limit, limit)
+            )
 
 
 def run_score_tests(
@@ -199,14 +201,14 @@ def run_score_tests(
     value, u, z = np.zeros((3, len(alternatives)))
     dof = max(fit.solution.dof - 1.0, 1.0)
     for group in groups.values():
-        projected = project_columns(fit, [alternatives[index] for index in group])
-        columns, residual = projected.columns, projected.residual
+        projected_columns = project_columns(fit, [alternatives[index] for index in group])
+        columns, residual = projected_columns.columns, projected_columns.residual
         norms = np.sum(columns**2, axis=0)
-        is_testable = norms > MIN_RESIDUAL_FRACTION * projected.squared_norms
+        is_testable = norms > MIN_RESIDUAL_FRACTION * projected_columns.squared_norms
         norms = np.where(is_testable, norms, np.inf)
         product = columns.T @ residual
         gain = product**2 / norms
-        residual_rss = projected.rss + float(residual @ residual)
+        residual_rss = projected_columns.rss + float(residual @ residual)
         scale = np.maximum(residual_rss - gain, 0.0) / dof
         if noise_given:
             scale = np.maximum(scale, 1.0)
@@ -232,12 +234,12 @@ class ProjectedColumns:
 
 def project_columns(fit: JointFit, alternatives: Sequence[Alternative]) -> ProjectedColumns:
     """Project alternatives off a fit; arguments as of `run_score_tests`."""
-    blocks, solution, augmented = _augment_rows(fit, [a for a in alternatives if a.columns])
-    data, priors = _columns(alternatives, blocks, solution, augmented)
+    blocks, solution, augmented_rows = _augment_rows(fit, [a for a in alternatives if a.columns])
+    data, priors = _columns(alternatives, blocks, solution, augmented_rows)
     target = np.concatenate([block.target for block in blocks])
-    known = solution.prior_sd == 0.0
+    is_fixed = solution.prior_sd == 0.0
     factor = np.vstack([block.factor for block in blocks])
-    target = target - factor[:, known] @ solution.prior_mean[known]
+    target = target - factor[:, is_fixed] @ solution.prior_mean[is_fixed]
     prior_targets = solution.whiten_priors(solution.prior_mean[:, None])
     residual = solution.project_out(target[:, None], prior_targets)[:, 0]
     columns = solution.project_out(data, priors)
@@ -257,8 +259,8 @@ def undetected_effects(fit: JointFit, alternatives: Sequence[Alternative]) -> tu
     Returns: the size of what it leaves in the residuals, in standard deviations, shape (m,), and by
         how much it moves the unknowns, shape (p, m).
     """
-    blocks, solution, augmented = _augment_rows(fit, [a for a in alternatives if a.columns])
-    data, priors = _columns(alternatives, blocks, solution, augmented)
+    blocks, solution, augmented_rows = _augment_rows(fit, [a for a in alternatives if a.columns])
+    data, priors = _columns(alternatives, blocks, solution, augmented_rows)
     effects = np.linalg.norm(solution.project_out(data, priors), axis=0)
     return effects, solution.undetected_shifts(data, priors)
 
@@ -277,33 +279,33 @@ def _augment_rows(
     p = len(fit.model.unknowns)
     columns = [alternative.columns for alternative in with_columns]
     blocks = list(fit.blocks)
-    augmented = [np.zeros((block.factor.shape[0], len(columns))) for block in blocks]
-    for index in {place for column in columns for place in column}:
-        _, wide = augment_block(fit, index, columns)
-        blocks[index] = replace(wide, factor=wide.factor[:, :p])
-        augmented[index] = wide.factor[:, p:]
-    return blocks, solve_blocks(blocks, fit.model), np.vstack(augmented)
+    augmented_rows = [np.zeros((block.factor.shape[0], len(columns))) for block in blocks]
+    for index in {block_index for column in columns for block_index in column}:
+        _, augmented_block = augment_block(fit, index, columns)
+        blocks[index] = replace(augmented_block, factor=augmented_block.factor[:, :p])
+        augmented_rows[index] = augmented_block.factor[:, p:]
+    return blocks, solve_blocks(blocks, fit.model), np.vstack(augmented_rows)
 
 
 def _columns(
     alternatives: Sequence[Alternative],
     blocks: Sequence[Block],
     solution: Solution,
-    augmented: Array,
+    augmented_rows: Array,
 ) -> tuple[Array, Array]:
     """Return the columns in the blocks' rows and in those of the priors, (rows, m) and (p, m)."""
     factor = np.vstack([block.factor for block in blocks])
     data = np.zeros((len(alternatives), factor.shape[0])).T  # columns in one piece
     priors = np.zeros((solution.estimate.size, len(alternatives)))
-    remaining = iter(augmented.T)
+    remaining = iter(augmented_rows.T)
     for k, alternative in enumerate(alternatives):
         if alternative.columns:
             data[:, k] = next(remaining)
-        for place, shift in alternative.prior_shifts.items():
-            if solution.prior_sd[place] > 0.0:
-                priors[place, k] = -shift
+        for unknown_index, shift in alternative.prior_shifts.items():
+            if solution.prior_sd[unknown_index] > 0.0:
+                priors[unknown_index, k] = -shift
             else:
                 # What is known exactly is no unknown: the records show how it is otherwise.
-                data[:, k] += shift * factor[:, place]
+                data[:, k] += shift * factor[:, unknown_index]
     # A prior that is too large by 1 has a row whose target is too large by 1/sd.
     return data, solution.whiten_priors(priors)

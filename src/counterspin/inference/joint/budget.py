@@ -47,44 +47,44 @@ def combination_budget(fit: JointFit, weights: Array, name: str = "") -> list[Bu
     name: An accelerometer, whose own terms are named without it.
     """
     solution, model = fit.solution, fit.model
-    parts = solution.combine(weights)
+    contributions = solution.combine(weights)
     rate_variances = [
         observation.rate_variances(fit.solution, weights) for observation in fit.observations
     ]
     lines = [
         BudgetLine(f"noise of {source}", NOISE, None, "", None, share, 0.0)
-        for source, share in _noise_by_source(fit, parts.noise_rows, rate_variances).items()
+        for source, share in _noise_by_source(fit, contributions.noise_rows, rate_variances).items()
     ]
     lines += _rate_lines(fit, rate_variances)
     for source, (level, covariance) in fit.undetected_walks.items():
         source_name = f"undetected noise of {source}"
         unit = NOISE_COMPONENTS["random_walk"].unit
-        size = math.sqrt(float(weights @ covariance @ weights))
-        slope = size / level if level else 0.0
-        lines.append(BudgetLine(source_name, NOISE, level, unit, slope, size, 0.0))
+        effect = math.sqrt(float(weights @ covariance @ weights))
+        slope = effect / level if level else 0.0
+        lines.append(BudgetLine(source_name, NOISE, level, unit, slope, effect, 0.0))
     terms = (*model.unknowns, *model.considered)
     sensitivity = (solution.sensitivity_prior, solution.sensitivity_considered)
     slopes = np.concatenate([weights @ matrix for matrix in sensitivity])
-    sizes = (*parts.prior, *parts.considered)
+    effects = (*contributions.prior, *contributions.considered)
     rotation: dict[tuple[str, str], list[float]] = {}
     conditional = conditional_priors(model.unknowns, name)
-    for term, slope, size in zip(terms, map(float, slopes), map(float, sizes), strict=True):
+    for term, slope, effect in zip(terms, map(float, slopes), map(float, effects), strict=True):
         if term.symbol in encoder.SYMBOLS:
-            place = term.owner, encoder.rotation_component(term.symbol)
-            rotation.setdefault(place, []).append(size)
+            component = term.owner, encoder.rotation_component(term.symbol)
+            rotation.setdefault(component, []).append(effect)
         elif term.name in conditional:
             source, u = conditional[term.name]
-            lines.append(BudgetLine(source, STATED, u, term.unit, size / u, abs(size), 0.0))
+            lines.append(BudgetLine(source, STATED, u, term.unit, effect / u, abs(effect), 0.0))
         elif math.isfinite(u := term.prior[1]):
             source = term.name.removeprefix(f"{name}.")
-            lines.append(BudgetLine(source, kind_of(term), u, term.unit, slope, abs(size), 0.0))
+            lines.append(BudgetLine(source, kind_of(term), u, term.unit, slope, abs(effect), 0.0))
     lines += _encoder_lines(fit, rotation)
-    total = sum(line.contribution**2 for line in lines)
-    if total == 0.0:
+    variance = sum(line.contribution**2 for line in lines)
+    if variance == 0.0:
         return []
-    lines = [replace(line, share=line.contribution**2 / total) for line in lines]
-    kept = [line for line in lines if line.share > _NEGLIGIBLE]
-    return sorted(kept, key=lambda line: -line.contribution)
+    lines = [replace(line, share=line.contribution**2 / variance) for line in lines]
+    significant_lines = [line for line in lines if line.share > _NEGLIGIBLE]
+    return sorted(significant_lines, key=lambda line: -line.contribution)
 
 
 def kind_of(term: Unknown) -> Kind:
@@ -98,13 +98,13 @@ def _encoder_lines(
     fit: JointFit, rotation: Mapping[tuple[str, str], Sequence[float]]
 ) -> Iterator[BudgetLine]:
     """Yield each part of each run's rotation, whose terms, estimated or held, are one line."""
-    errors = {prepared.run: prepared.series.angle_error for prepared in fit.design_blocks}
-    for (run, part), contributions in rotation.items():
+    errors = {block.run: block.series.angle_error for block in fit.design_blocks}
+    for (run, component), contributions in rotation.items():
         error = errors[run]
-        u = error.u[part] if error else 0.0
-        size = math.hypot(*contributions) if len(contributions) > 1 else contributions[0]
-        slope, unit = size / u if u else 0.0, _ENCODER_UNITS.get(part, "rad/s")
-        yield BudgetLine(f"{run}.{part}", NOISE, u, unit, slope, abs(size), 0.0)
+        u = error.u[component] if error else 0.0
+        combined = math.hypot(*contributions) if len(contributions) > 1 else contributions[0]
+        slope, unit = combined / u if u else 0.0, _ENCODER_UNITS.get(component, "rad/s")
+        yield BudgetLine(f"{run}.{component}", NOISE, u, unit, slope, abs(combined), 0.0)
 
 
 def _rate_lines(
@@ -112,16 +112,16 @@ def _rate_lines(
 ) -> Iterator[BudgetLine]:
     """Yield the random errors of rates that are stated, and those of the default size."""
     kinds: tuple[Kind, ...] = (STATED, DEFAULT_PRIOR)
-    for place, (kind, variances) in enumerate(
+    for i, (kind, variances) in enumerate(
         zip(kinds, zip(*rate_variances, strict=True), strict=True)
     ):
-        size = math.sqrt(sum(variances))
-        if size > 0.0:
+        effect = math.sqrt(sum(variances))
+        if effect > 0.0:
             u = np.concatenate(
-                [observation.rate_uncertainties[place] for observation in fit.observations]
+                [observation.rate_uncertainties[i] for observation in fit.observations]
             )
-            typical = math.sqrt(float(np.mean(u[u > 0.0] ** 2)))
-            yield BudgetLine(RATE, kind, typical, unit_of(RATE), size / typical, size, 0.0)
+            rms_u = math.sqrt(float(np.mean(u[u > 0.0] ** 2)))
+            yield BudgetLine(RATE, kind, rms_u, unit_of(RATE), effect / rms_u, effect, 0.0)
 
 
 def _noise_by_source(
@@ -142,16 +142,19 @@ def _noise_by_source(
 
 def u_by_category(fit: JointFit, weights: Array) -> tuple[float, float, float]:
     """Return u of a combination of the unknowns by category; as `unknown_u_by_category`."""
-    parts = fit.solution.combine(weights)
-    variances = _variances_by_category(fit, weights, parts.noise**2 + parts.undetected**2)
+    effects = fit.solution.combine(weights)
+    variances = _variances_by_category(fit, weights, effects.noise**2 + effects.undetected**2)
     terms = (*fit.model.unknowns, *fit.model.considered)
-    for unknown, part in zip(terms, (*parts.prior, *parts.considered), strict=True):
-        encoded = unknown.symbol in encoder.SYMBOLS
-        variances[NOISE if encoded else DEFAULT_PRIOR if unknown.has_default_prior else STATED] += (
-            float(part) ** 2
-        )
+    for unknown, effect in zip(terms, (*effects.prior, *effects.considered), strict=True):
+        variances[_category(unknown)] += float(effect) ** 2
     u_noise, u_stated, u_default = (math.sqrt(square) for square in variances.values())
     return u_noise, u_stated, u_default
+
+
+def _category(unknown: Unknown) -> Kind:
+    if unknown.symbol in encoder.SYMBOLS:
+        return NOISE
+    return DEFAULT_PRIOR if unknown.has_default_prior else STATED
 
 
 def _variances_by_category(fit: JointFit, weights: Array, noise: float) -> dict[str, float]:
@@ -175,13 +178,11 @@ def unknown_u_by_category(fit: JointFit, index: int) -> tuple[float, float, floa
         variances[NOISE] += float(solution.covariance_undetected[index, index])
     sensitivity = (solution.sensitivity_prior[index], solution.sensitivity_considered[index])
     for unknowns, slopes in zip((model.unknowns, model.considered), sensitivity, strict=True):
-        known = [u.prior[1] if math.isfinite(u.prior[1]) else 0.0 for u in unknowns]
-        sizes = slopes * known
+        prior_sds = [u.prior[1] if math.isfinite(u.prior[1]) else 0.0 for u in unknowns]
+        effects = slopes * prior_sds
         if (root := prior_root(unknowns)) is not None:
-            sizes = root.T @ sizes
-        for unknown, size in zip(unknowns, sizes.tolist(), strict=True):
-            encoded = unknown.symbol in encoder.SYMBOLS
-            kind = NOISE if encoded else DEFAULT_PRIOR if unknown.has_default_prior else STATED
-            variances[kind] += size**2
+            effects = root.T @ effects
+        for unknown, effect in zip(unknowns, effects.tolist(), strict=True):
+            variances[_category(unknown)] += effect**2
     u_noise, u_stated, u_default = (math.sqrt(max(s, 0.0)) for s in variances.values())
     return u_noise, u_stated, u_default

@@ -138,7 +138,7 @@ def build_design_blocks(
 
 
 def update_design_blocks(
-    prepared: Sequence[DesignBlock],
+    design_blocks: Sequence[DesignBlock],
     previous: Unknowns,
     model: Unknowns,
     scale_factors: Mapping[str, float],
@@ -147,7 +147,8 @@ def update_design_blocks(
     """Return the columns for another model or for other scale factors; only new are computed."""
     values = np.array([known.get(unknown, 0.0) for unknown in model.unknowns])
     return tuple(
-        part.update(previous, model, scale_factors[part.accelerometer], values) for part in prepared
+        block.update(previous, model, scale_factors[block.accelerometer], values)
+        for block in design_blocks
     )
 
 
@@ -160,9 +161,9 @@ def _build_design_block(
 ) -> DesignBlock:
     """Compute the columns of one series, except those that are known already."""
     unknowns = tuple(i for i, unknown in enumerate(model.unknowns) if unknown.affects(series))
-    considered = tuple(i for i, term in enumerate(model.considered) if term.affects(series))
+    considered_indices = tuple(i for i, term in enumerate(model.considered) if term.affects(series))
     symbols = [model.unknowns[i].symbol for i in unknowns]
-    ignored = [model.considered[i].symbol for i in considered]
+    ignored = [model.considered[i].symbol for i in considered_indices]
     rotation_symbols = [symbol for symbol in (*symbols, *ignored) if symbol in ROTATION]
     encoder_symbols = [symbol for symbol in (*symbols, *ignored) if symbol in encoder.SYMBOLS]
     inputs = [symbol for symbol in (*symbols, *ignored) if symbol in INPUTS]
@@ -183,7 +184,7 @@ def _build_design_block(
     }
     if series.corrected_fraction > 0.0:
         # The rotation is less certain then, and its product with what is held counts too.
-        considered_terms = [model.considered[i] for i in considered]
+        considered_terms = [model.considered[i] for i in considered_indices]
         accelerometer_values |= {
             considered_term.symbol: math.hypot(considered_term.prior_mean, considered_term.prior[1])
             for considered_term in considered_terms
@@ -202,7 +203,7 @@ def _build_design_block(
     return DesignBlock(
         unknowns,
         _stack_columns(series, [table[symbol] for symbol in symbols]),
-        considered,
+        considered_indices,
         _stack_columns(series, [table[symbol] for symbol in ignored]),
         series,
         scale_factor,
@@ -222,7 +223,7 @@ _LIMIT_SDS: Final = 1e3
 
 
 def compress_nuisance(
-    prepared: Sequence[DesignBlock], model: Unknowns, noise: Mapping[str, float | None]
+    design_blocks: Sequence[DesignBlock], model: Unknowns, noise: Mapping[str, float | None]
 ) -> tuple[tuple[DesignBlock, ...], Unknowns]:
     """Compress nuisance parameters; put the columns and model after the parameters of interest.
 
@@ -232,25 +233,29 @@ def compress_nuisance(
     nuisance = [unknown for unknown in model.unknowns if not unknown.is_of_interest]
     prior_sds = np.array([unknown.prior[1] for unknown in nuisance])
     if not nuisance or not np.isfinite(prior_sds).all():
-        return tuple(prepared), model
+        return tuple(design_blocks), model
     mean = np.array([unknown.prior_mean for unknown in nuisance])
-    floors = {part.accelerometer: noise.get(part.accelerometer) or math.inf for part in prepared}
-    for part in prepared:
-        if not noise.get(part.accelerometer):
-            floors[part.accelerometer] = min(floors[part.accelerometer], estimate_white_noise(part))
+    floors = {
+        block.accelerometer: noise.get(block.accelerometer) or math.inf for block in design_blocks
+    }
+    for block in design_blocks:
+        if not noise.get(block.accelerometer):
+            floors[block.accelerometer] = min(
+                floors[block.accelerometer], estimate_white_noise(block)
+            )
     if min(floors.values(), default=0.0) == 0.0:
         # Without noise no direction is negligible.
-        return tuple(prepared), model
+        return tuple(design_blocks), model
     root = prior_root(nuisance)
     nuisance_places = [k for k, unknown in enumerate(model.unknowns) if not unknown.is_of_interest]
-    weighted = []
-    for part in prepared:
-        rows = np.zeros((part.unit_noise_block.factor.shape[0], len(model.unknowns)))
-        rows[:, list(part.unknowns)] = part.unit_noise_block.factor
-        scaled = rows[:, nuisance_places] * (prior_sds / floors[part.accelerometer])
-        weighted.append(scaled if root is None else scaled @ root)
-    _, sizes, directions = np.linalg.svd(triangle_of(np.vstack(weighted)))
-    directions_kept = directions[: int(np.sum(sizes > _MIN_EFFECT))]
+    weighted_rows = []
+    for block in design_blocks:
+        rows = np.zeros((block.unit_noise_block.factor.shape[0], len(model.unknowns)))
+        rows[:, list(block.unknowns)] = block.unit_noise_block.factor
+        scaled_rows = rows[:, nuisance_places] * (prior_sds / floors[block.accelerometer])
+        weighted_rows.append(scaled_rows if root is None else scaled_rows @ root)
+    _, singular_values, directions = np.linalg.svd(triangle_of(np.vstack(weighted_rows)))
+    directions_kept = directions[: int(np.sum(singular_values > _MIN_EFFECT))]
     compressed_unknowns = [
         Unknown("", f"condensed.{k}", (0.0, 1.0), _LIMIT_SDS, is_of_interest=False)
         for k in range(len(directions_kept))
@@ -261,52 +266,54 @@ def compress_nuisance(
     means = np.zeros(len(model.unknowns))
     means[nuisance_places] = mean
     condensed = replace(model, unknowns=(*model.of_interest, *compressed_unknowns))
-    return tuple(_compress_block(part, model, means, shapes) for part in prepared), condensed
+    return tuple(_compress_block(block, model, means, shapes) for block in design_blocks), condensed
 
 
-def _compress_block(part: DesignBlock, model: Unknowns, means: Array, shapes: Array) -> DesignBlock:
+def _compress_block(
+    block: DesignBlock, model: Unknowns, means: Array, shapes: Array
+) -> DesignBlock:
     """Return a record with its nuisance parameters in compressed columns.
 
     means: (p,) of the compressed unknowns, 0 of others.
     shapes: (p, few): what one unit of each new unknown is.
     """
     columns_of_interest = [
-        k for k, place in enumerate(part.unknowns) if model.unknowns[place].is_of_interest
+        k for k, place in enumerate(block.unknowns) if model.unknowns[place].is_of_interest
     ]
     places_of_interest = [
         place for place, unknown in enumerate(model.unknowns) if unknown.is_of_interest
     ]
-    places = [places_of_interest.index(part.unknowns[k]) for k in columns_of_interest]
-    columns = list(part.unknowns)
+    places = [places_of_interest.index(block.unknowns[k]) for k in columns_of_interest]
+    columns = list(block.unknowns)
     transform = np.hstack([np.eye(len(columns))[:, columns_of_interest], shapes[columns]])
-    series, white = part.series, part.unit_noise_block
-    condensed = replace(
-        part,
-        series=replace(series, error=series.error - part.design @ means[columns]),
+    series, white = block.series, block.unit_noise_block
+    compressed_block = replace(
+        block,
+        series=replace(series, error=series.error - block.design @ means[columns]),
         unknowns=(
             *places,
             *range(len(places_of_interest), len(places_of_interest) + shapes.shape[1]),
         ),
-        design=part.design @ transform,
+        design=block.design @ transform,
     )
     # Of white noise it says in the new columns what it said in the old ones.
     triangle = replace(
         white, factor=white.factor @ transform, target=white.target - white.factor @ means[columns]
     )
-    vars(condensed)["unit_noise_block"] = triangle
-    return condensed
+    vars(compressed_block)["unit_noise_block"] = triangle
+    return compressed_block
 
 
-def estimate_white_noise(part: DesignBlock) -> float:
+def estimate_white_noise(block: DesignBlock) -> float:
     """Estimate the white noise of a record's samples from third differences of the residuals.
 
     Slow noise does not appear in third differences.
     """
-    series, white = part.series, part.unit_noise_block
+    series, white = block.series, block.unit_noise_block
     scale = np.linalg.norm(white.factor, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     coefficients = np.linalg.lstsq(white.factor / scale, white.target, rcond=None)[0] / scale
-    residuals = series.error - part.design @ coefficients
+    residuals = series.error - block.design @ coefficients
     polynomials = series.polynomials(max(series.order, 1))
     residuals = residuals - polynomials @ np.linalg.lstsq(polynomials, residuals, rcond=None)[0]
     third_differences = np.diff(residuals * np.sqrt(series.count / series.variance_ratio), 3)

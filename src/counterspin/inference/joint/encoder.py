@@ -76,7 +76,7 @@ def columns(
     error = series.angle_error
     if error is None or not symbols:
         return np.empty((series.time.size, 0))
-    places = [_symbols(error).index(symbol) for symbol in symbols]
+    indices = [_symbols(error).index(symbol) for symbol in symbols]
     motion, order = series.trajectory, series.order
     matrix = series.mounting.turned(series.attitude).matrix
     rows = {TERMS[symbol].effect: value for symbol, value in coefficients.items() if value != 0.0}
@@ -123,15 +123,15 @@ def columns(
                 )
                 edges = quadrature.panel_edges(motion.spindle, float(t.max()), kinks)
             total += quadrature.integrate(product_effect, edges, t, order)
-        return np.asarray(total @ error.root[:, places])
+        return np.asarray(total @ error.root[:, indices])
 
-    averaged = observation.block_average(effect, series.time, series.time_sd)
+    average_column = observation.block_average(effect, series.time, series.time_sd)
     if series.corrected_fraction == 0.0:
-        return averaged
-    angle_change = motion.spindle.angle_functions(error, series.time)[0] @ error.root[:, places]
-    known = {symbol: value for symbol, value in coefficients.items() if value != 0.0}
-    slope = sum(series.slopes(known)) / motion.spindle.angular_rate(series.time)
-    return np.asarray(averaged - series.corrected_fraction * slope[:, None] * angle_change)
+        return average_column
+    angle_change = motion.spindle.angle_functions(error, series.time)[0] @ error.root[:, indices]
+    nonzero_coefficients = {symbol: value for symbol, value in coefficients.items() if value != 0.0}
+    slope = sum(series.slopes(nonzero_coefficients)) / motion.spindle.angular_rate(series.time)
+    return np.asarray(average_column - series.corrected_fraction * slope[:, None] * angle_change)
 
 
 def _product_derivatives(rows: Mapping[SpecificForceProduct, float], a_ipo: Array) -> Array:

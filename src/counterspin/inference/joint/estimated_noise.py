@@ -31,7 +31,7 @@ _WALK: Final = COMPONENTS.index("random_walk")
 
 
 def estimate_noise_by_accelerometer(
-    prepared: Sequence[DesignBlock],
+    design_blocks: Sequence[DesignBlock],
     model: Unknowns,
     requests: Mapping[str, Noise],
 ) -> tuple[dict[str, Noise], dict[str, NoiseEstimate]]:
@@ -41,44 +41,46 @@ def estimate_noise_by_accelerometer(
     for name, request in requests.items():
         noise[name] = request
         if request.to_estimate:
-            blocks = [part for part in prepared if part.accelerometer == name]
+            blocks = [block for block in design_blocks if block.accelerometer == name]
             estimates[name] = _estimate_noise(blocks, model, request)
             noise[name] = estimates[name].noise
     return noise, estimates
 
 
 def _estimate_noise(
-    prepared: Sequence[DesignBlock], model: Unknowns, request: Noise
+    design_blocks: Sequence[DesignBlock], model: Unknowns, request: Noise
 ) -> NoiseEstimate:
     # These records tell less than all of them of what nobody asks for.
-    prepared, model = compress_nuisance(prepared, model, {})
+    design_blocks, model = compress_nuisance(design_blocks, model, {})
     # What is considered is unknown here, or what it does to the records would be taken for noise.
     unknowns, p = (*model.unknowns, *model.considered), len(model.unknowns)
-    places = [(*part.unknowns, *(p + place for place in part.considered)) for part in prepared]
-    used = sorted({index for indices in places for index in indices})
+    block_indices = [
+        (*block.unknowns, *(p + place for place in block.considered)) for block in design_blocks
+    ]
+    used_indices = sorted({index for indices in block_indices for index in indices})
     records = [
         RecordData(
-            part.series.time,
-            part.series.order,
-            np.column_stack([part.design, part.fixed]),
-            part.series.error,
-            part.series.count,
-            part.series.block_spacing,
-            [used.index(index) for index in indices],
-            part.series.trajectory.conditions.start,
-            part.series.jitter_variance,
-            part.series.variance_ratio,
+            block.series.time,
+            block.series.order,
+            np.column_stack([block.design, block.fixed]),
+            block.series.error,
+            block.series.count,
+            block.series.block_spacing,
+            [used_indices.index(index) for index in indices],
+            block.series.trajectory.conditions.start,
+            block.series.jitter_variance,
+            block.series.variance_ratio,
         )
-        for part, indices in zip(prepared, places, strict=True)
+        for block, indices in zip(design_blocks, block_indices, strict=True)
     ]
     # Priors are data too; what has none is held as loosely as in the solution.
-    chosen = [unknowns[index] for index in used]
+    used_unknowns = [unknowns[index] for index in used_indices]
     prior_sds = np.array(
-        [max(unknown.prior_sd, _MIN_PRIOR_U * unknown.limit) for unknown in chosen]
+        [max(unknown.prior_sd, _MIN_PRIOR_U * unknown.limit) for unknown in used_unknowns]
     )
-    means = np.array([unknown.prior_mean for unknown in chosen])
-    correlation = prior_correlation(chosen)
-    prior_rows = whiten_priors(np.eye(len(chosen)), prior_sds, correlation)
+    means = np.array([unknown.prior_mean for unknown in used_unknowns])
+    correlation = prior_correlation(used_unknowns)
+    prior_rows = whiten_priors(np.eye(len(used_unknowns)), prior_sds, correlation)
     return estimate_noise(
         records, request, prior_rows, whiten_priors(means, prior_sds, correlation)
     )
@@ -91,27 +93,29 @@ def information_losses(fit: JointFit, name: str) -> Array:
     shape (series, 4, f, f); zero for other accelerometers' series.
     """
     root = fit.solution.covariance_root(np.eye(len(fit.model.unknowns)))
-    lost = np.zeros((len(fit.design_blocks), len(COMPONENTS), root.shape[1], root.shape[1]))
-    for place, part in enumerate(fit.design_blocks):
-        if part.accelerometer == name:
-            series, columns = part.series, part.design @ root[list(part.unknowns)]
+    losses = np.zeros((len(fit.design_blocks), len(COMPONENTS), root.shape[1], root.shape[1]))
+    for block_index, block in enumerate(fit.design_blocks):
+        if block.accelerometer == name:
+            series, columns = block.series, block.design @ root[list(block.unknowns)]
             start = series.trajectory.conditions.start
-            lost[place] = information_loss(
+            losses[block_index] = information_loss(
                 series.differences, columns, fit.noise[name], start, series.jitter_variance
             )
-    return lost
+    return losses
 
 
 def noise_covariances(
     noise: Mapping[str, Noise], estimates: Mapping[str, NoiseEstimate]
 ) -> dict[str, Array]:
     """Return the covariance of each noise's variances, (4, 4), of those that are not exact."""
-    parts: dict[str, Array] = {name: component.covariance for name, component in estimates.items()}
+    covariances: dict[str, Array] = {
+        name: component.covariance for name, component in estimates.items()
+    }
     for name, component in noise.items():
         if component.covariance:
             # What is found here and what another record said are of different components.
-            parts[name] = np.array(component.covariance) + parts.get(name, 0.0)
-    return parts
+            covariances[name] = np.array(component.covariance) + covariances.get(name, 0.0)
+    return covariances
 
 
 def noise_level_dof(fit: JointFit, name: str) -> float:
@@ -123,7 +127,7 @@ def noise_level_dof(fit: JointFit, name: str) -> float:
     noise = fit.noise[name]
     if not noise.covariance:
         return math.inf
-    series_list = [part.series for part in fit.design_blocks if part.accelerometer == name]
+    series_list = [block.series for block in fit.design_blocks if block.accelerometer == name]
     shares = sum(_row_equivalents(series, noise) for series in series_list)
     gradient, variances = np.zeros((1, len(COMPONENTS))), np.array(noise.variances[: _WALK + 1])
     np.divide(shares, variances, out=gradient[0, : _WALK + 1], where=variances > 0.0)
@@ -133,13 +137,13 @@ def noise_level_dof(fit: JointFit, name: str) -> float:
 
 def _row_equivalents(series: ResidualSeries, noise: Noise) -> Array:
     """Return how many rows' worth of the whitened squares white noise and a walk make, (2,)."""
-    more, less = math.exp(_LOG_STEP), math.exp(-_LOG_STEP)
+    upper, lower = math.exp(_LOG_STEP), math.exp(-_LOG_STEP)
 
     def level(white: float, walk: float) -> float:
         row_variance = white * noise.sample_variance + series.jitter_variance
         return series.differences.factor(row_variance, walk * noise.random_walk**2)[1]
 
-    by_white, by_walk = level(more, 1.0) - level(less, 1.0), level(1.0, more) - level(1.0, less)
+    by_white, by_walk = level(upper, 1.0) - level(lower, 1.0), level(1.0, upper) - level(1.0, lower)
     return np.array([by_white, by_walk]) / (2.0 * _LOG_STEP)
 
 
@@ -180,27 +184,27 @@ def inflate_covariance(
         gradient = np.diagonal(sensitivities[name], axis1=1, axis2=2).T
         inverse += 1.0 / effective_dof(variance, gradient, covariance)
     limits = np.array([unknown.limit for unknown in fit.model.unknowns])
-    known = (solution.u > 0.0) & (solution.u < limits)
+    is_determined = (solution.u > 0.0) & (solution.u < limits)
     walks: dict[str, tuple[float, Array]] = {}
     for name, estimate in estimates.items():
         if estimate.undetected_walk is None:
             continue
-        slope = np.where(np.outer(known, known), sensitivities[name][_WALK], 0.0)
+        slope = np.where(np.outer(is_determined, is_determined), sensitivities[name][_WALK], 0.0)
         diagonal = np.diag(slope)
         if not diagonal.any():
             continue
-        determined_variance = np.where(known, variance, 1.0)
+        determined_variance = np.where(is_determined, variance, 1.0)
         level, inverse_with_walk = marginal_walk(
             estimate.undetected_walk, determined_variance, diagonal, inverse
         )
         walks[name] = math.sqrt(level), level * slope
-        inverse = np.where(known, inverse_with_walk, inverse)
+        inverse = np.where(is_determined, inverse_with_walk, inverse)
     with np.errstate(divide="ignore"):
         total_dof = 1.0 / inverse
     if not walks:
         return fit, total_dof
-    added = np.sum([covariance for _, covariance in walks.values()], axis=0)
-    wider = replace(solution, covariance_undetected=added)
+    added_covariance = np.sum([covariance for _, covariance in walks.values()], axis=0)
+    wider = replace(solution, covariance_undetected=added_covariance)
     return replace(fit, solution=wider, undetected_walks=walks), total_dof
 
 
@@ -222,5 +226,5 @@ def undetected_walk_covariance(fit: JointFit, estimates: Mapping[str, NoiseEstim
         if estimate.undetected_walk is not None
     }
     wider, *_ = inflate_for_noise(fit, with_walk)
-    added = wider.solution.covariance_undetected
-    return np.zeros_like(fit.solution.covariance) if added is None else added
+    addition = wider.solution.covariance_undetected
+    return np.zeros_like(fit.solution.covariance) if addition is None else addition

@@ -102,15 +102,17 @@ class _EstimationState:
     def with_model(self, model: Unknowns, scale_factors: Mapping[str, float]) -> _EstimationState:
         """Return the state with another model or other scale factors, fitted."""
         at = self.values
-        prepared = update_design_blocks(self.design_blocks, self.model, model, scale_factors, at)
+        design_blocks = update_design_blocks(
+            self.design_blocks, self.model, model, scale_factors, at
+        )
         noise = self.fit.noise
-        fit = solve_joint(*compress_nuisance(prepared, model, _white_noise(noise)), noise)
+        fit = solve_joint(*compress_nuisance(design_blocks, model, _white_noise(noise)), noise)
         return replace(
             self,
             model=model,
             scale_factors=scale_factors,
             linearization_point=at,
-            design_blocks=prepared,
+            design_blocks=design_blocks,
             fit=fit,
             columns_changed=True,
         )
@@ -124,10 +126,10 @@ class _EstimationState:
             for record in self.series
         )
 
-        def reweight(prepared: Sequence[DesignBlock]) -> tuple[DesignBlock, ...]:
+        def reweight(design_blocks: Sequence[DesignBlock]) -> tuple[DesignBlock, ...]:
             return tuple(
-                replace(part, series=part.series.with_noise_of(record.drop_rows(mask)))
-                for part, record, mask in zip(prepared, series, self.outliers, strict=True)
+                replace(block, series=block.series.with_noise_of(record.drop_rows(mask)))
+                for block, record, mask in zip(design_blocks, series, self.outliers, strict=True)
             )
 
         fit = replace(self.fit, observations=reweight(self.fit.design_blocks))
@@ -174,15 +176,15 @@ def correct_series(
 
 def reestimate(previous: Estimate, fit: JointFit, requests: Mapping[str, Noise]) -> Estimate:
     """Return the estimate of another fit to the same rows, with the noise estimated again."""
-    compressed = solve_joint(
+    compressed_fit = solve_joint(
         *compress_nuisance(fit.design_blocks, fit.model, _white_noise(fit.noise)), fit.noise
     )
     noise, noise_estimates = estimate_noise_by_accelerometer(
-        compressed.design_blocks, compressed.model, requests
+        compressed_fit.design_blocks, compressed_fit.model, requests
     )
-    compressed = compressed.with_noise(noise)
+    compressed_fit = compressed_fit.with_noise(noise)
     return _finish(
-        fit.with_noise(noise), compressed, noise_estimates, previous.outliers, previous.series
+        fit.with_noise(noise), compressed_fit, noise_estimates, previous.outliers, previous.series
     )
 
 
@@ -195,9 +197,9 @@ def find_rotation(
     """Find how runs turned whose angle nobody recorded: columns are taken along the rotation."""
     if not any(unknown.symbol in ROTATION for unknown in model.unknowns):
         return series
-    plain = model.without_inputs()
-    known = _scale_factors(series, plain, None)
-    return rotation.find_rotation(series, plain, known, _unit_noise(requests))
+    base_model = model.without_inputs()
+    scale_factors = _scale_factors(series, base_model, None)
+    return rotation.find_rotation(series, base_model, scale_factors, _unit_noise(requests))
 
 
 def first_fit(
@@ -207,22 +209,26 @@ def first_fit(
 
     Nuisance parameters move that point by no more than the uncertainties that they add.
     """
-    known = _scale_factors(series, model, None)
+    scale_factors = _scale_factors(series, model, None)
     at: dict[Unknown, float] = {}
     if model.has_inputs:
         of_interest = Unknowns(model.of_interest)
         interest_fit = solve_joint(
-            build_design_blocks(series, of_interest, known), of_interest, _unit_noise(requests)
+            build_design_blocks(series, of_interest, scale_factors),
+            of_interest,
+            _unit_noise(requests),
         )
-        known = _scale_factors(series, model, interest_fit)
+        scale_factors = _scale_factors(series, model, interest_fit)
         at = dict(zip(of_interest.unknowns, interest_fit.solution.estimate.tolist(), strict=True))
-        prepared = update_design_blocks(interest_fit.design_blocks, of_interest, model, known, at)
+        design_blocks = update_design_blocks(
+            interest_fit.design_blocks, of_interest, model, scale_factors, at
+        )
     else:
-        prepared = build_design_blocks(series, model, known)
+        design_blocks = build_design_blocks(series, model, scale_factors)
     white = _white_noise({name: request.known for name, request in requests.items()})
-    fit = solve_joint(*compress_nuisance(prepared, model, white), _unit_noise(requests))
+    fit = solve_joint(*compress_nuisance(design_blocks, model, white), _unit_noise(requests))
     none = outlier_rejection.no_outliers(series)
-    return _EstimationState(requests, series, model, known, at, prepared, none, fit)
+    return _EstimationState(requests, series, model, scale_factors, at, design_blocks, none, fit)
 
 
 def locate_inputs(
@@ -237,10 +243,10 @@ def locate_inputs(
     """
     state = first_fit(series, model, requests)
     levels: dict[str, float] = {}
-    for part in state.design_blocks:
-        stated = math.sqrt(requests[part.accelerometer].known.sample_variance)
-        level = stated or estimate_white_noise(part) or 1.0
-        levels[part.accelerometer] = max(level, levels.get(part.accelerometer, 0.0))
+    for block in state.design_blocks:
+        stated_sd = math.sqrt(requests[block.accelerometer].known.sample_variance)
+        level = stated_sd or estimate_white_noise(block) or 1.0
+        levels[block.accelerometer] = max(level, levels.get(block.accelerometer, 0.0))
     noise = {name: Noise(level) for name, level in levels.items()}
     fit = solve_joint(state.design_blocks, state.model, noise)
     estimates = zip(model.unknowns, fit.solution.estimate.tolist(), strict=True)
@@ -273,19 +279,19 @@ def correct_time_stamps(state: _EstimationState) -> _EstimationState:
             record.correct_times(shares.get(record.run, record.corrected_fraction))
             for record in state.series
         )
-        rejected = any(mask.any() for mask in state.outliers)
+        has_outliers = any(mask.any() for mask in state.outliers)
         state = first_fit(series, state.model, state.requests)
-        state = reject_outliers(state) if rejected else state
+        state = reject_outliers(state) if has_outliers else state
     return state
 
 
 def thin_correlated_rows(state: _EstimationState) -> _EstimationState:
     """Thin rows whose errors are correlated, then refit."""
-    kept = tuple(
+    thinned = tuple(
         record.drop_rows(mask) for record, mask in zip(state.series, state.outliers, strict=True)
     )
-    series = thin_rows(state.fit, kept)
-    if all(record is unthinned for record, unthinned in zip(series, kept, strict=True)):
+    series = thin_rows(state.fit, thinned)
+    if all(record is thin_record for record, thin_record in zip(series, thinned, strict=True)):
         return state
     return first_fit(series, state.model, state.requests)
 
@@ -307,7 +313,7 @@ def model_heteroscedasticity(state: _EstimationState) -> _EstimationState:
 
 def add_encoder_terms(state: _EstimationState) -> _EstimationState:
     """Add rotation errors due to encoder noise to the model, where they are not negligible."""
-    series = [part.series for part in state.design_blocks]
+    series = [block.series for block in state.design_blocks]
     model = encoder.add_encoder_terms(state.model, series, state.fit.noise)
     if model is state.model:
         return state
@@ -350,25 +356,25 @@ def relinearise_rotation(state: _EstimationState) -> _EstimationState:
     for _ in range(_ROTATION_ROUNDS):
         noise = state.fit.noise
         full_fit = solve_joint(state.design_blocks, state.model, noise)
-        rotated = rotation.rotate_to_estimate(full_fit, state.series)
-        if rotated is None:
+        rotated_series = rotation.rotate_to_estimate(full_fit, state.series)
+        if rotated_series is None:
             break
-        series, model = rotated
+        series, model = rotated_series
         values = np.where(
             [unknown.symbol in encoder.SYMBOLS for unknown in model.unknowns],
             0.0,
             full_fit.solution.estimate,
         )
-        kept = [s.drop_rows(mask) for s, mask in zip(series, state.outliers, strict=True)]
-        prepared = build_design_blocks(kept, model, state.scale_factors, values)
-        fit = solve_joint(*compress_nuisance(prepared, model, _white_noise(noise)), noise)
+        kept_series = [s.drop_rows(mask) for s, mask in zip(series, state.outliers, strict=True)]
+        design_blocks = build_design_blocks(kept_series, model, state.scale_factors, values)
+        fit = solve_joint(*compress_nuisance(design_blocks, model, _white_noise(noise)), noise)
         at = dict(zip(model.unknowns, values.tolist(), strict=True))
         state = replace(
             state,
             series=series,
             model=model,
             linearization_point=at,
-            design_blocks=prepared,
+            design_blocks=design_blocks,
             fit=fit,
             columns_changed=True,
         )
@@ -396,8 +402,8 @@ def reinstate_outliers(state: _EstimationState) -> _EstimationState:
     fit, outliers = outlier_rejection.reject_outliers(fit, state.series, state.requests, outliers)
     if fit is state.fit:
         return state
-    kept = outlier_rejection.select_rows(columns(), outliers)
-    return replace(state, fit=fit, outliers=outliers, design_blocks=kept).with_noise()
+    kept_blocks = outlier_rejection.select_rows(columns(), outliers)
+    return replace(state, fit=fit, outliers=outliers, design_blocks=kept_blocks).with_noise()
 
 
 STAGES: Final = (
@@ -425,28 +431,28 @@ def _finish(
     core: The same fit, compressed.
     """
     model = fit.model
-    core, dof, lost = inflate_for_noise(core, noise_estimates)
+    core, dof, losses = inflate_for_noise(core, noise_estimates)
     # Parameters of interest come first in the compressed fit; uncompressed, it has all unknowns.
-    places = [place for place, unknown in enumerate(model.unknowns) if unknown.is_of_interest]
+    indices = [index for index, unknown in enumerate(model.unknowns) if unknown.is_of_interest]
     if core.model.unknowns == model.unknowns:
-        places = list(range(len(model.unknowns)))
+        indices = list(range(len(model.unknowns)))
     full_dof = np.full(len(model.unknowns), math.inf)
-    full_dof[places] = dof[: len(places)]
+    full_dof[indices] = dof[: len(indices)]
 
     def embed(covariance: Array) -> Array:
         matrix = np.zeros((full_dof.size, full_dof.size))
-        matrix[np.ix_(places, places)] = covariance[: len(places), : len(places)]
+        matrix[np.ix_(indices, indices)] = covariance[: len(indices), : len(indices)]
         return matrix
 
-    added = core.solution.covariance_undetected
-    if added is not None:
-        solution = replace(fit.solution, covariance_undetected=embed(added))
+    added_covariance = core.solution.covariance_undetected
+    if added_covariance is not None:
+        solution = replace(fit.solution, covariance_undetected=embed(added_covariance))
         unseen = {
             name: (level, embed(covariance))
             for name, (level, covariance) in core.undetected_walks.items()
         }
         fit = replace(fit, solution=solution, undetected_walks=unseen)
-    return Estimate(fit, noise_estimates, full_dof, outliers, series, core, lost)
+    return Estimate(fit, noise_estimates, full_dof, outliers, series, core, losses)
 
 
 def _unit_noise(requests: Mapping[str, Noise]) -> dict[str, Noise]:
@@ -468,9 +474,9 @@ def _scale_factors(
     )
     for unknown in model.unknowns:
         if unknown.symbol == "K_I":
-            place = places_of_unknowns.get(unknown)
-            if fit is not None and place is not None and fit.solution.u[place] < unknown.limit:
-                factors[unknown.owner] = 1.0 + float(fit.solution.estimate[place])
+            index = places_of_unknowns.get(unknown)
+            if fit is not None and index is not None and fit.solution.u[index] < unknown.limit:
+                factors[unknown.owner] = 1.0 + float(fit.solution.estimate[index])
             elif math.isfinite(unknown.prior[1]):
                 factors[unknown.owner] = unknown.prior[0]
     factors |= {c.owner: c.prior[0] for c in model.considered if c.symbol == "K_I"}

@@ -70,12 +70,12 @@ class JointFit:
         solution = solve_blocks(blocks, self.model)
         return replace(self, solution=solution, blocks=blocks, noise=all_noise, undetected_walks={})
 
-    def subset(self, kept: Sequence[bool]) -> JointFit:
+    def subset(self, is_kept: Sequence[bool]) -> JointFit:
         """Return the fit of some of the observations."""
-        blocks = tuple(compress(self.blocks, kept))
+        blocks = tuple(compress(self.blocks, is_kept))
         return replace(
             self,
-            observations=tuple(compress(self.observations, kept)),
+            observations=tuple(compress(self.observations, is_kept)),
             blocks=blocks,
             solution=solve_blocks(blocks, self.model),
             undetected_walks={},
@@ -85,8 +85,8 @@ class JointFit:
         """Return the solution without one run; None if nothing is left."""
         if run not in self._leave_one_out_cache:
             pairs = zip(self.blocks, self.observations, strict=True)
-            kept = [block for block, observation in pairs if observation.run != run]
-            self._leave_one_out_cache[run] = solve_blocks(kept, self.model) if kept else None
+            is_kept = [block for block, observation in pairs if observation.run != run]
+            self._leave_one_out_cache[run] = solve_blocks(is_kept, self.model) if is_kept else None
         return self._leave_one_out_cache[run]
 
     @cached_property
@@ -123,18 +123,16 @@ class JointFit:
     @cached_property
     def residuals(self) -> tuple[Residuals, ...]:
         """Residuals of each series, with considered terms at their estimates."""
-        return tuple(self._block_residuals(prepared) for prepared in self.design_blocks)
+        return tuple(self._block_residuals(block) for block in self.design_blocks)
 
-    def _block_residuals(self, prepared: DesignBlock) -> Residuals:
+    def _block_residuals(self, block: DesignBlock) -> Residuals:
         series, estimate, p = (
-            prepared.series,
+            block.series,
             self.solution_with_considered.estimate,
             len(self.model.unknowns),
         )
-        residuals = series.error - prepared.design @ estimate[list(prepared.unknowns)]
-        residuals = (
-            residuals - prepared.fixed @ estimate[[p + place for place in prepared.considered]]
-        )
+        residuals = series.error - block.design @ estimate[list(block.unknowns)]
+        residuals = residuals - block.fixed @ estimate[[p + index for index in block.considered]]
         whiten = series.whitener(self.noise[series.accelerometer])
         if whiten.polynomials == 0:
             # The differences have removed the start errors; the plain residuals need them back.
@@ -156,8 +154,8 @@ class JointFit:
         leverages = self.solution_with_considered.leverages[: ends[-1]]
         fitted_dof = np.add.reduceat(leverages, np.append(0, ends[:-1]))
         return tuple(
-            block.rows - block.nuisance - float(part)
-            for block, part in zip(self.blocks, fitted_dof, strict=True)
+            block.rows - block.nuisance - float(dof)
+            for block, dof in zip(self.blocks, fitted_dof, strict=True)
         )
 
 
@@ -249,9 +247,9 @@ def augment_block(
         that is not named shows nothing.
     """
     p, m = len(fit.model.unknowns), len(columns)
-    added = {p + k: column[index] for k, column in enumerate(columns) if index in column}
-    observation = fit.observations[index].with_columns(tuple(added), tuple(added.values()))
-    if not added:
+    extra = {p + k: column[index] for k, column in enumerate(columns) if index in column}
+    observation = fit.observations[index].with_columns(tuple(extra), tuple(extra.values()))
+    if not extra:
         block = fit.blocks[index]
         return observation, replace(block, factor=np.pad(block.factor, ((0, 0), (0, m))))
     free = (Unknown("", str(place), NO_PRIOR, 1.0) for place in range(m))
@@ -263,8 +261,8 @@ def augment(
     fit: JointFit, unknowns: Sequence[Unknown], columns: Sequence[Mapping[int, Array]]
 ) -> JointFit:
     """Add unknowns to a fit with considered terms estimated; columns as of `augment_block`."""
-    augmented = (augment_block(fit, i, columns) for i in range(len(fit.blocks)))
-    observations, blocks = zip(*augmented, strict=True)
+    augmented_blocks = (augment_block(fit, i, columns) for i in range(len(fit.blocks)))
+    observations, blocks = zip(*augmented_blocks, strict=True)
     model = replace(fit.model, unknowns=(*fit.model.unknowns, *unknowns))
     solution = solve_blocks(blocks, model)
     return replace(fit, model=model, solution=solution, observations=observations, blocks=blocks)

@@ -93,8 +93,8 @@ def estimate_heteroscedasticity(
 def noise_by_run(fit: JointFit, accelerometer: str) -> Mapping[str, float]:
     """Return each run's white noise over what the fit takes it for; empty where runs are alike."""
     squares = _squared_differences(fit, accelerometer)
-    fitted = _fit_run_variances(fit, squares) if squares else None
-    return {} if fitted is None else fitted[1].run_ratios
+    variance_fit = _fit_run_variances(fit, squares) if squares else None
+    return {} if variance_fit is None else variance_fit[1].run_ratios
 
 
 def _squared_differences(fit: JointFit, accelerometer: str) -> dict[int, Array]:
@@ -105,8 +105,8 @@ def _squared_differences(fit: JointFit, accelerometer: str) -> dict[int, Array]:
     """
     residuals = {
         i: fit.residuals[i].whitened
-        for i, part in enumerate(fit.design_blocks)
-        if part.accelerometer == accelerometer
+        for i, block in enumerate(fit.design_blocks)
+        if block.accelerometer == accelerometer
         and fit.residuals[i].whitened.size >= _MIN_DIFFERENCES + _ORDER
     }
     squares = _square_third_differences(residuals)
@@ -156,17 +156,18 @@ def _fit_run_variances(
     """
     from scipy.special import chdtri
 
-    sizes = {i: float(np.mean(values)) for i, values in squares.items()}
-    ratio = math.sqrt(max(sizes.values()) / min(sizes.values()))
-    if len(sizes) < 2 or ratio < _MIN_SD_RATIO:
+    variances = {i: float(np.mean(values)) for i, values in squares.items()}
+    ratio = math.sqrt(max(variances.values()) / min(variances.values()))
+    if len(variances) < 2 or ratio < _MIN_SD_RATIO:
         return None
     all_squares = np.concatenate(list(squares.values()))
     log_ratio_sum = sum(
-        squares[i].size * math.log(size / np.mean(all_squares)) for i, size in sizes.items()
+        squares[i].size * math.log(variance / np.mean(all_squares))
+        for i, variance in variances.items()
     )
     gain = -_information_per_row(all_squares) * log_ratio_sum
-    excess = gain - float(chdtri(len(sizes) - 1, _SIGNIFICANCE))
-    runs = {fit.design_blocks[i].run: math.sqrt(size) for i, size in sizes.items()}
+    excess = gain - float(chdtri(len(variances) - 1, _SIGNIFICANCE))
+    runs = {fit.design_blocks[i].run: math.sqrt(variance) for i, variance in variances.items()}
     return (excess, VarianceModel(runs, 0.0)) if excess > 0.0 else None
 
 
@@ -183,10 +184,10 @@ def _varies_within_run(fit: JointFit, squares: Mapping[int, Array]) -> bool:
             [np.ones(values.size), np.cos(double_angle), np.sin(double_angle), time]
         )
         coefficients = np.linalg.lstsq(regressors, values, rcond=None)[0]
-        explained = np.sum((regressors @ coefficients - values.mean()) ** 2) / (
+        r_squared = np.sum((regressors @ coefficients - values.mean()) ** 2) / (
             2.0 * values.mean() ** 2
         )
-        smallest = min(smallest, float(chdtrc(3, _information_per_row(values) * explained)))
+        smallest = min(smallest, float(chdtrc(3, _information_per_row(values) * r_squared)))
     return smallest < _SIGNIFICANCE
 
 
@@ -231,17 +232,17 @@ def _maximize_slope_model(
     all_squares = np.concatenate(list(squares.values()))
     information = _information_per_row(all_squares)
 
-    def gained(size: float) -> float:
+    def gained(best_ratio: float) -> float:
         """Return twice the gain in log-likelihood over even noise."""
-        shape = 1.0 + size * slope
+        shape = 1.0 + best_ratio * slope
         level = math.log(np.mean(all_squares / shape)) - math.log(np.mean(all_squares))
         return -information * (float(np.sum(np.log(shape))) + all_squares.size * level)
 
-    size = float(max(_TRIAL_RATIOS, key=gained))
-    refined_ratios = size * np.geomspace(0.75, 1.33, 21)
-    size = float(max(refined_ratios, key=gained))
-    level = float(np.mean(all_squares / (1.0 + size * slope)))
-    return gained(size), math.sqrt(1.0 + size), size * level / largest
+    best_ratio = float(max(_TRIAL_RATIOS, key=gained))
+    refined_ratios = best_ratio * np.geomspace(0.75, 1.33, 21)
+    best_ratio = float(max(refined_ratios, key=gained))
+    level = float(np.mean(all_squares / (1.0 + best_ratio * slope)))
+    return gained(best_ratio), math.sqrt(1.0 + best_ratio), best_ratio * level / largest
 
 
 def _estimate_encoder_noise(fit: JointFit, accelerometer: str) -> float:
@@ -250,9 +251,9 @@ def _estimate_encoder_noise(fit: JointFit, accelerometer: str) -> float:
     That time stamps err is known by then, so that it needs no test.
     """
     squares, slopes = {}, {}
-    for i, part in enumerate(fit.design_blocks):
-        series, stamps = part.series, part.series.timestamp_errors
-        if part.accelerometer != accelerometer or stamps is None or stamps.fraction == 0.0:
+    for i, block in enumerate(fit.design_blocks):
+        series, stamps = block.series, block.series.timestamp_errors
+        if block.accelerometer != accelerometer or stamps is None or stamps.fraction == 0.0:
             continue
         if series.timing_noise > 0.0:
             return 0.0
@@ -273,7 +274,7 @@ def _estimate_encoder_noise(fit: JointFit, accelerometer: str) -> float:
 def _mean_squared_slope(thinned: ResidualSeries, full: ResidualSeries, count: int) -> Array:
     """Return the mean square of the slope in the rows of each third difference, (count,)."""
     ideal, error_slope = full.slopes()
-    squared = ((ideal + error_slope) ** 2)[np.isin(full.time, thinned.time)]
-    mean = np.convolve(squared, _WEIGHTS, mode="valid")
+    squared_slope = ((ideal + error_slope) ** 2)[np.isin(full.time, thinned.time)]
+    mean = np.convolve(squared_slope, _WEIGHTS, mode="valid")
     # Whitened differences belong to the later rows.
     return np.asarray(mean[mean.size - count :])

@@ -90,37 +90,41 @@ def record_mistakes(
     angle_recorded: Whether the spindle's angle was; else its zero is found and nothing can be wrong
         with it.
     """
-    parts = fit.design_blocks
-    outputs = {i: _fitted_output(fit, i) for i in range(len(parts))}
-    accelerometers = list(dict.fromkeys(part.accelerometer for part in parts))
-    runs = list(dict.fromkeys(part.run for part in parts))
+    design_blocks = fit.design_blocks
+    outputs = {i: _fitted_output(fit, i) for i in range(len(design_blocks))}
+    accelerometers = list(dict.fromkeys(block.accelerometer for block in design_blocks))
+    runs = list(dict.fromkeys(block.run for block in design_blocks))
     limits = {(unknown.owner, unknown.symbol): unknown.limit for unknown in fit.model.unknowns}
     for name in accelerometers:
-        columns = {i: outputs[i] for i, part in enumerate(parts) if part.accelerometer == name}
+        columns = {
+            i: outputs[i] for i, block in enumerate(design_blocks) if block.accelerometer == name
+        }
         yield Alternative(SCALE, name, SCALE, columns, credible_range=_SCALE_RANGE)
         if len(columns) > 1:
             yield _bias_drift(fit, list(columns), name, trends[name])
     if len(runs) > 1:
         yield from _low_pass_alternatives(fit, accelerometers)
     for run in runs if len(runs) > 1 else ():
-        columns = {i: outputs[i] for i, part in enumerate(parts) if part.run == run}
+        columns = {i: outputs[i] for i, block in enumerate(design_blocks) if block.run == run}
         yield Alternative(RUN_SCALE, run, SCALE, columns, credible_range=_SCALE_RANGE)
-    for i, part in enumerate(parts):
-        owner = f"{part.run}.{part.accelerometer}"
+    for i, block in enumerate(design_blocks):
+        owner = f"{block.run}.{block.accelerometer}"
         if len(accelerometers) > 1 and len(runs) > 1:
             column = {i: outputs[i]}
             yield Alternative(RUN_SCALE, owner, SCALE, column, credible_range=_SCALE_RANGE)
-        integrated = _integrated_bias(fit, i, 0)
-        limit = limits.get((part.accelerometer, "K_F"), TERMS["K_F"].limit)
-        yield Alternative(BIAS, owner, BIAS, {i: integrated}, credible_range=(-limit, limit))
-        yield _bias_drift(fit, [i], owner, trends[part.accelerometer])
+        drift_column = _integrated_bias(fit, i, 0)
+        limit = limits.get((block.accelerometer, "K_F"), TERMS["K_F"].limit)
+        yield Alternative(BIAS, owner, BIAS, {i: drift_column}, credible_range=(-limit, limit))
+        yield _bias_drift(fit, [i], owner, trends[block.accelerometer])
     if angle_recorded:
         angle_columns = {
-            i: rotation_column(part.series, ROTATION[0]) for i, part in enumerate(parts)
+            i: rotation_column(block.series, ROTATION[0]) for i, block in enumerate(design_blocks)
         }
         yield Alternative(ANGLE, "", "records.angle", angle_columns, credible_range=_ANGLE_RANGE)
         for run in runs if len(runs) > 1 else ():
-            columns = {i: angle_columns[i] for i, part in enumerate(parts) if part.run == run}
+            columns = {
+                i: angle_columns[i] for i, block in enumerate(design_blocks) if block.run == run
+            }
             yield Alternative(ANGLE, run, ANGLE, columns, credible_range=_ANGLE_RANGE)
 
 
@@ -130,15 +134,15 @@ def _low_pass_alternatives(fit: JointFit, accelerometers: Sequence[str]) -> Iter
     A first-order low pass of time constant tau has the gain 1 - (w tau)^2/2: it adds tau^2/2 times
     the second derivative of what is recorded. It also delays by tau, as a late angle does.
     """
-    parts = fit.design_blocks
-    fastest = max(abs(part.series.trajectory.spindle.rate) for part in parts)
+    design_blocks = fit.design_blocks
+    fastest = max(abs(block.series.trajectory.spindle.rate) for block in design_blocks)
     step, limit = _RESPONSE_STEP / fastest, 2.0 * _LARGEST_RESPONSE / fastest**2
     for name in accelerometers:
         columns = {}
-        for i, part in enumerate(parts):
-            if part.accelerometer == name:
+        for i, block in enumerate(design_blocks):
+            if block.accelerometer == name:
                 before, at_sample, after = (
-                    part.series.reference(delay=delay) for delay in (-step, 0.0, step)
+                    block.series.reference(delay=delay) for delay in (-step, 0.0, step)
                 )
                 columns[i] = 0.5 * (before - 2.0 * at_sample + after) / step**2
         yield Alternative(RESPONSE, name, RESPONSE, columns, credible_range=(-limit, limit))
@@ -147,17 +151,19 @@ def _low_pass_alternatives(fit: JointFit, accelerometers: Sequence[str]) -> Iter
 def _integrated_bias(fit: JointFit, i: int, power: int, start: float | None = None) -> Array:
     """Return the effect of a bias of t^power on a record, in g and s from a time or its start."""
     series = fit.design_blocks[i].series
-    total = power + series.order
-    integrated: Array = (series.time - (series.time[0] if start is None else start)) ** total
-    return integrated * (
-        series.trajectory.site.gravity * math.factorial(power) / math.factorial(total)
+    exponent = power + series.order
+    column: Array = (series.time - (series.time[0] if start is None else start)) ** exponent
+    return column * (
+        series.trajectory.site.gravity * math.factorial(power) / math.factorial(exponent)
     )
 
 
-def _bias_drift(fit: JointFit, places: Sequence[int], owner: str, typical: float) -> Alternative:
+def _bias_drift(
+    fit: JointFit, indices: Sequence[int], owner: str, default_sd: float
+) -> Alternative:
     """Return the alternative of a bias drift in some records, in each from its start."""
-    columns = {i: _integrated_bias(fit, i, 1) for i in places}
-    longest = max(float(np.ptp(fit.design_blocks[i].series.time)) for i in places)
+    columns = {i: _integrated_bias(fit, i, 1) for i in indices}
+    longest = max(float(np.ptp(fit.design_blocks[i].series.time)) for i in indices)
     steepest = TERMS["K_F"].limit / longest
     return Alternative(
         BIAS_DRIFT,
@@ -165,7 +171,7 @@ def _bias_drift(fit: JointFit, places: Sequence[int], owner: str, typical: float
         BIAS_DRIFT,
         columns,
         credible_range=(-steepest, steepest),
-        default_sd=typical,
+        default_sd=default_sd,
     )
 
 
@@ -181,10 +187,10 @@ def coriolis_mistakes(fit: JointFit, *, own_velocity: bool) -> Iterator[Alternat
     own_velocity: Whether they are said to take their own; else the platform's.
     """
     columns: dict[int, Array] = {}
-    for run in dict.fromkeys(part.run for part in fit.design_blocks):
-        places = [i for i, part in enumerate(fit.design_blocks) if part.run == run]
+    for run in dict.fromkeys(block.run for block in fit.design_blocks):
+        block_indices = [i for i, block in enumerate(fit.design_blocks) if block.run == run]
         errors = []
-        for i in places:
+        for i in block_indices:
             series = fit.design_blocks[i].series
             site, axis = series.trajectory.site, series.mounting.turned(series.attitude).input_axis
             residual_gravity = observation.residual_gravity(
@@ -193,9 +199,9 @@ def coriolis_mistakes(fit: JointFit, *, own_velocity: bool) -> Iterator[Alternat
             errors.append(
                 AxisError(axis, series.observable, series.time, series.error + residual_gravity)
             )
-        for i, part in zip(places, computer_correction(site, errors), strict=True):
-            if part.any():
-                columns[i] = part if own_velocity else -part
+        for i, block in zip(block_indices, computer_correction(site, errors), strict=True):
+            if block.any():
+                columns[i] = block if own_velocity else -block
     if columns:
         yield Alternative(
             CORIOLIS, "", "records.reference", columns, credible_range=_WHOLE_VELOCITY
@@ -220,11 +226,11 @@ def evaluate_alternative(fit: JointFit, alternative: Alternative, value: float) 
             series = fit.design_blocks[i].series
             if alternative.kind == ANGLE:
                 spindle = series.trajectory.spindle
-                rotated = replace(spindle, start_angle=spindle.start_angle + value)
-                changed = series.reference(replace(series.trajectory, spindle=rotated))
+                new_spindle = replace(spindle, start_angle=spindle.start_angle + value)
+                reference = series.reference(replace(series.trajectory, spindle=new_spindle))
             else:
-                changed = series.reference(delay=-value)
-            columns[i] = (changed - series.reference()) / value
+                reference = series.reference(delay=-value)
+            columns[i] = (reference - series.reference()) / value
         return replace(alternative, columns=columns)
     return alternative
 
@@ -240,18 +246,18 @@ def changepoints(
     about: One that has been found; None: all records, over their whole length.
     within: s, how far from it.
     """
-    for i, part in enumerate(fit.design_blocks):
-        owner, time = f"{part.run}.{part.accelerometer}", part.series.time
-        low, high = float(time[0]), float(time[-1])
+    for i, block in enumerate(fit.design_blocks):
+        owner, time = f"{block.run}.{block.accelerometer}", block.series.time
+        start, end = float(time[0]), float(time[-1])
         last, output_range = (
-            high,
+            end,
             float(np.ptp(_fitted_output(fit, i))),
         )  # no step exceeds what is recorded
         if about is not None:
             if about.owner != owner or about.time is None:
                 continue
-            low, high = max(low, about.time - within), min(high, about.time + within)
-        for at in np.linspace(low, high, count + 2)[1:-1].tolist():
+            start, end = max(start, about.time - within), min(end, about.time + within)
+        for at in np.linspace(start, end, count + 2)[1:-1].tolist():
             step = (time > at).astype(float)
             if not 0.0 < step.sum() < step.size:
                 continue
@@ -269,10 +275,10 @@ def changepoints(
                 yield Alternative(
                     SLOPE, owner, SLOPE, ramp, time=at, credible_range=(-steepest, steepest)
                 )
-            if part.series.order == 2 and (about is None or about.kind == BIAS_STEP):
-                integrated, limit = {i: step * _integrated_bias(fit, i, 0, at)}, TERMS["K_F"].limit
+            if block.series.order == 2 and (about is None or about.kind == BIAS_STEP):
+                column, limit = {i: step * _integrated_bias(fit, i, 0, at)}, TERMS["K_F"].limit
                 yield Alternative(
-                    BIAS_STEP, owner, BIAS_STEP, integrated, time=at, credible_range=(-limit, limit)
+                    BIAS_STEP, owner, BIAS_STEP, column, time=at, credible_range=(-limit, limit)
                 )
 
 
@@ -281,30 +287,30 @@ def input_mistakes(fit: JointFit, inputs: Mapping[str, float]) -> Iterator[Alter
 
     inputs: Symbol -> typical size.
     """
-    for name, typical in inputs.items():
+    for name, default_sd in inputs.items():
         columns = {}
-        for i, part in enumerate(fit.design_blocks):
-            if not input_affects(part.series, name, input_owner(part.series, name)):
+        for i, block in enumerate(fit.design_blocks):
+            if not input_affects(block.series, name, input_owner(block.series, name)):
                 continue
             # What the errors found so far are of depends on the inputs too.
             table = {
                 symbol: column
-                for place, column in zip(part.unknowns, part.design.T, strict=True)
-                if (symbol := fit.model.unknowns[place].symbol) in _ERRORS
+                for index, column in zip(block.unknowns, block.design.T, strict=True)
+                if (symbol := fit.model.unknowns[index].symbol) in _ERRORS
             }
             known = {
-                symbol: float(fit.solution.estimate[place])
-                for place in part.unknowns
-                if (symbol := fit.model.unknowns[place].symbol) in table
+                symbol: float(fit.solution.estimate[index])
+                for index in block.unknowns
+                if (symbol := fit.model.unknowns[index].symbol) in table
             }
-            now = expected_output(part.series, known, table)
-            columns[i] = input_column(part.series, name, part.scale_factor, known, now)
+            now = expected_output(block.series, known, table)
+            columns[i] = input_column(block.series, name, block.scale_factor, known, now)
         by_owner: dict[str, dict[int, Array]] = {}
         for i, column in columns.items():
             owner = input_owner(fit.design_blocks[i].series, name)
             by_owner.setdefault(owner, {})[i] = column
         for owner, known_values in by_owner.items():
-            yield Alternative("input", owner, name, known_values, default_sd=typical)
+            yield Alternative("input", owner, name, known_values, default_sd=default_sd)
 
 
 def term_mistakes(fit: JointFit, terms: Mapping[Considered, float]) -> Iterator[Alternative]:
@@ -312,30 +318,30 @@ def term_mistakes(fit: JointFit, terms: Mapping[Considered, float]) -> Iterator[
 
     terms: Term -> typical size.
     """
-    together: dict[str, list[Alternative]] = {}
+    grouped_alternatives: dict[str, list[Alternative]] = {}
     columns_by_term: dict[Considered, dict[int, Array]] = {key: {} for key in terms}
-    for i, part in enumerate(fit.design_blocks):
+    for i, block in enumerate(fit.design_blocks):
         # The terms of a record share its motion and its integrals.
-        acting = [key for key in terms if key.affects(part.series)]
+        acting = [key for key in terms if key.affects(block.series)]
         symbols = list(dict.fromkeys(key.symbol for key in acting))
-        matrix = part.series.columns(symbols, part.scale_factor)
+        matrix = block.series.columns(symbols, block.scale_factor)
         for key in acting:
             columns_by_term[key][i] = matrix[:, symbols.index(key.symbol)]
-    for alternative_term, typical in terms.items():
+    for alternative_term, default_sd in terms.items():
         columns = columns_by_term[alternative_term]
-        between = -alternative_term.limit, alternative_term.limit
+        credible_range = -alternative_term.limit, alternative_term.limit
         alternative = Alternative(
             "term",
             alternative_term.owner,
             alternative_term.symbol,
             columns,
-            credible_range=between,
-            default_sd=typical,
+            credible_range=credible_range,
+            default_sd=default_sd,
         )
         yield alternative
         if term(alternative_term.symbol).per_run:
-            together.setdefault(alternative_term.symbol, []).append(alternative)
-    for same_term in together.values():
+            grouped_alternatives.setdefault(alternative_term.symbol, []).append(alternative)
+    for same_term in grouped_alternatives.values():
         if len(same_term) > 1:
             everywhere = {
                 i: column for alternative in same_term for i, column in alternative.columns.items()
@@ -343,24 +349,24 @@ def term_mistakes(fit: JointFit, terms: Mapping[Considered, float]) -> Iterator[
             yield replace(same_term[0], owner="", columns=everywhere)
 
 
-def window_test_p(whitened: Array) -> float:
+def window_test_p(values: Array) -> float:
     """Return the probability that no neighbours would be as far off together by chance.
 
     The largest sum of neighbouring residuals, over windows of several lengths, against its
     distribution for independent residuals; all windows count as tests (Bonferroni), which is more
     than they are.
 
-    whitened: In the order of time, shape (n,).
+    values: In the order of time, shape (n,).
     """
-    total = np.append(0.0, np.cumsum(whitened))
-    scale = math.sqrt(float(whitened @ whitened) / max(whitened.size, 1)) or 1.0
+    cumulative = np.append(0.0, np.cumsum(values))
+    scale = math.sqrt(float(values @ values) / max(values.size, 1)) or 1.0
     largest, tests = 0.0, 0
     for length in _WINDOWS:
-        if length < whitened.size:
-            sums = (total[length:] - total[:-length]) / (scale * math.sqrt(length))
+        if length < values.size:
+            sums = (cumulative[length:] - cumulative[:-length]) / (scale * math.sqrt(length))
             largest = max(largest, float(np.max(np.abs(sums))))
             # Windows that overlap by half or more say nearly the same.
-            tests += 4 * math.ceil(whitened.size / length)
+            tests += 4 * math.ceil(values.size / length)
     return min(1.0, 2.0 * max(tests, 1) * normal_cdf(-largest))
 
 
@@ -398,11 +404,11 @@ ACROSS: Final = tuple(
 
 def rotate_mounting(mounting: Mounting, quarters: int) -> Mounting:
     """Return a mounting after quarter turns about its input axis, from P towards O."""
-    along, pendulous, output = mounting.matrix
+    input_axis, pendulous, output = mounting.matrix
     for _ in range(quarters % 4):
         pendulous, output = output, -pendulous
-    rotated = Mounting.from_axes(along.tolist(), pendulous.tolist(), output.tolist())
-    return replace(rotated, response=mounting.response)
+    rotated_mounting = Mounting.from_axes(input_axis.tolist(), pendulous.tolist(), output.tolist())
+    return replace(rotated_mounting, response=mounting.response)
 
 
 def with_rotated_mounting(fit: JointFit, accelerometer: str, quarters: int) -> JointFit:
@@ -417,12 +423,12 @@ def with_rotated_mounting(fit: JointFit, accelerometer: str, quarters: int) -> J
     return fit.with_noise({name: fit.noise[name] for name in fit.noise if name == accelerometer})
 
 
-def _recompute_columns(fit: JointFit, part: DesignBlock, quarters: int) -> DesignBlock:
-    symbols = [fit.model.unknowns[place].symbol for place in part.unknowns]
+def _recompute_columns(fit: JointFit, block: DesignBlock, quarters: int) -> DesignBlock:
+    symbols = [fit.model.unknowns[index].symbol for index in block.unknowns]
     places = [k for k, symbol in enumerate(symbols) if symbol in ACROSS]
-    series = replace(part.series, mounting=rotate_mounting(part.series.mounting, quarters))
-    design = part.design.copy()
+    series = replace(block.series, mounting=rotate_mounting(block.series.mounting, quarters))
+    design = block.design.copy()
     if places:
-        columns = series.columns([symbols[k] for k in places], part.scale_factor)
+        columns = series.columns([symbols[k] for k in places], block.scale_factor)
         design[:, places] = np.asarray(columns)
-    return replace(part, series=series, design=design)
+    return replace(block, series=series, design=design)

@@ -76,21 +76,21 @@ def outlier_mask(
     if np.count_nonzero(is_present) <= 2 * _MEDIAN_HALF_WIDTH:
         return np.zeros(n, dtype=bool)
     position = np.arange(float(n)) if time is None else time
-    filled = np.interp(position, position[is_present], residuals[is_present])
-    deviation = _local_deviation(filled, _MEDIAN_HALF_WIDTH) * weight
-    scale, tested = _robust_sd(deviation[is_present]), is_present
-    narrow = _local_deviation(filled, _NARROW_HALF_WIDTH) * weight
-    if _robust_sd(narrow[is_present]) < _WALK_RATIO * scale:
-        deviation, scale = narrow, _robust_sd(narrow[is_present])
+    interpolated = np.interp(position, position[is_present], residuals[is_present])
+    deviation = _local_deviation(interpolated, _MEDIAN_HALF_WIDTH) * weight
+    scale, is_tested = _robust_sd(deviation[is_present]), is_present
+    narrow_deviation = _local_deviation(interpolated, _NARROW_HALF_WIDTH) * weight
+    if _robust_sd(narrow_deviation[is_present]) < _WALK_RATIO * scale:
+        deviation, scale = narrow_deviation, _robust_sd(narrow_deviation[is_present])
         for step in (1, -1):
-            end_scales = _end_scales((filled * weight)[::step])
+            end_scales = _end_scales((interpolated * weight)[::step])
             deviation[::step][: end_scales.size] /= np.maximum(end_scales / scale, 1.0)
-        tested = is_present & ~_is_near_gap(position, _NARROW_HALF_WIDTH)
+        is_tested = is_present & ~_is_near_gap(position, _NARROW_HALF_WIDTH)
     scale = max(scale, floor)
-    distance = np.where(tested, np.abs(deviation), 0.0)
+    distance = np.where(is_tested, np.abs(deviation), 0.0)
     if scale == 0.0:
         # More than half of the residuals are alike (coarse steps): use the spread of the rest.
-        scale = float(np.sqrt(np.mean(distance[tested] ** 2)))
+        scale = float(np.sqrt(np.mean(distance[is_tested] ** 2)))
     # Noise that wanders changes sign seldom, and its scale rests on as few distances.
     independent = 2 * np.count_nonzero(np.diff(np.signbit(deviation[is_present])))
     dof = max(_MAD_EFFICIENCY * independent, 1.0)
@@ -99,20 +99,20 @@ def outlier_mask(
     return outliers
 
 
-def _is_near_gap(place: Array, half_width: int) -> npt.NDArray[np.bool_]:
+def _is_near_gap(position: Array, half_width: int) -> npt.NDArray[np.bool_]:
     """Return the mask of the samples that have a gap within so many neighbours."""
-    steps = np.diff(place)
-    wide = np.append(steps > _GAP_STEPS * median(steps), False)
-    after = np.flatnonzero(wide)
-    near = np.zeros(place.size, dtype=bool)
+    steps = np.diff(position)
+    is_gap = np.append(steps > _GAP_STEPS * median(steps), False)
+    gap_indices = np.flatnonzero(is_gap)
+    is_near = np.zeros(position.size, dtype=bool)
     for k in range(-half_width + 1, half_width + 1):
-        near[np.clip(after + k, 0, place.size - 1)] = True
-    return near
+        is_near[np.clip(gap_indices + k, 0, position.size - 1)] = True
+    return is_near
 
 
-def _robust_sd(signed: Array) -> float:
+def _robust_sd(deviations: Array) -> float:
     """Return the robust standard deviation."""
-    return SIGMA_OF_MAD * median(np.abs(signed))
+    return SIGMA_OF_MAD * median(np.abs(deviations))
 
 
 def _local_deviation(residuals: Array, half_width_max: int) -> Array:
@@ -152,17 +152,20 @@ def _end_scales(values: Array) -> Array:
     """Return the standard deviation of the first four samples' deviations, from the series."""
     windows = np.lib.stride_tricks.sliding_window_view(values, 16)
     near, far = (np.median(windows[:, part], axis=1) for part in (slice(4, 10), slice(10, 16)))
-    missed = windows[:, :4] - near[:, None] - (near - far)[:, None] * _EXTRAPOLATION
-    return SIGMA_OF_MAD * np.median(np.abs(missed / np.sqrt(1.0 + _EXTRAPOLATION_VARIANCE)), axis=0)
+    errors = windows[:, :4] - near[:, None] - (near - far)[:, None] * _EXTRAPOLATION
+    return SIGMA_OF_MAD * np.median(np.abs(errors / np.sqrt(1.0 + _EXTRAPOLATION_VARIANCE)), axis=0)
 
 
 def _pair_median(values: Array, distances: range) -> tuple[Array, float]:
     """Return the median of the means of pairs, an even number, about each sample that has them."""
-    first, reach, step, half = distances[0], distances[-1], distances.step, len(distances) // 2
+    shortest, reach, step, half = distances[0], distances[-1], distances.step, len(distances) // 2
     windows = np.lib.stride_tricks.sliding_window_view(values, 2 * reach + 1)
-    before, after = windows[:, : reach - first + 1 : step], windows[:, : reach + first - 1 : -step]
+    left, right = (
+        windows[:, : reach - shortest + 1 : step],
+        windows[:, : reach + shortest - 1 : -step],
+    )
     # Short rows are sorted faster than they are parted, which is what a median would do.
-    sums = np.add(before, after, order="C")
+    sums = np.add(left, right, order="C")
     sums.sort(axis=1)
     return 0.25 * (sums[:, half - 1] + sums[:, half]), 0.5 * _median_variance(len(distances))
 
@@ -196,11 +199,11 @@ def no_outliers(series: Sequence[ResidualSeries]) -> RowMasks:
     return tuple(np.zeros(record.time.size, dtype=bool) for record in series)
 
 
-def select_rows(prepared: Sequence[DesignBlock], outliers: RowMasks) -> tuple[DesignBlock, ...]:
+def select_rows(blocks: Sequence[DesignBlock], outliers: RowMasks) -> tuple[DesignBlock, ...]:
     """Return the columns without the outliers."""
     return tuple(
-        part.drop_rows(mask) if mask.any() else part
-        for part, mask in zip(prepared, outliers, strict=True)
+        block.drop_rows(mask) if mask.any() else block
+        for block, mask in zip(blocks, outliers, strict=True)
     )
 
 
@@ -219,13 +222,13 @@ def reject_outliers(
         if not any(mask.any() for mask in new_outliers):
             return fit, outliers
         mask_of_kept = tuple(
-            mask[~before] for mask, before in zip(new_outliers, outliers, strict=True)
+            mask[~previous_mask] for mask, previous_mask in zip(new_outliers, outliers, strict=True)
         )
         outliers = tuple(a | b for a, b in zip(outliers, new_outliers, strict=True))
         fit = solve_joint(select_rows(fit.design_blocks, mask_of_kept), fit.model, fit.noise)
     where = " and ".join(
-        f"{part.run} ({part.accelerometer})"
-        for part, mask in zip(fit.design_blocks, new_outliers, strict=True)
+        f"{block.run} ({block.accelerometer})"
+        for block, mask in zip(fit.design_blocks, new_outliers, strict=True)
         if mask.any()
     )
     raise ConvergenceError(
@@ -270,16 +273,16 @@ def find_outliers(
 ) -> RowMasks:
     """Return the masks of further outliers in each series."""
     new_masks = []
-    for index, (part, mask) in enumerate(zip(fit.design_blocks, outliers, strict=True)):
+    for index, (block, mask) in enumerate(zip(fit.design_blocks, outliers, strict=True)):
         time, weight = series[index].time, np.sqrt(series[index].count)
         residuals = np.full(time.size, np.nan)
         residuals[~mask] = fit.residuals[index].unweighted
-        stated_noise = requests[part.accelerometer].known
-        if part.series.timing_noise > 0.0:
+        stated_noise = requests[block.accelerometer].known
+        if block.series.timing_noise > 0.0:
             weight = weight / _relative_sd(
                 residuals * weight,
                 stated_noise.white,
-                part.series.timing_noise,
+                block.series.timing_noise,
                 series[index].jitter_variance * series[index].variance_ratio,
             )
         new_masks.append(
@@ -334,23 +337,23 @@ def thin_rows(fit: JointFit, series: Sequence[ResidualSeries]) -> tuple[Residual
 
     fit: Of these series, with all of their rows.
     """
-    thinned = list(series)
+    thinned_series = list(series)
     for name in dict.fromkeys(record.accelerometer for record in series):
-        places = [i for i, record in enumerate(series) if record.accelerometer == name]
-        spacing = {i: median(np.diff(series[i].time)) for i in places}
-        plain = {i: fit.residuals[i].unweighted * np.sqrt(series[i].count) for i in places}
-        if _is_correlated(plain, spacing):
+        indices = [i for i, record in enumerate(series) if record.accelerometer == name]
+        spacing = {i: median(np.diff(series[i].time)) for i in indices}
+        row_residuals = {i: fit.residuals[i].unweighted * np.sqrt(series[i].count) for i in indices}
+        if _is_correlated(row_residuals, spacing):
             correlation_time = _correlation_time(
-                {i: remove_harmonics(series[i], plain[i]) for i in places}, spacing
+                {i: remove_harmonics(series[i], row_residuals[i]) for i in indices}, spacing
             )
         else:
             correlation_time = 0.0
-        for i in places if correlation_time else ():
+        for i in indices if correlation_time else ():
             step = min(
                 round(correlation_time / spacing[i]), series[i].time.size // _MIN_ROWS_PER_RUN
             )
-            thinned[i] = _take_every(series[i], max(step, 1))
-    return tuple(thinned)
+            thinned_series[i] = _take_every(series[i], max(step, 1))
+    return tuple(thinned_series)
 
 
 def _take_every(series: ResidualSeries, step: int) -> ResidualSeries:
@@ -379,9 +382,9 @@ def remove_harmonics(series: ResidualSeries, residuals: Array) -> Array:
     """
     times = series.time[-residuals.shape[-1] :]
     regressors, inverse = _harmonic_regressors(series.trajectory.spindle, times.tobytes())
-    removed, count = regressors.shape
-    fitted = (inverse @ (regressors @ residuals.T)).T @ regressors
-    return np.asarray((residuals - fitted) * math.sqrt(count / (count - removed)))
+    regressor_count, count = regressors.shape
+    fitted_harmonics = (inverse @ (regressors @ residuals.T)).T @ regressors
+    return np.asarray((residuals - fitted_harmonics) * math.sqrt(count / (count - regressor_count)))
 
 
 @lru_cache(maxsize=1)
@@ -392,10 +395,10 @@ def _harmonic_regressors(spindle: Spindle, time_bytes: bytes) -> tuple[Array, Ar
     """
     times = np.frombuffer(time_bytes)
     # A harmonic at or beyond half the sampling rate would follow the errors of the time stamps.
-    turn = abs(spindle.rate) * median(np.diff(times))
-    highest = min(_HARMONICS, int(math.pi / turn) - 1)
-    first = np.exp(1j * spindle.angle(times))
-    waves = np.cumprod(np.broadcast_to(first, (max(highest, 0), times.size)), axis=0)
+    angle_step = abs(spindle.rate) * median(np.diff(times))
+    highest = min(_HARMONICS, int(math.pi / angle_step) - 1)
+    phasor = np.exp(1j * spindle.angle(times))
+    waves = np.cumprod(np.broadcast_to(phasor, (max(highest, 0), times.size)), axis=0)
     powers = np.cumprod(np.broadcast_to(times / times[-1], (_POLYNOMIAL_TERMS - 1, times.size)), 0)
     regressors = np.concatenate([np.ones((1, times.size)), powers, waves.real, waves.imag])
     # Ten times as fast as a decomposition of the regressors, which are few and of similar size.
@@ -406,9 +409,9 @@ def _harmonic_regressors(spindle: Spindle, time_bytes: bytes) -> tuple[Array, Ar
 def _correlation_time(residuals: Mapping[int, Array], spacing: Mapping[int, float]) -> float:
     """Return twice the lag at which the variance levels off, s; 0 without correlation."""
     rows = sum(values.size for values in residuals.values())
-    least = max(_MIN_VARIANCE_RATIO, 1.0 + _THRESHOLD_SDS * 1.5 / math.sqrt(rows))
+    min_ratio = max(_MIN_VARIANCE_RATIO, 1.0 + _THRESHOLD_SDS * 1.5 / math.sqrt(rows))
     lag = max(spacing.values())
-    first = {
+    lag_one = {
         i: _third_difference_variance(values, max(round(lag / spacing[i]), 1))
         for i, values in residuals.items()
     }
@@ -416,22 +419,24 @@ def _correlation_time(residuals: Mapping[int, Array], spacing: Mapping[int, floa
     def growth(lag: float) -> tuple[float, float]:
         """Return the variance over that of the first lag, and the number of independent rows."""
         steps = {i: max(round(lag / spacing[i]), 1) for i in residuals}
-        used = {i: k for i, k in steps.items() if residuals[i].size >= 6 * k and first[i] > 0.0}
-        counts = {i: residuals[i].size / k for i, k in used.items()}
+        selected = {
+            i: k for i, k in steps.items() if residuals[i].size >= 6 * k and lag_one[i] > 0.0
+        }
+        counts = {i: residuals[i].size / k for i, k in selected.items()}
         total = sum(counts.values())
         weighted_ratio = sum(
-            counts[i] * _third_difference_variance(residuals[i], k) / first[i]
-            for i, k in used.items()
+            counts[i] * _third_difference_variance(residuals[i], k) / lag_one[i]
+            for i, k in selected.items()
         )
         return weighted_ratio / max(total, 1.0), total
 
     while True:
-        ratios_and_counts = [growth(part * lag) for part in _LAG_FACTORS]
+        ratios_and_counts = [growth(factor * lag) for factor in _LAG_FACTORS]
         if ratios_and_counts[-1][1] < _MIN_ROWS:
             return 0.0
-        ratios = [size for size, _ in ratios_and_counts]
+        ratios = [ratio for ratio, _ in ratios_and_counts]
         if max(ratios) < _PLATEAU_RATIO * min(ratios):
-            return 2.0 * lag if ratios[-1] > least else 0.0
+            return 2.0 * lag if ratios[-1] > min_ratio else 0.0
         lag *= 2.0
 
 

@@ -52,23 +52,23 @@ def find_rotation(
     angle, for rates that are off by up to a tenth; the joint fit of all series is then iterated
     about it (Gauss and Newton).
     """
-    rotated = _initial_rotations(series)
+    records = _initial_rotations(series)
     # What turns the output by a right angle, such as a misalignment of which nothing is known, is
     # as good as a start angle; a step to any size of it would not be small.
-    bounded = replace(model, unknowns=tuple(map(_with_credible_prior, model.unknowns)))
+    bounded_model = replace(model, unknowns=tuple(map(_with_credible_prior, model.unknowns)))
     for _ in range(_ROUNDS):
-        prepared = build_design_blocks(rotated, bounded, scale_factors)
-        solution = solve_joint(prepared, bounded, noise).solution
+        design_blocks = build_design_blocks(records, bounded_model, scale_factors)
+        solution = solve_joint(design_blocks, bounded_model, noise).solution
         change: dict[str, dict[str, float]] = {}
         for unknown, value in zip(model.unknowns, solution.estimate, strict=True):
             if unknown.symbol in ROTATION:
                 change.setdefault(unknown.owner, {})[unknown.symbol] = float(value)
-        rotated = tuple(
+        records = tuple(
             _rotate_series(record, *(change[record.run][symbol] for symbol in ROTATION))
-            for record in rotated
+            for record in records
         )
-        if all(_end_angle(record, change[record.run]) < _ANGLE_TOLERANCE for record in rotated):
-            return rotated
+        if all(_end_angle(record, change[record.run]) < _ANGLE_TOLERANCE for record in records):
+            return records
     raise ConvergenceError(
         "the rotation cannot be determined from the displacement, because the nominal rate is "
         "too inaccurate. Record the spindle angle, or state the rate more accurately"
@@ -76,14 +76,14 @@ def find_rotation(
 
 
 def may_be_nonlinear(
-    prepared: Sequence[DesignBlock], model: Unknowns, noise: Mapping[str, Noise]
+    design_blocks: Sequence[DesignBlock], model: Unknowns, noise: Mapping[str, Noise]
 ) -> bool:
     """Return whether what the encoder leaves open may move a record beyond the first order."""
     runs = {unknown.owner for unknown in model.unknowns if unknown.symbol in encoder.SYMBOLS}
-    for part in prepared:
-        if part.run in runs:
-            bound = np.full(part.series.time.size, second_order_bound(part.series))
-            if _norm_squared(part.series, bound, noise) > _NEGLIGIBLE_NORM_SQUARED:
+    for block in design_blocks:
+        if block.run in runs:
+            bound = np.full(block.series.time.size, second_order_bound(block.series))
+            if _norm_squared(block.series, bound, noise) > _NEGLIGIBLE_NORM_SQUARED:
                 return True
     return False
 
@@ -99,10 +99,10 @@ def second_order_bound(series: ResidualSeries) -> float:
     error, motion = series.angle_error, series.trajectory
     if error is None:
         return 0.0
-    size = _SDS * np.linalg.norm(error.root, axis=1) + np.abs(error.deviation)
-    size = size * error.largest
+    max_angle_error = _SDS * np.linalg.norm(error.root, axis=1) + np.abs(error.deviation)
+    max_angle_error = max_angle_error * error.largest
     harmonic = np.array([1, 1, 1, *np.repeat(error.harmonics, 2)])
-    a, b, d = (float(np.sum(size * harmonic**power)) for power in (0, 1, 3))
+    a, b, d = (float(np.sum(max_angle_error * harmonic**power)) for power in (0, 1, 3))
     scale = motion.radius * abs(motion.spindle.rate) ** (2 - series.order)
     scale *= max(1.0, motion.table_ratio**2)
     return scale * (b**2 + 13.0 * a * d)
@@ -126,20 +126,20 @@ def rotate_to_estimate(
         if unknown.symbol in encoder.SYMBOLS:
             estimates.setdefault(unknown.owner, {})[unknown.symbol] = value
     steps = {
-        part.run: encoder.angle_deviation(part.series.angle_error, estimates[part.run])
-        for part in fit.design_blocks
-        if part.run in estimates and part.series.angle_error is not None
+        block.run: encoder.angle_deviation(block.series.angle_error, estimates[block.run])
+        for block in fit.design_blocks
+        if block.run in estimates and block.series.angle_error is not None
     }
-    if not any(_exceeds_linear(part.series, steps, fit.noise) for part in fit.design_blocks):
+    if not any(_exceeds_linear(block.series, steps, fit.noise) for block in fit.design_blocks):
         return None
-    turned = []
+    records = []
     for record in series:
         ahead = record.add_angle(steps[record.run]) if record.run in steps else record
         if ahead is None:
             return None
-        turned.append(ahead)
-    errors = {part.run: part.angle_error for part in turned if part.angle_error is not None}
-    return tuple(turned), encoder.update_priors(fit.model, errors)
+        records.append(ahead)
+    errors = {block.run: block.angle_error for block in records if block.angle_error is not None}
+    return tuple(records), encoder.update_priors(fit.model, errors)
 
 
 def _exceeds_linear(
@@ -178,10 +178,10 @@ def _initial_rotations(series: Sequence[ResidualSeries]) -> tuple[ResidualSeries
             float(np.linalg.norm(record.mounting.turned(record.attitude).input_axis[:2]))
             for record in run_series
         ]
-        best = int(np.argmax(horizontal))
+        best_index = int(np.argmax(horizontal))
         guesses[run] = (
-            _estimate_rotation(run_series[best])
-            if horizontal[best] > _HORIZONTAL_PART
+            _estimate_rotation(run_series[best_index])
+            if horizontal[best_index] > _HORIZONTAL_PART
             else (0.0, 0.0, 0.0)
         )
     return tuple(_rotate_series(record, *guesses[record.run]) for record in series)
@@ -196,8 +196,8 @@ def _estimate_rotation(series: ResidualSeries) -> tuple[float, float, float]:
     )
     output = series.error + series.reference()
     harmonics = np.column_stack([series.reference(), series.reference(ahead)])
-    turn = 2.0 * math.pi / abs(spindle.rate)
-    revolutions = np.floor((series.time - series.time[0]) / turn).astype(int)
+    revolution_time = 2.0 * math.pi / abs(spindle.rate)
+    revolutions = np.floor((series.time - series.time[0]) / revolution_time).astype(int)
     times, phases = [], []
     for revolution in range(revolutions[-1] + 1):
         rows = revolutions == revolution
@@ -205,7 +205,7 @@ def _estimate_rotation(series: ResidualSeries) -> tuple[float, float, float]:
             continue
         middle = float(series.time[rows].mean())
         # Over one revolution all else that the output does is a parabola.
-        parabola = np.vander((series.time[rows] - middle) / turn, 3)
+        parabola = np.vander((series.time[rows] - middle) / revolution_time, 3)
         size = np.linalg.lstsq(
             np.column_stack([harmonics[rows], parabola]), output[rows], rcond=None
         )[0]
@@ -224,7 +224,7 @@ def _rotate_series(
 ) -> ResidualSeries:
     """Return the series about the reference of a rotation changed by the given steps."""
     spindle = series.trajectory.spindle
-    rotated = replace(
+    trajectory = replace(
         series.trajectory,
         spindle=replace(
             spindle,
@@ -234,11 +234,11 @@ def _rotate_series(
         ),
     )
     output = series.error + series.reference()
-    return replace(series, trajectory=rotated, error=output - series.reference(rotated))
+    return replace(series, trajectory=trajectory, error=output - series.reference(trajectory))
 
 
 def _end_angle(series: ResidualSeries, change: Mapping[str, float]) -> float:
     """Return how far the last sample has turned, at most, by a change of the rotation, rad."""
     end = float(series.time[-1])
-    sizes = (1.0, end, abs(series.trajectory.spindle.rate) * end**2)
-    return sum(abs(change[s]) * size for s, size in zip(ROTATION, sizes, strict=True))
+    factors = (1.0, end, abs(series.trajectory.spindle.rate) * end**2)
+    return sum(abs(change[s]) * factor for s, factor in zip(ROTATION, factors, strict=True))

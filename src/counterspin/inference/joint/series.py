@@ -259,9 +259,9 @@ class ResidualSeries:
             fraction - self.corrected_fraction
         ) * self.timestamp_errors.variance_change
         spread = np.sqrt(np.maximum(self.time_sd**2 + added_variance, 0.0))
-        corrected = replace(self, time=time, time_sd=spread, timestamp_errors=stamps)
-        error = self.error + self.reference() - corrected.reference()
-        return replace(corrected, error=error).with_timestamp_noise(stamps.residual_sd)
+        corrected_series = replace(self, time=time, time_sd=spread, timestamp_errors=stamps)
+        error = self.error + self.reference() - corrected_series.reference()
+        return replace(corrected_series, error=error).with_timestamp_noise(stamps.residual_sd)
 
     def add_angle(self, coefficients: Array) -> ResidualSeries | None:
         """Return the series about a rotation that is ahead by coefficients of its angle's error.
@@ -377,13 +377,13 @@ class ResidualSeries:
         angular_rate = self.trajectory.spindle.angular_rate(self.time)
         wave = [np.cos(angle), np.sin(angle)]
         # At strobes the wave is a constant, and nothing is left of it.
-        shape = np.column_stack([np.vander(t, 4), *(part - part.mean() for part in wave)])
-        rest, explained = self.error, np.zeros(())
+        shape = np.column_stack([np.vander(t, 4), *(column - column.mean() for column in wave)])
+        residual, explained = self.error, np.zeros(())
         if known:
             values = np.array([*known.values()])
-            rest = rest - self.columns([*known], 1.0) @ values
+            residual = residual - self.columns([*known], 1.0) @ values
             explained = self._column_slopes([*known]) @ values
-        coefficients = np.linalg.lstsq(shape, rest, rcond=_RANK_TOLERANCE)[0]
+        coefficients = np.linalg.lstsq(shape, residual, rcond=_RANK_TOLERANCE)[0]
         polynomial_slope = np.polyval(np.polyder(coefficients[:4]), t) / length
         return ideal, explained + polynomial_slope + angular_rate * (
             coefficients[5] * wave[0] - coefficients[4] * wave[1]
@@ -533,13 +533,13 @@ def with_input(
         assert response is not None
         step = response.step(name)
         mounting = replace(series.mounting, response=response.deviate(name, step))
-        changed = replace(series, mounting=mounting)
-        return changed.reference(), changed.columns(symbols, scale_factor), step
-    size = {
+        changed_series = replace(series, mounting=mounting)
+        return changed_series.reference(), changed_series.columns(symbols, scale_factor), step
+    step_size = {
         "centrifuge.radius": series.trajectory.radius,
         "site.gravity": series.trajectory.site.gravity,
         "site.latitude": 1.0,
     }[name]
-    step = _INPUT_STEP * size
-    perturbed = INPUT_PERTURBATIONS[name](series.trajectory, step)
-    return series.reference(perturbed), series.columns(symbols, scale_factor, perturbed), step
+    step = _INPUT_STEP * step_size
+    trajectory = INPUT_PERTURBATIONS[name](series.trajectory, step)
+    return series.reference(trajectory), series.columns(symbols, scale_factor, trajectory), step

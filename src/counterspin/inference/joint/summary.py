@@ -70,7 +70,7 @@ class WhatIf:
             and self.held.keys() <= self.known.keys()
             and all(0.0 < u < math.inf for u in self.known.values())
             and all(len(m) == len(names) == len(r) for m in matrices for r in m)
-            and all(len(moved) == len(names) for moved in self.held.values())
+            and all(len(changes) == len(names) for changes in self.held.values())
             and all(math.isfinite(v) for m in (*matrices, self.held.values()) for r in m for v in r)
         )
 
@@ -87,19 +87,17 @@ class WhatIf:
             raise ValueError(f"no prior for {', '.join(unknown)}")
         if not all(u > 0.0 and math.isfinite(u) for u in known.values()):
             raise ValueError("a standard uncertainty must be greater than zero")
-        weighted = np.array(self.weighed)
-        beside = np.array(self.beside) if self.beside else np.zeros_like(weighted)
-        weighed = {source: u for source, u in known.items() if source not in self.held}
-        places = [self.names.index(source) for source in weighed]
-        information_change = np.diag(
-            [u**-2 - self.known[source] ** -2 for source, u in weighed.items()]
-        )
-        inner = np.eye(len(places)) + weighted[np.ix_(places, places)] @ information_change
-        transform = np.eye(len(weighted))
-        transform[:, places] -= weighted[:, places] @ information_change @ np.linalg.inv(inner)
+        covariance = np.array(self.weighed)
+        constant = np.array(self.beside) if self.beside else np.zeros_like(covariance)
+        changed = {source: u for source, u in known.items() if source not in self.held}
+        indices = [self.names.index(source) for source in changed]
+        change = np.diag([u**-2 - self.known[source] ** -2 for source, u in changed.items()])
+        inner = np.eye(len(indices)) + covariance[np.ix_(indices, indices)] @ change
+        transform = np.eye(len(covariance))
+        transform[:, indices] -= covariance[:, indices] @ change @ np.linalg.inv(inner)
         row = transform[self.names.index(name)]
-        covariances = row @ weighted  # with every name
-        variance = float(covariances[self.names.index(name)] + row @ beside @ row)
+        covariances = row @ covariance  # with every name
+        variance = float(covariances[self.names.index(name)] + row @ constant @ row)
         parts = {}
         for source, u in (self.known | dict(known)).items():
             if source in self.held:

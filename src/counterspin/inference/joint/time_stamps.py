@@ -48,19 +48,19 @@ def find_stamp_errors(
     rotation: SpindleFit,
     time: Array,
     count: Array,
-    stated: tuple[float, float],
+    stated_noise: tuple[float, float],
     widening: Array | None = None,
 ) -> TimestampErrors | None:
     """Return the errors of time stamps that a recorded angle shows; None of fewer than 43 rows.
 
     rotation: As the angle shows it.
     time, count: Of the rows, s, and the samples in each, shape (n,).
-    stated: Noise of the time stamps, s, and of the encoder, rad; 0: not stated.
+    stated_noise: Noise of the time stamps, s, and of the encoder, rad; 0: not stated.
     widening: As `TimestampErrors.variance_change`; None: zero.
     """
     if time.size < MIN_ROWS:
         return None
-    spindle, (timing, encoder_noise) = rotation.spindle, stated
+    spindle, (timing, encoder_noise) = rotation.spindle, stated_noise
     rate = abs(spindle.rate)
     return TimestampErrors(
         _find_delays(spindle, time, rotation.residuals),
@@ -91,27 +91,27 @@ def estimate_timestamp_fractions(fit: JointFit) -> Mapping[str, float]:
     regressions_by_run: dict[str, list[_Regression]] = {}
     priors: dict[str, tuple[float, float]] = {}
     current_fractions: dict[str, float] = {}
-    for i, part in enumerate(fit.design_blocks):
-        stamps = part.series.timestamp_errors
-        if stamps is None or stamps.prior[1] == 0.0 or part.series.time.size < MIN_ROWS:
+    for i, block in enumerate(fit.design_blocks):
+        stamps = block.series.timestamp_errors
+        if stamps is None or stamps.prior[1] == 0.0 or block.series.time.size < MIN_ROWS:
             continue
         regression = _regression(fit, i)
         if regression is None:
             continue
-        regressions_by_run.setdefault(part.run, []).append(regression)
-        priors[part.run], current_fractions[part.run] = stamps.prior, stamps.fraction
+        regressions_by_run.setdefault(block.run, []).append(regression)
+        priors[block.run], current_fractions[block.run] = stamps.prior, stamps.fraction
     fractions, chi2 = {}, 0.0
     for run, regressions in regressions_by_run.items():
         information, product, variance = np.sum(regressions, axis=0).tolist()
         step, u = product / information, math.sqrt(variance) / information
         chi2 += (step / u) ** 2
         value, u_prior = priors[run]
-        best = current_fractions[run] + step
+        best_fraction = current_fractions[run] + step
         if math.isfinite(u_prior):
-            best = (best * u_prior**2 + value * u**2) / (u_prior**2 + u**2)
-        fractions[run] = min(max(best, 0.0), 1.0)
-    known = any(current_fractions.values()) or any(math.isfinite(u) for _, u in priors.values())
-    return fractions if known or _is_beyond_chance(chi2, len(fractions)) else {}
+            best_fraction = (best_fraction * u_prior**2 + value * u**2) / (u_prior**2 + u**2)
+        fractions[run] = min(max(best_fraction, 0.0), 1.0)
+    is_known = any(current_fractions.values()) or any(math.isfinite(u) for _, u in priors.values())
+    return fractions if is_known or _is_beyond_chance(chi2, len(fractions)) else {}
 
 
 def _is_beyond_chance(chi2: float, count: int) -> bool:

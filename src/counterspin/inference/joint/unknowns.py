@@ -127,7 +127,7 @@ class Unknowns:
         """Parameters of interest: the first of the unknowns."""
         return tuple(unknown for unknown in self.unknowns if unknown.is_of_interest)
 
-    def with_default_priors(self, chosen: Collection[Unknown]) -> Unknowns:
+    def with_default_priors(self, selected_unknowns: Collection[Unknown]) -> Unknowns:
         """Return the model with the default priors of some requested parameters."""
         return replace(
             self,
@@ -135,7 +135,7 @@ class Unknowns:
                 replace(
                     unknown, prior=(unknown.nominal, unknown.default_sd), has_default_prior=True
                 )
-                if unknown in chosen
+                if unknown in selected_unknowns
                 else unknown
                 for unknown in self.unknowns
             ),
@@ -212,17 +212,17 @@ class Observation(ABC):
 
     def with_considered_estimated(self, count: int) -> Self:
         """Return it with what is considered among the unknowns, behind `count` others."""
-        places = tuple(count + place for place in self.considered)
-        extended = self.with_columns(places, self.fixed.T)
-        return replace(extended, considered=(), fixed=self.fixed[:, :0])
+        indices = tuple(count + index for index in self.considered)
+        extended_observation = self.with_columns(indices, self.fixed.T)
+        return replace(extended_observation, considered=(), fixed=self.fixed[:, :0])
 
-    def with_columns(self, places: Sequence[int], columns: Sequence[Array] | Array) -> Self:
+    def with_columns(self, indices: Sequence[int], columns: Sequence[Array] | Array) -> Self:
         """Return it with further unknowns: their places and what each shows, shape (n,)."""
-        if not len(places):
+        if not len(indices):
             return self
         return replace(
             self,
-            unknowns=(*self.unknowns, *places),
+            unknowns=(*self.unknowns, *indices),
             design=np.column_stack([self.design, *columns]),
         )
 
@@ -231,6 +231,6 @@ class Observation(ABC):
         block = self.block(noise)
         factor = np.zeros((block.factor.shape[0], len(model.unknowns)))
         factor[:, list(self.unknowns)] = block.factor
-        fixed = np.zeros((block.factor.shape[0], len(model.considered)))
-        fixed[:, list(self.considered)] = block.considered
-        return replace(block, factor=factor, considered=fixed)
+        fixed_columns = np.zeros((block.factor.shape[0], len(model.considered)))
+        fixed_columns[:, list(self.considered)] = block.considered
+        return replace(block, factor=factor, considered=fixed_columns)

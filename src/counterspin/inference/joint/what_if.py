@@ -43,11 +43,11 @@ def what_if(
     shares: dict[str, float] = {}
     for line in (line for lines in budget.values() for line in lines):
         shares[line.source] = max(shares.get(line.source, 0.0), line.share)
-    unknowns, considered = fit.model.unknowns, fit.model.considered
+    unknowns, considered_terms = fit.model.unknowns, fit.model.considered
     terms = {
-        term.name.removeprefix(f"{owner}."): (term, place)
-        for terms_of_kind in (considered, unknowns)
-        for place, term in enumerate(terms_of_kind)
+        term.name.removeprefix(f"{owner}."): (term, index)
+        for terms_of_kind in (considered_terms, unknowns)
+        for index, term in enumerate(terms_of_kind)
     }
     sources = [
         source
@@ -66,11 +66,11 @@ def what_if(
     rows = np.zeros((len(names), len(unknowns)))
     considered_places = {}
     for row, name in zip(rows, names, strict=True):
-        term, place = terms[name]
+        term, index = terms[name]
         if isinstance(term, Considered):
-            considered_places[name] = place
+            considered_places[name] = index
         else:
-            row[place] = 1.0
+            row[index] = 1.0
     # From the factors: what the weights take the covariance for, whatever the noise turned out.
     root = fit.solution.covariance_root(rows)
     weighted = root @ root.T
@@ -83,12 +83,12 @@ def what_if(
         weighed=weighted.tolist(),
         beside=unweighted.tolist() if _is_significant(unweighted, weighted) else [],
         held={
-            name: (considered[k].prior[1] * considered_sensitivities[:, k]).tolist()
+            name: (considered_terms[k].prior[1] * considered_sensitivities[:, k]).tolist()
             for name, k in considered_places.items()
         },
     )
 
 
-def _is_significant(unweighted: Array, weighted: Array) -> bool:
-    size = np.sqrt(np.diag(weighted))
-    return bool(np.any(np.abs(unweighted) > _ROUNDING * np.outer(size, size)))
+def _is_significant(covariance: Array, reference: Array) -> bool:
+    sds = np.sqrt(np.diag(reference))
+    return bool(np.any(np.abs(covariance) > _ROUNDING * np.outer(sds, sds)))
