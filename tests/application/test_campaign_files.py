@@ -136,7 +136,7 @@ def test_copy_and_rename_reject_invalid_destination(app, folder, how, to, told):
     assert sorted(folder.rglob("*")) == before
 
 
-def test_symlinks_are_not_followed(app, folder, tmp_path_factory):
+def test_copy_and_delete_reject_symlinks(app, folder, tmp_path_factory):
     (folder / "three" / "more").symlink_to(tmp_path_factory.mktemp("outside"))
     for act in (lambda: copy_campaign(app, "three", "four"), lambda: move_to_trash(app, "three")):
         with pytest.raises(CounterspinError, match="three/more is a link"):
@@ -148,7 +148,7 @@ def test_symlinks_are_not_followed(app, folder, tmp_path_factory):
     assert (folder / "three" / "campaign.toml").is_file()
 
 
-def test_rename_keeps_relative_paths_valid(app, folder):
+def test_rename_rejects_move_that_breaks_relative_paths(app, folder):
     (folder / "three" / "slow.csv").rename(folder / "slow.csv")
     file = folder / "three" / "campaign.toml"
     file.write_text(file.read_text().replace('"slow.csv"', '"../slow.csv"'))

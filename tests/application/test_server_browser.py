@@ -589,7 +589,7 @@ UNNAMED = """[..."input select textarea button".split(" ")]
 
 
 def test_pages_fit_small_screen_and_controls_are_named(open_window, app):
-    """Nothing goes wrong in any (see `open_window`)."""
+    """`open_window` also requires that no page has an error."""
     # A complete campaign needs no live process.
     app.live.poll = lambda *_: {"html": "<p>Live</p>", "events": ["A run"], "complete": True}
     tab = open_window("/")

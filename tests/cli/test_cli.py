@@ -147,7 +147,7 @@ def test_suggested_command_can_be_run(tmp_path, capsys):
         (ValueError("worn out"), "internal error (ValueError: worn out)"),
     ],
 )
-def test_expected_errors_have_message_without_traceback(error, words, monkeypatch, capsys):
+def test_expected_error_exits_with_1_and_message(error, words, monkeypatch, capsys):
     def raise_error():
         raise error
 
