@@ -82,10 +82,10 @@ SECTION = re.compile(r"^(?:#+ (?P<heading>.*)|<!-- fields: (?P<part>\w+) -->)$",
 #: The one row that stands for all terms.
 TERMS = {
     "AccelerometerKeys": "| `K_III` and so on | quantity ± | unknown | "
-    '`K_III = "0 ± 1e-5 g/g^3"` | any [term](physics.md#accelerometer-eq-7-9) known beforehand |\n',
+    '`K_III = "0 ± 1e-5 g/g^3"` | prior of another [term](physics.md#accelerometer-eq-7-9) |\n',
     "AccelerometerTruthSettings": "| `K_II` and so on | quantity | a perfect instrument's | "
-    '`K_II = "2e-5 g/g^2"` | true coefficient, with an `output` also in its unit, as in '
-    '`"1.25 mA/g"`; slopes such as `"K_F.trend"` in quotation marks |\n',
+    '`K_II = "2e-5 g/g^2"` | true coefficient; if the accelerometer has an `output`, its unit is '
+    'also accepted, as in `"1.25 mA/g"`; write slopes such as `"K_F.trend"` in quotation marks |\n',
 }
 
 #: What a type is called; of other types it is text.

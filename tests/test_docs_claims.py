@@ -117,7 +117,7 @@ NUMBERS = [
     ("trust", "with a default of {} arcsec each", [ENCODER / ARCSEC]),
     (
         "campaign",
-        "assumes the relative rate error 0 ± {}",
+        "assumes a relative rate error of 0 ± {}",
         [INPUTS["records.clock"].typical],
     ),
     (
@@ -125,7 +125,7 @@ NUMBERS = [
         "free-running quartz oscillator is typically {} ppm",
         [1e6 * INPUTS["records.clock"].typical],
     ),
-    ("physics", "changes K_I by {} ppm", [2e6 * INPUTS["records.clock"].typical]),
+    ("physics", "changes the estimate of K_I by {} ppm", [2e6 * INPUTS["records.clock"].typical]),
     ("methods", "in log-likelihood reaches {}. If", [noise_search.KEEPING_GAIN]),
     (
         "methods",
@@ -232,7 +232,7 @@ NUMBERS = [
         "and angle, the residuals among {} neighbours",
         [column_file._CHUNK_ROWS, outliers.WINDOW_SAMPLES],
     ),
-    ("physics", "the temperature rose evenly by {} K from", [conditions.DEFAULT_WARMING]),
+    ("physics", "the temperature rose linearly by {} K from", [conditions.DEFAULT_WARMING]),
     (
         "physics",
         "{} arcmin is equivalent to an error of ${}$ in K_I",

@@ -55,7 +55,7 @@ def default(function, name):
 ROWS = {
     "campaign": [
         ("/g$, for example {} for a gravity difference of {} m/s²", 1e-4 / 9.80665, 1e-4),
-        ("at any height from {} to {} m", *gravity.HEIGHTS),
+        ("for heights between {} and {} m", *gravity.HEIGHTS),
         (
             "latitude of {} deg, an accelerometer error of 1 mg thus changes the perpendicular "
             "displacement by {} m in {} s",
@@ -76,7 +76,7 @@ ROWS = {
         ),
         ("a record that is shorter than {} % of this duration", 100.0 * assembly.COMPLETE_FRACTION),
         ("the Allan deviation is {} B", math.sqrt(2.0 * math.log(2.0) / math.pi)),
-        ("more than {} times the largest credible size", simulable.TRUTH_MARGIN),
+        ("exceeds {} times the largest credible size", simulable.TRUTH_MARGIN),
         ("a ripple above harmonic {} -", simulable._MAX_RIPPLE_HARMONIC),
         ("a rate that changes by {} ", simulable._MAX_RATE_CHANGE),
     ],

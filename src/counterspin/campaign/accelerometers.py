@@ -131,7 +131,7 @@ class Accelerometer(SettingsSection):
     )
     serial_number: Text | None = key_field("serial number of the accelerometer", "Q-104", None)
     grade: Literal["navigation", "tactical", "consumer"] = key_field(
-        "grade of the accelerometer, which sets the limits and the default standard uncertainties "
+        "grade of the accelerometer; sets the limits and the default standard uncertainties "
         "of its terms ([sizes by grade](physics.md#sources-of-the-typical-sizes))",
         "tactical",
         "navigation",
@@ -156,7 +156,7 @@ class Accelerometer(SettingsSection):
         "prior of K_F", "0.00503 ± 2e-6 g", None, absent="unknown"
     )
     scale_factor: Annotated[Quantity, uncertain_quantity("g/g")] | None = key_field(
-        "prior of K_I; the nominal value is 1, so an excess of 1000 ppm is `1.001 g/g`",
+        "prior of K_I; the nominal value is 1, so an error of +1000 ppm is `1.001 g/g`",
         "1.00197 ± 5e-6 g/g",
         None,
         absent="unknown",

@@ -76,7 +76,7 @@ class TimeChannel(SettingsSection):
         kind="unit of time, `iso`",
     )
     sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = (
-        key_field("number of rows per second, in place of a time column", "50 Hz", None)
+        key_field("number of rows per second, instead of a time column", "50 Hz", None)
     )
 
     @model_validator(mode="after")
@@ -110,7 +110,7 @@ class AngleChannel(_Channel):
     """``angle``: the column that holds the spindle's angle, or the times of its pulses."""
 
     pulses: bool = key_field(
-        "whether the column holds the times, in `unit`, at which the arm passed `zero`",
+        "whether the column contains the times, in `unit`, at which the arm passed `zero`",
         False,
         False,
     )
@@ -189,10 +189,10 @@ class TableDialect(SettingsSection):
     """How a table is written, as far as a person says it: of records and of readings alike."""
 
     skip_lines: Annotated[int, Field(ge=0)] | None = key_field(
-        "number of lines, or rows of a sheet, before the column names", 5, None, absent="detected"
+        "number of lines (or sheet rows) before the column names", 5, None, absent="detected"
     )
     delimiter: Literal[",", ";", "\t"] | None = key_field(
-        "delimiter between the cells of a text file",
+        "cell delimiter of a text file",
         ";",
         None,
         absent="detected",
@@ -212,7 +212,7 @@ class TableDialect(SettingsSection):
         "whether a units row follows the column names", True, None, absent="detected"
     )
     skip_footer: Annotated[int, Field(ge=0)] | None = key_field(
-        "number of lines, or rows of a sheet, at the end of the file that are not data, such as a "
+        "number of lines (or sheet rows) at the end of the file that are not data, such as a "
         "mean or a signature",
         2,
         None,
@@ -245,8 +245,8 @@ class _TimeAndAngle(SettingsSection):
         absent="nominal rate",
     )
     temperature: TemperatureChannel | None = key_field(
-        "temperature of the accelerometers, for temperature slopes; at most a quarter of the rows "
-        "of a record may be empty",
+        "temperature of the accelerometers, for temperature slopes; at most a quarter of the "
+        "cells in this column may be empty",
         {"column": "T", "unit": "degC"},
         None,
         absent="the temperature of each run",

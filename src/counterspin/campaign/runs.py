@@ -155,7 +155,7 @@ class Run(SettingsSection):
     )
     file: RecordFile | None = key_field(
         "record file, with its path relative to the campaign folder "
-        f"({', '.join(RECORD_FORMATS)}). On an arm, the reading is the mean over whole "
+        f"({', '.join(RECORD_FORMATS)}). On an arm, the reading is the mean over complete "
         "revolutions; at rest, it is the mean of the record. The uncertainty of the reading is "
         "computed from the noise",
         "run1.csv",
@@ -214,7 +214,7 @@ class Run(SettingsSection):
         absent="by revolutions",
     )
     revolutions: PositiveRatio | None = key_field(
-        "number of revolutions, for `simulate`, in place of a duration",
+        "number of revolutions, for `simulate`, instead of a duration",
         100,
         None,
         absent="as in `[simulation]`",
@@ -239,7 +239,7 @@ class Run(SettingsSection):
         "the spindle angle, and `strapped = true`",
         -2,
         -1.0,
-        absent="-1, the attitude in space is constant",
+        absent="-1 (constant attitude in space)",
         applies_to=RECORDS,
     )
     continued_in: list[RecordFile] = key_field(

@@ -144,8 +144,7 @@ class CentrifugeSettings(SettingsSection):
     )
     strapped: bool = key_field(
         "whether the recorded accelerometers are strapped to the counter-rotating table, so that "
-        "errors of the table rotate the accelerometers; otherwise a platform maintains the "
-        "attitude",
+        "table errors rotate the accelerometers; if false, a platform maintains their attitude",
         True,
         False,
     )
@@ -163,8 +162,8 @@ class FixtureSettings(SettingsSection):
     position: (
         Annotated[Quantity, uncertain_quantity("rad"), AfterValidator(check_zero_mean)] | None
     ) = key_field(
-        "setting error of a [position at rest](readings.md#positions-set-by-hand), about "
-        "east and about north; common to all readings in a position",
+        "angular error of a [position at rest](readings.md#positions-set-by-hand), about "
+        "east and about north; common to all readings in that position",
         "0 ± 0.5 deg",
         None,
     )
@@ -304,7 +303,7 @@ class NoiseSettings(StatedNoise):
     """[noise]: noise levels, or a static record from which they are estimated."""
 
     rest: Annotated[Text, AfterValidator(record_file)] | None = key_field(
-        "static record from which counterspin estimates the noise that you do not enter in this "
+        "static record from which counterspin estimates the noise components that you omit in this "
         "table",
         "rest.csv",
         None,
@@ -316,7 +315,7 @@ class ModelSettings(SettingsSection):
     """[model]: requested terms and priors."""
 
     terms: list[Text] | None = key_field(
-        "requested terms, which are the rows of the result",
+        "requested terms; each term is a row of the result",
         ["K_F", "K_II", "platform.tilt"],
         None,
         absent="K_F, K_I, K_II, K_III",
@@ -342,7 +341,7 @@ class ModelSettings(SettingsSection):
         "former name of `hold`", ["K_PP"], [], absent="none", kind="list of terms"
     )
     priors: dict[str, Any] = key_field(
-        "priors of requested and other terms, by term; a table specifies [a "
+        "priors, keyed by term; the terms need not be requested; a table specifies [a "
         "distribution](methods.md#distributions-and-monte-carlo)",
         {"platform.tilt": "0 ± 0.5 arcsec", "Qx.K_PP": "0 ± 2e-6 g/g^2"},
         {},

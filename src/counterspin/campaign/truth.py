@@ -102,8 +102,8 @@ class RecordsTruthSettings(SettingsSection):
         Annotated[dict[str, float], PlainValidator(_clocks, float | str | dict[str, float | str])]
         | None
     ) = key_field(
-        "true relative rate error of all recorder clocks, or a table by recorder; positive if the "
-        "clock runs fast",
+        "true relative rate error of all recorder clocks, or a table keyed by recorder; positive "
+        "if the clock runs fast",
         {"A": "20 ppm", "B": "-5 ppm"},
         None,
         absent=_STATED,
