@@ -62,7 +62,7 @@ def kept(file):
 
 #: Page, words of it with {} for the numbers, and these numbers by the code.
 NUMBERS = [
-    ("README", "report agreement within {} or", [rerun.LIMIT]),
+    ("README", "report agreement to within {} or", [rerun.LIMIT]),
     (
         "README",
         "{} m after 100 s at one revolution a second, {} m after 400 s at a quarter of it",

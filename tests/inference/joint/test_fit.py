@@ -488,7 +488,9 @@ def test_block_means_lose_nothing_of_k_ii():
             )
         )
     model = Unknowns(unknowns(TRUTH))
-    (percent,) = told("campaign", "The averaging increases the u of K_II by less than {} %")
+    (percent,) = told(
+        "campaign", "averaging increases the standard uncertainty of K_II by less than {} %"
+    )
     for noise in (WHITE, MIXED):
         full, means = (
             solve_joint(build_design_blocks(s, model, SCALES), model, {"Qx": noise}).solution
