@@ -47,12 +47,12 @@ Variances = tuple[float, ...]
 
 
 def basis_length(last: float) -> float:
-    """Return the length over which the cosines run, of a record whose last row is at `last` s."""
+    """Return the length of the cosines for a record whose last row is at `last` s."""
     return (1.0 + _OVERHANG_FRACTION) * last
 
 
 def basis_size(variances: Variances, spacing: float, length: float, order: int) -> int:
-    """Return how many cosines show the wander wherever the other noise does not cover it.
+    """Return the number of cosines up to the frequency at which white noise covers the bias.
 
     spacing: Time between samples, s.
     length: Of the record, s.
@@ -143,7 +143,7 @@ def coefficient_root(
 
 @frozen(eq=False)
 class LowRankWhitener:
-    """The inverse square root of 1 + U U', as rows are multiplied with it."""
+    """The inverse square root of 1 + U U' as an operator on rows."""
 
     directions: Array  #: U V, where U' U = V diag(size) V', shape (m, q).
     shrink: Array  #: ((1 + size)^(-1/2) - 1)/size, shape (q,).
@@ -151,7 +151,7 @@ class LowRankWhitener:
 
     @classmethod
     def of(cls, root: Array) -> LowRankWhitener:
-        """Return it for U, shape (m, r)."""
+        """Return the whitener for U, shape (m, r)."""
         eigenvalues, vectors = np.linalg.eigh(root.T @ root)
         is_significant = eigenvalues > _ROUNDING
         eigenvalues, vectors = eigenvalues[is_significant], vectors[:, is_significant]

@@ -1,4 +1,4 @@
-"""An evenly sampled record at rest, as its cosine transform: nearly one row, one variance.
+"""The cosine transform of an evenly sampled record at rest, whose rows are nearly independent.
 
 The transform of type II is that of a record continued by its mirror image. White noise is exactly
 independent in it from row to row, and so is a random walk whose mean is unknown: its steps' inverse
@@ -38,7 +38,7 @@ _GROUP_FRACTION: Final = 0.02
 
 @frozen(eq=False)
 class EvenlySampledData:
-    """A record at rest: means of the specific force from sample to sample."""
+    """Means of the specific force between the samples of a record at rest."""
 
     step: float  #: s.
     kind: Sampling
@@ -65,7 +65,7 @@ class EvenlySampledData:
         return cls(step, kind, np.column_stack([slow, ends]), force, np.array(places, np.intp))
 
     def reduce(self) -> TransformedRecord:
-        """Return its transform."""
+        """Return the cosine transform of the record."""
         from scipy.fft import dct
 
         n = self.observations.size
@@ -101,7 +101,7 @@ class EvenlySampledData:
 
 @frozen(eq=False)
 class TransformedRecord:
-    """Rows of the cosine transform, the fast ones in groups."""
+    """Rows of the cosine transform, with rows of high frequency in groups."""
 
     step: float  #: s.
     kind: Sampling
@@ -117,17 +117,17 @@ class TransformedRecord:
 
     @property
     def order(self) -> int:
-        """How often what has white noise integrates acceleration."""
+        """Number of integrations of acceleration to the observable with white noise."""
         return self.kind.order
 
     @property
     def rows(self) -> int:
-        """How many the transform has beside the mean."""
+        """Number of rows of the transform, without the mean."""
         return self.samples - 1
 
     @property
     def length(self) -> float:
-        """Of the record, s."""
+        """Duration of the record, s."""
         return self.samples * self.step
 
     @property
@@ -137,15 +137,15 @@ class TransformedRecord:
 
     @property
     def row_steps(self) -> tuple[Array, Array]:
-        """Time from sample to sample, s, and one sample a row."""
+        """Time between samples, s, and the number of samples per row, which is 1."""
         return np.array([self.step]), np.ones(1)
 
     def with_columns(self, kept: NDArray[np.bool_]) -> TransformedRecord:
-        """Return it with some of the columns of its design."""
+        """Return the transform with some of the design columns."""
         return replace(self, stack=np.asfortranarray(self.stack[:, np.append(kept, True)]))
 
     def without_added_variance(self) -> TransformedRecord:
-        """Return itself: nothing is known beside what is estimated."""
+        """Return the record itself, because it has no known additional variance."""
         return self
 
     def whitened(self, ratios: Variances) -> tuple[Array, float]:

@@ -49,7 +49,7 @@ _MIN_DOF: Final = 1e-9
 
 @frozen
 class RecordData:
-    """One record of one observable, as noise estimation needs it."""
+    """A record of an observable, as input of the noise estimation."""
 
     times: ArrayLike  #: (n,) s, increasing.
     order: int  #: 2 displacement, 1 velocity, 0 specific force.
@@ -68,7 +68,7 @@ class RecordData:
     variance_ratio: float = 1.0  #: Its white variance over that of records that are alike.
 
     def reduce(self) -> DifferencedRecord:
-        """Return its differences."""
+        """Return the differenced record."""
         differences = Differences.of(
             self.times, self.order, self.count, self.spacing, self.variance_ratio
         )
@@ -81,7 +81,7 @@ class RecordData:
 
 @dataclass
 class DifferencedRecord:
-    """A record's differences, and triangles of them that serve many sizes of the noise."""
+    """The differences of a record, with cached triangular factors."""
 
     differences: Differences
     stack: Array  #: Differenced [design | observations], (m, k + 1).
@@ -92,38 +92,38 @@ class DifferencedRecord:
 
     @property
     def rows(self) -> int:
-        """How many there are."""
+        """Number of rows of the differences."""
         return self.differences.rows
 
     @property
     def length(self) -> float:
-        """Of the record, s."""
+        """Duration of the record, s."""
         return float(self.differences.blocks.time[-1])
 
     @property
     def spacing(self) -> float:
-        """Usual time between samples, s."""
+        """Median time between samples, s."""
         return median(self.differences.spacing)
 
     @property
     def row_steps(self) -> tuple[Array, Array]:
-        """Times from row to row, s, and how many samples the rows are means of."""
+        """Times between rows, s, and the number of samples of each row."""
         blocks = self.differences.blocks
         return np.diff(blocks.time), blocks.count
 
     def with_columns(self, kept: NDArray[np.bool_]) -> DifferencedRecord:
-        """Return it with some of the columns of its design."""
+        """Return the record with some of the design columns."""
         stack = np.asfortranarray(self.stack[:, np.append(kept, True)])
         return replace(self, stack=stack, triangles={})
 
     def without_added_variance(self) -> DifferencedRecord:
-        """Return it with all of the samples' white variance to be estimated."""
+        """Return the record without the known additional variance."""
         if not np.any(self.added_variance):
             return self
         return replace(self, added_variance=0.0, triangles={})
 
     def whitened(self, ratios: Variances) -> tuple[Array, float]:
-        """Return rows whitened at these variances, or as many as say the same of the unknowns.
+        """Return rows whitened with these variances, or fewer rows with the same information.
 
         Returns: Rows; log-determinant of the covariance of the differences.
         """
@@ -151,11 +151,11 @@ class DifferencedRecord:
 
     @property
     def _is_heteroscedastic(self) -> bool:
-        """True if its white noise is not proportional to the other white noise of a sample."""
+        """True if the two white variances of a sample do not scale together."""
         return bool(np.any(self.added_variance)) or self.differences.variance_ratio != 1.0
 
     def _scale(self, ratios: Variances) -> float:
-        """Return a size of the noise beside a wander, by which it becomes one of few."""
+        """Return the scale by which the white variances are normalised."""
         if self._is_heteroscedastic:
             return 1.0
         spacing = self.differences.spacing
@@ -164,7 +164,7 @@ class DifferencedRecord:
         return ratios[0] or ratios[1]
 
     def _triangle(self, white: float, walk: float, count: int) -> tuple[Array, float]:
-        """Triangle of [cosines | stack], whitened without the wander, and the log-determinant."""
+        """Return the triangle of whitened [cosines | stack], and the log-determinant."""
         even = self.order == SPECIFIC_FORCE and np.ptp(self.differences.spacing) == 0.0
         if even and not self._is_heteroscedastic:
             white, walk = 1.0, 0.0  # what is white in a sample cannot be told from it
@@ -251,7 +251,7 @@ class RestrictedLikelihood:
         self.scales.clear()
 
     def _independent_unknowns(self) -> NDArray[np.intp]:
-        """Unknowns that span what can be told; the likelihood depends on their span only."""
+        """Return unknowns whose columns span the column space, on which the likelihood depends."""
         from scipy.linalg import qr
 
         rows = np.vstack([self._triangle(WHITE)[0], self.prior])[:, :-1]
@@ -266,7 +266,7 @@ class RestrictedLikelihood:
 
     @property
     def evaluations(self) -> int:
-        """For how many units the rows were whitened."""
+        """Number of sets of ratios for which the rows were whitened."""
         return len(self.triangles)
 
     @property
@@ -276,7 +276,7 @@ class RestrictedLikelihood:
 
     @property
     def length(self) -> float:
-        """Of the longest record, s."""
+        """Duration of the longest record, s."""
         return max(record.length for record in self.records)
 
     @property
@@ -286,7 +286,7 @@ class RestrictedLikelihood:
 
     @property
     def log_walk_floor(self) -> float:
-        """Log of the ratio of N^2 to the white variance that the longest record cannot show."""
+        """Log ratio of N^2 to the white variance below which the records cannot show the walk."""
         steps, counts = map(
             np.concatenate, zip(*(record.row_steps for record in self.records), strict=True)
         )
@@ -295,7 +295,7 @@ class RestrictedLikelihood:
 
     @property
     def walk_range(self) -> float:
-        """Over how much of the logarithm above that walk and white noise show beside each other."""
+        """Range of the log ratio in which the records distinguish random walk and white noise."""
         return 2.0 * self.order * math.log(self._longest)
 
     @property
@@ -303,36 +303,36 @@ class RestrictedLikelihood:
         return max(record.rows for record in self.records)
 
     def without_added_variance(self) -> RestrictedLikelihood:
-        """Return the likelihood with all of the samples' white variance to be estimated."""
+        """Return the likelihood without the known additional variances."""
         if not any(map(np.any, self.added_variances)):
             return self
         records = [record.without_added_variance() for record in self.records]
         return replace(self, records=records, triangles={}, scales={})
 
     def value(self, log_scale: float, ratios: Variances) -> float:
-        """Restricted log-likelihood, but for a constant of the records."""
+        """Return the restricted log-likelihood, except for a constant of the records."""
         triangle, _ = self._joint_triangle(log_scale, ratios)
         log_det = self._triangle(ratios)[1] + self.rows * log_scale
         log_information = 2 * float(np.log(np.abs(np.diagonal(triangle)[:-1])).sum())
         return -(log_det + log_information + float(triangle[-1, -1]) ** 2) / 2
 
     def slope(self, log_scale: float, ratios: Variances) -> float:
-        """Differentiate `value` by the log scale."""
+        """Return the derivative of `value` with respect to the log scale."""
         freedom, rss = self._dof_and_rss(log_scale, ratios)
         return (rss - freedom) / 2
 
     def dof(self, log_scale: float, ratios: Variances) -> float:
-        """Rows less the unknowns that the rows themselves determine."""
+        """Return the number of rows minus the effective number of unknowns."""
         return self._dof_and_rss(log_scale, ratios)[0]
 
     def estimate(self, log_scale: float, ratios: Variances) -> tuple[Array, Array]:
-        """Return the unknowns at a noise, those kept in their order, and their covariance."""
+        """Return the estimates of the selected unknowns for a noise, and their covariance."""
         triangle, _ = self._joint_triangle(log_scale, ratios)
         inverse = np.linalg.inv(triangle[:-1, :-1])
         return inverse @ triangle[:-1, -1], inverse @ inverse.T
 
     def best_scale(self, ratios: Variances) -> float:
-        """Log scale at which `slope` is zero."""
+        """Return the log scale at which `slope` is zero."""
         if ratios not in self.scales:
             self.scales[ratios] = self._best_scale(ratios)
         return self.scales[ratios]
@@ -370,12 +370,12 @@ class RestrictedLikelihood:
         return self.rows - float(np.sum(leverage**2)), float(residual @ residual)
 
     def _joint_triangle(self, log_scale: float, ratios: Variances) -> tuple[Array, Array]:
-        """Triangle of [unknowns | observations] with and without the priors' rows."""
+        """Return the triangle of [unknowns | observations] with and without the priors."""
         data = self._triangle(ratios)[0] * math.exp(-log_scale / 2)
         return (triangle_of(np.vstack([data, self.prior])) if len(self.prior) else data), data
 
     def _triangle(self, ratios: Variances) -> tuple[Array, float]:
-        """Triangle of the whitened rows at unit scale, and the log-determinant of their noise."""
+        """Return the triangle of the whitened rows at unit scale, and the log-determinant."""
         if ratios not in self.triangles:
             width = self.prior.shape[1]
             log_det, parts = 0.0, [np.zeros((width, width))]

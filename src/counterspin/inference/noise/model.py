@@ -48,7 +48,7 @@ DISPLACEMENT, VELOCITY, SPECIFIC_FORCE = 2, 1, 0
 
 
 class _Estimate(float):
-    """A size that is to be estimated: no number, and one object in every process."""
+    """Sentinel for a size to be estimated; the same object in all processes."""
 
     def __repr__(self) -> str:
         return "ESTIMATE"
@@ -100,31 +100,31 @@ class Noise:
 
     @property
     def known(self) -> Noise:
-        """The same without what is to be estimated."""
+        """The noise without the components to be estimated."""
         return self.with_sizes(dict.fromkeys(self.to_estimate, 0.0))
 
     @property
     def without_bias_instability(self) -> Noise:
-        """The same with a constant bias."""
+        """The noise without the components of the bias."""
         return self.with_sizes(dict.fromkeys(BIAS_COMPONENTS, 0.0))
 
     @property
     def sample_variance(self) -> float:
-        """Variance per sample of what is white in the observable: white^2 + quantisation^2/12."""
+        """Variance of the white noise per sample: white^2 + quantisation^2/12."""
         return self.white**2 + self.quantisation**2 / 12
 
     @property
     def has_bias_instability(self) -> bool:
-        """True if the bias wanders, or may wander."""
+        """True if a component of the bias is not zero or is to be estimated."""
         return any(getattr(self, name) != 0.0 for name in BIAS_COMPONENTS)
 
     @property
     def variances(self) -> Variances:
-        """Those of `COMPONENTS`, quantisation included."""
+        """Variances of `COMPONENTS`, with quantisation in the white noise."""
         return (self.sample_variance, *(getattr(self, name) ** 2 for name in COMPONENTS[1:]))
 
     def with_variances(self, variances: Variances) -> Noise:
-        """Return the noise with what is to be estimated as the variances say."""
+        """Return the noise with the components to be estimated from variances."""
         white = max(variances[0] - self.quantisation**2 / 12, 0.0)
         sizes = dict(zip(COMPONENTS, map(math.sqrt, (white, *variances[1:])), strict=True))
         return self.with_sizes({name: sizes[name] for name in self.to_estimate})
@@ -154,7 +154,7 @@ class Differences:
         sample_spacing: ArrayLike | None = None,
         relative: float = 1.0,
     ) -> Differences:
-        """Differences for rows at `times`; arguments and errors as in `make_whitener`."""
+        """Return the differences of rows at `times`; arguments and errors as in `make_whitener`."""
         if order not in (DISPLACEMENT, VELOCITY, SPECIFIC_FORCE):
             raise ValueError(
                 f"order is {order}: 2 for displacement, 1 for velocity, 0 for specific force"
@@ -218,7 +218,7 @@ class Differences:
         return transposed
 
     def bias_columns(self, order: int, variances: Variances, walk_duration: float) -> list[Array]:
-        """Return differences of what the rows show of a wandering bias, one column a direction.
+        """Return differences of the effect of the bias components, one column per direction.
 
         Of all components together, and of each component of unit size by the same cosines.
 
@@ -241,7 +241,7 @@ class Differences:
         return 2 * steps[1:] / span, 2 * steps[:-1] / span
 
     def factor(self, white: float | Array, walk: float) -> tuple[Array, float]:
-        """Banded Cholesky factor of the differences' covariance, and its log-determinant.
+        """Return the banded Cholesky factor of the covariance, and the log-determinant.
 
         white: Variance per sample where records are alike: this one has `relative` times as much.
         walk: N^2; not both zero.
@@ -289,7 +289,7 @@ class Differences:
 
 @frozen
 class Whitener:
-    """Turns rows of a record into rows whose noise has unit covariance."""
+    """Linear operator that whitens the rows of a record."""
 
     #: The record's differences; of order 0 where nothing has to be differenced.
     differences: Differences
@@ -307,13 +307,13 @@ class Whitener:
         return self.differences.rows
 
     def apply(self, rows: ArrayLike) -> Array:
-        """Whiten (n,) or (n, k) rows, each column a record; (m,) or (m, k), m = `rows`."""
+        """Return whitened rows, (m,) or (m, k), of (n,) or (n, k) rows; m is `rows`."""
         white = solve_banded_factor(self.bands, self.differences.apply(rows))
         return white if self.bias_whitener is None else self.bias_whitener.apply(white)
 
 
 def solve_banded_factor(bands: Array, rows: Array, transposed: bool = False) -> Array:
-    """L^-1 rows for a lower banded L as `Differences.factor` gives it, or L'^-1 rows."""
+    """Return L^-1 rows, or L'^-1 rows, for a lower banded L of `Differences.factor`."""
     if bands.shape[0] == 1:
         return np.asarray(rows / (bands[0] if rows.ndim == 1 else bands[0][:, None]))
     from scipy.linalg.lapack import dtbtrs
@@ -334,7 +334,7 @@ def make_whitener(
     walk_duration: float = 0.0,
     added_variance: float | Array = 0.0,
 ) -> Whitener:
-    """Whitener of one record of one observable.
+    """Return the whitener of a record of an observable.
 
     times: (n,) s, increasing: of each sample, or the mean time of each block. Leave missing rows
         out.
@@ -355,7 +355,7 @@ def build_whitener(
     walk_duration: float = 0.0,
     added_variance: float | Array = 0.0,
 ) -> Whitener:
-    """Whitener of one record.
+    """Return the whitener of a record.
 
     walk_duration: For how long the bias had walked when the record began, s.
     added_variance: White variance of the samples in addition to the noise, of all or each row,
@@ -384,7 +384,7 @@ def information_loss(
     walk_duration: float = 0.0,
     added_variance: float | Array = 0.0,
 ) -> Array:
-    """Return the loss of a record's information per unit of each of `COMPONENTS`, (4, m, m).
+    """Return the loss of information per unit variance of each of `COMPONENTS`, (4, m, m).
 
     Where its noise has the covariance V, a record says X' V^-1 X of unknowns with the columns X. A
     variance that grows by one adds a matrix B to V, and takes X' V^-1 B V^-1 X from that. Between

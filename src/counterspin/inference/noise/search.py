@@ -74,7 +74,7 @@ _ONSET_RATIO: Final = 3.0
 
 @frozen
 class NoiseEstimate:
-    """Estimated noise, and how well it is known."""
+    """Estimated noise and its covariance."""
 
     noise: Noise  #: The estimate, beside what was given.
     #: Of the squares of `COMPONENTS`, (4, 4): inverse observed information; zero for a component
@@ -97,10 +97,9 @@ def estimate_noise(
     prior_rows: ArrayLike | None = None,
     prior_values: ArrayLike | None = None,
 ) -> NoiseEstimate:
-    """Estimate what is wanted of the noise that records share.
+    """Estimate the requested components of the noise that records share.
 
-    prior_rows, prior_values: (m, p) and (m,): what is known of the unknowns, in rows of unit
-        variance.
+    prior_rows, prior_values: (m, p) and (m,): prior information in rows of unit variance.
     """
     likelihood = RestrictedLikelihood.of(records, prior_rows, prior_values)
     wanted, base = noise.to_estimate, None
@@ -130,7 +129,7 @@ def estimate_noise(
 
 
 def effective_dof(variance: ArrayLike, gradient: ArrayLike, covariance: ArrayLike) -> Array:
-    """Satterthwaite's degrees of freedom, 2 (u^2)^2/Var(u^2), of each coefficient.
+    """Return Satterthwaite's degrees of freedom, 2 (u^2)^2/Var(u^2), of each coefficient.
 
     variance: (p,) u^2 of each coefficient.
     gradient: (p, m) derivative of u^2 with respect to each estimated noise variance.
@@ -155,14 +154,14 @@ class Maximum:
 
     @property
     def variances(self) -> Variances:
-        """Where it is."""
+        """Variances at the maximum."""
         return _scale_variances(math.exp(self.log_scale), self.ratios)
 
 
 def _select_components(
     likelihood: RestrictedLikelihood, noise: Noise, base: Maximum | None
 ) -> tuple[Maximum, dict[tuple[str, ...], float]]:
-    """Return the best choice of components, and the likelihoods of all.
+    """Return the best set of components, and the likelihoods of all sets.
 
     base: The best without a wander; None where nothing wanders.
     """
@@ -186,7 +185,7 @@ def _select_components(
 
 @frozen(eq=False)
 class NoiseModelCandidate:
-    """The restricted likelihood of some variances, what else is wanted being zero."""
+    """The restricted likelihood of some variances; the other requested variances are zero."""
 
     likelihood: RestrictedLikelihood
     noise: Noise
@@ -200,13 +199,13 @@ class NoiseModelCandidate:
 
     @cached_property
     def has_free_scale(self) -> bool:
-        """True if all noise has one unknown scale: others are ratios to the first."""
+        """True if all variances are unknown: the first is the scale of the others."""
         known = dict(zip(COMPONENTS, self.noise.known.variances, strict=True))
         rest = [size for name, size in known.items() if name not in self.names]
         return bool(self.names) and not any(rest) and not _mean_added_variance(self.likelihood)
 
     def scale_and_ratios(self, x: Array) -> tuple[float, Variances]:
-        """Return log scale and unit where the logarithms searched are these."""
+        """Return log scale and ratios for the logarithms x of the search."""
         sizes = list(self.noise.known.variances)
         least = sizes[0]
         logs = [0.0, *x] if self.has_free_scale else x
@@ -219,11 +218,11 @@ class NoiseModelCandidate:
         return max(scale, math.log(least)) if least > 0.0 else scale, ratios
 
     def value(self, x: Array) -> float:
-        """Return the likelihood there."""
+        """Return the likelihood at the logarithms x."""
         return self.likelihood.value(*self.scale_and_ratios(x))
 
     def maximize(self, start: Variances) -> tuple[float, Variances]:
-        """Return the greatest likelihood, climbed to from a start, and the variances there."""
+        """Return the maximum of the likelihood from a start, and the variances at the maximum."""
         x = self._ascend(self._logs(start))
         log_scale, ratios = self.scale_and_ratios(x)
         return self.likelihood.value(log_scale, ratios), _scale_variances(
@@ -231,9 +230,9 @@ class NoiseModelCandidate:
         )
 
     def maximum(self, base: Maximum | None, start: Variances | None = None) -> Maximum:
-        """Return where the likelihood is greatest.
+        """Return the maximum of the likelihood.
 
-        start: Where to climb from, if that is known.
+        start: Start of the search, if it is known.
         """
         x = self._ascend(self._initial_logs(base) if start is None else self._logs(start))
         covariance = self._covariance(x)
@@ -244,7 +243,7 @@ class NoiseModelCandidate:
         return Maximum(self.names, log_scale, ratios, value, covariance)
 
     def _initial_logs(self, base: Maximum | None) -> Array:
-        """Return where to climb from: by a scan of a walk's size where nothing is known of it."""
+        """Return the start of the search; without a base, from a scan of the random walk."""
         first = _first_guess(self.likelihood, self.noise, base)
         guess = self._logs(first)
         if "random_walk" not in self.names or base is not None or not guess.size:
@@ -269,12 +268,12 @@ class NoiseModelCandidate:
         return self._logs(max(scanned)[1])
 
     def _logs(self, sizes: Variances) -> Array:
-        """Return the logarithms searched where the variances are these."""
+        """Return the logarithms of the search for given variances."""
         x = np.log([sizes[COMPONENTS.index(name)] for name in self.names])
         return x[1:] - x[0] if self.has_free_scale else x
 
     def _ascend(self, x: Array) -> Array:
-        """Return where Newton's steps uphill end."""
+        """Return the end point of Newton's method."""
         for _ in range(_MAX_STEPS if x.size else 0):
             before, (x, gain) = x, _newton_step(self.value, x)
             if np.abs(x - before).max() < _LAST_STEP or gain < _LAST_GAIN:
@@ -282,7 +281,7 @@ class NoiseModelCandidate:
         return x
 
     def _covariance(self, x: Array) -> Array:
-        """Return the variances' covariance, (4, 4): the inverse observed information."""
+        """Return the covariance of the variances, (4, 4): the inverse observed information."""
         log_scale, variance_ratios = self.scale_and_ratios(x)
         covariance = np.zeros((len(COMPONENTS), len(COMPONENTS)))
         if not self.names:
@@ -319,7 +318,7 @@ class NoiseModelCandidate:
 
 
 def _mean_added_variance(likelihood: RestrictedLikelihood) -> float:
-    """Return the mean variance that the records' samples have beside what is estimated."""
+    """Return the mean of the known additional variances of the records."""
     return float(np.mean([np.mean(added) for added in likelihood.added_variances]))
 
 
@@ -328,7 +327,7 @@ def _scale_variances(factor: float, variances: Variances) -> Variances:
 
 
 def _normalise(likelihood: RestrictedLikelihood, variances: Variances) -> tuple[float, Variances]:
-    """Return log scale and unit of a noise."""
+    """Return the log scale and the ratios of variances."""
     if _mean_added_variance(likelihood):
         return 0.0, variances
     scale = variances[0] or variances[1]
@@ -338,7 +337,7 @@ def _normalise(likelihood: RestrictedLikelihood, variances: Variances) -> tuple[
 
 
 def _first_guess(likelihood: RestrictedLikelihood, noise: Noise, base: Maximum | None) -> Variances:
-    """Return variances to begin with: slow noise as it begins to show beside what is faster."""
+    """Return start variances: slow noise at the level at which it begins to show."""
     added, (white, walk, *_) = _mean_added_variance(likelihood), noise.known.variances
     if base is not None:
         white, walk, *_ = base.variances
@@ -357,7 +356,7 @@ def _first_guess(likelihood: RestrictedLikelihood, noise: Noise, base: Maximum |
 def _average_bias_noise(
     likelihood: RestrictedLikelihood, best: Maximum, first: Variances
 ) -> tuple[Variances, Array]:
-    """Return variances, those of a wander averaged over what the records allow, and covariance.
+    """Return variances, with the posterior means of the bias components, and their covariance.
 
     A wander moves the runs' biases against each other, and few runs tell little of that: the
     most likely size is often none. It is averaged as a walk is that does not show
@@ -387,7 +386,7 @@ def _average_bias_noise(
 
 
 def _dropped_walk(likelihood: RestrictedLikelihood, noise: Noise, best: Maximum) -> UndetectedWalk:
-    """Return the sizes of the walk that was dropped, the white noise as it would be beside it."""
+    """Return the posterior of a dropped random walk, with the best white noise for each size."""
     candidate = NoiseModelCandidate(likelihood, noise, (*best.names, "random_walk"))
     white = best.variances[0]
 
@@ -403,7 +402,7 @@ def _dropped_walk(likelihood: RestrictedLikelihood, noise: Noise, best: Maximum)
 
 
 def _newton_step(function: Callable[[Array], float], x: Array) -> tuple[Array, float]:
-    """Return x a step of Newton's further uphill, and the gain that slope and curvature promise.
+    """Return x after a step of Newton's method, and the gain expected from the derivatives.
 
     Curvatures are taken as they are, however small: near zero a variance's effect goes with e^x,
     whose slope and curvature are the same, so that a step takes it down by a factor of e.
@@ -421,7 +420,7 @@ def _newton_step(function: Callable[[Array], float], x: Array) -> tuple[Array, f
 
 
 def _refine(function: Callable[[Array], float], x: Array) -> Array:
-    """Return x a last step further, with slopes from two neighbours on either side."""
+    """Return x after a last step, with slopes from two neighbours on either side."""
     _, inner_gradient, hessian = _derivatives(function, x)
     outer_values = [
         function(x + sign * offset)

@@ -67,7 +67,7 @@ _BANDS_PER_DECADE: Final = 4.0
 
 @frozen(eq=False)
 class Segments:
-    """The parts of a record between its gaps."""
+    """The segments of a record between gaps."""
 
     step: float  #: Mean time from sample to sample in the parts, s.
     recorded_fraction: (
@@ -328,7 +328,7 @@ class StaticNoise:
 
     @property
     def variances(self) -> Variances:
-        """Those of all components."""
+        """Variances of all components."""
         return tuple(component.variance for component in self.components.values())
 
     def with_white(self, factor: float) -> StaticNoise:
@@ -374,7 +374,7 @@ def estimate_static_noise(records: Sequence[EvenlySampledData]) -> StaticNoise:
 def _eliminate_components(
     likelihood: RestrictedLikelihood,
 ) -> tuple[Maximum, Maximum, dict[str, float]]:
-    """Return the best noise of what the records ask for, that of all, and that without each."""
+    """Return the best maximum, the maximum of all components, and likelihoods without each."""
     full_maximum = _candidate(likelihood, COMPONENTS).maximum(None, _initial_variances(likelihood))
     names, value, start = full_maximum.names, full_maximum.value, full_maximum.variances
     without: dict[str, float] = {}
@@ -401,7 +401,7 @@ def _candidate(likelihood: RestrictedLikelihood, names: tuple[str, ...]) -> Nois
 
 
 def _initial_variances(likelihood: RestrictedLikelihood) -> Variances:
-    """Return sizes near the most likely ones, the unknowns being none.
+    """Return sizes near the most likely ones, without unknowns.
 
     Multiplicative steps uphill, whose sizes stay positive (Fevotte, Bertin and Durrieu, Neural
     Computation 21 (2009) 793, eq. 2.13 and 2.14).
@@ -430,7 +430,7 @@ def _interval(
     name: str,
     without: float,
 ) -> SizedComponent:
-    """Return a component that is kept, with the ends of its interval."""
+    """Return a detected component with its interval."""
     place = COMPONENTS.index(name)
     size = best.variances[place]
     spread = math.sqrt(best.covariance[place, place]) / size
@@ -449,7 +449,7 @@ def _interval(
 
 
 def _upper_limit(likelihood: RestrictedLikelihood, full_maximum: Maximum, name: str) -> float:
-    """Return the size above which a component that is not kept would show."""
+    """Return the upper limit of the variance of an undetected component."""
     place = COMPONENTS.index(name)
     first = math.log(
         max(_undetectable_variances(likelihood, full_maximum)[place], full_maximum.variances[place])
@@ -461,7 +461,7 @@ def _upper_limit(likelihood: RestrictedLikelihood, full_maximum: Maximum, name: 
 
 
 def _undetectable_variances(likelihood: RestrictedLikelihood, full_maximum: Maximum) -> Variances:
-    """Return a hundredth of the noise where each component is most of it: that shows nowhere."""
+    """Return variances of components that contribute at most 1 % of the noise in any row."""
     shares = [
         np.min(
             np.asarray(full_maximum.variances) @ record.row_variances / record.row_variances, axis=1
@@ -475,7 +475,7 @@ def _undetectable_variances(likelihood: RestrictedLikelihood, full_maximum: Maxi
 def _profile_likelihood(
     likelihood: RestrictedLikelihood, full_maximum: Maximum, name: str
 ) -> Callable[[float], float]:
-    """Return the likelihood at the log of a component's variance, at the best of all others.
+    """Return the profile likelihood as a function of the log variance of a component.
 
     Those that the records do not ask for are among them: they may be there.
     """
@@ -499,7 +499,7 @@ def _profile_likelihood(
 def _interval_end(
     profile: Callable[[float], float], top: float, start: float, step: float, change: float
 ) -> float | None:
-    """Return where 2 log L is less than its top by a change; None: nowhere.
+    """Return where 2 log L is below its maximum by a change; None if nowhere.
 
     sqrt(2 log L) goes nearly as the distance from the top: false position in that.
     """
@@ -536,7 +536,7 @@ def _interval_end(
 
 
 def _compare_bands(likelihood: RestrictedLikelihood, best: Maximum) -> tuple[Band, ...]:
-    """Return how the records' spectrum stands to that of the noise, band by band."""
+    """Return the ratio of the records' spectrum to that of the noise in each band."""
     estimate, _ = likelihood.estimate(best.log_scale, best.ratios)
     frequency, power, count = [], [], []
     for record, places in zip(likelihood.records, likelihood.places, strict=True):

@@ -42,21 +42,21 @@ _HALF_INTERVAL: Final = 0.975
 
 @frozen
 class UndetectedWalk:
-    """A dropped walk."""
+    """The posterior of a random walk that the records do not show."""
 
     levels: Array  #: N^2, (m/s^2)^2/Hz, increasing, shape (g,).
     weights: Array  #: Probability of each, shape (g,).
 
     @property
     def step(self) -> float:
-        """Step of N^2 by which what depends on it is differentiated at N = 0."""
+        """Step of N^2 for derivatives at N = 0."""
         return 1e-2 * float(self.levels[1])
 
 
 def walk_posterior(
     profile: Callable[[float], tuple[float, float]], first: float, without: float
 ) -> UndetectedWalk:
-    """Return which walks records allow that do not show one.
+    """Return the posterior of a random walk from the profile likelihood of the records.
 
     profile: Log of a ratio of walk to white noise -> (log-likelihood at the best level of the white
         noise, log N^2).
@@ -85,7 +85,7 @@ def walk_posterior(
 def marginal_walk(
     unseen: UndetectedWalk, variance: Array, slope: Array, inverse: Array | float = 0.0
 ) -> tuple[float, Array]:
-    """Return one level of the walk that stands for all, and inverse degrees of freedom with it.
+    """Return a level of the walk that is equivalent to its posterior, with degrees of freedom.
 
     The coefficient that feels the walk most has Student's distribution fitted to its own: a
     normal one for each level, of variance + slope x level, weighted. For the others, which get
@@ -139,7 +139,7 @@ def _dof_from_quantile(quantile: float) -> float:
 
 
 def _root(function: Callable[[float], float], value: float) -> float:
-    """Return where a falling function of the degrees of freedom has a value; 1 at the least."""
+    """Return the degrees of freedom, at least 1, at which a decreasing function has a value."""
     low, high = 0.0, math.log(1e6)
     if function(math.exp(high)) >= value:
         return math.inf  # no longer tails than a normal distribution has
