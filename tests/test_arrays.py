@@ -16,7 +16,7 @@ from counterspin.arrays import (
 
 @pytest.mark.parametrize("rows", [0, 3, QR_ROWS - 1, QR_ROWS, QR_ROWS + 1, 3 * QR_ROWS + 7])
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_fewer_rows_have_the_same_triangle(rows, order):
+def test_chunked_qr_has_same_triangle(rows, order):
     matrix = np.asarray(np.random.default_rng(rows).standard_normal((rows, 5)), order=order)
     parts = in_parts(matrix)
     assert len(parts) == rows // QR_ROWS * 5 + rows % QR_ROWS
@@ -26,13 +26,13 @@ def test_fewer_rows_have_the_same_triangle(rows, order):
     np.testing.assert_allclose(triangle.T @ triangle, expected, rtol=0, atol=1e-13 * (rows + 1))
 
 
-def test_the_root_of_a_covariance_is_triangular_and_unique():
+def test_covariance_root_is_unique_triangular_factor():
     factor = np.random.default_rng(1).standard_normal((4, 6))
     root = triangular_root(factor)
     np.testing.assert_allclose(root, np.linalg.cholesky(factor @ factor.T), rtol=0, atol=1e-13)
 
 
-def test_a_root_of_a_covariance_keeps_every_unit_s_digits():
+def test_covariance_root_has_full_precision_in_all_units():
     factor = np.random.default_rng(2).standard_normal((4, 6)) * [[1e-9], [1.0], [0.0], [1e6]]
     root = semidefinite_root(factor @ factor.T)
     assert not root[2].any()
@@ -42,7 +42,7 @@ def test_a_root_of_a_covariance_keeps_every_unit_s_digits():
     np.testing.assert_allclose(root @ root.T / np.outer(scale, scale), expected, atol=1e-14)
 
 
-def test_no_variance_becomes_smaller_where_the_parts_do_not_fit():
+def test_inconsistent_contributions_decrease_no_variance():
     impossible = np.array([[1.0, 0.9, -0.9], [0.9, 1.0, 0.9], [-0.9, 0.9, 1.0]])
     root = semidefinite_root(impossible)
     covariance = root @ root.T
@@ -52,7 +52,7 @@ def test_no_variance_becomes_smaller_where_the_parts_do_not_fit():
 
 
 @pytest.mark.parametrize("shape", [(1,), (1000,), (3, 65), (511, 128)])
-def test_working_arrays_begin_with_a_cache_line(shape):
+def test_work_arrays_are_aligned_to_cache_lines(shape):
     array = aligned(*shape)
     assert array.shape == shape
     rows = array.reshape(-1, shape[-1]) if array.flags.c_contiguous else array
@@ -60,7 +60,7 @@ def test_working_arrays_begin_with_a_cache_line(shape):
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 10, 1001])
-def test_the_quantile_is_that_of_numpy(size):
+def test_quantile_matches_numpy(size):
     values = np.random.default_rng(size).normal(size=size)
     for fraction in (0.0, 0.01, 0.5, 0.999, 1.0):
         assert quantile(values, fraction) == pytest.approx(np.quantile(values, fraction), rel=1e-12)

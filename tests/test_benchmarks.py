@@ -30,7 +30,7 @@ def _among_the_scripts(monkeypatch):
 
 
 def code_of(script):
-    """Return a script's syntax tree, and those of the programs that it holds as texts."""
+    """Return the syntax trees of a script and of the programs that it contains as text."""
     tree = ast.parse((FOLDER / f"{script}.py").read_text("utf-8"))
     yield tree
     for node in ast.walk(tree):
@@ -40,7 +40,7 @@ def code_of(script):
 
 
 @pytest.mark.parametrize("script", SCRIPTS)
-def test_what_a_script_imports_is_there(script):
+def test_imports_of_scripts_exist(script):
     imports = [
         node
         for tree in code_of(script)
@@ -57,12 +57,12 @@ def test_what_a_script_imports_is_there(script):
 
 
 def own(module):
-    """Return a module's name if it is the package's or a script: of others some may be absent."""
+    """Return the name of a module of the package or a script; others may be missing."""
     return module if module.partition(".")[0] in ("counterspin", *SCRIPTS) else None
 
 
 def in_this_process(command, *, run=True):
-    """Return what a benchmark's command prints; without `run`, only take its words."""
+    """Return the output of a benchmark command; without `run`, only parse its arguments."""
     process = importlib.import_module("process")
     [program], words = command[:1], command[1:]
     printed = io.StringIO()
@@ -88,7 +88,7 @@ def in_this_process(command, *, run=True):
 
 
 def without_processes(monkeypatch, module, printed=None):
-    """Have a benchmark's commands run here, or only taken and said to have printed something."""
+    """Run the commands of a benchmark in this process, or only parse them."""
     process = importlib.import_module("process")
 
     def output(command):
@@ -113,7 +113,7 @@ def without_processes(monkeypatch, module, printed=None):
     )
 
 
-def test_a_campaign_of_long_records_in_small(monkeypatch):
+def test_long_record_benchmark_runs_with_small_campaign(monkeypatch):
     pytest.importorskip("pandas")
     calibrate = importlib.import_module("calibrate")
     without_processes(monkeypatch, calibrate)
@@ -128,7 +128,7 @@ def test_a_campaign_of_long_records_in_small(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["commands", "costs", "workers", "plan", "machine"])
-def test_the_words_of_a_benchmark_s_commands_are_known(name, monkeypatch):
+def test_benchmark_commands_have_valid_arguments(name, monkeypatch):
     module = importlib.import_module(name)
     if name == "plan":
         monkeypatch.setattr(module, "_predictions", lambda *_: (1.0, 1.0))
@@ -138,7 +138,7 @@ def test_the_words_of_a_benchmark_s_commands_are_known(name, monkeypatch):
     json.dumps([table.rows for table in tables])
 
 
-def test_the_page_s_campaign_is_one(tmp_path):
+def test_campaign_of_page_is_valid(tmp_path):
     page = importlib.import_module("page")
     page.make(tmp_path / "100", 100)
     campaign = counterspin.read_campaign(tmp_path / "100")
@@ -147,7 +147,7 @@ def test_the_page_s_campaign_is_one(tmp_path):
 
 
 @pytest.fixture
-def measuring(tmp_path, monkeypatch):
+def benchmark_repository(tmp_path, monkeypatch):
     """Return `python benchmarks` in a repository of its own, where a study took four seconds."""
     spec = importlib.util.spec_from_file_location("all_benchmarks", FOLDER / "__main__.py")
     made = importlib.util.module_from_spec(spec)
@@ -161,16 +161,16 @@ def measuring(tmp_path, monkeypatch):
     return made.main
 
 
-def test_what_anybody_measures_is_not_what_documentation_quotes(measuring, tmp_path):
+def test_local_measurements_do_not_change_documentation(benchmark_repository, tmp_path):
     load = importlib.import_module("table").load
     page = tmp_path / "docs" / "benchmarks.md"
     before = page.read_text()
-    measuring(["--full"])
+    benchmark_repository(["--full"])
     assert not (tmp_path / "benchmarks").exists()
     assert page.read_text() == before
     assert load(tmp_path / "build" / "benchmarks")[0].rows == [["one", 4.0]]
-    measuring(["--full", "--keep"])
+    benchmark_repository(["--full", "--keep"])
     assert load(tmp_path / "benchmarks")[0].rows == [["one", 4.0]]
     assert "| one | 4 |" in page.read_text()
     with pytest.raises(SystemExit):
-        measuring(["--keep"])
+        benchmark_repository(["--keep"])

@@ -22,7 +22,7 @@ from counterspin.schemas import schema_of
         ("ascii", "1 +/- 2 ug, 10^-5 - x ? ?"),
     ],
 )
-def test_a_stream_writes_substitutes_for_what_its_encoding_lacks(encoding, shown):
+def test_stream_substitutes_unencodable_characters(encoding, shown):
     raw = io.BytesIO()
     stream = io.TextIOWrapper(raw, encoding=encoding, newline="\n")
     write_substitutes(stream)
@@ -30,14 +30,14 @@ def test_a_stream_writes_substitutes_for_what_its_encoding_lacks(encoding, shown
     assert raw.getvalue().decode(encoding) == shown
 
 
-def test_a_closed_stream_and_one_without_an_encoding_are_left_alone():
+def test_closed_stream_and_stream_without_encoding_are_unchanged():
     write_substitutes(None)
     write_substitutes(io.StringIO())
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("words", [("schema", "campaign"), ("apply", "--help")])
-def test_commands_write_to_any_encoding(words):
+def test_commands_write_in_any_encoding(words):
     for encoding in ("cp1252", "ascii"):
         done = subprocess.run(
             [sys.executable, "-m", "counterspin", *words],

@@ -48,13 +48,13 @@ every_page = pytest.mark.parametrize(
 
 @pytest.fixture(scope="session")
 def records(tmp_path_factory):
-    """Return a folder with records that a reader could have made: the paper's plan."""
+    """Return a folder with simulated records of the plan in the paper."""
     return Path(cs.demo(tmp_path_factory.mktemp("records")).campaign.folder)
 
 
 @pytest.fixture
-def desk(tmp_path, monkeypatch, records):
-    """Work in an empty folder, at a terminal of 80 columns, beside the records."""
+def working_folder(tmp_path, monkeypatch, records):
+    """Change to an empty folder with the records and a terminal of 80 columns."""
     (tmp_path / "my-campaign").mkdir()
     for record in records.glob("*.csv"):
         shutil.copy(record, tmp_path / "my-campaign")
@@ -73,15 +73,15 @@ def run(command, capsys):
     assert words[0] == "counterspin"
     capsys.readouterr()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(planning, "plan", partial(search_once, planning.plan))
+        patch.setattr(planning, "plan", partial(plan_once, planning.plan))
         status = cli.main(words[1:])
     printed = capsys.readouterr()
     assert status == 0, printed.err
     return printed.out
 
 
-def search_once(plan, file):
-    """Plan a file as `plan` does, but not again what was planned in this folder."""
+def plan_once(plan, file):
+    """Plan a file as `plan` does, with a cache per folder."""
     key = (Path.cwd(), file.read_text(encoding="utf-8"))
     if key not in SEARCHED:
         SEARCHED[key] = plan(file)
@@ -89,7 +89,7 @@ def search_once(plan, file):
 
 
 def assert_same_output(shown, printed):
-    """Compare what a page shows with what is printed: the words, and numbers to the last digit."""
+    """Compare the output on a page with the printed output, numbers to the last digit."""
     shown, printed = (text.rstrip().splitlines() for text in (shown, printed))
     parts = " \n".join(" ".join(line.split()) for line in shown).split("...")
     text = " \n".join(" ".join(line.split()) for line in printed)
@@ -119,7 +119,7 @@ def inline(value):
 
 
 def complete(fragment):
-    """Return a campaign in which a fragment's sections stand in the place of the starter's."""
+    """Return the starter campaign with the sections of a fragment replaced."""
     starter = files("counterspin.ingest") / "starter.toml"
     document = tomllib.loads(starter.read_text("utf-8"))
     given = tomllib.loads(fragment)
@@ -129,8 +129,8 @@ def complete(fragment):
     return "".join(f"{key} = {inline(value)}\n" for key, value in document.items())
 
 
-def use(block, namespace, capsys):
-    """Do what a block says."""
+def run_block(block, namespace, capsys):
+    """Run the code or command of a block."""
     text = block["text"]
     match block["language"]:
         case "toml":
@@ -161,14 +161,14 @@ def use(block, namespace, capsys):
 
 
 @every_page
-def test_page_does_what_it_says(page, desk, capsys):
+def test_examples_of_page_print_shown_output(page, working_folder, capsys):
     namespace = {}
     for block in blocks(page):
-        use(block, namespace, capsys)
+        run_block(block, namespace, capsys)
 
 
 @every_page
-def test_links_lead_somewhere(page):
+def test_links_have_existing_targets(page):
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#\s]+)(?:#[\w-]+)?\)", text):
         if "://" not in target:
@@ -181,7 +181,7 @@ def test_readme_lists_every_command():
     assert set(rows) == {name for name in cli.app if not name.startswith("-")}
 
 
-def test_picture_shows_what_the_demonstration_draws(records, tmp_path):
+def test_picture_matches_demonstration(records, tmp_path):
     from counterspin.reports.charts import save_figure
     from counterspin.reproduction.page import demonstration_plots
 
@@ -200,7 +200,7 @@ def test_picture_shows_what_the_demonstration_draws(records, tmp_path):
 # The rules of this file
 
 
-def test_a_number_that_is_not_printed_would_be_found():
+def test_output_comparison_detects_different_number():
     assert_same_output("K = 1.25 ± 0.02\n", "K  =  1.25 ± 0.02  \n")
     assert_same_output("a\n...\nd 4\n", "a\nb\nc\nd 4\n")
     for wrong in ("K = 1.27 ± 0.02", "K = 1.25 ± 0.02 m", "k = 1.25 ± 0.02", "K = 1.25"):
@@ -208,14 +208,14 @@ def test_a_number_that_is_not_printed_would_be_found():
             assert_same_output(wrong, "K = 1.25 ± 0.02\n")
 
 
-def test_blocks_are_found_with_their_files():
+def test_blocks_are_found_with_file_names():
     text = "<!-- file: a.toml -->\n```toml\nx = 1\n```\n\n```python\ny = 2\n```\n"
     first, second = BLOCK.finditer(text)
     assert (first["file"], first["language"], first["text"]) == ("a.toml", "toml", "x = 1\n")
     assert (second["file"], second["language"]) == (None, "python")
 
 
-def test_headings_are_not_skipped():
+def test_heading_levels_are_not_skipped():
     for page in [README, *DOCS]:
         text = re.sub(r"^```.*?^```$", "", page.read_text("utf-8"), flags=re.M | re.DOTALL)
         levels = [len(marks) for marks in re.findall(r"^(#+) ", text, re.MULTILINE)]
@@ -224,7 +224,7 @@ def test_headings_are_not_skipped():
         assert all(after <= before + 1 for before, after in pairwise(levels)), page
 
 
-def test_page_on_standards_names_commands_that_exist():
+def test_standards_page_names_existing_commands():
     page = (ROOT / "docs" / "standards.md").read_text(encoding="utf-8")
     tables = page.partition("## Other standards")[0]
     rows = [line.split(" | ") for line in tables.splitlines() if line.count(" | ") == 3]

@@ -16,30 +16,30 @@ def table():
 
 @pytest.fixture(scope="module")
 def rows(table):
-    """Return title -> name of a row -> its figures."""
+    """Return the figures by title and row name."""
     return {
         one.title: {name: figures for name, *figures in one.rows}
         for one in table["load"](ROOT / "benchmarks")
     }
 
 
-def test_the_page_shows_the_results_that_are_kept(table):
+def test_page_shows_stored_results(table):
     page = (ROOT / "docs" / "benchmarks.md").read_text("utf-8")
     kept = table["load"](ROOT / "benchmarks")
     assert table["insert"](kept, page) == page
 
 
-def test_the_results_are_of_a_full_run(table):
+def test_stored_results_are_from_full_run(table):
     columns = [one.columns for one in table["load"](ROOT / "benchmarks")]
     assert ["", "1e+07 rows, csv", "1e+08 rows, parquet"] in columns
 
 
-def test_numbers_show_three_digits(table):
+def test_numbers_have_three_digits(table):
     shown = table["render"]([table["Table"]("T", "R", ["a", "b"], [["x", 1.23456], [2, None]])])
     assert shown == "## T\n\nR\n\n| a | b |\n|---|---:|\n| x | 1.23 |\n| 2 | – |\n"
 
 
-def test_the_readme_promises_what_was_measured(rows):
+def test_readme_states_measured_times(rows):
     words = " ".join((ROOT / "README.md").read_text("utf-8").split())
     promised = (
         "less than a second. A hundred million rows in a Parquet file take four seconds and 150 MB "
@@ -53,7 +53,7 @@ def test_the_readme_promises_what_was_measured(rows):
     assert long["calibrate / polars"] == pytest.approx(2.0, abs=0.2)
 
 
-def test_as_many_predictions_are_made_as_the_page_on_plans_says(rows):
+def test_plan_page_states_measured_prediction_rate(rows):
     words = " ".join((ROOT / "docs" / "plan.md").read_text("utf-8").split())
     assert "computes more than a thousand predictions per second" in words
     made = rows["Predictions of u"].values()
@@ -61,7 +61,7 @@ def test_as_many_predictions_are_made_as_the_page_on_plans_says(rows):
     assert all(a_second > 1000.0 for a_second, _ in made)
 
 
-def test_what_a_watch_took_is_what_was_kept(rows):
+def test_watch_page_states_stored_results(rows):
     kept = {name: figure for name, (figure,) in rows["Watched campaign"].items()}
     used, lasted = told("monitoring", "took {} s of CPU time in {} s, including")
     (share,) = told("monitoring", "start of the program: **{} % of a core**")
@@ -79,7 +79,7 @@ def test_what_a_watch_took_is_what_was_kept(rows):
     assert kept["u of K_II minus that of calibrate, relative"] == 0.0
 
 
-def test_how_fast_records_are_drawn_is_what_was_kept(rows):
+def test_application_page_states_stored_results(rows):
     for count, seconds in rows["Records in the application"].items():
         shown = told("application", f"| {count} | {{}} s | {{}} s | {{}} s |")
         assert [value_of(number) for number in shown] == seconds

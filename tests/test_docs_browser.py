@@ -26,11 +26,11 @@ def trees():
     return {page: lxml.html.parse(page).getroot() for page in PAGES}
 
 
-def test_there_is_a_site():
+def test_site_exists():
     assert SITE / "index.html" in PAGES
 
 
-def test_links_inside_lead_somewhere(trees):
+def test_internal_links_have_existing_targets(trees):
     names = {page.resolve(): set(tree.xpath("//@id | //@name")) for page, tree in trees.items()}
     broken = []
     for page, tree in trees.items():
@@ -46,7 +46,7 @@ def test_links_inside_lead_somewhere(trees):
     assert broken == []
 
 
-def test_every_picture_has_words(trees):
+def test_pictures_have_alternative_text(trees):
     for page, tree in trees.items():
         for picture in tree.xpath("//article//img"):
             words = picture.get("alt", "")
@@ -54,7 +54,7 @@ def test_every_picture_has_words(trees):
 
 
 @needs_chromium
-def test_browsing_asks_nobody_and_fits_a_phone():
+def test_site_sends_no_external_request_and_fits_phone():
     asked, wrong, wide = [], [], []
     with chromium() as browser:
         context = open_context(browser, viewport=PHONE, color_scheme="dark")

@@ -28,7 +28,7 @@ ALTERNATIVES = {
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_tables_of_keys_are_those_of_the_classes(page):
+def test_key_tables_match_classes(page):
     text = page.read_text("utf-8")
     assert filled(text) == text, "run `python docs/key_tables.py`"
 
@@ -44,7 +44,7 @@ def test_examples_are_valid(name):
         model.model_validate(some, context={"gravity": 9.8066})
 
 
-def test_every_section_has_its_table():
+def test_every_section_has_key_table():
     sections = {
         name
         for name, value in (
@@ -60,7 +60,7 @@ def test_every_section_has_its_table():
     assert sections - parts <= {name.partition(" of ")[0] for name in TABLES}
 
 
-def test_limits_of_a_specification_are_as_the_table_has_them():
+def test_specification_limits_match_table():
     section = PAGE.partition("## [specification]")[2].partition("\n## ")[0]
     lines = re.findall(r'^\| (`".*) \|$', section, re.MULTILINE)
     table = [[cell.strip('`" ') for cell in line.split("|")] for line in lines]
@@ -71,13 +71,13 @@ def test_limits_of_a_specification_are_as_the_table_has_them():
         assert [limits.low, limits.high] == shown
 
 
-def test_names_that_no_accelerometer_may_have_are_listed():
+def test_reserved_accelerometer_names_are_listed():
     words = PAGE.partition("Accelerometer names begin")[2].partition("are reserved")[0]
     words = words.partition("`_`.")[2]
     assert tuple(re.findall(r"`(\w+)`", words)) == TRUTH_TABLES
 
 
-def test_harmonics_of_the_path_are_those_of_the_terms():
+def test_path_harmonics_match_terms():
     for name in ("centrifuge.imbalance", "encoder.harmonic"):
         (first, last) = re.search(rf"`{name}\.N` \(N = (\d)(?: to|,) (\d)\)", PAGE).groups()
         orders = {

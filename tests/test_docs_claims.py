@@ -54,7 +54,7 @@ CAUSES = 100.0 * ranking.FALSE_ALARMS
 PLAN = (2.5, 9.8)  #: radius and gravity of the paper's plan
 
 
-def kept(file):
+def load_results(file):
     return json.loads((ROOT / file).read_text(encoding="utf-8"))
 
 
@@ -283,14 +283,14 @@ NUMBERS = [
 @pytest.mark.parametrize(
     ("page", "words", "computed"), NUMBERS, ids=[f"{page}: {words}" for page, words, _ in NUMBERS]
 )
-def test_a_number_of_the_text_is_the_one_of_the_code(page, words, computed):
+def test_number_in_text_matches_code(page, words, computed):
     numbers = told(page, words)
     assert len(numbers) == len(computed)
     for number, size in zip(numbers, computed, strict=True):
         assert agrees(number, size), (number, size)
 
 
-def test_a_number_that_is_not_so_would_be_found():
+def test_number_comparison_detects_wrong_number():
     assert agrees("2.5", 2.549)
     assert not agrees("2.5", 2.56)
     assert agrees("1e-7", 1.1e-7)
@@ -303,7 +303,7 @@ def test_a_number_that_is_not_so_would_be_found():
         told("README", "no such words, {}")
 
 
-def test_weighing_is_better_than_holding():
+def test_estimating_is_better_than_considering():
     example = ROOT / "docs" / "examples" / "three-rate" / "campaign.toml"
     known = cs.read_campaign(example).change(
         {**WITHOUT_QY, "model": {"assume": "all", "priors": {"platform.tilt": "0 ± 0.5 arcsec"}}}
@@ -320,7 +320,7 @@ def test_weighing_is_better_than_holding():
         assert agrees(number, found)
 
 
-def test_roughly():
+def test_approximate_ratio_matches_terms():
     (times,) = told(
         "physics", "At π/2 rad/s, the effect of `yy` is {} times the effect of an equal `zx`"
     )
@@ -330,7 +330,7 @@ def test_roughly():
 
 
 @pytest.mark.parametrize("angles", [(0.0, 0.0), (90.0, 0.0), (0.0, 90.0), (20.0, 30.0)])
-def test_compliance_in_azimuth_is_the_column_of_k_oo_in_every_attitude(angles):
+def test_azimuth_compliance_equals_k_oo_in_any_attitude(angles):
     east, up = np.radians(angles)
     about_east = [[1, 0, 0], [0, np.cos(east), -np.sin(east)], [0, np.sin(east), np.cos(east)]]
     about_up = [[np.cos(up), -np.sin(up), 0], [np.sin(up), np.cos(up), 0], [0, 0, 1]]
@@ -345,20 +345,20 @@ def test_compliance_in_azimuth_is_the_column_of_k_oo_in_every_attitude(angles):
 # What long studies have found ---------------------------------------------------------------------
 
 
-def moved(row):
+def largest_shift(row):
     return max(abs(shift) for shift in row["shifts"].values())
 
 
 @pytest.fixture(scope="module")
 def violations():
-    return {(row["name"], row["observable"]): row for row in kept("docs/violations.json")}
+    return {(row["name"], row["observable"]): row for row in load_results("docs/violations.json")}
 
 
-def test_what_no_record_of_displacement_gives_away(violations):
+def test_displacement_does_not_reveal_named_violations(violations):
     silent = "K_OO", "K_PP", "K_F.heating", "platform.compliance.zy", "platform.tilt.north"
     for name in silent:
         row = violations[name, "displacement"]
-        assert moved(row) > 100
+        assert largest_shift(row) > 100
         assert (row["state"], row["codes"]) == ("good", [])
     (held,) = told("violations", "a K_OO of typical size shifts K_II by {} u")
     assert agrees(held, abs(violations["K_OO", "displacement"]["weighed"]["K_II"]))
@@ -367,7 +367,7 @@ def test_what_no_record_of_displacement_gives_away(violations):
         assert violations[name, "displacement"]["codes"] == ["term-missing"]
 
 
-def test_where_encoder_and_imbalance_matter(violations):
+def test_encoder_and_imbalance_effects_match_text(violations):
     rows = {k: row for k, row in violations.items() if k[0].startswith(("encoder", "centrifuge.i"))}
     assert len(rows) == 3 * (8 + 4)
     (most,) = told(
@@ -375,9 +375,9 @@ def test_where_encoder_and_imbalance_matter(violations):
     )
     for (_, observable), row in rows.items():
         if observable == "specific_force":
-            assert row["codes"] or moved(row) < 0.1
+            assert row["codes"] or largest_shift(row) < 0.1
         else:
-            assert moved(row) < value_of(most)
+            assert largest_shift(row) < value_of(most)
     # methods.md, of 1e-7 of the rate, and physics.md
     arcsec = abs(violations["encoder.harmonic.1.sin", "specific_force"]["shifts"]["K_II"])
     ripple, times = told(
@@ -391,7 +391,7 @@ def test_where_encoder_and_imbalance_matter(violations):
         assert abs(violations[name, "displacement"]["shifts"]["K_II"]) > 200
 
 
-def test_the_campaign_of_the_violations_is_the_one_that_is_described():
+def test_violation_campaign_matches_description():
     study = runpy.run_path(str(ROOT / "docs" / "violations.py"))
     limits = (
         told("violations", "every shift of more than {} u"),
@@ -420,8 +420,10 @@ def test_the_campaign_of_the_violations_is_the_one_that_is_described():
     assert f"± {scale:.0f}e-6 g/g" in campaign["accelerometers"]["Qx"]["scale_factor"]
 
 
-def test_intervals_with_a_noise_that_is_found_are_rather_too_long():
-    rows = [row for row in kept("docs/coverage.json") if row["words"].endswith(", not stated")]
+def test_intervals_with_estimated_noise_are_conservative():
+    rows = [
+        row for row in load_results("docs/coverage.json") if row["words"].endswith(", not stated")
+    ]
     assert len(rows) > 4
     for row in rows:
         assert sum(row["covered"].values()) / len(row["covered"]) >= 0.95, row["words"]
@@ -432,7 +434,7 @@ def test_intervals_with_a_noise_that_is_found_are_rather_too_long():
             assert length == pytest.approx(2.0, abs=0.35)
 
 
-def test_u_is_right_where_the_noise_is_stated_or_shows():
+def test_u_matches_scatter_if_noise_is_stated_or_visible():
     (near,) = told("methods", "1 lies within {} of the band")
     study = runpy.run_path(str(ROOT / "docs" / "coverage.py"))
     rows = [row for row in study["TABLE"].load() if not row.hidden]
@@ -441,8 +443,8 @@ def test_u_is_right_where_the_noise_is_stated_or_shows():
         assert abs(row.normal - 1.0) < row.normal_band + value_of(near), row
 
 
-def test_no_share_of_good_campaigns_is_larger_than_is_told():
-    """As far as the trials tell: the lower end of their 95 % interval is below it."""
+def test_false_alarm_rates_do_not_exceed_stated_rates():
+    """Compare the lower end of the 95 % interval of the trials with the stated share."""
     bounds = runpy.run_path(str(ROOT / "docs" / "false_alarms.py"))["bounds"]
     (residuals, _) = told(
         "diagnosis", "(`lack-of-fit`): {} % of accelerometers; by the two-stage method alone {} %"
@@ -455,30 +457,30 @@ def test_no_share_of_good_campaigns_is_larger_than_is_told():
         "`lack-of-fit`": 2 * value_of(residuals),
         "a cause": sum(map(value_of, causes)),
     }
-    for row in kept("docs/false_alarms.json"):
+    for row in load_results("docs/false_alarms.json"):
         for what, share in shares.items():
             low, _ = bounds(row["counts"][what], row["trials"])
             assert 100 * low <= float(share), (what, row["words"])
 
 
 @pytest.fixture(scope="module")
-def benches():
+def benchmark_results():
     return {
         table["title"]: {
             row[0]: dict(zip(table["columns"][1:], row[1:], strict=True)) for row in table["rows"]
         }
-        for table in kept("benchmarks/results.json")
+        for table in load_results("benchmarks/results.json")
     }
 
 
-def test_what_takes_the_time(benches):
+def test_start_up_takes_most_of_calibration_time(benchmark_results):
     text = sentences("benchmarks")
-    usual = benches["A usual campaign"]
+    usual = benchmark_results["A usual campaign"]
     start, whole = (usual[name] for name in list(usual)[:4:3])
     assert list(usual)[3] == "counterspin calibrate"
     assert "More than half of the time for a usual campaign is spent on loading" in text
     assert start["fastest (s)"] > 0.5 * whole["fastest (s)"]
-    long = benches["Long records"]
+    long = benchmark_results["Long records"]
     csv, parquet = (
         {name: row[column] for name, row in long.items()} for column in next(iter(long.values()))
     )
@@ -489,16 +491,18 @@ def test_what_takes_the_time(benches):
     assert more < 0.5 * csv["three files (MB)"]
 
 
-def test_what_two_workers_cost(benches):
+def test_overhead_of_two_workers_matches_text(benchmark_results):
     (number,) = told("benchmarks", "take about {} s of processor time each to start")
-    one, two = (row["processor (s)"] for row in list(benches["Whole studies"].values())[1:])
+    one, two = (
+        row["processor (s)"] for row in list(benchmark_results["Whole studies"].values())[1:]
+    )
     assert agrees(number, 0.5 * (two - one))
 
 
 # What examples, cases and tables of the pages themselves hold -------------------------------------
 
 
-def test_the_joint_fit_is_as_much_surer_as_the_readme_says():
+def test_gain_of_joint_fit_matches_readme():
     (share,) = told("README", "u(K_II) from the joint fit is {} of u(K_II) from the two-stage")
     (row,) = re.findall(
         r"^K_II +\S+ +\S+ ± (\S+) +\S+ ± (\S+)", (ROOT / "README.md").read_text("utf-8"), re.M
@@ -506,11 +510,11 @@ def test_the_joint_fit_is_as_much_surer_as_the_readme_says():
     assert float(row[0]) / float(row[1]) == pytest.approx(value_of(share), rel=0.1)
 
 
-def test_the_certificate_is_of_the_schema_that_the_readme_names():
+def test_certificate_schema_version_matches_readme():
     assert f"(DCC {build.SCHEMA_VERSION})" in sentences("README")
 
 
-def test_the_truth_of_the_quickstart_is_the_starter_s():
+def test_quickstart_truth_matches_starter():
     starter = tomllib.loads((files("counterspin.ingest") / "starter.toml").read_text("utf-8"))
     ((truth, micro),) = re.findall(
         r"value in `\[truth\]` is `(\S+) g/g\^2`, which is (\d+) ug", sentences("quickstart")
@@ -519,7 +523,7 @@ def test_the_truth_of_the_quickstart_is_the_starter_s():
     assert float(micro) == pytest.approx(1e6 * float(truth))
 
 
-def test_integrals_are_as_good_as_is_told():
+def test_integral_accuracy_matches_text():
     (number,) = told("README", "40-digit integrals to {},")
     assert told("trust", "agreement to {}, and to") == [number]
     (of_jumps,) = told("trust", "and to {} for the displacement of K_0_asym")
@@ -534,7 +538,7 @@ def test_integrals_are_as_good_as_is_told():
             assert abs(case.found - case.expected) <= allowed, case.name
 
 
-def test_reference_values_have_as_many_digits_as_is_told():
+def test_reference_value_digits_match_text():
     digits = [
         int(
             re.search(
@@ -558,11 +562,11 @@ def test_reference_values_have_as_many_digits_as_is_told():
         ("the {} worked examples of JCGM 106", "JCGM 106"),
     ],
 )
-def test_the_cases_are_as_many_as_the_page_says(words, begins):
+def test_case_counts_match_page(words, begins):
     assert value_of(told("validation", words)[0]) == sum(c.name.startswith(begins) for c in cases())
 
 
-def test_the_page_on_validation_has_every_requirement():
+def test_validation_page_lists_all_requirements():
     page = (ROOT / "docs" / "validation.md").read_text("utf-8")
     table = page.partition("## The cases")[2].partition("The cases are stored")[0]
     rows = re.findall(r"^\| ([a-z][\w ]+) \|", table, re.M)[1:]
@@ -570,7 +574,7 @@ def test_the_page_on_validation_has_every_requirement():
     assert set(rows) == {case.requirement for case in cases()}
 
 
-def test_rates_of_the_arm_s_example():
+def test_rates_of_arm_example():
     *sizes, last = re.search(
         r"enter the readings: at ([\d, ]+) and (\d+) g in both mountings", sentences("arm")
     ).groups()
@@ -585,7 +589,7 @@ def test_rates_of_the_arm_s_example():
     assert names == [*first, *(f"{name} (repeat)" for name in reversed(first))]
 
 
-def test_the_tumble_s_example_and_table():
+def test_tumble_example_matches_table():
     (count,) = told("tumble", "a table of {} positions")
     text = (files("counterspin.ingest") / "starter_tumble.csv").read_text("utf-8")
     assert len(list(csv.DictReader(text.splitlines()))) == value_of(count)
@@ -608,8 +612,8 @@ def test_the_tumble_s_example_and_table():
     )
 
 
-def test_what_a_stretched_arm_looks_like():
-    """arm.md: f |f|, of one side that of K_II, of both sides no K_II at all."""
+def test_arm_stretch_resembles_k_ii_in_single_mounting():
+    """Check arm.md: f |f| equals K_II in a single mounting and vanishes with both mountings."""
     force = np.linspace(1.0, 20.0, 20)
     for sides, k_ii in (((1.0,), 1.0), ((1.0, -1.0), 0.0)):
         f = np.concatenate([side * force for side in sides])
@@ -617,8 +621,8 @@ def test_what_a_stretched_arm_looks_like():
         assert fit[2] == pytest.approx(k_ii, abs=1e-10)
 
 
-def test_what_few_degrees_of_freedom_show():
-    """diagnosis.md: the effect that F is beyond its limit with every other time, by its median."""
+def test_detectable_effect_with_few_degrees_of_freedom():
+    """Check diagnosis.md: the effect that exceeds the limit of F with probability one half."""
     level = 0.5 * diagnostics.SIGNIFICANCE / 20
     seen, *larger = told(
         "diagnosis",
@@ -633,8 +637,8 @@ def test_what_few_degrees_of_freedom_show():
         assert float(f"{limit:.2g}") == value_of(text)
 
 
-def test_what_a_bias_that_settles_early_leaves_to_be_seen():
-    """diagnosis.md: what of it neither start, nor t^2, nor the waves of the run take up."""
+def test_residual_of_settling_bias_matches_text():
+    """Check diagnosis.md: the residual after fitting start errors, t^2 and harmonics."""
     time, rate, rise = np.arange(0.0, 100.0, 0.02), 2.0 * math.pi, 50e-6
     (g, radius) = (9.8066, 2.5)
     claimed = told(
@@ -654,12 +658,12 @@ def test_what_a_bias_that_settles_early_leaves_to_be_seen():
         others = np.stack([*((time / 100.0) ** k for k in range(power)), *waves], axis=1)
         left = shown - others @ np.linalg.lstsq(others, shown, rcond=None)[0]
         assert f"{np.linalg.norm(left) / noise:.2g}" == text
-    (moved,) = told("diagnosis", "increase shifts K_II by {} ug/g^2. Unless")
-    assert f"{1e6 * 2.0 * rise * (g / (radius * rate**2)) ** 2:.2g}" == moved
+    (largest_shift,) = told("diagnosis", "increase shifts K_II by {} ug/g^2. Unless")
+    assert f"{1e6 * 2.0 * rise * (g / (radius * rate**2)) ** 2:.2g}" == largest_shift
 
 
 @pytest.mark.parametrize("page", ["arm", "tumble", "double-turntable"])
-def test_names_of_terms_are_those_of_the_standard(page):
+def test_term_names_match_ieee_standard(page):
     """Each row of the table names, for each term of ours, its letter in IEEE Std 1293."""
     rows = re.findall(
         r"^\| ([A-Z]_[^|`]+) \| ([^|]+) \|", (ROOT / "docs" / f"{page}.md").read_text("utf-8"), re.M

@@ -17,19 +17,19 @@ every_row = pytest.mark.parametrize(
 )
 
 
-def test_the_page_shows_what_was_found():
+def test_page_shows_stored_results():
     page = TABLE.page.read_text("utf-8")
     assert TABLE.insert(KEPT, page) == page
 
 
-def test_every_case_is_in_the_table():
+def test_table_contains_all_cases():
     assert [(row.method, row.observable, row.words) for row in KEPT] == [
         (case.method, case.observable, case.words) for case in STUDY["CASES"]
     ]
 
 
 @every_row
-def test_u_is_the_scatter(row):
+def test_u_matches_scatter(row):
     # Together within 5 %, and within what so few trials leave open; by coefficient within that.
     assert row.normal < 1.05 + row.normal_band
     if row.hidden:
@@ -40,20 +40,20 @@ def test_u_is_the_scatter(row):
 
 
 @every_row
-def test_intervals_cover(row):
+def test_intervals_have_coverage(row):
     within = 3.5 * math.sqrt(0.05 * 0.95 / row.values)
     for symbol, covered in row.covered.items():
         assert covered > 0.95 - within, symbol
         assert covered < 0.95 + within or row.hidden, symbol
 
 
-def test_a_normal_equivalent_is_as_rare():
+def test_normal_equivalent_has_same_probability():
     # Student's distribution with 2 degrees of freedom: 97.5 % at 4.302653.
     found = STUDY["normal_equivalent"](np.array([4.302653, -4.302653, 1.5]), np.array([2, 2, 1e9]))
     np.testing.assert_allclose(found, [1.959964, -1.959964, 1.5], rtol=1e-6)
 
 
-def test_what_is_counted():
+def test_trials_and_values_are_counted():
     case = STUDY["CASES"][0]
     pairs = {"K_F": [(1.0, 1e9), (2.0, 1e9), (0.0, 1e9), (3.0, 1e9)]}
     row = STUDY["counted"](case, pairs)
@@ -67,7 +67,7 @@ def test_what_is_counted():
 
 
 @pytest.mark.parametrize("method", ["joint", "two-stage"])
-def test_a_few_trials_scatter_as_they_claim(method):
+def test_few_trials_scatter_by_u(method):
     case = next(
         case
         for case in STUDY["CASES"]

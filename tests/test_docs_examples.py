@@ -13,7 +13,7 @@ EXAMPLES = Path(__file__).parents[1] / "docs" / "examples" / "three-rate"
 RESULT = Result.read(EXAMPLES / "result.json")
 
 
-def test_the_report_is_of_this_result_and_gives_its_answers():
+def test_report_contains_identifier_and_answers():
     page = (EXAMPLES / "report.html").read_text(encoding="utf-8")
     assert RESULT.identifier in page
     blocks = without_cards(document(RESULT))
@@ -24,7 +24,7 @@ def test_the_report_is_of_this_result_and_gives_its_answers():
         assert f"<strong>{value}</strong> <span>{unit}</span>" in page
 
 
-def test_the_pdf_is_of_this_result():
+def test_pdf_contains_identifier():
     from pypdf import PdfReader
 
     pages = PdfReader(EXAMPLES / "report.pdf").pages
@@ -32,14 +32,14 @@ def test_the_pdf_is_of_this_result():
         assert RESULT.identifier in page.extract_text()
 
 
-def test_the_pdf_certificate_carries_the_xml():
+def test_pdf_certificate_has_xml_attachment():
     from pypdf import PdfReader
 
     ((_, (attached,)),) = PdfReader(EXAMPLES / "certificate.pdf").attachments.items()
     assert attached == (EXAMPLES / "certificate.xml").read_bytes()
 
 
-def test_the_certificate_s_numbers_are_those_of_the_result():
+def test_certificate_values_match_result():
     read = read_certificate((EXAMPLES / "certificate.xml").read_bytes(), "certificate.xml")
     for name, found in RESULT.accelerometers.items():
         certified = read.accelerometers[name].coefficients["K_II"]

@@ -10,33 +10,33 @@ TABLE = STUDY["TABLE"]
 KEPT = TABLE.load()
 
 
-def test_the_page_shows_what_was_found():
+def test_page_shows_stored_results():
     page = TABLE.page.read_text("utf-8")
     assert TABLE.insert(KEPT, page) == page
 
 
-def test_every_case_is_in_the_table():
+def test_table_contains_all_cases():
     assert [(row.words, row.runs, row.trials) for row in KEPT] == [
         (case.words, len(case.rates), case.trials) for case in STUDY["CASES"]
     ]
 
 
 @pytest.mark.parametrize("row", KEPT, ids=lambda row: f"{row.words}, {row.runs}")
-def test_runs_are_blamed_in_fewer_than_one_of_a_hundred(row):
+def test_false_alarm_rate_is_below_1_percent(row):
     low, _ = STUDY["bounds"](row.counts["`run-disagrees`"], row.trials)
     assert low < 0.005
     assert row.counts["`run-disagrees`"] < 0.01 * row.trials
     assert row.counts["contradicted"] == 0
 
 
-def test_bounds_are_those_of_clopper_and_pearson():
+def test_bounds_match_clopper_pearson():
     # No success: (1 - p)^n = 0.025.
     assert STUDY["bounds"](0, 100) == (0.0, pytest.approx(1.0 - 0.025**0.01))
     low, high = STUDY["bounds"](100, 100)
     assert (low, high) == (pytest.approx(0.025**0.01), 1.0)
 
 
-def test_a_campaign_is_drawn_from_what_it_states():
+def test_campaign_is_drawn_from_stated_priors():
     first, second = (STUDY["CASES"][0].description(seed) for seed in (0, 1))
     assert first != second
     row = STUDY["row_of"](STUDY["CASES"][0], 2)

@@ -23,7 +23,7 @@ SUBJECTS = {
 }
 
 
-def test_the_page_shows_what_was_found():
+def test_page_shows_stored_results():
     page = TABLE.page.read_text("utf-8")
     assert TABLE.insert(TABLE.load(), page) == page
 
@@ -33,7 +33,7 @@ def test_the_page_shows_what_was_found():
     [(m, way) for m in MISTAKES for way in m.ways],
     ids=lambda part: getattr(part, "name", part),
 )
-def test_each_is_said_as_the_table_has_it(mistake, way):
+def test_finding_matches_table(mistake, way):
     row = STUDY["row_of"](mistake, way)
     (kept,) = (one for one in TABLE.load() if (one.name, one.way) == (row.name, row.way))
     assert (row.state, row.code, row.subject) == (kept.state, kept.code, kept.subject)
@@ -45,7 +45,7 @@ def test_each_is_said_as_the_table_has_it(mistake, way):
     assert row.state == "contradicted"
 
 
-def test_what_is_likely_is_said():
+def test_likely_cause_is_named():
     said = {row.name: row.text for row in TABLE.load() if row.way == "tumble"}
     sign = "Check the sign of the output, and the senses of the input axis and of the attitudes."
     assert sign in said["wrong sign of all readings"]
@@ -61,7 +61,7 @@ def test_what_is_likely_is_said():
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_without_a_mistake_nothing_is_said(way):
+def test_correct_data_have_no_finding(way):
     right = replace(MISTAKES[1], truth={}, world={}, change=float)
     row = STUDY["row_of"](right, way)
     # Twelve readings on an arm of which little is stated leave 4.1 degrees of freedom.
@@ -69,14 +69,14 @@ def test_without_a_mistake_nothing_is_said(way):
 
 
 @pytest.mark.parametrize("upright", [True, False])
-def test_the_right_attitudes_are_good(upright):
+def test_correct_attitudes_have_no_finding(upright):
     stated = 'delta_O = "1e-3 ± 1e-6 rad"\n'
     mistake = replace(MISTAKES[-1], sense=1, upright=upright, stated=stated)
     assert STUDY["row_of"](mistake, "tumble").code == ""
 
 
-def test_what_a_mistake_makes_of_what_is_unstated_stands_below_it():
-    """Mirrored attitudes look like a head's zero that is off by 80 typical sizes."""
+def test_implausible_default_prior_follows_cause():
+    """Mirrored attitudes resemble an error of the head zero of 80 typical sizes."""
     (only,) = STUDY["calibrated"](MISTAKES[-1], "tumble").findings
     below = only.explains[0]
     assert (only.code, below.code, below.subject) == (

@@ -31,7 +31,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_commands_run_and_names_exist(folder):
+def test_commands_run_and_result_keys_exist(folder):
     commands = re.findall(r"system\('counterspin ([^']*)'\)", SCRIPT)
     assert [command.split()[0] for command in commands] == ["calibrate", "apply", "export"]
     assert SCRIPT.count("system(") == len(commands)

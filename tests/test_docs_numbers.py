@@ -47,8 +47,8 @@ KNOWN = {
 }
 
 
-def default(function, name):
-    """Return what an argument is by default."""
+def default_argument(function, name):
+    """Return the default value of an argument."""
     return inspect.signature(function).parameters[name].default
 
 
@@ -135,7 +135,7 @@ ROWS = {
         ),
         ("by more than {} mean moving ranges", 1.0 + 3.0 * consistency._D3 / consistency._D2),
         ("limits at z = ± {}", page._ACTION_Z),
-        ("(`--reliability`, default {})", default(cs.history, "reliability")),
+        ("(`--reliability`, default {})", default_argument(cs.history, "reliability")),
         ("The date must be no more than {} years after the last result", consistency.MAX_YEARS),
         ("a significance level of {} %", 100.0 * diagnostics.SIGNIFICANCE),
         ("Correlations below {} are neglected.", consistency._NEGLIGIBLE_CORRELATION),
@@ -197,13 +197,13 @@ ROWS = {
     [(name, row) for name, rows in ROWS.items() for row in rows],
     ids=lambda part: part[0] if isinstance(part, tuple) else part,
 )
-def test_number(name, row):
+def test_number_in_page_matches_code(name, row):
     sentence, *values = row
     for shown, value in zip(told(name, sentence), values, strict=True):
         assert agrees(shown, value), (shown, value)
 
 
-def test_the_example_of_a_plan_has_time_radius_and_rate_of_the_paper():
+def test_plan_example_has_time_radius_and_rate_of_paper():
     limits = PLAN["limits"]
     assert "has the paper's total time, radius and highest rate" in sentences("plan")
     time = paper.STROBES * sum(2.0 * math.pi / rate for rate in paper.RATES)

@@ -25,7 +25,7 @@ def reproduction():
 
 
 @pytest.mark.parametrize(("number", "key", "printed"), QUOTED)
-def test_quoted_number(reproduction, number, key, printed):
+def test_quoted_number_matches_reproduction(reproduction, number, key, printed):
     row = reproduction[key]
     assert number == (row.printed_text if printed else row.ours_text)
 
@@ -34,19 +34,19 @@ def test_every_figure_is_quoted(reproduction):
     assert {key for _, key, _ in QUOTED} == {row.key for row in reproduction.rows}
 
 
-def test_no_figure_is_quoted_without_its_key():
+def test_every_quoted_number_has_key():
     assert PAGE.count("<!--") == len(QUOTED)
     unmarked = re.findall(NUMBER, re.sub(rf"{NUMBER}<!--.*?-->", "", PAGE))
     # What the paper states, what is put in, numbers of sections, and what the next test reads.
     assert set(unmarked) <= {"0.01", "0.004", "9.8", "9.80665", "2.2", "2.3", "1.5"}
 
 
-def test_the_plan_is_some_fifty_times_better(reproduction):
+def test_plan_is_about_fifty_times_better(reproduction):
     row = reproduction["sigma_k_ii.exact"]
     assert 45 < row.printed / row.ours < 60
 
 
-def test_what_is_missing_of_the_drift_and_how_small_the_product_is(reproduction):
+def test_missing_drift_and_small_product_match_text(reproduction):
     (missing,) = told("paper", "(The estimate is {} % smaller than")
     drift = reproduction["separation.drift_as_ripple"].ours
     assert agrees(missing, 100.0 * (1.0 - drift / (2.0 / 3.0 * plan.DRIFT_RATE)))

@@ -40,7 +40,7 @@ def rows_between(marker):
     ]
 
 
-def test_accelerometer_table_lists_exactly_the_terms():
+def test_accelerometer_table_lists_all_terms():
     expected = [
         [
             row.symbol,
@@ -57,7 +57,7 @@ def test_accelerometer_table_lists_exactly_the_terms():
     assert rows_between("terms") == expected
 
 
-def test_shared_table_lists_exactly_the_terms():
+def test_shared_table_lists_all_terms():
     expected = [
         [f"`{row.symbol}`", row.unit, row.words, f"{row.limit:.4g}", f"{row.typical:.4g}"]
         for row in SHARED_TERMS.values()
@@ -65,7 +65,7 @@ def test_shared_table_lists_exactly_the_terms():
     assert rows_between("shared terms") == expected
 
 
-def test_table_of_conditions_lists_exactly_the_terms():
+def test_condition_table_lists_all_terms():
     expected = [
         [f"`{row.symbol}`", row.unit, row.words, f"{row.limit:.4g}", f"{row.typical:.4g}"]
         for row in CONDITION_TERMS.values()
@@ -73,14 +73,14 @@ def test_table_of_conditions_lists_exactly_the_terms():
     assert rows_between("condition terms") == expected
 
 
-def test_inputs_are_those_of_the_code():
+def test_inputs_match_code():
     expected = [
         [f"`{row.symbol}`", row.unit, row.words, f"{row.typical:g}"] for row in INPUTS.values()
     ]
     assert rows_between("inputs") == expected
 
 
-def test_sizes_by_grade_are_those_of_the_code():
+def test_sizes_by_grade_match_code():
     stated = {}
     for names, grade, limit, typical, source in rows_between("grades"):
         for symbol in re.findall(r"`([\w.]+)`", names):
@@ -92,7 +92,7 @@ def test_sizes_by_grade_are_those_of_the_code():
     }
 
 
-def test_every_other_typical_size_says_where_it_comes_from():
+def test_typical_sizes_have_source():
     known = {s: row for s, row in TABLE.items() if s not in ACCELEROMETER_TERMS}
     covered = []
     for names, size, source in rows_between("sources"):
@@ -106,7 +106,7 @@ def test_every_other_typical_size_says_where_it_comes_from():
     assert sorted(covered) == sorted(known)
 
 
-def test_sizes_from_the_paper_are_parts_of_its_own():
+def test_sizes_from_paper_are_fractions_of_table_1():
     parts = {"half": 2, "a third": 3, "a quarter": 4}
     found = {}
     for names, _, _, size, source in rows_between("grades"):
@@ -118,7 +118,7 @@ def test_sizes_from_the_paper_are_parts_of_its_own():
     assert set(found) == {"K_II", "K_III", "K_IP"}
 
 
-def test_what_navigation_grade_means_for_bias_and_drift():
+def test_navigation_grade_bias_and_drift_match_position_error():
     # A nautical mile is a minute of arc of the Earth.
     miles = math.degrees(1.0) * 60.0
     assert ACCELEROMETER_TERMS["K_F"].typical * miles == pytest.approx(0.34, abs=0.005)
@@ -138,7 +138,7 @@ def test_ten_degrees_an_hour_in_si():
         ("1 deg/h/g of g-sensitivity", "platform.g_sensitivity.zx", DEGREE_PER_HOUR),
     ],
 )
-def test_equivalent_errors_of_k_ii(words, symbol, size):
+def test_equivalent_errors_of_k_ii_match_table(words, symbol, size):
     cells = []
     for rate in np.pi * np.array([0.5, 1.0, 2.0]):
         at_rate = (QX, rate, 2.5, 9.8)
@@ -146,7 +146,7 @@ def test_equivalent_errors_of_k_ii(words, symbol, size):
     assert [words, *cells] in rows_between("equivalents")
 
 
-def evaluated(formula, **values):
+def evaluate_latex(formula, **values):
     """Return the value of a formula in LaTeX: powers, fractions, sines, cosines of R, w, g, t."""
     text = formula.strip().strip("$").replace(r"\Bigl[", "(").replace(r"\Bigr]", ")")
     text = re.sub(r"\\[dt]frac(\d)(\d+|\{\d+\})", r"(\1/\2)", text).replace("/{", "/(")
@@ -163,7 +163,7 @@ def evaluated(formula, **values):
     return eval(line, {"sin": np.sin, "cos": np.cos, **values})
 
 
-def test_closed_forms_are_those_of_the_columns():
+def test_closed_forms_match_columns():
     table = PAGE.partition("## Closed forms at constant rate")[2].partition(
         "## Separability of terms"
     )[0]
@@ -182,18 +182,18 @@ def test_closed_forms_are_those_of_the_columns():
         ):
             if column.startswith("$") and "t_0" not in column:
                 got = columns(trajectory, QX, [symbol], times)[:, 0]
-                expected = evaluated(column, t=times, **numbers)
+                expected = evaluate_latex(column, t=times, **numbers)
                 np.testing.assert_allclose(got, expected, atol=1e-11 * max(abs(expected)))
                 checked.append(symbol)
             if "t_0" not in parabolas:
-                expected = evaluated(parabolas.partition(";")[0], **numbers)
+                expected = evaluate_latex(parabolas.partition(";")[0], **numbers)
                 assert parabola(symbol, QX, 3.0, 2.5, 9.8) == pytest.approx(expected, rel=1e-13)
                 checked.append(symbol)
     assert {"K_F", "K_I", "K_II", "K_III", "K_IP", "K_IO", "K_OO", "K_PO", "K_4"} <= set(checked)
     assert len(checked) > 18
 
 
-def test_directions_of_the_accelerometers():
+def test_accelerometer_directions_match_mountings():
     rows = re.findall(r"^\| (Q[xyz])(?: \(Eq\. 8\))? \| (\w+) \| (\w+) \| (\w+) \|$", PAGE, re.M)
     assert [name for name, *_ in rows] == ["Qx", "Qy", "Qz"]
     vectors = {"east": [1, 0, 0], "north": [0, 1, 0], "up": [0, 0, 1]}

@@ -13,7 +13,7 @@ SCHEMA = result.Result.json_schema()
 PARTS = SCHEMA["$defs"] | {"Result": SCHEMA}
 
 
-def test_every_part_has_its_table():
+def test_every_section_of_result_has_table():
     tables = {
         name
         for page in DOCS.glob("*.md")
@@ -33,7 +33,7 @@ def test_every_code_of_a_finding_is_explained():
     assert explained - fields == codes - (set(CODES) - explained)
 
 
-def test_links_inside_the_page_lead_to_headings():
+def test_internal_links_have_existing_headings():
     headings = re.findall(r"^#+ (.*)$", PAGE, re.MULTILINE)
     anchors = {re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings}
     assert set(re.findall(r"\]\(#([\w-]+)\)", PAGE)) <= anchors

@@ -15,12 +15,12 @@ DOCS = Path(__file__).parents[1] / "docs"
 PAGES = {name: (DOCS / f"{name}.md").read_text("utf-8") for name in ("plan", "readings")}
 
 
-def test_columns_of_a_table_of_readings_are_listed():
+def test_columns_of_reading_table_are_listed():
     said = ReadingsSettings.model_fields["columns"].description
     assert set(re.findall(r"`(\w+)`", said)) == {*COLUMNS, "reading", "u"}
 
 
-def test_terms_of_the_machine_are_all_listed_with_their_units():
+def test_machine_terms_are_listed_with_units():
     section = PAGES["readings"].partition("## Machine terms")[2].partition("\n## ")[0]
     listed = {}
     for symbols, unit in re.findall(r"^\| (`.*?) \| (.*?) \| .* \|$", section, re.MULTILINE):
@@ -36,7 +36,7 @@ def test_terms_of_the_machine_are_all_listed_with_their_units():
     }
 
 
-def test_what_may_vary_in_a_study_is_listed():
+def test_varying_quantities_of_study_are_listed():
     page = (DOCS / "study.md").read_text("utf-8")
     assert set(re.findall(r"`(noise\.\w+)`", page)) == set(NOISE_LEVELS)
     (kinds,) = re.findall(r"A distribution is (.*?)\. ", page)

@@ -13,35 +13,35 @@ ARCSEC = math.radians(1.0) / 3600.0
 
 
 @pytest.fixture(scope="module")
-def kept():
+def stored_results():
     return {(row.name, row.observable): row for row in TABLE.load()}
 
 
-def test_the_page_shows_what_was_found():
+def test_page_shows_stored_results():
     page = TABLE.page.read_text("utf-8")
     assert TABLE.insert(TABLE.load(), page) == page
 
 
-def test_every_violation_is_in_the_table_with_every_tumble(kept):
-    assert set(kept) == {(v.name, way) for v in STUDY["violations"]() for way in WAYS}
+def test_table_contains_all_violations_and_tumbles(stored_results):
+    assert set(stored_results) == {(v.name, way) for v in STUDY["violations"]() for way in WAYS}
 
 
-def test_none_is_silent(kept):
-    assert not [key for key, row in kept.items() if row.silent]
+def test_no_violation_is_silent(stored_results):
+    assert not [key for key, row in stored_results.items() if row.silent]
 
 
-def test_the_table_is_what_is_found(kept):
+def test_computed_row_matches_table(stored_results):
     for row in STUDY["rows"]("12 positions"):
-        known = kept[row.name, row.observable]
+        known = stored_results[row.name, row.observable]
         assert (row.codes, row.said_weighed) == (known.codes, known.said_weighed)
         assert row.shifts == pytest.approx(known.shifts, abs=0.05)
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_wherever_something_is_found_the_head_is_named(kept, way):
+def test_findings_name_head(stored_results, way):
     usual = STUDY["description"](*WAYS[way])
     for violation in STUDY["violations"]():
-        if not kept[violation.name, way].codes:
+        if not stored_results[violation.name, way].codes:
             continue
         # Waves three and four times a turn are two columns each, and are noticed without a name.
         if violation.symbol.startswith(("head.harmonic.3", "head.harmonic.4")):
@@ -53,14 +53,14 @@ def test_wherever_something_is_found_the_head_is_named(kept, way):
         assert (two if "mountings" in way else one) in assuming.findings[0].text
 
 
-def test_what_waves_of_the_head_look_like(kept):
+def test_head_waves_match_closed_form(stored_results):
     """Turned by d more, cos phi reads less by d sin phi; d = e sin phi is e (1 - cos 2 phi)/2 less.
 
     That is e sin^2 phi, so K_F less by e and K_II more by e: in one mounting to the last digit.
     """
     typical = 1e-5
     for way, (positions, mounted) in WAYS.items():
-        row = kept["head.harmonic.1.sin", way]
+        row = stored_results["head.harmonic.1.sin", way]
         turns = positions * len(mounted)
         # Of a + b cos phi + c cos^2 phi + d sin phi by even angles: u(a) and u(c), over sigma,
         # are sqrt(3/n) and sqrt(8/n); K_PP and K_OO of 2 ug/g^2 act on both.

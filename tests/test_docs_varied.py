@@ -18,20 +18,20 @@ kept = pytest.mark.skipif(not KEPT, reason="docs/varied.json is not made yet: ma
 
 
 @kept
-def test_the_page_shows_what_was_found():
+def test_page_shows_stored_results():
     page = TABLE.page.read_text("utf-8")
     assert TABLE.insert(KEPT, page) == page
 
 
 @kept
-def test_every_kind_is_in_the_table_with_as_many_campaigns_as_are_told():
+def test_table_contains_all_kinds_and_campaign_counts():
     assert [row.words for row in KEPT] == [*KINDS]
     assert sum(row.campaigns for row in KEPT) == 1200
     assert "1200 random campaigns" in TABLE.page.read_text("utf-8")
 
 
 @kept
-def test_intervals_cover():
+def test_intervals_have_coverage():
     for row in KEPT:
         # Two accelerometers of a campaign share its machine: each campaign counts once.
         within = ALLOWED * np.sqrt(0.05 * 0.95 / row.campaigns)
@@ -46,8 +46,8 @@ def test_u_is_not_too_small():
             assert size < 1.0 + ALLOWED / np.sqrt(2.0 * count), (row.words, symbol)
 
 
-def test_noise_that_no_record_shows_is_no_blame():
-    """Two thirds of u^2 of K_II: u holds it."""
+def test_invisible_noise_causes_no_finding():
+    """The noise contributes two thirds of the variance of K_II."""
     errors, result = STUDY["tried"](40094, Kind(unstated=False))
     assert result.state == "good"
     assert [
@@ -56,7 +56,7 @@ def test_noise_that_no_record_shows_is_no_blame():
     assert all(covered for symbol, _, covered in errors if symbol == "K_II")
 
 
-def test_what_is_drawn_is_credible():
+def test_drawn_values_are_plausible():
     """Four standard deviations of K_II, drawn once in 16,000, are beyond 1e-4 g/g^2."""
     drawn = STUDY["draw"](np.random.default_rng(40130), Kind(unstated=False))
     assert all(
@@ -67,7 +67,7 @@ def test_what_is_drawn_is_credible():
 
 
 @pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-def test_a_campaign_is_drawn_tried_and_found(kind):
+def test_drawn_campaign_matches_kind(kind):
     drawn = STUDY["draw"](np.random.default_rng(kind.first), kind)
     assert ('assume = "all"' in drawn.described) is not kind.unstated
     assert kind.noise is None or ("[noise]" in drawn.described) is (kind.noise != "found")

@@ -15,12 +15,12 @@ VIOLATIONS = [*STUDY["of_table"](), *STUDY["of_inputs"]()]
 SMALL = STUDY["Size"](10.0, 20)
 
 
-def test_the_page_shows_what_was_found():
+def test_page_shows_stored_results():
     page = TABLE.page.read_text("utf-8")
     assert TABLE.insert(TABLE.load(), page) == page
 
 
-def test_every_violation_is_in_the_table_with_every_record():
+def test_table_contains_all_violations_and_observables():
     found = {(row.name, row.size, row.observable) for row in TABLE.load()}
     assert found == {
         (violation.name, violation.size, observable)
@@ -29,20 +29,20 @@ def test_every_violation_is_in_the_table_with_every_record():
     }
 
 
-def test_none_of_the_table_is_silent():
+def test_no_row_of_table_is_silent():
     silent = [f"{row.name} ({row.observable})" for row in TABLE.load() if row.silent]
     assert silent == []
 
 
-def test_the_right_cause_is_among_the_first_two():
-    """Guessing among 60 alternatives would be right once in 30; 80 % is what is asked for."""
+def test_correct_cause_is_among_first_two():
+    """A random guess among 60 alternatives has a probability of 1/30; 80 % is required."""
     found = [row for row in TABLE.load() if row.codes]
     wrong = [f"{row.name} ({row.observable}): {row.named}" for row in found if not row.right(2)]
     assert len(found) > 60
     assert len(wrong) < 0.2 * len(found), wrong
 
 
-def test_the_worst_one_is_what_the_theory_says():
+def test_largest_shift_matches_theory():
     # Compliance in azimuth has the t^2 of K_II itself (physics.md): 0.1 arcsec/g is 4.85e-7 g/g^2.
     (row,) = (
         row
@@ -53,7 +53,7 @@ def test_the_worst_one_is_what_the_theory_says():
 
 
 @cache
-def clean(observable):
+def calibrate_without_violation(observable):
     stated = STUDY["description"](observable, SMALL)
     (found,) = STUDY["calibrated"](stated, stated)
     return found
@@ -70,15 +70,15 @@ def clean(observable):
     ],
     ids=lambda part: getattr(part, "name", part),
 )
-def test_none_is_silent(observable, violation):
-    """With nothing assumed; what is said where all is assumed stands in the table."""
+def test_no_violation_is_silent(observable, violation):
+    """Assume nothing; the table has the results with all terms assumed."""
     stated, world = violation.of(STUDY["description"](observable, SMALL))
     (found,) = STUDY["calibrated"](world, stated)
-    shifts = STUDY["shifts_of"](violation, clean(observable), found)
+    shifts = STUDY["shifts_of"](violation, calibrate_without_violation(observable), found)
     assert not STUDY["is_silent"](shifts, found.findings), f"{shifts}, in u"
 
 
-def test_a_row_says_what_happens_with_all_assumed_and_with_nothing():
+def test_row_has_shifts_with_and_without_assumptions():
     (violation,) = (v for v in VIOLATIONS if v.name == "platform.compliance.zy")
     stated = STUDY["description"]("displacement", SMALL)
     both = STUDY["calibrated"](stated, *STUDY["ways"](stated))
@@ -88,7 +88,7 @@ def test_a_row_says_what_happens_with_all_assumed_and_with_nothing():
     assert row.held < 3.0
 
 
-def test_a_silent_one_would_be_found():
+def test_silent_violation_is_detected():
     moved = {"K_F": 0.0, "K_II": -30.1}
     row = STUDY["Row"]("x", "1", "displacement", moved, "good", [], {"K_II": -3.1}, [])
     assert row.silent

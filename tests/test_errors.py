@@ -18,7 +18,7 @@ from counterspin.physics.correction import NotInvertibleError
 from counterspin.units import unit_factor
 
 
-def test_each_problem_of_a_campaign_has_its_code():
+def test_campaign_problems_have_codes():
     problems = Problems({})
     problems.add(("site",), "is missing", "missing-key")
     problems.add(("runs",), Problem("are two", "duplicate-entry"))
@@ -30,7 +30,7 @@ def test_each_problem_of_a_campaign_has_its_code():
     assert error.problems[0] == "site: is missing"
 
 
-def test_a_code_is_that_of_the_call_or_of_the_class():
+def test_error_code_is_from_call_or_class():
     assert RecordError("x", code="no-rows").code == "no-rows"
     assert UsageError("plan", ["y"]).codes == ("wrong-usage",)
     assert CampaignError("a", ["b", "c"], code=("x", "y")).codes == ("x", "y")
@@ -47,7 +47,7 @@ def test_a_code_is_that_of_the_call_or_of_the_class():
         NotInvertibleError(7, "has not converged"),
     ],
 )
-def test_an_error_passes_between_processes(error):
+def test_error_survives_pickling(error):
     copy = pickle.loads(pickle.dumps(error))
     assert (type(copy), str(copy), vars(copy)) == (type(error), str(error), vars(error))
 
@@ -59,5 +59,5 @@ def test_an_error_passes_between_processes(error):
         (PermissionError(13, "denied"), "cannot be read (denied)"),
     ],
 )
-def test_a_missing_file_is_described_in_one_form(error, text):
+def test_missing_file_has_uniform_description(error, text):
     assert describe_read_error(error) == text

@@ -29,7 +29,7 @@ class Quantity:
 
 @frozen
 class Length(Quantity):
-    """One that is a quantity too."""
+    """A derived quantity."""
 
     digits: int = 3
 
@@ -43,14 +43,14 @@ class Samples:
 
 @dataclass(frozen=True)
 class Usual:
-    """`Quantity` as the standard library makes it."""
+    """`Quantity` as a dataclass of the standard library."""
 
     value: float
     unit: str = "m"
     note: str = field(default="", repr=False, compare=False)
 
 
-def test_it_is_a_dataclass_like_the_standard_library_s():
+def test_frozen_class_behaves_like_dataclass():
     ours, usual = Quantity(2.0, note="x"), Usual(2.0, note="x")
     assert repr(ours) == repr(usual).replace("Usual", f"{Quantity.__qualname__}")
     assert [part.name for part in fields(ours)] == [part.name for part in fields(usual)]
@@ -59,7 +59,7 @@ def test_it_is_a_dataclass_like_the_standard_library_s():
     assert replace(ours, unit="s") == copy_with(ours, {"unit": "s"}) == Quantity(2.0, "s")
 
 
-def test_equality_and_hash_go_by_the_attributes_that_count():
+def test_equality_and_hash_use_compared_attributes():
     assert Quantity(1.0, note="a") == Quantity(1.0, note="b")
     assert hash(Quantity(1.0, note="a")) == hash(Quantity(1.0, note="b"))
     assert Quantity(1.0) != Quantity(2.0)
@@ -69,14 +69,14 @@ def test_equality_and_hash_go_by_the_attributes_that_count():
     assert len({Quantity(1.0), Quantity(1.0), Quantity(2.0)}) == 2
 
 
-def test_with_arrays_an_object_equals_itself_alone():
+def test_object_with_array_equals_only_itself():
     samples = Samples(np.zeros(3))
     assert samples != Samples(samples.values)
     assert {samples: 1}[samples] == 1
 
 
 @pytest.mark.parametrize("name", ["value", "unit", "unknown"])
-def test_nothing_can_be_changed_added_or_deleted(name):
+def test_changing_or_deleting_attribute_raises(name):
     quantity = Length(1.0)
     with pytest.raises(FrozenInstanceError, match=f"cannot change '{name}' of a Length"):
         setattr(quantity, name, 2.0)
@@ -85,7 +85,7 @@ def test_nothing_can_be_changed_added_or_deleted(name):
     assert quantity == Length(1.0)
 
 
-def test_what_is_worked_out_once_and_pickled_stays():
+def test_cached_property_survives_pickling():
     quantity = Length(1.5)
     assert quantity.doubled == 3.0
     assert "doubled" in vars(quantity)

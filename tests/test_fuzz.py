@@ -34,14 +34,14 @@ ASKED = {"requests": 30, "connections": 12}
 
 @pytest.fixture(autouse=True)
 def memory_counts_from_now(monkeypatch):
-    """The tests before these may have taken as much as a case may."""
+    """Measure memory relative to the start, because earlier tests may have used much."""
     peaks = [fuzz.hunt._peak(who) for who in (RUSAGE_SELF, RUSAGE_CHILDREN)]
     monkeypatch.setattr("fuzz.hunt._FIRST", max(peaks))
 
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
-    """Return a function that returns a format with its folder, made once."""
+    """Return a function that returns a format and its cached folder."""
     place, made = tmp_path_factory.mktemp("bench"), {}
 
     def get(name):
@@ -55,7 +55,7 @@ def bench(tmp_path_factory):
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda path: f"{path.parent.name}-{path.stem}")
-def test_what_was_found_once_is_refused_in_words(bench, case):
+def test_previous_finds_raise_clear_errors(bench, case):
     form, path = bench(case.parent.name)
     path.write_bytes(case.read_bytes())
     verdict, words = judge(form, path)
@@ -63,7 +63,7 @@ def test_what_was_found_once_is_refused_in_words(bench, case):
 
 
 @pytest.mark.slow
-def test_a_few_new_cases_of_each_format(bench):
+def test_few_new_cases_of_each_format_have_no_find(bench):
     shares = {name: row.share for name, row in FORMATS.items() if name not in SLOW}
     for native, count in ((False, DOCUMENTS), (True, RECORDS)):
         names = [name for name in shares if FORMATS[name].native == native]
@@ -80,7 +80,7 @@ def test_a_few_new_cases_of_each_format(bench):
 
 
 @pytest.mark.slow
-def test_no_size_that_a_description_states_takes_all_memory(bench):
+def test_huge_sizes_in_description_do_not_exhaust_memory(bench):
     form, path = bench("sizes")
     verdicts = []
     for number in range(10):
@@ -93,7 +93,7 @@ def test_no_size_that_a_description_states_takes_all_memory(bench):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ASKED)
-def test_the_application_answers_whatever_is_asked(bench, name):
+def test_application_answers_random_requests(bench, name):
     form, path = bench(name)
     verdicts = set()
     for number in range(ASKED[name]):
@@ -114,7 +114,7 @@ def turn(_path):
 
 
 def complain(_path):
-    """Stands for native code, which knows nothing of `sys.stderr`."""
+    """Imitate native code, which does not use `sys.stderr`."""
     os.write(2, b"thread panicked\n")
 
 
@@ -127,7 +127,7 @@ def complain(_path):
         (lambda path: None, ""),
     ],
 )
-def test_the_judge_finds_what_is_wrong(tmp_path, monkeypatch, use, words):
+def test_judge_detects_failures(tmp_path, monkeypatch, use, words):
     monkeypatch.setattr("fuzz.hunt.SECONDS", 0.1)
     path = tmp_path / "case.x"
     path.write_bytes(b"")
@@ -137,12 +137,12 @@ def test_the_judge_finds_what_is_wrong(tmp_path, monkeypatch, use, words):
 
 
 def touch_outside(desk):
-    """Stands for a request that reads beside the folder."""
+    """Imitate a request that reads outside the folder."""
     return (desk.folder.root.parent / "outside" / "secret.toml").read_text()
 
 
 def leave_half(desk):
-    """Stands for one that fails in the middle of a file."""
+    """Imitate a request that fails while writing a file."""
     (desk.folder.root / ".half").write_text("x")
     raise CounterspinError("no space")
 
@@ -157,7 +157,7 @@ def leave_half(desk):
         (lambda desk: desk.file("nowhere"), ""),
     ],
 )
-def test_an_answer_that_is_wrong_is_found(bench, monkeypatch, respond, words):
+def test_wrong_answer_is_detected(bench, monkeypatch, respond, words):
     form, path = bench("requests")
     monkeypatch.setitem(ENDPOINTS, ("GET", "folder"), respond)
     path.write_text(json.dumps([request_of("GET", "/api/folder", {})]))
@@ -166,13 +166,13 @@ def test_an_answer_that_is_wrong_is_found(bench, monkeypatch, respond, words):
     assert words in said
 
 
-def test_every_request_is_hunted(bench):
+def test_every_endpoint_is_fuzzed(bench):
     _, path = bench("requests")
     valid = valid_requests(path.parent / "template").values()
     assert ENDPOINTS.keys() <= {(method, where.removeprefix("/api/")) for method, where, _ in valid}
 
 
-def test_a_command_that_fails_without_words_is_found(monkeypatch):
+def test_command_failing_without_message_is_detected(monkeypatch):
     monkeypatch.delenv("COUNTERSPIN_DEBUG", raising=False)
     monkeypatch.setattr("counterspin.input.open_file", None)
     with pytest.raises(AssertionError):
@@ -180,7 +180,7 @@ def test_a_command_that_fails_without_words_is_found(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_hunt_counts_what_it_tried(tmp_path, bench):
+def test_hunt_counts_cases(tmp_path, bench):
     bag = hunt(["lab"], seed=5, first=1, count=30, output=tmp_path)
     form, path = bench("lab")
     refused = 0
@@ -203,7 +203,7 @@ open(folder + "/lines", "w").write(json.dumps({"counts": {"lab refused": count},
 """
 
 
-def test_a_hunt_keeps_a_case_that_kills_and_goes_on_after_it(tmp_path, monkeypatch):
+def test_hunt_stores_killing_case_and_continues(tmp_path, monkeypatch):
     start = subprocess.Popen
     monkeypatch.setattr(
         "fuzz.hunt.subprocess.Popen",
@@ -221,7 +221,7 @@ needs_tracing = pytest.mark.skipif(not possible(), reason="processes cannot be t
 
 
 @needs_tracing
-def test_a_command_that_is_killed_loses_nothing_and_leaves_nothing_half_done():
+def test_killed_command_leaves_no_partial_file():
     told = []
     done, faults = kill_all(2, ["plan-begin"], told.append)
     assert faults == []
@@ -240,7 +240,7 @@ with open("new.json", "w") as file:
 
 
 @needs_tracing
-def test_a_loss_would_be_found(tmp_path, monkeypatch):
+def test_lost_file_is_detected(tmp_path, monkeypatch):
     (tmp_path / "careless.py").write_text(CARELESS)
     monkeypatch.syspath_prepend(tmp_path)
     inputs = tmp_path / "inputs"
@@ -254,7 +254,7 @@ def test_a_loss_would_be_found(tmp_path, monkeypatch):
         assert any("new.json is not whole" in fault for fault in trial.faults(5))
 
 
-def test_the_page_says_how_much_is_tried():
+def test_page_states_fuzzing_limits():
     (seconds,) = told("harmful-files", "more than {} s of CPU time or")
     (gigabytes,) = told("harmful-files", "of CPU time or {} GB of memory")
     new, asked = told(
@@ -275,7 +275,7 @@ def test_the_page_says_how_much_is_tried():
 _OF_APPLICATION = ("requests to the application", "connections to its server")
 
 
-def test_what_the_page_says_was_tried_is_what_its_commands_try():
+def test_page_states_number_of_tried_cases():
     page = sentences("harmful-files")
     asked = dict.fromkeys(("DOCUMENTS", "RECORDS", "KILLS", "requests"), 0)
     command = (

@@ -38,7 +38,7 @@ def nodes_of(source):
 
 
 def offences(look, among=SOURCES):
-    """Return name -> what `look(name, source)` finds there, where it finds something."""
+    """Return the non-empty results of `look(name, source)` by name."""
     found = {name: look(name, source) for name, source in among.items()}
     return {name: what for name, what in found.items() if what}
 
@@ -47,7 +47,7 @@ def offences(look, among=SOURCES):
 
 
 @pytest.mark.slow
-def test_every_module_says_what_it_is_for():
+def test_every_module_has_docstring():
     def silent(_, source):
         docstring = ast.get_docstring(nodes_of(source)[0]) or ""
         return len(docstring.partition("\n")[0].split()) < 3
@@ -68,8 +68,8 @@ def vague_names(source):
     return [name for name in names if name in VAGUE_NAMES]
 
 
-def test_docstrings_with_relative_clauses_and_vague_names_become_fewer():
-    """The bound is the count of today: lower it with every room that is rewritten."""
+def test_relative_clauses_and_vague_names_are_bounded():
+    """The bounds are the current counts and may only decrease."""
     assert not any(RELATIVE_OPENING.search(text) for text in SOURCES.values())
     assert sum(len(vague_names(text)) for text in SOURCES.values()) <= 39
     assert vague_names("for one in rows:\n    f = lambda own: own") == ["one", "own"]
@@ -104,7 +104,7 @@ def test_docstrings_list_existing_parameters():
     assert offences(unknown_parameters, {"a": text}) == {"a": ["c"]}
 
 
-def test_every_module_is_short_enough_to_read():
+def test_modules_have_at_most_600_lines():
     assert {name: n for name, text in SOURCES.items() if (n := text.count("\n")) > 600} == {}
 
 
@@ -136,18 +136,18 @@ def functions_with_many_parameters(source):
     return found
 
 
-def test_many_parameters_would_be_found():
+def test_many_parameters_are_detected():
     assert functions_with_many_parameters("def f(a, b, /, c, d, *e, f, g, h): ...") == ["f"]
     assert functions_with_many_parameters("def f(self, a, b, c, *, d, e, f, g, **h): ...") == []
 
 
-def test_what_cannot_be_changed_is_made_by_frozen():
-    """The standard library's takes longer to load."""
+def test_frozen_classes_use_frozen_decorator():
+    """The dataclass of the standard library takes longer to load."""
     slow = re.compile(r"^@dataclass\(frozen=True(, eq=False)?\)", re.M)
     assert offences(lambda _, source: slow.findall(source)) == {}
 
 
-def test_a_class_name_has_one_meaning():
+def test_class_names_are_unique():
     places = {}
     for name, source in SOURCES.items():
         for node in nodes_of(source):
@@ -156,7 +156,7 @@ def test_a_class_name_has_one_meaning():
     assert {name: files for name, files in places.items() if len(files) > 1} == {}
 
 
-def test_every_room_s_docstring_names_its_modules():
+def test_package_docstrings_list_modules():
     named, there = {}, {}
     for path in MODULES:
         room = path.parent
@@ -172,7 +172,7 @@ def test_every_room_s_docstring_names_its_modules():
 
 
 def imports_of(name, source, among):
-    """Return the modules of `among` that a module imports, wherever in it the import stands."""
+    """Return the modules of `among` that a module imports, including deferred imports."""
     found = set()
     for node in nodes_of(source):
         if isinstance(node, ast.Import):
@@ -183,8 +183,8 @@ def imports_of(name, source, among):
     return (found & among) - {name}
 
 
-def test_no_modules_import_each_other():
-    """Neither by way of others nor inside of functions: TopologicalSorter refuses a circle."""
+def test_imports_have_no_cycle():
+    """Indirect and deferred imports count; TopologicalSorter raises for a cycle."""
     texts = {
         ".".join(["counterspin", *Path(name).with_suffix("").parts]).removesuffix(
             ".__init__"
@@ -196,7 +196,7 @@ def test_no_modules_import_each_other():
     assert set(TopologicalSorter(needs).static_order()) == set(texts)
 
 
-def test_a_deferred_import_would_be_found():
+def test_deferred_import_is_detected():
     source = "def f():\n    from a import b\n    import a.c\n"
     assert imports_of("d", source, {"a", "a.b", "a.c", "d"}) == {"a.b", "a.c"}
 
@@ -238,7 +238,7 @@ def test_no_second_list_of_coefficients():
     assert listed == CHOICES
 
 
-def test_a_second_list_of_coefficients_would_be_found():
+def test_second_list_of_coefficients_is_detected():
     assert lists_of_terms("x = ('K_F', 'K_I', 'K_II')")
     assert lists_of_terms("x = [('K_F', 'g'), ('K_I', 'g/g'), ('platform.drift.up', 'rad/s')]")
     assert lists_of_terms("x: Literal['K_F', 'K_I', 'K_II']")
@@ -257,14 +257,14 @@ OF_NO_MODULE = re.compile(
 
 
 def mirrors(test):
-    """tests/ROOM/test_MODULE.py or test_MODULE_ASPECT.py; test_ROOM.py is of the whole room."""
+    """Return whether a test file is named after a module (and aspect) or package."""
     room = PACKAGE / test.parent
     subject = test.stem.removeprefix("test_")
     modules = {path.stem for path in room.glob("[a-z]*.py")} | {room.name}
     return any(subject == module or subject.startswith(f"{module}_") for module in modules)
 
 
-def test_tests_mirror_the_package():
+def test_test_files_mirror_package():
     of_modules = [test for test in TESTS if not OF_NO_MODULE.fullmatch(test.as_posix())]
     assert len(of_modules) > 200
     assert [test.as_posix() for test in of_modules if not mirrors(test)] == []
@@ -301,8 +301,8 @@ def quick(tmp_path):
     return run
 
 
-def test_quick_leaves_out_what_is_listed_as_slow(quick, tmp_path):
-    """What two tests set up together is slow for both, and not for the first alone."""
+def test_quick_skips_slow_tests(quick, tmp_path):
+    """A slow shared fixture makes all tests that use it slow."""
     assert quick("--write-slow", "-p", "clock") == [6]
     listed = (tmp_path / "slow.txt").read_text("utf-8").split()
     assert listed == ["test_it.py::test_first", "test_it.py::test_long", "test_it.py::test_second"]
@@ -310,13 +310,13 @@ def test_quick_leaves_out_what_is_listed_as_slow(quick, tmp_path):
 
 
 @pytest.mark.slow
-def test_quick_starts_no_test_after_its_time(quick, tmp_path):
+def test_quick_starts_no_test_after_time_limit(quick, tmp_path):
     (tmp_path / "slow.txt").write_text("test_it.py::test_long\n")
     assert quick("--quick", "0", "-n", "2") == [2, 4]
 
 
-def test_tests_that_are_listed_as_slow_exist():
-    """`make slow` writes the list anew."""
+def test_listed_slow_tests_exist():
+    """`make slow` rewrites the list."""
     listed = (ROOT / "tests" / "slow.txt").read_text("utf-8").split()
     assert listed == sorted(set(listed))
     for name in listed:
@@ -332,7 +332,7 @@ LAYERS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["t
 ]["contracts"][0]["layers"]
 
 
-def test_table_of_packages_is_in_the_order_of_imports():
+def test_package_table_follows_import_order():
     page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     table = page.partition("| package |")[2].partition("\n\n")[0]
     rows = re.findall(r"^\| (`.*?) \|", table, re.M)
@@ -340,7 +340,7 @@ def test_table_of_packages_is_in_the_order_of_imports():
     assert packages == [set(layer.split(" | ")) for layer in reversed(LAYERS)]
 
 
-def test_files_that_the_way_of_a_record_names_exist():
+def test_files_named_in_record_walkthrough_exist():
     page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`([a-z_]+(?:/[a-z_]+)+\.py)`", page))
     assert len(named) > 20
@@ -381,18 +381,18 @@ def flags_named(source):
     ]
 
 
-def test_rooms_below_the_command_line_know_none_of_its_options():
-    """What is wrong with which argument is theirs to say; the face adds its option."""
+def test_lower_packages_name_no_command_line_option():
+    """Lower packages name the argument; the command line adds the option."""
     named = offences(lambda name, source: not name.startswith("cli/") and flags_named(source))
     assert {name: flags for name, flags in named.items() if name not in DASHED} == {}
 
 
-def test_an_option_of_the_command_line_would_be_found():
+def test_command_line_option_is_detected():
     assert flags_named('raise Error(f"{path} exists; give --overwrite")')
     assert not flags_named('raise Error(f"{path} exists; give `overwrite=True` -- or not")')
 
 
-def test_one_place_knows_the_description_s_name():
+def test_description_file_name_is_defined_once():
     named = [
         name
         for name, source in SOURCES.items()
@@ -425,14 +425,14 @@ print("LOADED", *sys.modules)
 
 
 @pytest.mark.parametrize("statement", ["import counterspin", HELP], ids=["import", "help"])
-def test_start_up_loads_nothing_slow_that_it_does_not_use(statement):
+def test_start_up_loads_no_unused_slow_module(statement):
     loaded = modules_loaded_by(statement)
     assert "counterspin" in loaded
     assert loaded & {"matplotlib", "dask", "scipy.stats", "cyclopts.validators"} == set()
 
 
-def test_no_two_modules_of_the_page_import_each_other():
-    """Neither by way of others: TopologicalSorter refuses what goes round."""
+def test_javascript_imports_have_no_cycle():
+    """Indirect imports count; TopologicalSorter raises for a cycle."""
     told = {
         script.name: re.findall(r'from "\./(\w+\.js)"', script.read_text(encoding="utf-8"))
         for script in (PACKAGE / "application" / "assets").glob("*.js")
@@ -440,8 +440,8 @@ def test_no_two_modules_of_the_page_import_each_other():
     assert list(TopologicalSorter(told).static_order())[-1] == "main.js"
 
 
-def test_a_usual_calibration_loads_nothing_slow_that_it_does_not_use(tmp_path):
-    """Loading SciPy would take it as long as all that it computes."""
+def test_calibration_loads_no_unused_slow_module(tmp_path):
+    """Loading SciPy would take as long as the whole computation."""
     simulate(write(tmp_path, SMALL, "plan.toml"), tmp_path)
     loaded = modules_loaded_by(
         f"from counterspin.cli import main; main(['calibrate', {str(tmp_path)!r}])"
@@ -450,8 +450,8 @@ def test_a_usual_calibration_loads_nothing_slow_that_it_does_not_use(tmp_path):
     assert loaded & {"scipy", "matplotlib", "h5py", "dask", "difflib", "rich._emoji_codes"} == set()
 
 
-def test_three_places_start_processes():
-    """Two see to it that nothing of the working folder is run; one runs what its user names."""
+def test_only_three_modules_start_processes():
+    """Two modules run no program of the working folder; one runs a program that the user names."""
     start = re.compile(
         r"\b(Popen|get_context|ProcessPoolExecutor|SpawnContext|os\.(exec|spawn|popen|system))\b"
         r"|^\s*(import|from) subprocess\b",
@@ -461,7 +461,7 @@ def test_three_places_start_processes():
     assert starting == {"workers.py", "records/reader_process.py", "certificates/signers.py"}
 
 
-def test_physics_and_inference_load_nothing_slow():
+def test_physics_and_inference_load_no_slow_module():
     below = [
         path.relative_to(PACKAGE.parent).with_suffix("").as_posix().replace("/", ".")
         for room in ("physics", "inference")
@@ -475,7 +475,7 @@ def test_physics_and_inference_load_nothing_slow():
 # What tests may do
 
 
-def test_no_test_reaches_the_network():
+def test_network_access_in_tests_raises():
     with pytest.raises(PermissionError, match=r"reaches the network: 1\.1\.1\.1"):
         socket.create_connection(("1.1.1.1", 80), timeout=1.0)
 
@@ -484,12 +484,12 @@ def test_no_test_reaches_the_network():
 
 
 def extras():
-    """Return the extras, less those that the Makefile alone installs."""
+    """Return the extras except those that only the Makefile installs."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     return set(project["optional-dependencies"]) - {"bench", "dev", "docs"}
 
 
-def test_every_extra_that_is_named_exists_and_is_told():
+def test_named_extras_exist_and_are_documented():
     told = {path: path.read_text(encoding="utf-8") for path in [*MODULES, *PAGES]}
     everything = "\n".join(told.values())
     asked = set(re.findall(r"installing\([\"'](\w+)[\"']\)", everything))
@@ -503,15 +503,15 @@ def test_every_extra_that_is_named_exists_and_is_told():
     assert set(re.findall(r"counterspin-([\d.]+)-py3", quickstart)) == {__version__}
 
 
-def test_nothing_is_to_be_installed_from_an_index_that_lacks_it():
+def test_instructions_do_not_install_from_index():
     by_name = re.compile(r"pip install\s+['\"]*counterspin\b(?!-)")
     texts = [*MODULES, *PAGES, *(PACKAGE / "application").rglob("*.js")]
     assert [path.name for path in texts if by_name.search(path.read_text(encoding="utf-8"))] == []
     assert by_name.search("pip install 'counterspin[excel]'")
 
 
-def test_changelog_begins_with_this_version():
-    """What is not released yet may stand above it."""
+def test_changelog_starts_with_current_version():
+    """Unreleased changes may precede it."""
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     changelog = changelog.replace("\n## [Unreleased]\n", "\n", 1)
     entries = re.findall(r"^## \[(.+)\] - (Unreleased|\d{4}-\d\d-\d\d)$", changelog, re.MULTILINE)
@@ -519,11 +519,11 @@ def test_changelog_begins_with_this_version():
     assert entries[0][0] == __version__
 
 
-def test_the_citation_is_of_this_version():
+def test_citation_has_current_version():
     assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
-def test_pages_name_only_make_targets_that_exist():
+def test_pages_name_existing_make_targets():
     targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M))
     assert {"demo", "test", "lint", "bench"} <= targets
     named = {
@@ -535,7 +535,7 @@ def test_pages_name_only_make_targets_that_exist():
 
 
 @pytest.mark.parametrize("pins", PINS, ids=lambda path: path.name)
-def test_pins_carry_hashes_and_no_address(pins):
+def test_pins_have_hashes_and_no_url(pins):
     text = pins.read_text(encoding="utf-8")
     logical = re.sub(r"\\\n", " ", re.sub(r"^ *#.*\n", "", text, flags=re.MULTILINE)).splitlines()
     assert logical
@@ -553,7 +553,7 @@ def test_pins_carry_hashes_and_no_address(pins):
         *((extra, "package.txt") for extra in sorted(extras())),
     ],
 )
-def test_pins_meet_what_the_package_asks_for(extra, pins):
+def test_pins_satisfy_requirements(extra, pins):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     asked = [*project["dependencies"], *project["optional-dependencies"][extra]]
     text = (ROOT / "requirements" / pins).read_text(encoding="utf-8")
@@ -567,8 +567,8 @@ def test_pins_meet_what_the_package_asks_for(extra, pins):
 
 
 @pytest.mark.parametrize("pins", ["bench.txt", "docs.txt", "package.txt"])
-def test_pins_of_one_environment_do_not_contradict_each_other(pins):
-    """They are installed on top of those of dev."""
+def test_pins_of_environment_are_consistent(pins):
+    """The pins of an extra are installed in addition to those of dev."""
     line = re.compile(r"^([a-z0-9.-]+)==([^ ;]+)", re.MULTILINE)
     dev, more = (
         dict(line.findall((ROOT / "requirements" / name).read_text(encoding="utf-8")))
@@ -578,7 +578,7 @@ def test_pins_of_one_environment_do_not_contradict_each_other(pins):
     assert {name: more[name] for name in dev.keys() & more.keys() if more[name] != dev[name]} == {}
 
 
-def test_the_lock_of_javascript_carries_hashes_and_no_address():
+def test_javascript_lock_has_hashes_and_no_url():
     folder = ROOT / "requirements" / "javascript"
     wanted = json.loads((folder / "package.json").read_text(encoding="utf-8"))
     text = (folder / "package-lock.json").read_text(encoding="utf-8")
@@ -589,7 +589,7 @@ def test_the_lock_of_javascript_carries_hashes_and_no_address():
     assert "//" not in re.sub(r'"sha512-[^"]*"', "", text)
 
 
-def test_lint_says_that_it_goes_on_where_there_is_no_node(tmp_path):
+def test_lint_without_node_prints_skipped(tmp_path):
     tools = tmp_path / "bin"
     tools.mkdir()
     for name in ("make", "sh", "rm", "mkdir", "cp", "touch"):
@@ -609,7 +609,7 @@ def test_lint_says_that_it_goes_on_where_there_is_no_node(tmp_path):
     assert not (tmp_path / "typescript" / ".ready").exists()
 
 
-def test_types_are_strict_in_every_room():
+def test_type_checks_are_strict_in_all_packages():
     types = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["mypy"]
     assert types["strict"] is True
     # What others wrote may lack types; nothing of ours is let off.
@@ -622,7 +622,7 @@ def test_types_are_strict_in_every_room():
     assert own == covered
 
 
-def test_types_are_checked_for_every_platform_in_one_process():
+def test_types_are_checked_per_platform_in_single_process():
     """Worker processes of mypy fail on a busy machine."""
     make = shutil.which("make") or pytest.skip("there is no make")
     shown = subprocess.run(
@@ -643,8 +643,8 @@ def test_types_are_checked_for_every_platform_in_one_process():
     assert not any("--num-workers" in command for command in commands)
 
 
-def test_modules_that_depend_on_the_platform_are_selected():
-    """Their definitions do not depend on it, so that no module that imports them does."""
+def test_platform_dependent_modules_are_selected():
+    """Their definitions do not depend on the platform, so importing modules do not either."""
     shown = subprocess.run(
         [sys.executable, ROOT / "requirements" / "platform_modules.py"],
         capture_output=True,
@@ -661,7 +661,7 @@ def test_modules_that_depend_on_the_platform_are_selected():
     assert not offences(lambda name, source: re.search(r"^(el)?if .*sys\.platform", source, re.M))
 
 
-def test_every_test_is_run_by_make_test_or_by_make_docs_tests():
+def test_every_test_file_is_run_by_make():
     make = shutil.which("make") or pytest.skip("there is no make")
     shown = subprocess.run(
         [make, "--dry-run", "test", "docs-tests"],
@@ -690,7 +690,7 @@ TEXT = {".py", ".md", ".toml", ".txt", ".json", ".csv", ".svg", ".html", ".css",
 MACHINE_PATH = re.compile(r"(?<![\w.])/(?:home|root|Users|work)/|\b[A-Z]:\\+Users\b")
 
 
-def test_no_file_names_a_path_of_somebody_s_machine():
+def test_no_file_contains_local_path():
     places = ("src", "tests", "docs", "benchmarks", "requirements", ".ci")
     files = [path for place in places for path in (ROOT / place).rglob("*")]
     # In a linked worktree .git is a file that holds a path.
@@ -769,7 +769,7 @@ def without_code(_, source):
     return lines
 
 
-def test_every_code_is_described_and_used():
+def test_error_codes_are_described_and_used():
     used = set().union(*(codes_in(s) for name, s in SOURCES.items() if name != "error_codes.py"))
     assert used == set(CODES)
     assert codes_in(
@@ -781,7 +781,7 @@ def test_every_code_is_described_and_used():
     }
 
 
-def test_codes_and_descriptions_have_one_form():
+def test_error_codes_and_descriptions_have_uniform_format():
     assert [code for code in CODES if not re.fullmatch(r"[a-z]+(-[a-z]+)*", code)] == []
     assert [text for text in CODES.values() if not text.endswith(".") or len(text) > 80] == []
     text = SOURCES["error_codes.py"]

@@ -7,7 +7,7 @@ import pytest
 from counterspin.input import FileIdentity, open_file, parse_json, read_file
 
 
-def test_a_file_is_read_whole_up_to_a_size(tmp_path):
+def test_file_is_read_up_to_size_limit(tmp_path):
     file = tmp_path / "a[1]?*.json"
     file.write_bytes(b"x" * 3_000_000)
     assert read_file(file) == b"x" * 3_000_000
@@ -17,7 +17,7 @@ def test_a_file_is_read_whole_up_to_a_size(tmp_path):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes among the files here")
-def test_what_is_no_file_is_not_waited_for(tmp_path):
+def test_pipe_or_device_raises_at_once(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     for place, words in (
         (tmp_path, "a folder"),
@@ -28,12 +28,12 @@ def test_what_is_no_file_is_not_waited_for(tmp_path):
             open_file(type(tmp_path)(place))
 
 
-def test_names_that_no_file_can_have(tmp_path):
+def test_invalid_file_name_raises(tmp_path):
     with pytest.raises(OSError, match="this is not a valid file name"):
         open_file(tmp_path / "a\0b")
 
 
-def test_an_identity_is_of_the_content(tmp_path):
+def test_file_identity_follows_content(tmp_path):
     file = tmp_path / "a"
     file.write_bytes(b"one")
     os.utime(file, ns=(1, 1))
@@ -55,13 +55,13 @@ def test_an_identity_is_of_the_content(tmp_path):
         ("[" * 100_000, "the document is nested too deeply"),
     ],
 )
-def test_json_that_programs_read_differently_is_refused(text, words):
+def test_ambiguous_json_raises(text, words):
     for document in (text, text.encode()):
         with pytest.raises(ValueError, match=words):
             parse_json(document)
 
 
-def test_other_json_is_read():
+def test_valid_json_is_parsed():
     assert parse_json(b'{"a": [1, 2.5, null, -3e400], "b": {"a": true}}') == {
         "a": [1, 2.5, None, -float("inf")],
         "b": {"a": True},

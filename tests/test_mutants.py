@@ -9,8 +9,8 @@ from mutants.__main__ import REPOSITORY, SOURCE, mutants, planted, seen_by
 ROOMS = {"physics", "inference", "campaign", "calibration", "certificates", "correction", "records"}
 
 
-def test_every_error_can_be_planted():
-    """Where code has moved, mutants/mutants.toml is mended."""
+def test_every_mutant_can_be_planted():
+    """After a code change, update mutants/mutants.toml."""
     wrong = []
     for mutant in mutants():
         try:
@@ -20,7 +20,7 @@ def test_every_error_can_be_planted():
     assert not wrong, "\n".join(wrong)
 
 
-def test_errors_are_of_every_room_that_computes_and_their_tests_exist():
+def test_mutants_cover_computing_packages_and_name_tests():
     listed = mutants()
     assert len(listed) >= 60
     assert len({(one["file"], one["old"], one["new"]) for one in listed}) == len(listed)
@@ -28,14 +28,14 @@ def test_errors_are_of_every_room_that_computes_and_their_tests_exist():
     assert all((REPOSITORY / test).is_file() for one in listed for test in one.get("tests", ()))
 
 
-def test_what_is_not_there_cannot_be_planted():
+def test_planting_missing_line_raises():
     for change in ({"old": "nothing like this"}, {"file": "physics/none.py"}):
         with pytest.raises(ValueError, match="stands there 0 times"):
             planted({**mutants()[0], **change})
 
 
 @pytest.mark.slow
-def test_an_error_is_named_by_validate(tmp_path):
+def test_validate_detects_mutant(tmp_path):
     copy = tmp_path / "counterspin"
     shutil.copytree(SOURCE, copy)
     mutant = next(one for one in mutants() if one["file"] == "correction/apply.py")

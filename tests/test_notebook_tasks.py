@@ -100,7 +100,7 @@ def tasks():
 
 
 @pytest.mark.parametrize("task", tasks(), ids=lambda task: task.name)
-def test_a_task_is_at_most_five_lines(task):
+def test_tasks_have_at_most_five_lines(task):
     assert task.end_lineno - task.lineno <= 5
 
 
@@ -141,7 +141,7 @@ def test_covariance_has_labels(result):
     assert max(correlation) == pytest.approx(1.0)
 
 
-def test_a_table_for_pandas(result):
+def test_result_frame_for_pandas(result):
     table = task_pandas(result)
     assert list(table["owner"]) == ["Qx", "Qy"]
     assert list(table["value"] * 1e-6) == pytest.approx(
@@ -149,12 +149,12 @@ def test_a_table_for_pandas(result):
     )
 
 
-def test_another_truth_is_found():
+def test_other_truth_is_estimated():
     found = k_ii(task_simulate_another_truth(frames.small()))
     assert abs(found.value - 5e-5) < 4.0 * found.u
 
 
-def test_the_sweep_of_the_radius_is_a_line(campaign, result):
+def test_radius_sweep_changes_k_ii(campaign, result):
     low, middle, high = task_sweep(campaign)
     assert middle == k_ii(result).value
     # Reference and squared force are near to linear in a small change of the radius.
@@ -162,7 +162,7 @@ def test_the_sweep_of_the_radius_is_a_line(campaign, result):
     assert abs(low - 2.0 * middle + high) < 0.01 * abs(high - low)
 
 
-def test_the_two_stages_by_hand(campaign, records):
+def test_two_stages_by_hand_estimate_truth(campaign, records):
     columns = {
         name: [frame[column].to_numpy() for column in ("time_s", "angle_rad", "east_m")]
         for name, frame in records.items()
@@ -175,7 +175,7 @@ def test_the_two_stages_by_hand(campaign, records):
     assert abs(value - 2.7e-5) < 4.0 * u
 
 
-def test_one_accelerometer_alone(campaign, result):
+def test_single_accelerometer_matches_joint_result(campaign, result):
     alone = task_one_accelerometer(campaign)
     assert list(alone.accelerometers) == ["Qx"]
     assert abs(k_ii(alone).value - k_ii(result).value) < k_ii(result).u

@@ -16,7 +16,7 @@ from counterspin.errors import CounterspinError
 from counterspin.output import begin, make_folder, mark, marked, write_text, write_whole
 
 
-def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path):
+def test_file_is_replaced_without_other_files(tmp_path):
     target = tmp_path / "result.json"
     for text in ("one", "two"):
         write_text(target, text, overwrite=True)
@@ -24,7 +24,7 @@ def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
 
 
-def test_a_link_keeps_standing(tmp_path):
+def test_symbolic_link_is_preserved(tmp_path):
     (tmp_path / "kept").mkdir()
     target, link = tmp_path / "kept" / "result.json", tmp_path / "latest.json"
     target.write_text("old")
@@ -34,7 +34,7 @@ def test_a_link_keeps_standing(tmp_path):
     assert target.read_text() == "new"
 
 
-def test_a_pipe_is_written_to_and_not_replaced(tmp_path):
+def test_pipe_is_written_and_not_replaced(tmp_path):
     pipe = tmp_path / "pipe.json"
     os.mkfifo(pipe)
     read: list[str] = []
@@ -46,14 +46,14 @@ def test_a_pipe_is_written_to_and_not_replaced(tmp_path):
     assert stat.S_ISFIFO(pipe.stat().st_mode)
 
 
-def test_a_full_disk_is_told(tmp_path):
+def test_full_disk_raises(tmp_path):
     full = tmp_path / "full.json"
     full.symlink_to("/dev/full")
     with pytest.raises(CounterspinError, match=r"full\.json cannot be written"):
         write_text(full, "x")
 
 
-def test_a_folder_in_the_way_and_one_that_is_missing(tmp_path):
+def test_existing_folder_and_missing_folder_raise(tmp_path):
     for target in (tmp_path, tmp_path / "nowhere" / "result.json"):
         with pytest.raises(CounterspinError, match="cannot be written"):
             write_text(target, "x")
@@ -62,7 +62,7 @@ def test_a_folder_in_the_way_and_one_that_is_missing(tmp_path):
         write_text(Path(), "x")
 
 
-def test_a_file_in_the_place_of_a_folder(tmp_path):
+def test_file_in_place_of_folder_raises(tmp_path):
     (tmp_path / "dossier").write_text("mine")
     with raises("file-exists", "dossier"):
         make_folder(tmp_path / "dossier")
@@ -72,8 +72,8 @@ def test_a_file_in_the_place_of_a_folder(tmp_path):
 
 
 @pytest.fixture(params=["links", "no links"])
-def links(request, monkeypatch):
-    """Have hard links, or a file system without them."""
+def hard_link_support(request, monkeypatch):
+    """Provide a file system with or without hard links."""
     if request.param == "no links":
 
         def refused(*_):
@@ -82,7 +82,7 @@ def links(request, monkeypatch):
         monkeypatch.setattr(os, "link", refused)
 
 
-def test_a_file_that_comes_while_another_is_written_is_not_lost(tmp_path, links):
+def test_concurrently_created_file_is_not_lost(tmp_path, hard_link_support):
     target = tmp_path / "c.xml"
 
     def write(part):
@@ -101,7 +101,7 @@ def test_a_file_that_comes_while_another_is_written_is_not_lost(tmp_path, links)
     assert [path.name for path in tmp_path.iterdir()] == ["c.xml"]
 
 
-def test_of_many_writers_of_one_name_one_succeeds(tmp_path, links):
+def test_single_writer_of_same_name_succeeds(tmp_path, hard_link_support):
     start, taken, refused = threading.Barrier(8), [], []
 
     def write(text):
@@ -123,7 +123,7 @@ def test_of_many_writers_of_one_name_one_succeeds(tmp_path, links):
 
 
 @pytest.mark.parametrize(("mask", "mode"), [(0o077, 0o600), (0o027, 0o640), (0o022, 0o644)])
-def test_the_umask_holds_and_is_never_another(tmp_path, monkeypatch, links, mask, mode):
+def test_umask_is_respected_and_never_changed(tmp_path, monkeypatch, hard_link_support, mask, mode):
     before = os.umask(mask)
     try:
         # Another thread's files would have the rights of whatever it is meanwhile.
@@ -135,7 +135,7 @@ def test_the_umask_holds_and_is_never_another(tmp_path, monkeypatch, links, mask
     assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == mode
 
 
-def test_a_link_to_itself_is_told(tmp_path):
+def test_circular_link_raises(tmp_path):
     (tmp_path / "c.xml").symlink_to("c.xml")
     (tmp_path / "a").symlink_to("b")
     (tmp_path / "b").symlink_to("a")
@@ -144,7 +144,7 @@ def test_a_link_to_itself_is_told(tmp_path):
             write_text(tmp_path / name, "x", overwrite=True)
 
 
-def test_a_file_of_two_kinds_or_of_none_is_of_neither(tmp_path):
+def test_file_with_two_marks_or_none_is_not_recognised(tmp_path):
     page = tmp_path / "page.html"
     report, comparison = marked("a report"), marked("a comparison")
     page.write_text(f"<html>{mark('a report')}")
@@ -179,14 +179,14 @@ def windows(monkeypatch):
         ("run 1 /result.json", "must not end with a dot or a space"),
     ],
 )
-def test_names_that_windows_takes_for_others_are_refused(windows, tmp_path, name, reason):
+def test_reserved_windows_names_raise(windows, tmp_path, name, reason):
     for act in (make_folder, begin, lambda path: write_text(path, "x")):
         with pytest.raises(CounterspinError, match=f"{reason}.*; choose another name"):
             act(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_other_names_and_other_systems(tmp_path, monkeypatch):
+def test_other_names_and_systems_are_accepted(tmp_path, monkeypatch):
     (tmp_path / "x").mkdir()
     names = ("console.json", "com10.json", "nulls", "x/../a.b.json", "µ-1.json")
     write_text(tmp_path / "nul.json", "a name as any other")
@@ -195,7 +195,7 @@ def test_other_names_and_other_systems(tmp_path, monkeypatch):
         write_text(tmp_path / name, "x")
 
 
-def test_a_file_that_a_scanner_has_open_is_waited_for_on_windows(windows, tmp_path, monkeypatch):
+def test_replacing_waits_for_virus_scanner_on_windows(windows, tmp_path, monkeypatch):
     target, replace, refused = tmp_path / "result.json", Path.replace, []
     target.write_text("old")
 
@@ -211,9 +211,7 @@ def test_a_file_that_a_scanner_has_open_is_waited_for_on_windows(windows, tmp_pa
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_a_new_file_that_a_scanner_has_open_gets_its_name_on_windows(
-    windows, tmp_path, monkeypatch
-):
+def test_new_file_waits_for_virus_scanner_on_windows(windows, tmp_path, monkeypatch):
     part, place, refused = tmp_path / "part", tmp_path / "result.json", []
     part.write_text("new")
     rename = Path.rename
@@ -230,7 +228,7 @@ def test_a_new_file_that_a_scanner_has_open_gets_its_name_on_windows(
     assert (place.read_text(), len(refused)) == ("new", 3)
 
 
-def test_a_hidden_file_that_cannot_be_removed_hides_no_other_error(tmp_path, monkeypatch):
+def test_failed_removal_of_temporary_file_hides_no_error(tmp_path, monkeypatch):
     def locked(*_, **__):
         raise PermissionError(13, "Access is denied")
 
@@ -239,7 +237,7 @@ def test_a_hidden_file_that_cannot_be_removed_hides_no_other_error(tmp_path, mon
         write_whole(tmp_path / "result.json", lambda _: 1 / 0)
 
 
-def test_a_file_that_another_program_has_open_is_told_on_windows(windows, tmp_path, monkeypatch):
+def test_file_open_in_other_program_raises_on_windows(windows, tmp_path, monkeypatch):
     target = tmp_path / "result.json"
     target.write_text("old")
 

@@ -18,7 +18,7 @@ PACKAGE = Path(cs.__file__).parent
 
 
 def names_imported_for_type_checkers():
-    """Return name -> (module, its name there) under TYPE_CHECKING."""
+    """Return the module and attribute of each name imported under TYPE_CHECKING."""
     tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
     (block,) = (node for node in tree.body if isinstance(node, ast.If))
     return {
@@ -28,24 +28,24 @@ def names_imported_for_type_checkers():
     }
 
 
-def test_what_is_loaded_is_what_type_checkers_see():
+def test_lazy_names_match_type_checking_imports():
     seen = names_imported_for_type_checkers()
     assert sorted(seen) == cs.__all__
     for name, (module, attribute) in seen.items():
         assert getattr(cs, name) is getattr(import_module(module), attribute), name
 
 
-def test_every_name_is_told_in_the_docstring():
+def test_docstring_lists_every_public_name():
     told = set(re.findall(r"`(\w+)`", cs.__doc__))
     assert told == set(cs.__all__) - {"__version__"}
 
 
-def test_names_are_listed_before_they_are_loaded():
+def test_dir_lists_names_before_loading():
     code = "import counterspin as cs; assert 'calibrate' in {*cs.__all__} <= {*dir(cs)}"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_dir_shows_what_is_offered_and_no_helpers():
+def test_dir_lists_only_public_names():
     code = (
         "import counterspin as cs; cs.TERMS; "
         "print(*(name for name in dir(cs) if not name.startswith('__')))"
@@ -55,13 +55,13 @@ def test_dir_shows_what_is_offered_and_no_helpers():
 
 
 @pytest.mark.parametrize("name", sorted(cs.__all__))
-def test_no_name_is_that_of_a_module(name):
+def test_no_public_name_is_module_name(name):
     # Importing such a module would put it in the place of the name.
     assert not (PACKAGE / name).is_dir()
     assert not (PACKAGE / f"{name}.py").exists()
 
 
-def test_import_loads_nothing_but_itself():
+def test_import_loads_only_package():
     code = (
         "import sys, counterspin; print(*(m for m in sys.modules if m.startswith('counterspin')))"
     )
@@ -70,7 +70,7 @@ def test_import_loads_nothing_but_itself():
     assert run.stdout.split() == ["counterspin"]
 
 
-def test_unknown_names_are_refused_as_usual():
+def test_unknown_name_raises_attribute_error():
     with pytest.raises(AttributeError, match="module 'counterspin' has no attribute 'kalibrate'"):
         cs.kalibrate  # noqa: B018
 
@@ -79,12 +79,12 @@ def test_unknown_names_are_refused_as_usual():
     "name",
     [n for n in cs.__all__ if inspect.isroutine(getattr(cs, n)) or inspect.isclass(getattr(cs, n))],
 )
-def test_everything_offered_has_a_docstring_of_its_own(name):
+def test_public_objects_have_docstrings(name):
     assert inspect.getdoc(getattr(cs, name))
 
 
 def examples():
-    """Return the examples of all docstrings, one for each docstring."""
+    """Return the examples of each docstring as a doctest."""
     found = {}
     for file in PACKAGE.rglob("*.py"):
         if "\n    >>> " in file.read_text(encoding="utf-8"):
@@ -95,7 +95,7 @@ def examples():
 
 
 @pytest.mark.parametrize("example", examples().values(), ids=examples())
-def test_an_example_of_a_docstring_prints_what_it_shows(example):
+def test_docstring_example_prints_shown_output(example):
     printed = []
     runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
     runner.run(example, out=printed.append)
@@ -103,12 +103,12 @@ def test_an_example_of_a_docstring_prints_what_it_shows(example):
     assert printed == []
 
 
-def test_an_example_that_prints_something_else_would_be_found():
+def test_wrong_docstring_example_is_detected():
     wrong = doctest.DocTestParser().get_doctest(">>> 1 + 1\n3\n", {}, "wrong", None, 0)
     assert doctest.DocTestRunner(verbose=False).run(wrong, out=lambda _: None).failed == 1
 
 
-def test_commands_are_a_few_lines_and_files_may_be_named_by_text(tmp_path, capsys):
+def test_commands_accept_paths_as_text(tmp_path, capsys):
     written = cs.init(str(tmp_path / "mine"))
     assert len(cs.simulate(str(written), str(tmp_path / "records"))) == 3
     result = cs.calibrate(str(tmp_path / "records"))
@@ -118,7 +118,7 @@ def test_commands_are_a_few_lines_and_files_may_be_named_by_text(tmp_path, capsy
     assert "K_II of Qx = 20.0" in capsys.readouterr().out
 
 
-def test_every_command_is_a_function_but_those_that_the_page_names():
+def test_commands_are_functions_except_named_ones():
     page = (Path(__file__).parents[1] / "docs" / "python.md").read_text("utf-8")
     without = re.search(r"Every command except (.*?) is also a Python function\.", page, re.DOTALL)[
         1
@@ -127,7 +127,7 @@ def test_every_command_is_a_function_but_those_that_the_page_names():
     assert commands - set(cs.__all__) == set(re.findall(r"`(\w+)`", without))
 
 
-def test_functions_refuse_a_number_of_threads_that_polars_cannot_use(monkeypatch):
+def test_invalid_polars_thread_count_raises(monkeypatch):
     monkeypatch.delitem(vars(cs), "simulate", raising=False)
     monkeypatch.setenv("POLARS_MAX_THREADS", "0")
     with pytest.raises(cs.CounterspinError, match="POLARS_MAX_THREADS: '0' is not a whole number"):

@@ -42,7 +42,7 @@ class Log(ResultFile):
 LOG = Log(rooms={"cellar": Temperature(value=281.5)}, series=[1.0, math.inf, 3.0])
 
 
-def test_what_is_written_is_read(tmp_path):
+def test_write_read_round_trip(tmp_path):
     LOG.write(tmp_path / "log.json")
     text = (tmp_path / "log.json").read_text(encoding="utf-8")
     assert text == LOG.to_json()
@@ -57,7 +57,7 @@ def test_what_is_written_is_read(tmp_path):
     assert Log.read(tmp_path / "log.json").to_json() == text
 
 
-def test_json_schema_says_what_is_written():
+def test_json_schema_matches_written_keys():
     schema = Log.json_schema()
     assert set(schema["properties"]) == set(json.loads(LOG.to_json()))
     assert schema["properties"]["schema"]["default"] == 1
@@ -79,7 +79,7 @@ def test_json_schema_says_what_is_written():
         ),
     ],
 )
-def test_what_cannot_be_used_is_told(tmp_path, text, words):
+def test_invalid_file_raises(tmp_path, text, words):
     path = tmp_path / "log.json"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(RecordError) as caught:
@@ -88,7 +88,7 @@ def test_what_cannot_be_used_is_told(tmp_path, text, words):
     assert words in str(caught.value)
 
 
-def test_a_result_replaces_an_earlier_one_only_if_asked_to_and_no_other_file(tmp_path):
+def test_existing_result_requires_overwrite(tmp_path):
     path, campaign = tmp_path / "log.json", tmp_path / "campaign.toml"
     LOG.write(path)
     before = path.read_bytes()
@@ -104,14 +104,14 @@ def test_a_result_replaces_an_earlier_one_only_if_asked_to_and_no_other_file(tmp
     assert campaign.read_text(encoding="utf-8") == "schema = 1"
 
 
-def test_missing_files_and_folders_are_told(tmp_path):
+def test_missing_file_or_folder_raises(tmp_path):
     with pytest.raises(RecordError, match="file not found"):
         Log.read(tmp_path / "none.json")
     with pytest.raises(CounterspinError, match="cannot be written"):
         LOG.write(tmp_path / "none" / "log.json")
 
 
-def test_every_result_of_the_package_is_written_so():
+def test_all_result_classes_share_file_methods():
     for module in walk_packages(counterspin.__path__, "counterspin."):
         if module.name.rpartition(".")[2].startswith("result"):
             import_module(module.name)
@@ -144,7 +144,7 @@ def test_every_result_of_the_package_is_written_so():
         assert "schema" in cls.json_schema()["properties"]
 
 
-def test_a_file_that_was_edited_is_refused_and_one_that_was_set_anew_is_not(tmp_path):
+def test_edited_file_raises_and_reformatted_file_is_read(tmp_path):
     path = tmp_path / "log.json"
     LOG.write(path)
     document = json.loads(path.read_text(encoding="utf-8"))
@@ -158,7 +158,7 @@ def test_a_file_that_was_edited_is_refused_and_one_that_was_set_anew_is_not(tmp_
             Log.read(path)
 
 
-def test_a_file_without_a_seal_is_read_and_gets_none_by_being_written_again(tmp_path):
+def test_file_without_seal_is_read_and_written_without_seal(tmp_path):
     path = tmp_path / "log.json"
     path.write_text('{"schema": 1, "rooms": {"cellar": {"value": 1}}, "series": []}', "utf-8")
     read = Log.read(path)
@@ -171,7 +171,7 @@ def test_a_file_without_a_seal_is_read_and_gets_none_by_being_written_again(tmp_
 
 
 @pytest.mark.parametrize("more", ['"series": [9.0]', '"rooms": {}', r'"ser\u0069es": [9.0]'])
-def test_a_key_that_occurs_twice_is_refused(tmp_path, more):
+def test_duplicate_key_raises(tmp_path, more):
     # Programs differ in which of two they read; the seal is that of one of them.
     path = tmp_path / "log.json"
     LOG.write(path)
@@ -185,7 +185,7 @@ def test_a_key_that_occurs_twice_is_refused(tmp_path, more):
             Log.read(path)
 
 
-def test_what_was_read_knows_the_bytes_of_its_file(tmp_path):
+def test_content_is_bytes_of_file(tmp_path):
     path = tmp_path / "log.json"
     LOG.write(path)
     assert LOG.content == path.read_bytes()
@@ -199,7 +199,7 @@ def test_what_was_read_knows_the_bytes_of_its_file(tmp_path):
     )
 
 
-def test_dir_lists_no_names_of_pydantic():
+def test_dir_lists_no_pydantic_names():
     names = dir(LOG)
     assert {"rooms", "series", "to_json", "write", "read", "content"} <= set(names)
     assert [name for name in names if "model" in name or name == "copy"] == []
@@ -207,7 +207,7 @@ def test_dir_lists_no_names_of_pydantic():
     assert [name for name in names if name.isupper()] == []
 
 
-def test_an_unknown_name_suggests_the_closest_one():
+def test_unknown_name_suggests_closest_name():
     parts = NamedParts(K_II=1, K_III=2)
     assert (parts["K_II"], parts.get("k"), "k" in parts) == (1, None, False)
     with pytest.raises(KeyError) as caught:
@@ -225,7 +225,7 @@ def test_an_unknown_name_suggests_the_closest_one():
         *(counterspin.plan, Log.read, lambda value: counterspin.history([value])),
     ],
 )
-def test_an_argument_of_a_wrong_type_gets_a_sentence(call):
+def test_argument_of_wrong_type_raises_clear_error(call):
     with pytest.raises(TypeError, match=r"give .*, as text or a path, not 123 \(int\)"):
         call(123)
     with pytest.raises(TypeError, match="as text or a path, not an object of type list"):
@@ -233,12 +233,12 @@ def test_an_argument_of_a_wrong_type_gets_a_sentence(call):
 
 
 @pytest.mark.parametrize("paths", [5, "results", Path("results")])
-def test_a_history_needs_a_list(paths):
+def test_history_requires_list(paths):
     with pytest.raises(TypeError, match="give a list of results, their files or folders, not"):
         counterspin.history(paths)
 
 
-def test_only_a_result_has_a_report(tmp_path):
+def test_report_requires_result(tmp_path):
     for make in (
         lambda: counterspin.report(3, "html"),
         lambda: counterspin.write_report(3, tmp_path / "r.html"),
@@ -248,6 +248,6 @@ def test_only_a_result_has_a_report(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_data_of_a_laboratory_of_a_wrong_type_get_a_sentence():
+def test_laboratory_data_of_wrong_type_raise():
     with pytest.raises(TypeError, match=r"give a mapping with the laboratory's data, .* not 5"):
         read_lab(5, None)

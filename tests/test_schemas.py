@@ -45,7 +45,7 @@ every_schema = pytest.mark.parametrize("name", NAMES)
 
 
 def kind_of(document):
-    """Return what a document of the documentation is, or a part of one."""
+    """Return the kind of a document or fragment in the documentation."""
     if "goal" in document or "stations" in document:
         return "plan"
     return "lab" if {"certificate", "laboratory", "evidence", "cmc"} & set(document) else "campaign"
@@ -80,13 +80,13 @@ def keys(schema, path=""):
         ({"$ref": "#/$defs/T", "$defs": {"T": {"maximum": 1}}}, 1, 2),
     ],
 )
-def test_the_validator_knows_right_from_wrong(schema, right, wrong):
+def test_validator_accepts_valid_and_rejects_invalid(schema, right, wrong):
     assert list(mistakes(schema, right)) == []
     assert list(mistakes(schema, wrong))
 
 
 @every_schema
-def test_every_key_is_described(name):
+def test_every_key_has_description(name):
     described = dict(keys(made(name)))
     assert len(described) > 10
     for path, schema in described.items():
@@ -98,7 +98,7 @@ def test_every_key_is_described(name):
 
 @pytest.mark.slow
 @every_schema
-def test_a_schema_says_what_it_is_and_is_printed_as_it_stands(name, capsys):
+def test_schema_has_identifier_and_is_printed_unchanged(name, capsys):
     assert made(name)["$schema"] == "https://json-schema.org/draft/2020-12/schema"
     assert made(name)["$id"].startswith(f"urn:counterspin:schema:{name}:")
     assert made(name)["title"]
@@ -108,7 +108,7 @@ def test_a_schema_says_what_it_is_and_is_printed_as_it_stands(name, capsys):
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in RESULTS])
-def test_every_key_has_an_example_that_its_schema_takes(name):
+def test_every_key_has_valid_example(name):
     shown = 0
     for path, schema in keys(made(name)):
         for example in schema.get("examples", ()):
@@ -117,11 +117,11 @@ def test_every_key_has_an_example_that_its_schema_takes(name):
     assert shown > 3
 
 
-def test_a_quantity_is_written_as_text():
+def test_quantity_has_type_string():
     assert "Quantity" not in made("campaign")["$defs"]
 
 
-def test_quantities_have_their_unit():
+def test_quantities_have_unit():
     site = made("campaign")["$defs"]["SiteSettings"]["properties"]
     assert site["latitude"]["x-unit"] == "rad"
     assert site["gravity"]["x-unit"] == "m/s^2"
@@ -129,7 +129,7 @@ def test_quantities_have_their_unit():
 
 
 @pytest.mark.parametrize("document", BLOCKS)
-def test_examples_of_the_documentation_are_as_the_schema_has_them(document):
+def test_documentation_examples_match_schema(document):
     schema = made(kind_of(document))
     if "schema" not in document:  # a part of a document
         branch = "then" if "stations" in document else "else"
@@ -139,7 +139,7 @@ def test_examples_of_the_documentation_are_as_the_schema_has_them(document):
 
 
 @pytest.mark.parametrize(("name", "file"), STARTERS)
-def test_starters_are_as_the_schema_has_them(name, file):
+def test_starters_match_schema(name, file):
     text = (files("counterspin") / file).read_text("utf-8")
     assert list(mistakes(made(name), tomllib.loads(text))) == []
 
@@ -156,20 +156,20 @@ SLIPS = [
 
 
 @pytest.mark.parametrize(("old", "new"), SLIPS)
-def test_a_slip_is_seen(old, new):
+def test_invalid_entry_is_detected(old, new):
     text = (files("counterspin") / "ingest/starter.toml").read_text("utf-8")
     assert old in text
     assert list(mistakes(made("campaign"), tomllib.loads(text.replace(old, new, 1))))
 
 
-def test_a_result_is_as_its_schema_has_it():
+def test_result_matches_schema():
     file = ROOT / "docs" / "examples" / "three-rate" / "result.json"
     document = json.loads(Result.read(file).to_json())
     assert list(mistakes(made("result"), document)) == []
     assert list(mistakes(made("result"), document | {"method": 1}))
 
 
-def test_the_noise_of_a_record_is_as_its_schema_has_it():
+def test_noise_result_matches_schema():
     force = np.random.default_rng(7).normal(0.0, 1e-4, 2000)
     found = cs.noise({"time_s": np.arange(2000) / 50.0, "f": force}, columns=["f"], unit="m/s^2")
     document = json.loads(found.to_json())
@@ -177,14 +177,14 @@ def test_the_noise_of_a_record_is_as_its_schema_has_it():
     assert list(mistakes(made("noise"), document | {"signals": [{"name": "f"}]}))
 
 
-def test_init_writes_the_schema_that_the_description_names(tmp_path):
+def test_init_writes_schema_of_description(tmp_path):
     assert main(["init", str(tmp_path)]) == 0
     first = (tmp_path / "campaign.toml").read_text("utf-8").splitlines()[0]
     schema = tmp_path / first.removeprefix("#:schema ")
     assert schema.read_text("utf-8") == schema_text("campaign")
 
 
-def test_the_site_has_every_schema(monkeypatch, tmp_path):
+def test_site_contains_every_schema(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(str(ROOT / "docs" / "extensions"))
     import published_schemas
 

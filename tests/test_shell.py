@@ -13,7 +13,7 @@ def windows(monkeypatch):
     monkeypatch.setattr("sys.platform", "win32")
 
 
-def test_words_of_a_posix_shell():
+def test_posix_command_round_trip():
     words = ["counterspin", "calibrate", "my run's", "a\\b", "$x"]
     assert split_command(join_command(words)) == shlex.split(join_command(words)) == words
     assert find_program("openssl") == "openssl"
@@ -35,7 +35,7 @@ def test_words_of_a_posix_shell():
         ('said "no", it\'s', "'said \"no\", it''s'"),
     ],
 )
-def test_a_word_is_quoted_for_the_shells_of_windows(windows, word, quoted):
+def test_word_is_quoted_for_windows_shells(windows, word, quoted):
     assert quote_word(word) == quoted
 
 
@@ -48,16 +48,16 @@ def test_a_word_is_quoted_for_the_shells_of_windows(windows, word, quoted):
         ("  ", []),
     ],
 )
-def test_backslashes_of_a_command_are_kept_on_windows(windows, command, words):
+def test_backslashes_are_preserved_on_windows(windows, command, words):
     assert split_command(command) == words
 
 
-def test_an_open_quotation_mark_is_an_error(windows):
+def test_unclosed_quotation_mark_raises(windows):
     with pytest.raises(ValueError, match="quotation"):
         split_command('"C:\\my keys')
 
 
-def test_a_program_of_the_working_folder_is_not_found_on_windows(windows, tmp_path, monkeypatch):
+def test_program_in_working_folder_is_not_found_on_windows(windows, tmp_path, monkeypatch):
     tools = tmp_path / "tools"
     tools.mkdir()
     (tmp_path / "sign.exe").touch()

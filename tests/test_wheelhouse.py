@@ -32,17 +32,17 @@ ALPHA = "alpha==1.0 --hash=sha256:aa --hash=sha256:ab"
         ("manylinux_2_28_x86_64", "3.12", []),
     ],
 )
-def test_markers_are_read_for_the_machine_that_installs(platform, python, more):
+def test_markers_are_evaluated_for_target_machine(platform, python, more):
     environment = wheelhouse.marker_environment(platform, python)
     assert list(wheelhouse.selected_pins(TEXT, environment)) == [ALPHA, *more]
 
 
-def test_a_platform_that_is_not_a_tag_is_refused():
+def test_invalid_platform_tag_raises():
     with pytest.raises(SystemExit, match="windows: give a tag that begins with win_, macosx_"):
         wheelhouse.marker_environment("windows", "3.12")
 
 
-def test_a_linux_takes_wheels_of_older_ones():
+def test_linux_accepts_older_manylinux_tags():
     tags = wheelhouse.pip_platforms("manylinux_2_18_aarch64")
     assert tags[:3] == [
         "manylinux_2_18_aarch64",
@@ -53,7 +53,7 @@ def test_a_linux_takes_wheels_of_older_ones():
     assert wheelhouse.pip_platforms("win_amd64") == ["win_amd64"]
 
 
-def test_every_pin_is_selected_for_some_platform():
+def test_every_pin_is_selected_for_a_platform():
     text = wheelhouse.PINS.read_text("utf-8")
     names = set(re.findall(r"^([a-z0-9.-]+==[^ ]+)", text, re.MULTILINE))
     selected = {
@@ -65,7 +65,7 @@ def test_every_pin_is_selected_for_some_platform():
     assert selected == names
 
 
-def test_the_instructions_name_all_extras_and_no_index():
+def test_instructions_name_all_extras_and_no_index():
     project = tomllib.loads((wheelhouse.ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     extras = set(project["optional-dependencies"]) - {"bench", "dev", "docs"}
     assert set(wheelhouse.EXTRAS.split(",")) == extras

@@ -18,7 +18,7 @@ from counterspin.threads import BLAS_THREADS, one_blas_thread
 from counterspin.workers import Workers
 
 
-def test_more_workers_than_a_machine_can_use_are_capped_and_told(monkeypatch):
+def test_excess_workers_are_capped_with_message(monkeypatch):
     monkeypatch.setattr(workers, "usable_cores", lambda: 3)
     with pytest.warns(
         CounterspinWarning, match=r"100000 were requested; more than 6 .*3 processor"
@@ -29,12 +29,12 @@ def test_more_workers_than_a_machine_can_use_are_capped_and_told(monkeypatch):
     assert Workers(100_000, "tcp://here").capped().processes == 100_000
 
 
-def test_no_worker_is_refused():
+def test_zero_workers_raise():
     with pytest.raises(CounterspinError, match="`workers` must be at least 1"):
         Workers(0)
 
 
-def test_command_says_that_it_has_capped_them(tmp_path, monkeypatch, capsys):
+def test_command_reports_capped_workers(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(workers, "usable_cores", lambda: 1)
     main(["calibrate", str(tmp_path / "a"), str(tmp_path / "b"), "--workers", "5000"])
     error = capsys.readouterr().err
@@ -42,7 +42,7 @@ def test_command_says_that_it_has_capped_them(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.slow
-def test_cluster_of_a_laptop_listens_to_nobody_else_and_runs_nothing_of_its_folder(tmp_path):
+def test_local_cluster_is_loopback_only_and_ignores_folder_modules(tmp_path):
     psutil = pytest.importorskip("psutil", reason="comes with Dask")
     for name in ("json", "signal", "multiprocessing"):
         (tmp_path / f"{name}.py").write_text("open(__file__ + '.ran', 'w')\nraise ImportError\n")
@@ -66,8 +66,8 @@ def threadpoolctl():
     return pytest.importorskip("threadpoolctl", reason="the environment is older than the pins")
 
 
-def threads():
-    """Return how many threads the libraries of linear algebra take that are loaded."""
+def count_threads():
+    """Return the thread counts of the loaded linear algebra libraries."""
     found = threadpoolctl().threadpool_info()
     return {info["num_threads"] for info in found if info["user_api"] == "blas"}
 
@@ -81,45 +81,47 @@ def two_threads(monkeypatch):
 
 
 @pytest.mark.usefixtures("two_threads")
-def test_linear_algebra_has_one_thread_until_the_last_who_asked_is_done():
-    assert threads() == {2}
+def test_thread_limit_lasts_until_last_context_exits():
+    assert count_threads() == {2}
     first, second = one_blas_thread(), one_blas_thread()
     with first:
         second.__enter__()
-        assert threads() == {1}
-    assert threads() == {1}
+        assert count_threads() == {1}
+    assert count_threads() == {1}
     second.__exit__(None, None, None)
-    assert threads() == {2}
+    assert count_threads() == {2}
 
 
 @pytest.mark.usefixtures("two_threads")
-def test_what_the_environment_says_stays(monkeypatch):
+def test_thread_count_of_environment_is_preserved(monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
     with one_blas_thread():
-        assert threads() == {2}
+        assert count_threads() == {2}
 
 
 @pytest.mark.usefixtures("two_threads")
-def test_a_calibration_takes_one_thread_and_gives_the_others_back(tmp_path, monkeypatch):
+def test_calibration_uses_single_thread_and_restores_threads(tmp_path, monkeypatch):
     seen = []
     joint = assembly.fit_jointly
-    monkeypatch.setattr(assembly, "fit_jointly", lambda *a: seen.append(threads()) or joint(*a))
+    monkeypatch.setattr(
+        assembly, "fit_jointly", lambda *a: seen.append(count_threads()) or joint(*a)
+    )
     calibrate(make_campaign(frames.untrue(), frames.arrays(tmp_path)))
-    assert (seen, threads()) == ([{1}], {2})
+    assert (seen, count_threads()) == ([{1}], {2})
 
 
 @pytest.mark.usefixtures("two_threads")
-def test_so_does_a_study(monkeypatch):
+def test_study_uses_single_thread_and_restores_threads(monkeypatch):
     seen = []
     prepare = study_module.prepare_study
     monkeypatch.setattr(
-        study_module, "prepare_study", lambda *a: seen.append(threads()) or prepare(*a)
+        study_module, "prepare_study", lambda *a: seen.append(count_threads()) or prepare(*a)
     )
     study_module.study(make_campaign(frames.small()), trials=2, seed=1)
-    assert (seen, threads()) == ([{1}], {2})
+    assert (seen, count_threads()) == ([{1}], {2})
 
 
-def test_a_library_s_log_is_silent_while_its_errors_are_ours_to_tell(caplog):
+def test_library_log_is_silenced_temporarily(caplog):
     log = logging.getLogger("library")
     with workers._without_log("library"):
         log.error("Traceback")

@@ -23,14 +23,14 @@ SMALL = np.logspace(-12, -0.31, 30).tolist()
 
 
 @pytest.mark.parametrize("x", np.linspace(-35, 8, 40).tolist())
-def test_normal_distribution(x):
+def test_normal_distribution_matches_scipy(x):
     assert normal_cdf(x) == pytest.approx(special.ndtr(x), rel=1e-12)
     p = min(max(special.ndtr(x), 1e-300), 1 - 1e-15)
     assert normal_quantile(p) == pytest.approx(special.ndtri(p), rel=1e-12)
 
 
 @pytest.mark.parametrize("dof", [0.3, 1, 2.5, 10, 99, 199, 201, 1000, 6664.009, 34000, 1e6])
-def test_tail_of_chi_square(dof):
+def test_chi_square_tail_matches_scipy(dof):
     """From far below the mean to nine standard deviations above it."""
     for z in np.linspace(-6, 9, 31):
         chi2 = max(dof + z * math.sqrt(2 * dof), dof * math.exp(z))
@@ -38,7 +38,7 @@ def test_tail_of_chi_square(dof):
         assert chi_square_tail(dof, chi2) == pytest.approx(expected, rel=1e-11, abs=1e-280)
 
 
-def test_tail_of_chi_square_at_its_ends():
+def test_chi_square_tail_at_zero_and_infinity():
     assert chi_square_tail(5.0, 0.0) == 1.0
     assert chi_square_tail(5.0, math.inf) == 0.0
     assert chi_square_tail(1e8, 1e-9) == 1.0  # less than a rounding of dof
@@ -50,7 +50,7 @@ def test_tail_of_chi_square_at_its_ends():
 
 
 @pytest.mark.parametrize("dof", [0.5, 1, 2, 5, 50, 199, 201, 2470.86, 1e4, 1e6, 2e6, 1e9])
-def test_student_against_forty_digits(dof):
+def test_student_cdf_matches_forty_digits(dof):
     with mpmath.workdps(40):
         for t in (1e-6, 0.3, 1.0, 1.6, 1.8, 2.04, 2.7, 5.0, 9.0):
             a, x = mpmath.mpf(dof) / 2, dof / (dof + mpmath.mpf(t) ** 2)
@@ -60,14 +60,14 @@ def test_student_against_forty_digits(dof):
 
 
 @pytest.mark.parametrize("dof", [0.5, 1, 2, 5, 50, 199, 201, 2470.86, 1e4])
-def test_student_quantile(dof):
+def test_student_quantile_matches_scipy(dof):
     for p in SMALL:
         assert student_quantile(dof, p) == pytest.approx(special.stdtrit(dof, p), rel=1e-11)
     assert student_quantile(dof, 0.75) == -student_quantile(dof, 0.25)
     assert student_quantile(dof, 0.5) == 0.0
 
 
-def test_infinite_degrees_of_freedom_are_the_normal_distribution():
+def test_infinite_degrees_of_freedom_are_normal():
     for p in SMALL:
         assert student_quantile(math.inf, p) == normal_quantile(p)
         assert student_quantile(1e12, p) == pytest.approx(normal_quantile(p), rel=1e-9, abs=1e-9)
@@ -75,13 +75,13 @@ def test_infinite_degrees_of_freedom_are_the_normal_distribution():
     assert (student_cdf(3.0, -math.inf), student_cdf(3.0, math.inf)) == (0.0, 1.0)
 
 
-def test_logarithm_of_a_binomial_coefficient():
+def test_log_binomial_matches_exact_value():
     assert math.exp(log_binomial(10, 3)) == pytest.approx(math.comb(10, 3), rel=1e-13)
     assert log_binomial(5000, 200) == pytest.approx(math.log(math.comb(5000, 200)), rel=1e-13)
 
 
 @pytest.mark.parametrize("dof", [1e-300, 1e-3, 0.05])
-def test_less_than_a_tenth_of_a_degree_of_freedom_is_a_tenth(dof):
+def test_degrees_of_freedom_are_at_least_one_tenth(dof):
     """The quantile would be beyond what a number can be: 1e320 of 0.005."""
     assert student_quantile(dof, 0.025) == student_quantile(0.1, 0.025) < -1e12
     assert 0.0 < mixture_dof(0.06, dof) == min(mixture_dof(0.06, 0.1), dof / 0.06**2)
@@ -89,7 +89,7 @@ def test_less_than_a_tenth_of_a_degree_of_freedom_is_a_tenth(dof):
 
 @pytest.mark.parametrize("dof", [1.0, 2.0, 5.0, 20.0])
 @pytest.mark.parametrize("share", [1e-3, 0.03, 0.3, 0.9])
-def test_an_interval_of_something_estimated_beside_something_known(share, dof):
+def test_mixture_interval_matches_quadrature(share, dof):
     """The tail beyond it, by quadrature over Student's density, is 2.5 %."""
     half = stats.t.isf(0.025, mixture_dof(share, dof))
     x = np.tan(np.linspace(-0.5, 0.5, 20001)[1:-1] * np.pi)
@@ -103,7 +103,7 @@ def test_an_interval_of_something_estimated_beside_something_known(share, dof):
 @pytest.mark.parametrize("dof", [2.0, 5.0, 20.0, 100.0])
 @pytest.mark.parametrize("share", [0.1, 0.6, 1.0])
 @pytest.mark.parametrize("q", [0.0, 2.0, 5.0, 8.0])
-def test_tails_of_something_estimated_beside_something_known(share, dof, q):
+def test_mixture_tail_matches_quadrature(share, dof, q):
     """By quadrature over Student's density; Satterthwaite has an eighth at 5, 5 and 0.6."""
     if share == 1.0:
         tail = stats.t.sf(q, dof)
@@ -117,7 +117,7 @@ def test_tails_of_something_estimated_beside_something_known(share, dof, q):
         assert mixture_tail(share, dof, q) == pytest.approx(tail, rel=1e-3)
 
 
-def test_what_is_known_or_estimated_alone_has_its_own_freedom():
+def test_mixture_dof_of_single_source():
     assert mixture_dof(1.0, 3.0) == 3.0
     assert math.isinf(mixture_dof(0.0, 3.0))
     assert mixture_dof(0.5, 100.0) == 400.0
@@ -126,10 +126,10 @@ def test_what_is_known_or_estimated_alone_has_its_own_freedom():
 @pytest.mark.parametrize(
     ("dof", "stated"), [(3.0, 3.0), (2e8, 2e8), (9.12e16, None), (math.inf, None)]
 )
-def test_degrees_of_freedom_that_nobody_can_count_are_infinite(dof, stated):
+def test_huge_degrees_of_freedom_are_infinite(dof, stated):
     assert finite_dof(dof) == stated
 
 
-def test_numerical_tolerance_of_the_example_of_jcgm_101():
+def test_numerical_tolerance_matches_jcgm_101():
     """JCGM 101, 7.9.2, example 1: u = 0.00035 g is 35e-5 g, so that the tolerance is 5e-6 g."""
     assert numerical_tolerance(0.00035) == pytest.approx(5e-6)

@@ -14,7 +14,7 @@ PROCESS = Process(0.0, 2.5e-5)
 U = 5e-6
 
 
-def by_scipy(process, u, tolerance, acceptance):
+def risks_by_scipy(process, u, tolerance, acceptance):
     """Return both risks as probabilities of rectangles of the bivariate normal distribution."""
     covariance = [[process.sigma**2, process.sigma**2], [process.sigma**2, process.sigma**2 + u**2]]
     # In standard deviations, for the tolerance of the integration.
@@ -36,25 +36,25 @@ def by_scipy(process, u, tolerance, acceptance):
     ("guard", "stated"),
     [(0.0, 0.68e-2), (1.959964 * U, 0.018e-2), (2.0 * U, 0.0161e-2)],
 )
-def test_consumers_risk_with_simple_and_guarded_acceptance(guard, stated):
+def test_consumer_risk_matches_published_values(guard, stated):
     acceptance = (TOLERANCE[0] + guard, TOLERANCE[1] - guard)
     risk = global_risk(PROCESS, U, None, TOLERANCE, acceptance)
     assert risk.consumer == pytest.approx(stated, rel=0.01)
     assert (risk.consumer, risk.producer) == pytest.approx(
-        by_scipy(PROCESS, U, TOLERANCE, acceptance), abs=1e-9
+        risks_by_scipy(PROCESS, U, TOLERANCE, acceptance), abs=1e-9
     )
 
 
 @pytest.mark.parametrize("u", [2e-7, 3e-5])
-def test_risks_of_a_process_off_centre(u):
+def test_risks_of_off_centre_process_match_scipy(u):
     process, acceptance = Process(3e-5, 1e-5), (-4e-5, 4.2e-5)
     risk = global_risk(process, u, None, TOLERANCE, acceptance)
     assert (risk.consumer, risk.producer) == pytest.approx(
-        by_scipy(process, u, TOLERANCE, acceptance), abs=1e-9
+        risks_by_scipy(process, u, TOLERANCE, acceptance), abs=1e-9
     )
 
 
-def test_simulated_items_are_accepted_wrongly_as_often():
+def test_risks_match_simulated_items():
     count, rng, dof = 200_000, np.random.default_rng(12), 5.0
     truth = rng.normal(PROCESS.mean, PROCESS.sigma, count)
     estimate = truth + U * rng.standard_t(dof, count)
@@ -68,7 +68,7 @@ def test_simulated_items_are_accepted_wrongly_as_often():
         assert np.mean(events) == pytest.approx(expected, abs=4.0 * sampling)
 
 
-def test_exact_measurements_and_empty_acceptance():
+def test_exact_measurement_and_empty_acceptance_have_limiting_risks():
     exact = global_risk(PROCESS, 0.0, None, TOLERANCE, (-4e-5, 6e-5))
     tails = stats.norm.cdf([-2.4, -2.0, -1.6])
     assert exact.consumer == pytest.approx(tails[1] - tails[0], rel=1e-9)
@@ -79,7 +79,7 @@ def test_exact_measurements_and_empty_acceptance():
 
 
 @pytest.mark.parametrize("limits", [TOLERANCE, (None, 5e-5)])
-def test_guard_band_has_the_permitted_risk(limits):
+def test_guard_band_has_permitted_risk(limits):
     band = guard_band_for_risk(PROCESS, U, None, limits, 1e-3)
     low, high = limits
     accepted = (None if low is None else low + band, high - band)
@@ -88,7 +88,7 @@ def test_guard_band_has_the_permitted_risk(limits):
 
 
 @pytest.mark.parametrize("rule", ["simple", "guarded", "probability"])
-def test_decision_has_the_risk_of_its_rule(rule):
+def test_decision_has_risk_of_rule(rule):
     """P(accept and nonconforming), integrated over what an estimate decides."""
     specification = Specification("", *TOLERANCE, "g", PROCESS)
     decision_rule = DecisionRule(rule)
@@ -110,6 +110,6 @@ def test_decision_has_the_risk_of_its_rule(rule):
 
 
 @pytest.mark.parametrize("sigma", [0.0, -1.0, math.inf])
-def test_a_process_varies(sigma):
+def test_process_without_spread_raises(sigma):
     with pytest.raises(ValueError, match="is not a valid process distribution"):
         Process(0.0, sigma)

@@ -96,14 +96,14 @@ def found(assessment):
 
 
 class TestLevelCampaign:
-    def test_all_is_well(self):
+    def test_independent_terms_are_determined(self):
         symbols = ["K_F", "K_I", "K_II", "K_III"]
         solution, assessment = campaign(symbols)
         assert assessment.determined == dict.fromkeys(symbols, True)
         assert assessment.confounded == ()
         np.testing.assert_allclose(assessment.u, solution.u, rtol=1e-9)
 
-    def test_bias_and_scale_factor_with_their_twins(self):
+    def test_collinear_bias_and_scale_factor_are_confounded(self):
         symbols = ["K_F", "K_I", "K_II", "K_III", "K_IP", "K_PP"]
         plain, _ = campaign(symbols[:4])
         _, assessment = campaign(symbols)
@@ -128,7 +128,7 @@ class TestLevelCampaign:
             assert item.u == pytest.approx(plain.u[twin], rel=1e-6)
             assert abs(item.value - truth) < 4.5 * item.u
 
-    def test_barely_different_columns_pass_a_rank_test_only(self):
+    def test_nearly_collinear_columns_are_undetermined_at_full_rank(self):
         symbols = ["K_I", "K_II", "K_IP"]
         solution, assessment = campaign(symbols, quadrature=EARTH_QX)
         singular = np.linalg.svd(
@@ -142,7 +142,7 @@ class TestLevelCampaign:
         assert abs(item.value - (2e-3 - 1e-5)) < 4.5 * item.u
         assert item.u < 1e-4
 
-    def test_a_term_may_be_determined_and_its_partner_not(self):
+    def test_term_may_be_determined_without_partner(self):
         symbols = ["K_I", "K_II", "K_IP"]
         _, assessment = campaign(symbols, quadrature=EARTH_QY, sigma=SIGMA * 0.9)
         # u of both is about 2e-4: below 0.1 g/g, not below 1e-4 g/g^2
@@ -151,7 +151,7 @@ class TestLevelCampaign:
         item = found(assessment)["K_I - K_IP"]
         assert item.correlation == pytest.approx(1 / np.sqrt(1 + EARTH_QY**2), rel=1e-3)
 
-    def test_two_second_order_terms(self):
+    def test_two_second_order_terms_need_information(self):
         symbols = ["K_F", "K_I", "K_II", "K_III", "K_OO"]
         plain, _ = campaign(symbols[:4])
         _, weak = campaign(symbols, sigma=SIGMA / 4)
@@ -164,7 +164,7 @@ class TestLevelCampaign:
         assert weak.u[2] > 1000 * item.u
         assert abs(item.value - 2.3e-5) < 4.5 * item.u
 
-    def test_a_prior_separates_them(self):
+    def test_prior_separates_second_order_terms(self):
         symbols = ["K_F", "K_I", "K_II", "K_III", "K_OO"]
         _, assessment = campaign(symbols, {"K_OO": 2e-6})
         assert assessment.determined["K_II"]
@@ -172,7 +172,7 @@ class TestLevelCampaign:
         assert assessment.u[2] == pytest.approx(2e-6, rel=1e-2)
         assert found(assessment)["K_II + K_OO"].correlation < -0.999999  # before the prior
 
-    def test_a_prior_of_one_twin_determines_the_other(self):
+    def test_prior_of_term_determines_collinear_term(self):
         symbols = ["K_F", "K_I", "K_II", "K_III", "K_PP"]
         solution, assessment = campaign(symbols, {"K_F": 2e-6})
         assert not assessment.determined["K_F"]
@@ -183,7 +183,7 @@ class TestLevelCampaign:
         assert item.correlation == pytest.approx(-1.0, abs=1e-12)
         assert item.u < 1e-8
 
-    def test_priors_of_both_twins(self):
+    def test_priors_of_both_collinear_terms(self):
         symbols = ["K_F", "K_I", "K_II", "K_III", "K_PP"]
         _, assessment = campaign(symbols, {"K_F": 2e-6, "K_PP": 1e-6})
         # The sum ties them: u of both is that of the better prior, combined with the other.
@@ -194,7 +194,7 @@ class TestLevelCampaign:
         assert assessment.determined["K_PP"]  # and to four fifths
         assert found(assessment)["K_F + K_PP"].correlation == pytest.approx(-1.0, abs=1e-12)
 
-    def test_four_names_of_one_column(self):
+    def test_four_collinear_terms_have_single_combination(self):
         symbols = ["K_F", "K_I", "K_II", "K_PP", "delta_O", "tilt"]
         _, assessment = campaign(symbols)
         item = found(assessment)["K_F + K_PP - delta_O - tilt"]
@@ -202,17 +202,17 @@ class TestLevelCampaign:
         assert abs(item.value - 5e-3) < 4.5 * item.u
         assert len(assessment.confounded) == 1
 
-    def test_three_names_with_priors(self):
+    def test_three_collinear_terms_with_priors(self):
         symbols = ["K_F", "K_I", "K_II", "K_PP", "delta_O"]
         priors = {"K_F": 2e-6, "K_PP": 2e-6, "delta_O": 2e-6}
         _, assessment = campaign(symbols, priors)
         assert found(assessment)["K_F + K_PP - delta_O"].u < 1e-8
 
-    def test_misalignment_in_azimuth(self):
+    def test_azimuth_misalignment_is_confounded(self):
         _, assessment = campaign(["K_F", "K_II", "K_PO", "delta_P"])
         assert list(found(assessment)) == ["K_PO + delta_P"]
 
-    def test_tilts_of_the_runs_and_the_bias(self):
+    def test_tilts_of_runs_and_bias_are_confounded(self):
         # A bias is seen only together with each run's own tilt; what is left are differences.
         _, assessment = campaign(["K_F", "tilt.1", "tilt.2", "tilt.3"])
         assert not any(assessment.determined.values())
@@ -222,14 +222,14 @@ class TestLevelCampaign:
             "tilt.2 - tilt.3",
         ]
 
-    def test_bias_tilts_and_their_priors(self):
+    def test_priors_of_tilts_determine_bias(self):
         priors = dict.fromkeys(["tilt.1", "tilt.2", "tilt.3"], 2.4e-6)
         _, assessment = campaign(["K_F", "K_I", *priors], priors)
         # The tilts average out, so that no pair is confounded by itself.
         assert assessment.determined["K_F"]
         assert assessment.u[0] == pytest.approx(2.4e-6 / np.sqrt(3), rel=1e-3)
 
-    def test_one_rate_only(self):
+    def test_single_rate_confounds_bias_and_k_ii(self):
         symbols = ["K_F", "K_I", "K_II", "K_III"]
         rate = 0.5
         solution, assessment = campaign(symbols, rates=(rate,))
@@ -243,7 +243,7 @@ class TestLevelCampaign:
         assert item.u < 1e-7 < solution.u[0]
 
     @pytest.mark.parametrize("sigma", [0.01, 1e-5, 1e-9])
-    def test_a_printed_combination_has_its_value(self, sigma):
+    def test_printed_combination_has_value_of_weights(self, sigma):
         # K_I is 1.002 and not 0.002: what multiplies it needs the more digits.
         symbols, nominal = ["K_F", "K_II", "K_I", "K_III"], np.array([0.0, 0.0, 1.0, 0.0])
         solution, _ = campaign(symbols, rates=(0.5,), sigma=sigma)
@@ -257,7 +257,7 @@ class TestLevelCampaign:
             largest = LIMITS.get(symbol, 1e-4) + nominal[symbols.index(symbol)]
             assert error * largest <= 0.1 * item.u
 
-    def test_seen_by_nothing(self):
+    def test_unobserved_term_is_undetermined(self):
         symbols = ["K_F", "K_I", "tilt.4"]
         _, assessment = campaign(symbols)
         assert assessment.determined == {"K_F": True, "K_I": True, "tilt.4": False}
@@ -266,7 +266,7 @@ class TestLevelCampaign:
         assert not assessment.determined["tilt.4"]
         assert assessment.confounded == ()
 
-    def test_known_exactly(self):
+    def test_exactly_known_term_is_not_determined_by_data(self):
         _, assessment = campaign(["K_F", "K_I", "K_PP"], {"K_PP": 0.0})
         assert assessment.determined == {"K_F": True, "K_I": True, "K_PP": False}
         assert assessment.u[2] == 0.0
@@ -305,7 +305,9 @@ class TestEarthRate:
         ("mounting", "apart", "u_ip", "bias_known"),
         [(QX, 6e-11, 3.0, False), (QY, 0.018, 1.7e-4, True)],
     )
-    def test_scale_factor_and_cross_coupling(self, mounting, apart, u_ip, bias_known):
+    def test_earth_rate_separates_scale_factor_and_cross_coupling(
+        self, mounting, apart, u_ip, bias_known
+    ):
         symbols = ["K_F", "K_I", "K_II", "K_III", "K_IP"]
         assessment = self.campaign(mounting, symbols)
         assert not assessment.determined["K_IP"]
@@ -314,7 +316,7 @@ class TestEarthRate:
         item = found(assessment)["K_I - K_IP"]
         assert 1 - item.correlation == pytest.approx(apart, rel=0.1)
 
-    def test_a_whole_model_with_its_priors(self):
+    def test_complete_model_with_priors(self):
         # Only what is worth saying: of all the pairs that priors separate, two combinations are
         # known better than their terms.
         tilt = "platform.tilt.north"
@@ -337,20 +339,20 @@ class TestRules:
         solution = solve([block], prior_sd=[prior], considered_sd=[considered], limits=[1.0])
         return assess(solution, ["x"]).determined["x"]
 
-    def test_the_limit(self):
+    def test_uncertainty_limit_decides(self):
         assert self.scalar(1.01)
         assert not self.scalar(0.99)
 
-    def test_a_considered_term_counts(self):
+    def test_considered_uncertainty_counts_against_limit(self):
         assert self.scalar(2.0, considered=0.8)  # u^2 = 0.25 + 0.64
         assert not self.scalar(2.0, considered=0.9)
 
-    def test_a_tenth_of_the_prior_variance(self):
+    def test_variance_must_shrink_relative_to_prior(self):
         # 1/var = 1/prior^2 + i^2; var/prior^2 = 1/(1 + (i prior)^2) is 0.9 at i prior = 1/3
         assert self.scalar(0.34 / 0.1, prior=0.1)
         assert not self.scalar(0.33 / 0.1, prior=0.1)
 
-    def test_nominal_values_enter_the_combination(self):
+    def test_combination_includes_nominal_values(self):
         block = reduce_block([[100.0, -100.0], [0.0, 0.0]], [0.2, 0.0])
         solution = solve([block], limits=[0.1, 1e-4])
         item = assess(solution, ["K_I", "K_IP"], nominal=[1.0, 0.0]).confounded[0]
@@ -358,7 +360,7 @@ class TestRules:
         assert item.value == pytest.approx(1.002, rel=1e-9)
         assert item.u == pytest.approx(0.01, rel=1e-9)
 
-    def test_a_negligible_partner_is_named_and_a_negligible_third_is_not(self):
+    def test_negligible_partner_is_named_but_not_third_term(self):
         # At 1e-4 the twin adds 1e-3 of u: the reason why x is undetermined all the same.
         rows = np.array([[10.0, 10.0, 1e-3], [0.0, 0.0, 0.0]])
         solution = solve([reduce_block(rows, [0.0, 0.0])], limits=[0.5, 1e-4, 1e-4])
@@ -366,7 +368,7 @@ class TestRules:
         assert not assessment.determined["x"]
         assert found(assessment)["x + twin"].terms == ["x", "twin"]
 
-    def test_value_and_u_are_those_of_the_weights(self):
+    def test_value_and_u_match_weights(self):
         symbols = ["K_F", "K_II", "K_OO", "K_PP"]
         solution, assessment = campaign(symbols, {"K_OO": 2e-6})
         for item in assessment.confounded:
@@ -374,14 +376,14 @@ class TestRules:
             part = solution.combine(np.array([weights.get(symbol, 0.0) for symbol in symbols]))
             assert (item.value, item.u) == (part.value, part.u)
 
-    def test_wrong_use(self):
+    def test_invalid_arguments_raise(self):
         block = reduce_block(np.eye(2), np.ones(2))
         with pytest.raises(ValueError, match="solved with limits"):
             assess(solve([block]), ["a", "b"])
         with pytest.raises(ValueError, match="1 symbols for 2 unknowns"):
             assess(solve([block], limits=[1.0, 1.0]), ["a"])
 
-    def test_unknowns_that_are_not_named_are_projected_out_with_their_priors(self):
+    def test_unnamed_unknowns_are_projected_out_with_priors(self):
         rng = np.random.default_rng(22)
         design = rng.normal(size=(60, 5))
         design[:, 1] = design[:, 0] + 1e-3 * rng.normal(size=60)  # two alike
@@ -401,7 +403,7 @@ class TestRules:
         assert one.correlation == pytest.approx(other.correlation, rel=1e-9)
         assert (one.value, one.u) == pytest.approx((other.value, other.u), rel=1e-9)
 
-    def test_monte_carlo_of_a_combination(self):
+    def test_combination_is_unbiased_in_monte_carlo(self):
         # The value of K_F + K_PP scatters by its u although neither term is determined.
         rng = np.random.default_rng(21)
         t = np.linspace(0.0, 400.0, 200)
@@ -428,13 +430,13 @@ class TestRules:
         ([1.0, 1.0 / 3.0], 0.0, "K_F + 0.3333333333333333 K_I"),
     ],
 )
-def test_weights_have_the_digits_they_need(weights, slack, text):
+def test_weights_have_sufficient_digits(weights, slack, text):
     assert write_combination(["K_F", "K_I"], weights, slack) == text
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
-def test_collinear_pairs_are_those_of_50_digits(seed):
+def test_collinear_pairs_match_50_digits(seed):
     """Pairs as close as 1e-9, and priors from a millionth to a million times the data's weight."""
     rng = np.random.default_rng(seed)
     size = 10

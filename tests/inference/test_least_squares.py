@@ -11,7 +11,7 @@ GRAVITY, RADIUS, SIGMA = 9.8066, 2.5, 0.01
 
 
 def make_blocks(rng, truth, considered=None, runs=3, n=40, noise=1.0):
-    """Well-conditioned records, each with two unknowns of its own; fixed columns, new noise."""
+    """Return well-conditioned records with two separate unknowns each and new noise."""
     fixed = np.random.default_rng(5)
     columns, blocks = [], []
     for _ in range(runs):
@@ -27,7 +27,7 @@ def make_blocks(rng, truth, considered=None, runs=3, n=40, noise=1.0):
 
 
 def full_problem(columns):
-    """The same records as one tall matrix with every record's own unknowns in it."""
+    """Return the records as a single design matrix with all unknowns."""
     rows = sum(len(y) for *_, y in columns)
     own = np.zeros((rows, 2 * len(columns)))
     start = 0
@@ -40,7 +40,7 @@ def full_problem(columns):
 
 
 class TestReduceBlock:
-    def test_blocks_give_what_the_whole_problem_gives(self):
+    def test_blocks_match_full_problem(self):
         truth = np.array([1.0, -2.0, 0.5])
         columns, blocks = make_blocks(np.random.default_rng(1), truth)
         design, _, y = full_problem(columns)
@@ -52,7 +52,7 @@ class TestReduceBlock:
         assert solution.chi2 == pytest.approx(rss[0], rel=1e-12)
         assert solution.dof == 120 - 6 - 3
 
-    def test_a_record_longer_than_one_chunk(self):
+    def test_record_longer_than_chunk_matches_lstsq(self):
         rng = np.random.default_rng(2)
         n = 40_000
         t = np.linspace(0.0, 1.0, n)
@@ -63,14 +63,14 @@ class TestReduceBlock:
         np.testing.assert_allclose(solution.estimate, expected[:2], rtol=1e-10)
         assert solution.chi2 == pytest.approx(rss[0], rel=1e-12)
 
-    def test_leaving_a_block_out_is_solving_without_it(self):
+    def test_omitting_block_matches_solution_without_it(self):
         columns, blocks = make_blocks(np.random.default_rng(3), np.array([1.0, 2.0]))
         design, _, y = full_problem(columns[1:])
         np.testing.assert_allclose(
             solve(blocks[1:]).estimate, np.linalg.lstsq(design, y)[0][:2], rtol=1e-12
         )
 
-    def test_a_record_shorter_than_its_unknowns(self):
+    def test_record_shorter_than_unknowns_has_empty_factor(self):
         # Two samples and two nuisances: no information, but nothing wrong either.
         block = reduce_block(np.ones((2, 1)), [1.0, 2.0], [[1.0, 0.0], [1.0, 1.0]])
         assert block.factor.shape == (0, 1)
@@ -80,7 +80,7 @@ class TestReduceBlock:
         with pytest.raises(NotIdentifiableError, match="record is too short"):
             reduce_block(np.ones((3, 1)), [1.0, 2.0, 3.0], [[1.0, 2.0]] * 3)
 
-    def test_wrong_input(self):
+    def test_invalid_block_raises(self):
         with pytest.raises(ValueError, match="must each have 3 rows"):
             reduce_block(np.ones((2, 1)), np.ones(3))
         with pytest.raises(ValueError, match="not finite"):
@@ -123,7 +123,7 @@ class TestAccuracy:
             return np.array([float(v) for v in x[:shared]])
 
     @pytest.mark.parametrize("truth", [[5e-3, 2e-3, 2e-5], [0.0, 0.0, 0.0]])
-    def test_bias_and_second_order_term_to_nine_digits(self, truth):
+    def test_bias_and_second_order_term_have_nine_digits(self, truth):
         records = []
         for rate in (np.pi / 2, np.pi, 2 * np.pi):
             t = np.linspace(0.0, 100 * 2 * np.pi / rate, 301)
@@ -135,7 +135,7 @@ class TestAccuracy:
         np.testing.assert_allclose(solution.estimate, exact, rtol=1e-9)
         assert (np.abs(solution.estimate - exact) < 1e-8 * solution.u).all()
 
-    def test_columns_of_very_different_size(self):
+    def test_scaled_columns_return_scaled_solution(self):
         rng = np.random.default_rng(4)
         scale = 10.0 ** np.array([-6.0, -2.0, 0.0, 3.0, 6.0])
         design, own, y = rng.normal(size=(50, 5)), np.ones((50, 2)), rng.normal(size=50)
@@ -145,7 +145,7 @@ class TestAccuracy:
         np.testing.assert_allclose(scaled.estimate * scale, plain.estimate, rtol=1e-11)
         np.testing.assert_allclose(scaled.u * scale, plain.u, rtol=1e-12)
 
-    def test_a_prior_far_better_than_the_data(self):
+    def test_strong_prior_determines_estimate(self):
         # Rows that differ by 1e10 in size: the estimate of the other unknown must not suffer.
         rng = np.random.default_rng(6)
         design, y = rng.normal(size=(50, 2)), rng.normal(size=50)
@@ -155,7 +155,7 @@ class TestAccuracy:
 
 
 class TestPriorsAndConsideredTerms:
-    def test_against_the_posterior_of_the_textbook(self):
+    def test_solution_matches_textbook_posterior(self):
         truth, considered = np.array([1.0, -2.0, 0.5]), np.array([0.3, -0.1])
         columns, blocks = make_blocks(np.random.default_rng(7), truth, considered)
         design, extra, y = full_problem(columns)
@@ -188,7 +188,7 @@ class TestPriorsAndConsideredTerms:
         assert solution.chi2 == pytest.approx(residual @ residual + misfit @ misfit, rel=1e-11)
         assert solution.dof == 120 - 6 + 2 - 3
 
-    def test_sensitivities_are_derivatives(self):
+    def test_sensitivities_match_derivatives(self):
         # The estimate is linear in all of them, so that a difference quotient is exact.
         _, blocks = make_blocks(np.random.default_rng(8), np.ones(3), np.ones(2))
         sd, c_sd = np.array([0.05, np.inf, 0.0]), np.array([0.1, 0.3])
@@ -206,7 +206,7 @@ class TestPriorsAndConsideredTerms:
             moved = estimate(np.zeros(3), np.eye(2)[k]).estimate - base.estimate
             np.testing.assert_allclose(moved, base.sensitivity_considered[:, k], atol=1e-13)
 
-    def test_exactly_known_is_left_out(self):
+    def test_exactly_known_unknown_is_fixed(self):
         columns, blocks = make_blocks(np.random.default_rng(9), np.array([1.0, 2.0]))
         solution = solve(blocks, prior_mean=[1.5, 0.0], prior_sd=[0.0, np.inf])
         design, _, y = full_problem(columns)
@@ -216,7 +216,7 @@ class TestPriorsAndConsideredTerms:
         assert solution.estimate[1] == pytest.approx(expected, rel=1e-12)
         assert solution.dof == 120 - 6 - 1
 
-    def test_contributions_of_a_combination(self):
+    def test_contributions_of_combination_match_covariances(self):
         _, blocks = make_blocks(np.random.default_rng(10), np.ones(3), np.ones(2))
         solution = solve(
             blocks,
@@ -248,8 +248,8 @@ class TestMonteCarlo:
     C_SD = np.array([0.1, 0.2])
     N = 24
 
-    def respond(self, source, index, size=1.0):
-        """Errors and chi-square of one solve where a single draw is 1 and all others are 0."""
+    def solve_unit_draw(self, source, index, size=1.0):
+        """Return errors and chi-square for a single unit draw, with all other draws zero."""
         rng = np.random.default_rng(11)
         design, extra = rng.normal(size=(self.N, 3)), rng.normal(size=(self.N, 2))
         own = np.column_stack([np.ones(self.N), np.arange(self.N)])
@@ -274,7 +274,7 @@ class TestMonteCarlo:
         return np.random.default_rng(seed).normal(size=(self.TRIALS, len(gain))) @ gain
 
     @pytest.mark.parametrize("source", ["noise", "prior", "considered"])
-    def test_one_source_alone(self, source):
+    def test_single_source_has_stated_variance(self, source):
         errors = self.draw(source, 13)
         solution = self.respond("noise", 0)[1]
         variance = np.diag(getattr(solution, f"covariance_{source}"))
@@ -283,7 +283,7 @@ class TestMonteCarlo:
             np.mean(errors**2, axis=0) / variance, 1.0, atol=4.5 * np.sqrt(2 / self.TRIALS)
         )
 
-    def test_all_together(self):
+    def test_all_sources_have_no_bias_and_full_coverage(self):
         sources = ("noise", "prior", "considered")
         errors = sum(self.draw(source, seed) for seed, source in enumerate(sources))
         u = self.respond("noise", 0)[1].u
@@ -294,12 +294,12 @@ class TestMonteCarlo:
         # The unknowns that priors and considered terms touch are not covered by noise alone.
         assert (np.mean(np.abs(errors) < 1.959964 * noise_only, axis=0)[[0, 2]] < 0.6).all()
 
-    def test_the_response_is_linear(self):
+    def test_response_is_linear(self):
         for source in ("noise", "prior", "considered"):
             one, five = self.respond(source, 0)[0], self.respond(source, 0, size=5.0)[0]
             np.testing.assert_allclose(five, 5.0 * one, atol=1e-13)
 
-    def test_chi_square_has_its_degrees_of_freedom(self):
+    def test_mean_chi_square_is_degrees_of_freedom(self):
         # Chi-square is a quadratic form of the standardised draws; its mean is the form's trace.
         draws = [("noise", k) for k in range(self.N)] + [("prior", 0), ("prior", 2)]
         solutions = [self.respond(*draw)[1] for draw in draws]
@@ -312,7 +312,7 @@ class TestRegularisation:
 
     @staticmethod
     def campaign(*, twin):
-        """K_F and K_II at three rates, with or without K_PP, whose column is K_F's."""
+        """Return K_F and K_II at three rates, with or without K_PP, which is collinear with K_F."""
         rng = np.random.default_rng(12)
         blocks = []
         for rate in (np.pi / 2, np.pi, 2 * np.pi):
@@ -330,7 +330,7 @@ class TestRegularisation:
             blocks.append(reduce_block(design, y, own))
         return blocks
 
-    def test_it_moves_no_determined_unknown(self):
+    def test_regularisation_preserves_determined_unknowns(self):
         blocks = self.campaign(twin=False)
         plain, held = solve(blocks), solve(blocks, limits=self.LIMITS[:2])
         assert (np.abs(held.estimate - plain.estimate) < 1e-6 * plain.u).all()
@@ -338,7 +338,7 @@ class TestRegularisation:
         assert (np.sqrt(np.diag(held.covariance_unresolved)) < 1e-6 * held.u).all()
         assert held.dof == pytest.approx(plain.dof, abs=1e-6)
 
-    def test_identical_columns_do_no_harm(self):
+    def test_identical_columns_have_finite_covariance(self):
         plain = solve(self.campaign(twin=False))
         twin = solve(self.campaign(twin=True), limits=self.LIMITS)
         assert np.isfinite(twin.covariance).all()
@@ -354,18 +354,18 @@ class TestRegularisation:
         assert twin.u[0] > 0.1
         assert twin.u[2] > 1e-4
 
-    def test_without_limits_it_is_refused(self):
+    def test_identical_columns_without_limits_raise(self):
         with pytest.raises(NotIdentifiableError, match="column 3 of the design"):
             solve(self.campaign(twin=True))
 
-    def test_a_prior_of_one_determines_the_other(self):
+    def test_prior_of_term_determines_collinear_term(self):
         blocks = self.campaign(twin=True)
         sd = [2e-6, np.inf, np.inf]
         solution = solve(blocks, prior_mean=[5e-3, 0, 0], prior_sd=sd, limits=self.LIMITS)
         assert solution.u[2] == pytest.approx(2e-6, rel=1e-3)
         assert abs(solution.estimate[2]) < 5 * solution.u[2]
 
-    def test_an_unknown_that_nothing_sees(self):
+    def test_unobserved_unknown_has_limit_as_u(self):
         solution = solve([reduce_block([[1.0, 0.0]] * 3, [1.0, 2.0, 3.0])], limits=[10.0, 0.5])
         assert solution.estimate[1] == 0.0
         assert solution.u[1] == pytest.approx(1e4 * 0.5)
@@ -373,7 +373,7 @@ class TestRegularisation:
 
 
 class TestWrongInput:
-    def test_messages(self):
+    def test_invalid_arguments_raise(self):
         block = reduce_block(np.eye(3)[:, :2], np.ones(3))
         with pytest.raises(ValueError, match="no block"):
             solve([])
@@ -391,7 +391,7 @@ class TestFit:
     X = np.column_stack([np.ones(5), np.arange(5.0)])
     Y = np.array([1.0, 3.1, 4.9, 7.2, 8.8])
 
-    def test_sigma_from_the_residuals_or_given(self):
+    def test_sigma_is_estimated_or_given(self):
         free, given = fit(self.X, self.Y), fit(self.X, self.Y, sigma=0.1)
         assert free.sigma_from_residuals
         assert not given.sigma_from_residuals
@@ -405,7 +405,7 @@ class TestFit:
         np.testing.assert_allclose(free.covariance, rss / 3 * inverse, rtol=1e-12)
         assert free.dof == given.dof == 3
 
-    def test_one_sigma_each(self):
+    def test_sigma_per_row_weights_fit(self):
         sigma = np.array([0.1, 0.2, 0.1, 0.3, 0.1])
         weighted = fit(self.X, self.Y, sigma)
         w = 1 / sigma**2
@@ -415,7 +415,7 @@ class TestFit:
         )
         np.testing.assert_allclose(weighted.covariance, np.linalg.inv(normal), rtol=1e-12)
 
-    def test_refusals(self):
+    def test_unidentifiable_fit_raises(self):
         with pytest.raises(NotIdentifiableError, match="give sigma"):
             fit(self.X[:2], self.Y[:2])
         with pytest.raises(NotIdentifiableError, match="column 2"):
@@ -428,7 +428,7 @@ class TestFit:
             fit(self.X, self.Y, sigma=[1.0, 2.0])
 
 
-def test_rows_of_another_noise_move_the_uncertainty_and_not_the_estimate():
+def test_row_noise_changes_uncertainty_and_not_estimate():
     rng = np.random.default_rng(12)
     a, y = rng.standard_normal((8, 2)), rng.standard_normal(8)
     prior_sd, noise = np.array([0.5, np.inf]), rng.uniform(0.2, 3.0, 8)

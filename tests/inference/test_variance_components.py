@@ -17,7 +17,7 @@ def in_groups(count, size):
     return np.repeat(range(count), size).tolist()
 
 
-def test_yield_of_dyestuff_by_batch():
+def test_dyestuff_components_match_lme4():
     """Davies and Goldsmith 1972, table 6.1; lme4 (Bates 2010, section 1.3) by REML."""
     batches = """1545 1440 1440 1520 1580  1540 1555 1490 1560 1495  1595 1550 1605 1510 1560
                  1445 1440 1595 1465 1545  1595 1630 1515 1635 1625  1520 1455 1450 1480 1445"""
@@ -38,8 +38,8 @@ PASTE = """62.8 62.6 60.1 62.3 62.7 63.1  60.0 61.4 57.5 56.9 61.1 58.9  58.7 57
 58.3 59.3 59.2 59.2 58.9 56.6"""
 
 
-def test_nested_classes_are_the_analysis_of_variance():
-    """And what lme4 (Bates 2010, section 2.2) gives by REML: 1.657, 8.434, 0.678."""
+def test_nested_components_match_anova():
+    """Compare with lme4 (Bates 2010, section 2.2) by REML: 1.657, 8.434, 0.678."""
     values = np.array(PASTE.split(), dtype=float)
     groups = {"cask": in_groups(30, 2), "batch": in_groups(10, 6), "test": list(range(60))}
     found = variance_components(values, np.zeros((60, 60)), groups, mean_of(60)).components
@@ -65,7 +65,7 @@ def test_nested_classes_are_the_analysis_of_variance():
     assert [c.freedom for c in found.values()] == [9, 20, 30]
 
 
-def test_trials_of_a_vaccine_have_uncertainties_of_their_own():
+def test_bcg_trials_match_metafor():
     """Thirteen trials of BCG: metafor (Viechtbauer 2010, J. Stat. Softw. 36(3), section 3)."""
     rows = """4 119 11 128  6 300 29 274  3 228 11 209  62 13536 248 12619  33 5036 47 5761
         180 1361 372 1079  8 2537 10 619  505 87886 499 87892  29 7470 45 7232  17 1699 65 1600
@@ -79,7 +79,7 @@ def test_trials_of_a_vaccine_have_uncertainties_of_their_own():
     assert (found.value, found.u) == pytest.approx((-0.7145, 0.1798), abs=5e-5)
 
 
-def test_a_variance_that_is_not_needed_is_none():
+def test_negative_variance_estimate_is_zero():
     """Balanced classes whose means scatter less than their members: the estimate is negative."""
     values = np.array([1.0, -1.0, 0.9, -0.9, 1.1, -1.1])
     groups = {"day": in_groups(3, 2), "turn": list(range(6))}
@@ -90,7 +90,7 @@ def test_a_variance_that_is_not_needed_is_none():
     assert 0.0 < found["day"].high < 3.0
 
 
-def test_what_always_changes_together_is_one():
+def test_inseparable_factors_are_merged():
     rng = np.random.default_rng(2)
     groups = {
         "day": in_groups(3, 4),
@@ -106,7 +106,7 @@ def test_what_always_changes_together_is_one():
     assert [c.freedom for c in found.components.values()] == [2, 3]
 
 
-def test_a_common_error_is_no_scatter():
+def test_common_error_does_not_change_variances():
     """Fully correlated errors, however large, change neither variances nor their intervals."""
     values, own = np.array([1.0, 2.5, 0.7, 3.1]), 0.04 * np.eye(4)
     groups = {"day": list(range(4))}
@@ -120,7 +120,7 @@ def test_a_common_error_is_no_scatter():
 
 
 @pytest.mark.parametrize("freedom", [1, 2, 4, 30])
-def test_the_interval_of_one_variance_covers_as_chi_square_says(freedom):
+def test_interval_of_single_variance_matches_chi_square(freedom):
     """n + 1 values without known errors: s^2 by chi-square with n degrees of freedom."""
     n = freedom + 1
     values = np.random.default_rng(n).standard_normal(n)
@@ -138,8 +138,8 @@ def test_the_interval_of_one_variance_covers_as_chi_square_says(freedom):
 
 
 @pytest.mark.slow
-def test_intervals_cover_the_truth_of_few_days_and_turn_ons():
-    """Histories of 4 days of 3 turn-ons: 95 % of the intervals, but for 3 sigma of trials."""
+def test_intervals_of_few_days_and_turn_ons_have_coverage():
+    """In histories of 4 days with 3 turn-ons, coverage is at least 95 % minus 3 sigma."""
     rng = np.random.default_rng(11)
     day, turn, u = 2.0, 1.0, np.tile([0.3, 0.6, 1.2], 4)
     groups = {"day": in_groups(4, 3), "turn": list(range(12))}

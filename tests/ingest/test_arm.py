@@ -24,24 +24,27 @@ RPM = (30.0, 42.0, 67.0, 95.0, 116.0, 134.0)
 NOISE = 2e-6  # mA
 
 
-def felt(rpm, radius=1.0):
+def centripetal_force(rpm, radius=1.0):
     """Return the centripetal force of an arm that turns clockwise, g: the closed form."""
     w = -rpm * 2.0 * math.pi / 60.0
     return radius * (w**2 + 2.0 * w * EARTH_RATE * math.sin(LATITUDE)) / GRAVITY
 
 
-def reading(force, seed=None, heated=0.0):
+def simulate_reading(force, seed=None, heated=0.0):
     """Return what is read at a specific force along the input axis, mA, with noise of a seed."""
     noise = NOISE * seed.standard_normal() if seed else 0.0
     indicated = TRUE["K_F"] + TRUE["K_I"] * force + TRUE["K_II"] * force**2 + heated
     return 1.25 * indicated + noise
 
 
-def table(*, inward="in", outward="out", up="up", down="down"):
+def make_rows(*, inward="in", outward="out", up="up", down="down"):
     """Return rows of mounting, rpm and mA."""
-    rows = [[up, 0.0, reading(1.0)], [down, 0.0, reading(-1.0)]] * 2
+    rows = [[up, 0.0, simulate_reading(1.0)], [down, 0.0, simulate_reading(-1.0)]] * 2
     for rpm in RPM * 2:
-        rows += [[inward, rpm, reading(felt(rpm))], [outward, rpm, reading(-felt(rpm))]]
+        rows += [
+            [inward, rpm, simulate_reading(centripetal_force(rpm))],
+            [outward, rpm, simulate_reading(-centripetal_force(rpm))],
+        ]
     return rows
 
 
@@ -51,12 +54,12 @@ def write_table(path, rows, head="side,n_rpm,out_mA"):
     return path
 
 
-def read(path, **answers):
+def make_arm_draft(path, **answers):
     return arm_draft(read_files([path]), SAID | {"out_mA sensitivity": "1,25"} | answers)
 
 
-def test_a_german_table(tmp_path):
-    rows = table(inward="innen", outward="außen", up="oben", down="unten")
+def test_german_table_is_understood(tmp_path):
+    rows = make_rows(inward="innen", outward="außen", up="oben", down="unten")
     lines = ["Prüfstand 3", "Nr;Lage;Drehzahl;Signal", ";;1/min;mA"]
     lines += [
         ";".join([str(n), *(str(c).replace(".", ",") for c in row)]) for n, row in enumerate(rows)
@@ -89,14 +92,14 @@ def test_a_german_table(tmp_path):
     assert [one.rate for one in campaign.readings[:5]] == [0.0] * 4 + [pytest.approx(-math.pi)]
 
 
-def test_a_workbook_with_radii_and_names(tmp_path):
+def test_workbook_with_radii_and_names_is_understood(tmp_path):
     radii = {"inside": 1000.0, "outside": 900.0}
     rows = [["Run", "Side", "Speed", "Radius", "Output", "u", "Temp"]]
     rows += [[None, None, "rad/s", "mm", "V", "V", "degC"]]
     for n, (word, radius) in enumerate(radii.items()):
-        force = (1.0 - 2.0 * n) * felt(60.0, radius / 1e3)
-        rows.append([f"no {n}", word, -2.0 * math.pi, radius, reading(force), 2e-6, 23.0])
-    rows += [["rest", "up", 0.0, None, reading(1.0), 2e-6, 23.0]]
+        force = (1.0 - 2.0 * n) * centripetal_force(60.0, radius / 1e3)
+        rows.append([f"no {n}", word, -2.0 * math.pi, radius, simulate_reading(force), 2e-6, 23.0])
+    rows += [["rest", "up", 0.0, None, simulate_reading(1.0), 2e-6, 23.0]]
     path = write_workbook(tmp_path / "t.xlsx", {"Notes": [["hello"]], "Data": rows})
     looks = read_files([path])
     assert likely_test(looks) == "arm"
@@ -122,10 +125,10 @@ def test_a_workbook_with_radii_and_names(tmp_path):
     assert "sense" not in document["readings"]
 
 
-def test_what_the_readings_show_where_nothing_is_named(tmp_path):
-    """One follows the acceleration, one its negative; the only rest reads a g."""
-    path = write_table(tmp_path / "t.csv", [["", *row[1:]] for row in table(inward="")[::2]])
-    found = read(path)
+def test_readings_determine_axes_of_unnamed_mountings(tmp_path):
+    """The mountings read plus and minus the acceleration; the reading at rest is 1 g."""
+    path = write_table(tmp_path / "t.csv", [["", *row[1:]] for row in make_rows(inward="")[::2]])
+    found = make_arm_draft(path)
     guesses = {question.key: question.guess for question in found.questions}
     assert guesses["axis"] == "inward"
     assert guesses["axis at rest"] == "up"
@@ -136,32 +139,36 @@ def test_what_the_readings_show_where_nothing_is_named(tmp_path):
     readings = found.document(tmp_path)["readings"]
     assert readings["axes"] == {"input": "inward", "pendulous": "up"}
     assert readings["axes_at_rest"] == {"input": "up", "pendulous": "outward"}
-    path = write_table(tmp_path / "ab.csv", table(inward="A", outward="B"))
-    guesses = {question.key: question.guess for question in read(path).questions}
+    path = write_table(tmp_path / "ab.csv", make_rows(inward="A", outward="B"))
+    guesses = {question.key: question.guess for question in make_arm_draft(path).questions}
     assert (guesses["A axis"], guesses["B axis"]) == ("inward", "outward")
-    path = write_table(tmp_path / "level.csv", [*table()[4:], ["x", 134.0, reading(0.0)]])
-    guesses = {question.key: question.guess for question in read(path).questions}
+    path = write_table(
+        tmp_path / "level.csv", [*make_rows()[4:], ["x", 134.0, simulate_reading(0.0)]]
+    )
+    guesses = {question.key: question.guess for question in make_arm_draft(path).questions}
     assert guesses["x axis"] is None
 
 
-def test_a_name_for_across_is_a_way_of_mounting_where_the_acceleration_is_read(tmp_path):
-    path = write_table(tmp_path / "t.csv", table(inward="forward", outward="backward"))
-    found = read(path)
+def test_forward_and_backward_are_mountings_along_radius(tmp_path):
+    path = write_table(tmp_path / "t.csv", make_rows(inward="forward", outward="backward"))
+    found = make_arm_draft(path)
     guesses = {question.key: question.guess for question in found.questions}
     assert (guesses["forward axis"], guesses["backward axis"]) == ("inward", "outward")
     assert "mounting 'forward': input axis inward, according to the readings" in found.statements
 
 
-def test_readings_at_rest_show_what_a_name_does_not(tmp_path):
-    rows = [*table(up="P1", down="P2"), ["P3", 0.0, reading(0.0)]]
-    guesses = {q.key: q.guess for q in read(write_table(tmp_path / "t.csv", rows)).questions}
+def test_readings_at_rest_determine_axes(tmp_path):
+    rows = [*make_rows(up="P1", down="P2"), ["P3", 0.0, simulate_reading(0.0)]]
+    guesses = {
+        q.key: q.guess for q in make_arm_draft(write_table(tmp_path / "t.csv", rows)).questions
+    }
     assert [guesses[f"P{n} axis"] for n in (1, 2, 3)] == ["up", "down", "forward"]
 
 
-def test_the_sense_may_stand_in_a_column(tmp_path):
-    """Then none is asked for; the Earth's rate adds to one and takes from the other."""
-    rows = [[word, "cw" if rpm else "", rpm, value] for word, rpm, value in table()]
-    against = [["in", "ccw", rpm, reading(-felt(-rpm))] for rpm in RPM]
+def test_sense_column_is_used(tmp_path):
+    """No sense is requested; the Earth's rate increases one sense and decreases the other."""
+    rows = [[word, "cw" if rpm else "", rpm, value] for word, rpm, value in make_rows()]
+    against = [["in", "ccw", rpm, simulate_reading(-centripetal_force(-rpm))] for rpm in RPM]
     path = write_table(tmp_path / "b.csv", [*rows, *against], "side,Direction,n_rpm,out_mA")
     answers = {**SAID, "out_mA sensitivity": "1.25"}
     del answers["sense"]
@@ -174,28 +181,30 @@ def test_the_sense_may_stand_in_a_column(tmp_path):
     assert signs == [-1.0] * 24 + [1.0] * 6
 
 
-def test_few_digits_of_a_rate_are_told(tmp_path):
+def test_coarse_rate_is_reported(tmp_path):
     rows = [["in", 30.0, 1.0], ["out", 67.0, -1.0]]
-    told = " ".join(read(write_table(tmp_path / "t.csv", rows)).statements)
+    told = " ".join(make_arm_draft(write_table(tmp_path / "t.csv", rows)).statements)
     assert (
         "column 'n_rpm' has so few digits that a change of the last digit changes the "
         "acceleration by 7 %" in told
     )
     rows[0][1] = 30.00012
-    assert "few digits" not in " ".join(read(write_table(tmp_path / "f.csv", rows)).statements)
+    assert "few digits" not in " ".join(
+        make_arm_draft(write_table(tmp_path / "f.csv", rows)).statements
+    )
 
 
-def test_a_time_brings_a_slope_with_it(tmp_path):
-    """Two readings at rest in each of two positions are enough, and one too few beside a drift."""
-    rows = [[n, *row] for n, row in enumerate(table())]
+def test_time_column_requires_more_readings_at_rest(tmp_path):
+    """Without drift, two readings at rest per position suffice; with drift one is missing."""
+    rows = [[n, *row] for n, row in enumerate(make_rows())]
     for drift, rest in ((True, rows[:2] + rows[3:]), (False, rows)):
         path = write_table(tmp_path / "t.csv", rest, "time_s,side,n_rpm,out_mA")
-        assert [q.key for q in read(path).open_questions] == (["u"] if drift else [])
+        assert [q.key for q in make_arm_draft(path).open_questions] == (["u"] if drift else [])
 
 
-def test_an_output_with_a_zero(tmp_path):
-    rows = [[*row[:2], round(2.5 + 0.1 * row[2], 7)] for row in table(up="", down="")[::2]]
-    found = read(write_table(tmp_path / "t.csv", rows, "side,n_rpm,out_V"))
+def test_output_zero_is_found(tmp_path):
+    rows = [[*row[:2], round(2.5 + 0.1 * row[2], 7)] for row in make_rows(up="", down="")[::2]]
+    found = make_arm_draft(write_table(tmp_path / "t.csv", rows, "side,n_rpm,out_V"))
     guesses = {question.key: question.guess for question in found.questions}
     assert guesses["axis at rest"] == "up"
     assert guesses["out_V zero"] == "2.5 V"
@@ -204,11 +213,11 @@ def test_an_output_with_a_zero(tmp_path):
     )
 
 
-def test_a_name_that_the_readings_contradict_is_said(tmp_path):
-    path = write_table(tmp_path / "t.csv", table(inward="out", outward="in"))
+def test_mounting_name_contradicting_readings_is_reported(tmp_path):
+    path = write_table(tmp_path / "t.csv", make_rows(inward="out", outward="in"))
     said = "mounting 'out': outward according to the name, but inward according to the readings"
     said += " if the sensitivity is positive"
-    assert said in read(path).statements
+    assert said in make_arm_draft(path).statements
 
 
 @pytest.mark.parametrize(
@@ -220,11 +229,11 @@ def test_a_name_that_the_readings_contradict_is_said(tmp_path):
         ("backward", ["backward", "inward", "forward", "outward"]),
     ],
 )
-def test_the_pendulous_axis_turns_with_the_input_axis(tmp_path, pendulous, along):
+def test_pendulous_axis_rotates_with_input_axis(tmp_path, pendulous, along):
     words = ["in", "tangential", "out", "backward"]
     rows = [[word, 30.0, value] for word, value in zip(words, [1.0, 0.0, -1.0, 0.0], strict=True)]
     path = write_table(tmp_path / "t.csv", rows)
-    found = read(path, u="2e-6", **{"pendulous axis": pendulous})
+    found = make_arm_draft(path, u="2e-6", **{"pendulous axis": pendulous})
     mountings = found.document(tmp_path)["readings"]["mountings"]
     assert [mountings[word]["pendulous"] for word in words] == along
     # Turned about up, all are the same instrument: the output axes are as the input axes are.
@@ -248,15 +257,15 @@ def test_the_pendulous_axis_turns_with_the_input_axis(tmp_path, pendulous, along
         (6, 2, 2, 1, False),
     ],
 )
-def test_u_is_asked_where_readings_are_too_few_to_show_it(
-    tmp_path, rates, times, sides, rests, shown
-):
+def test_too_few_readings_require_u(tmp_path, rates, times, sides, rests, shown):
     seed = np.random.default_rng(1)
-    rows = [[word, 0.0, reading(f, seed)] for word, f in [("up", 1.0), ("down", -1.0)] * rests]
+    rows = [
+        [word, 0.0, simulate_reading(f, seed)] for word, f in [("up", 1.0), ("down", -1.0)] * rests
+    ]
     for rpm in np.repeat(np.linspace(30.0, 130.0, rates), times).tolist():
-        rows += [["in", rpm, reading(felt(rpm), seed)]]
-        rows += [["out", rpm, reading(-felt(rpm), seed)]] * (sides - 1)
-    found = read(write_table(tmp_path / "t.csv", rows))
+        rows += [["in", rpm, simulate_reading(centripetal_force(rpm), seed)]]
+        rows += [["out", rpm, simulate_reading(-centripetal_force(rpm), seed)]] * (sides - 1)
+    found = make_arm_draft(write_table(tmp_path / "t.csv", rows))
     assert [question.key for question in found.open_questions] == ([] if shown else ["u"])
     if shown:
         write_description(found, tmp_path / "camp")
@@ -265,7 +274,7 @@ def test_u_is_asked_where_readings_are_too_few_to_show_it(
     assert found.open_questions[0].text.endswith(
         "The noise cannot be estimated from so few readings."
     )
-    found = read(tmp_path / "t.csv", u="2e-6")
+    found = make_arm_draft(tmp_path / "t.csv", u="2e-6")
     campaign = read_campaign(write_description(found, tmp_path / "camp"))
     assert [one.u for one in campaign.readings] == pytest.approx([2e-6 / 1.25] * len(rows))
 
@@ -278,8 +287,8 @@ def test_u_is_asked_where_readings_are_too_few_to_show_it(
         ("side,Drehrate_deg_s,out_mA", lambda rpm: 6.0 * rpm, "deg/s"),
     ],
 )
-def test_a_rate_in_any_form_gives_the_same_campaign(tmp_path, head, number, unit):
-    rows = [[word, number(rpm) if rpm else 0.0, value] for word, rpm, value in table()]
+def test_rate_formats_return_same_campaign(tmp_path, head, number, unit):
+    rows = [[word, number(rpm) if rpm else 0.0, value] for word, rpm, value in make_rows()]
     looks = read_files([write_table(tmp_path / "t.csv", rows, head)])
     assert likely_test(looks) == "arm"
     found = arm_draft(looks, SAID | {"out_mA sensitivity": "1.25"})
@@ -287,26 +296,26 @@ def test_a_rate_in_any_form_gives_the_same_campaign(tmp_path, head, number, unit
     assert "The data suggest about 1.25 mA/g." in " ".join(q.text for q in found.questions)
     campaign = read_campaign(write_description(found, tmp_path / "camp"))
     rates = [one.rate for one in campaign.readings if one.rate]
-    assert rates == pytest.approx([-rpm * math.pi / 30.0 for _, rpm, _ in table() if rpm])
+    assert rates == pytest.approx([-rpm * math.pi / 30.0 for _, rpm, _ in make_rows() if rpm])
 
 
-def test_what_cannot_be_described_is_told(tmp_path):
-    path = write_table(tmp_path / "t.csv", table())
+def test_invalid_arm_table_raises(tmp_path):
+    path = write_table(tmp_path / "t.csv", make_rows())
     with raises("wrong-usage", "name one file"):
         make_draft(read_files([path, path]), {}, "arm")
-    rows = [["in", 30.0 + n, 1.0 + n, reading(felt(30.0))] for n in range(2)]
+    rows = [["in", 30.0 + n, 1.0 + n, simulate_reading(centripetal_force(30.0))] for n in range(2)]
     path = write_table(tmp_path / "r.csv", rows, "side,n_rpm,radius_m,out_mA")
     answers = PLACE | {"sense": "cw", "out_mA sensitivity": "1.25", "u": "2e-6"}
     with pytest.raises(CampaignError, match=r"one mounting have 2 radii \(in\)"):
         arm_draft(read_files([path]), answers).document(tmp_path)
-    rows = [*table()[:5], ["in", "", reading(felt(42.0))]]
-    found = read(write_table(tmp_path / "e.csv", rows), u="2e-6")
+    rows = [*make_rows()[:5], ["in", "", simulate_reading(centripetal_force(42.0))]]
+    found = make_arm_draft(write_table(tmp_path / "e.csv", rows), u="2e-6")
     with raises("missing-value", "line 7", "write 0"):
         write_description(found, tmp_path / "camp")
 
 
-def unstated(force, warmth, sizes):
-    """Return what asymmetries, K_5, K_OQ and slopes with an unknown temperature add, g."""
+def simulate_unstated_terms(force, warmth, sizes):
+    """Return the contribution of asymmetries, K_5, K_OQ and temperature slopes, g."""
     of_bias, of_scale, fifth, odd, bias_slope, scale_slope = sizes
     asymmetries = 0.5 * (of_bias * math.copysign(1.0, force) + of_scale * abs(force))
     slopes = (bias_slope + scale_slope * force) * warmth
@@ -314,8 +323,8 @@ def unstated(force, warmth, sizes):
 
 
 @pytest.mark.slow
-def test_estimates_scatter_as_their_u_says(tmp_path):
-    """Truth is drawn from what the description states, or else from the typical sizes."""
+def test_estimates_scatter_by_u(tmp_path):
+    """Draw the truth from the stated priors, otherwise from the default priors."""
     trials, z = 8, []
     for trial in range(trials):
         seed = np.random.default_rng(trial)
@@ -328,17 +337,24 @@ def test_estimates_scatter_as_their_u_says(tmp_path):
         sizes = np.array([5e-6, 1e-5, 1e-8, 1e-6, 5e-6, 1e-4]) * seed.standard_normal(6)
         warmth = iter(np.linspace(-0.5, 0.5, 4 + 4 * len(RPM)).tolist())
         rows = [
-            [word, 0.0, reading(f, seed, unstated(f, next(warmth), sizes)), NOISE]
+            [
+                word,
+                0.0,
+                simulate_reading(f, seed, simulate_unstated_terms(f, next(warmth), sizes)),
+                NOISE,
+            ]
             for word, f in [("up", 1.0), ("down", -1.0)] * 2
         ]
         for rpm in RPM * 2:
             for word, sign in (("in", 1.0), ("out", -1.0)):
-                force = felt(rpm, radius[word])
-                more = heating * force**2 + unstated(sign * force, next(warmth), sizes)
-                value = reading(sign * force + tilt[word], seed, more)
+                force = centripetal_force(rpm, radius[word])
+                more = heating * force**2 + simulate_unstated_terms(
+                    sign * force, next(warmth), sizes
+                )
+                value = simulate_reading(sign * force + tilt[word], seed, more)
                 rows.append([word, rpm, value, NOISE])
         path = write_table(tmp_path / f"{trial}.csv", rows, "side,n_rpm,out_mA,u_mA")
-        write_description(read(path), tmp_path / f"c{trial}")
+        write_description(make_arm_draft(path), tmp_path / f"c{trial}")
         found = calibrate(tmp_path / f"c{trial}").accelerometers["A"].coefficients
         z.append([(found[name].value - true) / found[name].u for name, true in TRUE.items()])
     squares = np.sum(np.square(z), axis=0)
@@ -346,12 +362,12 @@ def test_estimates_scatter_as_their_u_says(tmp_path):
     assert (squares < chi2.ppf(1.0 - 1e-4, trials)).all()
 
 
-def test_the_wrong_sense_does_not_fit(tmp_path):
+def test_wrong_sense_does_not_fit(tmp_path):
     """The Earth's rate adds 2 w Omega sin(latitude) R: 3e-4 g of difference at 14 rad/s."""
-    rows = [[*row, NOISE] for row in table()]
+    rows = [[*row, NOISE] for row in make_rows()]
     path = write_table(tmp_path / "t.csv", rows, "side,n_rpm,out_mA,u_mA")
-    write_description(read(path), tmp_path / "right")
-    write_description(read(path, sense="ccw"), tmp_path / "wrong")
+    write_description(make_arm_draft(path), tmp_path / "right")
+    write_description(make_arm_draft(path, sense="ccw"), tmp_path / "wrong")
     assert calibrate(tmp_path / "right").accelerometers["A"].residual.rms < 1e-8
     # The radii and the terms with default priors leave nearly half of the noise: 0.496 of it.
     assert calibrate(tmp_path / "wrong").accelerometers["A"].residual.rms > 0.49 * NOISE / 1.25
@@ -360,7 +376,7 @@ def test_the_wrong_sense_does_not_fit(tmp_path):
 LEVELS = [1.0, 2.0, 5.0, 10.0, 15.0]
 
 
-def test_accelerations_at_positions_are_a_tumble_s(tmp_path):
+def test_accelerations_at_positions_are_tumble(tmp_path):
     rows = [(angle, 20.0 * math.cos(math.radians(angle))) for angle in range(0, 360, 30)]
     lines = [f"{angle},{value:.6f},{value / 8.0:.6f}" for angle, value in rows]
     path = tmp_path / "t.csv"

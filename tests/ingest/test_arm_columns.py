@@ -22,7 +22,7 @@ def contents_of(numbers, words=None, units=None):
     return FileContents(None, columns, tuple(words or ()), "", words=words or {})
 
 
-def table(numbers, words=None, units=None):
+def make_arm_table(numbers, words=None, units=None):
     found = contents_of(numbers, words, units)
     return ArmTable.of(found, {})
 
@@ -50,7 +50,7 @@ def table(numbers, words=None, units=None):
         ("", None),
     ],
 )
-def test_words_for_directions(word, direction):
+def test_words_are_recognised_as_directions(word, direction):
     assert direction_of(word) == direction
 
 
@@ -71,49 +71,49 @@ def test_words_for_directions(word, direction):
         ("Drehfrequenz", "Hz", "Hz"),
     ],
 )
-def test_what_has_the_rate(name, unit, rate):
-    found = table({"out_V": [1.0, 2.0], name: [30.0, 40.0]}, units={name: unit})
+def test_rate_column_and_unit_are_found(name, unit, rate):
+    found = make_arm_table({"out_V": [1.0, 2.0], name: [30.0, 40.0]}, units={name: unit})
     assert found.rate.name == name
     assert found.unit == rate
 
 
-def test_an_acceleration_is_a_rate_by_an_answer_alone():
+def test_acceleration_is_rate_only_by_answer():
     numbers = {"accel_g": [1.0, 2.0], "n_rpm": [30.0, 42.0], "out_V": [1.0, 2.0]}
     found = contents_of(numbers)
     assert arm_roles(found, {}) == {"accel_g": "reading", "n_rpm": "rate", "out_V": "reading"}
     assert arm_roles(found, {"rate": "accel_g"})["accel_g"] == "rate"
 
 
-def test_a_measured_rate_comes_before_the_one_that_was_set_and_a_unit_before_none():
+def test_measured_rate_and_known_unit_are_preferred():
     numbers = {"N": [100.0, 99.0], "set_rpm": [30.0, 40.0], "rpm actual": [30.1, 40.2]}
-    assert table({**numbers, "out_V": [1.0, 2.0]}).rate.name == "rpm actual"
+    assert make_arm_table({**numbers, "out_V": [1.0, 2.0]}).rate.name == "rpm actual"
     del numbers["rpm actual"]
-    assert table({**numbers, "out_V": [1.0, 2.0]}).rate.name == "set_rpm"
+    assert make_arm_table({**numbers, "out_V": [1.0, 2.0]}).rate.name == "set_rpm"
 
 
-def test_a_time_that_becomes_less_is_that_of_a_revolution():
-    found = table({"T_s": [0.0, 2.0, 1.5], "out_V": [1.0, 2.0, 3.0]})
+def test_decreasing_time_is_period():
+    found = make_arm_table({"T_s": [0.0, 2.0, 1.5], "out_V": [1.0, 2.0, 3.0]})
     assert (found.rate.name, found.unit) == ("T_s", "s")
-    assert table({"T_s": [0.0, 1.5, 2.0], "out_V": [1.0, 2.0, 3.0]}).rate is None
-    clock = table({"n_rpm": [0.0, 30.0], "t_s": [9.0, 2.0], "out_V": [1.0, 2.0]})
+    assert make_arm_table({"T_s": [0.0, 1.5, 2.0], "out_V": [1.0, 2.0, 3.0]}).rate is None
+    clock = make_arm_table({"n_rpm": [0.0, 30.0], "t_s": [9.0, 2.0], "out_V": [1.0, 2.0]})
     assert clock.roles["t_s"] == "time"
 
 
-def test_the_column_of_mountings_has_their_words_or_its_name():
+def test_mounting_column_is_found_by_words_or_name():
     numbers = {"n_rpm": [30.0, 30.0, 42.0, 42.0], "out_V": [1.0, -1.0, 2.0, -2.0]}
     words = {"note": ["first", "second", "third", "last"], "where": ["in", "out", "in", "out"]}
-    assert table(numbers, words).position == "where"
+    assert make_arm_table(numbers, words).position == "where"
     remark = {"where": ["in", "out", "in", "out", "by J. D."]}
-    below = table({name: [*own, math.nan] for name, own in numbers.items()}, remark)
+    below = make_arm_table({name: [*own, math.nan] for name, own in numbers.items()}, remark)
     assert below.mountings == ("in", "out")
     words["where"] = ["A", "B", "A", "B"]
-    assert table(numbers, words).position is None
-    assert table(numbers, {"side": words["where"]}).position == "side"
-    numbered = table({**numbers, "mounting": [math.nan, 1.0, 2.0, 1.0]})
+    assert make_arm_table(numbers, words).position is None
+    assert make_arm_table(numbers, {"side": words["where"]}).position == "side"
+    numbered = make_arm_table({**numbers, "mounting": [math.nan, 1.0, 2.0, 1.0]})
     assert numbered.words == ("", "1", "2", "1")
 
 
-def test_a_column_of_senses_is_known_by_its_words():
+def test_sense_column_is_found_by_words():
     numbers = {"n_rpm": [0.0, 30.0, 42.0], "out_V": [1.0, 1.0, 2.0]}
     words = {"Direction": ["", "CW", "ccw"], "Position": ["up", "in", "in"]}
     found = contents_of(numbers, words)
@@ -134,39 +134,39 @@ def test_a_column_of_senses_is_known_by_its_words():
         ("n", [1.0, 2.0], 0.0),
     ],
 )
-def test_the_last_digit_of_a_rate_changes_the_force_twice_as_much(name, values, step):
-    found = table({name: values, "out_V": [1.0] * len(values)})
+def test_rate_step_doubles_relative_resolution(name, values, step):
+    found = make_arm_table({name: values, "out_V": [1.0] * len(values)})
     assert found.rate_step() == pytest.approx(step)
 
 
-def test_rows_turn_or_rest():
+def test_rows_are_rotating_or_at_rest():
     numbers = {"n_rpm": [0.0, 30.0, math.nan, -42.0], "out_V": [1.0, 1.2, 0.8, 1.4]}
-    found = table(numbers, {"side": ["up", "in", "out", "in"]})
+    found = make_arm_table(numbers, {"side": ["up", "in", "out", "in"]})
     assert found.rests.tolist() == [True, False, False, False]
     assert found.turning == ("in",)
     assert found.mountings == ("up", "in", "out")
     assert found.turns_in("in").tolist() == [False, True, False, True]
     # A column that ends before the others has nothing in their last rows.
-    short = table({"n_rpm": [30.0], "out_V": [1.0, 2.0]})
+    short = make_arm_table({"n_rpm": [30.0], "out_V": [1.0, 2.0]})
     assert short.turning == ("",)
 
 
-def test_accelerations_and_slopes_are_those_of_a_circle():
+def test_accelerations_and_slopes_match_circular_motion():
     w = np.array([3.0, 6.0])
     felt = 2.0 * w**2 / 9.80665
     numbers = {"omega_rad_s": [0.0, *w, *w], "out_V": [9.0, *(2.5 + 1.25 * felt), *(2.5 - felt)]}
-    found = table(numbers, {"side": ["up", "in", "in", "out", "out"]})
+    found = make_arm_table(numbers, {"side": ["up", "in", "in", "out", "out"]})
     slopes, zero = found.lines(found.contents.columns[1], 2.0)
     assert slopes == pytest.approx({"in": 1.25, "out": -1.0})
     assert zero == pytest.approx(2.5)
     assert found.acceleration(2.0) == pytest.approx([0.0, 18.0, 72.0, 18.0, 72.0])
-    unknown = table({"n": [3.0], "out_V": [1.0]})
+    unknown = make_arm_table({"n": [3.0], "out_V": [1.0]})
     assert math.isnan(unknown.acceleration(2.0)[0])
     assert unknown.lines(unknown.contents.columns[1], 2.0)[0] == {}
 
 
-def test_radii_are_of_the_rows_that_turn():
+def test_radii_are_from_rotating_rows():
     numbers = {"n_rpm": [0.0, 30.0, 30.0, 42.0], "R_mm": [5.0, 1000.0, 900.0, 1000.0]}
-    found = table({**numbers, "out_V": [1.0] * 4}, {"side": ["up", "in", "out", "in"]})
+    found = make_arm_table({**numbers, "out_V": [1.0] * 4}, {"side": ["up", "in", "out", "in"]})
     assert found.radii() == {"in": [1.0], "out": [0.9]}
-    assert table({"n_rpm": [30.0], "out_V": [1.0]}).radii() == {}
+    assert make_arm_table({"n_rpm": [30.0], "out_V": [1.0]}).radii() == {}

@@ -19,7 +19,7 @@ WAYS = {"in": 1.0, "out": -1.0, "up": 1.0, "down": -1.0}
 RATES = [math.sqrt(level * GRAVITY / RADIUS) for level in LEVELS]
 
 
-def felt(rate):
+def centripetal_force(rate):
     """Return the centripetal force, g, with the Earth's rate: the closed form."""
     return RADIUS * (rate**2 + 2.0 * rate * EARTH_RATE * math.sin(LATITUDE)) / GRAVITY
 
@@ -31,7 +31,7 @@ def readings(sensitivity, zero=0.0, *, names=None, times=2, rests=("up", "down")
     turns = [(word, rate) for word in ("in", "out") for rate in RATES] * times
     rows = []
     for word, rate in [*at_rest, *turns, *at_rest]:
-        force = WAYS[word] * (felt(rate) if rate else 1.0)
+        force = WAYS[word] * (centripetal_force(rate) if rate else 1.0)
         powers = [1.0, force, force**2]
         indicated = float(np.dot(list(TRUE.values()), powers))
         noisy = indicated + NOISE * seed.standard_normal(repeats)
@@ -44,7 +44,7 @@ def rpm(rate):
     return round(rate * 30.0 / math.pi, 6)
 
 
-def written(path, lines, encoding="utf-8"):
+def write_lines(path, lines, encoding="utf-8"):
     path.write_text("\n".join(lines) + "\n", encoding=encoding)
     return path
 
@@ -54,7 +54,7 @@ def in_degrees_and_volts(folder):
     names = {"in": "Forward", "out": "Reverse", "up": "IA up", "down": "IA down"}
     rows = enumerate(readings(0.1, 2.5, names=names), 1)
     lines = [f"{n},{way},{math.degrees(w):.5f},{value:.8f}" for n, (way, w, value) in rows]
-    return written(folder / "t.csv", ["Test,Mounting,Table rate (deg/s),Output (V)", *lines])
+    return write_lines(folder / "t.csv", ["Test,Mounting,Table rate (deg/s),Output (V)", *lines])
 
 
 def a_book_with_title_and_units(folder):
@@ -71,7 +71,9 @@ def german_in_hertz(folder):
     rows = enumerate(readings(1.25, names=names), 1)
     lines = [f"{n};{way};{w / 2 / math.pi:.8f};{value:.7f};1.25e-5" for n, (way, w, value) in rows]
     head = "Messung;Einbaulage;Drehfrequenz [Hz];Ausgang [mA];Messunsicherheit [mA]"
-    return written(folder / "t.csv", [head, *(line.replace(".", ",") for line in lines)], "cp1252")
+    return write_lines(
+        folder / "t.csv", [head, *(line.replace(".", ",") for line in lines)], "cp1252"
+    )
 
 
 def repeats_in_columns(folder):
@@ -80,7 +82,7 @@ def repeats_in_columns(folder):
         for way, w, a, b, c in readings(5.0, times=1, repeats=3)
     ]
     head = "Position;n [rpm];Reading 1 [V];Reading 2 [V];Reading 3 [V]"
-    return written(folder / "t.csv", [head, *lines])
+    return write_lines(folder / "t.csv", [head, *lines])
 
 
 def times_of_a_revolution(folder):
@@ -89,7 +91,7 @@ def times_of_a_revolution(folder):
         f"{way}  {2 * math.pi / w if w else 0:.8f}  {value:.7f}"
         for way, w, value in readings(1.0, names=names)
     ]
-    return written(folder / "t.txt", ["pos  T_s  U_V", *lines])
+    return write_lines(folder / "t.txt", ["pos  T_s  U_V", *lines])
 
 
 def set_and_measured_rates(folder):
@@ -99,7 +101,7 @@ def set_and_measured_rates(folder):
         for way, w, value in readings(1.25, names=names)
     ]
     head = "Mounting,Set rate (rpm),Measured rate (rpm),Radius (mm),Out mA"
-    return written(folder / "t.csv", ["# Centrifuge 2", head, *lines])
+    return write_lines(folder / "t.csv", ["# Centrifuge 2", head, *lines])
 
 
 TABLES = {
@@ -118,7 +120,7 @@ def least_squares_u():
     Where nothing is stated, K_4 is known to 1e-9 g/g^4, and what the centripetal force warms, which
     looks like K_II, to 1e-7 g/g^2.
     """
-    force = np.array([felt(rate) for rate in RATES] * 2)
+    force = np.array([centripetal_force(rate) for rate in RATES] * 2)
     line = np.column_stack([np.ones_like(force), force])
     even = np.column_stack([force**2, force**4])
     along = np.hstack([line, 0.0 * line, even])
@@ -130,7 +132,7 @@ def least_squares_u():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("write", TABLES, ids=lambda write: write.__name__)
-def test_from_the_file_to_a_result_without_another_answer(tmp_path, write):
+def test_calibration_from_file_needs_only_sensitivity(tmp_path, write):
     looks = read_files([write(tmp_path)])
     assert likely_test(looks) == "arm"
     asked = make_draft(looks, SAID, "arm").open_questions

@@ -26,7 +26,7 @@ def signal(rate=RATE, size=2.5, phase=0.0):
     return size * np.cos(rate * TIME + phase) + 1e-3 * TIME**2
 
 
-def test_numbers_tell_what_names_do_not():
+def test_roles_of_unnamed_columns_follow_from_values():
     """Columns a, b, c: a wrapped angle in degrees, a signal, the time by its unit."""
     guess = guess_file(seen(a=np.degrees(-RATE * TIME) % 360, b=signal(), c__s=TIME))
     assert (guess.time.column, guess.time.unit) == ("c", "s")
@@ -47,19 +47,19 @@ def test_numbers_tell_what_names_do_not():
         (31415.0, "count", None, False),
     ],
 )
-def test_the_signal_shows_what_a_revolution_of_the_encoder_is(turn, unit, counts, wrapped):
+def test_signal_determines_counts_per_revolution(turn, unit, counts, wrapped):
     angle = RATE * TIME / (2 * np.pi) * turn
     guess = guess_file(seen(t=TIME, enc=angle % turn if wrapped else angle, east_m=signal()))
     assert (guess.angle.unit, guess.angle.per_revolution) == (unit, counts)
     assert guess.rate == pytest.approx(RATE, rel=1e-3)
 
 
-def test_a_name_that_the_numbers_contradict_is_not_believed():
+def test_unit_in_name_contradicting_values_is_ignored():
     guess = guess_file(seen(t=TIME, angle_rad=np.degrees(RATE * TIME), east_m=signal()))
     assert guess.angle.unit == "deg"
 
 
-def test_pulses_are_times_once_a_revolution():
+def test_pulses_are_times_per_revolution():
     pulses = np.full(TIME.size, np.nan)
     pulses[:7] = np.arange(7) * 2 * np.pi / RATE
     guess = guess_file(seen(t=TIME, index=pulses, temperature=20 + 0 * TIME, east_m=signal()))
@@ -69,7 +69,7 @@ def test_pulses_are_times_once_a_revolution():
     assert guess.temperature == ("temperature", "degC")
 
 
-def test_the_column_of_the_temperature_can_be_chosen_or_left_out():
+def test_temperature_column_can_be_chosen_or_omitted():
     contents = seen(t=TIME, temp_in=20 + 0 * TIME, temp_out=25 + 0 * TIME, east_m=signal())
     answers = {"temp_in is": "unused"}
     assert guess_file(contents, {}).temperature[0] == "temp_in"
@@ -78,19 +78,19 @@ def test_the_column_of_the_temperature_can_be_chosen_or_left_out():
     assert guess_file(contents, answers | {"temp_out is": "unused"}).temperature is None
 
 
-def test_without_a_time_rows_are_counted():
+def test_rows_are_counted_without_time():
     guess = guess_file(seen(angle=RATE * TIME, east_m=signal()))
     assert guess.time is None
     assert guess.rate == pytest.approx(RATE * 0.02)
 
 
-def test_a_unit_behind_a_stroke_is_that_of_a_time():
-    """As DIN 1313 heads a column, `t/s`."""
+def test_unit_after_slash_is_recognised():
+    """DIN 1313 writes the header `t/s`."""
     guess = guess_file(seen(**{"t/s": TIME, "east_m": signal(), "angle_rad": RATE * TIME}))
     assert (guess.time.column, guess.time.unit) == ("t/s", "s")
 
 
-def test_without_names_the_first_of_two_that_advance_is_the_time():
+def test_first_increasing_unnamed_column_is_time():
     guess = guess_file(seen(a=TIME, b=np.degrees(RATE * TIME) % 360, c=signal()))
     assert (guess.time.column, guess.time.unit, guess.angle.column) == ("a", "s", "b")
 
@@ -106,13 +106,13 @@ def test_without_names_the_first_of_two_that_advance_is_the_time():
         (1.5, 1e-3, None),
     ],
 )
-def test_the_unit_of_a_time_shows_in_how_fast_a_centrifuge_may_turn(rate, factor, unit):
+def test_unit_of_time_follows_from_plausible_rate(rate, factor, unit):
     t = 10.0 * TIME
     guess = guess_file(seen(a=factor * t, b=rate * t, c=2.5 * np.cos(rate * t)))
     assert guess.time.unit == unit
 
 
-def test_a_sampling_rate_beside_the_columns_shows_the_unit_of_the_time():
+def test_sampling_rate_determines_unit_of_time():
     look = replace(seen(t=1e3 * TIME, east_m=signal()), numbers={"rec.fs": 50.0})
     assert guess_file(look).time.unit == "ms"
     counted = replace(seen(angle=RATE * TIME, east_m=signal()), interval=0.02)
@@ -137,11 +137,11 @@ def test_a_sampling_rate_beside_the_columns_shows_the_unit_of_the_time():
         ("Output", ""),
     ],
 )
-def test_a_unit_may_stand_at_the_end_of_a_name(name, unit):
+def test_unit_suffix_of_name_is_recognised(name, unit):
     assert unit_in_name(name) == unit
 
 
-def test_files_that_are_not_alike():
+def test_files_with_different_columns_raise():
     one = guess_file(seen(t=TIME, angle=RATE * TIME, east_m=signal()))
     other = guess_file(seen("b.csv", t=TIME, angle=RATE * TIME, x=signal()))
     with raises("missing-column", "b.csv", "'east_m'", "a.csv"):

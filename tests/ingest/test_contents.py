@@ -16,7 +16,7 @@ from counterspin.ingest.contents import read_contents, read_files
 EXAMPLE = [[0.0, 0.02, 0.04], [0.0, 0.18, 0.36], [2.5, 2.499, 2.495]]
 
 
-def test_columns_with_units_stamps_and_the_rest(tmp_path):
+def test_columns_have_units_and_time_stamps(tmp_path):
     rows = [f"12:00:0{i},5;{i},25;ok;{'' if i else '7'}" for i in range(8)]
     path = tmp_path / "a.csv"
     path.write_text("\n".join(["About", "t;x [mm];note;few", *rows]) + "\n")
@@ -32,7 +32,7 @@ def test_columns_with_units_stamps_and_the_rest(tmp_path):
     assert seen.others == ("note",)
 
 
-def test_the_example_of_the_page_is_read_without_a_description(tmp_path):
+def test_documented_example_is_read_without_description(tmp_path):
     page = (ROOT / "docs" / "exports.md").read_text("utf-8")
     (text,) = re.findall(r"^```\n(Test 12;.*?)^```$", page, re.MULTILINE | re.DOTALL)
     (tmp_path / "a.txt").write_text(text, encoding="utf-8")
@@ -45,7 +45,7 @@ def test_the_example_of_the_page_is_read_without_a_description(tmp_path):
     np.testing.assert_array_equal([c.values for c in (time, angle, east)], EXAMPLE)
 
 
-def test_a_file_without_numbers(tmp_path):
+def test_file_without_numbers_raises(tmp_path):
     (tmp_path / "a.csv").write_text("a,b\nx,y\n")
     with pytest.raises(RecordError) as caught:
         read_contents(tmp_path / "a.csv")
@@ -55,7 +55,7 @@ def test_a_file_without_numbers(tmp_path):
     )
 
 
-def test_a_line_with_too_many_cells_is_named(tmp_path):
+def test_line_with_too_many_cells_raises(tmp_path):
     rows = [f"{0.02 * n:.2f},{n % 7}.5" for n in range(60)]
     rows[40] += ",3"
     (tmp_path / "a.csv").write_text("\n".join(["time_s,a_m", *rows, ""]))
@@ -63,7 +63,7 @@ def test_a_line_with_too_many_cells_is_named(tmp_path):
         read_contents(tmp_path / "a.csv")
 
 
-def test_numbers_that_a_library_could_not_write_are_empty_cells(tmp_path):
+def test_error_codes_of_numbers_are_empty_cells(tmp_path):
     rows = [f"{0.02 * n:.2f},{n % 7}.5" for n in range(60)]
     rows[40:43] = ["0.80,1.#QNAN", "0.82,-1.#IND", "0.84,#DIV/0!"]
     (tmp_path / "a.csv").write_text("\n".join(["time_s,a_m", *rows, ""]))
@@ -71,7 +71,7 @@ def test_numbers_that_a_library_could_not_write_are_empty_cells(tmp_path):
     assert np.flatnonzero(np.isnan(values)).tolist() == [40, 41, 42]
 
 
-def test_words_and_repeated_names_do_not_hide_the_numbers(tmp_path):
+def test_text_column_is_skipped_and_repeated_header_raises(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["time_s"], file["status"] = np.arange(60) * 0.02, np.array([b"ok"] * 60)
     contents = read_contents(tmp_path / "a.h5")
@@ -86,7 +86,7 @@ def test_words_and_repeated_names_do_not_hide_the_numbers(tmp_path):
         read_contents(tmp_path / "a.csv")
 
 
-def test_a_sheet_is_chosen_or_each_is_a_run(tmp_path):
+def test_sheets_are_runs_unless_sheet_is_chosen(tmp_path):
     rows = [["t [s]", "x"], *[[i / 50, i % 7] for i in range(9)]]
     path = write_workbook(tmp_path / "a.xlsx", {"slow": rows, "fast": rows, "empty": []})
     (first,) = read_files([path])

@@ -18,7 +18,7 @@ PLACE = {"gravity": "9.81", "latitude": "48"}
 
 
 def pytables(path):
-    """A table of PyTables: a compound dataset with an index beside its data, in a group."""
+    """Write a PyTables table: a compound dataset with an index in the same group."""
     kind = [("index", np.int64), ("time", float), ("acc", float, (3,))]
     rows = np.empty(len(POSED.time), dtype=kind)
     rows["index"], rows["time"], rows["acc"] = np.arange(len(rows)), POSED.time, POSED.values
@@ -28,7 +28,7 @@ def pytables(path):
 
 
 def two_rates(path):
-    """A slower receiver beside the sensor, each with its time."""
+    """Write a sensor and a slower receiver, each with a time column."""
     with h5py.File(path, "w") as file:
         slow = np.arange(0.0, POSED.time[-1], 1.0)
         file["gps/time"], file["gps/lat"] = slow, 48.0 + 0.0 * slow
@@ -38,7 +38,7 @@ def two_rates(path):
 
 
 @pytest.mark.parametrize("write", [compound, pytables, two_rates])
-def test_tables_of_hdf5_become_poses(tmp_path, write):
+def test_hdf5_tables_are_read_as_poses(tmp_path, write):
     write(tmp_path / "a.h5")
     contents = read_files([tmp_path / "a.h5"])
     assert likely_test(contents) == "poses"
@@ -58,7 +58,7 @@ def path_of(theta):
 
 
 def structures(path):
-    """An array of structures, one for each run."""
+    """Write an array with a structure per run."""
     runs = np.empty((1, 2), dtype=[("time_s", object), ("angle_rad", object), ("pos", object)])
     for n, theta in TURNS.items():
         runs[0, n - 1] = (TIME[:, None], theta[:, None], path_of(theta))
@@ -76,7 +76,7 @@ def groups(path):
     ("name", "write", "names", "mark"),
     [("a.mat", structures, ["runs(1)", "runs(2)"], "."), ("a.h5", groups, ["run1", "run2"], "/")],
 )
-def test_each_structure_or_group_of_a_file_is_a_run(tmp_path, name, write, names, mark):
+def test_structures_and_groups_are_runs(tmp_path, name, write, names, mark):
     write(tmp_path / name)
     contents = read_files([tmp_path / name])
     assert [run.group for run in contents] == names
@@ -93,7 +93,7 @@ def test_each_structure_or_group_of_a_file_is_a_run(tmp_path, name, write, names
         np.testing.assert_allclose(record.angle, theta, atol=1e-9)
 
 
-def test_each_group_of_poses_is_a_run(tmp_path):
+def test_pose_groups_are_runs(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         for n in range(2):
             file[f"run{n}/time"], file[f"run{n}/acc"] = POSED.time, POSED.values + n
@@ -112,7 +112,7 @@ def test_each_group_of_poses_is_a_run(tmp_path):
         read_campaign(path)
 
 
-def test_groups_of_sensors_are_no_runs(tmp_path):
+def test_sensor_groups_are_not_runs(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         for n in range(2):
             file[f"imu{n}/time"], file[f"imu{n}/acc"] = POSED.time, POSED.values
@@ -127,7 +127,7 @@ def test_groups_of_sensors_are_no_runs(tmp_path):
         ((0, 0, 0), (0, 0, 200), "channels aligned by start time, up to 200 samples omitted"),
     ],
 )
-def test_channels_are_cut_or_aligned_and_the_overview_says_so(tmp_path, ends, late, note):
+def test_channels_are_truncated_or_aligned_with_note(tmp_path, ends, late, note):
     waveforms(tmp_path / "a.tdms", ends, late)
     contents = read_files([tmp_path / "a.tdms"])
     assert note in overview(contents)[0]

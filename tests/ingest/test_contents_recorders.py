@@ -20,7 +20,7 @@ KNOWN = {"gravity": "9.8066 m/s^2", "latitude": "45.75 deg", "radius": "2.5 m"}
 
 
 @pytest.fixture(scope="module")
-def frame():
+def recorded_frame():
     """Return a run of 20 turns: a circle of 2.5 m, and noise of 1 cm."""
     time = np.arange(400) * 0.05
     noise = np.random.default_rng(5).normal(scale=0.01, size=(2, 400))
@@ -31,10 +31,10 @@ def frame():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
-def test_a_record_is_the_same_whoever_wrote_it(tmp_path, frame, name):
+def test_recorder_formats_return_same_campaign(tmp_path, recorded_frame, name):
     write, ending = FILES[name]
     path = tmp_path / f"run{ending}"
-    write(frame, path)
+    write(recorded_frame, path)
     found = draft(read_files([path]), KNOWN)
     assert [question.key for question in found.open_questions] == []
     write_description(found, tmp_path / "campaign")
@@ -42,20 +42,26 @@ def test_a_record_is_the_same_whoever_wrote_it(tmp_path, frame, name):
     (run,) = campaign.runs
     assert run.rate == pytest.approx(RATE, rel=1e-6)
     record = read_run(campaign, run)
-    assert record.time - record.time[0] == pytest.approx(frame["time_s"].to_numpy(), abs=1e-6)
-    assert record.angle == pytest.approx(frame["angle_rad"].to_numpy(), abs=3e-6)
+    assert record.time - record.time[0] == pytest.approx(
+        recorded_frame["time_s"].to_numpy(), abs=1e-6
+    )
+    assert record.angle == pytest.approx(recorded_frame["angle_rad"].to_numpy(), abs=3e-6)
     for owner, column in (("Qx", "east_m"), ("Qy", "north_m")):
         measured = np.isfinite(record.signals[owner])
         assert np.count_nonzero(~measured) == MISSING.get(name, {}).get(owner, 0)
-        expected = frame[column].to_numpy()[measured]
+        expected = recorded_frame[column].to_numpy()[measured]
         assert record.signals[owner][measured] == pytest.approx(expected, abs=1e-6)
 
 
-def test_the_sense_shows_along_west_and_south_too(tmp_path, frame):
-    angle = (90.0 - np.degrees(frame["angle_rad"].to_numpy())) % 360.0
-    data = {"t_s": frame["time_s"], "azimuth_deg": angle, "west_m": -frame["east_m"]}
+def test_sense_is_found_along_west_and_south(tmp_path, recorded_frame):
+    angle = (90.0 - np.degrees(recorded_frame["angle_rad"].to_numpy())) % 360.0
+    data = {
+        "t_s": recorded_frame["time_s"],
+        "azimuth_deg": angle,
+        "west_m": -recorded_frame["east_m"],
+    }
     path = tmp_path / "run.csv"
-    pl.DataFrame(data | {"south_m": -frame["north_m"]}).write_csv(path)
+    pl.DataFrame(data | {"south_m": -recorded_frame["north_m"]}).write_csv(path)
     document = draft(read_files([path]), KNOWN).document(tmp_path)
     assert (
         document["records"]["angle"] | {"zero": "north", "sense": "clockwise"}
@@ -81,23 +87,23 @@ def lines(path, head, rows):
         ),
     ],
 )
-def test_what_is_no_table_is_refused_with_what_to_do(tmp_path, frame, head, row, told):
-    cells = zip(*(frame[name] for name in ("time_s", "angle_rad", "east_m")), strict=True)
+def test_unsupported_layout_raises_with_remedy(tmp_path, recorded_frame, head, row, told):
+    cells = zip(*(recorded_frame[name] for name in ("time_s", "angle_rad", "east_m")), strict=True)
     rows = [row.format(t=t, a=a, e=e) for t, a, e in cells]
     with pytest.raises(CounterspinError, match=f"(?s){told}"):
         draft(read_files([lines(tmp_path / "run.csv", head, rows)])).document(tmp_path)
 
 
-def test_a_row_for_each_quantity_is_refused(tmp_path, frame):
-    rows = [f"{name};{';'.join(map(str, frame[name]))}" for name in frame.columns]
+def test_single_row_per_quantity_raises(tmp_path, recorded_frame):
+    rows = [f"{name};{';'.join(map(str, recorded_frame[name]))}" for name in recorded_frame.columns]
     with pytest.raises(CounterspinError, match=r"has \d rows of .* one row per sample"):
         draft(read_files([lines(tmp_path / "run.csv", [], rows)])).document(tmp_path)
 
 
 @pytest.mark.parametrize("below", ["End of data", "Mean,1.0,2.0,3.0\nChecked by: J. D."])
-def test_lines_below_the_rows_are_ignored_and_told(tmp_path, frame, below):
+def test_footer_lines_are_ignored_and_reported(tmp_path, recorded_frame, below):
     path = tmp_path / "run.csv"
-    frame.write_csv(path)
+    recorded_frame.write_csv(path)
     rows = path.read_text()
     path.write_text(f"{rows}{below}\n")
     contents = read_files([path])
@@ -109,18 +115,18 @@ def test_lines_below_the_rows_are_ignored_and_told(tmp_path, frame, below):
     assert draft(read_files([path]), KNOWN).document(tmp_path)["records"] == document["records"]
 
 
-def test_names_that_stand_again_are_told(tmp_path, frame):
-    frame.write_csv(tmp_path / "run.csv")
+def test_repeated_header_raises_with_line(tmp_path, recorded_frame):
+    recorded_frame.write_csv(tmp_path / "run.csv")
     rows = (tmp_path / "run.csv").read_text()
     path = lines(tmp_path / "twice.csv", [rows.rstrip()], [rows.rstrip()])
     with raises("not-numeric", "line 402", "'time_s'"):
         read_files([path])
 
 
-def test_rows_are_counted_where_a_clock_has_whole_seconds(tmp_path, frame):
-    stamps = [f"2026-01-12 10:59:{int(t):02d}" for t in frame["time_s"]]
+def test_rows_are_counted_for_clock_of_one_second_resolution(tmp_path, recorded_frame):
+    stamps = [f"2026-01-12 10:59:{int(t):02d}" for t in recorded_frame["time_s"]]
     path = tmp_path / "run.csv"
-    frame.with_columns(time_s=pl.Series(stamps)).write_csv(path)
+    recorded_frame.with_columns(time_s=pl.Series(stamps)).write_csv(path)
     (asked,) = (q for q in draft(read_files([path])).questions if q.key == "sampling_rate")
     assert asked.guess == "20 Hz"
     statements = " ".join(draft(read_files([path])).statements)
@@ -130,7 +136,7 @@ def test_rows_are_counted_where_a_clock_has_whole_seconds(tmp_path, frame):
     )
 
 
-def test_where_another_run_begins_is_told(tmp_path):
+def test_header_of_second_run_raises_with_line(tmp_path):
     rows = [f"{0.05 * k:.2f},{k},{k % 7}" for k in range(500)]
     head = ["Run 1", "Time [s],Angle [deg],East [m]"]
     path = lines(tmp_path / "all.csv", head, [*rows, "Run 2", head[1], *rows])
@@ -142,7 +148,7 @@ def test_where_another_run_begins_is_told(tmp_path):
     ("content", "told"),
     [(b"\xd0\xcf\x11\xe0", "a workbook"), (b"<html><table>", "a web page or XML")],
 )
-def test_workbooks_of_older_kinds_are_refused_with_what_to_do(tmp_path, content, told):
+def test_old_workbook_format_raises_with_remedy(tmp_path, content, told):
     (tmp_path / "run.xls").write_bytes(content + bytes(600))
     with pytest.raises(CounterspinError, match=f"{told}.*save it as .xlsx"):
         read_files([tmp_path / "run.xls"])

@@ -8,7 +8,7 @@ from counterspin.ingest.contents import frequency, wave
 TIME = np.arange(1000) * 0.02
 
 
-def test_a_wave_is_found_beside_drift_and_noise():
+def test_wave_is_found_with_drift_and_noise():
     noise = 0.3 * np.random.default_rng(1).standard_normal(1000)
     values = 2.5 * np.cos(2 * np.pi * 0.731 * TIME + 0.4) + 0.05 * TIME**2 - TIME + noise
     values[5] = np.nan
@@ -20,7 +20,7 @@ def test_a_wave_is_found_beside_drift_and_noise():
 
 
 @pytest.mark.parametrize("values", [TIME, TIME**2, np.ones(1000), np.cos(0.3 * TIME)])
-def test_what_does_not_swing_has_no_frequency(values):
+def test_non_periodic_values_have_no_frequency(values):
     assert frequency(TIME, values) is None
     assert frequency(TIME, np.random.default_rng(2).standard_normal(1000)) is None
     assert frequency(TIME[:9], values[:9]) is None

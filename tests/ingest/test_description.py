@@ -17,14 +17,14 @@ TIME = np.arange(1500) * 0.02
 ANSWERS = {"gravity": "9.8066 m/s^2", "latitude": "45.75 deg", "radius": "2.5 m"}
 
 
-def record(path, rate, columns):
+def write_run(path, rate, columns):
     """Write a run that begins at 30 deg, seen by `columns` of the true angle."""
     theta = np.radians(30) + rate * TIME
     pl.DataFrame({"t_s": TIME, **columns(theta)}).write_csv(path)
     return path
 
 
-def drafted(files, **answers):
+def make_record_draft(files, **answers):
     return draft(read_files(files), ANSWERS | answers)
 
 
@@ -34,15 +34,15 @@ def axes(theta):
 
 @pytest.mark.parametrize("rate", [np.pi, -np.pi])
 @pytest.mark.parametrize("sense", [1, -1])
-def test_two_axes_show_sense_and_zero_of_the_encoder(tmp_path, rate, sense):
+def test_two_axes_determine_sense_and_zero_of_encoder(tmp_path, rate, sense):
     def columns(theta):
         azimuth = np.degrees(sense * (theta - np.radians(90))) % 360
         return {"azimuth": azimuth, **axes(theta)}
 
-    files = [record(tmp_path / "a b.csv", rate, columns)]
+    files = [write_run(tmp_path / "a b.csv", rate, columns)]
     found = draft(read_files(files))
     assert [q.key for q in found.open_questions] == ["gravity", "latitude", "radius"]
-    write_description(drafted(files), tmp_path)
+    write_description(make_record_draft(files), tmp_path)
     campaign = read_campaign(tmp_path)
     assert campaign.angle.factor == pytest.approx(sense * np.radians(1))
     assert campaign.angle.offset == pytest.approx(np.pi / 2)
@@ -52,65 +52,67 @@ def test_two_axes_show_sense_and_zero_of_the_encoder(tmp_path, rate, sense):
     assert set(campaign.accelerometers) == {"Qx", "Qy"}
 
 
-def test_an_odd_zero_is_stated_in_degrees(tmp_path):
+def test_oblique_zero_is_stated_in_degrees(tmp_path):
     def columns(theta):
         return {"angle_deg": np.degrees(theta) - 12.5, **axes(theta)}
 
-    files = [record(tmp_path / "a.csv", np.pi, columns)]
-    angle = drafted(files).document(tmp_path)["records"]["angle"]
+    files = [write_run(tmp_path / "a.csv", np.pi, columns)]
+    angle = make_record_draft(files).document(tmp_path)["records"]["angle"]
     assert angle == {"column": "angle_deg", "unit": "deg", "zero": "12.5000 deg"}
 
 
-def test_velocities_are_ahead_of_displacements(tmp_path):
+def test_velocity_phase_determines_sense(tmp_path):
     def columns(theta):
         east, north = -2.5 * -np.pi * np.sin(theta), 2.5 * -np.pi * np.cos(theta)
         return {"angle_rad": theta, "east [m/s]": east, "north [m/s]": north}
 
-    files = [record(tmp_path / "a.csv", -np.pi, columns)]
-    document = drafted(files).document(tmp_path)
+    files = [write_run(tmp_path / "a.csv", -np.pi, columns)]
+    document = make_record_draft(files).document(tmp_path)
     assert "zero" not in document["records"]["angle"]
     assert document["runs"][0]["rate"] == "-0.5 rev/s"
     assert document["accelerometers"]["Qx"]["velocity"] == {"column": "east [m/s]", "unit": "m/s"}
 
 
-def test_what_files_do_not_say_is_asked(tmp_path):
-    path = record(tmp_path / "a.csv", np.pi, lambda th: {"p": 2.5 * np.cos(th), "enc": 31415 * th})
+def test_missing_information_is_asked(tmp_path):
+    path = write_run(
+        tmp_path / "a.csv", np.pi, lambda th: {"p": 2.5 * np.cos(th), "enc": 31415 * th}
+    )
     keys = [question.key for question in draft(read_files([path])).open_questions]
     asked = ["gravity", "latitude", "radius", "per_revolution", "sense", "p is", "p unit", "p axis"]
     assert keys == asked
     with pytest.raises(CampaignError) as caught:
-        drafted([path], sense="left", nonsense="1").document(tmp_path)
+        make_record_draft([path], sense="left", nonsense="1").document(tmp_path)
     told = [line.partition(":")[0] for line in caught.value.problems]
     assert told == ["per_revolution", "p is", "p unit", "p axis", "sense", "nonsense"]
     more = {"per_revolution": "197386,9", "sense": "cw", "p is": "Weg", "p axis": "North"}
-    document = drafted([path], **more, **{"p unit": "m"}).document(tmp_path / "there")
+    document = make_record_draft([path], **more, **{"p unit": "m"}).document(tmp_path / "there")
     assert document["records"]["angle"]["per_revolution"] == 197386.9
     assert document["records"]["angle"]["sense"] == "clockwise"
     assert document["accelerometers"]["Qy"]["input_axis"] == "north"
     assert document["runs"][0]["record"] == "../a.csv"
 
 
-def test_guesses_may_be_overruled(tmp_path):
+def test_answers_override_guesses(tmp_path):
     def columns(theta):
         return {"phi": np.degrees(theta), **axes(theta), "temp_m": np.cos(theta)}
 
-    files = [record(tmp_path / "a.csv", np.pi, columns)]
+    files = [write_run(tmp_path / "a.csv", np.pi, columns)]
     assert draft(read_files(files)).common.angle.column == "phi"
-    found = drafted(
+    found = make_record_draft(
         files, **{"temp_m is": "unused", "east_m axis": "W", "north_m is": "ignore"}, sense="ccw"
     )
     document = found.document(tmp_path)
     assert list(document["accelerometers"]) == ["Qx"]
     assert document["accelerometers"]["Qx"]["input_axis"] == "west"
     assert document["records"]["angle"]["zero"] == "west"
-    alone = drafted(files, angle="none", rate="30 deg/s", **{"temp_m is": "unused"})
+    alone = make_record_draft(files, angle="none", rate="30 deg/s", **{"temp_m is": "unused"})
     assert alone.problems == (
         "rate: this is not one of the questions: gravity, latitude, radius, sense",
     )
 
 
-def test_a_unit_that_is_answered_shows_the_rate_of_each_run(tmp_path):
-    """Of a counted angle without waves to tell: by its counts, each run's own."""
+def test_answered_unit_determines_rate_of_runs(tmp_path):
+    """Without waves in the signals, the counts of the angle determine the rate of each run."""
     paths = []
     for name, rate in (("a", 0.5), ("b", -1.0)):
         frame = {"t_s": TIME, "enc": 1e3 * rate * TIME, "p": 0.0 * TIME}
@@ -120,11 +122,11 @@ def test_a_unit_that_is_answered_shows_the_rate_of_each_run(tmp_path):
     assert {"angle unit", "rate", "signal"} <= asked
     answers = {"angle unit": "count", "per_revolution": "1000", "sense": "ccw", "signal": "p"}
     more = {"p is": "displacement", "p unit": "m", "p axis": "east"}
-    document = drafted(paths, **answers, **more).document(tmp_path)
+    document = make_record_draft(paths, **answers, **more).document(tmp_path)
     assert [run["rate"] for run in document["runs"]] == ["0.5 rev/s", "-1 rev/s"]
 
 
-def test_sampling_rates_that_files_state_are_taken(tmp_path):
+def test_stated_sampling_rates_are_used(tmp_path):
     theta = np.pi * TIME
     pos = np.column_stack([axes(theta)["east_m"], axes(theta)["north_m"]])
     rec = {"phi": theta[:, None], "pos": pos, "fs": 50.0, "rpm": 30.0, "note": "arm"}
@@ -134,26 +136,26 @@ def test_sampling_rates_that_files_state_are_taken(tmp_path):
     assert {"fs", "rpm"} <= set(found.common.unused)
     answers = {"angle unit": "rad", "sense": "ccw", "pos.1 unit": "m", "pos.2 unit": "m"}
     more = {"pos.1 axis": "east", "pos.2 axis": "north"}
-    document = drafted([tmp_path / "a.mat"], **answers, **more).document(tmp_path)
+    document = make_record_draft([tmp_path / "a.mat"], **answers, **more).document(tmp_path)
     assert document["records"]["time"] == {"sampling_rate": "50 Hz"}
     assert document["runs"][0]["rate"] == "0.5 rev/s"
-    write_description(drafted([tmp_path / "a.mat"], **answers, **more), tmp_path)
+    write_description(make_record_draft([tmp_path / "a.mat"], **answers, **more), tmp_path)
     assert read_campaign(tmp_path).runs[0].rate == pytest.approx(np.pi)
 
 
-def test_nothing_is_written_over_or_of_a_wrong_answer(tmp_path):
-    files = [record(tmp_path / "a.csv", np.pi, lambda th: {"angle_rad": th, **axes(th)})]
+def test_existing_file_and_invalid_answer_raise(tmp_path):
+    files = [write_run(tmp_path / "a.csv", np.pi, lambda th: {"angle_rad": th, **axes(th)})]
     with raises("wrong-unit", "radius:", "'s'"):
-        write_description(drafted(files, radius="2.5 s"), tmp_path)
+        write_description(make_record_draft(files, radius="2.5 s"), tmp_path)
     (tmp_path / "campaign.toml").write_text("mine")
     with pytest.raises(CounterspinError, match=r"campaign.toml exists"):
-        write_description(drafted(files), tmp_path)
+        write_description(make_record_draft(files), tmp_path)
     assert (tmp_path / "campaign.toml").read_text() == "mine"
     with pytest.raises(CampaignError, match="give the run files"):
         draft([])
 
 
-def test_each_sheet_of_a_workbook_may_be_a_run(tmp_path):
+def test_sheets_of_workbook_may_be_runs(tmp_path):
     def sheet(rate):
         theta = rate * TIME
         columns = [TIME, theta, 2.5 * np.cos(theta), 2.5 * np.sin(theta)]
@@ -170,10 +172,12 @@ def test_each_sheet_of_a_workbook_may_be_a_run(tmp_path):
     assert rates == pytest.approx([np.pi, 2 * np.pi], rel=1e-6)
 
 
-def test_an_angle_that_is_not_to_be_used_is_no_signal(tmp_path):
+def test_excluded_angle_is_not_signal(tmp_path):
     def columns(theta):
         return {"angle_deg": np.degrees(theta) % 360, **axes(theta)}
 
-    found = drafted([record(tmp_path / "a.csv", np.pi, columns)], angle="none", sense="ccw")
+    found = make_record_draft(
+        [write_run(tmp_path / "a.csv", np.pi, columns)], angle="none", sense="ccw"
+    )
     assert found.open_questions == []
     assert found.common.unused == ("angle_deg",)

@@ -27,7 +27,7 @@ def contents_of(columns, units=None, words=None):
     return FileContents(Named, made, tuple(words or ()), "", first_words=words or {})
 
 
-def test_columns_are_shown_with_range_unit_and_looks():
+def test_overview_shows_range_unit_and_role():
     time = np.arange(400) * 0.05
     angle = 2.0 * math.pi * 0.5 * time
     columns = {
@@ -46,8 +46,8 @@ def test_columns_are_shown_with_range_unit_and_looks():
     assert lines[4:] == ["  k: always 3", "  mode: words, a, b"]
 
 
-def test_nominal_orientations_are_no_measurements():
-    """A table of six faces, the nominal direction beside what was read."""
+def test_nominal_orientations_are_not_measurements():
+    """The table of six faces has nominal directions and readings."""
     faces = np.vstack([np.eye(3), -np.eye(3)] * 2)
     read = faces * 1.01 + np.random.default_rng(1).normal(0.0, 2e-3, faces.shape)
     columns = {f"n{axis}": faces[:, k] for k, axis in enumerate("xyz")}
@@ -59,8 +59,8 @@ def test_nominal_orientations_are_no_measurements():
 
 
 @pytest.mark.parametrize("unit", ["", "rad/s"])
-def test_what_swings_without_an_axis_or_an_angle_is_no_turntable(unit):
-    """Elements of an attitude matrix do, and rates of a hand."""
+def test_waves_without_axis_or_angle_have_unknown_test(unit):
+    """Examples are the elements of an attitude matrix and rates of hand motion."""
     time = np.arange(600) * 0.02
     swing = np.sin(2.0 * math.pi * 0.8 * time)
     contents = contents_of({"time": time, "M33": swing}, {"time": "s", "M33": unit})
@@ -79,7 +79,7 @@ def test_missing_answers_are_counted_as_answers():
         found.complete()
 
 
-def test_a_file_of_no_known_kind_is_never_asked_for_a_radius(tmp_path, capsys):
+def test_file_of_unknown_test_is_not_asked_for_radius(tmp_path, capsys):
     rows = "".join(f"{k},{k % 7},{(k * k) % 11}\n" for k in range(200))
     (tmp_path / "log.csv").write_text("a,b,c\n" + rows)
     assert main(["init", str(tmp_path / "c"), "--yes", "--from", str(tmp_path / "log.csv")]) == 2
@@ -89,7 +89,7 @@ def test_a_file_of_no_known_kind_is_never_asked_for_a_radius(tmp_path, capsys):
     assert "radius" not in told.out + told.err.replace("radius of a centrifuge", "")
 
 
-def test_the_rate_of_alternating_sensors_is_that_of_all_rows(tmp_path):
+def test_rate_of_alternating_sensors_counts_all_rows(tmp_path):
     """Rows of a sensor every 20 ms, and of another 3 ms after each: 100 rows per second."""
     rows = [
         f"{9 * 10**13 + 20_000_000 * n + d};{s};{n % 7}"
@@ -102,7 +102,7 @@ def test_the_rate_of_alternating_sensors_is_that_of_all_rows(tmp_path):
     assert "swings" not in " ".join(overview(contents))
 
 
-def test_constant_columns_and_nominal_orientations_are_no_measurements(tmp_path):
+def test_constant_and_nominal_columns_are_unused(tmp_path):
     angle = np.arange(0.0, 360.0, 30.0)
     up = np.cos(np.radians(angle))
     rows = [

@@ -31,13 +31,13 @@ def values():
 
 
 def write_log(folder, values):
-    """Write what many loggers do: angular rates behind, blanks between, no names, no times."""
+    """Write a log with space delimiters, angular rates in the last columns, no header, no time."""
     rates = 0.01 * np.random.default_rng(1).normal(size=values.shape)
     np.savetxt(folder / "imu.log", np.column_stack([values, rates]), fmt="%.5f")
     return folder / "imu.log"
 
 
-def test_a_log_without_names_and_times(tmp_path, values):
+def test_log_without_header_and_time_is_understood(tmp_path, values):
     looks = read_files([write_log(tmp_path, values)])
     assert likely_test(looks) == "poses"
     found = make_draft(looks, ANSWERS, "poses")
@@ -70,7 +70,7 @@ def test_a_log_without_names_and_times(tmp_path, values):
     assert campaign.triad is not None
 
 
-def test_a_thermometer_beside_the_axes_tells_their_slopes(tmp_path):
+def test_temperature_column_determines_slopes(tmp_path):
     """The sensor warms by 8 K over 40 poses; its X axis reads 2 mm/s^2 more for each."""
     truth = posed(3.0, 1.0, 40, noise=0.005, seed=3)
     warm = 22.0 + 8.0 * (1.0 - np.exp(-truth.time / 60.0))
@@ -95,7 +95,7 @@ def test_a_thermometer_beside_the_axes_tells_their_slopes(tmp_path):
     assert result.inputs.temperatures == pytest.approx([295.15, 273.15 + warm.max()], abs=0.1)
 
 
-def test_counts_of_a_thermometer_are_not_guessed_to_be_degrees(tmp_path, values):
+def test_temperature_in_counts_is_not_used(tmp_path, values):
     time = 0.01 * np.arange(len(values))
     counts = np.full(len(values), 3120.0)
     rows = np.column_stack([time, values, counts])
@@ -104,7 +104,7 @@ def test_counts_of_a_thermometer_are_not_guessed_to_be_degrees(tmp_path, values)
     assert set(document["records"]) == {"time"}
 
 
-def test_what_is_guessed_can_be_overruled(tmp_path, values):
+def test_answers_override_guesses(tmp_path, values):
     looks = read_files([write_log(tmp_path, values)])
     more = {"X": "column 3", "Z": "column 1", "grade": "tactical", "rest": "3", "unit": "m/s^2"}
     found = poses_draft(looks, ANSWERS | more)
@@ -120,7 +120,7 @@ def test_what_is_guessed_can_be_overruled(tmp_path, values):
     assert "radius" in asked
 
 
-def test_what_the_file_does_not_say_is_asked(tmp_path, values):
+def test_missing_information_is_asked(tmp_path, values):
     found = poses_draft(read_files([write_log(tmp_path, values)]))
     asked = [question.key for question in found.open_questions]
     assert asked == ["gravity", "latitude", "sampling_rate"]
@@ -129,7 +129,7 @@ def test_what_the_file_does_not_say_is_asked(tmp_path, values):
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("g", 1 / 9.81), ("mg", 1000 / 9.81)])
-def test_the_size_at_rest_tells_the_unit(tmp_path, values, unit, factor):
+def test_magnitude_at_rest_determines_unit(tmp_path, values, unit, factor):
     time = np.arange(len(values)) * 10.0
     columns = {"t_ms": time} | {f"a{n}": factor * values[:, n] for n in range(3)}
     pl.DataFrame(columns).write_csv(tmp_path / "imu.csv")
@@ -141,7 +141,7 @@ def test_the_size_at_rest_tells_the_unit(tmp_path, values, unit, factor):
     assert document["accelerometers"]["X"]["specific_force"] == {"column": "a0", "unit": unit}
 
 
-def test_counts_have_a_sensitivity(tmp_path, values):
+def test_counts_require_sensitivity(tmp_path, values):
     field = np.cross(values, [0.3, 0.5, 0.1])  # what a magnetometer beside them might show
     columns = {f"a{n}": np.round(1670.0 * values[:, n]) for n in range(3)}
     columns |= {f"m{n}": field[:, n] for n in range(3)}
@@ -170,7 +170,7 @@ def write_raw(file, values, *, counts=415.0, middle=MIDDLE):
     return read_files([file])
 
 
-def test_counts_of_a_converter_that_is_not_zero_where_nothing_is_felt(tmp_path):
+def test_counts_with_offset_have_zero_and_sensitivity(tmp_path):
     looks = write_raw(tmp_path / "imu_acc.txt", posed(4.0, 1.5, count=24).values + BIAS)
     assert likely_test(looks) == "poses"
     found = make_draft(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
@@ -189,13 +189,13 @@ def test_counts_of_a_converter_that_is_not_zero_where_nothing_is_felt(tmp_path):
         assert abs(read.value - (middle + 415.0 * bias)) < 3.0 * read.u < 30.0
 
 
-def test_few_poses_are_about_zero(tmp_path, values):
-    """Four numbers of a sphere need more than a handful of poses to be believed."""
+def test_few_poses_do_not_determine_offset(tmp_path, values):
+    """The four parameters of a sphere need more than a few poses."""
     looks = write_raw(tmp_path / "imu.txt", values[: int(8 * 5.5 * 100)])
     assert likely_test(looks) is None
 
 
-def test_numbers_of_rows_are_no_time(tmp_path, values):
+def test_row_numbers_are_not_time(tmp_path, values):
     columns = {"n_samples": np.arange(len(values))}
     columns |= {f"acc_{n}": values[:, n] for n in range(3)}
     pl.DataFrame(columns).write_csv(tmp_path / "session.csv")
@@ -207,7 +207,7 @@ def test_numbers_of_rows_are_no_time(tmp_path, values):
     assert document["records"] == {"time": {"sampling_rate": "100 Hz"}}
 
 
-def test_a_file_for_each_pose(tmp_path):
+def test_separate_files_are_poses(tmp_path):
     rng = np.random.default_rng(4)
     forces = rng.normal(size=(16, 3))
     forces *= 9.81 / np.linalg.norm(forces, axis=1)[:, None]
@@ -231,7 +231,7 @@ def test_a_file_for_each_pose(tmp_path):
 
 
 @pytest.mark.parametrize(("unit", "size"), [("m/s^2", 9.81), ("g", 1.0), ("count", 4096.0)])
-def test_a_table_with_a_pose_in_each_row(tmp_path, unit, size):
+def test_table_rows_are_poses(tmp_path, unit, size):
     rng = np.random.default_rng(6)
     forces = rng.normal(size=(24, 3))
     forces /= np.linalg.norm(forces, axis=1)[:, None]
@@ -253,7 +253,7 @@ def test_a_table_with_a_pose_in_each_row(tmp_path, unit, size):
         assert abs(b.value - size * bias / 10.0 - middle) < 3.5 * b.u < 0.01 * size
 
 
-def test_volts_of_a_single_supply(tmp_path, values):
+def test_single_supply_voltage_has_zero(tmp_path, values):
     time = np.arange(len(values)) * 10.0
     columns = {"t_ms": time} | {f"U{n}": 1.65 + 0.0337 * values[:, n] for n in range(3)}
     pl.DataFrame(columns).write_csv(tmp_path / "imu.csv")
@@ -267,7 +267,7 @@ def test_volts_of_a_single_supply(tmp_path, values):
     assert document["accelerometers"]["Y"]["output"]["zero"] == "1.5 V"
 
 
-def test_other_records_are_not_taken_for_poses(tmp_path, values):
+def test_other_records_are_not_poses(tmp_path, values):
     rng = np.random.default_rng(2)
     still = 9.81 * np.tile([0.0, 0.6, 0.8], (len(values), 1)) + 0.02 * rng.normal(size=values.shape)
     for name, these in (("still", still), ("few", values[:2000]), ("rates", 0.01 * values)):
@@ -326,7 +326,7 @@ NAMES_OF_LAYOUTS = [name for name, *_ in layouts(np.zeros(1), np.zeros((1, 3)))]
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES_OF_LAYOUTS)
-def test_layouts_of_loggers(tmp_path, name):
+def test_logger_layouts_are_understood(tmp_path, name):
     truth = posed(2.6, 0.8, 12)
     values = truth.values + BIAS
     _, head, rows, axes = next(one for one in layouts(truth.time, values) if one[0] == name)
@@ -345,12 +345,12 @@ def write_rows(folder, time, values, head="t,ax,ay,az"):
     return read_files([folder / "log.csv"])
 
 
-def test_a_counter_of_packets_is_no_time(tmp_path, values):
+def test_packet_counter_is_not_time(tmp_path, values):
     looks = write_rows(tmp_path, 12000 + np.arange(len(values)), values, "PacketCounter,x,y,z")
     assert [one.key for one in poses_draft(looks, PLACE).open_questions] == ["sampling_rate"]
 
 
-def test_an_unnamed_time_follows_a_counter_of_rows(tmp_path, values):
+def test_unnamed_time_after_row_counter_is_found(tmp_path, values):
     count = np.arange(len(values))
     looks = write_rows(
         tmp_path, np.column_stack([count, count / 100.0]), values, "index,v0,v1,v2,v3"
@@ -360,7 +360,7 @@ def test_an_unnamed_time_follows_a_counter_of_rows(tmp_path, values):
     assert draft.document(tmp_path)["records"]["time"]["column"] == "v0"
 
 
-def test_rests_of_a_second_are_found(tmp_path):
+def test_one_second_rests_are_found(tmp_path):
     truth = posed(1.0, 0.6, 20)
     found = make_draft(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")
     assert any(
@@ -370,8 +370,8 @@ def test_rests_of_a_second_are_found(tmp_path):
     assert found.document(tmp_path)["runs"][0]["poses"] == {"rest": "0.5 s"}
 
 
-def test_poses_of_one_to_four_seconds_after_a_long_rest(tmp_path):
-    """Two in three are shorter than the usual rest and its second of scatter."""
+def test_short_poses_after_long_rest_are_found(tmp_path):
+    """Two thirds of the poses are shorter than the default rest interval plus 1 s."""
     rng = np.random.default_rng(5)
     force = rng.normal(size=(30, 3))
     force *= 9.81 / np.linalg.norm(force, axis=1)[:, None]
@@ -392,7 +392,7 @@ def test_poses_of_one_to_four_seconds_after_a_long_rest(tmp_path):
         assert abs(one.value - bias / 9.81) < 4.0 * one.u
 
 
-def test_axes_are_in_the_order_of_their_names(tmp_path, values):
+def test_axes_are_ordered_by_name(tmp_path, values):
     """Sensor Logger writes z, y, x, in nanoseconds since 1970."""
     time = np.arange(len(values))
     rows = [
@@ -405,7 +405,7 @@ def test_axes_are_in_the_order_of_their_names(tmp_path, values):
     assert len(calibrate(write_description(found, tmp_path / "camp").parent).triad.poses) == 12
 
 
-def test_a_telephone_writes_rows_when_it_has_them(tmp_path, values):
+def test_irregular_rows_of_phone_are_read(tmp_path, values):
     kept = np.sort(np.random.default_rng(3).permutation(len(values))[: len(values) * 2 // 3])
     looks = write_rows(tmp_path, kept, values[kept], "timestamp_ms,ax,ay,az")
     told = {"time unit": "s"}  # 1 s for 10 ms
@@ -416,21 +416,21 @@ def test_a_telephone_writes_rows_when_it_has_them(tmp_path, values):
     assert found.found.means.shape[0] == 12
 
 
-def test_a_clock_that_stands_still_for_many_rows_is_no_time(tmp_path, values):
+def test_stepwise_clock_is_not_time(tmp_path, values):
     time = np.floor(np.arange(len(values)) / 5.0) / 20.0
     looks = write_rows(tmp_path, time, values)
     assert likely_test(looks) == "poses"
     assert [one.key for one in poses_draft(looks, PLACE).open_questions] == ["sampling_rate"]
 
 
-def test_gravity_by_a_filter_is_no_sensor(tmp_path, values):
+def test_filtered_gravity_is_not_sensor(tmp_path, values):
     both = np.column_stack([values - BIAS, values])
     head = "t,gravity_x,gravity_y,gravity_z,acc_x,acc_y,acc_z"
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), both, head)
     assert make_draft(looks, PLACE, "poses").triad == ("acc_x", "acc_y", "acc_z")
 
 
-def test_forces_without_gravity_are_told(tmp_path):
+def test_forces_without_gravity_are_reported(tmp_path):
     truth = posed(4.0, 1.5)
     smooth = np.repeat(truth.force, 550, axis=0)[: len(truth.values)]
     rests = np.arange(len(truth.values)) % 550 < 400
@@ -443,7 +443,7 @@ def test_forces_without_gravity_are_told(tmp_path):
 
 
 def faces(count, tilt=0.005, seed=6):
-    """Return a sensor set on its six faces by hand, each in turn."""
+    """Simulate a sensor that is set by hand on its six faces in turn."""
     rng = np.random.default_rng(seed)
     truth = posed(4.0, 1.0, count, noise=0.01, seed=seed)
     axes = np.concatenate([np.eye(3), -np.eye(3)])[np.arange(count) % 6]
@@ -455,8 +455,8 @@ def faces(count, tilt=0.005, seed=6):
     return truth.time, values + BIAS
 
 
-def test_faces_set_twice_do_not_tell_angles(tmp_path):
-    """An angle would be known by a product of tilts: it takes any value."""
+def test_six_faces_set_twice_do_not_determine_angles(tmp_path):
+    """Only products of tilts would determine an angle, so it is undetermined."""
     found = make_draft(write_rows(tmp_path, *faces(13)), PLACE, "poses")
     assert found.document(tmp_path)["model"] == {"terms": ["K_F", "K_I"]}
     assert any(
@@ -470,7 +470,7 @@ def test_faces_set_twice_do_not_tell_angles(tmp_path):
 
 
 @pytest.mark.skipif(not REAL.exists(), reason="the real records are not here")
-def test_a_real_sensor_on_six_faces(tmp_path):
+def test_measured_six_faces_match_sums_and_differences(tmp_path):
     """Half the sum and half the difference of opposite faces tell the same, but for their tilts."""
     answers = {"gravity": "9.8066 m/s^2", "latitude": "49.6 deg", "sampling_rate": "204.8 Hz"}
     found = make_draft(read_files([REAL / "session.csv"]), answers, "poses")
@@ -491,7 +491,7 @@ def test_a_real_sensor_on_six_faces(tmp_path):
 
 
 @pytest.mark.parametrize("in_table", [False, True])
-def test_six_faces_need_a_stated_uncertainty(tmp_path, in_table):
+def test_six_faces_require_stated_uncertainty(tmp_path, in_table):
     time, values = faces(6)
     looks = write_rows(tmp_path, time, values)
     if in_table:
@@ -507,7 +507,7 @@ def test_six_faces_need_a_stated_uncertainty(tmp_path, in_table):
         assert abs(one.value - bias / 9.81) < 4.0 * one.u
 
 
-def test_volts_without_a_unit_are_poses_whose_unit_is_asked(tmp_path, values):
+def test_unit_of_unnamed_volts_is_asked(tmp_path, values):
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), 1.65 + values / 9.81 / 3.0)
     assert likely_test(looks) == "poses"
     assert [one.key for one in poses_draft(looks, PLACE).open_questions] == ["unit"]
@@ -516,14 +516,14 @@ def test_volts_without_a_unit_are_poses_whose_unit_is_asked(tmp_path, values):
     assert (float(size), unit) == (pytest.approx(1.0 / 3.0, rel=0.01), "V/g")
 
 
-def test_numbers_that_lost_their_sign_are_refused(tmp_path, values):
+def test_unsigned_numbers_raise(tmp_path, values):
     counts = np.mod(np.round(values / 9.81 * 16384.0), 65536.0)
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), counts)
     with raises("unsigned-numbers", "16 bits", "65536", "32768"):
         likely_test(looks)
 
 
-def test_a_second_sensor_in_the_file_is_said(tmp_path, values):
+def test_second_sensor_in_file_is_reported(tmp_path, values):
     both = np.column_stack([values, 1.02 * values + 0.05])
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), both, "t,a1,a2,a3,b1,b2,b3")
     found = make_draft(looks, PLACE, "poses")
@@ -536,14 +536,14 @@ def test_a_second_sensor_in_the_file_is_said(tmp_path, values):
     assert other.triad == ("b1", "b2", "b3")
 
 
-def test_words_between_numbers_have_to_go(tmp_path):
+def test_words_between_numbers_raise(tmp_path):
     (tmp_path / "log.txt").write_text("AcX = -8272 | AcY = -14018 | AcZ = -2056\n" * 40)
     with pytest.raises(RecordError, match="Remove words between the numeric cells"):
         read_files([tmp_path / "log.txt"])
 
 
 @pytest.mark.parametrize("count", [9, 10])
-def test_nine_poses_are_asked_for_biases_and_scale_factors_alone(tmp_path, count):
+def test_nine_poses_have_model_of_bias_and_scale_factor(tmp_path, count):
     truth = posed(4.0, 1.0, count, noise=0.01, seed=4)
     looks = write_rows(tmp_path, truth.time, truth.values + BIAS)
     found = make_draft(looks, PLACE | {"grade": "consumer"}, "poses")
@@ -556,7 +556,7 @@ def test_nine_poses_are_asked_for_biases_and_scale_factors_alone(tmp_path, count
         assert abs(one.value - bias / 9.81) < 4.0 * one.u
 
 
-def test_poses_of_a_record_may_state_their_uncertainty(tmp_path):
+def test_stated_uncertainty_of_poses_is_used(tmp_path):
     """Nine poses have no degree of freedom left beside nine parameters: u is the stated one's."""
     truth = posed(4.0, 1.0, 9, noise=0.01, seed=8)
     found = make_draft(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")

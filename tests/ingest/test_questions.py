@@ -29,7 +29,7 @@ COUNTS = FileQuestion("counts", "?", "65536")
         (COUNTS, "4096", "4096"),
     ],
 )
-def test_answers_as_people_write_them(question, answer, meaning):
+def test_answer_spellings_are_accepted(question, answer, meaning):
     assert question.judged(answer) == meaning
 
 
@@ -45,12 +45,12 @@ def test_answers_as_people_write_them(question, answer, meaning):
         (COUNTS, "inf", "not a positive number"),
     ],
 )
-def test_answers_that_are_none(question, answer, told):
+def test_invalid_answers_raise(question, answer, told):
     with pytest.raises(ValueError, match=told):
         question.judged(answer)
 
 
-def test_what_is_not_asked_is_a_mistake():
+def test_unknown_question_is_reported():
     taken, problems = judged_answers([GRAVITY, AXIS], {"axis": "e", "gravty": "9.8"})
     assert taken == {"axis": "east"}
     assert problems == ["gravty: this is not one of the questions: gravity, axis"]

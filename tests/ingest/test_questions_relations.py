@@ -16,14 +16,14 @@ RATE = np.pi
 DIRECTIONS = {"east": 0.0, "north": np.pi / 2, "west": np.pi, "south": -np.pi / 2}
 
 
-def asked(path, **answers):
-    """Return the draft, and what is yet to be answered."""
+def draft_and_questions(path, **answers):
+    """Return the draft and the keys of the open questions."""
     said = PLACE | {key.replace("_", " "): answer for key, answer in answers.items()}
     found = draft(read_files([path]), said)
     return found, [question.key for question in found.open_questions]
 
 
-def circle(path, first, second, *, sense=1.0, sizes=(2.5, 2.5), forward=1.0):
+def write_circle(path, first, second, *, sense=1.0, sizes=(2.5, 2.5), forward=1.0):
     """Write a run whose encoder shows `sense` times the true angle."""
     true = forward * RATE * TIME
     waves = [
@@ -36,12 +36,12 @@ def circle(path, first, second, *, sense=1.0, sizes=(2.5, 2.5), forward=1.0):
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("m", 1.0), ("mm", 1e3), ("cm", 1e2)])
-def test_the_radius_shows_the_unit_of_a_displacement(tmp_path, unit, factor):
-    path = circle(tmp_path / "run.csv", "east", "north", sizes=(2.5 * factor, 2.51 * factor))
+def test_radius_determines_unit_of_displacement(tmp_path, unit, factor):
+    path = write_circle(tmp_path / "run.csv", "east", "north", sizes=(2.5 * factor, 2.51 * factor))
     told = {"a is": "displacement", "b is": "displacement"}
-    found, needed = asked(path, **told)
+    found, needed = draft_and_questions(path, **told)
     assert {"a unit", "b unit"} <= set(needed)
-    found, needed = asked(path, radius="2.5 m", **told)
+    found, needed = draft_and_questions(path, radius="2.5 m", **told)
     assert {"a unit", "b unit"}.isdisjoint(needed)
     assert [signal.unit for signal in found.common.signals] == [unit, unit]
     assert (
@@ -59,15 +59,17 @@ def test_the_radius_shows_the_unit_of_a_displacement(tmp_path, unit, factor):
         ("specific_force", 2.5 * RATE**2 / 9.80665, "g"),
     ],
 )
-def test_with_the_rate_it_shows_that_of_a_velocity_or_a_force(tmp_path, what, size, unit):
-    path = circle(tmp_path / "run.csv", "east", "north", sizes=(size, size))
-    found, _ = asked(path, radius="2.5 m", **{"a is": what, "b is": what})
+def test_radius_and_rate_determine_unit_of_velocity_or_force(tmp_path, what, size, unit):
+    path = write_circle(tmp_path / "run.csv", "east", "north", sizes=(size, size))
+    found, _ = draft_and_questions(path, radius="2.5 m", **{"a is": what, "b is": what})
     assert [signal.unit for signal in found.common.signals] == [unit, unit]
 
 
-def test_a_size_that_fits_no_unit_is_asked(tmp_path):
-    path = circle(tmp_path / "run.csv", "east", "north", sizes=(3.1, 0.31))
-    _, needed = asked(path, radius="2.5 m", **{"a is": "displacement", "b is": "displacement"})
+def test_unit_of_implausible_amplitude_is_asked(tmp_path):
+    path = write_circle(tmp_path / "run.csv", "east", "north", sizes=(3.1, 0.31))
+    _, needed = draft_and_questions(
+        path, radius="2.5 m", **{"a is": "displacement", "b is": "displacement"}
+    )
     assert {"a unit", "b unit"} <= set(needed)
 
 
@@ -75,25 +77,25 @@ def test_a_size_that_fits_no_unit_is_asked(tmp_path):
 @pytest.mark.parametrize(("first", "second"), list(permutations(DIRECTIONS, 2)))
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 @pytest.mark.parametrize("forward", [1.0, -1.0])
-def test_the_sense_and_one_axis_show_the_other(tmp_path, first, second, sense, forward):
-    path = circle(tmp_path / "run.csv", first, second, sense=sense, forward=forward)
+def test_sense_and_one_axis_determine_other_axis(tmp_path, first, second, sense, forward):
+    path = write_circle(tmp_path / "run.csv", first, second, sense=sense, forward=forward)
     told = {"a is": "displacement", "b is": "displacement", "radius": "2.5 m"}
     word = {1.0: "counterclockwise", -1.0: "clockwise"}[sense]
-    found, needed = asked(path, **told, sense=word)
+    found, needed = draft_and_questions(path, **told, sense=word)
     assert needed == ["a axis", "b axis"]
-    found, needed = asked(path, **told, sense=word, **{"a axis": first})
+    found, needed = draft_and_questions(path, **told, sense=word, **{"a axis": first})
     assert needed == []
     assert [signal.axis for signal in found.common.signals] == [first, second]
 
 
-def test_a_sense_that_the_waves_contradict_is_refused_at_once(tmp_path):
-    path = circle(tmp_path / "run.csv", "east", "north")
+def test_sense_contradicting_waves_is_reported(tmp_path):
+    path = write_circle(tmp_path / "run.csv", "east", "north")
     told = {"a is": "displacement", "b is": "displacement", "radius": "2.5 m"}
     axes = {"a axis": "east", "b axis": "north"}
-    found, _ = asked(path, **told, **axes, sense="clockwise")
+    found, _ = draft_and_questions(path, **told, **axes, sense="clockwise")
     (problem,) = found.problems
     assert problem.startswith(
         "sense: the waves along two axes show an angle that increases counterclock"
     )
-    found, _ = asked(path, **told, **axes, sense="counterclockwise")
+    found, _ = draft_and_questions(path, **told, **axes, sense="counterclockwise")
     assert found.problems == ()

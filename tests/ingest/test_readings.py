@@ -19,11 +19,13 @@ from counterspin.ingest.readings import (
 )
 
 
-def column(name, unit="", values=(1.0, 2.0)):
+def make_column(name, unit="", values=(1.0, 2.0)):
     return FileColumn(name, unit, np.array(values))
 
 
-LOOK = FileContents(None, (column("a"), column("b"), column("c")), ("No", "note"), "")
+LOOK = FileContents(
+    None, (make_column("a"), make_column("b"), make_column("c")), ("No", "note"), ""
+)
 
 
 @pytest.mark.parametrize(
@@ -46,8 +48,8 @@ LOOK = FileContents(None, (column("a"), column("b"), column("c")), ("No", "note"
         ("Uout", "V", "reading"),
     ],
 )
-def test_what_a_column_usually_is(name, unit, role):
-    assert usual_role(column(name, unit)) == role
+def test_usual_role_of_column(name, unit, role):
+    assert usual_role(make_column(name, unit)) == role
 
 
 @pytest.mark.parametrize(
@@ -61,8 +63,8 @@ def test_what_a_column_usually_is(name, unit, role):
         ([1.0, 2.0], "", "reading"),
     ],
 )
-def test_what_counts_the_rows_is_no_reading(values, unit, role):
-    assert usual_role(column("Test", unit, values)) == role
+def test_row_counter_is_not_reading(values, unit, role):
+    assert usual_role(make_column("Test", unit, values)) == role
 
 
 @pytest.mark.parametrize(
@@ -74,8 +76,8 @@ def test_what_counts_the_rows_is_no_reading(values, unit, role):
         (["Reading", "QA2"], "accelerometers"),
     ],
 )
-def test_columns_are_repeats_by_their_names(names, meant):
-    columns = [column(name, "V", [-1.0, 0.0, 1.0]) for name in names]
+def test_repeat_columns_are_found_by_name(names, meant):
+    columns = [make_column(name, "V", [-1.0, 0.0, 1.0]) for name in names]
     contents = FileContents(None, tuple(columns), (), "")
     roles = dict.fromkeys(names, "reading")
     (question,) = several_question(columns)
@@ -88,7 +90,7 @@ def test_columns_are_repeats_by_their_names(names, meant):
     assert list(several_question(columns[:1])) == []
 
 
-def test_only_one_column_is_a_part_and_an_answer_stands_above_a_guess():
+def test_single_role_column_is_unique_and_answers_take_precedence():
     def roles(**told):
         return roles_of(LOOK, told, lambda one: "position" if one.name == "a" else "reading", parts)
 
@@ -103,14 +105,14 @@ def test_only_one_column_is_a_part_and_an_answer_stands_above_a_guess():
     assert "position" not in roles(position="none").values()
 
 
-def test_a_voltage_called_u_is_a_reading_where_nothing_else_is():
-    volts = FileContents(None, (column("angle_deg"), column("U_V")), (), "")
+def test_voltage_named_u_is_reading_if_no_other_is():
+    volts = FileContents(None, (make_column("angle_deg"), make_column("U_V")), (), "")
     guess = {"angle_deg": "position"}
     roles = roles_of(volts, {}, lambda c: guess.get(c.name) or usual_role(c), {})
     assert roles == {"angle_deg": "position", "U_V": "reading"}
 
 
-def test_each_column_is_asked_for_by_what_it_may_be():
+def test_columns_are_asked_with_possible_roles():
     roles = {"No": "name", "note": "unused", "a": "position", "b": "reading", "c": "time"}
     asked = {question.key: question for question in role_questions(LOOK, roles, ["position"])}
     assert list(asked) == ["No is", "note is", "b is", "c is"]
@@ -123,19 +125,19 @@ def test_each_column_is_asked_for_by_what_it_may_be():
     assert (other.guess, other.choices) == ("none", ("b", "c", "none"))
 
 
-def test_the_unit_of_an_output_is_told_or_stands_in_the_file_or_its_name():
-    assert output_unit(column("out_V")) == "V"
-    assert output_unit(column("out_V", "mV")) == "mV"
-    assert output_unit(column("out_V", "mV"), {"out_V unit": "uV"}) == "uV"
-    assert output_unit(column("Reading mV")) == "mV"
-    assert output_unit(column("counts")) == "count"
-    assert output_unit(column("V")) is None
+def test_unit_of_output_is_from_answer_file_or_name():
+    assert output_unit(make_column("out_V")) == "V"
+    assert output_unit(make_column("out_V", "mV")) == "mV"
+    assert output_unit(make_column("out_V", "mV"), {"out_V unit": "uV"}) == "uV"
+    assert output_unit(make_column("Reading mV")) == "mV"
+    assert output_unit(make_column("counts")) == "count"
+    assert output_unit(make_column("V")) is None
 
 
-def test_the_sensitivity_is_shown_and_a_zero_is_asked_where_it_is_no_bias():
+def test_sensitivity_is_suggested_and_large_zero_is_asked():
     def questions(per_g, zero):
         sensed = OutputEstimate(per_g, zero)
-        return list(output_questions(column("A", "V"), {}, sensed))[1:]
+        return list(output_questions(make_column("A", "V"), {}, sensed))[1:]
 
     (sensitivity,) = questions(2.0, 0.5)
     assert sensitivity.text.endswith("of column 'A'? The data suggest about 2 V/g.")
@@ -146,9 +148,11 @@ def test_the_sensitivity_is_shown_and_a_zero_is_asked_where_it_is_no_bias():
     assert sensitivity.text.endswith("of column 'A'?")
 
 
-def test_an_acceleration_has_no_sensitivity():
+def test_acceleration_needs_no_sensitivity():
     def keys(unit):
-        return [q.key for q in output_questions(column("A", unit), {}, OutputEstimate(1.25, 2.5))]
+        return [
+            q.key for q in output_questions(make_column("A", unit), {}, OutputEstimate(1.25, 2.5))
+        ]
 
     assert keys("g") == ["A unit"]
     assert keys("mA") == ["A unit", "A sensitivity", "A zero"]

@@ -18,7 +18,7 @@ from counterspin.simulation.simulate import simulate
 from counterspin.studies.study import study
 
 
-def test_starter_can_be_simulated_and_calibrated_as_it_stands(tmp_path):
+def test_unchanged_starter_is_simulated_and_calibrated(tmp_path):
     path = init(tmp_path / "new" / "campaign")
     assert path == tmp_path / "new" / "campaign" / "campaign.toml"
     campaign = read_campaign(path)
@@ -29,7 +29,7 @@ def test_starter_can_be_simulated_and_calibrated_as_it_stands(tmp_path):
         assert abs(c[symbol].value - truth[symbol]) < 4 * c[symbol].u
 
 
-def test_starter_says_what_each_table_is_for(tmp_path):
+def test_starter_has_comments_on_tables(tmp_path):
     text = init(tmp_path).read_text(encoding="utf-8")
     tables = [line for line in text.splitlines() if line.startswith("[")]
     assert {"[site]", "[centrifuge]", "[records]", "[noise]", "[model]", "[[runs]]"} <= {
@@ -49,7 +49,7 @@ SAID = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("test", [one for one in get_args(Test) if one != "poses"])
-def test_each_example_goes_the_whole_way(tmp_path, test, capsys):
+def test_examples_run_from_init_to_certificate(tmp_path, test, capsys):
     """From init to the certificate; the study runs small, its coverage within what it allows."""
     own, made = tmp_path / "own", tmp_path / "made"
     assert main(["init", str(own), "--test", test]) == 0
@@ -89,7 +89,7 @@ def test_each_example_goes_the_whole_way(tmp_path, test, capsys):
     capsys.readouterr()
 
 
-def test_tables_of_readings_that_are_there_stay(tmp_path):
+def test_existing_reading_table_is_not_overwritten(tmp_path):
     (tmp_path / "readings.csv").write_text("mine", encoding="utf-8")
     with pytest.raises(CounterspinError, match=r"readings\.csv exists; edit it"):
         init(tmp_path, "tumble")
@@ -100,7 +100,7 @@ def test_tables_of_readings_that_are_there_stay(tmp_path):
         init(tmp_path, "poses")
 
 
-def test_description_that_is_there_stays(tmp_path):
+def test_existing_description_is_not_overwritten(tmp_path):
     path = tmp_path / "campaign.toml"
     path.write_text("mine", encoding="utf-8")
     with raises("file-exists", "campaign.toml"):
@@ -108,14 +108,14 @@ def test_description_that_is_there_stays(tmp_path):
     assert path.read_text(encoding="utf-8") == "mine"
 
 
-def test_folder_that_cannot_be_made_is_an_error(tmp_path):
+def test_folder_that_cannot_be_created_raises(tmp_path):
     (tmp_path / "file").write_text("x", encoding="utf-8")
     for name, told in (("file", "is a file"), ("file/below", "cannot be created")):
         with pytest.raises(CounterspinError, match=told):
             init(tmp_path / name)
 
 
-def test_command_line_tells_what_to_do_next(tmp_path, capsys):
+def test_command_line_prints_next_step(tmp_path, capsys):
     assert main(["init", str(tmp_path / "new")]) == 0
     told = capsys.readouterr().out
     assert f"counterspin simulate {tmp_path / 'new' / 'campaign.toml'} -o" in told

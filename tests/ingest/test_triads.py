@@ -6,29 +6,32 @@ from counterspin.ingest.contents import FileColumn
 from counterspin.ingest.triads import threes
 
 
-def found(*names):
+def find_names(*names):
     columns = [FileColumn(name, "", np.zeros(3)) for name in names]
     return [tuple(one.name for one in three) for three in threes(columns)]
 
 
-def test_names_that_differ_in_the_letters_of_axes_belong_together():
-    assert found("z", "y", "x") == [("x", "y", "z")]
-    assert found("t", "ax", "gx", "ay", "gy", "az", "gz")[:2] == [
+def test_names_differing_in_axis_letter_are_triad():
+    assert find_names("z", "y", "x") == [("x", "y", "z")]
+    assert find_names("t", "ax", "gx", "ay", "gy", "az", "gz")[:2] == [
         ("ax", "ay", "az"),
         ("gx", "gy", "gz"),
     ]
     # An x in the name of all three is none of an axis.
-    assert found("xsens_Y", "xsens_X", "xsens_Z") == [("xsens_X", "xsens_Y", "xsens_Z")]
-    assert found("X", "y", "Z") == [("X", "y", "Z")]  # as they follow one another
+    assert find_names("xsens_Y", "xsens_X", "xsens_Z") == [("xsens_X", "xsens_Y", "xsens_Z")]
+    assert find_names("X", "y", "Z") == [("X", "y", "Z")]  # as they follow one another
 
 
-def test_columns_without_such_names_belong_together_where_they_follow_one_another():
-    assert found("1", "2", "3", "4") == [("1", "2", "3"), ("2", "3", "4")]
+def test_consecutive_columns_without_axis_letters_are_triad():
+    assert find_names("1", "2", "3", "4") == [("1", "2", "3"), ("2", "3", "4")]
     # No column of a named sensor is one of another.
-    assert found("ax", "ay", "az", "m1", "m2", "m3") == [("ax", "ay", "az"), ("m1", "m2", "m3")]
-    assert found("ax", "ay") == []
+    assert find_names("ax", "ay", "az", "m1", "m2", "m3") == [
+        ("ax", "ay", "az"),
+        ("m1", "m2", "m3"),
+    ]
+    assert find_names("ax", "ay") == []
 
 
-def test_what_a_filter_makes_of_gravity_stands_behind_a_sensor():
+def test_filtered_gravity_is_ranked_after_sensor():
     names = [f"{what} {axis}" for what in ("GRAVITY", "ACCELEROMETER") for axis in "XYZ"]
-    assert [three[0] for three in found(*names)] == ["ACCELEROMETER X", "GRAVITY X"]
+    assert [three[0] for three in find_names(*names)] == ["ACCELEROMETER X", "GRAVITY X"]

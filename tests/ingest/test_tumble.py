@@ -15,7 +15,7 @@ ANGLES = np.arange(0.0, 360.0, 30.0)
 ANSWERS = {"gravity": "9,8066", "latitude": "45.75"}
 
 
-def table(start=0.0):
+def make_rows(start=0.0):
     """Return rows of name, deg, mA and u of an accelerometer that points `start` deg from up."""
     force = 0.002 + np.cos(np.radians(ANGLES - start))
     rows = zip(ANGLES.tolist(), (1.25 * force).round(7).tolist(), strict=True)
@@ -32,8 +32,8 @@ def write_table(path, rows, head=("Name", "Winkel", "Signal", "u"), units=("", "
 @pytest.mark.parametrize(
     ("start", "axis"), [(0.0, "up"), (90.0, "west"), (180.0, "down"), (-90.0, "east")]
 )
-def test_readings_show_how_the_axis_points_at_zero(tmp_path, start, axis):
-    path = write_table(tmp_path / "t.csv", table(start))
+def test_readings_determine_axis_at_zero(tmp_path, start, axis):
+    path = write_table(tmp_path / "t.csv", make_rows(start))
     found = tumble_draft(read_files([path]), ANSWERS | {"Signal sensitivity": "1,25"})
     assert found.open_questions == []
     document = found.document(tmp_path / "camp")
@@ -48,12 +48,12 @@ def test_readings_show_how_the_axis_points_at_zero(tmp_path, start, axis):
 
 
 @pytest.mark.parametrize("start", [0.0, 45.0, 180.0])
-def test_a_short_table_that_follows_its_positions_is_guessed_to_be_a_tumble(tmp_path, start):
-    path = write_table(tmp_path / "t.csv", table(start))
+def test_short_table_following_positions_is_tumble(tmp_path, start):
+    path = write_table(tmp_path / "t.csv", make_rows(start))
     assert likely_test(read_files([path])) == "tumble"
 
 
-def spindle(rows):
+def record_rows(rows):
     """Return the first rows of a record, 30 deg apart: name, deg, value, s."""
     return [
         [f"{angle:g}", angle, np.cos(np.radians(angle)), 0.05 * n]
@@ -65,9 +65,9 @@ def spindle(rows):
     ("rows", "head", "units"),
     [
         # A time that runs evenly, a path, more rows than anybody sets by hand, noise.
-        (spindle(12), ("Name", "Angle", "Signal", "Time"), ("", "deg", "V", "s")),
-        (spindle(12), ("Name", "Angle", "East", "u"), ("", "deg", "m", "m")),
-        (spindle(101), ("Name", "Angle", "Signal", "u"), ("", "deg", "V", "V")),
+        (record_rows(12), ("Name", "Angle", "Signal", "Time"), ("", "deg", "V", "s")),
+        (record_rows(12), ("Name", "Angle", "East", "u"), ("", "deg", "m", "m")),
+        (record_rows(101), ("Name", "Angle", "Signal", "u"), ("", "deg", "V", "V")),
         (
             [[f"{n}", 30.0 * n, value, 1e-6] for n, value in enumerate([1, -1, 3, 0, 2, 2, -3, 1])],
             ("Name", "Angle", "Signal", "u"),
@@ -75,28 +75,28 @@ def spindle(rows):
         ),
     ],
 )
-def test_what_is_no_tumble_is_not_guessed_to_be_one(tmp_path, rows, head, units):
+def test_other_tables_are_not_tumble(tmp_path, rows, head, units):
     path = write_table(tmp_path / "t.csv", rows, head, units)
     assert likely_test(read_files([path])) != "tumble"
 
 
 @pytest.mark.parametrize("start", [0.0, 90.0, 180.0, -90.0])
-def test_directions_are_those_in_which_the_readings_are_greatest_upwards(tmp_path, start):
-    path = write_table(tmp_path / "t.csv", table(start))
+def test_directions_follow_from_largest_readings(tmp_path, start):
+    path = write_table(tmp_path / "t.csv", make_rows(start))
     directions = np.array(tumble_draft(read_files([path])).directions)
     assert np.cos(np.radians(directions)) == pytest.approx(np.cos(np.radians(ANGLES - start)))
     # Right-handed about north, up goes to the east.
     assert np.sin(np.radians(directions)) == pytest.approx(np.sin(np.radians(ANGLES - start)))
 
 
-def test_without_an_axis_at_zero_no_direction_is_known(tmp_path):
-    path = write_table(tmp_path / "t.csv", table(45.0))
+def test_directions_require_axis_at_zero(tmp_path):
+    path = write_table(tmp_path / "t.csv", make_rows(45.0))
     assert tumble_draft(read_files([path])).directions == []
     assert len(tumble_draft(read_files([path]), {"axis at 0": "up"}).directions) == len(ANGLES)
 
 
-def test_a_workbook_with_title_and_units(tmp_path):
-    rows = [["Tumble", None], [None, "deg", "V", "V"], *table()]
+def test_workbook_with_title_and_units_is_understood(tmp_path):
+    rows = [["Tumble", None], [None, "deg", "V", "V"], *make_rows()]
     rows.insert(1, ["Name", "Position", "Output 1", "Output 2"])
     path = write_workbook(tmp_path / "t.xlsx", {"Notes": [["hello"]], "Readings": rows})
     more = {"Output 1 sensitivity": "1.25 V/g", "Output 2 is": "uncertainty"}
@@ -111,8 +111,8 @@ def test_a_workbook_with_title_and_units(tmp_path):
     assert calibrate(tmp_path).accelerometers["A"].coefficients["K_I"].estimated
 
 
-def test_what_a_table_does_not_say_is_asked(tmp_path):
-    rows = [row[1:3] for row in table()]
+def test_missing_information_is_asked(tmp_path):
+    rows = [row[1:3] for row in make_rows()]
     path = write_table(tmp_path / "t.csv", rows, ("a", "b"), ("", ""))
     found = make_draft(read_files([path]), {}, "tumble")
     asked = [question.key for question in found.open_questions]
@@ -126,14 +126,14 @@ def test_what_a_table_does_not_say_is_asked(tmp_path):
         found.document(tmp_path)
 
 
-def test_a_table_without_readings_says_so(tmp_path):
-    path = write_table(tmp_path / "t.csv", table())
+def test_table_without_readings_raises(tmp_path):
+    path = write_table(tmp_path / "t.csv", make_rows())
     answers = ANSWERS | {"Signal is": "unused", "axis at 0": "up"}
     with raises("missing-column", "columns: Winkel, Signal, u"):
         tumble_draft(read_files([path]), answers).document(tmp_path)
 
 
-def test_one_table(tmp_path):
-    path = write_table(tmp_path / "t.csv", table())
+def test_several_tables_raise(tmp_path):
+    path = write_table(tmp_path / "t.csv", make_rows())
     with raises("wrong-usage", "one file"):
         make_draft(read_files([path, path]), {}, "tumble")

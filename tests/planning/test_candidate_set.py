@@ -13,7 +13,7 @@ from counterspin.planning.design import Criterion
 @pytest.mark.parametrize("total", [3.0, 40.0, 150.0, 1e4])
 @pytest.mark.parametrize("spread", [0.1, 2.0])
 @pytest.mark.parametrize("seed", range(5))
-def test_what_gains_most_is_that_of_a_linear_program(seed, spread, total):
+def test_largest_gain_matches_linear_program(seed, spread, total):
     """From a time that few may take of to one that does not count.
 
     Where gains are much alike, two observations share the limits; else one gains most by far.

@@ -53,19 +53,19 @@ ECCENTRICITY = path_fault("encoder.harmonic.1")
 IMBALANCE = path_fault("centrifuge.imbalance.1")
 
 
-def place_of(prediction, name="Qx.K_II"):
+def coefficient_index(prediction, name="Qx.K_II"):
     return [unknown.name for unknown in prediction.fit.model.unknowns].index(name)
 
 
-def fault(prediction, symbol):
-    """Return what a fault of those of a campaign would do."""
+def fault_of_symbol(prediction, symbol):
+    """Return the effect of a fault with this symbol on the campaign."""
     found = fault_sensitivities(prediction, possible_faults(prediction.campaign, "Qx"))
     return next(one for one in found if one.fault.symbol == symbol)
 
 
-def shown_by(fault, series):
-    """Return what a record shows of one unit of each part of a fault."""
-    return series.columns([part.symbol for part in fault.parts], 1.0)
+def simulate_fault_signal(fault_of_symbol, series):
+    """Return the signal of one unit of each component of a fault in a record."""
+    return series.columns([part.symbol for part in fault_of_symbol.parts], 1.0)
 
 
 # Against the model that knows them
@@ -75,28 +75,28 @@ def shown_by(fault, series):
     ("symbol", "size"),
     [("K_OO", "2e-6 g/g^2"), ("delta_O", "5e-5 rad"), ("platform.tilt.north", "0.5 arcsec")],
 )
-def test_shift_is_what_the_term_adds_to_u_when_it_is_held(symbol, size, predict):
+def test_shift_is_contribution_of_considered_term_to_u(symbol, size, predict):
     name = symbol.rpartition(".")[0] or symbol
     out = [('"platform.tilt", ', ""), ('"platform.tilt" = "0 ± 0.5 arcsec"', "")]
     known = f'[model.priors]\n"{name}" = "0 ± {size}"'
     named = ('# hold = ["K_PP"]  ', f'hold = ["{name}"]')
     held = [named, ("[model.priors]", known)]
     left_out = predict(*out)
-    found = fault(left_out, symbol)
+    found = fault_of_symbol(left_out, symbol)
     told = predict(*out, *held).fit.solution
-    place = place_of(left_out)
+    place = coefficient_index(left_out)
     added = math.sqrt(told.u[place] ** 2 - left_out.fit.solution.u[place] ** 2)
     assert found.shift(place) == pytest.approx(added, rel=1e-6)
 
 
 @pytest.mark.parametrize("symbol", ["K_OO", "K_IO"])
-def test_deviation_is_that_of_a_fit_that_estimates_it(symbol, predict):
+def test_deviation_matches_fit_that_estimates_fault(symbol, predict):
     left_out = predict(*VELOCITY)
-    found = fault(left_out, symbol)
+    found = fault_of_symbol(left_out, symbol)
     estimated = predict(*VELOCITY, ('"K_III", ', f'"K_III", "{symbol}", '))
     u = estimated.u[f"Qx.{symbol}"]
     size = found.fault.size
-    assert found.deviation(place_of(left_out)) == pytest.approx(size / u, rel=1e-6)
+    assert found.deviation(coefficient_index(left_out)) == pytest.approx(size / u, rel=1e-6)
 
 
 # Against records that have the fault
@@ -106,15 +106,15 @@ OBSERVABLES = {"displacement": [], "velocity": VELOCITY, "specific_force": FORCE
 
 
 @pytest.mark.parametrize("changes", OBSERVABLES.values(), ids=OBSERVABLES)
-def test_shift_is_that_of_the_fit_of_a_record_with_the_fault(changes, predict):
+def test_shift_matches_fit_of_record_with_fault(changes, predict):
     prediction = predict(*changes)
     (found,) = fault_sensitivities(prediction, [ECCENTRICITY])
-    place = place_of(prediction)
+    place = coefficient_index(prediction)
     moved = found.moved[place]
     phase = moved / np.linalg.norm(moved)
     prepared = []
     for part in prediction.fit.design_blocks:
-        shown = shown_by(ECCENTRICITY, part.series)
+        shown = simulate_fault_signal(ECCENTRICITY, part.series)
         error = ECCENTRICITY.size * (shown @ phase)
         prepared.append(replace(part, series=replace(part.series, error=error)))
     fit = solve_joint(prepared, prediction.fit.model, prediction.fit.noise)
@@ -138,7 +138,7 @@ def derivatives(position, time, order):
 @pytest.mark.parametrize("mounting", [QX, QY], ids=["Qx", "Qy"])
 @pytest.mark.parametrize("changes", OBSERVABLES.values(), ids=OBSERVABLES)
 @pytest.mark.parametrize("phase", [0, 1], ids=["cosine", "sine"])
-def test_columns_are_the_motion_s(phase, changes, mounting, predict):
+def test_columns_match_derivatives_of_motion(phase, changes, mounting, predict):
     part = predict(*changes, rates=(2.9,)).fit.design_blocks[0]
     series = replace(part.series, mounting=mounting)
     axis = mounting.input_axis[:2]
@@ -159,11 +159,11 @@ def test_columns_are_the_motion_s(phase, changes, mounting, predict):
     time = series.time[:400]
     for one, position in ((IMBALANCE, imbalanced), (ECCENTRICITY, eccentric)):
         expected = derivatives(position, time, ORDERS[series.observable])
-        shown = shown_by(one, series)[:400, phase]
+        shown = simulate_fault_signal(one, series)[:400, phase]
         assert np.abs(shown - expected).max() < 1e-4 * np.abs(expected).max(), one.symbol
 
 
-def test_stretch_looks_like_a_radius_for_each_rate(predict):
+def test_stretch_equals_radius_change_per_rate(predict):
     series = predict(rates=(5.0,)).fit.design_blocks[0].series
     stretch = next(
         one for one in possible_faults(predict().campaign, "Qx") if "stretch" in one.symbol
@@ -172,37 +172,37 @@ def test_stretch_looks_like_a_radius_for_each_rate(predict):
     grown = motion.radius * (1.0 + 1e-6 * motion.radius * 25.0)
     longer = Trajectory(motion.spindle, grown, motion.site)
     change = (series.reference(longer) - series.reference()) / 1e-6
-    assert shown_by(stretch, series)[:, 0] == pytest.approx(change, rel=1e-4, abs=1e-6)
+    assert simulate_fault_signal(stretch, series)[:, 0] == pytest.approx(change, rel=1e-4, abs=1e-6)
 
 
 # How much of K_II rests on its harmonic
 
 
-def share(prediction):
-    place = place_of(prediction)
+def predict_harmonic_share(prediction):
+    place = coefficient_index(prediction)
     found = fault_sensitivities(prediction, [mean_square_fault("Qx"), square_term_fault("Qx")])
     mean, whole = (one.moved[place, 0] for one in found)
     return 1.0 - mean / whole
 
 
-def test_share_of_the_harmonic(starter, predict):
+def test_harmonic_share_depends_on_prior(starter, predict):
     text = starter().read_text(encoding="utf-8")
     terms = next(line for line in text.splitlines() if line.startswith("terms"))
     priors = text.partition("[model.priors]\n")[2].partition("\n[limits]")[0]
     alone = [*FORCE, (priors, ""), ('bias = "0 ± 5e-7 g" ', "")]
     # a_I^2 = A^2/2 (1 + cos 2 th): mean squares 1 of the mean to 1/2 of the harmonic.
     known = predict(*alone, (terms, 'terms = ["K_II"]'), rates=(6.0,))
-    assert share(known) == pytest.approx(1.0 / 3.0, abs=1e-3)
+    assert predict_harmonic_share(known) == pytest.approx(1.0 / 3.0, abs=1e-3)
     # One rate and a free bias leave the harmonic alone.
     free = predict(*alone, (terms, 'terms = ["K_F", "K_II"]'), rates=(6.0,))
-    assert share(free) == pytest.approx(1.0, abs=1e-3)
-    assert abs(share(predict())) < 1e-3
+    assert predict_harmonic_share(free) == pytest.approx(1.0, abs=1e-3)
+    assert abs(predict_harmonic_share(predict())) < 1e-3
 
 
 # What a user reads
 
 
-def test_report_and_result_name_what_is_not_noticed(starter, capsys):
+def test_report_and_result_name_undetected_faults(starter, capsys):
     result = plan(starter(SMALL)).result
     told = result.accelerometers["Qx"]
     unseen = {effect.symbol: effect for effect in told.faults if not effect.noticed}
@@ -221,7 +221,7 @@ def test_report_and_result_name_what_is_not_noticed(starter, capsys):
     assert "Less than 0.1 % of the information on K_II comes from the second harmonic" in printed
 
 
-def test_a_force_campaign_rests_on_the_harmonic_and_sees_less_of_an_eccentric_encoder(starter):
+def test_force_campaign_depends_on_harmonic_and_eccentricity(starter):
     told = plan(starter(SMALL, *FORCE)).result.accelerometers["Qx"]
     assert told.harmonic_share > 0.3
     faults = {effect.symbol: effect for effect in told.faults}
@@ -229,7 +229,7 @@ def test_a_force_campaign_rests_on_the_harmonic_and_sees_less_of_an_eccentric_en
     assert faults["encoder.harmonic.3"].noticed
 
 
-def test_nothing_is_said_of_a_model_without_k_ii(starter):
+def test_model_without_k_ii_has_no_fault_report(starter):
     file = starter(SMALL, ('"K_II", ', ""), ('minimise = ["K_II"]  ', 'minimise = ["K_I"]  '))
     told = plan(file).result.accelerometers["Qx"]
     assert told.harmonic_share is None

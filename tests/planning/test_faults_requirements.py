@@ -21,7 +21,7 @@ FORCE = [
 ]
 
 
-def test_requirements_make_u_a_twentieth_larger(starter, tmp_path):
+def test_requirements_increase_u_by_5_percent(starter, tmp_path):
     planned = plan(starter(SMALL))
     radius = next(line for line in planned.result.requirements if "radius" in line.words)
     document = tomllib.loads(planned.document)
@@ -34,9 +34,9 @@ def test_requirements_make_u_a_twentieth_larger(starter, tmp_path):
     assert after / before == pytest.approx(1.05, rel=1e-3)
 
 
-def test_eccentricity_and_imbalance_at_which_u_is_a_twentieth_larger(starter):
+def test_eccentricity_and_imbalance_increase_u_by_5_percent(starter):
     planned = plan(starter(*FORCE))
-    prediction = forecast(planned_campaign(planned, starter))
+    prediction = forecast(write_planned_campaign(planned, starter))
     place = [u.name for u in prediction.fit.model.unknowns].index("Qx.K_II")
     paths = ("encoder.harmonic.1", "centrifuge.imbalance.1")
     found = fault_sensitivities(prediction, [path_fault(symbol) for symbol in paths])
@@ -49,8 +49,8 @@ def test_eccentricity_and_imbalance_at_which_u_is_a_twentieth_larger(starter):
     assert found[0].shift(place) > 10.0 * prediction.u["Qx.K_II"]
 
 
-def test_what_is_required_of_a_fault_that_is_an_unknown_is_said_without_it(starter, tmp_path):
-    """The fit would give way to it, and its records seem to need nothing."""
+def test_requirement_of_estimated_fault_is_computed_without_it(starter, tmp_path):
+    """The fit would absorb the fault, so it would seem to have no requirement."""
     document = tomllib.loads(plan(starter(*FORCE)).document)
     moved = []
     for known in ({}, {"encoder.harmonic.1": "0 ± 1 arcsec"}):
@@ -63,14 +63,14 @@ def test_what_is_required_of_a_fault_that_is_an_unknown_is_said_without_it(start
     assert moved[1] == pytest.approx(moved[0], rel=1e-6)
 
 
-def planned_campaign(planned, starter):
-    """Return the campaign that a plan has written."""
+def write_planned_campaign(planned, starter):
+    """Write the campaign of a plan and read it back."""
     file = starter().parent / "campaign.toml"
     file.write_text(planned.document, encoding="utf-8")
     return read_campaign(file)
 
 
-def test_sizes_that_cannot_occur_are_no_limit(tmp_path, capsys):
+def test_impossible_sizes_have_no_requirement(tmp_path, capsys):
     file = init(tmp_path / "example")
     text = changed(file.read_text(encoding="utf-8"), ("\n[model] ", '\n[model]\nassume = "all" #'))
     file.write_text(text, encoding="utf-8")

@@ -12,7 +12,7 @@ from counterspin.planning.forecast import forecast
 from counterspin.simulation.simulate import simulate
 
 
-def test_a_mixed_campaign_has_the_uncertainties_that_were_forecast(tmp_path):
+def test_forecast_matches_calibration_of_mixed_campaign(tmp_path):
     """Records on a double turntable, readings on an arm and at rest: every u, and the budget's."""
     mixed = MixedCampaign(tmp_path)
     result = mixed.calibrated()
@@ -26,7 +26,7 @@ def test_a_mixed_campaign_has_the_uncertainties_that_were_forecast(tmp_path):
         assert c.u == pytest.approx(told.u[f"A.{symbol}"], rel=5e-3)
 
 
-def test_poses_have_the_uncertainties_that_were_forecast(tmp_path):
+def test_forecast_matches_calibration_of_poses(tmp_path):
     values = triads.indications(triads.directions(15, np.random.default_rng(1)))
     folder = triads.table(tmp_path, values, u=1e-4)
     told, result = forecast(folder), calibrate(folder)
@@ -37,7 +37,7 @@ def test_poses_have_the_uncertainties_that_were_forecast(tmp_path):
         forecast(triads.table(tmp_path / "unstated", values))
 
 
-def test_an_encoder_s_noise_acts_through_the_k_iii_that_is_found(tmp_path):
+def test_encoder_noise_acts_through_estimated_k_iii(tmp_path):
     """Two rates nearly the same, and time stamps that hide the ripple: u(K_II) rests on K_III.
 
     Expecting none, a forecast is right of a calibration that finds none; expecting what one has
@@ -83,7 +83,7 @@ MODELS = {"perfect": 'assume = "all"\nterms = ["K_F", "K_I", "K_II"]\n', "nothin
 
 @pytest.mark.parametrize("timing", ["0 s", "1 ms"])
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
-def test_a_campaign_has_the_uncertainties_that_were_forecast(model, timing, tmp_path):
+def test_forecast_matches_calibration_of_records(model, timing, tmp_path):
     """With noise of the time stamps too: of outputs it goes with their slope, and of angles too.
 
     A ripple that the angles do not show does to K_II what K_III is. So K_III is in the model only
@@ -107,7 +107,7 @@ def test_a_campaign_has_the_uncertainties_that_were_forecast(model, timing, tmp_
                 assert c.u == pytest.approx(told[f"{name}.{symbol}"], rel=0.01)
 
 
-def test_a_computer_with_its_own_velocity_makes_no_difference(tmp_path):
+def test_forecast_does_not_depend_on_velocity_feedback(tmp_path):
     """What it took off is put back, noise included: a forecast, or a study, need not know of it."""
     walk = 'acceleration = "1e-5 g/Hz^0.5"\n'
     calibrated, told = [], []
@@ -132,7 +132,7 @@ def test_a_computer_with_its_own_velocity_makes_no_difference(tmp_path):
             assert other.u == pytest.approx(told[1][f"{name}.{symbol}"], rel=5e-3)
 
 
-def test_a_forecast_shows_itself_in_a_line_for_each_coefficient(tmp_path):
+def test_forecast_repr_has_line_per_coefficient(tmp_path):
     found = forecast(write(tmp_path, SMALL))
     head, *lines = repr(found).splitlines()
     assert head == f"Forecast of {found.campaign.title}"

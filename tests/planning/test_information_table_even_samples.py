@@ -33,7 +33,7 @@ def information(rows, angle, held):
 @pytest.mark.parametrize("held", [0, 1, 2])
 @pytest.mark.parametrize("harmonics", HARMONICS)
 @pytest.mark.parametrize("record", RECORDS.values(), ids=RECORDS)
-def test_closed_form_is_the_sum_over_the_samples(record, harmonics, held):
+def test_closed_form_matches_sum_over_samples(record, harmonics, held):
     count, step, block = record
     rng = np.random.default_rng(1)
     weights = rng.standard_normal((4 + 4 * harmonics, 5))
@@ -52,7 +52,7 @@ def test_closed_form_is_the_sum_over_the_samples(record, harmonics, held):
     assert rows.T @ rows / scale == pytest.approx(expected / scale, abs=1e-12)
 
 
-def test_between_whole_numbers_of_samples_it_is_smooth():
+def test_closed_form_is_smooth_between_sample_counts():
     weights = np.random.default_rng(2).standard_normal((16, 3))
     counts = np.array([300.0, 300.5, 301.0, 301.5, 302.0])
     samples = EvenSamples(np.zeros(5), np.full(5, 0.1), counts, np.zeros(5))
@@ -62,7 +62,7 @@ def test_between_whole_numbers_of_samples_it_is_smooth():
     assert abs(np.diff(size, 4)[0]) < 1e-4 * abs(np.diff(size)[0])
 
 
-def test_shifted_combinations_are_the_same_functions():
+def test_shifted_basis_spans_same_functions():
     weights = np.random.default_rng(3).standard_normal((2, 16, 4))
     angle, by = np.linspace(0.0, 20.0, 50), np.array([3.7, -0.2])
     for before, after, s in zip(weights, shift_angle_origin(weights, by), by, strict=True):

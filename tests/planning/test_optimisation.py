@@ -44,12 +44,12 @@ def predictor():
 
 
 @pytest.fixture(scope="module")
-def free(predictor):
+def best_plan(predictor):
     """Return the best plan of the day, at whatever rates."""
     return optimise(predictor, DAY, K_II)
 
 
-def considering(*considered):
+def setup_with_considered(*considered):
     """Return a set-up in which some terms and an input are considered."""
     return make_setup(
         platform=("platform.drift.north",),
@@ -59,8 +59,8 @@ def considering(*considered):
 
 SETUPS = {
     "estimated": make_setup(),
-    "considered": considering("platform.tilt.north", "platform.g_sensitivity.zx"),
-    "considered, common to all runs": considering("platform.g_sensitivity.zx"),
+    "considered": setup_with_considered("platform.tilt.north", "platform.g_sensitivity.zx"),
+    "considered, common to all runs": setup_with_considered("platform.g_sensitivity.zx"),
 }
 
 
@@ -76,14 +76,14 @@ SETUPS = {
     ],
     ids=["the paper's plan", "the best in one sense", "both senses"],
 )
-def test_plans_of_an_independent_calculation(predictor, design, u):
+def test_u_of_plan_matches_joint_fit(predictor, design, u):
     setup = predictor.information.setup
     # Given to four digits; of both senses as a floor, the plan is not said.
     assert u_by_joint_fit(setup, design)[2] == pytest.approx(u, rel=3e-4 if u > 2e-8 else 1e-3)
     assert predictor.u(design) == pytest.approx(u_by_joint_fit(setup, design), rel=1e-7)
 
 
-def test_many_designs_at_once_are_as_one_by_one(predictor):
+def test_stacked_designs_match_single_designs(predictor):
     rng = np.random.default_rng(2)
     rate, turns = rng.uniform(2.0, 6.0, (5, 4)), rng.uniform(10.0, 50.0, (5, 4))
     types = BOTH * 2
@@ -99,7 +99,7 @@ def test_many_designs_at_once_are_as_one_by_one(predictor):
     ids=["one", "sum", "determinant"],
 )
 @pytest.mark.parametrize("setup", SETUPS.values(), ids=SETUPS)
-def test_derivatives_are_those_of_differences(setup, criterion):
+def test_derivatives_match_differences(setup, criterion):
     predictor = Predictor(RunInformation(setup, (1.0, 7.0), (5.0, 100.0), (1, -1)))
     design = Design(BOTH * 3, np.linspace(2.0, 6.0, 6), np.linspace(10.0, 40.0, 6))
     _, by_rate, by_turns = predictor.sensitivities(design, criterion)
@@ -133,7 +133,7 @@ def runs_of(design):
     ids=["c", "A", "D"],
 )
 @pytest.mark.parametrize("types", [ONE, BOTH], ids=["one sense", "both"])
-def test_equivalence_theorem(predictor, criterion, types):
+def test_optimum_satisfies_equivalence_theorem(predictor, criterion, types):
     limits = replace(DAY, types=types)
     support, found = relax(predictor, limits, criterion)
     rows = predictor.information.blocks(*runs_of(support))
@@ -164,7 +164,7 @@ def test_equivalence_theorem(predictor, criterion, types):
     assert found.bound <= found.value + 1e-9
 
 
-def test_d_optimal_gain_is_the_number_of_coefficients():
+def test_d_optimal_gain_is_coefficient_count():
     """Kiefer and Wolfowitz: without priors and costs the largest gain is p, at the support."""
     setup = make_setup(("K_F", "K_I", "K_II"), platform=(), priors={})
     predictor = Predictor(RunInformation(setup, (1.0, 6.0), (10.0, 100.0), (1,)))
@@ -180,7 +180,7 @@ def test_d_optimal_gain_is_the_number_of_coefficients():
 # The search
 
 
-def test_optimum_against_exhaustive_search(predictor):
+def test_optimum_matches_exhaustive_search(predictor):
     """Three runs at five rates and six lengths each: no plan of the grid is better."""
     limits = replace(DAY, runs=3, total_time=300.0, types=BOTH, longest_run=300.0)
     found = optimise(predictor, limits, K_II)
@@ -199,7 +199,7 @@ def test_optimum_against_exhaustive_search(predictor):
     assert found.bound <= found.value
 
 
-def test_settings_of_the_rate_against_exhaustive_search(predictor):
+def test_rate_settings_match_exhaustive_search(predictor):
     settings = (0.25 * FAST, 0.6 * FAST, FAST)
     limits = replace(DAY, settings=settings, rate=(settings[0], FAST), runs=3, total_time=200.0)
     criterion = Criterion((1, 2), (1e-4, 1e-8))
@@ -218,7 +218,7 @@ def test_settings_of_the_rate_against_exhaustive_search(predictor):
 @pytest.mark.parametrize(
     ("types", "u"), [(ONE, 2.254e-8), (BOTH, 1.643e-8)], ids=["one sense", "both"]
 )
-def test_best_plan_of_the_day(predictor, types, u):
+def test_best_plan_reaches_acceptance_u(predictor, types, u):
     found = optimise(predictor, replace(DAY, types=types), K_II)
     assert math.exp(found.value) <= u * 1.0005
     assert found.efficiency > 0.985
@@ -226,7 +226,7 @@ def test_best_plan_of_the_day(predictor, types, u):
     assert len(found.design.types) <= DAY.runs
 
 
-def test_limits_are_kept():
+def test_plan_is_within_limits():
     predictor = Predictor(
         RunInformation(make_setup(attitudes=ATTITUDES), (1.0, 6.0), (8.0, 200.0), (1, -1))
     )
@@ -263,21 +263,21 @@ NARROWER = {
 
 
 @pytest.mark.parametrize("narrower", NARROWER)
-def test_a_start_outside_of_the_limits_leads_to_a_plan_within_them(predictor, free, narrower):
+def test_start_outside_limits_leads_to_plan_within_limits(predictor, best_plan, narrower):
     limits = NARROWER[narrower]
-    assert DAY.contains(free.design)
-    assert not limits.contains(free.design)
-    found = optimise(predictor, limits, K_II, start=free.design)
+    assert DAY.contains(best_plan.design)
+    assert not limits.contains(best_plan.design)
+    found = optimise(predictor, limits, K_II, start=best_plan.design)
     assert limits.contains(found.design)
-    assert found.value >= free.value - 1e-6
+    assert found.value >= best_plan.value - 1e-6
     assert found.efficiency > 0.8
 
 
 @pytest.mark.parametrize(("fewest", "word"), [(2, "two"), (4, "four")])
-def test_as_many_different_rates_as_there_must_be(predictor, free, fewest, word):
+def test_plan_has_required_number_of_rates(predictor, best_plan, fewest, word):
     limits = replace(DAY, fewest_rates=fewest, revolutions=5.0)
     found = optimise(predictor, limits, K_II)
-    assert len(set(np.round(free.design.rate, 6))) == 1
+    assert len(set(np.round(best_plan.design.rate, 6))) == 1
     rates = found.design.rate
     apart = rates[limits.distinct_rate_runs(rates)]
     assert len(apart) == fewest
@@ -286,11 +286,11 @@ def test_as_many_different_rates_as_there_must_be(predictor, free, fewest, word)
     # It costs something, and little: the bound is that without the rule.
     page = (Path(__file__).parents[2] / "docs" / "plan.md").read_text("utf-8")
     stated = float(re.search(rf"(\d+) % for {word} rates", " ".join(page.split()))[1])
-    assert 100.0 * math.expm1(found.value - free.value) == pytest.approx(stated, abs=0.5)
+    assert 100.0 * math.expm1(found.value - best_plan.value) == pytest.approx(stated, abs=0.5)
     assert found.bound <= found.value
 
 
-def test_different_settings_of_the_rate(predictor):
+def test_plan_has_required_number_of_rate_settings(predictor):
     settings = (0.25 * FAST, 0.6 * FAST, 0.9 * FAST, FAST)
     limits = replace(DAY, settings=settings, rate=(settings[0], FAST), runs=5, fewest_rates=3)
     found = optimise(predictor, replace(limits, total_time=300.0), K_II)
@@ -298,7 +298,7 @@ def test_different_settings_of_the_rate(predictor):
     assert set(found.design.rate) <= set(settings)
 
 
-def test_least_time_meets_its_target_and_the_longest_time_misses_no_less(predictor):
+def test_least_time_plan_meets_target(predictor):
     target = Criterion((2,), (3e-8,))
     found = least_time(predictor, DAY, target)
     assert found is not None
@@ -311,10 +311,10 @@ def test_least_time_meets_its_target_and_the_longest_time_misses_no_less(predict
     assert found.bound <= found.value
 
 
-def test_target_that_no_plan_reaches(predictor):
+def test_unreachable_target_returns_none(predictor):
     assert least_time(predictor, DAY, Criterion((2,), (2.2e-8,))) is None
 
 
-def test_no_run_fits(predictor):
+def test_plan_without_feasible_run_raises(predictor):
     with pytest.raises(NotIdentifiableError, match="no run fits into 5 s"):
         optimise(predictor, replace(DAY, total_time=5.0), K_II)

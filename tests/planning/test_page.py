@@ -18,6 +18,6 @@ from counterspin.planning.result import GoalResult
         ("target", None, True, "because no theorem"),
     ],
 )
-def test_what_another_plan_could_gain(kind, efficiency, timed, told):
+def test_optimality_sentence_states_possible_gain(kind, efficiency, timed, told):
     goal = GoalResult(kind=kind, criterion="sum", sizes={"Qx.K_II": 1.0}, efficiency=efficiency)
     assert told in _optimality(goal, timed)

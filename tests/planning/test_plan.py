@@ -149,7 +149,7 @@ minimise = ["K_II"]
 
 
 @pytest.mark.slow
-def test_calibration_says_what_a_plan_with_everything_has_promised(tmp_path):
+def test_calibration_matches_forecast_of_complete_plan(tmp_path):
     (tmp_path / "PLAN.toml").write_text(EVERYTHING, encoding="utf-8")
     planned = plan(tmp_path / "PLAN.toml")
     simulate(read_campaign(write_campaign(planned, tmp_path / "planned")), tmp_path / "simulated")
@@ -165,8 +165,8 @@ def test_calibration_says_what_a_plan_with_everything_has_promised(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("changes", PLANS.values(), ids=PLANS)
-def test_calibration_says_what_the_plan_has_promised(changes, plan_of, tmp_path):
-    """Within the 5 % that issue 5 asks for: every u of the accelerometer and the platform."""
+def test_calibration_matches_forecast_of_plan(changes, plan_of, tmp_path):
+    """Compare every u of the accelerometer and the platform within 5 %."""
     planned = plan_of(*changes)
     file = write_campaign(planned, tmp_path / "planned")
     campaign = read_campaign(file)
@@ -194,8 +194,8 @@ def figures_of_the_page():
     return [float(text) for text in found.groups()]
 
 
-def test_the_day_of_the_issue(plan_of):
-    """The issue asks for at most 0.45 of the paper's plan, in the same time and in one sense."""
+def test_one_day_plan_reaches_documented_u(plan_of):
+    """In the same time and one sense, u is at most 0.45 of the plan in the paper."""
     of_paper, best, ratio, both = figures_of_the_page()
     result = plan_of().result
     u = result.accelerometers["Qx"].coefficients["K_II"].u
@@ -216,14 +216,14 @@ def test_the_day_of_the_issue(plan_of):
     assert result.goal.efficiency > 0.99
 
 
-def test_the_day_of_the_issue_in_both_senses(plan_of):
+def test_one_day_plan_in_both_senses_reaches_documented_u(plan_of):
     result = plan_of(('senses = "one"', 'senses = "both"')).result
     u = result.accelerometers["Qx"].coefficients["K_II"].u
     assert u == pytest.approx(figures_of_the_page()[-1], rel=1e-3)
     assert sum(1 for run in result.runs if run.rate > 0.0) == 7
 
 
-def test_gain_of_one_rate_fewer_is_that_of_planning_anew(plan_of):
+def test_gain_of_fewer_rates_matches_new_plan(plan_of):
     changes = (GOAL, 'target = { K_II = "6e-8 g/g^2" }'), ("runs = 14", "runs = 5")
     two = plan_of(*changes, ("fewest_rates = 1", "fewest_rates = 2")).result
     gains = {line.key: line.gain for line in two.limits}
@@ -232,7 +232,7 @@ def test_gain_of_one_rate_fewer_is_that_of_planning_anew(plan_of):
     assert gains["fewest_rates"] == pytest.approx(1.0 - one.total_time / two.total_time, abs=0.01)
 
 
-def test_two_rates_are_planned_in_a_time_that_is_short_for_the_lowest(written):
+def test_two_rates_are_planned_in_minimum_time(written):
     """Five revolutions at the lowest rate, an eighth of the highest, take all of the 40 s."""
     found = plan(written(TWO_RATES)).result
     assert len({run.rate for run in found.runs}) == 2
@@ -242,14 +242,14 @@ def test_two_rates_are_planned_in_a_time_that_is_short_for_the_lowest(written):
     assert half.ratio["Qx.K_II"] < 1.0
 
 
-def test_only_drift_makes_one_run_long(starter):
+def test_runs_without_drift_have_equal_length(starter):
     file = starter(('"platform.drift", ', ""), ('"platform.drift" = "0 ± 0.005 deg/h"', ""))
     durations = [run.duration for run in plan(file).result.runs]
     assert len(durations) == 14
     assert max(durations) - min(durations) < 1.0
 
 
-def test_check_says_what_plan_says(plan_of, tmp_path):
+def test_check_matches_plan(plan_of, tmp_path):
     planned = plan_of(SMALL)
     write_campaign(planned, tmp_path / "planned")
     checked = check(tmp_path / "planned")
@@ -261,7 +261,7 @@ def test_check_says_what_plan_says(plan_of, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", ["2.2537", "4"])
-def test_a_target_is_met_by_the_forecast(size, plan_of):
+def test_forecast_meets_target(size, plan_of):
     result = plan_of((GOAL, f'target = {{ K_II = "{size}e-8 g/g^2" }}')).result
     u = result.accelerometers["Qx"].coefficients["K_II"].u
     # Not above it, and below by no more than one step of 0.1 s in a run of 15 s makes.
@@ -270,7 +270,7 @@ def test_a_target_is_met_by_the_forecast(size, plan_of):
 
 
 @pytest.mark.slow
-def test_a_target_with_noise_of_the_time_stamps_is_reached(starter, capsys):
+def test_target_with_time_stamp_noise_is_reached(starter, capsys):
     """The search weighs samples as the fit does; nothing bounds what another plan could do."""
     changes = PLANS["time stamps"]
     # An encoder without noise would correct all of the times.
@@ -278,7 +278,7 @@ def test_a_target_with_noise_of_the_time_stamps_is_reached(starter, capsys):
     changes = [*changes, encoder, ("runs = 14", "runs = 3")]
     best = plan(starter(*changes)).result
     assert best.goal.efficiency is None
-    assert "no theorem gives a bound" in report_of(best, capsys)
+    assert "no theorem gives a bound" in print_report(best, capsys)
     u = best.accelerometers["Qx"].coefficients["K_II"].u
     found = plan(starter(*changes, (GOAL, f'target = {{ K_II = "{1.02 * u!r} g/g^2" }}'))).result
     assert 0.99 < found.accelerometers["Qx"].coefficients["K_II"].u / (1.02 * u) <= 1.0
@@ -303,7 +303,7 @@ RECORDS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("words", "changes"), RECORDS.items(), ids=RECORDS)
-def test_the_search_predicts_what_the_forecast_says(words, changes, starter):
+def test_search_prediction_matches_forecast(words, changes, starter):
     """Every u of random plans within 0.02 %.
 
     Beside K_0_asym, whose product jumps, within 0.4 %, and u of K_0_asym itself within 5 %.
@@ -325,7 +325,7 @@ def test_the_search_predicts_what_the_forecast_says(words, changes, starter):
         assert predicted == pytest.approx(told, rel=4e-3 if words == JUMP else 2e-4)
 
 
-def test_forecast_has_all_samples_of_dense_records(plan_of, tmp_path):
+def test_forecast_uses_all_samples_of_dense_records(plan_of, tmp_path):
     """The last block is shorter, as the reduction of a record makes it."""
     planned = plan_of(*PLANS["dense velocity records"])
     campaign = read_campaign(write_campaign(planned, tmp_path / "planned"))
@@ -338,7 +338,7 @@ def test_forecast_has_all_samples_of_dense_records(plan_of, tmp_path):
     assert series.time[-1] + 0.5 * step * (series.count[-1] - 1.0) == pytest.approx(8004 * step)
 
 
-def test_forecast_takes_a_folder_a_file_or_a_campaign(plan_of, tmp_path):
+def test_forecast_accepts_folder_file_or_campaign(plan_of, tmp_path):
     file = write_campaign(plan_of(SMALL), tmp_path / "planned")
     expected = forecast(read_campaign(file)).u
     for where in (file, file.parent, str(file.parent)):
@@ -347,7 +347,7 @@ def test_forecast_takes_a_folder_a_file_or_a_campaign(plan_of, tmp_path):
         forecast(tmp_path / "nothing")
 
 
-def test_check_of_a_campaign_that_says_too_little(plan_of, tmp_path):
+def test_check_of_incomplete_campaign_raises(plan_of, tmp_path):
     planned = plan_of(SMALL)
     document = tomllib.loads(planned.document)
     del document["simulation"], document["truth"]
@@ -380,22 +380,22 @@ def test_forecast_needs_no_truth(plan_of, tmp_path):
 # What a user reads
 
 
-def report_of(result, capsys) -> str:
+def print_report(result, capsys) -> str:
     console = report_console()
     console.width = 120  # no words of a table fold, whatever COLUMNS says
     console.print(result)
     return " ".join(capsys.readouterr().out.split())
 
 
-def test_report_names_what_needs_a_second_attitude(plan_of, capsys):
+def test_report_names_terms_that_need_second_attitude(plan_of, capsys):
     changes = [SMALL, ('"K_III", ', '"K_III", "K_OO", ')]
-    text = report_of(plan_of(*changes).result, capsys)
+    text = print_report(plan_of(*changes).result, capsys)
     assert "K_II and K_OO" in text
     assert "add a second attitude, or state a value for one of the terms" in text
 
 
-def test_report_says_what_the_issue_asks_for(plan_of, capsys):
-    text = report_of(plan_of(SMALL).result, capsys)
+def test_report_contains_required_sections(plan_of, capsys):
+    text = print_report(plan_of(SMALL).result, capsys)
     for words in (
         "u(K_II of Qx) =",
         "Start time, s",
@@ -412,7 +412,7 @@ def test_report_says_what_the_issue_asks_for(plan_of, capsys):
 
 
 @pytest.mark.slow
-def test_gain_of_a_limit_is_that_of_planning_anew(starter):
+def test_gain_of_limit_matches_new_plan(starter):
     described = starter(("runs = 14", "runs = 4"), SMALL)
     planned = plan(described).result
     lines = {line.key: line for line in planned.limits}
@@ -429,7 +429,7 @@ def test_gain_of_a_limit_is_that_of_planning_anew(starter):
 
 
 @pytest.mark.slow
-def test_a_plan_is_changed_and_swept(starter):
+def test_changed_plan_matches_file_and_can_be_swept(starter):
     """As its file with the same change; longer times leave less u."""
     described = starter(("runs = 14", "runs = 2"), SMALL)
     first = plan(described)
@@ -481,7 +481,7 @@ def test_command_writes_campaign_and_json(starter, tmp_path, capsys):
     assert "exists" in capsys.readouterr().err
 
 
-def test_init_writes_an_example_once(tmp_path, capsys):
+def test_init_writes_example_once(tmp_path, capsys):
     file = tmp_path / "PLAN.toml"
     assert cli.main(["plan", "--init", str(file)]) == 0
     assert cli.main(["plan", "--init", str(file)]) == 1
@@ -489,7 +489,7 @@ def test_init_writes_an_example_once(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("arguments", [[], ["a.toml", "--check", "b"]])
-def test_one_thing_at_a_time(arguments, capsys):
+def test_conflicting_arguments_are_usage_error(arguments, capsys):
     assert cli.main(["plan", *arguments]) == 2
     assert "--check DIR, or --init FILE" in capsys.readouterr().err
 
@@ -549,12 +549,12 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize(("changes", "message"), MISTAKES.values(), ids=MISTAKES)
-def test_mistakes_are_told_by_their_key(changes, message, starter):
+def test_invalid_plan_raises_with_key(changes, message, starter):
     with pytest.raises(CampaignError, match=message):
         read_plan(starter(*changes))
 
 
-def test_all_mistakes_at_once(starter):
+def test_all_errors_are_reported_at_once(starter):
     file = starter(
         ('gravity = "9.8 m/s^2"', 'gravity = "9.8 m"'),
         ("runs = 14", "runs = 0"),
@@ -567,18 +567,18 @@ def test_all_mistakes_at_once(starter):
     }  # fmt: skip
 
 
-def test_missing_file(tmp_path, capsys):
+def test_missing_file_has_hint(tmp_path, capsys):
     assert cli.main(["plan", str(tmp_path / "none.toml")]) == 2
     told = capsys.readouterr().err
     assert "file not found; `counterspin plan --init FILE` writes a starter plan" in told
 
 
-def test_a_missing_plan_is_told_where_to_get_one(tmp_path):
+def test_missing_plan_raises_with_hint(tmp_path):
     with pytest.raises(CampaignError, match=r"`planning\.plan\.write_example` writes"):
         read_plan(tmp_path / "nope.toml")
 
 
-def test_target_that_no_plan_reaches(starter):
+def test_unreachable_target_raises(starter):
     file = starter((GOAL, 'target = { K_II = "1e-8 g/g^2" }'))
     with pytest.raises(CounterspinError) as raised:
         plan(file)
@@ -592,7 +592,7 @@ def test_target_that_no_plan_reaches(starter):
 
 
 @pytest.mark.slow
-def test_coefficient_that_no_allowed_attitude_determines(starter):
+def test_undeterminable_coefficient_raises(starter):
     file = starter(
         ('"K_III", ', '"K_III", "K_PP", '),
         ('bias = "0 ± 5e-7 g" ', ""),
@@ -618,7 +618,7 @@ def test_coefficient_that_no_allowed_attitude_determines(starter):
 # Parts
 
 
-def test_order_keeps_attitudes_together_and_takes_the_senses_in_turn(starter):
+def test_order_groups_attitudes_and_alternates_senses(starter):
     file = starter(
         ('senses = "one"', 'senses = "both"'),
         (ATTITUDES, 'attitudes = ["level", "90 deg about east"]'),
@@ -642,11 +642,11 @@ def test_order_keeps_attitudes_together_and_takes_the_senses_in_turn(starter):
         {"truth": {"Qx": {"K_II": "1 g/g^2"}, "platform": {"tilt": {"north": "1 rad"}}}},
     ],
 )
-def test_document_reads_back_the_same(document):
+def test_document_round_trip(document):
     assert tomllib.loads(write_document(document)) == document
 
 
-def test_a_mapping_is_planned_as_its_file(starter, plan_of):
+def test_plan_of_mapping_matches_file(starter, plan_of):
     file = starter(SMALL)
     document = tomllib.loads(file.read_text(encoding="utf-8"))
     of_file, in_memory = plan(file), plan_of(SMALL)  # which plans a mapping

@@ -19,7 +19,7 @@ from counterspin.planning.plan_file import read_plan
         ),
     ],
 )
-def test_sizes_of_no_machine_are_refused_with_their_reason(starter, old, new, words):
+def test_implausible_machine_sizes_raise_with_reason(starter, old, new, words):
     """A search among these ended in an error of its own."""
     with pytest.raises(CampaignError) as caught:
         read_plan(starter((old, new)))

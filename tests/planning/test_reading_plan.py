@@ -81,31 +81,31 @@ time = "2 min"
 [limits]"""
 
 
-def u_of(result, symbol):
+def u_of_symbol(result, symbol):
     return result.accelerometers["A"].coefficients[symbol].u
 
 
 # Which readings
 
 
-def test_the_best_tumble_for_all_of_a_linear_model_is_that_of_equal_angles(written):
+def test_d_optimal_tumble_has_equal_angles(written):
     """D-optimality on a circle: every equally spaced set of positions has the same volume."""
     result = plan(written(TUMBLE)).result
     expected = {"K_F": 1e-6 / math.sqrt(24.0), "K_I": 1e-6 / math.sqrt(12.0)}
-    volume = math.prod(u_of(result, symbol) for symbol in ("K_F", "K_I", "delta_O"))
+    volume = math.prod(u_of_symbol(result, symbol) for symbol in ("K_F", "K_I", "delta_O"))
     assert volume == pytest.approx(expected["K_F"] * expected["K_I"] ** 2, rel=1e-6)
     assert result.goal.efficiency == pytest.approx(1.0, abs=1e-3)
     assert len(result.readings) == 24
 
 
-def test_the_best_tumble_for_the_scale_factor_is_up_and_down(written):
+def test_best_tumble_for_scale_factor_is_up_and_down(written):
     one = (SOUGHT, 'minimise = ["K_I"]')
     result = plan(written(TUMBLE, one, ('criterion = "determinant"', ""))).result
     assert {reading.axes.partition(",")[0] for reading in result.readings} == {"up", "down"}
-    assert u_of(result, "K_I") == pytest.approx(1e-6 / math.sqrt(24.0), rel=1e-6)
+    assert u_of_symbol(result, "K_I") == pytest.approx(1e-6 / math.sqrt(24.0), rel=1e-6)
 
 
-def test_the_arm_s_plan_is_better_than_readings_spread_evenly(written):
+def test_arm_plan_is_better_than_even_readings(written):
     result = plan(written(ARM)).result
     other = result.others[0]
     assert other.words == "every reading equally often"
@@ -121,10 +121,10 @@ def test_the_arm_s_plan_is_better_than_readings_spread_evenly(written):
     assert other.u["A.K_II"] == pytest.approx(math.sqrt(covariance[2, 2]), rel=1e-3)
 
 
-def test_a_target_takes_the_fewest_readings(written):
+def test_target_uses_fewest_readings(written):
     target = ('minimise = ["K_II"]', 'target = { K_II = "1e-8 g/g^2" }')
     result = plan(written(ARM, target)).result
-    assert u_of(result, "K_II") <= 1e-8
+    assert u_of_symbol(result, "K_II") <= 1e-8
     fewer = (target, ("readings = 24", f"readings = {len(result.readings) - 1}"))
     with raises("goal-not-reached", "u(A.K_II) = 1e-08 g/g^2"):
         plan(written(ARM, *fewer))
@@ -138,7 +138,7 @@ DRIFTING = [
 
 
 @pytest.mark.slow
-def test_a_target_holds_with_what_changes_with_time(written):
+def test_target_includes_drift(written):
     """Read in the order of the angle, a drift of the bias looks like a misalignment."""
 
     def planned(order, goal):
@@ -146,15 +146,15 @@ def test_a_target_holds_with_what_changes_with_time(written):
         return plan(written(TUMBLE, *DRIFTING, limit, (SOUGHT, goal))).result
 
     best = planned("listed", 'minimise = ["delta_O"]')
-    u = u_of(best, "delta_O")
+    u = u_of_symbol(best, "delta_O")
     steady = planned("mirrored", 'minimise = ["delta_O"]')
-    assert u > 1.05 * u_of(steady, "delta_O")
+    assert u > 1.05 * u_of_symbol(steady, "delta_O")
     # The search knows nothing of it; what is stated of its plan does.
-    ratio = u_of(steady, "delta_O") / u
+    ratio = u_of_symbol(steady, "delta_O") / u
     assert best.goal.efficiency == pytest.approx(ratio * steady.goal.efficiency, rel=1e-6)
     for more in (1.1, 1.3, 1.6):
         target = planned("listed", f'target = {{ delta_O = "{more * u!r} rad" }}')
-        assert u_of(target, "delta_O") <= more * u
+        assert u_of_symbol(target, "delta_O") <= more * u
         assert len(target.readings) < len(best.readings)
         assert 0.1 < target.goal.efficiency < 1.0
     with pytest.raises(CounterspinError, match="no choice of readings") as raised:
@@ -165,7 +165,7 @@ def test_a_target_holds_with_what_changes_with_time(written):
     assert "; the variance comes from " in str(raised.value)
 
 
-def test_a_limit_of_time(written):
+def test_plan_is_within_time_limit(written):
     timed = ("readings = 24", 'total_time = "1 h"')
     two = ('minimise = ["K_II"]', 'minimise = { K_II = "1e-8 g/g^2", K_F = "1e-6 g" }')
     both = (("[limits]", REST), timed, two)
@@ -177,19 +177,21 @@ def test_a_limit_of_time(written):
     target = ('minimise = ["K_II"]', 'target = { K_II = "1.5e-8 g/g^2" }')
     shorter = plan(written(ARM, timed, target)).result
     assert shorter.total_time < 3600.0
-    assert u_of(shorter, "K_II") <= 1.5e-8
+    assert u_of_symbol(shorter, "K_II") <= 1.5e-8
 
 
-def test_two_accelerometers_share_a_reading(written):
+def test_two_accelerometers_share_reading(written):
     second = ("[model]", '[accelerometers.B]\ninput_axis = "up"\npendulous_axis = "east"\n[model]')
     result = plan(written(TUMBLE, second)).result
     assert {reading.accelerometer for reading in result.readings} == {"A", "B"}
-    assert u_of(result, "K_I") == pytest.approx(result.accelerometers["B"].coefficients["K_I"].u)
+    assert u_of_symbol(result, "K_I") == pytest.approx(
+        result.accelerometers["B"].coefficients["K_I"].u
+    )
 
 
 @pytest.mark.slow
-def test_positions_that_are_set_by_hand_are_many_and_read_once(written, tmp_path):
-    """More readings of one position tell its error, and not the misalignment."""
+def test_hand_set_positions_are_read_once(written, tmp_path):
+    """Repeated readings of a position determine its setting error, not the misalignment."""
     changes = (
         ("[limits]", '[fixture]\nposition = "0 ± 20 arcsec"\n[limits]'),
         ("positions = 24", "positions = 12"),
@@ -204,13 +206,15 @@ def test_positions_that_are_set_by_hand_are_many_and_read_once(written, tmp_path
     file = write_campaign(planned, tmp_path / "planned")
     filled = file.read_text(encoding="utf-8").replace('"? ', '"0.001 ')
     file.write_text(filled, encoding="utf-8")
-    assert u_of(check(file.parent), "delta_O") == pytest.approx(u_of(planned.result, "delta_O"))
+    assert u_of_symbol(check(file.parent), "delta_O") == pytest.approx(
+        u_of_symbol(planned.result, "delta_O")
+    )
 
 
 # From the plan to the calibration
 
 
-def test_calibration_says_what_the_plan_has_promised(written, tmp_path):
+def test_calibration_matches_forecast_of_plan(written, tmp_path):
     planned = plan(written(ARM, ("[limits]", REST)))
     folder = tmp_path / "planned"
     file = write_campaign(planned, folder)
@@ -237,11 +241,13 @@ def test_calibration_says_what_the_plan_has_promised(written, tmp_path):
         if predicted.estimated:
             assert told[symbol].u == pytest.approx(predicted.u, rel=1e-3), symbol
     checked = check(folder)
-    assert u_of(checked, "K_II") == pytest.approx(u_of(planned.result, "K_II"), rel=1e-6)
+    assert u_of_symbol(checked, "K_II") == pytest.approx(
+        u_of_symbol(planned.result, "K_II"), rel=1e-6
+    )
     assert len(checked.readings) == len(planned.result.readings)
 
 
-def test_forecast_of_readings_needs_their_uncertainty(written, tmp_path):
+def test_forecast_of_readings_requires_uncertainty(written, tmp_path):
     file = write_campaign(plan(written(TUMBLE)), tmp_path / "planned")
     text = file.read_text(encoding="utf-8").replace("? ± 1e-6 g", "0 g")
     file.write_text(text, encoding="utf-8")
@@ -250,12 +256,12 @@ def test_forecast_of_readings_needs_their_uncertainty(written, tmp_path):
 
 
 @pytest.mark.parametrize("order", ["mirrored", "random", "listed"])
-def test_order_has_every_reading_as_often_as_it_is_chosen(order):
+def test_order_contains_readings_by_count(order):
     counts = np.array([3, 0, 2, 5, 1])
     assert np.bincount(measurement_order(counts, order), minlength=5).tolist() == counts.tolist()
 
 
-def test_mirrored_order_cancels_a_trend():
+def test_mirrored_order_cancels_trend():
     order = np.array(measurement_order(np.array([4, 2, 6, 0, 2]), "mirrored"))
     assert order.tolist() == order[::-1].tolist()
     time = np.arange(order.size) - 0.5 * (order.size - 1)
@@ -269,7 +275,7 @@ def test_mirrored_order_cancels_a_trend():
 
 
 @pytest.mark.parametrize("ways", [("in",), ("in", "out")], ids=["one side", "both sides"])
-def test_stretch_of_the_arm(ways, written, tmp_path):
+def test_stretch_of_arm_shifts_k_ii(ways, written, tmp_path):
     """a_I (1 + 4.6e-9 x 9.80665 |a_I|) is K_II on one side; with reversal it is odd."""
     runs = [
         f'[[runs]]\nname = "{way} {force}"\nmotion = "arm"\nreading = "0 ± 1e-6 g"\n'
@@ -290,7 +296,7 @@ def test_stretch_of_the_arm(ways, written, tmp_path):
     assert shift == pytest.approx(expected, rel=1e-4, abs=1e-11)
 
 
-def test_report_and_json_of_readings(written, tmp_path, capsys, monkeypatch):
+def test_report_and_json_contain_readings(written, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     out = tmp_path / "planned"
     file = written(ARM, ("[limits]", REST))
@@ -330,7 +336,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize(("changes", "text", "message"), MISTAKES.values(), ids=MISTAKES)
-def test_mistakes_are_told_by_their_key(changes, text, message, written):
+def test_invalid_plan_raises_with_key(changes, text, message, written):
     with pytest.raises(CampaignError, match=message):
         plan(written(text, *changes))
 
@@ -343,7 +349,7 @@ def test_mistakes_are_told_by_their_key(changes, text, message, written):
         ('["X"]', "must have at least 3 entries"),
     ],
 )
-def test_a_triad_that_is_none_is_a_mistake(tmp_path, triad, message):
+def test_invalid_triad_raises(tmp_path, triad, message):
     file = tmp_path / "plan.toml"
     text = _poses(9, '["X.K_F"]').replace('["X", "Y", "Z"]', triad)
     file.write_text(text, encoding="utf-8")
@@ -351,7 +357,7 @@ def test_a_triad_that_is_none_is_a_mistake(tmp_path, triad, message):
         plan(file)
 
 
-def test_k_ii_at_one_g_is_not_determined(written):
+def test_k_ii_at_one_g_raises_not_identifiable(written):
     quadratic = ('terms = ["K_F", "K_I", "delta_O"]', 'terms = ["K_F", "K_I", "K_II"]')
     goal = (SOUGHT, 'minimise = ["K_II"]')
     file = written(TUMBLE, quadratic, goal, ('criterion = "determinant"', ""))
@@ -399,8 +405,8 @@ minimise = ["K_II"]
 """
 
 
-def test_readings_are_chosen_for_what_the_campaign_has_already(tmp_path):
-    """Of all pairs the best beside the record and the reading."""
+def test_readings_complement_existing_campaign(tmp_path):
+    """The chosen pair is the best of all pairs added to the record and the reading."""
     file = tmp_path / "PLAN.toml"
     file.write_text(BESIDE, encoding="utf-8")
     planned = plan(file)
@@ -418,7 +424,7 @@ def test_readings_are_chosen_for_what_the_campaign_has_already(tmp_path):
     assert text.count("?") >= 2
 
 
-def test_records_in_a_plan_of_readings_need_their_sampling_rate(tmp_path):
+def test_records_in_reading_plan_require_sampling_rate(tmp_path):
     file = tmp_path / "PLAN.toml"
     file.write_text(BESIDE.replace('sampling_rate = "10 Hz"\n', ""), encoding="utf-8")
     with pytest.raises(CampaignError, match=r"limits.sampling_rate: this entry is missing"):
@@ -436,7 +442,7 @@ def _poses(limits: int, sought: str, *, model: str = "", up: str = "") -> str:
     return text + f"[goal]\nminimise = {sought}\n"
 
 
-def test_poses_are_the_best_of_all_choices(tmp_path):
+def test_poses_are_best_of_all_choices(tmp_path):
     ups = ["X", "-X", "Y", "-Y", "Z", "-Z", "X + Y + Z", "-X - Y - Z"]
     model = '[model]\nassume = "all"\nterms = ["K_F", "K_I"]\n'
     file = tmp_path / "plan.toml"
@@ -455,7 +461,7 @@ def test_poses_are_the_best_of_all_choices(tmp_path):
     assert np.median(u) > 1.2 * u.min()
 
 
-def test_eighteen_poses_from_nothing_come_near_what_is_possible(tmp_path):
+def test_eighteen_poses_are_near_bound(tmp_path):
     file = tmp_path / "plan.toml"
     file.write_text(_poses(18, '["X.K_F", "Y.K_F", "Z.K_F"]'))
     result = plan(file).result
@@ -468,7 +474,7 @@ def test_eighteen_poses_from_nothing_come_near_what_is_possible(tmp_path):
 
 
 @pytest.mark.slow
-def test_ten_poses_are_searched_from_many_beginnings(tmp_path):
+def test_ten_poses_are_searched_from_many_starts(tmp_path):
     """Six of them ended 45 % above the bound; of sixty the best is 21 % above it.
 
     The model has 27 terms, so ten poses are weighed beside what nobody states.
@@ -489,7 +495,7 @@ def test_ten_poses_are_searched_from_many_beginnings(tmp_path):
         ("positions = 4", "do not apply to poses at rest"),
     ],
 )
-def test_what_a_pose_cannot_be_is_said(tmp_path, up, words):
+def test_invalid_pose_limit_raises(tmp_path, up, words):
     file = tmp_path / "plan.toml"
     file.write_text(_poses(9, '["X.K_F"]', up=up))
     with pytest.raises(CampaignError, match=re.escape(words)):

@@ -13,7 +13,7 @@ from counterspin.planning.reading_plan import best_counts, least_counts
 FORCE = np.array([-1.0, -0.6, -0.2, 0.3, 0.7, 1.0])
 
 
-def possibilities(considered=False, time=0.0):
+def make_candidates(considered=False, time=0.0):
     """Return readings of a quadratic, one of them twice as noisy."""
     design = np.vander(FORCE, 3, increasing=True)[:, None, :]
     design[1] *= 0.5
@@ -31,8 +31,8 @@ CRITERIA = {
 
 @pytest.mark.parametrize("considered", [False, True], ids=["estimated", "considered"])
 @pytest.mark.parametrize("criterion", CRITERIA.values(), ids=CRITERIA)
-def test_no_choice_is_better(criterion, considered):
-    possible = possibilities(considered)
+def test_counts_match_exhaustive_search(criterion, considered):
+    possible = make_candidates(considered)
     every = np.array([n for n in itertools.product(range(8), repeat=6) if sum(n) == 7])
     best = float(possible.value(criterion, every).min())
     chosen = best_counts(possible, criterion, 7, math.inf)
@@ -41,8 +41,8 @@ def test_no_choice_is_better(criterion, considered):
     assert chosen.bound <= best + 1e-9
 
 
-def test_covariance_is_that_of_least_squares():
-    possible = possibilities(considered=True)
+def test_covariance_matches_least_squares():
+    possible = make_candidates(considered=True)
     counts = np.array([2, 1, 0, 3, 1, 2])
     rows = np.repeat(possible.design[:, 0], counts, axis=0)
     bias = np.repeat(possible.considered[:, 0], counts, axis=0)
@@ -53,8 +53,8 @@ def test_covariance_is_that_of_least_squares():
 
 @pytest.mark.parametrize("considered", [False, True], ids=["estimated", "considered"])
 @pytest.mark.parametrize("criterion", CRITERIA.values(), ids=CRITERIA)
-def test_one_more_is_an_update(criterion, considered, monkeypatch):
-    possible, counts = possibilities(considered), np.array([2, 1, 0, 3, 1, 2])
+def test_value_with_addition_matches_recomputation(criterion, considered, monkeypatch):
+    possible, counts = make_candidates(considered), np.array([2, 1, 0, 3, 1, 2])
     each = [float(possible.value(criterion, counts + one)) for one in np.eye(6)]
     alike = np.array([0, 0, 0, 0, 0, 9])  # which leave two of three to the prior: anew
     anew = [float(possible.value(criterion, alike + one)) for one in np.eye(6)]
@@ -63,8 +63,8 @@ def test_one_more_is_an_update(criterion, considered, monkeypatch):
     assert possible.values_with_addition(criterion, counts) == pytest.approx(each, rel=1e-9)
 
 
-def test_time_is_kept_and_the_least_is_least():
-    possible, criterion = possibilities(time=2.0), CRITERIA["one"]
+def test_counts_are_within_time_limit_and_minimal():
+    possible, criterion = make_candidates(time=2.0), CRITERIA["one"]
     chosen = best_counts(possible, criterion, math.inf, 15.0)
     assert chosen.design.sum() == 7
     u = math.exp(chosen.value)
@@ -79,6 +79,6 @@ def test_time_is_kept_and_the_least_is_least():
     least, floor = least_of(possible, target, math.inf, 60.0)
     assert least.design.sum() == 7
     assert floor * 60.0 <= 14.0 + 1e-9
-    by_number, _ = least_of(possibilities(), target, 30, math.inf)
+    by_number, _ = least_of(make_candidates(), target, 30, math.inf)
     assert by_number.design.sum() == 7
-    assert least_of(possibilities(), Criterion((2,), (1e-3,)), 30, math.inf) is None
+    assert least_of(make_candidates(), Criterion((2,), (1e-3,)), 30, math.inf) is None

@@ -11,7 +11,7 @@ from counterspin.planning.plan import check
 
 @pytest.fixture(scope="module", params=["stated", "found"])
 def recorded(request, tmp_path_factory):
-    """A folder of records whose description says neither length nor, in one case, noise."""
+    """Write records whose description omits the length and, in one case, the noise."""
     away = ["noise"] if request.param == "found" else []
     folder = record(
         tmp_path_factory.mktemp("recorded"), tmp_path_factory.mktemp("plan"), SMALL, *away
@@ -22,7 +22,7 @@ def recorded(request, tmp_path_factory):
     return folder
 
 
-def test_the_forecast_of_records_is_their_calibration(recorded):
+def test_forecast_of_records_matches_calibration(recorded):
     found, expected = calibrate(recorded), check(recorded)
     noise_is_stated = read_campaign(recorded).noise is not None
     for name, accelerometer in found.accelerometers.items():
@@ -36,7 +36,7 @@ def test_the_forecast_of_records_is_their_calibration(recorded):
                 assert forecast.u == pytest.approx(coefficient.u, rel=tolerance), symbol
 
 
-def test_what_the_user_says_goes_before_the_records(recorded):
+def test_stated_values_override_records(recorded):
     less = check(recorded, sampling_rate=5.0)
     assert less.sampling_rate == 5.0
     assert check(recorded).sampling_rate != 5.0

@@ -18,12 +18,12 @@ def recorded(tmp_path_factory):
     return record(tmp_path_factory.mktemp("recorded"), tmp_path_factory.mktemp("plan"), HONEST)
 
 
-def further(campaign, name="Qx.K_II"):
+def suggest_further_runs(campaign, name="Qx.K_II"):
     return suggest_runs(campaign, *observe_with_noise(campaign), name)
 
 
-def test_runs_in_another_attitude_give_what_they_promise(recorded, tmp_path):
-    found = further(read_campaign(recorded))
+def test_further_runs_reach_promised_u(recorded, tmp_path):
+    found = suggest_further_runs(read_campaign(recorded))
     before = calibrate(recorded).accelerometers["Qx"].coefficients["K_II"].u
     assert found.u_without == pytest.approx(before, rel=1e-3)
     assert found.u < 0.8 * before
@@ -36,8 +36,8 @@ def test_runs_in_another_attitude_give_what_they_promise(recorded, tmp_path):
     assert after.accelerometers["Qx"].coefficients["K_II"].u == pytest.approx(found.u, rel=1e-2)
 
 
-def test_where_the_runs_decide_all_there_is_no_other_attitude_to_add(recorded):
+def test_complete_campaign_needs_no_further_attitude(recorded):
     perfect = read_campaign(recorded).change(
         {"model": {"assume": ["all"], "priors": {"Qx.K_II": "0 ± 1e-12 g/g^2"}}}
     )
-    assert further(perfect) is None
+    assert suggest_further_runs(perfect) is None

@@ -19,15 +19,15 @@ minimise = ["X.K_F"]
 """
 
 
-def taken(folder, count, u=None):
+def write_random_poses(folder, count, u=None):
     """Write a campaign of poses at random, with or without their uncertainty."""
     generator = np.random.default_rng(5)
     values = triads.indications(triads.directions(count, generator))
     return triads.table(folder, values + NOISE * generator.standard_normal(values.shape), u)
 
 
-def test_a_forecast_of_poses_that_are_there_is_what_their_calibration_states(tmp_path):
-    folder = taken(tmp_path, 80)
+def test_forecast_of_existing_poses_matches_calibration(tmp_path):
+    folder = write_random_poses(tmp_path, 80)
     stated = calibrate(folder)
     expected = PlannedCampaign(check(folder), "").u
     for name in ("X.K_F", "Y.K_I", "Z.delta_O"):
@@ -35,14 +35,16 @@ def test_a_forecast_of_poses_that_are_there_is_what_their_calibration_states(tmp
         assert expected[name] == pytest.approx(stated[name].u, rel=0.03), name
 
 
-def test_further_poses_are_chosen_for_what_those_that_are_there_leave_open(tmp_path):
+def test_further_poses_complement_existing_poses(tmp_path):
     found = {}
     for name, u in (("shown", None), ("stated", NOISE)):
-        folder = taken(tmp_path / name, 24, u)
+        folder = write_random_poses(tmp_path / name, 24, u)
         file = folder / "campaign.toml"
         file.write_text(file.read_text(encoding="utf-8") + MORE, encoding="utf-8")
         found[name] = plan(file)
-    before = PlannedCampaign(check(taken(tmp_path / "before", 24, NOISE)), "").u["X.K_F"]
+    before = PlannedCampaign(check(write_random_poses(tmp_path / "before", 24, NOISE)), "").u[
+        "X.K_F"
+    ]
     assert found["stated"].u["X.K_F"] < 0.95 * before
     # 24 poses beside 9 unknowns tell their noise to 18 %; three times that is not exceeded.
     assert found["shown"].u["X.K_F"] == pytest.approx(found["stated"].u["X.K_F"], rel=0.55)

@@ -15,7 +15,7 @@ ASSUMED = 'assume = "all"\n'
 
 
 @pytest.mark.parametrize("assume", [ASSUMED, ""], ids=["all assumed", "nothing assumed"])
-def test_u_is_the_calibration_s(assume, tmp_path):
+def test_u_matches_calibration(assume, tmp_path):
     simulate(write(tmp_path, changed(SMALL, (ASSUMED, assume))), tmp_path)
     forecast, found = check(tmp_path), calibrate(tmp_path)
     assert forecast.assumed == found.assumed
@@ -43,7 +43,7 @@ def sentences(result):
     return [block.text for block in plan_blocks(result) if hasattr(block, "text")]
 
 
-def test_the_first_lines_say_what_decides_u_and_what_is_assumed(tmp_path):
+def test_first_lines_name_largest_contribution_and_assumptions(tmp_path):
     honest = check(write(tmp_path / "honest", changed(SMALL, (ASSUMED, ""))))
     taken = check(write(tmp_path / "taken", SMALL))
     u = [r.accelerometers["Qx"].coefficients["K_II"].u for r in (honest, taken)]
@@ -81,7 +81,7 @@ MODEL
 
 
 @pytest.mark.parametrize("assume", [ASSUMED, ""], ids=["all assumed", "nothing assumed"])
-def test_so_it_is_for_readings(assume, tmp_path):
+def test_u_of_readings_matches_calibration(assume, tmp_path):
     text = READ.replace("MODEL", f'[model]\nterms = ["K_F", "K_I", "K_II"]\n{assume}')
     forecast, found = check(write(tmp_path, text)), calibrate(tmp_path)
     for symbol, predicted in forecast.accelerometers["A"].coefficients.items():

@@ -68,7 +68,7 @@ CASES["a clock that is held"] = HELD
 BOTH = (RunType("level", 1), RunType("level", -1))
 
 
-def design_of(setup, rng):
+def random_design(setup, rng):
     """Return six runs at random."""
     names = list(setup.attitudes)
     types = tuple(RunType(names[i % len(names)], int(rng.choice([-1, 1]))) for i in range(6))
@@ -77,7 +77,7 @@ def design_of(setup, rng):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
-def test_prediction_is_the_joint_fit_s(case):
+def test_prediction_matches_joint_fit(case):
     """Every u within 0.02 %: the lengths are of any part of a revolution and of a sample.
 
     With noise of the time stamps within 3 %: the best samples are those at an extremum, and the
@@ -86,11 +86,11 @@ def test_prediction_is_the_joint_fit_s(case):
     rel = 0.03 if "timing" in CASES[case] else 2e-4
     setup = make_setup(**CASES[case])
     predictor = Predictor(RunInformation(setup, RATES, TURNS, (1, -1)))
-    design = design_of(setup, np.random.default_rng(5))
+    design = random_design(setup, np.random.default_rng(5))
     assert predictor.u(design) == pytest.approx(u_by_joint_fit(setup, design), rel=rel)
 
 
-def test_prediction_of_records_with_few_samples_to_a_revolution():
+def test_prediction_with_few_samples_per_revolution():
     setup = make_setup(sampling_rate=5.0)
     predictor = Predictor(RunInformation(setup, RATES, TURNS, (1, -1)))
     # From 26 samples to a revolution down to 5, where the third harmonics are barely told apart.
@@ -98,26 +98,26 @@ def test_prediction_of_records_with_few_samples_to_a_revolution():
     assert predictor.u(design) == pytest.approx(u_by_joint_fit(setup, design), rel=2e-4)
 
 
-def test_columns_serve_a_model_that_estimates_what_another_holds():
+def test_columns_of_considered_term_serve_estimating_model():
     setup = make_setup(**HELD)
-    others = (estimated_one(one) for one in setup.model.considered)
+    others = (estimate_considered_term(one) for one in setup.model.considered)
     model = Unknowns((*setup.model.unknowns, *others))
     values = np.append(setup.estimate, np.zeros(len(setup.model.considered)))
     estimated = replace(setup, model=model, estimate=values)
     taken_over = RunInformation(setup, RATES, TURNS, (1, -1)).of_model(estimated)
     anew = RunInformation(estimated, RATES, TURNS, (1, -1))
-    design = design_of(setup, np.random.default_rng(3))
+    design = random_design(setup, np.random.default_rng(3))
     u = Predictor(taken_over).u(design)
     assert u == pytest.approx(Predictor(anew).u(design), rel=1e-9)
     assert u == pytest.approx(u_by_joint_fit(estimated, design), rel=2e-4)
 
 
-def estimated_one(held):
+def estimate_considered_term(held):
     """Return a term that is held as one that is estimated and not asked for."""
     return Unknown(held.owner, held.symbol, held.prior, held.limit, False, held.has_default_prior)
 
 
-def test_integration_of_the_functions_is_exact():
+def test_integration_of_functions_is_exact():
     angle = np.linspace(0.0, 20.0, 200)
     for order in (1, 2):
         integral = basis_functions(angle, 3) @ integration_matrix(3, order)
@@ -132,7 +132,7 @@ def test_integration_of_the_functions_is_exact():
         assert np.abs(error).max() < 2.0 * 27.0 * 20.0 * step**2
 
 
-def test_prefix_factor_is_that_of_the_rows_so_far():
+def test_prefix_factor_matches_previous_rows():
     rows = np.random.default_rng(1).standard_normal((40, 5))
     ends = np.array([10, 25, 40])
     for end, factor in zip(ends, prefix_factors(rows, ends, 2), strict=True):
@@ -141,7 +141,7 @@ def test_prefix_factor_is_that_of_the_rows_so_far():
         assert factor.T @ factor == pytest.approx(left.T @ left, rel=1e-10, abs=1e-10)
 
 
-def test_no_run_says_more_than_a_longer_one():
+def test_information_increases_with_run_length():
     setup = make_setup()
     information = RunInformation(setup, RATES, (5.0, 120.0), (1,))
     turns = np.linspace(5.0, 100.0, 60)
