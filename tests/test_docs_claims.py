@@ -93,7 +93,7 @@ NUMBERS = [
         "of the rms is ±1.96/(4 trials)^½, which is ±{} for 200 trials",
         [1.96 / math.sqrt(800)],
     ),
-    ("methods", "ripple's harmonics {} to {}, whether", [1, angle_error.HARMONICS]),
+    ("methods", "of ripple harmonics {} to {}, whether", [1, angle_error.HARMONICS]),
     ("methods", "| above {} | an unknown", [encoder._ESTIMATED_NORM_SQUARED]),
     (
         "methods",
@@ -129,7 +129,7 @@ NUMBERS = [
     ("methods", "in log-likelihood reaches {}. If", [noise_search.KEEPING_GAIN]),
     (
         "methods",
-        "in one case of {}. The",
+        "in one case out of {}. The",
         [1 / normal_cdf(-math.sqrt(noise_search.KEEPING_GAIN))],
     ),
     ("methods", "likelihood times N^(-{})", [undetected_walk.PRIOR_EXPONENT]),
@@ -139,7 +139,11 @@ NUMBERS = [
         "the other noise is a {} times as large",
         [1 / bias_instability._MIN_RELATIVE_DENSITY],
     ),
-    ("methods", "flicker noise above {} half-waves", [bias_instability._BASIS_SIZE_RANGE[1]]),
+    (
+        "methods",
+        "flicker noise at frequencies above {} half-cycles",
+        [bias_instability._BASIS_SIZE_RANGE[1]],
+    ),
     ("methods", "false alarm in one of {} good", [1 / diagnostics.SIGNIFICANCE]),
     (
         "methods",
@@ -149,12 +153,12 @@ NUMBERS = [
     ("methods", "deviate from their neighbours by more than {} standard", [outliers.LIMIT_SDS]),
     ("methods", "in at most one of a {} complete records", [1 / outlier_rejection.FALSE_ALARMS]),
     ("methods", "the residuals are more than {} the stated noise", [findings.RESIDUAL_RATIO_LIMIT]),
-    ("methods", "accelerometer noise beyond {} ug/Hz^0.5", [1e6 * findings.LARGEST_WALK]),
+    ("methods", "the accelerometer noise exceeds {} ug/Hz^0.5", [1e6 * findings.LARGEST_WALK]),
     ("methods", "the others by more than {} standard", [findings.CONTRADICTION_SIGMAS]),
-    ("methods", "shifts below {} standard uncertainties of the shift", [diagnostics.AGREEMENT]),
+    ("methods", "each shift is below {} times its", [diagnostics.AGREEMENT]),
     (
         "methods",
-        "difference below {} standard uncertainties of the difference",
+        "the difference is below {} times its",
         [diagnostics.AGREEMENT],
     ),
     ("diagnosis", "| each record, at {} times, and", [ranking.STEPS]),
@@ -308,11 +312,11 @@ def test_estimating_is_better_than_considering():
     known = cs.read_campaign(example).change(
         {**WITHOUT_QY, "model": {"assume": "all", "priors": {"platform.tilt": "0 ± 0.5 arcsec"}}}
     )
-    named = told("methods", "tilts that repeat to {} arcsec and no other errors")
+    named = told("methods", "tilts that are repeatable to {} arcsec, and no other errors")
     assert named == ["0.5"]
     numbers = told(
         "methods",
-        "are held, u(K_II) is {} g/g^2; if the tilts are estimated with the same prior, "
+        "are held, u(K_II) is {} g/g^2. If the tilts are estimated with the same prior, "
         "u(K_II) is {} g",
     )
     for number, held in zip(numbers, ([*known.model.considered], ["K_IP"]), strict=True):
@@ -576,7 +580,7 @@ def test_validation_page_lists_all_requirements():
 
 def test_rates_of_arm_example():
     *sizes, last = re.search(
-        r"enter the readings: at ([\d, ]+) and (\d+) g in both mountings", sentences("arm")
+        r"readings at ([\d, ]+) and (\d+) g in both mountings", sentences("arm")
     ).groups()
     sizes = [*sizes[0].split(", "), last]
     text = (files("counterspin.ingest") / "starter_arm.csv").read_text("utf-8")
@@ -608,7 +612,7 @@ def test_tumble_example_matches_table():
         u = np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
         assert [float(cell) for cell in cells if cell] == pytest.approx(list(u), abs=6e-7)
     assert u[1] * math.sqrt(12.0) == pytest.approx(
-        value_of(told("tumble", "u of K_I is about {} times as large")[0]), rel=0.1
+        value_of(told("tumble", "u(K_I) is about {} times as large")[0]), rel=0.1
     )
 
 

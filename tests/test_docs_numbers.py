@@ -113,8 +113,11 @@ ROWS = {
             "intervals must be {} to {} %",
             *(100.0 * p for p in result._ACCEPTED_COVERAGE),
         ),
-        ("its bias is at most {} of the stated u", result._MAX_BIAS_RATIO),
-        ("mean true values and at {} random draws of them", engine_selection._COMPARED_TRIALS),
+        ("the bias must not exceed {} of the stated u", result._MAX_BIAS_RATIO),
+        (
+            "mean true values and at {} random draws of these values",
+            engine_selection._COMPARED_TRIALS,
+        ),
         ("an estimate differs by more than {} u", engine_selection._MAX_ESTIMATE_DIFFERENCE),
         ("or u by more than {} %, the study", 100.0 * engine_selection._MAX_U_DIFFERENCE),
         ("by a factor of {} to 1.", math.sqrt(0.5)),
