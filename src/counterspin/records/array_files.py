@@ -200,22 +200,22 @@ class Hdf5File(ArrayFile):
         if not h5py.is_hdf5(path):
             raise RecordError(f"{path}: this is not an HDF5 file.", code="file-damaged")
         with h5py.File(path, "r") as file:
-            found: dict[str, Any] = {}
+            datasets: dict[str, Any] = {}
             # Links are not followed, neither in the file nor out of it.
             file.visititems(
                 lambda name, item: (
-                    found.update({name: item}) if isinstance(item, h5py.Dataset) else None
+                    datasets.update({name: item}) if isinstance(item, h5py.Dataset) else None
                 )
             )
             is_matlab = path.suffix.lower() == ".mat"
             # MATLAB's own are no columns; its structures are groups, whose fields it parts by dots.
             shapes = {
                 path: shape
-                for n, d in found.items()
+                for n, d in datasets.items()
                 if not is_matlab or n[0] != "#"
                 for path, shape in _iter_fields(n, d)
             }
-            pairs = (pair for item in (file, *found.values()) for pair in item.attrs.items())
+            pairs = (pair for item in (file, *datasets.values()) for pair in item.attrs.items())
             intervals = {parse_interval([[key, str(value)]], ".") for key, value in pairs} - {None}
             self.interval = intervals.pop() if len(intervals) == 1 else None
             mark = "." if is_matlab else "/"
@@ -449,7 +449,7 @@ def _inflated_size(stream: BinaryIO) -> int:
 
 def _column_count(shape: tuple[int, ...] | None) -> int:
     """Return how many columns an array is: those of a matrix, 1 of anything else but a number."""
-    lengths = [size for size in shape or () if size > 1]
+    lengths = [dimension for dimension in shape or () if dimension > 1]
     if shape is not None and not lengths and 0 not in shape:
         return 0
     return min(lengths) if len(lengths) == 2 and min(lengths) <= _MAX_COLUMNS else 1
@@ -459,7 +459,7 @@ def _slice(array: Any, start: int, stop: int, column: int) -> np.ndarray:
     """Return part of an array along its longest dimension; `column` counts along another."""
     longest = int(np.argmax(array.shape)) if array.shape else 0
     index = tuple(
-        slice(start, stop) if axis == longest else (column if size > 1 else 0)
-        for axis, size in enumerate(array.shape)
+        slice(start, stop) if axis == longest else (column if length > 1 else 0)
+        for axis, length in enumerate(array.shape)
     )
     return np.atleast_1d(np.asarray(array[index], dtype=float))

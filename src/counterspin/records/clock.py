@@ -108,8 +108,8 @@ class Clock:
         self._lost_time = math.nan
         self._lost_words = ""
 
-    def _fail(self, row: int, words: str, code: str) -> RecordError:
-        return RecordError(f"{self._path}, {self._locate(row)}: {words}", code=code)
+    def _fail(self, row: int, description: str, code: str) -> RecordError:
+        return RecordError(f"{self._path}, {self._locate(row)}: {description}", code=code)
 
     def start(self, time: np.ndarray, angle: np.ndarray | None) -> None:
         """Take the spacing and the rate from the first chunk; refuse a wrong rate or unit."""
@@ -251,11 +251,11 @@ class Clock:
                 first_row, rows, time[rows], chunk.angle[rows]
             )
             rows = rows[is_fitting]
-        selected = chunk[rows]
+        selected_rows = chunk[rows]
         if chunk.angle is not None:
-            selected = Chunk(selected.time, unwrapped[is_fitting], selected.signals)
-        unevenness = float(np.abs(np.diff(selected.time) / self.step - 1).max(initial=0.0))
-        return UsableRows(rows, selected, unevenness)
+            selected_rows = Chunk(selected_rows.time, unwrapped[is_fitting], selected_rows.signals)
+        unevenness = float(np.abs(np.diff(selected_rows.time) / self.step - 1).max(initial=0.0))
+        return UsableRows(rows, selected_rows, unevenness)
 
     def _plausible_rows(self, first_row: int, rows: np.ndarray, angle: np.ndarray) -> np.ndarray:
         """Return the rows whose angle is plausible; count the others as outliers."""
@@ -380,13 +380,13 @@ class Clock:
         if not len(t):
             return angle
         gone, advance = np.diff(t), np.diff(a)
-        turns = np.append(0.0, np.cumsum(np.round((self.rate * gone - advance) / _TURN)))
+        revolutions = np.append(0.0, np.cumsum(np.round((self.rate * gone - advance) / _TURN)))
         if not math.isnan(self._last_angle):
             expected = self._last_angle + self.rate * (t[0] - self._last_time)
-            turns += np.round((expected - a[0]) / _TURN)
-        if turns.any():
+            revolutions += np.round((expected - a[0]) / _TURN)
+        if revolutions.any():
             self.findings.wrapped = True
-        angle[good] = a + _TURN * turns
+        angle[good] = a + _TURN * revolutions
         return angle
 
     def finish(self) -> None:
@@ -407,21 +407,21 @@ class Clock:
 
 def _tolerance(misfits: np.ndarray, angle: np.ndarray) -> float:
     """Return the tolerance of a step of the angle: noise, the encoder's step, rounding."""
-    size = np.abs(misfits)
+    magnitude = np.abs(misfits)
     rounding = 1e-10 + 8 * np.finfo(float).eps * float(abs(angle[0]) + abs(angle[-1]))
-    significant = size[size > rounding]
+    significant = magnitude[magnitude > rounding]
     quantum = float(significant.min()) if len(significant) else 0.0
-    if len(significant) <= max(4, _COMMON_PART * len(size)):
+    if len(significant) <= max(4, _COMMON_PART * len(magnitude)):
         # An encoder's step shows again and again, a jump once: it must not excuse itself.
         quantum = min(quantum, _ENCODER_STEP_RAD)
     # Beside a gap, or by an uneven clock, strays may be less than the step, which is common too.
-    rare_count = int(_COMMON_PART * len(size)) + 4
-    if rare_count < len(size):
-        largest_common = float(np.partition(size, -rare_count)[-rare_count])
+    rare_count = int(_COMMON_PART * len(magnitude)) + 4
+    if rare_count < len(magnitude):
+        largest_common = float(np.partition(magnitude, -rare_count)[-rare_count])
         quantum = max(quantum, min(largest_common, _ENCODER_STEP_RAD))
     return (
-        _RESIDUAL_SDS * SIGMA_OF_MAD * upper_median(size) + 3 * quantum + rounding
-        if len(size)
+        _RESIDUAL_SDS * SIGMA_OF_MAD * upper_median(magnitude) + 3 * quantum + rounding
+        if len(magnitude)
         else rounding
     )
 
@@ -430,22 +430,23 @@ def _wrap(angle: np.ndarray) -> np.ndarray:
     return angle - _TURN * np.round(angle / _TURN)
 
 
-def _rate_mismatch_message(measured: float, nominal: float) -> str:
+def _rate_mismatch_message(measured_rate: float, nominal_rate: float) -> str:
     """Say that the angle does not advance at the run's rate (rad/s), and what may be the cause."""
-    ratio = measured / nominal
-    words = (
-        f"the angle advances at {measured:.6g} rad/s, but the run's rate is {nominal:.6g} rad/s."
+    ratio = measured_rate / nominal_rate
+    message = (
+        f"the angle advances at {measured_rate:.6g} rad/s, but the run's rate is "
+        f"{nominal_rate:.6g} rad/s."
     )
     if abs(ratio + 1) < 0.05:
-        return words + (
+        return message + (
             " The angle changes in the opposite sense to the stated rate: reverse the sign of the "
             "rate or of the angle column."
         )
-    slip, hint = min(_UNIT_SLIPS, key=lambda known: abs(abs(ratio) / known[0] - 1))
+    slip, hint = min(_UNIT_SLIPS, key=lambda slip_and_hint: abs(abs(ratio) / slip_and_hint[0] - 1))
     if abs(abs(ratio) / slip - 1) < 0.05:
-        return f"{words} {hint}"
+        return f"{message} {hint}"
     return (
-        words
+        message
         + " The two rates must agree within 5 %: check the stated rate and the units of the record."
     )
 

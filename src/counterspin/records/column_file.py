@@ -76,22 +76,22 @@ def iter_chunks(
     if not sum(map(row_count, head)):
         return
     first = concatenate_batches(head)
-    size = choose_rows(first)
+    chunk_rows = choose_rows(first)
     # What lies across two batches is brought together in a buffer; the rest are views.
-    buffer = dict(zip(first, aligned(len(first), size), strict=True))
+    buffer = dict(zip(first, aligned(len(first), chunk_rows), strict=True))
     filled = 0
     for batch in chain([first], batches):
         rows = row_count(batch)
         start = 0
         while start < rows:
-            stop = min(start + size - filled, rows)
-            if stop - start == size:
+            stop = min(start + chunk_rows - filled, rows)
+            if stop - start == chunk_rows:
                 yield {name: column[start:stop] for name, column in batch.items()}
             else:
                 for name, column in batch.items():
                     buffer[name][filled : filled + stop - start] = column[start:stop]
                 filled += stop - start
-            if filled == size:
+            if filled == chunk_rows:
                 yield buffer
                 filled = 0
             start = stop
@@ -232,10 +232,11 @@ class ColumnFile(ABC):
     def require(self, wanted: Sequence[str]) -> None:
         """Raise `RecordError` unless the file has the wanted columns and they can hold numbers."""
         wanted = self._columns_in_file(wanted)
-        missing = [name for name in wanted if not self.has_column(name)]
-        if missing:
+        missing_names = [name for name in wanted if not self.has_column(name)]
+        if missing_names:
             raise RecordError(
-                f"{self.path}: {self._missing_columns_message(missing)}", code="missing-column"
+                f"{self.path}: {self._missing_columns_message(missing_names)}",
+                code="missing-column",
             )
         with record_errors(self.path):
             self._require(wanted)
@@ -252,8 +253,8 @@ class ColumnFile(ABC):
                 count = row_count(batch)
                 batch = {name: self._derive_column(batch, name) for name in wanted}  # noqa: PLW2901
                 if self.selection is not None:
-                    chosen = self.selection[rows : rows + count]
-                    batch = {name: values[chosen] for name, values in batch.items()}  # noqa: PLW2901
+                    mask = self.selection[rows : rows + count]
+                    batch = {name: values[mask] for name, values in batch.items()}  # noqa: PLW2901
                 yield {name: mask_overflow(values) for name, values in batch.items()}
                 rows += count
 
@@ -261,8 +262,8 @@ class ColumnFile(ABC):
         """Return the columns of the file that make the wanted ones: of a split time, two."""
         file_columns: list[str] = []
         for name in wanted:
-            split = None if self.has_column(name) else _split_time(name)
-            file_columns += [split.coarse, split.fine] if split else [name]
+            split_time = None if self.has_column(name) else _split_time(name)
+            file_columns += [split_time.coarse, split_time.fine] if split_time else [name]
         return list(dict.fromkeys(file_columns))
 
     def _derive_column(self, batch: Columns, name: str) -> np.ndarray:
@@ -336,8 +337,8 @@ class ColumnFile(ABC):
             return self.locate(row)
         import numpy as np
 
-        places = np.flatnonzero(self.selection)
-        return self.locate(int(places[min(row, len(places) - 1)]))
+        indices = np.flatnonzero(self.selection)
+        return self.locate(int(indices[min(row, len(indices) - 1)]))
 
     def content(self) -> bytes:
         """Return the bytes of the file."""
@@ -386,17 +387,19 @@ class ColumnFile(ABC):
         """
         import numpy as np
 
-        known = stamps.drop_nulls().to_numpy()
-        if self.first_timestamp is None and len(known):
-            self.first_timestamp = int(known[0])
+        known_stamps = stamps.drop_nulls().to_numpy()
+        if self.first_timestamp is None and len(known_stamps):
+            self.first_timestamp = int(known_stamps[0])
             self._midnights = {}
         # Whole numbers first: seconds since 1970 have digits for no more than microseconds.
         elapsed = (stamps - (self.first_timestamp or 0)).to_numpy().astype(float)
-        if len(known) and known.min() >= 0 and known.max() < _DAY:  # times without dates
-            last_stamp, days = self._midnights.get(stamps.name, (int(known[0]), 0))
-            days_passed = days + np.cumsum(np.diff(known, prepend=last_stamp) < -_DAY // 2)
+        if (
+            len(known_stamps) and known_stamps.min() >= 0 and known_stamps.max() < _DAY
+        ):  # times without dates
+            last_stamp, days = self._midnights.get(stamps.name, (int(known_stamps[0]), 0))
+            days_passed = days + np.cumsum(np.diff(known_stamps, prepend=last_stamp) < -_DAY // 2)
             elapsed[stamps.is_not_null().to_numpy()] += days_passed * float(_DAY)
-            self._midnights[stamps.name] = int(known[-1]), int(days_passed[-1])
+            self._midnights[stamps.name] = int(known_stamps[-1]), int(days_passed[-1])
         return elapsed * 1e-9
 
     def _require(self, wanted: Sequence[str]) -> None:  # noqa: B027
@@ -462,9 +465,10 @@ def mask_overflow(values: np.ndarray) -> np.ndarray:
 
 def format_names(names: Sequence[str], max_names: int = 20) -> str:
     """Return column names for a message, in quotation marks, the first ones of many."""
-    quoted = ", ".join(f"'{name}'" for name in names[:max_names])
+    quoted_names = ", ".join(f"'{name}'" for name in names[:max_names])
     return (
-        quoted + (f" and {len(names) - max_names} more" if len(names) > max_names else "") or "none"
+        quoted_names + (f" and {len(names) - max_names} more" if len(names) > max_names else "")
+        or "none"
     )
 
 
@@ -479,9 +483,9 @@ def plain_path(path: Path) -> str:
     try:
         text.encode()
     except UnicodeEncodeError:
-        shown = text.encode(errors="replace").decode()
+        printable = text.encode(errors="replace").decode()
         raise RecordError(
-            f"{shown}: the path is not valid UTF-8; rename the folder.", code="invalid-name"
+            f"{printable}: the path is not valid UTF-8; rename the folder.", code="invalid-name"
         ) from None
     return text
 
@@ -508,8 +512,8 @@ def nanoseconds(name: str) -> pl.Expr:
     text = text.str.replace(r"(?i)^([a-z]{3})[a-z]* +(\d\d?)[,.]? +(\d{4})", "${2} ${1} ${3}")
     text = text.str.replace(r"(?i)^([a-z]{3}) +(\d\d?) ([\d:.]+) (\d{4})$", "${2} ${1} ${4} ${3}")
     for number, month in enumerate(_MONTHS, 1):
-        named = rf"(?i)^(\d\d?)[- ]{month}[a-z]*[- ](\d{{4}})"
-        text = text.str.replace(named, f"${{2}}-{number:02}-${{1}}")
+        date_pattern = rf"(?i)^(\d\d?)[- ]{month}[a-z]*[- ](\d{{4}})"
+        text = text.str.replace(date_pattern, f"${{2}}-{number:02}-${{1}}")
     duration = pl.lit(None, pl.Float64)
     for mark, size in _DURATIONS.items():
         length = text.str.extract(rf"^(\d+(?:\.\d+)?(?:[eE][-+]?\d+)?) ?(?:{mark})$")
@@ -519,18 +523,20 @@ def nanoseconds(name: str) -> pl.Expr:
     text = text.str.replace(r"^(\d\d?)/(\d\d?)/(\d{4})", "${3}-${1}-${2}")
     text = text.str.replace(r" ?([AaPp][Mm])$", "${1}")
     text = text.str.replace(" ", "T", literal=True).str.replace(r"(Z| ?UTC| ?GMT)$", "+00:00")
-    dated = pl.when(text.str.contains(r"^\d{4}-")).then(text)
-    text = dated.otherwise(pl.concat_str([pl.lit("1970-01-01T"), text]))
-    zoned = text.str.contains(r"[+-]\d\d:?\d\d$")
+    iso_dates = pl.when(text.str.contains(r"^\d{4}-")).then(text)
+    text = iso_dates.otherwise(pl.concat_str([pl.lit("1970-01-01T"), text]))
+    has_zone = text.str.contains(r"[+-]\d\d:?\d\d$")
     form = "%Y-%m-%dT%H:%M:%S%.f"
-    halved = text.str.contains(r"[AaPp][Mm]$")
-    of_day = pl.when(~zoned & ~halved).then(text).str
-    of_half = pl.when(halved).then(text).str
-    plain = pl.coalesce(
+    has_am_pm = text.str.contains(r"[AaPp][Mm]$")
+    of_day = pl.when(~has_zone & ~has_am_pm).then(text).str
+    of_half = pl.when(has_am_pm).then(text).str
+    normalised = pl.coalesce(
         of_day.to_datetime(form, time_unit="ns", strict=False),
         of_half.to_datetime("%Y-%m-%dT%I:%M:%S%.f%p", time_unit="ns", strict=False),
     )
-    with_zone = pl.when(zoned).then(text)
-    placed = with_zone.str.to_datetime(f"{form}%z", time_unit="ns", time_zone="UTC", strict=False)
-    moment = pl.coalesce(placed.dt.replace_time_zone(None), plain).cast(pl.Int64())
+    with_zone = pl.when(has_zone).then(text)
+    utc_times = with_zone.str.to_datetime(
+        f"{form}%z", time_unit="ns", time_zone="UTC", strict=False
+    )
+    moment = pl.coalesce(utc_times.dt.replace_time_zone(None), normalised).cast(pl.Int64())
     return pl.coalesce(moment, duration.round().cast(pl.Int64, strict=False)).alias(name)

@@ -82,17 +82,17 @@ class CsvFile(ColumnFile):
             if self._content is None
             else io.BytesIO(self._content)
         ) as file:
-            for number in count(1):
+            for line_number in count(1):
                 line = file.readline(_LINE_BYTES + 1)
                 if len(line) > _LINE_BYTES:
                     raise RecordError(
-                        f"{self.path}, line {number}: the line has more than {_LINE_BYTES} bytes. "
-                        f"{_FORM}",
+                        f"{self.path}, line {line_number}: the line has more than {_LINE_BYTES} "
+                        f"bytes. {_FORM}",
                         code="malformed-table",
                     )
                 if not line:
                     return
-                yield number, line
+                yield line_number, line
 
     def _detect_format(self, dialect: Dialect) -> None:
         self._transcode(dialect)
@@ -108,21 +108,21 @@ class CsvFile(ColumnFile):
         lines = self._head = join_quoted_lines(lines)
         layout, is_plain = None, is_plain_format(lines)
         if dialect.delimiter is None and dialect.decimal is None:
-            unstated = dialect.skip_lines is None and not dialect.units_row
-            layout = plain_format(lines, dialect) if unstated and is_plain else None
-        detected = layout or detect_format(lines, dialect)
-        layout = detected or plain_format(lines, dialect)
-        if detected is None and dialect.encoding is None:
+            is_undescribed = dialect.skip_lines is None and not dialect.units_row
+            layout = plain_format(lines, dialect) if is_undescribed and is_plain else None
+        detected_format = layout or detect_format(lines, dialect)
+        layout = detected_format or plain_format(lines, dialect)
+        if detected_format is None and dialect.encoding is None:
             # What is in no known form may be no text at all.
             self._check_is_text(head)
         if layout is None:
             raise RecordError(
                 f"{self.path}: the file has no header row and no rows of numbers.", code="no-rows"
             )
-        numbers = [cell for cell in layout.names if _is_number(cell)]
+        numeric_names = [cell for cell in layout.names if _is_number(cell)]
         mixed_cell = next((cell for cell in layout.names if _MIXED_CELL.search(cell)), None)
-        if len(numbers) == len(layout.names) or (
-            mixed_cell and 2 * len(numbers) >= len(layout.names)
+        if len(numeric_names) == len(layout.names) or (
+            mixed_cell and 2 * len(numeric_names) >= len(layout.names)
         ):
             line = next(line for number, line in lines if number == layout.header)
             mixed_text = f" and the text '{mixed_cell[:40]}'" if mixed_cell else ""
@@ -184,14 +184,15 @@ class CsvFile(ColumnFile):
         self._content = b"".join(lines[: len(lines) - count])
 
     def _missing_columns_message(self, missing: Sequence[str]) -> str:
-        words = super()._missing_columns_message(missing)
+        message = super()._missing_columns_message(missing)
         if self._named:
-            return words
-        above = f"above the first numbers, line {self._before_rows + 1}"
+            return message
+        location = f"above the first numbers, line {self._before_rows + 1}"
         reason = (
-            self._mismatch or f"no line {above}, contains column names, so the columns are numbered"
+            self._mismatch
+            or f"no line {location}, contains column names, so the columns are numbered"
         )
-        return f"{words} {reason[0].upper()}{reason[1:]}."
+        return f"{message} {reason[0].upper()}{reason[1:]}."
 
     def first_cells(self, names: Sequence[str], count: int) -> dict[str, list[str]]:
         """Return the first cells of columns, as they are written."""
@@ -200,8 +201,8 @@ class CsvFile(ColumnFile):
         with record_errors(self.path):
             frame = self._collect(self._as_strings(names).head(count))
             cells = {name: [str(cell or "") for cell in frame[name]] for name in names}
-        replaced = any("\ufffd" in cell for column in cells.values() for cell in column)
-        if replaced and self._use_utf8():
+        has_invalid_bytes = any("\ufffd" in cell for column in cells.values() for cell in column)
+        if has_invalid_bytes and self._use_utf8():
             return self.first_cells(names, count)
         return cells
 
@@ -457,7 +458,7 @@ class CsvFile(ColumnFile):
         """Refuse a line with too many cells, or a quotation mark that is not closed."""
         open_line = 0  # the line at which a quoted cell begins that has not ended yet
         delimiter = self.delimiter.encode()
-        for number, raw_line in self._lines():
+        for line_number, raw_line in self._lines():
             if (
                 not open_line
                 and b'"' not in raw_line
@@ -465,11 +466,11 @@ class CsvFile(ColumnFile):
             ):
                 continue
             line = raw_line.decode("utf-8", errors="replace").rstrip("\r\n")
-            if number <= self._before_rows or (line.startswith("#") and not open_line):
+            if line_number <= self._before_rows or (line.startswith("#") and not open_line):
                 continue
             if line.count('"') % 2:
-                open_line = 0 if open_line else number
-            elif open_line and number > open_line + _CELL_LINE_ENDS:
+                open_line = 0 if open_line else line_number
+            elif open_line and line_number > open_line + _CELL_LINE_ENDS:
                 raise RecordError(
                     f"{self.path}, line {open_line}: a quotation mark is not closed within "
                     f"{_CELL_LINE_ENDS} lines.",
@@ -485,8 +486,8 @@ class CsvFile(ColumnFile):
                             "with semicolons or tabs."
                         )
                     raise RecordError(
-                        f"{self.path}, line {number}: the line has {width} cells, but the header "
-                        f"row has {len(self.names)} names.{hint}",
+                        f"{self.path}, line {line_number}: the line has {width} cells, but the "
+                        f"header row has {len(self.names)} names.{hint}",
                         code="malformed-table",
                     )
         if open_line:
@@ -497,19 +498,19 @@ class CsvFile(ColumnFile):
 
     def locate(self, row: int) -> str:
         """Say on which line, as a text editor counts them, data row `row` stands."""
-        number = next(islice(self._data_lines(), row, None), row + self._before_rows + 1)
-        return f"line {number}"
+        line_number = next(islice(self._data_lines(), row, None), row + self._before_rows + 1)
+        return f"line {line_number}"
 
     def row_locations(self, rows: int) -> list[str]:
         """Say on which line each of the data rows stands."""
         if self.selection is not None:
             return super().row_locations(rows)
-        return [f"line {number}" for number in islice(self._data_lines(), rows)]
+        return [f"line {line_number}" for line_number in islice(self._data_lines(), rows)]
 
     def _data_lines(self) -> Iterator[int]:
         # A comment takes a line and is no row; only a pass over the file tells where they are.
         body = islice(self._lines(), self._before_rows, None)
-        return (number for number, line in body if not line.startswith(b"#"))
+        return (line_number for line_number, line in body if not line.startswith(b"#"))
 
 
 def open_text_named_excel(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:

@@ -100,5 +100,5 @@ def suffix_problem(path: Path) -> str:
         return "the file is compressed; unpack it, and give the file inside."
     if ending in _ALTERNATIVES and not path.is_dir():
         return _ALTERNATIVES[ending]
-    kind = "this is a folder" if path.is_dir() else "this file does not"
-    return f"a record file ends in one of {', '.join(RECORD_FORMATS)}; {kind}."
+    problem = "this is a folder" if path.is_dir() else "this file does not"
+    return f"a record file ends in one of {', '.join(RECORD_FORMATS)}; {problem}."

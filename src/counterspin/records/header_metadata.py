@@ -37,45 +37,47 @@ _STATED: Final = re.compile(
 
 
 def parse_header(
-    above: Iterable[Sequence[str]], names: Sequence[str], decimal: str
+    lines_above: Iterable[Sequence[str]], names: Sequence[str], decimal: str
 ) -> tuple[dict[str, str], float | None]:
     """Return units by column, in plain signs, and the time between rows, s; None: not stated.
 
-    above: Cells of the lines above the names. Their first cell says what the others are, which
+    lines_above: Cells of the lines above the names. Their first cell names the others, which
         stand above their columns.
     """
-    stated = {cells[0]: cells[1:] for cells in above if cells and cells[1:]}
+    entries = {cells[0]: cells[1:] for cells in lines_above if cells and cells[1:]}
     columns = [name for name in names if name.lower() != "comment"]
-    plain = {name: name.partition(NUMBERED)[0] for name in names}
-    named = columns[1:] if columns and plain[columns[0]] in (_TIME_ZERO, "") else columns
+    plain_names = {name: name.partition(NUMBERED)[0] for name in names}
+    named_columns = (
+        columns[1:] if columns and plain_names[columns[0]] in (_TIME_ZERO, "") else columns
+    )
     units = {
         name: unit
-        for name, text in zip(named, stated.get(_UNITS, ()), strict=False)
+        for name, text in zip(named_columns, entries.get(_UNITS, ()), strict=False)
         if name and (unit := parse_file_unit(text))
     }
-    if set(filter(None, stated.get(_DIMENSION, ()))) != {"Time"}:
-        return units, parse_interval(above, decimal)
-    units |= {name: "s" for name in names if plain[name] == _TIME_ZERO}
-    steps = {_parse_number(text, decimal) for text in stated.get(_STEP, ()) if text}
+    if set(filter(None, entries.get(_DIMENSION, ()))) != {"Time"}:
+        return units, parse_interval(lines_above, decimal)
+    units |= {name: "s" for name in names if plain_names[name] == _TIME_ZERO}
+    steps = {_parse_number(text, decimal) for text in entries.get(_STEP, ()) if text}
     step = steps.pop() if len(steps) == 1 else None
     return units, step if step is not None and step > 0.0 else None
 
 
-def parse_interval(above: Iterable[Sequence[str]], decimal: str) -> float | None:
+def parse_interval(lines_above: Iterable[Sequence[str]], decimal: str) -> float | None:
     """Return the time between rows that a line of the head states, s; None: none does."""
-    for cells in above:
-        stated = _STATED.fullmatch(" ".join(cells))
-        number = _parse_number(stated[3], decimal) if stated else None
-        if not stated or not number:
+    for cells in lines_above:
+        match = _STATED.fullmatch(" ".join(cells))
+        interval = _parse_number(match[3], decimal) if match else None
+        if not match or not interval:
             continue
-        unit_text = stated[4] or stated[2]
+        unit_text = match[4] or match[2]
         unit = parse_file_unit(unit_text) if unit_text else ""
         try:
-            key = stated[1].strip().lower()
+            key = match[1].strip().lower()
             if _RATE_KEY.fullmatch(key):
-                return 1.0 / (number * (unit_factor(unit, "Hz") if unit else 1.0))
+                return 1.0 / (interval * (unit_factor(unit, "Hz") if unit else 1.0))
             if _INTERVAL_KEY.fullmatch(key):
-                return number * (unit_factor(unit, "s") if unit else 1.0)
+                return interval * (unit_factor(unit, "s") if unit else 1.0)
         except ValueError:
             continue  # another quantity
     return None

@@ -157,16 +157,16 @@ def join_quoted_lines(lines: Sequence[Line]) -> list[Line]:
 
     Lines with a quotation mark that is not closed are returned as they are.
     """
-    joined: list[Line] = []
+    joined_lines: list[Line] = []
     text, count = "", 0
     for number, line in lines:
         text, count = (f"{text} {line}", count + 1) if count else (line, 1)
         if text.count('"') % 2 == 0:
-            joined.append((number, text))
+            joined_lines.append((number, text))
             count = 0
         elif count > _QUOTED_LINES:
             return list(lines)
-    return list(lines) if count else joined
+    return list(lines) if count else joined_lines
 
 
 def _split_comment(line: str, delimiter: str) -> list[str]:
@@ -194,9 +194,9 @@ def _join_spaced_names(
     width = max(set(widths), key=widths.count, default=0)
     result = []
     for (number, cells), (_, line) in zip(split_lines, lines, strict=True):
-        wide = [cell for cell in _WIDE_BLANKS.split(_normalise_comment(line).strip()) if cell]
+        fields = [cell for cell in _WIDE_BLANKS.split(_normalise_comment(line).strip()) if cell]
         text = cells and not _has_numbers(cells, ".")
-        result.append((number, wide if text and len(wide) == width != len(cells) else cells))
+        result.append((number, fields if text and len(fields) == width != len(cells) else cells))
     return result
 
 
@@ -208,9 +208,9 @@ def is_plain_format(lines: Sequence[Line]) -> bool:
     delimiter = max(SINGLE_DELIMITERS, key=lines_with_text[0].count)
     names = split_cells(lines_with_text[0], delimiter)
     width = len(names)
-    named = sum(bool(name) and name.lower() != "comment" for name in names)
+    named_count = sum(bool(name) and name.lower() != "comment" for name in names)
     rows = [split_cells(line, delimiter) for line in lines_with_text[1 : 1 + _PLAIN_ROWS]]
-    if _is_row(names, ".") or max(map(len, rows)) < named:
+    if _is_row(names, ".") or max(map(len, rows)) < named_count:
         return False
     return all(len(row) <= width and _is_row(row, ".") for row in rows)
 
@@ -254,12 +254,12 @@ def plain_format(lines: Sequence[Line], dialect: Dialect) -> TableFormat | None:
 def _number_duplicates(names: Sequence[str]) -> tuple[str, ...]:
     """Return names of columns, those that occur more than once with their number behind."""
     counts: dict[str, int] = {}
-    numbered = []
+    numbered_names = []
     for name in names:
         counts[name] = counts.get(name, 0) + 1
         duplicates = name and names.count(name) > 1
-        numbered.append(f"{name}{NUMBERED}{counts[name]}" if duplicates else name)
-    return tuple(numbered)
+        numbered_names.append(f"{name}{NUMBERED}{counts[name]}" if duplicates else name)
+    return tuple(numbered_names)
 
 
 def find_rows(
@@ -269,9 +269,9 @@ def find_rows(
     delimiter: str = "",
 ) -> tuple[int, TableFormat] | None:
     """Return how many numbers more than texts the longest stretch of rows has, and its layout."""
-    skipped = dialect.skip_lines
+    skipped_lines = dialect.skip_lines
     table = [(number, cells) for number, cells in split_lines if any(cells)]
-    start, end = _longest_run(table, decimal, start_line=skipped or 0)
+    start, end = _longest_run(table, decimal, start_line=skipped_lines or 0)
     if end - start < min(_MIN_ROWS, max(1, len(table) - 2)):
         return None
     while start < end - 1 and table[start][1][0].startswith("#"):
@@ -280,9 +280,9 @@ def find_rows(
     lines_above = [
         (number, cells)
         for number, cells in table[:start]
-        if not cells[0].startswith("#") and number > (skipped or 0)
+        if not cells[0].startswith("#") and number > (skipped_lines or 0)
     ]
-    if skipped is not None:
+    if skipped_lines is not None:
         lines_above = lines_above[:2]
     if any(len(cells) == width and _is_row(cells, decimal) for _, cells in lines_above):
         return None  # a row like any other stands above: what parts the two is no row of names
@@ -328,8 +328,8 @@ def find_rows(
     units = [parse_file_unit(cell) or "" for cell in [*unit_cells, *padding]]
     units = [unit or bracketed_unit(name) for unit, name in zip(units, names, strict=True)]
     text_count = [cell for row in rows for cell in row if cell]
-    numbers = sum(_is_number(cell, decimal) for cell in text_count)
-    texts = sum(not STAMP.fullmatch(cell) for cell in text_count) - numbers
+    number_count = sum(_is_number(cell, decimal) for cell in text_count)
+    texts = sum(not STAMP.fullmatch(cell) for cell in text_count) - number_count
     before_rows = table[start][0] - 1
     layout = TableFormat(
         header,
@@ -341,19 +341,19 @@ def find_rows(
         decimal,
         mismatch,
     )
-    return numbers - texts, layout
+    return number_count - texts, layout
 
 
 def _contains_row_names(rows: Sequence[Sequence[str]], decimal: str, delimiter: str) -> bool:
     """Return whether the first cells are names of rows: words, or whole numbers that rise."""
-    first = [row[0] for row in rows]
+    first_cells = [row[0] for row in rows]
     if not all(_is_number(row[-1], decimal) for row in rows):
         return False
-    if all(cell.isdigit() for cell in first):
-        return all(int(next_cell) - int(cell) == 1 for cell, next_cell in pairwise(first))
+    if all(cell.isdigit() for cell in first_cells):
+        return all(int(next_cell) - int(cell) == 1 for cell, next_cell in pairwise(first_cells))
     if delimiter not in (BLANKS, "\t") or len(rows) < _MIN_ROWS:
         return False
-    return not any(_is_number(cell, decimal) or STAMP.fullmatch(cell) for cell in first)
+    return not any(_is_number(cell, decimal) or STAMP.fullmatch(cell) for cell in first_cells)
 
 
 def _has_unnamed_columns(names: Sequence[str], rows: Sequence[Sequence[str]], decimal: str) -> bool:
@@ -363,9 +363,11 @@ def _has_unnamed_columns(names: Sequence[str], rows: Sequence[Sequence[str]], de
     )
 
 
-def _has_miscounted_names(above: Sequence[tuple[int, list[str]]], width: int, decimal: str) -> bool:
+def _has_miscounted_names(
+    lines_above: Sequence[tuple[int, list[str]]], width: int, decimal: str
+) -> bool:
     """Return whether the line above the rows seems to have names, but not one for each column."""
-    cells = above[-1][1] if above else []
+    cells = lines_above[-1][1] if lines_above else []
     if len(cells) < 2 or any(_is_number(cell, decimal) for cell in cells):
         return False
     # A comment may say anything.
@@ -423,32 +425,34 @@ def _find_header(
     stated_units = dialect.skip_lines is not None or units_row
     number, names = lines_above[0] if stated_units else lines_above[-1]
     values = [cell for cell in names if _is_number(cell, decimal)]
-    damaged = 2 * len(values) >= len(names) or any(decimal in cell for cell in values)
+    is_damaged = 2 * len(values) >= len(names) or any(decimal in cell for cell in values)
     # Names of columns that the rows do not have; LabVIEW's rows may end before an empty remark.
     has_too_many = any(name.lower() not in ("", "comment") for name in names[width:])
-    if damaged or has_too_many or 2 * sum(map(bool, names)) < max(2, width):
+    if is_damaged or has_too_many or 2 * sum(map(bool, names)) < max(2, width):
         return None
     return (number, names[:width]), lines_above[1][1] if units_row else []
 
 
 def _header_in_comment(
-    above: Sequence[tuple[int, list[str]]], width: int, decimal: str
+    lines_above: Sequence[tuple[int, list[str]]], width: int, decimal: str
 ) -> tuple[tuple[int, list[str]], list[str]] | None:
     """Return the names in comments right above the rows, and the units below them.
 
     The line that is nearest to the rows and has a name for each column is that of the names.
     """
     units: list[str] = []
-    for number, cells in reversed(above[-_COMMENT_LINES:]):
+    for number, cells in reversed(lines_above[-_COMMENT_LINES:]):
         if not cells[0].startswith("#"):
             break
         names = [cells[0].removeprefix("#").strip(), *cells[1:]]
-        stated = [name for name in names if name]
-        if len(names) != width or len(stated) != width or width < 2:
+        nonempty_names = [name for name in names if name]
+        if len(names) != width or len(nonempty_names) != width or width < 2:
             continue
-        if names[0].endswith(":") or any(_is_number(name, decimal) for name in stated):
+        if names[0].endswith(":") or any(_is_number(name, decimal) for name in nonempty_names):
             continue  # a remark, such as "note: at rest"
-        if not units and all(parse_file_unit(name) or name.lower() in _NO_UNITS for name in stated):
+        if not units and all(
+            parse_file_unit(name) or name.lower() in _NO_UNITS for name in nonempty_names
+        ):
             units = names
             continue
         return (number, names), [parse_file_unit(unit) or "" for unit in units]
@@ -456,13 +460,13 @@ def _header_in_comment(
 
 
 def _header_and_unit_rows(
-    above: Sequence[tuple[int, list[str]]], width: int
+    lines_above: Sequence[tuple[int, list[str]]], width: int
 ) -> Sequence[tuple[int, list[str]]] | None:
     """Return the line of names and that of units below it; None if there are none near the rows."""
-    for index in range(len(above) - 1, max(0, len(above) - 2 - _LINES_BELOW_UNITS), -1):
-        if _are_units(above[index][1], above[index - 1][1], width):
-            return above[index - 1 : index + 1]
-        if len(above[index][1]) != width:
+    for index in range(len(lines_above) - 1, max(0, len(lines_above) - 2 - _LINES_BELOW_UNITS), -1):
+        if _are_units(lines_above[index][1], lines_above[index - 1][1], width):
+            return lines_above[index - 1 : index + 1]
+        if len(lines_above[index][1]) != width:
             return None  # a line about the measurement
     return None
 
@@ -476,8 +480,8 @@ def _longest_run(
         number, cells = table[index] if index < len(table) else (0, [])
         comment = bool(cells) and cells[0].startswith("#")
         matches = number > start_line and (comment or _has_numbers(cells, decimal))
-        same = index > start and len(cells) == len(table[start][1])
-        if matches and (comment or index == start or same):
+        is_same_width = index > start and len(cells) == len(table[start][1])
+        if matches and (comment or index == start or is_same_width):
             continue
         if index - start > longest[1] - longest[0]:
             longest = (start, index)
@@ -550,10 +554,10 @@ def describe_lines(lines: Sequence[Line], max_lines: int = 6) -> str:
     for number, line in [line for line in lines if line[1].strip()][:max_lines]:
         mark = max(SINGLE_DELIMITERS, key=line.count)
         cells = split_cells(line, mark if mark in line else BLANKS)
-        numbers = sum(any(_is_number(cell, mark) for mark in _NUMBERS) for cell in cells)
+        number_count = sum(any(_is_number(cell, mark) for mark in _NUMBERS) for cell in cells)
         count = f"{len(cells)} cell" + "s" * (len(cells) > 1)
         descriptions.append(
-            f"  line {number}: {count}, {numbers or 'none'} a number: {line.strip()[:60]}"
+            f"  line {number}: {count}, {number_count or 'none'} a number: {line.strip()[:60]}"
         )
     return "\n".join(descriptions)
 
@@ -561,14 +565,14 @@ def describe_lines(lines: Sequence[Line], max_lines: int = 6) -> str:
 def _are_units(cells: Sequence[str], names: Sequence[str], width: int) -> bool:
     """Return whether cells are units, and those above them names."""
     units = [parse_file_unit(cell) is not None for cell in cells if cell.lower() not in _NO_UNITS]
-    named = [name for name in names if name]
+    nonempty_names = [name for name in names if name]
     return (
         len(cells) <= width
         and any(units)
         and all(units)
-        and len(named) >= max(1, width - 1)
+        and len(nonempty_names) >= max(1, width - 1)
         and len(names) <= width
-        and not all(parse_file_unit(name) for name in named)
+        and not all(parse_file_unit(name) for name in nonempty_names)
     )
 
 
@@ -586,8 +590,10 @@ def _is_row(cells: Iterable[str], decimal: str) -> bool:
 def _has_numbers(cells: Sequence[str], decimal: str) -> bool:
     """Return whether at least half of what is not empty are numbers: there may be remarks."""
     nonempty = [cell for cell in cells if cell]
-    numbers = sum(_is_number(cell, decimal) or bool(STAMP.fullmatch(cell)) for cell in nonempty)
-    return 2 * numbers >= len(nonempty) and any(_is_number(cell, decimal) for cell in nonempty)
+    number_count = sum(
+        _is_number(cell, decimal) or bool(STAMP.fullmatch(cell)) for cell in nonempty
+    )
+    return 2 * number_count >= len(nonempty) and any(_is_number(cell, decimal) for cell in nonempty)
 
 
 def _is_number(cell: str, decimal: str) -> bool:

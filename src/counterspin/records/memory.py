@@ -94,11 +94,11 @@ class MemoryFile(ColumnFile):
 def memory_table(name: str, frame: Any) -> MemoryTable:
     """Copy the columns of a frame."""
     columns: dict[str, np.ndarray] = {}
-    skipped = []
+    skipped_names = []
     for key, values in iter_columns(name, frame):
         numbers = _numbers(values)
         if numbers is None:
-            skipped.append(key)
+            skipped_names.append(key)
             continue
         if numbers.ndim != 1:
             raise RecordError(
@@ -113,7 +113,7 @@ def memory_table(name: str, frame: Any) -> MemoryTable:
         raise RecordError(f"{name}: the columns differ in length: {listing}.", code="wrong-shape")
     if not any(lengths.values()):
         raise RecordError(f"{name}: the file has no rows of numbers.", code="no-rows")
-    return MemoryTable(name, columns, tuple(skipped))
+    return MemoryTable(name, columns, tuple(skipped_names))
 
 
 def iter_columns(name: str, frame: Any) -> Iterator[tuple[str, Any]]:
@@ -157,11 +157,11 @@ def _numbers(values: Any) -> np.ndarray | None:
         array = np.array(gaps).reshape(array.shape)
     if array.dtype.kind not in _NUMBERS:
         return None
-    copied = np.array(array, dtype=np.float64)
-    if copied.ndim == 2 and 1 in copied.shape:
-        copied = copied.ravel()
-    copied.flags.writeable = False
-    return copied
+    copy = np.array(array, dtype=np.float64)
+    if copy.ndim == 2 and 1 in copy.shape:
+        copy = copy.ravel()
+    copy.flags.writeable = False
+    return copy
 
 
 def _is_missing(cell: Any) -> bool:

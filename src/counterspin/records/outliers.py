@@ -88,8 +88,10 @@ def detect_outliers(
         without_sentinels = np.where(
             sentinel if finite is None else sentinel | ~finite, np.nan, signal
         )
-        others = detect_outliers(time, without_sentinels, rate, step, unevenness, weight)
-        return np.union1d(np.flatnonzero(sentinel if finite is None else sentinel & finite), others)
+        other_outliers = detect_outliers(time, without_sentinels, rate, step, unevenness, weight)
+        return np.union1d(
+            np.flatnonzero(sentinel if finite is None else sentinel & finite), other_outliers
+        )
 
     def fit_windows(windows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         index = starts[windows, None] + np.arange(width)
@@ -109,7 +111,7 @@ def detect_outliers(
         scale = median(scales)
     scale = max(scale, resolution(signal) / 2)
     suspect |= peak > _SCREEN_SDS * scale
-    marked = np.zeros(len(signal), dtype=bool)
+    is_sentinel = np.zeros(len(signal), dtype=bool)
     suspects = np.flatnonzero(suspect)
     for begin in range(0, len(suspects), 1024):
         index, residuals, scales = fit_windows(suspects[begin : begin + 1024])
@@ -117,8 +119,8 @@ def detect_outliers(
         is_outlier = np.abs(residuals) > limits[:, None]
         # Where most of a window is out, something has changed; that is not for us to judge.
         is_outlier[2 * is_outlier.sum(axis=1) > width] = False
-        marked[index[is_outlier]] = True
-    return np.flatnonzero(marked)
+        is_sentinel[index[is_outlier]] = True
+    return np.flatnonzero(is_sentinel)
 
 
 def upper_median(values: np.ndarray) -> float:
@@ -127,9 +129,9 @@ def upper_median(values: np.ndarray) -> float:
     For the few hundred values of a chunk `np.median` takes several times as long.
     """
     middle = len(values) // 2
-    partitioned = values.copy()
-    partitioned.partition(middle)
-    return float(partitioned[middle])
+    ordered_values = values.copy()
+    ordered_values.partition(middle)
+    return float(ordered_values[middle])
 
 
 def _screen_all(
@@ -138,9 +140,9 @@ def _screen_all(
     """Screen all windows of a signal: `peak` and `broken` of each, `scale` of the whole ones."""
     whole_windows = len(signal) // width * width
     first_time = None if time is None else time[:whole_windows]
-    peak, broken, scale = _screen(signal[:whole_windows], first_time, width, phase_step, step)
+    peak, is_outlier, scale = _screen(signal[:whole_windows], first_time, width, phase_step, step)
     if whole_windows == len(signal):
-        return peak, broken, scale
+        return peak, is_outlier, scale
     # The last window overlaps the one before, so that every sample has a full window.
     last = signal[-width:]
     if time is None and not peak.any():
@@ -150,10 +152,10 @@ def _screen_all(
         highest, limit = np.abs(remainder).max(), _SCREEN_SDS * scale
         # Residuals have no mean, and no median is farther from it than their standard deviation.
         if highest <= limit and highest + math.sqrt(remainder @ remainder / width) <= limit:
-            return np.append(peak, 0.0), np.append(broken, False), scale
+            return np.append(peak, 0.0), np.append(is_outlier, False), scale
     last_time = None if time is None else time[-width:]
     last_peak, last_broken, _ = _screen(last, last_time, width, phase_step, step)
-    return np.append(peak, last_peak), np.append(broken, last_broken), scale
+    return np.append(peak, last_peak), np.append(is_outlier, last_broken), scale
 
 
 def _screen(
@@ -162,42 +164,46 @@ def _screen(
     """Fit whole windows by plain least squares. `time` is given where it is uneven."""
     basis, functions, slopes = _even_basis(width, phase_step)
     windows = signal.reshape(-1, width)
-    broken = np.zeros(len(windows), dtype=bool)
+    is_outlier = np.zeros(len(windows), dtype=bool)
     if time is not None:
         # Move each sample along the signal's slope to where an even clock would have taken it.
         times = time.reshape(-1, width)
         offset = (times - times.mean(axis=1, keepdims=True)) / step
         offset -= np.arange(width) - (width - 1) / 2
-        broken = np.abs(offset).max(axis=1) > max(_SHIFT_RAD / abs(phase_step), _SHIFT_STEPS)
+        is_outlier = np.abs(offset).max(axis=1) > max(_SHIFT_RAD / abs(phase_step), _SHIFT_STEPS)
         windows = windows - ((windows @ basis) @ slopes) * offset
     residuals = aligned(len(windows), width)
     np.matmul(windows @ basis, functions, out=residuals)
     np.subtract(windows, residuals, out=residuals)
-    tested = residuals[~broken] if broken.any() else residuals
-    sample = tested.ravel()[:: max(1, tested.size // 512) | 1]
+    tested_residuals = residuals[~is_outlier] if is_outlier.any() else residuals
+    sample = tested_residuals.ravel()[:: max(1, tested_residuals.size // 512) | 1]
     if not len(sample):
-        return np.zeros(len(residuals)), broken, 0.0
+        return np.zeros(len(residuals)), is_outlier, 0.0
     centre = upper_median(sample)
     scale = SIGMA_OF_MAD * upper_median(np.abs(sample - centre))
-    if max(tested.max() - centre, centre - tested.min()) <= _SCREEN_SDS * scale:
+    if max(tested_residuals.max() - centre, centre - tested_residuals.min()) <= _SCREEN_SDS * scale:
         return (
             np.zeros(len(residuals)),
-            broken,
+            is_outlier,
             scale,
         )  # no window needs its own peak: the usual case
-    return np.maximum(residuals.max(axis=1) - centre, centre - residuals.min(axis=1)), broken, scale
+    return (
+        np.maximum(residuals.max(axis=1) - centre, centre - residuals.min(axis=1)),
+        is_outlier,
+        scale,
+    )
 
 
 def resolution(signal: np.ndarray) -> float:
     """Return the step of a quantised signal: noise below it shows as rare whole steps."""
-    part = np.sort(signal[:4096])
-    part = part[np.diff(part, prepend=-math.inf) > 0.0]
-    if not len(part):
+    sorted_values = np.sort(signal[:4096])
+    sorted_values = sorted_values[np.diff(sorted_values, prepend=-math.inf) > 0.0]
+    if not len(sorted_values):
         return 0.0
     # A few huge outliers must not determine the rounding.
-    usual_size = float(np.sort(np.abs(part))[int(0.99 * (len(part) - 1))])
+    usual_size = float(np.sort(np.abs(sorted_values))[int(0.99 * (len(sorted_values) - 1))])
     rounding = 64 * np.finfo(float).eps * usual_size
-    steps = np.diff(part)
+    steps = np.diff(sorted_values)
     steps = steps[steps > rounding]
     return max(float(steps.min()) if len(steps) else 0.0, rounding)
 
@@ -241,26 +247,28 @@ def _robust_fit(
 
     def fit(w: np.ndarray, basis: np.ndarray) -> np.ndarray:
         ridge = 1e-12 * np.eye(basis.shape[-1])
-        weighted = np.swapaxes(basis * w[..., None], -1, -2)
-        normal = weighted @ basis
+        weighted_basis = np.swapaxes(basis * w[..., None], -1, -2)
+        normal = weighted_basis @ basis
         normal += ridge * np.trace(normal, axis1=-2, axis2=-1)[:, None, None] + 1e-300 * ridge
-        amplitudes = np.linalg.solve(normal, weighted @ windows[..., None])
+        amplitudes = np.linalg.solve(normal, weighted_basis @ windows[..., None])
         residuals: np.ndarray = (windows - (basis @ amplitudes)[..., 0]) * weight
         return residuals
 
     def spread(residuals: np.ndarray) -> np.ndarray:
-        size = np.sort(np.where(is_finite, np.abs(residuals), np.inf), axis=1)
-        median: np.ndarray = np.take_along_axis(size, middle[:, None], axis=1)[:, 0]
+        magnitude = np.sort(np.where(is_finite, np.abs(residuals), np.inf), axis=1)
+        median: np.ndarray = np.take_along_axis(magnitude, middle[:, None], axis=1)[:, 0]
         floored: np.ndarray = np.maximum(SIGMA_OF_MAD * median, floor)
         return floored
 
     # Fewer functions withstand more outliers: the first ones part these from the rest, then all
     # of them follow the rest more closely.
-    first = basis[..., :_FIRST_FUNCTIONS]
-    residuals = fit(weight**2, first)
+    first_functions = basis[..., :_FIRST_FUNCTIONS]
+    residuals = fit(weight**2, first_functions)
     for _ in range(10):
-        size = np.maximum(np.abs(residuals), 0.1 * spread(residuals)[:, None])
-        residuals = fit(weight**2 * size.min(axis=1, keepdims=True) / size, first)
+        magnitude = np.maximum(np.abs(residuals), 0.1 * spread(residuals)[:, None])
+        residuals = fit(
+            weight**2 * magnitude.min(axis=1, keepdims=True) / magnitude, first_functions
+        )
     for _ in range(4):
         scaled_residuals = np.clip(residuals / (6.0 * spread(residuals)[:, None]), -1, 1)
         residuals = fit(weight**2 * ((1 - scaled_residuals**2) ** 2 + 1e-12), basis)

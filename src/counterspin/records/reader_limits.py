@@ -35,30 +35,32 @@ _LIMIT_PROCESS_MEMORY: Final = 0x0000_0100
 _TICKS_PER_SECOND: Final = 10_000_000
 
 
-def processor_seconds(size: int) -> float:
+def processor_seconds(byte_count: int) -> float:
     """Return the processor time that the reading of a file of this many bytes may take, s."""
-    return _READING_SECONDS + size / _BYTES_PER_SECOND
+    return _READING_SECONDS + byte_count / _BYTES_PER_SECOND
 
 
 def waiting_seconds(path: Path) -> float:
     """Return the timeout for reading a file, s."""
     try:
-        size = path.stat().st_size
+        byte_count = path.stat().st_size
     except (OSError, ValueError):
-        size = 0  # reading says why
-    return _WAITING_FACTOR * processor_seconds(size)
+        byte_count = 0  # reading says why
+    return _WAITING_FACTOR * processor_seconds(byte_count)
 
 
 def limit_reading(path: Path) -> None:
     """Limit the processor time and the memory of this process, which reads a file next."""
     try:
-        size = path.stat().st_size
+        byte_count = path.stat().st_size
     except (OSError, ValueError):
         return  # reading says why
-    seconds = processor_seconds(size)
-    more = _READING_BYTES + _BYTES_PER_BYTE * size + _THREAD_BYTES * (os.cpu_count() or 1)
+    seconds = processor_seconds(byte_count)
+    extra_bytes = (
+        _READING_BYTES + _BYTES_PER_BYTE * byte_count + _THREAD_BYTES * (os.cpu_count() or 1)
+    )
     if sys.platform == "win32":
-        _JOB.limit(seconds, more)
+        _JOB.limit(seconds, extra_bytes)
         return
     import resource
 
@@ -67,8 +69,8 @@ def limit_reading(path: Path) -> None:
     with suppress(OSError, ValueError):
         # Memory that this process may write to: what files are mapped to is not counted.
         status = Path("/proc/self/status").read_text("ascii")
-        taken = 1024 * int(status.partition("VmData:")[2].split()[0])
-        _set_limit("RLIMIT_DATA", taken + more)
+        used_bytes = 1024 * int(status.partition("VmData:")[2].split()[0])
+        _set_limit("RLIMIT_DATA", used_bytes + extra_bytes)
     omit_core_file()
 
 
@@ -83,10 +85,10 @@ def _set_limit(name: str, limit: float) -> None:
         return
     import resource
 
-    kind: int = getattr(resource, name)
-    _, hard = resource.getrlimit(kind)
+    resource_id: int = getattr(resource, name)
+    _, hard = resource.getrlimit(resource_id)
     soft = int(limit) if hard == resource.RLIM_INFINITY else min(int(limit), hard)
-    resource.setrlimit(kind, (soft, hard))
+    resource.setrlimit(resource_id, (soft, hard))
 
 
 class _WindowsJob:

@@ -163,11 +163,11 @@ class _ReaderProcess:
             process.stdin.write(len(message).to_bytes(8, "little") + message)
             process.stdin.flush()
         self._ready = self._ready or bool(process.stdout.read(1))
-        size = process.stdout.read(8)
-        if len(size) < 8:
+        length_prefix = process.stdout.read(8)
+        if len(length_prefix) < 8:
             return None
-        answer = process.stdout.read(int.from_bytes(size, "little"))
-        if len(answer) < int.from_bytes(size, "little"):
+        answer = process.stdout.read(int.from_bytes(length_prefix, "little"))
+        if len(answer) < int.from_bytes(length_prefix, "little"):
             return None
         reply: tuple[Any] | BaseException = pickle.loads(answer)
         return reply
@@ -220,9 +220,9 @@ def _terminate(process: subprocess.Popen[bytes]) -> None:
         process.wait()
         return
     # Asked so, the one that reads ends, and the other once it has seen to that.
-    for number in (signal.SIGTERM, signal.SIGKILL):
+    for signal_number in (signal.SIGTERM, signal.SIGKILL):
         with suppress(ProcessLookupError):
-            os.killpg(process.pid, number)
+            os.killpg(process.pid, signal_number)
         with suppress(subprocess.TimeoutExpired):
             process.wait(_TERMINATION_SECONDS)
             return
@@ -301,10 +301,10 @@ def _exit_like(status: int) -> NoReturn:
 def _answer_all(requests: Any, replies: BinaryIO) -> bool:
     """Answer requests until there are none; return False after a file that did harm, perhaps."""
     while _is_readable_in_time(requests.fileno()):
-        size = requests.read(8)
-        if len(size) < 8:
+        length_prefix = requests.read(8)
+        if len(length_prefix) < 8:
             return True
-        reply = _answer(_read_exactly(requests, int.from_bytes(size, "little")))
+        reply = _answer(_read_exactly(requests, int.from_bytes(length_prefix, "little")))
         try:
             answer = pickle.dumps(reply)
         except Exception:  # an error that cannot be pickled still tells what it is
@@ -335,21 +335,21 @@ def _answer(message: bytes) -> tuple[Any] | BaseException:
         return error
 
 
-def _read_exactly(stream: Any, size: int) -> bytes:
-    parts = []
-    while size:
-        part = stream.read(size)
-        if not part:
+def _read_exactly(stream: Any, byte_count: int) -> bytes:
+    chunks = []
+    while byte_count:
+        chunk = stream.read(byte_count)
+        if not chunk:
             raise EOFError
-        parts.append(part)
-        size -= len(part)
-    return b"".join(parts)
+        chunks.append(chunk)
+        byte_count -= len(chunk)
+    return b"".join(chunks)
 
 
-def _is_readable_in_time(number: int) -> bool:
+def _is_readable_in_time(descriptor: int) -> bool:
     if sys.platform == "win32":  # which cannot wait for a pipe
         return True
-    return bool(select.select([number], [], [], _IDLE_SECONDS)[0])
+    return bool(select.select([descriptor], [], [], _IDLE_SECONDS)[0])
 
 
 def _directory() -> str | None:

@@ -325,25 +325,25 @@ class _RecordReader:
         if not len(usable_chunk):
             self._count_empty(first_row, chunk.signals)
             return None
-        averaged = averager.average(usable_chunk, usable.unevenness)
-        if not averaged.complete or usable.rows is not None:
+        block_means = averager.average(usable_chunk, usable.unevenness)
+        if not block_means.complete or usable.rows is not None:
             self._count_empty(first_row, chunk.signals)
-        for index, outliers in enumerate(averaged.outliers):
+        for index, outliers in enumerate(block_means.outliers):
             if len(outliers):
                 rows = outliers if usable.rows is None else usable.rows[outliers]
                 values = usable_chunk.signals[index][outliers]
                 self._note_outliers(index, rows + first_row, usable_chunk.time[outliers], values)
-        return averaged.blocks
+        return block_means.blocks
 
     def _count_empty(self, first_row: int, signals: list[np.ndarray]) -> None:
-        for place, signal in enumerate(signals):
-            self._empty[place] += int(np.isnan(signal).sum())
+        for signal_index, signal in enumerate(signals):
+            self._empty[signal_index] += int(np.isnan(signal).sum())
             infinite = np.flatnonzero(np.isinf(signal))
             if len(infinite):
                 mask = self._file.locate_row(first_row + int(infinite[0]))
                 raise RecordError(
-                    f"{self._file.path}, {mask}: column '{self._signals[place].name}' contains an "
-                    "infinite value.",
+                    f"{self._file.path}, {mask}: column '{self._signals[signal_index].name}' "
+                    "contains an infinite value.",
                     code="value-out-of-range",
                 )
 
@@ -354,9 +354,9 @@ class _RecordReader:
         self._outliers[index] += len(rows)
         spec = self._signals[index]
         for row, time, value in zip(rows[: max(capacity, 0)], times, values, strict=False):
-            size = float(value) * spec.factor + spec.offset
+            magnitude = float(value) * spec.factor + spec.offset
             self._listed.append(
-                Outlier(spec.name, int(row) + 1, float(time) + self._start_time, size)
+                Outlier(spec.name, int(row) + 1, float(time) + self._start_time, magnitude)
             )
 
     def _check_empty_rows(self) -> None:
@@ -523,18 +523,18 @@ class _RecordReader:
         )
 
     def _reject_outlying_blocks(
-        self, blocks: BlockMeans, place: int, signal: np.ndarray
+        self, blocks: BlockMeans, signal_index: int, signal: np.ndarray
     ) -> np.ndarray:
         """Reject block means that deviate from their neighbours (a burst, a dropout)."""
         weight = np.sqrt(blocks.count / self._block)
         step = self._clock.step * self._block
         unevenness = float(np.abs(np.diff(blocks.time) / step - 1).max(initial=0.0))
         # The mean over a shorter piece of a wave's crest is another: such blocks are not compared.
-        tested = np.where(blocks.count >= 0.9 * self._block, signal, np.nan)
+        tested_values = np.where(blocks.count >= 0.9 * self._block, signal, np.nan)
         rate = self._motion.signal_rate(self._clock.rate)
-        outliers = detect_outliers(blocks.time, tested, rate, step, unevenness, weight)
+        outliers = detect_outliers(blocks.time, tested_values, rate, step, unevenness, weight)
         if len(outliers):
-            self._outliers[place] += int(blocks.count[outliers].sum())
+            self._outliers[signal_index] += int(blocks.count[outliers].sum())
             signal = signal.copy()
             signal[outliers] = np.nan
         return signal

@@ -152,8 +152,8 @@ class ColumnSpec:
 
     def to_file_units(self, values: Array) -> Array:
         """Return values in SI, converted to the numbers of the column."""
-        filed: Array = (values - self.offset) / self.factor
-        return filed
+        file_values: Array = (values - self.offset) / self.factor
+        return file_values
 
     @property
     def is_derived_column(self) -> bool:
@@ -165,11 +165,11 @@ class ColumnSpec:
         if not self.target_unit or self.kind in ("stamps", "rows"):
             return self
         file_unit = file.units.get(self.name, "")
-        place = f"{file.path}: column '{self.name}'"
+        location = f"{file.path}: column '{self.name}'"
         if self.unit is None:
             if not file_unit:
                 raise RecordError(
-                    f"{place} has no unit in the file; state the unit in the campaign.",
+                    f"{location} has no unit in the file; state the unit in the campaign.",
                     code="missing-unit",
                 )
             if self.kind == "temperature" and file_unit in TEMPERATURE_SCALES:
@@ -178,7 +178,7 @@ class ColumnSpec:
                 factor = unit_factor(file_unit, self.target_unit, gravity=self.gravity)
             except ValueError as error:
                 raise RecordError(
-                    f"{place} is in '{file_unit}' according to the file: {error}.",
+                    f"{location} is in '{file_unit}' according to the file: {error}.",
                     code=code_of(error),
                 ) from None
             # Beside the unit there may be a sense, or a clock that is known to be fast.
@@ -186,7 +186,7 @@ class ColumnSpec:
         is_same = file_unit == self.unit or same_unit(file_unit, self.unit, gravity=self.gravity)
         if file_unit and file.units_row and not is_same:
             raise RecordError(
-                f"{place} is in '{file_unit}' according to the units row of the file, but in "
+                f"{location} is in '{file_unit}' according to the units row of the file, but in "
                 f"'{self.unit}' according to the campaign.",
                 code="unit-mismatch",
             )
@@ -250,8 +250,8 @@ class RecordColumns:
     @property
     def file_columns(self) -> list[str]:
         """The columns that a file contains."""
-        derived = [spec.name for spec in (self.time, self.angle) if spec and spec.is_derived_column]
-        return [name for name in self.names if name not in derived]
+        specs = [spec for spec in (self.time, self.angle) if spec and spec.is_derived_column]
+        return [name for name in self.names if name not in [spec.name for spec in specs]]
 
 
 @frozen

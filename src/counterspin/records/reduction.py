@@ -42,17 +42,17 @@ class BlockMeans:
     angle_sd: np.ndarray
 
     @classmethod
-    def concatenate(cls, parts: list[BlockMeans]) -> BlockMeans:
+    def concatenate(cls, blocks: list[BlockMeans]) -> BlockMeans:
         """Return the parts one after the other."""
         return cls(
-            np.concatenate([part.time for part in parts]),
-            np.concatenate([part.time_sd for part in parts]),
-            np.concatenate([part.count for part in parts]),
+            np.concatenate([block.time for block in blocks]),
+            np.concatenate([block.time_sd for block in blocks]),
+            np.concatenate([block.count for block in blocks]),
             None
-            if parts[0].angle is None
-            else np.concatenate([part.angle for part in parts if part.angle is not None]),
-            [np.concatenate(arrays) for arrays in zip(*(p.signals for p in parts), strict=True)],
-            np.concatenate([part.angle_sd for part in parts]),
+            if blocks[0].angle is None
+            else np.concatenate([block.angle for block in blocks if block.angle is not None]),
+            [np.concatenate(arrays) for arrays in zip(*(p.signals for p in blocks), strict=True)],
+            np.concatenate([block.angle_sd for block in blocks]),
         )
 
 
@@ -215,8 +215,8 @@ def _point_blocks(chunk: Chunk, outliers: list[np.ndarray]) -> BlockMeans:
     """Return every sample as a block of its own."""
     # Copies: the next chunk overwrites this one.
     signals = [x.copy() for x in chunk.signals]
-    for x, places in zip(signals, outliers, strict=True):
-        x[places] = np.nan
+    for x, indices in zip(signals, outliers, strict=True):
+        x[indices] = np.nan
     rows = len(chunk)
     angle = None if chunk.angle is None else chunk.angle.copy()
     none, count = np.zeros(rows), np.ones(rows, dtype=int)

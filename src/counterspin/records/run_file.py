@@ -66,8 +66,8 @@ class RunFile:
 
     def use_strict_parser(self) -> bool:
         """As of `ColumnFile`."""
-        switched = [file.use_strict_parser() for file in self._files]  # all of them
-        return any(switched)
+        has_switched = [file.use_strict_parser() for file in self._files]  # all of them
+        return any(has_switched)
 
     def locate_row(self, row: int) -> str:
         """Say where a row stands: in which file, and where in it."""
@@ -83,10 +83,10 @@ class RunFile:
     def batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         """Yield columns in consecutive batches, those that are made too."""
         time, angle = self._columns.time, self._columns.angle
-        derived = {time.name} if time.kind == "rows" else set()
+        derived_names = {time.name} if time.kind == "rows" else set()
         if self._pulses is not None and angle is not None:
-            derived |= {angle.name}
-        columns_in_file = [name for name in wanted if name not in derived]
+            derived_names |= {angle.name}
+        columns_in_file = [name for name in wanted if name not in derived_names]
         ends, rows = [], 0
         for file in self._files:
             file.first_timestamp = file.first_timestamp or self._files[0].first_timestamp
@@ -158,9 +158,9 @@ def pulse_angle(pulses: Array, time: Array, rate: float, per_revolution: float) 
 def _interpolate_parabola(x: Array, y: Array, index: np.ndarray, position: Array) -> Array:
     """Return the parabolas through three points about `index`, at `position` (Newton)."""
     x0, x1, x2 = x[index - 1], x[index], x[index + 1]
-    first = (y[index] - y[index - 1]) / (x1 - x0)
-    second = ((y[index + 1] - y[index]) / (x2 - x1) - first) / (x2 - x0)
-    result: Array = y[index - 1] + (position - x0) * (first + (position - x1) * second)
+    first_slope = (y[index] - y[index - 1]) / (x1 - x0)
+    second = ((y[index + 1] - y[index]) / (x2 - x1) - first_slope) / (x2 - x0)
+    result: Array = y[index - 1] + (position - x0) * (first_slope + (position - x1) * second)
     return result
 
 
@@ -173,10 +173,10 @@ def check_length(path: object, rows: int, duration: float, motion: NominalMotion
     is_constant = motion.constant_input
     min_revolutions = MIN_REVOLUTIONS_OF_MEAN if is_constant else MIN_REVOLUTIONS
     if motion.rate and revolutions < min_revolutions * (1.0 - 1e-9):
-        required = f"{min_revolutions:g} are" if min_revolutions > 1.0 else "1 is"
+        requirement = f"{min_revolutions:g} are" if min_revolutions > 1.0 else "1 is"
         raise RecordError(
             f"{path}: the record lasts {duration:.6g} s, {revolutions:.3g} revolutions at the "
-            f"stated rate; at least {required} needed. Check the unit of the time column.",
+            f"stated rate; at least {requirement} needed. Check the unit of the time column.",
             code="record-too-short",
         )
     if revolutions > MAX_REVOLUTIONS_PER_ROW * rows:

@@ -82,10 +82,10 @@ class ValueHolding:
         if finite_values.size < _MIN_CHANGES or np.ptp(finite_values) == 0.0:
             return None
         steps = np.diff(finite_values)
-        changed = steps[steps != 0.0]
-        repeated = 1.0 - changed.size / steps.size
-        sizes = np.abs(changed)
-        typical_steps = sizes[sizes <= _OUTLIER_STEPS * median(sizes)]
+        nonzero_steps = steps[steps != 0.0]
+        repeated_fraction = 1.0 - nonzero_steps.size / steps.size
+        step_sizes = np.abs(nonzero_steps)
+        typical_steps = step_sizes[step_sizes <= _OUTLIER_STEPS * median(step_sizes)]
         step = float(np.sqrt(np.mean(typical_steps**2)))
         chance_repeats = min(1.0, resolution(finite_values) / (math.sqrt(2.0 * math.pi) * step))
         limit = (
@@ -100,16 +100,16 @@ class ValueHolding:
             finite_values
         )
         alternate = has_few_changes or quantile(lengths, 0.01) < 2.0
-        if (repeated <= limit and alternate) or _is_constant_stretch(
-            lengths, 1.0 / (1.0 - repeated)
+        if (repeated_fraction <= limit and alternate) or _is_constant_stretch(
+            lengths, 1.0 / (1.0 - repeated_fraction)
         ):
             return None
         if period := _change_period(change_indices):
             return cls(float(period), period, int(change_indices[0]) % period)
-        rows = 1.0 / (1.0 - repeated)
+        rows = 1.0 / (1.0 - repeated_fraction)
         if chance_repeats > _MAX_CHANCE_FRACTION:
             raise InputError(
-                f"the signal repeats {100.0 * repeated:.2g} % of its values at irregular "
+                f"the signal repeats {100.0 * repeated_fraction:.2g} % of its values at irregular "
                 "intervals, which suggests that the log is faster than the sensor; the "
                 "resolution is too coarse to distinguish a repeated sample from an equal "
                 "sample. Export only the samples of the sensor",
@@ -164,7 +164,7 @@ class RepeatedValues:
         interpolates: Whether they are interpolated between new values, as the mean of a block
             needs them; otherwise they are NaN.
         """
-        replaced = list(signals)
+        filled_signals = list(signals)
         for index, (signal, holding) in enumerate(zip(signals, self._holding, strict=True)):
             if holding is None:
                 continue
@@ -173,13 +173,13 @@ class RepeatedValues:
             new_indices = np.flatnonzero(is_new & ~np.isnan(signal))
             self._held[index] += int(is_repeat.sum())
             self._last[index] = float(signal[-1])
-            filled = np.full(len(signal), math.nan)
+            values = np.full(len(signal), math.nan)
             if interpolates and len(new_indices):
-                filled = np.interp(np.arange(len(signal)), new_indices, signal[new_indices])
+                values = np.interp(np.arange(len(signal)), new_indices, signal[new_indices])
             else:
                 self.blank[index] += int(is_repeat.sum())
-            replaced[index] = np.where(is_repeat, filled, signal)
-        return replaced
+            filled_signals[index] = np.where(is_repeat, values, signal)
+        return filled_signals
 
     def notes(self, rows: int) -> list[str]:
         """Return a statement on each signal that repeats its values, of so many rows."""
@@ -203,8 +203,8 @@ def join_bursts(time: Array) -> Array:
     steps = np.diff(time)
     if not is_bursty(steps):
         return time
-    first = np.append(True, steps > _MAX_BURST_FRACTION * float(np.mean(steps)))
-    return np.asarray(time[np.flatnonzero(first)][np.cumsum(first) - 1])
+    is_first = np.append(True, steps > _MAX_BURST_FRACTION * float(np.mean(steps)))
+    return np.asarray(time[np.flatnonzero(is_first)][np.cumsum(is_first) - 1])
 
 
 def is_bursty(steps: Array) -> bool:
@@ -249,13 +249,13 @@ def row_rate(time: Array) -> float:
     return 1.0 / median(steps)
 
 
-def count_times(time: Array, restamped: int) -> Array:
+def count_times(time: Array, restamped_count: int) -> Array:
     """Return the times of rows whose stamps repeat: rows are even where none is lost.
 
     Rows may be stamped late, but not early. The rows with the least delay follow the clock of the
     sensor.
 
-    restamped: Number of rows with the time of the row before, for the message.
+    restamped_count: Number of rows with the time of the row before, for the message.
     """
     bounds = np.append(np.flatnonzero(np.append(True, np.diff(time) > 0.0)), time.size)
     burst = quantile(np.diff(bounds), 0.999) + 1.0
@@ -278,15 +278,15 @@ def count_times(time: Array, restamped: int) -> Array:
     for segment, last in zip(segments, last_rows, strict=True):
         if _lacks_rows(segment[last] / step - last, segment.size):
             raise InputError(
-                f"{restamped} of {time.size} rows repeat the time of the previous row with "
+                f"{restamped_count} of {time.size} rows repeat the time of the previous row with "
                 "different values, and samples are missing among them or have too long delays, so "
                 "the rows cannot be counted; export the times of the sensor with a finer "
                 "resolution, or, if no sample is missing, give `sampling_rate`",
                 "irregular-time",
             )
     delays = [segment - step * np.arange(segment.size) for segment in segments]
-    places = [round(float(delay.min() - delays[0].min()) / step) for delay in delays]
-    rows = [place + np.arange(delay.size) for place, delay in zip(places, delays, strict=True)]
+    offsets = [round(float(delay.min() - delays[0].min()) / step) for delay in delays]
+    rows = [offset + np.arange(delay.size) for offset, delay in zip(offsets, delays, strict=True)]
     return np.asarray(delays[0].min() + step * np.concatenate(rows))
 
 
@@ -333,15 +333,15 @@ def _lacks_rows(delay: Array, rows: int) -> bool:
         return False
     floor = np.array([np.min(part) for part in np.array_split(delay, min(_FLOORS, delay.size))])
     change, bend = np.diff(floor), np.diff(floor, 2)
-    place = np.linspace(-1.0, 1.0, change.size)
-    smooth = np.polynomial.polynomial.polyvander(place[1:], 2)
-    rest = bend - smooth @ np.linalg.lstsq(smooth, bend, rcond=None)[0]
-    if float(rest @ rest) < _FLOOR_VARIANCE * (bend.size - 3):
+    position = np.linspace(-1.0, 1.0, change.size)
+    smooth = np.polynomial.polynomial.polyvander(position[1:], 2)
+    residual = bend - smooth @ np.linalg.lstsq(smooth, bend, rcond=None)[0]
+    if float(residual @ residual) < _FLOOR_VARIANCE * (bend.size - 3):
         return False
     if float(change @ change) > change.size * (_MAX_FLOOR_CHANGE * rows) ** 2:
         return True
     trend, factor = np.linalg.qr(
-        np.column_stack([np.polynomial.polynomial.polyvander(place, 2), floor[:-1]])
+        np.column_stack([np.polynomial.polynomial.polyvander(position, 2), floor[:-1]])
     )
     shares = trend.T @ change
     scatter = change @ change - shares @ shares
@@ -411,8 +411,8 @@ class SplitTime:
     @classmethod
     def parse(cls, name: str) -> SplitTime | None:
         """Return the columns that a name such as ``sec [s] + nanosec [ns]`` states, or None."""
-        found = _SPLIT.fullmatch(name)
-        return cls(*found.groups()) if found else None
+        match = _SPLIT.fullmatch(name)
+        return cls(*match.groups()) if match else None
 
     @property
     def name(self) -> str:
@@ -430,41 +430,47 @@ class SplitTime:
         is_valid = np.isfinite(coarse) & np.isfinite(fine)
         whole_units = np.floor(np.where(is_valid, coarse, 0.0))
         fraction = np.where(is_valid, coarse, 0.0) - whole_units
-        size, fine_size = _LENGTHS[self.coarse_unit], _LENGTHS[self.fine_unit]
-        small = np.round(fraction * size + np.where(is_valid, fine, 0.0) * fine_size).astype(
+        coarse_size, fine_size = _LENGTHS[self.coarse_unit], _LENGTHS[self.fine_unit]
+        small = np.round(fraction * coarse_size + np.where(is_valid, fine, 0.0) * fine_size).astype(
             np.int64
         )
-        return whole_units.astype(np.int64) * size + small, is_valid
+        return whole_units.astype(np.int64) * coarse_size + small, is_valid
 
 
 def find_split_time(columns: Mapping[str, Array]) -> SplitTime | None:
     """Return the time that two columns of numbers hold together; None without such columns."""
-    for split in _candidate_pairs(columns):
-        coarse, fine = columns[split.coarse], columns[split.fine]
+    for split_time in _candidate_pairs(columns):
+        coarse, fine = columns[split_time.coarse], columns[split_time.fine]
         if coarse.size < 2 or coarse.size != fine.size:
             continue
         if not (np.isfinite(coarse).all() and np.isfinite(fine).all()):
             continue
-        max_fine = _LENGTHS[split.coarse_unit] / _LENGTHS[split.fine_unit]
-        within = (fine >= 0.0).all() and (fine < max_fine).all() and np.ptp(fine) > 0.0
-        if not within or (coarse != np.floor(coarse)).any() or np.abs(coarse).max() > 4e9:
+        max_fine = _LENGTHS[split_time.coarse_unit] / _LENGTHS[split_time.fine_unit]
+        is_within_range = (fine >= 0.0).all() and (fine < max_fine).all() and np.ptp(fine) > 0.0
+        if not is_within_range or (coarse != np.floor(coarse)).any() or np.abs(coarse).max() > 4e9:
             continue
-        time, _ = split.nanoseconds(columns)
+        time, _ = split_time.nanoseconds(columns)
         if (np.diff(time) >= 0).all():
-            return split
+            return split_time
     return None
 
 
 def _candidate_pairs(columns: Mapping[str, Array]) -> Iterator[SplitTime]:
     """Yield pairs of columns with fitting names, those with a common beginning first."""
-    unbracketed = {name: re.sub(_BRACKETS, "", name) for name in columns}
-    weeks = [name for name, text in unbracketed.items() if re.fullmatch(_COARSE["week"], text)]
+    unbracketed_names = {name: re.sub(_BRACKETS, "", name) for name in columns}
+    weeks = [
+        name for name, text in unbracketed_names.items() if re.fullmatch(_COARSE["week"], text)
+    ]
     for week, name in product(weeks, columns):
-        if name != week and re.fullmatch(_OF_WEEK, unbracketed[name]):
+        if name != week and re.fullmatch(_OF_WEEK, unbracketed_names[name]):
             unit = bracketed_unit(name)
             if unit not in _LENGTHS:
                 unit = next(
-                    (u for u, pattern in _FINE.items() if re.fullmatch(pattern, unbracketed[name])),
+                    (
+                        u
+                        for u, pattern in _FINE.items()
+                        if re.fullmatch(pattern, unbracketed_names[name])
+                    ),
                     "",
                 )
             if not unit:
@@ -472,14 +478,14 @@ def _candidate_pairs(columns: Mapping[str, Array]) -> Iterator[SplitTime]:
             yield SplitTime(week, "week", name, unit)
     seconds = [
         name
-        for name, text in unbracketed.items()
+        for name, text in unbracketed_names.items()
         if re.fullmatch(_COARSE["s"], text) or bracketed_unit(name) == "s"
     ]
     pairs = [
         SplitTime(second, "s", name, unit)
         for second, name, (unit, pattern) in product(seconds, columns, _FINE.items())
         if name != second
-        and (re.fullmatch(pattern, unbracketed[name]) or bracketed_unit(name) == unit)
+        and (re.fullmatch(pattern, unbracketed_names[name]) or bracketed_unit(name) == unit)
     ]
     yield from sorted(pairs, key=lambda pair: -_common_prefix_length(pair.coarse, pair.fine))
 

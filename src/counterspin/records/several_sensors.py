@@ -113,7 +113,11 @@ def interleaved_sensors(
             # Any periodic column parts the rows of a coarse clock into even times.
             is_long = key != name and len(series) == len(column)
             is_fine = is_long and float(np.mean(np.diff(series) > 0.0)) > _MIN_RISING_FRACTION
-            if is_fine and not _is_even(series) and all(_is_even(series[part]) for part in rows):
+            if (
+                is_fine
+                and not _is_even(series)
+                and all(_is_even(series[sensor_rows]) for sensor_rows in rows)
+            ):
                 yield name, sorted(values)
                 break
 
@@ -123,9 +127,9 @@ def _is_even(series: np.ndarray) -> bool:
     import numpy as np
 
     steps = np.diff(series)
-    usual = float(np.median(steps))
-    is_usual = np.abs(steps - usual) < _MAX_STEP_DEVIATION * usual
-    is_rising = usual > 0.0 and bool((steps >= 0.0).all())
+    median_step = float(np.median(steps))
+    is_usual = np.abs(steps - median_step) < _MAX_STEP_DEVIATION * median_step
+    is_rising = median_step > 0.0 and bool((steps >= 0.0).all())
     return is_rising and float(np.mean(is_usual)) > _MIN_EVEN_FRACTION
 
 
@@ -136,8 +140,8 @@ def refuse_several_sensors(file: ColumnFile, wanted: Sequence[str]) -> None:
     """
     if file.selection is not None:
         return
-    named = [name for name in file.names if name and name not in wanted]
-    for name, values in sensor_columns(file.first_cells(named, SHOWING_ROWS)):
+    other_names = [name for name in file.names if name and name not in wanted]
+    for name, values in sensor_columns(file.first_cells(other_names, SHOWING_ROWS)):
         raise RecordError(f"{file.path}: {sensors_message(name, values)}", code="several-sensors")
 
 

@@ -105,38 +105,38 @@ def fit_harmonics(angle: np.ndarray, signal: np.ndarray) -> HarmonicFit:
 
     angle: (n,) rad, unwrapped.
     """
-    turns = np.abs(angle - angle[0]) / (2 * math.pi)
-    samples_per_turn = len(angle) / max(float(turns[-1]), 1.0)
+    revolutions = np.abs(angle - angle[0]) / (2 * math.pi)
+    samples_per_turn = len(angle) / max(float(revolutions[-1]), 1.0)
     turns_per_fit = math.ceil(2 * _MIN_SAMPLES / max(samples_per_turn, 1e-9))
-    bins = (turns // turns_per_fit).astype(int)
+    bins = (revolutions // turns_per_fit).astype(int)
     order = np.flatnonzero(np.isfinite(signal))
     bins, th, s = bins[order], angle[order], signal[order]
     edges = np.flatnonzero(np.diff(bins, prepend=-1))
-    sizes = np.diff(edges, append=len(bins))
+    bin_sizes = np.diff(edges, append=len(bins))
     # An incomplete revolution tells the wave badly from the trend.
-    min_samples = _MIN_REVOLUTION_FRACTION * median(sizes) if len(sizes) else 0.0
-    enough = sizes >= max(_MIN_SAMPLES, min_samples)
-    edges, sizes = edges[enough], sizes[enough]
-    index = edges[:, None] + np.arange(sizes.max(initial=0))
-    valid = np.arange(sizes.max(initial=0)) < sizes[:, None]
+    min_samples = _MIN_REVOLUTION_FRACTION * median(bin_sizes) if len(bin_sizes) else 0.0
+    enough = bin_sizes >= max(_MIN_SAMPLES, min_samples)
+    edges, bin_sizes = edges[enough], bin_sizes[enough]
+    index = edges[:, None] + np.arange(bin_sizes.max(initial=0))
+    valid = np.arange(bin_sizes.max(initial=0)) < bin_sizes[:, None]
     index = np.where(valid, index, edges[:, None])
     th, s = th[index], np.where(valid, s[index], 0.0)
-    centre = th.sum(axis=1, where=valid) / sizes
+    centre = th.sum(axis=1, where=valid) / bin_sizes
     functions = _harmonic_basis(th, centre[:, None]) * valid[..., None]
-    transposed = np.swapaxes(functions, -1, -2)
-    normal = transposed @ functions + 1e-12 * np.eye(5)
-    fitted = np.linalg.solve(normal, transposed @ s[..., None])
-    residuals = s - (functions @ fitted)[..., 0]
-    deviation = np.sqrt((residuals**2).sum(axis=1) / np.maximum(sizes - 5, 1))
+    transposed_functions = np.swapaxes(functions, -1, -2)
+    normal = transposed_functions @ functions + 1e-12 * np.eye(5)
+    coefficients = np.linalg.solve(normal, transposed_functions @ s[..., None])
+    residuals = s - (functions @ coefficients)[..., 0]
+    deviation = np.sqrt((residuals**2).sum(axis=1) / np.maximum(bin_sizes - 5, 1))
     spread = np.linalg.inv(normal)[:, :2, :2]
     u_amplitude = deviation * np.sqrt(np.trace(spread, axis1=1, axis2=2) / 2)
-    first, last = order[edges], order[edges + sizes - 1]
-    return HarmonicFit(fitted[..., 0], centre, deviation, u_amplitude, first, last)
+    first, last = order[edges], order[edges + bin_sizes - 1]
+    return HarmonicFit(coefficients[..., 0], centre, deviation, u_amplitude, first, last)
 
 
-def residual_noise(fitted: HarmonicFit) -> float:
+def residual_noise(harmonic_fit: HarmonicFit) -> float:
     """Return the noise of a signal around its harmonics, in its unit; NaN if unknown."""
-    return median(fitted.deviation) if len(fitted.deviation) else math.nan
+    return median(harmonic_fit.deviation) if len(harmonic_fit.deviation) else math.nan
 
 
 @frozen
@@ -148,40 +148,43 @@ class UnitChange:
     description: str
 
 
-def _outlying_revolutions(fitted: HarmonicFit) -> np.ndarray:
+def _outlying_revolutions(harmonic_fit: HarmonicFit) -> np.ndarray:
     """Return (m,) bool: revolutions whose amplitude is another than the usual one by a factor."""
-    size = np.abs(fitted.amplitude)
-    if len(size) < 3:
-        return np.zeros(len(size), dtype=bool)
+    amplitude = np.abs(harmonic_fit.amplitude)
+    if len(amplitude) < 3:
+        return np.zeros(len(amplitude), dtype=bool)
     # One of the amplitudes, not the middle of two: half the record may be in either unit.
-    typical = float(np.sort(size)[len(size) // 2])
-    clear_size = _CHANGE_SDS * median(fitted.u_amplitude)
-    is_outlying: np.ndarray = (size > _CHANGE_RATIO * typical) | (size < typical / _CHANGE_RATIO)
-    is_outlying &= (np.abs(size - typical) > clear_size) & (typical > clear_size)
+    typical = float(np.sort(amplitude)[len(amplitude) // 2])
+    clear_size = _CHANGE_SDS * median(harmonic_fit.u_amplitude)
+    is_outlying: np.ndarray = (amplitude > _CHANGE_RATIO * typical) | (
+        amplitude < typical / _CHANGE_RATIO
+    )
+    is_outlying &= (np.abs(amplitude - typical) > clear_size) & (typical > clear_size)
     return is_outlying
 
 
-def find_unit_change(fitted: HarmonicFit, *, may_grow: bool) -> UnitChange | None:
+def find_unit_change(harmonic_fit: HarmonicFit, *, may_grow: bool) -> UnitChange | None:
     """Find where the amplitude of a signal's wave changes by a factor.
 
     None where all is well, or where the signal has no wave to judge by.
 
-    fitted: The signal's waves.
+    harmonic_fit: The signal's waves.
     may_grow: Whether the wave may be that of errors, which grows with time: only a sudden change
         between steady amplitudes is one of the unit then.
     """
-    outlying = _outlying_revolutions(fitted)
+    outlying = _outlying_revolutions(harmonic_fit)
     if not outlying.any():
         return None
-    size = np.abs(fitted.amplitude)
+    amplitude = np.abs(harmonic_fit.amplitude)
     revolution = int(np.flatnonzero(outlying != outlying[0])[0])
     if may_grow and not (
-        _is_steady(size[:revolution][-4:-1]) and _is_steady(size[revolution + 1 : revolution + 4])
+        _is_steady(amplitude[:revolution][-4:-1])
+        and _is_steady(amplitude[revolution + 1 : revolution + 4])
     ):
         return None
     # The revolution in which the unit changes is a mixture of both: take those beside it.
-    before, after = max(revolution - 2, 0), min(revolution + 1, len(size) - 1)
-    factor = float(size[after] / size[before]) if size[before] else math.inf
+    before, after = max(revolution - 2, 0), min(revolution + 1, len(amplitude) - 1)
+    factor = float(amplitude[after] / amplitude[before]) if amplitude[before] else math.inf
     if may_grow and 1 / _CHANGE_RATIO <= factor <= _CHANGE_RATIO:
         return None
     description = "the once-per-revolution wave "
@@ -194,95 +197,99 @@ def find_unit_change(fitted: HarmonicFit, *, may_grow: bool) -> UnitChange | Non
     return UnitChange(before, after, description)
 
 
-def find_dropout(fitted: HarmonicFit, angle: np.ndarray, signal: np.ndarray) -> np.ndarray:
+def find_dropout(harmonic_fit: HarmonicFit, angle: np.ndarray, signal: np.ndarray) -> np.ndarray:
     """Return the indices of lost samples: off the harmonic, which is the same before and after.
 
     A channel that is dead for a while, a filler or a burst: all from the first to the last sample
     that is off the waves of both the revolution before and the one after.
     """
-    outlying = _outlying_revolutions(fitted)
+    outlying = _outlying_revolutions(harmonic_fit)
     if not outlying.any() or outlying[0] or outlying[-1]:
         return np.empty(0, dtype=int)
     edges = np.flatnonzero(np.diff(outlying))
-    lost = []
+    dropouts = []
     for first, last in zip(edges[::2], edges[1::2] + 1, strict=True):
         neighbours = (max(int(first) - 1, 0), min(int(last) + 1, len(outlying) - 1))
-        samples = np.arange(fitted.first[neighbours[0]], fitted.last[neighbours[1]] + 1)
+        samples = np.arange(harmonic_fit.first[neighbours[0]], harmonic_fit.last[neighbours[1]] + 1)
         deviation = np.ones(len(samples), dtype=bool)
         for revolution in neighbours:
             limit = (
-                _DROPOUT_FRACTION * abs(fitted.amplitude[revolution])
-                + _DROPOUT_SDS * fitted.deviation[revolution]
+                _DROPOUT_FRACTION * abs(harmonic_fit.amplitude[revolution])
+                + _DROPOUT_SDS * harmonic_fit.deviation[revolution]
             )
-            deviation &= np.abs(signal[samples] - fitted.value(revolution, angle[samples])) > limit
+            deviation &= (
+                np.abs(signal[samples] - harmonic_fit.value(revolution, angle[samples])) > limit
+            )
         if deviation.any():
             # Between them the wave crosses what a dead channel shows.
-            lost.append(np.arange(samples[deviation][0], samples[deviation][-1] + 1))
-    return np.concatenate([np.empty(0, dtype=int), *lost])
+            dropouts.append(np.arange(samples[deviation][0], samples[deviation][-1] + 1))
+    return np.concatenate([np.empty(0, dtype=int), *dropouts])
 
 
-def _is_steady(sizes: np.ndarray) -> bool:
-    return len(sizes) == 3 and float(sizes.max()) < _STEADY_RATIO * float(sizes.min())
+def _is_steady(values: np.ndarray) -> bool:
+    return len(values) == 3 and float(values.max()) < _STEADY_RATIO * float(values.min())
 
 
 def _nearest_unit_ratio(factor: float) -> tuple[str, float]:
     """Return the units whose ratio comes nearest to a factor, and how near (logarithm)."""
-    size = abs(math.log(factor))
-    return min(((names, abs(size - math.log(r))) for r, names in _UNIT_RATIOS), key=lambda n: n[1])
+    log_factor = abs(math.log(factor))
+    return min(
+        ((names, abs(log_factor - math.log(r))) for r, names in _UNIT_RATIOS), key=lambda n: n[1]
+    )
 
 
 def find_changepoint(
-    fitted: HarmonicFit, change: UnitChange, angle: np.ndarray, signal: np.ndarray
+    harmonic_fit: HarmonicFit, change: UnitChange, angle: np.ndarray, signal: np.ndarray
 ) -> int:
     """Return the sample, of (n,) signal, at which it leaves the wave before for the one after."""
-    before = np.abs(signal - fitted.value(change.before, angle))
-    after = np.abs(signal - fitted.value(change.after, angle))
+    before = np.abs(signal - harmonic_fit.value(change.before, angle))
+    after = np.abs(signal - harmonic_fit.value(change.after, angle))
     return int(np.argmin(np.append(0.0, np.cumsum(np.nan_to_num(before - after)))))
 
 
 def check_first_harmonic(
-    fitted: HarmonicFit, nominal: FirstHarmonic, has_angle: bool
+    harmonic_fit: HarmonicFit, nominal: FirstHarmonic, has_angle: bool
 ) -> str | None:
     """Compare a signal's wave with the motion's; say what is wrong, or return None.
 
-    fitted: The signal's waves, in the unit of `nominal`.
+    harmonic_fit: The signal's waves, in the unit of `nominal`.
     has_angle: Whether the waves are over the recorded angle; else their phase means nothing.
     """
-    if not len(fitted.amplitude):
+    if not len(harmonic_fit.amplitude):
         return None
     expected, unit = nominal.amplitude, nominal.unit
-    mean = complex(median(fitted.amplitude.real), median(fitted.amplitude.imag))
-    ratio, size = mean / expected, abs(mean / expected)
-    tolerance = _DEVIATIONS * _sd_of_median(fitted, mean) / abs(expected)
+    mean = complex(median(harmonic_fit.amplitude.real), median(harmonic_fit.amplitude.imag))
+    ratio, magnitude = mean / expected, abs(mean / expected)
+    tolerance = _DEVIATIONS * _sd_of_median(harmonic_fit, mean) / abs(expected)
     if (has_angle and abs(ratio - 1) < 0.5 + tolerance) or (
-        not has_angle and 0.5 - tolerance < size < 2 + tolerance
+        not has_angle and 0.5 - tolerance < magnitude < 2 + tolerance
     ):
         return None
     message = (
-        f"has an amplitude of {size * abs(expected):.4g} {unit} about the spindle axis, "
+        f"has an amplitude of {magnitude * abs(expected):.4g} {unit} about the spindle axis, "
         f"but the radius and the input axis give {abs(expected):.4g} {unit}"
     )
-    if 0.5 < size < 2:
+    if 0.5 < magnitude < 2:
         angle_degrees = math.degrees(math.atan2(ratio.imag, ratio.real))
         return (
             f"is rotated by {angle_degrees:.0f} degrees against the input axis: check the input "
             "axis, its sign, and which column is which"
         )
-    nearest, distance = _nearest_unit_ratio(size) if size > 0.0 else ("", math.inf)
+    nearest, distance = _nearest_unit_ratio(magnitude) if magnitude > 0.0 else ("", math.inf)
     if distance < 0.05:
         return (
-            f"{message}; the factor {size:.4g} is the ratio of {nearest}: check the unit of the "
-            "column"
+            f"{message}; the factor {magnitude:.4g} is the ratio of {nearest}: check the unit of "
+            "the column"
         )
     return f"{message}: check the unit of the column, the radius and the input axis"
 
 
-def _sd_of_median(fitted: HarmonicFit, mean: complex) -> float:
+def _sd_of_median(harmonic_fit: HarmonicFit, mean: complex) -> float:
     """Return the standard deviation of the median wave, from what the revolutions differ by."""
-    revolution_count = len(fitted.amplitude)
-    between_sd = SIGMA_OF_MAD * median(np.abs(fitted.amplitude - mean))
-    samples = np.maximum(fitted.last - fitted.first + 1, 1)
-    within_sd = median(fitted.deviation * np.sqrt(2.0 / samples))
+    revolution_count = len(harmonic_fit.amplitude)
+    between_sd = SIGMA_OF_MAD * median(np.abs(harmonic_fit.amplitude - mean))
+    samples = np.maximum(harmonic_fit.last - harmonic_fit.first + 1, 1)
+    within_sd = median(harmonic_fit.deviation * np.sqrt(2.0 / samples))
     return math.hypot(between_sd, within_sd) * math.sqrt(0.5 * math.pi / revolution_count)
 
 
@@ -347,9 +354,9 @@ class SignalSums:
         Infinite if they are not far below the rows beside them.
         """
         (first, *second), (*before, last) = self._first[index] or [0.0], self._final[index] or [0.0]
-        size = max(abs(first), abs(last))
+        magnitude = max(abs(first), abs(last))
         next_size = min((abs(row) for row in (*second, *before)), default=0.0)
-        return size if size < _ROW_ROUNDING * next_size else math.inf
+        return magnitude if magnitude < _ROW_ROUNDING * next_size else math.inf
 
 
 def polynomial_coefficients(chunks: Iterable[tuple[Array, Array]]) -> Array:
@@ -378,7 +385,7 @@ def polynomial_coefficients(chunks: Iterable[tuple[Array, Array]]) -> Array:
     return np.asarray(np.linalg.solve(root, sums * scale))
 
 
-def detrending_order(parts: Sequence[Array]) -> int:
+def detrending_order(moments: Sequence[Array]) -> int:
     """Return the number of terms of 1, t, t^2 that one recorder removed from its records.
 
     A line through the ends counts as one of least squares. One record does not show it: a recorder
@@ -387,14 +394,14 @@ def detrending_order(parts: Sequence[Array]) -> int:
     By chance, where noise is all that there is, the answer is wrong once in a million times; any
     part of an error along them makes it rarer.
 
-    parts: Of each record as of `SignalSums.coefficients`, over the noise of one row, shape (4,).
+    moments: Of each record as of `SignalSums.coefficients`, over the noise of one row, shape (4,).
     """
-    sizes = np.abs(np.array(parts).reshape(-1, 4))
-    if len(sizes) > 1 and float(sizes[:, 3].max()) < _ROUNDING:
+    moment_sizes = np.abs(np.array(moments).reshape(-1, 4))
+    if len(moment_sizes) > 1 and float(moment_sizes[:, 3].max()) < _ROUNDING:
         return 2
-    for count in (3, 2, 1) if np.isfinite(sizes[:, :3]).all() else ():
-        largest = float(sizes[:, :count].max(initial=0.0))
-        chance = math.erf(largest / math.sqrt(2.0)) ** (count * len(sizes))
+    for count in (3, 2, 1) if np.isfinite(moment_sizes[:, :3]).all() else ():
+        largest = float(moment_sizes[:, :count].max(initial=0.0))
+        chance = math.erf(largest / math.sqrt(2.0)) ** (count * len(moment_sizes))
         if largest < _ROUNDING and chance < _SIGNIFICANCE:
             return count
     return 0

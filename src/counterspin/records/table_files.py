@@ -68,13 +68,13 @@ class ParquetFile(ColumnFile):
 
     def _table(self) -> pl.DataFrame:
         """Return every column of the file with its type."""
-        self._require([name for name, kind in self._schema.items() if kind.is_numeric()])
+        self._require([name for name, data_type in self._schema.items() if data_type.is_numeric()])
         return self._scan().collect()
 
     def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         """Yield batches of the columns as the streaming engine decodes them."""
-        numbers = self._scan().select(self._column_expression(name) for name in wanted)
-        for frame in numbers.collect_batches(maintain_order=True):
+        numeric_columns = self._scan().select(self._column_expression(name) for name in wanted)
+        for frame in numeric_columns.collect_batches(maintain_order=True):
             columns = frame_columns(frame)
             for name in self.timestamp_columns:
                 columns[name] = self.seconds(frame[name])
@@ -95,12 +95,12 @@ class ParquetFile(ColumnFile):
     def _column_expression(self, name: str) -> pl.Expr:
         import polars as pl
 
-        kind = self._schema[name]
+        data_type = self._schema[name]
         if name not in self.timestamp_columns:
             return pl.col(name).cast(pl.Float64())
-        if kind == pl.String():
+        if data_type == pl.String():
             return nanoseconds(name)
-        if not isinstance(kind, pl.Datetime):
+        if not isinstance(data_type, pl.Datetime):
             raise RecordError(
                 f"{self.path}: column '{name}' contains no time stamps.", code="not-numeric"
             )
@@ -130,12 +130,16 @@ def excel_table(
         }
         # A type that is guessed from the first rows breaks on a column that looks whole there.
         table: pl.DataFrame = book.load_sheet(sheet, schema_sample_rows=None, **head).to_polars()
-        mixed_columns = [name for name, kind in table.schema.items() if kind == pl.String()]
+        mixed_columns = [
+            name for name, data_type in table.schema.items() if data_type == pl.String()
+        ]
         if mixed_columns:
             # Among text the reader rounds numbers to nine decimals.
-            kinds: dict[str | int, Any] = dict.fromkeys(mixed_columns, "float")
-            numbers = book.load_sheet(sheet, dtypes=kinds, **head).to_polars().select(mixed_columns)
-            exact = numbers.cast(pl.String())
+            data_types: dict[str | int, Any] = dict.fromkeys(mixed_columns, "float")
+            numeric_cells = (
+                book.load_sheet(sheet, dtypes=data_types, **head).to_polars().select(mixed_columns)
+            )
+            exact = numeric_cells.cast(pl.String())
             table = table.with_columns(exact[name].fill_null(table[name]) for name in mixed_columns)
         return table
 
@@ -195,15 +199,15 @@ def table_sheets(path: Path) -> list[str]:
 
 def _table_sheets(book: Any, sheets: Sequence[str]) -> list[str]:
     """Return the sheets that hold rows with more numbers than texts."""
-    return [sheet for sheet in sheets if (found := _score_rows(book, sheet)) and found[0] > 0]
+    return [sheet for sheet in sheets if (score := _score_rows(book, sheet)) and score[0] > 0]
 
 
 def _load_cells(
-    book: Any, sheet: str, kind: Any, skip: int, rows: int | None = None
+    book: Any, sheet: str, data_type: Any, skip: int, rows: int | None = None
 ) -> pl.DataFrame:
     """Return the cells of a sheet below `skip` rows, all of one kind."""
-    loaded = book.load_sheet(sheet, header_row=None, skip_rows=skip, n_rows=rows, dtypes=kind)
-    frame: pl.DataFrame = loaded.to_polars()
+    cells = book.load_sheet(sheet, header_row=None, skip_rows=skip, n_rows=rows, dtypes=data_type)
+    frame: pl.DataFrame = cells.to_polars()
     return frame
 
 
@@ -213,8 +217,8 @@ def _score_rows(
     """Return how many numbers more than texts a sheet's rows have, and where they stand."""
     head = _load_cells(book, sheet, "string", 0, HEAD_LINES + (dialect.skip_lines or 0)).rows()
     split_rows = [
-        (number, ["" if cell is None else cell.strip() for cell in row])
-        for number, row in enumerate(head, 1)
+        (row_number, ["" if cell is None else cell.strip() for cell in row])
+        for row_number, row in enumerate(head, 1)
     ]
     # Cells of text, as a pasted file leaves them, may have commas.
     candidates = [find_rows(split_rows, dialect, mark) for mark in (".", ",")]
@@ -257,9 +261,9 @@ class ExcelFile(ColumnFile):
     def _first_cells(self, name: str, count: int) -> list[str]:
         return self._cells(name)[:count]
 
-    def _load(self, kind: Any, skip: int) -> pl.DataFrame:
+    def _load(self, data_type: Any, skip: int) -> pl.DataFrame:
         """Return the rows below `skip` rows, without those of a footer that is skipped."""
-        return _load_cells(self._book, self._sheet, kind, skip).head(self._rows)
+        return _load_cells(self._book, self._sheet, data_type, skip).head(self._rows)
 
     def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         import polars as pl
@@ -270,17 +274,19 @@ class ExcelFile(ColumnFile):
         columns = {}
         for name in wanted:
             index = self.names.index(name)
-            stated = text.to_series(index).alias("text").str.strip_chars()
-            empty = stated.is_null() | stated.str.to_lowercase().is_in(list(EMPTY_CELL_TEXTS))
+            stripped_text = text.to_series(index).alias("text").str.strip_chars()
+            empty = stripped_text.is_null() | stripped_text.str.to_lowercase().is_in(
+                list(EMPTY_CELL_TEXTS)
+            )
             if name in self.timestamp_columns:
                 datetimes = times.to_series(index).cast(pl.Datetime("ns")).cast(pl.Int64())
-                parsed = stated.to_frame().select(nanoseconds("text")).to_series()
-                value = parsed.fill_null(datetimes)
+                parsed_times = stripped_text.to_frame().select(nanoseconds("text")).to_series()
+                value = parsed_times.fill_null(datetimes)
                 columns[name] = self.seconds(value)
             else:
                 value = numbers.to_series(index)
                 if self.decimal == ",":
-                    plain_text = stated.str.replace(",", ".", literal=True)
+                    plain_text = stripped_text.str.replace(",", ".", literal=True)
                     value = value.fill_null(plain_text.cast(pl.Float64(), strict=False))
                 columns[name] = value.to_numpy()
             invalid = (value.is_null() & ~empty).arg_true()
@@ -289,7 +295,7 @@ class ExcelFile(ColumnFile):
                 noun = "time" if name in self.timestamp_columns else "number"
                 raise RecordError(
                     f"{self.path}, {self.locate(row)}: column '{name}' contains the text "
-                    f"'{str(stated[row])[:40]}' instead of a {noun}.",
+                    f"'{str(stripped_text[row])[:40]}' instead of a {noun}.",
                     code="not-numeric",
                 )
         yield columns
@@ -299,8 +305,10 @@ class ExcelFile(ColumnFile):
         if not layout.header:
             rows = self._load("float", layout.before_rows)
             return rows.rename(dict(zip(rows.columns, layout.names, strict=True)))
-        place = Dialect(skip_lines=layout.header - 1, units_row=layout.units_row, sheet=self._sheet)
-        return excel_table(self.path, place, self.content()).head(self._rows)
+        dialect = Dialect(
+            skip_lines=layout.header - 1, units_row=layout.units_row, sheet=self._sheet
+        )
+        return excel_table(self.path, dialect, self.content()).head(self._rows)
 
     def locate(self, row: int) -> str:
         """Say in which row of the sheet a data row stands."""
@@ -310,17 +318,17 @@ class ExcelFile(ColumnFile):
 def _require_size(path: Path, content: bytes) -> None:
     """Refuse what is no workbook, or unpacks to what no table has, before it is unpacked."""
     try:
-        with zipfile.ZipFile(io.BytesIO(content)) as parts:
-            size = sum(entry.file_size for entry in parts.infolist())
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            total_size = sum(entry.file_size for entry in archive.infolist())
     except zipfile.BadZipFile as error:
         raise DamagedFileError(
             f"{path}: this is not a workbook, or it is damaged. If it is in an older format or "
             f"protected by a password, save it as .xlsx without a password, or as CSV."
         ) from error
     max_bytes = max(_UNPACKED_BYTES, _UNPACKED_PER_BYTE * len(content))
-    if size > max_bytes:
+    if total_size > max_bytes:
         raise DamagedFileError(
-            f"{path}: the workbook unpacks to {size / 1e6:.0f} MB, more than the "
+            f"{path}: the workbook unpacks to {total_size / 1e6:.0f} MB, more than the "
             f"{max_bytes / 1e6:.0f} MB allowed for a file of this size; save the table as CSV.",
             code="file-too-large",
         )

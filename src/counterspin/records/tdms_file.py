@@ -47,8 +47,8 @@ class _ChannelArray:
         return self.length
 
     def __getitem__(self, index: Any) -> Any:
-        part = index[0] if isinstance(index, tuple) else index
-        start, stop, _ = part.indices(self.length)
+        row_slice = index[0] if isinstance(index, tuple) else index
+        start, stop, _ = row_slice.indices(self.length)
         return self.channel[self.start + start : self.start + stop]
 
 

@@ -112,8 +112,8 @@ def _temperature_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> 
             code="empty-cells",
         )
     values = np.concatenate(segments, axis=1)
-    low, high = float(values[1].min()), float(values[1].max())
-    return _fit_broken_line(values, span) if high > low else (low,)
+    lowest, highest = float(values[1].min()), float(values[1].max())
+    return _fit_broken_line(values, span) if highest > lowest else (lowest,)
 
 
 def _segment_means(values: Array, segment_count: int) -> Array:
