@@ -25,8 +25,8 @@ def fitted(seed, request, model=MODEL):
     return estimate(series, model, {"Qx": request}, reject=False)
 
 
-def gain_of_shift(fit, run):
-    """By how much each whitened row moves the shift, by series."""
+def shift_gains(fit, run):
+    """Return the derivative of the shift with respect to each whitened row, by series."""
     ends = np.cumsum([0, *(block.factor.shape[0] for block in fit.blocks)])
     weights = np.eye(len(fit.model.unknowns))[K_II]
     own = [part.run == run for part in fit.design_blocks]
@@ -37,30 +37,37 @@ def gain_of_shift(fit, run):
 
 
 @pytest.fixture(scope="module")
-def given():
+def fit_with_given_noise():
     return fitted(1, Noise(WHITE, 0.0))
 
 
-def test_the_shift_is_that_of_a_fit_without_the_run(given):
-    *_, shift = jackknife_runs(given, K_II)
-    without = estimate(given.series[:2], MODEL, {"Qx": Noise(WHITE, 0.0)}, reject=False)
+def test_shift_matches_fit_without_run(fit_with_given_noise):
+    *_, shift = jackknife_runs(fit_with_given_noise, K_II)
+    without = estimate(
+        fit_with_given_noise.series[:2], MODEL, {"Qx": Noise(WHITE, 0.0)}, reject=False
+    )
     assert shift.value == pytest.approx(without.fit.solution.estimate[K_II], rel=1e-9)
-    assert shift.shift == pytest.approx(shift.value - given.fit.solution.estimate[K_II], rel=1e-9)
+    assert shift.shift == pytest.approx(
+        shift.value - fit_with_given_noise.fit.solution.estimate[K_II], rel=1e-9
+    )
     assert shift.dof is None
 
 
-def test_its_variance_is_that_of_its_gains(given):
-    for shift in jackknife_runs(given, K_II):
-        noise = sum(float(rows @ rows) for rows in gain_of_shift(given.fit, shift.run))
+def test_variance_of_shift_matches_gains(fit_with_given_noise):
+    for shift in jackknife_runs(fit_with_given_noise, K_II):
+        noise = sum(float(rows @ rows) for rows in shift_gains(fit_with_given_noise.fit, shift.run))
         # The prior of K_F moves both estimates, and the shift by the difference.
-        without, whole = given.fit.without_run(shift.run), given.fit.solution
+        without, whole = (
+            fit_with_given_noise.fit.without_run(shift.run),
+            fit_with_given_noise.fit.solution,
+        )
         moved = without.sensitivity_prior[K_II, 0] - whole.sensitivity_prior[K_II, 0]
         prior = (moved * 2e-6) ** 2
         assert (shift.shift / shift.z) ** 2 == pytest.approx(noise + prior, rel=1e-6)
 
 
-def test_more_noise_that_nobody_knows_of_adds_what_the_gains_make_of_it(given):
-    fit = given.fit
+def test_additional_noise_is_propagated_by_gains(fit_with_given_noise):
+    fit = fit_with_given_noise.fit
     runs = [part.run for part in fit.design_blocks]
     for run, slopes in zip(
         runs,
@@ -68,11 +75,11 @@ def test_more_noise_that_nobody_knows_of_adds_what_the_gains_make_of_it(given):
         strict=True,
     ):
         # Every row's gain counts, in rows of unit variance.
-        noise = sum(float(rows @ rows) for rows in gain_of_shift(fit, run))
+        noise = sum(float(rows @ rows) for rows in shift_gains(fit, run))
         assert slopes[0] * WHITE**2 == pytest.approx(noise, rel=1e-6)
 
 
-def test_an_estimated_noise_has_its_degrees_of_freedom():
+def test_shift_has_degrees_of_freedom_of_estimated_noise():
     found = fitted(2, Noise(ESTIMATE, 0.0), Unknowns(unknowns(["K_F", "K_I", "K_II"])))
     (component,) = found.estimated_noise.values()
     for shift in jackknife_runs(found, K_II):
@@ -80,7 +87,7 @@ def test_an_estimated_noise_has_its_degrees_of_freedom():
         assert shift.dof == pytest.approx(component.degrees_of_freedom, rel=1e-3)
 
 
-def test_noise_that_does_not_show_is_in_the_variance():
+def test_undetected_noise_is_in_variance():
     found = fitted(3, Noise(ESTIMATE, ESTIMATE))
     (component,) = found.estimated_noise.values()
     assert component.undetected_walk is not None

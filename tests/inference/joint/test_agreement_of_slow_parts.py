@@ -32,7 +32,7 @@ def walking():
     return fitted(NOISE)[1]
 
 
-def test_the_ratio_is_that_of_what_fits_with_cosines_gain(walking):
+def test_ratio_matches_gain_of_cosine_fits(walking):
     gains, counts = [], []
     for i, part in enumerate(walking.design_blocks):
         columns = [{i: column} for column in _cosines(walking, part)]
@@ -49,11 +49,11 @@ def test_the_ratio_is_that_of_what_fits_with_cosines_gain(walking):
         assert part.p == pytest.approx(fisher.sf(ratio, counts[k], others), rel=1e-2)
 
 
-def test_noise_that_acts_in_every_run_is_alike_in_all(walking):
+def test_common_random_walk_is_consistent(walking):
     assert min(part.p for part in compare_slow_residuals(walking, "Qx")) > 0.01
 
 
-def test_a_bend_of_one_run_is_not():
+def test_bend_of_single_run_is_inconsistent():
     components, fit = fitted(Noise(0.01), bend=1.0)
     assert "random_walk" in components.estimated
     found = compare_slow_residuals(fit, "Qx")
@@ -63,7 +63,7 @@ def test_a_bend_of_one_run_is_not():
     assert worst.ratio > 5.0
 
 
-def test_one_record_has_no_other_to_be_compared_with(walking):
+def test_single_record_is_not_compared(walking):
     assert (
         compare_slow_residuals(replace(walking, observations=walking.design_blocks[:1]), "Qx") == []
     )

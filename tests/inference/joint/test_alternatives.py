@@ -44,7 +44,7 @@ def relaxed(series):
 
 
 def without_prior(relaxed, places):
-    """The relaxed fit with nothing known of some unknowns."""
+    """Return the relaxed fit without priors of some unknowns."""
     loose = list(relaxed.model.unknowns)
     for place in places:
         loose[place] = replace(loose[place], prior=(loose[place].nominal, math.inf))
@@ -55,7 +55,7 @@ def fitted_again(relaxed, model):
     return replace(relaxed, model=model).with_noise(relaxed.noise)
 
 
-def test_considered_terms_and_inputs_are_unknowns_with_their_priors(relaxed):
+def test_considered_terms_and_inputs_are_unknowns_with_priors(relaxed):
     names = [unknown.name for unknown in relaxed.model.unknowns]
     assert names[-2:] == ["Qx.K_PP", "centrifuge.radius"]
     np.testing.assert_allclose(relaxed.solution.prior_sd[-2:], [1e-6, 1e-5])
@@ -64,7 +64,7 @@ def test_considered_terms_and_inputs_are_unknowns_with_their_priors(relaxed):
 
 
 @pytest.mark.parametrize("name", ["Qx.K_F", "Qx.K_I", "run2.platform.tilt.north"])
-def test_a_prior_is_held_to_the_fit_without_it(relaxed, name):
+def test_prior_is_compared_with_fit_without_it(relaxed, name):
     held = run_score_tests(relaxed, prior_alternatives(relaxed), noise_given=True)
     place = [other.name for other in held.alternatives].index(name)
     (unknown,) = held.alternatives[place].prior_shifts
@@ -79,7 +79,7 @@ def test_a_prior_is_held_to_the_fit_without_it(relaxed, name):
     assert held.z[place] == pytest.approx(abs(apart) / spread / math.sqrt(scale), rel=1e-6)
 
 
-def test_an_exact_prior_is_held_to_the_fit_with_the_term_unknown(relaxed):
+def test_exact_prior_is_compared_with_fit_of_unknown_term(relaxed):
     held = run_score_tests(relaxed, prior_alternatives(relaxed), noise_given=True)
     place = [other.name for other in held.alternatives].index("Qx.K_III")
     without = without_prior(relaxed, [3]).solution
@@ -88,7 +88,7 @@ def test_an_exact_prior_is_held_to_the_fit_with_the_term_unknown(relaxed):
     assert held.u[place] == pytest.approx(float(without.u[3]) * math.sqrt(scale), rel=1e-6)
 
 
-def test_a_column_is_held_to_the_fit_with_it(relaxed):
+def test_column_is_compared_with_fit_that_includes_it(relaxed):
     outputs = {
         i: part.series.error for i, part in enumerate(relaxed.design_blocks) if part.run == "run2"
     }
@@ -108,7 +108,7 @@ def test_a_column_is_held_to_the_fit_with_it(relaxed):
         assert held.z[k] ** 2 * scale == pytest.approx(gain, rel=1e-4, abs=1e-6)
 
 
-def test_what_the_unknowns_follow_cannot_be_told(relaxed):
+def test_column_spanned_by_unknowns_is_undetermined(relaxed):
     gravity = relaxed.design_blocks[0].series.trajectory.site.gravity
     bias = {i: gravity * part.series.time**2 / 2 for i, part in enumerate(relaxed.design_blocks)}
     loose = without_prior(relaxed, [0])
@@ -118,8 +118,8 @@ def test_what_the_unknowns_follow_cannot_be_told(relaxed):
     assert held.test_count == 0
 
 
-def test_what_is_unstated_is_no_prior_but_a_term_or_an_input_of_another_size(series):
-    """Stated priors and unstated sizes are two lists; each alternative is the fit without it."""
+def test_default_prior_is_alternative_term_or_input(series):
+    """Stated and default priors are separate lists; each alternative is the fit without one."""
     model = Unknowns(
         (*MODEL.unknowns[:4], replace(TILTS[0], has_default_prior=True), *TILTS[1:]),
         tuple(replace(other, has_default_prior=True) for other in MODEL.considered),
@@ -149,7 +149,7 @@ def test_what_is_unstated_is_no_prior_but_a_term_or_an_input_of_another_size(ser
         assert held.z[k] == pytest.approx(apart / spread / math.sqrt(scale), rel=1e-6, abs=1e-6)
 
 
-def test_all_runs_are_off_alike(series):
+def test_common_error_of_all_runs_is_found(series):
     off = replace(
         MODEL,
         unknowns=(
@@ -166,7 +166,7 @@ def test_all_runs_are_off_alike(series):
     assert abs(held.value[together] + 60.0 * ARCSEC) < 4.0 * held.u[together]
 
 
-def test_sizes_are_those_of_chance_where_all_is_as_assumed():
+def test_standardised_sizes_are_normal_for_correct_model():
     rng = np.random.default_rng(11)
     sizes = []
     clean = three_rates(TRUTH)

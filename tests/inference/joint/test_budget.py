@@ -79,7 +79,7 @@ def fit(series, model):
     )
 
 
-def test_the_lines_are_the_whole(fit, model):
+def test_lines_sum_to_variance(fit, model):
     for index, unknown in enumerate(model.unknowns):
         lines = budget(fit, index)
         squares = math.fsum(line.contribution**2 for line in lines)
@@ -99,7 +99,7 @@ def test_the_lines_are_the_whole(fit, model):
                 ), (unknown.name, line)
 
 
-def test_kinds_add_up_to_the_parts_of_u(fit, model):
+def test_kinds_sum_to_covariance_parts(fit, model):
     parts = {
         (NOISE,): fit.solution.covariance_noise,
         (STATED, DEFAULT_PRIOR): fit.solution.covariance_prior,
@@ -114,8 +114,8 @@ def test_kinds_add_up_to_the_parts_of_u(fit, model):
             )
 
 
-def test_u_by_kind_is_that_of_the_lines_and_adds_up(fit, model):
-    """What is held counts as stated or not, as it is; of Qx's K_II all three parts matter."""
+def test_u_by_kind_matches_lines_and_sums_to_u(fit, model):
+    """Considered terms count as stated or default; K_II of Qx has all three parts."""
     typical = {
         other.name for other in (*model.unknowns, *model.considered) if other.has_default_prior
     }
@@ -134,7 +134,7 @@ def test_u_by_kind_is_that_of_the_lines_and_adds_up(fit, model):
             assert min(parts) > 1e-3 * u
 
 
-def test_each_accelerometer_s_noise_has_its_own_line(series, fit, model):
+def test_noise_of_accelerometers_has_separate_lines(series, fit, model):
     names = [u.name for u in model.unknowns]
     index = names.index("Qx.K_II")
     lines = {line.source: line for line in budget(fit, index) if line.kind == NOISE}
@@ -147,8 +147,8 @@ def test_each_accelerometer_s_noise_has_its_own_line(series, fit, model):
     assert {"noise of Qx", "noise of Qy"} <= set(drift)
 
 
-def test_every_sensitivity_is_what_the_estimate_does(series, fit, model):
-    """Priors, considered terms and inputs moved one by one, and all estimated again."""
+def test_sensitivities_match_differences_of_estimates(series, fit, model):
+    """Change priors, considered terms and inputs in turn and re-estimate."""
     index = [u.name for u in model.unknowns].index("Qx.K_II")
     plain = model.without_inputs()
 
@@ -190,8 +190,8 @@ def test_every_sensitivity_is_what_the_estimate_does(series, fit, model):
     assert compared == {STATED, DEFAULT_PRIOR, CONSIDERED, "input"}
 
 
-def test_a_record_in_g_depends_on_the_gravity_assumed():
-    """What was recorded in g becomes m/s^2 with the gravity that is taken."""
+def test_record_in_g_depends_on_assumed_gravity():
+    """The assumed gravity converts a record from g to m/s^2."""
     one = [
         replace(simulated(f"run{i}", r, TRUTH, observable="specific_force"), in_g=True)
         for i, r in enumerate(RATES)
@@ -216,7 +216,7 @@ def test_a_record_in_g_depends_on_the_gravity_assumed():
     )
 
 
-def test_an_unknown_known_exactly_has_no_budget():
+def test_exactly_known_unknown_has_no_budget():
     model = Unknowns(unknowns(TRUTH, {"K_F": (5.03e-3, 0.0)}))
     found = solve_joint(
         build_design_blocks(three_rates(TRUTH), model, SCALES), model, {"Qx": Noise(0.01)}

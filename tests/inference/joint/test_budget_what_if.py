@@ -17,7 +17,7 @@ PRIORS = {"K_F": math.inf, "K_II": math.inf, "K_OO": 2e-6, "K_PP": 1e-6, "K_4": 
 
 
 class Rows(Observation):
-    """Rows that are reduced already."""
+    """Provide rows that are already reduced."""
 
     source = run = motion = "rows"
 
@@ -28,8 +28,8 @@ class Rows(Observation):
 _OF_NOTHING = (), np.empty((0, 0)), (), np.empty((0, 0))
 
 
-def fit_of(priors, held=()):
-    """A fit of 40 rows in which K_OO looks nearly like K_II, and K_4 moves everything a little."""
+def make_fit(priors, held=()):
+    """Return a fit of 40 rows in which K_OO is nearly collinear with K_II."""
     rng = np.random.default_rng(5)
     names = [name for name in priors if name not in held]
     columns = {name: rng.normal(size=40) for name in ("K_F", "K_II", "K_PP", "K_4")}
@@ -48,7 +48,7 @@ def fit_of(priors, held=()):
     return JointFit(model, solve_blocks([block], model), (Rows(*_OF_NOTHING),), (block,), {})
 
 
-def asked(fit):
+def make_what_if(fit):
     places = {"K_F": 0, "K_II": 1}
     return what_if(fit, places, {k: budget(fit, place, "Qx") for k, place in places.items()}, "Qx")
 
@@ -61,41 +61,43 @@ HELD_BETTER = [{"K_PP": 1e-7}, {"K_PP": 3e-6, "K_OO": 3e-8}]
     ("held", "known"),
     [*(((), known) for known in BETTER), *((("K_PP",), known) for known in BETTER + HELD_BETTER)],
 )
-def test_an_update_is_the_fit_with_another_prior(known, held):
-    found = asked(fit_of(PRIORS, held))
-    again = fit_of(PRIORS | known, held)
+def test_update_matches_fit_with_other_prior(known, held):
+    found = make_what_if(make_fit(PRIORS, held))
+    again = make_fit(PRIORS | known, held)
     for place, name in enumerate(("K_F", "K_II")):
         shares = {line.source: line.contribution**2 for line in budget(again, place, "Qx")}
         parts = found.parts(name, known)
         for source in found.known:
             assert parts[source] == pytest.approx(shares.get(source, 0.0), rel=1e-6, abs=1e-24)
         assert found.u(name, known) == pytest.approx(float(again.solution.u[place]), rel=1e-9)
-    assert found.u("K_II", {}) == pytest.approx(float(fit_of(PRIORS, held).solution.u[1]), rel=1e-9)
+    assert found.u("K_II", {}) == pytest.approx(
+        float(make_fit(PRIORS, held).solution.u[1]), rel=1e-9
+    )
 
 
-def test_the_squares_of_a_budget_s_lines_would_not_do():
-    """What the data determine in part weighs less once it is known: 8 % less u here."""
-    fit = fit_of(PRIORS)
-    found, u = asked(fit), float(fit.solution.u[1])
+def test_scaling_budget_lines_is_inaccurate():
+    """A better prior of a partly determined term has less effect: 8 % of u here."""
+    fit = make_fit(PRIORS)
+    found, u = make_what_if(fit), float(fit.solution.u[1])
     (line,) = (line for line in budget(fit, 1, "Qx") if line.source == "K_OO")
     naive = math.sqrt(u**2 - line.contribution**2 * (1.0 - 0.3**2))
     assert naive > 1.05 * found.u("K_II", {"K_OO": 0.3 * PRIORS["K_OO"]})
 
 
-def test_noise_that_does_not_show_follows_the_update():
-    """Its gain changes with the weights: as of a considered term with the same column."""
-    held = fit_of(PRIORS, ("K_PP",))
+def test_undetected_noise_follows_update():
+    """The noise acts like a considered term with the same column."""
+    held = make_fit(PRIORS, ("K_PP",))
     column = held.solution.sensitivity_considered[:, 0] * PRIORS["K_PP"]
-    plain = fit_of({k: v for k, v in PRIORS.items() if k != "K_PP"})
+    plain = make_fit({k: v for k, v in PRIORS.items() if k != "K_PP"})
     # The same rows: K_PP's column is drawn before K_4's.
     solution = dataclasses.replace(plain.solution, covariance_undetected=np.outer(column, column))
     seen = dataclasses.replace(plain, solution=solution)
-    expected = asked(held).u("K_II", {"K_OO": 1e-7})
-    assert asked(seen).u("K_II", {"K_OO": 1e-7}) == pytest.approx(expected, rel=1e-9)
+    expected = make_what_if(held).u("K_II", {"K_OO": 1e-7})
+    assert make_what_if(seen).u("K_II", {"K_OO": 1e-7}) == pytest.approx(expected, rel=1e-9)
 
 
-def test_what_nothing_is_known_of_cannot_be_changed():
-    found = asked(fit_of(PRIORS))
+def test_term_without_prior_cannot_be_changed():
+    found = make_what_if(make_fit(PRIORS))
     assert set(found.known) <= {"K_OO", "K_PP", "K_4"}
     with pytest.raises(ValueError, match="K_F"):
         found.u("K_II", {"K_F": 1e-6})
@@ -103,6 +105,6 @@ def test_what_nothing_is_known_of_cannot_be_changed():
         found.u("K_II", {"K_OO": 0.0})
 
 
-def test_without_anything_that_counts_there_is_no_question():
-    fit = fit_of({"K_F": math.inf, "K_II": math.inf})
-    assert asked(fit) is None
+def test_fit_without_relevant_prior_has_no_what_if():
+    fit = make_fit({"K_F": math.inf, "K_II": math.inf})
+    assert make_what_if(fit) is None

@@ -22,8 +22,8 @@ NOISES = {
 }
 
 
-def typical(row, owner=""):
-    """A term of the table that nobody asks for."""
+def default_term(row, owner=""):
+    """Return the unknown of a nuisance term of the table."""
     mean = row.nominal + 0.3 * row.typical
     return Unknown(
         owner,
@@ -35,11 +35,11 @@ def typical(row, owner=""):
     )
 
 
-def whole_model(*names):
-    """Four coefficients of each accelerometer, and everything else that the table has."""
-    own = [typical(TERMS[s], name) for name in names for s in TERMS if s not in TRUTH]
+def complete_model(*names):
+    """Return a model with four coefficients per accelerometer and all nuisance terms."""
+    own = [default_term(TERMS[s], name) for name in names for s in TERMS if s not in TRUTH]
     shared = [
-        typical(row, owner)
+        default_term(row, owner)
         for row in SHARED_TERMS.values()
         for owner in (("run1", "run2", "run3") if row.per_run else ("",))
     ]
@@ -53,18 +53,18 @@ def whole_model(*names):
     return Unknowns((*asked, *own, *shared, *inputs))
 
 
-def problem(names, noise, considered=()):
-    """A model with everything, its columns, and noise drawn on the records."""
+def make_problem(names, noise, considered=()):
+    """Return the complete model, its columns and records with noise."""
     rng = np.random.default_rng(3)
-    model = replace(whole_model(*names), considered=considered)
+    model = replace(complete_model(*names), considered=considered)
     series = [
         noisy(one, noise, rng) for name in names for one in three_rates(TRUTH, accelerometer=name)
     ]
     return build_design_blocks(series, model, SCALES), model
 
 
-def held_to_the_whole(prepared, model, few, condensed, noise):
-    """Assert that what is asked for is the same in both; return u."""
+def assert_matches_full_fit(prepared, model, few, condensed, noise):
+    """Assert that the parameters of interest are equal in both fits; return u."""
     noises = {part.accelerometer: noise for part in prepared}
     whole = solve_joint(prepared, model, noises).solution
     found = solve_joint(few, condensed, noises).solution
@@ -80,69 +80,71 @@ def held_to_the_whole(prepared, model, few, condensed, noise):
 
 @pytest.mark.parametrize("noise", NOISES.values(), ids=NOISES)
 @pytest.mark.parametrize("stated", [True, False], ids=["noise given", "noise to be found"])
-def test_what_is_asked_for_is_the_same_with_few_columns(noise, stated):
-    prepared, model = problem(["Qx"], noise)
+def test_compressed_fit_matches_full_fit(noise, stated):
+    prepared, model = make_problem(["Qx"], noise)
     few, condensed = compress_nuisance(prepared, model, {"Qx": noise.white if stated else None})
-    held_to_the_whole(prepared, model, few, condensed, noise)
+    assert_matches_full_fit(prepared, model, few, condensed, noise)
     before, after = (len(one.unknowns) - len(model.of_interest) for one in (model, condensed))
     assert after < before / (2 if noise.white < 1e-3 else 4)
 
 
-def test_what_is_condensed_decides_u_here():
-    """Else the comparison would pass without it."""
+def test_compressed_terms_contribute_to_u():
+    """Otherwise the comparison would pass without these terms."""
     noise = NOISES["white"]
-    prepared, model = problem(["Qx"], noise)
+    prepared, model = make_problem(["Qx"], noise)
     alone = Unknowns(model.of_interest)
     bare = build_design_blocks([part.series for part in prepared], alone, SCALES)
-    u = held_to_the_whole(prepared, model, *compress_nuisance(prepared, model, {"Qx": 0.01}), noise)
+    u = assert_matches_full_fit(
+        prepared, model, *compress_nuisance(prepared, model, {"Qx": 0.01}), noise
+    )
     assert (u > 1.1 * solve_joint(bare, alone, {"Qx": noise}).solution.u).any()
 
 
-def test_two_accelerometers_keep_what_they_share():
+def test_two_accelerometers_share_compressed_columns():
     noise = NOISES["white"]
-    prepared, model = problem(["Qx", "Qy"], noise)
+    prepared, model = make_problem(["Qx", "Qy"], noise)
     few, condensed = compress_nuisance(prepared, model, dict.fromkeys(SCALES, noise.white))
-    held_to_the_whole(prepared, model, few, condensed, noise)
+    assert_matches_full_fit(prepared, model, few, condensed, noise)
     assert len(condensed.unknowns) < len(model.unknowns) / 2
     common = {place for place, one in enumerate(condensed.unknowns) if not one.is_of_interest}
     shown = [common.intersection(part.unknowns) for part in few]
     assert all(one == common for one in shown)
 
 
-def test_what_is_held_stays_as_it_is():
+def test_considered_terms_are_not_compressed():
     noise = NOISES["white"]
     held = (Considered("Qx", "K_F.trend", (0.0, 1e-9), 1e-6, is_of_interest=False),)
-    prepared, model = problem(["Qx"], noise, held)
+    prepared, model = make_problem(["Qx"], noise, held)
     few, condensed = compress_nuisance(prepared, model, {"Qx": noise.white})
     assert condensed.considered == held
-    held_to_the_whole(prepared, model, few, condensed, noise)
+    assert_matches_full_fit(prepared, model, few, condensed, noise)
 
 
-def test_priors_that_are_not_nothing_are_taken_from_the_records():
-    """The same records, said otherwise: every prior 0 and what it makes of the records taken."""
+def test_nonzero_priors_are_subtracted_from_records():
+    """Shift all priors to zero and subtract their effect from the records."""
     noise = NOISES["white"]
-    prepared, model = problem(["Qx"], noise)
+    prepared, model = make_problem(["Qx"], noise)
     _, condensed = compress_nuisance(prepared, model, {"Qx": noise.white})
     p = len(model.of_interest)
     assert any(unknown.prior_mean != 0.0 for unknown in model.unknowns[p:])
     assert all(unknown.prior == (0.0, 1.0) for unknown in condensed.unknowns[p:])
 
 
-def test_rows_may_be_left_out_of_condensed_columns():
-    """Directions are those of all rows; without some they serve as well."""
+def test_rows_of_compressed_columns_may_be_omitted():
+    """The directions are computed from all rows and remain valid for fewer rows."""
     noise = NOISES["white"]
-    prepared, model = problem(["Qx"], noise)
+    prepared, model = make_problem(["Qx"], noise)
     few, condensed = compress_nuisance(prepared, model, {"Qx": noise.white})
     drop = np.zeros(prepared[2].series.time.size, dtype=bool)
     drop[50:120] = True
     prepared, few = ((*one[:2], one[2].drop_rows(drop)) for one in (prepared, few))
-    held_to_the_whole(prepared, model, few, condensed, noise)
+    assert_matches_full_fit(prepared, model, few, condensed, noise)
 
 
 @pytest.mark.parametrize("level", [0.0, None], ids=["said so", "not said"])
-def test_records_without_noise_are_left_as_they_are(level):
-    """Everything can be told from nothing."""
-    model = whole_model("Qx")
+def test_noise_free_records_are_not_compressed(level):
+    """Without noise, no direction is negligible."""
+    model = complete_model("Qx")
     silent = [replace(one, error=np.zeros(one.time.size)) for one in three_rates(TRUTH)]
     prepared = build_design_blocks(silent, model, SCALES)
     few, condensed = compress_nuisance(prepared, model, {"Qx": level})
@@ -150,8 +152,8 @@ def test_records_without_noise_are_left_as_they_are(level):
     assert few == prepared
 
 
-def test_what_has_no_prior_is_left_as_it_is():
-    prepared, model = problem(["Qx"], NOISES["white"])
+def test_terms_without_prior_are_not_compressed():
+    prepared, model = make_problem(["Qx"], NOISES["white"])
     loose = replace(model.unknowns[-1], prior=(0.0, math.inf))
     model = replace(model, unknowns=(*model.unknowns[:-1], loose))
     few, condensed = compress_nuisance(prepared, model, {"Qx": 0.01})

@@ -42,8 +42,8 @@ LARGE = {
 TILTED = np.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8], [0.0, -0.8, 0.6]])
 
 
-def encoded(series, encoder_noise, rng):
-    """The series as a calibration sees them: about the spindle fitted to a noisy angle."""
+def fit_encoder_angle(series, encoder_noise, rng):
+    """Return the series relative to the spindle that is fitted to a noisy angle."""
     found = []
     for one in series:
         angle = one.trajectory.spindle.angle(one.time)
@@ -55,8 +55,8 @@ def encoded(series, encoder_noise, rng):
     return found
 
 
-def rippled(observable, size, rng, **more):
-    """Runs whose rate has a first and a third harmonic of this ratio, of any phase."""
+def make_rippled_series(observable, size, rng, **more):
+    """Return runs with a first and third harmonic of the rate with random phases."""
     series = []
     for i, rate in enumerate(RATES, start=1):
         phases = rng.uniform(0, 2 * math.pi, 2)
@@ -75,8 +75,8 @@ def rippled(observable, size, rng, **more):
 
 @pytest.mark.parametrize("observable", ["displacement", "velocity", "specific_force"])
 @pytest.mark.parametrize("attitude", [LEVEL, TILTED], ids=["level", "tilted"])
-def test_columns_are_what_the_simulation_does(observable, attitude):
-    """One ripple, start angle or drift more, simulated in full, against the chain rule."""
+def test_columns_match_simulation(observable, attitude):
+    """Compare the chain rule with full simulations of ripple, start angle and drift."""
     spindle = Spindle(RATES[1], 1e-5, start_angle=0.4)
     one = simulated("run", RATES[1], LARGE, observable=observable, spindle=spindle)
     rng = np.random.default_rng(1)
@@ -124,7 +124,7 @@ def test_columns_are_what_the_simulation_does(observable, attitude):
 
 
 def test_terms_over_blocks_are_averaged():
-    one = encoded([simulated("run", RATES[2], TRUTH)], 1e-6, np.random.default_rng(2))[0]
+    one = fit_encoder_angle([simulated("run", RATES[2], TRUTH)], 1e-6, np.random.default_rng(2))[0]
     spread = np.full(one.time.size, 2e-3)
     mean = encoder.columns(replace(one, time_sd=spread), ["encoder.ripple2.sin"], {"K_I": 0.0})
     fine = [
@@ -137,20 +137,20 @@ def test_terms_over_blocks_are_averaged():
 # Which terms --------------------------------------------------------------------------------------
 
 
-def chosen(observable, encoder_noise, noise):
+def choose_encoder_terms(observable, encoder_noise, noise):
     rng = np.random.default_rng(3)
-    series = encoded(rippled(observable, 0.0, rng), encoder_noise, rng)
+    series = fit_encoder_angle(make_rippled_series(observable, 0.0, rng), encoder_noise, rng)
     model = encoder.add_encoder_terms(MODEL, series, {"Qx": noise})
     return series, model
 
 
-def test_a_quiet_encoder_needs_no_terms_in_displacement():
-    _, model = chosen("displacement", 1e-6, Noise(0.01))
+def test_low_noise_encoder_needs_no_terms_in_displacement():
+    _, model = choose_encoder_terms("displacement", 1e-6, Noise(0.01))
     assert model is MODEL
 
 
-def test_terms_that_the_records_know_are_unknowns():
-    _, model = chosen("specific_force", 1e-5, Noise(1e-4))
+def test_terms_determined_by_records_are_unknowns():
+    _, model = choose_encoder_terms("specific_force", 1e-5, Noise(1e-4))
     assert not model.considered
     assert len(model.unknowns) == len(TRUTH) + 3 * 11
     assert {u.owner for u in model.unknowns} == {"Qx", "run1", "run2", "run3"}
@@ -165,8 +165,8 @@ def test_terms_that_the_records_know_are_unknowns():
         ("specific_force", 4e-8, Noise(1e-4, 1e-6)),
     ],
 )
-def test_what_is_left_out_or_considered_is_as_small_as_stated(observable, encoder_noise, noise):
-    series, model = chosen(observable, encoder_noise, noise)
+def test_omitted_and_considered_terms_are_below_limit(observable, encoder_noise, noise):
+    series, model = choose_encoder_terms(observable, encoder_noise, noise)
     assert model.considered
     every = tuple(
         Considered(run.run, symbol, (0.0, 1.0), 10.0)
@@ -185,17 +185,17 @@ def test_what_is_left_out_or_considered_is_as_small_as_stated(observable, encode
         assert share[:, place].max() < limit, name
 
 
-def test_a_run_without_an_angle_has_no_terms():
+def test_run_without_angle_has_no_encoder_terms():
     assert encoder.add_encoder_terms(
-        MODEL, rippled("velocity", 0.0, np.random.default_rng(4)), {}
+        MODEL, make_rippled_series("velocity", 0.0, np.random.default_rng(4)), {}
     ) is (MODEL)
 
 
 # Coverage -----------------------------------------------------------------------------------------
 
 
-def hidden(encoder_noise, samples):
-    """A ripple of twice the standard uncertainty that the encoder leaves of it."""
+def simulate_hidden_ripple(encoder_noise, samples):
+    """Return runs with a ripple of twice its standard uncertainty from the encoder."""
     return 2.0 * encoder_noise * math.sqrt(2.0 / samples)
 
 
@@ -210,7 +210,7 @@ def hidden(encoder_noise, samples):
         ("displacement", 1e-3, Noise(1e-2, 0.0)),
     ],
 )
-def test_u_covers_what_the_encoder_hides(observable, encoder_noise, request_):
+def test_u_covers_hidden_ripple(observable, encoder_noise, request_):
     rng = np.random.default_rng(5)
     noise = Noise(1e-2 if observable == "displacement" else 1e-4)
     # Who takes the rotation as exact need not look for the noise: once is enough.
@@ -218,9 +218,9 @@ def test_u_covers_what_the_encoder_hides(observable, encoder_noise, request_):
     trials = 2000 if FULL else 40 if compared else 8
     inside, distance, blind = np.zeros(TRUE.size), np.zeros(TRUE.size), np.zeros(TRUE.size)
     for _ in range(trials):
-        size = hidden(encoder_noise, 385)
-        true = [noisy(one, noise, rng) for one in rippled(observable, size, rng)]
-        series = encoded(true, encoder_noise, rng)
+        size = simulate_hidden_ripple(encoder_noise, 385)
+        true = [noisy(one, noise, rng) for one in make_rippled_series(observable, size, rng)]
+        series = fit_encoder_angle(true, encoder_noise, rng)
         found = estimate(series, MODEL, {"Qx": request_}, reject=False)
         p = TRUE.size
         z = (found.fit.solution.estimate[:p] - TRUE) / found.fit.solution.u[:p]
@@ -238,19 +238,19 @@ def test_u_covers_what_the_encoder_hides(observable, encoder_noise, request_):
         assert blind[2] - trials > by_chance
 
 
-def test_the_noise_is_not_mistaken():
-    """What the encoder hides stands in the residuals, and must not count as noise."""
+def test_hidden_ripple_does_not_increase_noise():
+    """Ripple that the encoder hides is in the residuals and must not count as noise."""
     rng = np.random.default_rng(6)
-    true = rippled("specific_force", hidden(1e-5, 385), rng)
-    series = encoded([noisy(one, Noise(1e-4), rng) for one in true], 1e-5, rng)
+    true = make_rippled_series("specific_force", simulate_hidden_ripple(1e-5, 385), rng)
+    series = fit_encoder_angle([noisy(one, Noise(1e-4), rng) for one in true], 1e-5, rng)
     found = estimate(series, MODEL, {"Qx": Noise(ESTIMATE, 0.0)}, reject=False)
     rows = sum(one.time.size for one in series)
     assert found.fit.noise["Qx"].white == pytest.approx(1e-4, rel=4 / math.sqrt(2 * rows))
 
 
-def test_the_budget_names_the_parts_of_the_rotation():
+def test_budget_has_lines_of_rotation():
     rng = np.random.default_rng(7)
-    series = encoded(rippled("specific_force", 0.0, rng), 1e-5, rng)
+    series = fit_encoder_angle(make_rippled_series("specific_force", 0.0, rng), 1e-5, rng)
     series = [noisy(one, Noise(1e-4), rng) for one in series]
     found = estimate(series, MODEL, {"Qx": Noise(1e-4, 0.0)}, reject=False)
     for index, u in enumerate(found.fit.solution.u[:4]):
@@ -273,19 +273,19 @@ def test_the_budget_names_the_parts_of_the_rotation():
     assert lines["noise of Qx"].kind == "noise"
 
 
-def test_a_ripple_that_the_encoder_hides_leaves_fewer_digits_not_wrong_ones():
-    """The limits: a perfect encoder changes nothing; a blind one leaves what the output says."""
+def test_u_increases_with_encoder_noise():
+    """A perfect encoder changes nothing; a very noisy encoder leaves the output alone."""
     rng = np.random.default_rng(8)
-    true = [noisy(one, Noise(1e-4), rng) for one in rippled("specific_force", 0.0, rng)]
+    true = [noisy(one, Noise(1e-4), rng) for one in make_rippled_series("specific_force", 0.0, rng)]
     request = {"Qx": Noise(1e-4, 0.0)}
     exact = estimate(true, MODEL, request, reject=False).fit.solution
     u = []
     for size in (1e-9, 1e-6, 1e-5, 1e-3):
-        series = encoded(true, size, np.random.default_rng(9))
+        series = fit_encoder_angle(true, size, np.random.default_rng(9))
         u.append(estimate(series, MODEL, request, reject=False).fit.solution.u[2])
     assert u[0] == pytest.approx(exact.u[2], rel=1e-3)
     assert u == sorted(u)
     assert u[3] < 3 * exact.u[2]
-    series = encoded(true, 1e-9, np.random.default_rng(9))
+    series = fit_encoder_angle(true, 1e-9, np.random.default_rng(9))
     found = estimate(series, MODEL, request, reject=False).fit.solution
     np.testing.assert_allclose(found.estimate[:4], exact.estimate, atol=0.05 * exact.u.max())

@@ -24,8 +24,8 @@ MODEL = Unknowns(unknowns(list(COEFFICIENTS)))
 UG = 9.8066e-6
 
 
-def campaign(observable, **size):
-    """Series without noise; the second and third begin later."""
+def make_series(observable, **size):
+    """Return series without noise; the second and third start later."""
     series = three_rates(COEFFICIENTS, observable=observable, **size)
     return [
         replace(
@@ -35,8 +35,8 @@ def campaign(observable, **size):
     ]
 
 
-def wandering(series, noise, rng):
-    """The series with all of its noise."""
+def add_wander(series, noise, rng):
+    """Return the series with all noise components."""
     start = series.trajectory.conditions.start
     drawn = draw_bias_noise(rng, series.time, noise, series.order, start)
     plain = Noise(noise.white, noise.random_walk)
@@ -54,14 +54,14 @@ def wandering(series, noise, rng):
     ],
     ids=["flicker", "walk of the bias", "both in velocity", "both in force"],
 )
-def test_given_wander_is_covered(observable, noise):
+def test_given_wander_has_coverage(observable, noise):
     """z of the trials has the rms 1; without the wander it is several times that."""
     rng, trials = np.random.default_rng(8), 20 if FULL else 12
-    prepared = build_design_blocks(campaign(observable), MODEL, {"Qx": 1.002})
+    prepared = build_design_blocks(make_series(observable), MODEL, {"Qx": 1.002})
     plain = Noise(noise.white, noise.random_walk)
     z, blind = [], []
     for _ in range(trials):
-        drawn = [replace(one, series=wandering(one.series, noise, rng)) for one in prepared]
+        drawn = [replace(one, series=add_wander(one.series, noise, rng)) for one in prepared]
         for known, scores in ((noise, z), (plain, blind)):
             solution = solve_joint(drawn, MODEL, {"Qx": known}).solution
             scores.append((solution.estimate - TRUTH) / solution.u)
@@ -72,15 +72,15 @@ def test_given_wander_is_covered(observable, noise):
     assert np.sqrt(np.mean(np.square(blind), axis=0))[0] > 3.0
 
 
-def test_estimated_wander_is_covered():
-    """95 % intervals of K_F and K_II hold the truth: fewer than 7 of 10 happen once in 1000."""
+def test_estimated_wander_has_coverage():
+    """Fewer than 7 of 10 intervals of 95 % contain the truth with probability 0.001."""
     rng = np.random.default_rng(21)
     noise = Noise(5e-3, 0.0, 0.0, 5 * UG, 0.0)
-    series = campaign("displacement", revolutions=6, per_revolution=16)
+    series = make_series("displacement", revolutions=6, per_revolution=16)
     request = {"Qx": Noise(ESTIMATE, 0.0, 0.0, ESTIMATE, 0.0)}
     held = np.zeros(4)
     for _ in range(10):
-        drawn = [wandering(one, noise, rng) for one in series]
+        drawn = [add_wander(one, noise, rng) for one in series]
         found = estimate(drawn, MODEL, request, reject=False)
         solution, dof = found.fit.solution, np.minimum(found.dof, 1e6)
         held += np.abs(solution.estimate - TRUTH) < student.ppf(0.975, dof) * solution.u

@@ -42,12 +42,12 @@ MIXED = Noise(0.01, 2e-3)
 
 
 @pytest.fixture(scope="module")
-def clean():
+def noise_free_series():
     return three_rates(TRUTH, per_revolution=16)
 
 
-def bound(series, noise):
-    """Standard uncertainties where the noise is known."""
+def bound_on_u(series, noise):
+    """Return the standard uncertainties with known noise."""
     prepared = build_design_blocks(series, MODEL, {"Qx": TRUTH["K_I"]})
     return solve_joint(prepared, MODEL, {"Qx": noise}).solution.u
 
@@ -62,19 +62,17 @@ def bound(series, noise):
     ],
     ids=["white", "mixed", "white given"],
 )
-def test_with_estimated_noise_the_bound_is_reached_and_students_intervals_cover(
-    clean, noise, request_, trials
-):
+def test_estimated_noise_reaches_bound_with_coverage(noise_free_series, noise, request_, trials):
     rng = np.random.default_rng(11)
     error, u, dof = (np.empty((trials, TRUE.size)) for _ in range(3))
     for row in range(trials):
-        drawn = [noisy(one, noise, rng) for one in clean]
+        drawn = [noisy(one, noise, rng) for one in noise_free_series]
         found = estimate(drawn, MODEL, {"Qx": request_}, reject=False)
         assert found.estimated_noise["Qx"].dropped == ()
         error[row] = found.fit.solution.estimate - TRUE
         u[row], dof[row] = found.fit.solution.u, found.dof
     # Estimated weights cost a little where few degrees of freedom lie behind them.
-    ratio = error.std(axis=0) / bound(clean, noise)
+    ratio = error.std(axis=0) / bound_on_u(noise_free_series, noise)
     np.testing.assert_allclose(ratio, 1.0, atol=0.02 + 3.5 / math.sqrt(2 * trials))
     for level in (0.68, 0.95, 0.99):
         inside = np.abs(error / u) < stdtrit(dof, 0.5 + level / 2)
@@ -82,7 +80,7 @@ def test_with_estimated_noise_the_bound_is_reached_and_students_intervals_cover(
         # Satterthwaite's approximation is allowed half a per cent.
         assert (np.abs(inside.mean(axis=0) - level) < 0.005 + 3.5 * spread).all()
     if noise is WHITE:
-        rows = sum(one.time.size - 2 for one in clean)
+        rows = sum(one.time.size - 2 for one in noise_free_series)
         np.testing.assert_allclose(dof, rows - TRUE.size, rtol=1e-6)
     else:
         # K_F rests on the walk, of which a run has few degrees of freedom; K_I does not.
@@ -90,28 +88,30 @@ def test_with_estimated_noise_the_bound_is_reached_and_students_intervals_cover(
         assert np.median(dof[:, 1]) > 200
 
 
-def test_given_noise_is_taken_as_it_is(clean):
+def test_given_noise_is_used(noise_free_series):
     rng = np.random.default_rng(12)
-    drawn = [noisy(one, WHITE, rng) for one in clean]
+    drawn = [noisy(one, WHITE, rng) for one in noise_free_series]
     found = estimate(drawn, MODEL, {"Qx": Noise(0.02, 0.0)})
     assert found.fit.noise == {"Qx": Noise(0.02)}
     assert not found.estimated_noise
     assert np.isinf(found.dof).all()
-    np.testing.assert_allclose(found.fit.solution.u, 2 * bound(clean, WHITE), rtol=1e-6)
+    np.testing.assert_allclose(
+        found.fit.solution.u, 2 * bound_on_u(noise_free_series, WHITE), rtol=1e-6
+    )
 
 
-def test_a_component_that_is_not_there_is_dropped_and_costs_nothing(clean):
+def test_absent_component_is_dropped_without_cost(noise_free_series):
     rng = np.random.default_rng(13)
     (trials, most), kept = (20, 4) if FULL else (10, 3), 0
     for _ in range(trials):
-        drawn = [noisy(one, WHITE, rng) for one in clean]
+        drawn = [noisy(one, WHITE, rng) for one in noise_free_series]
         found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE, ESTIMATE)}, reject=False)
         kept += "random_walk" in found.estimated_noise["Qx"].estimated
         if found.estimated_noise["Qx"].dropped:
             assert found.estimated_noise["Qx"].dropped == ("random_walk",)
             # Its weights are those of white noise; what may not show is beside them in u.
             solution = replace(found.fit.solution, covariance_undetected=None)
-            alone = bound(clean, Noise(found.fit.noise["Qx"].white))
+            alone = bound_on_u(noise_free_series, Noise(found.fit.noise["Qx"].white))
             np.testing.assert_allclose(solution.u, alone, rtol=1e-5)
             assert found.fit.solution.u[0] > 1.05 * alone[0]
     # At most 5 % at the boundary: more than 3 of 10 have a probability of 1e-3, than 4 of 20 3e-3.
@@ -119,7 +119,7 @@ def test_a_component_that_is_not_there_is_dropped_and_costs_nothing(clean):
 
 
 @pytest.mark.parametrize("white", [ESTIMATE, 2e-3])
-def test_quantisation_larger_than_the_noise(white):
+def test_quantisation_larger_than_noise(white):
     step, noise = 0.01, Noise(2e-3)
     # 31.4 samples a revolution, so that the steps do not fall alike in every revolution.
     series = [simulated(f"run{i}", r, TRUTH, per_revolution=31) for i, r in enumerate(RATES)]
@@ -144,22 +144,23 @@ def test_quantisation_larger_than_the_noise(white):
     assert abs(distance - trials) < 4 * math.sqrt(2 * trials)
 
 
-def test_what_is_known_of_a_considered_term_is_taken_away_before_the_noise_is_estimated(clean):
+def test_considered_term_is_subtracted_before_noise_estimation(noise_free_series):
     model = Unknowns(
         unknowns(("K_I", "K_II", "K_III")), (Considered("Qx", "K_F", PRIORS["K_F"], 0.1),)
     )
-    drawn = [noisy(one, WHITE, np.random.default_rng(15)) for one in clean]
+    drawn = [noisy(one, WHITE, np.random.default_rng(15)) for one in noise_free_series]
     found = estimate(drawn, model, {"Qx": Noise(ESTIMATE, 0.0)})
     # 5 mg in 48 s are 57 m.
     assert found.fit.noise["Qx"].white == pytest.approx(0.01, rel=4 / math.sqrt(2 * 570))
 
 
 @pytest.mark.parametrize("held", [False, True], ids=["unknown", "held"])
-def test_a_delay_within_its_uncertainty_is_no_noise_and_hides_no_outlier(clean, held):
+def test_delay_within_uncertainty_is_not_noise(noise_free_series, held):
     """Angles are taken 6 ms late, known to 5 ms: 0.1 m at the highest rate, ten times the noise."""
     rng = np.random.default_rng(20)
     late = [
-        replace(one, error=one.error + one.reference() - one.reference(delay=6e-3)) for one in clean
+        replace(one, error=one.error + one.reference() - one.reference(delay=6e-3))
+        for one in noise_free_series
     ]
     drawn = [noisy(one, WHITE, rng) for one in late]
     drawn[2].error[100] += 0.15
@@ -170,10 +171,10 @@ def test_a_delay_within_its_uncertainty_is_no_noise_and_hides_no_outlier(clean, 
     assert [np.flatnonzero(mask).tolist() for mask in found.outliers] == [[], [], [100]]
 
 
-def test_spikes_among_the_first_few_rows_leave_no_input_s_derivative_where_they_put_it(clean):
+def test_early_outliers_do_not_bias_input_derivatives(noise_free_series):
     """A radius known to 1e-3 of itself does to the records what K_I is found to be, not guessed."""
     model = Unknowns((*MODEL.unknowns, *held_inputs({"centrifuge.radius": 2.5e-3})))
-    drawn = [noisy(one, WHITE, np.random.default_rng(21)) for one in clean]
+    drawn = [noisy(one, WHITE, np.random.default_rng(21)) for one in noise_free_series]
     for one in drawn:
         one.error[::97] += 2e3
     found = estimate(drawn, model, {"Qx": WHITE})
@@ -186,10 +187,10 @@ def test_spikes_among_the_first_few_rows_leave_no_input_s_derivative_where_they_
     np.testing.assert_allclose(found.fit.solution.u, again.u, rtol=1e-3)
 
 
-def test_noise_of_the_time_stamps_counts_once(clean):
+def test_time_stamp_noise_counts_once(noise_free_series):
     rng = np.random.default_rng(16)
     drawn = []
-    for rank, one in enumerate(clean):
+    for rank, one in enumerate(noise_free_series):
         series = one.with_timestamp_noise(5e-4 * rank)
         late = np.sqrt(series.jitter_variance) * rng.standard_normal(one.time.size)
         drawn.append(noisy(replace(series, error=one.error + late), WHITE, rng))
@@ -202,7 +203,7 @@ def test_noise_of_the_time_stamps_counts_once(clean):
         assert found.fit.noise["Qx"].quantisation == 0.0
 
 
-def test_two_accelerometers_estimate_their_own_noise_and_share_the_platform():
+def test_two_accelerometers_have_separate_noise_and_shared_platform():
     platform = {"platform.drift.up": 0.1 * DEG_H}
     series = [
         one
@@ -234,7 +235,7 @@ def test_two_accelerometers_estimate_their_own_noise_and_share_the_platform():
     assert set(given.estimated_noise) == {"Qy"}
 
 
-def test_platform_errors_are_seen_through_the_scale_factor_that_was_found():
+def test_platform_errors_scale_with_estimated_scale_factor():
     truth = TRUTH | {"K_I": 1.05}
     platform = {"platform.tilt.north": 3e-3}
     series = three_rates(truth, platform, per_revolution=16)
@@ -249,8 +250,8 @@ def test_platform_errors_are_seen_through_the_scale_factor_that_was_found():
 # No angle -----------------------------------------------------------------------------------------
 
 
-def unangled(start, rate_error, drift, observable="displacement", revolutions=12):
-    """Series about the nominal rate, of a spindle that turned otherwise."""
+def make_series_without_angle(start, rate_error, drift, observable="displacement", revolutions=12):
+    """Return series at the nominal rate of a spindle with a different rotation."""
     series = []
     for i, rate in enumerate(RATES, start=1):
         turned = Spindle(rate * (1 + rate_error), drift, start_angle=start)
@@ -281,10 +282,10 @@ ROTATIONS = tuple(
         (1.5, 1e-2, 1e-6, 100),
     ],
 )
-def test_the_rotation_is_found_from_the_displacement(start, rate_error, drift, revolutions):
+def test_rotation_is_estimated_from_displacement(start, rate_error, drift, revolutions):
     model = Unknowns((*unknowns(TRUTH, PRIORS), *ROTATIONS))
     rng = np.random.default_rng(18)
-    series = unangled(start, rate_error, drift, revolutions=revolutions)
+    series = make_series_without_angle(start, rate_error, drift, revolutions=revolutions)
     trials, z = (8 if revolutions < 50 else 4), []
     for _ in range(trials):
         drawn = [noisy(one, WHITE, rng) for one in series]
@@ -303,12 +304,15 @@ def test_the_rotation_is_found_from_the_displacement(start, rate_error, drift, r
     assert abs(z[:, 2].mean()) < 4 / math.sqrt(trials)
 
 
-def test_a_term_that_turns_the_output_is_not_taken_for_a_start_angle():
+def test_rotating_term_is_not_confused_with_start_angle():
     """Compliance about up by force along it turns the output as a common start angle does."""
     compliance = Unknown("", "platform.compliance.zz", NOTHING, 1e-4)
     model = Unknowns((*unknowns(TRUTH, PRIORS), compliance, *ROTATIONS))
     rng = np.random.default_rng(4)
-    drawn = [noisy(one, Noise(0.1), rng) for one in unangled(0.3, 1e-4, 1e-6, revolutions=12)]
+    drawn = [
+        noisy(one, Noise(0.1), rng)
+        for one in make_series_without_angle(0.3, 1e-4, 1e-6, revolutions=12)
+    ]
     rough = {"Qx": TRUTH["K_I"]}, {"Qx": Noise(1.0)}
     known = Unknowns((*unknowns(TRUTH, PRIORS), *ROTATIONS))
     starts = [
@@ -319,16 +323,16 @@ def test_a_term_that_turns_the_output_is_not_taken_for_a_start_angle():
     np.testing.assert_allclose(*starts, rtol=0.0, atol=1e-3)
 
 
-def test_a_rotation_that_cannot_be_found_is_said():
+def test_rotation_that_does_not_converge_raises():
     model = Unknowns((*unknowns(TRUTH, PRIORS), *ROTATIONS))
     with pytest.raises(ConvergenceError, match="nominal rate is too inaccurate"):
-        estimate(unangled(0.0, 0.7, 0.0), model, {"Qx": Noise(0.01, 0.0)})
+        estimate(make_series_without_angle(0.0, 0.7, 0.0), model, {"Qx": Noise(0.01, 0.0)})
 
 
 # Outliers -----------------------------------------------------------------------------------------
 
 
-def test_spikes_and_gaps_leave_k_ii_within_its_uncertainty(clean):
+def test_k_ii_is_within_u_with_outliers_and_gaps(noise_free_series):
     series = three_rates(TRUTH, per_revolution=64)
     rng = np.random.default_rng(19)
     trials, z, planted_in_all, missed, false_alarms = 20, [], 0, 0, 0
@@ -373,7 +377,7 @@ def test_spikes_and_gaps_leave_k_ii_within_its_uncertainty(clean):
         ("specific_force", Noise(0.0, 3e-4)),
     ],
 )
-def test_an_accelerometer_s_walk_is_not_outlying(observable, noise):
+def test_random_walk_is_not_outlying(observable, noise):
     rng = np.random.default_rng(21)
     series = three_rates(TRUTH, per_revolution=64, observable=observable)
     rejected = 0
@@ -385,7 +389,7 @@ def test_an_accelerometer_s_walk_is_not_outlying(observable, noise):
 
 
 @pytest.mark.parametrize("white", [ESTIMATE, 0.02])
-def test_noise_of_the_time_stamps_goes_with_the_slope(white):
+def test_time_stamp_noise_is_proportional_to_slope(white):
     """It is less than the white noise at the lowest rate, and forty times it at the highest."""
     rng = np.random.default_rng(22)
     timing, drawn = 2e-3, []
@@ -404,9 +408,9 @@ def test_noise_of_the_time_stamps_goes_with_the_slope(white):
     assert sum(mask.sum() for mask in found.outliers) == 0
 
 
-def test_good_samples_that_an_earlier_model_made_stand_out_are_taken_back(clean):
+def test_samples_rejected_by_previous_model_are_restored(noise_free_series):
     rng = np.random.default_rng(23)
-    drawn = [noisy(one, WHITE, rng) for one in clean]
+    drawn = [noisy(one, WHITE, rng) for one in noise_free_series]
     drawn[2].error[100] += 0.15
     outliers = [np.zeros(one.time.size, dtype=bool) for one in drawn]
     outliers[2][50:101] = True

@@ -43,24 +43,24 @@ MIXED = Noise(0.01, 3e-4)  # the walk reaches six times the white noise within a
 SCALES = {"Qx": TRUTH["K_I"], "Qy": TRUTH["K_I"]}
 
 
-def offsets(model, truth):
-    """True values less nominal, in the order of the model."""
+def true_offsets(model, truth):
+    """Return true minus nominal values in the order of the model."""
     return np.array([truth[u.symbol] - u.nominal for u in model.unknowns])
 
 
-def covers(z, level):
+def interval_contains_truth(z, level):
     return np.abs(z) < ndtri(0.5 + level / 2)
 
 
-def within_sampling_error(inside, level):
-    """Whether a share of successes agrees with its probability to four standard deviations."""
+def is_within_sampling_error(inside, level):
+    """Return whether a success rate agrees with its probability within 4 sigma."""
     inside = np.asarray(inside)
     spread = math.sqrt(level * (1 - level) / inside.shape[0])
     return np.abs(inside.mean(axis=0) - level) < 4 * spread
 
 
 def dense_bound(prepared, model, noise):
-    """Cramer-Rao's bound as the textbooks write it, with n x n covariances; by scaled columns."""
+    """Return the Cramer-Rao bound from dense n x n covariances, with scaled columns."""
     sd = np.array([u.prior[1] for u in model.unknowns])
     information = np.zeros((sd.size, sd.size))
     scale = np.sqrt(sum(np.square(one.design).sum(axis=0) for one in prepared))
@@ -78,16 +78,16 @@ def dense_bound(prepared, model, noise):
 
 
 @pytest.fixture(scope="module")
-def paper():
-    """The paper's four coefficients at its three rates, without noise."""
+def paper_series():
+    """Return series of the four coefficients and three rates of the paper, without noise."""
     model = Unknowns(unknowns(TRUTH, PRIORS))
     return model, build_design_blocks(three_rates(TRUTH), model, SCALES)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [WHITE, MIXED], ids=["white", "mixed"])
-def test_the_cramer_rao_bound_is_reached_and_intervals_cover(paper, noise):
-    model, prepared = paper
+def test_cramer_rao_bound_is_reached_and_intervals_have_coverage(paper_series, noise):
+    model, prepared = paper_series
     fit = solve_joint(prepared, model, {"Qx": noise})
     np.testing.assert_allclose(fit.solution.u, dense_bound(prepared, model, noise), rtol=1e-5)
 
@@ -98,17 +98,17 @@ def test_the_cramer_rao_bound_is_reached_and_intervals_cover(paper, noise):
         drawn = {s: (v + u * rng.standard_normal(), u) for s, (v, u) in PRIORS.items()}
         trial = replace(model, unknowns=unknowns(TRUTH, drawn))
         fit = solve_joint(redrawn(prepared, noise, rng), trial, {"Qx": noise})
-        errors_of[:] = fit.solution.estimate - offsets(model, TRUTH)
+        errors_of[:] = fit.solution.estimate - true_offsets(model, TRUTH)
     z = errors / fit.solution.u
     # A standard deviation of n draws has one of 1/sqrt(2 n) of itself.
     np.testing.assert_allclose(z.std(axis=0), 1.0, atol=3.5 / math.sqrt(2 * TRIALS))
     assert (np.abs(z.mean(axis=0)) < 4 / math.sqrt(TRIALS)).all()
     for level in (0.68, 0.95, 0.99):
-        assert within_sampling_error(covers(z, level), level).all()
+        assert is_within_sampling_error(interval_contains_truth(z, level), level).all()
 
 
-def test_uncertainty_is_split_into_noise_and_priors(paper):
-    model, prepared = paper
+def test_uncertainty_is_split_into_noise_and_priors(paper_series):
+    model, prepared = paper_series
     solution = solve_joint(prepared, model, {"Qx": WHITE}).solution
     # K_I is known four times better beforehand than from such short records.
     k_i = [u.symbol for u in model.unknowns].index("K_I")
@@ -125,8 +125,8 @@ def test_uncertainty_is_split_into_noise_and_priors(paper):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [WHITE, MIXED], ids=["white", "mixed"])
-def test_a_considered_term_drawn_from_its_prior_is_covered_by_u_and_not_by_u_noise(paper, noise):
-    model, _ = paper
+def test_u_but_not_noise_part_covers_considered_term(paper_series, noise):
+    model, _ = paper_series
     k_oo = Considered("Qx", "K_OO", (1e-6, 2e-6), 1e-4)
     tilts = [
         Considered(f"run{i}", "platform.tilt.north", (0.0, 0.5 * ARCSEC), 1e-2) for i in (1, 2, 3)
@@ -153,9 +153,9 @@ def test_a_considered_term_drawn_from_its_prior_is_covered_by_u_and_not_by_u_noi
         solution = solve_joint(drawn, considering, {"Qx": noise}).solution
         error = solution.estimate[2] - TRUTH["K_II"]
         row[:] = error / solution.u[2], error / math.sqrt(solution.covariance_noise[2, 2])
-    assert within_sampling_error(covers(z[:, 0], 0.95), 0.95)
+    assert is_within_sampling_error(interval_contains_truth(z[:, 0], 0.95), 0.95)
     assert z[:, 0].std() == pytest.approx(1.0, abs=3.5 / math.sqrt(2 * TRIALS))
-    assert covers(z[:, 1], 0.95).mean() < 0.5
+    assert interval_contains_truth(z[:, 1], 0.95).mean() < 0.5
 
 
 # What is left out -----------------------------------------------------------------------------
@@ -166,26 +166,26 @@ D_ZX = 0.05 * DEG_H
 
 @pytest.fixture(scope="module")
 def cross_coupled():
-    """K_OO and a gyro's g-sensitivity in the truth: simulated on the turned platform."""
+    """Return series with K_OO and gyro g-sensitivity, simulated on the rotated platform."""
     return three_rates(TRUTH | EXTRA, {"platform.g_sensitivity.zx": D_ZX}, per_revolution=64)
 
 
-def both(kind, owner_prior=(0.0, 2e-6), gyro_prior=(0.0, 0.05 * DEG_H)):
+def make_model(kind, owner_prior=(0.0, 2e-6), gyro_prior=(0.0, 0.05 * DEG_H)):
     return (
         kind("Qx", "K_OO", owner_prior, 1e-4),
         kind("", "platform.g_sensitivity.zx", gyro_prior, 10 * DEG_H),
     )
 
 
-def k_ii_of(series, model, noise=WHITE):
+def solve_k_ii(series, model, noise=WHITE):
     fit = solve_joint(build_design_blocks(series, model, SCALES), model, {"Qx": noise})
     index = [u.name for u in model.unknowns].index("Qx.K_II")
     return fit.solution, index, fit.solution.estimate[index] - TRUTH["K_II"]
 
 
-def test_terms_left_out_silently_bias_k_ii_by_tens_of_u_noise(cross_coupled):
+def test_omitted_terms_bias_k_ii_beyond_noise(cross_coupled):
     fine = Noise(1e-4)
-    solution, index, error = k_ii_of(cross_coupled, Unknowns(unknowns(TRUTH, PRIORS)), fine)
+    solution, index, error = solve_k_ii(cross_coupled, Unknowns(unknowns(TRUTH, PRIORS)), fine)
     assert abs(error) > 30 * math.sqrt(solution.covariance_noise[index, index])
     # Level, one sense: K_OO adds itself to K_II; D_zx adds g D/(R w) at the weights of the rates.
     # Level, K_OO adds itself to K_II; so does g D/(R w), of which the fastest run's counts most.
@@ -195,11 +195,11 @@ def test_terms_left_out_silently_bias_k_ii_by_tens_of_u_noise(cross_coupled):
 
 @pytest.mark.parametrize("kind", [Unknown, Considered], ids=["estimated", "considered"])
 @pytest.mark.parametrize("noise", [WHITE, Noise(1e-4)], ids=["centimetres", "tenth-millimetres"])
-def test_estimated_with_a_prior_or_considered_u_covers(cross_coupled, kind, noise):
+def test_u_covers_estimated_or_considered_term(cross_coupled, kind, noise):
     base = unknowns(TRUTH, PRIORS)
-    extra = both(kind)
+    extra = make_model(kind)
     model = Unknowns(base + extra) if kind is Unknown else Unknowns(base, extra)
-    solution, index, error = k_ii_of(cross_coupled, model, noise)
+    solution, index, error = solve_k_ii(cross_coupled, model, noise)
     u = math.sqrt(solution.covariance[index, index])
     u_noise = math.sqrt(solution.covariance_noise[index, index])
     assert abs(error) < 2 * u
@@ -207,7 +207,7 @@ def test_estimated_with_a_prior_or_considered_u_covers(cross_coupled, kind, nois
         assert u > 1000 * u_noise
 
 
-def test_both_spin_senses_separate_gyro_sensitivity_from_k_ii():
+def test_both_senses_separate_gyro_sensitivity_from_k_ii():
     terms = ("K_F", "K_I", "K_II", "K_III")
     gyro = Unknown("", "platform.g_sensitivity.zx", NOTHING, 10 * DEG_H)
     model = Unknowns((*unknowns(terms), gyro))
@@ -220,10 +220,10 @@ def test_both_spin_senses_separate_gyro_sensitivity_from_k_ii():
             for i, rate in enumerate(RATES)
         ],
     ]
-    alone, index, _ = k_ii_of(one_sense, Unknowns(unknowns(terms)))
-    free_one, _, error_one = k_ii_of(one_sense, model)
-    free_two, _, error_two = k_ii_of(two_senses, model)
-    known_two, _, _ = k_ii_of(two_senses, Unknowns(unknowns(terms)))
+    alone, index, _ = solve_k_ii(one_sense, Unknowns(unknowns(terms)))
+    free_one, _, error_one = solve_k_ii(one_sense, model)
+    free_two, _, error_two = solve_k_ii(two_senses, model)
+    known_two, _, _ = solve_k_ii(two_senses, Unknowns(unknowns(terms)))
     assert abs(error_one) < 0.1 * free_one.u[index]
     assert abs(error_two) < 0.1 * free_two.u[index]
     # One sense pays for the gyro's term; both senses do not.
@@ -234,7 +234,7 @@ def test_both_spin_senses_separate_gyro_sensitivity_from_k_ii():
 # Several accelerometers, attitudes, observables ---------------------------------------------------
 
 
-def test_two_accelerometers_share_the_platform():
+def test_two_accelerometers_share_platform():
     platform = {
         "platform.drift.up": 2e-8,
         "platform.tilt.north": 0.4 * ARCSEC,
@@ -289,7 +289,7 @@ INPUT_VERTICAL = np.array([[0, 0, 1.0], [0, 1.0, 0], [-1.0, 0, 0]])
 SQUARES = {"K_II": 2.7e-5, "K_OO": -8e-6, "K_PP": 1.5e-5}
 
 
-def test_three_attitudes_separate_the_three_squares():
+def test_three_attitudes_separate_squares():
     truth = {"K_F": 5.03e-3, "K_I": 1.00197} | SQUARES
     attitudes = {"p": PENDULOUS_VERTICAL, "o": OUTPUT_VERTICAL, "i": INPUT_VERTICAL}
     model = Unknowns(unknowns(truth, {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6)}))
@@ -331,18 +331,18 @@ def test_three_attitudes_separate_the_three_squares():
         ("specific_force", Noise(0.0, 3e-4)),
     ],
 )
-def test_every_observable_shows_the_same_truth(observable, noise):
+def test_all_observables_return_same_truth(observable, noise):
     model = Unknowns(unknowns(TRUTH))
     clean = build_design_blocks(three_rates(TRUTH, observable=observable), model, SCALES)
     solution = solve_joint(clean, model, {"Qx": noise}).solution
     # The truth is linear in these coefficients: without noise nothing but rounding is left.
-    assert (np.abs(solution.estimate - offsets(model, TRUTH)) < 1e-6 * solution.u).all()
+    assert (np.abs(solution.estimate - true_offsets(model, TRUTH)) < 1e-6 * solution.u).all()
     correlation = solution.covariance / np.outer(solution.u, solution.u)
     rng = np.random.default_rng(5)
     trials, distance, misfit = 40, 0.0, 0.0
     for _ in range(trials):
         fit = solve_joint(redrawn(clean, noise, rng), model, {"Qx": noise})
-        z = (fit.solution.estimate - offsets(model, TRUTH)) / solution.u
+        z = (fit.solution.estimate - true_offsets(model, TRUTH)) / solution.u
         distance += z @ np.linalg.solve(correlation, z)
         misfit += fit.solution.chi2
     for chi2, dof in ((distance, trials * len(TRUTH)), (misfit, trials * fit.solution.dof)):
@@ -356,7 +356,7 @@ def test_every_observable_shows_the_same_truth(observable, noise):
 
 
 @pytest.mark.parametrize("name", ["Qx", "Qy"])
-def test_k_i_and_k_ip_are_named_and_only_their_difference_is_determined(name):
+def test_only_difference_of_k_i_and_k_ip_is_determined(name):
     truth = TRUTH | {"K_IP": 4e-6}
     model = Unknowns(unknowns(truth, owner=name))
     # As many samples and revolutions as the real campaign; u(K_IP) of Qy is then 1.7e-4.
@@ -378,7 +378,7 @@ def test_k_i_and_k_ip_are_named_and_only_their_difference_is_determined(name):
     assert pair.u < 6e-5  # 0.01/2.5 sqrt(2/19200), and what K_III costs
 
 
-def test_bias_and_its_likes_are_one_combination():
+def test_bias_and_collinear_terms_have_single_combination():
     symbols = ("K_F", "K_I", "K_II", "K_PP", "delta_O")
     tilt = Unknown("", "platform.tilt.north", NOTHING, 1e-2)
     model = Unknowns((*unknowns(symbols), tilt))
@@ -402,8 +402,8 @@ def test_bias_and_its_likes_are_one_combination():
 # Checks of an answer ------------------------------------------------------------------------------
 
 
-def test_a_run_left_out_is_the_fit_without_its_records(paper):
-    model, prepared = paper
+def test_omitted_run_matches_fit_without_records(paper_series):
+    model, prepared = paper_series
     rng = np.random.default_rng(6)
     fit = solve_joint(redrawn(prepared, WHITE, rng), model, {"Qx": WHITE})
     without = fit.without_run("run2")
@@ -416,7 +416,7 @@ def test_a_run_left_out_is_the_fit_without_its_records(paper):
     assert alone.without_run("run1") is None
 
 
-def test_other_noise_of_one_accelerometer_is_the_fit_with_that_noise():
+def test_changed_noise_matches_fit_with_that_noise():
     model = Unknowns(tuple(u for name in SCALES for u in unknowns(("K_F", "K_I"), owner=name)))
     truth = {s: TRUTH[s] for s in ("K_F", "K_I")}
     series = [one for name in SCALES for one in three_rates(truth, accelerometer=name)]
@@ -430,7 +430,7 @@ def test_other_noise_of_one_accelerometer_is_the_fit_with_that_noise():
 
 
 @pytest.mark.parametrize("level", [Noise(0.02), Noise(3.0, 0.0, 0.5)])
-def test_another_level_of_white_noise_is_the_fit_with_that_noise(level):
+def test_changed_white_noise_matches_fit_with_that_noise(level):
     model = Unknowns(
         unknowns(("K_F", "K_I", "K_II")), (Considered("Qx", "K_III", (0.0, 1e-7), 1e-4),)
     )
@@ -446,8 +446,8 @@ def test_another_level_of_white_noise_is_the_fit_with_that_noise(level):
     assert changed.noise == direct.noise
 
 
-def test_residuals_are_what_was_drawn_less_what_the_fit_can_explain(paper):
-    model, prepared = paper
+def test_residuals_are_noise_minus_projection_on_design(paper_series):
+    model, prepared = paper_series
     rng = np.random.default_rng(7)
     for noise in (WHITE, MIXED):
         fit = solve_joint(redrawn(prepared, noise, rng), model, {"Qx": noise})
@@ -469,7 +469,7 @@ def test_residuals_are_what_was_drawn_less_what_the_fit_can_explain(paper):
             assert np.abs(own.T @ plain).max() < 1e-8 * np.abs(own.T).max() * plain.size
 
 
-def test_block_means_lose_nothing_of_k_ii():
+def test_block_means_preserve_information_on_k_ii():
     dense = [
         one.drop_rows(one.time == one.time[-1])
         for one in three_rates(TRUTH, per_revolution=320, revolutions=6)
@@ -502,7 +502,7 @@ def test_block_means_lose_nothing_of_k_ii():
         assert (ratio < 1.006).all()
 
 
-def test_a_record_too_short_for_its_own_start_is_refused():
+def test_record_too_short_for_start_errors_raises():
     model = Unknowns(unknowns(("K_F", "K_II")))
     short = simulated("run1", 2.0, {}, revolutions=1, per_revolution=1)
     short = short.drop_rows(np.array([True, False]))
@@ -513,7 +513,7 @@ def test_a_record_too_short_for_its_own_start_is_refused():
 # Uncertain inputs ---------------------------------------------------------------------------------
 
 
-def test_preparing_again_gives_what_preparing_anew_does():
+def test_updated_design_blocks_match_new_ones():
     k_oo = Considered("Qx", "K_OO", (1e-6, 2e-6), 1e-4)
     gyro = Considered("", "platform.drift.up", (0.0, 1e-9), 1e-6)
     tilt = Unknown("run1", "platform.tilt.north", (0.0, 1e-5), 1e-2)
@@ -536,7 +536,7 @@ def test_preparing_again_gives_what_preparing_anew_does():
             assert (error < 1e-12 * np.abs(expected).max(axis=0)).all()
 
 
-def test_sensitivity_to_an_input_is_what_the_estimate_does_when_it_changes():
+def test_input_sensitivity_matches_difference_of_estimates():
     spindle = {rate: Spindle(rate, 1e-6, start_angle=0.4) for rate in RATES}
     series = [
         simulated(f"run{i}", rate, TRUTH, spindle=spindle[rate]) for i, rate in enumerate(RATES)
@@ -585,8 +585,8 @@ def test_sensitivity_to_an_input_is_what_the_estimate_does_when_it_changes():
 
 
 @pytest.mark.parametrize("noise", [Noise(5e-4), Noise(5e-4, 1.5e-5)], ids=["white", "mixed"])
-def test_an_input_with_a_prior_is_estimated_as_by_dense_least_squares(noise):
-    """Covariances n x n, priors as further observations, the radius' column by simulation."""
+def test_input_with_prior_matches_dense_least_squares(noise):
+    """Use dense covariances, priors as observations and a simulated radius column."""
     radius, u = 2.5, 1e-4
     sizes = {"site.gravity": 1e-4, "centrifuge.radius": u}
     true_radius = radius + 1.5 * u
@@ -646,7 +646,7 @@ def test_an_input_with_a_prior_is_estimated_as_by_dense_least_squares(noise):
     assert solution.estimate[-1] == pytest.approx(1.5 * u, abs=4 * solution.u[-1])
 
 
-def test_what_gravity_does_to_a_record_in_g_has_none_of_its_noise():
+def test_gravity_derivative_of_record_in_g_has_no_noise():
     """Else a gravity of zero explains all of the record: its noise is then as small as it is."""
     truth = {"K_F": 5e-3, "K_II": 2.7e-5}
     model = Unknowns(unknowns(truth), held_inputs({"site.gravity": 1e-5}))
@@ -672,7 +672,7 @@ def test_what_gravity_does_to_a_record_in_g_has_none_of_its_noise():
         np.testing.assert_allclose(same[:, 0], (change - force) / acting, atol=1e-6)
 
 
-def test_freedom_is_what_chi_square_comes_to_in_each_run():
+def test_mean_chi_square_of_runs_is_degrees_of_freedom():
     """Priors drawn, noise drawn: the mean of each run's sum of squares, to sampling error."""
     priors = {"K_F": (5.03e-3, 2e-6), "K_II": (2.7e-5, 1e-7)}
     model = Unknowns(
@@ -705,7 +705,7 @@ def test_freedom_is_what_chi_square_comes_to_in_each_run():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [WHITE, MIXED], ids=["white", "mixed"])
-def test_a_considered_term_within_its_uncertainty_is_no_lack_of_fit(noise):
+def test_considered_term_within_uncertainty_fits(noise):
     """Tilts drawn from their priors: false alarms are as frequent as stated, 1 in 100.
 
     The tilts are seen in the records, forty times the noise at the end of the longest run, and so

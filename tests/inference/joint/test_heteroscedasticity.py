@@ -23,28 +23,28 @@ TIMING = 2e-4
 
 
 @pytest.fixture(scope="module")
-def clean():
+def noise_free_series():
     return three_rates(TRUTH)
 
 
-def by_run(clean, rng):
-    return [noisy(one, Noise(SIZES[one.run]), rng) for one in clean]
+def by_run(noise_free_series, rng):
+    return [noisy(one, Noise(SIZES[one.run]), rng) for one in noise_free_series]
 
 
-def by_slope(clean, rng):
-    """White noise, and time stamps that scatter: the signal moves on meanwhile."""
+def by_slope(noise_free_series, rng):
+    """Add white noise and time-stamp jitter, which is proportional to the slope."""
     drawn = []
-    for one in clean:
+    for one in noise_free_series:
         late = TIMING * rng.standard_normal(one.time.size)
         moved = replace(one, error=one.error + sum(one.slopes()) * late)
         drawn.append(noisy(moved, Noise(3e-4), rng))
     return drawn
 
 
-def test_runs_of_their_own_noise_are_weighed_with_it(clean):
+def test_runs_are_weighted_by_separate_noise(noise_free_series):
     """u is that of the true weights, and 95 % intervals hold."""
     rng = np.random.default_rng(1)
-    prepared = build_design_blocks(clean, MODEL, {"Qx": TRUTH["K_I"]})
+    prepared = build_design_blocks(noise_free_series, MODEL, {"Qx": TRUTH["K_I"]})
     told = [
         replace(one, series=replace(one.series, variance_ratio=(SIZES[one.run] / 0.01) ** 2))
         for one in prepared
@@ -52,7 +52,7 @@ def test_runs_of_their_own_noise_are_weighed_with_it(clean):
     bound = solve_joint(told, MODEL, {"Qx": Noise(0.01)}).solution.u
     trials, z, ratios = 30, [], []
     for _ in range(trials):
-        found = estimate(by_run(clean, rng), MODEL, WANT)
+        found = estimate(by_run(noise_free_series, rng), MODEL, WANT)
         z.append((found.fit.solution.estimate - TRUE) / found.fit.solution.u)
         white = found.fit.noise["Qx"].white
         ratios.append(
@@ -66,12 +66,12 @@ def test_runs_of_their_own_noise_are_weighed_with_it(clean):
     np.testing.assert_allclose(np.mean(ratios, axis=0), sizes, rtol=4 * 0.055 / math.sqrt(trials))
 
 
-def test_time_stamps_that_scatter_are_told_by_the_slope(clean):
+def test_time_jitter_is_estimated_from_slope(noise_free_series):
     rng = np.random.default_rng(2)
     trials, z, sizes = 6, [], []
     for _ in range(trials):
         # One row in 400 is taken for an outlier before the weights are known, and 2 % of the size.
-        found = estimate(by_slope(clean, rng), MODEL, WANT, reject=False)
+        found = estimate(by_slope(noise_free_series, rng), MODEL, WANT, reject=False)
         assert {one.variance_ratio for one in found.series} == {1.0}
         (timing,) = {one.timestamp_sd for one in found.series}
         sizes.append(timing / TIMING)
@@ -84,19 +84,19 @@ def test_time_stamps_that_scatter_are_told_by_the_slope(clean):
 
 
 @pytest.mark.parametrize("observable", ["displacement", "velocity", "specific_force"])
-def test_even_noise_stays_even(observable):
+def test_homoscedastic_noise_is_unchanged(observable):
     """Probability of 1e-6 each, and of what is no noise there is nothing in third differences."""
     rng = np.random.default_rng(3)
-    clean = three_rates(TRUTH, observable=observable)
+    noise_free_series = three_rates(TRUTH, observable=observable)
     for _ in range(10):
-        drawn = [noisy(one, Noise(0.01), rng) for one in clean]
+        drawn = [noisy(one, Noise(0.01), rng) for one in noise_free_series]
         # A bend of one run, a hundred times its noise.
         bent = replace(drawn[2], error=drawn[2].error + np.sin(drawn[2].time / 3.0))
         found = estimate([*drawn[:2], bent], MODEL, WANT, reject=False)
         assert {(one.variance_ratio, one.timestamp_sd) for one in found.series} == {(1.0, 0.0)}
 
 
-def test_waves_of_the_spindle_are_no_noise():
+def test_spindle_harmonics_are_not_noise():
     """An encoder that errs four times a revolution leaves a fifth harmonic, with the force."""
     rng = np.random.default_rng(5)
     drawn = []
@@ -115,9 +115,9 @@ def test_waves_of_the_spindle_are_no_noise():
     assert sizes["run1"] == pytest.approx(1.0, rel=0.15)
 
 
-def test_stated_noise_and_records_of_few_rows_are_left_as_they_are(clean):
+def test_stated_noise_and_short_records_are_unchanged(noise_free_series):
     rng = np.random.default_rng(4)
-    drawn = by_run(clean, rng)
+    drawn = by_run(noise_free_series, rng)
     found = estimate(drawn, MODEL, {"Qx": Noise(0.02)})
     assert {one.variance_ratio for one in found.series} == {1.0}
     few = [one.drop_rows(np.arange(one.time.size) > 40) for one in drawn]

@@ -19,26 +19,26 @@ MODEL = Unknowns(unknowns(["K_F", "K_I", "K_II"]))
 SIZE = 30e-6  # g
 
 
-def held(records):
-    """Return steps in the records, held against their fit, and its noise."""
+def compare_steps(records):
+    """Return the score tests of steps in the records."""
     fit = estimate_considered(estimate(records, MODEL, {"Qx": Noise(0.01, 0.0)}, reject=False).fit)
     return run_score_tests(fit, tuple(mistakes.changepoints(fit, 9)), noise_given=True)
 
 
 @pytest.fixture(scope="module")
-def sound():
+def correct_records():
     return three_rates({"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5})
 
 
-def test_a_step_of_the_bias_is_found_where_and_as_large_as_it_is(sound):
+def test_bias_step_is_found_with_time_and_size(correct_records):
     """From a step of b at a time s on, a displacement grows by b g (t - s)^2/2."""
-    *others, last = sound
+    *others, last = correct_records
     low, high = float(last.time[0]), float(last.time[-1])
     for part in (0.1, 0.4, 0.8):  # of the ten parts between nine steps
         at = low + part * (high - low)
         later = np.maximum(last.time - at, 0.0)
         fallen = SIZE * last.trajectory.site.gravity * later**2 / 2.0
-        every = held([*others, replace(last, error=last.error + fallen)])
+        every = compare_steps([*others, replace(last, error=last.error + fallen)])
         best = int(np.argmax(every.z))
         other = every.alternatives[best]
         assert (other.kind, other.owner) == (mistakes.BIAS_STEP, f"{last.run}.Qx")
@@ -47,7 +47,7 @@ def test_a_step_of_the_bias_is_found_where_and_as_large_as_it_is(sound):
 
 
 @pytest.mark.parametrize("observable", ["velocity", "specific_force"])
-def test_a_low_pass_is_found_with_its_time_constant(observable):
+def test_low_pass_is_found_with_time_constant(observable):
     """|H| = 1/sqrt(1 + (w tau)^2), exactly, times the wave of each record."""
     tau, records = 5e-3, []
     truth = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5}
@@ -65,14 +65,14 @@ def test_a_low_pass_is_found_with_its_time_constant(observable):
     assert float(every.value[best]) == pytest.approx(tau**2, rel=0.01)
 
 
-def of_term(typical, value, u):
+def term_log_bayes_factor(typical, value, u):
     return mistakes.log_bayes_factor(
         Alternative("term", "Qx", "K_OO", default_sd=typical), value, u
     )
 
 
 @pytest.mark.parametrize("value", [5e-7, 2e-6, 1e-5])
-def test_the_evidence_is_the_likelihood_averaged_over_what_was_known(value):
+def test_evidence_is_likelihood_averaged_over_prior(value):
     """For u well below the typical size: Laplace's approximation, within u^2 over its square."""
     typical, u = 2e-6, 1e-8
 
@@ -81,18 +81,20 @@ def test_the_evidence_is_the_likelihood_averaged_over_what_was_known(value):
 
     average, _ = integrate.quad(density, value - 10 * u, value + 10 * u)
     # A likelihood whose largest value is 1 has sqrt(2 pi) u for the normal density's 1.
-    assert of_term(typical, value, u) == pytest.approx(math.log(average * u), abs=1e-3)
+    assert term_log_bayes_factor(typical, value, u) == pytest.approx(
+        math.log(average * u), abs=1e-3
+    )
 
 
-def test_the_nearer_to_its_typical_size_the_likelier():
+def test_size_near_typical_size_is_more_likely():
     # 1 arcsec of the encoder looks like 12 um of imbalance, which is typically 1 um.
-    encoder = of_term(4.85e-6, 4.85e-6, 1e-9)
-    imbalance = of_term(1e-6, 12e-6, 12e-6 * 1e-9 / 4.85e-6)
+    encoder = term_log_bayes_factor(4.85e-6, 4.85e-6, 1e-9)
+    imbalance = term_log_bayes_factor(1e-6, 12e-6, 12e-6 * 1e-9 / 4.85e-6)
     # ln(1/(2 pi)) and ln(12/(145 pi)), the same u over the value in both.
     assert encoder - imbalance == pytest.approx(math.log(0.5 * 145 / 12), rel=1e-9)
 
 
-def test_a_mistake_is_of_any_size():
+def test_mistake_has_scale_invariant_prior():
     def of_mistake(kind, value):
         return mistakes.log_bayes_factor(Alternative(kind, "Qx", "scale"), value, 1e-3 * value)
 
@@ -100,7 +102,7 @@ def test_a_mistake_is_of_any_size():
     assert of_mistake(mistakes.JUMP, 0.1) < of_mistake(mistakes.SCALE, 0.1)
 
 
-def test_what_is_stated_may_be_mistaken_and_what_is_not_stated_may_not():
+def test_stated_input_is_more_likely_wrong_than_default():
     # A radius of 10 cm off is no typical error, but a mistaken digit; nobody writes a clock down.
     radius = Alternative("input", "", "centrifuge.radius", default_sd=1e-5, stated=True)
     clock = Alternative("input", "", "records.clock", default_sd=2e-5)
@@ -109,6 +111,6 @@ def test_what_is_stated_may_be_mistaken_and_what_is_not_stated_may_not():
     )
 
 
-def test_what_cannot_be_told_is_the_last():
-    assert of_term(1e-6, 1e-6, math.inf) == -math.inf
-    assert of_term(1e-6, 0.0, 1e-7) == -math.inf
+def test_undetermined_alternative_is_last():
+    assert term_log_bayes_factor(1e-6, 1e-6, math.inf) == -math.inf
+    assert term_log_bayes_factor(1e-6, 0.0, 1e-7) == -math.inf

@@ -27,12 +27,12 @@ MODEL = Unknowns(unknowns(["K_F", "K_I", "K_II", "K_OO", "K_IO", "K_PP", "delta_
 POINTS = {1: "north", 2: "up", 3: "south"}
 
 
-def test_the_terms_across_the_input_axis():
+def test_cross_axis_terms():
     assert set(ACROSS) == {"K_IP", "K_IO", "K_PO", "K_PP", "K_OO", "delta_O", "delta_P"}
 
 
 @pytest.mark.parametrize("quarters", POINTS)
-def test_a_quarter_turns_pendulous_to_output_axis(quarters):
+def test_quarter_turn_rotates_pendulous_to_output_axis(quarters):
     other = rotate_mounting(QX, quarters)
     np.testing.assert_allclose(
         other.matrix, Mounting.from_axes("east", POINTS[quarters]).matrix, atol=1e-15
@@ -42,7 +42,7 @@ def test_a_quarter_turns_pendulous_to_output_axis(quarters):
 
 @pytest.mark.parametrize("observable", ["displacement", "specific_force"])
 @pytest.mark.parametrize("quarters", POINTS)
-def test_it_is_the_fit_of_the_other_mounting(observable, quarters):
+def test_rotated_fit_matches_fit_of_other_mounting(observable, quarters):
     rng, white = np.random.default_rng(3), 0.01 if observable == "displacement" else 1e-4
     truth = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5, "K_OO": 2e-6, "K_IO": 3e-6}
     series = [noisy(one, Noise(white), rng) for one in three_rates(truth, observable=observable)]
@@ -61,7 +61,7 @@ def test_it_is_the_fit_of_the_other_mounting(observable, quarters):
     assert math.isfinite(found.chi2)
 
 
-def test_another_accelerometer_stays_as_it_is():
+def test_other_accelerometer_is_unchanged():
     series = three_rates({"K_F": 0.005, "K_I": 1.002, "K_OO": 2e-6})
     fit = estimate_considered(estimate(series, MODEL, {"Qx": Noise(0.01, 0.0)}, reject=False).fit)
     np.testing.assert_array_equal(

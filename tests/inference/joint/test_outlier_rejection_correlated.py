@@ -21,7 +21,7 @@ MODEL = Unknowns(unknowns(TRUTH))
 TRUE = np.array([TRUTH[u.symbol] - u.nominal for u in MODEL.unknowns])
 
 
-def filtered(series, size, memory, rng):
+def add_filtered_noise(series, size, memory, rng):
     """The series with noise whose correlation falls by e over a time, in s."""
     rho = math.exp(-series.spacing / memory)
     white = size * math.sqrt(1.0 - rho**2) * rng.standard_normal(series.time.size + 200)
@@ -31,13 +31,13 @@ def filtered(series, size, memory, rng):
 @pytest.mark.parametrize(
     "request_", [Noise(ESTIMATE, ESTIMATE), Noise(0.01)], ids=["found", "stated"]
 )
-def test_rows_behind_a_filter_are_thinned(request_):
+def test_filtered_rows_are_thinned(request_):
     """u holds, where it was 2 to 4 times too small of rows that are taken as independent."""
     clean = three_rates(TRUTH, revolutions=40)
     rng = np.random.default_rng(1)
     trials, z = 30 if FULL else 10, []
     for _ in range(trials):
-        drawn = [filtered(one, 0.01, 0.25, rng) for one in clean]
+        drawn = [add_filtered_noise(one, 0.01, 0.25, rng) for one in clean]
         found = estimate(drawn, MODEL, {"Qx": request_})
         apart = {one.thinning * one.spacing for one in found.series}
         assert min(apart) == pytest.approx(max(apart), rel=0.3)
@@ -54,7 +54,7 @@ def test_rows_behind_a_filter_are_thinned(request_):
     ("observable", "walk"),
     [("specific_force", 0.0), *product(("displacement", "velocity"), (0.0, 2e-3, 2e-2))],
 )
-def test_independent_rows_noise_of_the_accelerometer_and_vibrations_stay(observable, walk):
+def test_unfiltered_rows_are_not_thinned(observable, walk):
     rng = np.random.default_rng(2)
     clean = three_rates(TRUTH, observable=observable, revolutions=40)
     for shaking in (False, True):
@@ -67,7 +67,7 @@ def test_independent_rows_noise_of_the_accelerometer_and_vibrations_stay(observa
         assert {one.thinning for one in found.series} == {1}
 
 
-def test_waves_of_the_spindle_are_no_memory_of_a_filter():
+def test_spindle_harmonics_are_not_filter_memory():
     """An encoder that errs four times a revolution leaves a fifth harmonic in specific force."""
     rng = np.random.default_rng(3)
     drawn = []

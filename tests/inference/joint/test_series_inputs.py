@@ -17,14 +17,14 @@ FAST = 2e-5
 
 
 def clock_column(series):
-    """The column of the clock for an accelerometer with these errors."""
+    """Return the clock column of an accelerometer with these errors."""
     table = dict(zip(KNOWN, series.columns(list(KNOWN), 1.0).T, strict=True))
     return input_column(series, CLOCK, 1.0, KNOWN, expected_output(series, KNOWN, table))
 
 
 @pytest.mark.parametrize("observable", list(ORDERS))
-def test_a_fast_clock_makes_of_a_record_what_its_column_says(observable):
-    """A record made at true times, its times written by a clock that is fast by 20 ppm."""
+def test_clock_column_matches_record_with_fast_clock(observable):
+    """The record is sampled at true times and stamped by a clock that is 20 ppm fast."""
     ripple = Ripple(1, 1e-5 * math.pi, 0.5)
     true = Spindle(math.pi, 1e-6, (ripple,), 0.4)
     made = simulated("run", math.pi, TRUTH, spindle=true, observable=observable, revolutions=40)
@@ -45,7 +45,7 @@ def test_a_fast_clock_makes_of_a_record_what_its_column_says(observable):
     assert np.abs(left).max() < 1e-3 * whole
 
 
-def test_a_clock_moves_the_scale_factor_of_a_force_by_twice_its_error():
+def test_clock_error_doubles_in_scale_factor_of_force():
     series = simulated("run", 2 * math.pi, {}, observable="specific_force", attitude=LEVEL)
     column = input_column(series, CLOCK, 1.0, {}, series.reference())
     scale = series.columns(["K_I"], 1.0)[:, 0]
@@ -55,8 +55,8 @@ def test_a_clock_moves_the_scale_factor_of_a_force_by_twice_its_error():
 
 
 @pytest.mark.parametrize("size", [7, 64])
-def test_blocks_in_which_the_force_changes_sign_have_the_mean_of_their_samples(size):
-    """Of signs and magnitudes, sample by sample."""
+def test_blocks_with_sign_change_have_mean_of_samples(size):
+    """Compare with signs and magnitudes of single samples."""
     # No sample is at the zero of a_I itself.
     spindle, observable = Spindle(2.0, start_angle=0.35), "specific_force"
     samples = simulated(

@@ -24,8 +24,8 @@ ENCODER = 1e-6  # rad
 
 
 @pytest.fixture(scope="module")
-def exact():
-    """Records without noise, sampled at their time stamps."""
+def noise_free_series():
+    """Return noise-free records sampled at their time stamps."""
     return {
         observable: [
             simulated(f"run{i}", rate, TRUTH, observable=observable, revolutions=25)
@@ -35,8 +35,8 @@ def exact():
     }
 
 
-def scattered(series, timing, rng, *, encoder_noise=ENCODER, stated=(0.0, 0.0)):
-    """The series with time stamps that are off the times at which angle and output were sampled."""
+def add_time_jitter(series, timing, rng, *, encoder_noise=ENCODER, stated=(0.0, 0.0)):
+    """Return the series with time-stamp errors relative to the sampling times."""
     drawn = []
     for one in series:
         rate, times = one.trajectory.spindle.rate, one.time
@@ -62,7 +62,7 @@ def scattered(series, timing, rng, *, encoder_noise=ENCODER, stated=(0.0, 0.0)):
     return drawn
 
 
-def z_of(found):
+def z_scores(found):
     solution = found.fit.solution
     return ((solution.estimate[:4] - TRUE) / solution.u[:4]).tolist()
 
@@ -72,38 +72,42 @@ def z_of(found):
 @pytest.mark.parametrize(
     ("observable", "timing"), [*((observable, 1e-3) for observable in WHITE), ("velocity", 2e-5)]
 )
-def test_u_is_the_scatter(exact, observable, timing, stated):
+def test_u_matches_scatter(noise_free_series, observable, timing, stated):
     white = WHITE[observable]
     request = {"Qx": Noise(white if stated else ESTIMATE, 0.0)}
     rng, trials, z = np.random.default_rng(1), 5, []
     for _ in range(trials):
         told = (timing if stated else 0.0, 0.0)
-        found = estimate(scattered(exact[observable], timing, rng, stated=told), MODEL, request)
-        z += z_of(found)
+        found = estimate(
+            add_time_jitter(noise_free_series[observable], timing, rng, stated=told), MODEL, request
+        )
+        z += z_scores(found)
         solution = found.fit.solution
         assert solution.chi2 / solution.dof == pytest.approx(1.0, abs=5 * math.sqrt(2 / 2400))
     # K_F and K_II are correlated, hence half as many independent ones.
     assert np.mean(np.square(z)) == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / (2 * trials)))
 
 
-def test_few_samples_of_a_revolution_are_enough():
+def test_few_samples_per_revolution_are_sufficient():
     """With eight of them the eighth harmonic at the time stamps is nothing but their errors."""
-    exact = [
+    noise_free_series = [
         simulated(
             f"run{i}", w, TRUTH, observable="specific_force", per_revolution=8, revolutions=20
         )
         for i, w in enumerate(RATES)
     ]
     for seed in range(3):
-        drawn = scattered(exact, 2e-4, np.random.default_rng(seed))
+        drawn = add_time_jitter(noise_free_series, 2e-4, np.random.default_rng(seed))
         found = estimate(drawn, MODEL, {"Qx": Noise(WHITE["specific_force"])})
         assert min(one.corrected_fraction for one in found.series) > 0.99
-        assert np.abs(z_of(found)).max() < 4.0
+        assert np.abs(z_scores(found)).max() < 4.0
 
 
-def test_the_angle_tells_the_time(exact):
-    """The old treatment, as if output and angle were late independently, wastes all of that."""
-    drawn = scattered(exact["specific_force"], 2e-4, np.random.default_rng(2), stated=(2e-4, 0.0))
+def test_recorded_angle_corrects_time_stamps(noise_free_series):
+    """Treating the delays of output and angle as independent would lose this information."""
+    drawn = add_time_jitter(
+        noise_free_series["specific_force"], 2e-4, np.random.default_rng(2), stated=(2e-4, 0.0)
+    )
     request = {"Qx": Noise(WHITE["specific_force"])}
     alone = [replace(one.correct_times(0.0), timestamp_errors=None) for one in drawn]
     apart = estimate(alone, MODEL, request).fit.solution.u[2]
@@ -111,37 +115,41 @@ def test_the_angle_tells_the_time(exact):
 
 
 @pytest.mark.parametrize("stated", [(0.0, 0.0), (2e-4, 0.0), (2e-4, 4e-4)])
-def test_noise_of_the_encoder_is_told_from_that_of_the_time_stamps(exact, stated):
+def test_encoder_noise_is_separated_from_time_stamp_noise(noise_free_series, stated):
     """Their shares are s^2 w^2 to s_a^2, and u of the outcome is right."""
     timing, noise = 2e-4, 4e-4
-    drawn = scattered(
-        exact["velocity"], timing, np.random.default_rng(3), encoder_noise=noise, stated=stated
+    drawn = add_time_jitter(
+        noise_free_series["velocity"],
+        timing,
+        np.random.default_rng(3),
+        encoder_noise=noise,
+        stated=stated,
     )
     found = estimate(drawn, MODEL, {"Qx": Noise(WHITE["velocity"])})
     for one, rate in zip(found.series, RATES, strict=True):
         share = (timing * rate) ** 2 / ((timing * rate) ** 2 + noise**2)
         assert one.corrected_fraction == pytest.approx(share, abs=0.12)
         assert one.timestamp_sd == pytest.approx(noise / rate * math.sqrt(share), rel=0.2)
-    assert np.abs(z_of(found)).max() < 4.0
+    assert np.abs(z_scores(found)).max() < 4.0
 
 
 @pytest.mark.parametrize("observable", WHITE)
-def test_records_with_good_time_stamps_are_left_alone(exact, observable):
+def test_accurate_time_stamps_are_not_corrected(noise_free_series, observable):
     rng = np.random.default_rng(4)
     for _ in range(5):
-        drawn = scattered(exact[observable], 0.0, rng, encoder_noise=1e-5)
+        drawn = add_time_jitter(noise_free_series[observable], 0.0, rng, encoder_noise=1e-5)
         found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE, 0.0)})
         assert all(one is other for one, other in zip(found.series, drawn, strict=True))
 
 
 @pytest.mark.parametrize("observable", WHITE)
-def test_what_an_angle_does_at_corrected_times(exact, observable):
+def test_angle_column_at_corrected_times_matches_differences(noise_free_series, observable):
     """Angles that are off by a wave of their own: by differences of what is left of the output."""
-    noisy_one = scattered(exact[observable], 0.0, np.random.default_rng(5))[1]
+    noisy_one = add_time_jitter(noise_free_series[observable], 0.0, np.random.default_rng(5))[1]
     error, step, symbol = noisy_one.angle_error, 1e-3, "encoder.ripple2.cos"
     unit = np.sqrt(np.sum(error.root**2, axis=1))
     one = replace(
-        exact[observable][1],
+        noise_free_series[observable][1],
         angle_error=replace(error, root=np.diag(unit)),
         timestamp_errors=noisy_one.timestamp_errors,
     )
@@ -166,9 +174,11 @@ def test_what_an_angle_does_at_corrected_times(exact, observable):
 
 @pytest.mark.parametrize("observable", WHITE)
 @pytest.mark.parametrize("symbol", ["encoder.rate", "encoder.ripple1.cos"])
-def test_columns_agree_with_a_rotation_that_is_ahead(exact, observable, symbol):
+def test_columns_match_advanced_rotation(noise_free_series, observable, symbol):
     """At 1 ms, K_III's third harmonic at wrong times looked like a rate: by differences."""
-    drawn = scattered(exact[observable], 1e-3, np.random.default_rng(6))[2].correct_times(1.0)
+    drawn = add_time_jitter(noise_free_series[observable], 1e-3, np.random.default_rng(6))[
+        2
+    ].correct_times(1.0)
     known = {s: value - (s == "K_I") for s, value in TRUTH.items()}
     values, step = np.array([*known.values()]), 0.1
 
@@ -191,9 +201,9 @@ def test_columns_agree_with_a_rotation_that_is_ahead(exact, observable, symbol):
 
 @pytest.mark.parametrize("observable", WHITE)
 @pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
-def test_the_bound_of_the_second_order_holds(exact, observable, share):
+def test_second_order_bound_holds(noise_free_series, observable, share):
     rng = np.random.default_rng(7)
-    for drawn in scattered(exact[observable], 1e-3, rng):
+    for drawn in add_time_jitter(noise_free_series[observable], 1e-3, rng):
         one = drawn.correct_times(share)
         error, largest = one.angle_error, 0.0
         for _ in range(20):
@@ -204,11 +214,11 @@ def test_the_bound_of_the_second_order_holds(exact, observable, share):
         assert 0.0 < largest < second_order_bound(one)
 
 
-def test_ripples_that_time_stamps_hide_are_followed_beyond_the_first_order():
+def test_ripples_hidden_by_jitter_are_followed_to_second_order():
     """Four ripples of 6e-4 rad: the square of their rates is ten times the noise of a row."""
     hidden = [tuple(Ripple(n, 6e-4 * n * w, 0.7 * n) for n in (1, 2, 3, 4)) for w in RATES]
     ripples = [Spindle(w, ripples=one) for w, one in zip(RATES, hidden, strict=True)]
-    exact = [
+    noise_free_series = [
         simulated(
             f"run{i}", one.rate, TRUTH, observable="specific_force", revolutions=25, spindle=one
         )
@@ -216,17 +226,19 @@ def test_ripples_that_time_stamps_hide_are_followed_beyond_the_first_order():
     ]
     z = []
     for seed in range(3):
-        drawn = scattered(exact, 1e-3, np.random.default_rng(seed))
+        drawn = add_time_jitter(noise_free_series, 1e-3, np.random.default_rng(seed))
         assert len(drawn[2].trajectory.spindle.ripples) < 4
-        z.append(z_of(estimate(drawn, MODEL, {"Qx": Noise(WHITE["specific_force"])})))
+        z.append(z_scores(estimate(drawn, MODEL, {"Qx": Noise(WHITE["specific_force"])})))
     assert np.abs(z).max() < 4.0
 
 
 @pytest.mark.parametrize("timing", [2e-4, 1e-3])
-def test_a_dense_fit_in_which_each_row_has_its_time_agrees(exact, timing):
+def test_dense_fit_with_time_of_each_row_agrees(noise_free_series, timing):
     """Of the noise of the angle the package has an estimate, of 785 degrees of freedom."""
     rng = np.random.default_rng(9)
-    drawn = scattered(exact["specific_force"], timing, rng, stated=(timing, ENCODER))
+    drawn = add_time_jitter(
+        noise_free_series["specific_force"], timing, rng, stated=(timing, ENCODER)
+    )
     runs = []
     for one in drawn:
         stamped = one.time - one.corrected_fraction * one.timestamp_errors.delay
@@ -240,9 +252,9 @@ def test_a_dense_fit_in_which_each_row_has_its_time_agrees(exact, timing):
     assert np.abs((found.estimate[:4] - (value - [0, 1, 0, 0])) / u).max() < 0.15
 
 
-def test_small_errors_of_the_angle_cost_nothing(exact, monkeypatch):
+def test_small_angle_errors_need_no_additional_rotation(noise_free_series, monkeypatch):
     """The bound says so beforehand: no rotation is tried."""
     monkeypatch.setattr(rotation, "rotate_to_estimate", None)
-    drawn = scattered(exact["specific_force"], 0.0, np.random.default_rng(8))
+    drawn = add_time_jitter(noise_free_series["specific_force"], 0.0, np.random.default_rng(8))
     found = estimate(drawn, MODEL, {"Qx": Noise(WHITE["specific_force"])})
     assert any(one.symbol in encoder.SYMBOLS for one in found.fit.model.unknowns)

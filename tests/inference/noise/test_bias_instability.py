@@ -17,7 +17,7 @@ from counterspin.inference.noise.model import Noise, make_whitener
 LENGTH = 400.0
 
 
-def test_autocovariance_is_that_of_the_spectrum():
+def test_autocovariance_matches_spectrum():
     low, high = 1e-3, 2.0
     for lag in (0.0, 0.1, 3.7, 250.0):
         direct, _ = quad(
@@ -30,7 +30,7 @@ def test_autocovariance_is_that_of_the_spectrum():
         assert found == pytest.approx(direct, abs=1e-8)
 
 
-def test_allan_deviation_has_its_floor():
+def test_allan_deviation_has_flicker_floor():
     """IEEE Std 952: sigma(tau) = B sqrt(2 ln 2/pi), whatever tau is."""
     for tau in (1.0, 10.0):
         # Allan variance of means over tau: 1/2 <(later - earlier)^2>.
@@ -45,7 +45,7 @@ def test_allan_deviation_has_its_floor():
 @pytest.mark.parametrize(
     ("levels", "power"), [((0, 0, 1, 0), 1), ((0, 0, 0, 1), 2)], ids=["flicker", "walk"]
 )
-def test_spectrum_of_the_cosines_is_that_of_the_process(levels, power):
+def test_spectrum_of_cosines_matches_process(levels, power):
     """Within 4 % over the band that a record of this length has, from 4/T to 0.8 r/(2T)."""
     count, points = 64, 1600
     root = coefficient_root(tuple(map(float, levels)), count, LENGTH, walk_duration=0.0)
@@ -108,7 +108,7 @@ def test_whitened_rows_have_unit_covariance(order, walk):
     assert added.max() > 2.0
 
 
-def test_blocks_are_whitened_as_their_samples_means():
+def test_blocks_are_whitened_like_sample_means():
     """Specific force in blocks of ten: sd 1 for each whitened block of exact means."""
     fine = (np.arange(1000) + 0.5) * 0.1
     noise = Noise(1e-4, 0.0, 0.0, flicker=5e-5, bias_walk=0.0)
@@ -121,7 +121,7 @@ def test_blocks_are_whitened_as_their_samples_means():
     np.testing.assert_allclose(np.diag(operator @ covariance @ operator.T), 1.0, atol=0.03)
 
 
-def test_more_functions_where_the_wander_is_larger():
+def test_larger_wander_needs_more_functions():
     quiet = basis_size((1e-4, 0.0, 1e-12, 0.0), 0.02, LENGTH, 2)
     loud = basis_size((1e-4, 0.0, 1e-8, 0.0), 0.02, LENGTH, 2)
     assert quiet < loud < 200

@@ -54,7 +54,7 @@ def dense_likelihood(covariance, design, values):
 
 
 @pytest.mark.parametrize("order", [0, 1, 2])
-def test_likelihood_is_the_dense_one_but_for_a_constant(order):
+def test_likelihood_matches_dense_likelihood_up_to_constant(order):
     """A twentieth of what parts 95 % intervals, 1.92, and 1 % of larger differences."""
     n = 200
     ramp = np.linspace(-1.0, 1.0, n)
@@ -75,7 +75,7 @@ def test_likelihood_is_the_dense_one_but_for_a_constant(order):
     np.testing.assert_allclose(found - found[0], away, rtol=0.01, atol=0.1)
 
 
-def test_groups_say_what_their_rows_say(monkeypatch):
+def test_grouped_rows_match_single_rows(monkeypatch):
     rng = np.random.default_rng(3)
     values = np.cumsum(rng.standard_normal(6000)) * STEP
     ramp = np.linspace(-1.0, 1.0, 5999)[:, None]
@@ -94,7 +94,7 @@ def test_groups_say_what_their_rows_say(monkeypatch):
     assert grouped == pytest.approx(single, abs=0.02)
 
 
-def test_rows_of_flicker_have_its_spectrum():
+def test_flicker_rows_have_flicker_spectrum():
     """B^2 n/(pi k): 2/T apart from k/(2T), two-sided, B^2/(2 pi f)."""
     covariance = Flicker().transform_covariance(4096, 0)
     k = np.arange(20, 65)

@@ -22,13 +22,13 @@ def likelihood(unknowns, width, noise=1e-6):
 
 @pytest.mark.parametrize("unknowns", [6, 7, 12])
 @pytest.mark.parametrize("width", [1.0, 1e3, 1e9])
-def test_as_many_unknowns_as_rows_leave_no_noise_to_be_told(unknowns, width):
+def test_saturated_fit_raises(unknowns, width):
     with pytest.raises(NotIdentifiableError, match="the unknowns fit all 6 rows"):
         likelihood(unknowns, width).best_scale(WHITE)
 
 
 @pytest.mark.parametrize("width", [1.0, 1e3, 1e9])
-def test_one_row_more_than_unknowns_tells_it(width):
+def test_single_surplus_row_determines_noise(width):
     few = likelihood(5, width)
     scale = few.best_scale(WHITE)
     assert few.dof(scale, WHITE) == pytest.approx(1.0, abs=1e-6)
@@ -37,7 +37,7 @@ def test_one_row_more_than_unknowns_tells_it(width):
     assert 3.9e-7 < math.exp(scale) / 1e-12 < 12.2
 
 
-def test_priors_that_hold_the_unknowns_leave_rows():
+def test_strong_priors_leave_degrees_of_freedom():
     held = likelihood(7, 1e-9, noise=1e-2)
     scale = held.best_scale(WHITE)
     assert held.dof(scale, WHITE) == pytest.approx(6.0, abs=1e-3)
@@ -46,7 +46,7 @@ def test_priors_that_hold_the_unknowns_leave_rows():
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_likelihood_is_that_of_the_whitened_rows(order):
+def test_likelihood_matches_whitened_rows(order):
     """Patterson and Thompson's, with the whitener whose rows are tested for themselves."""
     rng = np.random.default_rng(5)
     times = np.linspace(0.0, 200.0, 101)

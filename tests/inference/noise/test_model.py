@@ -50,7 +50,7 @@ def banded_product(bands):
     return factor @ factor.T
 
 
-def test_walk_covariance_that_the_dense_check_uses():
+def test_dense_walk_covariance_matches_integral():
     u, a, b = sympy.symbols("u a b", positive=True)
     integral = sympy.integrate((a - u) * (b - u), (u, 0, a))
     assert sympy.simplify(integral - a**2 * (3 * b - a) / 6) == 0
@@ -84,7 +84,7 @@ def second_difference_covariance(lag, block):
 @pytest.mark.parametrize(
     ("block", "published"), [(False, ("2/3", "1/6", "0")), (True, ("11/20", "13/60", "1/120"))]
 )
-def test_closed_forms_of_even_spacing(block, published):
+def test_closed_forms_of_uniform_spacing(block, published):
     exact = [second_difference_covariance(lag, block) for lag in range(3)]
     assert exact == [sympy.Rational(p) for p in published]
     n, h, walk = 12, 0.3, 2.0
@@ -118,7 +118,7 @@ def test_whitened_rows_have_unit_covariance(order, noise, shape):
     assert whitener.log_det == pytest.approx(expected, abs=1e-7)
 
 
-def test_samples_of_a_block_need_no_spacing_where_most_blocks_adjoin():
+def test_spacing_is_inferred_from_adjoining_blocks():
     times, count = blocks_with_gaps(40, 0.1)
     noise = Noise(1, 3)
     stated = make_whitener(times, 2, noise, count, 0.1)
@@ -127,7 +127,7 @@ def test_samples_of_a_block_need_no_spacing_where_most_blocks_adjoin():
 
 
 @pytest.mark.parametrize("ratio", [0.0, 1e-18, 1e-14, 1e-8, 1.0, 1e6])
-def test_factor_keeps_its_digits_at_any_ratio(ratio):
+def test_factor_has_full_precision_at_any_ratio(ratio):
     """Against a 60-digit Cholesky factorisation; at 1e-14 the one in doubles has 7 digits left."""
     n = 600
     bands, _ = Differences.of(np.arange(n, dtype=float), 2).factor(1.0, ratio)
@@ -150,7 +150,7 @@ def test_factor_keeps_its_digits_at_any_ratio(ratio):
     assert 1 + (bands[1, -2] + bands[2, -3]) / bands[0, -1] == pytest.approx(end, abs=3e-15)
 
 
-def test_white_noise_alone_is_a_division():
+def test_white_noise_is_whitened_by_division():
     times, count = blocks_with_gaps(20, 0.1)
     rows = np.random.default_rng(1).normal(size=(20, 3))
     whitener = make_whitener(times, 2, Noise(0.2, quantisation=0.6), count)
@@ -162,7 +162,7 @@ def test_white_noise_alone_is_a_division():
 
 
 @pytest.mark.parametrize("order", [2, 1, 0])
-def test_start_errors_are_gone_or_still_to_be_estimated(order):
+def test_start_errors_are_eliminated_or_estimated(order):
     times, count = blocks_with_gaps(50, 0.1)
     start_errors = times[:, None] ** np.arange(order)
     mixed = make_whitener(times, order, Noise(1, 1), count)
@@ -173,7 +173,7 @@ def test_start_errors_are_gone_or_still_to_be_estimated(order):
     assert white.rows == len(times)
 
 
-def test_information_is_all_that_the_record_holds():
+def test_information_matches_cramer_rao_bound():
     """Cramer-Rao: X' V^-1 X with the start errors projected out, V dense."""
     times, count = blocks_with_gaps(60, 0.1)
     noise = Noise(0.01, 0.02)
@@ -188,7 +188,7 @@ def test_information_is_all_that_the_record_holds():
     np.testing.assert_allclose(np.linalg.inv(rows.T @ rows), bound, rtol=1e-7)
 
 
-def test_a_column_vector_and_a_matrix_whiten_alike():
+def test_vector_and_matrix_are_whitened_alike():
     times = np.arange(30) * 0.1
     whitener = make_whitener(times, 2, Noise(1, 1))
     rows = np.random.default_rng(2).normal(size=(30, 2))
@@ -207,18 +207,18 @@ def test_a_column_vector_and_a_matrix_whiten_alike():
         ((np.arange(9), 2, Noise(1, 1), 5, 0.0), "spacing"),
     ],
 )
-def test_what_cannot_be_whitened_is_refused(arguments, words):
+def test_invalid_whitener_arguments_raise(arguments, words):
     with pytest.raises(ValueError, match=words):
         make_whitener(*arguments)
 
 
 @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
-def test_noise_is_not_negative(value):
+def test_negative_noise_raises(value):
     with pytest.raises(ValueError, match="random_walk"):
         Noise(1.0, value)
 
 
-def test_what_is_wanted_is_no_number_and_one_object_in_every_process():
+def test_requested_noise_is_singleton_across_processes():
     asked = Noise(ESTIMATE, 0.2, 0.1, ESTIMATE)
     assert asked.to_estimate == ("white", "flicker")
     assert asked.has_bias_instability
@@ -232,14 +232,14 @@ def test_what_is_wanted_is_no_number_and_one_object_in_every_process():
     assert found == Noise(math.sqrt(0.25 - 0.01 / 12), 0.2, 0.1, 0.2)
 
 
-def test_a_singular_factor_is_refused():
+def test_singular_factor_raises():
     with pytest.raises(ArithmeticError, match="singular"):
         solve_banded_factor(np.zeros((2, 3)), np.ones(3))
 
 
 @pytest.mark.parametrize("order", [0, 1, 2])
 @pytest.mark.parametrize("relative", [1.0, 4.0])
-def test_white_noise_of_another_size_in_each_row_is_whitened(order, relative):
+def test_white_noise_varying_by_row_is_whitened(order, relative):
     """Beside a walk: its covariance is that of white acceleration integrated once or twice."""
     t = 0.5 * np.arange(1.0, 9.0)
     added = np.linspace(0.5, 3.0, 8)
@@ -269,7 +269,7 @@ def information(noise, differences):
 @pytest.mark.parametrize("relative", [1.0, 2.5])
 @pytest.mark.parametrize("order", [2, 1, 0])
 @pytest.mark.parametrize("noise", [Noise(0.3, 0.05), Noise(0.3), Noise(0.3, 0.05, 0.1, 0.02, 0.01)])
-def test_it_is_the_derivative_of_the_information(order, noise, relative):
+def test_information_derivative_matches_differences(order, noise, relative):
     differences = Differences.of(TIMES, order, 2, 0.02, relative)
     lost = information_loss(differences, COLUMNS, noise, 5.0, ADDED)
     for part, name in zip(lost, COMPONENTS, strict=True):

@@ -10,7 +10,7 @@ from counterspin.inference.noise.riccati import BlockSpans, filter_walk
 
 @pytest.mark.parametrize("ratio", [0.0, 1e-30, 1e-16, 1e-8, 1.0, 1e12, math.inf])
 @pytest.mark.parametrize(("samples", "rows"), [(1.0, 4), (1.0, 200), (8.0, 200)])
-def test_row_after_row_is_the_scan(ratio, samples, rows):
+def test_sequential_solution_matches_scan(ratio, samples, rows):
     """Whatever the walk's share is; uneven rows, whose rounding a large walk multiplies."""
     rng = np.random.default_rng(1)
     time = np.cumsum(rng.uniform(0.5, 1.5, rows))
@@ -24,7 +24,7 @@ def test_row_after_row_is_the_scan(ratio, samples, rows):
 
 @pytest.mark.parametrize("ratio", [0.0, 1e-30, 1e-16, 1e-8, 1.0, 1e12, math.inf])
 @pytest.mark.parametrize("samples", [1.0, 8.0])
-def test_stretches_of_rows_alike_are_the_scan(ratio, samples):
+def test_segments_of_equal_rows_match_scan(ratio, samples):
     """Even rows with gaps, a shorter block at the end, and times that were rounded."""
     rows = np.r_[0:700, 703:710, 712:900, 1000:1400]
     count = np.full(rows.size, samples)

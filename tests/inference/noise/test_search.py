@@ -55,7 +55,7 @@ def record(rng, n, noise, order=2):
     return RecordData(times, order, columns(times), signal + 3.0 + 0.2 * times * (order == 2))
 
 
-def test_white_noise_alone_is_rss_over_n_minus_p():
+def test_white_noise_is_rss_over_degrees_of_freedom():
     rng = np.random.default_rng(1)
     data = record(rng, 200, Noise(0.3))
     found = estimate_noise([data], Noise(ESTIMATE))
@@ -95,7 +95,7 @@ def dense_restricted(data, noise, prior_rows, prior_values):
 
 
 @pytest.mark.parametrize("priors", [np.zeros((0, 3)), np.diag([50.0, 0.0, 3.0])[[0, 2]]])
-def test_likelihood_is_the_dense_one_but_for_a_constant(priors):
+def test_likelihood_matches_dense_likelihood_up_to_constant(priors):
     data = record(np.random.default_rng(2), 40, Noise(0.3, 0.2))
     values = np.full(len(priors), 0.4)
     likelihood = RestrictedLikelihood.of([data], priors, values)
@@ -118,7 +118,7 @@ def test_likelihood_is_the_dense_one_but_for_a_constant(priors):
 
 
 @pytest.fixture(scope="module")
-def mixed():
+def mixed_noise_trials():
     """Trials of a short mixed-noise record: noise components, coefficients, u, dof."""
     noise, n, rng = Noise(0.3, 0.1), 120, np.random.default_rng(3)
     times = np.arange(n) * STEP
@@ -149,8 +149,8 @@ def mixed():
 
 
 @pytest.mark.slow
-def test_components_are_unbiased_and_their_covariance_holds(mixed):
-    noise, rows, _ = mixed
+def test_components_are_unbiased_and_covariance_matches_scatter(mixed_noise_trials):
+    noise, rows, _ = mixed_noise_trials
     components = np.array([f.noise.variances[:2] for f, *_ in rows])
     truth = np.array([noise.white, noise.random_walk]) ** 2
     spread = components.std(axis=0, ddof=1)
@@ -161,8 +161,8 @@ def test_components_are_unbiased_and_their_covariance_holds(mixed):
 
 
 @pytest.mark.slow
-def test_estimates_reach_the_bound(mixed):
-    _, rows, bound = mixed
+def test_estimates_reach_bound(mixed_noise_trials):
+    _, rows, bound = mixed_noise_trials
     scatter = np.array([estimated for _, estimated, *_ in rows]).std(axis=0, ddof=1)
     # Estimated weights cost a few per cent; the scatter itself is known to 1/sqrt(2 trials).
     assert (scatter < bound * (1.04 + 3 / np.sqrt(2 * TRIALS))).all()
@@ -170,8 +170,8 @@ def test_estimates_reach_the_bound(mixed):
 
 
 @pytest.mark.slow
-def test_student_intervals_cover(mixed):
-    _, rows, _ = mixed
+def test_student_t_intervals_have_coverage(mixed_noise_trials):
+    _, rows, _ = mixed_noise_trials
     estimated, u, dof = (np.array([row[k] for row in rows]) for k in (1, 2, 3))
     student = (np.abs(estimated) < stdtrit(dof, 0.975) * u).mean(axis=0)
     normal = (np.abs(estimated) < ndtri(0.975) * u).mean(axis=0)
@@ -183,7 +183,7 @@ def test_student_intervals_cover(mixed):
 
 
 @pytest.mark.slow
-def test_a_walk_that_is_not_there_is_seldom_kept():
+def test_absent_walk_is_rarely_estimated():
     rng = np.random.default_rng(4)
     kept = sum(
         "random_walk" in estimate_noise([record(rng, 100, Noise(0.3))], BOTH).estimated
@@ -194,13 +194,13 @@ def test_a_walk_that_is_not_there_is_seldom_kept():
     assert kept > 0
 
 
-def test_the_threshold_is_that_of_the_mixture():
+def test_threshold_matches_chi_square_mixture():
     from scipy.special import chdtrc
 
     assert 0.5 * chdtrc(1, KEEPING_GAIN) == pytest.approx(0.05, rel=1e-12)
 
 
-def test_a_walk_that_is_there_is_kept_and_found():
+def test_present_walk_is_estimated():
     rng = np.random.default_rng(5)
     found = estimate_noise([record(rng, 800, Noise(0.3, 0.05))], BOTH)
     assert found.estimated == ("white", "random_walk")
@@ -212,7 +212,7 @@ def test_a_walk_that_is_there_is_kept_and_found():
     assert likelihoods["white", "random_walk"] - likelihoods["white",] > 10
 
 
-def test_what_is_next_to_nothing_does_not_hold_a_search_up():
+def test_negligible_component_does_not_delay_search():
     """Its likelihood goes with -e^x: a factor of e a step; the other is found in one."""
 
     def value(x):
@@ -227,7 +227,7 @@ def test_what_is_next_to_nothing_does_not_hold_a_search_up():
 
 
 @pytest.mark.parametrize("order", [2, 1])
-def test_a_walk_alone_leaves_no_white_noise(order):
+def test_pure_walk_has_no_white_noise(order):
     found = estimate_noise([record(np.random.default_rng(6), 400, Noise(0.0, 0.2), order)], BOTH)
     assert found.dropped == ("white",)
     assert found.noise.white == 0
@@ -236,7 +236,7 @@ def test_a_walk_alone_leaves_no_white_noise(order):
 
 
 @pytest.mark.parametrize("added", [0.0, 2.5e-5], ids=["all to be found", "part of it known"])
-def test_a_misfit_that_no_small_walk_explains_is_the_most_likely_noise(added):
+def test_misfit_is_estimated_as_most_likely_noise(added):
     """A wave that the unknowns do not follow: a little walk only makes it less likely."""
     times = 0.1 * np.arange(400)
     wave = 0.3 * np.sin(math.pi * times)
@@ -252,7 +252,7 @@ def test_a_misfit_that_no_small_walk_explains_is_the_most_likely_noise(added):
     assert math.hypot(found.noise.white, math.sqrt(added)) < 0.02
 
 
-def test_velocity_records_share_their_noise():
+def test_velocity_records_share_noise():
     rng = np.random.default_rng(7)
     records = [record(rng, n, Noise(0.3, 0.2), order=1) for n in (300, 500)]
     found = estimate_noise(records, BOTH)
@@ -262,7 +262,7 @@ def test_velocity_records_share_their_noise():
     assert (np.diag(found.covariance)[:2] < np.diag(alone.covariance)[:2]).all()
 
 
-def test_specific_force_cannot_tell_a_walk_from_white_noise():
+def test_specific_force_does_not_separate_walk_from_white_noise():
     rng = np.random.default_rng(8)
     design = rng.normal(size=(300, 2))
     data = RecordData(np.arange(300) * 0.5, 0, design, 0.1 * rng.normal(size=300))
@@ -275,7 +275,7 @@ def test_specific_force_cannot_tell_a_walk_from_white_noise():
     assert given.random_walk == 0.03
 
 
-def test_given_components_stay_as_given():
+def test_given_components_are_fixed():
     data = record(np.random.default_rng(9), 400, Noise(0.3, 0.1))
     both = estimate_noise([data], BOTH)
     white_only = estimate_noise([data], Noise(ESTIMATE, both.noise.random_walk))
@@ -291,7 +291,7 @@ def test_given_components_stay_as_given():
     assert not neither.covariance.any()
 
 
-def test_quantisation_larger_than_the_noise():
+def test_quantisation_larger_than_noise():
     rng = np.random.default_rng(10)
     data = record(rng, 500, Noise(0.05, 0.0, 1.0))
     # The start velocity sweeps the signal over many steps, so that rounding errors are spread.
@@ -318,7 +318,7 @@ def test_start_errors_and_repeated_columns_count_once():
     assert padded.noise.white == pytest.approx(plain.noise.white, rel=1e-6)
 
 
-def test_priors_give_back_degrees_of_freedom():
+def test_priors_increase_degrees_of_freedom():
     data = record(np.random.default_rng(12), 60, Noise(0.3))
     loose, tight = (
         estimate_noise([data], Noise(ESTIMATE), np.eye(3) * w, np.zeros(3)) for w in (1e-6, 1e6)
@@ -329,7 +329,7 @@ def test_priors_give_back_degrees_of_freedom():
     assert tight.degrees_of_freedom == pytest.approx(58, abs=1e-6)
 
 
-def test_dof_of_a_sum_of_two_variances():
+def test_dof_of_sum_matches_welch_satterthwaite():
     """Welch-Satterthwaite: s1^2/n1 + s2^2/n2."""
     s1, s2, n1, n2 = 2.0, 3.0, 8, 15
     covariance = np.diag([2 * s1**4 / (n1 - 1), 2 * s2**4 / (n2 - 1)])
@@ -340,7 +340,7 @@ def test_dof_of_a_sum_of_two_variances():
     np.testing.assert_allclose(dof, [welch, np.inf], rtol=1e-12)
 
 
-def test_what_cannot_be_estimated_is_refused():
+def test_undeterminable_noise_raises():
     data = record(np.random.default_rng(13), 40, Noise(0.3))
     with pytest.raises(NotIdentifiableError, match="all residuals are zero"):
         estimate_noise([replace(data, observations=np.zeros(40))], BOTH)
@@ -355,7 +355,7 @@ def test_what_cannot_be_estimated_is_refused():
         estimate_noise([data], Noise(0.0, 0.0))
 
 
-def test_records_may_name_the_unknowns_that_they_see():
+def test_records_may_list_affected_unknowns():
     """A column of a record's own, with a prior: compact and with zeros for the others."""
     rng = np.random.default_rng(31)
     compact, dense = [], []
@@ -378,7 +378,7 @@ def test_records_may_name_the_unknowns_that_they_see():
 # Wander -------------------------------------------------------------------------------------------
 
 
-def test_sizes_are_found():
+def test_flicker_sizes_are_estimated():
     """Two records of specific force: each size within three of its standard errors."""
     rng = np.random.default_rng(11)
     noise = Noise(1e-4, 0.0, 0.0, flicker=4e-5, bias_walk=0.0)
@@ -403,7 +403,7 @@ def test_sizes_are_found():
         assert abs(getattr(found.noise, name) ** 2 - square) < 3 * error
 
 
-def test_a_wander_that_is_not_there_is_dropped_or_small():
+def test_absent_wander_is_dropped_or_small():
     rng = np.random.default_rng(4)
     times = np.arange(400) * 0.5
     white = 1e-3 * rng.standard_normal(times.size)

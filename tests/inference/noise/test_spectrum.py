@@ -17,7 +17,7 @@ def noise(seed, n=20_000):
     return 1e-3 * np.random.default_rng(seed).standard_normal(n)
 
 
-def test_white_noise_has_its_density():
+def test_white_noise_has_constant_density():
     """Of some forty intervals of 95 % at most 6 miss: 1.5 % of such records have more."""
     density = 1e-6 * STEP
     points = spectrum(noise(1), STEP, Sampling(1, 0), (0.0, density, 0.0, 0.0))
@@ -41,7 +41,7 @@ def test_noise_has_no_lines():
         assert rest is record
 
 
-def test_lines_are_found_with_their_uncertainty():
+def test_lines_are_found_with_uncertainty():
     """z of 20 trials: the mean within 4 of its standard deviations, the rms within 3 of its."""
     time = np.arange(20_000) * STEP
     z = []
@@ -66,6 +66,6 @@ def test_lines_are_found_with_their_uncertainty():
     assert np.all((rms > 0.55) & (rms < 1.5))
 
 
-def test_a_short_record_has_no_lines():
+def test_short_record_has_no_lines():
     record = np.cos(np.arange(100.0))
     assert find_lines(record, STEP) == ([], record)

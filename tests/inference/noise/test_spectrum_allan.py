@@ -23,7 +23,7 @@ def integral(values, step=1.0):
 
 
 @pytest.mark.parametrize(("count", "published"), [(1, 91.22945), (2, 85.95287)])
-def test_nine_values_of_nist(count, published):
+def test_nine_values_match_nist(count, published):
     """W. J. Riley, NIST SP 1065 (2008), table 30."""
     values = [892.0, 809.0, 823.0, 798.0, 671.0, 644.0, 883.0, 903.0, 677.0]
     assert allan_deviation(integral(values), 1.0, count) == pytest.approx(published, rel=1e-7)
@@ -32,13 +32,13 @@ def test_nine_values_of_nist(count, published):
 @pytest.mark.parametrize(
     ("count", "published"), [(1, 2.922319e-01), (10, 9.159953e-02), (100, 3.241343e-02)]
 )
-def test_a_thousand_values_of_nist(count, published):
+def test_thousand_values_match_nist(count, published):
     """NIST SP 1065, table 31."""
     found = allan_deviation(integral(numbers(1000)), 1.0, count)
     assert found == pytest.approx(published, rel=2e-7)
 
 
-def test_degrees_of_freedom_of_the_thousand_values():
+def test_degrees_of_freedom_of_thousand_values_match_nist():
     """NIST SP 1065, table 32: 146.177 at 10, by Greenhall's approximations."""
     assert allan_moments(1000, 1.0, Sampling(1, 1), WHITE, 10)[1] == pytest.approx(
         146.177, rel=1e-3
@@ -57,7 +57,7 @@ ALLANTOOLS = {
 
 
 @pytest.mark.parametrize("count", ALLANTOOLS)
-def test_figures_of_allantools(count):
+def test_deviation_and_dof_match_allantools(count):
     """Its freedom is of continuous noise, or of tables of long averages: 0.6 % from 64 on."""
     step, number = 0.5, numbers(4096) - 0.5
     values = number + 0.02 * np.cumsum(number)
@@ -73,7 +73,7 @@ def test_figures_of_allantools(count):
 
 @pytest.mark.parametrize("count", [1, 4, 30])
 @pytest.mark.parametrize("size", [WHITE, WALK, (1e-3, 1.0, 0.0, 1e-3)])
-def test_moments_are_those_of_a_dense_covariance(size, count):
+def test_moments_match_dense_covariance(size, count):
     """E = tr(A V) and Var = 2 tr(A V A V) of the quadratic form of Gaussian samples."""
     n, step, kind = 150, 0.5, Sampling(1, 0)
     differences = np.diff(np.eye(n + 1), axis=0) / step
@@ -88,7 +88,7 @@ def test_moments_are_those_of_a_dense_covariance(size, count):
     assert dof == pytest.approx(2.0 * expected**2 / variance, rel=1e-9)
 
 
-def test_intervals_are_those_of_chi_square():
+def test_intervals_match_chi_square():
     velocity = integral(np.random.default_rng(1).standard_normal(300))
     points = allan_values(velocity, 1.0, Sampling(1, 0), WHITE)
     assert [point.tau for point in points][:4] == [1.0, 2.0, 3.0, 4.0]
@@ -100,5 +100,5 @@ def test_intervals_are_those_of_chi_square():
         assert point.expected == pytest.approx(point.tau**-0.5, rel=1e-6)
 
 
-def test_too_few_samples_have_none():
+def test_too_few_samples_have_no_allan_deviation():
     assert np.isnan(allan_deviation(np.zeros(4), 1.0, 2))

@@ -43,7 +43,7 @@ def trials():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "size"), [("random_walk", N), ("flicker", B)])
-def test_sizes_are_unbiased_and_their_intervals_hold_them(trials, name, size):
+def test_sizes_are_unbiased_and_intervals_have_coverage(trials, name, size):
     """Mean within 3.5 of its standard deviations; 95 % intervals miss no more than 1 in 2000."""
     sizes = [one.components[name] for one in trials]
     ratio = np.array([one.variance for one in sizes]) / size**2
@@ -54,7 +54,7 @@ def test_sizes_are_unbiased_and_their_intervals_hold_them(trials, name, size):
     assert missed <= (3 if TRIALS == 8 else 37)
 
 
-def test_what_is_not_there_is_seldom_kept(trials):
+def test_absent_components_are_rarely_estimated(trials):
     """At most 5 in 100 of each: P(more) < 5e-4."""
     for name in ("white", "bias_walk"):
         kept = sum(one.components[name].variance > 0.0 for one in trials)
@@ -65,13 +65,13 @@ def test_what_is_not_there_is_seldom_kept(trials):
             assert component.variance > 0.0 or component.low == 0.0
 
 
-def test_the_drift_is_known_as_well_as_it_says(trials):
+def test_u_of_drift_matches_scatter(trials):
     z = np.array([one.drift / one.u_drift for one in trials])
     assert abs(z.mean()) < 3.5 / math.sqrt(TRIALS)
     assert 0.6 < z.std() < 1.5
 
 
-def test_a_walk_of_the_bias_is_told_from_flicker():
+def test_bias_walk_is_separated_from_flicker():
     walk = 2e-4
     size = found(velocity(force(1, 4000, walk)), Sampling(1, 0)).components["bias_walk"]
     assert size.low <= walk**2 <= size.high
@@ -96,7 +96,7 @@ def test_noise_of_velocities_and_displacements(order):
         assert half < 1.0
 
 
-def test_quantisation_of_a_velocity_shows_in_the_force():
+def test_quantisation_of_velocity_is_found_in_force():
     """A force that is differences of rounded velocities: q^2/12 in the velocity, IEEE Std 952."""
     q = 3e-5  # about what the velocity changes by from row to row
     rng = np.random.default_rng(3)
@@ -105,7 +105,7 @@ def test_quantisation_of_a_velocity_shows_in_the_force():
     assert size.low < q**2 / 12.0 < size.high
 
 
-def test_bands_show_a_misfit():
+def test_bands_reveal_misfit():
     """A resonance: a wave of random phase about 1 Hz, ten times the noise there."""
     rng = np.random.default_rng(9)
     values = force(2)
@@ -118,6 +118,6 @@ def test_bands_show_a_misfit():
     assert all(abs(band.ratio - 1.0) < 5.0 * math.sqrt(2.0 / band.count) for band in usual)
 
 
-def test_a_few_samples_are_too_few():
+def test_too_few_samples_raise():
     with pytest.raises(NotIdentifiableError, match="too short"):
         found(velocity(force(1, 20)), Sampling(1, 0))

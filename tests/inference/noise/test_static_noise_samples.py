@@ -51,8 +51,8 @@ def in_bursts(rng, time, values):
     [lost(0.05), lost(0.2), repeated(2.0), repeated(2.5), repeated_and_lost, restamped, in_bursts],
     ids=["5 % lost", "20 % lost", "2 rows", "2.5 rows", "lost rows", "stamps repeat", "bursts"],
 )
-def test_intervals_of_n_hold(monkeypatch, log):
-    """At 95 %, of so many trials fewer hold with a probability of 1e-4 than the bound."""
+def test_intervals_of_white_noise_have_coverage(monkeypatch, log):
+    """The coverage falls below the bound with a probability of 1e-4."""
     monkeypatch.setattr(
         static_noise, "_upper_limit", lambda *_: np.inf
     )  # of what is not seen: it takes long

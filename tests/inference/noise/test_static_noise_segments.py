@@ -13,7 +13,7 @@ def record(n=4000, seed=1):
     return np.round(np.arange(n) * STEP, 4), 9.8 + 1e-3 * rng.standard_normal(n)
 
 
-def test_a_clean_record_is_one_part():
+def test_clean_record_is_single_segment():
     time, values = record()
     found = split_segments(time, values)
     ((start, part),) = found.segments
@@ -23,7 +23,7 @@ def test_a_clean_record_is_one_part():
     assert found.step == pytest.approx(STEP, rel=1e-9)
 
 
-def test_spikes_and_lone_gaps_are_filled_and_long_ones_cut():
+def test_outliers_and_short_gaps_are_filled_and_long_gaps_split():
     time, values = record()
     values[[500, 900]] += 0.1
     values[700] = np.nan
@@ -37,7 +37,7 @@ def test_spikes_and_lone_gaps_are_filled_and_long_ones_cut():
     assert found.segments[0][1][500] == pytest.approx(between)
 
 
-def test_rows_of_other_sensors_are_no_samples():
+def test_rows_of_other_sensors_are_not_samples():
     """A log of two sensors with a row, and an empty cell, for each sample of the other."""
     time, values = record()
     rows = np.sort(np.append(time, time + 0.4 * STEP))
@@ -62,12 +62,12 @@ def test_repeated_rows_count_once():
         (lambda t, v: (t, np.where(np.arange(t.size) % 10 < 5, np.nan, v)), "without a gap"),
     ],
 )
-def test_what_cannot_be_used_is_said(change, message):
+def test_invalid_record_raises(change, message):
     with pytest.raises(ValueError, match=message):
         split_segments(*change(*record()))
 
 
-def test_parts_share_their_noise():
+def test_segments_share_noise():
     """N of both parts lies in the interval, and they tell more than the longer one alone."""
     time, values = record(8000)
     keep = (time < 50.0) | (time > 51.0)
@@ -87,7 +87,7 @@ def test_long_records_are_thinned_without_bias():
     assert size.low < 1e-6 * STEP < size.high
 
 
-def test_a_line_is_taken_out_before_noise_is_looked_for():
+def test_line_is_removed_before_noise_estimation():
     time, values = record()
     found = analyse(split_segments(time, values + 1e-3 * np.sin(2.0 * np.pi * 7.3 * time)), 0)
     (line,) = found.lines

@@ -35,7 +35,7 @@ BOTH = {"Qx": Noise(ESTIMATE, ESTIMATE)}
 # The pieces ---------------------------------------------------------------------------------------
 
 
-def test_levels_are_weighed_by_likelihood_and_power():
+def test_levels_are_weighted_by_likelihood_and_power():
     """A likelihood with a closed form: what u^(k/2) exp(-u) leaves is a gamma function."""
     scale = 3e-7
 
@@ -52,7 +52,7 @@ def test_levels_are_weighed_by_likelihood_and_power():
         assert unseen.weights @ unseen.levels**moment == pytest.approx(expected, rel=0.02)
 
 
-def test_the_first_level_hardly_shows_wherever_the_search_begins():
+def test_first_level_is_small_for_any_search_start():
     def at(log_ratio):
         return -math.exp(log_ratio), log_ratio
 
@@ -62,8 +62,8 @@ def test_the_first_level_hardly_shows_wherever_the_search_begins():
     assert far.weights @ far.levels == pytest.approx(near.weights @ near.levels, rel=0.02)
 
 
-def test_an_interval_of_the_mixture():
-    """Student's with the level and the degrees of freedom against the mixture's own shares."""
+def test_mixture_interval_has_stated_probability():
+    """Compare the Student t interval with the probabilities of the mixture."""
     rng = np.random.default_rng(1)
     unseen = UndetectedWalk(np.array([0.1, 1.0, 4.0, 20.0]), np.array([0.4, 0.3, 0.2, 0.1]))
     variance, slope = np.array([1.0, 2.0, 5.0, 1.0]), np.array([1.0, 0.3, 0.01, 0.0])
@@ -124,7 +124,7 @@ class Slow:
 @pytest.mark.slow
 @pytest.mark.parametrize("felt", [0.2, 5.0])
 @pytest.mark.parametrize("walk", [0.0, 0.3, 2.0, 6.0])
-def test_intervals_of_a_dropped_walk_hold(walk, felt):
+def test_intervals_with_dropped_walk_have_coverage(walk, felt):
     """Kept walks have their own, longer interval, which holds nearly always: count it as such."""
     slow = Slow(felt, np.random.default_rng([2, int(10 * walk)]))
     trials = 5000 if FULL else 150
@@ -138,8 +138,8 @@ def test_intervals_of_a_dropped_walk_hold(walk, felt):
         assert 2 * ndtr(1.96 / math.sqrt(1 + walk * felt)) - 1 < 0.3
 
 
-def test_an_allowance_that_is_needless_without_a_walk_is_too_small_at_the_limit(monkeypatch):
-    """With a third of the power, which still covers all where there is none."""
+def test_reduced_allowance_fails_at_detection_limit(monkeypatch):
+    """A third of the power still has coverage without a walk."""
     monkeypatch.setattr(undetected_walk, "PRIOR_EXPONENT", PRIOR_EXPONENT / 3.0)
     for walk, trials in ((0.0, 60), (6.0, 200)):
         slow = Slow(5.0, np.random.default_rng(1))
@@ -153,7 +153,7 @@ def test_an_allowance_that_is_needless_without_a_walk_is_too_small_at_the_limit(
 
 
 @pytest.fixture(scope="module")
-def clean():
+def noise_free_series():
     return [
         simulated(f"run{i}", rate, TRUTH, per_revolution=8, revolutions=turns)
         for i, (rate, turns) in enumerate(zip(RATES, (12, 24, 48), strict=True), start=1)
@@ -162,13 +162,13 @@ def clean():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("walk", [0.0, 6e-5, 1.2e-4, 2.5e-4])
-def test_every_coefficient_s_interval_holds_about_the_limit_of_detection(clean, walk):
+def test_coefficient_intervals_have_coverage_at_detection_limit(noise_free_series, walk):
     """Whole estimates; at 1.2e-4 half of the records show the walk, and half do not."""
     rng = np.random.default_rng([3, int(1e6 * walk)])
     trials = 1000 if FULL else 6
     inside, kept = np.zeros(TRUE.size), 0
     for _ in range(trials):
-        drawn = [noisy(one, Noise(0.01, walk), rng) for one in clean]
+        drawn = [noisy(one, Noise(0.01, walk), rng) for one in noise_free_series]
         found = estimate(drawn, MODEL, BOTH, reject=False)
         kept += "random_walk" in found.estimated_noise["Qx"].estimated
         size = stdtrit(np.minimum(found.dof, 1e6), 0.975) * found.fit.solution.u
@@ -185,14 +185,14 @@ def test_every_coefficient_s_interval_holds_about_the_limit_of_detection(clean, 
 
 
 @pytest.fixture(scope="module")
-def dropped(clean):
-    drawn = [noisy(one, Noise(0.01), np.random.default_rng(4)) for one in clean]
+def dropped(noise_free_series):
+    drawn = [noisy(one, Noise(0.01), np.random.default_rng(4)) for one in noise_free_series]
     found = estimate(drawn, MODEL, BOTH, reject=False)
     assert found.estimated_noise["Qx"].dropped == ("random_walk",)
     return drawn, found
 
 
-def test_the_estimate_is_that_of_white_noise(dropped):
+def test_estimate_matches_white_noise(dropped):
     drawn, found = dropped
     white = found.fit.noise["Qx"].white
     given = estimate(drawn, MODEL, {"Qx": Noise(white, 0.0)}, reject=False)
@@ -201,7 +201,7 @@ def test_the_estimate_is_that_of_white_noise(dropped):
     assert given.fit.solution.covariance_undetected is None
 
 
-def test_what_a_walk_adds_is_what_it_does_to_these_weights(dropped):
+def test_walk_contribution_matches_simulated_walks(dropped):
     """The derivative of the least variance against the estimator itself, run on walks alone."""
     _, found = dropped
     level, covariance = found.fit.undetected_walks["Qx"]
@@ -225,8 +225,8 @@ def test_what_a_walk_adds_is_what_it_does_to_these_weights(dropped):
     np.testing.assert_allclose(ratio, 1.0, atol=4 * math.sqrt(2 / trials))
 
 
-def test_considered_terms_do_not_change_what_a_walk_adds(dropped):
-    """The weights do not know them, so that the same weights meet the same walk."""
+def test_considered_terms_do_not_change_walk_contribution(dropped):
+    """The weights do not depend on considered terms."""
     drawn, found = dropped
     considered = tuple(
         Considered("Qx", symbol, (0.0, 2e-5), term(symbol).limit) for symbol in ("K_OO", "K_PP")
@@ -286,8 +286,8 @@ def test_covariances_are_positive_semi_definite(seed):
         assert least_eigenvalue(unseen) > -1e-12
 
 
-def test_an_unknown_that_is_known_exactly_stays_so(dropped):
-    """Its u is zero, by which nothing may be divided."""
+def test_exactly_known_unknown_is_fixed(dropped):
+    """Its u of zero must not be a divisor."""
     drawn, found = dropped
     exact = Unknowns(
         tuple(
@@ -302,7 +302,7 @@ def test_an_unknown_that_is_known_exactly_stays_so(dropped):
     assert again.fit.solution.u[0] == pytest.approx(found.fit.solution.u[0], rel=0.05)
 
 
-def test_the_budget_says_what_does_not_show(dropped):
+def test_budget_names_undetected_walk(dropped):
     _, found = dropped
     for index, u in enumerate(found.fit.solution.u):
         lines = budget(found.fit, index)
@@ -318,8 +318,8 @@ def test_the_budget_says_what_does_not_show(dropped):
     assert combined.u == pytest.approx(found.fit.solution.u[0], rel=1e-12)
 
 
-def test_only_a_walk_that_was_asked_for_can_be_missed(clean):
-    drawn = [noisy(one, Noise(0.01), np.random.default_rng(6)) for one in clean]
+def test_only_requested_walk_can_be_undetected(noise_free_series):
+    drawn = [noisy(one, Noise(0.01), np.random.default_rng(6)) for one in noise_free_series]
     found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE, 0.0)}, reject=False)
     assert found.estimated_noise["Qx"].undetected_walk is None
     # White noise of a known size leaves the walk to be looked for all the same.

@@ -22,7 +22,7 @@ def strobes(time, error=None, noise_factor=None):
 
 
 @pytest.mark.parametrize(("period", "printed"), [(4, 8.38735e-8), (2, 3.35494e-7), (1, 1.34198e-6)])
-def test_sigma_of_b2_on_the_paper_s_plan(period, printed):
+def test_u_of_b2_matches_paper_plan(period, printed):
     n = 100
     found = first_stage(strobes((0.25 + np.arange(n)) * period), SIGMA)
     # The quadratic orthogonal polynomial on n even points has the norm n(n^2-1)(n^2-4)/180.
@@ -44,7 +44,7 @@ def test_parabola_is_recovered_far_from_time_zero():
     assert found.b2 == found.coefficients[2]
 
 
-def test_weights_are_those_of_the_noise_factors():
+def test_weights_follow_noise_factors():
     rng = np.random.default_rng(2)
     time = np.sort(rng.uniform(0.0, 10.0, 12))
     factor = rng.uniform(0.7, 1.0, 12)
@@ -59,7 +59,7 @@ def test_weights_are_those_of_the_noise_factors():
     assert found.dof == 9
 
 
-def test_sigma_is_as_given_or_from_the_residuals_and_says_which():
+def test_sigma_is_given_or_from_residuals():
     time = np.arange(5.0)
     # The one residual pattern of five points beside two more: the cubic orthogonal polynomial.
     cubic = np.array([-1.0, 2.0, 0.0, -2.0, 1.0])
@@ -74,14 +74,14 @@ def test_sigma_is_as_given_or_from_the_residuals_and_says_which():
     np.testing.assert_array_equal(own.coefficients, given.coefficients)
 
 
-def test_four_strobes_are_enough_and_three_are_refused():
+def test_three_strobes_raise():
     assert first_stage(strobes(np.arange(4.0)), SIGMA).dof == 1
     with pytest.raises(NotIdentifiableError, match="3 strobes cannot determine a parabola"):
         first_stage(strobes(np.arange(3.0)), SIGMA)
 
 
 def walk_covariance(time, random_walk):
-    """N^2 times the integral of (t1 - u)(t2 - u) over u from 0 to the earlier, by Gauss nodes."""
+    """Integrate N^2 (t1 - u)(t2 - u) over u from 0 to the earlier time by Gauss nodes."""
     x, w = np.polynomial.legendre.leggauss(4)
     early = np.minimum.outer(time, time)
     u = early[..., None] * (1 + x) / 2
@@ -113,7 +113,7 @@ def test_random_walk_is_whitened():
     )
 
 
-def test_random_walk_s_claim_is_the_scatter_of_brute_force():
+def test_u_with_random_walk_matches_scatter():
     rng = np.random.default_rng(3)
     walk, step, each, count, trials = 2e-4, 0.05, 40, 20, 4000
     time = each * step * np.arange(1, count + 1)
@@ -128,7 +128,7 @@ def test_random_walk_s_claim_is_the_scatter_of_brute_force():
 
 
 @pytest.mark.parametrize("given", [True, False])
-def test_95_percent_interval_of_b2_covers_95_percent(given):
+def test_interval_of_b2_has_95_percent_coverage(given):
     rng = np.random.default_rng(4)
     time, trials = np.arange(8.0), 4000
     truth = 1e-3

@@ -31,7 +31,7 @@ OBLIQUE = (math.cos(0.7), math.sin(0.7), 0.0)
         (OBLIQUE, 0.7 + math.pi / 2),
     ],
 )
-def test_strobe_angle_is_a_quarter_turn_past_the_axis(axis, angle):
+def test_strobe_angle_is_quarter_turn_past_axis(axis, angle):
     assert math.remainder(strobe_angle(direction(axis)) - angle, TURN) == pytest.approx(
         0, abs=1e-15
     )
@@ -39,19 +39,19 @@ def test_strobe_angle_is_a_quarter_turn_past_the_axis(axis, angle):
 
 
 @pytest.mark.parametrize(("axis", "tilt"), [("up", "90.000"), ((1.0, 0.0, -0.01), "-0.573")])
-def test_axis_that_is_not_horizontal_is_refused(axis, tilt):
+def test_inclined_axis_raises(axis, tilt):
     with pytest.raises(NotIdentifiableError, match=rf"horizontal input axis.*{tilt} deg above"):
         strobe_angle(direction(axis))
 
 
-def test_axis_off_the_horizontal_by_less_than_a_milliradian_passes():
+def test_axis_within_one_milliradian_of_horizontal_is_accepted():
     assert strobe_angle(direction((1.0, 0.0, 9e-4))) == pytest.approx(math.pi / 2, abs=1e-15)
 
 
 @pytest.mark.parametrize("axis", ["east", "north", "west", OBLIQUE])
 @pytest.mark.parametrize("rate", [2.0, -2.0])
 @pytest.mark.parametrize("start_angle", [0.0, 1.1, -4.0])
-def test_strobes_are_where_the_reference_is_zero_once_a_revolution(axis, rate, start_angle):
+def test_strobes_are_zeros_of_reference(axis, rate, start_angle):
     spindle = Spindle(rate, 1e-5, (Ripple(1, 1e-3 * rate, 0.4),), start_angle)
     time = np.arange(0.0, 20.0 * TURN / 2.0, 0.02)
     slope, offset = 3.0, 0.2
@@ -73,7 +73,7 @@ def test_strobes_are_where_the_reference_is_zero_once_a_revolution(axis, rate, s
     assert found.lost == 0
 
 
-def test_paper_s_strobes_are_at_a_quarter_turn_and_whole_turns_more():
+def test_strobes_of_paper_are_at_quarter_turn_plus_whole_turns():
     rate = math.pi / 2
     time = np.arange(20001) / 50.0  # 100 revolutions
     found = by_nominal_rate(time, rate, time**2, math.pi / 2)
@@ -91,7 +91,7 @@ def test_strobe_midway_between_two_samples_has_half_the_variance():
 
 
 @pytest.mark.parametrize("rate", [TURN, -TURN])
-def test_strobe_on_a_sample_does_not_ask_for_its_neighbours(rate):
+def test_strobe_on_sample_needs_no_neighbours(rate):
     time = np.arange(101) / 20.0
     alone = np.full(time.size, np.nan)
     alone[::20] = 7.0
@@ -102,14 +102,14 @@ def test_strobe_on_a_sample_does_not_ask_for_its_neighbours(rate):
     assert found.lost == 0
 
 
-def test_blocks_of_samples_have_the_noise_of_their_mean():
+def test_blocks_of_samples_have_noise_of_mean():
     time = np.arange(200) * 0.1
     count = np.where(np.arange(200) % 2 == 0, 4.0, 9.0)
     found = by_nominal_rate(time, TURN, time, TURN * 0.55, count)
     np.testing.assert_allclose(found.noise_factor, 0.5 * math.sqrt(1 / 4 + 1 / 9), rtol=1e-9)
 
 
-def test_strobes_beside_missing_samples_and_in_gaps_are_lost_and_counted():
+def test_strobes_near_missing_samples_and_gaps_are_counted_as_lost():
     time = np.arange(1000) * 0.1
     error = time.copy()
     error[[105, 106]] = np.nan  # between them lies the strobe at 10.55 s
@@ -120,7 +120,7 @@ def test_strobes_beside_missing_samples_and_in_gaps_are_lost_and_counted():
     assert found.lost == 4
 
 
-def test_noisy_angle_gives_each_strobe_once():
+def test_noisy_angle_has_no_duplicate_strobes():
     rng = np.random.default_rng(5)
     time = np.arange(2000) * 0.01
     angle = TURN * time + 0.05 * rng.standard_normal(time.size)  # steps back now and then
@@ -129,13 +129,13 @@ def test_noisy_angle_gives_each_strobe_once():
 
 
 @pytest.mark.parametrize("revolutions", [0.1, 3.0])
-def test_too_few_strobes_are_refused(revolutions):
+def test_too_few_strobes_raise(revolutions):
     time = np.linspace(0.0, revolutions, 1 + int(50 * revolutions))
     with pytest.raises(RecordError, match=rf"only {int(revolutions)} of the 4 strobes"):
         by_nominal_rate(time, TURN, time, 1.0)
 
 
-def test_claimed_sigma_of_b2_is_the_scatter_that_noise_makes():
+def test_u_of_b2_matches_scatter():
     # Strobes that fall anywhere between samples: weights that were not propagated would claim
     # up to 1.41 times too much.
     rng = np.random.default_rng(11)

@@ -33,8 +33,8 @@ SIGMA, PSI = 0.01, "platform.tilt.north"
 PRIORS = {"K_F": (0.00402, 2e-6), "K_I": (1.001, 0.0), PSI: (0.0, 2e-6)}
 
 
-def run_of(rate, rng, *, mounting=QX, drift=0.0, nominal=False, n=100):
-    """One run with noise of the strobes, along a rotation that is known or only its rate is."""
+def make_run(rate, rng, *, mounting=QX, drift=0.0, nominal=False, n=100):
+    """Return a run with strobe noise and a known rotation or only a nominal rate."""
     true = Trajectory(Spindle(rate, drift, (Ripple(1, 1e-5 * rate, 0.5),)), R, SITE)
     known = Trajectory(Spindle(rate), R, SITE) if nominal else true
     phase = strobe_angle(mounting.input_axis)
@@ -48,30 +48,30 @@ def run_of(rate, rng, *, mounting=QX, drift=0.0, nominal=False, n=100):
 
 
 @cache
-def runs(**more):
+def make_runs(**more):
     rng = np.random.default_rng(3)
-    return [run_of(rate, rng, **more) for rate in RATES]
+    return [make_run(rate, rng, **more) for rate in RATES]
 
 
 # The rows
 
 
 def curvature(strobes, values):
-    """The t^2 coefficient of a weighted parabola through values at the strobes."""
+    """Return the t^2 coefficient of a weighted parabola through values at the strobes."""
     weight = 1.0 / strobes.noise_factor
     span = strobes.time.max()
     powers = np.vander(strobes.time / span, 3) * weight[:, None]
     return np.linalg.lstsq(powers, (values.T * weight).T, rcond=None)[0][0] / span**2
 
 
-def dense(runs, mounting, priors, columns, drift=None):
+def dense_least_squares(make_runs, mounting, priors, columns, drift=None):
     """Weighted least squares of curvatures, what is held being carried; with numpy alone.
 
     Returns estimates and standard uncertainties from noise, priors and what is held.
     """
-    b2 = np.array([curvature(r.parabola.strobes, r.parabola.strobes.error) for r in runs])
+    b2 = np.array([curvature(r.parabola.strobes, r.parabola.strobes.error) for r in make_runs])
     inverse = []
-    for run in runs:
+    for run in make_runs:
         strobes = run.parabola.strobes
         powers = np.vander(strobes.time, 3) / (SIGMA * strobes.noise_factor)[:, None]
         scale = np.linalg.norm(powers, axis=0)
@@ -88,7 +88,7 @@ def dense(runs, mounting, priors, columns, drift=None):
         b2 = b2 - (value - nominal) * columns(symbol)
         per_run = symbol == PSI
         effects += list(np.diag(columns(symbol))) if per_run else [columns(symbol)]
-        spread += [u] * (len(runs) if per_run else 1)
+        spread += [u] * (len(make_runs) if per_run else 1)
     p = design.shape[1]
     means, weights = np.zeros(p), np.zeros(p)
     for place, symbol in enumerate(asked):
@@ -98,16 +98,16 @@ def dense(runs, mounting, priors, columns, drift=None):
     right = np.concatenate([b2 / sigma, means * weights])
     scale = np.linalg.norm(rows, axis=0)
     gain = np.linalg.pinv(rows / scale) / scale[:, None]
-    held_part = (gain[:, : len(runs)] / sigma) @ np.array(effects).T * spread
-    parts = gain[:, : len(runs)], gain[:, len(runs) :], held_part
+    held_part = (gain[:, : len(make_runs)] / sigma) @ np.array(effects).T * spread
+    parts = gain[:, : len(make_runs)], gain[:, len(make_runs) :], held_part
     return gain @ right, [np.linalg.norm(part, axis=1) for part in parts]
 
 
 @pytest.mark.parametrize("mounting", [QX, QY], ids=["Qx", "Qy"])
 @pytest.mark.parametrize("nominal", [False, True], ids=["angle recorded", "nominal angle"])
-def test_the_fit_is_a_dense_weighted_least_squares(mounting, nominal):
+def test_fit_matches_dense_weighted_least_squares(mounting, nominal):
     priors = {**PRIORS, "K_III": (3e-6, 1e-6), "platform.g_sensitivity.zx": (1e-9, 2e-9)}
-    those = runs(mounting=mounting, drift=2e-8, nominal=nominal)
+    those = make_runs(mounting=mounting, drift=2e-8, nominal=nominal)
     along = {"drift": 0.0}
 
     def columns(symbol):
@@ -124,10 +124,10 @@ def test_the_fit_is_a_dense_weighted_least_squares(mounting, nominal):
         return np.array(shown)
 
     of_drift = -0.5 * 1.001 * R * np.array(RATES) if nominal else None
-    expected, parts = dense(those, mounting, priors, columns, of_drift)
+    expected, parts = dense_least_squares(those, mounting, priors, columns, of_drift)
     if nominal:
         along["drift"] = expected[2]
-        expected, parts = dense(those, mounting, priors, columns, of_drift)
+        expected, parts = dense_least_squares(those, mounting, priors, columns, of_drift)
     request = TwoStageRequest(priors=priors, nominal_angle=nominal)
     found = second_stage(those, mounting, request, ignored=())
     assert found.symbols == ("K_II", "K_F", DRIFT)[: 2 + nominal]
@@ -144,10 +144,13 @@ def test_the_fit_is_a_dense_weighted_least_squares(mounting, nominal):
 
 
 @pytest.mark.parametrize("weighted", [True, False])
-def test_the_budget_adds_up_and_names_its_sources(weighted):
+def test_budget_sums_to_u_and_names_sources(weighted):
     priors = {**PRIORS, "K_III": (3e-6, 1e-6)}
     found = second_stage(
-        runs(), QX, TwoStageRequest(priors=priors, weighted=weighted, u_radius=1e-4), ignored=()
+        make_runs(),
+        QX,
+        TwoStageRequest(priors=priors, weighted=weighted, u_radius=1e-4),
+        ignored=(),
     )
     for place in range(2):
         lines = budget(found.fit, place)
@@ -162,9 +165,9 @@ def test_the_budget_adds_up_and_names_its_sources(weighted):
     assert noise.contribution == pytest.approx(np.linalg.norm(found.gain[0] * sigma), rel=1e-9)
 
 
-def test_printed_equations_know_of_uncertain_inputs_too():
+def test_printed_equations_include_uncertain_inputs():
     request = TwoStageRequest("as-printed", PRIORS, u_radius=1e-3, u_gravity=2e-3)
-    found = second_stage(runs(), QX, request)
+    found = second_stage(make_runs(), QX, request)
     k_ii, _ = found.estimate("K_II")
     lines = {line.source: line.contribution for line in budget(found.fit, 0)}
     # b2 is K_II R^2 w^4/(2 g).
@@ -172,7 +175,7 @@ def test_printed_equations_know_of_uncertain_inputs_too():
     assert lines["site.gravity"] == pytest.approx(2e-3 * k_ii, rel=1e-9)
 
 
-def test_a_record_is_taken_at_its_strobes():
+def test_record_is_sampled_at_strobes():
     motion = Trajectory(Spindle(math.pi), R, SITE)
     time = np.arange(0.0, 20.0, 0.03)
     shown = np.cos(time)
@@ -200,7 +203,7 @@ def test_a_record_is_taken_at_its_strobes():
     assert at.count.min() >= 1.0
 
 
-def test_what_is_not_estimated_is_held_as_it_is_known():
+def test_unestimated_terms_are_considered_with_priors():
     (one, _) = strobed_series()
     model = Unknowns(
         (
@@ -235,7 +238,7 @@ def test_what_is_not_estimated_is_held_as_it_is_known():
 
 def strobed_series():
     """One run at its strobes as a series of an accelerometer with a name, and its parabola."""
-    (run,) = [run for run in runs() if run.name == "3.14"]
+    (run,) = [run for run in make_runs() if run.name == "3.14"]
     strobes = run.parabola.strobes
     series = ResidualSeries(
         accelerometer="Qx",
@@ -253,7 +256,7 @@ def strobed_series():
     return series, run.parabola
 
 
-def test_the_strobes_residuals_are_in_the_row():
+def test_strobe_residuals_are_in_row():
     series, parabola = strobed_series()
     request = TwoStageRequest(priors={"K_F": (0.004, 1e-6)})
     model = two_stage_model(Unknowns(()), request, [series])
@@ -268,11 +271,11 @@ def test_the_strobes_residuals_are_in_the_row():
 # Tests of priors, those of the joint fit
 
 
-def resolved(priors):
-    return second_stage(runs(), QX, TwoStageRequest(priors=priors), ignored=())
+def solve_second_stage(priors):
+    return second_stage(make_runs(), QX, TwoStageRequest(priors=priors), ignored=())
 
 
-def held_to_the_runs(second):
+def compare_with_runs(second):
     relaxed = estimate_considered(second.fit)
     some = [
         other
@@ -284,10 +287,10 @@ def held_to_the_runs(second):
     return {other.name: line for other, line in zip(some, each, strict=True)}
 
 
-def test_an_estimated_term_is_held_to_the_fit_without_its_prior():
-    """Generalised least squares, what is held being part of each run's covariance."""
-    value, u, size = held_to_the_runs(resolved(PRIORS))["K_F"]
-    second = resolved(PRIORS)
+def test_estimated_term_is_compared_with_fit_without_prior():
+    """Compare with generalised least squares with considered terms in the covariance."""
+    value, u, size = compare_with_runs(solve_second_stage(PRIORS))["K_F"]
+    second = solve_second_stage(PRIORS)
     sigma = np.array([parabola.u_b2 for parabola in second.parabolas])
     design, fixed = (
         sigma[:, None] * np.vstack([getattr(block, part) for block in second.fit.blocks])
@@ -295,7 +298,10 @@ def test_an_estimated_term_is_held_to_the_fit_without_its_prior():
     )
     moved = fixed * second.fit.solution.considered_sd
     weight = np.linalg.inv(np.diag(sigma**2) + moved @ moved.T)
-    b2 = np.array([run.parabola.b2 for run in runs()]) - fixed @ second.fit.model.considered_means
+    b2 = (
+        np.array([run.parabola.b2 for run in make_runs()])
+        - fixed @ second.fit.model.considered_means
+    )
     covariance = np.linalg.inv(design.T @ weight @ design)
     alone = (covariance @ design.T @ weight @ b2)[1]
     assert value == pytest.approx(alone - 0.00402, rel=1e-6)
@@ -305,19 +311,19 @@ def test_an_estimated_term_is_held_to_the_fit_without_its_prior():
     assert 1.0 - 1e-6 < ratio < 1.0 + 4.0 / math.sqrt(2 * 4 * 97)
 
 
-def test_a_tilt_of_every_run_is_held_run_by_run_and_together():
-    found = held_to_the_runs(resolved(PRIORS))
+def test_tilts_of_runs_are_compared_separately_and_jointly():
+    found = compare_with_runs(solve_second_stage(PRIORS))
     assert {name for name in found if name.endswith(PSI)} == {
         PSI,
-        *(f"{run.name}.{PSI}" for run in runs()),
+        *(f"{run.name}.{PSI}" for run in make_runs()),
     }
     # All tilts alike are a bias: g psi is K_F, and tells the same of the same mistake.
     assert found[PSI][2] == pytest.approx(found["K_F"][2], rel=1e-6)
 
 
-def test_what_nothing_else_tells_is_not_tested():
+def test_term_without_other_information_is_not_tested():
     # As many runs as unknowns, K_F's prior among what is needed.
     request = TwoStageRequest(priors={"K_F": (0.004, 2e-6)})
-    found = held_to_the_runs(second_stage(runs()[:1], QX, request, ignored=()))
+    found = compare_with_runs(second_stage(make_runs()[:1], QX, request, ignored=()))
     assert found["K_F"][2] == 0.0
     assert math.isinf(found["K_F"][1])

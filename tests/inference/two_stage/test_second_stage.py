@@ -38,8 +38,10 @@ OF_DRIFT = 3e-8
 TURNED = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # 90 deg about east
 
 
-def strobed(spindle, *, mounting=QX, site=STILL, truth=None, platform=None, attitude=None, n=100):
-    """One run without noise: recorded at its strobes by the full error model."""
+def record_at_strobes(
+    spindle, *, mounting=QX, site=STILL, truth=None, platform=None, attitude=None, n=100
+):
+    """Return a noise-free run, recorded at its strobes with the full error model."""
     motion = Trajectory(spindle, R, site)
     attitude = observation.LEVEL if attitude is None else attitude
     sense = math.copysign(1.0, spindle.rate)
@@ -56,26 +58,26 @@ def strobed(spindle, *, mounting=QX, site=STILL, truth=None, platform=None, atti
 
 def plan(rates=RATES, *, drift=0.0, ratio=0.0, phase=PHASE, **more):
     spindles = (Spindle(w, drift, (Ripple(1, ratio * w, phase),) if ratio else ()) for w in rates)
-    return [strobed(spindle, **more) for spindle in spindles]
+    return [record_at_strobes(spindle, **more) for spindle in spindles]
 
 
 def second_stage(runs, mounting=QX, *, ignored=("K_III",), priors=None, **options):
-    """The second stage with K_I known exactly, whatever else is known."""
+    """Solve the second stage with K_I known exactly."""
     request = TwoStageRequest(priors={"K_I": (K_I, 0.0)} | (priors or {}), **options)
     return resolved(runs, mounting, request, ignored=ignored)
 
 
-def sigma_of(found):
+def u_of_b2(found):
     return np.array([parabola.u_b2 for parabola in found.parabolas])
 
 
 def column(found, symbol):
-    """d(b2)/d(coefficient) of every run, of a term that every run has anew one for each."""
+    """Return d(b2)/d(coefficient) of each run, with separate columns for per-run terms."""
     model, blocks = found.fit.model, found.fit.blocks
     rows = np.vstack([np.hstack([block.factor, block.considered]) for block in blocks])
     terms = [*model.unknowns, *model.considered]
     of_term = [place for place, other in enumerate(terms) if other.symbol == symbol]
-    return sigma_of(found) * rows[:, of_term].sum(axis=1)
+    return u_of_b2(found) * rows[:, of_term].sum(axis=1)
 
 
 def design(found):
@@ -83,11 +85,11 @@ def design(found):
 
 
 @cache
-def ideal():
+def ideal_plan():
     return plan(truth=TRUTH)
 
 
-def with_noise(runs, rng, sigma=SIGMA):
+def add_noise(runs, rng, sigma=SIGMA):
     """The same runs with white noise of SIGMA; `sigma` is what the first stage is told."""
     noisy = []
     for run in runs:
@@ -99,7 +101,7 @@ def with_noise(runs, rng, sigma=SIGMA):
 
 @pytest.fixture
 def remembered_columns(monkeypatch):
-    """Columns belong to the rotation, which trials have in common: compute them once."""
+    """Cache the columns, because all trials share the rotation."""
     memory = {}
 
     def columns(trajectory, mounting, symbols, times, *which, **more):
@@ -115,8 +117,8 @@ def remembered_columns(monkeypatch):
 # --- columns ----------------------------------------------------------------------------------
 
 
-def test_exact_columns_are_the_closed_forms_at_constant_rate():
-    found = second_stage(ideal(), nominal_angle=True, ignored=["K_III", "K_OO"])
+def test_exact_columns_match_closed_forms_at_constant_rate():
+    found = second_stage(ideal_plan(), nominal_angle=True, ignored=["K_III", "K_OO"])
     assert found.symbols == ("K_II", "K_F", DRIFT)
     np.testing.assert_allclose(design(found)[:, 0], R**2 * RATES**4 / (4 * G), rtol=1e-10)
     np.testing.assert_allclose(design(found)[:, 1], G / 2, rtol=1e-12)
@@ -125,22 +127,22 @@ def test_exact_columns_are_the_closed_forms_at_constant_rate():
     assert np.abs(column(found, "K_III")).max() < 1e-9  # rounding of R^3 w^4/g^2 = 250 m/400 s^2
 
 
-def test_printed_columns_are_those_of_eq_26():
+def test_printed_columns_match_eq_26():
     for ripple, power in (("amplitude", 1), ("ratio", 2)):
-        found = second_stage(ideal(), model="as-printed", ripple=ripple)
+        found = second_stage(ideal_plan(), model="as-printed", ripple=ripple)
         assert found.symbols == ("K_II", RIPPLE)
         np.testing.assert_allclose(design(found)[:, 0], R**2 * RATES**4 / (2 * G), rtol=1e-14)
         np.testing.assert_allclose(design(found)[:, 1], -0.75 * K_I * R * RATES**power, rtol=1e-14)
 
 
-def test_ripple_makes_a_parabola_of_k_iii():
+def test_ripple_adds_parabola_of_k_iii():
     ratio = 1e-3
     found = second_stage(plan(ratio=ratio), ignored=["K_III"])
     predicted = -0.75 * R**3 * RATES**6 * ratio * math.sin(PHASE) / G**2
     np.testing.assert_allclose(column(found, "K_III"), predicted, rtol=5 * ratio)
 
 
-def test_spin_sense_turns_the_odd_effects_and_leaves_the_even():
+def test_opposite_sense_reverses_odd_effects_only():
     runs = plan(np.array([2.0, -2.0, 4.0, -4.0]))
     sensitivity = "platform.g_sensitivity.zx"
     found = second_stage(runs, nominal_angle=True, ignored=[sensitivity])
@@ -167,21 +169,21 @@ def test_spin_sense_turns_the_odd_effects_and_leaves_the_even():
     ],
     ids=["K_II and K_F", "K_II", "K_II, C and K_F", "printed", "printed, weighted"],
 )
-def test_sigma_of_k_ii_on_the_paper_s_plan(options, closing):
+def test_u_of_k_ii_matches_paper_plan(options, closing):
     _, u = second_stage(plan(), **options).estimate("K_II")
     assert u == pytest.approx(closing, rel=1e-4)
 
 
-def test_exact_model_returns_the_truth_and_the_printed_one_half_of_it():
-    exact = second_stage(ideal())
+def test_exact_model_returns_truth_and_printed_model_half():
+    exact = second_stage(ideal_plan())
     assert exact.estimate("K_II")[0] == pytest.approx(2e-5, rel=1e-9)
     assert exact.estimate("K_F")[0] == pytest.approx(0.004, rel=1e-12)
-    printed = second_stage(ideal(), model="as-printed", priors={"K_F": (0.004, 0.0)})
+    printed = second_stage(ideal_plan(), model="as-printed", priors={"K_F": (0.004, 0.0)})
     assert printed.estimate("K_II")[0] == pytest.approx(1e-5, rel=1e-8)
 
 
-def test_unweighted_is_eq_27_and_34_by_hand():
-    runs = with_noise(ideal(), np.random.default_rng(1))
+def test_unweighted_fit_matches_eq_27_and_34():
+    runs = add_noise(ideal_plan(), np.random.default_rng(1))
     runs[1] = replace(runs[1], parabola=first_stage(runs[1].parabola.strobes, 7 * SIGMA))
     b2 = np.array([run.parabola.b2 for run in runs])
     sigma = np.array([run.parabola.u_b2 for run in runs])
@@ -196,8 +198,8 @@ def test_unweighted_is_eq_27_and_34_by_hand():
     np.testing.assert_allclose(found.fit.solution.covariance_noise, covariance, rtol=1e-7)
 
 
-def test_weighted_with_priors_is_generalised_least_squares():
-    runs = with_noise(ideal(), np.random.default_rng(2))
+def test_weighted_fit_with_priors_matches_generalised_least_squares():
+    runs = add_noise(ideal_plan(), np.random.default_rng(2))
     b2 = np.array([run.parabola.b2 for run in runs])
     sigma = np.array([run.parabola.u_b2 for run in runs])
     priors = {"K_F": (0.004 + 1e-8, 1e-8), "K_II": (2.01e-5, 4e-9)}
@@ -213,18 +215,18 @@ def test_weighted_with_priors_is_generalised_least_squares():
     np.testing.assert_allclose(found.fit.solution.covariance_prior, prior_part, rtol=1e-7)
 
 
-def test_unknown_that_is_known_exactly_stays_where_it_is():
-    found = second_stage(ideal(), priors={"K_II": (3e-5, 0.0)})
+def test_exactly_known_unknown_is_fixed():
+    found = second_stage(ideal_plan(), priors={"K_II": (3e-5, 0.0)})
     assert found.estimate("K_II") == (3e-5, 0.0)
     np.testing.assert_array_equal(found.gain[0], 0.0)
     # K_F then takes what of 1e-5 of K_II lies along its column.
-    sigma = sigma_of(found)
+    sigma = u_of_b2(found)
     along = (design(found)[:, 1] / sigma) / np.sum((design(found)[:, 1] / sigma) ** 2)
     expected = 0.004 - along @ (1e-5 * design(found)[:, 0] / sigma)
     assert found.estimate("K_F")[0] == pytest.approx(expected, rel=1e-9)
 
 
-def test_nominal_angle_s_drift_column_estimates_c():
+def test_drift_column_of_nominal_angle_estimates_drift():
     drift = 1e-8
     truth = {"K_F": 0.004, "K_I": K_I, "K_II": 2e-5}
     runs = []
@@ -255,7 +257,7 @@ def test_nominal_angle_s_drift_column_estimates_c():
     )
 
 
-def test_considered_terms_are_taken_away_and_their_uncertainty_carried():
+def test_considered_terms_are_subtracted_and_propagated():
     sensitivity = "platform.g_sensitivity.zx"
     runs = plan(truth=TRUTH, platform={"platform.tilt.north": 3e-6, sensitivity: 2e-9})
     known = {"platform.tilt.north": (3e-6, 5e-7), sensitivity: (2e-9, 1e-9)}
@@ -273,9 +275,9 @@ def test_considered_terms_are_taken_away_and_their_uncertainty_carried():
     assert ("", sensitivity) in held
 
 
-def test_shift_of_an_ignored_term_is_what_it_really_does():
+def test_shift_of_ignored_term_matches_simulation():
     sensitivity, tilt = "platform.g_sensitivity.zx", "platform.tilt.north"
-    found = second_stage(ideal(), ignored=[sensitivity, tilt, "K_II"])
+    found = second_stage(ideal_plan(), ignored=[sensitivity, tilt, "K_II"])
     assert {c.symbol for c in found.fit.model.considered} == {"K_F", "K_I", sensitivity, tilt} - {
         "K_F"
     }
@@ -287,13 +289,13 @@ def test_shift_of_an_ignored_term_is_what_it_really_does():
     np.testing.assert_allclose(found.shift(tilt), per_run, rtol=1e-9)
 
 
-def test_effective_degrees_of_freedom_follow_welch_and_satterthwaite():
-    runs = with_noise(ideal(), np.random.default_rng(3), sigma=None)
+def test_effective_degrees_of_freedom_follow_welch_satterthwaite():
+    runs = add_noise(ideal_plan(), np.random.default_rng(3), sigma=None)
     found = second_stage(runs)
     for row, dof in zip(found.gain, found.dof, strict=True):
         parts = [(g * run.parabola.u_b2) ** 2 for g, run in zip(row, runs, strict=True)]
         assert dof == pytest.approx(sum(parts) ** 2 / sum(p**2 / 97 for p in parts), rel=1e-9)
-    assert np.isinf(second_stage(ideal()).dof).all()
+    assert np.isinf(second_stage(ideal_plan()).dof).all()
     # What is known exactly has no noise, and what is no noise loses no degrees of freedom.
     exact = second_stage(runs, priors={"K_II": (2e-5, 0.0)})
     assert np.isinf(exact.dof[0])
@@ -319,7 +321,7 @@ def test_misfit_is_in_standard_uncertainties_of_each_run():
 # --- what cannot be told apart --------------------------------------------------------------------
 
 
-def test_fewer_rates_than_unknowns_are_refused():
+def test_fewer_rates_than_unknowns_raise():
     with raises("not-identifiable", "2 unknowns", "K_II, K_F", "2 different", "1"):
         second_stage(plan([2.0, 2.0005]))
     with pytest.raises(NotIdentifiableError, match=r"3 unknowns .*K_II, K_F, spindle.drift"):
@@ -330,7 +332,7 @@ def test_fewer_rates_than_unknowns_are_refused():
     assert one.estimate("K_II")[0] == pytest.approx(2e-5, rel=1e-6)
 
 
-def test_two_senses_of_one_rate_tell_odd_from_even_but_not_even_from_even():
+def test_two_senses_of_same_rate_separate_only_odd_from_even():
     both = plan([2.0, -2.0])
     with pytest.raises(NotIdentifiableError, match=r"\(K_II, K_F\) .* in either sense"):
         second_stage(both)
@@ -346,7 +348,7 @@ def test_near_collinear_columns_are_named():
     found = second_stage(plan([3.0, 3.1]))
     ((a, b, cosine),) = found.near_collinear
     assert (a, b) == ("K_II", "K_F")
-    whitened = design(found) / sigma_of(found)[:, None]
+    whitened = design(found) / u_of_b2(found)[:, None]
     x, y = whitened.T
     assert cosine == pytest.approx(x @ y / math.sqrt((x @ x) * (y @ y)), rel=1e-12)
     assert cosine > 0.99
@@ -397,7 +399,7 @@ EVERYTHING = [*TERMS, *PLATFORM_TERMS]
     ],
     ids=["Qx", "Qy", "Qx, output axis vertical"],
 )
-def test_terms_that_act_exactly_alike_are_found(mounting, attitude, k_ii, k_f):
+def test_equivalent_terms_are_found(mounting, attitude, k_ii, k_f):
     runs = plan(mounting=mounting, attitude=attitude, site=EARTH, drift=1e-7, ratio=1e-5)
     found = second_stage(runs, mounting, ignored=EVERYTHING)
     assert found.alike("K_II", EVERYTHING) == pytest.approx(k_ii, rel=1e-5)
@@ -409,7 +411,7 @@ def test_terms_that_act_exactly_alike_are_found(mounting, attitude, k_ii, k_f):
     assert bias == pytest.approx(k_f, rel=1e-5)
 
 
-def test_attitudes_tell_apart_what_acts_alike():
+def test_attitudes_separate_equivalent_terms():
     runs = plan(site=EARTH) + plan(site=EARTH, attitude=TURNED)
     found = second_stage(runs, ignored=EVERYTHING)
     assert found.alike("K_II", EVERYTHING) == {}
@@ -419,15 +421,17 @@ def test_attitudes_tell_apart_what_acts_alike():
 # --- trials ---------------------------------------------------------------------------------------
 
 
-def trials(runs, sigma=SIGMA, count=TRIALS, *, options=None, priors=None, bias_sd=math.inf, seed=0):
-    """Draw noise again and again; return errors of K_II, claimed u and how often 95 % cover."""
+def simulate_trials(
+    runs, sigma=SIGMA, count=TRIALS, *, options=None, priors=None, bias_sd=math.inf, seed=0
+):
+    """Simulate trials; return errors of K_II, u and the coverage of 95 % intervals."""
     rng = np.random.default_rng(seed)
     errors, claims, covered = np.empty(count), np.empty(count), 0
     for k in range(count):
         # A prior is as far off as it says.
         bias = {"K_F": (0.004 + bias_sd * rng.standard_normal(), bias_sd)}
         known = (priors or {}) | (bias if math.isfinite(bias_sd) else {})
-        noisy = with_noise(runs, rng, sigma)
+        noisy = add_noise(runs, rng, sigma)
         found = second_stage(noisy, priors=known, **(options or {}))
         value, claims[k] = found.estimate("K_II")
         errors[k] = value - TRUTH["K_II"]
@@ -448,9 +452,9 @@ def trials(runs, sigma=SIGMA, count=TRIALS, *, options=None, priors=None, bias_s
     ],
     ids=["even", "drift, ripple 5e-7", "drift, ripple 1e-5", "sigma from residuals", "prior"],
 )
-def test_exact_estimate_is_unbiased_and_its_interval_covers(drift, ratio, sigma, bias_sd):
+def test_exact_estimate_is_unbiased_and_has_coverage(drift, ratio, sigma, bias_sd):
     runs = plan(drift=drift, ratio=ratio, truth=TRUTH, site=EARTH)
-    errors, claims, coverage = trials(runs, sigma, bias_sd=bias_sd)
+    errors, claims, coverage = simulate_trials(runs, sigma, bias_sd=bias_sd)
     u = math.sqrt(np.mean(claims**2))
     assert np.std(errors) / u == pytest.approx(1.0, abs=4 / math.sqrt(2 * TRIALS))
     # Ripple makes a parabola of K_III: a tenth of u at 1e-5, which only many trials show.
@@ -462,10 +466,10 @@ def test_exact_estimate_is_unbiased_and_its_interval_covers(drift, ratio, sigma,
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("remembered_columns")
-def test_printed_estimate_is_half_of_the_truth_and_never_covers():
+def test_printed_estimate_is_half_of_truth_without_coverage():
     runs = plan(drift=1e-6, ratio=5e-7, truth=TRUTH)
     options = {"model": "as-printed", "weighted": False}
-    errors, _, coverage = trials(runs, options=options, count=200, bias_sd=0.0)
+    errors, _, coverage = simulate_trials(runs, options=options, count=200, bias_sd=0.0)
     # Beside the half stands the drift, which the printed column does not know.
     assert np.mean(errors) == pytest.approx(-1e-5, rel=1e-3)
     assert coverage == 0.0
@@ -492,9 +496,9 @@ def test_ripple_times_k_iii_biases_k_ii_as_predicted():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("remembered_columns")
-def test_with_strong_ripple_the_interval_covers_only_if_k_iii_is_considered():
+def test_strong_ripple_requires_considered_k_iii_for_coverage():
     runs = plan(ratio=1e-3, truth=TRUTH)
-    _, _, ignoring = trials(runs, count=200)
+    _, _, ignoring = simulate_trials(runs, count=200)
     assert ignoring < 0.01
-    _, _, considering = trials(runs, count=200, priors={"K_III": (0.0, 4e-6)})
+    _, _, considering = simulate_trials(runs, count=200, priors={"K_III": (0.0, 4e-6)})
     assert considering > 0.95

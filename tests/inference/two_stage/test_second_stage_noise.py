@@ -26,7 +26,7 @@ RATES = (1.5, 3.0, 6.0)
 PRIORS = {"K_III": (0.0, 1e-6)}
 
 
-def found(white, walk, *, estimated=("white", "random_walk"), unseen=None):
+def estimated_noise(white, walk, *, estimated=("white", "random_walk"), unseen=None):
     covariance = np.diag([1e-11, 0.0, 0.0, 0.0])
     if walk:
         covariance[:2, :2] = [[1e-11, -2e-13], [-2e-13, 4e-14]]
@@ -42,7 +42,7 @@ def found(white, walk, *, estimated=("white", "random_walk"), unseen=None):
     )
 
 
-def resolved(noise):
+def solve_second_stage(noise):
     """Return runs and their second stage with this noise."""
     request = TwoStageRequest(priors=PRIORS, random_walk=None).with_noise(noise)
     runs = []
@@ -54,14 +54,14 @@ def resolved(noise):
     return runs, second_stage(runs, QX, request)
 
 
-def test_degrees_of_freedom_are_those_of_resolving_with_other_noise():
-    components = found(0.01, 1e-3)
-    _, second = resolved(components.noise)
+def test_degrees_of_freedom_match_refit_with_other_noise():
+    components = estimated_noise(0.01, 1e-3)
+    _, second = solve_second_stage(components.noise)
     wider = with_estimated_noise(second, components.noise, components)
 
     def variance(white=1.0, walk=1.0):
         level = Noise(0.01 * math.sqrt(white), 1e-3 * math.sqrt(walk))
-        return np.diag(resolved(level)[1].fit.solution.covariance_noise)
+        return np.diag(solve_second_stage(level)[1].fit.solution.covariance_noise)
 
     # The gains move with the noise, which at the optimum costs nothing of first order.
     by_white, by_walk = (
@@ -75,10 +75,10 @@ def test_degrees_of_freedom_are_those_of_resolving_with_other_noise():
     assert wider.fit.solution.covariance_undetected is None
 
 
-def test_a_walk_that_does_not_show_adds_what_it_adds_to_the_same_weights():
+def test_undetected_walk_is_propagated_with_same_weights():
     unseen = UndetectedWalk(np.array([1e-8, 1e-7, 1e-6]), np.array([0.5, 0.3, 0.2]))
-    components = found(0.01, 0.0, estimated=("white",), unseen=unseen)
-    runs, second = resolved(components.noise)
+    components = estimated_noise(0.01, 0.0, estimated=("white",), unseen=unseen)
+    runs, second = solve_second_stage(components.noise)
     wider = with_estimated_noise(second, components.noise, components)
     # The same gains on strobes with the walk's covariance, an integral over the white noise.
     slope = np.zeros((2, 2))
@@ -104,21 +104,21 @@ def test_a_walk_that_does_not_show_adds_what_it_adds_to_the_same_weights():
     assert np.isfinite(wider.dof).all()
 
 
-def test_an_unknown_that_is_known_exactly_stays_so():
+def test_exactly_known_unknown_is_fixed():
     unseen = UndetectedWalk(np.array([1e-7]), np.array([1.0]))
-    components = found(0.01, 0.0, estimated=("white",), unseen=unseen)
+    components = estimated_noise(0.01, 0.0, estimated=("white",), unseen=unseen)
     request = TwoStageRequest(priors={"K_II": (2e-5, 0.0)}, random_walk=None)
     request = request.with_noise(components.noise)
-    runs, _ = resolved(components.noise)
+    runs, _ = solve_second_stage(components.noise)
     second = second_stage(runs, QX, request)
     wider = with_estimated_noise(second, components.noise, components)
     assert wider.estimate("K_II") == (2e-5, 0.0)
     assert wider.estimate("K_F")[1] > 0.0
 
 
-def test_noise_that_is_stated_is_not_replaced():
+def test_stated_noise_is_not_replaced():
     request = TwoStageRequest(sigma=0.02, random_walk=0.0)
-    assert request.with_noise(found(0.01, 1e-3).noise) is request
+    assert request.with_noise(estimated_noise(0.01, 1e-3).noise) is request
     asked = TwoStageRequest(random_walk=None, from_residuals=True)
-    assert asked.with_noise(found(0.01, 1e-3).noise).sigma is None
-    assert asked.with_noise(found(0.01, 1e-3).noise).random_walk == pytest.approx(1e-3)
+    assert asked.with_noise(estimated_noise(0.01, 1e-3).noise).sigma is None
+    assert asked.with_noise(estimated_noise(0.01, 1e-3).noise).random_walk == pytest.approx(1e-3)
