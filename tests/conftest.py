@@ -70,7 +70,7 @@ def pytest_collection_finish():
 
 @pytest.fixture(scope="session", autouse=True)
 def no_network():
-    """Refuse connections to anywhere beyond this machine and its own nets."""
+    """Reject connections beyond this machine and its local networks."""
     connect = socket.socket.connect
 
     def connect_inside(self, address):
@@ -93,7 +93,7 @@ def without_parameters(nodeid):
 
 
 class Quick:
-    """Keeps to the time whatever the list says: it is as old as its last writing."""
+    """Start no test after the time limit, because the list of slow tests may be outdated."""
 
     def __init__(self, seconds):
         self.seconds = seconds
@@ -132,7 +132,7 @@ class Quick:
 
 
 class Timing:
-    """Times each test, and apart from it what it sets up for others too.
+    """Measure the time of each test and, separately, of its shared fixtures.
 
     Whichever test comes first sets that up: the time is shared out among all that use it.
     """

@@ -12,7 +12,7 @@ from campaigns import changed
 from chromium import LONGEST_WAIT, needs_chromium, wait_until
 from cryptography.hazmat.primitives.asymmetric import ec
 from planning_setups import PERFECT
-from posed_records import posed
+from posed_records import simulate_poses
 from served import PLACES, answer_field, token_of
 from signing_keys import write_pair, write_pkcs12
 
@@ -269,7 +269,7 @@ def test_pasted_arm_table_to_result_workflow(open_window, folder):
 
 @pytest.mark.usefixtures("inline_jobs")
 def test_pose_log_to_triad_workflow(open_window, folder, tmp_path):
-    np.savetxt(tmp_path / "imu.log", posed(3.0, 1.0, count=24).values, fmt="%.5f")
+    np.savetxt(tmp_path / "imu.log", simulate_poses(3.0, 1.0, count=24).values, fmt="%.5f")
     tab = open_window()
     tab.get_by_label("Folder for the new campaign").fill("triad")
     tab.get_by_label("Recorder files").set_input_files(tmp_path / "imu.log")

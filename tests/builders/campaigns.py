@@ -89,7 +89,7 @@ angle = "1e-6 rad"
 
 
 def changed(text: str, *pairs: tuple[str, str]) -> str:
-    """Return a description with pieces replaced, each of which must be there."""
+    """Return a description with existing pieces of text replaced."""
     for old, new in pairs:
         assert old in text, old
         text = text.replace(old, new)

@@ -86,7 +86,7 @@ def document(folder, result, *, text=LAB, verdicts=None, issue=ISSUE, pages=b"%P
 
 
 def find(document_bytes, path):
-    """Return what an XPath finds."""
+    """Return the elements that match an XPath."""
     return etree.fromstring(document_bytes).xpath(path, namespaces=NAMESPACES)
 
 

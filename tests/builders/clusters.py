@@ -18,7 +18,7 @@ from counterspin import workers as counterspin_workers
 
 @contextmanager
 def patient_clients():
-    """Let clients wait for the scheduler of a busy machine."""
+    """Increase the timeout of clients for a busy machine."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(counterspin_workers, "_SCHEDULER_TIMEOUT", 300.0)
         yield
@@ -26,7 +26,7 @@ def patient_clients():
 
 @contextmanager
 def dask_cluster(workers=2):
-    """Yield a cluster of single-threaded workers, each a process of its own."""
+    """Yield a cluster of single-threaded worker processes."""
     distributed = pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")
     with patient_clients(), warnings.catch_warnings():
         # Any free port: another cluster may run on this machine.

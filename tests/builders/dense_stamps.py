@@ -114,7 +114,7 @@ def slopes_of(k, spin, t, machine, noise, h=1e-5):
 
 
 def _late(run, k, spin, late, machine, sizes):
-    """Return the likeliest time errors of the rows, s, by one step of Newton's iteration."""
+    """Return the most likely time errors of the rows, s, by a single Newton step."""
     timing, encoder, white = sizes
     t = run.time + late
     slopes = slopes_of(k, spin, t, machine, (encoder, white))

@@ -59,7 +59,7 @@ def _numbers(frame: pl.DataFrame, mark: str) -> list[list[str]]:
 
 
 def _labview(frame: pl.DataFrame, path: Path) -> None:
-    """A German LabVIEW: lines about the measurement, tabs, commas, one too many at the end."""
+    """Write a German LabVIEW file: metadata lines, tabs, decimal commas, trailing delimiter."""
     head = ["Messung 12", "Datum:\t22.11.2026", "Prüfstand:\t3", "", "Kanäle:\t2"]
     rows = ["\t".join([*frame.columns, ""])]
     rows += ["\t".join([*row, ""]) for row in _numbers(frame, ",")]

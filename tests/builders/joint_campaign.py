@@ -39,7 +39,7 @@ def simulated(
     radius=2.5,
     site=SITE,
 ):
-    """One series with its start offset and velocity, simulated by the nonlinear model."""
+    """Simulate a series with start offset and velocity by the nonlinear model."""
     duration = revolutions * 2 * math.pi / abs(rate)
     times = np.linspace(0.0, duration, revolutions * per_revolution + 1)
     trajectory = Trajectory(spindle or Spindle(rate), radius, site)
@@ -65,7 +65,7 @@ def simulated(
 
 
 def three_rates(coefficients, platform=None, **more):
-    """Runs at the paper's three rates."""
+    """Return runs at the three rates of the paper."""
     return [
         simulated(f"run{i}", rate, coefficients, platform, **more)
         for i, rate in enumerate(RATES, start=1)
@@ -73,28 +73,28 @@ def three_rates(coefficients, platform=None, **more):
 
 
 def unknowns(symbols, priors=None, owner="Qx"):
-    """Unknowns of one accelerometer, with the table's limits."""
+    """Return the unknowns of an accelerometer with the limits of the table."""
     known = priors or {}
     return tuple(
         Unknown(owner, symbol, known.get(symbol, NOTHING), term(symbol).limit) for symbol in symbols
     )
 
 
-def held_inputs(sizes):
-    """Uncertain inputs that are held, with the table's limits; sizes are standard uncertainties."""
+def considered_inputs(sizes):
+    """Return considered inputs with the limits of the table; sizes are standard uncertainties."""
     return tuple(
         Considered("", s, (0.0, u), term(s).limit, is_of_interest=False) for s, u in sizes.items()
     )
 
 
-def noisy(series, noise, rng):
-    """The series with noise drawn on it."""
+def add_noise(series, noise, rng):
+    """Return the series with simulated noise added."""
     drawn = noise.white * rng.standard_normal(series.time.size)
     if noise.random_walk:
         drawn = drawn + draw_accelerometer_noise(rng, series.time, noise.random_walk, series.order)
     return replace(series, error=series.error + drawn)
 
 
-def redrawn(prepared, noise, rng):
-    """Prepared series with noise drawn on them; the columns stay."""
-    return tuple(replace(one, series=noisy(one.series, noise, rng)) for one in prepared)
+def redraw_noise(prepared, noise, rng):
+    """Return design blocks with simulated noise added and unchanged columns."""
+    return tuple(replace(one, series=add_noise(one.series, noise, rng)) for one in prepared)

@@ -20,7 +20,7 @@ TYPES = {
 
 
 def mistakes(schema, value, path="", root=None):
-    """Yield what of a value is not as a schema has it."""
+    """Yield the violations of a schema by a value."""
     root = schema if root is None else root
     if schema is True or schema is False:
         if not schema:

@@ -94,14 +94,14 @@ class Mistake:
 
 
 def make_records(folder: Path, *truth: tuple[str, str]) -> Records:
-    """Simulate the sound campaign, or one of another truth, and return its records."""
+    """Simulate the correct campaign or a campaign with another truth; return its records."""
     simulate(write(folder, changed(SOUND, *truth), "plan.toml"), folder / "made")
     return {
         run: np.loadtxt(folder / "made" / f"{run}.csv", delimiter=",", skiprows=1) for run in RUNS
     }
 
 
-def mistaken(folder: Path, mistake: Mistake, sound: Records) -> Path:
+def make_mistaken_campaign(folder: Path, mistake: Mistake, sound: Records) -> Path:
     """Write the campaign with its mistake and return its folder."""
     own = {run: rows.copy() for run, rows in sound.items()}
     if mistake.records is not None:
@@ -125,10 +125,10 @@ def mistaken(folder: Path, mistake: Mistake, sound: Records) -> Path:
 # What may happen to records
 
 
-def added(
+def add_values(
     run: str | None, column: int, what: Callable[[np.ndarray], np.ndarray | float]
 ) -> Callable[[Records], None]:
-    """Return what adds a function of time to a column of one run, or of all."""
+    """Return a function that adds a function of time to a column of a run or of all runs."""
 
     def apply(records: Records) -> None:
         for name in RUNS if run is None else (run,):
@@ -138,8 +138,8 @@ def added(
     return apply
 
 
-def multiplied(run: str | None, column: int, factor: float) -> Callable[[Records], None]:
-    """Return what multiplies a column of one run, or of all."""
+def multiply_column(run: str | None, column: int, factor: float) -> Callable[[Records], None]:
+    """Return a function that multiplies a column of a run or of all runs."""
 
     def apply(records: Records) -> None:
         for name in RUNS if run is None else (run,):
@@ -148,8 +148,8 @@ def multiplied(run: str | None, column: int, factor: float) -> Callable[[Records
     return apply
 
 
-def detrended(column: int) -> Callable[[Records], None]:
-    """Return what removes the parabola that fits best from a column of every run."""
+def detrend_column(column: int) -> Callable[[Records], None]:
+    """Return a function that subtracts the best-fit parabola from a column of all runs."""
 
     def apply(records: Records) -> None:
         for rows in records.values():
@@ -159,8 +159,8 @@ def detrended(column: int) -> Callable[[Records], None]:
     return apply
 
 
-def late_angle(delay: float, *names: str) -> Callable[[Records], None]:
-    """Return what samples the angle of some runs, or of all, later than the displacement, by s."""
+def delay_angle(delay: float, *names: str) -> Callable[[Records], None]:
+    """Return a function that delays the angle relative to the displacement, s."""
 
     def apply(records: Records) -> None:
         for name in names or RUNS:
@@ -171,8 +171,8 @@ def late_angle(delay: float, *names: str) -> Callable[[Records], None]:
     return apply
 
 
-def exchanged(first: str, second: str) -> Callable[[Records], None]:
-    """Return what gives two runs each other's record."""
+def exchange_records(first: str, second: str) -> Callable[[Records], None]:
+    """Return a function that exchanges the records of two runs."""
 
     def apply(records: Records) -> None:
         records[first], records[second] = records[second], records[first]
@@ -180,8 +180,8 @@ def exchanged(first: str, second: str) -> Callable[[Records], None]:
     return apply
 
 
-def swapped_columns(records: Records) -> None:
-    """Give each accelerometer the other's displacement."""
+def swap_columns(records: Records) -> None:
+    """Exchange the displacements of the accelerometers."""
     for rows in records.values():
         rows[:, [EAST, NORTH]] = rows[:, [NORTH, EAST]]
 

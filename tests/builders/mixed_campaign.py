@@ -53,7 +53,7 @@ displacement = "1e-3 m"
 
 
 def tumble(count=12):
-    """Stations at rest, turned about north from the axes of the campaign."""
+    """Return stations at rest, rotated about north from the axes of the campaign."""
     stations = []
     for angle in np.arange(count) * 2.0 * np.pi / count:
         cos, sin = math.cos(angle), math.sin(angle)
@@ -62,7 +62,7 @@ def tumble(count=12):
 
 
 class MixedCampaign:
-    """Records in a folder, and readings drawn beside them.
+    """Provide records in a folder and simulated readings.
 
     The noise of the readings makes each kind about as good as the others at K_II.
     """
@@ -122,5 +122,5 @@ class MixedCampaign:
 
 
 def arm_with(coefficients):
-    """Return what the arm reads without noise if the coefficients are others there."""
+    """Return noise-free arm readings with other coefficients."""
     return np.array([s.indicated(SITE, TRUTH | coefficients) for s in arm()[0]])

@@ -7,9 +7,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 from nptdms import ChannelObject, TdmsWriter
-from posed_records import posed
+from posed_records import simulate_poses
 
-POSED = posed(3.0, 1.0)
+POSED = simulate_poses(3.0, 1.0)
 AXES = ("ax", "ay", "az")
 COLUMNS = dict(zip(AXES, POSED.values.T, strict=True))
 

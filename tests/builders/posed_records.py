@@ -14,7 +14,7 @@ NOISE = 0.02
 
 @frozen(eq=False)
 class Posed:
-    """A record of k rests, and the truth."""
+    """Contain a record of k rests and its true forces."""
 
     time: Array
     values: Array  #: m/s^2, shape (n, 3).
@@ -23,7 +23,7 @@ class Posed:
     force: Array  #: Of each rest, m/s^2, shape (k, 3).
 
 
-def posed(
+def simulate_poses(
     rest: float, motion: float, count: int = 12, noise: float = NOISE, seed: int = 1
 ) -> Posed:
     """Return rests of `rest` seconds, each but the last followed by `motion` seconds of motion."""
@@ -62,12 +62,12 @@ def campaign(folder, records, more=""):
         text += f'[[runs]]\nname = "{name}"\nmotion = "static"\nattitude = "unknown"\n'
         text += f'record = "{name}.log"\n'
         if record is not None:
-            (folder / f"{name}.log").write_text(log(record), "utf-8")
+            (folder / f"{name}.log").write_text(make_log(record), "utf-8")
     (folder / "campaign.toml").write_text(text + more, "utf-8")
     return folder
 
 
-def log(record):
+def make_log(record):
     """Return the lines of a logger, by `triads.indications` of its forces in g."""
     rows = triads.indications(record.values / 9.81)
     return "".join(f"{x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in rows.tolist())

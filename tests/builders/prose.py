@@ -20,7 +20,7 @@ _NUMBER = "|".join(
 
 
 def sentences(page: str) -> str:
-    """Return the text of a page, `README` or one of docs/, with line breaks as blanks.
+    """Return the text of `README` or a page of docs/, with line breaks as spaces.
 
     A power of ten in a formula is written as 1e-3 is.
     """
@@ -44,7 +44,7 @@ def value_of(number: str) -> float:
 
 
 def agrees(number: str, computed: float) -> bool:
-    """Return whether a number is the computed one, to the last of its digits.
+    """Return whether a number equals the computed value to its last digit.
 
     Words, fractions and whole numbers are exact; none is off by more than an eighth.
     """

@@ -38,7 +38,7 @@ def tumble(count=12):
 
 
 def arm(sizes=(1.0, 2.0, 5.0, 10.0, 15.0, 20.0), radius=1.0):
-    """Stations on an arm, both ways round, in two mountings."""
+    """Return stations on an arm in both senses and two mountings."""
     stations, mountings = [], []
     for side in ("inward", "outward"):
         mounting = Mounting.from_axes(ARM[side], ARM["forward"])
@@ -51,7 +51,7 @@ def arm(sizes=(1.0, 2.0, 5.0, 10.0, 15.0, 20.0), radius=1.0):
 
 
 def readings(test, value, u, u_head=0.0, temperature=None):
-    """Return one group of readings; u None: to be estimated."""
+    """Return a group of readings; the noise is estimated if u is None."""
     stations, mountings, head = test
     n = len(stations)
     return Readings(
@@ -76,7 +76,7 @@ def readings(test, value, u, u_head=0.0, temperature=None):
 
 
 def simulated(test, rng, sigma, machine=(), u_head=0.0, truth=TRUTH, temperature=None):
-    """Return what is read: the exact model with the machine as it truly is.
+    """Simulate readings with the exact model and the true machine.
 
     Slopes of coefficients, with temperature or time, are among the truth.
     """
@@ -96,5 +96,5 @@ def simulated(test, rng, sigma, machine=(), u_head=0.0, truth=TRUTH, temperature
 
 
 def model(terms=tuple(TRUTH), others=(), considered=()):
-    """Return what is estimated and considered."""
+    """Return the estimated and considered unknowns."""
     return Unknowns((*map(unknown, terms), *others), tuple(considered))

@@ -15,7 +15,7 @@ def place(radius="", gravity="9.8 m/s^2", latitude="45 deg"):
 
 
 def at_rest(name, attitude, reading, more=""):
-    """Return a run at rest with one reading."""
+    """Return a run at rest with a single reading."""
     return (
         f'[[runs]]\nname = "{name}"\nmotion = "static"\nattitude = "{attitude}"\n'
         f'reading = "{reading}"\n{more}'
@@ -23,7 +23,7 @@ def at_rest(name, attitude, reading, more=""):
 
 
 def on_arm(name, rate, reading, *, side="inward", pendulous="forward", mounting="", more=""):
-    """Return a run on the arm with one reading; a mounting's name has its own radius."""
+    """Return a run on the arm with a single reading; a named mounting has a separate radius."""
     named = f'mounting = "{mounting}"\n' if mounting else ""
     return (
         f'[[runs]]\nname = "{name}"\nmotion = "arm"\nrate = "{rate}"\n{named}'

@@ -40,19 +40,19 @@ def trace(**more):
 
 
 def accelerometer(**parts):
-    """Return what is found of an accelerometer: these parts, and nothing else but a residual."""
+    """Return an accelerometer result with these parts and a residual."""
     residual = {"rms": 0.01, "unit": "m", "dof": 1000.0}
     bare = {"coefficients": {}, "correlation": None, "residual": residual}
     return AccelerometerResult.model_validate(bare | parts)
 
 
 def run(**changes):
-    """Return a run of which nothing is to be said."""
+    """Return a run without findings."""
     return {"rate": 3.0, "drift": 0.0, "samples": 1000, "rejected": 0} | changes
 
 
 def bare_result(**parts):
-    """Return a result with these parts, and nothing else but one run."""
+    """Return a result with these parts and a single run."""
     bare = {
         "method": "joint",
         "model": "exact",
@@ -152,7 +152,7 @@ def dated(value=2.7e-5, date="2024-03-05", serial="Q-104", *, u=5e-8, run=None, 
 
 
 def sealed(document):
-    """Return the text of a result's file from what it is to say, as if it had been written so."""
+    """Return the text of a result file with a valid seal for a document."""
     return Result.model_validate(document).to_json()
 
 

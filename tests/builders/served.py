@@ -78,7 +78,7 @@ def answer_field(tab, words):
 
 
 def token_of(credentials):
-    """Return what opens the page of a server, once."""
+    """Return the single-use token of the page of a server."""
     return credentials.link.partition("#token=")[2]
 
 
@@ -94,7 +94,7 @@ def wait(page, number):
 
 
 class InlineJobs(Jobs):
-    """Jobs that are done at once, in this process."""
+    """Run jobs immediately in this process."""
 
     def _start_thread(self, job, work, words, then):
         *_, told = told_inline(work, *words)

@@ -58,7 +58,7 @@ def write_pair(folder, key, password=None, *, days=(-1, 365), usage=None, common
 
 
 def write_pkcs12(folder, key, password=None):
-    """Write a key with the certificate that it has signed for itself into one file."""
+    """Write a key and its self-signed certificate into a single file."""
     _, cert = write_pair(folder, key)
     certificate = x509.load_pem_x509_certificate(cert.read_bytes())
     encryption = BestAvailableEncryption(password) if password else NoEncryption()

@@ -46,7 +46,7 @@ class Station:
 
 
 def from_stations(stations):
-    """Return several stations of one motion as arrays."""
+    """Return stations of the same motion as arrays."""
     (motion,) = {station.motion for station in stations}
     names = ("rate", "radius", "stretch", "droop", "axis_tilt", "turn", "amplitude")
     settings = {

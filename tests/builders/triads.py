@@ -20,7 +20,7 @@ def directions(count, generator):
 
 
 def indications(along, rows=ROWS, bias=BIAS, squares=(0.0, 0.0, 0.0)):
-    """Return what three accelerometers indicate of 1 g along directions, g, shape (n, 3).
+    """Return the indications of three accelerometers for 1 g along directions, g, shape (n, 3).
 
     squares: Their second-order coefficients, g/g^2.
     """

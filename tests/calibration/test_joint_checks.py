@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from mistaken_campaigns import Mistake, make_records, mistaken
+from mistaken_campaigns import Mistake, make_mistaken_campaign, make_records
 
 from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.calibrate import calibrate
@@ -96,7 +96,7 @@ def test_two_stage_comparison_uses_model_of_joint_fit(tmp_path):
         again = ("seed = 3", f"seed = {seed}")
         records = make_records(tmp_path / f"{seed}", asked, drifting, again)
         mistake = Mistake("", "", description=(asked,))
-        result = calibrate(mistaken(tmp_path / f"{seed} stated", mistake, records))
+        result = calibrate(make_mistaken_campaign(tmp_path / f"{seed} stated", mistake, records))
         beside = [accelerometer.two_stage for accelerometer in result.accelerometers.values()]
         distances += [one.z for one in beside]
         assert "methods-disagree" not in {finding.code for finding in result.findings}

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from posed_records import posed
+from posed_records import simulate_poses
 from raising import raises
 
 from counterspin.calibration.calibrate import calibrate
@@ -26,7 +26,7 @@ BIAS = np.array([0.1, -0.2, 0.3])
 
 @pytest.fixture(scope="module")
 def values():
-    truth = posed(4.0, 1.5)
+    truth = simulate_poses(4.0, 1.5)
     return truth.values + BIAS
 
 
@@ -72,7 +72,7 @@ def test_log_without_header_and_time_is_understood(tmp_path, values):
 
 def test_temperature_column_determines_slopes(tmp_path):
     """The sensor warms by 8 K over 40 poses; its X axis reads 2 mm/s^2 more for each."""
-    truth = posed(3.0, 1.0, 40, noise=0.005, seed=3)
+    truth = simulate_poses(3.0, 1.0, 40, noise=0.005, seed=3)
     warm = 22.0 + 8.0 * (1.0 - np.exp(-truth.time / 60.0))
     values = truth.values + BIAS
     values[:, 0] += 0.002 * (warm - 25.0)
@@ -171,7 +171,7 @@ def write_raw(file, values, *, counts=415.0, middle=MIDDLE):
 
 
 def test_counts_with_offset_have_zero_and_sensitivity(tmp_path):
-    looks = write_raw(tmp_path / "imu_acc.txt", posed(4.0, 1.5, count=24).values + BIAS)
+    looks = write_raw(tmp_path / "imu_acc.txt", simulate_poses(4.0, 1.5, count=24).values + BIAS)
     assert likely_test(looks) == "poses"
     found = make_draft(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
     assert found.open_questions == []
@@ -327,7 +327,7 @@ NAMES_OF_LAYOUTS = [name for name, *_ in layouts(np.zeros(1), np.zeros((1, 3)))]
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES_OF_LAYOUTS)
 def test_logger_layouts_are_understood(tmp_path, name):
-    truth = posed(2.6, 0.8, 12)
+    truth = simulate_poses(2.6, 0.8, 12)
     values = truth.values + BIAS
     _, head, rows, axes = next(one for one in layouts(truth.time, values) if one[0] == name)
     (tmp_path / "log.csv").write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")
@@ -361,7 +361,7 @@ def test_unnamed_time_after_row_counter_is_found(tmp_path, values):
 
 
 def test_one_second_rests_are_found(tmp_path):
-    truth = posed(1.0, 0.6, 20)
+    truth = simulate_poses(1.0, 0.6, 20)
     found = make_draft(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")
     assert any(
         one.startswith("20 poses in log.csv: rest intervals of at least 0.5 s")
@@ -431,7 +431,7 @@ def test_filtered_gravity_is_not_sensor(tmp_path, values):
 
 
 def test_forces_without_gravity_are_reported(tmp_path):
-    truth = posed(4.0, 1.5)
+    truth = simulate_poses(4.0, 1.5)
     smooth = np.repeat(truth.force, 550, axis=0)[: len(truth.values)]
     rests = np.arange(len(truth.values)) % 550 < 400
     values = np.where(rests[:, None], truth.values - smooth, truth.values - smooth.mean(axis=0))
@@ -445,7 +445,7 @@ def test_forces_without_gravity_are_reported(tmp_path):
 def faces(count, tilt=0.005, seed=6):
     """Simulate a sensor that is set by hand on its six faces in turn."""
     rng = np.random.default_rng(seed)
-    truth = posed(4.0, 1.0, count, noise=0.01, seed=seed)
+    truth = simulate_poses(4.0, 1.0, count, noise=0.01, seed=seed)
     axes = np.concatenate([np.eye(3), -np.eye(3)])[np.arange(count) % 6]
     axes = axes + rng.normal(0.0, tilt, axes.shape)
     force = 9.81 * axes / np.linalg.norm(axes, axis=1)[:, None]
@@ -544,7 +544,7 @@ def test_words_between_numbers_raise(tmp_path):
 
 @pytest.mark.parametrize("count", [9, 10])
 def test_nine_poses_have_model_of_bias_and_scale_factor(tmp_path, count):
-    truth = posed(4.0, 1.0, count, noise=0.01, seed=4)
+    truth = simulate_poses(4.0, 1.0, count, noise=0.01, seed=4)
     looks = write_rows(tmp_path, truth.time, truth.values + BIAS)
     found = make_draft(looks, PLACE | {"grade": "consumer"}, "poses")
     few = count == 9
@@ -558,7 +558,7 @@ def test_nine_poses_have_model_of_bias_and_scale_factor(tmp_path, count):
 
 def test_stated_uncertainty_of_poses_is_used(tmp_path):
     """Nine poses have no degree of freedom left beside nine parameters: u is the stated one's."""
-    truth = posed(4.0, 1.0, 9, noise=0.01, seed=8)
+    truth = simulate_poses(4.0, 1.0, 9, noise=0.01, seed=8)
     found = make_draft(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")
     document = found.document(tmp_path / "camp")
     document["model"] = {"terms": ["K_F", "K_I", "delta_O", "delta_P"], "assume": "all"}

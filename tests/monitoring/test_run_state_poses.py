@@ -12,12 +12,15 @@ import triads
 from counterspin.cli import main
 from counterspin.errors import CampaignError
 
-FEW, MANY = posed_records.posed(3.0, 1.5, 5), posed_records.posed(3.0, 1.5, 24, seed=2)
+FEW, MANY = (
+    posed_records.simulate_poses(3.0, 1.5, 5),
+    posed_records.simulate_poses(3.0, 1.5, 24, seed=2),
+)
 
 
 def make_rests(along):
     """Return a noiseless record with rests in directions, shape (n, 3)."""
-    record = posed_records.posed(3.0, 1.5, len(along), noise=0.0)
+    record = posed_records.simulate_poses(3.0, 1.5, len(along), noise=0.0)
     values = record.values.copy()
     noise = 0.01 * np.random.default_rng(3).standard_normal(values.shape)
     for start, end, own in zip(record.start, record.end, along, strict=True):
@@ -104,7 +107,7 @@ def test_too_few_poses_list_missing_directions_and_remain_usable(tmp_path):
     assert checked.run.poses.rms is None
     assert len(checked.run.poses.missing) >= 4  # at most five of nine unknowns are determined
     assert {found.u for found in checked.reached} == {None}
-    (tmp_path / "many.log").write_text(posed_records.log(MANY), "utf-8")
+    (tmp_path / "many.log").write_text(posed_records.make_log(MANY), "utf-8")
     checked = cs.check(tmp_path / "few.log", tmp_path)
     result = cs.calibrate(tmp_path)
     assert (checked.good, checked.others) == (True, ["many"])

@@ -95,7 +95,7 @@ class Instrument:
 
 @dataclass(frozen=True)
 class Run:
-    """A record's motion: constant rate but for a relative drift and a ripple of the rate."""
+    """Describe the motion of a record: constant rate with relative drift and ripple."""
 
     name: str
     rate: float
@@ -178,7 +178,7 @@ def indicated(own, a_ipo, more, sign=np.sign):
 
 
 def conditions(own, warmth, way, begins, force):
-    """What temperature, its way, time and the size of the force add to coefficients."""
+    """Return the changes of coefficients by temperature, its direction, time and force."""
 
     def warmed(symbol):
         powers = ((1, ""), (2, ".2"), (3, ".3"))
@@ -195,7 +195,7 @@ def conditions(own, warmth, way, begins, force):
 
 
 def of(x, owner):
-    """What belongs to an owner: symbol -> value."""
+    """Return the values of an owner by symbol."""
     return {k[len(owner) + 1 :]: v for k, v in x.items() if k.startswith(owner + ".")}
 
 
@@ -260,7 +260,7 @@ def _with_sign_changes(edges, along):
 
 
 def _attitude(run, x, felt, half, body):
-    """Attitude error at the nodes of all panels and at their edges, but for the compliance, rad.
+    """Return the attitude error without compliance at all nodes and panel edges, rad.
 
     felt: specific force along the platform's axes in g, (panels, nodes, 3).
     """
@@ -283,7 +283,7 @@ def _matrix(x, kind):
 
 
 def record(place, run, instrument, x):
-    """What a perfect recorder writes of an instrument at the run's times: m, m/s, or its unit.
+    """Return the noise-free record of an instrument at the times of a run.
 
     x: name of everything that may be off -> by how much (K_I: its value). Tilts are about east,
     north and up, all else of the platform about its own axes, which the run's turn has turned.
@@ -303,7 +303,7 @@ def record(place, run, instrument, x):
         return acceleration + 2.0 * np.cross(earth, velocity) + g * np.array([0.0, 0.0, 1.0])
 
     def indication(force, psi, t):
-        """Along the input axis in g, of a platform that is turned by psi and leans besides."""
+        """Return the force along the input axis, g, of a platform with error psi and compliance."""
         psi = psi + (force @ body.T / g) @ soft.T @ body
         sensed = np.moveaxis((force - np.cross(psi, force)) @ axes.T, -1, 0) / g
         return indicated(own, sensed, conditions(own, run.warmth, run.way, run.begins + t, lever))
@@ -330,7 +330,7 @@ def record(place, run, instrument, x):
 
 
 def reading(place, one, name, x):
-    """What an instrument indicates at rest, or in the mean over a revolution on the arm, in g."""
+    """Return the indication at rest or the mean over a revolution on the arm, g."""
     g = place.gravity + x.get("site.gravity", 0.0)
     latitude = place.latitude + x.get("site.latitude", 0.0)
     tilts = [x.get(f"centrifuge.axis_tilt.{axis}", 0.0) for axis in ("east", "north")]
@@ -398,7 +398,7 @@ def reading(place, one, name, x):
 
 @dataclass(frozen=True)
 class Unknown:
-    """Something that is not known exactly; `sd` is infinite where nothing is known."""
+    """Describe an unknown; `sd` is infinite without prior."""
 
     name: str
     mean: float
@@ -422,7 +422,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit says."""
+    """Contain the result of a fit."""
 
     unknowns: list  #: That were adjusted.
     estimate: np.ndarray
@@ -436,17 +436,17 @@ class Fit:
         return [u.name for u in self.unknowns]
 
     def of_kind(self, kind):
-        """Covariance that comes from what is stated, or not."""
+        """Return the covariance from stated or default priors."""
         moved = [move for name, move in self.priors.items() if self.kinds[name] == kind]
         return sum((np.outer(m, m) for m in moved), np.zeros_like(self.of_noise))
 
     @property
     def covariance(self):
-        """Everything together."""
+        """Return the total covariance."""
         return self.of_noise + self.of_kind("stated") + self.of_kind("unstated")
 
     def line(self, name):
-        """Value, u, and its parts of noise, of what is stated and of what is not."""
+        """Return value, u and the contributions of noise, stated and default priors."""
         k = self.names.index(name)
         parts = (self.of_noise, self.of_kind("stated"), self.of_kind("unstated"))
         return [
@@ -461,7 +461,7 @@ class Fit:
         return some / np.outer(u, u)
 
     def misfit(self, groups):
-        """Chi-square of some groups' rows, and rows less what the fit follows of them."""
+        """Return chi-square and degrees of freedom of the rows of some groups."""
         chosen = [self.rows[k] for k in groups]
         return [
             sum(float(left @ left) for left, _ in chosen),
@@ -490,7 +490,7 @@ def derivatives(rows, unknowns, at):
 
 
 def _whitened(groups, adjusted, held, at):
-    """Rows of unit variance [adjusted | start errors of each group | held | what is left]."""
+    """Return whitened rows [estimated | start errors by group | considered | residual]."""
     p, free = len(adjusted), sum(rows.free.shape[1] for rows in groups)
     parts, offset = [], p
     for rows in groups:

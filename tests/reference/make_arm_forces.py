@@ -56,7 +56,7 @@ def force(rate, radius, latitude, angle):
 
 
 def make():
-    """Return what the file holds."""
+    """Return the content of the file."""
     assert abs(pi - mpf("3.14159265358979323846264338327950288")) < mpf("1e-34")
     return {
         "made_by": pathlib.Path(__file__).name,

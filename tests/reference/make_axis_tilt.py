@@ -70,7 +70,7 @@ def derivative(rate, radius, latitude, angle, about):
 
 
 def make():
-    """Return what the file holds."""
+    """Return the content of the file."""
     assert mpf("7.3e-5") > EARTH_RATE
     made = []
     for case in CASES:

@@ -97,7 +97,7 @@ def cross(a, b):
 
 
 class Motion:
-    """The circle, the spindle's angle on it, and what a platform on it feels."""
+    """Describe the circular motion, the spindle angle and the specific force."""
 
     def __init__(self, case):
         self.rate = mpf(case["rate"])
@@ -222,7 +222,7 @@ def integrals(case, degree=4):
 
 
 def worked(case):
-    """One case of the file."""
+    """Return a case of the file."""
     results, again = integrals(case), integrals(case, degree=5)
     for a, b in zip(itertools.chain(*results), itertools.chain(*again), strict=True):
         scale = max(abs(x) for x in b)

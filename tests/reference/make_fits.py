@@ -99,7 +99,7 @@ class Normals:
         return np.array([self.one() for _ in range(size)])
 
     def of(self, covariance):
-        """Noise of a covariance; what has none in it, such as a walk's start, has no noise."""
+        """Draw noise with a covariance; entries without variance have no noise."""
         there = np.diag(covariance) > 0.0
         noise = np.zeros(len(covariance))
         root = np.linalg.cholesky(covariance[np.ix_(there, there)])
@@ -108,7 +108,7 @@ class Normals:
 
 
 class Answers:
-    """What a case compares, by name, and how far each number may be off."""
+    """Contain the compared numbers of a case by name, with tolerances."""
 
     def __init__(self):
         self.expected, self.limits = {}, {}
@@ -125,7 +125,7 @@ class Answers:
             self.add(name, line, np.full(5, close * line[1]))
 
     def correlation(self, found, owner):
-        """Of what is asked of an accelerometer, row by row."""
+        """Return the correlations of the parameters of interest by row."""
         names = sorted(n for n in asked_of(found) if n.startswith(owner + "."))
         matrix = found.correlation(names)
         self.add(f"correlation of {owner}", matrix, np.full(matrix.shape, 2.0 * CLOSE))
@@ -145,7 +145,7 @@ class Answers:
                 self.add(f"{name} by {source}", [contribution], [CLOSE * u])
 
     def rests_on(self, found):
-        """Value and u, with the data, of what nobody asked for and the data tell something of."""
+        """Return posterior value and u of nuisance parameters that the data inform."""
         for unknown in found.unknowns:
             value, u, *_ = found.line(unknown.name)
             random = unknown.name.startswith(RATE)
@@ -174,7 +174,7 @@ def asked_of(found):
 
 
 def unknowns_of(asked, stated, unstated, held=None):
-    """All that is not known exactly.
+    """Return all unknowns.
 
     asked: names, some of which may be stated too; stated, held: name -> value and u; unstated:
     name -> u.
@@ -193,7 +193,7 @@ def unknowns_of(asked, stated, unstated, held=None):
 
 
 def written(folder, name, columns, formats):
-    """Write a record, column name -> values, and return what then stands in it, (columns, n).
+    """Write a record by column name and return the rounded values, shape (columns, n).
 
     What is no number becomes an empty cell.
     """
@@ -609,7 +609,7 @@ def found_noise(folder):
 
 
 def with_found_noise(answers, groups, runs, integrations, unknowns, about):
-    """Add the answers of one accelerometer whose noise is found, its walk being about so large."""
+    """Add the answers of an accelerometer with estimated noise near this walk."""
     times = [run.times for run in runs]
     likelihood = Likelihood(groups, times, integrations, unknowns)
     alone = likelihood.best_white(0.0, 1e-6)

@@ -125,7 +125,7 @@ def covariance(times):
 
 
 def recorded(motion, times, table, seed):
-    """What a recorder writes: angle, and position along east with its errors, in nanometres."""
+    """Return the recorded angle and the position along east with its errors, nm."""
     random = normals(seed)
     velocity, drifted, rows = mpf(0), mpf(0), []
     step = times[1] - times[0]

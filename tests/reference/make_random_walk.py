@@ -59,7 +59,7 @@ def parts(rows, ratio):
 
 
 def twice_log_likelihood(rows, ratio):
-    """At the best w, but for a constant."""
+    """Return the value at the best w, up to a constant."""
     free = len(rows) - 2
     dets, rest = parts(rows, ratio)
     return -dets - free * log(rest / free) - free

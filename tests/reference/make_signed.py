@@ -47,7 +47,7 @@ TEMPLATE = f"""<?xml version="1.0" encoding="UTF-8"?>
 
 
 def pair(name):
-    """A key and a certificate that it has signed for itself, both PEM."""
+    """Return a key and its self-signed certificate as PEM."""
     key = rsa.generate_private_key(65537, 2048)
     subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)])
     certificate = (

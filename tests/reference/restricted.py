@@ -42,7 +42,7 @@ class Likelihood:
         self.design /= np.linalg.norm(self.design, axis=0)
 
     def value(self, white, density=0.0):
-        """Log of it, but for a constant, at two variances."""
+        """Return the log-likelihood up to a constant at two variances."""
         root = np.linalg.cholesky(np.diag(self.fixed) + white * self.white + density * self.walk)
         rows = np.linalg.solve(root, np.column_stack([self.design, self.left]))
         triangle = np.linalg.qr(rows, mode="r")
@@ -50,13 +50,13 @@ class Likelihood:
         return -half - 0.5 * triangle[-1, -1] ** 2
 
     def best_white(self, density, start):
-        """White variance at which it is largest beside a walk."""
+        """Return the most likely white variance for a given walk."""
         return math.exp(
             largest(lambda x: self.value(math.exp(x), density), math.log(start), 3.0, 1e-4)
         )
 
     def best(self, white, density):
-        """Both variances at which it is largest, about a start."""
+        """Return the most likely variances about a start."""
 
         def beside(x):
             return self.value(self.best_white(math.exp(x), white), math.exp(x))
@@ -80,7 +80,7 @@ class Likelihood:
 
 
 def largest(function, start, reach, close):
-    """Where a function with one peak is largest, by golden section about a start."""
+    """Return the maximum of a unimodal function by golden-section search about a start."""
     low, high = start - reach, start + reach
     first, second = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
     one, two = function(first), function(second)
@@ -97,7 +97,7 @@ def largest(function, start, reach, close):
 
 
 def crossing(function, value, low, high):
-    """Where a rising function has a value, by bisection."""
+    """Return the argument at which an increasing function has a value, by bisection."""
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if function(middle) < value else (low, middle)
@@ -130,7 +130,7 @@ def _dof_where(falling, value):
 
 
 def hidden(likelihood, white, variance, slope):
-    """Level N^2 and degrees of freedom beside a walk that does not show (docs/methods.md, Noise).
+    """Return N^2 and degrees of freedom with an undetected walk (docs/methods.md, Noise).
 
     N^2 is spread as its likelihood times (N^2)^(-2/3) dN^2; for each N^2 a coefficient is normal
     with variance + slope N^2. Of the coefficient that feels it most the quantiles of one u and of

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from posed_records import NOISE, STEP, Posed, posed
+from posed_records import NOISE, STEP, Posed, simulate_poses
 from raising import raises
 
 from counterspin.arrays import Array
@@ -37,7 +37,7 @@ def assert_poses_found(
     ("rest", "motion"), [(20.0, 1.0), (4.0, 1.5), (3.0, 9.0), (2.5, 20.0)], ids=str
 )
 def test_rests_are_found_for_any_duty_cycle(rest: float, motion: float) -> None:
-    truth = posed(rest, motion)
+    truth = simulate_poses(rest, motion)
     found = find_poses(truth.time, truth.values)
     assert_poses_found(truth, found)
     assert found.warnings == ()
@@ -50,7 +50,7 @@ def test_rests_are_found_for_any_duty_cycle(rest: float, motion: float) -> None:
 def test_level_is_moving_standard_deviation() -> None:
     # Of a quiet instrument in a long record: sums over all of it would be off by some percent. What
     # rounding leaves is eps (10 m/s^2)^2 over twice the variance of three axes, 4e-5, at most.
-    truth = posed(4.0, 1.5, count=120, noise=1e-5)
+    truth = simulate_poses(4.0, 1.5, count=120, noise=1e-5)
     found = find_poses(truth.time, truth.values)
     assert len(found.start) == 120
     assert found.spikes.sum() == 0.0
@@ -63,7 +63,7 @@ def test_level_is_moving_standard_deviation() -> None:
 
 
 def test_decimated_level_preserves_motion() -> None:
-    truth = posed(4.0, 1.5)
+    truth = simulate_poses(4.0, 1.5)
     found = find_poses(truth.time, truth.values)
     time, level = found.trace(100)
     assert len(time) == len(level) == 100
@@ -74,7 +74,7 @@ def test_decimated_level_preserves_motion() -> None:
 
 
 def test_stated_threshold_and_rest_are_used() -> None:
-    truth = posed(4.0, 1.5)
+    truth = simulate_poses(4.0, 1.5)
     assert len(find_poses(truth.time, truth.values, threshold=0.1).start) == 12
     one = find_poses(truth.time, truth.values, threshold=50.0)
     assert len(one.start) == 1
@@ -87,7 +87,7 @@ def test_stated_threshold_and_rest_are_used() -> None:
 
 
 def test_suggested_threshold_includes_quietest_interval() -> None:
-    truth = posed(4.0, 1.5)
+    truth = simulate_poses(4.0, 1.5)
     with pytest.raises(RecordError) as error:
         find_poses(truth.time, truth.values, threshold=0.01)
     named = float(str(error.value).split("stays below ")[1].split(". ")[0])
@@ -97,7 +97,7 @@ def test_suggested_threshold_includes_quietest_interval() -> None:
 @pytest.mark.parametrize("row", [0, 1, -2, -1])
 @pytest.mark.parametrize("size", [1e9, 1e18, -1e90])
 def test_outlier_at_either_end_changes_no_pose(row: int, size: float) -> None:
-    truth = posed(4.0, 1.5)
+    truth = simulate_poses(4.0, 1.5)
     expected = find_poses(truth.time, truth.values).mean
     values = truth.values.copy()
     values[row, 1] = size
@@ -106,7 +106,7 @@ def test_outlier_at_either_end_changes_no_pose(row: int, size: float) -> None:
 
 
 def test_outliers_and_empty_cells_do_not_split_rest() -> None:
-    truth = posed(4.0, 1.5)
+    truth = simulate_poses(4.0, 1.5)
     rng = np.random.default_rng(3)
     values = truth.values.copy()
     spikes = [round((start + 2.0) / STEP) for start in truth.start]
@@ -121,7 +121,7 @@ def test_outliers_and_empty_cells_do_not_split_rest() -> None:
 
 
 def test_gap_ends_pose() -> None:
-    truth = posed(6.0, 1.5)
+    truth = simulate_poses(6.0, 1.5)
     keep = np.ones(len(truth.time), dtype=bool)
     middle = round((truth.start[3] + 3.0) / STEP)
     keep[middle - 40 : middle + 40] = False
@@ -135,7 +135,7 @@ def test_gap_ends_pose() -> None:
 
 
 def test_nonuniform_sampling_is_accepted() -> None:
-    truth = posed(4.0, 1.5)
+    truth = simulate_poses(4.0, 1.5)
     rng = np.random.default_rng(4)
     keep = rng.random(len(truth.time)) < 0.4
     time = truth.time + rng.uniform(-0.004, 0.004, len(truth.time))
@@ -147,7 +147,7 @@ def test_nonuniform_sampling_is_accepted() -> None:
 
 
 def test_low_sampling_rate_is_sufficient_for_long_rests() -> None:
-    truth = posed(60.0, 10.0)
+    truth = simulate_poses(60.0, 10.0)
     thin = slice(None, None, 100)
     found = find_poses(truth.time[thin], truth.values[thin], rest=20.0)
     assert len(found.start) == 12
@@ -156,7 +156,7 @@ def test_low_sampling_rate_is_sufficient_for_long_rests() -> None:
 
 
 def test_drift_is_not_motion_and_slow_rotation_warns() -> None:
-    truth = posed(20.0, 1.5)
+    truth = simulate_poses(20.0, 1.5)
     drift = 0.002 * truth.time[:, None] * [1.0, -0.5, 0.2]
     assert len(find_poses(truth.time, truth.values + drift).start) == 12
     turned = np.array([9.81 * np.sin(0.01 * truth.time), 0.0 * truth.time, 0.0 * truth.time]).T
@@ -167,7 +167,7 @@ def test_drift_is_not_motion_and_slow_rotation_warns() -> None:
 
 @pytest.mark.parametrize("digit", [0.005, 0.05, 0.2])
 def test_coarse_resolution_preserves_poses(digit: float) -> None:
-    truth = posed(4.0, 1.5)
+    truth = simulate_poses(4.0, 1.5)
     values = np.round(truth.values / digit) * digit
     found = find_poses(truth.time, values)
     assert len(found.start) == 12
@@ -176,7 +176,7 @@ def test_coarse_resolution_preserves_poses(digit: float) -> None:
 
 
 def test_saturated_and_constant_rests_are_rejected() -> None:
-    truth = posed(4.0, 1.5)
+    truth = simulate_poses(4.0, 1.5)
     top = np.sort(truth.force[:, 0])[-1] - 0.5
     cut = np.minimum(truth.values, [top, np.inf, np.inf])
     hit = truth.force[:, 0] > top
@@ -226,7 +226,7 @@ def test_invalid_record_raises(time: Array, values: Array, words: str) -> None:
 
 
 def test_file_without_header_or_time_is_read(tmp_path: Path) -> None:
-    truth = posed(4.0, 1.5)
+    truth = simulate_poses(4.0, 1.5)
     path = tmp_path / "imu.log"
     values = truth.values.copy()
     values[200, 2] = 1e6
@@ -245,7 +245,7 @@ def test_file_without_header_or_time_is_read(tmp_path: Path) -> None:
 
 
 def test_pose_times_are_times_of_file() -> None:
-    truth = posed(4.0, 1.5)
+    truth = simulate_poses(4.0, 1.5)
     axes = dict(zip("xyz", truth.values.T, strict=True))
     table = MemoryTable("memory", {"t": truth.time + 1000.0} | axes)
     columns = RecordColumns(ColumnSpec("t"), None, {axis: ColumnSpec(axis) for axis in "xyz"})
@@ -254,7 +254,7 @@ def test_pose_times_are_times_of_file() -> None:
 
 
 def test_interleaved_empty_rows_are_ignored() -> None:
-    truth = posed(4.0, 1.5)
+    truth = simulate_poses(4.0, 1.5)
     often = np.repeat(truth.values, 3, axis=0)
     often[np.arange(len(often)) % 3 > 0] = np.nan
     times = np.arange(len(often)) * STEP / 3.0
@@ -290,7 +290,7 @@ def test_measured_record_contains_six_faces() -> None:
 
 def test_rows_with_same_time_are_accepted():
     """With two rows per time stamp, the median step is zero."""
-    truth = posed(4.0, 1.5)
+    truth = simulate_poses(4.0, 1.5)
     coarse = np.floor(np.arange(len(truth.time)) / 5.0) * 0.05
     assert len(find_poses(coarse, truth.values).start) == 12
     with raises("no-rows"):

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from campaigns import changed
-from mistaken_campaigns import NOISE, RUNS, SOUND, Mistake, make_records, mistaken
+from mistaken_campaigns import NOISE, RUNS, SOUND, Mistake, make_mistaken_campaign, make_records
 from results import accelerometer
 
 from counterspin.calibration.accelerometer_view import AccelerometerView
@@ -37,7 +37,7 @@ class Campaigns:
 
     def __init__(self, folder, text, walk):
         records = make_records(folder / "sound", SILENT)
-        where = mistaken(folder / "own", Mistake("", ""), records)
+        where = make_mistaken_campaign(folder / "own", Mistake("", ""), records)
         (where / "campaign.toml").write_text(text, encoding="utf-8")
         self.campaign = read_campaign(where / "campaign.toml")
         self.clean = make_series(self.campaign, list(observe(self.campaign)))

@@ -15,15 +15,15 @@ from mistaken_campaigns import (
     SOUND,
     TIME,
     Mistake,
-    added,
-    detrended,
-    exchanged,
-    late_angle,
+    add_values,
+    delay_angle,
+    detrend_column,
+    exchange_records,
+    make_mistaken_campaign,
     make_records,
-    mistaken,
-    multiplied,
+    multiply_column,
     step,
-    swapped_columns,
+    swap_columns,
 )
 
 from counterspin import calibrate
@@ -86,81 +86,81 @@ MISTAKES = (
     Mistake(
         "displacement of one accelerometer in mm instead of m",
         "ratio of m and mm: check the unit of the column",
-        records=multiplied(None, EAST, 1e3),
+        records=multiply_column(None, EAST, 1e3),
         state="",
     ),
     Mistake(
         "scale error of 0.5 % in the records of one accelerometer",
         "wrong-scale Qx",
-        records=multiplied(None, EAST, 1.005),
+        records=multiply_column(None, EAST, 1.005),
     ),
     Mistake(
         "scale error of 0.2 % in one record",
         "wrong-scale middle.Qx",
-        records=multiplied("middle", EAST, 1.002),
+        records=multiply_column("middle", EAST, 1.002),
     ),
     Mistake(
         "scale error of 0.2 % in one record",
         "wrong-scale middle.Qx",
-        records=multiplied("middle", EAST, 1.002),
+        records=multiply_column("middle", EAST, 1.002),
         estimated=True,
     ),
     Mistake(
         "zero of the angle wrong by 1 deg",
         "wrong-angle records.angle",
-        records=added(None, ANGLE, lambda t: math.radians(1.0)),
+        records=add_values(None, ANGLE, lambda t: math.radians(1.0)),
     ),
     Mistake(
         "zero of the angle wrong by 10 deg",
         "wrong-angle records.angle",
-        records=added(None, ANGLE, lambda t: math.radians(10.0)),
+        records=add_values(None, ANGLE, lambda t: math.radians(10.0)),
     ),
     Mistake(
         "zero of the angle wrong by 90 deg",
         "is rotated by 90 degrees against the input axis",
-        records=added(None, ANGLE, lambda t: math.radians(90.0)),
+        records=add_values(None, ANGLE, lambda t: math.radians(90.0)),
         state="",
     ),
     Mistake(
         "zero of the angle wrong by 1 deg in one run",
         "wrong-angle fast",
-        records=added("fast", ANGLE, lambda t: math.radians(1.0)),
+        records=add_values("fast", ANGLE, lambda t: math.radians(1.0)),
         state="reservations",
     ),
     Mistake(
         "angle with the opposite sense",
         "The angle changes in the opposite sense",
-        records=multiplied(None, ANGLE, -1.0),
+        records=multiply_column(None, ANGLE, -1.0),
         state="",
     ),
     Mistake(
         "angle sampled 5 ms after the displacement",
         "wrong-input records.timing_offset",
-        records=late_angle(0.005),
+        records=delay_angle(0.005),
     ),
     Mistake(
         "a parabola removed from every record of one accelerometer",
         "a parabola was removed from column 'east_m' (Qx) before the file was written",
         description=(("bias", "# bias"),),
-        records=detrended(EAST),
+        records=detrend_column(EAST),
         state="",
     ),
     Mistake(
         "columns of the two accelerometers interchanged",
         "check the input axis, its sign, and which column is which",
-        records=swapped_columns,
+        records=swap_columns,
         state="",
     ),
     Mistake(
         "wrong sign in the record of one accelerometer",
         "check the input axis, its sign, and which column is which",
-        records=multiplied(None, NORTH, -1.0),
+        records=multiply_column(None, NORTH, -1.0),
         state="",
     ),
     Mistake(
         "records of two runs interchanged",
         "rate",
-        records=exchanged("slow", "fast"),
+        records=exchange_records("slow", "fast"),
         state="",
     ),
     Mistake(
@@ -196,40 +196,40 @@ MISTAKES = (
     Mistake(
         "a jump of 5 cm in one record",
         "jump middle.Qx",
-        records=added("middle", EAST, step(0.05, 0.4)),
+        records=add_values("middle", EAST, step(0.05, 0.4)),
     ),
     Mistake(
         "a jump of 5 cm in one record",
         "jump middle.Qx",
-        records=added("middle", EAST, step(0.05, 0.4)),
+        records=add_values("middle", EAST, step(0.05, 0.4)),
         estimated=True,
         state="reservations",
     ),
     Mistake(
         "a drift in the second half of one record, 10 cm at the end",
         "jump slow.Qx",
-        records=added("slow", EAST, lambda t: 0.2 * np.maximum(t / t[-1] - 0.5, 0.0)),
+        records=add_values("slow", EAST, lambda t: 0.2 * np.maximum(t / t[-1] - 0.5, 0.0)),
     ),
     Mistake(
         "a slowly varying error of 20 cm in one record",
         "prior-conflict middle.platform.tilt.north",
-        records=added("middle", EAST, lambda t: 0.2 * (t / t[-1]) ** 2),
+        records=add_values("middle", EAST, lambda t: 0.2 * (t / t[-1]) ** 2),
     ),
     Mistake(
         "a slowly varying error of 20 cm in one record",
         "prior-conflict middle.platform.tilt.north",
-        records=added("middle", EAST, lambda t: 0.2 * (t / t[-1]) ** 2),
+        records=add_values("middle", EAST, lambda t: 0.2 * (t / t[-1]) ** 2),
         estimated=True,
     ),
     Mistake(
         "a bias drift of 50 ug in one record",
         "bias-drifts middle.Qx",
-        records=added("middle", EAST, drifting_bias(50e-6)),
+        records=add_values("middle", EAST, drifting_bias(50e-6)),
     ),
     Mistake(
         "a bias drift of 50 ug in one record",
         "bias-drifts middle.Qx",
-        records=added("middle", EAST, drifting_bias(50e-6)),
+        records=add_values("middle", EAST, drifting_bias(50e-6)),
         estimated=True,
         state="reservations",
     ),
@@ -237,7 +237,7 @@ MISTAKES = (
         Mistake(
             "a bias increase of 500 ug in the first quarter of the fastest record",
             "bias-drifts fast.Qx",
-            records=added("fast", EAST, settling_bias(500e-6, 0.25)),
+            records=add_values("fast", EAST, settling_bias(500e-6, 0.25)),
             estimated=estimated,
         )
         for estimated in (False, True)
@@ -245,13 +245,13 @@ MISTAKES = (
     Mistake(
         "a bend over the whole length of a record, 20 cm in the middle",
         "jump fast.Qx",
-        records=added("fast", EAST, lambda t: 0.2 * np.sin(np.pi * t / t[-1])),
+        records=add_values("fast", EAST, lambda t: 0.2 * np.sin(np.pi * t / t[-1])),
         estimated=True,
     ),
     Mistake(
         "a slowly varying error of 20 cm in one record, proportional to t^3",
         "bias-drifts fast.Qx",
-        records=added("fast", EAST, lambda t: 0.2 * (t / t[-1]) ** 3),
+        records=add_values("fast", EAST, lambda t: 0.2 * (t / t[-1]) ** 3),
         estimated=True,
     ),
     Mistake(
@@ -280,7 +280,7 @@ MISTAKES = (
     Mistake(
         "clock fast by 0.2 %",
         "prior-conflict platform.tilt",
-        records=multiplied(None, TIME, 1.002),
+        records=multiply_column(None, TIME, 1.002),
     ),
     Mistake(
         "time in ms instead of s",
@@ -315,12 +315,12 @@ MISTAKES = (
     Mistake(
         "scale error of 1.5 % in the fastest record, similar in effect to such a K_III",
         "wrong-scale fast.Qx",
-        records=multiplied("fast", EAST, 0.985),
+        records=multiply_column("fast", EAST, 0.985),
     ),
     Mistake(
         "a jump of 2 cm in one record",
         "jump slow.Qy",
-        records=added("slow", NORTH, step(0.02, 0.7)),
+        records=add_values("slow", NORTH, step(0.02, 0.7)),
         state="reservations",
     ),
 )
@@ -352,7 +352,9 @@ def sound_records(tmp_path_factory):
 
 @pytest.mark.parametrize("estimated", [False, True])
 def test_sound_campaign_is_good(sound_records, tmp_path, estimated):
-    result = calibrate(mistaken(tmp_path, Mistake("", "", estimated=estimated), sound_records))
+    result = calibrate(
+        make_mistaken_campaign(tmp_path, Mistake("", "", estimated=estimated), sound_records)
+    )
     assert (result.state, result.findings) == ("good", [])
 
 
@@ -360,7 +362,7 @@ def test_sound_campaign_is_good(sound_records, tmp_path, estimated):
 @pytest.mark.parametrize("mistake", MISTAKES, ids=mistake_id)
 def test_mistake_is_named(mistake, sound_records, tmp_path):
     records = make_records(tmp_path / "other", *mistake.truth) if mistake.truth else sound_records
-    folder = mistaken(tmp_path / "mistaken", mistake, records)
+    folder = make_mistaken_campaign(tmp_path / "mistaken", mistake, records)
     if not mistake.state:
         with pytest.raises(CounterspinError) as refused:
             calibrate(folder)
@@ -385,12 +387,12 @@ reading = { Qx = "0.0050321 ± 1e-5 g", Qy = "-0.003 ± 1e-5 g" }
 @pytest.mark.parametrize(
     "mistake",
     [
-        Mistake("", "wrong-scale middle.Qx", records=multiplied("middle", EAST, 1.002)),
-        Mistake("", "jump slow.Qy", records=added("slow", NORTH, step(0.02, 0.7))),
+        Mistake("", "wrong-scale middle.Qx", records=multiply_column("middle", EAST, 1.002)),
+        Mistake("", "jump slow.Qy", records=add_values("slow", NORTH, step(0.02, 0.7))),
         Mistake(
             "",
             "wrong-angle records.angle",
-            records=added(None, ANGLE, lambda t: math.radians(1.0)),
+            records=add_values(None, ANGLE, lambda t: math.radians(1.0)),
         ),
         Mistake("", "wrong-noise Qx", description=(('"0.01 m"\n', '"0.004 m"\n'),)),
         Mistake("", ""),
@@ -398,7 +400,7 @@ reading = { Qx = "0.0050321 ± 1e-5 g", Qy = "-0.003 ± 1e-5 g" }
     ids=["scale", "jump", "angle", "noise", "none"],
 )
 def test_mistake_in_record_is_named_with_readings(mistake, sound_records, tmp_path):
-    folder = mistaken(tmp_path, mistake, sound_records)
+    folder = make_mistaken_campaign(tmp_path, mistake, sound_records)
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     at = text.index("[simulation]") if "[simulation]" in text else len(text)
     (folder / "campaign.toml").write_text(text[:at] + ONE_READING + text[at:], encoding="utf-8")
@@ -411,9 +413,9 @@ def test_readings_remain_in_fit_while_noise_is_estimated_again(
     sound_records, tmp_path, monkeypatch
 ):
     mistake = Mistake(
-        "", "", records=multiplied("middle", EAST, 1.002), description=((NOISE, "\n"),)
+        "", "", records=multiply_column("middle", EAST, 1.002), description=((NOISE, "\n"),)
     )
-    folder = mistaken(tmp_path, mistake, sound_records)
+    folder = make_mistaken_campaign(tmp_path, mistake, sound_records)
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     at = text.index("[simulation]") if "[simulation]" in text else len(text)
     (folder / "campaign.toml").write_text(text[:at] + ONE_READING + text[at:], encoding="utf-8")
@@ -433,8 +435,8 @@ def test_readings_remain_in_fit_while_noise_is_estimated_again(
 
 def test_common_bias_drift_is_named_with_platform_drift(sound_records, tmp_path):
     """Both grow with t^3: 5e-7 g/s is 300 typical bias drifts or 11 typical platform drifts."""
-    mistake = Mistake("", "", records=added(None, EAST, warming_bias(5e-7)))
-    (finding,) = calibrate(mistaken(tmp_path, mistake, sound_records)).findings
+    mistake = Mistake("", "", records=add_values(None, EAST, warming_bias(5e-7)))
+    (finding,) = calibrate(make_mistaken_campaign(tmp_path, mistake, sound_records)).findings
     assert (finding.subject, finding.contradicts) == ("platform.drift.north", True)
     assert "Qx" in finding.as_well
     assert "bias drift of Qx" in finding.text

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from posed_records import NOISE, STEP, posed
+from posed_records import NOISE, STEP, simulate_poses
 
 import counterspin as cs
 import triads
@@ -25,7 +25,7 @@ record = "imu.log"
 
 @pytest.fixture(scope="module")
 def truth():
-    return posed(4.0, 1.5, count=16)
+    return simulate_poses(4.0, 1.5, count=16)
 
 
 @pytest.fixture(scope="module")

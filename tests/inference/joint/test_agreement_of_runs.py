@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from joint_campaign import noisy, three_rates, unknowns
+from joint_campaign import add_noise, three_rates, unknowns
 
 from counterspin.inference.joint.agreement import jackknife_runs, shift_variance_sensitivities
 from counterspin.inference.joint.estimated_noise import information_losses
@@ -21,7 +21,7 @@ K_II = 2
 
 def fitted(seed, request, model=MODEL):
     rng = np.random.default_rng(seed)
-    series = [noisy(one, Noise(WHITE), rng) for one in three_rates(TRUTH)]
+    series = [add_noise(one, Noise(WHITE), rng) for one in three_rates(TRUTH)]
     return estimate(series, model, {"Qx": request}, reject=False)
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import noisy, three_rates, unknowns
+from joint_campaign import add_noise, three_rates, unknowns
 from scipy.stats import f as fisher
 
 from counterspin.inference.joint.agreement import _cosines, compare_slow_residuals
@@ -20,7 +20,7 @@ NOISE = Noise(0.01, 3e-4)
 
 def fitted(noise, bend=0.0):
     rng = np.random.default_rng(5)
-    series = [noisy(one, noise, rng) for one in three_rates(TRUTH)]
+    series = [add_noise(one, noise, rng) for one in three_rates(TRUTH)]
     phase = np.pi * series[2].time / series[2].time[-1]
     series[2] = replace(series[2], error=series[2].error + bend * np.sin(phase))
     found = estimate(series, MODEL, {"Qx": Noise(ESTIMATE, ESTIMATE)}, reject=False)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import ARCSEC, held_inputs, noisy, three_rates, unknowns
+from joint_campaign import ARCSEC, add_noise, considered_inputs, three_rates, unknowns
 
 from counterspin.inference.joint.alternatives import (
     Alternative,
@@ -24,7 +24,7 @@ PRIORS = {"K_F": (0.005, 2e-6), "K_I": (1.002, 5e-6), "K_III": (0.0, 0.0)}
 TILTS = tuple(Unknown(f"run{i}", "platform.tilt.north", (0.0, ARCSEC), 1e-2) for i in (1, 2, 3))
 MODEL = Unknowns(
     (*unknowns(["K_F", "K_I", "K_II", "K_III"], PRIORS), *TILTS),
-    (Considered("Qx", "K_PP", (0.0, 1e-6), 1e-4), *held_inputs({"centrifuge.radius": 1e-5})),
+    (Considered("Qx", "K_PP", (0.0, 1e-6), 1e-4), *considered_inputs({"centrifuge.radius": 1e-5})),
 )
 
 
@@ -35,7 +35,7 @@ def fitted(series, model=MODEL, white=WHITE):
 @pytest.fixture(scope="module")
 def series():
     rng = np.random.default_rng(7)
-    return [noisy(one, Noise(WHITE), rng) for one in three_rates(TRUTH)]
+    return [add_noise(one, Noise(WHITE), rng) for one in three_rates(TRUTH)]
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +171,7 @@ def test_standardised_sizes_are_normal_for_correct_model():
     sizes = []
     clean = three_rates(TRUTH)
     for _ in range(60):
-        drawn = [noisy(one, Noise(WHITE), rng) for one in clean]
+        drawn = [add_noise(one, Noise(WHITE), rng) for one in clean]
         priors = {
             "K_F": (TRUTH["K_F"] + 2e-6 * rng.standard_normal(), 2e-6),
             "K_I": (TRUTH["K_I"] + 5e-6 * rng.standard_normal(), 5e-6),

@@ -10,8 +10,8 @@ from joint_campaign import (
     DEG_H,
     RATES,
     SITE,
-    held_inputs,
-    noisy,
+    add_noise,
+    considered_inputs,
     simulated,
     three_rates,
     unknowns,
@@ -41,7 +41,7 @@ SCALES = {"Qx": TRUTH["K_I"], "Qy": TRUTH["K_I"]}
 def series():
     rng = np.random.default_rng(1)
     clean = [one for name in ("Qx", "Qy") for one in three_rates(TRUTH, accelerometer=name)]
-    return [noisy(one, NOISES[one.accelerometer], rng) for one in clean]
+    return [add_noise(one, NOISES[one.accelerometer], rng) for one in clean]
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def model():
             "", "platform.g_sensitivity.zx", (0.0, 0.02 * DEG_H), 10 * DEG_H, has_default_prior=True
         ),
     )
-    return Unknowns((*own, drift, *tilts), (*considered, *held_inputs(SIZES)))
+    return Unknowns((*own, drift, *tilts), (*considered, *considered_inputs(SIZES)))
 
 
 @pytest.fixture(scope="module")
@@ -196,7 +196,7 @@ def test_record_in_g_depends_on_assumed_gravity():
         replace(simulated(f"run{i}", r, TRUTH, observable="specific_force"), in_g=True)
         for i, r in enumerate(RATES)
     ]
-    model = Unknowns(unknowns(TRUTH), held_inputs({"site.gravity": 1e-4}))
+    model = Unknowns(unknowns(TRUTH), considered_inputs({"site.gravity": 1e-4}))
     plain = model.without_inputs()
     noise = {"Qx": Noise(1e-3)}
     first = solve_joint(build_design_blocks(one, plain, SCALES), plain, noise).solution

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import noisy, three_rates, unknowns
+from joint_campaign import add_noise, three_rates, unknowns
 
 from counterspin.inference.joint.design_blocks import build_design_blocks, compress_nuisance
 from counterspin.inference.joint.fit import solve_joint
@@ -58,7 +58,9 @@ def make_problem(names, noise, considered=()):
     rng = np.random.default_rng(3)
     model = replace(complete_model(*names), considered=considered)
     series = [
-        noisy(one, noise, rng) for name in names for one in three_rates(TRUTH, accelerometer=name)
+        add_noise(one, noise, rng)
+        for name in names
+        for one in three_rates(TRUTH, accelerometer=name)
     ]
     return build_design_blocks(series, model, SCALES), model
 

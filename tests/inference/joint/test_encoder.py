@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import LEVEL, RATES, noisy, simulated, unknowns
+from joint_campaign import LEVEL, RATES, add_noise, simulated, unknowns
 from scipy.special import stdtrit
 
 from counterspin.inference.joint import encoder
@@ -219,7 +219,7 @@ def test_u_covers_hidden_ripple(observable, encoder_noise, request_):
     inside, distance, blind = np.zeros(TRUE.size), np.zeros(TRUE.size), np.zeros(TRUE.size)
     for _ in range(trials):
         size = simulate_hidden_ripple(encoder_noise, 385)
-        true = [noisy(one, noise, rng) for one in make_rippled_series(observable, size, rng)]
+        true = [add_noise(one, noise, rng) for one in make_rippled_series(observable, size, rng)]
         series = fit_encoder_angle(true, encoder_noise, rng)
         found = estimate(series, MODEL, {"Qx": request_}, reject=False)
         p = TRUE.size
@@ -242,7 +242,7 @@ def test_hidden_ripple_does_not_increase_noise():
     """Ripple that the encoder hides is in the residuals and must not count as noise."""
     rng = np.random.default_rng(6)
     true = make_rippled_series("specific_force", simulate_hidden_ripple(1e-5, 385), rng)
-    series = fit_encoder_angle([noisy(one, Noise(1e-4), rng) for one in true], 1e-5, rng)
+    series = fit_encoder_angle([add_noise(one, Noise(1e-4), rng) for one in true], 1e-5, rng)
     found = estimate(series, MODEL, {"Qx": Noise(ESTIMATE, 0.0)}, reject=False)
     rows = sum(one.time.size for one in series)
     assert found.fit.noise["Qx"].white == pytest.approx(1e-4, rel=4 / math.sqrt(2 * rows))
@@ -251,7 +251,7 @@ def test_hidden_ripple_does_not_increase_noise():
 def test_budget_has_lines_of_rotation():
     rng = np.random.default_rng(7)
     series = fit_encoder_angle(make_rippled_series("specific_force", 0.0, rng), 1e-5, rng)
-    series = [noisy(one, Noise(1e-4), rng) for one in series]
+    series = [add_noise(one, Noise(1e-4), rng) for one in series]
     found = estimate(series, MODEL, {"Qx": Noise(1e-4, 0.0)}, reject=False)
     for index, u in enumerate(found.fit.solution.u[:4]):
         lines = budget(found.fit, index)
@@ -276,7 +276,9 @@ def test_budget_has_lines_of_rotation():
 def test_u_increases_with_encoder_noise():
     """A perfect encoder changes nothing; a very noisy encoder leaves the output alone."""
     rng = np.random.default_rng(8)
-    true = [noisy(one, Noise(1e-4), rng) for one in make_rippled_series("specific_force", 0.0, rng)]
+    true = [
+        add_noise(one, Noise(1e-4), rng) for one in make_rippled_series("specific_force", 0.0, rng)
+    ]
     request = {"Qx": Noise(1e-4, 0.0)}
     exact = estimate(true, MODEL, request, reject=False).fit.solution
     u = []

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import noisy, three_rates, unknowns
+from joint_campaign import add_noise, three_rates, unknowns
 from scipy.stats import chi2
 from scipy.stats import t as student
 
@@ -40,7 +40,7 @@ def add_wander(series, noise, rng):
     start = series.trajectory.conditions.start
     drawn = draw_bias_noise(rng, series.time, noise, series.order, start)
     plain = Noise(noise.white, noise.random_walk)
-    return noisy(replace(series, error=series.error + drawn), plain, rng)
+    return add_noise(replace(series, error=series.error + drawn), plain, rng)
 
 
 @pytest.mark.slow

@@ -11,8 +11,8 @@ from joint_campaign import (
     NOTHING,
     RATES,
     SITE,
-    held_inputs,
-    noisy,
+    add_noise,
+    considered_inputs,
     simulated,
     three_rates,
     unknowns,
@@ -66,7 +66,7 @@ def test_estimated_noise_reaches_bound_with_coverage(noise_free_series, noise, r
     rng = np.random.default_rng(11)
     error, u, dof = (np.empty((trials, TRUE.size)) for _ in range(3))
     for row in range(trials):
-        drawn = [noisy(one, noise, rng) for one in noise_free_series]
+        drawn = [add_noise(one, noise, rng) for one in noise_free_series]
         found = estimate(drawn, MODEL, {"Qx": request_}, reject=False)
         assert found.estimated_noise["Qx"].dropped == ()
         error[row] = found.fit.solution.estimate - TRUE
@@ -90,7 +90,7 @@ def test_estimated_noise_reaches_bound_with_coverage(noise_free_series, noise, r
 
 def test_given_noise_is_used(noise_free_series):
     rng = np.random.default_rng(12)
-    drawn = [noisy(one, WHITE, rng) for one in noise_free_series]
+    drawn = [add_noise(one, WHITE, rng) for one in noise_free_series]
     found = estimate(drawn, MODEL, {"Qx": Noise(0.02, 0.0)})
     assert found.fit.noise == {"Qx": Noise(0.02)}
     assert not found.estimated_noise
@@ -104,7 +104,7 @@ def test_absent_component_is_dropped_without_cost(noise_free_series):
     rng = np.random.default_rng(13)
     (trials, most), kept = (20, 4) if FULL else (10, 3), 0
     for _ in range(trials):
-        drawn = [noisy(one, WHITE, rng) for one in noise_free_series]
+        drawn = [add_noise(one, WHITE, rng) for one in noise_free_series]
         found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE, ESTIMATE)}, reject=False)
         kept += "random_walk" in found.estimated_noise["Qx"].estimated
         if found.estimated_noise["Qx"].dropped:
@@ -130,7 +130,7 @@ def test_quantisation_larger_than_noise(white):
         for one in series:
             reference = one.reference()
             # A platform is never started twice at the same place.
-            output = noisy(one, noise, rng).error + reference + rng.uniform(0, step)
+            output = add_noise(one, noise, rng).error + reference + rng.uniform(0, step)
             drawn.append(replace(one, error=step * np.round(output / step) - reference))
         found = estimate(drawn, MODEL, {"Qx": Noise(white, 0.0, step)})
         level = found.fit.noise["Qx"]
@@ -148,7 +148,7 @@ def test_considered_term_is_subtracted_before_noise_estimation(noise_free_series
     model = Unknowns(
         unknowns(("K_I", "K_II", "K_III")), (Considered("Qx", "K_F", PRIORS["K_F"], 0.1),)
     )
-    drawn = [noisy(one, WHITE, np.random.default_rng(15)) for one in noise_free_series]
+    drawn = [add_noise(one, WHITE, np.random.default_rng(15)) for one in noise_free_series]
     found = estimate(drawn, model, {"Qx": Noise(ESTIMATE, 0.0)})
     # 5 mg in 48 s are 57 m.
     assert found.fit.noise["Qx"].white == pytest.approx(0.01, rel=4 / math.sqrt(2 * 570))
@@ -162,9 +162,9 @@ def test_delay_within_uncertainty_is_not_noise(noise_free_series, held):
         replace(one, error=one.error + one.reference() - one.reference(delay=6e-3))
         for one in noise_free_series
     ]
-    drawn = [noisy(one, WHITE, rng) for one in late]
+    drawn = [add_noise(one, WHITE, rng) for one in late]
     drawn[2].error[100] += 0.15
-    delay = held_inputs({TIMING: 5e-3})
+    delay = considered_inputs({TIMING: 5e-3})
     model = Unknowns(MODEL.unknowns, delay) if held else Unknowns((*MODEL.unknowns, *delay))
     found = estimate(drawn, model, {"Qx": Noise(ESTIMATE, 0.0)})
     assert found.fit.noise["Qx"].white == pytest.approx(0.01, rel=4 / math.sqrt(2 * 570))
@@ -173,8 +173,8 @@ def test_delay_within_uncertainty_is_not_noise(noise_free_series, held):
 
 def test_early_outliers_do_not_bias_input_derivatives(noise_free_series):
     """A radius known to 1e-3 of itself does to the records what K_I is found to be, not guessed."""
-    model = Unknowns((*MODEL.unknowns, *held_inputs({"centrifuge.radius": 2.5e-3})))
-    drawn = [noisy(one, WHITE, np.random.default_rng(21)) for one in noise_free_series]
+    model = Unknowns((*MODEL.unknowns, *considered_inputs({"centrifuge.radius": 2.5e-3})))
+    drawn = [add_noise(one, WHITE, np.random.default_rng(21)) for one in noise_free_series]
     for one in drawn:
         one.error[::97] += 2e3
     found = estimate(drawn, model, {"Qx": WHITE})
@@ -193,7 +193,7 @@ def test_time_stamp_noise_counts_once(noise_free_series):
     for rank, one in enumerate(noise_free_series):
         series = one.with_timestamp_noise(5e-4 * rank)
         late = np.sqrt(series.jitter_variance) * rng.standard_normal(one.time.size)
-        drawn.append(noisy(replace(series, error=one.error + late), WHITE, rng))
+        drawn.append(add_noise(replace(series, error=one.error + late), WHITE, rng))
     rows = sum(one.time.size for one in drawn)
     for request in (Noise(ESTIMATE, 0.0), Noise(ESTIMATE, ESTIMATE), Noise(0.01, 0.0)):
         found = estimate(drawn, MODEL, {"Qx": request})
@@ -212,7 +212,7 @@ def test_two_accelerometers_have_separate_noise_and_shared_platform():
     ]
     levels = {"Qx": WHITE, "Qy": Noise(0.03)}
     rng = np.random.default_rng(17)
-    drawn = [noisy(one, levels[one.accelerometer], rng) for one in series]
+    drawn = [add_noise(one, levels[one.accelerometer], rng) for one in series]
     drift = Unknown("", "platform.drift.up", NOTHING, 10 * DEG_H)
     model = Unknowns((*unknowns(TRUTH), *unknowns(TRUTH, owner="Qy"), drift))
     both = {"Qx": Noise(ESTIMATE, 0.0), "Qy": Noise(ESTIMATE, 0.0)}
@@ -288,7 +288,7 @@ def test_rotation_is_estimated_from_displacement(start, rate_error, drift, revol
     series = make_series_without_angle(start, rate_error, drift, revolutions=revolutions)
     trials, z = (8 if revolutions < 50 else 4), []
     for _ in range(trials):
-        drawn = [noisy(one, WHITE, rng) for one in series]
+        drawn = [add_noise(one, WHITE, rng) for one in series]
         found = estimate(drawn, model, {"Qx": Noise(0.01, 0.0)})
         z.append((found.fit.solution.estimate[:4] - TRUE) / found.fit.solution.u[:4])
         for one, rate in zip(found.fit.design_blocks, RATES, strict=True):
@@ -310,7 +310,7 @@ def test_rotating_term_is_not_confused_with_start_angle():
     model = Unknowns((*unknowns(TRUTH, PRIORS), compliance, *ROTATIONS))
     rng = np.random.default_rng(4)
     drawn = [
-        noisy(one, Noise(0.1), rng)
+        add_noise(one, Noise(0.1), rng)
         for one in make_series_without_angle(0.3, 1e-4, 1e-6, revolutions=12)
     ]
     rough = {"Qx": TRUTH["K_I"]}, {"Qx": Noise(1.0)}
@@ -343,7 +343,7 @@ def test_k_ii_is_within_u_with_outliers_and_gaps(noise_free_series):
             gap = np.zeros(n, dtype=bool)
             first = rng.integers(n // 3, n // 2)
             gap[first : first + 40] = True
-            dirty = noisy(one, WHITE, rng)
+            dirty = add_noise(one, WHITE, rng)
             spikes = rng.random(n) < 0.005
             size = np.exp(rng.uniform(math.log(0.1), math.log(5.0), n)) * rng.choice([-1, 1], n)
             dirty = replace(dirty, error=dirty.error + spikes * size).drop_rows(gap)
@@ -382,7 +382,7 @@ def test_random_walk_is_not_outlying(observable, noise):
     series = three_rates(TRUTH, per_revolution=64, observable=observable)
     rejected = 0
     for _ in range(4):
-        drawn = [noisy(one, noise, rng) for one in series]
+        drawn = [add_noise(one, noise, rng) for one in series]
         found = estimate(drawn, MODEL, {"Qx": Noise(noise.white, noise.random_walk)})
         rejected += sum(mask.sum() for mask in found.outliers)
     assert rejected <= 2
@@ -397,7 +397,7 @@ def test_time_stamp_noise_is_proportional_to_slope(white):
         one = simulated(f"run{i}", rate, TRUTH, observable="specific_force")
         slope = (one.reference(delay=1e-4) - one.reference(delay=-1e-4)) / 2e-4
         late = timing * rng.standard_normal(one.time.size)
-        moved = noisy(replace(one, error=one.error + slope * late), Noise(0.02), rng)
+        moved = add_noise(replace(one, error=one.error + slope * late), Noise(0.02), rng)
         drawn.append(moved.with_timestamp_noise(timing))
     found = estimate(drawn, MODEL, {"Qx": Noise(white, 0.0)})
     solution = found.fit.solution
@@ -410,7 +410,7 @@ def test_time_stamp_noise_is_proportional_to_slope(white):
 
 def test_samples_rejected_by_previous_model_are_restored(noise_free_series):
     rng = np.random.default_rng(23)
-    drawn = [noisy(one, WHITE, rng) for one in noise_free_series]
+    drawn = [add_noise(one, WHITE, rng) for one in noise_free_series]
     drawn[2].error[100] += 0.15
     outliers = [np.zeros(one.time.size, dtype=bool) for one in drawn]
     outliers[2][50:101] = True

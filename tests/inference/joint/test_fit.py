@@ -12,9 +12,9 @@ from joint_campaign import (
     NOTHING,
     RATES,
     SITE,
-    held_inputs,
-    noisy,
-    redrawn,
+    add_noise,
+    considered_inputs,
+    redraw_noise,
     simulated,
     three_rates,
     unknowns,
@@ -97,7 +97,7 @@ def test_cramer_rao_bound_is_reached_and_intervals_have_coverage(paper_series, n
     for errors_of in errors:
         drawn = {s: (v + u * rng.standard_normal(), u) for s, (v, u) in PRIORS.items()}
         trial = replace(model, unknowns=unknowns(TRUTH, drawn))
-        fit = solve_joint(redrawn(prepared, noise, rng), trial, {"Qx": noise})
+        fit = solve_joint(redraw_noise(prepared, noise, rng), trial, {"Qx": noise})
         errors_of[:] = fit.solution.estimate - true_offsets(model, TRUTH)
     z = errors / fit.solution.u
     # A standard deviation of n draws has one of 1/sqrt(2 n) of itself.
@@ -136,7 +136,7 @@ def test_u_but_not_noise_part_covers_considered_term(paper_series, noise):
     rng = np.random.default_rng(2)
     z = np.empty((TRIALS, 2))
     for row in z:
-        drawn = redrawn(prepared, noise, rng)
+        drawn = redraw_noise(prepared, noise, rng)
         drawn = [
             # The series' own considered columns: K_OO, then its run's tilt.
             replace(
@@ -341,7 +341,7 @@ def test_all_observables_return_same_truth(observable, noise):
     rng = np.random.default_rng(5)
     trials, distance, misfit = 40, 0.0, 0.0
     for _ in range(trials):
-        fit = solve_joint(redrawn(clean, noise, rng), model, {"Qx": noise})
+        fit = solve_joint(redraw_noise(clean, noise, rng), model, {"Qx": noise})
         z = (fit.solution.estimate - true_offsets(model, TRUTH)) / solution.u
         distance += z @ np.linalg.solve(correlation, z)
         misfit += fit.solution.chi2
@@ -405,7 +405,7 @@ def test_bias_and_collinear_terms_have_single_combination():
 def test_omitted_run_matches_fit_without_records(paper_series):
     model, prepared = paper_series
     rng = np.random.default_rng(6)
-    fit = solve_joint(redrawn(prepared, WHITE, rng), model, {"Qx": WHITE})
+    fit = solve_joint(redraw_noise(prepared, WHITE, rng), model, {"Qx": WHITE})
     without = fit.without_run("run2")
     direct = solve_joint(
         [fit.design_blocks[0], fit.design_blocks[2]], model, {"Qx": WHITE}
@@ -436,7 +436,9 @@ def test_changed_white_noise_matches_fit_with_that_noise(level):
     )
     # Of time stamps' noise the runs have differently much.
     series = [one.with_timestamp_noise(1e-3 * i) for i, one in enumerate(three_rates(TRUTH))]
-    prepared = redrawn(build_design_blocks(series, model, SCALES), WHITE, np.random.default_rng(8))
+    prepared = redraw_noise(
+        build_design_blocks(series, model, SCALES), WHITE, np.random.default_rng(8)
+    )
     changed = solve_joint(prepared, model, {"Qx": WHITE}).with_noise({"Qx": level})
     direct = solve_joint(prepared, model, {"Qx": level})
     np.testing.assert_allclose(changed.solution.covariance, direct.solution.covariance, rtol=1e-10)
@@ -450,7 +452,7 @@ def test_residuals_are_noise_minus_projection_on_design(paper_series):
     model, prepared = paper_series
     rng = np.random.default_rng(7)
     for noise in (WHITE, MIXED):
-        fit = solve_joint(redrawn(prepared, noise, rng), model, {"Qx": noise})
+        fit = solve_joint(redraw_noise(prepared, noise, rng), model, {"Qx": noise})
         whitened = [fit.residuals[i].whitened for i in range(3)]
         rss = sum(float(w @ w) for w in whitened)
         step = fit.solution.estimate - [
@@ -519,7 +521,9 @@ def test_updated_design_blocks_match_new_ones():
     tilt = Unknown("run1", "platform.tilt.north", (0.0, 1e-5), 1e-2)
     series = three_rates(TRUTH)
     before = Unknowns((*unknowns(TRUTH, PRIORS), tilt), (gyro,))
-    after = replace(before, considered=(k_oo, gyro, *held_inputs({"centrifuge.radius": 1e-4})))
+    after = replace(
+        before, considered=(k_oo, gyro, *considered_inputs({"centrifuge.radius": 1e-4}))
+    )
     fit = solve_joint(build_design_blocks(series, before, SCALES), before, {"Qx": WHITE})
     other = {"Qx": 1.5}
     known = dict(zip(before.unknowns, fit.solution.estimate.tolist(), strict=True))
@@ -547,7 +551,7 @@ def test_input_sensitivity_matches_difference_of_estimates():
         "site.latitude": 1e-3,
         TIMING: 1e-6,
     }
-    model = Unknowns(unknowns(TRUTH, PRIORS), held_inputs(sizes))
+    model = Unknowns(unknowns(TRUTH, PRIORS), considered_inputs(sizes))
     plain = model.without_inputs()
     noise = {"Qx": WHITE}
     first = solve_joint(build_design_blocks(series, plain, SCALES), plain, noise).solution
@@ -600,7 +604,7 @@ def test_input_with_prior_matches_dense_least_squares(noise):
             one = simulated(*of_run, TRUTH, **changed)
             return one.error + one.reference() - nominal.reference()
 
-        one = noisy(replace(nominal, error=output(radius=true_radius)), noise, rng)
+        one = add_noise(replace(nominal, error=output(radius=true_radius)), noise, rng)
         columns = [
             *one.columns(list(TRUTH), 1.0).T,
             (output(site=replace(SITE, gravity=SITE.gravity + 1e-3)) - nominal.error) / 1e-3,
@@ -649,7 +653,7 @@ def test_input_with_prior_matches_dense_least_squares(noise):
 def test_gravity_derivative_of_record_in_g_has_no_noise():
     """Else a gravity of zero explains all of the record: its noise is then as small as it is."""
     truth = {"K_F": 5e-3, "K_II": 2.7e-5}
-    model = Unknowns(unknowns(truth), held_inputs({"site.gravity": 1e-5}))
+    model = Unknowns(unknowns(truth), considered_inputs({"site.gravity": 1e-5}))
     true = np.array(list(truth.values()))
     clean = [
         replace(one, in_g=True)
@@ -689,7 +693,7 @@ def test_mean_chi_square_of_runs_is_degrees_of_freedom():
     for _ in range(trials):
         off = sd * rng.standard_normal(sd.size)
         drawn = []
-        for one in redrawn(clean, WHITE, rng):
+        for one in redraw_noise(clean, WHITE, rng):
             error = one.series.error + one.design @ off[list(one.unknowns)]
             drawn.append(replace(one, series=replace(one.series, error=error)))
         fit = solve_joint(drawn, model, {"Qx": WHITE})
@@ -721,7 +725,7 @@ def test_considered_term_within_uncertainty_fits(noise):
     trials, alarms, p_values, naive = 300 if FULL else 60, 0, [], 0
     for _ in range(trials):
         drawn = []
-        for part in redrawn(clean, noise, rng):
+        for part in redraw_noise(clean, noise, rng):
             tilt = 30 * ARCSEC * rng.standard_normal()
             error = part.series.error + part.fixed[:, 0] * tilt
             drawn.append(replace(part, series=replace(part.series, error=error)))

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import noisy, three_rates, unknowns
+from joint_campaign import add_noise, three_rates, unknowns
 
 from counterspin.inference.joint.design_blocks import build_design_blocks
 from counterspin.inference.joint.estimation import estimate
@@ -28,7 +28,7 @@ def noise_free_series():
 
 
 def by_run(noise_free_series, rng):
-    return [noisy(one, Noise(SIZES[one.run]), rng) for one in noise_free_series]
+    return [add_noise(one, Noise(SIZES[one.run]), rng) for one in noise_free_series]
 
 
 def by_slope(noise_free_series, rng):
@@ -37,7 +37,7 @@ def by_slope(noise_free_series, rng):
     for one in noise_free_series:
         late = TIMING * rng.standard_normal(one.time.size)
         moved = replace(one, error=one.error + sum(one.slopes()) * late)
-        drawn.append(noisy(moved, Noise(3e-4), rng))
+        drawn.append(add_noise(moved, Noise(3e-4), rng))
     return drawn
 
 
@@ -89,7 +89,7 @@ def test_homoscedastic_noise_is_unchanged(observable):
     rng = np.random.default_rng(3)
     noise_free_series = three_rates(TRUTH, observable=observable)
     for _ in range(10):
-        drawn = [noisy(one, Noise(0.01), rng) for one in noise_free_series]
+        drawn = [add_noise(one, Noise(0.01), rng) for one in noise_free_series]
         # A bend of one run, a hundred times its noise.
         bent = replace(drawn[2], error=drawn[2].error + np.sin(drawn[2].time / 3.0))
         found = estimate([*drawn[:2], bent], MODEL, WANT, reject=False)
@@ -103,13 +103,13 @@ def test_spindle_harmonics_are_not_noise():
     for one in three_rates(TRUTH, observable="specific_force"):
         wave = 3e-3 * one.trajectory.spindle.rate**2
         wave = wave * np.cos(5.0 * one.trajectory.spindle.angle(one.time))
-        drawn.append(noisy(replace(one, error=one.error + wave), Noise(0.01), rng))
+        drawn.append(add_noise(replace(one, error=one.error + wave), Noise(0.01), rng))
     stated, asked = {"Qx": Noise(0.01)}, {"Qx": Noise(ESTIMATE)}
     fit = estimate(drawn, MODEL, stated, reject=False).fit
     assert noise_by_run(fit, "Qx") == {}
     assert estimate_heteroscedasticity(fit, drawn, asked) == {}
     # Another noise shows beneath them.
-    louder = [*drawn[:2], noisy(drawn[2], Noise(0.02), rng)]
+    louder = [*drawn[:2], add_noise(drawn[2], Noise(0.02), rng)]
     sizes = noise_by_run(estimate(louder, MODEL, stated, reject=False).fit, "Qx")
     assert sizes["run3"] == pytest.approx(math.sqrt(5.0), rel=0.15)
     assert sizes["run1"] == pytest.approx(1.0, rel=0.15)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import noisy, three_rates, unknowns
+from joint_campaign import add_noise, three_rates, unknowns
 
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import estimate_considered
@@ -45,7 +45,9 @@ def test_quarter_turn_rotates_pendulous_to_output_axis(quarters):
 def test_rotated_fit_matches_fit_of_other_mounting(observable, quarters):
     rng, white = np.random.default_rng(3), 0.01 if observable == "displacement" else 1e-4
     truth = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5, "K_OO": 2e-6, "K_IO": 3e-6}
-    series = [noisy(one, Noise(white), rng) for one in three_rates(truth, observable=observable)]
+    series = [
+        add_noise(one, Noise(white), rng) for one in three_rates(truth, observable=observable)
+    ]
     request = {"Qx": Noise(white, 0.0)}
     found = with_rotated_mounting(
         estimate_considered(estimate(series, MODEL, request, reject=False).fit), "Qx", quarters

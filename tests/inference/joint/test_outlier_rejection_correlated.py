@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from joint_campaign import noisy, simulated, three_rates, unknowns
+from joint_campaign import add_noise, simulated, three_rates, unknowns
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
@@ -58,7 +58,7 @@ def test_unfiltered_rows_are_not_thinned(observable, walk):
     rng = np.random.default_rng(2)
     clean = three_rates(TRUTH, observable=observable, revolutions=40)
     for shaking in (False, True):
-        drawn = [noisy(one, Noise(0.01, walk), rng) for one in clean]
+        drawn = [add_noise(one, Noise(0.01, walk), rng) for one in clean]
         if shaking:
             shaken = 0.02 * np.sin(7.3 * drawn[1].time)
             drawn[1] = replace(drawn[1], error=drawn[1].error + shaken)
@@ -76,6 +76,6 @@ def test_spindle_harmonics_are_not_filter_memory():
         more = {"revolutions": revolutions, "per_revolution": rows}
         one = simulated(f"{rate}", rate, TRUTH, observable="specific_force", **more)
         wave = 1e-4 * rate**2 * np.cos(5.0 * one.trajectory.spindle.angle(one.time))
-        drawn.append(noisy(replace(one, error=one.error + wave), Noise(1e-4), rng))
+        drawn.append(add_noise(replace(one, error=one.error + wave), Noise(1e-4), rng))
     found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE)})
     assert {one.thinning for one in found.series} == {1}

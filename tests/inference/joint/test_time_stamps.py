@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from dense_stamps import Machine, Records, fit_rows
-from joint_campaign import RATES, SITE, noisy, simulated, unknowns
+from joint_campaign import RATES, SITE, add_noise, simulated, unknowns
 
 from counterspin.inference.joint import encoder, rotation
 from counterspin.inference.joint.estimation import estimate
@@ -40,7 +40,7 @@ def add_time_jitter(series, timing, rng, *, encoder_noise=ENCODER, stated=(0.0, 
     drawn = []
     for one in series:
         rate, times = one.trajectory.spindle.rate, one.time
-        white = noisy(one, Noise(WHITE[one.observable]), rng)
+        white = add_noise(one, Noise(WHITE[one.observable]), rng)
         output = one.reference() + white.error
         stamps = times + timing * rng.standard_normal(times.size)
         turned = one.trajectory.spindle.angle(times)

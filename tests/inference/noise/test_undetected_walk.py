@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import RATES, noisy, simulated, three_rates, unknowns
+from joint_campaign import RATES, add_noise, simulated, three_rates, unknowns
 from scipy.special import ndtr, stdtr, stdtrit
 
 from counterspin.inference.joint.budget import budget
@@ -168,7 +168,7 @@ def test_coefficient_intervals_have_coverage_at_detection_limit(noise_free_serie
     trials = 1000 if FULL else 6
     inside, kept = np.zeros(TRUE.size), 0
     for _ in range(trials):
-        drawn = [noisy(one, Noise(0.01, walk), rng) for one in noise_free_series]
+        drawn = [add_noise(one, Noise(0.01, walk), rng) for one in noise_free_series]
         found = estimate(drawn, MODEL, BOTH, reject=False)
         kept += "random_walk" in found.estimated_noise["Qx"].estimated
         size = stdtrit(np.minimum(found.dof, 1e6), 0.975) * found.fit.solution.u
@@ -186,7 +186,7 @@ def test_coefficient_intervals_have_coverage_at_detection_limit(noise_free_serie
 
 @pytest.fixture(scope="module")
 def dropped(noise_free_series):
-    drawn = [noisy(one, Noise(0.01), np.random.default_rng(4)) for one in noise_free_series]
+    drawn = [add_noise(one, Noise(0.01), np.random.default_rng(4)) for one in noise_free_series]
     found = estimate(drawn, MODEL, BOTH, reject=False)
     assert found.estimated_noise["Qx"].dropped == ("random_walk",)
     return drawn, found
@@ -211,7 +211,7 @@ def test_walk_contribution_matches_simulated_walks(dropped):
         walks = tuple(
             replace(
                 one,
-                series=noisy(
+                series=add_noise(
                     replace(one.series, error=np.zeros(one.series.time.size)),
                     Noise(0.0, level),
                     rng,
@@ -258,7 +258,7 @@ def random_estimate(seed):
     priors = dict.fromkeys(extra, (0.0, 2e-06)) | {"K_I": (1.0, 5e-4)}
     model = Unknowns(unknowns([*TRUTH, *extra], priors), tuple(considered))
     noise = Noise(0.01, 10 ** rng.uniform(-6, -3.7))
-    return estimate([noisy(run, noise, rng) for run in runs], model, BOTH, reject=False)
+    return estimate([add_noise(run, noise, rng) for run in runs], model, BOTH, reject=False)
 
 
 def least_eigenvalue(covariance):
@@ -319,7 +319,7 @@ def test_budget_names_undetected_walk(dropped):
 
 
 def test_only_requested_walk_can_be_undetected(noise_free_series):
-    drawn = [noisy(one, Noise(0.01), np.random.default_rng(6)) for one in noise_free_series]
+    drawn = [add_noise(one, Noise(0.01), np.random.default_rng(6)) for one in noise_free_series]
     found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE, 0.0)}, reject=False)
     assert found.estimated_noise["Qx"].undetected_walk is None
     # White noise of a known size leaves the walk to be looked for all the same.
