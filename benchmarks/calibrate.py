@@ -76,10 +76,11 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
         "The records contain time, angle and displacement for 400 s at each of three rates, "
         "with 0.01 m of noise. Each time is the time of a whole process, with the files in the "
         "system cache. Repetitions of different processes alternate, and the table gives "
-        "the fastest repetition. The peer, `benchmarks/peer.py`, is a script of NumPy and "
+        "the fastest repetition. The peer, `benchmarks/peer.py`, is a script based on NumPy and "
         "pandas that runs only once. The parser in C++, `benchmarks/csv_limit.cpp`, together "
         "with SHA-256 gives the lower limit for these files on one core, without checks. The "
-        "targets for calibrate are at most 1.7 times the time of polars, and less than 1000 MB."
+        "targets for calibrate are a time of at most 1.7 times that of polars, and a memory use "
+        "below 1000 MB."
     )
     columns = ["", *(f"{size:.0e} rows, {suffix[1:]}" for suffix, size in sizes.items())]
     rows = [[label, *(column[label] for column in found)] for label in found[0]]

@@ -135,8 +135,8 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     remark = (
         "The campaign has three rates of 100 revolutions each at 50 Hz, and two accelerometers. "
         "Each time is the time of a whole process, including the start of Python. Repetitions "
-        "of different processes alternate. The first row gives the time of the start alone. The "
-        "two ratios divide the fastest time and the processor time by the values of the first "
+        "of different processes alternate. The first row gives the start-up time alone. The two "
+        "ratios are the fastest time and the processor time, divided by the values in the first "
         "row. The row with estimated noise is compared with the same campaign with stated "
         "noise. `assume` is `all` unless the row states something else."
     )

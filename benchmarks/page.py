@@ -102,8 +102,8 @@ def main(keep: bool) -> None:
         thread.join()
     measured = Table(
         "Records in the application",
-        "Each time, in seconds, is the time from a click on the records of a campaign until the "
-        "last of three curves is drawn in Chromium. The table gives the fastest of three "
+        "Each value is the time in seconds from a click on the records of a campaign until "
+        "Chromium has drawn the last of three curves. The table gives the fastest of three "
         "measurements by `benchmarks/page.py`.",
         ["rows", "first view, with reading of the file", "later view", "zoom"],
         [[f"{rows:,}", *times] for rows, times in found.items()],

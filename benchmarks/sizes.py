@@ -115,8 +115,10 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
             rows.append([f"{size} {kind}", measured.fastest, measured.cpu, measured.peak, order])
             before = (size, growth) if growth > 0.0 else None
     remark = (
-        "Whole processes, the fastest of three: reading, fit, checks, printed result, JSON file. "
-        "The order is the growth of the processor time above that of the smallest campaign."
+        "Each time is the time of a whole process, the fastest of three repetitions. The process "
+        "reads and fits the data, performs the checks, prints the result and writes the JSON "
+        "file. The order describes the growth of the processor time in excess of that for the "
+        "smallest campaign."
     )
     columns = ["campaign", "fastest (s)", "processor (s)", "memory (MB)", "order of growth"]
     return [Table("Sizes of a calibration", remark, columns, rows)]

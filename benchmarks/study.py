@@ -84,9 +84,9 @@ def _paper(found: dict[str, Any], full: bool) -> Table:
         "A million trials of the paper's plan",
         "The plan has three rates of 100 strobes each, and is analysed by the two-stage method "
         "on one core, within a single process. Each time is the median of several repetitions "
-        "that alternate between the methods. All methods find the same K_II and u. The "
-        "`uncertainties` package propagates uncertainties to first order and makes no trials, "
-        f"so its time is the time of the same number of analyses. {remark}.",
+        "that alternate between the methods. All methods yield the same K_II and u. The "
+        "`uncertainties` package propagates uncertainties to first order without trials, so its "
+        f"time is that of the same number of analyses. {remark}.",
         [
             "method",
             "median (s)",
@@ -133,10 +133,11 @@ def _examples(rows: Sequence[dict[str, Any]]) -> Table:
         before = row
     return Table(
         "The study of the example",
-        "The campaign that `counterspin init` writes, with its three analyses, and the same with "
-        "records of velocity, which the joint fit alone analyses; preparation included. One core, "
-        "within a process; medians. The growth order is that of the processor time, from the row "
-        "above.",
+        "The first study uses the campaign that `counterspin init` writes, with its three "
+        "analyses. The second study uses the same campaign with velocity records, which only the "
+        "joint fit can analyse. Each time includes the preparation, and is the median within a "
+        "single process on one core. The growth order describes the growth of the processor time "
+        "relative to the row above.",
         ["study", "trials", "median (s)", "processor (s)", "target (s)", "growth order"],
         cells,
     )

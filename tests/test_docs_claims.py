@@ -232,8 +232,8 @@ NUMBERS = [
     ),
     (
         "benchmarks",
-        "One pass over each chunk of {} rows calculates the smallest and the largest step of time "
-        "and angle, the residuals among {} neighbours",
+        "One pass over each chunk of {} rows calculates the smallest and the largest step in time "
+        "and in angle, the residuals of {} neighbouring rows",
         [column_file._CHUNK_ROWS, outliers.WINDOW_SAMPLES],
     ),
     ("physics", "the temperature rose linearly by {} K from", [conditions.DEFAULT_WARMING]),
@@ -488,7 +488,7 @@ def test_start_up_takes_most_of_calibration_time(benchmark_results):
     csv, parquet = (
         {name: row[column] for name, row in long.items()} for column in next(iter(long.values()))
     )
-    assert "For a Parquet file, memory use does not depend on the file length" in text
+    assert "For a Parquet file, the memory use does not depend on the file length" in text
     assert parquet["calibrate, peak memory (MB)"] < 1.25 * whole["peak MB"]
     assert "less than half of the file size" in text
     more = csv["calibrate, peak memory (MB)"] - whole["peak MB"]
@@ -496,7 +496,7 @@ def test_start_up_takes_most_of_calibration_time(benchmark_results):
 
 
 def test_overhead_of_two_workers_matches_text(benchmark_results):
-    (number,) = told("benchmarks", "take about {} s of processor time each to start")
+    (number,) = told("benchmarks", "requires about {} s of processor time to start")
     one, two = (
         row["processor (s)"] for row in list(benchmark_results["Whole studies"].values())[1:]
     )

@@ -87,19 +87,19 @@ class AnalysisSettings(SettingsSection):
         "given",
     )
     terms: list[Text] | None = key_field(
-        "requested terms, in place of `[model]` `terms`",
+        "requested terms, instead of `[model]` `terms`",
         ["K_F", "K_II"],
         None,
         absent="the campaign's",
     )
     assume: TextList | None = key_field(
-        "terms and inputs assumed perfect, in place of `[model]` `assume`",
+        "terms and inputs assumed perfect, instead of `[model]` `assume`",
         ["K_OO"],
         None,
         absent="the campaign's",
     )
     hold: list[Text] | None = key_field(
-        "terms and inputs fixed at the stated value, in place of `[model]` `hold`",
+        "terms and inputs fixed at the stated value, instead of `[model]` `hold`",
         ["K_PP"],
         None,
         absent="the campaign's",
