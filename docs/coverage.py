@@ -58,7 +58,7 @@ class Case:
     @property
     def trials(self) -> int:
         """How many there are of it in the table."""
-        if "time stamps" in self.words:
+        if "time-stamp jitter" in self.words:
             return TRIALS_OF_STAMPS
         if self.words == HIDDEN[1]:
             return TRIALS_MOST
@@ -146,9 +146,9 @@ def _cases() -> Iterator[Case]:
     for method, observable in (*(("joint", one) for one in _WHITE), ("two-stage", "displacement")):
         white = {observable: _WHITE[observable]}
         true = {**white, "timing": TIMING}
-        yield Case(method, observable, "white noise and jitter of time stamps, stated", true, true)
+        yield Case(method, observable, "stated white noise and time-stamp jitter", true, true)
         yield Case(
-            method, observable, "white noise stated, jitter of time stamps estimated", true, white
+            method, observable, "stated white noise, estimated time-stamp jitter", true, white
         )
 
 

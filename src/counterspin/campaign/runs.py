@@ -125,8 +125,8 @@ class Run(SettingsSection):
     stated_rate: Annotated[Quantity, uncertain_quantity("rad/s"), AfterValidator(check_normal)] = (
         key_field(
             "nominal rate, negative for clockwise rotation seen from above; not used at rest. In "
-            "a reading, or in an arm run without a recorded angle, `±` gives the random standard "
-            "uncertainty of the rate",
+            "a reading, or in an arm run without a recorded angle, `±` gives the standard "
+            "uncertainty of the random rate error",
             "0.25 rev/s",
             Quantity(0.0, 0.0, "rad/s"),
             absent="none",
