@@ -133,12 +133,13 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
         for job, (_, target, ratio, other) in jobs.items()
     ]
     remark = (
-        "The campaign has three rates of 100 revolutions each at 50 Hz, and two accelerometers. "
-        "Each time is the time of a whole process, including the start of Python. Repetitions "
-        "of different processes alternate. The first row gives the start-up time alone. The two "
-        "ratios are the fastest time and the processor time, divided by the values in the first "
-        "row. The row with estimated noise is compared with the same campaign with stated "
-        "noise. `assume` is `all` unless the row states something else."
+        "The campaign has three rates of 100 revolutions each at 50 Hz, and two "
+        "accelerometers. Each time is the time of a whole process, including the start of "
+        "Python. Repetitions of different processes alternate. The first row gives the "
+        "start-up time alone. The two ratios are the fastest time and the processor time, "
+        "divided by the values in the first row. For the row with estimated noise, the "
+        "reference is the same campaign with stated noise. `assume` is `all` unless the row "
+        "states something else."
     )
     columns = [
         "process",
