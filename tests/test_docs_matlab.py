@@ -63,7 +63,7 @@ def test_commands_run_and_result_keys_exist(folder):
 
 
 @pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed")
-def test_octave_runs_the_script(folder):
+def test_octave_runs_script(folder):
     (folder / "page.m").write_text(SCRIPT, encoding="utf-8")
     command = folder / "counterspin"
     command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m counterspin "$@"\n')

@@ -126,7 +126,7 @@ def test_navigation_grade_bias_and_drift_match_position_error():
     assert drift * 3600.0 * miles == pytest.approx(0.6, rel=1e-3)
 
 
-def test_ten_degrees_an_hour_in_si():
+def test_ten_degrees_per_hour_in_si():
     assert f"{10 * DEGREE_PER_HOUR:.4g} rad/s" in PAGE
 
 

@@ -22,7 +22,7 @@ def test_every_section_of_result_has_table():
     assert tables == set(key_tables.PARTS)
 
 
-def test_every_code_of_a_finding_is_explained():
+def test_every_finding_code_is_explained():
     package = Path(result.__file__).parents[1]
     sources = (path.read_text(encoding="utf-8") for path in package.rglob("*.py"))
     codes = {code for source in sources for code in re.findall(r'\bcode="([\w-]+)"', source)}

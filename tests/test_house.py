@@ -349,7 +349,7 @@ def test_files_named_in_record_walkthrough_exist():
     ] == []
 
 
-def test_reading_path_of_the_internals_is_short():
+def test_reading_path_of_internals_is_short():
     page = (ROOT / "docs" / "internals.md").read_text(encoding="utf-8")
     linked = re.findall(r"\(\.\./src/counterspin/(\S+\.py)\)", page)
     assert len(linked) == len(set(linked)) > 15
@@ -788,7 +788,7 @@ def test_error_codes_and_descriptions_have_uniform_format():
     assert [code for code in CODES if text.count(f'\n    "{code}":') != 1] == []
 
 
-def test_every_error_has_a_code():
+def test_every_error_has_code():
     assert offences(without_code) == {}
     assert without_code("", 'raise RecordError("x")\nraise UsageError("x", ["y"])') == [1]
     assert without_code("", 'return CampaignError("x", ["y"])\nraise CampaignError(a, b)') == [1]

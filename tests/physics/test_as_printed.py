@@ -59,14 +59,14 @@ def test_exact_east_acceleration_has_three_first_order_parts():
     assert sp.simplify(exact - parts) == 0
 
 
-def test_eq5_has_the_tangential_sign_reversed_and_no_projection():
+def test_eq5_reverses_tangential_sign_and_lacks_projection():
     printed = as_printed.specific_force_error(TIMES, **SPINDLE)[:, 0]
     exact = centripetal * sp.cos(w * t) - tangential * sp.sin(w * t) + projection * sp.sin(w * t)
     departure = 2 * tangential * sp.sin(w * t) - projection * sp.sin(w * t)
     np.testing.assert_allclose(printed, evaluate_numerically(exact + departure), rtol=0, atol=1e-14)
 
 
-def test_eq6_lacks_only_the_projection():
+def test_eq6_lacks_only_projection():
     exact = first_order(
         -R * (sp.diff(angle, t) ** 2 * sp.sin(angle) - sp.diff(angle, t, 2) * sp.cos(angle))
     )
@@ -105,7 +105,7 @@ def test_eq14_has_quarter_where_eq15_has_three_quarters():
     assert sp.simplify(mean_over_turn(eq14) / 2 + R * w * wp * sp.sin(phi) / 4) == 0
 
 
-def test_double_integral_of_one_half_is_a_quarter_of_t_squared():
+def test_double_integral_of_one_half_is_quarter_of_t_squared():
     assert double_integral(sp.Rational(1, 2)) == t**2 / 4
 
 

@@ -8,7 +8,7 @@ from counterspin.campaign.runs import Run
 from counterspin.physics.conditions import STATED_CONDITIONS, RunConditions, StatedConditions
 
 
-def test_without_a_change_each_condition_keeps_its_value_at_the_start():
+def test_unchanged_condition_has_value_at_start():
     conditions = RunConditions(start=750.0, temperature_offset=-1.7, direction=-0.5)
     assert not conditions.changing
     start = conditions.at_start(3.0)
@@ -20,13 +20,13 @@ def test_without_a_change_each_condition_keeps_its_value_at_the_start():
     }
 
 
-def test_a_condition_that_changes_within_a_run_is_named():
+def test_condition_changing_within_run_is_named():
     profile = RunConditions(temperature_profile=(0.0, 1.0), length=2.0, reversal_times=(1.0,))
     assert profile.changing == {"temperature", "direction"}
     assert profile.changing <= profile.at_start(1.0).keys()
 
 
-def test_every_stated_condition_is_a_key_of_a_run_and_a_field_of_readings():
+def test_stated_conditions_are_keys_of_runs_and_fields_of_readings():
     assert {part.name for part in fields(StatedConditions)} == set(STATED_CONDITIONS)
     assert set(STATED_CONDITIONS) <= RunConditions().at_start(1.0).keys()
     assert set(STATED_CONDITIONS) <= Run.model_fields.keys()

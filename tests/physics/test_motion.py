@@ -74,7 +74,7 @@ def test_spindle_at_rest_has_upward_specific_force():
     np.testing.assert_allclose(slow.specific_force(np.zeros(1)), [[0, 0, 9.80665]], atol=1e-12)
 
 
-def test_without_earth_rate_there_is_no_coriolis_acceleration():
+def test_coriolis_acceleration_is_zero_without_earth_rate():
     still = Trajectory(TRAJECTORY.spindle, 2.5, Site(9.8, 0.8, earth_rate=0.0))
     np.testing.assert_array_equal(
         still.harmful_acceleration(TIMES), np.tile([0.0, 0.0, 9.8], (TIMES.size, 1))

@@ -175,13 +175,13 @@ def is_zero(expression):
 
 
 @pytest.mark.parametrize(("symbol", "accelerometer"), CLOSED_FORMS)
-def test_sympy_derives_the_closed_form(symbol, accelerometer):
+def test_closed_form_matches_sympy(symbol, accelerometer):
     formula = CLOSED_FORMS[symbol, accelerometer].subs(t, tau / w)
     assert is_zero(derive_column(symbol, accelerometer) - formula)
 
 
 @pytest.mark.parametrize(("symbol", "accelerometer"), PARABOLAS)
-def test_sympy_derives_the_parabola(symbol, accelerometer):
+def test_parabola_formula_matches_sympy(symbol, accelerometer):
     difference = quadratic_coefficient(symbol, accelerometer) - PARABOLAS[symbol, accelerometer]
     assert sp.simplify(difference) == 0
 

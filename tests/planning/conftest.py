@@ -1,4 +1,4 @@
-"""What the tests of planning share."""
+"""Fixtures of the tests of planning."""
 
 import tomllib
 from functools import cache, partial
@@ -11,19 +11,19 @@ from counterspin.planning.plan import plan, write_example
 
 
 @pytest.fixture
-def written(tmp_path):
-    """Return what writes a plan, changed by pairs of text."""
+def write_plan(tmp_path):
+    """Return a function that writes a plan with pairs of text replaced."""
     return lambda text, *pairs: write(tmp_path, changed(text, *pairs), "PLAN.toml")
 
 
 @pytest.fixture
-def starter(tmp_path, written):
-    """Return what changes the example plan: pairs of text, found and put in its place.
+def write_starter(tmp_path, write_plan):
+    """Return a function that writes the example plan with pairs of text replaced.
 
-    What is not stated is perfect and one rate will do, as for the paper's plan.
+    Default priors are assumed perfect and a single rate is allowed, as in the plan of the paper.
     """
     original = write_example(tmp_path / "starter.toml").read_text(encoding="utf-8")
-    return partial(written, changed(original, *PERFECT))
+    return partial(write_plan, changed(original, *PERFECT))
 
 
 @cache
@@ -32,6 +32,6 @@ def _planned(text):
 
 
 @pytest.fixture
-def plan_of(starter):
-    """Return what plans the changed example; what several tests ask for is planned once."""
-    return lambda *pairs: _planned(starter(*pairs).read_text(encoding="utf-8"))
+def plan_starter(write_starter):
+    """Return a function that plans the changed example, with a cache."""
+    return lambda *pairs: _planned(write_starter(*pairs).read_text(encoding="utf-8"))

@@ -37,11 +37,11 @@ LEVEL = RunType("level", 1)
 
 
 @pytest.fixture
-def predict(starter):
+def predict(write_starter):
     """Return the forecast of three runs of the example plan, changed by pairs of text."""
 
     def made(*changes, rates=(2.0, 4.0, 6.0)):
-        search = Search(read_plan(starter(*changes)))
+        search = Search(read_plan(write_starter(*changes)))
         rate = np.array(rates)
         design = Design((LEVEL,) * rate.size, rate, np.full(rate.size, 30.3))
         return forecast(search.campaign(design))
@@ -185,8 +185,8 @@ def predict_harmonic_share(prediction):
     return 1.0 - mean / whole
 
 
-def test_harmonic_share_depends_on_prior(starter, predict):
-    text = starter().read_text(encoding="utf-8")
+def test_harmonic_share_depends_on_prior(write_starter, predict):
+    text = write_starter().read_text(encoding="utf-8")
     terms = next(line for line in text.splitlines() if line.startswith("terms"))
     priors = text.partition("[model.priors]\n")[2].partition("\n[limits]")[0]
     alone = [*FORCE, (priors, ""), ('bias = "0 ± 5e-7 g" ', "")]
@@ -202,8 +202,8 @@ def test_harmonic_share_depends_on_prior(starter, predict):
 # What a user reads
 
 
-def test_report_and_result_name_undetected_faults(starter, capsys):
-    result = plan(starter(SMALL)).result
+def test_report_and_result_name_undetected_faults(write_starter, capsys):
+    result = plan(write_starter(SMALL)).result
     told = result.accelerometers["Qx"]
     unseen = {effect.symbol: effect for effect in told.faults if not effect.noticed}
     assert {"K_OO", "delta_O"} <= set(unseen)
@@ -221,16 +221,16 @@ def test_report_and_result_name_undetected_faults(starter, capsys):
     assert "Less than 0.1 % of the information on K_II comes from the second harmonic" in printed
 
 
-def test_force_campaign_depends_on_harmonic_and_eccentricity(starter):
-    told = plan(starter(SMALL, *FORCE)).result.accelerometers["Qx"]
+def test_force_campaign_depends_on_harmonic_and_eccentricity(write_starter):
+    told = plan(write_starter(SMALL, *FORCE)).result.accelerometers["Qx"]
     assert told.harmonic_share > 0.3
     faults = {effect.symbol: effect for effect in told.faults}
     assert faults["encoder.harmonic.1"].ratio > 10.0
     assert faults["encoder.harmonic.3"].noticed
 
 
-def test_model_without_k_ii_has_no_fault_report(starter):
-    file = starter(SMALL, ('"K_II", ', ""), ('minimise = ["K_II"]  ', 'minimise = ["K_I"]  '))
+def test_model_without_k_ii_has_no_fault_report(write_starter):
+    file = write_starter(SMALL, ('"K_II", ', ""), ('minimise = ["K_II"]  ', 'minimise = ["K_I"]  '))
     told = plan(file).result.accelerometers["Qx"]
     assert told.harmonic_share is None
     assert told.faults is None

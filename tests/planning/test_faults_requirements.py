@@ -21,8 +21,8 @@ FORCE = [
 ]
 
 
-def test_requirements_increase_u_by_5_percent(starter, tmp_path):
-    planned = plan(starter(SMALL))
+def test_requirements_increase_u_by_5_percent(write_starter, tmp_path):
+    planned = plan(write_starter(SMALL))
     radius = next(line for line in planned.result.requirements if "radius" in line.words)
     document = tomllib.loads(planned.document)
     document["centrifuge"]["radius"] = f"2.5 ± {radius.size!r} m"
@@ -34,9 +34,9 @@ def test_requirements_increase_u_by_5_percent(starter, tmp_path):
     assert after / before == pytest.approx(1.05, rel=1e-3)
 
 
-def test_eccentricity_and_imbalance_increase_u_by_5_percent(starter):
-    planned = plan(starter(*FORCE))
-    prediction = forecast(write_planned_campaign(planned, starter))
+def test_eccentricity_and_imbalance_increase_u_by_5_percent(write_starter):
+    planned = plan(write_starter(*FORCE))
+    prediction = forecast(write_planned_campaign(planned, write_starter))
     place = [u.name for u in prediction.fit.model.unknowns].index("Qx.K_II")
     paths = ("encoder.harmonic.1", "centrifuge.imbalance.1")
     found = fault_sensitivities(prediction, [path_fault(symbol) for symbol in paths])
@@ -49,9 +49,9 @@ def test_eccentricity_and_imbalance_increase_u_by_5_percent(starter):
     assert found[0].shift(place) > 10.0 * prediction.u["Qx.K_II"]
 
 
-def test_requirement_of_estimated_fault_is_computed_without_it(starter, tmp_path):
+def test_requirement_of_estimated_fault_is_computed_without_it(write_starter, tmp_path):
     """The fit would absorb the fault, so it would seem to have no requirement."""
-    document = tomllib.loads(plan(starter(*FORCE)).document)
+    document = tomllib.loads(plan(write_starter(*FORCE)).document)
     moved = []
     for known in ({}, {"encoder.harmonic.1": "0 ± 1 arcsec"}):
         document["model"]["priors"] |= known
@@ -63,9 +63,9 @@ def test_requirement_of_estimated_fault_is_computed_without_it(starter, tmp_path
     assert moved[1] == pytest.approx(moved[0], rel=1e-6)
 
 
-def write_planned_campaign(planned, starter):
+def write_planned_campaign(planned, write_starter):
     """Write the campaign of a plan and read it back."""
-    file = starter().parent / "campaign.toml"
+    file = write_starter().parent / "campaign.toml"
     file.write_text(planned.document, encoding="utf-8")
     return read_campaign(file)
 

@@ -165,9 +165,9 @@ def test_calibration_matches_forecast_of_complete_plan(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("changes", PLANS.values(), ids=PLANS)
-def test_calibration_matches_forecast_of_plan(changes, plan_of, tmp_path):
+def test_calibration_matches_forecast_of_plan(changes, plan_starter, tmp_path):
     """Compare every u of the accelerometer and the platform within 5 %."""
-    planned = plan_of(*changes)
+    planned = plan_starter(*changes)
     file = write_campaign(planned, tmp_path / "planned")
     campaign = read_campaign(file)
     limits = read_plan(tmp_path / "PLAN.toml").limits
@@ -194,10 +194,10 @@ def figures_of_the_page():
     return [float(text) for text in found.groups()]
 
 
-def test_one_day_plan_reaches_documented_u(plan_of):
+def test_one_day_plan_reaches_documented_u(plan_starter):
     """In the same time and one sense, u is at most 0.45 of the plan in the paper."""
     of_paper, best, ratio, both = figures_of_the_page()
-    result = plan_of().result
+    result = plan_starter().result
     u = result.accelerometers["Qx"].coefficients["K_II"].u
     assert u == pytest.approx(best, rel=1e-3)
     paper = result.others[0]
@@ -216,25 +216,25 @@ def test_one_day_plan_reaches_documented_u(plan_of):
     assert result.goal.efficiency > 0.99
 
 
-def test_one_day_plan_in_both_senses_reaches_documented_u(plan_of):
-    result = plan_of(('senses = "one"', 'senses = "both"')).result
+def test_one_day_plan_in_both_senses_reaches_documented_u(plan_starter):
+    result = plan_starter(('senses = "one"', 'senses = "both"')).result
     u = result.accelerometers["Qx"].coefficients["K_II"].u
     assert u == pytest.approx(figures_of_the_page()[-1], rel=1e-3)
     assert sum(1 for run in result.runs if run.rate > 0.0) == 7
 
 
-def test_gain_of_fewer_rates_matches_new_plan(plan_of):
+def test_gain_of_fewer_rates_matches_new_plan(plan_starter):
     changes = (GOAL, 'target = { K_II = "6e-8 g/g^2" }'), ("runs = 14", "runs = 5")
-    two = plan_of(*changes, ("fewest_rates = 1", "fewest_rates = 2")).result
+    two = plan_starter(*changes, ("fewest_rates = 1", "fewest_rates = 2")).result
     gains = {line.key: line.gain for line in two.limits}
-    one = plan_of(*changes).result
+    one = plan_starter(*changes).result
     # A gain is at least what it says; rounding to 0.1 s a run is left out of it.
     assert gains["fewest_rates"] == pytest.approx(1.0 - one.total_time / two.total_time, abs=0.01)
 
 
-def test_two_rates_are_planned_in_minimum_time(written):
+def test_two_rates_are_planned_in_minimum_time(write_plan):
     """Five revolutions at the lowest rate, an eighth of the highest, take all of the 40 s."""
-    found = plan(written(TWO_RATES)).result
+    found = plan(write_plan(TWO_RATES)).result
     assert len({run.rate for run in found.runs}) == 2
     assert 11.25 < found.total_time <= 40.0
     half = found.others[-1]
@@ -242,15 +242,15 @@ def test_two_rates_are_planned_in_minimum_time(written):
     assert half.ratio["Qx.K_II"] < 1.0
 
 
-def test_runs_without_drift_have_equal_length(starter):
-    file = starter(('"platform.drift", ', ""), ('"platform.drift" = "0 ± 0.005 deg/h"', ""))
+def test_runs_without_drift_have_equal_length(write_starter):
+    file = write_starter(('"platform.drift", ', ""), ('"platform.drift" = "0 ± 0.005 deg/h"', ""))
     durations = [run.duration for run in plan(file).result.runs]
     assert len(durations) == 14
     assert max(durations) - min(durations) < 1.0
 
 
-def test_check_matches_plan(plan_of, tmp_path):
-    planned = plan_of(SMALL)
+def test_check_matches_plan(plan_starter, tmp_path):
+    planned = plan_starter(SMALL)
     write_campaign(planned, tmp_path / "planned")
     checked = check(tmp_path / "planned")
     assert checked.accelerometers == planned.result.accelerometers
@@ -261,8 +261,8 @@ def test_check_matches_plan(plan_of, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", ["2.2537", "4"])
-def test_forecast_meets_target(size, plan_of):
-    result = plan_of((GOAL, f'target = {{ K_II = "{size}e-8 g/g^2" }}')).result
+def test_forecast_meets_target(size, plan_starter):
+    result = plan_starter((GOAL, f'target = {{ K_II = "{size}e-8 g/g^2" }}')).result
     u = result.accelerometers["Qx"].coefficients["K_II"].u
     # Not above it, and below by no more than one step of 0.1 s in a run of 15 s makes.
     assert 1.0 - 0.004 <= u / (float(size) * 1e-8) <= 1.0
@@ -270,21 +270,23 @@ def test_forecast_meets_target(size, plan_of):
 
 
 @pytest.mark.slow
-def test_target_with_time_stamp_noise_is_reached(starter, capsys):
+def test_target_with_time_stamp_noise_is_reached(write_starter, capsys):
     """The search weighs samples as the fit does; nothing bounds what another plan could do."""
     changes = PLANS["time stamps"]
     # An encoder without noise would correct all of the times.
     encoder = ('timing = "1 ms"', 'timing = "1 ms"\nangle = "5e-3 rad"')
     changes = [*changes, encoder, ("runs = 14", "runs = 3")]
-    best = plan(starter(*changes)).result
+    best = plan(write_starter(*changes)).result
     assert best.goal.efficiency is None
     assert "no theorem gives a bound" in print_report(best, capsys)
     u = best.accelerometers["Qx"].coefficients["K_II"].u
-    found = plan(starter(*changes, (GOAL, f'target = {{ K_II = "{1.02 * u!r} g/g^2" }}'))).result
+    found = plan(
+        write_starter(*changes, (GOAL, f'target = {{ K_II = "{1.02 * u!r} g/g^2" }}'))
+    ).result
     assert 0.99 < found.accelerometers["Qx"].coefficients["K_II"].u / (1.02 * u) <= 1.0
     assert found.total_time < best.total_time
     with raises("goal-not-reached"):
-        plan(starter(*changes, (GOAL, f'target = {{ K_II = "{0.9 * u!r} g/g^2" }}')))
+        plan(write_starter(*changes, (GOAL, f'target = {{ K_II = "{0.9 * u!r} g/g^2" }}')))
 
 
 #: Rates are interpolated in a table, which a jump in each revolution makes less smooth.
@@ -303,12 +305,12 @@ RECORDS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("words", "changes"), RECORDS.items(), ids=RECORDS)
-def test_search_prediction_matches_forecast(words, changes, starter):
+def test_search_prediction_matches_forecast(words, changes, write_starter):
     """Every u of random plans within 0.02 %.
 
     Beside K_0_asym, whose product jumps, within 0.4 %, and u of K_0_asym itself within 5 %.
     """
-    search = Search(read_plan(starter(('senses = "one"', 'senses = "both"'), *changes)))
+    search = Search(read_plan(write_starter(('senses = "one"', 'senses = "both"'), *changes)))
     rng = np.random.default_rng(12)
     for runs in (1, 3, 6, 10):
         types = tuple(search.limits.types[i] for i in rng.integers(0, 2, runs))
@@ -325,9 +327,9 @@ def test_search_prediction_matches_forecast(words, changes, starter):
         assert predicted == pytest.approx(told, rel=4e-3 if words == JUMP else 2e-4)
 
 
-def test_forecast_uses_all_samples_of_dense_records(plan_of, tmp_path):
+def test_forecast_uses_all_samples_of_dense_records(plan_starter, tmp_path):
     """The last block is shorter, as the reduction of a record makes it."""
-    planned = plan_of(*PLANS["dense velocity records"])
+    planned = plan_starter(*PLANS["dense velocity records"])
     campaign = read_campaign(write_campaign(planned, tmp_path / "planned"))
     runs = tuple(run.model_copy(update={"duration": 20.011}) for run in campaign.runs[:2])
     campaign = replace(campaign, runs=runs)
@@ -338,8 +340,8 @@ def test_forecast_uses_all_samples_of_dense_records(plan_of, tmp_path):
     assert series.time[-1] + 0.5 * step * (series.count[-1] - 1.0) == pytest.approx(8004 * step)
 
 
-def test_forecast_accepts_folder_file_or_campaign(plan_of, tmp_path):
-    file = write_campaign(plan_of(SMALL), tmp_path / "planned")
+def test_forecast_accepts_folder_file_or_campaign(plan_starter, tmp_path):
+    file = write_campaign(plan_starter(SMALL), tmp_path / "planned")
     expected = forecast(read_campaign(file)).u
     for where in (file, file.parent, str(file.parent)):
         assert forecast(where).u == expected
@@ -347,8 +349,8 @@ def test_forecast_accepts_folder_file_or_campaign(plan_of, tmp_path):
         forecast(tmp_path / "nothing")
 
 
-def test_check_of_incomplete_campaign_raises(plan_of, tmp_path):
-    planned = plan_of(SMALL)
+def test_check_of_incomplete_campaign_raises(plan_starter, tmp_path):
+    planned = plan_starter(SMALL)
     document = tomllib.loads(planned.document)
     del document["simulation"], document["truth"]
     for run in document["runs"]:
@@ -365,9 +367,9 @@ def test_check_of_incomplete_campaign_raises(plan_of, tmp_path):
     assert cli.main(["plan", "--check", str(tmp_path), *arguments]) == 0
 
 
-def test_forecast_needs_no_truth(plan_of, tmp_path):
+def test_forecast_needs_no_truth(plan_starter, tmp_path):
     """What is expected of the coefficients is what is known beforehand, and makes no u."""
-    document = tomllib.loads(plan_of(SMALL).document)
+    document = tomllib.loads(plan_starter(SMALL).document)
     known = write_document({**document, "truth": {}})
     (tmp_path / "campaign.toml").write_text(known, encoding="utf-8")
     without = forecast(read_campaign(tmp_path)).u
@@ -387,15 +389,15 @@ def print_report(result, capsys) -> str:
     return " ".join(capsys.readouterr().out.split())
 
 
-def test_report_names_terms_that_need_second_attitude(plan_of, capsys):
+def test_report_names_terms_that_need_second_attitude(plan_starter, capsys):
     changes = [SMALL, ('"K_III", ', '"K_III", "K_OO", ')]
-    text = print_report(plan_of(*changes).result, capsys)
+    text = print_report(plan_starter(*changes).result, capsys)
     assert "K_II and K_OO" in text
     assert "add a second attitude, or state a value for one of the terms" in text
 
 
-def test_report_contains_required_sections(plan_of, capsys):
-    text = print_report(plan_of(SMALL).result, capsys)
+def test_report_contains_required_sections(plan_starter, capsys):
+    text = print_report(plan_starter(SMALL).result, capsys)
     for words in (
         "u(K_II of Qx) =",
         "Start time, s",
@@ -412,8 +414,8 @@ def test_report_contains_required_sections(plan_of, capsys):
 
 
 @pytest.mark.slow
-def test_gain_of_limit_matches_new_plan(starter):
-    described = starter(("runs = 14", "runs = 4"), SMALL)
+def test_gain_of_limit_matches_new_plan(write_starter):
+    described = write_starter(("runs = 14", "runs = 4"), SMALL)
     planned = plan(described).result
     lines = {line.key: line for line in planned.limits}
     before = planned.accelerometers["Qx"].coefficients["K_II"].u
@@ -429,9 +431,9 @@ def test_gain_of_limit_matches_new_plan(starter):
 
 
 @pytest.mark.slow
-def test_changed_plan_matches_file_and_can_be_swept(starter):
+def test_changed_plan_matches_file_and_can_be_swept(write_starter):
     """As its file with the same change; longer times leave less u."""
-    described = starter(("runs = 14", "runs = 2"), SMALL)
+    described = write_starter(("runs = 14", "runs = 2"), SMALL)
     first = plan(described)
     text = described.read_text(encoding="utf-8")
     more = first.change(senses="both", **{"noise.displacement": "0.02 m"})
@@ -462,8 +464,8 @@ def test_changed_plan_matches_file_and_can_be_swept(starter):
 # The command line
 
 
-def test_command_writes_campaign_and_json(starter, tmp_path, capsys):
-    file, out = starter(SMALL), tmp_path / "planned"
+def test_command_writes_campaign_and_json(write_starter, tmp_path, capsys):
+    file, out = write_starter(SMALL), tmp_path / "planned"
     assert cli.main(["plan", str(file), "-o", str(out), "--json", str(tmp_path / "p.json")]) == 0
     printed = capsys.readouterr().out
     assert "counterspin simulate" in printed
@@ -549,13 +551,13 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize(("changes", "message"), MISTAKES.values(), ids=MISTAKES)
-def test_invalid_plan_raises_with_key(changes, message, starter):
+def test_invalid_plan_raises_with_key(changes, message, write_starter):
     with pytest.raises(CampaignError, match=message):
-        read_plan(starter(*changes))
+        read_plan(write_starter(*changes))
 
 
-def test_all_errors_are_reported_at_once(starter):
-    file = starter(
+def test_all_errors_are_reported_at_once(write_starter):
+    file = write_starter(
         ('gravity = "9.8 m/s^2"', 'gravity = "9.8 m"'),
         ("runs = 14", "runs = 0"),
         (GOAL, "minimise = 3"),
@@ -578,8 +580,8 @@ def test_missing_plan_raises_with_hint(tmp_path):
         read_plan(tmp_path / "nope.toml")
 
 
-def test_unreachable_target_raises(starter):
-    file = starter((GOAL, 'target = { K_II = "1e-8 g/g^2" }'))
+def test_unreachable_target_raises(write_starter):
+    file = write_starter((GOAL, 'target = { K_II = "1e-8 g/g^2" }'))
     with pytest.raises(CounterspinError) as raised:
         plan(file)
     text = str(raised.value)
@@ -592,8 +594,8 @@ def test_unreachable_target_raises(starter):
 
 
 @pytest.mark.slow
-def test_undeterminable_coefficient_raises(starter):
-    file = starter(
+def test_undeterminable_coefficient_raises(write_starter):
+    file = write_starter(
         ('"K_III", ', '"K_III", "K_PP", '),
         ('bias = "0 ± 5e-7 g" ', ""),
         (GOAL, 'minimise = ["K_PP"]'),
@@ -606,7 +608,7 @@ def test_undeterminable_coefficient_raises(starter):
     helps = text.partition('Also allow the attitude "')[2].partition('"')[0]
     assert helps
     # And it does help.
-    wider = starter(
+    wider = write_starter(
         ('"K_III", ', '"K_III", "K_PP", '),
         ('bias = "0 ± 5e-7 g" ', ""),
         (GOAL, 'minimise = ["K_PP"]'),
@@ -618,8 +620,8 @@ def test_undeterminable_coefficient_raises(starter):
 # Parts
 
 
-def test_order_groups_attitudes_and_alternates_senses(starter):
-    file = starter(
+def test_order_groups_attitudes_and_alternates_senses(write_starter):
+    file = write_starter(
         ('senses = "one"', 'senses = "both"'),
         (ATTITUDES, 'attitudes = ["level", "90 deg about east"]'),
     )
@@ -646,10 +648,10 @@ def test_document_round_trip(document):
     assert tomllib.loads(write_document(document)) == document
 
 
-def test_plan_of_mapping_matches_file(starter, plan_of):
-    file = starter(SMALL)
+def test_plan_of_mapping_matches_file(write_starter, plan_starter):
+    file = write_starter(SMALL)
     document = tomllib.loads(file.read_text(encoding="utf-8"))
-    of_file, in_memory = plan(file), plan_of(SMALL)  # which plans a mapping
+    of_file, in_memory = plan(file), plan_starter(SMALL)  # which plans a mapping
     assert in_memory.document == of_file.document
     assert in_memory.result.runs == of_file.result.runs
     assert in_memory.result.goal == of_file.result.goal

@@ -19,8 +19,8 @@ from counterspin.planning.plan_file import read_plan
         ),
     ],
 )
-def test_implausible_machine_sizes_raise_with_reason(starter, old, new, words):
+def test_implausible_machine_sizes_raise_with_reason(write_starter, old, new, words):
     """A search among these ended in an error of its own."""
     with pytest.raises(CampaignError) as caught:
-        read_plan(starter((old, new)))
+        read_plan(write_starter((old, new)))
     assert any(words in problem for problem in caught.value.problems), caught.value

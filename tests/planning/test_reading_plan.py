@@ -88,9 +88,9 @@ def u_of_symbol(result, symbol):
 # Which readings
 
 
-def test_d_optimal_tumble_has_equal_angles(written):
+def test_d_optimal_tumble_has_equal_angles(write_plan):
     """D-optimality on a circle: every equally spaced set of positions has the same volume."""
-    result = plan(written(TUMBLE)).result
+    result = plan(write_plan(TUMBLE)).result
     expected = {"K_F": 1e-6 / math.sqrt(24.0), "K_I": 1e-6 / math.sqrt(12.0)}
     volume = math.prod(u_of_symbol(result, symbol) for symbol in ("K_F", "K_I", "delta_O"))
     assert volume == pytest.approx(expected["K_F"] * expected["K_I"] ** 2, rel=1e-6)
@@ -98,15 +98,15 @@ def test_d_optimal_tumble_has_equal_angles(written):
     assert len(result.readings) == 24
 
 
-def test_best_tumble_for_scale_factor_is_up_and_down(written):
+def test_best_tumble_for_scale_factor_is_up_and_down(write_plan):
     one = (SOUGHT, 'minimise = ["K_I"]')
-    result = plan(written(TUMBLE, one, ('criterion = "determinant"', ""))).result
+    result = plan(write_plan(TUMBLE, one, ('criterion = "determinant"', ""))).result
     assert {reading.axes.partition(",")[0] for reading in result.readings} == {"up", "down"}
     assert u_of_symbol(result, "K_I") == pytest.approx(1e-6 / math.sqrt(24.0), rel=1e-6)
 
 
-def test_arm_plan_is_better_than_even_readings(written):
-    result = plan(written(ARM)).result
+def test_arm_plan_is_better_than_even_readings(write_plan):
+    result = plan(write_plan(ARM)).result
     other = result.others[0]
     assert other.words == "every reading equally often"
     assert result.goal.efficiency > 0.95
@@ -121,13 +121,13 @@ def test_arm_plan_is_better_than_even_readings(written):
     assert other.u["A.K_II"] == pytest.approx(math.sqrt(covariance[2, 2]), rel=1e-3)
 
 
-def test_target_uses_fewest_readings(written):
+def test_target_uses_fewest_readings(write_plan):
     target = ('minimise = ["K_II"]', 'target = { K_II = "1e-8 g/g^2" }')
-    result = plan(written(ARM, target)).result
+    result = plan(write_plan(ARM, target)).result
     assert u_of_symbol(result, "K_II") <= 1e-8
     fewer = (target, ("readings = 24", f"readings = {len(result.readings) - 1}"))
     with raises("goal-not-reached", "u(A.K_II) = 1e-08 g/g^2"):
-        plan(written(ARM, *fewer))
+        plan(write_plan(ARM, *fewer))
 
 
 DRIFTING = [
@@ -138,12 +138,12 @@ DRIFTING = [
 
 
 @pytest.mark.slow
-def test_target_includes_drift(written):
+def test_target_includes_drift(write_plan):
     """Read in the order of the angle, a drift of the bias looks like a misalignment."""
 
     def planned(order, goal):
         limit = ("readings = 24", f'readings = 24\norder = "{order}"')
-        return plan(written(TUMBLE, *DRIFTING, limit, (SOUGHT, goal))).result
+        return plan(write_plan(TUMBLE, *DRIFTING, limit, (SOUGHT, goal))).result
 
     best = planned("listed", 'minimise = ["delta_O"]')
     u = u_of_symbol(best, "delta_O")
@@ -165,24 +165,24 @@ def test_target_includes_drift(written):
     assert "; the variance comes from " in str(raised.value)
 
 
-def test_plan_is_within_time_limit(written):
+def test_plan_is_within_time_limit(write_plan):
     timed = ("readings = 24", 'total_time = "1 h"')
     two = ('minimise = ["K_II"]', 'minimise = { K_II = "1e-8 g/g^2", K_F = "1e-6 g" }')
     both = (("[limits]", REST), timed, two)
-    result = plan(written(ARM, *both)).result
+    result = plan(write_plan(ARM, *both)).result
     assert result.total_time <= 3600.0
     assert {reading.motion for reading in result.readings} == {"arm", "static"}
     times = [reading.time for reading in result.readings]
     assert times == sorted(times)
     target = ('minimise = ["K_II"]', 'target = { K_II = "1.5e-8 g/g^2" }')
-    shorter = plan(written(ARM, timed, target)).result
+    shorter = plan(write_plan(ARM, timed, target)).result
     assert shorter.total_time < 3600.0
     assert u_of_symbol(shorter, "K_II") <= 1.5e-8
 
 
-def test_two_accelerometers_share_reading(written):
+def test_two_accelerometers_share_reading(write_plan):
     second = ("[model]", '[accelerometers.B]\ninput_axis = "up"\npendulous_axis = "east"\n[model]')
-    result = plan(written(TUMBLE, second)).result
+    result = plan(write_plan(TUMBLE, second)).result
     assert {reading.accelerometer for reading in result.readings} == {"A", "B"}
     assert u_of_symbol(result, "K_I") == pytest.approx(
         result.accelerometers["B"].coefficients["K_I"].u
@@ -190,7 +190,7 @@ def test_two_accelerometers_share_reading(written):
 
 
 @pytest.mark.slow
-def test_hand_set_positions_are_read_once(written, tmp_path):
+def test_hand_set_positions_are_read_once(write_plan, tmp_path):
     """Repeated readings of a position determine its setting error, not the misalignment."""
     changes = (
         ("[limits]", '[fixture]\nposition = "0 ± 20 arcsec"\n[limits]'),
@@ -199,7 +199,7 @@ def test_hand_set_positions_are_read_once(written, tmp_path):
         (SOUGHT, 'target = { delta_O = "7 arcsec" }'),
         ('criterion = "determinant"', ""),
     )
-    planned = plan(written(TUMBLE, *changes))
+    planned = plan(write_plan(TUMBLE, *changes))
     times = Counter(reading.axes for reading in planned.result.readings)
     assert set(times.values()) == {1}
     assert len(times) == math.ceil((20.0 / 7.0) ** 2)
@@ -214,8 +214,8 @@ def test_hand_set_positions_are_read_once(written, tmp_path):
 # From the plan to the calibration
 
 
-def test_calibration_matches_forecast_of_plan(written, tmp_path):
-    planned = plan(written(ARM, ("[limits]", REST)))
+def test_calibration_matches_forecast_of_plan(write_plan, tmp_path):
+    planned = plan(write_plan(ARM, ("[limits]", REST)))
     folder = tmp_path / "planned"
     file = write_campaign(planned, folder)
     with raises("missing-value", "reading:", "23"):
@@ -247,8 +247,8 @@ def test_calibration_matches_forecast_of_plan(written, tmp_path):
     assert len(checked.readings) == len(planned.result.readings)
 
 
-def test_forecast_of_readings_requires_uncertainty(written, tmp_path):
-    file = write_campaign(plan(written(TUMBLE)), tmp_path / "planned")
+def test_forecast_of_readings_requires_uncertainty(write_plan, tmp_path):
+    file = write_campaign(plan(write_plan(TUMBLE)), tmp_path / "planned")
     text = file.read_text(encoding="utf-8").replace("? ± 1e-6 g", "0 g")
     file.write_text(text, encoding="utf-8")
     with raises("missing-key"):
@@ -275,7 +275,7 @@ def test_mirrored_order_cancels_trend():
 
 
 @pytest.mark.parametrize("ways", [("in",), ("in", "out")], ids=["one side", "both sides"])
-def test_stretch_of_arm_shifts_k_ii(ways, written, tmp_path):
+def test_stretch_of_arm_shifts_k_ii(ways, write_plan, tmp_path):
     """a_I (1 + 4.6e-9 x 9.80665 |a_I|) is K_II on one side; with reversal it is odd."""
     runs = [
         f'[[runs]]\nname = "{way} {force}"\nmotion = "arm"\nreading = "0 ± 1e-6 g"\n'
@@ -296,10 +296,10 @@ def test_stretch_of_arm_shifts_k_ii(ways, written, tmp_path):
     assert shift == pytest.approx(expected, rel=1e-4, abs=1e-11)
 
 
-def test_report_and_json_contain_readings(written, tmp_path, capsys, monkeypatch):
+def test_report_and_json_contain_readings(write_plan, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     out = tmp_path / "planned"
-    file = written(ARM, ("[limits]", REST))
+    file = write_plan(ARM, ("[limits]", REST))
     assert cli.main(["plan", str(file), "-o", str(out), "--json", str(tmp_path / "p.json")]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert "24 readings" in printed
@@ -336,9 +336,9 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize(("changes", "text", "message"), MISTAKES.values(), ids=MISTAKES)
-def test_invalid_plan_raises_with_key(changes, text, message, written):
+def test_invalid_plan_raises_with_key(changes, text, message, write_plan):
     with pytest.raises(CampaignError, match=message):
-        plan(written(text, *changes))
+        plan(write_plan(text, *changes))
 
 
 @pytest.mark.parametrize(
@@ -357,10 +357,10 @@ def test_invalid_triad_raises(tmp_path, triad, message):
         plan(file)
 
 
-def test_k_ii_at_one_g_raises_not_identifiable(written):
+def test_k_ii_at_one_g_raises_not_identifiable(write_plan):
     quadratic = ('terms = ["K_F", "K_I", "delta_O"]', 'terms = ["K_F", "K_I", "K_II"]')
     goal = (SOUGHT, 'minimise = ["K_II"]')
-    file = written(TUMBLE, quadratic, goal, ('criterion = "determinant"', ""))
+    file = write_plan(TUMBLE, quadratic, goal, ('criterion = "determinant"', ""))
     with raises("not-identifiable", "A.K_II"):
         plan(file)
 
@@ -418,8 +418,8 @@ def test_readings_complement_existing_campaign(tmp_path):
     ]
     assert told == pytest.approx(min(u), rel=1e-9)
     assert len(planned.result.readings) == 2
-    written = write_campaign(planned, tmp_path / "there")
-    text = (written if written.is_file() else written / "campaign.toml").read_text("utf-8")
+    write_plan = write_campaign(planned, tmp_path / "there")
+    text = (write_plan if write_plan.is_file() else write_plan / "campaign.toml").read_text("utf-8")
     assert 'name = "turntable"' in text
     assert text.count("?") >= 2
 

@@ -277,7 +277,7 @@ def test_setting_error_rotates_instrument_about_axis(tmp_path):
     assert found == pytest.approx(K_F + K_I * a + K_II * a**2 + K_III * a**3, abs=1e-12)
 
 
-def test_setting_errors_have_the_stated_size(tmp_path):
+def test_setting_errors_have_stated_size(tmp_path):
     text = (
         HEAD
         + SET

@@ -47,7 +47,7 @@ def test_known_attitudes_determine_orientation_of_triad(tmp_path):
     assert {reading.name for reading in campaign.all_readings} == {"known", "one"}
 
 
-def test_rows_of_a_table_may_be_poses(tmp_path):
+def test_table_rows_may_be_poses(tmp_path):
     text = triads.head() + (
         '[readings]\nfile = "t.csv"\n'
         'columns = { attitude = "at", reading = { X = "x", Y = "y", Z = "z" } }\n'
