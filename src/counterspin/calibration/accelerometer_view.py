@@ -163,13 +163,13 @@ class AccelerometerView:
 
     def with_groups(self, groups: Sequence[FittedGroup]) -> AccelerometerView:
         """Return the view with those of some groups that are the accelerometer's."""
-        selected = [group for group in groups if self.name in group.accelerometers]
-        return replace(self, groups=tuple(selected))
+        own_groups = [group for group in groups if self.name in group.accelerometers]
+        return replace(self, groups=tuple(own_groups))
 
     @property
     def has_records(self) -> bool:
         """Whether it was recorded, and not only read."""
-        return any(prepared.accelerometer == self.name for prepared in self.fit.design_blocks)
+        return any(block.accelerometer == self.name for block in self.fit.design_blocks)
 
     def records(self) -> Iterator[tuple[int, DesignBlock, Residuals]]:
         """Yield its records: place among those of the fit, columns, residuals."""
@@ -187,10 +187,10 @@ class AccelerometerView:
         """Tests of its whitened residuals, run by run."""
         rows, times, dofs = {}, {}, {}
         for index, prepared, residuals in self.records():
-            whitened = residuals.whitened
-            rows[prepared.run] = whitened
+            whitened_residuals = residuals.whitened
+            rows[prepared.run] = whitened_residuals
             # Differences belong to the later of the rows they are made from.
-            times[prepared.run] = prepared.series.time[-whitened.size :]
+            times[prepared.run] = prepared.series.time[-whitened_residuals.size :]
             dofs[prepared.run] = max(self.fit.degrees_of_freedom[index], _FEWEST_DOF)
         noise_given = self.name not in self.estimate.estimated_noise
         fits = len(self.campaign.accelerometers)

@@ -36,7 +36,7 @@ _MAX_COMMON_SPREAD: Final = 0.1
 
 def assemble_result(
     campaign: Campaign,
-    observed: Sequence[ObservedRun],
+    observed_runs: Sequence[ObservedRun],
     method: Method,
     options: TwoStageOptions,
     load_inputs: Callable[[], tuple[Mapping[str, str], Mapping[str, str]]],
@@ -46,19 +46,19 @@ def assemble_result(
 
     accepted_misfit: The reason for which the result is to be used though the records contradict it.
     """
-    problem = locate_nonlinear_inputs(JointProblem(campaign, observed))
-    observed = problem.observed
+    problem = locate_nonlinear_inputs(JointProblem(campaign, observed_runs))
+    observed_runs = problem.observed
     outcome = fit_jointly(problem) if method == "joint" else apply_two_stage(problem, options)
     findings = [
         *outcome.findings,
         *_question_findings(campaign),
-        *_rate_findings({**_measured_rates(observed), **outcome.arm_rates}),
+        *_rate_findings({**_measured_rates(observed_runs), **outcome.arm_rates}),
         *(
             finding
             for name, run in outcome.runs.items()
             for finding in check_outlier_share(name, run.counts, len(campaign.accelerometers))
         ),
-        *_record_end_findings(observed),
+        *_record_end_findings(observed_runs),
     ]
     checksums, in_memory = load_inputs()
     temperatures, reference_temperature = temperatures_of(campaign), campaign.reference_temperature
@@ -90,7 +90,7 @@ def assemble_result(
         details=dict(campaign.details),
         warnings=[
             *_campaign_remarks(campaign),
-            *_detrending_remarks(campaign, observed),
+            *_detrending_remarks(campaign, observed_runs),
             *outcome.remarks,
         ],
         provenance=Provenance(
@@ -108,11 +108,11 @@ def assemble_result(
     return apply_specifications(result, campaign.specifications)
 
 
-def _measured_rates(observed: Sequence[ObservedRun]) -> dict[str, tuple[float, float]]:
+def _measured_rates(observed_runs: Sequence[ObservedRun]) -> dict[str, tuple[float, float]]:
     """Return run -> its rate by the recorded angle, and the stated rate, rad/s."""
     return {
         run.run.name: (run.rotation.spindle.rate, run.run.rate)
-        for run in observed
+        for run in observed_runs
         if run.rotation is not None
     }
 
@@ -125,13 +125,13 @@ def _rate_findings(rates: Mapping[str, tuple[float, float]]) -> list[Finding]:
     rates: Run -> its rate by the recorded angle, and the stated rate, rad/s.
     """
     findings, deviations = [], []
-    for name, (rate, stated) in rates.items():
-        deviation = rate / stated - 1.0
+    for name, (rate, stated_rate) in rates.items():
+        deviation = rate / stated_rate - 1.0
         deviations.append(deviation)
         if abs(deviation) > MAX_RATE_DEVIATION:
             text = (
                 f"{name}: the spindle turned at {rate:.6f} rad/s instead of the nominal "
-                f"{stated:.6f} rad/s. The fit uses the recorded angle."
+                f"{stated_rate:.6f} rad/s. The fit uses the recorded angle."
             )
             findings.append(
                 Finding(code="other-rate", subject=name, text=text, size=abs(deviation))
@@ -149,14 +149,14 @@ def _rate_findings(rates: Mapping[str, tuple[float, float]]) -> list[Finding]:
         "this ratio, either the recording clock or the stated rates are wrong by this amount. "
         "The fit uses the recorded times and rates."
     )
-    size = abs(largest)
-    return [Finding(code="time-base", subject="records.time", text=text, size=size)]
+    magnitude = abs(largest)
+    return [Finding(code="time-base", subject="records.time", text=text, size=magnitude)]
 
 
-def _record_end_findings(observed: Sequence[ObservedRun]) -> list[Finding]:
+def _record_end_findings(observed_runs: Sequence[ObservedRun]) -> list[Finding]:
     """Return the runs whose record ends early, or with rows that stand alone."""
     findings = []
-    for run in observed:
+    for run in observed_runs:
         name, nominal = run.run.name, run.run.duration
         if any(map(math.isfinite, run.run.part)):
             nominal = None  # it is cut on purpose
@@ -186,12 +186,12 @@ def _question_findings(campaign: Campaign) -> list[Finding]:
     ]
 
 
-def _detrending_remarks(campaign: Campaign, observed: Sequence[ObservedRun]) -> list[str]:
+def _detrending_remarks(campaign: Campaign, observed_runs: Sequence[ObservedRun]) -> list[str]:
     """Return remarks on parts that recorders removed and start values replace."""
     remarks = []
     for name, accelerometer in campaign.accelerometers.items():
         count, runs = detect_detrending(
-            {run.run.name: run.record.polynomials[name] for run in observed}
+            {run.run.name: run.record.polynomials[name] for run in observed_runs}
         )
         if count:
             remarks.append(
@@ -214,10 +214,12 @@ def _campaign_remarks(campaign: Campaign) -> list[str]:
             "[fixture] position was not used. The entry describes the setting error of known "
             "attitudes, but this campaign estimates all attitudes."
         )
-    rated = [run.name for run in campaign.runs if run.u_rate]
-    rated += [reading.name for reading in campaign.readings if reading.by_clock and reading.u_rate]
-    if rated:
-        names = ", ".join(dict.fromkeys(rated))
+    run_names = [run.name for run in campaign.runs if run.u_rate]
+    run_names += [
+        reading.name for reading in campaign.readings if reading.by_clock and reading.u_rate
+    ]
+    if run_names:
+        names = ", ".join(dict.fromkeys(run_names))
         remarks.append(
             f"The stated rate uncertainty of {names} was not used, because the fit estimates "
             "the rate from the record. The stated rate serves only as the nominal value."

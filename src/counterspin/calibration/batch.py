@@ -143,8 +143,8 @@ def _run_pool(
                     while remaining and len(pending) < pool.size:
                         pending[pool.executor.submit(attempt, *jobs[remaining[0]])] = remaining[0]
                         del remaining[0]
-                    finished, _ = wait(pending, return_when=FIRST_COMPLETED)
-                    for future in finished:
+                    finished_jobs, _ = wait(pending, return_when=FIRST_COMPLETED)
+                    for future in finished_jobs:
                         index = pending.pop(future)
                         try:
                             record_outcome(index, future.result())

@@ -84,12 +84,18 @@ def judge_result(
         for name, accelerometer in result.accelerometers.items()
     }
     accelerometer_findings = [
-        finding for judged in accelerometers.values() for finding in judged.findings
+        finding
+        for judged_accelerometer in accelerometers.values()
+        for finding in judged_accelerometer.findings
     ]
     # What has just been calibrated was held to what its campaign says is credible.
-    shared = [*result.findings, *(_check_shared_terms(result) if result.assumes_all else ())]
+    shared_findings = [
+        *result.findings,
+        *(_check_shared_terms(result) if result.assumes_all else ()),
+    ]
     all_findings = rank_findings(
-        merge_shared([*group_by_cause("", shared, causes), *accelerometer_findings]), causes
+        merge_shared([*group_by_cause("", shared_findings, causes), *accelerometer_findings]),
+        causes,
     )
     state = state_of(all_findings)
     return result.model_copy(
@@ -110,13 +116,17 @@ def _with_worst_state(result: Result) -> Result:
     """
     accelerometers = {}
     for name, stated in result.accelerometers.items():
-        known = {(f.code, f.subject) for f in _flatten_explained(stated.findings)}
+        known_findings = {(f.code, f.subject) for f in _flatten_explained(stated.findings)}
         candidates = list(check_credibility(widest_limit, name, stated.coefficients))
         if not result.sealed:
             gravity, accelerometer_count = result.inputs.gravity, len(result.accelerometers)
             candidates += _check_model(name, stated, result)
             candidates += check_statistics(name, stated, gravity, accelerometer_count)
-        new = [finding for finding in candidates if (finding.code, finding.subject) not in known]
+        new = [
+            finding
+            for finding in candidates
+            if (finding.code, finding.subject) not in known_findings
+        ]
         findings = rank_findings([*stated.findings, *new])
         accelerometers[name] = stated.model_copy(
             update={
@@ -128,9 +138,13 @@ def _with_worst_state(result: Result) -> Result:
     accelerometer_findings = [
         finding for accelerometer in accelerometers.values() for finding in accelerometer.findings
     ]
-    known = {(f.code, f.subject) for f in _flatten_explained(result.findings)}
-    shared = [f for f in _check_shared_terms(result) if (f.code, f.subject) not in known]
-    all_findings = rank_findings(merge_shared([*result.findings, *shared, *accelerometer_findings]))
+    known_findings = {(f.code, f.subject) for f in _flatten_explained(result.findings)}
+    shared_findings = [
+        f for f in _check_shared_terms(result) if (f.code, f.subject) not in known_findings
+    ]
+    all_findings = rank_findings(
+        merge_shared([*result.findings, *shared_findings, *accelerometer_findings])
+    )
     states = (accelerometer.state for accelerometer in accelerometers.values())
     state = _worst_state(result.state, state_of(all_findings), *states)
     return result.model_copy(
@@ -228,15 +242,19 @@ def refusal_reason(result: Result, names: Iterable[str]) -> str | None:
 def _check_model(
     name: str, accelerometer: AccelerometerResult, result: Result
 ) -> Iterator[Finding]:
-    known = {(finding.code, finding.subject) for finding in accelerometer.findings}
-    if result.model == "as-printed" and ("as-printed", name) not in known:
+    known_findings = {(finding.code, finding.subject) for finding in accelerometer.findings}
+    if result.model == "as-printed" and ("as-printed", name) not in known_findings:
         yield Finding(
             code="as-printed",
             subject=name,
             text="The equations as printed in the paper return half the true K_II.",
         )
     k_ii, subject = accelerometer.coefficients.get("K_II"), f"{name}.K_II"
-    if k_ii is not None and not k_ii.estimated and ("not-determined", subject) not in known:
+    if (
+        k_ii is not None
+        and not k_ii.estimated
+        and ("not-determined", subject) not in known_findings
+    ):
         yield Finding(
             code="not-determined", subject=subject, text="The records do not determine K_II."
         )
@@ -271,8 +289,8 @@ def check_statistics(
 
     gravity: m/s^2.
     """
-    known = {(finding.code, finding.subject) for finding in accelerometer.findings}
-    if ("lack-of-fit", name) not in known:
+    known_findings = {(finding.code, finding.subject) for finding in accelerometer.findings}
+    if ("lack-of-fit", name) not in known_findings:
         yield from _check_fit(name, accelerometer.residual, accelerometer_count)
     yield from _check_noise(name, accelerometer, gravity)
     # Where the residuals are far beyond the noise, uncertainties are too small by as much, and what
@@ -318,9 +336,11 @@ def not_determined_finding(
 
 def lack_of_fit_finding(name: str, sentences: Sequence[str], residual: Residual) -> Finding:
     """Return the finding that the residuals of an accelerometer are not its noise."""
-    more = len(sentences) - 1
+    further_count = len(sentences) - 1
     text = sentences[0] + (
-        f" ({more} more findings of this type concern other runs.)" if more > 1 else ""
+        f" ({further_count} more findings of this type concern other runs.)"
+        if further_count > 1
+        else ""
     )
     p, ratio = residual.lack_of_fit_p, _noise_ratio(residual)
     # A few residuals, such as two readings, are as large by chance now and then.
@@ -363,16 +383,16 @@ def _check_noise(
     walk = accelerometer.noise.get("acceleration")
     if walk is None or not walk.estimated:
         return
-    size = walk.value / gravity / LARGEST_WALK
-    if size > 1.0:
+    relative_walk = walk.value / gravity / LARGEST_WALK
+    if relative_walk > 1.0:
         yield Finding(
             code="noise-implausible",
             subject=name,
-            text=f"The estimated accelerometer noise, {1e6 * size * LARGEST_WALK:.0f} "
+            text=f"The estimated accelerometer noise, {1e6 * relative_walk * LARGEST_WALK:.0f} "
             f"ug/Hz^0.5, exceeds the largest credible value, {1e6 * LARGEST_WALK:.0f} "
             "ug/Hz^0.5. Such an estimate conceals a misfit, for example from a mistake in "
             "the description or from a few outliers.",
-            size=size,
+            size=relative_walk,
             contradicts=True,
         )
 
@@ -380,29 +400,29 @@ def _check_noise(
 def _check_jackknife(
     name: str, lines: Sequence[Jackknife], excess: float, accelerometer_count: int
 ) -> Iterator[Finding]:
-    compared = sum(1 for line in lines if line.z is not None)
-    worst = _largest_shift(lines)
-    if worst is None or worst.z is None or worst.shift is None:
+    compared_count = sum(1 for line in lines if line.z is not None)
+    worst_line = _largest_shift(lines)
+    if worst_line is None or worst_line.z is None or worst_line.shift is None:
         return
-    z = abs(worst.z) / excess
-    size = normal_equivalent(z, worst.dof)
-    if size <= agreement_limit(compared * accelerometer_count):
+    z = abs(worst_line.z) / excess
+    equivalent_z = normal_equivalent(z, worst_line.dof)
+    if equivalent_z <= agreement_limit(compared_count * accelerometer_count):
         return
     unit, factor = field_unit("g/g^2")
     yield Finding(
         code="run-disagrees",
         subject=f"{name}.K_II",
-        text=f"Omitting {worst.run} shifts K_II by {format_number(worst.shift * factor, 2)} "
-        f"{unit}, {z:.1f} times the standard uncertainty of the shift. Therefore, this "
-        "run is not consistent with the others.",
-        size=size,
-        contradicts=size > CONTRADICTION_SIGMAS,
+        text=f"Omitting {worst_line.run} shifts K_II by "
+        f"{format_number(worst_line.shift * factor, 2)} {unit}, {z:.1f} times the standard "
+        "uncertainty of the shift. Therefore, this run is not consistent with the others.",
+        size=equivalent_z,
+        contradicts=equivalent_z > CONTRADICTION_SIGMAS,
     )
 
 
 def _largest_shift(lines: Sequence[Jackknife]) -> Jackknife | None:
-    compared = [line for line in lines if line.z is not None]
-    return max(compared, key=_significance, default=None)
+    compared_lines = [line for line in lines if line.z is not None]
+    return max(compared_lines, key=_significance, default=None)
 
 
 def _significance(line: Jackknife) -> float:
@@ -429,8 +449,8 @@ def supporting_evidence(accelerometer: AccelerometerResult) -> Iterator[tuple[st
     if p is not None and _is_acceptable_fit(residual):
         noise = "the stated noise" if residual.chi2 is not None else "independent noise"
         yield "fit", f"the residuals are consistent with {noise} (p = {format_number(p, 2)})"
-    worst = _largest_shift(accelerometer.jackknife)
-    if worst is not None and _significance(worst) <= AGREEMENT:
+    worst_line = _largest_shift(accelerometer.jackknife)
+    if worst_line is not None and _significance(worst_line) <= AGREEMENT:
         yield "leave-one-run-out", "no single run dominates the result"
     if accelerometer.two_stage is not None and methods_agree(accelerometer.two_stage):
         yield "another method", "the two-stage result agrees with the joint result"
@@ -471,14 +491,14 @@ def group_by_cause(
 
     name: The accelerometer's; empty: what is found of platform, machine and inputs.
     """
-    unexplained, grouped = list(findings), []
+    unexplained, grouped_findings = list(findings), []
     for cause in causes:
         if name and name not in cause.accelerometers:
             continue
         explained = [finding for finding in unexplained if cause.accounts_for(name, finding)]
         unexplained = [finding for finding in unexplained if finding not in explained]
-        grouped.append(_attach_explained(cause.finding, explained))
-    return [*grouped, *unexplained]
+        grouped_findings.append(_attach_explained(cause.finding, explained))
+    return [*grouped_findings, *unexplained]
 
 
 def merge_shared(findings: Iterable[Finding]) -> list[Finding]:
@@ -491,6 +511,9 @@ def merge_shared(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def _attach_explained(head: Finding, explained: Sequence[Finding]) -> Finding:
-    attached = [*head.explains, *(finding for finding in explained if finding not in head.explains)]
-    grave = head.contradicts or any(finding.contradicts for finding in attached)
-    return head.model_copy(update={"explains": attached, "contradicts": grave})
+    attached_findings = [
+        *head.explains,
+        *(finding for finding in explained if finding not in head.explains),
+    ]
+    grave = head.contradicts or any(finding.contradicts for finding in attached_findings)
+    return head.model_copy(update={"explains": attached_findings, "contradicts": grave})

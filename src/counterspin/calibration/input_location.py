@@ -43,19 +43,25 @@ def locate_nonlinear_inputs(problem: JointProblem) -> JointProblem:
     returned as it is.
     """
     fastest = max((abs(run.run.rate) for run in problem.observed), default=0.0)
-    located = [
+    located_unknowns = [
         unknown
         for unknown in problem.model.unknowns
         if _turn(problem, unknown, _PRIOR_DEVIATIONS * unknown.prior[1], fastest)
         >= _MAX_LINEAR_ANGLE
     ]
-    names = [unknown.name for unknown in located]
-    for _ in range(_ROUNDS if located else 0):
-        found = locate_inputs(problem.series, problem.model, problem.noise, names)
-        turns = [_turn(problem, unknown, found[unknown.name], fastest) for unknown in located]
-        if max(turns) < _CONVERGED:
+    names = [unknown.name for unknown in located_unknowns]
+    for _ in range(_ROUNDS if located_unknowns else 0):
+        located_values = locate_inputs(problem.series, problem.model, problem.noise, names)
+        phase_changes = [
+            _turn(problem, unknown, located_values[unknown.name], fastest)
+            for unknown in located_unknowns
+        ]
+        if max(phase_changes) < _CONVERGED:
             break
-        changes = {(unknown.owner, unknown.symbol): found[unknown.name] for unknown in located}
+        changes = {
+            (unknown.owner, unknown.symbol): located_values[unknown.name]
+            for unknown in located_unknowns
+        }
         problem = _with_changes(problem, changes)
     return problem
 
@@ -70,9 +76,9 @@ def _turn(problem: JointProblem, unknown: Unknown, change: float, rate: float) -
     largest = 0.0
     for name, accelerometer in problem.campaign.accelerometers.items():
         if unknown.owner in ("", name) and (response := accelerometer.response) is not None:
-            before = response.gain(frequency)
-            after = response.deviate(unknown.symbol, change).gain(frequency)
-            largest = max(largest, abs(complex(after[0] - before[0])))
+            old_gain = response.gain(frequency)
+            new_gain = response.deviate(unknown.symbol, change).gain(frequency)
+            largest = max(largest, abs(complex(new_gain[0] - old_gain[0])))
     return largest
 
 
@@ -84,9 +90,9 @@ def _with_changes(problem: JointProblem, changes: Mapping[tuple[str, str], float
         for key in dict.fromkeys((*problem.shifts, *changes))
     }
     if ("", TIMING) in shifts:
-        stated = campaign.timing_offset or Quantity(0.0, 0.0, "s")
-        delay = stated.value + shifts["", TIMING]
-        campaign = replace(campaign, timing_offset=replace(stated, value=delay))
+        stated_offset = campaign.timing_offset or Quantity(0.0, 0.0, "s")
+        delay = stated_offset.value + shifts["", TIMING]
+        campaign = replace(campaign, timing_offset=replace(stated_offset, value=delay))
     responses = {
         (owner, symbol): known.value + shifts[owner, symbol]
         for name, accelerometer in campaign.accelerometers.items()
@@ -97,8 +103,8 @@ def _with_changes(problem: JointProblem, changes: Mapping[tuple[str, str], float
     if responses:
         accelerometers = with_responses(campaign.accelerometers, responses)
         campaign = replace(campaign, accelerometers=accelerometers)
-    observed = [
+    observed_runs = [
         observe_run(campaign, run.run, run.record, run.trajectory.conditions)
         for run in problem.observed
     ]
-    return replace(problem, observed=observed, shifts=shifts)
+    return replace(problem, observed=observed_runs, shifts=shifts)

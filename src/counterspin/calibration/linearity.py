@@ -105,16 +105,16 @@ class Linearity:
 
 
 def assess_linearity(
-    result: Result, campaign: Campaign, observed: Sequence[ObservedRun]
+    result: Result, campaign: Campaign, observed_runs: Sequence[ObservedRun]
 ) -> Linearity:
     """Compare the linear sensitivities of a result with full fits.
 
     result: Of the joint method, with its budgets.
     """
-    model = JointProblem(campaign, observed).model
+    model = JointProblem(campaign, observed_runs).model
     unknowns = {unknown.name: unknown for unknown in (*model.unknowns, *model.considered)}
     sources = _choose_sources(result, campaign, unknowns)
-    estimated = {
+    estimated_symbols = {
         (name, symbol): (f"{name}.{symbol}", coefficient.value)
         for name, accelerometer in result.accelerometers.items()
         for symbol, coefficient in accelerometer.coefficients.items()
@@ -123,34 +123,37 @@ def assess_linearity(
         and f"{name}.{symbol}" in unknowns
     }
     slopes = _slopes(result, unknowns)
-    responses: dict[tuple[str, str], dict[str, Response]] = {key: {} for key in estimated}
-    tested = []
+    responses: dict[tuple[str, str], dict[str, Response]] = {key: {} for key in estimated_symbols}
+    tested_sources = []
     for source in sources:
         u = unknowns[source].prior[1]
         with suppress(CounterspinError):
             fits = [
-                _fit_values(campaign, observed, {source: sign * _SHIFT * u}) for sign in (-1.0, 1.0)
+                _fit_values(campaign, observed_runs, {source: sign * _SHIFT * u})
+                for sign in (-1.0, 1.0)
             ]
-            tested.append(source)
-            for key, (name, value) in estimated.items():
+            tested_sources.append(source)
+            for key, (name, value) in estimated_symbols.items():
                 linear = slopes[key].get(source, 0.0) * _SHIFT * u
                 below, above = (fit[name] - value for fit in fits)
                 responses[key][source] = Response(below + linear, above - linear)
     joint: dict[tuple[str, str], float] = {}
     generator = np.random.default_rng(_SEED)
-    for _ in range(_JOINT_FITS if len(tested) > 1 else 0):
-        drawn = generator.uniform(-_SHIFT, _SHIFT, len(tested))
-        shifts = {s: float(x) * unknowns[s].prior[1] for s, x in zip(tested, drawn, strict=True)}
+    for _ in range(_JOINT_FITS if len(tested_sources) > 1 else 0):
+        draws = generator.uniform(-_SHIFT, _SHIFT, len(tested_sources))
+        shifts = {
+            s: float(x) * unknowns[s].prior[1] for s, x in zip(tested_sources, draws, strict=True)
+        }
         with suppress(CounterspinError):
-            fit = _fit_values(campaign, observed, shifts)
-            for key, (name, value) in estimated.items():
-                predicted = value + sum(
+            fit = _fit_values(campaign, observed_runs, shifts)
+            for key, (name, value) in estimated_symbols.items():
+                prediction = value + sum(
                     slopes[key].get(source, 0.0) * shifts[source]
                     + float(responses[key][source].excess(x))
-                    for source, x in zip(tested, drawn, strict=True)
+                    for source, x in zip(tested_sources, draws, strict=True)
                 )
-                joint[key] = max(joint.get(key, 0.0), abs(fit[name] - predicted))
-    return Linearity(tuple(tested), responses, joint)
+                joint[key] = max(joint.get(key, 0.0), abs(fit[name] - prediction))
+    return Linearity(tuple(tested_sources), responses, joint)
 
 
 def _full_name(source: str, owner: str, unknowns: Mapping[str, object]) -> str:
@@ -178,8 +181,8 @@ def _choose_sources(
             is_term = has_readings and line.kind != DEFAULT_PRIOR and unknown.symbol not in INPUTS
             if is_input or is_term:
                 shares[name] = max(shares.get(name, 0.0), line.share)
-    ranked = sorted(shares, key=lambda name: -shares[name])
-    return [name for name in ranked if shares[name] >= _MIN_SHARE][:_MAX_SOURCES]
+    ranked_sources = sorted(shares, key=lambda name: -shares[name])
+    return [name for name in ranked_sources if shares[name] >= _MIN_SHARE][:_MAX_SOURCES]
 
 
 def _slopes(
@@ -198,25 +201,30 @@ def _slopes(
 
 
 def _fit_values(
-    campaign: Campaign, observed: Sequence[ObservedRun], shifts: Mapping[str, float]
+    campaign: Campaign, observed_runs: Sequence[ObservedRun], shifts: Mapping[str, float]
 ) -> dict[str, float]:
     """Return the estimates of a full fit with stated values and prior means shifted, by name.
 
     shifts: Full name of an input or term -> shift, SI or g-units.
     """
-    changed = _with_inputs(campaign, shifts)
-    if changed is not campaign:
-        observed = [
-            observe_run(changed, run.run, run.record, run.trajectory.conditions) for run in observed
+    changed_campaign = _with_inputs(campaign, shifts)
+    if changed_campaign is not campaign:
+        observed_runs = [
+            observe_run(changed_campaign, run.run, run.record, run.trajectory.conditions)
+            for run in observed_runs
         ]
-    problem = locate_nonlinear_inputs(JointProblem(changed, observed))
-    moved = shifts.keys() - {_RADIUS, _LATITUDE, TIMING}
+    problem = locate_nonlinear_inputs(JointProblem(changed_campaign, observed_runs))
+    shifted_symbols = shifts.keys() - {_RADIUS, _LATITUDE, TIMING}
     model = problem.model
-    if moved:
+    if shifted_symbols:
         model = replace(
             model,
-            unknowns=tuple(_shift_prior(unknown, shifts, moved) for unknown in model.unknowns),
-            considered=tuple(_shift_prior(term, shifts, moved) for term in model.considered),
+            unknowns=tuple(
+                _shift_prior(unknown, shifts, shifted_symbols) for unknown in model.unknowns
+            ),
+            considered=tuple(
+                _shift_prior(term, shifts, shifted_symbols) for term in model.considered
+            ),
         )
         vars(problem)["model"] = model
     estimate, _ = estimate_campaign(problem)
@@ -224,9 +232,9 @@ def _fit_values(
     return {unknown.name: float(value) + unknown.nominal for unknown, value in values}
 
 
-def _shift_prior(unknown: U, shifts: Mapping[str, float], moved: set[str]) -> U:
+def _shift_prior(unknown: U, shifts: Mapping[str, float], shifted_symbols: set[str]) -> U:
     """Return an unknown whose prior mean is shifted, if it is one of those moved."""
-    if unknown.name not in moved:
+    if unknown.name not in shifted_symbols:
         return unknown
     value, u = unknown.prior
     return replace(unknown, prior=(value + shifts[unknown.name], u))

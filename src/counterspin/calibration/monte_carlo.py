@@ -57,7 +57,7 @@ def check_trials(trials: int, method: str) -> None:
 
 
 def add_intervals(
-    result: Result, campaign: Campaign, observed: Sequence[ObservedRun], trials: int
+    result: Result, campaign: Campaign, observed_runs: Sequence[ObservedRun], trials: int
 ) -> Result:
     """Return a result with the intervals of its estimated coefficients by Monte Carlo.
 
@@ -74,13 +74,13 @@ def add_intervals(
     """
     accelerometers, runs = {}, set(result.runs)
     distributions = stated_distributions(campaign)
-    linearity = assess_linearity(result, campaign, observed)
-    for place, (name, accelerometer) in enumerate(result.accelerometers.items()):
+    linearity = assess_linearity(result, campaign, observed_runs)
+    for accelerometer_index, (name, accelerometer) in enumerate(result.accelerometers.items()):
         intervals = {}
-        for number, (symbol, coefficient) in enumerate(accelerometer.coefficients.items()):
+        for index, (symbol, coefficient) in enumerate(accelerometer.coefficients.items()):
             lines = accelerometer.budget.get(symbol)
             if lines and coefficient.estimated and coefficient.u:
-                generator = np.random.default_rng((_SEED, place, number))
+                generator = np.random.default_rng((_SEED, accelerometer_index, index))
                 responses = linearity.second_order(name, symbol, coefficient.u)
                 sources = [*(line.source for line in lines), *responses]
                 shapes = _by_source(distributions, sources, name, runs)
@@ -94,12 +94,14 @@ def add_intervals(
 
 def stated_distributions(campaign: Campaign) -> dict[str, InputDistribution]:
     """Return name of a term or input -> its stated distribution, where that is not normal."""
-    stated = stated_inputs(campaign) | dict(campaign.model.priors)
+    stated_quantities = stated_inputs(campaign) | dict(campaign.model.priors)
     for name, accelerometer in campaign.accelerometers.items():
-        stated |= {f"{name}.{symbol}": prior for symbol, prior in accelerometer.priors.items()}
+        stated_quantities |= {
+            f"{name}.{symbol}": prior for symbol, prior in accelerometer.priors.items()
+        }
     return {
         name: quantity.distribution
-        for name, quantity in stated.items()
+        for name, quantity in stated_quantities.items()
         if quantity.distribution.shape != "normal"
     }
 
@@ -143,8 +145,8 @@ def draw_errors(
     noise_dof = _noise_dof(coefficient, noise_variance)
     slopes = {line.source: (line.sensitivity or 0.0) * (line.u or 0.0) for line in lines}
     for source, response in responses.items():
-        drawn = standard_draws(distributions.get(source, NORMAL), trials, generator)
-        errors += slopes.get(source, 0.0) * drawn + response.excess(drawn)
+        draws = standard_draws(distributions.get(source, NORMAL), trials, generator)
+        errors += slopes.get(source, 0.0) * draws + response.excess(draws)
     for line in lines:
         distribution = distributions.get(line.source)
         if line.source in responses:
@@ -184,18 +186,18 @@ def interval_of(errors: Array, coefficient: Coefficient) -> MonteCarloInterval:
     tolerance = numerical_tolerance(coefficient.u)
     gum = np.array(coefficient.interval(COVERAGE)) - coefficient.value
     difference = np.abs(np.quantile(errors, tails) - gum)
-    validated: bool | None = None
+    is_validated: bool | None = None
     if (difference + scatter <= tolerance).all():
-        validated = True
+        is_validated = True
     elif (difference - scatter > tolerance).any():
-        validated = False
+        is_validated = False
     return MonteCarloInterval(
         trials=errors.size,
         u=float(errors.std(ddof=1)),
         low=coefficient.value + low,
         high=coefficient.value + high,
         tolerance=tolerance,
-        gum_validated=validated,
+        gum_validated=is_validated,
     )
 
 
@@ -205,11 +207,11 @@ def shortest_interval(errors: Array) -> tuple[float, float]:
     Where the symmetric interval is longer by less than 1 %, it is returned: the place of the
     shortest is then a matter of chance, and of a rectangular distribution it is not unique.
     """
-    ordered = np.sort(errors)
-    covered = math.ceil(COVERAGE * errors.size)
-    lengths = ordered[covered:] - ordered[: errors.size - covered]
+    sorted_errors = np.sort(errors)
+    covered_count = math.ceil(COVERAGE * errors.size)
+    lengths = sorted_errors[covered_count:] - sorted_errors[: errors.size - covered_count]
     start = int(np.argmin(lengths))
-    symmetric = (errors.size - covered) // 2
+    symmetric = (errors.size - covered_count) // 2
     if lengths[symmetric] < _SAME_LENGTH * lengths[start]:
         start = symmetric
-    return float(ordered[start]), float(ordered[start + covered])
+    return float(sorted_errors[start]), float(sorted_errors[start + covered_count])

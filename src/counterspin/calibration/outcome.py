@@ -109,8 +109,8 @@ def correlation(view: AccelerometerView) -> Correlation | None:
     return _correlation(
         view.estimate,
         {
-            place: unknown.name.removeprefix(prefix)
-            for place, unknown in enumerate(view.fit.model.unknowns)
+            index: unknown.name.removeprefix(prefix)
+            for index, unknown in enumerate(view.fit.model.unknowns)
             if view.assessment.determined.get(unknown.name)
             and (unknown.owner == view.name or unknown.symbol not in TERMS)
         },
@@ -122,8 +122,8 @@ def full_correlation(estimate: Estimate, assessment: Assessment) -> Correlation 
     return _correlation(
         estimate,
         {
-            place: unknown.name
-            for place, unknown in enumerate(estimate.fit.model.unknowns)
+            index: unknown.name
+            for index, unknown in enumerate(estimate.fit.model.unknowns)
             if assessment.determined.get(unknown.name) and unknown.symbol not in ROTATION
         },
     )
@@ -175,10 +175,10 @@ def residual(view: AccelerometerView) -> Residual:
 def residual_of(groups: Sequence[FittedGroup]) -> Residual:
     """Return the size of the residuals of readings, and how well the model fits them."""
     residuals = np.concatenate([group.residuals for group in groups])
-    stated = [group for group in groups if math.isinf(group.noise_dof)]
-    chi2 = sum(group.chi2 for group in stated)
-    dof = sum(group.residual_dof for group in stated)
-    testable = len(stated) == len(groups) and dof > 0.5
+    stated_groups = [group for group in groups if math.isinf(group.noise_dof)]
+    chi2 = sum(group.chi2 for group in stated_groups)
+    dof = sum(group.residual_dof for group in stated_groups)
+    testable = len(stated_groups) == len(groups) and dof > 0.5
     return Residual(
         rms=float(np.sqrt(np.mean(residuals**2))),
         unit="g",
@@ -236,14 +236,14 @@ def with_static_uncertainty(
     lines: dict[str, NoiseLine], campaign: Campaign, noise: Noise, observable: str
 ) -> dict[str, NoiseLine]:
     """Return lines of noise that say which are from the record at rest, and how well it knows."""
-    updated = dict(lines)
+    updated_lines = dict(lines)
     keys = size_keys(observable) if noise.covariance else {}
-    for place, key in enumerate(keys.values()):
-        variance, line = noise.covariance[place][place], lines.get(key)
+    for index, key in enumerate(keys.values()):
+        variance, line = noise.covariance[index][index], lines.get(key)
         if variance > 0.0 and line is not None and not line.estimated and campaign.noise:
             u = 0.5 * math.sqrt(variance) / line.value
-            updated[key] = line.model_copy(update={"u": u, "record": campaign.noise.rest})
-    return updated
+            updated_lines[key] = line.model_copy(update={"u": u, "record": campaign.noise.rest})
+    return updated_lines
 
 
 def record_noise(
@@ -252,17 +252,17 @@ def record_noise(
     """Return noise of records, component by component, given or estimated."""
     lines = {}
     for index, (component, key) in enumerate(size_keys(observable).items()):
-        size = float(getattr(noise, component))
-        estimated = components is not None and component in components.estimated
-        dropped = components is not None and component in components.dropped
-        if size == 0.0 and not dropped:
+        value = float(getattr(noise, component))
+        is_estimated = components is not None and component in components.estimated
+        is_dropped = components is not None and component in components.dropped
+        if value == 0.0 and not is_dropped:
             continue
         u = None
-        if components is not None and estimated and size > 0.0:
+        if components is not None and is_estimated and value > 0.0:
             # From the variance of a variance to that of its root.
-            u = 0.5 * math.sqrt(float(components.covariance[index, index])) / size
+            u = 0.5 * math.sqrt(float(components.covariance[index, index])) / value
         lines[key] = NoiseLine(
-            value=size, u=u, unit=NOISE_UNITS[key], estimated=estimated or dropped
+            value=value, u=u, unit=NOISE_UNITS[key], estimated=is_estimated or is_dropped
         )
     if noise.quantisation > 0.0:
         lines["quantisation"] = NoiseLine(
@@ -278,10 +278,10 @@ def residual_columns(fit: JointFit, units: Mapping[str, str]) -> list[dict[str, 
     """
     tables: list[dict[str, Any]] = []
     for prepared, residuals in zip(fit.design_blocks, fit.residuals, strict=True):
-        series, plain = prepared.series, residuals.unweighted
-        whitened = np.full(plain.size, np.nan)
+        series, plain_residuals = prepared.series, residuals.unweighted
+        whitened_residuals = np.full(plain_residuals.size, np.nan)
         # Differences belong to the later rows.
-        whitened[plain.size - residuals.whitened.size :] = residuals.whitened
+        whitened_residuals[plain_residuals.size - residuals.whitened.size :] = residuals.whitened
         tables.append(
             {
                 "accelerometer": prepared.accelerometer,
@@ -289,9 +289,9 @@ def residual_columns(fit: JointFit, units: Mapping[str, str]) -> list[dict[str, 
                 "time": series.time,
                 "count": series.count,
                 "error": series.error,
-                "fitted": series.error - plain,
-                "residual": plain,
-                "whitened": whitened,
+                "fitted": series.error - plain_residuals,
+                "residual": plain_residuals,
+                "whitened": whitened_residuals,
                 "unit": units[prepared.accelerometer],
             }
         )
@@ -299,12 +299,12 @@ def residual_columns(fit: JointFit, units: Mapping[str, str]) -> list[dict[str, 
 
 
 def mounting_radii(
-    campaign: Campaign, shared: Mapping[Unknown, Coefficient]
+    campaign: Campaign, shared_coefficients: Mapping[Unknown, Coefficient]
 ) -> dict[Unknown, Coefficient]:
     """Return the radii of mountings as such; the fit has their deviations from the machine's."""
     return {
         unknown: c.model_copy(update={"value": c.value + campaign.radius.value})
-        for unknown, c in shared.items()
+        for unknown, c in shared_coefficients.items()
         if unknown.symbol.startswith("centrifuge.radius.") and c.value is not None
     }
 
@@ -421,7 +421,9 @@ def own_correlations(campaign: Campaign, name: str) -> dict[str, dict[str, float
     }
 
 
-def describe_instrument(accelerometer: Accelerometer, estimated: Collection[str]) -> dict[str, Any]:
+def describe_instrument(
+    accelerometer: Accelerometer, estimated_symbols: Collection[str]
+) -> dict[str, Any]:
     """Return the parts of an accelerometer's description that applying its result needs."""
     output = accelerometer.output
     return {
@@ -429,7 +431,7 @@ def describe_instrument(accelerometer: Accelerometer, estimated: Collection[str]
         "known": {
             symbol: Coefficient(value=prior.value, u=prior.u, unit=prior.unit, estimated=False)
             for symbol, prior in accelerometer.priors.items()
-            if symbol not in estimated
+            if symbol not in estimated_symbols
         },
         "axes": list(accelerometer.mounting.axes),
         "observable": accelerometer.observable,

@@ -123,12 +123,12 @@ def decide(
         elif not _between(value, *acceptance_limits(low, high, -guard_band)):
             verdict = "fail"
         reason = "the distance of the estimate from a tolerance limit is less than the guard band"
-    accepted = _acceptance_interval(u, dof, specification, rule, guard_band)
+    acceptance_interval = _acceptance_interval(u, dof, specification, rule, guard_band)
     return replace(
         undecided(specification, rule, reason),
         global_risk=None
         if specification.process is None
-        else global_risk(specification.process, u, dof, (low, high), accepted),
+        else global_risk(specification.process, u, dof, (low, high), acceptance_interval),
         guard_band=guard_band,
         verdict=verdict,
         probability=inside,

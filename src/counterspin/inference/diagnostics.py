@@ -89,13 +89,13 @@ class Diagnostics:
         """One or more sentences for the report."""
         if self.findings:
             return " ".join(self.findings)
-        size = (
+        magnitude = (
             f"chi-square {self.chi2:.6g} on {self.dof:.6g} degrees of freedom"
             if self.noise_given
             else "noise estimated from the residuals"
         )
         return (
-            f"The residuals are consistent with independent noise ({size}; p = "
+            f"The residuals are consistent with independent noise ({magnitude}; p = "
             f"{self.lack_of_fit_p:.2g})."
         )
 
@@ -223,9 +223,9 @@ def _findings(
             f"{run.peak_share:.2%} of the residual variance. The residuals therefore contain a "
             f"periodic effect{', such as a vibration' if _is_large(run) else ''}."
         )
-        tested = [(run.sign_p, signs), (run.peak_p, wave)]
-        tested = tested[::-1] if _is_large(run) else tested
-        sentences += [words for p, words in tested if p < limit]
+        tested_statistics = [(run.sign_p, signs), (run.peak_p, wave)]
+        tested_statistics = tested_statistics[::-1] if _is_large(run) else tested_statistics
+        sentences += [sentence for p, sentence in tested_statistics if p < limit]
     return tuple(sentences)
 
 
@@ -248,9 +248,9 @@ def normal_equivalent(z: float, dof: float | None) -> float:
 
     dof: Degrees of freedom of that; None: infinite.
     """
-    size = abs(z)
+    magnitude = abs(z)
     # Below 1e-300 there is no probability to compare any more.
-    return size if dof is None else -normal_quantile(max(student_cdf(dof, -size), 1e-300))
+    return magnitude if dof is None else -normal_quantile(max(student_cdf(dof, -magnitude), 1e-300))
 
 
 def runs_test(rows: ArrayLike) -> tuple[int, float, float]:
@@ -288,11 +288,11 @@ def periodogram(rows: ArrayLike) -> Array:
 
 def periodogram_peak(power: Array, n: int) -> tuple[float, float, float]:
     """Largest line of the periodogram of n rows, with Fisher's exact test."""
-    total = float(power.sum())
-    if total == 0:
+    total_power = float(power.sum())
+    if total_power == 0:
         return 0.0, 0.0, 1.0
     peak = int(np.argmax(power))
-    share = float(power[peak]) / total
+    share = float(power[peak]) / total_power
     return (peak + 1) / n, share, fisher_g_p(share, power.size)
 
 
@@ -303,11 +303,11 @@ def fisher_g_p(share: float, lines: int) -> float:
     """
     if share >= 1:
         return 1.0 if lines == 1 else 0.0
-    first = lines * (1 - share) ** (lines - 1)
-    if first > 20:  # then p > 1 - 3e-9, and the alternating sum would only lose digits
+    first_term = lines * (1 - share) ** (lines - 1)
+    if first_term > 20:  # then p > 1 - 3e-9, and the alternating sum would only lose digits
         return 1.0
     p = 0.0
     for j in range(1, min(lines, math.ceil(1 / share) - 1, 200) + 1):
-        size = math.exp(log_binomial(lines, j) + (lines - 1) * math.log1p(-j * share))
-        p += size if j % 2 else -size
+        magnitude = math.exp(log_binomial(lines, j) + (lines - 1) * math.log1p(-j * share))
+        p += magnitude if j % 2 else -magnitude
     return min(max(p, 0.0), 1.0)

@@ -58,20 +58,20 @@ def chi_square_tail(dof: float, chi2: float) -> float:
     if deviation <= -1.0:  # to all digits; a is large then
         return 1.0
     if a >= _STIRLING_FROM:
-        size = math.exp(-a * (deviation - math.log1p(deviation))) / (
+        density = math.exp(-a * (deviation - math.log1p(deviation))) / (
             math.sqrt(2.0 * math.pi * a) * math.exp(_stirling(a))
         )
     else:
-        size = math.exp(a * math.log(x) - x - math.lgamma(a + 1.0))
+        density = math.exp(a * math.log(x) - x - math.lgamma(a + 1.0))
     if x < a + 1.0:
-        total = term = 1.0
+        series_sum = term = 1.0
         n = a
-        while term > total * _SERIES_TOLERANCE:
+        while term > series_sum * _SERIES_TOLERANCE:
             n += 1.0
             term *= x / n
-            total += term
-        return max(1.0 - size * total, 0.0)
-    return size * a * _gamma_continued_fraction(a, x)
+            series_sum += term
+        return max(1.0 - density * series_sum, 0.0)
+    return density * a * _gamma_continued_fraction(a, x)
 
 
 def student_cdf(dof: float, t: float) -> float:
@@ -113,18 +113,18 @@ def _student_tail(dof: float, t: float) -> float:
         # So near the normal distribution the fraction would lose digits (Abramowitz and Stegun
         # 26.7.8).
         square = t * t
-        near = t * (square + 1.0) / (4.0 * dof) + t * (
+        correction = t * (square + 1.0) / (4.0 * dof) + t * (
             ((3.0 * square - 7.0) * square - 5.0) * square - 3.0
         ) / (96.0 * dof * dof)
-        return normal_cdf(-t) + near * math.exp(-0.5 * square) / math.sqrt(2.0 * math.pi)
+        return normal_cdf(-t) + correction * math.exp(-0.5 * square) / math.sqrt(2.0 * math.pi)
     a = 0.5 * dof
     ratio = t * t / dof
     x, y = 1.0 / (1.0 + ratio), ratio / (1.0 + ratio)
     # x^a y^(1/2) / B(a, 1/2)
-    size = _gamma_ratio(a) / math.sqrt(math.pi) * math.exp(-a * math.log1p(ratio)) * math.sqrt(y)
+    density = _gamma_ratio(a) / math.sqrt(math.pi) * math.exp(-a * math.log1p(ratio)) * math.sqrt(y)
     if x < (a + 1.0) / (a + 2.5):
-        return 0.5 * size / a * _beta_continued_fraction(a, 0.5, x)
-    return 0.5 - size * _beta_continued_fraction(0.5, a, y)
+        return 0.5 * density / a * _beta_continued_fraction(a, 0.5, x)
+    return 0.5 - density * _beta_continued_fraction(0.5, a, y)
 
 
 def _student_density(dof: float, t: float) -> float:
@@ -139,8 +139,8 @@ def _gamma_ratio(a: float) -> float:
     if a < _STIRLING_FROM:
         return math.exp(math.lgamma(a + 0.5) - math.lgamma(a))
     b = a + 0.5
-    growth = a * math.log1p(0.5 / a) - 0.5
-    return math.sqrt(a) * math.exp(growth + _stirling(b) - _stirling(a))
+    log_ratio = a * math.log1p(0.5 / a) - 0.5
+    return math.sqrt(a) * math.exp(log_ratio + _stirling(b) - _stirling(a))
 
 
 def _stirling(a: float) -> float:

@@ -52,16 +52,16 @@ def global_risk(
     tolerance, acceptance: Lower and upper limit; None where there is none.
     """
     low, high = _ends(tolerance)
-    first, last = _ends(acceptance)
-    if first > last:
+    lower_limit, upper_limit = _ends(acceptance)
+    if lower_limit > upper_limit:
         # No estimate passes.
-        first = last = math.inf
+        lower_limit = upper_limit = math.inf
     spread = _RANGE * process.sigma
     begin, end = process.mean - spread, process.mean + spread
     steps = np.array([0.0, *(s * 2.0**k for k in range(-1, 5) for s in (-1.0, 1.0))])
     edges = [
         process.mean + steps * process.sigma,
-        *(limit + steps * u for limit in (first, last) if math.isfinite(limit)),
+        *(limit + steps * u for limit in (lower_limit, upper_limit) if math.isfinite(limit)),
         np.array([begin, end, np.clip(low, begin, end), np.clip(high, begin, end)]),
     ]
     nodes = np.unique(np.clip(np.concatenate(edges), begin, end))
@@ -75,9 +75,13 @@ def global_risk(
             z = (value - process.mean) / process.sigma
             density = float(weight) * math.exp(-0.5 * z * z)
             if conforms:
-                producer += density * _probability(value, u, dof, first, last, inside=False)
+                producer += density * _probability(
+                    value, u, dof, lower_limit, upper_limit, inside=False
+                )
             else:
-                consumer += density * _probability(value, u, dof, first, last, inside=True)
+                consumer += density * _probability(
+                    value, u, dof, lower_limit, upper_limit, inside=True
+                )
     norm = process.sigma * math.sqrt(2.0 * math.pi)
     return GlobalRisk(
         mean=process.mean, sigma=process.sigma, consumer=consumer / norm, producer=producer / norm
@@ -106,13 +110,15 @@ def guard_band_for_risk(
         )
         return global_risk(process, u, dof, tolerance, acceptance).consumer
 
-    narrow, wide = 0.0, _RANGE * (u + process.sigma)
-    if risk(narrow) <= consumer:
+    lower_bound, upper_bound = 0.0, _RANGE * (u + process.sigma)
+    if risk(lower_bound) <= consumer:
         return 0.0
     for _ in range(_BISECTIONS):
-        middle = 0.5 * (narrow + wide)
-        narrow, wide = (middle, wide) if risk(middle) > consumer else (narrow, middle)
-    return wide
+        middle = 0.5 * (lower_bound + upper_bound)
+        lower_bound, upper_bound = (
+            (middle, upper_bound) if risk(middle) > consumer else (lower_bound, middle)
+        )
+    return upper_bound
 
 
 def _ends(limits: tuple[float | None, float | None]) -> tuple[float, float]:
@@ -121,12 +127,12 @@ def _ends(limits: tuple[float | None, float | None]) -> tuple[float, float]:
 
 
 def _probability(
-    value: float, u: float, dof: float | None, first: float, last: float, *, inside: bool
+    value: float, u: float, dof: float | None, low: float, high: float, *, inside: bool
 ) -> float:
     """Return the probability of an estimate inside, or outside, the acceptance limits."""
     if u == 0.0:
-        return float((first <= value <= last) == inside)
-    below, above = (first - value) / u, (last - value) / u
+        return float((low <= value <= high) == inside)
+    below, above = (low - value) / u, (high - value) / u
     if not inside:
         return _cdf(below, dof) + _cdf(-above, dof)
     # On one side of both limits, the difference of the small tails keeps its digits.

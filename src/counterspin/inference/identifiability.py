@@ -114,8 +114,10 @@ def assess(
         raise ValueError("assess needs a solution that was solved with limits")
     p = len(symbols)
     if p > solution.estimate.size or np.isinf(solution.prior_sd[p:]).any():
-        size = solution.estimate.size
-        raise ValueError(f"{p} symbols for {size} unknowns: unknowns without a symbol need a prior")
+        count = solution.estimate.size
+        raise ValueError(
+            f"{p} symbols for {count} unknowns: unknowns without a symbol need a prior"
+        )
     offset = np.zeros(p) if nominal is None else np.asarray(nominal, dtype=np.float64)
     limits, prior_sd = solution.limits[:p], solution.prior_sd[:p]
     free = np.flatnonzero(prior_sd > 0)
@@ -130,59 +132,61 @@ def assess(
     variance[free] += np.sum(root**2, axis=1)
     if solution.covariance_undetected is not None:
         variance += np.diag(solution.covariance_undetected)[:p]
-    determined = (
+    is_determined = (
         (prior_sd > 0) & (variance < limits**2) & (variance <= MAX_VARIANCE_RATIO * prior_sd**2)
     )
 
     # A coefficient such as K_I = 1.002 is as large as what its unknown leaves out, and more.
-    sizes = problem.limits + np.abs(offset[free])
+    scales = problem.limits + np.abs(offset[free])
 
     def describe(weights: Array) -> tuple[ConfoundedTerms, float]:
         """Return a combination of the free unknowns, and its u over the largest of its parts'."""
         full = np.zeros(solution.estimate.size)
         full[free] = weights
-        part = np.abs(weights) * sizes
+        contributions = np.abs(weights) * scales
         # An undetermined term always has its partner named.
-        named_from = min(_NEGLIGIBLE * solution.combine(full).u, np.sort(part)[-2])
-        terms = np.flatnonzero(part >= named_from)
+        named_from = min(_NEGLIGIBLE * solution.combine(full).u, np.sort(contributions)[-2])
+        terms = np.flatnonzero(contributions >= named_from)
         full /= weights[terms[0]]
-        combined = solution.combine(full)
+        combination = solution.combine(full)
         names = [symbols[k] for k in free[terms].tolist()]
-        named = full[free[terms]]
-        described = ConfoundedTerms(
+        groups = full[free[terms]]
+        described_terms = ConfoundedTerms(
             terms=names,
             correlation=problem.correlation(terms),
-            determined=write_combination(names, named, _NEGLIGIBLE * combined.u / sizes[terms]),
-            weights=named.tolist(),
-            value=combined.value + float(full[:p] @ offset),
-            u=combined.u,
+            determined=write_combination(
+                names, groups, _NEGLIGIBLE * combination.u / scales[terms]
+            ),
+            weights=groups.tolist(),
+            value=combination.value + float(full[:p] @ offset),
+            u=combination.u,
         )
-        return described, combined.u / float(np.max(np.abs(full[:p]) * np.sqrt(variance)))
+        return described_terms, combination.u / float(np.max(np.abs(full[:p]) * np.sqrt(variance)))
 
     undetermined = [i for i in range(free.size) if np.linalg.norm(root[i]) >= problem.limits[i]]
     combinations = _determined_combinations(root, problem.limits, undetermined, range(free.size))
-    confounded = [describe(weights)[0] for weights in combinations]
-    place = {symbols[k]: i for i, k in enumerate(free.tolist())}
-    named = _connected([[place[name] for name in item.terms] for item in confounded])
+    confounded_terms = [describe(weights)[0] for weights in combinations]
+    index = {symbols[k]: i for i, k in enumerate(free.tolist())}
+    groups = _connected([[index[name] for name in item.terms] for item in confounded_terms])
 
     pairs = problem.collinear_pairs()
     collinear_groups = _connected(
-        [pair for pair, size in pairs.items() if size > COLLINEAR_CORRELATION]
+        [pair for pair, count in pairs.items() if count > COLLINEAR_CORRELATION]
     )
     for group in [*collinear_groups, *map(list, pairs)]:
-        if any(set(group) <= set(terms) for terms in named):
+        if any(set(group) <= set(terms) for terms in groups):
             continue
         root_without_priors = problem.root(without_priors=group)
         for weights in _determined_combinations(root_without_priors, problem.limits, group, group):
             item, ratio = describe(weights)
             # Where priors decide more than the pair's combination, it says nothing.
             if group in collinear_groups or ratio < 0.5:
-                confounded.append(item)
-                named.append(group)
+                confounded_terms.append(item)
+                groups.append(group)
     return Assessment(
-        determined={name: bool(yes) for name, yes in zip(symbols, determined, strict=True)},
+        determined={name: bool(yes) for name, yes in zip(symbols, is_determined, strict=True)},
         u=np.sqrt(variance),
-        confounded=tuple(confounded),
+        confounded=tuple(confounded_terms),
     )
 
 
@@ -195,8 +199,8 @@ def _project_onto_first(solution: Solution, p: int) -> Array:
         return solution.information[:, :p]
     rows = np.column_stack([solution.information[:, uncertain], solution.information[:, :p]])
     priors = solution.whiten_priors(np.eye(solution.estimate.size))[uncertain]
-    known = np.column_stack([priors[:, uncertain], priors[:, :p]])
-    return triangle_of(np.vstack([rows, known]))[count:, count:]
+    known_columns = np.column_stack([priors[:, uncertain], priors[:, :p]])
+    return triangle_of(np.vstack([rows, known_columns]))[count:, count:]
 
 
 class _Information:
@@ -224,9 +228,9 @@ class _Information:
         cosine = columns.T @ columns
         norms = np.sqrt(np.diag(cosine))
         cosine = cosine / np.outer(norms, norms)
-        worst = max(combinations(range(terms.size), 2), key=lambda pair: abs(cosine[pair]))
+        worst_pair = max(combinations(range(terms.size), 2), key=lambda pair: abs(cosine[pair]))
         # Two columns that point the same way have estimates that work against each other.
-        return float(np.clip(-cosine[worst], -1.0, 1.0))
+        return float(np.clip(-cosine[worst_pair], -1.0, 1.0))
 
     def collinear_pairs(self) -> dict[tuple[int, int], float]:
         """Pairs that the data see one by one but hardly tell apart, before their own priors."""
@@ -235,14 +239,14 @@ class _Information:
             return {}
         columns = self._project_onto_sets(index)
         norms = np.linalg.norm(columns, axis=1)
-        seen = (norms * self.limits[index] >= 1.0).all(axis=1)
+        is_observed = (norms * self.limits[index] >= 1.0).all(axis=1)
         cosine = np.zeros(len(index))
         inner = np.abs(np.sum(columns[:, :, 0] * columns[:, :, 1], axis=1))
-        np.divide(inner, norms[:, 0] * norms[:, 1], out=cosine, where=seen)
+        np.divide(inner, norms[:, 0] * norms[:, 1], out=cosine, where=is_observed)
         return {
-            (i, j): size
-            for (i, j), size in zip(index.tolist(), cosine.tolist(), strict=True)
-            if size > NEAR_COLLINEAR
+            (i, j): cosine_value
+            for (i, j), cosine_value in zip(index.tolist(), cosine.tolist(), strict=True)
+            if cosine_value > NEAR_COLLINEAR
         }
 
     def _possibly_collinear_pairs(self) -> npt.NDArray[np.intp]:
@@ -257,18 +261,18 @@ class _Information:
         index = np.column_stack(np.triu_indices(self.limits.size, 1))
         i, j = index.T
         variances = np.diag(covariance)[index]
-        uncorrelated = np.maximum(
+        uncorrelated_norms = np.maximum(
             1.0 - covariance[i, j] ** 2 / variances.prod(axis=1), np.finfo(np.float64).eps
         )[:, None]
-        information = 1.0 / (variances * uncorrelated)
-        rounding = information * _ROUNDING / uncorrelated
+        information = 1.0 / (variances * uncorrelated_norms)
+        rounding = information * _ROUNDING / uncorrelated_norms
         own_priors = (np.sum(self.priors**2, axis=0) + self.floor**2)[index]
-        most = information - own_priors + rounding
-        least = np.maximum(information - own_priors - rounding, 0.0)
-        inner = covariance[i, j] / (variances.prod(axis=1) * uncorrelated[:, 0])
-        seen = (most * self.limits[index] ** 2 >= 1.0).all(axis=1)
-        collinear = inner**2 >= (_SCREEN * NEAR_COLLINEAR) ** 2 * least.prod(axis=1)
-        candidates: npt.NDArray[np.intp] = index[seen & collinear]
+        upper_bound = information - own_priors + rounding
+        lower_bound = np.maximum(information - own_priors - rounding, 0.0)
+        inner = covariance[i, j] / (variances.prod(axis=1) * uncorrelated_norms[:, 0])
+        is_observed = (upper_bound * self.limits[index] ** 2 >= 1.0).all(axis=1)
+        collinear = inner**2 >= (_SCREEN * NEAR_COLLINEAR) ** 2 * lower_bound.prod(axis=1)
+        candidates: npt.NDArray[np.intp] = index[is_observed & collinear]
         return candidates
 
     def _project_onto_sets(self, sets: npt.NDArray[np.intp]) -> Array:
@@ -276,19 +280,19 @@ class _Information:
 
         All other unknowns are projected out, with their priors; the sets' own priors are left out.
         """
-        size, count = self.floor.size, sets.shape[1]
+        term_count, count = self.floor.size, sets.shape[1]
         rows = np.vstack([self.data, self.priors, np.diag(self.floor)])
         batch = np.repeat(rows[None], len(sets), axis=0)
         start = self.data.shape[0]
         for column in sets.T:
             batch[np.arange(len(sets)), start + column] = 0.0
-            batch[np.arange(len(sets)), start + size + column, column] = 0.0
-        last = np.zeros((len(sets), size), dtype=np.bool_)
-        last[np.arange(len(sets))[:, None], sets] = True
-        order = np.argsort(last, axis=1, kind="stable")
-        order[:, size - count :] = sets
-        ordered = np.take_along_axis(batch, order[:, None, :], axis=2)
-        return triangle_of(ordered)[:, size - count : size, size - count :]
+            batch[np.arange(len(sets)), start + term_count + column, column] = 0.0
+        is_last = np.zeros((len(sets), term_count), dtype=np.bool_)
+        is_last[np.arange(len(sets))[:, None], sets] = True
+        order = np.argsort(is_last, axis=1, kind="stable")
+        order[:, term_count - count :] = sets
+        ordered_batch = np.take_along_axis(batch, order[:, None, :], axis=2)
+        return triangle_of(ordered_batch)[:, term_count - count : term_count, term_count - count :]
 
 
 def _determined_combinations(
@@ -303,18 +307,18 @@ def _determined_combinations(
     once those set aside are given; then what is left of it, after regression on them, is the
     combination sought, uncorrelated with those set aside and so the best known.
     """
-    size = np.linalg.norm(root, axis=1)
+    norms = np.linalg.norm(root, axis=1)
     pivots: list[int] = []
     basis = np.empty((0, root.shape[1]))
 
     def residual(i: int) -> Array:
-        projected: Array = root[i] - basis.T @ (basis @ root[i])
-        reprojected: Array = projected - basis.T @ (basis @ projected)  # against rounding
-        return reprojected
+        projection: Array = root[i] - basis.T @ (basis @ root[i])
+        residual_vector: Array = projection - basis.T @ (basis @ projection)  # against rounding
+        return residual_vector
 
     def explained(i: int) -> bool:
         norm = np.linalg.norm(residual(i))
-        return bool(norm < limits[i] and norm**2 < (1.0 - NEAR_COLLINEAR**2) * size[i] ** 2)
+        return bool(norm < limits[i] and norm**2 < (1.0 - NEAR_COLLINEAR**2) * norms[i] ** 2)
 
     for i in sorted(undetermined, reverse=True):
         if not explained(i):
@@ -326,17 +330,17 @@ def _determined_combinations(
     for i in candidates:
         if i in pivots or not explained(i):
             continue
-        named = list(pivots)
-        best = float(np.linalg.norm(residual(i)))
+        pivot_terms = list(pivots)
+        best_norm = float(np.linalg.norm(residual(i)))
         for k in pivots:  # a term that does not help is not named
-            candidates_left = [pivot for pivot in named if pivot != k]
+            candidates_left = [pivot for pivot in pivot_terms if pivot != k]
             if (
                 np.linalg.norm(_regress(root, i, candidates_left) @ root)
-                <= (1.0 + _NEGLIGIBLE) * best
+                <= (1.0 + _NEGLIGIBLE) * best_norm
             ):
-                named = candidates_left
-        if named:
-            combinations.append(_regress(root, i, named))
+                pivot_terms = candidates_left
+        if pivot_terms:
+            combinations.append(_regress(root, i, pivot_terms))
     return combinations
 
 
@@ -346,8 +350,8 @@ def _regress(root: Array, i: int, regressors: Sequence[int]) -> Array:
     weights[i] = 1.0
     if regressors:
         scale = np.linalg.norm(root[list(regressors)], axis=1)
-        scaled = root[list(regressors)] / scale[:, None]
-        weights[list(regressors)] = -np.linalg.lstsq(scaled.T, root[i], rcond=None)[0] / scale
+        scaled_root = root[list(regressors)] / scale[:, None]
+        weights[list(regressors)] = -np.linalg.lstsq(scaled_root.T, root[i], rcond=None)[0] / scale
     return weights
 
 
@@ -355,8 +359,8 @@ def _connected(sets: Sequence[Sequence[int]]) -> list[list[int]]:
     """Join sets that share a member into groups."""
     groups: list[set[int]] = []
     for members in sets:
-        joined = set(members).union(*(group for group in groups if group & set(members)))
-        groups = [group for group in groups if not group & joined] + [joined]
+        union = set(members).union(*(group for group in groups if group & set(members)))
+        groups = [group for group in groups if not group & union] + [union]
     return [sorted(group) for group in groups]
 
 
@@ -368,21 +372,21 @@ def write_combination(names: Sequence[str], weights: npt.ArrayLike, slack: npt.A
         else the fewest digits.
     """
     exact = np.asarray(weights, dtype=np.float64)
-    allowed = np.broadcast_to(np.asarray(slack, dtype=np.float64), exact.shape)
-    rounded = np.round(exact)
-    if (rounded != 0).all() and (np.abs(exact - rounded) <= allowed).all():
-        exact = rounded
+    tolerance = np.broadcast_to(np.asarray(slack, dtype=np.float64), exact.shape)
+    rounded_weights = np.round(exact)
+    if (rounded_weights != 0).all() and (np.abs(exact - rounded_weights) <= tolerance).all():
+        exact = rounded_weights
     text = ""
-    for name, weight, error in zip(names, exact.tolist(), allowed.tolist(), strict=True):
+    for name, weight, error in zip(names, exact.tolist(), tolerance.tolist(), strict=True):
         size = _format_number(abs(weight), error)
         text += f" {'-' if weight < 0 else '+'} " + (name if size == "1" else f"{size} {name}")
     return text.removeprefix(" + ")
 
 
-def _format_number(size: float, error: float) -> str:
+def _format_number(magnitude: float, error: float) -> str:
     """Return a number with the fewest digits, four at least, that err by no more than this."""
     for digits in range(4, 17):
-        text = f"{size:.{digits}g}"
-        if abs(float(text) - size) <= error:
+        text = f"{magnitude:.{digits}g}"
+        if abs(float(text) - magnitude) <= error:
             return text
-    return repr(size)
+    return repr(magnitude)

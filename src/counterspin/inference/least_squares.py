@@ -76,17 +76,17 @@ def reduce_block(
     """
     y = np.asarray(observations, dtype=np.float64)
     n = y.size
-    parts = [
-        np.empty((n, 0)) if part is None else np.asarray(part, dtype=np.float64)
-        for part in (nuisance, design, considered)
+    groups = [
+        np.empty((n, 0)) if columns is None else np.asarray(columns, dtype=np.float64)
+        for columns in (nuisance, design, considered)
     ]
-    if y.ndim != 1 or any(part.ndim != 2 or part.shape[0] != n for part in parts):
-        shapes = ", ".join(str(part.shape) for part in parts)
+    if y.ndim != 1 or any(columns.ndim != 2 or columns.shape[0] != n for columns in groups):
+        shapes = ", ".join(str(columns.shape) for columns in groups)
         raise ValueError(
             f"nuisance, design and considered must each have {n} rows, the number of "
             f"observations, but the shapes are {shapes}"
         )
-    return reduce_rows(np.column_stack([*parts, y]), parts[0].shape[1], parts[1].shape[1])
+    return reduce_rows(np.column_stack([*groups, y]), groups[0].shape[1], groups[1].shape[1])
 
 
 def reduce_rows(rows: Array, m: int, p: int) -> Block:
@@ -107,11 +107,11 @@ def reduce_rows(rows: Array, m: int, p: int) -> Block:
             f"{n} samples cannot separate the {m} unknowns of the record itself (such as its "
             "initial offset and initial velocity); the record is too short"
         )
-    kept = triangle[m : m + p + q]
+    kept_rows = triangle[m : m + p + q]
     return Block(
-        factor=kept[:, m : m + p],
-        target=kept[:, -1],
-        considered=kept[:, m + p : m + p + q],
+        factor=kept_rows[:, m : m + p],
+        target=kept_rows[:, -1],
+        considered=kept_rows[:, m + p : m + p + q],
         rss=float(np.sum(triangle[m + p + q :, -1] ** 2)),
         rows=n,
         nuisance=m,
@@ -213,8 +213,8 @@ class Solution:
     @property
     def covariance(self) -> Array:
         """The combined covariance, shape (p, p)."""
-        seen = self.weighted_covariance + self.covariance_considered
-        return seen if self.covariance_undetected is None else seen + self.covariance_undetected
+        total = self.weighted_covariance + self.covariance_considered
+        return total if self.covariance_undetected is None else total + self.covariance_undetected
 
     @property
     def weighted_covariance(self) -> Array:
@@ -332,16 +332,16 @@ class Solution:
         gain = rows.rotation @ np.linalg.solve(rows.triangle.T, c[rows.free])
         data = gain[: rows.data]
         noise = data * rows.noise
-        after = rows.data + rows.prior_of.size
+        prior_end = rows.data + rows.prior_of.size
         prior = np.zeros(c.size)
-        prior[rows.prior_of] = gain[rows.data : after]
+        prior[rows.prior_of] = gain[rows.data : prior_end]
         return Combination(
             value=float(c @ self.estimate),
             noise=float(np.linalg.norm(noise)),
             noise_rows=noise,
             prior=prior,
             considered=-(data @ rows.considered) * self.considered_sd,
-            unresolved=float(np.linalg.norm(gain[after:])),
+            unresolved=float(np.linalg.norm(gain[prior_end:])),
             undetected=0.0
             if self.covariance_undetected is None
             else math.sqrt(max(float(c @ self.covariance_undetected @ c), 0.0)),
@@ -416,12 +416,12 @@ def solve(
     rotation, triangle = _factorise(stacked)
     weak = dependent_columns(triangle)
     if bound is None and weak.size:
-        which = int(free[weak[0]])
+        index = int(free[weak[0]])
         raise NotIdentifiableError(
-            f"column {which + 1} of the design matrix is a linear combination of the preceding "
+            f"column {index + 1} of the design matrix is a linear combination of the preceding "
             "columns, so the data cannot separate these unknowns; omit one of them or give a prior"
         )
-    data, after = factor.shape[0], factor.shape[0] + known.size
+    data, prior_end = factor.shape[0], factor.shape[0] + known.size
     inverse = np.linalg.solve(triangle, eye)
     gain = inverse @ rotation.T
     step = np.linalg.solve(triangle, rotation[:data].T @ misfit)
@@ -431,7 +431,7 @@ def solve(
     # An unknown that is exactly known acts like a considered term without uncertainty.
     sensitivity_prior = np.diag((sd == 0).astype(np.float64))
     sensitivity_prior[np.ix_(free, sd == 0)] = -gain[:, :data] @ factor[:, sd == 0]
-    prior_gain = gain[:, data:after]
+    prior_gain = gain[:, data:prior_end]
     sensitivity_prior[np.ix_(free, priors)] = (
         prior_gain * np.diag(weight_prior) if correlation is None else prior_gain @ weight_prior
     )
@@ -446,13 +446,13 @@ def solve(
     return Solution(
         estimate=estimate,
         covariance_noise=_embed(gain[:, :data], free, p),
-        covariance_prior=_embed(gain[:, data:after], free, p),
+        covariance_prior=_embed(gain[:, data:prior_end], free, p),
         covariance_considered=spread @ spread.T,
-        covariance_unresolved=_embed(gain[:, after:], free, p),
+        covariance_unresolved=_embed(gain[:, prior_end:], free, p),
         sensitivity_prior=sensitivity_prior,
         sensitivity_considered=sensitivity_considered,
         chi2=float(chi2),
-        dof=float(dof + np.sum(rotation[after:] ** 2)),
+        dof=float(dof + np.sum(rotation[prior_end:] ** 2)),
         information=triangle_of(factor),
         prior_mean=mean,
         prior_sd=sd,
@@ -463,22 +463,22 @@ def solve(
     )
 
 
-def _factorise(stacked: Array) -> tuple[Array, Array]:
+def _factorise(rows: Array) -> tuple[Array, Array]:
     """QR with the heaviest rows first, which Householder needs when rows differ much in size."""
-    norms = np.linalg.norm(stacked, axis=0)
-    heavy = np.max(np.abs(stacked) / np.where(norms > 0, norms, 1.0), axis=1, initial=0.0)
+    norms = np.linalg.norm(rows, axis=0)
+    heavy = np.max(np.abs(rows) / np.where(norms > 0, norms, 1.0), axis=1, initial=0.0)
     order = np.argsort(-heavy, kind="stable")
-    sorted_rotation, triangle = np.linalg.qr(stacked[order])
+    sorted_rotation, triangle = np.linalg.qr(rows[order])
     rotation = np.empty_like(sorted_rotation)
     rotation[order] = sorted_rotation
     return rotation, triangle
 
 
-def _vector(name: str, given: npt.ArrayLike | None, size: int, default: float) -> Array:
+def _vector(name: str, values: npt.ArrayLike | None, size: int, default: float) -> Array:
     """Return a checked vector of ``size``, or ``default`` throughout where none is given."""
-    if given is None:
+    if values is None:
         return np.full(size, default)
-    vector = np.asarray(given, dtype=np.float64)
+    vector = np.asarray(values, dtype=np.float64)
     if vector.shape != (size,) or np.isnan(vector).any():
         raise ValueError(
             f"{name} needs {size} numbers; it has shape {vector.shape} or contains NaN"
@@ -486,9 +486,9 @@ def _vector(name: str, given: npt.ArrayLike | None, size: int, default: float) -
     return vector
 
 
-def _embed(gain: Array, free: npt.NDArray[np.intp], size: int) -> Array:
+def _embed(gain: Array, free: npt.NDArray[np.intp], length: int) -> Array:
     """Covariance of unit-variance rows under ``gain``, among all ``size`` unknowns."""
-    covariance = np.zeros((size, size))
+    covariance = np.zeros((length, length))
     covariance[np.ix_(free, free)] = gain @ gain.T
     return covariance
 

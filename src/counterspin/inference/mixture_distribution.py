@@ -75,14 +75,14 @@ def mixture_dof(share: float, dof: float) -> float:
             math.log(high),
         )
     )
-    matched = math.exp(
+    matched_dof = math.exp(
         _find_root(
             lambda log_dof: student_cdf(math.exp(log_dof), -q) - _TAIL,
             math.log(dof),
             30.0,
         )
     )
-    return min(matched, satterthwaite)
+    return min(matched_dof, satterthwaite)
 
 
 def estimated_part_dof(share: float, dof: float) -> float:
@@ -109,22 +109,22 @@ def _find_root(excess: Callable[[float], float], low: float, high: float) -> flo
 
     False position; an end that stays has its value halved (the Illinois algorithm).
     """
-    above, below = excess(low), excess(high)
-    if above <= 0.0:
+    excess_low, excess_high = excess(low), excess(high)
+    if excess_low <= 0.0:
         return low
-    if below >= 0.0:
+    if excess_high >= 0.0:
         return high
-    middle = before = 0.0
+    middle = previous = 0.0
     for _ in range(60):
-        middle = (low * below - high * above) / (below - above)
+        middle = (low * excess_high - high * excess_low) / (excess_high - excess_low)
         value = excess(middle)
         if abs(value) < _LEAST_EXCESS or high - low < _LEAST_EXCESS:
             break
         if value > 0.0:
-            low, above = middle, value
-            below *= 0.5 if before > 0.0 else 1.0
+            low, excess_low = middle, value
+            excess_high *= 0.5 if previous > 0.0 else 1.0
         else:
-            high, below = middle, value
-            above *= 0.5 if before < 0.0 else 1.0
-        before = value
+            high, excess_high = middle, value
+            excess_low *= 0.5 if previous < 0.0 else 1.0
+        previous = value
     return middle

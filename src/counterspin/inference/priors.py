@@ -33,12 +33,12 @@ def correlation_matrix(
 
     correlations: Name -> correlation with other quantities; other names are ignored.
     """
-    places = {name: place for place, name in enumerate(names)}
+    indices = {name: index for index, name in enumerate(names)}
     matrix = np.eye(len(names))
-    for name, place in places.items():
+    for name, index in indices.items():
         for partner, r in correlations.get(name, {}).items():
-            if partner in places:
-                matrix[place, places[partner]] = r
+            if partner in indices:
+                matrix[index, indices[partner]] = r
     return matrix
 
 
@@ -84,9 +84,9 @@ def conditional_priors(unknowns: Sequence[HasPrior], owner: str) -> dict[str, tu
         return {}
     names = [unknown.name.removeprefix(f"{owner}.") for unknown in unknowns]
     conditional = {}
-    for place, unknown in enumerate(unknowns):
-        given = ", ".join(names[k] for k in np.flatnonzero(root[place, :place]).tolist())
-        source = f"{names[place]} given {given}" if given else names[place]
+    for index, unknown in enumerate(unknowns):
+        conditions = ", ".join(names[k] for k in np.flatnonzero(root[index, :index]).tolist())
+        source = f"{names[index]} given {conditions}" if conditions else names[index]
         if unknown.correlations:
-            conditional[unknown.name] = source, float(root[place, place]) * unknown.prior[1]
+            conditional[unknown.name] = source, float(root[index, index]) * unknown.prior[1]
     return conditional

@@ -73,21 +73,21 @@ def variance_components(
     search = _RestrictedDeviance(
         values, covariance, [item for item, _ in distinct.values()], design
     )
-    best, least = search.best()
+    estimate, min_deviance = search.best()
     components = {}
     for index, (name, (of_group, freedom)) in enumerate(distinct.items()):
-        low, high = search.interval(index, best, least, freedom)
+        low, high = search.interval(index, estimate, min_deviance, freedom)
         components[name] = Component(
             groups=of_group.shape[1],
             freedom=freedom,
-            value=math.sqrt(best[index]),
+            value=math.sqrt(estimate[index]),
             low=math.sqrt(low),
             high=math.sqrt(high),
         )
-    inverse, weighted = search.weights(best)
-    mean = np.linalg.solve(weighted, design.T @ inverse @ values)
+    inverse, weighted_design = search.weights(estimate)
+    mean = np.linalg.solve(weighted_design, design.T @ inverse @ values)
     return VarianceComponents(
-        components, same_as, float(mean[0]), math.sqrt(float(np.linalg.inv(weighted)[0, 0]))
+        components, same_as, float(mean[0]), math.sqrt(float(np.linalg.inv(weighted_design)[0, 0]))
     )
 
 
@@ -97,16 +97,16 @@ def _distinct_groups(
     """Return the indicators of groups, shape (n, g), with what they tell beyond coarser ones."""
     distinct: dict[str, tuple[Array, int]] = {}
     same_as: dict[str, str] = {}
-    before, rank = design, int(np.linalg.matrix_rank(design))
+    independent_columns, rank = design, int(np.linalg.matrix_rank(design))
     for name, labels in sorted(groups.items(), key=lambda item: len(set(item[1]))):
-        places = {label: place for place, label in enumerate(dict.fromkeys(labels))}
-        indicator = np.eye(len(places))[[places[label] for label in labels]]
-        combined = np.hstack([before, indicator])
-        dof = int(np.linalg.matrix_rank(combined)) - rank
+        indices = {label: index for index, label in enumerate(dict.fromkeys(labels))}
+        indicator = np.eye(len(indices))[[indices[label] for label in labels]]
+        combined_design = np.hstack([independent_columns, indicator])
+        dof = int(np.linalg.matrix_rank(combined_design)) - rank
         if dof > 0:
             distinct[name] = indicator, dof
-            before, rank = combined, rank + dof
-        elif len(places) > 1 and distinct:
+            independent_columns, rank = combined_design, rank + dof
+        elif len(indices) > 1 and distinct:
             same_as[name] = list(distinct)[-1]
     return distinct, same_as
 
@@ -125,17 +125,17 @@ class _RestrictedDeviance:
 
     def weights(self, variances: Array) -> tuple[Array, Array]:
         """Return V^-1, shape (n, n), and X^T V^-1 X."""
-        total = self.covariance + sum(
-            (v * part for v, part in zip(variances, self.parts, strict=True)), 0.0
+        covariance = self.covariance + sum(
+            (v * component for v, component in zip(variances, self.parts, strict=True)), 0.0
         )
-        inverse = np.linalg.inv(total)
+        inverse = np.linalg.inv(covariance)
         return inverse, self.design.T @ inverse @ self.design
 
     def deviance(self, variances: Array) -> tuple[float, Array]:
         """Return -2 l and its derivatives by the variances."""
         try:
             inverse, weighted = self.weights(variances)
-            (sign, size), (_, log_det_of_mean) = (
+            (sign, log_det), (_, log_det_of_mean) = (
                 np.linalg.slogdet(matrix) for matrix in (inverse, weighted)
             )
             weighted_design = inverse @ self.design
@@ -145,25 +145,28 @@ class _RestrictedDeviance:
         if not (sign > 0.0 and np.isfinite(projection).all()):
             return math.inf, np.zeros(len(self.parts))
         residual = projection @ self.values
-        total = -size + log_det_of_mean + float(self.values @ residual)
-        slopes = [np.sum(projection * part) - residual @ part @ residual for part in self.parts]
-        return float(total), np.array(slopes)
+        deviance = -log_det + log_det_of_mean + float(self.values @ residual)
+        slopes = [
+            np.sum(projection * component) - residual @ component @ residual
+            for component in self.parts
+        ]
+        return float(deviance), np.array(slopes)
 
-    def minimise(self, start: Array, fixed: Mapping[int, float]) -> tuple[Array, float]:
+    def minimise(self, start: Array, fixed_variances: Mapping[int, float]) -> tuple[Array, float]:
         """Return the variances of the least -2 l from a start, some of them fixed, and that."""
         from scipy.optimize import minimize
 
-        free = [place for place in range(len(self.parts)) if place not in fixed]
+        free = [index for index in range(len(self.parts)) if index not in fixed_variances]
         variances = np.array(start, dtype=float)
-        for place, value in fixed.items():
-            variances[place] = value
+        for index, value in fixed_variances.items():
+            variances[index] = value
         if not free:
             return variances, self.deviance(variances)[0]
 
         def deviance_of_logs(x: Array) -> tuple[float, Array]:
             variances[free] = np.exp(x) * self.scale
-            total, slopes = self.deviance(variances)
-            return (total if math.isfinite(total) else 1e300), slopes[free] * variances[free]
+            deviance, slopes = self.deviance(variances)
+            return (deviance if math.isfinite(deviance) else 1e300), slopes[free] * variances[free]
 
         ends = (math.log(_SMALLEST), math.log(_LARGEST))
         initial = np.clip(np.log(np.maximum(variances[free], 1e-300) / self.scale), *ends)
@@ -177,27 +180,29 @@ class _RestrictedDeviance:
         """Return the variances of the least -2 l, and that; what is not needed is zero."""
         starts = product((1.0, 1e-3), repeat=len(self.parts))
         trials = [self.minimise(np.array(start) * self.scale, {}) for start in starts]
-        variances, least = min(trials, key=lambda trial: trial[1])
+        variances, min_deviance = min(trials, key=lambda trial: trial[1])
         zero_components: dict[int, float] = {}
-        for place in np.flatnonzero(variances < _SMALL * self.scale):
-            without, total = self.minimise(variances, {**zero_components, int(place): 0.0})
-            if total <= least + 1e-6:
-                zero_components[int(place)] = 0.0
-                variances, least = without, total
-        return variances, least
+        for index in np.flatnonzero(variances < _SMALL * self.scale):
+            reduced, deviance = self.minimise(variances, {**zero_components, int(index): 0.0})
+            if deviance <= min_deviance + 1e-6:
+                zero_components[int(index)] = 0.0
+                variances, min_deviance = reduced, deviance
+        return variances, min_deviance
 
-    def interval(self, place: int, best: Array, least: float, dof: int) -> tuple[float, float]:
+    def interval(
+        self, index: int, estimate: Array, min_deviance: float, dof: int
+    ) -> tuple[float, float]:
         """Return the ends of a variance's interval."""
         from scipy.optimize import brentq
 
-        limit = least + _profile_limit(dof)
+        limit = min_deviance + _profile_limit(dof)
 
         def excess(logarithm: float) -> float:
             value = math.exp(logarithm) * self.scale
-            return self.minimise(best, {place: value})[1] - limit
+            return self.minimise(estimate, {index: value})[1] - limit
 
         ends = math.log(_SMALLEST), math.log(_LARGEST)
-        middle = math.log(max(best[place] / self.scale, _SMALLEST))
+        middle = math.log(max(estimate[index] / self.scale, _SMALLEST))
         low = high = 0.0
         if excess(ends[0]) > 0.0 and middle > ends[0]:
             low = math.exp(brentq(excess, ends[0], middle, xtol=1e-4)) * self.scale
@@ -226,7 +231,7 @@ def _profile_limit(dof: int) -> float:
     def coverage_error(rise: float) -> float:
         at = -math.exp(-1.0 - rise / dof)
         low, high = (-float(lambertw(at, branch).real) for branch in (0, -1))
-        covered = chi2.cdf(dof * high, dof) - chi2.cdf(dof * low, dof)
-        return float(covered) - _COVERAGE
+        coverage = chi2.cdf(dof * high, dof) - chi2.cdf(dof * low, dof)
+        return float(coverage) - _COVERAGE
 
     return float(brentq(coverage_error, 3.0, 12.0))

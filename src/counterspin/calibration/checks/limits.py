@@ -113,10 +113,10 @@ def check_default_priors(rests_on: Sequence[Knowledge]) -> Iterator[Finding]:
             continue
         unit, factor = field_unit(row.unit)
         estimate = format_estimate(row.found * factor, row.u_found * factor, unit)
-        size = f"{format_number(row.u * factor, 2)} {unit}"
+        u_text = f"{format_number(row.u * factor, 2)} {unit}"
         text = (
             f"No value is stated for {row.name}. The estimate, {estimate}, is "
-            f"{format_number(ratio, 2)} times the default standard uncertainty, {size}. State "
+            f"{format_number(ratio, 2)} times the default standard uncertainty, {u_text}. State "
             f"a prior for {row.name} in [model.priors], or look for another error with the "
             "same effect."
         )

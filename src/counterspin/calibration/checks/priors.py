@@ -51,31 +51,33 @@ _RATIO_TOLERANCE: Final = 0.02
 
 def find_prior_conflict(view: AccelerometerView) -> Iterator[Finding]:
     """Yield the finding on the prior that the data contradict most, beyond chance."""
-    relaxed = estimate_considered(view.fit)
-    unknowns = relaxed.model.unknowns
+    relaxed_fit = estimate_considered(view.fit)
+    unknowns = relaxed_fit.model.unknowns
     priors = [
         alternative
-        for alternative in prior_alternatives(relaxed)
+        for alternative in prior_alternatives(relaxed_fit)
         # What is stated as exact is no prior that could give way.
-        if all(unknowns[best].prior[1] > 0.0 for best in alternative.prior_shifts)
+        if all(unknowns[best_index].prior[1] > 0.0 for best_index in alternative.prior_shifts)
     ]
     if not priors:
         return
     noise_known = not view.estimate.estimated_noise and bool(np.isinf(view.estimate.dof).all())
-    tests = run_score_tests(relaxed, priors, noise_given=noise_known)
-    sizes = tests.z
-    best = int(np.flatnonzero(sizes >= (1.0 - _TIE_TOLERANCE) * sizes.max())[0])
-    size = normal_equivalent(float(sizes[best]), None if noise_known else tests.dof)
-    if size <= agreement_limit(tests.test_count):
+    tests = run_score_tests(relaxed_fit, priors, noise_given=noise_known)
+    scores = tests.z
+    best_index = int(np.flatnonzero(scores >= (1.0 - _TIE_TOLERANCE) * scores.max())[0])
+    z = normal_equivalent(float(scores[best_index]), None if noise_known else tests.dof)
+    if z <= agreement_limit(tests.test_count):
         return
-    value, u = float(tests.value[best]), float(tests.u[best])
-    finding_text = PriorExplanation(view.campaign, relaxed, priors[best], value, u).describe()
+    value, u = float(tests.value[best_index]), float(tests.u[best_index])
+    finding_text = PriorExplanation(
+        view.campaign, relaxed_fit, priors[best_index], value, u
+    ).describe()
     yield Finding(
         code=finding_text.code,
         subject=finding_text.subject,
         text=finding_text.text,
-        size=size,
-        contradicts=size > CONTRADICTION_SIGMAS,
+        size=z,
+        contradicts=z > CONTRADICTION_SIGMAS,
     )
 
 
@@ -116,13 +118,13 @@ class PriorExplanation:
         if self.alternative.symbol in INPUTS:
             return self._describe_input()
         (index,) = self.alternative.prior_shifts
-        stated, prior_sd = self.fit.model.unknowns[index].prior
+        prior_mean, prior_sd = self.fit.model.unknowns[index].prior
         name, unit = self.alternative.name, unit_of(self.alternative.symbol)
-        estimate = stated + self.value
+        estimate = prior_mean + self.value
         # The difference has the uncertainty of both.
         u_estimate = math.sqrt(max(self.u**2 - prior_sd**2, 0.0)) or self.u
         text = describe_conflict(
-            name, (stated, prior_sd), (estimate, u_estimate), abs(self.value) / self.u, unit
+            name, (prior_mean, prior_sd), (estimate, u_estimate), abs(self.value) / self.u, unit
         )
         return FindingText(code="prior-conflict", subject=name, text=text, name=name)
 
@@ -139,22 +141,24 @@ class PriorExplanation:
         )
 
     def _describe_input(self) -> FindingText:
-        known = INPUTS[self.alternative.symbol]
-        stated = stated_inputs(self.campaign)[self.alternative.name].value
+        term_row = INPUTS[self.alternative.symbol]
+        stated_value = stated_inputs(self.campaign)[self.alternative.name].value
         owner = f" {self.alternative.owner}" if self.alternative.owner else ""
         estimate, as_stated = (
-            _format_degrees(value, u) if known.unit == "rad" else format_si(value, u, known.unit)
-            for value, u in ((stated + self.value, self.u), (stated, 0.0))
+            _format_degrees(value, u)
+            if term_row.unit == "rad"
+            else format_si(value, u, term_row.unit)
+            for value, u in ((stated_value + self.value, self.u), (stated_value, 0.0))
         )
         article, stated_text = (
-            ("an" if known.words[0] in "aeiou" else "a"),
+            ("an" if term_row.words[0] in "aeiou" else "a"),
             as_stated.split(" (exact)")[0],
         )
         text = (
-            f"The records would fit with {article} {known.words}{owner} of {estimate} instead "
-            f"of the {'stated' if stated else 'assumed'} {stated_text}. Check the value."
+            f"The records would fit with {article} {term_row.words}{owner} of {estimate} instead "
+            f"of the {'stated' if stated_value else 'assumed'} {stated_text}. Check the value."
         )
-        name = f"{known.words}{owner}"
+        name = f"{term_row.words}{owner}"
         return FindingText(code="wrong-input", subject=self.alternative.name, text=text, name=name)
 
 
@@ -174,8 +178,10 @@ def describe_conflict(
 
 def format_si(value: float, u: float, unit: str) -> str:
     """Return an estimate in the unit of the field."""
-    shown, factor = field_unit(unit)
-    return format_estimate(value * factor, u * factor, "" if shown == "1" else shown).strip()
+    shown_unit, factor = field_unit(unit)
+    return format_estimate(
+        value * factor, u * factor, "" if shown_unit == "1" else shown_unit
+    ).strip()
 
 
 def _format_degrees(value: float, u: float) -> str:
@@ -187,8 +193,8 @@ def _usual_mistake(estimate: float, stated: float, unit: str) -> str:
     if estimate == 0.0 or stated == 0.0:
         return ""
     angles = unit.startswith(_ANGLE_UNITS) or unit.endswith("/s")
-    for factor, words in (*_RATIO_MISTAKES, *(_ANGLE_MISTAKES if angles else ())):
+    for factor, description in (*_RATIO_MISTAKES, *(_ANGLE_MISTAKES if angles else ())):
         for ratio in (factor, 1.0 / factor):
             if abs(stated / estimate / ratio - 1.0) < _RATIO_TOLERANCE:
-                return words
+                return description
     return ""

@@ -36,26 +36,26 @@ def _compare_run_noise(view: AccelerometerView) -> list[Finding]:
     if components is None or "random_walk" not in components.estimated:
         return []
     # What nobody asks for need not be apart.
-    parts = compare_slow_residuals(
+    run_tests = compare_slow_residuals(
         estimate_considered(view.estimate.compressed_fit or view.fit), view.name
     )
-    worst = min(parts, key=lambda part: part.p, default=None)
-    tests = len(parts) * len(view.campaign.accelerometers)
-    if worst is None or worst.p * tests >= FALSE_ALARMS:
+    result = min(run_tests, key=lambda test: test.p, default=None)
+    tests = len(run_tests) * len(view.campaign.accelerometers)
+    if result is None or result.p * tests >= FALSE_ALARMS:
         return []
     text = (
-        f"The estimated accelerometer noise differs between runs: in {worst.run}, the noise is "
-        f"{format_number(math.sqrt(worst.ratio), 2)} times as large as in the other runs (p = "
-        f"{worst.p:.2g}). The fit may have attributed a slow error of this record, or of a "
+        f"The estimated accelerometer noise differs between runs: in {result.run}, the noise is "
+        f"{format_number(math.sqrt(result.ratio), 2)} times as large as in the other runs (p = "
+        f"{result.p:.2g}). The fit may have attributed a slow error of this record, or of a "
         "comparison record, to noise. Such an error may shift the coefficients by more than "
         "their uncertainty. Inspect the records."
     )
     return [
         Finding(
             code="noise-differs",
-            subject=f"{worst.run}.{view.name}",
+            subject=f"{result.run}.{view.name}",
             text=text,
-            size=equivalent_deviations(worst.p),
+            size=equivalent_deviations(result.p),
         )
     ]
 
@@ -66,21 +66,21 @@ def _compare_run_noise(view: AccelerometerView) -> list[Finding]:
 def noise_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
     """Yield remarks on noise that is not independent, or uneven: rows and weights follow it."""
     for view in views:
-        if thinned := {
+        if thinned_runs := {
             series.run: series.thinning for series in view.series if series.thinning > 1
         }:
-            strides = ", ".join(f"one in {stride} of {run}" for run, stride in thinned.items())
+            strides = ", ".join(f"one in {stride} of {run}" for run, stride in thinned_runs.items())
             yield (
                 f"{view.name}: adjacent rows have nearly the same error, as if the recorder "
                 "had a low-pass filter or a coarse resolution. The fit uses only independent "
                 f"rows: {strides}."
             )
-        sizes = {series.run: math.sqrt(series.variance_ratio) for series in view.series}
+        noise_ratios = {series.run: math.sqrt(series.variance_ratio) for series in view.series}
         quietest, noisiest = (
-            select(sizes, key=sizes.__getitem__, default="") for select in (min, max)
+            select(noise_ratios, key=noise_ratios.__getitem__, default="") for select in (min, max)
         )
-        if sizes and sizes[noisiest] > sizes[quietest]:
-            ratio = sizes[noisiest] / sizes[quietest]
+        if noise_ratios and noise_ratios[noisiest] > noise_ratios[quietest]:
+            ratio = noise_ratios[noisiest] / noise_ratios[quietest]
             yield (
                 f"{view.name}: the noise in {noisiest} is {ratio:.2g} times the noise in "
                 f"{quietest}. The fit weights each run according to its noise. Find the cause, "

@@ -57,48 +57,48 @@ def check_tilts(
     like a scale factor, (psi_I^2 - psi^2)/2 and 2 K_II (psi x g)_I/g, and like a bias,
     psi_I psi_up/2.
     """
-    worst: dict[str, Finding] = {}
+    worst_findings: dict[str, Finding] = {}
     for run in campaign.runs:
-        size = _largest_tilt(campaign, runs.get(run.name, {}))
-        if not size.any():
+        tilt = _largest_tilt(campaign, runs.get(run.name, {}))
+        if not tilt.any():
             continue
         for name, accelerometer in accelerometers.items():
             axis = campaign.accelerometers[name].mounting.turned(run.attitude).input_axis
             k_ii = accelerometer.coefficients.get("K_II")
             square = abs(k_ii.value or 0.0) if k_ii is not None else 0.0
-            for symbol, shift in _second_order_shifts(size, np.abs(axis), square).items():
+            for symbol, shift in _second_order_shifts(tilt, np.abs(axis), square).items():
                 c = accelerometer.coefficients.get(symbol)
                 if c is None or not c.estimated or not c.u or shift <= c.u:
                     continue
-                finding = _tilt_finding(run.name, size, f"{name}.{symbol}", shift, c)
-                previous = worst.get(finding.subject)
+                finding = _tilt_finding(run.name, tilt, f"{name}.{symbol}", shift, c)
+                previous = worst_findings.get(finding.subject)
                 if previous is None or (previous.size or 0.0) < (finding.size or 0.0):
-                    worst[finding.subject] = finding
-    return list(worst.values())
+                    worst_findings[finding.subject] = finding
+    return list(worst_findings.values())
 
 
 def _largest_tilt(campaign: Campaign, estimated: Mapping[str, Coefficient]) -> Array:
     """Return the largest likely tilt about each axis, |value| + 2 u, rad, shape (3,)."""
-    size = np.zeros(3)
+    tilt = np.zeros(3)
     for symbol, row in PLATFORM_TERMS.items():
         if row.effect.kind != "tilt":
             continue
-        known = estimated.get(symbol)
+        coefficient = estimated.get(symbol)
         if symbol in campaign.model.considered:
             prior = campaign.model.priors[symbol]
-            size[row.effect.axis] = abs(prior.value) + 2.0 * prior.u
-        elif known is not None and known.value is not None:
-            size[row.effect.axis] = abs(known.value) + 2.0 * (known.u or 0.0)
-    return size
+            tilt[row.effect.axis] = abs(prior.value) + 2.0 * prior.u
+        elif coefficient is not None and coefficient.value is not None:
+            tilt[row.effect.axis] = abs(coefficient.value) + 2.0 * (coefficient.u or 0.0)
+    return tilt
 
 
-def _second_order_shifts(size: Array, axis: Array, square: float) -> dict[str, float]:
+def _second_order_shifts(tilt: Array, axis: Array, square: float) -> dict[str, float]:
     """Return by coefficient what the second order moves it by, for sizes along all axes."""
-    projection = float(size @ axis)
-    across = float(size[0] * axis[1] + size[1] * axis[0])  # of (psi x g)/g
+    projection = float(tilt @ axis)
+    cross_term = float(tilt[0] * axis[1] + tilt[1] * axis[0])  # of (psi x g)/g
     return {
-        "K_I": 0.5 * max(float(size @ size) - projection**2, 0.0) + 2.0 * square * across,
-        "K_F": 0.5 * projection * float(size[2]),
+        "K_I": 0.5 * max(float(tilt @ tilt) - projection**2, 0.0) + 2.0 * square * cross_term,
+        "K_F": 0.5 * projection * float(tilt[2]),
     }
 
 

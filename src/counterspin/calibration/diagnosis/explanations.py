@@ -45,8 +45,8 @@ class Explanation(PriorExplanation):
         )
         label = f"{name}, which the model omits"
         if abs(self.value) > limit:
-            shown, factor = field_unit(unit_of(self.alternative.symbol))
-            largest = f"{format_number(limit * factor, 3)} {shown}"
+            shown_unit, factor = field_unit(unit_of(self.alternative.symbol))
+            largest = f"{format_number(limit * factor, 3)} {shown_unit}"
             text += (
                 f"This value exceeds the largest credible value, {largest}, but no credible "
                 "cause explains the misfit as well. If the true value can be this large, add "
@@ -63,9 +63,9 @@ class Explanation(PriorExplanation):
     @property
     def _record_names(self) -> str:
         """Records to which the alternative applies."""
-        parts = [self.fit.design_blocks[i] for i in self.alternative.columns]
-        if len(parts) == 1:
-            return f"{parts[0].accelerometer} in {parts[0].run}"
+        blocks = [self.fit.design_blocks[i] for i in self.alternative.columns]
+        if len(blocks) == 1:
+            return f"{blocks[0].accelerometer} in {blocks[0].run}"
         return self.alternative.owner
 
     def _describe_scale(self) -> FindingText:
@@ -84,7 +84,7 @@ class Explanation(PriorExplanation):
             for index in self.alternative.columns
         )
         fastest = max(rates)
-        change, u = (0.5e6 * size * fastest**2 for size in (abs(self.value), self.u))
+        change, u = (0.5e6 * change_rate * fastest**2 for change_rate in (abs(self.value), self.u))
         direction, cause = (
             ("fell", "a low-pass filter in the recorder, or averaging over the sampling interval")
             if self.value > 0.0
@@ -107,10 +107,10 @@ class Explanation(PriorExplanation):
     def _describe_angle(self) -> FindingText:
         run = self.alternative.owner
         of_run = f" of {run}" if run else ""
-        size = f"{math.degrees(abs(self.value)):.4g} deg (u {math.degrees(self.u):.1g} deg)"
+        angle_text = f"{math.degrees(abs(self.value)):.4g} deg (u {math.degrees(self.u):.1g} deg)"
         direction = "larger" if self.value > 0.0 else "smaller"
         text = (
-            f"The records would fit if the angle{of_run} were {size} {direction}. Check the "
+            f"The records would fit if the angle{of_run} were {angle_text} {direction}. Check the "
             "zero of the angle and the time at which the angle is sampled."
         )
         return FindingText(
@@ -150,8 +150,8 @@ class Explanation(PriorExplanation):
         )
 
     def _describe_drift(self) -> FindingText:
-        alone = len(self.alternative.columns) == 1
-        when = "" if alone else " from the start of every run"
+        is_single = len(self.alternative.columns) == 1
+        when = "" if is_single else " from the start of every run"
         text = (
             f"{self._record_names} would fit with a bias that drifts by "
             f"{self._format_estimate('g/s')}{when}. Possible causes are warm-up, creep or "

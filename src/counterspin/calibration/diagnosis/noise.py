@@ -32,28 +32,32 @@ def reweight_runs(
     What a noisy run does by chance is no jump of its record. Its noise is taken from third
     differences, in which nothing else shows.
     """
-    stated = [
+    stated_names = [
         view.name
         for view in views
         if view.has_records and not view.problem.noise[view.name].to_estimate
     ]
-    sizes = {name: noise_by_run(estimate.fit, name) for name in stated}
-    sizes = {name: runs for name, runs in sizes.items() if _deviating_runs(runs)}
-    if not sizes:
+    noise_ratios = {name: noise_by_run(estimate.fit, name) for name in stated_names}
+    noise_ratios = {name: runs for name, runs in noise_ratios.items() if _deviating_runs(runs)}
+    if not noise_ratios:
         return estimate, []
-    reweighted = [
-        replace(part, series=part.series.scale_noise(sizes.get(part.accelerometer, {})))
-        for part in estimate.fit.design_blocks
+    reweighted_observations = [
+        replace(block, series=block.series.scale_noise(noise_ratios.get(block.accelerometer, {})))
+        for block in estimate.fit.design_blocks
     ]
-    others = estimate.fit.observations[len(reweighted) :]
-    fit = solve_joint((*reweighted, *others), estimate.fit.model, estimate.fit.noise)
-    return replace(estimate, fit=fit), [_noise_finding(name, runs) for name, runs in sizes.items()]
+    other_observations = estimate.fit.observations[len(reweighted_observations) :]
+    fit = solve_joint(
+        (*reweighted_observations, *other_observations), estimate.fit.model, estimate.fit.noise
+    )
+    return replace(estimate, fit=fit), [
+        _noise_finding(name, runs) for name, runs in noise_ratios.items()
+    ]
 
 
 def _deviating_runs(runs: Mapping[str, float]) -> list[str]:
     """Return the runs whose noise is another one than stated, the furthest off first."""
     deviating = [
-        run for run, size in runs.items() if not 1.0 / _MAX_NOISE_RATIO < size < _MAX_NOISE_RATIO
+        run for run, ratio in runs.items() if not 1.0 / _MAX_NOISE_RATIO < ratio < _MAX_NOISE_RATIO
     ]
     return sorted(deviating, key=lambda run: -abs(math.log(runs[run])))
 
@@ -62,15 +66,17 @@ def _noise_finding(name: str, runs: Mapping[str, float]) -> Finding:
     deviating = _deviating_runs(runs)
     ratios = [f"{format_number(runs[run], 2)} times" for run in deviating[:_MAX_NAMED]]
     ratios[0] += " the stated noise"
-    listing = ", ".join(f"{size} in {run}" for size, run in zip(ratios, deviating, strict=False))
-    rest = ", and as stated in the other runs" if len(deviating) < len(runs) else ""
+    listing = ", ".join(
+        f"{max_ratio} in {run}" for max_ratio, run in zip(ratios, deviating, strict=False)
+    )
+    contrast = ", and as stated in the other runs" if len(deviating) < len(runs) else ""
     text = (
         f"The differences between adjacent rows show that the noise of {name} is "
-        f"{listing}{rest}. Find the cause. Alternatively, remove the value from [noise], so "
+        f"{listing}{contrast}. Find the cause. Alternatively, remove the value from [noise], so "
         "that counterspin estimates the noise of each run."
     )
-    size = max(max(ratio, 1.0 / ratio) for ratio in runs.values())
-    return Finding(code="wrong-noise", subject=name, text=text, size=size)
+    max_ratio = max(max(ratio, 1.0 / ratio) for ratio in runs.values())
+    return Finding(code="wrong-noise", subject=name, text=text, size=max_ratio)
 
 
 def check_stated_noise(view: AccelerometerView) -> Iterator[Finding]:
@@ -97,11 +103,11 @@ def check_stated_noise(view: AccelerometerView) -> Iterator[Finding]:
             return
     factor = math.sqrt(ratio)
     white, unit = view.fit.noise[name].white, OBSERVABLES[view.accelerometer.observable]
-    shown = f", {format_number(factor * white, 3)} {unit}," if white > 0.0 else ""
+    noise_text = f", {format_number(factor * white, 3)} {unit}," if white > 0.0 else ""
     text = (
         "The residuals are independent of each other and, in every run, "
         f"{format_number(factor, 4)} times as large as expected from the stated noise. Noise "
-        f"of this size{shown} would fit. Check the stated noise, or let counterspin estimate "
+        f"of this size{noise_text} would fit. Check the stated noise, or let counterspin estimate "
         "the noise."
     )
     yield Finding(code="wrong-noise", subject=name, text=text, size=max(factor, 1.0 / factor))

@@ -88,17 +88,19 @@ def _prefer_outsized(tests: ScoreTests, index: int) -> int:
     It is asked only where the best credible one is more than chance, so that nothing is blamed in
     more good campaigns.
     """
-    sizes = [size if _is_outsized(tests, i) else 0.0 for i, size in enumerate(tests.z.tolist())]
-    largest = int(np.argmax(sizes))
-    return largest if min_equal_gain(sizes[largest] ** 2) > tests.z[index] ** 2 else index
+    scores = [score if _is_outsized(tests, i) else 0.0 for i, score in enumerate(tests.z.tolist())]
+    largest = int(np.argmax(scores))
+    return largest if min_equal_gain(scores[largest] ** 2) > tests.z[index] ** 2 else index
 
 
 def _is_outsized(tests: ScoreTests, index: int) -> bool:
     alternative = tests.alternatives[index]
-    size = abs(float(tests.value[index]))
+    magnitude = abs(float(tests.value[index]))
     return (
         alternative.kind == "term"
-        and alternative.credible_range[1] < size <= _MAX_OUTSIZE * alternative.credible_range[1]
+        and alternative.credible_range[1]
+        < magnitude
+        <= _MAX_OUTSIZE * alternative.credible_range[1]
     )
 
 
@@ -109,13 +111,13 @@ def min_equal_gain(best: float) -> float:
 
 def _best_index(tests: ScoreTests, kinds: Sequence[str] = ()) -> int:
     """Return the credible alternative, of some kinds or of any, that explains most."""
-    sizes = [
-        size if (not kinds or alternative.kind in kinds) and _is_credible(tests, i) else -1.0
-        for i, (alternative, size) in enumerate(
+    scores = [
+        score if (not kinds or alternative.kind in kinds) and _is_credible(tests, i) else -1.0
+        for i, (alternative, score) in enumerate(
             zip(tests.alternatives, tests.z.tolist(), strict=True)
         )
     ]
-    return int(np.argmax(sizes))
+    return int(np.argmax(scores))
 
 
 def _is_significant(tests: ScoreTests, index: int) -> bool:

@@ -119,35 +119,37 @@ def find_causes(
     estimate = views[0].estimate
     groups = [group for view in views for group in view.groups]
     noise_known = not estimate.estimated_noise and all(group.has_external_noise for group in groups)
-    relaxed = replace(
+    relaxed_estimate = replace(
         estimate, fit=estimate_considered(estimate.fit), compressed_fit=None, information_losses={}
     )
-    priors = prior_alternatives(relaxed.fit)
+    priors = prior_alternatives(relaxed_estimate.fit)
     mounting = find_better_mounting(mountings)
     # Beside readings alone, what nothing states is held to them at no cost too.
     tested = (
-        priors if relaxed.fit.design_blocks else (*priors, *default_prior_alternatives(relaxed.fit))
+        priors
+        if relaxed_estimate.fit.design_blocks
+        else (*priors, *default_prior_alternatives(relaxed_estimate.fit))
     )
     if (
         not _is_suspicious(views, results)
         and mounting is None
         and (
             not tested
-            or _smallest_p(run_score_tests(relaxed.fit, tested, noise_given=noise_known))
+            or _smallest_p(run_score_tests(relaxed_estimate.fit, tested, noise_given=noise_known))
             > _SUSPICION_P
         )
     ):
         return ()
     alternatives = (
-        tuple(_alternative_hypotheses(views, relaxed))
-        if relaxed.fit.design_blocks
-        else default_prior_alternatives(relaxed.fit)
+        tuple(_alternative_hypotheses(views, relaxed_estimate))
+        if relaxed_estimate.fit.design_blocks
+        else default_prior_alternatives(relaxed_estimate.fit)
     )
     priors, alternatives = (
         _with_input_ranges(views[0].campaign, candidates) for candidates in (priors, alternatives)
     )
     return (
-        _search_causes(views, relaxed, priors, alternatives, noise_known, mounting)
+        _search_causes(views, relaxed_estimate, priors, alternatives, noise_known, mounting)
         if priors or alternatives
         else ()
     )
@@ -187,13 +189,13 @@ def _search_causes(
         if explanation is None or (causes and explanation.size < _MIN_RELATIVE_SIZE * first_size):
             break
         first_size = first_size or explanation.size
-        corrected, explanation = _correct_cause(estimate, explanation, views)
+        corrected_estimate, explanation = _correct_cause(estimate, explanation, views)
         if not noise_known:
             # Beside the noise that is left without it, other causes may be wording from it.
-            quieter = replace(estimate, fit=estimate.fit.with_noise(corrected.fit.noise))
+            quieter = replace(estimate, fit=estimate.fit.with_noise(corrected_estimate.fit.noise))
             other_explanation = find_best(quieter, priors, alternatives, noise_known)
             if other_explanation is not None:
-                corrected, explanation = _correct_cause(estimate, other_explanation, views)
+                corrected_estimate, explanation = _correct_cause(estimate, other_explanation, views)
             if not _is_robust(estimate, explanation):
                 break
         if not explanation.outsized and not explanation.alternative.is_credible(explanation.value):
@@ -207,8 +209,8 @@ def _search_causes(
         wording = Explanation(
             campaign, estimate.fit, explanation.alternative, explanation.value, explanation.u
         ).describe()
-        causes.append(_make_cause(wording, explanation, views, estimate, corrected))
-        estimate = corrected
+        causes.append(_make_cause(wording, explanation, views, estimate, corrected_estimate))
+        estimate = corrected_estimate
     if noise_known:
         recorded_views = (replace(view, estimate=estimate) for view in views if view.has_records)
         wrong_noise_findings = (
@@ -292,22 +294,22 @@ def _with_input_ranges(
     }
     gravity, latitude = campaign.gravity.value, campaign.latitude.value
     low, high = gravity_range(latitude)
-    gravity_limits, excluded = (low - _ANOMALY, high + _ANOMALY), (0.0, 0.0)
+    gravity_limits, excluded_range = (low - _ANOMALY, high + _ANOMALY), (0.0, 0.0)
     if gravity_limits[0] <= gravity <= gravity_limits[1]:  # else either may be the wrong one
         ranges["site.gravity"] = gravity_limits
-        least, most = latitudes_with(gravity, _ANOMALY)
+        min_latitude, max_latitude = latitudes_with(gravity, _ANOMALY)
         # On either side of the equator, for its sign may be wrong.
-        ranges["site.latitude"] = -most, most
-        excluded = -least - latitude, least - latitude
+        ranges["site.latitude"] = -max_latitude, max_latitude
+        excluded_range = -min_latitude - latitude, min_latitude - latitude
     deviation_ranges = {
-        name: (least - inputs[name].value, most - inputs[name].value)
-        for name, (least, most) in ranges.items()
+        name: (min_latitude - inputs[name].value, max_latitude - inputs[name].value)
+        for name, (min_latitude, max_latitude) in ranges.items()
     }
     return tuple(
         replace(
             alternative,
             credible_range=deviation_ranges[alternative.name],
-            excluded_range=excluded
+            excluded_range=excluded_range
             if alternative.name == "site.latitude"
             else alternative.excluded_range,
             likely_values=(0.0, -2.0 * latitude) if alternative.name == "site.latitude" else (),
@@ -360,8 +362,8 @@ def _is_robust(estimate: Estimate, explanation: BestExplanation) -> bool:
         variance += float(
             gain @ undetected_walk_covariance(estimate.fit, estimate.estimated_noise) @ gain
         )
-    size = abs(explanation.value) / math.sqrt(variance)
-    return math.erfc(size / math.sqrt(2.0)) * explanation.tests < FALSE_ALARMS
+    z = abs(explanation.value) / math.sqrt(variance)
+    return math.erfc(z / math.sqrt(2.0)) * explanation.tests < FALSE_ALARMS
 
 
 def _correct_cause(
@@ -417,25 +419,27 @@ def _make_cause(
     corrected: Estimate,
 ) -> Cause:
     campaign = views[0].campaign
-    affected = _affected_accelerometers(explanation.alternative, views, previous)
+    affected_views = _affected_accelerometers(explanation.alternative, views, previous)
     text = wording.text
     max_shift = 0.0
     for view in views:
-        for symbol, place in view.indices.items():
+        for symbol, index in view.indices.items():
             if not view.assessment.determined[f"{view.name}.{symbol}"]:
                 continue
             shift = float(
-                corrected.fit.solution.estimate[place] - previous.fit.solution.estimate[place]
+                corrected.fit.solution.estimate[index] - previous.fit.solution.estimate[index]
             )
-            max_shift = max(max_shift, abs(shift) / float(view.fit.solution.u[place]))
+            max_shift = max(max_shift, abs(shift) / float(view.fit.solution.u[index]))
     rivals = [
         Explanation(campaign, previous.fit, alternative, value, 1.0).describe()
         for alternative, value in explanation.rivals
     ]
     if rivals:
         names = [rival.name for rival in rivals[:_MAX_RIVALS]]
-        unnamed = len(rivals) - len(names)
-        names += [f"{unnamed} more" if unnamed > 1 else "one more"] if unnamed else []
+        unnamed_count = len(rivals) - len(names)
+        names += (
+            [f"{unnamed_count} more" if unnamed_count > 1 else "one more"] if unnamed_count else []
+        )
         text += f" Alternatively, {' or '.join(names)} would fit the records equally well."
     is_decisive = normal_equivalent(explanation.size, explanation.dof) > CONTRADICTION_SIGMAS
     contradicts = is_decisive and (max_shift > 1.0 or explanation.alternative.kind == "prior")
@@ -448,7 +452,7 @@ def _make_cause(
             contradicts=contradicts,
             as_well=list(dict.fromkeys(rival.subject for rival in rivals)),
         ),
-        affected,
+        affected_views,
         _remaining_findings(views, corrected),
     )
 
@@ -488,8 +492,8 @@ def _check_view(view: AccelerometerView) -> Iterator[Finding]:
     yield from residual_findings(view)
     yield from _check_view_statistics(view, None)
     coefficients = {
-        symbol: coefficient(view.estimate, view.assessment, place)
-        for symbol, place in view.indices.items()
+        symbol: coefficient(view.estimate, view.assessment, index)
+        for symbol, index in view.indices.items()
         if f"{view.name}.{symbol}" in view.assessment.determined  # not what was considered before
     }
     for finding in check_credibility(view.campaign.limit_of, view.name, coefficients):
@@ -500,7 +504,7 @@ def _check_view_statistics(
     view: AccelerometerView, result: AccelerometerResult | None
 ) -> Iterator[Finding]:
     """Yield findings from the numbers of a fit for one accelerometer."""
-    judged = result or AccelerometerResult(
+    judged_result = result or AccelerometerResult(
         coefficients={},
         correlation=None,
         residual=residual(view),
@@ -509,5 +513,5 @@ def _check_view_statistics(
     )
     campaign = view.campaign
     yield from check_statistics(
-        view.name, judged, campaign.gravity.value, len(campaign.accelerometers)
+        view.name, judged_result, campaign.gravity.value, len(campaign.accelerometers)
     )

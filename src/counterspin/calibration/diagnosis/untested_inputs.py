@@ -69,9 +69,9 @@ class AlternativeMounting:
     @property
     def pendulous_directions(self) -> tuple[str, str]:
         """Where the pendulous axis is stated to point, and where it would."""
-        stated = self.view.accelerometer.mounting
-        return _describe_direction(stated.matrix[1]), _describe_direction(
-            rotate_mounting(stated, self.quarter_turns).matrix[1]
+        stated_mounting = self.view.accelerometer.mounting
+        return _describe_direction(stated_mounting.matrix[1]), _describe_direction(
+            rotate_mounting(stated_mounting, self.quarter_turns).matrix[1]
         )
 
     def apply_to(self, view: AccelerometerView) -> AccelerometerView:
@@ -99,18 +99,21 @@ def fit_alternative_mountings(
     """Return the other mountings of those accelerometers whose stated terms rest on them."""
     mountings = []
     estimate = views[0].estimate
-    relaxed = replace(estimate, fit=estimate_considered(estimate.fit), compressed_fit=None)
+    relaxed_estimate = replace(estimate, fit=estimate_considered(estimate.fit), compressed_fit=None)
     groups = tuple({id(group): group for view in views for group in view.groups}.values())
     for view in views:
         if not _stated_cross_terms(view):
             continue
         noise_known = not view.has_records or view.diagnostics.noise_given
         noise_known = noise_known and all(math.isinf(group.noise_dof) for group in view.groups)
-        (stated, _), *rotated = (_fit_rotated(view, relaxed, groups, turns) for turns in range(4))
-        for quarters, (fit, fitted_groups) in enumerate(rotated, 1):
+        (stated_fit, _), *rotated_fits = (
+            _fit_rotated(view, relaxed_estimate, groups, quarter_turns)
+            for quarter_turns in range(4)
+        )
+        for quarters, (fit, fitted_groups) in enumerate(rotated_fits, 1):
             scale = fit.solution.chi2 / max(fit.solution.dof, 1.0)
             scale = max(scale, 1.0) if noise_known else scale
-            gain = (stated.solution.chi2 - fit.solution.chi2) / scale
+            gain = (stated_fit.solution.chi2 - fit.solution.chi2) / scale
             dof = None if noise_known else max(fit.solution.dof, 1.0)
             mountings.append(AlternativeMounting(view, quarters, fit, gain, dof, fitted_groups))
     return tuple(mountings)
@@ -135,8 +138,8 @@ def _fit_rotated(
 
 def _stated_cross_terms(view: AccelerometerView) -> list[str]:
     """Return the terms with a_P and a_O of which the description says something."""
-    stated = {*view.accelerometer.priors, *view.campaign.model.priors}
-    return [symbol for symbol in ACROSS if symbol in stated]
+    stated_terms = {*view.accelerometer.priors, *view.campaign.model.priors}
+    return [symbol for symbol in ACROSS if symbol in stated_terms]
 
 
 def find_better_mounting(mountings: Sequence[AlternativeMounting]) -> AlternativeMounting | None:
@@ -146,18 +149,18 @@ def find_better_mounting(mountings: Sequence[AlternativeMounting]) -> Alternativ
     probability that a normal number, or Student's where the noise was estimated, exceeds sqrt(c),
     at most.
     """
-    best = max(mountings, key=lambda mounting: mounting.gain, default=None)
-    if best is None or best.gain <= 0.0:
+    best_mounting = max(mountings, key=lambda mounting: mounting.gain, default=None)
+    if best_mounting is None or best_mounting.gain <= 0.0:
         return None
     tail_p = 0.5 * SIGNIFICANCE / len(mountings)
-    size = normal_equivalent(math.sqrt(best.gain), best.dof)
-    return best if size > normal_quantile(1.0 - tail_p) else None
+    z = normal_equivalent(math.sqrt(best_mounting.gain), best_mounting.dof)
+    return best_mounting if z > normal_quantile(1.0 - tail_p) else None
 
 
 def mounting_finding(mounting: AlternativeMounting) -> Finding:
     """Return the finding that an accelerometer is mounted another way than is stated."""
     name, (stated, fitted) = mounting.view.name, mounting.pendulous_directions
-    symbol, shift, size = mounting.largest_shift()
+    symbol, shift, z = mounting.largest_shift()
     data, sense = "records", ""
     if any(group.motion != "poses" for group in mounting.view.groups):
         data, sense = "readings", ", the sense of rotation of the attitudes"
@@ -167,7 +170,7 @@ def mounting_finding(mounting: AlternativeMounting) -> Finding:
         f"{_join_symbols(_stated_cross_terms(mounting.view))}."
     )
     if symbol:
-        ratio = format_number(size, 2)
+        ratio = format_number(z, 2)
         text += (
             f" {symbol} would change by {format_size(symbol, shift)}, {ratio} times the u of "
             f"{symbol}."
@@ -177,7 +180,7 @@ def mounting_finding(mounting: AlternativeMounting) -> Finding:
         subject=name,
         text=text,
         size=math.sqrt(mounting.gain),
-        contradicts=size > 1.0,
+        contradicts=z > 1.0,
     )
 
 
@@ -189,22 +192,22 @@ def undetermined_axis_remarks(mountings: Sequence[AlternativeMounting]) -> Itera
             continue
         possible = [mounting for mounting in candidates if mounting.gain > -(_NOT_EXCLUDED**2)]
         # A quarter turn either way may do the same but for rounding: the first is named.
-        worst = max(
+        worst_mounting = max(
             possible, key=lambda mounting: round(mounting.largest_shift()[2], 6), default=None
         )
-        if worst is None or worst.largest_shift()[2] < _WORTH_A_REMARK:
+        if worst_mounting is None or worst_mounting.largest_shift()[2] < _WORTH_A_REMARK:
             continue
-        symbol, shift, size = worst.largest_shift()
-        stated, fitted = worst.pendulous_directions
+        symbol, shift, z = worst_mounting.largest_shift()
+        stated, fitted = worst_mounting.pendulous_directions
         direction = "larger" if shift > 0.0 else "smaller"
-        symbols = _stated_cross_terms(worst.view)
+        symbols = _stated_cross_terms(worst_mounting.view)
         values, verb = ("values", "depend") if symbols[1:] else ("value", "depends")
         yield (
             f"{name}: the records do not determine the direction of the pendulous axis, and "
             f"the stated {values} of {_join_symbols(symbols)} {verb} on this direction. With "
             f"{fitted} instead of {stated}, the records would fit equally well, and {symbol} "
             f"would be {format_size(symbol, abs(shift))} {direction}, a change of "
-            f"{format_number(size, 2)} times the u of {symbol}."
+            f"{format_number(z, 2)} times the u of {symbol}."
         )
 
 
@@ -247,9 +250,10 @@ def untested_input_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
         for rows in zip(*((item.data, item.priors) for item in inputs), strict=True)
     )
     residual_norms = np.linalg.norm(fit.solution.project_out(data, priors), axis=0)
-    typical = np.array([item.typical for item in inputs])
+    typical_sizes = np.array([item.typical for item in inputs])
     size = np.minimum(
-        typical, _DETECTABLE_SIGMAS / np.maximum(residual_norms, _DETECTABLE_SIGMAS / typical)
+        typical_sizes,
+        _DETECTABLE_SIGMAS / np.maximum(residual_norms, _DETECTABLE_SIGMAS / typical_sizes),
     )
     shifts = size * fit.solution.undetected_shifts(data, priors)
     for view in views:
@@ -284,11 +288,11 @@ def _stated_priors(campaign: Campaign, fit: JointFit) -> Iterator[_UntestedInput
         priors = np.zeros(sd.size)
         priors[list(indices)] = [-alternative.prior_shifts[index] for index in indices]
         symbol = fit.model.unknowns[next(iter(alternative.prior_shifts))].symbol
-        typical = campaign.typical_of(symbol, alternative.owner)
+        typical_size = campaign.typical_of(symbol, alternative.owner)
         yield _UntestedInput(
             f"the stated value of {alternative.name}",
             symbol,
-            typical,
+            typical_size,
             indices,
             np.zeros(rows),
             fit.solution.whiten_priors(priors[:, None])[:, 0],

@@ -93,9 +93,9 @@ def _output_units_text(accelerometer: AccelerometerResult) -> str:
 def _reading_table(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[Block]:
     if not readings:
         return
-    shown = readings if details else readings[:TERMINAL_ROWS]
+    shown_readings = readings if details else readings[:TERMINAL_ROWS]
     yield Table(
-        omitted=len(readings) - len(shown),
+        omitted=len(readings) - len(shown_readings),
         columns=(
             Column("Reading", wraps=True),
             Column("Motion"),
@@ -116,7 +116,7 @@ def _reading_table(readings: Sequence[ReadingResult], *, details: bool) -> Itera
                 "-" if line.z is None else f"{line.z:.2f}",
                 *_sample_cells(line),
             )
-            for line in shown
+            for line in shown_readings
         ),
     ).without_empty_columns()
     for line in (line for line in readings if line.samples is not None):
@@ -179,13 +179,13 @@ def _value_cells(coefficient: Coefficient) -> tuple[str, str, str]:
         return "-", "", unit
     if u is None or u == 0.0:
         return format_number(value, 12), "exact" if u == 0.0 else "", unit
-    rounded = round_to_uncertainty(value, u)
-    if rounded is None:
+    rounded_cells = round_to_uncertainty(value, u)
+    if rounded_cells is None:
         return format_number(value, 17), f"± {format_number(u, 2)}", unit
     return (
-        rounded.value,
-        f"± {rounded.u}",
-        f"1e{rounded.exponent} {unit}" if rounded.exponent else unit,
+        rounded_cells.value,
+        f"± {rounded_cells.u}",
+        f"1e{rounded_cells.exponent} {unit}" if rounded_cells.exponent else unit,
     )
 
 
@@ -208,24 +208,24 @@ def _uncertainty_origin(coefficient: Coefficient) -> str:
     )
 
 
-def confounding_text(confounded: ConfoundedTerms) -> str:
+def confounding_text(confounded_terms: ConfoundedTerms) -> str:
     """Return a clause on confounded terms and the degree of confounding."""
-    names = ", ".join(confounded.terms[:-1]) + " and " + confounded.terms[-1]
-    return f"{names} {'cannot' if confounded.inseparable else 'can hardly'} be separated"
+    names = ", ".join(confounded_terms.terms[:-1]) + " and " + confounded_terms.terms[-1]
+    return f"{names} {'cannot' if confounded_terms.inseparable else 'can hardly'} be separated"
 
 
-def _confounded_sentence(confounded: ConfoundedTerms) -> str:
+def _confounded_sentence(confounded_terms: ConfoundedTerms) -> str:
     text = (
-        f"{confounding_text(confounded)} with these records (correlation "
-        f"{_format_correlation(confounded.correlation)}); the records determine only "
-        f"{confounded.determined}"
+        f"{confounding_text(confounded_terms)} with these records (correlation "
+        f"{_format_correlation(confounded_terms.correlation)}); the records determine only "
+        f"{confounded_terms.determined}"
     )
-    if confounded.value is None:
+    if confounded_terms.value is None:
         return text + "."
-    symbol = confounded.terms[0].partition(" (")[0]
+    symbol = confounded_terms.terms[0].partition(" (")[0]
     unit, factor = field_unit(term(symbol).unit if is_term(symbol) else "")
-    u = None if confounded.u is None else confounded.u * factor
-    return f"{text} = {format_estimate(confounded.value * factor, u, unit)}."
+    u = None if confounded_terms.u is None else confounded_terms.u * factor
+    return f"{text} = {format_estimate(confounded_terms.value * factor, u, unit)}."
 
 
 def confounded_sentences(accelerometer: AccelerometerResult) -> Iterator[str]:
@@ -236,8 +236,8 @@ def confounded_sentences(accelerometer: AccelerometerResult) -> Iterator[str]:
 def _format_correlation(r: float) -> str:
     """Format a correlation; one that would round to 1 is written as 1 minus the difference."""
     if 0.0 < 1.0 - abs(r) < 5e-5:
-        missing = format_number(1.0 - abs(r), 1)
-        return f"1 - {missing}" if r > 0.0 else f"-1 + {missing}"
+        distance_from_unity = format_number(1.0 - abs(r), 1)
+        return f"1 - {distance_from_unity}" if r > 0.0 else f"-1 + {distance_from_unity}"
     return f"{r:.4f}"
 
 
@@ -273,7 +273,7 @@ def _noise_sentence(noise: dict[str, NoiseLine], gravity: float) -> str:
         source = f"from {line.record}" if line.record else "as given"
         evaluation = "estimated from the residuals" if line.estimated else source
         is_approximate = line.estimated and u is None
-        size = (
+        noise_text = (
             f"{format_number(value, 2)} {unit}"
             if is_approximate
             else format_estimate(value, u, unit)
@@ -282,7 +282,7 @@ def _noise_sentence(noise: dict[str, NoiseLine], gravity: float) -> str:
             f"{format_number(run_value, 2)} in {run}" for run, run_value in line.runs.items()
         ]
         by_run = f", by run {', '.join(run_values)}" if run_values else ""
-        lines.append(f"{label} {size} ({evaluation}){by_run}")
+        lines.append(f"{label} {noise_text} ({evaluation}){by_run}")
     return f"Noise: {'; '.join(lines)}."
 
 
@@ -303,16 +303,18 @@ def _jackknife_table(lines: Sequence[Jackknife], coefficient: Coefficient) -> It
     value, u, unit = to_field_units(coefficient)
     _, factor = field_unit(coefficient.unit)
     # Without one run the estimate is written to the place of the whole one, to be compared.
-    rounded = round_to_uncertainty(value, u) if value is not None and u else None
-    if rounded is not None and rounded.exponent:
-        unit = f"1e{rounded.exponent} {unit}"
+    rounded_cells = round_to_uncertainty(value, u) if value is not None and u else None
+    if rounded_cells is not None and rounded_cells.exponent:
+        unit = f"1e{rounded_cells.exponent} {unit}"
 
     def write(number: float | None) -> str:
         if number is None:
             return NOT_DETERMINED
         scaled_number = number * factor
         return (
-            rounded.write(scaled_number) if rounded is not None else format_number(scaled_number, 6)
+            rounded_cells.write(scaled_number)
+            if rounded_cells is not None
+            else format_number(scaled_number, 6)
         )
 
     yield Table(

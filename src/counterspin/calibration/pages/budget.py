@@ -40,21 +40,21 @@ def budget_blocks(name: str, result: Result) -> Iterator[Block]:
 
 def interval_blocks(name: str, result: Result) -> Iterator[Block]:
     """Yield the coverage intervals of an accelerometer by the GUM and by Monte Carlo, if drawn."""
-    words = {True: "validated", False: "not validated", None: "too few trials"}
+    outcome_texts = {True: "validated", False: "not validated", None: "too few trials"}
     rows, trials = [], 0
     accelerometer = result.accelerometers[name]
-    for symbol, drawn in accelerometer.monte_carlo.items():
+    for symbol, coverage in accelerometer.monte_carlo.items():
         coefficient = accelerometer.coefficients[symbol]
         if coefficient.value is None or coefficient.u is None:
             continue
         unit, factor = field_unit(coefficient.unit)
-        u, trials = coefficient.u * factor, drawn.trials
-        intervals = (coefficient.interval(), (drawn.low, drawn.high))
+        u, trials = coefficient.u * factor, coverage.trials
+        intervals = (coefficient.interval(), (coverage.low, coverage.high))
         gum, shortest = (
             format_interval(0.5 * (low + high) * factor, u, 0.5 * (high - low) * factor)
             for low, high in intervals
         )
-        rows.append((symbol, gum, shortest, unit, words[drawn.gum_validated]))
+        rows.append((symbol, gum, shortest, unit, outcome_texts[coverage.gum_validated]))
     if rows:
         yield Heading(f"95 % coverage intervals of {name}, {trials} trials (JCGM 101)", 3)
         yield Table(
@@ -80,9 +80,11 @@ def _linearity_sentence(accelerometer: AccelerometerResult) -> str:
     }
     if not ratios:
         return ""
-    worst = max(ratios, key=lambda symbol: ratios[symbol])
-    amount = f"at most {format_number(ratios[worst], 2)} times the tolerance ({worst})"
-    if ratios[worst] < _NEGLIGIBLE_RATIO:
+    worst_symbol = max(ratios, key=lambda symbol: ratios[symbol])
+    amount = (
+        f"at most {format_number(ratios[worst_symbol], 2)} times the tolerance ({worst_symbol})"
+    )
+    if ratios[worst_symbol] < _NEGLIGIBLE_RATIO:
         amount = f"less than {_NEGLIGIBLE_RATIO:g} times the tolerance"
     text = (
         "Full fits with each source shifted by ±2 u deviate from the linear prediction by "
@@ -93,17 +95,17 @@ def _linearity_sentence(accelerometer: AccelerometerResult) -> str:
         for symbol, interval in accelerometer.monte_carlo.items()
         if interval.second_order
     ]
-    used = f"A second-order response is used for {', '.join(second_order)}."
-    text += f" {used}" if second_order else " Monte Carlo trials use linear sensitivities."
-    failed = [
+    sentence = f"A second-order response is used for {', '.join(second_order)}."
+    text += f" {sentence}" if second_order else " Monte Carlo trials use linear sensitivities."
+    failed_symbols = [
         symbol
         for symbol, interval in accelerometer.monte_carlo.items()
         if (interval.joint_difference or 0.0) > interval.tolerance
     ]
-    if failed:
+    if failed_symbols:
         text += (
             " With all sources shifted together, full fits still deviate from the prediction "
-            f"by more than the tolerance for {', '.join(failed)}. The intervals of these "
+            f"by more than the tolerance for {', '.join(failed_symbols)}. The intervals of these "
             "coefficients are approximate. State smaller uncertainties."
         )
     return text
@@ -113,13 +115,13 @@ def budget_table(
     name: str,
     symbol: str,
     result: Result,
-    shown: Sequence[BudgetLine],
+    shown_lines: Sequence[BudgetLine],
     small_lines: Sequence[BudgetLine],
 ) -> Table:
     """Return the budget of a coefficient as a table; empty columns are left out.
 
     name: Name of the accelerometer.
-    shown, small_lines: Lines with a row each, and lines that share a row.
+    shown_lines, small_lines: Lines with a row each, and lines that share a row.
     """
     accelerometer = result.accelerometers[name]
     coefficient = accelerometer.coefficients.get(symbol)
@@ -135,7 +137,7 @@ def budget_table(
             format_uncertainty(line.contribution * factor),
             format_share(line.share),
         )
-        for line in shown
+        for line in shown_lines
     ]
     if small_lines:
         remainder = math.hypot(*(line.contribution for line in small_lines))
@@ -143,7 +145,7 @@ def budget_table(
         rows.append(
             (f"{len(small_lines)} more", *[""] * 5, format_uncertainty(remainder * factor), share)
         )
-    total = math.hypot(*(line.contribution for line in (*shown, *small_lines)))
+    total = math.hypot(*(line.contribution for line in (*shown_lines, *small_lines)))
     rows.append(("combined", *[""] * 5, format_uncertainty(total * factor), ""))
     return Table(
         columns=(
@@ -186,10 +188,10 @@ def _prior_cells(line: BudgetLine, value: float | None) -> tuple[str, str]:
     u = f"{format_number(line.u * factor, 2)} {unit}"
     if not value:
         return "" if value is None else f"0 {unit}", u
-    rounded = round_to_uncertainty(value * factor, line.u * factor)
-    if rounded is None or rounded.exponent:
+    rounded_cells = round_to_uncertainty(value * factor, line.u * factor)
+    if rounded_cells is None or rounded_cells.exponent:
         return f"{format_number(value * factor, 9)} {unit}", u
-    return f"{rounded.value} {unit}", u
+    return f"{rounded_cells.value} {unit}", u
 
 
 def _sensitivity_cell(line: BudgetLine, factor: float) -> str:

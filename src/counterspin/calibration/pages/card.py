@@ -57,17 +57,17 @@ def accelerometer_card(
     symbol = "K_II" if "K_II" in coefficients else next(iter(coefficients))
     coefficient = coefficients[symbol]
     value, u, unit = to_field_units(coefficient)
-    determined = coefficient.estimated and value is not None and u is not None
+    is_determined = coefficient.estimated and value is not None and u is not None
     return Card(
         title=name,
         detail=_orientation(accelerometer),
         state=accelerometer.state,
         state_words=STATE_WORDS[accelerometer.state],
         symbol=symbol,
-        value=format_estimate(value, u) if determined else "",
+        value=format_estimate(value, u) if is_determined else "",
         unit=unit,
-        remarks=tuple(_remarks(coefficient, accelerometer.state)) if determined else (),
-        shares=tuple(_shares(accelerometer.budget.get(symbol, ()))) if determined else (),
+        remarks=tuple(_remarks(coefficient, accelerometer.state)) if is_determined else (),
+        shares=tuple(_shares(accelerometer.budget.get(symbol, ()))) if is_determined else (),
         note=_note(accelerometer, symbol),
         checks=tuple(_checks(accelerometer)),
         paragraphs=tuple(paragraphs),
@@ -105,12 +105,12 @@ def _remarks(coefficient: Coefficient, state: State) -> Iterator[str]:
 
 def _shares(budget: Sequence[BudgetLine]) -> Iterator[Share]:
     lines = sorted(budget, key=lambda line: -line.share)
-    shown = [line for line in lines[:_MAX_SHARES] if line.share >= _MIN_SHARE]
-    for line in shown:
+    shown_lines = [line for line in lines[:_MAX_SHARES] if line.share >= _MIN_SHARE]
+    for line in shown_lines:
         label = f"{_short_name(line.source)} {format_share(line.share)}"
         yield Share(label, line.share, line.kind == "unstated")
-    remainder = max(1.0 - math.fsum(line.share for line in shown), 0.0)
-    if shown and remainder > 0.0:
+    remainder = max(1.0 - math.fsum(line.share for line in shown_lines), 0.0)
+    if shown_lines and remainder > 0.0:
         yield Share(f"others {format_share(remainder)}", remainder)
 
 

@@ -431,9 +431,11 @@ def batch_blocks(batch: BatchResult) -> list[Block]:
         Paragraph(f"{folder}: the data do not determine all requested terms.", "undetermined")
         for folder in batch.not_determined
     ]
-    failed = len(batch.failed)
-    calibrated = len(batch.campaigns) - failed
-    blocks.append(Paragraph(f"{calibrated} campaigns calibrated, {failed} failed.", "quiet"))
+    failed_count = len(batch.failed)
+    calibrated_count = len(batch.campaigns) - failed_count
+    blocks.append(
+        Paragraph(f"{calibrated_count} campaigns calibrated, {failed_count} failed.", "quiet")
+    )
     return blocks
 
 

@@ -64,18 +64,18 @@ def model_blocks(result: Result) -> Iterator[Block]:
     )
     for name, accelerometer in result.accelerometers.items():
         # A term without a value was not in the fit.
-        known = {**accelerometer.known, **accelerometer.coefficients}
-        symbols = {symbol for symbol, c in known.items() if c.value is not None}
-        used = [TERMS[symbol] for symbol in TERMS if symbol in symbols]
-        yield Paragraph(f"{name}: a_ind = {_equation_sum(used)}", "equation")
+        known_values = {**accelerometer.known, **accelerometer.coefficients}
+        symbols = {symbol for symbol, c in known_values.items() if c.value is not None}
+        used_terms = [TERMS[symbol] for symbol in TERMS if symbol in symbols]
+        yield Paragraph(f"{name}: a_ind = {_equation_sum(used_terms)}", "equation")
     platform = dict.fromkeys(
         [*result.platform, *(symbol for run in result.runs.values() for symbol in run.terms)]
     )
-    if turns := [symbol for symbol in platform if symbol in PLATFORM_TERMS]:
+    if platform_symbols := [symbol for symbol in platform if symbol in PLATFORM_TERMS]:
         yield Paragraph(
             "The small attitude error ψ of the platform rotates the sensed specific force to f "
             "− ψ × f, where ψ = tilt + ∫ (drift + D f/g + E |f|²/g²) dt + C f/g. The fit "
-            f"includes these attitude terms: {_join(turns)}."
+            f"includes these attitude terms: {_join(platform_symbols)}."
         )
     if paths := [symbol for symbol in platform if symbol in MOTION_TERMS]:
         yield Paragraph(
@@ -143,8 +143,8 @@ def _equation_sum(terms: Iterable[Term[SpecificForceProduct]]) -> str:
     return " ".join(summands).removeprefix("+ ")
 
 
-def _join(words: Iterable[str]) -> str:
-    return ", ".join(words)
+def _join(items: Iterable[str]) -> str:
+    return ", ".join(items)
 
 
 def origin_blocks(result: Result) -> Iterator[Block]:
@@ -268,7 +268,7 @@ def tabulate_tests(readings: Sequence[ReadingResult]) -> Table:
                 mounting,
                 str(len(_distinct_positions(group))),
                 _format_range(rates) if any(rates := sorted({r.rate for r in group})) else "",
-                _format_range(sizes) if (sizes := _amplitudes(group)) else "",
+                _format_range(amplitudes) if (amplitudes := _amplitudes(group)) else "",
                 _format_range(sorted(r.value for r in group)),
                 str(len(group)),
             )
@@ -351,8 +351,8 @@ def method_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
         ),
     )
     level = method_test_level(methods)
-    words = "; ".join(_agreement_text(method, level) for method in methods)
-    yield Paragraph("Consistency of each test method with the other methods: " + words + ".")
+    sentence = "; ".join(_agreement_text(method, level) for method in methods)
+    yield Paragraph("Consistency of each test method with the other methods: " + sentence + ".")
 
 
 def _has_value(method: MethodAgreement, symbol: str) -> bool:
@@ -378,11 +378,11 @@ def _agreement_text(method: MethodAgreement, level: float) -> str:
         f"{method.kind}: {verdict} (chi-square/dof {format_number(method.chi2 / method.dof, 3)}, "
         f"p = {format_number(method.p, 2)}"
     )
-    moved = {symbol: abs(shift.z) for symbol, shift in method.without.items()}
-    if moved and math.isfinite(size := max(moved.values())):
-        symbol = max(moved, key=lambda name: moved[name])
+    shifts = {symbol: abs(shift.z) for symbol, shift in method.without.items()}
+    if shifts and math.isfinite(max_shift := max(shifts.values())):
+        symbol = max(shifts, key=lambda name: shifts[name])
         text += (
-            f"; omitting this method shifts {symbol} most, by {format_number(size, 2)} times "
+            f"; omitting this method shifts {symbol} most, by {format_number(max_shift, 2)} times "
             "the u of the shift"
         )
     return text + ")"

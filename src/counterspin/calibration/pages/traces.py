@@ -47,19 +47,24 @@ def thin_residuals(view: AccelerometerView) -> dict[str, Trace]:
 
 def _thin_run(view: AccelerometerView, index: int, run: ObservedRun) -> Trace:
     series = view.fit.design_blocks[index].series
-    residual, whitened = view.fit.residuals[index].unweighted, view.fit.residuals[index].whitened
+    residual, whitened_residuals = (
+        view.fit.residuals[index].unweighted,
+        view.fit.residuals[index].whitened,
+    )
     periodogram = view.diagnostics.runs[series.run].periodogram
     share = _TOTAL_SEGMENTS // len(view.fit.design_blocks)
     count = min(max(share, _MIN_SEGMENTS), _MAX_SEGMENTS)
     time, low, high = envelope(series.time, residual, count)
     angle = series.trajectory.spindle.angle(series.time)
     for bins in _REVOLUTION_BINS:
-        folded = fold_over_revolution(angle, residual, bins)
-        if np.isfinite(folded[1]).all():
+        folded_residuals = fold_over_revolution(angle, residual, bins)
+        if np.isfinite(folded_residuals[1]).all():
             break
     interval = median(np.diff(series.time))
-    normal, ordered = normal_quantiles(whitened, _QUANTILES)
-    frequency, power, lines = smoothed_spectrum(periodogram, whitened.size * interval, _BANDS)
+    normal, ordered_residuals = normal_quantiles(whitened_residuals, _QUANTILES)
+    frequency, power, lines = smoothed_spectrum(
+        periodogram, whitened_residuals.size * interval, _BANDS
+    )
     (rms,) = _round_digits(np.sqrt([np.mean(residual**2)]))
     return Trace(
         rows=residual.size,
@@ -68,11 +73,13 @@ def _thin_run(view: AccelerometerView, index: int, run: ObservedRun) -> Trace:
         low=_round_digits(low),
         high=_round_digits(high),
         left_out=_outlier_residuals(view, index, run),
-        by_angle=Fold(**dict(zip(("low", "mean", "high"), map(_null_if_nan, folded), strict=True))),
+        by_angle=Fold(
+            **dict(zip(("low", "mean", "high"), map(_null_if_nan, folded_residuals), strict=True))
+        ),
         spectrum=Spectrum(
             frequency=_round_digits(frequency), power=_round_digits(power), lines=lines.tolist()
         ),
-        quantiles=Quantiles(normal=_round_digits(normal), found=_round_digits(ordered)),
+        quantiles=Quantiles(normal=_round_digits(normal), found=_round_digits(ordered_residuals)),
     )
 
 
@@ -122,11 +129,11 @@ def _round_digits(values: Array, digits: int = _DIGITS) -> list[float]:
     )
     # Whole numbers and these powers of ten are exact, so that one division rounds correctly.
     up, down = 10.0 ** np.maximum(decimals, 0.0), 10.0 ** np.maximum(-decimals, 0.0)
-    rounded = np.rint(values * up / down) / up * down
+    rounded_values = np.rint(values * up / down) / up * down
     exceptions = [float(f"{value:.{digits}g}") for value in values[~is_ordinary].tolist()]
-    rounded[~is_ordinary] = exceptions
-    numbers: list[float] = rounded.tolist()
-    return numbers
+    rounded_values[~is_ordinary] = exceptions
+    value_list: list[float] = rounded_values.tolist()
+    return value_list
 
 
 # Thinning
@@ -141,12 +148,12 @@ def envelope(time: Array, values: Array, count: int) -> tuple[Array, Array, Arra
     time, values: Shape (n,), n >= 1, in the order of time.
     count: At least 1.
     """
-    first = _unique(np.arange(count) * time.size // count)
-    last = np.append(first[1:], time.size) - 1
+    first_indices = _unique(np.arange(count) * time.size // count)
+    last_indices = np.append(first_indices[1:], time.size) - 1
     return (
-        0.5 * (time[first] + time[last]),
-        np.minimum.reduceat(values, first),
-        np.maximum.reduceat(values, first),
+        0.5 * (time[first_indices] + time[last_indices]),
+        np.minimum.reduceat(values, first_indices),
+        np.maximum.reduceat(values, first_indices),
     )
 
 
@@ -181,28 +188,28 @@ def smoothed_spectrum(
     count: At least 1.
     """
     edges = _unique(np.geomspace(1.0, power.size + 1.0, count + 1).astype(np.intp))
-    first, width = edges[:-1], np.diff(edges)
-    frequency = (first + 0.5 * (width - 1)) / length
-    return frequency, np.add.reduceat(power[: edges[-1] - 1], first - 1) / width, width
+    first_lines, width = edges[:-1], np.diff(edges)
+    frequency = (first_lines + 0.5 * (width - 1)) / length
+    return frequency, np.add.reduceat(power[: edges[-1] - 1], first_lines - 1) / width, width
 
 
-def normal_quantiles(whitened: Array, count: int) -> tuple[Array, Array]:
+def normal_quantiles(whitened_residuals: Array, count: int) -> tuple[Array, Array]:
     """Return at most `count` ordered residuals with their normal scores.
 
     Blom's scores, those of ranks (i - 3/8) / (n + 1/4); the ranks are chosen evenly along them,
     so that the tails are whole where the middle is thinned.
 
-    whitened: Shape (n,), n >= 1.
+    whitened_residuals: Shape (n,), n >= 1.
     count: At least 2.
     Returns: shape (m,), m <= count.
     """
-    n = whitened.size
+    n = whitened_residuals.size
     lowest = normal_quantile(0.625 / (n + 0.25))
     levels = np.linspace(lowest, -lowest, min(count, n)).tolist()
     wanted_ranks = np.array([normal_cdf(level) for level in levels]) * (n + 0.25) + 0.375
     ranks = _unique(np.clip(np.rint(wanted_ranks), 1, n).astype(np.intp))
     normal = [normal_quantile(p) for p in ((ranks - 0.375) / (n + 0.25)).tolist()]
-    return np.array(normal), np.sort(whitened)[ranks - 1]
+    return np.array(normal), np.sort(whitened_residuals)[ranks - 1]
 
 
 def _unique(ascending: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -39,14 +39,14 @@ def compare_k_ii(view: AccelerometerView) -> Comparison | None:
         )
     except (NotIdentifiableError, RecordError):
         return None
-    place = stage_view.indices["K_II"]
-    parameter = coefficient(stage_view.estimate, stage_view.assessment, place)
+    position = stage_view.indices["K_II"]
+    parameter = coefficient(stage_view.estimate, stage_view.assessment, position)
     if not parameter.estimated or parameter.value is None or parameter.u is None:
         return None
     solution, stage_solution = view.fit.solution, stage_view.fit.solution
     covariance = solution.covariance_noise + solution.covariance_prior
     stage_variance = (stage_solution.covariance_noise + stage_solution.covariance_prior)[
-        place, place
+        position, position
     ]
     # What the joint fit found moves each estimate by its own sensitivity: that of the joint one is
     # its regression on it, and the rest of its variance would remain if all of it were known.
@@ -68,14 +68,14 @@ def compare_k_ii(view: AccelerometerView) -> Comparison | None:
     regression = np.linalg.lstsq(scaled, covariance[joint_indices, index] / sd, rcond=None)[0]
     joint_variance = covariance[index, index] - float(regression @ scaled @ regression)
     effect_difference = (
-        stage_solution.sensitivity_considered[place, stage_indices] * sd - regression
+        stage_solution.sensitivity_considered[position, stage_indices] * sd - regression
     )
     common_variance = float(effect_difference @ scaled @ effect_difference)
     # A term that only the two-stage method holds counts in its own variance; one that both hold
     # moves each estimate by its own sensitivity.
     considered = _considered_effects(view.fit, index)
     known = {unknowns[k].name for k in joint_indices}
-    for name, (effect, sd_considered) in _considered_effects(stage_view.fit, place).items():
+    for name, (effect, sd_considered) in _considered_effects(stage_view.fit, position).items():
         if name in considered:
             joint_effect, _ = considered.pop(name)
             common_variance += ((effect - joint_effect) * sd_considered) ** 2
@@ -88,7 +88,7 @@ def compare_k_ii(view: AccelerometerView) -> Comparison | None:
     rotation_names = {
         parameter.name for parameter in unknowns if parameter.symbol in encoder.SYMBOLS
     }
-    effects = stage_solution.sensitivity_considered[place]
+    effects = stage_solution.sensitivity_considered[position]
     stage_variance += sum(
         float(effects[k] * parameter.prior[1]) ** 2
         for k, parameter in enumerate(stage_view.fit.model.considered)

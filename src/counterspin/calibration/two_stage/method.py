@@ -101,12 +101,12 @@ def calibrate_accelerometer(
     others = [s for s in campaign.model.terms if s in ACCELEROMETER_TERMS and s not in unknowns]
     known = {symbol: _prior_coefficient(accelerometer, symbol) for symbol in others}
     coefficients = {**unknowns, **known}
-    places = {
+    indices = {
         unknown.symbol: index
         for index, unknown in enumerate(model.unknowns)
         if coefficients[unknown.symbol].estimated
     }
-    budgets = {symbol: budget(second.fit, index, name) for symbol, index in places.items()}
+    budgets = {symbol: budget(second.fit, index, name) for symbol, index in indices.items()}
     residual_size = _residual(second.parabolas, view.estimate.estimated_noise.get(name))
     result = AccelerometerResult(
         coefficients={k: v for k, v in coefficients.items() if k not in (DRIFT, RIPPLE)},
@@ -118,7 +118,7 @@ def calibrate_accelerometer(
             _noise_lines(second.parabolas, view), campaign, problem.noise[name], "displacement"
         ),
         budget=budgets,
-        what_if=what_if(second.fit, places, budgets, name),
+        what_if=what_if(second.fit, indices, budgets, name),
         findings=[
             *check_two_stage(view, second, coefficients, options.model),
             *check_strobe_noise(view, residual_size, second.parabolas[0].sigma),

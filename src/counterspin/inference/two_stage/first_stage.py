@@ -93,14 +93,21 @@ def by_angle(
     RecordError
         If fewer than `FEWEST_STROBES` strobes are found.
     """
-    turns = (angle - phase) / TURN
-    turns = turns * (1.0 if turns[-1] >= turns[0] else -1.0)  # a strobe lies at each whole number
-    first, last = math.ceil(turns[0] - _ROUNDING), math.floor(turns[-1] + _ROUNDING)
-    target = np.arange(first, last + 1.0)
+    revolutions = (angle - phase) / TURN
+    revolutions = revolutions * (
+        1.0 if revolutions[-1] >= revolutions[0] else -1.0
+    )  # a strobe lies at each whole number
+    first_turn, last_turn = (
+        math.ceil(revolutions[0] - _ROUNDING),
+        math.floor(revolutions[-1] + _ROUNDING),
+    )
+    target = np.arange(first_turn, last_turn + 1.0)
     # A noisy angle may pass a strobe to and fro: the first time counts.
-    reached = np.searchsorted(np.maximum.accumulate(turns), target)
-    row_before = np.clip(reached, 1, turns.size - 1) - 1
-    share = (target - turns[row_before]) / (turns[row_before + 1] - turns[row_before])
+    rows = np.searchsorted(np.maximum.accumulate(revolutions), target)
+    row_before = np.clip(rows, 1, revolutions.size - 1) - 1
+    share = (target - revolutions[row_before]) / (
+        revolutions[row_before + 1] - revolutions[row_before]
+    )
     return _interpolate(time, error, row_before, share, count)
 
 
@@ -243,37 +250,37 @@ def first_stage(strobes: Strobes, sigma: float | None = None, random_walk: float
         raise NotIdentifiableError(f"{m} strobes cannot determine a parabola and its noise")
     span = float(np.ptp(strobes.time))
     powers = span ** -np.arange(3.0)
-    scaled = np.vander(strobes.time / span, 3, increasing=True)
+    design = np.vander(strobes.time / span, 3, increasing=True)
     weight = 1.0 / strobes.noise_factor
-    gain = powers[:, None] * _gain(scaled, weight)
+    gain = powers[:, None] * _gain(design, weight)
     residuals = strobes.error - np.vander(strobes.time, 3, increasing=True) @ (gain @ strobes.error)
     squares = float(np.sum((residuals * weight) ** 2))
-    used = math.sqrt(squares / (m - 3)) if sigma is None else sigma
-    chi2 = squares / used**2 if used > 0.0 else math.nan
+    used_sigma = math.sqrt(squares / (m - 3)) if sigma is None else sigma
+    chi2 = squares / used_sigma**2 if used_sigma > 0.0 else math.nan
     if random_walk > 0.0:
         # Differences remove b0 and b1, and with them what the walk was before the first strobe.
         whiten = make_whitener(
             strobes.time,
             DISPLACEMENT,
-            Noise(used, random_walk),
+            Noise(used_sigma, random_walk),
             strobes.noise_factor**-2.0,
             _STROBE_EXTENT * float(np.diff(strobes.time).min()),
         )
         square = whiten.apply(strobes.time**2)
         b2_gain = whiten.apply(np.eye(m)).T @ square / (square @ square)
-        line = powers[:2, None] * _gain(scaled[:, :2], weight)
+        line = powers[:2, None] * _gain(design[:, :2], weight)
         gain = np.vstack([line @ (np.eye(m) - np.outer(strobes.time**2, b2_gain)), b2_gain])
         residuals = strobes.error - np.vander(strobes.time, 3, True) @ (gain @ strobes.error)
         residuals_b2 = whiten.apply(strobes.error - strobes.time**2 * (b2_gain @ strobes.error))
         chi2 = float(residuals_b2 @ residuals_b2)
-    spread = gain * (used * strobes.noise_factor)
+    spread = gain * (used_sigma * strobes.noise_factor)
     covariance = spread @ spread.T
     if random_walk > 0.0:
         covariance += random_walk**2 * (gain @ walk_covariance(strobes.time) @ gain.T)
     return Parabola(
         coefficients=gain @ strobes.error,
         covariance=covariance,
-        sigma=used,
+        sigma=used_sigma,
         sigma_from_residuals=sigma is None,
         dof=m - 3,
         chi2=chi2,
@@ -292,7 +299,7 @@ def _gain(columns: Array, weight: Array) -> Array:
 
 def walk_covariance(time: Array) -> Array:
     """Return the strobes' covariance by N^2: that of a twice integrated white noise, (m, m)."""
-    earlier = np.minimum(time[:, None], time)
-    later = np.maximum(time[:, None], time)
-    covariance: Array = earlier**2 * (later / 2.0 - earlier / 6.0)
+    earlier_time = np.minimum(time[:, None], time)
+    later_time = np.maximum(time[:, None], time)
+    covariance: Array = earlier_time**2 * (later_time / 2.0 - earlier_time / 6.0)
     return covariance

@@ -120,8 +120,10 @@ class TwoStageRequest:
     @cached_property
     def considered(self) -> dict[str, tuple[float, float]]:
         """Known values: (value, standard uncertainty), K_I included."""
-        known = {"K_F": (0.0, 0.0), "K_I": (TERMS["K_I"].nominal, 0.0), **self.priors}
-        return {symbol: prior for symbol, prior in known.items() if symbol not in self.unknowns}
+        known_values = {"K_F": (0.0, 0.0), "K_I": (TERMS["K_I"].nominal, 0.0), **self.priors}
+        return {
+            symbol: prior for symbol, prior in known_values.items() if symbol not in self.unknowns
+        }
 
     def with_noise(self, noise: Noise) -> TwoStageRequest:
         """Return the request with noise that was found, where it states none."""
@@ -145,11 +147,11 @@ class TwoStageRequest:
 
     def inputs(self, motion: Trajectory) -> dict[str, float]:
         """Return the uncertain inputs, with the standard uncertainty of each in SI units."""
-        sizes = {
+        uncertainties = {
             "centrifuge.radius": self.u_radius * motion.radius,
             "site.gravity": self.u_gravity * motion.site.gravity,
         }
-        return {name: u for name, u in sizes.items() if u > 0.0}
+        return {name: u for name, u in uncertainties.items() if u > 0.0}
 
     def limit_of(self, symbol: str) -> float:
         """Return the largest credible size of an unknown of the two-stage method."""
@@ -187,7 +189,7 @@ def select_strobes(series: ResidualSeries) -> tuple[ResidualSeries, Strobes]:
 
 
 def considered_terms(
-    model: Unknowns, estimated: Collection[str], series: Sequence[ResidualSeries]
+    model: Unknowns, estimated_symbols: Collection[str], series: Sequence[ResidualSeries]
 ) -> tuple[Considered, ...]:
     """Return all terms of a model but those estimated as held: as known, or exactly ideal.
 
@@ -204,7 +206,7 @@ def considered_terms(
             has_default_prior=term.has_default_prior,
         )
         for term in (*model.unknowns, *model.considered)
-        if term.symbol not in (*estimated, *ROTATION)
+        if term.symbol not in (*estimated_symbols, *ROTATION)
         and any(term.affects(record) for record in series)
     )
 
@@ -214,18 +216,23 @@ def two_stage_model(
 ) -> Unknowns:
     """Return a joint model as one accelerometer's two stages have it: the rest is held."""
     owner = series[0].accelerometer
-    known = {unknown.symbol: unknown for unknown in model.unknowns if unknown.owner in ("", owner)}
-    estimated = tuple(
+    unknowns_by_symbol = {
+        unknown.symbol: unknown for unknown in model.unknowns if unknown.owner in ("", owner)
+    }
+    estimated_unknowns = tuple(
         Unknown(
             owner if symbol in TERMS else "",
             symbol,
             prior,
-            known[symbol].limit if symbol in known else request.limit_of(symbol),
-            has_default_prior=symbol in known and known[symbol].has_default_prior,
+            unknowns_by_symbol[symbol].limit
+            if symbol in unknowns_by_symbol
+            else request.limit_of(symbol),
+            has_default_prior=symbol in unknowns_by_symbol
+            and unknowns_by_symbol[symbol].has_default_prior,
         )
         for symbol, prior in request.unknowns.items()
     )
-    return Unknowns(estimated, considered_terms(model, request.unknowns, series))
+    return Unknowns(estimated_unknowns, considered_terms(model, request.unknowns, series))
 
 
 @frozen
@@ -235,11 +242,9 @@ class Curvature(DesignBlock):
     parabola: Parabola  #: Through the strobes.
 
     @classmethod
-    def of(cls, prepared: DesignBlock, parabola: Parabola) -> Curvature:
+    def of(cls, block: DesignBlock, parabola: Parabola) -> Curvature:
         """Return the curvature of prepared strobes."""
-        values = {
-            attribute.name: getattr(prepared, attribute.name) for attribute in fields(prepared)
-        }
+        values = {attribute.name: getattr(block, attribute.name) for attribute in fields(block)}
         return cls(**values, parabola=parabola)
 
     def block(self, noises: Mapping[str, Noise]) -> Block:  # noqa: ARG002 -- it has its own
@@ -263,21 +268,21 @@ def exact_columns(
     """
     scale_factor = _scale_factor(model)
     scale_factors = {series[0].accelerometer: scale_factor}
-    places = [i for i, unknown in enumerate(model.unknowns) if unknown.symbol == DRIFT]
-    if not places:
+    indices = [i for i, unknown in enumerate(model.unknowns) if unknown.symbol == DRIFT]
+    if not indices:
         if fit is None:
             return build_design_blocks(series, model, scale_factors)
         estimates = dict(zip(fit.model.unknowns, fit.solution.estimate.tolist(), strict=True))
         return update_design_blocks(fit.design_blocks, fit.model, model, scale_factors, estimates)
     estimate = None if fit is None else fit.solution.estimate
-    drift = 0.0 if estimate is None else float(estimate[places[0]])
+    drift = 0.0 if estimate is None else float(estimate[indices[0]])
     drifting = [_with_drift(record, drift) for record in series]
-    prepared = build_design_blocks(drifting, model, scale_factors, estimate)
-    for part, record in zip(prepared, series, strict=True):
-        part.design[:, part.unknowns.index(places[0])] = scale_factor * rotation_column(
+    blocks = build_design_blocks(drifting, model, scale_factors, estimate)
+    for block, record in zip(blocks, series, strict=True):
+        block.design[:, block.unknowns.index(indices[0])] = scale_factor * rotation_column(
             record, DRIFT
         )
-    return prepared
+    return blocks
 
 
 def _with_drift(series: ResidualSeries, drift: float) -> ResidualSeries:
@@ -298,21 +303,23 @@ def printed_columns(
     motion, scale_factor = series.trajectory, _scale_factor(model)
     rate, radius, g = np.array([motion.spindle.rate]), motion.radius, motion.site.gravity
     columns = as_printed.second_stage_columns(rate, radius, g, scale_factor, ripple)[0]
-    sizes = {"K_II": float(columns[0]), RIPPLE: float(columns[1]), "K_F": 0.5 * g}
+    factors = {"K_II": float(columns[0]), RIPPLE: float(columns[1]), "K_F": 0.5 * g}
     symbols = [unknown.symbol for unknown in model.unknowns]
     if fit is not None:
         contributions = {
-            s: v * sizes[s] for s, v in zip(symbols, fit.solution.estimate, strict=True)
+            s: v * factors[s] for s, v in zip(symbols, fit.solution.estimate, strict=True)
         }
-        sizes["centrifuge.radius"] = (2.0 * contributions["K_II"] + contributions[RIPPLE]) / radius
-        sizes["site.gravity"] = -contributions["K_II"] / g
+        factors["centrifuge.radius"] = (
+            2.0 * contributions["K_II"] + contributions[RIPPLE]
+        ) / radius
+        factors["site.gravity"] = -contributions["K_II"] / g
     considered_symbols = [term.symbol for term in model.considered]
     square = series.time**2
     return DesignBlock(
         tuple(range(len(symbols))),
-        np.outer(square, [sizes[symbol] for symbol in symbols]),
+        np.outer(square, [factors[symbol] for symbol in symbols]),
         tuple(range(len(considered_symbols))),
-        np.outer(square, [sizes.get(symbol, 0.0) for symbol in considered_symbols]),
+        np.outer(square, [factors.get(symbol, 0.0) for symbol in considered_symbols]),
         series,
         scale_factor,
     )

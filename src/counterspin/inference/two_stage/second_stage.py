@@ -110,8 +110,8 @@ class SecondStage:
     def runs(self) -> tuple[StrobedRun, ...]:
         """The runs, along the rotation that was found."""
         return tuple(
-            StrobedRun(part.run, part.series.trajectory, parabola, part.series.attitude)
-            for part, parabola in zip(self.fit.design_blocks, self.parabolas, strict=True)
+            StrobedRun(block.run, block.series.trajectory, parabola, block.series.attitude)
+            for block, parabola in zip(self.fit.design_blocks, self.parabolas, strict=True)
         )
 
     def estimate(self, symbol: str) -> tuple[float, float]:
@@ -154,7 +154,7 @@ class SecondStage:
             if abs(cosine[i, j]) > NEAR_COLLINEAR
         )
 
-    def alike(self, symbol: str, others: Iterable[str]) -> dict[str, float]:
+    def alike(self, symbol: str, other_symbols: Iterable[str]) -> dict[str, float]:
         """Return the held terms that act exactly as an unknown does.
 
         The estimate of the unknown is then one of the sum of all of them.
@@ -176,13 +176,13 @@ class SecondStage:
         considered = np.vstack([block.considered for block in self.fit.blocks])
         column = rows[:, self.symbols.index(symbol)]
         alike = {}
-        for considered_symbol in others:
-            places = self._places(considered_symbol)
-            effect = considered[:, places].sum(axis=1)
-            size, inner_product = float(np.linalg.norm(effect)), float(column @ effect)
-            limit = max((self.fit.model.considered[k].limit for k in places), default=0.0)
-            is_visible = size * limit > _SMALLEST_VISIBLE
-            if is_visible and abs(inner_product) > COLLINEAR_CORRELATION * size * float(
+        for considered_symbol in other_symbols:
+            indices = self._places(considered_symbol)
+            effect = considered[:, indices].sum(axis=1)
+            norm, inner_product = float(np.linalg.norm(effect)), float(column @ effect)
+            limit = max((self.fit.model.considered[k].limit for k in indices), default=0.0)
+            is_visible = norm * limit > _SMALLEST_VISIBLE
+            if is_visible and abs(inner_product) > COLLINEAR_CORRELATION * norm * float(
                 np.linalg.norm(column)
             ):
                 alike[considered_symbol] = inner_product / float(column @ column)
@@ -202,7 +202,7 @@ class SecondStage:
 
     def _places(self, symbol: str) -> list[int]:
         considered = self.fit.model.considered
-        return [place for place, term in enumerate(considered) if term.symbol == symbol]
+        return [index for index, term in enumerate(considered) if term.symbol == symbol]
 
 
 def resolve(
@@ -218,8 +218,8 @@ def resolve(
     _check_rates(series, model, {DRIFT, RIPPLE} if request.ripple == "amplitude" else {DRIFT})
     noise = {series[0].accelerometer: Noise(parabolas[0].sigma, request.random_walk or 0.0)}
 
-    def solved(prepared: Sequence[DesignBlock], model: Unknowns) -> JointFit:
-        rows = map(Curvature.of, prepared, parabolas)
+    def solved(blocks: Sequence[DesignBlock], model: Unknowns) -> JointFit:
+        rows = map(Curvature.of, blocks, parabolas)
         fit = solve_joint(tuple(rows), model, noise)
         if request.weighted:
             return fit
@@ -238,8 +238,8 @@ def resolve(
         return exact_columns(series, model, fit)
 
     # Some columns depend on the estimate: twice, and those of inputs the second time alone.
-    first = model.without_inputs()
-    fit = solved(columns(solved(columns(None, first), first), model), model)
+    reduced_model = model.without_inputs()
+    fit = solved(columns(solved(columns(None, reduced_model), reduced_model), model), model)
     return SecondStage(fit, tuple(parabolas), _effective_dof(fit, parabolas), request.weighted)
 
 
@@ -254,11 +254,11 @@ def with_estimated_noise(
     if second.parabolas[0].sigma_from_residuals:
         # The white noise has the degrees of freedom of the strobes' own residuals.
         by_noise[:, 0] = 0.0
-    growth = np.zeros((len(COMPONENTS), len(gain), len(gain)))
-    growth[: by_noise.shape[1]] = [(gain * variances) @ gain.T for variances in by_noise.T]
+    gains = np.zeros((len(COMPONENTS), len(gain), len(gain)))
+    gains[: by_noise.shape[1]] = [(gain * variances) @ gain.T for variances in by_noise.T]
     name = second.fit.design_blocks[0].accelerometer
     estimates = {} if noise_estimate is None else {name: noise_estimate}
-    fit, dof = inflate_covariance(second.fit, {name: growth}, {name: noise}, estimates, second.dof)
+    fit, dof = inflate_covariance(second.fit, {name: gains}, {name: noise}, estimates, second.dof)
     return replace(second, fit=fit, dof=dof)
 
 
@@ -351,11 +351,13 @@ def _check_rates(
 
 
 def _distinct_rates(rates: Sequence[float]) -> int:
-    kept: list[float] = []
+    distinct_rates: list[float] = []
     for rate in rates:
-        if all(abs(rate - distinct) > _SAME_RATE_WITHIN * abs(distinct) for distinct in kept):
-            kept.append(rate)
-    return len(kept)
+        if all(
+            abs(rate - distinct) > _SAME_RATE_WITHIN * abs(distinct) for distinct in distinct_rates
+        ):
+            distinct_rates.append(rate)
+    return len(distinct_rates)
 
 
 def _sigma(parabolas: Sequence[Parabola]) -> Array:
@@ -372,8 +374,8 @@ def _effective_dof(fit: JointFit, parabolas: Sequence[Parabola]) -> Array:
     """Return Welch-Satterthwaite degrees of freedom (GUM G.4.1), shape (p,)."""
     if not parabolas[0].sigma_from_residuals:
         return np.full(len(fit.model.unknowns), math.inf)
-    parts = _contributions(fit) ** 2
+    variances = _contributions(fit) ** 2
     dof = np.array([parabola.dof for parabola in parabolas])
-    inverse = np.sum(parts**2 / dof, axis=1)
-    known = inverse == 0.0  # exactly, beforehand
-    return np.where(known, np.inf, fit.solution.u**4 / np.where(known, 1.0, inverse))
+    inverse = np.sum(variances**2 / dof, axis=1)
+    is_known = inverse == 0.0  # exactly, beforehand
+    return np.where(is_known, np.inf, fit.solution.u**4 / np.where(is_known, 1.0, inverse))
