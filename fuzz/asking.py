@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote_to_bytes
 
-from served import InlineJobs, told_inline
+from served import InlineJobs, run_inline
 
 from counterspin.application import endpoints, server
 from counterspin.application.access_control import SESSION_PATH, TICKET_PATH, Credentials
@@ -60,7 +60,7 @@ class _First:
         return {"html": "", "events": list(state.events), "complete": state.complete}
 
     def ask(self, file: Path, work: Callable[..., None], question: Any) -> Any:
-        kind, *told = told_inline(work, file, questions=[question])[-1]
+        kind, *told = run_inline(work, file, questions=[question])[-1]
         if kind == "failed":
             assert "internal error" not in told[0], told[0]
             raise CounterspinError(told[0])

@@ -31,7 +31,7 @@ import signing_keys
 from campaigns import SMALL
 from cryptography.hazmat.primitives.asymmetric import ec
 from lxml import etree
-from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
+from reading_descriptions import ACCELEROMETER, format_arm_run, format_rest_run, format_site
 
 import certificates
 from counterspin.calibration.findings import judge_result
@@ -307,7 +307,7 @@ def signed_certificate(place: Path) -> Format:
     """Return a signed certificate's XML, verified."""
     key, cert = signing_keys.write_pair(place / "k", ec.generate_private_key(ec.SECP256R1()))
     given = results.result()
-    lab_read = certificates.lab_of(place, given)
+    lab_read = certificates.read_lab_for(place, given)
     plain = build_document(given, lab_read, certificates.ISSUE, {}, b"%PDF-1.7")
     whole = to_bytes(sign(plain, read_signer(key, cert)))
     root = etree.fromstring(whole)
@@ -360,7 +360,7 @@ def signed_pdf(place: Path) -> Format:
     """Return a certificate's PDF whose XML and pages are signed, verified."""
     key, cert = signing_keys.write_pair(place / "k", ec.generate_private_key(ec.SECP256R1()))
     signer, given = read_signer(key, cert), results.result()
-    lab_read = certificates.lab_of(place, given)
+    lab_read = certificates.read_lab_for(place, given)
     xml = to_bytes(
         sign(build_document(given, lab_read, certificates.ISSUE, {}, b"%PDF-1.7"), signer)
     )
@@ -396,10 +396,10 @@ def signed_pdf(place: Path) -> Format:
 
 _READING_CAMPAIGN = "".join(
     (
-        place("1.0 ± 1e-3 m"),
+        format_site("1.0 ± 1e-3 m"),
         ACCELEROMETER,
-        at_rest("tumble 30", "30 ± 0.001 deg about north", "1.082532 ± 2e-6 mA"),
-        on_arm("in", "9.9 rad/s", "12.5 ± 2e-6 mA", pendulous="up", mounting="in"),
+        format_rest_run("tumble 30", "30 ± 0.001 deg about north", "1.082532 ± 2e-6 mA"),
+        format_arm_run("in", "9.9 rad/s", "12.5 ± 2e-6 mA", pendulous="up", mounting="in"),
         'temperature = "23.4 degC"\n',
     )
 )

@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 import results
-from campaigns import SMALL, changed
+from campaigns import SMALL, replace_parts
 
 from certificates import write_lab
 from counterspin.certificates.ledger import checksum_of, verify_ledger
@@ -93,7 +93,7 @@ def write_inputs(folder: Path, names: Iterable[str]) -> None:
 
 def _write_campaign(path: Path) -> None:
     path.mkdir()
-    short = changed(SMALL, ("revolutions = 20", "revolutions = 8"))
+    short = replace_parts(SMALL, ("revolutions = 20", "revolutions = 8"))
     (path / "campaign.toml").write_text(short, encoding="utf-8")
 
 
@@ -117,7 +117,7 @@ def _write_forces(path: Path) -> None:
 
 
 def _write_plan(path: Path) -> None:
-    short = changed(resource_text("planning"), ("runs = 14", "runs = 2"))
+    short = replace_parts(resource_text("planning"), ("runs = 14", "runs = 2"))
     path.write_text(short, encoding="utf-8")
 
 

@@ -571,7 +571,7 @@ def write_served(folder: Path) -> None:
     init(folder / "tumble", "tumble")
     init(folder / TRASH / "20260101T000000000000-old", "tumble")
     write_lab(folder / "LAB.toml")
-    certificates.write_own(folder / "own.toml")
+    certificates.write_filled_template(folder / "own.toml")
     key, cert = signing_keys.write_pair(folder.parent / "k", ec.derive_private_key(1, _CURVE))
     (folder / "signer.pem").write_bytes(key.read_bytes() + cert.read_bytes())
     text = (files("counterspin.planning") / "starter.toml").read_text("utf-8")

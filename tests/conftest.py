@@ -134,7 +134,7 @@ class Quick:
 class Timing:
     """Measure the time of each test and, separately, of its shared fixtures.
 
-    Whichever test comes first sets that up: the time is shared out among all that use it.
+    The first test sets up a shared fixture, so its time is divided among all tests that use it.
     """
 
     def __init__(self):

@@ -4,7 +4,7 @@ import runpy
 from pathlib import Path
 
 import pytest
-from prose import told, value_of
+from prose import find_numbers, value_of
 
 ROOT = Path(__file__).parent.parent
 
@@ -63,11 +63,11 @@ def test_plan_page_states_measured_prediction_rate(rows):
 
 def test_watch_page_states_stored_results(rows):
     kept = {name: figure for name, (figure,) in rows["Watched campaign"].items()}
-    used, lasted = told("monitoring", "took {} s of CPU time in {} s, including")
-    (share,) = told("monitoring", "start of the program: **{} % of a core**")
+    used, lasted = find_numbers("monitoring", "took {} s of CPU time in {} s, including")
+    (share,) = find_numbers("monitoring", "start of the program: **{} % of a core**")
     a_second, late = (
-        *told("monitoring", "a second process writes {} rows per second"),
-        *told("monitoring", "The last state appeared {} s after the last row"),
+        *find_numbers("monitoring", "a second process writes {} rows per second"),
+        *find_numbers("monitoring", "The last state appeared {} s after the last row"),
     )
     assert [value_of(number) for number in (a_second, used, lasted, share, late)] == [
         kept["rows a second"],
@@ -81,5 +81,5 @@ def test_watch_page_states_stored_results(rows):
 
 def test_application_page_states_stored_results(rows):
     for count, seconds in rows["Records in the application"].items():
-        shown = told("application", f"| {count} | {{}} s | {{}} s | {{}} s |")
+        shown = find_numbers("application", f"| {count} | {{}} s | {{}} s | {{}} s |")
         assert [value_of(number) for number in shown] == seconds

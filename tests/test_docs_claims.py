@@ -11,7 +11,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 from campaigns import WITHOUT_QY
-from prose import ROOT, agrees, sentences, told, value_of
+from prose import ROOT, agrees, find_numbers, sentences, value_of
 from scipy.special import stdtrit
 
 import counterspin as cs
@@ -288,7 +288,7 @@ NUMBERS = [
     ("page", "words", "computed"), NUMBERS, ids=[f"{page}: {words}" for page, words, _ in NUMBERS]
 )
 def test_number_in_text_matches_code(page, words, computed):
-    numbers = told(page, words)
+    numbers = find_numbers(page, words)
     assert len(numbers) == len(computed)
     for number, size in zip(numbers, computed, strict=True):
         assert agrees(number, size), (number, size)
@@ -304,7 +304,7 @@ def test_number_comparison_detects_wrong_number():
     assert not agrees("three", 3.1)
     assert value_of("1/64") == 0.015625
     with pytest.raises(AssertionError, match="0 times"):
-        told("README", "no such words, {}")
+        find_numbers("README", "no such words, {}")
 
 
 def test_estimating_is_better_than_considering():
@@ -312,9 +312,9 @@ def test_estimating_is_better_than_considering():
     known = cs.read_campaign(example).change(
         {**WITHOUT_QY, "model": {"assume": "all", "priors": {"platform.tilt": "0 ± 0.5 arcsec"}}}
     )
-    named = told("methods", "tilts that are repeatable to {} arcsec, and no other errors")
+    named = find_numbers("methods", "tilts that are repeatable to {} arcsec, and no other errors")
     assert named == ["0.5"]
-    numbers = told(
+    numbers = find_numbers(
         "methods",
         "are held, u(K_II) is {} g/g^2. If the tilts are estimated with the same prior, "
         "u(K_II) is {} g",
@@ -325,7 +325,7 @@ def test_estimating_is_better_than_considering():
 
 
 def test_approximate_ratio_matches_terms():
-    (times,) = told(
+    (times,) = find_numbers(
         "physics", "At π/2 rad/s, the effect of `yy` is {} times the effect of an equal `zx`"
     )
     k_yy = 0.5 * PLAN[0] * 0.5 * math.pi
@@ -364,7 +364,7 @@ def test_displacement_does_not_reveal_named_violations(violations):
         row = violations[name, "displacement"]
         assert largest_shift(row) > 100
         assert (row["state"], row["codes"]) == ("good", [])
-    (held,) = told("violations", "a K_OO of typical size shifts K_II by {} u")
+    (held,) = find_numbers("violations", "a K_OO of typical size shifts K_II by {} u")
     assert agrees(held, abs(violations["K_OO", "displacement"]["weighed"]["K_II"]))
     assert violations["delta_O", "displacement"]["codes"] == ["prior-conflict"]
     for name in ("platform.drift.north", "platform.g2_sensitivity.north"):
@@ -374,7 +374,7 @@ def test_displacement_does_not_reveal_named_violations(violations):
 def test_encoder_and_imbalance_effects_match_text(violations):
     rows = {k: row for k, row in violations.items() if k[0].startswith(("encoder", "centrifuge.i"))}
     assert len(rows) == 3 * (8 + 4)
-    (most,) = told(
+    (most,) = find_numbers(
         "violations", "shift no coefficient by more than {} u in displacement and velocity"
     )
     for (_, observable), row in rows.items():
@@ -384,7 +384,7 @@ def test_encoder_and_imbalance_effects_match_text(violations):
             assert largest_shift(row) < value_of(most)
     # methods.md, of 1e-7 of the rate, and physics.md
     arcsec = abs(violations["encoder.harmonic.1.sin", "specific_force"]["shifts"]["K_II"])
-    ripple, times = told(
+    ripple, times = find_numbers(
         "methods",
         "with a relative amplitude of {}, and that an encoder error masks this variation. The "
         "variation would shift K_II by {}",
@@ -398,8 +398,8 @@ def test_encoder_and_imbalance_effects_match_text(violations):
 def test_violation_campaign_matches_description():
     study = runpy.run_path(str(ROOT / "docs" / "violations.py"))
     limits = (
-        told("violations", "every shift of more than {} u"),
-        told("violations", "by {} of its u"),
+        find_numbers("violations", "every shift of more than {} u"),
+        find_numbers("violations", "by {} of its u"),
     )
     (most,), (least,) = limits
     assert agrees(most, study["SILENT_UP_TO"])
@@ -410,7 +410,7 @@ def test_violation_campaign_matches_description():
     words += "The noise per sample is {} m, {} mm/s or {} m/s^2. "
     words += "The standard uncertainties are {} µg for the bias and {} ppm for the scale factor"
     *rates, turns, sampling, radius, place, speed, force, bias, scale = map(
-        value_of, told("violations", words)
+        value_of, find_numbers("violations", words)
     )
     assert tuple(rates) == tuple(map(float, RATES))
     assert (sampling, turns) == (study["FULL"].sampling_rate, study["FULL"].revolutions)
@@ -439,7 +439,7 @@ def test_intervals_with_estimated_noise_are_conservative():
 
 
 def test_u_matches_scatter_if_noise_is_stated_or_visible():
-    (near,) = told("methods", "1 lies within {} of the band")
+    (near,) = find_numbers("methods", "1 lies within {} of the band")
     study = runpy.run_path(str(ROOT / "docs" / "coverage.py"))
     rows = [row for row in study["TABLE"].load() if not row.hidden]
     assert len(rows) > 10
@@ -450,14 +450,15 @@ def test_u_matches_scatter_if_noise_is_stated_or_visible():
 def test_false_alarm_rates_do_not_exceed_stated_rates():
     """Compare the lower end of the 95 % interval of the trials with the stated share."""
     bounds = runpy.run_path(str(ROOT / "docs" / "false_alarms.py"))["bounds"]
-    (residuals, _) = told(
+    (residuals, _) = find_numbers(
         "diagnosis", "(`lack-of-fit`): {} % of accelerometers; by the two-stage method alone {} %"
     )
-    causes = told("diagnosis", "causes: {} % of campaigns for priors, {} % for all other")
+    causes = find_numbers("diagnosis", "causes: {} % of campaigns for priors, {} % for all other")
     shares = {
-        "`run-disagrees`": told("diagnosis", "(`run-disagrees`): {} % of campaigns")[0],
-        "`noise-differs`": told("diagnosis", "(`noise-differs`): {} % of campaigns, by")[0],
-        "`methods-disagree`": 2 * value_of(told("diagnosis", "(`methods-disagree`): {} % of")[0]),
+        "`run-disagrees`": find_numbers("diagnosis", "(`run-disagrees`): {} % of campaigns")[0],
+        "`noise-differs`": find_numbers("diagnosis", "(`noise-differs`): {} % of campaigns, by")[0],
+        "`methods-disagree`": 2
+        * value_of(find_numbers("diagnosis", "(`methods-disagree`): {} % of")[0]),
         "`lack-of-fit`": 2 * value_of(residuals),
         "a cause": sum(map(value_of, causes)),
     }
@@ -496,7 +497,7 @@ def test_start_up_takes_most_of_calibration_time(benchmark_results):
 
 
 def test_overhead_of_two_workers_matches_text(benchmark_results):
-    (number,) = told("benchmarks", "requires about {} s of processor time to start")
+    (number,) = find_numbers("benchmarks", "requires about {} s of processor time to start")
     one, two = (
         row["processor (s)"] for row in list(benchmark_results["Whole studies"].values())[1:]
     )
@@ -507,7 +508,9 @@ def test_overhead_of_two_workers_matches_text(benchmark_results):
 
 
 def test_gain_of_joint_fit_matches_readme():
-    (share,) = told("README", "u(K_II) from the joint fit is {} of u(K_II) from the two-stage")
+    (share,) = find_numbers(
+        "README", "u(K_II) from the joint fit is {} of u(K_II) from the two-stage"
+    )
     (row,) = re.findall(
         r"^K_II +\S+ +\S+ ± (\S+) +\S+ ± (\S+)", (ROOT / "README.md").read_text("utf-8"), re.M
     )
@@ -528,9 +531,9 @@ def test_quickstart_truth_matches_starter():
 
 
 def test_integral_accuracy_matches_text():
-    (number,) = told("README", "40-digit integrals to {},")
-    assert told("trust", "agreement to {}, and to") == [number]
-    (of_jumps,) = told("trust", "and to {} for the displacement of K_0_asym")
+    (number,) = find_numbers("README", "40-digit integrals to {},")
+    assert find_numbers("trust", "agreement to {}, and to") == [number]
+    (of_jumps,) = find_numbers("trust", "and to {} for the displacement of K_0_asym")
     for beginning, count, limit in (
         ("integrals, ", 8, number),
         ("integrals of a jump, ", 4, of_jumps),
@@ -551,10 +554,13 @@ def test_reference_value_digits_match_text():
         )
         for name in ("make_double_integrals.py", "make_arm_forces.py")
     ]
-    assert list(map(value_of, told("validation", "in {}-digit and {}-digit arithmetic"))) == digits
+    assert (
+        list(map(value_of, find_numbers("validation", "in {}-digit and {}-digit arithmetic")))
+        == digits
+    )
     told_of_trust = [
-        *told("trust", "integrals in {}-digit"),
-        *told("trust", "twice with {} digits"),
+        *find_numbers("trust", "integrals in {}-digit"),
+        *find_numbers("trust", "twice with {} digits"),
     ]
     assert list(map(value_of, told_of_trust)) == digits
 
@@ -567,7 +573,9 @@ def test_reference_value_digits_match_text():
     ],
 )
 def test_case_counts_match_page(words, begins):
-    assert value_of(told("validation", words)[0]) == sum(c.name.startswith(begins) for c in cases())
+    assert value_of(find_numbers("validation", words)[0]) == sum(
+        c.name.startswith(begins) for c in cases()
+    )
 
 
 def test_validation_page_lists_all_requirements():
@@ -594,7 +602,7 @@ def test_rates_of_arm_example():
 
 
 def test_tumble_example_matches_table():
-    (count,) = told("tumble", "a table of {} positions")
+    (count,) = find_numbers("tumble", "a table of {} positions")
     text = (files("counterspin.ingest") / "starter_tumble.csv").read_text("utf-8")
     assert len(list(csv.DictReader(text.splitlines()))) == value_of(count)
     # The closed form: one over the length of what is left of a column beside the others.
@@ -612,7 +620,7 @@ def test_tumble_example_matches_table():
         u = np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
         assert [float(cell) for cell in cells if cell] == pytest.approx(list(u), abs=6e-7)
     assert u[1] * math.sqrt(12.0) == pytest.approx(
-        value_of(told("tumble", "u(K_I) is about {} times as large")[0]), rel=0.1
+        value_of(find_numbers("tumble", "u(K_I) is about {} times as large")[0]), rel=0.1
     )
 
 
@@ -628,7 +636,7 @@ def test_arm_stretch_resembles_k_ii_in_single_mounting():
 def test_detectable_effect_with_few_degrees_of_freedom():
     """Check diagnosis.md: the effect that exceeds the limit of F with probability one half."""
     level = 0.5 * diagnostics.SIGNIFICANCE / 20
-    seen, *larger = told(
+    seen, *larger = find_numbers(
         "diagnosis",
         "5 degrees of freedom, a pattern of {} standard deviations is detected in half of the "
         "cases. The size of a pattern that is detected in half of the cases increases to {} "
@@ -645,7 +653,7 @@ def test_residual_of_settling_bias_matches_text():
     """Check diagnosis.md: the residual after fitting start errors, t^2 and harmonics."""
     time, rate, rise = np.arange(0.0, 100.0, 0.02), 2.0 * math.pi, 50e-6
     (g, radius) = (9.8066, 2.5)
-    claimed = told(
+    claimed = find_numbers(
         "diagnosis",
         "| displacement | 0.01 m | 10 s | {} | | displacement | 0.01 m | 5 s | {} | "
         "| velocity | 1 mm/s | 3 s | {} | | specific force | 0.1 mm/s² | 1 s | {} |",
@@ -662,7 +670,7 @@ def test_residual_of_settling_bias_matches_text():
         others = np.stack([*((time / 100.0) ** k for k in range(power)), *waves], axis=1)
         left = shown - others @ np.linalg.lstsq(others, shown, rcond=None)[0]
         assert f"{np.linalg.norm(left) / noise:.2g}" == text
-    (largest_shift,) = told("diagnosis", "increase shifts K_II by {} ug/g^2. Unless")
+    (largest_shift,) = find_numbers("diagnosis", "increase shifts K_II by {} ug/g^2. Unless")
     assert f"{1e6 * 2.0 * rise * (g / (radius * rate**2)) ** 2:.2g}" == largest_shift
 
 

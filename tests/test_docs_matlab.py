@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaigns import SMALL, write
+from campaigns import SMALL, write_description
 from scipy.io import loadmat
 
 import counterspin as cs
@@ -25,7 +25,7 @@ OCTAVE = shutil.which("octave-cli")
 def folder(tmp_path, monkeypatch):
     """Return a folder with a small campaign, and the table of the page."""
     monkeypatch.chdir(tmp_path)
-    cs.simulate(write(tmp_path, SMALL, "plan.toml"), tmp_path / "example" / "records")
+    cs.simulate(write_description(tmp_path, SMALL, "plan.toml"), tmp_path / "example" / "records")
     (table,) = re.findall(r"^```csv\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
     Path("flight.csv").write_text(table, encoding="utf-8")
     return tmp_path

@@ -13,7 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
-from prose import agrees, sentences, told
+from prose import agrees, find_numbers, sentences
 
 import counterspin as cs
 from counterspin import errors, workers
@@ -202,7 +202,7 @@ ROWS = {
 )
 def test_number_in_page_matches_code(name, row):
     sentence, *values = row
-    for shown, value in zip(told(name, sentence), values, strict=True):
+    for shown, value in zip(find_numbers(name, sentence), values, strict=True):
         assert agrees(shown, value), (shown, value)
 
 

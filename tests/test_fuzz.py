@@ -17,7 +17,7 @@ from fuzz.hunt import BYTES, SECONDS, content, hunt, judge
 from fuzz.kills import COMMANDS, Command, Trial, kill_all
 from fuzz.requests import request_of, valid_requests
 from fuzz.tracing import Runner, possible
-from prose import sentences, told, value_of
+from prose import find_numbers, sentences, value_of
 
 from counterspin.application.endpoints import ENDPOINTS
 from counterspin.errors import CounterspinError
@@ -255,13 +255,13 @@ def test_lost_file_is_detected(tmp_path, monkeypatch):
 
 
 def test_page_states_fuzzing_limits():
-    (seconds,) = told("harmful-files", "more than {} s of CPU time or")
-    (gigabytes,) = told("harmful-files", "of CPU time or {} GB of memory")
-    new, asked = told(
+    (seconds,) = find_numbers("harmful-files", "more than {} s of CPU time or")
+    (gigabytes,) = find_numbers("harmful-files", "of CPU time or {} GB of memory")
+    new, asked = find_numbers(
         "harmful-files",
         "reads all of these and {} new cases, and sends {} cases to the application",
     )
-    (commands,) = told("harmful-files", "{} commands were killed")
+    (commands,) = find_numbers("harmful-files", "{} commands were killed")
     assert [value_of(number) for number in (seconds, gigabytes, new, asked, commands)] == [
         SECONDS,
         BYTES / 1e9,
@@ -288,16 +288,18 @@ def test_page_states_number_of_tried_cases():
         for key in ("DOCUMENTS", "RECORDS", "KILLS"):
             kind = "requests" if key == "DOCUMENTS" and only.startswith("requests") else key
             asked[kind] += seeds * given[key]
-    documents, refused = told("harmful-files", "| documents and CSV | {} | {} |")
-    (records,) = told("harmful-files", "Excel and PDF | {} |")
-    (kills,) = told("harmful-files", "| commands killed | {} |")
+    documents, refused = find_numbers("harmful-files", "| documents and CSV | {} | {} |")
+    (records,) = find_numbers("harmful-files", "Excel and PDF | {} |")
+    (kills,) = find_numbers("harmful-files", "| commands killed | {} |")
     # A hunt that is stopped has tried fewer.
     assert 0.999 * asked["DOCUMENTS"] < value_of(documents) <= asked["DOCUMENTS"]
     assert value_of(refused) < value_of(documents)
     assert [value_of(records), value_of(kills)] == [asked["RECORDS"], asked["KILLS"]]
-    asked_of = [told("harmful-files", f"| {kind} | {{}} | {{}} |") for kind in _OF_APPLICATION]
+    asked_of = [
+        find_numbers("harmful-files", f"| {kind} | {{}} | {{}} |") for kind in _OF_APPLICATION
+    ]
     assert sum(value_of(tried) for tried, _ in asked_of) == asked["requests"]
     assert all(value_of(refused) < value_of(tried) for tried, refused in asked_of)
     # A case of requests has 1 to 3 of them, 1.6 in the mean.
-    (sent,) = told("harmful-files", "The `requests` cases sent {} requests")
+    (sent,) = find_numbers("harmful-files", "The `requests` cases sent {} requests")
     assert value_of(sent) == pytest.approx(1.6 * value_of(asked_of[0][0]), rel=0.01)

@@ -13,7 +13,7 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
-from campaigns import SMALL, write
+from campaigns import SMALL, write_description
 from packaging.requirements import Requirement
 
 from counterspin._version import __version__
@@ -442,7 +442,7 @@ def test_javascript_imports_have_no_cycle():
 
 def test_calibration_loads_no_unused_slow_module(tmp_path):
     """Loading SciPy would take as long as the whole computation."""
-    simulate(write(tmp_path, SMALL, "plan.toml"), tmp_path)
+    simulate(write_description(tmp_path, SMALL, "plan.toml"), tmp_path)
     loaded = modules_loaded_by(
         f"from counterspin.cli import main; main(['calibrate', {str(tmp_path)!r}])"
     )

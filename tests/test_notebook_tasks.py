@@ -17,13 +17,13 @@ import counterspin as cs
 @pytest.fixture(scope="module")
 def records(tmp_path_factory):
     """Return data frames by run."""
-    made = frames.arrays(tmp_path_factory.mktemp("records"))
+    made = frames.simulate_columns(tmp_path_factory.mktemp("records"))
     return {name: pl.DataFrame(dict(columns)) for name, columns in made.items()}
 
 
 @pytest.fixture(scope="module")
 def campaign(records):
-    return cs.make_campaign(frames.untrue(), records)
+    return cs.make_campaign(frames.parse_description_without_truth(), records)
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +105,7 @@ def test_tasks_have_at_most_five_lines(task):
 
 
 def test_frames_are_calibrated(records):
-    found = task_calibrate_frames(frames.untrue(), records)
+    found = task_calibrate_frames(frames.parse_description_without_truth(), records)
     assert abs(found.value - 2.7e-5) < 4.0 * found.u
 
 
@@ -150,7 +150,7 @@ def test_result_frame_for_pandas(result):
 
 
 def test_other_truth_is_estimated():
-    found = k_ii(task_simulate_another_truth(frames.small()))
+    found = k_ii(task_simulate_another_truth(frames.parse_small_description()))
     assert abs(found.value - 5e-5) < 4.0 * found.u
 
 

@@ -106,7 +106,9 @@ def test_calibration_uses_single_thread_and_restores_threads(tmp_path, monkeypat
     monkeypatch.setattr(
         assembly, "fit_jointly", lambda *a: seen.append(count_threads()) or joint(*a)
     )
-    calibrate(make_campaign(frames.untrue(), frames.arrays(tmp_path)))
+    calibrate(
+        make_campaign(frames.parse_description_without_truth(), frames.simulate_columns(tmp_path))
+    )
     assert (seen, count_threads()) == ([{1}], {2})
 
 
@@ -117,7 +119,7 @@ def test_study_uses_single_thread_and_restores_threads(monkeypatch):
     monkeypatch.setattr(
         study_module, "prepare_study", lambda *a: seen.append(count_threads()) or prepare(*a)
     )
-    study_module.study(make_campaign(frames.small()), trials=2, seed=1)
+    study_module.study(make_campaign(frames.parse_small_description()), trials=2, seed=1)
     assert (seen, count_threads()) == ([{1}], {2})
 
 

@@ -5,7 +5,7 @@ import warnings
 
 import pytest
 from chromium import chromium, open_context
-from served import InlineJobs, serving, token_of, write_folder
+from served import InlineJobs, run_server, token_of, write_folder
 
 from counterspin.application.access_control import Credentials
 from counterspin.application.app_state import AppState
@@ -77,7 +77,7 @@ def browser():
 @pytest.fixture
 def server_credentials(app):
     """Return the credentials of a running server."""
-    with serving(app) as credentials:
+    with run_server(app) as credentials:
         yield credentials
 
 

@@ -19,7 +19,7 @@ from served import answer_field
 from signing_keys import write_pkcs12
 from workbooks import write_workbook
 
-from certificates import write_own
+from certificates import write_filled_template
 from counterspin.calibration.result import read_result
 from counterspin.certificates.issuing import check_certificate
 
@@ -218,7 +218,7 @@ def test_files_to_certificate_within_effort_limits(open_window, frames, folder, 
     files.mkdir()
     write(frames, files)
     if write is not FIRST:
-        write_own(folder / "LAB.toml")
+        write_filled_template(folder / "LAB.toml")
     key, cert = write_pkcs12(tmp_path, ec.generate_private_key(ec.SECP256R1()), b"secret")
     tab = open_window()
     hand = UserEffort(tab)

@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 import pytest
-from campaigns import SMALL, write
-from results import sealed
+from campaigns import SMALL, write_description
+from results import seal_document
 
 from counterspin.application.campaigns import to_json
 from triads import directions, indications, table
@@ -69,7 +69,7 @@ def test_main_result_is_listed_first_unless_damaged(page, folder):
     now = own.stat().st_mtime
     for later, (name, method) in enumerate([("b", "joint"), ("c", "joint"), ("d", "two-stage")], 1):
         other = own.with_name(f"{name}.json")
-        other.write_text(sealed(document | {"method": method}))
+        other.write_text(seal_document(document | {"method": method}))
         os.utime(other, (now + later, now + later))
 
     def result_names():
@@ -105,7 +105,7 @@ def test_record_outside_folder_is_not_read(page, folder, record):
     (folder.parent / "outside.csv").write_text("time_s\n1\n")
     (folder / "three" / "link.csv").symlink_to(folder.parent / "outside.csv")
     name = record.replace("../", "../../")
-    write(folder / "three", SMALL.replace("slow.csv", name), "campaign.toml")
+    write_description(folder / "three", SMALL.replace("slow.csv", name), "campaign.toml")
     body = page.get("/api/campaign", params={"name": "three"}).json()
     assert "outside the served folder" in body["mistakes"][0] or "records end" in str(body)
     assert page.post("/api/jobs", json={"name": "three"}).status_code == 422

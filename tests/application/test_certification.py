@@ -9,7 +9,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from signing_keys import write_pair, write_pkcs12
 
-from certificates import write_own
+from certificates import write_filled_template
 from counterspin.certificates.issuing import check_certificate
 from counterspin.certificates.lab import write_example
 from counterspin.certificates.signers import command_signer, read_signer
@@ -64,7 +64,7 @@ PASSWORD = "vy secret"
 @pytest.fixture
 def with_real_lab(page, folder):
     """Return the client of a folder with laboratory data that differ from the template."""
-    write_own(folder / "LAB.toml")
+    write_filled_template(folder / "LAB.toml")
     return page
 
 

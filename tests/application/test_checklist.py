@@ -2,7 +2,7 @@
 
 import re
 
-from campaigns import SMALL, write
+from campaigns import SMALL, write_description
 
 from counterspin.application.checklist import checklist
 from counterspin.campaign.description import read_campaign
@@ -19,7 +19,7 @@ STATED = (
 
 
 def checklist_entries(folder, text):
-    write(folder, text)
+    write_description(folder, text)
     return {entry["words"]: entry for entry in checklist(read_campaign(folder))}
 
 

@@ -5,7 +5,7 @@ import shutil
 import time
 
 import pytest
-from served import told_inline
+from served import run_inline
 
 from counterspin.application import jobs
 from counterspin.monitoring.result import WatchState
@@ -51,7 +51,7 @@ def test_live_event_is_listed_once(monkeypatch):
         complete=True,
     )
     monkeypatch.setattr("counterspin.monitoring.watch.watch", lambda *_, **__: [state])
-    (_, told), *_ = told_inline(jobs.run_watch, None, "")
+    (_, told), *_ = run_inline(jobs.run_watch, None, "")
     assert told["events"] == [event]
     assert event not in told["html"]
     assert told["html"].count("Every run has reached the duration stated in the campaign.") == 1

@@ -4,7 +4,7 @@ import re
 import shutil
 
 import pytest
-from campaigns import changed
+from campaigns import replace_parts
 from served import wait
 
 from counterspin.calibration.calibrate import calibrate
@@ -28,7 +28,7 @@ def test_result_page_has_text_and_plots_of_report(page):
 def test_contradicted_result_states_why_not_certifiable(page, folder):
     assert page.get("/api/page", params=PAGE).json()["refusal"] == ""
     file, result = folder / "three" / "campaign.toml", folder / "three" / "result.json"
-    file.write_text(changed(file.read_text(), ('"0.01 m"', '"0.001 m"')))
+    file.write_text(replace_parts(file.read_text(), ('"0.01 m"', '"0.001 m"')))
     calibrate(file).write(result, overwrite=True)
     refused = page.get("/api/page", params=PAGE).json()
     assert refused["state"] == "contradicted"

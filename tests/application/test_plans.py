@@ -3,7 +3,7 @@
 import tomllib
 
 import pytest
-from campaigns import changed
+from campaigns import replace_parts
 from planning_setups import PERFECT
 from served import wait
 
@@ -19,7 +19,7 @@ from counterspin.reports.typography import typeset_block
 def planned(page, folder):
     file = write_example(folder / "PLAN.toml")
     # Few runs are fast; u comes from the runs, which a plan can change.
-    file.write_text(changed(file.read_text(), ("runs = 14", "runs = 2"), *PERFECT))
+    file.write_text(replace_parts(file.read_text(), ("runs = 14", "runs = 2"), *PERFECT))
     return page
 
 
@@ -89,7 +89,7 @@ def test_plan_search_can_be_stopped(planned):
 def test_limits_are_in_units_of_plan_file(planned, folder):
     """The file has rev/s and minutes; the requests are in SI."""
     file = folder / "PLAN.toml"
-    text = changed(file.read_text(), ('settling = "10 s"', 'settling = "0.5 min"'))
+    text = replace_parts(file.read_text(), ('settling = "10 s"', 'settling = "0.5 min"'))
     file.write_text(text.replace('highest_rate = "1 rev/s"', 'highest_rate = "60 rpm"'))
     body = planned.get("/api/plan", params={"name": "PLAN.toml"}).json()
     limits = {limit["key"]: limit for limit in body["limits"]}

@@ -8,7 +8,7 @@ import shutil
 import numpy as np
 import pypdf
 import pytest
-from campaigns import changed
+from campaigns import replace_parts
 from chromium import LONGEST_WAIT, needs_chromium, wait_until
 from cryptography.hazmat.primitives.asymmetric import ec
 from planning_setups import PERFECT
@@ -16,7 +16,7 @@ from posed_records import simulate_poses
 from served import PLACES, answer_field, token_of
 from signing_keys import write_pair, write_pkcs12
 
-from certificates import write_own
+from certificates import write_filled_template
 from counterspin.application.server import _write_redirect
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result
@@ -118,7 +118,7 @@ def test_exports_to_certificate_workflow(open_window, app, folder):
 
 @pytest.mark.parametrize("kind", ["pkcs12", "pem"])
 def test_certificate_is_signed_by_mouse(open_window, folder, tmp_path, kind):
-    write_own(folder / "LAB.toml", keep=("Example Customer",))
+    write_filled_template(folder / "LAB.toml", keep=("Example Customer",))
     write = write_pkcs12 if kind == "pkcs12" else write_pair
     key, cert = write(tmp_path, ec.generate_private_key(ec.SECP256R1()), b"vy secret")
     tab = open_window("/certificate/three%2Fresult.json")
@@ -370,7 +370,7 @@ def test_pasted_readings_become_campaign(open_window, folder):
 
 def test_plan_search_starts_on_click_and_can_be_stopped(open_window, folder):
     example = write_example(folder / "PLAN.toml")
-    example.write_text(changed(example.read_text(), ("runs = 14", "runs = 2"), *PERFECT))
+    example.write_text(replace_parts(example.read_text(), ("runs = 14", "runs = 2"), *PERFECT))
     tab = open_window("/plans")
     tab.get_by_role("link", name="A day at the centrifuge").click()
     search = tab.get_by_role("button", name="Calculate plan")

@@ -11,7 +11,7 @@ import time
 from contextlib import suppress
 
 import pytest
-from served import serving, token_of
+from served import run_server, token_of
 
 from counterspin.application import access_control, server
 from counterspin.application.server import Connection
@@ -68,7 +68,7 @@ def test_unauthenticated_connections_do_not_block_server(tmp_path):
 @pytest.fixture
 def server_credentials(app):
     """Return the credentials of a running server."""
-    with serving(app) as credentials:
+    with run_server(app) as credentials:
         yield credentials
 
 

@@ -23,15 +23,15 @@ angle = { column = "angle_rad", unit = "rad" }
 """
 
 
-def runs(*names: str, rates: Sequence[str] = ("0.25 rev/s", "0.5 rev/s", "1 rev/s")) -> str:
-    """Return [[runs]] of these names and rates, each with a record of its own name."""
+def format_runs(*names: str, rates: Sequence[str] = ("0.25 rev/s", "0.5 rev/s", "1 rev/s")) -> str:
+    """Return [[runs]] with these names and rates; each record has the name of its run."""
     return "".join(
         f'\n[[runs]]\nname = "{name}"\nrate = "{rate}"\nrecord = "{name}.csv"\n'
         for name, rate in zip(names, rates, strict=True)
     )
 
 
-def runs_of(campaign, *names):
+def find_runs(campaign, *names):
     """Return the entries of some runs in a campaign's description."""
     return [run for run in campaign.source.document["runs"] if run["name"] in names]
 
@@ -59,7 +59,7 @@ displacement = "0.01 m"
 [model]
 assume = "all"
 
-{runs("slow", "middle", "fast")}
+{format_runs("slow", "middle", "fast")}
 [simulation]
 sampling_rate = "20 Hz"
 seed = 1
@@ -88,7 +88,7 @@ angle = "1e-6 rad"
 """
 
 
-def changed(text: str, *pairs: tuple[str, str]) -> str:
+def replace_parts(text: str, *pairs: tuple[str, str]) -> str:
     """Return a description with existing pieces of text replaced."""
     for old, new in pairs:
         assert old in text, old
@@ -96,14 +96,14 @@ def changed(text: str, *pairs: tuple[str, str]) -> str:
     return text
 
 
-def without(text: str, table: str) -> str:
-    """Return a description without one table."""
+def remove_table(text: str, table: str) -> str:
+    """Return a description without a table."""
     pattern = rf"(?ms)^\[{re.escape(table)}\]\n.*?(?=^\[|\Z)"
     assert re.search(pattern, text)
     return re.sub(pattern, "", text)
 
 
-def write(folder: Path, text: str, name: str = "campaign.toml") -> Path:
+def write_description(folder: Path, text: str, name: str = "campaign.toml") -> Path:
     """Write a description and return its path."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / name
@@ -111,6 +111,6 @@ def write(folder: Path, text: str, name: str = "campaign.toml") -> Path:
     return path
 
 
-def campaign_of(folder: Path, text: str):
+def write_and_read_campaign(folder: Path, text: str):
     """Write and read a description."""
-    return read_campaign(write(folder, text))
+    return read_campaign(write_description(folder, text))

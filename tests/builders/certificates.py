@@ -74,14 +74,14 @@ def write_lab(folder: Path, text: str = LAB) -> Path:
     return path
 
 
-def lab_of(folder, result, text=LAB):
-    """Return the laboratory's file as it is read for a result."""
+def read_lab_for(folder, result, text=LAB):
+    """Write the laboratory's file and read it for a result."""
     return read_lab(write_lab(folder, text), result)[0]
 
 
 def document(folder, result, *, text=LAB, verdicts=None, issue=ISSUE, pages=b"%PDF-1.7"):
     """Return a certificate as bytes."""
-    lab = lab_of(folder, result, text)
+    lab = read_lab_for(folder, result, text)
     return to_bytes(build_document(result, lab, issue, verdicts or {}, pages))
 
 
@@ -90,8 +90,8 @@ def find(document_bytes, path):
     return etree.fromstring(document_bytes).xpath(path, namespaces=NAMESPACES)
 
 
-def write_own(path, keep=()):
-    """Write the template of a laboratory's file, filled in, and return its path.
+def write_filled_template(path, keep=()):
+    """Write the filled-in template of a laboratory's file and return its path.
 
     The campaigns of the tests take what they do not state as perfect.
 

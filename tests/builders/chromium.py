@@ -24,7 +24,7 @@ LONGEST_WAIT = 300_000
 
 @contextmanager
 def chromium():
-    """Start Chromium; it ends with the context."""
+    """Start Chromium and close it at the end of the context."""
     from playwright.sync_api import sync_playwright
 
     # Chromium refuses to sandbox itself for root, as whom continuous integration often runs.
@@ -40,7 +40,7 @@ def chromium():
 
 
 def open_context(browser, **settings):
-    """Return a context of the browser whose waits do not fail on a busy machine."""
+    """Return a browser context with timeouts that suit a busy machine."""
     context = browser.new_context(**settings)
     context.set_default_timeout(LONGEST_WAIT)
     return context

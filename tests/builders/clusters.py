@@ -1,4 +1,4 @@
-"""Dask clusters of this machine for the tests of work that is shared out."""
+"""Local Dask clusters for tests of distributed work."""
 
 import json
 import os
@@ -38,7 +38,7 @@ def dask_cluster(workers=2):
 
 
 def commands_of_the_page():
-    """Return the words with which docs/study.md starts a scheduler and workers on a laptop.
+    """Return the commands by which docs/study.md starts a scheduler and workers on a laptop.
 
     And what it sets in the environment before.
     """
@@ -50,7 +50,7 @@ def commands_of_the_page():
 
 @contextmanager
 def cluster_of_the_page(folder):
-    """Start them in a folder, on a free port and with a single worker; yields address and both."""
+    """Start both in a folder, with a free port and a single worker; yield address and processes."""
     pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")
     scheduler, worker, environment = commands_of_the_page()
     file = folder / "scheduler.json"

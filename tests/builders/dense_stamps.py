@@ -102,18 +102,18 @@ def fit_rows(runs, machine, timing, encoder, white):
         for i, run in enumerate(runs):
             spins[i] = spins[i] + step[place : place + spins[i].size]
             place += spins[i].size
-            late[i] = _late(run, k, spins[i], late[i], machine, (timing, encoder, white))
+            late[i] = _sample_late(run, k, spins[i], late[i], machine, (timing, encoder, white))
     inverse = np.linalg.inv(r) / scale[:, None]
     return k, np.linalg.norm(inverse, axis=1)[:4]
 
 
 def slopes_of(k, spin, t, machine, noise, h=1e-5):
-    """Return the slopes of angle and output, each over its noise, 1/s, shape (2, n)."""
+    """Return slopes of angle and output, divided by their noise, 1/s, shape (2, n)."""
     change = output(k, spin, t + h, machine) - output(k, spin, t - h, machine)
     return np.stack([rotation(spin, t)[1] / noise[0], change / (2 * h * noise[1])])
 
 
-def _late(run, k, spin, late, machine, sizes):
+def _sample_late(run, k, spin, late, machine, sizes):
     """Return the most likely time errors of the rows, s, by a single Newton step."""
     timing, encoder, white = sizes
     t = run.time + late

@@ -1,4 +1,4 @@
-"""The records of one simulated campaign, exported as recorders of different make do it.
+"""Records of a simulated campaign in the export formats of different recorders.
 
 - `campaign_folder`: simulates the campaign, as plain CSV
 - `EXPORTS`: name -> what writes a run's record, and what [records] says of it
@@ -12,7 +12,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import polars as pl
-from campaigns import PLACE, changed, runs, write
+from campaigns import PLACE, format_runs, replace_parts, write_description
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 from workbooks import write_workbook
@@ -49,8 +49,8 @@ drift = "1e-6 1/s"
 
 
 def campaign_folder(folder: Path) -> Path:
-    text = f"{PLACE}{INSTRUMENT}{runs(*RUNS, rates=list(RUNS.values()))}{TRUTH}"
-    simulate(write(folder, text, "plan.toml"), folder / "plain")
+    text = f"{PLACE}{INSTRUMENT}{format_runs(*RUNS, rates=list(RUNS.values()))}{TRUTH}"
+    simulate(write_description(folder, text, "plan.toml"), folder / "plain")
     return folder / "plain"
 
 
@@ -176,10 +176,10 @@ def write_records(plain: Path, folder: Path, export: Export) -> list[Path]:
 
 def write_export(plain: Path, folder: Path, export: Export) -> Path:
     write_records(plain, folder, export)
-    place = changed(
+    place = replace_parts(
         PLACE,
         ('time = { column = "time_s", unit = "s" }', f"time = {export.time}\n{export.other}"),
         ('angle = { column = "angle_rad", unit = "rad" }', f"angle = {export.angle}"),
     )
-    named = runs(*RUNS, rates=list(RUNS.values())).replace(".csv", export.ending)
-    return write(folder, f"{place}{INSTRUMENT}{named}", "campaign.toml")
+    named = format_runs(*RUNS, rates=list(RUNS.values())).replace(".csv", export.ending)
+    return write_description(folder, f"{place}{INSTRUMENT}{named}", "campaign.toml")

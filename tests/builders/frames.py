@@ -1,4 +1,4 @@
-"""Records of a small campaign in memory, and what its description says without them."""
+"""Records of a small campaign in memory, and its description without records."""
 
 import tomllib
 from functools import cache
@@ -11,22 +11,26 @@ from counterspin.campaign.validation import Problems
 from counterspin.simulation.simulate import simulate_run
 
 
-def small():
-    """Return the description of `campaigns.SMALL` as a mapping, to be changed at will."""
+def parse_small_description():
+    """Return the description of `campaigns.SMALL` as a new mapping."""
     return tomllib.loads(campaigns.SMALL)
 
 
-def untrue():
-    """Return the same without its truth and without the names of records."""
-    document = {k: v for k, v in small().items() if k not in ("truth", "simulation", "schema")}
+def parse_description_without_truth():
+    """Return the description without its truth and without the names of records."""
+    document = {
+        k: v
+        for k, v in parse_small_description().items()
+        if k not in ("truth", "simulation", "schema")
+    }
     document["runs"] = [{k: run[k] for k in ("name", "rate")} for run in document["runs"]]
     return document
 
 
 @cache
-def arrays(folder, seed=1):
-    """Return run's name -> columns of the small campaign, simulated; not to be changed."""
-    document = small()
+def simulate_columns(folder, seed=1):
+    """Simulate the small campaign and return run name -> columns; do not change them."""
+    document = parse_small_description()
     campaign = resolve_campaign(document, folder / "campaign.toml", Problems(document))
     streams = np.random.SeedSequence(seed).spawn(len(campaign.runs))
     return {

@@ -23,7 +23,7 @@ MOUNTINGS = {"Qx": QX, "Qy": QY}
 NOTHING = (0.0, math.inf)
 
 
-def simulated(
+def simulate_series(
     run,
     rate,
     coefficients,
@@ -67,7 +67,7 @@ def simulated(
 def three_rates(coefficients, platform=None, **more):
     """Return runs at the three rates of the paper."""
     return [
-        simulated(f"run{i}", rate, coefficients, platform, **more)
+        simulate_series(f"run{i}", rate, coefficients, platform, **more)
         for i, rate in enumerate(RATES, start=1)
     ]
 
@@ -80,7 +80,7 @@ def unknowns(symbols, priors=None, owner="Qx"):
     )
 
 
-def considered_inputs(sizes):
+def make_considered_inputs(sizes):
     """Return considered inputs with the limits of the table; sizes are standard uncertainties."""
     return tuple(
         Considered("", s, (0.0, u), term(s).limit, is_of_interest=False) for s, u in sizes.items()

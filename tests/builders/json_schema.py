@@ -1,4 +1,4 @@
-"""A validator of the words of JSON Schema (2020-12) that ours are made of; it knows no others."""
+"""A validator of the JSON Schema (2020-12) keywords that the package's schemas use."""
 
 import datetime
 import re

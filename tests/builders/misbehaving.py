@@ -1,4 +1,4 @@
-"""Functions of a file that do to their process what a damaged file may do to its reader."""
+"""Functions of a file that crash, block or exhaust their process, as damaged files may."""
 
 import os
 import signal
@@ -38,7 +38,7 @@ def process(_path: Path) -> int:
 
 
 def limits(_path: Path) -> tuple[int, int]:
-    """Return the processor time and the memory that are left, in s and bytes."""
+    """Return the remaining processor time and memory, in s and bytes."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     seconds = resource.getrlimit(resource.RLIMIT_CPU)[0] - used.ru_utime - used.ru_stime
     return seconds, resource.getrlimit(resource.RLIMIT_DATA)[0]

@@ -1,11 +1,11 @@
-"""One small sound campaign, and what deliberate mistakes make of it."""
+"""A small valid campaign, and variants with deliberate mistakes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from campaigns import PLACE, changed, runs, write
+from campaigns import PLACE, format_runs, replace_parts, write_description
 
 from counterspin.simulation.simulate import simulate
 
@@ -32,7 +32,7 @@ terms = ["K_F", "K_I", "K_II", "platform.tilt"]
 [model.priors]
 "platform.tilt" = "0 ± 0.5 arcsec"
 
-{runs("slow", "middle", "fast")}
+{format_runs("slow", "middle", "fast")}
 [simulation]
 sampling_rate = "32 Hz"
 seed = 3
@@ -65,7 +65,7 @@ Records = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Mistake:
-    """A mistake in the description, in the records, or in the truth that they are made of.
+    """A mistake in the description, in the records, or in the truth of the simulation.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class Mistake:
 
 def make_records(folder: Path, *truth: tuple[str, str]) -> Records:
     """Simulate the correct campaign or a campaign with another truth; return its records."""
-    simulate(write(folder, changed(SOUND, *truth), "plan.toml"), folder / "made")
+    simulate(write_description(folder, replace_parts(SOUND, *truth), "plan.toml"), folder / "made")
     return {
         run: np.loadtxt(folder / "made" / f"{run}.csv", delimiter=",", skiprows=1) for run in RUNS
     }
@@ -106,10 +106,10 @@ def make_mistaken_campaign(folder: Path, mistake: Mistake, sound: Records) -> Pa
     own = {run: rows.copy() for run, rows in sound.items()}
     if mistake.records is not None:
         mistake.records(own)
-    text = changed(SOUND, *mistake.description)
+    text = replace_parts(SOUND, *mistake.description)
     if mistake.estimated:
-        text = changed(text, (NOISE, ""))
-    path = write(folder, text)
+        text = replace_parts(text, (NOISE, ""))
+    path = write_description(folder, text)
     for run, rows in own.items():
         np.savetxt(
             folder / f"{run}.csv",
@@ -186,6 +186,6 @@ def swap_columns(records: Records) -> None:
         rows[:, [EAST, NORTH]] = rows[:, [NORTH, EAST]]
 
 
-def step(size: float, part: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a jump after a part of the record."""
+def make_step(size: float, part: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a step function of time; its step follows a fraction of the record."""
     return lambda t: size * (t > part * t[-1])

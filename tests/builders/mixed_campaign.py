@@ -1,10 +1,10 @@
-"""One accelerometer at rest, on an arm and on a double turntable, in one campaign."""
+"""A campaign of an accelerometer at rest, on an arm and on a double turntable."""
 
 import math
 
 import numpy as np
-from reading_campaigns import SITE, TRUTH, arm, simulated
-from reading_descriptions import at_rest, on_arm
+from reading_campaigns import SITE, TRUTH, arm, simulate_readings
+from reading_descriptions import format_arm_run, format_rest_run
 from stations import Station
 
 from counterspin.calibration.calibrate import calibrate
@@ -77,12 +77,12 @@ class MixedCampaign:
     def draw(self, seed):
         """Draw the readings again."""
         rng = np.random.default_rng(seed)
-        self.at_rest = simulated(tumble(), rng, self.u_rest, truth=TRUTH)
-        self.on_arm = simulated(arm(), rng, self.u_arm, truth=TRUTH)
+        self.at_rest = simulate_readings(tumble(), rng, self.u_rest, truth=TRUTH)
+        self.on_arm = simulate_readings(arm(), rng, self.u_arm, truth=TRUTH)
 
     def _rest(self):
         return "".join(
-            at_rest(
+            format_rest_run(
                 f"rest {i}",
                 f"{30 * i} deg about north",
                 f"{1.25 * value!r} ± {1.25 * self.u_rest!r} mA",
@@ -93,7 +93,7 @@ class MixedCampaign:
     def _arm(self):
         stations, sides, _ = arm()
         return "".join(
-            on_arm(
+            format_arm_run(
                 f"{side} {i}",
                 f"{station.rate!r} rad/s",
                 f"{1.25 * value!r} ± {1.25 * self.u_arm!r} mA",
@@ -105,7 +105,7 @@ class MixedCampaign:
         )
 
     def description(self, kinds=KINDS, model=MODEL):
-        """Return the description of a campaign of these kinds."""
+        """Return the description of a campaign with these types of test."""
         text = HEAD + model
         if "double turntable" not in kinds:
             cut = HEAD.index("displacement ="), HEAD.index("[noise]")
@@ -115,12 +115,12 @@ class MixedCampaign:
         return text + "".join(parts[kind] for kind in kinds)
 
     def calibrated(self, kinds=KINDS, model=MODEL):
-        """Return the result of these kinds of test."""
+        """Return the result of these types of test."""
         target = self.folder / "all" / "campaign.toml"
         target.write_text(self.description(kinds, model), encoding="utf-8")
         return calibrate(self.folder / "all")
 
 
-def arm_with(coefficients):
+def read_arm(coefficients):
     """Return noise-free arm readings with other coefficients."""
     return np.array([s.indicated(SITE, TRUTH | coefficients) for s in arm()[0]])

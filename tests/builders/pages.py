@@ -1,4 +1,4 @@
-"""Blocks of every kind, and pages made from them, for the tests of the HTML report."""
+"""Blocks of every type, and pages made from them, for tests of the HTML report."""
 
 import math
 import random
@@ -21,7 +21,7 @@ NASTY = "</script ></style><script >alert('1')</script>\"&<!--"
 
 
 def residuals(title="Residuals of Qx, run 1", label="smallest to largest", count=1500):
-    """Return a plot as the residuals of a run give it: a band with a gap, outliers, a line."""
+    """Return a residual plot of a run: a band with a gap, outliers and a line."""
     draw = random.Random(3)
     time = tuple(0.5 * index for index in range(count))
     high = [5.0 + draw.random() for _ in time]
@@ -51,7 +51,7 @@ def residuals(title="Residuals of Qx, run 1", label="smallest to largest", count
 
 
 def blocks(name="Qx"):
-    """Return a report with every kind of block; `name` stands wherever a user's words may."""
+    """Return a report with every type of block; `name` fills every text of the user."""
     bare = Plot("Spectrum", "Hz", name, (PlotSeries(name, (1.0, 2.0), (3.0, 4.0)),), log_x=True)
     return [
         Heading(f"Calibration of {name}", 1),
@@ -90,7 +90,7 @@ def blocks(name="Qx"):
 
 
 def page(name="Qx", made=None, **changes):
-    """Return the blocks as a page."""
+    """Return a page of the blocks."""
     given = {
         "title": f"Calibration of {name}",
         "identifier": f"LAB 7/26 {name}",

@@ -1,4 +1,4 @@
-"""Set-ups for the tests of planning, and the joint fit's own answer for any design of theirs."""
+"""Set-ups for tests of planning, and the uncertainty of the joint fit for any design."""
 
 import math
 from dataclasses import replace
@@ -98,8 +98,8 @@ def blocks_of(samples, step, rate):
     return (first + 0.5 * (count - 1)) * step, step * np.sqrt((count**2 - 1) / 12.0), count
 
 
-def with_errors(part, model, estimate):
-    """Return a record as the terms, but not the inputs, make it."""
+def remove_input_effects(part, model, estimate):
+    """Return a record whose error contains the terms but not the inputs."""
     terms = [k for k, i in enumerate(part.unknowns) if model.unknowns[i].symbol not in INPUTS]
     values = estimate[[part.unknowns[k] for k in terms]]
     return replace(part.series, error=part.design[:, terms] @ values)
@@ -132,7 +132,7 @@ def u_by_joint_fit(setup, design):
             )
 
     def of_runs(terms):
-        """Give the terms that belong to a run to each run of their attitude."""
+        """Return the terms that belong to a run, for every run of their attitude."""
         found = []
         for one in terms:
             if one.owner in setup.attitudes:
@@ -154,7 +154,7 @@ def u_by_joint_fit(setup, design):
     prepared = [
         replace(
             part,
-            series=with_errors(part, model, estimate).with_timestamp_noise(
+            series=remove_input_effects(part, model, estimate).with_timestamp_noise(
                 timing[part.accelerometer]
             ),
         )

@@ -1,4 +1,4 @@
-"""Simulated records of a sensor with three axes that is set down in many poses."""
+"""Simulated records of a three-axis sensor that rests in many poses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NOISE = 0.02
 
 
 @frozen(eq=False)
-class Posed:
+class PosedRecord:
     """Contain a record of k rests and its true forces."""
 
     time: Array
@@ -25,8 +25,8 @@ class Posed:
 
 def simulate_poses(
     rest: float, motion: float, count: int = 12, noise: float = NOISE, seed: int = 1
-) -> Posed:
-    """Return rests of `rest` seconds, each but the last followed by `motion` seconds of motion."""
+) -> PosedRecord:
+    """Return static intervals of `rest` seconds, with `motion` seconds of motion between them."""
     rng = np.random.default_rng(seed)
     force = rng.normal(size=(count, 3))
     force *= 9.81 / np.linalg.norm(force, axis=1)[:, None]
@@ -42,7 +42,7 @@ def simulate_poses(
             parts.append(path + 2.0 * np.sin(angle))
     values = np.concatenate(parts)
     start = np.arange(count) * (still + moved) * STEP
-    return Posed(
+    return PosedRecord(
         time=np.arange(len(values)) * STEP,
         values=values + noise * rng.normal(size=values.shape),
         start=start,

@@ -1,4 +1,4 @@
-"""Numbers in the sentences of the documentation, read where they stand."""
+"""Numbers in sentences of the documentation."""
 
 import re
 from pathlib import Path
@@ -29,8 +29,8 @@ def sentences(page: str) -> str:
     return " ".join(text.split())
 
 
-def told(page: str, sentence: str) -> list[str]:
-    """Return the numbers that stand where a part of a sentence has ``{}``."""
+def find_numbers(page: str, sentence: str) -> list[str]:
+    """Return the numbers in place of ``{}`` in a part of a sentence."""
     pattern = f"({_NUMBER})".join(map(re.escape, sentence.split("{}")))
     found = list(re.finditer(pattern, sentences(page)))
     assert len(found) == 1, f"{page}.md has it {len(found)} times: {sentence}"

@@ -1,4 +1,4 @@
-"""Errors that tests expect, by their code."""
+"""Expected errors, by code."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

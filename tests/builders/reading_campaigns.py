@@ -75,7 +75,7 @@ def readings(test, value, u, u_head=0.0, temperature=None):
     )
 
 
-def simulated(test, rng, sigma, machine=(), u_head=0.0, truth=TRUTH, temperature=None):
+def simulate_readings(test, rng, sigma, machine=(), u_head=0.0, truth=TRUTH, temperature=None):
     """Simulate readings with the exact model and the true machine.
 
     Slopes of coefficients, with temperature or time, are among the truth.

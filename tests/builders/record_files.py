@@ -1,4 +1,4 @@
-"""Records of a turning accelerometer, their files, and what reading these gives."""
+"""Records of a rotating accelerometer, their files, and the results of reading them."""
 
 import math
 from pathlib import Path
@@ -60,7 +60,7 @@ def read(path: Path, rate: float = RATE, block="auto", **changed) -> Record:
     return read_record(path, RecordColumns(**columns | changed), motion, block=block)
 
 
-def refusal(path: Path, **options) -> str:
+def read_error(path: Path, **options) -> str:
     with pytest.raises(RecordError) as caught:
         read(path, **options)
     # A long name is shortened.
@@ -68,5 +68,5 @@ def refusal(path: Path, **options) -> str:
     return str(caught.value)
 
 
-def dense(n: int = 300_000) -> dict[str, np.ndarray]:
+def make_dense_columns(n: int = 300_000) -> dict[str, np.ndarray]:
     return table(n=n, step=2 / (64 * 50.5))  # 50 samples to a block

@@ -1,8 +1,8 @@
-"""Campaigns as a laboratory has them: records, whose description says no truth and no length."""
+"""Campaigns of a laboratory: records, and a description without truth and length."""
 
 import numpy as np
 import polars as pl
-from campaigns import write
+from campaigns import write_description
 
 from counterspin.campaign.documents import load_document
 from counterspin.simulation.simulate import simulate
@@ -12,8 +12,8 @@ from counterspin.toml_text import write_document
 WHITE = {"east_m": 0.01, "north_m": 0.0101}
 
 
-def record(folder, plan, text, *without):
-    """Simulate a description's records into a folder, and say no more than a laboratory knows.
+def simulate_measured_campaign(folder, plan, text, *without):
+    """Simulate records into a folder, with a description without truth and simulation keys.
 
     Parameters
     ----------
@@ -26,14 +26,14 @@ def record(folder, plan, text, *without):
     *without
         Further sections that are left out.
     """
-    simulate(write(plan, text, "plan.toml"), folder)
+    simulate(write_description(plan, text, "plan.toml"), folder)
     document = load_document(folder / "campaign.toml")
     for key in ("simulation", "truth", *without):
         document.pop(key, None)
     for run in document["runs"]:
         for key in ("revolutions", "truth"):
             run.pop(key, None)
-    write(folder, write_document(document))
+    write_description(folder, write_document(document))
     return folder
 
 

@@ -1,4 +1,4 @@
-"""One run's record as recorders, loggers and spreadsheets of many makes write it.
+"""The record of a run in the formats of various recorders, loggers and spreadsheets.
 
 `FILES`: what a file is like -> what writes it, and its ending. A frame has time_s, angle_rad,
 east_m and north_m.
@@ -31,7 +31,7 @@ def _degrees(frame):
 
 
 def _cells(frame, *, time=None, angle=None, mark=".", scale=1.0):
-    """Return rows of text: time, angle in degrees, east and north; `mark` parts their decimals."""
+    """Return rows of text: time, angle in degrees, east and north; `mark` is the decimal mark."""
     columns = [
         frame["time_s"] if time is None else time,
         _degrees(frame) if angle is None else angle,

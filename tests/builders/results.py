@@ -1,4 +1,4 @@
-"""Results made by hand: with little in them, or every part filled; numbers easy to follow."""
+"""Manually built results, minimal or with every section filled, with simple numbers."""
 
 import copy
 import json
@@ -65,7 +65,7 @@ def bare_result(**parts):
 
 
 def result(**changes):
-    """Return a result of one accelerometer Qx and two runs; `changes` are of Qx."""
+    """Return a result of accelerometer Qx and two runs; `changes` apply to Qx."""
     qx = {
         "serial_number": "Q-104",
         "coefficients": {
@@ -135,8 +135,10 @@ FROZEN = json.loads(
 )
 
 
-def dated(value=2.7e-5, date="2024-03-05", serial="Q-104", *, u=5e-8, run=None, **changes):
-    """Return the frozen result's document, of Qx alone, with another K_II, date and records."""
+def make_dated_document(
+    value=2.7e-5, date="2024-03-05", serial="Q-104", *, u=5e-8, run=None, **changes
+):
+    """Return the frozen result's document, only with Qx, with changed K_II, date and records."""
     made = copy.deepcopy(FROZEN) | changes
     qx = made["accelerometers"]["Qx"]
     qx["coefficients"]["K_II"] |= {"value": value, "u": u}
@@ -151,7 +153,7 @@ def dated(value=2.7e-5, date="2024-03-05", serial="Q-104", *, u=5e-8, run=None, 
     return made
 
 
-def sealed(document):
+def seal_document(document):
     """Return the text of a result file with a valid seal for a document."""
     return Result.model_validate(document).to_json()
 
@@ -164,7 +166,7 @@ def remove_seal(path):
 
 
 def two_accelerometers(given, terms, matrix):
-    """Return a result whose Qy has the numbers of its Qx, with correlations across both."""
+    """Return a result whose Qy has the values of Qx, with correlations between both."""
     both = dict.fromkeys(("Qx", "Qy"), given.accelerometers["Qx"])
     correlation = Correlation(terms=terms, matrix=matrix)
     return given.model_copy(update={"accelerometers": both, "correlation": correlation})

@@ -1,4 +1,4 @@
-"""A folder as `counterspin serve` finds it: a campaign, its records and its results."""
+"""A folder for `counterspin serve`: a campaign, its records and its results."""
 
 import re
 import threading
@@ -8,7 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import patch
 
-from campaigns import SMALL, write
+from campaigns import SMALL, write_description
 
 from counterspin.application.access_control import Credentials
 from counterspin.application.jobs import Jobs
@@ -54,14 +54,14 @@ def write_folder(folder: Path, plan: Path) -> Path:
     plan
         Another folder, which takes what is simulated.
     """
-    simulate(write(plan, SHORT, "plan.toml"), folder / "three")
+    simulate(write_description(plan, SHORT, "plan.toml"), folder / "three")
     calibrate(folder / "three").write(folder / "three" / "result.json")
     return folder
 
 
 @contextmanager
-def serving(app):
-    """Run a server of a folder in a thread, and give its credentials."""
+def run_server(app):
+    """Run a server of a folder in a thread and yield its credentials."""
     with open_listener(0) as listener:
         credentials = Credentials(listener.getsockname()[1])
         server = make_server(app, credentials)
@@ -73,7 +73,7 @@ def serving(app):
 
 
 def answer_field(tab, words):
-    """Return the field of an answer by the beginning of its label."""
+    """Return the field of an answer whose label begins with `words`."""
     return tab.get_by_label(re.compile(f"{words}(?!.*, (standard uncertainty|unit)$)"))
 
 
@@ -83,7 +83,7 @@ def token_of(credentials):
 
 
 def wait(page, number):
-    """Return a job that is over."""
+    """Wait for a job and return it."""
     deadline = time.monotonic() + 300.0
     while time.monotonic() < deadline:
         (job,) = (job for job in page.get("/api/jobs").json() if job["number"] == number)
@@ -97,14 +97,14 @@ class InlineJobs(Jobs):
     """Run jobs immediately in this process."""
 
     def _start_thread(self, job, work, words, then):
-        *_, told = told_inline(work, *words)
+        *_, told = run_inline(work, *words)
         self._handle_message(job, told, then)
         assert job.state in ("done", "failed")
         assert "internal error" not in job.error, job.error
 
 
-def told_inline(work, *words, questions=()):
-    """Return all that a process would tell that is asked these questions."""
+def run_inline(work, *words, questions=()):
+    """Return all messages that a process would send in response to these questions."""
     sent, left = [], iter(questions)
 
     def recv():

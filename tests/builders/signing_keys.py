@@ -29,7 +29,7 @@ _USAGES = (
 
 
 def write_pair(folder, key, password=None, *, days=(-1, 365), usage=None, common_name=None):
-    """Write a key and a certificate that it has signed for itself.
+    """Write a key and its self-signed certificate.
 
     `days` from today is it valid; of `usage`, a name such as "key_encipherment", is the key.
     """

@@ -1,4 +1,4 @@
-"""Analyses of noise at rest for tests that look at sizes alone."""
+"""Analyses of static noise for tests that use only point estimates."""
 
 from contextlib import contextmanager
 

@@ -13,7 +13,7 @@ from counterspin.physics.terms import TERMS
 
 @dataclass(frozen=True)
 class Station:
-    """Position, attitude and motion of the instrument during one reading, as of `Stations`."""
+    """Position, attitude and motion of the instrument during a single reading."""
 
     motion: str
     mounting: Mounting
@@ -36,11 +36,11 @@ class Station:
         return from_stations([self]).products(site, force[None])[:, 0]
 
     def axes_under_load(self):
-        """Return the axes I, P, O with droop and turn, rows, shape (3, 3)."""
+        """Return the axes I, P, O as rows, with droop and rotation, shape (3, 3)."""
         return from_stations([self]).axes_under_load()[0]
 
     def indicated(self, site, coefficients):
-        """Return the mean indication in g; coefficients that are not named are nominal."""
+        """Return the mean indication in g; coefficients without a given value are nominal."""
         values = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
         return float(mean_products(from_stations([self]), site)[0] @ values)
 

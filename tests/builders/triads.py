@@ -1,4 +1,4 @@
-"""Triads at unknown attitudes: plain matrices, which share nothing with the package."""
+"""Triads at unknown attitudes, from plain matrices that share no code with the package."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ NAMES = tuple(DIRECTIONS)
 
 
 def directions(count, generator):
-    """Return unit vectors all over the sphere, shape (count, 3)."""
+    """Return random unit vectors, shape (count, 3)."""
     found = generator.standard_normal((count, 3))
     return found / np.linalg.norm(found, axis=1)[:, None]
 
@@ -28,7 +28,7 @@ def indications(along, rows=ROWS, bias=BIAS, squares=(0.0, 0.0, 0.0)):
 
 
 def accelerometer(name, more=""):
-    """Return an accelerometer's table."""
+    """Return the table of an accelerometer."""
     one, other = DIRECTIONS[name]
     return (
         f'[accelerometers.{name}]\ninput_axis = "{one}"\npendulous_axis = "{other}"\n'
@@ -64,7 +64,7 @@ def table(folder, values, u=None, description=None, **columns):
 
 
 def group(values, u=None, names=NAMES):
-    """Return poses as the fit takes them."""
+    """Return poses in the form that the fit accepts."""
     from counterspin.physics.accelerometer import Mounting
     from counterspin.physics.conditions import AT_REFERENCE
     from counterspin.triads.poses import TriadPoses
@@ -103,13 +103,13 @@ SIGNS = np.array([1.0, 1.0, 1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
 
 
 def truth(rows=ROWS, bias=BIAS):
-    """Return the parameters that make rows and biases, those of K_I as they are, shape (9,)."""
+    """Return the true parameters of rows and biases, those of K_I unchanged, shape (9,)."""
     lower = [rows[0, 0], rows[1, 0], rows[1, 1], *rows[2]]
     return SIGNS * np.array([*bias, *lower])
 
 
 def unknowns(extra=(), *, defaults=False):
-    """Return them as unknowns of a fit, further pairs of owner and symbol behind them.
+    """Return the unknowns of a fit, followed by further pairs of owner and symbol.
 
     defaults: Whether they have the default priors of consumer grade, for where they are needed.
     """

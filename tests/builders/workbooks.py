@@ -1,4 +1,4 @@
-"""Workbooks as Excel writes them, as far as their reader looks at them."""
+"""Workbooks in the format of Excel, reduced to the parts that the reader uses."""
 
 import zipfile
 from xml.sax.saxutils import escape

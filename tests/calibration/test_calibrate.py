@@ -5,7 +5,7 @@ import shutil
 
 import polars as pl
 import pytest
-from campaigns import SMALL, campaign_of, changed, write
+from campaigns import SMALL, replace_parts, write_and_read_campaign, write_description
 from raising import raises
 
 from counterspin.calibration import observed_runs
@@ -21,7 +21,7 @@ def checksum(file):
 @pytest.fixture(scope="module")
 def records(tmp_path_factory):
     folder = tmp_path_factory.mktemp("records")
-    simulate(campaign_of(folder, SMALL), folder)
+    simulate(write_and_read_campaign(folder, SMALL), folder)
     return folder
 
 
@@ -33,7 +33,7 @@ def folder(records, tmp_path):
 def test_folder_name_is_not_a_glob_pattern(records, tmp_path):
     # A second folder, which the pattern would match, has other records.
     folder = shutil.copytree(records, tmp_path / "camp[1]")
-    other = campaign_of(tmp_path / "camp1", changed(SMALL, ("2.7e-5", "9e-5")))
+    other = write_and_read_campaign(tmp_path / "camp1", replace_parts(SMALL, ("2.7e-5", "9e-5")))
     simulate(other, tmp_path / "camp1")
     result = calibrate(folder)
     assert result.accelerometers["Qx"].coefficients["K_II"].value == pytest.approx(2.7e-5, abs=1e-6)
@@ -66,18 +66,22 @@ def test_rejects_record_that_changes_during_calibration(folder, monkeypatch, cha
 
 
 def test_checksum_of_description_is_of_text_read(folder):
-    campaign = campaign_of(folder, SMALL)
+    campaign = write_and_read_campaign(folder, SMALL)
     before = checksum(campaign.path)
-    write(folder, SMALL + "\n# an afterthought\n")
+    write_description(folder, SMALL + "\n# an afterthought\n")
     assert calibrate(campaign).provenance.inputs["campaign.toml"] == before
 
 
 def test_record_shorter_than_stated_is_finding(folder):
-    stated = changed(SMALL, ('record = "slow.csv"', 'record = "slow.csv"\nduration = "80 s"'))
-    assert "short-record" not in {f.code for f in calibrate(campaign_of(folder, stated)).findings}
-    short = changed(SMALL, ('record = "slow.csv"', 'record = "slow.csv"\nduration = "160 s"'))
+    stated = replace_parts(SMALL, ('record = "slow.csv"', 'record = "slow.csv"\nduration = "80 s"'))
+    assert "short-record" not in {
+        f.code for f in calibrate(write_and_read_campaign(folder, stated)).findings
+    }
+    short = replace_parts(SMALL, ('record = "slow.csv"', 'record = "slow.csv"\nduration = "160 s"'))
     (finding,) = (
-        f for f in calibrate(campaign_of(folder, short)).findings if f.code == "short-record"
+        f
+        for f in calibrate(write_and_read_campaign(folder, short)).findings
+        if f.code == "short-record"
     )
     assert finding.subject == "slow"
     assert "the record lasts 80 s instead of the 160 s stated in the campaign" in finding.text

@@ -4,7 +4,7 @@ import json
 import re
 
 import pytest
-from campaigns import SMALL, changed, write
+from campaigns import SMALL, replace_parts, write_description
 
 from counterspin import cli
 from counterspin.calibration.batch import BatchResult
@@ -24,7 +24,7 @@ K_II = "abs <= 50 ug/g^2"
 @pytest.fixture(scope="module")
 def sound_records(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sound")
-    simulate(write(folder, SPECIFIED, "plan.toml"), folder / "records")
+    simulate(write_description(folder, SPECIFIED, "plan.toml"), folder / "records")
     return folder / "records"
 
 
@@ -32,8 +32,8 @@ def change_radius(sound_records, folder, *more):
     """Return the records with a description that states another radius."""
     for record in sound_records.glob("*.csv"):
         (folder / record.name).write_bytes(record.read_bytes())
-    text = changed(SPECIFIED, ('radius = "2.5 m"', 'radius = "2.6 m"'), *more)
-    return write(folder, text).parent
+    text = replace_parts(SPECIFIED, ('radius = "2.5 m"', 'radius = "2.6 m"'), *more)
+    return write_description(folder, text).parent
 
 
 @pytest.fixture(scope="module")

@@ -19,12 +19,12 @@ from counterspin.campaign.memory import make_campaign
 
 @pytest.fixture(scope="module")
 def records(tmp_path_factory):
-    return frames.arrays(tmp_path_factory.mktemp("records"))
+    return frames.simulate_columns(tmp_path_factory.mktemp("records"))
 
 
 @pytest.fixture(scope="module")
 def memory_campaign(records):
-    return make_campaign(frames.untrue(), records)
+    return make_campaign(frames.parse_description_without_truth(), records)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def test_folder_has_identical_result(found, written_folder):
 
 def test_frames_and_arrays_give_same_result(found, records):
     framed = {name: pl.DataFrame(dict(columns)) for name, columns in records.items()}
-    again = calibrate(make_campaign(frames.untrue(), framed))
+    again = calibrate(make_campaign(frames.parse_description_without_truth(), framed))
     assert again.accelerometers == found.accelerometers
     assert again.provenance == found.provenance
 
@@ -112,7 +112,7 @@ def test_command_in_report_reproduces_result(written_folder, tmp_path, monkeypat
 
 def test_duplicate_record_names_runs(records):
     twice = {**records, "fast": records["slow"]}
-    description = frames.untrue()
+    description = frames.parse_description_without_truth()
     description["runs"][2]["rate"] = description["runs"][0]["rate"]
     with raises("duplicate-record", "fast", "slow"):
         calibrate(make_campaign(description, twice))

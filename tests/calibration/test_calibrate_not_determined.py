@@ -3,20 +3,20 @@
 import json
 
 import pytest
-from campaigns import SMALL, changed, runs, write
+from campaigns import SMALL, format_runs, replace_parts, write_description
 
 import counterspin as cs
 from counterspin import cli
 from counterspin.simulation.simulate import simulate
 
-_THREE = runs("slow", "middle", "fast")
-ONE_RATE = changed(SMALL, (_THREE, _THREE[: _THREE.index("[[runs]]", 2)]))
+_THREE = format_runs("slow", "middle", "fast")
+ONE_RATE = replace_parts(SMALL, (_THREE, _THREE[: _THREE.index("[[runs]]", 2)]))
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("one-rate")
-    simulate(write(place, ONE_RATE, "plan.toml"), place / "records")
+    simulate(write_description(place, ONE_RATE, "plan.toml"), place / "records")
     return place / "records"
 
 
@@ -24,7 +24,7 @@ def calibrate_changed(folder, tmp_path, *changes):
     """Return the result of the records with a changed description."""
     for record in folder.glob("*.csv"):
         (tmp_path / record.name).write_bytes(record.read_bytes())
-    return cs.calibrate(write(tmp_path, changed(ONE_RATE, *changes)).parent)
+    return cs.calibrate(write_description(tmp_path, replace_parts(ONE_RATE, *changes)).parent)
 
 
 def test_undetermined_result_is_written_with_exit_status_1(folder, tmp_path, capsys):

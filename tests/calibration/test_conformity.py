@@ -1,7 +1,7 @@
 """Conformity statements of a calibration by both methods."""
 
 import pytest
-from campaigns import SMALL, write
+from campaigns import SMALL, write_description
 from results import accelerometer
 
 from counterspin.calibration.calibrate import calibrate
@@ -32,7 +32,7 @@ K_II = "abs <= 20 ug/g^2"
 @pytest.fixture(scope="module")
 def records(tmp_path_factory):
     folder = tmp_path_factory.mktemp("specified")
-    simulate(write(folder, SPECIFIED, "plan.toml"), folder / "records")
+    simulate(write_description(folder, SPECIFIED, "plan.toml"), folder / "records")
     return folder / "records"
 
 
@@ -77,7 +77,7 @@ def test_as_printed_model_has_no_verdict(records):
 def test_campaign_without_specification_has_no_verdict(records, tmp_path):
     for record in records.glob("*.csv"):
         (tmp_path / record.name).write_bytes(record.read_bytes())
-    plain = calibrate(write(tmp_path, SMALL).parent, method="two-stage")
+    plain = calibrate(write_description(tmp_path, SMALL).parent, method="two-stage")
     assert all(not accelerometer.conformity for accelerometer in plain.accelerometers.values())
     assert list(conformity_blocks(plain)) == []
 

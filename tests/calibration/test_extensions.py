@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from campaigns import SMALL, changed, write
+from campaigns import SMALL, replace_parts, write_description
 
 import counterspin
 from counterspin.simulation.simulate import simulate
@@ -88,10 +88,10 @@ def folders(tmp_path_factory):
     made = []
     for name, change in {"right": None, **CONTRADICTED}.items():
         (root / name).mkdir()
-        simulate(write(root / name, SMALL, "plan.toml"), root / name / "records")
+        simulate(write_description(root / name, SMALL, "plan.toml"), root / name / "records")
         description = root / name / "records" / "campaign.toml"
         if change is not None:
-            description.write_text(changed(description.read_text("utf-8"), change), "utf-8")
+            description.write_text(replace_parts(description.read_text("utf-8"), change), "utf-8")
         made.append(description.parent)
     return made
 

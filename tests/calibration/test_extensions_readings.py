@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from campaigns import write
-from reading_descriptions import ACCELEROMETER, at_rest, place
+from campaigns import write_description
+from reading_descriptions import ACCELEROMETER, format_rest_run, format_site
 
 import counterspin
 from counterspin.calibration.calibrate import calibrate
@@ -30,10 +30,10 @@ OF_RECORDS = (
 
 #: A tumble in steps of 30 deg, in mA: 1.25 mA/g times the cosine of the angle.
 TUMBLE = (
-    place()
+    format_site()
     + ACCELEROMETER
     + "".join(
-        at_rest(
+        format_rest_run(
             f"p{angle}", f"{angle} deg about north", f"{1.25 * math.cos(math.radians(angle))} mA"
         )
         for angle in range(0, 360, 30)
@@ -72,13 +72,13 @@ def run_without(tmp_path_factory):
 
 
 def test_readings_have_same_result_without_triads(tmp_path, run_without):
-    write(tmp_path, TUMBLE)
+    write_description(tmp_path, TUMBLE)
     done = run_without("triads", "-c", CALIBRATE, tmp_path)
     assert done.stdout == calibrate(tmp_path).to_json(), done.stderr
 
 
 def test_missing_readings_package_is_reported(tmp_path, run_without):
-    write(tmp_path, TUMBLE)
+    write_description(tmp_path, TUMBLE)
     done = run_without("readings", "-m", "counterspin", "calibrate", tmp_path)
     assert done.returncode == 2
     assert "this installation does not read readings" in done.stderr

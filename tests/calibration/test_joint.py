@@ -9,7 +9,7 @@ import shutil
 import numpy as np
 import polars as pl
 import pytest
-from campaigns import PLACE, changed, runs
+from campaigns import PLACE, format_runs, replace_parts
 from raising import raises
 from scipy.special import stdtrit
 
@@ -37,7 +37,7 @@ displacement = "0.01 m"
 [model]
 assume = "all"
 terms = ["K_F", "K_I", "K_II", "K_III"]
-{runs("run1", "run2", "run3", rates=("90 deg/s", "180 deg/s", "360 deg/s"))}
+{format_runs("run1", "run2", "run3", rates=("90 deg/s", "180 deg/s", "360 deg/s"))}
 [simulation]
 sampling_rate = "20 Hz"
 seed = 7
@@ -233,7 +233,7 @@ def test_noisier_run_has_separate_noise(tmp_path, capsys):
 
 
 def test_both_components_of_mixed_noise_are_estimated(tmp_path):
-    text = changed(
+    text = replace_parts(
         BASE,
         (
             '[noise]\ndisplacement = "0.01 m"',
@@ -258,7 +258,7 @@ def test_both_components_of_mixed_noise_are_estimated(tmp_path):
 
 
 def test_confounded_terms_have_no_value_and_named_combination(tmp_path):
-    text = changed(
+    text = replace_parts(
         remove_lines(BASE, r"^scale_factor.*\n", r"^bias.*\n"),
         ('"K_III"]', '"K_III", "K_IP", "K_PP"]'),
     )
@@ -280,13 +280,13 @@ def test_confounded_terms_have_no_value_and_named_combination(tmp_path):
 
 
 def test_undetermined_coefficient_keeps_prior(tmp_path):
-    text = changed(BASE, ("1.00197 ± 5e-6 g/g", "1.00197 ± 1e-7 g/g"))
+    text = replace_parts(BASE, ("1.00197 ± 5e-6 g/g", "1.00197 ± 1e-7 g/g"))
     c = calibrate(simulate_folder(tmp_path, text)).accelerometers["Qx"].coefficients["K_I"]
     assert (c.estimated, c.value, c.u) == (False, 1.00197, 1e-7)
 
 
 def test_rotation_is_estimated_without_angle_and_warned(tmp_path):
-    text = changed(
+    text = replace_parts(
         remove_lines(BASE, r"^angle = \{.*\n"),
         ("[truth.spindle]\n", "[truth.spindle]\nrate_error = 1e-4\n"),
         ('ripple = [{ harmonic = 1, ratio = 5e-7, phase = "30 deg" }]\n', ""),
@@ -307,7 +307,9 @@ def test_rotation_is_estimated_without_angle_and_warned(tmp_path):
 
 @pytest.mark.parametrize("sampling", ["20 Hz", "640 Hz"], ids=["points", "blocks"])
 def test_outliers_gaps_and_repeated_rows_are_counted_and_harmless(tmp_path, sampling):
-    text = changed(BASE, ('"20 Hz"', f'"{sampling}"'), ("revolutions = 20", "revolutions = 12"))
+    text = replace_parts(
+        BASE, ('"20 Hz"', f'"{sampling}"'), ("revolutions = 20", "revolutions = 12")
+    )
     folder = simulate_folder(tmp_path, text)
     rng = np.random.default_rng(3)
     planted, gaps = {}, {}
@@ -340,7 +342,7 @@ def test_outliers_gaps_and_repeated_rows_are_counted_and_harmless(tmp_path, samp
 
 # Uncertain inputs ---------------------------------------------------------------------------------
 
-UNCERTAIN = changed(
+UNCERTAIN = replace_parts(
     BASE,
     ('radius = "2.5 m"', 'radius = "2.5 ± 1e-4 m"'),
     ('gravity = "9.8066 m/s^2"', 'gravity = "9.8066 ± 1e-3 m/s^2"'),
@@ -368,7 +370,7 @@ def test_budget_line_matches_change_of_estimate(
     uncertain_inputs, tmp_path, source, line, other, step
 ):
     folder, base = uncertain_inputs
-    text = changed((folder / "campaign.toml").read_text(encoding="utf-8"), (line, other))
+    text = replace_parts((folder / "campaign.toml").read_text(encoding="utf-8"), (line, other))
     for record in folder.glob("*.csv"):
         (tmp_path / record.name).symlink_to(record)
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
@@ -397,14 +399,14 @@ def test_budget_line_matches_change_of_estimate(
 def test_run_with_separate_error_is_named(tmp_path):
     # Without a prior of the bias two runs fit any model; four do not.
     fourth = '[[runs]]\nname = "run4"\nrate = "270 deg/s"\nrecord = "run4.csv"\n'
-    text = changed(BASE, ("[simulation]\n", fourth + "[simulation]\n"))
+    text = replace_parts(BASE, ("[simulation]\n", fourth + "[simulation]\n"))
     sound = calibrate(simulate_folder(tmp_path / "sound", text))
     for name in ("Qx", "Qy"):
         assert all(abs(x.z) < 3.5 for x in sound.accelerometers[name].jackknife)
         assert not any("disagrees" in w for w in sound.accelerometers[name].warnings)
     tilted = 'record = "run3.csv"\ntruth = { tilt.north = "6 arcsec" }'
     ill = calibrate(
-        simulate_folder(tmp_path / "ill", changed(text, ('record = "run3.csv"', tilted)))
+        simulate_folder(tmp_path / "ill", replace_parts(text, ('record = "run3.csv"', tilted)))
     )
     z = {x.run: abs(x.z) for x in ill.accelerometers["Qx"].jackknife}
     assert max(z, key=z.get) == "run3"
@@ -420,7 +422,7 @@ def test_runs_that_differ_by_held_terms_are_consistent(tmp_path):
     text = re.sub(
         r'(record = "run\d.csv")',
         lambda m: f'{m[1]}\ntruth = {{ tilt.north = "{next(tilts)} arcsec" }}',
-        changed(
+        replace_parts(
             BASE,
             (
                 '"K_III"]',
@@ -444,7 +446,7 @@ def test_runs_that_differ_by_held_terms_are_consistent(tmp_path):
 def test_two_stage_result_agrees_within_uncertainty_of_difference(tmp_path):
     z = []
     for seed in range(12):
-        text = changed(BASE, ("seed = 7", f"seed = {seed}"), ("0.01 m", "0.003 m"))
+        text = replace_parts(BASE, ("seed = 7", f"seed = {seed}"), ("0.01 m", "0.003 m"))
         calibration = calibrate(simulate_folder(tmp_path / str(seed), text))
         for name in ("Qx", "Qy"):
             comparison = calibration.accelerometers[name].two_stage
@@ -457,7 +459,7 @@ def test_two_stage_result_agrees_within_uncertainty_of_difference(tmp_path):
 
 def test_two_stage_comparison_is_independent_of_other_accelerometers(tmp_path):
     """Held terms shift both methods and hardly their difference."""
-    text = changed(
+    text = replace_parts(
         BASE,
         (
             'terms = ["K_F", "K_I", "K_II", "K_III"]',
@@ -491,7 +493,7 @@ def test_two_stage_comparison_is_independent_of_other_accelerometers(tmp_path):
     ],
 )
 def test_truth_is_recovered_from_other_observables(tmp_path, key, unit, noise):
-    text = changed(
+    text = replace_parts(
         BASE,
         (
             'displacement = { column = "east_m", unit = "m" }',
@@ -547,7 +549,7 @@ def test_truth_is_recovered_from_other_observables(tmp_path, key, unit, noise):
 def test_machine_errors_are_estimated_without_bias_of_coefficients(
     tmp_path, table, terms, expected
 ):
-    text = changed(
+    text = replace_parts(
         BASE,
         (
             'displacement = { column = "east_m", unit = "m" }',
@@ -583,7 +585,7 @@ def add_conditions(*changes):
         (f'record = "{name}.csv"\n', f'record = "{name}.csv"\n{lines}')
         for name, lines in CONDITIONS.items()
     ]
-    return changed(BASE, *stated, *changes)
+    return replace_parts(BASE, *stated, *changes)
 
 
 @pytest.mark.slow
@@ -614,7 +616,7 @@ def test_slopes_are_estimated_without_bias_of_coefficients(tmp_path, symbol, siz
     # The slope is in the table of its accelerometer only.
     assert calibration.accelerometers["Qx"].correlation.terms.count(symbol) == 1
     # If neither requested nor stated, it is in u with its typical size.
-    unstated = changed(
+    unstated = replace_parts(
         text,
         (f', "{symbol}"', ""),
         ('assume = "all"\n', f'typical = {{ {symbol} = "{abs(size)!r} {unit}" }}\n'),
@@ -625,7 +627,7 @@ def test_slopes_are_estimated_without_bias_of_coefficients(tmp_path, symbol, siz
 
 
 def test_both_methods_hold_heating(tmp_path):
-    considered = changed(
+    considered = replace_parts(
         BASE,
         (
             '"K_III"]\n',
@@ -650,7 +652,7 @@ def test_both_methods_hold_heating(tmp_path):
 
 
 def test_bias_walk_is_weighted_and_reported(tmp_path, capsys):
-    text = changed(
+    text = replace_parts(
         BASE,
         ("[noise]\n", '[noise]\nflicker = "20 ug"\nbias_walk = "60 ug/h^0.5"\n'),
         ("[truth.noise]\n", '[truth.noise]\nflicker = "20 ug"\nbias_walk = "60 ug/h^0.5"\n'),
@@ -660,7 +662,7 @@ def test_bias_walk_is_weighted_and_reported(tmp_path, capsys):
     assert_true(calibration)
     steady = calibrate(
         simulate_folder(
-            tmp_path / "steady", changed(text, ('flicker = "20 ug"\nbias_walk', "bias_walk"))
+            tmp_path / "steady", replace_parts(text, ('flicker = "20 ug"\nbias_walk', "bias_walk"))
         )
     )
     for name, accelerometer in calibration.accelerometers.items():
@@ -680,7 +682,7 @@ def test_bias_walk_is_weighted_and_reported(tmp_path, capsys):
 
 def test_removed_gravity_is_separate_input(tmp_path):
     """The computer removes 9.8066 m/s^2; the campaign states 9.8066 ± 1e-4."""
-    upright = changed(
+    upright = replace_parts(
         BASE,
         ('"north"\npendulous_axis = "down"', '"up"\npendulous_axis = "east"'),
         ('"9.8066 m/s^2"', '"9.80678 m/s^2"\nremoved_gravity = "9.8066 m/s^2"'),
@@ -693,9 +695,9 @@ def test_removed_gravity_is_separate_input(tmp_path):
     folder = simulate_folder(tmp_path, upright)
     found = {}
     for removed in (True, False):
-        text = changed(upright, ("9.80678 m/s^2", "9.8066 ± 1e-4 m/s^2"))
+        text = replace_parts(upright, ("9.80678 m/s^2", "9.8066 ± 1e-4 m/s^2"))
         if not removed:
-            text = changed(text, ('removed_gravity = "9.8066 m/s^2"\n', ""))
+            text = replace_parts(text, ('removed_gravity = "9.8066 m/s^2"\n', ""))
         (folder / "campaign.toml").write_text(text, encoding="utf-8")
         found[removed] = calibrate(folder)
     upright_of = {r: one.accelerometers["Qy"].coefficients for r, one in found.items()}
@@ -711,7 +713,7 @@ def test_removed_gravity_is_separate_input(tmp_path):
 
 def test_ripple_hidden_by_encoder_noise_is_in_budget(tmp_path):
     """With the estimated rotation as exact, the error of K_II would exceed 15 u."""
-    text = changed(
+    text = replace_parts(
         BASE,
         (
             'displacement = { column = "east_m", unit = "m" }',
@@ -755,7 +757,7 @@ def test_three_attitudes_separate_quadratic_terms(tmp_path):
     text = re.sub(r"\[\[runs\]\](.|\n)*?(?=\[simulation\])", "", BASE)
     text = re.sub(r"\[accelerometers\.Qy\](.|\n)*?(?=\[noise\])", "", text)
     text = re.sub(r"\[truth\.Qy\](.|\n)*?(?=\[truth\.spindle\])", "", text)
-    text = changed(
+    text = replace_parts(
         text,
         ("[simulation]\n", runs + "[simulation]\n"),
         (

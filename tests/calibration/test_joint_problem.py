@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from campaigns import PLACE, SMALL, changed, runs, write
+from campaigns import PLACE, SMALL, format_runs, replace_parts, write_description
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.joint_problem import JointProblem, make_noise, make_series
@@ -67,7 +67,7 @@ def test_timing_noise_is_rms_slope_times_stamp_noise(observable, mounting):
 
 def test_credible_sizes_follow_grade_of_accelerometer(tmp_path):
     of_qy = ('input_axis = "north"', 'input_axis = "north"\ngrade = "consumer"')
-    campaign = read_campaign(write(tmp_path, changed(SMALL, of_qy)))
+    campaign = read_campaign(write_description(tmp_path, replace_parts(SMALL, of_qy)))
     model = make_unknowns(campaign)
     for name, grade in (("Qx", "navigation"), ("Qy", "consumer")):
         asked = [u for u in model.unknowns if u.owner == name]
@@ -95,7 +95,9 @@ def test_force_in_g_or_current_depends_on_assumed_gravity(tmp_path, column, in_g
     """Regression test: a current was treated as m/s^2, so u(g) was missing in u(K_I)."""
     old = 'displacement = { column = "east_m", unit = "m" }'
     output = 'output = { unit = "mA", sensitivity = "1.25 mA/g" }\n' if "uA" in column else ""
-    campaign = read_campaign(write(tmp_path, changed(SMALL, (old, output + column))))
+    campaign = read_campaign(
+        write_description(tmp_path, replace_parts(SMALL, (old, output + column)))
+    )
     assert campaign.accelerometers["Qx"].channel.in_g is in_g
 
 
@@ -143,7 +145,7 @@ specific_force = "1e-4 m/s^2"
 [model]
 assume = {ASSUMED}
 terms = {ASKED}
-{runs("slow", "middle", "fast")}
+{format_runs("slow", "middle", "fast")}
 [simulation]
 sampling_rate = "20 Hz"
 seed = 1
@@ -161,17 +163,17 @@ CLOCK = ("[records]\n", '[records]\nclock = "{} ± 1e-7"\n')
 
 
 def set_clock(size):
-    return changed(FORCE, (CLOCK[0], CLOCK[1].format(size)))
+    return replace_parts(FORCE, (CLOCK[0], CLOCK[1].format(size)))
 
 
 def set_recorder(text, more=""):
     own = f'name = "fast"\nrecords = {{ recorder = "B"{more} }}'
-    return changed(text, ('name = "fast"', own))
+    return replace_parts(text, ('name = "fast"', own))
 
 
 def record_with_clocks(folder, **clocks):
     """Simulate the campaign with an exact clock and return records with other clocks."""
-    simulate(write(folder, FORCE, "plan.toml"), folder, overwrite=True)
+    simulate(write_description(folder, FORCE, "plan.toml"), folder, overwrite=True)
     for name, fast in clocks.items():
         path = folder / f"{name}.csv"
         head = path.read_text(encoding="utf-8").splitlines()[0]
@@ -181,7 +183,7 @@ def record_with_clocks(folder, **clocks):
 
 
 def calibrate_description(folder, text):
-    write(folder, text)
+    write_description(folder, text)
     result = calibrate(folder)
     return result, result.accelerometers["Qx"].coefficients
 
@@ -209,9 +211,11 @@ def test_stated_clock_error_is_corrected(tmp_path):
 )
 def test_clock_error_acts_for_all_time_formats(tmp_path, time):
     """Row numbers also follow a clock, whose unit may be in the file."""
-    text = changed(FORCE, ('column = "time_s", unit = "s"', time))
+    text = replace_parts(FORCE, ('column = "time_s", unit = "s"', time))
     right, fast = (
-        read_campaign(write(tmp_path, text.replace(CLOCK[0], CLOCK[1].format(size)))).time
+        read_campaign(
+            write_description(tmp_path, text.replace(CLOCK[0], CLOCK[1].format(size)))
+        ).time
         for size in ("0", "1e-3")
     )
     file = SimpleNamespace(path="f", units={"time_s": "ms"}, units_row=True)

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import polars as pl
 import pytest
-from campaigns import SMALL, WITHOUT_QY, changed, runs_of, write
+from campaigns import SMALL, WITHOUT_QY, find_runs, replace_parts, write_description
 from raising import raises
-from recorded_campaigns import WHITE, at_rest, record
+from recorded_campaigns import WHITE, at_rest, simulate_measured_campaign
 from scipy.stats import f as fisher
 
 import counterspin as cs
@@ -29,7 +29,7 @@ FROM = '[noise]\nfrom = "rest.csv"'
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     made = tmp_path_factory.mktemp("rest")
-    return at_rest(record(made, tmp_path_factory.mktemp("plan"), SMALL))
+    return at_rest(simulate_measured_campaign(made, tmp_path_factory.mktemp("plan"), SMALL))
 
 
 def block_texts(result):
@@ -149,7 +149,7 @@ def test_forecast_uses_record_at_rest(folder, both_results):
     _, _, noise = both_results
     of_rest = describe_noise(folder, **{"from": "rest.csv", "acceleration": "0 g/Hz^0.5"})
     by_hand = describe_noise(folder, displacement=f"{noise.white!r} m")
-    runs = [run | {"revolutions": 20} for run in runs_of(of_rest, "slow", "middle", "fast")]
+    runs = [run | {"revolutions": 20} for run in find_runs(of_rest, "slow", "middle", "fast")]
     one, other = (
         forecast(c.change({"runs": runs}), sampling_rate=20.0) for c in (of_rest, by_hand)
     )
@@ -163,7 +163,7 @@ def test_velocity_and_force_records_determine_accelerometer_noise(
     observable, unit, order, tmp_path
 ):
     """N is the root of a density: the standard deviation of a force over sqrt(rate)."""
-    text = changed(SMALL, (STATED, FROM)).replace(
+    text = replace_parts(SMALL, (STATED, FROM)).replace(
         'displacement = { column = "east_m", unit = "m" }',
         f'{observable} = {{ column = "east", unit = "{unit}" }}',
     )
@@ -176,7 +176,7 @@ def test_velocity_and_force_records_determine_accelerometer_noise(
         values = np.cumsum(force) / 20.0 + 1e-4 * rng.standard_normal(force.size)
     frame = pl.DataFrame({"time_s": np.arange(force.size) / 20.0, "east": values})
     frame.write_csv(tmp_path / "rest.csv")
-    (noise,) = make_noise(read_campaign(write(tmp_path, text))).values()
+    (noise,) = make_noise(read_campaign(write_description(tmp_path, text))).values()
     assert noise.random_walk == pytest.approx(1e-3, rel=0.03)
     assert noise.covariance[1][1] == pytest.approx(2 * 1e-12 / 20_000, rel=0.3)
     assert order or noise.white == 0.0

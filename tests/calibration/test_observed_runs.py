@@ -6,7 +6,7 @@ import re
 import numpy as np
 import polars as pl
 import pytest
-from campaigns import PLACE, SMALL, campaign_of, changed, runs
+from campaigns import PLACE, SMALL, format_runs, replace_parts, write_and_read_campaign
 from raising import raises
 
 from counterspin.calibration.calibrate import calibrate
@@ -28,7 +28,7 @@ def describe(observable):
         )
         for axis in ("east", "north")
     ]
-    return changed(SMALL, *pairs, ('displacement = "0.01 m"', f'{observable} = "{noise}"'))
+    return replace_parts(SMALL, *pairs, ('displacement = "0.01 m"', f'{observable} = "{noise}"'))
 
 
 @pytest.fixture(scope="module", params=OBSERVED)
@@ -36,18 +36,18 @@ def recorded_run(request, tmp_path_factory):
     """Return the folder, the description and an original record of the campaign."""
     folder = tmp_path_factory.mktemp(request.param)
     text = describe(request.param)
-    simulate(campaign_of(folder, text), folder)
+    simulate(write_and_read_campaign(folder, text), folder)
     return folder, text, pl.read_csv(folder / "slow.csv")
 
 
 def test_record_of_described_motion_is_read(recorded_run):
     folder, text, _ = recorded_run
-    assert len(list(observe(campaign_of(folder, text)))) == 3
+    assert len(list(observe(write_and_read_campaign(folder, text)))) == 3
 
 
 def test_block_means_preserve_ripple(tmp_path):
     """The error of a perfect instrument is zero, also with rate ripple."""
-    perfect = changed(
+    perfect = replace_parts(
         describe("specific_force"),
         ('sampling_rate = "20 Hz"', 'sampling_rate = "250 Hz"'),
         ("revolutions = 20", "revolutions = 4"),
@@ -56,7 +56,7 @@ def test_block_means_preserve_ripple(tmp_path):
     )
     head, truth = perfect.split("[truth.Qx]")
     truth = "[truth.spindle]" + truth.split("[truth.spindle]")[1].replace("1e-4 g", "0 g")
-    campaign = campaign_of(tmp_path, f"{head}[truth.Qx]\n[truth.Qy]\n{truth}")
+    campaign = write_and_read_campaign(tmp_path, f"{head}[truth.Qx]\n[truth.Qy]\n{truth}")
     simulate(campaign, tmp_path)
     slow = next(iter(observe(campaign)))
     assert slow.record.count[10] > 10
@@ -86,7 +86,7 @@ def test_rejects_record_of_other_motion(recorded_run, tmp_path, change, words):
         (tmp_path / file.name).write_bytes(file.read_bytes())
     record.with_columns(change).write_csv(tmp_path / "slow.csv")
     with pytest.raises(RecordError, match=re.escape(words)) as caught:
-        list(observe(campaign_of(tmp_path, text)))
+        list(observe(write_and_read_campaign(tmp_path, text)))
     assert "slow.csv" in str(caught.value)
 
 
@@ -94,13 +94,17 @@ def test_rejects_record_of_other_motion(recorded_run, tmp_path, change, words):
 def test_rejects_wrong_radius(recorded_run, radius):
     folder, text, _ = recorded_run
     with pytest.raises(RecordError, match="the radius"):
-        list(observe(campaign_of(folder, changed(text, ('"2.5 m"', f'"{radius}"')))))
+        list(
+            observe(
+                write_and_read_campaign(folder, replace_parts(text, ('"2.5 m"', f'"{radius}"')))
+            )
+        )
 
 
 @pytest.fixture(scope="module")
 def plain_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plain")
-    simulate(campaign_of(folder, SMALL), folder)
+    simulate(write_and_read_campaign(folder, SMALL), folder)
     return folder
 
 
@@ -114,7 +118,11 @@ def test_rejects_duplicate_record(plain_folder, tmp_path, name):
     record.write_parquet(tmp_path / "copy.parquet")
     again = f'[[runs]]\nname = "again"\nrate = "0.25 rev/s"\nrecord = "{name}"\n\n[simulation]'
     with raises("duplicate-record", "slow.csv"):
-        list(observe(campaign_of(tmp_path, changed(SMALL, ("[simulation]", again)))))
+        list(
+            observe(
+                write_and_read_campaign(tmp_path, replace_parts(SMALL, ("[simulation]", again)))
+            )
+        )
 
 
 TRUTH = {
@@ -148,7 +156,7 @@ terms = ["K_F", "K_I", "K_II"]
 [model.priors]
 "Qz.K_I" = "1.0007 ± 1e-7 g/g"
 "Qz.K_II" = "0 ± 1e-9 g/g^2"
-{runs("run1", "run2", "run3", rates=("90 deg/s", "180 deg/s", "360 deg/s"))}
+{format_runs("run1", "run2", "run3", rates=("90 deg/s", "180 deg/s", "360 deg/s"))}
 [simulation]
 sampling_rate = "20 Hz"
 seed = 7
@@ -167,7 +175,7 @@ def own_velocity(request, tmp_path_factory):
     """Return the description and the folder of its records."""
     folder = tmp_path_factory.mktemp(request.param[0])
     text = describe_three_axes(*request.param)
-    simulate(campaign_of(folder, text), folder)
+    simulate(write_and_read_campaign(folder, text), folder)
     return folder, text
 
 
@@ -184,7 +192,7 @@ def biased_coefficients(result):
 
 def test_correction_by_own_velocity_is_reversed(own_velocity):
     folder, text = own_velocity
-    result = calibrate(campaign_of(folder, text))
+    result = calibrate(write_and_read_campaign(folder, text))
     assert biased_coefficients(result) == set()
     assert result.accelerometers["Qx"].coefficients["K_F"].u < 1e-7
     assert "own-velocity" not in {f.code for f in result.findings}
@@ -198,9 +206,9 @@ def test_uncertainty_of_latitude_propagates_through_own_velocity(own_velocity):
     latitudes = ("45.75 ± 0.05 deg", "45.8 ± 0.05 deg")
     here, there = (
         calibrate(
-            campaign_of(
+            write_and_read_campaign(
                 folder,
-                changed(
+                replace_parts(
                     text,
                     ('"45.75 deg"', f'"{latitude}"'),
                     # With a prior it would be estimated from the records.
@@ -221,7 +229,7 @@ def test_uncertainty_of_latitude_propagates_through_own_velocity(own_velocity):
 
 def test_unstated_own_velocity_is_named(own_velocity):
     folder, text = own_velocity
-    result = calibrate(campaign_of(folder, changed(text, (REFERENCE, ""))))
+    result = calibrate(write_and_read_campaign(folder, replace_parts(text, (REFERENCE, ""))))
     assert {"Qx.K_F", "Qx.K_II", "Qy.K_F", "Qz.K_F"} <= biased_coefficients(result)
     (finding,) = (f for f in result.findings if f.code == "own-velocity")
     assert result.findings[0] == finding
@@ -233,12 +241,16 @@ def test_unstated_own_velocity_is_named(own_velocity):
 
 def test_wrongly_stated_own_velocity_is_named(own_velocity, tmp_path):
     _, text = own_velocity
-    simulate(campaign_of(tmp_path / "given", changed(text, (REFERENCE, ""))), tmp_path)
-    result = calibrate(campaign_of(tmp_path, text))
+    simulate(
+        write_and_read_campaign(tmp_path / "given", replace_parts(text, (REFERENCE, ""))), tmp_path
+    )
+    result = calibrate(write_and_read_campaign(tmp_path, text))
     (finding,) = (f for f in result.findings if f.code == "own-velocity")
     assert 'enter reference = "platform"' in finding.text
     assert (
-        biased_coefficients(calibrate(campaign_of(tmp_path, changed(text, (REFERENCE, "")))))
+        biased_coefficients(
+            calibrate(write_and_read_campaign(tmp_path, replace_parts(text, (REFERENCE, ""))))
+        )
         == set()
     )
 
@@ -246,9 +258,9 @@ def test_wrongly_stated_own_velocity_is_named(own_velocity, tmp_path):
 def test_remaining_gravity_acts_through_own_velocity(tmp_path):
     """A remaining 3e-4 m/s^2 upwards gives 2 Omega cos L 3e-4 t^3/6 towards east."""
     site = ('"9.8066 m/s^2"', '"9.8066 m/s^2"\nremoved_gravity = "9.8063 m/s^2"')
-    text = changed(describe_three_axes("displacement", "m", "1e-5 m"), site)
-    simulate(campaign_of(tmp_path, text), tmp_path)
-    result = calibrate(campaign_of(tmp_path, text))
+    text = replace_parts(describe_three_axes("displacement", "m", "1e-5 m"), site)
+    simulate(write_and_read_campaign(tmp_path, text), tmp_path)
+    result = calibrate(write_and_read_campaign(tmp_path, text))
     assert biased_coefficients(result) == set()
     assert not {"own-velocity", "lack-of-fit"} & {f.code for f in result.findings}
 
@@ -264,7 +276,7 @@ def detrend_records(folder, text, count, tmp_path, files=("slow", "middle", "fas
             x = x - powers @ np.linalg.lstsq(powers, x, rcond=None)[0]
         record = record.with_columns(pl.Series(column, x.round(9)))
         record.write_csv(tmp_path / f"{name}.csv")
-    return campaign_of(tmp_path, text)
+    return write_and_read_campaign(tmp_path, text)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3])
@@ -284,7 +296,7 @@ def test_rejects_detrended_record_if_relevant(recorded_run, tmp_path, count):
 @pytest.fixture(scope="module")
 def displacement_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("displacement")
-    simulate(campaign_of(folder, SMALL), folder)
+    simulate(write_and_read_campaign(folder, SMALL), folder)
     return folder
 
 
@@ -294,7 +306,8 @@ def test_only_parabola_removed_from_displacement_is_an_error(displacement_folder
     if count < 3:
         result = calibrate(campaign)
         codes = [
-            finding.code for finding in calibrate(campaign_of(displacement_folder, SMALL)).findings
+            finding.code
+            for finding in calibrate(write_and_read_campaign(displacement_folder, SMALL)).findings
         ]
         assert [finding.code for finding in result.findings] == codes
         word = ("mean", "line")[count - 1]
@@ -315,9 +328,9 @@ def test_rejects_single_record_without_parabola(displacement_folder, tmp_path):
 def test_good_campaign_has_no_detrending_finding(displacement_folder):
     parts = {
         run.run.name: run.record.polynomials
-        for run in observe(campaign_of(displacement_folder, SMALL))
+        for run in observe(write_and_read_campaign(displacement_folder, SMALL))
     }
     # Rounding gives less than 0.02; noise gives about 1, and a bias of 5 mg 1e5.
     assert min(abs(part[0]) for own in parts.values() for part in own.values()) > 1e3
-    warnings = calibrate(campaign_of(displacement_folder, SMALL)).warnings
+    warnings = calibrate(write_and_read_campaign(displacement_folder, SMALL)).warnings
     assert not any("removed" in text for text in warnings)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import polars as pl
 import pytest
-from campaigns import campaign_of
+from campaigns import write_and_read_campaign
 from raising import raises
 
 from counterspin.calibration.calibrate import calibrate
@@ -142,7 +142,7 @@ rate = "6.2 rad/s"
 record = "fast.csv"
 temperature = ["24 degC", "22 degC"]
 """
-    campaign = simulate(campaign_of(tmp_path, text))
+    campaign = simulate(write_and_read_campaign(tmp_path, text))
     # The column of the record is used, with or without stated temperatures.
     result = calibrate(campaign)
     alone = campaign.change(

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from campaigns import SMALL, campaign_of, changed
+from campaigns import SMALL, replace_parts, write_and_read_campaign
 
 from counterspin.calibration.joint import fit_jointly
 from counterspin.calibration.joint_problem import JointProblem
@@ -15,8 +15,8 @@ from counterspin.simulation.simulate import simulate
 
 
 def test_rejected_blocks_are_counted_in_samples(tmp_path):
-    dense = changed(SMALL, ('sampling_rate = "20 Hz"', 'sampling_rate = "200 Hz"'))
-    campaign = campaign_of(tmp_path, dense)
+    dense = replace_parts(SMALL, ('sampling_rate = "20 Hz"', 'sampling_rate = "200 Hz"'))
+    campaign = write_and_read_campaign(tmp_path, dense)
     simulate(campaign, tmp_path)
     slow, *others = observe(campaign)
     place = 500

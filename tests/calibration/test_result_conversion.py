@@ -7,7 +7,7 @@ import matplotlib as mpl
 import numpy as np
 import polars as pl
 import pytest
-from campaigns import SMALL, changed, write
+from campaigns import SMALL, replace_parts, write_description
 from raising import raises
 from results import result as made_by_hand
 
@@ -20,7 +20,7 @@ from counterspin.simulation.simulate import simulate
 
 mpl.use("Agg")
 
-TILTING = changed(
+TILTING = replace_parts(
     SMALL,
     (
         '[model]\nassume = "all"\n',
@@ -36,7 +36,7 @@ TILTING = changed(
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     where = tmp_path_factory.mktemp("notebook")
-    simulate(write(where, TILTING, "plan.toml"), where / "records")
+    simulate(write_description(where, TILTING, "plan.toml"), where / "records")
     return where / "records"
 
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from campaigns import SMALL, campaign_of, changed, without
+from campaigns import SMALL, remove_table, replace_parts, write_and_read_campaign
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.conditions import reference_point, run_conditions, temperature_directions
@@ -13,7 +13,7 @@ from counterspin.errors import CampaignError
 from counterspin.physics.conditions import RunConditions
 
 #: A campaign to which tests add a model.
-BARE = without(SMALL, "model")
+BARE = remove_table(SMALL, "model")
 
 STATED = {
     "slow": ("21 degC", "90 s"),
@@ -26,7 +26,7 @@ def add_conditions(text, keys=("temperature", "time"), runs=STATED):
     for name in runs:
         lines = dict(zip(("temperature", "time"), STATED[name], strict=True))
         added = "".join(f'{key} = "{lines[key]}"\n' for key in keys)
-        text = changed(text, (f'record = "{name}.csv"\n', f'record = "{name}.csv"\n{added}'))
+        text = replace_parts(text, (f'record = "{name}.csv"\n', f'record = "{name}.csv"\n{added}'))
     return text
 
 
@@ -39,29 +39,29 @@ def model_table(terms="", hold="", priors=""):
 
 def list_problems(folder, text):
     with pytest.raises(CampaignError) as caught:
-        campaign_of(folder, text)
+        write_and_read_campaign(folder, text)
     return list(caught.value.problems)
 
 
 def test_conditions_are_relative_to_first_run_and_reference(tmp_path):
-    campaign = campaign_of(tmp_path, add_conditions(SMALL))
+    campaign = write_and_read_campaign(tmp_path, add_conditions(SMALL))
     found = run_conditions(campaign)
     assert found["slow"].start == 120.0
     assert found["middle"].start == 720.0
     assert found["fast"].start == 0.0
     # Without a stated reference, the mean of the recorded temperatures is used.
     assert [found[name].temperature_offset for name in STATED] == pytest.approx([-1.0, 1.0, 0.0])
-    text = changed(
+    text = replace_parts(
         add_conditions(SMALL),
         ('radius = "2.5 m"', 'radius = "2.5 m"\nreference_temperature = "20 degC"'),
     )
-    campaign = campaign_of(tmp_path, text)
+    campaign = write_and_read_campaign(tmp_path, text)
     assert reference_point(campaign).temperature == pytest.approx(293.15)
     assert run_conditions(campaign)["slow"].temperature_offset == pytest.approx(1.0)
 
 
 def test_runs_without_time_are_consecutive(tmp_path):
-    campaign = campaign_of(tmp_path, SMALL)
+    campaign = write_and_read_campaign(tmp_path, SMALL)
     lengths = {"slow": 81.0, "middle": 41.0}
     starts = [c.start for c in run_conditions(campaign, lengths).values()]
     assert starts == [0.0, 81.0, 122.0]
@@ -70,11 +70,14 @@ def test_runs_without_time_are_consecutive(tmp_path):
 
 
 def test_default_temperature_rises_by_1_k_over_runs(tmp_path):
-    warmths = [c.temperature_offset for c in run_conditions(campaign_of(tmp_path, SMALL)).values()]
+    warmths = [
+        c.temperature_offset
+        for c in run_conditions(write_and_read_campaign(tmp_path, SMALL)).values()
+    ]
     assert warmths == [-0.5, 0.0, 0.5]
     before, _, after = SMALL.partition("[[runs]]")
     one = f"{before}[[runs]]{after.partition('[[runs]]')[0]}{after[after.index('[simulation]') :]}"
-    alone = campaign_of(tmp_path / "one", one)
+    alone = write_and_read_campaign(tmp_path / "one", one)
     assert list(run_conditions(alone).values()) == [RunConditions(0.0, 0.0)]
 
 
@@ -108,7 +111,7 @@ def test_slope_at_single_temperature_requires_reference(tmp_path):
 
 @pytest.mark.parametrize("stated", ["23 C", "warm", "", "23 °C ± 1 °C"])
 def test_rejects_reference_that_is_not_a_temperature(stated, tmp_path):
-    text = changed(SMALL, ('"2.5 m"', f'"2.5 m"\nreference_temperature = "{stated}"'))
+    text = replace_parts(SMALL, ('"2.5 m"', f'"2.5 m"\nreference_temperature = "{stated}"'))
     (problem,) = list_problems(tmp_path, text)
     assert problem.startswith("centrifuge.reference_temperature: ")
     if stated:
@@ -120,7 +123,7 @@ def test_heating_cannot_be_estimated(tmp_path):
     assert '"K_F.heating" cannot be separated from K_II' in problem
     known = '"K_F.heating" = "0 ± 0.1 ug/g^2"'
     for hold in ("", '"K_F.heating"'):
-        campaign = campaign_of(tmp_path, BARE + model_table(hold=hold, priors=known))
+        campaign = write_and_read_campaign(tmp_path, BARE + model_table(hold=hold, priors=known))
         for accelerometer in campaign.accelerometers.values():
             assert accelerometer.priors["K_F.heating"].u == pytest.approx(1e-7)
     (problem,) = list_problems(tmp_path, BARE + model_table(hold='"K_F.heating"'))
@@ -130,7 +133,7 @@ def test_heating_cannot_be_estimated(tmp_path):
 def test_slope_prior_of_single_accelerometer(tmp_path):
     priors = '"K_F.trend" = "0 ± 1e-9 g/s"\n"Qy.K_F.trend" = "1e-9 ± 2e-9 g/s"'
     text = add_conditions(BARE) + model_table(', "K_F.trend"', priors=priors)
-    campaign = campaign_of(tmp_path, text)
+    campaign = write_and_read_campaign(tmp_path, text)
     known = {name: a.priors["K_F.trend"] for name, a in campaign.accelerometers.items()}
     assert (known["Qx"].value, known["Qx"].u) == (0.0, 1e-9)
     assert (known["Qy"].value, known["Qy"].u) == (1e-9, 2e-9)
@@ -148,7 +151,7 @@ def test_slope_prior_of_single_accelerometer(tmp_path):
     ],
 )
 def test_invalid_conditions_are_reported(line, message, tmp_path):
-    text = changed(SMALL, ('record = "fast.csv"\n', f'record = "fast.csv"\n{line}\n'))
+    text = replace_parts(SMALL, ('record = "fast.csv"\n', f'record = "fast.csv"\n{line}\n'))
     assert any(message in problem for problem in list_problems(tmp_path, text))
 
 
@@ -158,12 +161,12 @@ def add_temperatures(*courses):
     for name, course in zip(STATED, courses, strict=True):
         listed = ", ".join(f'"{one} degC"' for one in course)
         line = f'record = "{name}.csv"\n'
-        text = changed(text, (line, f"{line}temperature = [{listed}]\n"))
+        text = replace_parts(text, (line, f"{line}temperature = [{listed}]\n"))
     return text
 
 
 def test_temperatures_are_spread_evenly_over_run(tmp_path):
-    campaign = campaign_of(tmp_path, add_temperatures([20, 24, 22], [23], [26, 27]))
+    campaign = write_and_read_campaign(tmp_path, add_temperatures([20, 24, 22], [23], [26, 27]))
     lengths = {"slow": 80.0, "middle": 40.0, "fast": 20.0}
     slow, middle, fast = run_conditions(campaign, lengths).values()
     # The ends have half the weight: (20/2 + 24 + 22/2)/2; the reference is the mean of all runs.
@@ -182,7 +185,7 @@ def test_temperatures_are_spread_evenly_over_run(tmp_path):
 def test_reversal_within_run(tmp_path):
     """The temperature rises to 24 degC in mid-run 1, falls until the end of run 2, then rises."""
     text = add_temperatures([20, 22, 24, 23, 22, 21], [21, 19, 18], [19, 25])
-    campaign = campaign_of(tmp_path, text)
+    campaign = write_and_read_campaign(tmp_path, text)
     lengths = {"slow": 50.0, "middle": 40.0, "fast": 20.0}
     slow, middle, fast = run_conditions(campaign, lengths).values()
     assert [slow.direction, middle.direction, fast.direction] == [0.5, -0.5, 0.5]
@@ -196,7 +199,7 @@ def test_reversal_within_run(tmp_path):
 def test_reversal_between_temperatures_is_intersection_of_lines(tmp_path):
     """4 K per step until step 2.5, then -3 K per step: no sample is at the maximum."""
     course = [20, 24, 28, 28.5, 25.5, 22.5]
-    campaign = campaign_of(tmp_path, add_temperatures(course, [21], [20]))
+    campaign = write_and_read_campaign(tmp_path, add_temperatures(course, [21], [20]))
     slow = run_conditions(campaign, {"slow": 50.0})["slow"]
     assert slow.reversal_times == pytest.approx([25.0])
 

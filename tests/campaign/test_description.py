@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from campaigns import PLACE, changed
+from campaigns import PLACE, replace_parts
 from raising import raises
 
 from counterspin.campaign.description import read_campaign
@@ -19,7 +19,7 @@ from counterspin.physics.terms import TABLE, term
 from counterspin.simulation.simulable import simulation_problems
 
 BASE = (
-    changed(
+    replace_parts(
         PLACE,
         ("[site]", '[campaign]\ntitle = "Test"\n\n[site]'),
         ('"9.8066 m/s^2"', '"9.8 ± 1e-5 m/s^2"'),

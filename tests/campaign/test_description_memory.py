@@ -11,8 +11,11 @@ from counterspin.errors import CampaignError
 
 
 def test_mapping_is_equivalent_to_file(tmp_path):
-    file = campaigns.write(tmp_path, campaigns.SMALL)
-    of_file, made = read_campaign(file), make_campaign(frames.small(), folder=tmp_path)
+    file = campaigns.write_description(tmp_path, campaigns.SMALL)
+    of_file, made = (
+        read_campaign(file),
+        make_campaign(frames.parse_small_description(), folder=tmp_path),
+    )
     apart = {"path", "title", "runs", "source", "frames", "simulation"}
     for name in set(vars(of_file)) - apart:
         assert getattr(made, name) == getattr(of_file, name), name
@@ -21,8 +24,8 @@ def test_mapping_is_equivalent_to_file(tmp_path):
 
 
 def test_frames_replace_files(tmp_path):
-    records = frames.arrays(tmp_path)
-    campaign = make_campaign(frames.untrue(), records, folder=tmp_path)
+    records = frames.simulate_columns(tmp_path)
+    campaign = make_campaign(frames.parse_description_without_truth(), records, folder=tmp_path)
     assert [run.record.name for run in campaign.runs] == [
         "slow.parquet",
         "middle.parquet",
@@ -34,10 +37,10 @@ def test_frames_replace_files(tmp_path):
 
 
 def test_record_may_be_path_or_frame(tmp_path):
-    records = dict(frames.arrays(tmp_path))
+    records = dict(frames.simulate_columns(tmp_path))
     pl.DataFrame(dict(records["slow"])).write_csv(tmp_path / "elsewhere.csv")
     records["slow"] = tmp_path / "elsewhere.csv"
-    document = frames.untrue()
+    document = frames.parse_description_without_truth()
     document["runs"][1]["record"] = "stated.csv"
     campaign = make_campaign(document, records, folder=tmp_path)
     slow, middle, _ = campaign.runs
@@ -49,21 +52,21 @@ def test_record_may_be_path_or_frame(tmp_path):
 
 
 def test_record_names_are_valid_and_unique_file_names(tmp_path):
-    document = frames.untrue()
+    document = frames.parse_description_without_truth()
     document["runs"] = [
         {"name": "10 g / in", "rate": "1 rad/s"},
         {"name": "10 g , in", "rate": "2 rad/s"},
         {"name": "..", "rate": "3 rad/s"},
     ]
-    columns = frames.arrays(tmp_path)["slow"]
+    columns = frames.simulate_columns(tmp_path)["slow"]
     campaign = make_campaign(document, {run["name"]: columns for run in document["runs"]})
     names = [run.record.name for run in campaign.runs]
     assert names == ["10_g_in.parquet", "10_g_in-2.parquet", "run.parquet"]
 
 
 def test_description_in_file_accepts_records_in_memory(tmp_path):
-    records = frames.arrays(tmp_path)
-    file = campaigns.write(tmp_path, campaigns.SMALL)
+    records = frames.simulate_columns(tmp_path)
+    file = campaigns.write_description(tmp_path, campaigns.SMALL)
     campaign = make_campaign(tmp_path, {"slow": records["slow"]})
     assert campaign.source.file == file
     assert [str(campaign.record_at(run.record)) for run in campaign.runs] == [
@@ -74,18 +77,18 @@ def test_description_in_file_accepts_records_in_memory(tmp_path):
 
 
 def test_quantity_objects_are_accepted():
-    document = frames.small()
+    document = frames.parse_small_description()
     document["centrifuge"]["radius"] = Quantity(2.5, 1e-5, "m")
     assert make_campaign(document).radius == Quantity(2.5, 1e-5, "m")
 
 
 def test_errors_match_those_of_file(tmp_path):
-    text = campaigns.changed(
+    text = campaigns.replace_parts(
         campaigns.SMALL, ('radius = "2.5 m"', 'radius = "2.5 s"'), ("[noise]", "[nose]")
     )
     with pytest.raises(CampaignError) as of_file:
-        read_campaign(campaigns.write(tmp_path, text))
-    document = frames.small()
+        read_campaign(campaigns.write_description(tmp_path, text))
+    document = frames.parse_small_description()
     document["centrifuge"]["radius"] = "2.5 s"
     document["nose"] = document.pop("noise")
     with pytest.raises(CampaignError) as made:
@@ -103,23 +106,23 @@ def test_errors_match_those_of_file(tmp_path):
 )
 def test_rejects_records_that_do_not_match_runs(records, message):
     with pytest.raises(CampaignError, match=message):
-        make_campaign(frames.untrue(), records)
+        make_campaign(frames.parse_description_without_truth(), records)
 
 
 def test_invalid_frame_names_run():
     with raises("wrong-type", "slow in memory:", "list"):
-        make_campaign(frames.untrue(), {"slow": [1.0]})
+        make_campaign(frames.parse_description_without_truth(), {"slow": [1.0]})
 
 
 def test_rejects_values_without_toml_type():
     with raises("invalid-value", "campaign.title:", "NUL"):
-        make_campaign(frames.small() | {"campaign": {"title": "a\0"}})
+        make_campaign(frames.parse_small_description() | {"campaign": {"title": "a\0"}})
     with raises("wrong-type", "runs:", "set"):
-        make_campaign(frames.small() | {"runs": {1}})
+        make_campaign(frames.parse_small_description() | {"runs": {1}})
 
 
 def test_runs_without_record_get_default_name():
-    document = frames.untrue()
+    document = frames.parse_description_without_truth()
     document["runs"][0]["name"] = "a/b"
     document["runs"][1]["name"] = "a:b"
     campaign = make_campaign(document)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import results
 from campaigns import SMALL as BASE
-from campaigns import write
+from campaigns import write_description
 from raising import raises
 
 from counterspin.campaign.description import read_campaign
@@ -129,7 +129,7 @@ def test_message_has_line_of_key_or_table(tmp_path):
 def test_errors_of_file_state_line(tmp_path):
     wrong = BASE.replace("schema = 1", "schema = 2").replace('column = "time_s"', "column = 3")
     with pytest.raises(CampaignError) as raised:
-        read_campaign(write(tmp_path, wrong))
+        read_campaign(write_description(tmp_path, wrong))
     lines = str(raised.value).splitlines()
     assert lines[0].endswith(f"campaign.toml: {len(raised.value.problems)} mistakes")
     for told, problem in zip(lines[1:], raised.value.problems, strict=True):
@@ -142,7 +142,7 @@ def test_errors_are_in_file_order(tmp_path):
     # The first error concerns several tables, which are compared after the separate checks.
     wrong = BASE.replace('column = "angle_rad"', 'column = "time_s"').replace("rev/s", "rev")
     with pytest.raises(CampaignError) as raised:
-        read_campaign(write(tmp_path, wrong))
+        read_campaign(write_description(tmp_path, wrong))
     numbers = [int(number) for number in re.findall(r"^  line (\d+): ", str(raised.value), re.M)]
     assert len(numbers) > 2
     assert numbers == sorted(numbers)
@@ -237,14 +237,14 @@ def sha256_of(data):
 
 
 def test_file_source_has_checksum_of_bytes(tmp_path):
-    file = campaigns.write(tmp_path, "# a comment\n" + campaigns.SMALL)
+    file = campaigns.write_description(tmp_path, "# a comment\n" + campaigns.SMALL)
     source = read_campaign(tmp_path).source
     assert source.content_checksum() == sha256_of(file.read_bytes())
     assert (source.in_memory, source.label) == (False, str(file))
 
 
 def test_changed_source_has_checksum_of_document(tmp_path):
-    file = campaigns.write(tmp_path, campaigns.SMALL)
+    file = campaigns.write_description(tmp_path, campaigns.SMALL)
     campaign = read_campaign(tmp_path)
     changed = campaign.change({"centrifuge": {"radius": "2.6 m"}})
     assert changed.source.changed == ("centrifuge.radius",)
@@ -257,7 +257,7 @@ def test_changed_source_has_checksum_of_document(tmp_path):
 
 
 def test_reverted_change_has_source_of_file(tmp_path):
-    file = campaigns.write(tmp_path, campaigns.SMALL)
+    file = campaigns.write_description(tmp_path, campaigns.SMALL)
     back = (
         read_campaign(tmp_path)
         .change({"centrifuge": {"radius": "2.6 m"}})
@@ -268,6 +268,6 @@ def test_reverted_change_has_source_of_file(tmp_path):
 
 
 def test_copy_with_replaced_field_has_no_source():
-    campaign = make_campaign(frames.small())
+    campaign = make_campaign(frames.parse_small_description())
     assert campaign.source is not None
     assert replace(campaign, title="other").source is None

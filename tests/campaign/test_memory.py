@@ -11,8 +11,8 @@ from counterspin.errors import CounterspinError
 
 
 def test_written_campaign_round_trips_exactly(tmp_path):
-    records = frames.arrays(tmp_path)
-    document = frames.untrue()
+    records = frames.simulate_columns(tmp_path)
+    document = frames.parse_description_without_truth()
     document["runs"][1]["record"] = "in/middle.csv"
     campaign = make_campaign(document, records)
     file = campaign.write(tmp_path / "written")
@@ -30,8 +30,8 @@ def test_written_campaign_round_trips_exactly(tmp_path):
 
 @pytest.fixture
 def recorded_folder(tmp_path):
-    campaigns.write(tmp_path / "a", "# mine\n" + campaigns.SMALL)
-    for name, columns in frames.arrays(tmp_path).items():
+    campaigns.write_description(tmp_path / "a", "# mine\n" + campaigns.SMALL)
+    for name, columns in frames.simulate_columns(tmp_path).items():
         pl.DataFrame(dict(columns)).write_csv(tmp_path / "a" / f"{name}.csv")
     return tmp_path / "a"
 
@@ -41,7 +41,7 @@ def test_all_files_of_run_are_copied(recorded_folder, tmp_path):
     angle = 'angle = { column = "angle_rad", unit = "rad" }'
     more = 'continued_in = ["slow-2.csv"]\npulses = "index.csv"\nstop = "9 s"'
     again = '[[runs]]\nname = "end"\nrate = "0.25 rev/s"\nrecord = "slow.csv"\nstart = "9 s"\n'
-    text = campaigns.changed(
+    text = campaigns.replace_parts(
         campaigns.SMALL,
         (angle, 'angle = { column = "i", unit = "s", pulses = true }'),
         ('name = "slow"', f'name = "slow"\n{more}'),
@@ -60,7 +60,7 @@ def test_absolute_paths_are_copied_to_relative_location(recorded_folder, tmp_pat
     (recorded_folder / "in").mkdir()
     slow = (recorded_folder / "slow.csv").rename(recorded_folder / "in" / "slow.csv")
     there = f"record = '{slow}'"
-    text = campaigns.changed(campaigns.SMALL, ('record = "slow.csv"', there))
+    text = campaigns.replace_parts(campaigns.SMALL, ('record = "slow.csv"', there))
     (recorded_folder / "campaign.toml").write_text(text)
     read_campaign(recorded_folder).write(tmp_path / "b")
     assert read_campaign(tmp_path / "b").runs[0].record == tmp_path / "b" / "in" / "slow.csv"
@@ -78,7 +78,7 @@ def test_folder_is_copied_unchanged(recorded_folder, tmp_path):
 
 
 def test_external_records_are_copied_under_unique_names(recorded_folder, tmp_path):
-    document = frames.small()
+    document = frames.parse_small_description()
     for run, place in zip(
         document["runs"], ("a/slow.csv", "c/slow.csv", "c/Slow.csv"), strict=True
     ):

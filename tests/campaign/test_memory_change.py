@@ -14,7 +14,7 @@ from counterspin.errors import CampaignError, CounterspinError
 
 @pytest.fixture
 def campaign():
-    return make_campaign(frames.small())
+    return make_campaign(frames.parse_small_description())
 
 
 def test_mapping_changes_listed_keys(campaign):
@@ -51,7 +51,7 @@ def test_none_removes_key(campaign):
 
 
 def test_list_replaces_list(campaign):
-    runs = campaigns.runs_of(campaign, "slow", "fast")
+    runs = campaigns.find_runs(campaign, "slow", "fast")
     fewer = campaign.change({"runs": [runs[0], runs[1] | {"rate": "2 rad/s"}]})
     assert [run.name for run in fewer.runs] == ["slow", "fast"]
     assert fewer.runs[1].rate == 2.0
@@ -59,22 +59,24 @@ def test_list_replaces_list(campaign):
 
 
 def test_records_in_memory_are_preserved_or_replaced(tmp_path):
-    records = frames.arrays(tmp_path)
-    campaign = make_campaign(frames.untrue(), records).change({"centrifuge": {"radius": "2.4 m"}})
+    records = frames.simulate_columns(tmp_path)
+    campaign = make_campaign(frames.parse_description_without_truth(), records).change(
+        {"centrifuge": {"radius": "2.4 m"}}
+    )
     assert [str(campaign.record_at(run.record)) for run in campaign.runs] == [
         "slow in memory",
         "middle in memory",
         "fast in memory",
     ]
-    fewer = campaign.change({"runs": campaigns.runs_of(campaign, "fast")})
+    fewer = campaign.change({"runs": campaigns.find_runs(campaign, "fast")})
     assert len(fewer.frames) == 1
-    made = make_campaign(frames.small(), folder=tmp_path)
+    made = make_campaign(frames.parse_small_description(), folder=tmp_path)
     given = made.change({}, records={"slow": records["slow"]})
     assert list(given.frames) == [tmp_path / "slow.csv"]
 
 
 def test_changed_campaign_keeps_files(tmp_path):
-    campaigns.write(tmp_path, campaigns.SMALL)
+    campaigns.write_description(tmp_path, campaigns.SMALL)
     changed = read_campaign(tmp_path).change({"centrifuge": {"radius": "2.6 m"}})
     assert changed.runs[0].record == tmp_path / "slow.csv"
     assert changed.title == tmp_path.name

@@ -1,13 +1,13 @@
 """Questions on a description: gravity and latitude, values without uncertainty."""
 
 import pytest
-from campaigns import SMALL, campaign_of, changed, write
+from campaigns import SMALL, replace_parts, write_and_read_campaign, write_description
 
 from counterspin.campaign.questions import questions
 from counterspin.cli import main
 
 #: A campaign without questions.
-SURE = changed(
+SURE = replace_parts(
     SMALL,
     ('"1.002 g/g"\ndisp', '"1.002 ± 1e-5 g/g"\ndisp'),
     ('"0.999 g/g"\ndisp', '"0.999 ± 1e-5 g/g"\ndisp'),
@@ -15,7 +15,7 @@ SURE = changed(
 
 
 def ask_questions(folder, text):
-    return [(q.code, q.subject) for q in questions(campaign_of(folder, text))]
+    return [(q.code, q.subject) for q in questions(write_and_read_campaign(folder, text))]
 
 
 def test_complete_campaign_has_no_questions(tmp_path):
@@ -38,21 +38,23 @@ def test_complete_campaign_has_no_questions(tmp_path):
     ],
 )
 def test_gravity_is_checked_against_latitude(tmp_path, gravity, latitude, fits):
-    text = changed(SURE, ("9.8066 m/s^2", f"{gravity} m/s^2"), ('"45.75 deg"', f'"{latitude}"'))
+    text = replace_parts(
+        SURE, ("9.8066 m/s^2", f"{gravity} m/s^2"), ('"45.75 deg"', f'"{latitude}"')
+    )
     subjects = ask_questions(tmp_path, text)
     assert subjects == ([] if fits else [("gravity-latitude", "site")])
 
 
 def test_question_states_range_of_gravity(tmp_path):
-    text = changed(SURE, ('"45.75 deg"', '"0.8 deg"'))
-    (question,) = questions(campaign_of(tmp_path, text))
+    text = replace_parts(SURE, ('"45.75 deg"', '"0.8 deg"'))
+    (question,) = questions(write_and_read_campaign(tmp_path, text))
     assert "heights from -500 to 3000 m, gravity is 9.7711 to 9.7819 m/s^2" in question.text
 
 
 def test_removed_gravity_is_checked_against_latitude(tmp_path):
     for removed, fits in (("9.80665", True), ("9.8061", True), ("9.78033", False)):
         line = f'gravity = "9.8066 m/s^2"\nremoved_gravity = "{removed} m/s^2"'
-        text = changed(SURE, ('gravity = "9.8066 m/s^2"', line), ('"45.75 deg"', '"47 deg"'))
+        text = replace_parts(SURE, ('gravity = "9.8066 m/s^2"', line), ('"45.75 deg"', '"47 deg"'))
         subjects = ask_questions(tmp_path, text)
         assert subjects == ([] if fits else [("gravity-latitude", "site.removed_gravity")])
 
@@ -76,11 +78,11 @@ def test_remaining_gravity_of_upright_accelerometer(tmp_path, changes, asks):
         '[accelerometers.Qz]\ninput_axis = "up"\npendulous_axis = "north"\n'
         'displacement = { column = "up_m", unit = "m" }\n[noise]\nspecific_force = "1 mg"\n'
     )
-    text = changed(
+    text = replace_parts(
         SURE, ('"9.8066 m/s^2"', '"9.8066 ± 1e-4 m/s^2"'), ("[noise]\n", upright), *changes
     )
     if not any("specific_force = {" in new for _, new in changes):
-        text = changed(text, ('specific_force = "1 mg"\n', ""))
+        text = replace_parts(text, ('specific_force = "1 mg"\n', ""))
     assert ask_questions(tmp_path, text) == ([("removed-gravity", "Qz.K_I")] if asks else [])
 
 
@@ -92,7 +94,7 @@ UPRIGHT = (
 
 
 def test_unrecorded_axis_of_own_velocity_is_a_question(tmp_path):
-    found = questions(campaign_of(tmp_path, changed(SURE, OWN_VELOCITY)))
+    found = questions(write_and_read_campaign(tmp_path, replace_parts(SURE, OWN_VELOCITY)))
     # An upward velocity error acts towards west through the Earth's rotation.
     assert [(q.code, q.subject) for q in found] == [("unrecorded-axis", "Qx.K_F")]
     # 2 Omega cos L x 1 mg x 100 s / 2
@@ -100,34 +102,34 @@ def test_unrecorded_axis_of_own_velocity_is_a_question(tmp_path):
         "an error of 1 mg in such a direction shifts K_F by 5e-06 g in a run of 100 s"
         in found[0].text
     )
-    whole = changed(SURE, OWN_VELOCITY, ("[noise]\n", UPRIGHT))
+    whole = replace_parts(SURE, OWN_VELOCITY, ("[noise]\n", UPRIGHT))
     assert ask_questions(tmp_path, whole) == []
 
 
 def test_own_velocity_has_no_effect_on_recorded_force(tmp_path):
-    text = changed(
+    text = replace_parts(
         SURE,
         OWN_VELOCITY,
         ("displacement = {", "specific_force = {"),
         ('unit = "m" }', 'unit = "m/s^2" }'),
         ('displacement = "0.01 m"', 'specific_force = "1 mg"'),
     )
-    (found,) = questions(campaign_of(tmp_path, text))
+    (found,) = questions(write_and_read_campaign(tmp_path, text))
     assert found.subject == "records.reference"
     assert "has no effect here" in found.text
 
 
 def test_values_without_uncertainty_are_questions(tmp_path):
-    text = changed(SMALL, ('"1.002 g/g"\ndisp', '"1.002 g/g"\nbias = "0.005 g"\ndisp'))
+    text = replace_parts(SMALL, ('"1.002 g/g"\ndisp', '"1.002 g/g"\nbias = "0.005 g"\ndisp'))
     priors = '[model.priors]\n"platform.tilt.north" = "0 arcsec"\n'
-    text = changed(text, ('assume = "all"\n', f'assume = ["K_I", "platform.*"]\n{priors}'))
+    text = replace_parts(text, ('assume = "all"\n', f'assume = ["K_I", "platform.*"]\n{priors}'))
     assert ask_questions(tmp_path, text) == [
         ("exact-prior", "Qx.K_F"),
         ("exact-prior", "Qx.K_I"),
         ("exact-prior", "Qy.K_I"),
         ("exact-prior", "platform.tilt.north"),
     ]
-    bias, scale_factor, *_ = questions(campaign_of(tmp_path / "again", text))
+    bias, scale_factor, *_ = questions(write_and_read_campaign(tmp_path / "again", text))
     assert bias.text == (
         "Qx.K_F is stated as 0.005 g without an uncertainty, and is therefore used with the "
         'default uncertainty. How well is it known? Write "0.005 ± U g".'
@@ -139,8 +141,11 @@ def test_values_without_uncertainty_are_questions(tmp_path):
 
 
 def test_simulate_and_plan_warn_and_calibrate_has_finding(tmp_path, capsys):
-    text = changed(SURE, ('"45.75 deg"', '"0.8 deg"'))
-    assert main(["simulate", str(write(tmp_path, text)), "-o", str(tmp_path / "made")]) == 0
+    text = replace_parts(SURE, ('"45.75 deg"', '"0.8 deg"'))
+    assert (
+        main(["simulate", str(write_description(tmp_path, text)), "-o", str(tmp_path / "made")])
+        == 0
+    )
     assert (
         "Warning: Gravity of 9.8066 m/s^2 does not agree with latitude 0.8 deg"
         in capsys.readouterr().out

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from campaigns import SMALL, changed, write
+from campaigns import SMALL, replace_parts, write_description
 from raising import raises
 
 from counterspin.campaign import consistency_checks
@@ -17,7 +17,7 @@ TIME = 'time = { column = "time_s", unit = "s" }'
 
 
 def read_changed(folder, *pairs):
-    return read_campaign(write(folder, changed(SMALL, *pairs)))
+    return read_campaign(write_description(folder, replace_parts(SMALL, *pairs)))
 
 
 def list_problems(folder, *pairs):

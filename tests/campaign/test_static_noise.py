@@ -3,7 +3,7 @@
 import numpy as np
 import polars as pl
 import pytest
-from campaigns import SMALL, changed, runs_of, write
+from campaigns import SMALL, find_runs, replace_parts, write_description
 from raising import raises
 from recorded_campaigns import WHITE, at_rest
 from static_noise_sizes import without_intervals
@@ -33,7 +33,7 @@ def skip_intervals():
 def folder(tmp_path_factory):
     """Return a folder with the description of a simulation, and a record at rest."""
     made = at_rest(tmp_path_factory.mktemp("described"), rows=2000)
-    write(made, changed(SMALL, (STATED, FROM), (TRUE_NOISE, "")))
+    write_description(made, replace_parts(SMALL, (STATED, FROM), (TRUE_NOISE, "")))
     return made
 
 
@@ -67,7 +67,7 @@ def test_largest_estimated_noise_is_simulated(folder, largest_white_noise):
 
 def test_stated_true_noise_overrides_estimate(folder, tmp_path):
     at_rest(tmp_path, rows=2000)
-    own = read_campaign(write(tmp_path, changed(SMALL, (STATED, FROM))))
+    own = read_campaign(write_description(tmp_path, replace_parts(SMALL, (STATED, FROM))))
     assert simulated_noise(own)["displacement"] == 0.01
     wanted = read_campaign(folder).change({"noise": {"acceleration": "estimate"}})
     with raises("not-simulable", "noise.acceleration:"):
@@ -89,7 +89,7 @@ def test_simulated_folder_contains_record_at_rest(folder, tmp_path):
 
 def test_forecast_assumes_undetected_noise_is_zero(folder, largest_white_noise):
     campaign, stated = read_campaign(folder), state_noise(folder, largest_white_noise)
-    runs = runs_of(campaign, "slow", "middle")
+    runs = find_runs(campaign, "slow", "middle")
     alone = {"accelerometers": {"Qx": None}, "truth": {"Qx": None}, "runs": runs}
     longer = {"runs": [run | {"revolutions": 20} for run in runs]}
     without_truth = campaign.change(alone | longer | {"truth": None, "simulation": None})
@@ -144,11 +144,13 @@ def test_plan_uses_and_states_estimated_noise(tmp_path):
     file = tmp_path / "PLAN.toml"
     file.write_text(PLAN, encoding="utf-8")
     (signal,) = cs.noise(
-        tmp_path / "rest.csv", campaign=read_campaign(write(tmp_path, SMALL)), columns=["east_m"]
+        tmp_path / "rest.csv",
+        campaign=read_campaign(write_description(tmp_path, SMALL)),
+        columns=["east_m"],
     ).signals
     size = f"{signal.components['displacement'].value!r} m"
     found = plan(file)
-    file.write_text(changed(PLAN, ('from = "rest.csv"', f'displacement = "{size}"')), "utf-8")
+    file.write_text(replace_parts(PLAN, ('from = "rest.csv"', f'displacement = "{size}"')), "utf-8")
     stated = plan(file)
     assert found.document == stated.document
     assert f'displacement = "{size}"' in found.document
@@ -166,7 +168,7 @@ def test_plan_rejects_bias_walk(tmp_path):
     frame.write_csv(tmp_path / "rest.csv")
     file = tmp_path / "PLAN.toml"
     force = 'specific_force = { column = "east", unit = "m/s^2" }'
-    text = changed(PLAN, ('displacement = { column = "east_m", unit = "m" }', force))
+    text = replace_parts(PLAN, ('displacement = { column = "east_m", unit = "m" }', force))
     file.write_text(text, encoding="utf-8")
     with raises("conflicting-keys", "noise.from:", "bias_walk, 0.00") as e:
         plan(file)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-from campaigns import campaign_of
-from reading_descriptions import ACCELEROMETER, at_rest, place
+from campaigns import write_and_read_campaign
+from reading_descriptions import ACCELEROMETER, format_rest_run, format_site
 
 from counterspin.campaign.model import MeasurementSetup, resolve_model
 from counterspin.campaign.quantity import Quantity, attitude_rows
@@ -114,9 +114,11 @@ def test_head_component_prior_overrides_general_priors(tmp_path, order):
         '"head.harmonic.1" = "0 ± 2 arcsec"\n',
         '"head.harmonic" = "0 ± 1 arcsec"\n',
     ]
-    read = (at_rest(f"{angle}", f"{angle} deg about north", "1 mA") for angle in (0, 60, 120))
-    text = place() + ACCELEROMETER + "".join(["[model.priors]\n", *stated[::order], *read])
-    priors = campaign_of(tmp_path, text).model.priors
+    read = (
+        format_rest_run(f"{angle}", f"{angle} deg about north", "1 mA") for angle in (0, 60, 120)
+    )
+    text = format_site() + ACCELEROMETER + "".join(["[model.priors]\n", *stated[::order], *read])
+    priors = write_and_read_campaign(tmp_path, text).model.priors
     found = {symbol: round(prior.u / ARCSEC, 9) for symbol, prior in priors.items()}
     first = {"head.harmonic.1.cos": 2.0, "head.harmonic.1.sin": 3.0}
     others = {f"head.harmonic.{n}.{wave}": 1.0 for n in (2, 3, 4) for wave in ("cos", "sin")}

@@ -1,21 +1,21 @@
 """True values of readings: units and errors."""
 
 import pytest
-from campaigns import campaign_of
+from campaigns import write_and_read_campaign
 from raising import raises
-from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
+from reading_descriptions import ACCELEROMETER, format_arm_run, format_rest_run, format_site
 
 from counterspin.campaign.accelerometers import TRUTH_TABLES
 from counterspin.campaign.truth import TruthSettings
 from counterspin.errors import CampaignError
 from counterspin.simulation.simulable import reading_problems
 
-RUN = on_arm("in", "9 rad/s", "? ± 2e-6 mA", pendulous="up", mounting="in")
-BASE = place("1 m") + ACCELEROMETER + RUN
+RUN = format_arm_run("in", "9 rad/s", "? ± 2e-6 mA", pendulous="up", mounting="in")
+BASE = format_site("1 m") + ACCELEROMETER + RUN
 
 
 def read_truth(folder, text):
-    return campaign_of(folder, BASE + text).simulation.truth
+    return write_and_read_campaign(folder, BASE + text).simulation.truth
 
 
 def test_coefficients_may_be_in_output_unit(tmp_path):
@@ -76,24 +76,27 @@ def test_error_in_truth_names_key(tmp_path, slip):
     [
         (RUN + "truth = { tilt = { north = '1 arcsec' } }\n", "contains the tilt of a platform"),
         (RUN + "truth = { drift = '1 m' }\n", "runs[0].truth.drift: "),
-        (at_rest("up", "level", "? ± 1 uA", "truth = { rate_error = 1e-3 }\n"), "does not rotate"),
+        (
+            format_rest_run("up", "level", "? ± 1 uA", "truth = { rate_error = 1e-3 }\n"),
+            "does not rotate",
+        ),
     ],
 )
 def test_error_in_truth_of_run_is_reported(tmp_path, run, said):
     with pytest.raises(CampaignError) as caught:
-        campaign_of(tmp_path, place("1 m") + ACCELEROMETER + run + "[truth.A]\n")
+        write_and_read_campaign(tmp_path, format_site("1 m") + ACCELEROMETER + run + "[truth.A]\n")
     (line,) = caught.value.problems
     assert said in line
 
 
 def test_reading_without_truth_requires_value(tmp_path):
     with raises("missing-value", "runs[0].reading:", '(run "in")'):
-        campaign_of(tmp_path, BASE)
+        write_and_read_campaign(tmp_path, BASE)
 
 
 def test_rejects_simulation_without_noise_or_with_incredible_truth(tmp_path):
     def list_problems(text, base=BASE):
-        return reading_problems(campaign_of(tmp_path, base + text))
+        return reading_problems(write_and_read_campaign(tmp_path, base + text))
 
     assert list_problems("[truth.A]\n") == []
     (line,) = list_problems("[truth.A]\n", BASE.replace(" ± 2e-6", ""))

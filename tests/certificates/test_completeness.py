@@ -3,7 +3,7 @@
 import pytest
 from results import result
 
-from certificates import LAB, lab_of
+from certificates import LAB, read_lab_for
 from counterspin.certificates.completeness import default_evidence, missing_data, missing_lines
 from counterspin.inference.joint.summary import BudgetLine
 
@@ -26,24 +26,24 @@ def add_default(share):
 
 
 def test_complete_file_has_no_missing_data(tmp_path):
-    assert missing_data(lab_of(tmp_path, result()), result()) == []
+    assert missing_data(read_lab_for(tmp_path, result()), result()) == []
 
 
 @pytest.mark.parametrize(("share", "needed"), [(0.93, True), (0.09, False)])
 def test_dominant_default_requires_evidence(tmp_path, share, needed):
     made = add_default(share)
-    missing = missing_data(lab_of(tmp_path, made), made)
+    missing = missing_data(read_lab_for(tmp_path, made), made)
     assert [entry.key for entry in missing] == (["evidence.K_OO"] if needed else [])
     assert all("93 % of the variance of K_II of Qx" in entry.words for entry in missing)
     for key in ("K_OO", '"Qx.K_OO"', "all"):
-        lab = lab_of(tmp_path, made, LAB + f'\n[evidence]\n{key} = "type test"\n')
+        lab = read_lab_for(tmp_path, made, LAB + f'\n[evidence]\n{key} = "type test"\n')
         assert missing_data(lab, made) == []
         assert len(default_evidence(lab, made)) == needed
 
 
 def test_keys_with_template_values_share_one_entry(tmp_path):
     text = LAB.replace('"P-1"', '"EX-1"').replace('"0815"', '"000000"').partition("[conditions]")[0]
-    first, second = missing_lines(missing_data(lab_of(tmp_path, result(), text), result()))
+    first, second = missing_lines(missing_data(read_lab_for(tmp_path, result(), text), result()))
     assert first.startswith(
         "item.model, item.serial_number: these entries still have the values of the template"
     )

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from campaigns import SMALL, changed, write
-from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
+from campaigns import SMALL, replace_parts, write_description
+from reading_descriptions import ACCELEROMETER, format_arm_run, format_rest_run, format_site
 from results import coefficient, result
 
 from counterspin.calibration.calibrate import calibrate
@@ -19,13 +19,13 @@ from counterspin.simulation.simulate import simulate
 from counterspin.units import own_unit, to_si
 
 G, U_G = 9.8066, 1e-4
-KNOWN = changed(SMALL, ('"9.8066 m/s^2"', f'"{G} ± {U_G} m/s^2"'))
+KNOWN = replace_parts(SMALL, ('"9.8066 m/s^2"', f'"{G} ± {U_G} m/s^2"'))
 
 
 @pytest.fixture(scope="module")
 def records(tmp_path_factory):
     folder = tmp_path_factory.mktemp("gravity")
-    simulate(write(folder, KNOWN, "plan.toml"), folder / "records")
+    simulate(write_description(folder, KNOWN, "plan.toml"), folder / "records")
     return folder / "records"
 
 
@@ -33,8 +33,8 @@ def si_values_at_gravity(records, folder, gravity, method):
     """Return the SI values of the same records for another assumed gravity."""
     for record in records.glob("*.csv"):
         (folder / record.name).write_bytes(record.read_bytes())
-    text = changed(SMALL, ('"9.8066 m/s^2"', f'"{gravity!r} m/s^2"'))
-    found = calibrate(write(folder, text).parent, method=method)
+    text = replace_parts(SMALL, ('"9.8066 m/s^2"', f'"{gravity!r} m/s^2"'))
+    found = calibrate(write_description(folder, text).parent, method=method)
     return {
         symbol: to_si(c.value, c.unit, gravity)
         for symbol, c in found.accelerometers["Qx"].coefficients.items()
@@ -66,19 +66,19 @@ def test_si_uncertainty_matches_effect_of_gravity_change(records, tmp_path, meth
 
 READINGS = ACCELEROMETER + "".join(
     (
-        at_rest("up", "level", "1.2531281 ± 2e-6 mA"),
-        at_rest("down", "180 deg about north", "-1.2480969 ± 2e-6 mA"),
-        on_arm("in", "9.9 rad/s", "12.5064 ± 2e-6 mA", pendulous="up"),
-        on_arm("out", "9.9 rad/s", "-12.4977 ± 2e-6 mA", side="outward", pendulous="up"),
-        on_arm("fast", "14 rad/s", "25.0109 ± 2e-6 mA", pendulous="up"),
+        format_rest_run("up", "level", "1.2531281 ± 2e-6 mA"),
+        format_rest_run("down", "180 deg about north", "-1.2480969 ± 2e-6 mA"),
+        format_arm_run("in", "9.9 rad/s", "12.5064 ± 2e-6 mA", pendulous="up"),
+        format_arm_run("out", "9.9 rad/s", "-12.4977 ± 2e-6 mA", side="outward", pendulous="up"),
+        format_arm_run("fast", "14 rad/s", "25.0109 ± 2e-6 mA", pendulous="up"),
         '[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II"]\n',
     )
 )
 
 
 def calibrate_readings(folder, gravity):
-    text = place("1.0 ± 1e-7 m", f"{gravity} m/s^2") + READINGS
-    return calibrate(write(folder, text).parent)
+    text = format_site("1.0 ± 1e-7 m", f"{gravity} m/s^2") + READINGS
+    return calibrate(write_description(folder, text).parent)
 
 
 def test_output_unit_uncertainty_matches_effect_of_gravity_change(tmp_path):

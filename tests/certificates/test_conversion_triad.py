@@ -5,7 +5,7 @@ import pytest
 
 import counterspin as cs
 import triads
-from certificates import ISSUE, LAB, SCHEMA, document, find, lab_of, needs_schema
+from certificates import ISSUE, LAB, SCHEMA, document, find, needs_schema, read_lab_for
 from counterspin.calibration.result_parts import Correlation
 from counterspin.certificates.amendment import describe_changes
 from counterspin.certificates.certificate_reader import read_certificate
@@ -40,7 +40,7 @@ def _read_numbers(made, path):
 
 
 def _page_blocks(folder, result, text=OWN):
-    lab = lab_of(folder, result, text)
+    lab = read_lab_for(folder, result, text)
     return list(page_blocks(lab, result, ISSUE, {}))
 
 
@@ -159,7 +159,7 @@ def test_triad_certificate_conforms_to_schema(tmp_path, pose_result):
 
 
 def test_pages_and_xml_have_equal_statements(tmp_path, pose_result):
-    lab = lab_of(tmp_path, pose_result, OWN)
+    lab = read_lab_for(tmp_path, pose_result, OWN)
     (said,) = (
         one
         for one in statements(lab, pose_result, pose_result, ISSUE, {})

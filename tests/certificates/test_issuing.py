@@ -14,7 +14,7 @@ import pypdf
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from raising import raises
-from results import result, sealed
+from results import result, seal_document
 from signing_keys import write_pair, write_pkcs12
 
 from certificates import LAB, find, write_lab
@@ -238,7 +238,7 @@ def test_signer_command_replaces_key(certificate_folder, capsys):
 def test_only_selected_accelerometers_are_certified(certificate_folder, capsys):
     given = json.loads((certificate_folder / "r.json").read_text())
     given["accelerometers"]["Qy"] = given["accelerometers"]["Qx"]
-    (certificate_folder / "r.json").write_text(sealed(given))
+    (certificate_folder / "r.json").write_text(seal_document(given))
     write_lab(certificate_folder, LAB.replace('language = "de"', 'accelerometers = ["Qy"]'))
     status, out, _ = run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.xml")
     assert status == 0

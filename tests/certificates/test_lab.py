@@ -3,7 +3,7 @@
 import pytest
 from results import result
 
-from certificates import LAB, lab_of, write_lab
+from certificates import LAB, read_lab_for, write_lab
 from counterspin.certificates.lab import read_lab, template_keys, write_example
 from counterspin.errors import CampaignError, CounterspinError
 
@@ -87,8 +87,8 @@ def test_example_is_valid_and_recognised_as_template(tmp_path):
     assert {"certificate.begin", "customer.country", "item.model", "item.serial_number"} < {*keys}
     assert {"laboratory.name", "certificate.traceability", "persons[0].name"} < {*keys}
     text = path.read_text("utf-8").replace("Example Customer", "Somebody")
-    assert "customer.name" not in template_keys(lab_of(tmp_path, result(), text))
-    assert template_keys(lab_of(tmp_path, result())) == []
+    assert "customer.name" not in template_keys(read_lab_for(tmp_path, result(), text))
+    assert template_keys(read_lab_for(tmp_path, result())) == []
     with pytest.raises(CounterspinError, match="exists"):
         write_example(path)
 
@@ -111,7 +111,7 @@ def test_example_is_valid_and_recognised_as_template(tmp_path):
     ],
 )
 def test_template_values_are_found_in_all_tables(tmp_path, old, new, key):
-    assert template_keys(lab_of(tmp_path, result(), LAB.replace(old, new, 1))) == [key]
+    assert template_keys(read_lab_for(tmp_path, result(), LAB.replace(old, new, 1))) == [key]
 
 
 def test_specification_uses_site_gravity(tmp_path):

@@ -2,7 +2,7 @@
 
 from results import result
 
-from certificates import ISSUE, LAB, SCHEMA, document, find, lab_of, needs_schema
+from certificates import ISSUE, LAB, SCHEMA, document, find, needs_schema, read_lab_for
 from counterspin.certificates.pdf_pages import page_blocks
 from counterspin.certificates.schema import check_schema
 from counterspin.reports.blocks import Heading, Table
@@ -25,7 +25,7 @@ name = "Frequenznormal"
 
 def make_blocks(tmp_path, text=LAB):
     calibration = result()
-    return list(page_blocks(lab_of(tmp_path, calibration, text), calibration, ISSUE, {}))
+    return list(page_blocks(read_lab_for(tmp_path, calibration, text), calibration, ISSUE, {}))
 
 
 def find_table(blocks, title):

@@ -14,7 +14,7 @@ from raising import raises
 from results import result
 from signing_keys import write_pair
 
-from certificates import ISSUE, lab_of, write_lab
+from certificates import ISSUE, read_lab_for, write_lab
 from counterspin import cli
 from counterspin.certificates.build import build_document, to_bytes
 from counterspin.certificates.certificate_reader import read_certificate
@@ -35,7 +35,7 @@ def key_pairs(tmp_path_factory):
 
 def sign_certificate(folder, pair):
     given = result()
-    root = build_document(given, lab_of(folder, given), ISSUE, {}, b"%PDF")
+    root = build_document(given, read_lab_for(folder, given), ISSUE, {}, b"%PDF")
     return to_bytes(sign(root, read_signer(*pair)))
 
 
@@ -129,7 +129,7 @@ def test_signer_certificate_valid_at_issue_is_accepted(tmp_path):
         folder = tmp_path / str(days[0])
         _, cert = write_pair(folder, key, days=days)
         given = result()
-        root = build_document(given, lab_of(folder, given), ISSUE, {}, b"%PDF")
+        root = build_document(given, read_lab_for(folder, given), ISSUE, {}, b"%PDF")
         signer = signer_from_key(key, load_pem_x509_certificates(cert.read_bytes()))
         return verify(to_bytes(sign(root, signer)), cert, "x.xml")
 
@@ -153,7 +153,7 @@ def test_signature_wrapping_is_rejected(tmp_path, key_pairs):
 
 def test_unsigned_certificate_raises(tmp_path, key_pairs):
     given = result()
-    made = to_bytes(build_document(given, lab_of(tmp_path, given), ISSUE, {}, None))
+    made = to_bytes(build_document(given, read_lab_for(tmp_path, given), ISSUE, {}, None))
     with pytest.raises(RecordError, match="is not signed"):
         verify(made, key_pairs["rsa"][1], "x.xml")
     with pytest.raises(RecordError, match="is not XML"):
@@ -171,7 +171,7 @@ def test_missing_package_error_names_install_command(monkeypatch, key_pairs):
 )
 def test_number_with_nested_nodes_reads_alike_signed_and_unsigned(tmp_path, key_pairs, put, reads):
     given = result()
-    plain = to_bytes(build_document(given, lab_of(tmp_path, given), ISSUE, {}, b"%PDF"))
+    plain = to_bytes(build_document(given, read_lab_for(tmp_path, given), ISSUE, {}, b"%PDF"))
     (value,) = re.findall(rb"<si:label>K_II</si:label>\s*<si:value>([^<]*)<", plain)
     spoilt = plain.replace(b"<si:value>" + value, b"<si:value>" + value[:3] + put + value[3:], 1)
     made = to_bytes(sign(etree.fromstring(spoilt), read_signer(*key_pairs["rsa"])))

@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from campaigns import SMALL, changed, write
+from campaigns import SMALL, replace_parts, write_description
 from raising import raises
 from results import result
 
@@ -52,7 +52,7 @@ WRITERS = {
 def output_folder(tmp_path_factory):
     """Return a folder with one file of each type."""
     folder = tmp_path_factory.mktemp("desk")
-    simulate(write(folder, SMALL, "plan.toml"), folder / "camp")
+    simulate(write_description(folder, SMALL, "plan.toml"), folder / "camp")
     for name in ("campaign.toml", "slow.csv"):
         shutil.copy(folder / "camp" / name, folder)
     dated = result().model_copy(update={"details": {"date": "2026-01-14"}})
@@ -67,7 +67,7 @@ def output_folder(tmp_path_factory):
     assert cli.main(["plan", "--init", f"{folder}/PLAN.toml"]) == 0
     plan = folder / "PLAN.toml"
     short = ("runs = 14", "runs = 2"), ('total_time = "700 s"', 'total_time = "100 s"')
-    plan.write_text(changed(plan.read_text("utf-8"), *short), "utf-8")
+    plan.write_text(replace_parts(plan.read_text("utf-8"), *short), "utf-8")
     return folder
 
 

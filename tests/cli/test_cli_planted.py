@@ -9,7 +9,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
-from campaigns import SMALL, write
+from campaigns import SMALL, write_description
 from results import result
 from served import ANSWERS
 
@@ -46,7 +46,7 @@ def planted_folder(tmp_path_factory):
     """Return a folder with a campaign of Parquet files, a certificate and planted files."""
     folder, plan = tmp_path_factory.mktemp("foreign"), tmp_path_factory.mktemp("plan")
     short = SMALL.replace("revolutions = 20", "revolutions = 6").replace(".csv", ".parquet")
-    simulate(write(plan, short), folder)
+    simulate(write_description(plan, short), folder)
     calibrate(folder).write(folder / "result.json")
     shutil.copytree(folder, folder / "again")
     pl.DataFrame({"force": [1.0, 2.0]}).write_parquet(folder / "force.parquet")

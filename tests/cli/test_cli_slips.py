@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from campaigns import SMALL, changed, write
+from campaigns import SMALL, replace_parts, write_description
 from results import result
 
 from counterspin import cli
@@ -63,14 +63,14 @@ def run_command(tmp_path, monkeypatch, capsys):
 )
 @pytest.mark.parametrize("command", ["calibrate", "simulate"])
 def test_implausible_values_are_rejected(run_command, tmp_path, old, new, words, command):
-    write(tmp_path, changed(SMALL, (old, new)))
+    write_description(tmp_path, replace_parts(SMALL, (old, new)))
     status, complaint = run_command(command, ".", *(["-o", "out"] if command == "simulate" else []))
     assert status == 2
     assert words in complaint
 
 
 def test_rejects_too_long_names(run_command, tmp_path):
-    write(tmp_path, changed(SMALL, ('"slow.csv"', f'"{"s" * 300}.csv"')))
+    write_description(tmp_path, replace_parts(SMALL, ('"slow.csv"', f'"{"s" * 300}.csv"')))
     for words in (
         ["simulate", ".", "-o", "out"],
         ["calibrate", "."],
@@ -95,7 +95,7 @@ def test_rejects_nul_in_arguments(run_command, command):
 
 
 def test_rejects_invalid_numbers(run_command, tmp_path):
-    write(tmp_path, SMALL)
+    write_description(tmp_path, SMALL)
     assert run_command("study", ".", "--seed", "-1") == (
         1,
         "counterspin: --seed must not be negative\n",
@@ -165,7 +165,7 @@ def test_wrong_file_type_is_named_with_correct_command(run_command, tmp_path, wo
     (tmp_path / "p.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(20))
     (tmp_path / "c.xml").write_text("<?xml version='1.0'?>\n<a/>\n")
     (tmp_path / "run.csv").write_text("t,x\n0,1\n1,2\n")
-    write(tmp_path, SMALL)
+    write_description(tmp_path, SMALL)
     assert run_command("plan", "--init", "plan.toml") == (0, "")
     assert run_command("certificate", "--init", "LAB.toml") == (0, "")
     for file, called in OTHERS.items():
@@ -240,7 +240,9 @@ def run_shell(script, folder, **environment):
 @pytest.fixture(scope="module")
 def recorded_campaign(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recorded")
-    simulate(write(folder, SMALL.replace("revolutions = 20", "revolutions = 6")), folder)
+    simulate(
+        write_description(folder, SMALL.replace("revolutions = 20", "revolutions = 6")), folder
+    )
     result().write(folder / "r.json")
     return folder
 

@@ -9,7 +9,7 @@ import frames
 import numpy as np
 import pytest
 import results as by_hand
-from campaigns import runs_of
+from campaigns import find_runs
 from scipy.stats import binom
 from scipy.stats import chi2 as chi2_distribution
 
@@ -27,7 +27,7 @@ TRIALS = 10
 
 def make_description():
     """Return a small campaign of one accelerometer, with an uncertain radius and scale factor."""
-    document = frames.untrue()
+    document = frames.parse_description_without_truth()
     del document["accelerometers"]["Qy"], document["accelerometers"]["Qx"]["scale_factor"]
     document["centrifuge"]["radius"] = "2.5 ± 1e-4 m"
     return document | {
@@ -50,7 +50,7 @@ def calibrate_seed():
     def calibrate_records(seed, count=4):
         records = cs.simulate(base.change({"simulation": {"seed": seed}}))
         larger = records.change({"model": {"terms": [*TERMS, "K_III"]}})
-        part = records.change({"runs": runs_of(records, "slow", "fast")})
+        part = records.change({"runs": find_runs(records, "slow", "fast")})
         found = [cs.calibrate(campaign) for campaign in (records, larger, part)[: count - 1]]
         return records, *found
 

@@ -5,8 +5,8 @@ import shutil
 from pathlib import Path
 
 import pytest
-from campaigns import SMALL, write
-from results import remove_seal, sealed
+from campaigns import SMALL, write_description
+from results import remove_seal, seal_document
 
 import counterspin as cs
 from counterspin.calibration.options import (
@@ -26,7 +26,7 @@ FROZEN = Path(__file__).parents[1] / "frozen"
 def archive(tmp_path_factory):
     """Return a folder with a campaign, its records and its result."""
     folder = tmp_path_factory.mktemp("archive")
-    cs.simulate(write(folder, SMALL, "plan.toml"), folder / "camp")
+    cs.simulate(write_description(folder, SMALL, "plan.toml"), folder / "camp")
     cs.calibrate(folder / "camp").write(folder / "camp" / "result.json")
     return folder / "camp"
 
@@ -96,7 +96,7 @@ def test_difference_above_rounding_is_reported(campaign_folder):
     path = campaign_folder / "result.json"
     document = json.loads(path.read_text(encoding="utf-8"))
     document["accelerometers"]["Qx"]["coefficients"]["K_II"]["u"] *= 1.0 + 1e-11
-    path.write_text(sealed(document), encoding="utf-8")
+    path.write_text(seal_document(document), encoding="utf-8")
     repeated = cs.rerun(path)
     assert not repeated.same
     assert repeated.largest == pytest.approx(1e-11, rel=1e-3)
@@ -106,7 +106,7 @@ def test_result_without_environment_can_be_repeated(campaign_folder):
     path = campaign_folder / "result.json"
     document = json.loads(path.read_text(encoding="utf-8"))
     assert set(document["provenance"].pop("environment")) == {"python", "numpy", "scipy", "machine"}
-    path.write_text(sealed(document), encoding="utf-8")
+    path.write_text(seal_document(document), encoding="utf-8")
     repeated = cs.rerun(path)
     assert repeated.same
     changed = {change.subject: change.values for change in repeated.changes}

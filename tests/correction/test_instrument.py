@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from campaigns import SMALL, changed, write
+from campaigns import SMALL, replace_parts, write_description
 from results import accelerometer, bare_result, coefficient
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.correction.apply import ApplyOptions, apply
 from counterspin.simulation.simulate import simulate
 
-CROSSED = changed(
+CROSSED = replace_parts(
     SMALL,
     (
         '[model]\nassume = "all"\n',
@@ -23,7 +23,7 @@ PENDULOUS = np.array([-1.0, 0.0, 1.0, 1.0, -1.0])
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
     where = tmp_path_factory.mktemp("prediction")
-    simulate(write(where, CROSSED, "plan.toml"), where / "records")
+    simulate(write_description(where, CROSSED, "plan.toml"), where / "records")
     return calibrate(where / "records")
 
 
@@ -67,7 +67,7 @@ def test_u_matches_covariance(result):
 def test_u_includes_default_prior(result, tmp_path):
     """A typical K_4 acts with the fourth power of the force."""
     less = CROSSED.replace('"K_II", "K_III"', '"K_II"').replace('assume = "all"\n', "")
-    simulate(write(tmp_path, less, "plan.toml"), tmp_path / "r")
+    simulate(write_description(tmp_path, less, "plan.toml"), tmp_path / "r")
     wider = calibrate(tmp_path / "r")
     (known,) = (known for known in wider.rests_on if known.name == "Qx.K_4")
     assert known.kind == "unstated"

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from results import dated
+from results import make_dated_document
 
 import counterspin as cs
 from counterspin.calibration.result import Result
@@ -20,7 +20,7 @@ U = 5e-8
 
 def make_result(value, date, **labels):
     """Return Qx of the frozen result with a K_II, a date and names of mounting and turn-on."""
-    made = dated(value, date, u=U, run=f"{value}{date}{labels}")
+    made = make_dated_document(value, date, u=U, run=f"{value}{date}{labels}")
     made["accelerometers"]["Qx"]["budget"] = {}
     made["details"] |= labels
     return Result.model_validate(made)

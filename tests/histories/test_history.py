@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from raising import raises
 from results import FROZEN as FROZEN_RESULT
-from results import dated, sealed
+from results import make_dated_document, seal_document
 
 from counterspin.calibration.result import Result
 from counterspin.cli import main
@@ -41,7 +41,7 @@ def write_series(folder, values, dates=DATES, **options):
     return write_results(
         folder,
         **{
-            f"r{i}": dated(v, d, **options)
+            f"r{i}": make_dated_document(v, d, **options)
             for i, (v, d) in enumerate(zip(values, dates, strict=False))
         },
     )
@@ -128,8 +128,12 @@ def test_false_alarm_rate_is_as_stated(tmp_path):
 
 
 def test_values_of_other_sites_are_converted_to_latest_gravity(tmp_path):
-    there = dated(2.7e-5, "2023-03-01") | {"inputs": FROZEN_RESULT["inputs"] | {"gravity": 9.78}}
-    here = dated(2.7e-5, "2024-03-01") | {"inputs": FROZEN_RESULT["inputs"] | {"gravity": 9.83}}
+    there = make_dated_document(2.7e-5, "2023-03-01") | {
+        "inputs": FROZEN_RESULT["inputs"] | {"gravity": 9.78}
+    }
+    here = make_dated_document(2.7e-5, "2024-03-01") | {
+        "inputs": FROZEN_RESULT["inputs"] | {"gravity": 9.83}
+    }
     folder = write_results(tmp_path, there=there, here=here)
     histories = history([folder])
     assert histories.gravity == 9.83
@@ -185,19 +189,19 @@ def test_campaign_serial_number_selects_its_accelerometers():
 
 
 def remove_estimate():
-    made = dated()
+    made = make_dated_document()
     made["accelerometers"]["Qx"]["coefficients"]["K_II"] |= {"estimated": False}
     return made
 
 
 def remove_term():
-    made = dated()
+    made = make_dated_document()
     del made["accelerometers"]["Qx"]["coefficients"]["K_II"]
     return made
 
 
 def make_contradicted(**more):
-    made = dated(**more)
+    made = make_dated_document(**more)
     made["accelerometers"]["Qx"]["residual"] |= {"chi2": 6400.0, "dof": 100.0, "lack_of_fit_p": 0}
     return made
 
@@ -205,7 +209,9 @@ def make_contradicted(**more):
 def test_accepted_misfit_is_included(tmp_path):
     accepted = make_contradicted(state="contradicted", accepted_misfit="known play of the arm")
     accepted["accelerometers"]["Qx"] |= {"state": "contradicted"}
-    histories = history([write_results(tmp_path, good=dated(run="1"), other=accepted)])
+    histories = history(
+        [write_results(tmp_path, good=make_dated_document(run="1"), other=accepted)]
+    )
     assert len(only_instrument(histories).points) == 2
 
 
@@ -213,19 +219,22 @@ def test_accepted_misfit_is_included(tmp_path):
     ("document", "reason"),
     [
         (make_contradicted(), "the records contradict the result: The residuals are 8 times"),
-        (dated(date=None), "the result has no date"),
-        (dated(date="last spring"), 'the date of the result, "last spring", is not valid'),
-        (dated(serial=None), "has no serial number"),
-        (dated(model="as-printed"), "which return half the true K_II"),
+        (make_dated_document(date=None), "the result has no date"),
+        (
+            make_dated_document(date="last spring"),
+            'the date of the result, "last spring", is not valid',
+        ),
+        (make_dated_document(serial=None), "has no serial number"),
+        (make_dated_document(model="as-printed"), "which return half the true K_II"),
         (remove_estimate(), "does not determine K_II"),
         (remove_term(), "has no K_II"),
-        (dated(2.9e-5, run="same"), "uses the same records as"),
-        (dated(2.8e-5, run="same", method="two-stage"), "uses the same records as"),
+        (make_dated_document(2.9e-5, run="same"), "uses the same records as"),
+        (make_dated_document(2.8e-5, run="same", method="two-stage"), "uses the same records as"),
         ({"schema": 1, "campaigns": {}}, "is a summary of several campaigns"),
     ],
 )
 def test_excluded_result_has_reason(tmp_path, document, reason):
-    folder = write_results(tmp_path, good=dated(run="same"), other=document)
+    folder = write_results(tmp_path, good=make_dated_document(run="same"), other=document)
     histories = history([folder])
     assert [Path(p.file).name for p in only_instrument(histories).points] == ["good.json"]
     (left,) = histories.left_out
@@ -237,12 +246,16 @@ def test_excluded_result_has_reason(tmp_path, document, reason):
 
 
 def test_joint_result_replaces_two_stage_of_same_records(tmp_path):
-    write_results(tmp_path, a=dated(2.8e-5, run="x", method="two-stage"), b=dated(2.7e-5, run="x"))
+    write_results(
+        tmp_path,
+        a=make_dated_document(2.8e-5, run="x", method="two-stage"),
+        b=make_dated_document(2.7e-5, run="x"),
+    )
     assert [p.method for p in only_instrument(history([tmp_path])).points] == ["joint"]
 
 
 def test_copies_are_counted_once(tmp_path):
-    folder = write_results(tmp_path, a=dated(), b=dated())
+    folder = write_results(tmp_path, a=make_dated_document(), b=make_dated_document())
     histories = history([folder, folder / "a.json"])
     assert len(only_instrument(histories).points) == 1
     (left,) = histories.left_out
@@ -250,27 +263,37 @@ def test_copies_are_counted_once(tmp_path):
 
 
 def test_shared_records_are_reported(tmp_path):
-    first, second = dated(2.7e-5, DATES[0]), dated(2.71e-5, DATES[1])
+    first, second = make_dated_document(2.7e-5, DATES[0]), make_dated_document(2.71e-5, DATES[1])
     for document, own in ((first, "b"), (second, "c")):
         document["provenance"]["inputs"] = {"1.csv": "sha256:a", "2.csv": f"sha256:{own}"}
-    histories = history([write_results(tmp_path, first=sealed(first), second=sealed(second))])
+    histories = history(
+        [write_results(tmp_path, first=seal_document(first), second=seal_document(second))]
+    )
     assert len(only_instrument(histories).points) == 2
     (note,) = histories.notes
     assert "second.json shares 1 of 2 records with" in note
 
 
 def test_missing_seals_are_reported(tmp_path):
-    folder = write_results(tmp_path, a=sealed(dated(2.71e-5, DATES[0])), b=dated(2.7e-5, DATES[1]))
+    folder = write_results(
+        tmp_path,
+        a=seal_document(make_dated_document(2.71e-5, DATES[0])),
+        b=make_dated_document(2.7e-5, DATES[1]),
+    )
     (note,) = history([folder]).notes
     assert note.startswith(f"The file of {folder / 'b.json'} has no seal")
-    write_results(tmp_path, **{f"c{n}": dated(2.7e-5 + 1e-8 * n, DATES[2]) for n in range(6)})
+    write_results(
+        tmp_path, **{f"c{n}": make_dated_document(2.7e-5 + 1e-8 * n, DATES[2]) for n in range(6)}
+    )
     (note,) = history([folder]).notes
     assert note.startswith(f"7 files have no seal ({folder / 'b.json'}, {folder / 'c0.json'}, ")
     assert "c4.json" not in note
 
 
 def test_other_json_files_are_skipped(tmp_path):
-    folder = write_results(tmp_path, good=dated(), plan={"schema": 1, "runs": []}, numbers=[1, 2])
+    folder = write_results(
+        tmp_path, good=make_dated_document(), plan={"schema": 1, "runs": []}, numbers=[1, 2]
+    )
     histories = history([folder])
     assert [Path(name).name for name in histories.passed_over] == ["numbers.json", "plan.json"]
     assert histories.damaged == []
@@ -281,21 +304,24 @@ def test_other_json_files_are_skipped(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (json.dumps(dated())[:300], "not a result file, or damaged"),
+        (json.dumps(make_dated_document())[:300], "not a result file, or damaged"),
         ("", "not a result file, or damaged"),
         ("[" * 100_000, "damaged"),
         (
-            json.dumps(dated() | {"schema": Result.newest_schema() + 1}),
+            json.dumps(make_dated_document() | {"schema": Result.newest_schema() + 1}),
             "written by a newer version of counterspin",
         ),
-        (json.dumps(dated(u=-1.0)), "damaged result"),
+        (json.dumps(make_dated_document(u=-1.0)), "damaged result"),
         ("\udc80", "damaged"),
-        ('{"campaigns": [], "campaigns": [], ' + json.dumps(dated())[1:], "occurs twice"),
+        (
+            '{"campaigns": [], "campaigns": [], ' + json.dumps(make_dated_document())[1:],
+            "occurs twice",
+        ),
     ],
     ids=["cut", "empty", "deep", "newer", "negative", "bytes", "twice"],
 )
 def test_damaged_file_does_not_stop_history(tmp_path, text, words, capsys):
-    folder = write_results(tmp_path, good=dated(), bad=text)
+    folder = write_results(tmp_path, good=make_dated_document(), bad=text)
     histories = history([folder])
     assert len(only_instrument(histories).points) == 1
     (damaged,) = histories.damaged
@@ -312,7 +338,7 @@ def test_damaged_file_does_not_stop_history(tmp_path, text, words, capsys):
 def test_empty_history_states_cause(tmp_path):
     with pytest.raises(CounterspinError, match=r"no results in .*`write_result`"):
         history([tmp_path])
-    write_results(tmp_path, a=dated(date=None))
+    write_results(tmp_path, a=make_dated_document(date=None))
     with raises("no-results", "Qx of", "a.json:"):
         history([tmp_path])
 
@@ -326,7 +352,7 @@ def test_wrong_usage_exits_with_2(tmp_path, capsys):
     assert error.count("file not found") == 2
     assert main(["history", str(tmp_path / "x")]) == 2
     assert capsys.readouterr().err == f"counterspin: {tmp_path / 'x'}: file not found\n"
-    write_results(tmp_path, a=dated())
+    write_results(tmp_path, a=make_dated_document())
     for term, words in (
         ("K_IV", "unknown term"),
         ("platform.tilt.up", "is a machine term"),
@@ -338,7 +364,7 @@ def test_wrong_usage_exits_with_2(tmp_path, capsys):
 
 @pytest.mark.parametrize("term", ["K_F", "K_III"])
 def test_history_of_other_term(tmp_path, term):
-    histories = history([write_results(tmp_path, a=dated())], term=term)
+    histories = history([write_results(tmp_path, a=make_dated_document())], term=term)
     stated = FROZEN_RESULT["accelerometers"]["Qx"]["coefficients"][term]
     assert (only_instrument(histories).points[0].value, histories.unit) == (
         stated["value"],
@@ -347,7 +373,7 @@ def test_history_of_other_term(tmp_path, term):
 
 
 def test_date_with_time_zone_is_converted_to_utc(tmp_path):
-    folder = write_results(tmp_path, a=dated(date="2026-03-01T01:00:00+02:00"))
+    folder = write_results(tmp_path, a=make_dated_document(date="2026-03-01T01:00:00+02:00"))
     assert only_instrument(history([folder])).points[0].date == "2026-02-28T23:00:00"
 
 
@@ -409,7 +435,8 @@ def add_limits(document, low=-2.9e-5, high=2.75e-5, laboratory=None):
 
 def test_drift_towards_limit_sets_due_date(tmp_path):
     documents = {
-        f"r{i}": add_limits(dated(2.70e-5 + 5e-8 * i, date, u=1e-8)) for i, date in enumerate(DATES)
+        f"r{i}": add_limits(make_dated_document(2.70e-5 + 5e-8 * i, date, u=1e-8))
+        for i, date in enumerate(DATES)
     }
     histories = history([write_results(tmp_path, **documents)])
     instrument = only_instrument(histories)
@@ -435,7 +462,7 @@ def test_no_due_date_without_specification_or_after_jump(tmp_path):
         in only_instrument(history([write_series(tmp_path / "a", [2.7e-5])])).due.reason
     )
     jump = {
-        f"r{i}": add_limits(dated(2.70e-5 + shift * U, date))
+        f"r{i}": add_limits(make_dated_document(2.70e-5 + shift * U, date))
         for i, (shift, date) in enumerate(zip([0, 0, 0, 0, 8], DATES, strict=True))
     }
     histories = history([write_results(tmp_path / "b", **jump)])
@@ -445,7 +472,7 @@ def test_no_due_date_without_specification_or_after_jump(tmp_path):
 def test_laboratories_are_compared(tmp_path):
     values = [("A", 2.70e-5), ("B", 2.72e-5), ("A", 2.70e-5), ("B", 2.74e-5)]
     documents = {
-        f"r{i}": add_limits(dated(value, DATES[i]), laboratory=name)
+        f"r{i}": add_limits(make_dated_document(value, DATES[i]), laboratory=name)
         for i, (name, value) in enumerate(values)
     }
     histories = history([write_results(tmp_path, **documents)])
@@ -533,8 +560,10 @@ def test_documentation_explains_all_verdicts():
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes among the files here")
 def test_hidden_files_and_pipes_are_skipped(tmp_path):
-    folder = write_results(tmp_path, good=dated(), **{".tmpx1y2": dated(2.6e-5)})
-    write_results(tmp_path / ".git", index=dated(2.5e-5))
+    folder = write_results(
+        tmp_path, good=make_dated_document(), **{".tmpx1y2": make_dated_document(2.6e-5)}
+    )
+    write_results(tmp_path / ".git", index=make_dated_document(2.5e-5))
     os.mkfifo(folder / "pipe.json")
     histories = history([folder])
     assert len(only_instrument(histories).points) == 1

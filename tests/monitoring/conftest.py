@@ -10,7 +10,7 @@ import counterspin as cs
 
 @pytest.fixture(scope="session")
 def campaign_files(tmp_path_factory):
-    document = frames.small()
+    document = frames.parse_small_description()
     del document["accelerometers"]["Qy"], document["truth"]["Qy"]
     document["simulation"]["revolutions"] = 15
     folder = tmp_path_factory.mktemp("monitoring") / "campaign"

@@ -4,7 +4,7 @@ import tomllib
 from functools import cache, partial
 
 import pytest
-from campaigns import changed, write
+from campaigns import replace_parts, write_description
 from planning_setups import PERFECT
 
 from counterspin.planning.plan import plan, write_example
@@ -13,7 +13,9 @@ from counterspin.planning.plan import plan, write_example
 @pytest.fixture
 def write_plan(tmp_path):
     """Return a function that writes a plan with pairs of text replaced."""
-    return lambda text, *pairs: write(tmp_path, changed(text, *pairs), "PLAN.toml")
+    return lambda text, *pairs: write_description(
+        tmp_path, replace_parts(text, *pairs), "PLAN.toml"
+    )
 
 
 @pytest.fixture
@@ -23,7 +25,7 @@ def write_starter(tmp_path, write_plan):
     Default priors are assumed perfect and a single rate is allowed, as in the plan of the paper.
     """
     original = write_example(tmp_path / "starter.toml").read_text(encoding="utf-8")
-    return partial(write_plan, changed(original, *PERFECT))
+    return partial(write_plan, replace_parts(original, *PERFECT))
 
 
 @cache

@@ -3,7 +3,7 @@
 import tomllib
 
 import pytest
-from campaigns import changed
+from campaigns import replace_parts
 
 from counterspin.campaign.description import read_campaign
 from counterspin.ingest.starter import init
@@ -72,7 +72,9 @@ def write_planned_campaign(planned, write_starter):
 
 def test_impossible_sizes_have_no_requirement(tmp_path, capsys):
     file = init(tmp_path / "example")
-    text = changed(file.read_text(encoding="utf-8"), ("\n[model] ", '\n[model]\nassume = "all" #'))
+    text = replace_parts(
+        file.read_text(encoding="utf-8"), ("\n[model] ", '\n[model]\nassume = "all" #')
+    )
     file.write_text(text, encoding="utf-8")
     result = check(file)
     sizes = {line.words: line.size for line in result.requirements}

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from campaigns import PLACE, SMALL, changed, runs, write
+from campaigns import PLACE, SMALL, format_runs, replace_parts, write_description
 from mixed_campaign import MixedCampaign
 
 import triads
@@ -56,7 +56,7 @@ displacement = {{ column = "east_m", unit = "m" }}
 [model]
 terms = ["K_F", "K_I", "K_II", "K_III"]
 assume = "all"
-{runs("slow", "fast", rates=("0.9 rev/s", "1 rev/s"))}
+{format_runs("slow", "fast", rates=("0.9 rev/s", "1 rev/s"))}
 [simulation]
 sampling_rate = "16 Hz"
 revolutions = 25
@@ -68,11 +68,11 @@ K_III = "0 g/g^3"
 
 [truth.noise]
 {noise}"""
-    simulate(write(tmp_path / "true", text), tmp_path / "records")
+    simulate(write_description(tmp_path / "true", text), tmp_path / "records")
     result = calibrate(tmp_path / "records")
-    told = forecast(write(tmp_path / "true", text))
+    told = forecast(write_description(tmp_path / "true", text))
     found = f"{result.coefficient('Qx.K_III').value!r} g/g^3"
-    again = forecast(write(tmp_path / "found", changed(text, ("0 g/g^3", found))))
+    again = forecast(write_description(tmp_path / "found", replace_parts(text, ("0 g/g^3", found))))
     u = result.coefficient("Qx.K_II").u
     assert u > 1.5 * told.u["Qx.K_II"]
     assert u == pytest.approx(again.u["Qx.K_II"], rel=0.05)
@@ -90,7 +90,7 @@ def test_forecast_matches_calibration_of_records(model, timing, tmp_path):
     where K_II rests on something else.
     """
     noise = f'displacement = "0.01 m"\ntiming = "{timing}"\n'
-    text = changed(
+    text = replace_parts(
         SMALL,
         ('[noise]\ndisplacement = "0.01 m"\n', f"[noise]\n{noise}"),
         ('[truth.noise]\ndisplacement = "0.01 m"\n', f"[truth.noise]\n{noise}"),
@@ -99,7 +99,7 @@ def test_forecast_matches_calibration_of_records(model, timing, tmp_path):
         ('scale_factor = "0.999 g/g"', 'scale_factor = "0.999 ± 1e-4 g/g"'),
         ('K_III = "3e-6 g/g^3"\n', ""),
     )
-    simulate(write(tmp_path, text), tmp_path / "simulated")
+    simulate(write_description(tmp_path, text), tmp_path / "simulated")
     told = forecast(tmp_path / "simulated").u
     for name, accelerometer in calibrate(tmp_path / "simulated").accelerometers.items():
         for symbol, c in accelerometer.coefficients.items():
@@ -113,13 +113,13 @@ def test_forecast_does_not_depend_on_velocity_feedback(tmp_path):
     calibrated, told = [], []
     for reference in ("platform", "own velocity"):
         folder = tmp_path / reference
-        text = changed(
+        text = replace_parts(
             SMALL,
             ("[records]\n", f'[records]\nreference = "{reference}"\n'),
             ("[noise]\n", f"[noise]\n{walk}"),
             ("[truth.noise]\n", f"[truth.noise]\n{walk}"),
         )
-        simulate(write(folder, text), folder)
+        simulate(write_description(folder, text), folder)
         calibrated.append(calibrate(folder))
         told.append(forecast(folder).u)
     assert told[0] == told[1]
@@ -133,7 +133,7 @@ def test_forecast_does_not_depend_on_velocity_feedback(tmp_path):
 
 
 def test_forecast_repr_has_line_per_coefficient(tmp_path):
-    found = forecast(write(tmp_path, SMALL))
+    found = forecast(write_description(tmp_path, SMALL))
     head, *lines = repr(found).splitlines()
     assert head == f"Forecast of {found.campaign.title}"
     asked = [unknown.name for unknown in found.fit.model.of_interest]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaigns import PLACE, changed, without
+from campaigns import PLACE, remove_table, replace_parts
 from raising import raises
 
 from counterspin import cli
@@ -74,8 +74,8 @@ PLANS = {
 
 #: Two accelerometers of different records, an attitude without a name, spin-up, both senses,
 #: uncertain inputs, a considered term, a random walk.
-UNCERTAIN_PLACE = changed(
-    without(PLACE, "records"),
+UNCERTAIN_PLACE = replace_parts(
+    remove_table(PLACE, "records"),
     ('"9.8066 m/s^2"', '"9.8066 ± 1e-4 m/s^2"'),
     ('"45.75 deg"', '"45.75 ± 0.01 deg"'),
     ('"2.5 m"', '"2.5 ± 1e-4 m"'),

@@ -2,7 +2,7 @@
 
 import pytest
 from campaigns import SMALL
-from recorded_campaigns import record
+from recorded_campaigns import simulate_measured_campaign
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
@@ -13,7 +13,7 @@ from counterspin.planning.plan import check
 def recorded(request, tmp_path_factory):
     """Write records whose description omits the length and, in one case, the noise."""
     away = ["noise"] if request.param == "found" else []
-    folder = record(
+    folder = simulate_measured_campaign(
         tmp_path_factory.mktemp("recorded"), tmp_path_factory.mktemp("plan"), SMALL, *away
     )
     campaign = read_campaign(folder)

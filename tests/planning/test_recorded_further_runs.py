@@ -1,8 +1,8 @@
 """What further runs would give is what a calibration with them states."""
 
 import pytest
-from campaigns import SMALL, changed
-from recorded_campaigns import record
+from campaigns import SMALL, replace_parts
+from recorded_campaigns import simulate_measured_campaign
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
@@ -10,12 +10,14 @@ from counterspin.planning.recorded import observe_with_noise, suggest_runs
 from counterspin.toml_text import write_document
 
 #: Nothing is taken as perfect: K_OO, 2 ug/g^2, looks like K_II.
-HONEST = changed(SMALL, ('[model]\nassume = "all"\n', ""))
+HONEST = replace_parts(SMALL, ('[model]\nassume = "all"\n', ""))
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    return record(tmp_path_factory.mktemp("recorded"), tmp_path_factory.mktemp("plan"), HONEST)
+    return simulate_measured_campaign(
+        tmp_path_factory.mktemp("recorded"), tmp_path_factory.mktemp("plan"), HONEST
+    )
 
 
 def suggest_further_runs(campaign, name="Qx.K_II"):
@@ -32,7 +34,7 @@ def test_further_runs_reach_promised_u(recorded, tmp_path):
         run["revolutions"] = 20
         assert float(run.pop("duration").split()[0]) > 0.0
     text = HONEST.replace("[simulation]", f"{write_document({'runs': more})}\n[simulation]")
-    after = calibrate(record(tmp_path / "more", tmp_path / "plan", text))
+    after = calibrate(simulate_measured_campaign(tmp_path / "more", tmp_path / "plan", text))
     assert after.accelerometers["Qx"].coefficients["K_II"].u == pytest.approx(found.u, rel=1e-2)
 
 

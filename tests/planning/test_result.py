@@ -3,8 +3,8 @@
 import math
 
 import pytest
-from campaigns import SMALL, changed, write
-from reading_descriptions import on_arm
+from campaigns import SMALL, replace_parts, write_description
+from reading_descriptions import format_arm_run
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.planning.page import plan_blocks
@@ -16,7 +16,7 @@ ASSUMED = 'assume = "all"\n'
 
 @pytest.mark.parametrize("assume", [ASSUMED, ""], ids=["all assumed", "nothing assumed"])
 def test_u_matches_calibration(assume, tmp_path):
-    simulate(write(tmp_path, changed(SMALL, (ASSUMED, assume))), tmp_path)
+    simulate(write_description(tmp_path, replace_parts(SMALL, (ASSUMED, assume))), tmp_path)
     forecast, found = check(tmp_path), calibrate(tmp_path)
     assert forecast.assumed == found.assumed
     assert bool(found.assumed) == bool(assume)
@@ -44,8 +44,8 @@ def sentences(result):
 
 
 def test_first_lines_name_largest_contribution_and_assumptions(tmp_path):
-    honest = check(write(tmp_path / "honest", changed(SMALL, (ASSUMED, ""))))
-    taken = check(write(tmp_path / "taken", SMALL))
+    honest = check(write_description(tmp_path / "honest", replace_parts(SMALL, (ASSUMED, ""))))
+    taken = check(write_description(tmp_path / "taken", SMALL))
     u = [r.accelerometers["Qx"].coefficients["K_II"].u for r in (honest, taken)]
     # One attitude cannot tell K_OO, 2 ug/g^2, from K_II.
     assert u[0] > 10.0 * u[1]
@@ -68,7 +68,7 @@ input_axis = "up"
 pendulous_axis = "west"
 MODEL
 """ + "".join(
-    on_arm(
+    format_arm_run(
         f"{side} {rate}",
         f"{rate} rad/s",
         f"{sign * rate**2 / 9.80665 + 1e-3!r} ± 2e-6 g",
@@ -83,7 +83,7 @@ MODEL
 @pytest.mark.parametrize("assume", [ASSUMED, ""], ids=["all assumed", "nothing assumed"])
 def test_u_of_readings_matches_calibration(assume, tmp_path):
     text = READ.replace("MODEL", f'[model]\nterms = ["K_F", "K_I", "K_II"]\n{assume}')
-    forecast, found = check(write(tmp_path, text)), calibrate(tmp_path)
+    forecast, found = check(write_description(tmp_path, text)), calibrate(tmp_path)
     for symbol, predicted in forecast.accelerometers["A"].coefficients.items():
         c = found.accelerometers["A"].coefficients[symbol]
         assert predicted.u == pytest.approx(c.u, rel=1e-3), symbol

@@ -6,8 +6,8 @@ import re
 
 import numpy as np
 import pytest
-from reading_campaigns import arm, simulated, tumble
-from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
+from reading_campaigns import arm, simulate_readings, tumble
+from reading_descriptions import ACCELEROMETER, format_arm_run, format_rest_run, format_site
 from stations import Station
 
 from counterspin.calibration.calibrate import calibrate
@@ -16,7 +16,7 @@ from counterspin.physics.accelerometer import Mounting
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 SIGMA = 2e-6
 LEVEL = {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5}
-HEAD = place("1.0 ± 1e-6 m", "9.80665 m/s^2", "0.8 rad") + ACCELEROMETER
+HEAD = format_site("1.0 ± 1e-6 m", "9.80665 m/s^2", "0.8 rad") + ACCELEROMETER
 
 
 def mirrored_tumble(count=12):
@@ -39,7 +39,7 @@ def calibrate_readings(folder, angles, values, **how):
         digits = how.get("digits", 17)
         written = [f'"{round(1.25 * one, digits)!r}{spread} mA"' for one in value.tolist()]
         reading = written[0] if len(written) == 1 else f"[{', '.join(written)}]"
-        run = at_rest(f"at {k}", f"{angle!r}{head} deg about north", "?")
+        run = format_rest_run(f"at {k}", f"{angle!r}{head} deg about north", "?")
         runs.append(run.replace('reading = "?"', f"reading = {reading}"))
         runs += [f'time = "{k} min"\ntemperature = "23 degC"\n'] if how.get("time") else []
     model = f"[model]\nassume = {how.get('assume', 'all')!r}\nterms = {list(terms)}\n"
@@ -59,7 +59,7 @@ def lack_of_fit_findings(result):
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
 def test_missing_term_is_named_with_collinear_terms(tmp_path, u):
     truth = {**LEVEL, "K_II": 15e-6}
-    values = simulated(tumble(24), np.random.default_rng(1), SIGMA, truth=truth)
+    values = simulate_readings(tumble(24), np.random.default_rng(1), SIGMA, truth=truth)
     (found,) = lack_of_fit_findings(
         calibrate_readings(tmp_path, evenly_spaced_angles(24), values, u=u)
     )
@@ -75,7 +75,7 @@ def test_missing_term_is_named_with_collinear_terms(tmp_path, u):
 def test_head_wave_without_stated_u_contradicts(tmp_path):
     """K_F moves by twice its u, and nothing but the residuals shows it."""
     angles = evenly_spaced_angles(12)
-    values = simulated(tumble(), np.random.default_rng(2), 1e-7, truth=LEVEL)
+    values = simulate_readings(tumble(), np.random.default_rng(2), 1e-7, truth=LEVEL)
     values += 4e-5 * np.cos(2.0 * np.radians(angles))
     result = calibrate_readings(tmp_path, angles, values)
     assert result.state == "contradicted"
@@ -84,7 +84,7 @@ def test_head_wave_without_stated_u_contradicts(tmp_path):
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
 def test_drift_of_ten_times_noise_is_named(tmp_path, u):
-    values = simulated(tumble(24), np.random.default_rng(3), SIGMA, truth=LEVEL)
+    values = simulate_readings(tumble(24), np.random.default_rng(3), SIGMA, truth=LEVEL)
     values += 10.0 * SIGMA * np.linspace(0.0, 1.0, 24)
     (found,) = lack_of_fit_findings(
         calibrate_readings(tmp_path, evenly_spaced_angles(24), values, u=u)
@@ -95,7 +95,7 @@ def test_drift_of_ten_times_noise_is_named(tmp_path, u):
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
 def test_hysteresis_of_five_times_noise_is_named(tmp_path, u):
     test, angles = mirrored_tumble()
-    values = simulated(test, np.random.default_rng(4), SIGMA, truth=LEVEL)
+    values = simulate_readings(test, np.random.default_rng(4), SIGMA, truth=LEVEL)
     # The last position of the way there is read again without a move.
     values[:13] += 5.0 * SIGMA
     (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, angles.tolist(), values, u=u))
@@ -107,7 +107,7 @@ def test_hysteresis_of_five_times_noise_is_named(tmp_path, u):
 def test_reversing_drift_in_mirrored_order_is_named(tmp_path, u):
     """It is the same there and back, so that each position seems to be off by itself."""
     test, angles = mirrored_tumble()
-    values = simulated(test, np.random.default_rng(12), SIGMA, truth=LEVEL)
+    values = simulate_readings(test, np.random.default_rng(12), SIGMA, truth=LEVEL)
     values += 12.0 * SIGMA * np.linspace(-1.0, 1.0, 24) ** 2
     (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, angles.tolist(), values, u=u))
     assert "drift with the order of the readings and reverse" in found.text
@@ -117,11 +117,11 @@ def test_reversing_drift_in_mirrored_order_is_named(tmp_path, u):
 def test_dependence_on_sense_of_rotation_is_named(tmp_path, u):
     test = arm()
     truth = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6}
-    values = simulated(test, np.random.default_rng(13), SIGMA, truth=truth)
+    values = simulate_readings(test, np.random.default_rng(13), SIGMA, truth=truth)
     values += 4.0 * SIGMA * np.sign([station.rate for station in test[0]])
     spread = "" if u is None else f" ± {1.25 * u!r}"
     runs = [
-        on_arm(f"{k}", f"{station.rate!r} rad/s", f"{1.25 * value!r}{spread} mA", side=side)
+        format_arm_run(f"{k}", f"{station.rate!r} rad/s", f"{1.25 * value!r}{spread} mA", side=side)
         for k, (station, side, value) in enumerate(zip(*test[:2], values.tolist(), strict=True))
     ]
     model = f"[model]\nassume = 'all'\nterms = {list(truth)}\n".replace("'", '"')
@@ -135,7 +135,7 @@ def test_dependence_on_sense_of_rotation_is_named(tmp_path, u):
 @pytest.mark.parametrize("count", [12, 24])
 def test_hysteresis_in_single_revolution_is_named(tmp_path, u, count):
     """Of 15 times the noise between falling and rising force; delta_O was 5 u off, and good."""
-    values = simulated(tumble(count), np.random.default_rng(16), SIGMA, truth=LEVEL)
+    values = simulate_readings(tumble(count), np.random.default_rng(16), SIGMA, truth=LEVEL)
     values[1 : count // 2 + 1] += 15.0 * SIGMA
     terms = (*LEVEL, "K_II")
     result = calibrate_readings(tmp_path, evenly_spaced_angles(count), values, u=u, terms=terms)
@@ -150,7 +150,7 @@ def test_hysteresis_in_single_revolution_is_named(tmp_path, u, count):
 @pytest.mark.parametrize("count", [12, 24])
 def test_step_is_named_with_first_position(tmp_path, u, count):
     """Of 15 times the noise; without this column 12 positions were good, and delta_O 6 u off."""
-    values = simulated(tumble(count), np.random.default_rng(15), SIGMA, truth=LEVEL)
+    values = simulate_readings(tumble(count), np.random.default_rng(15), SIGMA, truth=LEVEL)
     values[count // 2 :] += 15.0 * SIGMA
     terms = (*LEVEL, "K_II")
     result = calibrate_readings(tmp_path, evenly_spaced_angles(count), values, u=u, terms=terms)
@@ -164,13 +164,13 @@ def test_scale_factor_drift_is_named_or_in_uncertainty(tmp_path, u, assume):
     """Of 100 ppm on an arm, as K_I.temperature of typical size makes it in 1 K."""
     test = arm()
     truth = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6}
-    values = simulated(test, np.random.default_rng(17), SIGMA, truth=truth)
+    values = simulate_readings(test, np.random.default_rng(17), SIGMA, truth=truth)
     forces = np.array([station.rate**2 for station in test[0]]) / 9.80665
     forces *= [1.0 if side == "inward" else -1.0 for side in test[1]]
     values += 1e-4 * np.linspace(-0.5, 0.5, 24) * forces
     spread = "" if u is None else f" ± {1.25 * u!r}"
     runs = [
-        on_arm(f"{k}", f"{station.rate!r} rad/s", f"{1.25 * value!r}{spread} mA", side=side)
+        format_arm_run(f"{k}", f"{station.rate!r} rad/s", f"{1.25 * value!r}{spread} mA", side=side)
         for k, (station, side, value) in enumerate(zip(*test[:2], values.tolist(), strict=True))
     ]
     model = f"[model]\n{assume}\nterms = {list(truth)}\n".replace("'", '"')
@@ -192,7 +192,7 @@ def test_scale_factor_drift_is_named_or_in_uncertainty(tmp_path, u, assume):
 def test_oscillation_of_room_temperature_is_named(tmp_path, u):
     """2.4 swings of 12 times the noise: K_I was 8 u off and good where the noise was estimated."""
     test, angles = mirrored_tumble()
-    values = simulated(test, np.random.default_rng(18), SIGMA, truth=LEVEL)
+    values = simulate_readings(test, np.random.default_rng(18), SIGMA, truth=LEVEL)
     values += 12.0 * SIGMA * np.sin(2.0 * math.pi * 2.4 * np.linspace(0.0, 1.0, 24) + 0.5)
     (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, angles.tolist(), values, u=u))
     assert "oscillate 2.5 times with the order of the readings" in found.text
@@ -202,7 +202,7 @@ def test_oscillation_of_room_temperature_is_named(tmp_path, u):
 def test_steady_rotation_of_positions_is_named(tmp_path, u):
     """The floor tilts by 8 arcsec during two turns."""
     test, angles = mirrored_tumble()
-    values = simulated(test, np.random.default_rng(19), SIGMA, truth=LEVEL)
+    values = simulate_readings(test, np.random.default_rng(19), SIGMA, truth=LEVEL)
     values -= 4e-5 * np.linspace(0.0, 1.0, 24) * np.sin(np.radians(angles))
     (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, angles.tolist(), values, u=u))
     assert "have the pattern of positions that rotate steadily with the order" in found.text
@@ -212,7 +212,7 @@ def test_steady_rotation_of_positions_is_named(tmp_path, u):
 def test_bias_asymmetry_is_named(tmp_path, u):
     """By 40 ug (K0' of IEEE Std 1293): K_I takes most of a square wave, and not all."""
     angles = evenly_spaced_angles(24)
-    values = simulated(tumble(24), np.random.default_rng(20), SIGMA, truth=LEVEL)
+    values = simulate_readings(tumble(24), np.random.default_rng(20), SIGMA, truth=LEVEL)
     values += 2e-5 * np.sign(np.round(np.cos(np.radians(angles)), 9))
     (found,) = lack_of_fit_findings(
         calibrate_readings(tmp_path, angles, values, u=u, terms=(*LEVEL, "K_II"))
@@ -221,7 +221,7 @@ def test_bias_asymmetry_is_named(tmp_path, u):
 
 
 def test_saturated_fit_is_unjudged(tmp_path):
-    values = simulated(tumble(4), np.random.default_rng(14), SIGMA, truth=LEVEL)
+    values = simulate_readings(tumble(4), np.random.default_rng(14), SIGMA, truth=LEVEL)
     three = calibrate_readings(tmp_path, evenly_spaced_angles(4)[:3], values[:3], u=SIGMA)
     assert [f.code for f in three.findings] == ["unjudged-readings"]
     assert "3 readings cannot test the 3 coefficients" in three.findings[0].text
@@ -231,14 +231,14 @@ def test_saturated_fit_is_unjudged(tmp_path):
 
 
 def test_warm_up_is_named(tmp_path):
-    values = simulated(tumble(24), np.random.default_rng(5), SIGMA, truth=LEVEL)
+    values = simulate_readings(tumble(24), np.random.default_rng(5), SIGMA, truth=LEVEL)
     values += 20.0 * SIGMA * np.exp(-np.arange(24) / 2.3)
     (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, evenly_spaced_angles(24), values))
     assert "settle with the order of the readings, as during a warm-up" in found.text
 
 
 def test_single_outlying_reading_is_not_pattern(tmp_path):
-    values = simulated(tumble(24), np.random.default_rng(6), SIGMA, truth=LEVEL)
+    values = simulate_readings(tumble(24), np.random.default_rng(6), SIGMA, truth=LEVEL)
     values[0] += 100.0 * SIGMA
     result = calibrate_readings(tmp_path, evenly_spaced_angles(24), values)
     assert [f.code for f in result.findings] == ["outlying-reading"]
@@ -247,9 +247,9 @@ def test_single_outlying_reading_is_not_pattern(tmp_path):
 def test_missing_cubic_term_on_arm_is_named(tmp_path):
     test = arm()
     truth = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6, "K_III": 2e-6}
-    values = simulated(test, np.random.default_rng(7), SIGMA, truth=truth)
+    values = simulate_readings(test, np.random.default_rng(7), SIGMA, truth=truth)
     runs = [
-        on_arm(f"{k}", f"{station.rate!r} rad/s", f"{1.25 * value!r} mA", side=side)
+        format_arm_run(f"{k}", f"{station.rate!r} rad/s", f"{1.25 * value!r} mA", side=side)
         for k, (station, side, value) in enumerate(zip(*test[:2], values.tolist(), strict=True))
     ]
     model = '[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II"]\n'
@@ -277,7 +277,7 @@ def calibrate_on_arm(folder, radius, drift=0.0):
         value = 2e-3 + 1.0005 * force + 15e-6 * force**2 + k * drift + SIGMA * rng.standard_normal()
         written = f"{1.25 * value!r} ± {1.25 * SIGMA!r} mA"
         if rate:
-            runs.append(on_arm(f"{k}", f"{rate!r} rad/s", written, side=way, mounting=way))
+            runs.append(format_arm_run(f"{k}", f"{rate!r} rad/s", written, side=way, mounting=way))
         else:
             pose = f'motion = "static"\naxes = {{ input = "{way}", pendulous = "east" }}\n'
             runs.append(f'[[runs]]\nname = "{k}"\n{pose}reading = "{written}"\n')
@@ -308,7 +308,7 @@ def test_radius_error_of_all_mountings_is_one_finding(tmp_path):
 
 @pytest.mark.parametrize(("count", "codes"), [(7, ["unjudged-readings"]), (8, [])])
 def test_fewer_than_five_degrees_of_freedom_are_unjudged(tmp_path, count, codes):
-    values = simulated(tumble(count), np.random.default_rng(8), SIGMA, truth=LEVEL)
+    values = simulate_readings(tumble(count), np.random.default_rng(8), SIGMA, truth=LEVEL)
     result = calibrate_readings(tmp_path, evenly_spaced_angles(count), values)
     assert [f.code for f in result.findings] == codes
     assert result.state == ("reservations" if codes else "good")
@@ -325,7 +325,7 @@ def test_fewer_than_five_degrees_of_freedom_are_unjudged(tmp_path, count, codes)
 def test_twelve_positions_without_stated_u_are_unjudged(tmp_path, u):
     """Four waves of an unknown head, and what they leave to drifts, take up all twelve."""
     for seed in range(4):
-        values = simulated(tumble(), np.random.default_rng(seed), SIGMA, truth=LEVEL)
+        values = simulate_readings(tumble(), np.random.default_rng(seed), SIGMA, truth=LEVEL)
         result = calibrate_readings(tmp_path, evenly_spaced_angles(12), values, u=u, assume=[])
         assert [f.code for f in result.findings] == ["unjudged-readings"]
         for symbol, value in LEVEL.items():
@@ -340,7 +340,7 @@ def simulate_fault(kind, rng):
     """Return a tumble of 12 positions in a random order with something wrong, and its angles."""
     order = rng.permutation(12)
     angle, at = np.arange(12) * math.pi / 6.0, np.arange(12.0)
-    values = simulated(tumble(), rng, SIGMA, truth=LEVEL)
+    values = simulate_readings(tumble(), rng, SIGMA, truth=LEVEL)
     values += SIGMA * {
         "2 phi and 3 phi": 15.0 * np.cos(2.0 * angle + 0.7) + 15.0 * np.cos(3.0 * angle - 0.4),
         "K_III": 20.0 * np.cos(angle) ** 3,
@@ -373,10 +373,10 @@ def test_five_arm_readings_have_coverage(tmp_path):
     truth = {**LEVEL, "K_II": 15e-6, "K_III": 2e-6}
     covered = dict.fromkeys(truth, 0)
     for _ in range(trials):
-        at_rest_ = simulated(tumble(), rng, SIGMA, truth=truth)
-        values = simulated(test, rng, SIGMA, truth=truth)
+        at_rest_ = simulate_readings(tumble(), rng, SIGMA, truth=truth)
+        values = simulate_readings(test, rng, SIGMA, truth=truth)
         runs = [
-            on_arm(f"{k}", f"{one.rate!r} rad/s", f"{1.25 * value!r} mA", side=side)
+            format_arm_run(f"{k}", f"{one.rate!r} rad/s", f"{1.25 * value!r} mA", side=side)
             for k, (one, side, value) in enumerate(zip(*test[:2], values.tolist(), strict=True))
         ]
         result = calibrate_readings(
@@ -400,7 +400,7 @@ def test_false_alarms_of_good_tumbles_are_rare(tmp_path, u):
     trials, most = (150, 6) if FULL else (30, 2)
     blamed = 0
     for _ in range(trials):
-        values = simulated(tumble(), rng, SIGMA, truth=LEVEL)
+        values = simulate_readings(tumble(), rng, SIGMA, truth=LEVEL)
         blamed += bool(
             lack_of_fit_findings(
                 calibrate_readings(tmp_path, evenly_spaced_angles(12), values, u=u)
@@ -421,7 +421,7 @@ def test_head_error_shared_by_repeats_is_not_named(tmp_path, u_head):
     test = tumble(24)
     blamed = 0
     for _ in range(trials):
-        exact = simulated(test, rng, 0.0, u_head=u_head, truth=LEVEL)
+        exact = simulate_readings(test, rng, 0.0, u_head=u_head, truth=LEVEL)
         values = exact[:, None] + rng.normal(0.0, 1e-6, (24, 3))
         head = f" ± {math.degrees(u_head)!r}"
         blamed += bool(
@@ -449,7 +449,7 @@ def test_few_repeats_with_large_head_error_raise_no_alarm(tmp_path):
     rng, u_head, test = np.random.default_rng(15), 6e-6, tumble(8)
     head, blamed = f" ± {math.degrees(u_head)!r}", 0
     for _ in range(trials):
-        exact = simulated(test, rng, 0.0, u_head=u_head, truth=LEVEL)
+        exact = simulate_readings(test, rng, 0.0, u_head=u_head, truth=LEVEL)
         values = exact[:, None] + rng.normal(0.0, SIGMA, (8, 2))
         blamed += bool(
             lack_of_fit_findings(
@@ -471,7 +471,7 @@ def test_unstated_drift_of_ten_typical_sizes_is_not_good(tmp_path, count):
     """
     rng = np.random.default_rng(count)
     for _ in range(3):
-        values = simulated(tumble(count), rng, SIGMA, truth=LEVEL)
+        values = simulate_readings(tumble(count), rng, SIGMA, truth=LEVEL)
         values += 12.0 * SIGMA * np.linspace(0.0, 1.0, count)
         how = {"assume": [], "time": True, "more": [STATED_HEAD]}
         result = calibrate_readings(tmp_path, evenly_spaced_angles(count), values, **how)
@@ -484,7 +484,7 @@ def test_drift_hidden_by_unstated_head_error_is_in_uncertainty(tmp_path, count):
     """Errors of the head look like most of it: it moves K_F by 1.4 u, and is noticed."""
     rng = np.random.default_rng(count)
     for _ in range(6):
-        values = simulated(tumble(count), rng, SIGMA, truth=LEVEL)
+        values = simulate_readings(tumble(count), rng, SIGMA, truth=LEVEL)
         values += 12.0 * SIGMA * np.linspace(0.0, 1.0, count)
         result = calibrate_readings(
             tmp_path, evenly_spaced_angles(count), values, assume=[], time=True
@@ -525,7 +525,9 @@ def test_first_harmonic_of_head_is_in_uncertainty(tmp_path):
 def test_second_mounting_separates_head_error_from_accelerometer(tmp_path):
     simulate_fault, angles, values = simulate_turned_head(24, 22, again=True)
     runs = [
-        at_rest(f"at {k}", f"{angle!r} deg about north", f"{1.25 * value!r} ± {1.25 * SIGMA!r} mA")
+        format_rest_run(
+            f"at {k}", f"{angle!r} deg about north", f"{1.25 * value!r} ± {1.25 * SIGMA!r} mA"
+        )
         + f'head = "{head!r} deg"\n'
         for k, (head, angle, value) in enumerate(
             zip(simulate_fault.tolist(), angles.tolist(), values.tolist(), strict=True)
@@ -554,7 +556,7 @@ def test_outliers_in_good_tumbles_with_default_priors_are_rare(tmp_path):
     for _ in range(trials):
         unstated = {"K_II": 1e-5, "K_III": 2e-6, "K_IP": 2e-6, "K_PP": 2e-6, "K_OQ": 1e-6}
         truth = LEVEL | {symbol: rng.normal(0.0, size) for symbol, size in unstated.items()}
-        values = simulated(tumble(), rng, SIGMA, truth=truth)
+        values = simulate_readings(tumble(), rng, SIGMA, truth=truth)
         result = calibrate_readings(tmp_path, evenly_spaced_angles(12), values, assume=[])
         blamed += any(f.code == "outlying-reading" for f in result.findings)
     assert blamed <= most
@@ -567,7 +569,7 @@ ROUNDED = "fit the model to the last digit"
 @pytest.mark.parametrize("digits", [4, 6, 9, 17])
 def test_noise_free_readings_have_rounding_noise(tmp_path, assume, digits):
     """Written to a digit of a, they are off by a/sqrt(12) (GUM F.2.2.1); nothing is found in it."""
-    values = simulated(tumble(), np.random.default_rng(0), 0.0, truth=LEVEL)
+    values = simulate_readings(tumble(), np.random.default_rng(0), 0.0, truth=LEVEL)
     result = calibrate_readings(
         tmp_path, evenly_spaced_angles(12), values, assume=assume, digits=digits
     )
@@ -587,7 +589,7 @@ def test_noise_free_readings_have_rounding_noise(tmp_path, assume, digits):
 
 
 def test_rounding_is_negligible_beside_noise(tmp_path):
-    values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL)
+    values = simulate_readings(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL)
     whole = calibrate_readings(tmp_path, evenly_spaced_angles(12), values)
     rounded = calibrate_readings(tmp_path, evenly_spaced_angles(12), values, digits=8)
     for result in (whole, rounded):
@@ -598,7 +600,7 @@ def test_rounding_is_negligible_beside_noise(tmp_path):
 
 
 def test_identical_repeats_have_rounding_noise(tmp_path):
-    values = simulated(tumble(), np.random.default_rng(2), 0.0, truth=LEVEL)
+    values = simulate_readings(tumble(), np.random.default_rng(2), 0.0, truth=LEVEL)
     result = calibrate_readings(
         tmp_path, evenly_spaced_angles(12), np.repeat(values[:, None], 3, axis=1), digits=5
     )
@@ -614,7 +616,7 @@ def test_stated_first_harmonic_of_head_covers_error_of_k_ii(tmp_path):
     """
     error, angle = 2e-5, np.radians(evenly_spaced_angles(12))
     for phase in (0.0, 1.0, math.pi):
-        values = simulated(tumble(), np.random.default_rng(3), 0.0, truth=LEVEL)
+        values = simulate_readings(tumble(), np.random.default_rng(3), 0.0, truth=LEVEL)
         values += error * np.sin(angle + phase) * np.sin(angle)
         asked = (*LEVEL, "K_II", "K_IP")
         found = (

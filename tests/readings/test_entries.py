@@ -4,19 +4,21 @@ import math
 
 import numpy as np
 import pytest
-from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
+from reading_descriptions import ACCELEROMETER, format_arm_run, format_rest_run, format_site
 
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.quantity import Quantity
 from counterspin.errors import CampaignError
 
-HEAD = place() + ACCELEROMETER
+HEAD = format_site() + ACCELEROMETER
 ARM = """[centrifuge]
 radius = "1.0 ± 1e-3 m"
 """
-RUN = at_rest("tumble 30", "30 ± 0.001 deg about north", "1.082532 ± 2e-6 mA")
+RUN = format_rest_run("tumble 30", "30 ± 0.001 deg about north", "1.082532 ± 2e-6 mA")
 WARM = 'temperature = "23.4 degC"\n'
-ON_ARM = on_arm("in", "9.9 rad/s", "12.5 ± 2e-6 mA", pendulous="up", mounting="in", more=WARM)
+ON_ARM = format_arm_run(
+    "in", "9.9 rad/s", "12.5 ± 2e-6 mA", pendulous="up", mounting="in", more=WARM
+)
 
 
 def read(folder, text):
@@ -291,10 +293,10 @@ def test_path_errors_are_considered_beside_static_readings(tmp_path):
 
 SET = '[fixture]\nposition = "0 ± 0.5 deg"\n'
 FACES = (
-    at_rest("up", "level", "1 ± 2e-6 mA")
-    + at_rest("up again", "360 deg about north", "1 ± 2e-6 mA")
-    + at_rest("half over", "90 deg about north", "0 ± 2e-6 mA")
-    + at_rest("elsewhere", "level", "1 ± 2e-6 mA", 'mounting = "m"\n')
+    format_rest_run("up", "level", "1 ± 2e-6 mA")
+    + format_rest_run("up again", "360 deg about north", "1 ± 2e-6 mA")
+    + format_rest_run("half over", "90 deg about north", "0 ± 2e-6 mA")
+    + format_rest_run("elsewhere", "level", "1 ± 2e-6 mA", 'mounting = "m"\n')
 )
 
 
@@ -310,7 +312,7 @@ def test_accelerometers_of_same_body_share_positions(tmp_path):
     other = ACCELEROMETER.replace("accelerometers.A", "accelerometers.B")
     text = HEAD + other.replace('"west"', '"north"') + SET
     for name, attitude in (("up", "level"), ("over", "90 deg about north")):
-        run = at_rest(name, attitude, "X")
+        run = format_rest_run(name, attitude, "X")
         text += run.replace('"X"', '{ A = "1 ± 1e-6 mA", B = "1 ± 1e-6 mA" }')
     assert [(r.accelerometer, r.position) for r in read(tmp_path, text).readings] == [
         ("A", "1"),

@@ -12,7 +12,7 @@ from reading_campaigns import (
     considered,
     model,
     readings,
-    simulated,
+    simulate_readings,
     tumble,
     unknown,
 )
@@ -36,7 +36,7 @@ SIGMA = 2e-6
 def test_noise_free_readings_return_truth():
     rng = np.random.default_rng(1)
     tests = [tumble(), arm()]
-    groups = [readings(test, simulated(test, rng, 0.0), SIGMA) for test in tests]
+    groups = [readings(test, simulate_readings(test, rng, 0.0), SIGMA) for test in tests]
     fit = solve_readings(groups, model())
     nominal = np.array([TERMS[s].nominal for s in TRUTH])
     np.testing.assert_allclose(
@@ -50,7 +50,7 @@ def test_fit_converges_with_insensitive_term(seed):
     tilt = [unknown(f"centrifuge.axis_tilt.{axis}", (0.0, 5e-5), "") for axis in ("east", "north")]
     tests = [tumble(), arm()]
     rng = np.random.default_rng(seed)
-    groups = [readings(test, simulated(test, rng, 2e-8), 2e-8) for test in tests]
+    groups = [readings(test, simulate_readings(test, rng, 2e-8), 2e-8) for test in tests]
     fit = solve_readings(groups, model(others=tilt))
     assert np.all(fit.solution.u[-2:] <= 5e-5 * (1.0 + 1e-12))
     assert np.all(np.abs(fit.solution.estimate[-2:]) < 2e-4)
@@ -77,7 +77,7 @@ def test_fit_converges_with_large_considered_terms(seed):
     truth = TRUTH | {s: size for s, size in drawn.items() if s in TERMS}
     machine = {s: size for s, size in drawn.items() if s not in TERMS}
     groups = [
-        readings(test, simulated(test, rng, 5e-7, machine, truth=truth), 5e-7)
+        readings(test, simulate_readings(test, rng, 5e-7, machine, truth=truth), 5e-7)
         for test in (tumble(), arm())
     ]
     solution = solve_readings(groups, asked).solution
@@ -98,7 +98,7 @@ def test_head_error_on_double_turntable_equals_error_at_rest():
     station = Station("counter-rotating", level, rate=3.0, radius=1.0)
     test = [station] * 4, [""] * 4, np.tile([0.0, 1.0, 0.0], (4, 1))
     truth = {"K_F": 0.0}
-    values = simulated(test, np.random.default_rng(5), 0.0, u_head=1e-4, truth=truth)
+    values = simulate_readings(test, np.random.default_rng(5), 0.0, u_head=1e-4, truth=truth)
     errors = np.random.default_rng(5).normal(0.0, 1e-4, 4)
     np.testing.assert_allclose(np.abs(values), np.abs(errors), rtol=1e-6)
     fit = solve_readings([readings(test, values, SIGMA, u_head=1e-4)], model(("K_F",)))
@@ -117,7 +117,7 @@ def test_terms_undetermined_at_one_g_are_identified():
 
 def test_error_of_one_position_has_largest_standardised_residual():
     rng = np.random.default_rng(3)
-    values = simulated(tumble(), rng, SIGMA)
+    values = simulate_readings(tumble(), rng, SIGMA)
     values[5] += 160e-6
     fit = solve_readings([readings(tumble(), values, SIGMA)], model(("K_F", "K_I", "delta_O")))
     sizes = [abs(each.standardized) for each in fit.groups[0].single]
@@ -128,10 +128,10 @@ def test_error_of_one_position_has_largest_standardised_residual():
 def test_noise_matches_likelihood_search_of_records():
     """Of the same rows, repeats and priors: the one is stepped to, the other searched for."""
     rng = np.random.default_rng(31)
-    values = [simulated(tumble(), rng, SIGMA, u_head=0.0) for _ in range(4)]
+    values = [simulate_readings(tumble(), rng, SIGMA, u_head=0.0) for _ in range(4)]
     # The head's error is that of a position, which its repeats share.
-    mean = np.mean(values, axis=0) + simulated(tumble(), rng, 0.0, u_head=5e-7)
-    mean -= simulated(tumble(), rng, 0.0)
+    mean = np.mean(values, axis=0) + simulate_readings(tumble(), rng, 0.0, u_head=5e-7)
+    mean -= simulate_readings(tumble(), rng, 0.0)
     group = replace(
         readings(tumble(), mean, None, u_head=5e-7),
         repeats=np.full(12, 4.0),
@@ -165,7 +165,7 @@ def test_repeats_and_residuals_determine_noise():
     rng = np.random.default_rng(11)
     stations, mountings, head = tumble()
     asked = model(("K_F", "K_I", "delta_O"))
-    values = [simulated(tumble(), rng, SIGMA) for _ in range(5)]
+    values = [simulate_readings(tumble(), rng, SIGMA) for _ in range(5)]
     every = (stations * 5, mountings * 5, np.tile(head, (5, 1)))
     apart = solve_readings([readings(every, np.concatenate(values), None)], asked)
     together = replace(
@@ -185,7 +185,7 @@ def test_readings_of_same_position_are_tested_together():
     rng = np.random.default_rng(12)
     stations, mountings, head = tumble()
     every = (stations * 2, mountings * 2, np.tile(head, (2, 1)))
-    values = simulated(every, rng, SIGMA)
+    values = simulate_readings(every, rng, SIGMA)
     asked = model(("K_F", "K_I", "delta_O"))
     fit = solve_readings([readings(every, values, SIGMA)], asked)
     assert [p.indices for p in fit.groups[0].positions] == [(i, i + 12) for i in range(12)]
@@ -203,7 +203,7 @@ def test_readings_of_same_position_are_tested_together():
 
 def test_studentised_residual_matches_fit_without_reading():
     """Its distance from that prediction, over u of prediction and reading by the others' noise."""
-    values = simulated(tumble(), np.random.default_rng(13), SIGMA)
+    values = simulate_readings(tumble(), np.random.default_rng(13), SIGMA)
     asked = model(("K_F", "K_I", "delta_O"))
     every = solve_readings([readings(tumble(), values, None)], asked).groups[0].single
     x = np.array([[1.0, np.cos(a), np.sin(a)] for a in np.arange(12) * np.pi / 6])
@@ -220,7 +220,7 @@ def test_noise_with_head_error_has_dof_of_repeats():
     """A head of ten times the noise: what positions scatter by tells nothing of that."""
     rng, repeats = np.random.default_rng(14), 3
     stations, mountings, head = tumble()
-    exact = simulated(tumble(), rng, 0.0, u_head=10.0 * SIGMA)
+    exact = simulate_readings(tumble(), rng, 0.0, u_head=10.0 * SIGMA)
     read = exact[:, None] + rng.normal(0.0, SIGMA, (12, repeats))
     group = replace(
         readings((stations, mountings, head), read.mean(axis=1), None, u_head=10.0 * SIGMA),
@@ -241,7 +241,7 @@ def test_noise_with_head_error_has_dof_of_repeats():
 
 
 def test_fewer_readings_than_unknowns_raise_without_u():
-    values = simulated(tumble(3), np.random.default_rng(2), SIGMA)
+    values = simulate_readings(tumble(3), np.random.default_rng(2), SIGMA)
     with pytest.raises(NotIdentifiableError, match="without a stated uncertainty"):
         solve_readings([readings(tumble(3), values, None)], model(("K_F", "K_I", "delta_O")))
 
@@ -361,7 +361,7 @@ def test_fit_is_unbiased_and_has_coverage(case, stated):
         groups = [
             readings(
                 test,
-                simulated(test, rng, SIGMA, machine, truth=truth, **more),
+                simulate_readings(test, rng, SIGMA, machine, truth=truth, **more),
                 SIGMA if stated else None,
                 **more,
             )
@@ -412,7 +412,7 @@ def test_non_convergence_names_reading_with_wrong_sign():
         *map(unknown_radius, SIDES),
     )
     test = arm()
-    values = simulated(test, np.random.default_rng(3), SIGMA)
+    values = simulate_readings(test, np.random.default_rng(3), SIGMA)
     values[7] = -values[7]
     with pytest.raises(ConvergenceError, match='"position 7", which deviates most'):
         solve_readings([readings(test, values, SIGMA)], model(others=machine))

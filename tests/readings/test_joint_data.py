@@ -7,8 +7,8 @@ from hashlib import sha256
 import numpy as np
 import pytest
 from raising import raises
-from reading_campaigns import SITE, TRUTH, arm, simulated, tumble
-from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
+from reading_campaigns import SITE, TRUTH, arm, simulate_readings, tumble
+from reading_descriptions import ACCELEROMETER, format_arm_run, format_rest_run, format_site
 from stations import Station
 
 from counterspin.calibration.calibrate import calibrate
@@ -21,7 +21,7 @@ from counterspin.physics.accelerometer import Mounting
 from counterspin.readings.means import read_rows
 
 SIGMA = 2e-6
-HEAD = place("1.0 ± 1e-6 m", "9.80665 m/s^2", "0.8 rad") + ACCELEROMETER
+HEAD = format_site("1.0 ± 1e-6 m", "9.80665 m/s^2", "0.8 rad") + ACCELEROMETER
 
 
 def write_record(path, time, current):
@@ -32,7 +32,7 @@ def write_record(path, time, current):
 def tumble_runs(values, u=SIGMA):
     step = 360 / len(values)
     return "".join(
-        at_rest(
+        format_rest_run(
             f"tumble {i}",
             f"{i * step!r} deg about north",
             f"{float(1.25 * value)!r}{format_uncertainty(u)} mA",
@@ -43,7 +43,7 @@ def tumble_runs(values, u=SIGMA):
 
 def arm_runs(test, values, u=SIGMA):
     return "".join(
-        on_arm(
+        format_arm_run(
             f"{side} {i}",
             f"{float(station.rate)!r} rad/s",
             f"{float(1.25 * value)!r}{format_uncertainty(u)} mA",
@@ -71,7 +71,7 @@ LEVEL_TERMS = {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5}
 
 
 def test_tumble_is_calibrated_with_textbook_uncertainty(tmp_path):
-    values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
+    values = simulate_readings(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
     result = write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS), tumble_runs(values))
     a = result.accelerometers["A"]
     assert result.state == "good"
@@ -88,11 +88,11 @@ def test_tumble_is_calibrated_with_textbook_uncertainty(tmp_path):
 
 
 def test_residuals_of_readings_are_stored_in_result(tmp_path):
-    values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
+    values = simulate_readings(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
     result = write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS), tumble_runs(values))
     result.write(tmp_path / "result.json")
     found = {s: c.value for s, c in result.accelerometers["A"].coefficients.items()}
-    fitted = simulated(tumble(), np.random.default_rng(1), 0.0, truth=found)
+    fitted = simulate_readings(tumble(), np.random.default_rng(1), 0.0, truth=found)
     readings = Result.read(tmp_path / "result.json").accelerometers["A"].readings
     assert [reading.motion for reading in readings] == ["static"] * 12
     assert readings[1].name == "tumble 1"
@@ -106,7 +106,7 @@ def test_residuals_of_readings_are_stored_in_result(tmp_path):
 
 def test_arm_determines_k_ii_and_stretch_is_in_budget(tmp_path):
     test = arm()
-    values = simulated(test, np.random.default_rng(2), SIGMA)
+    values = simulate_readings(test, np.random.default_rng(2), SIGMA)
     stretch = '[model.priors]\n"centrifuge.stretch" = "0 ± 5e-9 s^2/m"\n'
     result = write_and_calibrate(
         tmp_path, model_section(*TRUTH, more=stretch), arm_runs(test, values)
@@ -122,8 +122,8 @@ def test_tumble_and_arm_together_reduce_uncertainty(tmp_path):
     rng = np.random.default_rng(3)
     test = arm()
     runs = {
-        "tumble": tumble_runs(simulated(tumble(), rng, SIGMA, truth={**TRUTH})),
-        "arm": arm_runs(test, simulated(test, rng, SIGMA)),
+        "tumble": tumble_runs(simulate_readings(tumble(), rng, SIGMA, truth={**TRUTH})),
+        "arm": arm_runs(test, simulate_readings(test, rng, SIGMA)),
     }
     asked = model_section("K_F", "K_I", "K_II", "K_III", "delta_O")
     both = write_and_calibrate(tmp_path, asked, *runs.values()).accelerometers["A"].coefficients
@@ -136,8 +136,8 @@ def test_tumble_and_arm_together_reduce_uncertainty(tmp_path):
 def test_noise_is_estimated_separately_at_rest_and_on_arm(tmp_path):
     rng = np.random.default_rng(4)
     test = arm()
-    tumbles = tumble_runs(simulated(tumble(), rng, SIGMA, truth={**TRUTH}), None)
-    arms = arm_runs(test, simulated(test, rng, 20.0 * SIGMA), None)
+    tumbles = tumble_runs(simulate_readings(tumble(), rng, SIGMA, truth={**TRUTH}), None)
+    arms = arm_runs(test, simulate_readings(test, rng, 20.0 * SIGMA), None)
     asked = model_section("K_F", "K_I", "K_II", "K_III", "delta_O")
     noise = write_and_calibrate(tmp_path, asked, tumbles, arms).accelerometers["A"].noise
     assert all(line.estimated for line in noise.values())
@@ -153,7 +153,7 @@ def test_noise_is_estimated_separately_at_rest_and_on_arm(tmp_path):
 )
 def test_prior_conflicting_with_tumble_is_found(tmp_path, u, state):
     """K_F known beforehand, 8 of its u off: nothing else in the readings would tell."""
-    values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
+    values = simulate_readings(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
     known = '[model.priors]\nK_F = "0.002016 ± 2e-6 g"\n'
     result = write_and_calibrate(
         tmp_path, model_section(*LEVEL_TERMS, more=known), tumble_runs(values, u)
@@ -168,7 +168,7 @@ def test_prior_conflicting_with_tumble_is_found(tmp_path, u, state):
 
 
 def test_correct_priors_have_no_finding(tmp_path):
-    values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
+    values = simulate_readings(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
     known = '[model.priors]\nK_F = "0.002002 ± 2e-6 g"\n'
     result = write_and_calibrate(
         tmp_path, model_section(*LEVEL_TERMS, more=known), tumble_runs(values)
@@ -179,7 +179,7 @@ def test_correct_priors_have_no_finding(tmp_path):
 def test_wrong_radius_of_arm_is_found(tmp_path):
     """The scale factor known to 2e-6 tells that the radius is not what was stated."""
     test = arm(radius=1.0002)
-    values = simulated(test, np.random.default_rng(2), SIGMA)
+    values = simulate_readings(test, np.random.default_rng(2), SIGMA)
     known = '[model.priors]\nK_I = "1.0005 ± 2e-6 g/g"\n'
     result = write_and_calibrate(
         tmp_path, model_section(*TRUTH, more=known), arm_runs(test, values)
@@ -193,7 +193,7 @@ def test_wrong_radius_of_arm_is_found(tmp_path):
 
 def test_k_ii_is_undetermined_at_one_g(tmp_path):
     """Nothing is known of K_PP and K_OO: what is determined in place of K_II is said by name."""
-    values = simulated(tumble(24), np.random.default_rng(4), SIGMA, truth=TRUTH)
+    values = simulate_readings(tumble(24), np.random.default_rng(4), SIGMA, truth=TRUTH)
     result = write_and_calibrate(
         tmp_path, model_section("K_F", "K_I", "K_II", "delta_O"), tumble_runs(values)
     )
@@ -212,7 +212,7 @@ def test_k_ii_is_undetermined_at_one_g(tmp_path):
 
 
 def test_u_of_k_ii_at_one_g_includes_priors_of_squares(tmp_path):
-    values = simulated(tumble(24), np.random.default_rng(4), SIGMA, truth=TRUTH)
+    values = simulate_readings(tumble(24), np.random.default_rng(4), SIGMA, truth=TRUTH)
     known = "".join(f'{symbol} = "0 ± 3e-6 g/g^2"\n' for symbol in ("K_PP", "K_OO"))
     priors = f'considered = ["K_PP", "K_OO"]\n[model.priors]\n{known}'
     asked = model_section("K_F", "K_I", "K_II", "delta_O", more=priors)
@@ -260,7 +260,7 @@ def test_ten_terms_at_one_g_have_rank_nine(tmp_path):
 
 @pytest.mark.parametrize("u", [SIGMA, None], ids=["noise stated", "noise to be estimated"])
 def test_fewer_readings_than_unknowns_raise(tmp_path, capsys, u):
-    values = simulated(tumble(3), np.random.default_rng(4), SIGMA, truth=LEVEL_TERMS)
+    values = simulate_readings(tumble(3), np.random.default_rng(4), SIGMA, truth=LEVEL_TERMS)
     with raises("not-identifiable", "3 readings of A", "4 coeff"):
         write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS, "K_III"), tumble_runs(values, u))
     assert main(["calibrate", str(tmp_path)]) == 1
@@ -279,7 +279,7 @@ def test_single_mounting_confounds_k_ii_with_similar_term(tmp_path, other, deter
     """There a |a| is a^2, and a stretch s of the radius makes K_I s a^2, with a in m/s^2."""
     test = [part[:40] for part in arm(ONE_SIDE)]
     truth = {"K_F": 2e-3, "K_II": 15e-6}
-    values = simulated(test, np.random.default_rng(5), SIGMA, truth=truth)
+    values = simulate_readings(test, np.random.default_rng(5), SIGMA, truth=truth)
     terms = ("K_F", "K_I", "K_II", other)
     a = write_and_calibrate(tmp_path, model_section(*terms), arm_runs(test, values)).accelerometers[
         "A"
@@ -291,7 +291,7 @@ def test_single_mounting_confounds_k_ii_with_similar_term(tmp_path, other, deter
     assert abs(confounded.value - 15e-6) < 4.0 * confounded.u
     # Both sides tell them apart.
     both = arm()
-    values = simulated(both, np.random.default_rng(6), SIGMA, truth=truth)
+    values = simulate_readings(both, np.random.default_rng(6), SIGMA, truth=truth)
     a = write_and_calibrate(tmp_path, model_section(*terms), arm_runs(both, values)).accelerometers[
         "A"
     ]
@@ -300,7 +300,7 @@ def test_single_mounting_confounds_k_ii_with_similar_term(tmp_path, other, deter
 
 def test_missing_term_has_single_finding(tmp_path):
     test = arm()
-    values = simulated(test, np.random.default_rng(7), SIGMA)
+    values = simulate_readings(test, np.random.default_rng(7), SIGMA)
     result = write_and_calibrate(
         tmp_path, model_section("K_F", "K_I", "K_II"), arm_runs(test, values)
     )
@@ -313,7 +313,7 @@ def test_missing_term_has_single_finding(tmp_path):
 def test_default_model_of_tumble_includes_misalignment(tmp_path):
     """In a table of its own, whose columns have names of their own; no terms are asked for."""
     truth = {**LEVEL_TERMS, "delta_O": 8e-4}
-    values = np.array([simulated(tumble(24), np.random.default_rng(9), 1e-5, truth=truth)])
+    values = np.array([simulate_readings(tumble(24), np.random.default_rng(9), 1e-5, truth=truth)])
     result = write_and_calibrate(tmp_path, write_table(tmp_path, values))
     a = result.accelerometers["A"]
     assert list(a.coefficients) == ["K_F", "K_I", "delta_O"]
@@ -329,7 +329,7 @@ def test_default_model_of_tumble_includes_misalignment(tmp_path):
 
 @pytest.mark.parametrize("stated", [True, False], ids=["noise stated", "noise estimated"])
 def test_outlying_position_is_named(tmp_path, stated):
-    values = simulated(tumble(), np.random.default_rng(5), SIGMA, truth=LEVEL_TERMS)
+    values = simulate_readings(tumble(), np.random.default_rng(5), SIGMA, truth=LEVEL_TERMS)
     values[7] += 160e-6
     u = SIGMA if stated else None
     result = write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS), tumble_runs(values, u))
@@ -355,7 +355,9 @@ def write_table(folder, values, repeats=""):
 def test_outlying_position_of_table_is_named(tmp_path, repeats):
     """160 ug beside a noise of 30 ug that nobody stated, however often each position was read."""
     rng = np.random.default_rng(repeats)
-    values = np.array([simulated(tumble(24), rng, 3e-5, truth=TRUTH) for _ in range(repeats)])
+    values = np.array(
+        [simulate_readings(tumble(24), rng, 3e-5, truth=TRUTH) for _ in range(repeats)]
+    )
     values[:, 17] += 160e-6
     terms = ("K_F", "K_I", "K_II", "delta_O", "K_IP")
     result = write_and_calibrate(tmp_path, model_section(*terms), write_table(tmp_path, values))
@@ -371,7 +373,7 @@ def test_scatter_of_positions_above_repeats_is_lack_of_fit(tmp_path):
     """A cubic term that the model lacks: no position stands out, the repeats show it."""
     truth = {**LEVEL_TERMS, "K_III": 1e-5}
     rng = np.random.default_rng(3)
-    values = np.array([simulated(tumble(24), rng, SIGMA, truth=truth) for _ in range(3)])
+    values = np.array([simulate_readings(tumble(24), rng, SIGMA, truth=truth) for _ in range(3)])
     table = write_table(tmp_path, values)
     result = write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS), table)
     (misfit,) = [f for f in result.findings if f.code == "lack-of-fit"]
@@ -394,7 +396,9 @@ CONSIDERED = 'considered = ["delta_O"]\n[model.priors]\ndelta_O = "0 ± 3e-5 rad
 def test_considered_term_within_uncertainty_fits(tmp_path, repeats):
     """It is as large as its u, and fifteen times the noise."""
     rng = np.random.default_rng(3)
-    values = [simulated(tumble(24), rng, SIGMA, truth=LEVEL_TERMS) for _ in range(repeats or 1)]
+    values = [
+        simulate_readings(tumble(24), rng, SIGMA, truth=LEVEL_TERMS) for _ in range(repeats or 1)
+    ]
     runs = write_table(tmp_path, np.array(values)) if repeats else tumble_runs(values[0])
     considering = write_and_calibrate(tmp_path, model_section("K_F", "K_I", more=CONSIDERED), runs)
     assert considering.findings == []
@@ -412,7 +416,7 @@ def test_considered_term_within_uncertainty_fits(tmp_path, repeats):
 def test_readings_shifted_by_considered_term_are_not_outliers(tmp_path):
     """1.8 of its u, in four readings that leave their noise a single degree of freedom."""
     truth = {**LEVEL_TERMS, "delta_O": 5.4e-5}
-    values = simulated(tumble(4), np.random.default_rng(3), SIGMA, truth=truth)
+    values = simulate_readings(tumble(4), np.random.default_rng(3), SIGMA, truth=truth)
     result = write_and_calibrate(
         tmp_path, model_section("K_F", "K_I", more=CONSIDERED), tumble_runs(values, None)
     )
@@ -430,9 +434,9 @@ def test_scale_factor_of_readings_in_si_includes_gravity(tmp_path, unit, part):
     head = HEAD.partition("[accelerometers")[0].replace(f"{g} m", f"{g} ± {u_g} m")
     plain = '[accelerometers.A]\ninput_axis = "up"\npendulous_axis = "west"\n'
     size = g if unit != "g" else 1.0
-    values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS) * size
+    values = simulate_readings(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS) * size
     runs = "".join(
-        at_rest(f"{i}", f"{30 * i} deg about north", f"{value!r} ± {SIGMA * size!r} {unit}")
+        format_rest_run(f"{i}", f"{30 * i} deg about north", f"{value!r} ± {SIGMA * size!r} {unit}")
         for i, value in enumerate(values.tolist())
     )
     (tmp_path / "campaign.toml").write_text(head + plain + model_section(*LEVEL_TERMS) + runs)
@@ -446,7 +450,7 @@ def test_false_outliers_are_rare(tmp_path):
     rng = np.random.default_rng(6)
     false = 0
     for _ in range(60):
-        values = simulated(tumble(), rng, SIGMA, truth=LEVEL_TERMS)
+        values = simulate_readings(tumble(), rng, SIGMA, truth=LEVEL_TERMS)
         result = write_and_calibrate(
             tmp_path, model_section(*LEVEL_TERMS), tumble_runs(values, None)
         )
@@ -457,10 +461,10 @@ def test_false_outliers_are_rare(tmp_path):
 def test_radius_of_mounting_is_reported_as_radius(tmp_path):
     rng = np.random.default_rng(7)
     test = arm()
-    values = simulated(test, rng, SIGMA, {"centrifuge.radius.inward": 3e-5})
+    values = simulate_readings(test, rng, SIGMA, {"centrifuge.radius.inward": 3e-5})
     prior = '[model.priors]\n"centrifuge.radius" = "1.0 ± 1e-4 m"\n'
     terms = ("K_F", "K_I", "K_II", "K_III", "centrifuge.radius")
-    tumbled = tumble_runs(simulated(tumble(), rng, SIGMA, truth=TRUTH))
+    tumbled = tumble_runs(simulate_readings(tumble(), rng, SIGMA, truth=TRUTH))
     result = write_and_calibrate(
         tmp_path, model_section(*terms, "delta_O", more=prior), tumbled, arm_runs(test, values)
     )
@@ -472,9 +476,11 @@ def test_radius_of_mounting_is_reported_as_radius(tmp_path):
 def test_stated_radius_of_mounting_is_used(tmp_path):
     """It is that mounting's own, and the other has the centrifuge's."""
     test = arm()
-    values = simulated(test, np.random.default_rng(7), SIGMA, {"centrifuge.radius.inward": 3e-4})
+    values = simulate_readings(
+        test, np.random.default_rng(7), SIGMA, {"centrifuge.radius.inward": 3e-4}
+    )
     prior = '[model.priors]\n"centrifuge.radius.inward" = "1.0 ± 1e-3 m"\n'
-    tumbled = tumble_runs(simulated(tumble(), np.random.default_rng(8), SIGMA, truth=TRUTH))
+    tumbled = tumble_runs(simulate_readings(tumble(), np.random.default_rng(8), SIGMA, truth=TRUTH))
     terms = ("K_F", "K_I", "K_II", "K_III", "delta_O")
     result = write_and_calibrate(
         tmp_path, model_section(*terms, more=prior), tumbled, arm_runs(test, values)
@@ -489,7 +495,7 @@ def test_stated_radius_of_mounting_is_used(tmp_path):
 
 def test_records_on_arm_are_averaged(tmp_path):
     rng, test = np.random.default_rng(9), arm()
-    values = simulated(test, rng, 0.0)
+    values = simulate_readings(test, rng, 0.0)
     runs = arm_runs(test, values)
     t = np.arange(0.0, 10.0, 0.05)
     for i, value in enumerate(values):
@@ -528,7 +534,7 @@ def test_records_on_arm_are_averaged(tmp_path):
 def test_repairs_of_record_are_counted_and_shown(tmp_path, capsys):
     """One cell of 900, one repeated row, an empty cell, a gap; 6 % outliers in the next record."""
     rng = np.random.default_rng(10)
-    values = simulated(tumble(), rng, 0.0, truth=LEVEL_TERMS)
+    values = simulate_readings(tumble(), rng, 0.0, truth=LEVEL_TERMS)
     runs = tumble_runs(values)
     for i, value in enumerate(values[:2]):
         t = np.arange(1000) * 0.05
@@ -579,7 +585,7 @@ def test_repairs_of_record_are_counted_and_shown(tmp_path, capsys):
 
 def test_mounting_name_with_dot_raises(tmp_path):
     test = arm()
-    runs = arm_runs(test, simulated(test, np.random.default_rng(9), 0.0))
+    runs = arm_runs(test, simulate_readings(test, np.random.default_rng(9), 0.0))
     assert 'mounting = "inward"' in runs
     text = (
         HEAD + model_section(*TRUTH) + runs.replace('mounting = "inward"', 'mounting = "in.ward"')
@@ -590,7 +596,7 @@ def test_mounting_name_with_dot_raises(tmp_path):
 
 
 def test_two_stage_method_requires_records(tmp_path, capsys):
-    values = simulated(tumble(), np.random.default_rng(8), SIGMA, truth=LEVEL_TERMS)
+    values = simulate_readings(tumble(), np.random.default_rng(8), SIGMA, truth=LEVEL_TERMS)
     write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS), tumble_runs(values))
     with pytest.raises(CampaignError, match="this campaign has readings"):
         calibrate(tmp_path, method="two-stage", options=TwoStageOptions())

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from reading_campaigns import SITE, considered, model, readings
-from reading_descriptions import ACCELEROMETER, place
+from reading_descriptions import ACCELEROMETER, format_site
 from scipy.integrate import quad
 from stations import Station, from_stations
 
@@ -21,7 +21,7 @@ from counterspin.readings.fit import solve_readings
 UP = Mounting.from_axes([0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
 COEFFICIENTS = ("K_F", "K_I", "K_II", "K_III")
 TRUTH = {"K_F": 0.002, "K_I": 1.001, "K_II": 2e-5, "K_III": 3e-6}
-HEAD = place(gravity="9.8 m/s^2") + ACCELEROMETER
+HEAD = format_site(gravity="9.8 m/s^2") + ACCELEROMETER
 AMPLITUDES = (2.0, 5.0, 10.0, 15.0, 20.0)
 
 

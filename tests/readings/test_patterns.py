@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reading_campaigns import TRUTH, arm, model, readings, simulated, tumble
+from reading_campaigns import TRUTH, arm, model, readings, simulate_readings, tumble
 from scipy import stats
 
 from counterspin.readings.fit import solve_readings
@@ -87,7 +87,7 @@ def test_positions_about_other_axis_have_no_head_angle():
 
 def test_candidate_columns_are_missing_from_model():
     _, _, columns = score_columns(
-        tumble(24), simulated(tumble(24), np.random.default_rng(1), 1e-6), 1e-6
+        tumble(24), simulate_readings(tumble(24), np.random.default_rng(1), 1e-6), 1e-6
     )
     names = {(column.kind, column.symbol) for column in columns}
     assert (WAVE, "cos 2 phi") in names
@@ -160,7 +160,7 @@ def test_steps_have_two_readings_on_both_sides(count, tried):
 def test_gain_matches_fit_with_column():
     """Rao's score of one more column on a linear problem is exact."""
     test, truth = tumble(24), {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5, "K_II": 15e-6}
-    values = simulated(test, np.random.default_rng(2), 2e-6, truth=truth)
+    values = simulate_readings(test, np.random.default_rng(2), 2e-6, truth=truth)
     joint, group, columns = score_columns(test, values, 2e-6)
     (found,) = best_patterns(joint, [group], [columns])
     assert found.alternatives[0].symbol == "cos 2 phi"
@@ -187,7 +187,7 @@ def test_false_alarm_rate_matches_significance(u):
     blamed = 0
     for _ in range(trials):
         joint, group, columns = score_columns(
-            tumble(), simulated(tumble(), rng, 2e-6, truth=truth), u
+            tumble(), simulate_readings(tumble(), rng, 2e-6, truth=truth), u
         )
         (found,) = best_patterns(joint, [group], [columns])
         assert 8 <= found.tests <= len(columns)
@@ -198,7 +198,7 @@ def test_false_alarm_rate_matches_significance(u):
 def test_outlying_reading_leads_to_no_column():
     test, rng = tumble(24), np.random.default_rng(4)
     truth = {symbol: TRUTH.get(symbol, 3e-5) for symbol in LEVEL}
-    values = simulated(test, rng, 2e-6, truth=truth)
+    values = simulate_readings(test, rng, 2e-6, truth=truth)
     values[0] += 2e-4
     joint, group, columns = score_columns(test, values, 2e-6)
     (without,) = best_patterns(joint, [replace(group, left_out=(0,))], [columns])
@@ -220,7 +220,7 @@ def test_wave_is_found_by_sine_and_cosine_jointly():
     """Five times the noise, 9 degrees of freedom: alone, each part leaves the other as noise."""
     rng, angle = np.random.default_rng(5), np.arange(12) * math.pi / 6.0
     truth = {symbol: TRUTH.get(symbol, 3e-5) for symbol in LEVEL}
-    exact = simulated(tumble(), rng, 2e-6, truth=truth)
+    exact = simulate_readings(tumble(), rng, 2e-6, truth=truth)
     for wave, turns in (
         (1e-5 * np.cos(2.0 * angle + 0.7), "2 phi"),
         (1e-5 * (np.cos(2.0 * angle + 0.7) + np.cos(3.0 * angle - 0.4)), "2 phi and 3 phi"),

@@ -4,14 +4,14 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-from reading_descriptions import ACCELEROMETER, place
+from reading_descriptions import ACCELEROMETER, format_site
 
 import triads
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import Mounting
 
-HEAD = place("1.0 m") + ACCELEROMETER
+HEAD = format_site("1.0 m") + ACCELEROMETER
 TUMBLE = """[readings]
 file = "r.csv"
 columns = { name = "p", attitude = "angle", temperature = "T", time = "t", reading = "mA", u = "u" }

@@ -6,14 +6,14 @@ from dataclasses import replace
 import polars as pl
 import pytest
 from raising import raises
-from reading_descriptions import ACCELEROMETER, at_rest, place
+from reading_descriptions import ACCELEROMETER, format_rest_run, format_site
 from workbooks import write_workbook
 
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError
 
-HEAD = place("1.0 m") + ACCELEROMETER
-RUN = at_rest("tumble 30", "30 deg about north", "1.082532 ± 2e-6 mA")
+HEAD = format_site("1.0 m") + ACCELEROMETER
+RUN = format_rest_run("tumble 30", "30 deg about north", "1.082532 ± 2e-6 mA")
 SIMPLE = 'columns = { attitude = "angle", reading = "mA" }'
 
 
@@ -226,7 +226,7 @@ def test_empty_rows_are_ignored(tmp_path):
 
 def test_table_without_accelerometer_raises(tmp_path):
     (tmp_path / "r.csv").write_text("angle,mA\n0,1\n", encoding="utf-8")
-    text = f'{place()}[readings]\nfile = "r.csv"\n{SIMPLE}\n'
+    text = f'{format_site()}[readings]\nfile = "r.csv"\n{SIMPLE}\n'
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
     with pytest.raises(CampaignError, match="accelerometers"):
         read_campaign(tmp_path)

@@ -5,8 +5,8 @@ import re
 
 import numpy as np
 import pytest
-from campaigns import write
-from reading_descriptions import at_rest, on_arm
+from campaigns import write_description
+from reading_descriptions import format_arm_run, format_rest_run
 
 import triads
 from counterspin.calibration.calibrate import calibrate
@@ -47,10 +47,10 @@ def calibrate_tumble(folder, fault=lambda values, angles: values, seed=4):
     noise = SIGMA * rng.standard_normal(12)
     values = fault(2e-3 + np.cos(angles), angles) + noise
     runs = (
-        at_rest(f"p{k}", f"{30 * k} deg about north", f"{value:.9f} ± {SIGMA} g")
+        format_rest_run(f"p{k}", f"{30 * k} deg about north", f"{value:.9f} ± {SIGMA} g")
         for k, value in enumerate(values.tolist())
     )
-    return calibrate(write(folder, "".join([TUMBLE, *runs])).parent)
+    return calibrate(write_description(folder, "".join([TUMBLE, *runs])).parent)
 
 
 def change_range(size, where):
@@ -123,8 +123,8 @@ def calibrate_on_arm(folder, change, *, sense=1.0, sigma=SIGMA, head=ARM):
             value = f"{value + sigma * float(rng.standard_normal())!r} ± {sigma} g"
             name = f"{side} {size}"
             stated = f"{sense * rate!r} rad/s"
-            runs.append(on_arm(name, stated, value, side=side, mounting=side))
-    return calibrate(write(folder, "".join([head, *runs])).parent)
+            runs.append(format_arm_run(name, stated, value, side=side, mounting=side))
+    return calibrate(write_description(folder, "".join([head, *runs])).parent)
 
 
 def test_gain_change_between_ranges_is_named(tmp_path):

@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 import pytest
 import scipy.sparse
-from record_files import ANGLE, SIGNAL, TIME, read, refusal, table
+from record_files import ANGLE, SIGNAL, TIME, read, read_error, table
 from scipy.io import savemat
 
 from counterspin.records.dialect import Dialect
@@ -19,14 +19,14 @@ def test_dataset_without_dataspace_raises(tmp_path):
     with h5py.File(tmp_path / "run.h5", "w") as file:
         for name in table():
             file[name] = h5py.Empty("f8")
-    assert f"'{TIME}' has the shape None; one column is needed" in refusal(tmp_path / "run.h5")
+    assert f"'{TIME}' has the shape None; one column is needed" in read_error(tmp_path / "run.h5")
 
 
 def test_columns_of_different_length_raise(tmp_path):
     with h5py.File(tmp_path / "run.h5", "w") as file:
         for name, values in table().items():
             file[name] = values[: 900 if name == TIME else None]
-    assert "length" in refusal(tmp_path / "run.h5")
+    assert "length" in read_error(tmp_path / "run.h5")
 
 
 def write_compressed_columns(path):
@@ -43,7 +43,7 @@ def write_compressed_columns(path):
 
 @pytest.mark.parametrize("name", ["run.mat", "run.h5"])
 def test_columns_too_large_for_file_size_raise(tmp_path, name):
-    message = refusal(write_compressed_columns(tmp_path / name))
+    message = read_error(write_compressed_columns(tmp_path / name))
     assert re.search(r"\d+ bytes, .* \d+ bytes", message)
 
 
@@ -96,7 +96,7 @@ def write_inner_link(file, values):
 )
 def test_links_and_external_data_raise(tmp_path, signal, words):
     # The checksum would be of the shell alone.
-    assert words in refusal(write_hdf5(tmp_path / "run.h5", signal))
+    assert words in read_error(write_hdf5(tmp_path / "run.h5", signal))
 
 
 def test_unused_datasets_are_ignored(tmp_path):
@@ -120,12 +120,12 @@ def test_non_numeric_column_raises_with_name(tmp_path):
         space = h5py.h5s.create_simple(values.shape)
         h5py.h5d.create(file.id, SIGNAL.encode(), h5py.h5t.UNIX_D32LE, space)
 
-    assert f"'{SIGNAL}' does not contain numbers" in refusal(
+    assert f"'{SIGNAL}' does not contain numbers" in read_error(
         write_hdf5(tmp_path / "run.h5", write_dates)
     )
     columns = table()
     savemat(tmp_path / "run.mat", {**columns, SIGNAL: scipy.sparse.csc_matrix(columns[SIGNAL])})
-    assert f"'{SIGNAL}' does not contain numbers" in refusal(tmp_path / "run.mat")
+    assert f"'{SIGNAL}' does not contain numbers" in read_error(tmp_path / "run.mat")
 
 
 def test_columns_in_groups_and_structures_are_read_by_path(tmp_path):
@@ -147,7 +147,7 @@ def test_columns_in_groups_and_structures_are_read_by_path(tmp_path):
         long = {"time": ColumnSpec(f"{group}{mark}{TIME}"), "angle": None}
         long["signals"] = {"Qx": ColumnSpec(f"{group}{mark}{SIGNAL}")}
         np.testing.assert_array_equal(read(path, **long).time, columns[TIME])
-        assert "no group 'runs' contains columns" in refusal(path, dialect=Dialect(group="runs"))
+        assert "no group 'runs' contains columns" in read_error(path, dialect=Dialect(group="runs"))
 
 
 @pytest.mark.parametrize("name", ["run.mat", "run.h5"])
@@ -170,7 +170,7 @@ def test_matrix_is_split_into_columns(tmp_path, name):
         assert "fs" not in file.names
         assert file.single_numbers() == {"fs": 50.0}
     angle = ColumnSpec(f"pos{mark}1")
-    whole = refusal(tmp_path / name, angle=angle, signals={"Qx": ColumnSpec("pos")})
+    whole = read_error(tmp_path / name, angle=angle, signals={"Qx": ColumnSpec("pos")})
     assert f"one column is needed: 'pos{mark}1', 'pos{mark}2'" in whole
 
 

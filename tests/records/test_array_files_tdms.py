@@ -5,7 +5,7 @@ import builtins
 import numpy as np
 import pytest
 from nptdms import ChannelObject, TdmsWriter
-from record_files import ANGLE, SIGNAL, TIME, read, refusal, table
+from record_files import ANGLE, SIGNAL, TIME, read, read_error, table
 
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import open_columns, read_scaled
@@ -32,8 +32,8 @@ def test_channels_are_read_as_columns_of_group(tmp_path):
     columns = {"angle": ColumnSpec(f"Run/{ANGLE}"), "signals": {"Qx": ColumnSpec(f"Run/{SIGNAL}")}}
     record = read(path, time=ColumnSpec(f"Run/{TIME}"), **columns)
     np.testing.assert_array_equal(record.time, table()[TIME])
-    assert "there is no column" in refusal(path)
-    assert "no group 'Fast' contains columns" in refusal(path, dialect=Dialect(group="Fast"))
+    assert "there is no column" in read_error(path)
+    assert "no group 'Fast' contains columns" in read_error(path, dialect=Dialect(group="Fast"))
 
 
 def test_index_file_is_ignored(tmp_path):
@@ -55,9 +55,9 @@ def test_damaged_file_and_missing_reader_raise(tmp_path, monkeypatch):
     path = write(tmp_path / "a.tdms", {"Run": table()})
     content = path.read_bytes()
     (tmp_path / "cut.tdms").write_bytes(content[:100])
-    assert "damaged" in refusal(tmp_path / "cut.tdms")
+    assert "damaged" in read_error(tmp_path / "cut.tdms")
     (tmp_path / "no.tdms").write_bytes(b"no TDMS" * 9)
-    assert "damaged" in refusal(tmp_path / "no.tdms")
+    assert "damaged" in read_error(tmp_path / "no.tdms")
     real = builtins.__import__
 
     def import_without_nptdms(name, *rest):

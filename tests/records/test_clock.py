@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from record_files import ANGLE, RATE, SIGNAL, TIME, lines, read, refusal, table, write
+from record_files import ANGLE, RATE, SIGNAL, TIME, lines, read, read_error, table, write
 
 from counterspin.records.record import ColumnSpec
 
@@ -13,7 +13,7 @@ from counterspin.records.record import ColumnSpec
 def test_decreasing_time_raises_with_line(tmp_path, suffix):
     columns = table()
     columns[TIME][500] -= 1.0
-    message = refusal(write(tmp_path / f"run{suffix}", columns))
+    message = read_error(write(tmp_path / f"run{suffix}", columns))
     assert ("line 502:" if suffix == ".csv" else "row 501:") in message
     assert "the time decreases" in message
 
@@ -21,7 +21,7 @@ def test_decreasing_time_raises_with_line(tmp_path, suffix):
 def test_decreasing_time_in_long_record_raises_with_row(tmp_path):
     columns = table(n=200_000, step=0.005)
     columns[TIME][131_072] = columns[TIME][131_070]
-    assert "row 131073:" in refusal(write(tmp_path / "run.parquet", columns))
+    assert "row 131073:" in read_error(write(tmp_path / "run.parquet", columns))
 
 
 def test_repeated_rows_are_dropped_and_counted(tmp_path):
@@ -39,7 +39,7 @@ def test_repeated_rows_are_dropped_and_counted(tmp_path):
 def test_clock_jump_raises_with_line(tmp_path):
     columns = table()
     columns[TIME][400:] += 0.5
-    message = refusal(write(tmp_path / "run.csv", columns))
+    message = read_error(write(tmp_path / "run.csv", columns))
     assert "line 402:" in message
     assert "clock jumps" in message
     assert "0.52 s" in message
@@ -136,10 +136,10 @@ def test_implausible_angle_is_dropped_at_any_row(tmp_path, suffix, rows, place, 
 def test_column_of_implausible_angles_raises(tmp_path):
     columns = table()
     columns[ANGLE][900:951] = 1e18
-    message = refusal(write(tmp_path / "run.csv", columns))
+    message = read_error(write(tmp_path / "run.csv", columns))
     assert f"'{ANGLE}' has 51 angles above 1e+09 rad" in message
     columns[ANGLE] = table()[ANGLE] + 2e9
-    assert "1000 angles above" in refusal(write(tmp_path / "run.csv", columns))
+    assert "1000 angles above" in read_error(write(tmp_path / "run.csv", columns))
 
 
 @pytest.mark.parametrize("noisy", [True, False])
@@ -151,7 +151,7 @@ def test_angle_jump_raises_with_line(tmp_path, place, size, noisy):
         # In an angle without noise the jump is the smallest step that there is.
         columns[ANGLE] = RATE * columns[TIME]
     columns[ANGLE][place:] += size
-    message = refusal(write(tmp_path / "run.csv", columns))
+    message = read_error(write(tmp_path / "run.csv", columns))
     assert f"line {place + 2}:" in message
     assert "angle jumps" in message
 
@@ -177,7 +177,7 @@ def test_coarse_encoder_has_no_outliers(tmp_path):
 def test_rate_differing_from_run_raises(tmp_path, change, words):
     columns = table()
     change(columns)
-    assert words in refusal(write(tmp_path / "run.csv", columns))
+    assert words in read_error(write(tmp_path / "run.csv", columns))
 
 
 @pytest.mark.parametrize("angle", [True, False])
@@ -186,6 +186,6 @@ def test_gap_too_long_to_unwrap_raises(tmp_path, angle):
     columns[TIME][-1] = 1e5  # 50 000 revolutions: the whole trajectory would have to be computed
     columns[ANGLE] = RATE * columns[TIME]
     options = {} if angle else {"angle": None}
-    message = refusal(write(tmp_path / "run.csv", columns), **options)
+    message = read_error(write(tmp_path / "run.csv", columns), **options)
     assert "line 1001: " in message
     assert "99980 s (4.999e+04 revolutions)" in message

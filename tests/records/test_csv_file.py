@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from record_files import ANGLE, SIGNAL, TIME, lines, read, refusal, table, write
+from record_files import ANGLE, SIGNAL, TIME, lines, read, read_error, table, write
 
 from counterspin.errors import RecordError
 from counterspin.records import csv_file
@@ -38,7 +38,7 @@ def test_blank_lines_after_header_and_at_end_are_ignored(tmp_path):
     record = read(write(tmp_path / "run.csv", [*text, ""]))
     np.testing.assert_array_equal(record.time, table()[TIME])
     text[500] = "10.0,x,1.0"
-    message = refusal(write(tmp_path / "run.csv", text))
+    message = read_error(write(tmp_path / "run.csv", text))
     assert "line 501: column 'angle_rad' " in message
 
 
@@ -48,7 +48,7 @@ def test_space_delimited_file_keeps_line_numbers(tmp_path):
     record = read(write(tmp_path / "run.dat", text))
     np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])
     text[40] = text[40].rpartition(" ")[0] + " x"
-    assert "line 41: column 'east_m' contains the text 'x'" in refusal(
+    assert "line 41: column 'east_m' contains the text 'x'" in read_error(
         write(tmp_path / "run.asc", text)
     )
 
@@ -74,7 +74,7 @@ def test_fortran_exponents_are_parsed(tmp_path, delimiter, first):
 
 def test_file_without_header_raises(tmp_path):
     path = write(tmp_path / "run.log", lines(table())[1:])
-    message = refusal(path)
+    message = read_error(path)
     assert "there is no column" in message
     assert "first numbers, line 1," in message
     numbered = {"angle": ColumnSpec("column 2"), "signals": {"Qx": ColumnSpec("column 3")}}
@@ -83,8 +83,8 @@ def test_file_without_header_raises(tmp_path):
 
 
 def test_file_without_rows_or_header_raises(tmp_path):
-    assert "no rows" in refusal(write(tmp_path / "run.csv", [f"{TIME},{ANGLE},{SIGNAL}"]))
-    assert "no header" in refusal(write(tmp_path / "run.csv", ["# only this", ""]))
+    assert "no rows" in read_error(write(tmp_path / "run.csv", [f"{TIME},{ANGLE},{SIGNAL}"]))
+    assert "no header" in read_error(write(tmp_path / "run.csv", ["# only this", ""]))
 
 
 @pytest.mark.parametrize("row", [1, 7, 999])
@@ -92,7 +92,7 @@ def test_text_in_numeric_cell_raises_with_line(tmp_path, row):
     text = lines(table())
     text[row] = ",".join([*text[row].split(",")[:2], "abc"])
     text.insert(0, "# a comment line counts too")
-    message = refusal(write(tmp_path / "run.csv", text))
+    message = read_error(write(tmp_path / "run.csv", text))
     assert f"line {row + 2}:" in message
     assert "'east_m'" in message
     assert "'abc'" in message
@@ -106,14 +106,14 @@ def test_decimal_comma_is_read_and_excess_cells_raise(tmp_path):
     assert record.report.notes() == ["Detected file format: semicolon-separated, decimal commas."]
     text = lines(table())
     text[5] += ",7"
-    assert "line 6: the line has 4 cells" in refusal(write(tmp_path / "run.csv", text))
+    assert "line 6: the line has 4 cells" in read_error(write(tmp_path / "run.csv", text))
 
 
 @pytest.mark.parametrize("content", [bytes(3000), bytes(range(256)) * 40, b"\x89PNG\r\n\x1a\n"])
 def test_binary_file_raises(tmp_path, content):
     path = tmp_path / "run.csv"
     path.write_bytes(content)
-    assert "line 1: the file is not text in UTF-8" in refusal(path)
+    assert "line 1: the file is not text in UTF-8" in read_error(path)
 
 
 def test_comments_in_long_record_lose_no_row(tmp_path):
@@ -132,7 +132,7 @@ def test_comments_in_long_record_lose_no_row(tmp_path):
 def test_unpaired_quotation_mark_raises_with_line(tmp_path, line):
     text = lines(table())
     text[500] = line.format(text[500])
-    message = refusal(write(tmp_path / "run.csv", text))
+    message = read_error(write(tmp_path / "run.csv", text))
     assert "line 501: a quotation mark" in message
 
 
@@ -141,11 +141,11 @@ def test_unclosed_quotation_mark_at_end_raises_with_line(tmp_path, end, capfd):
     """In a numeric cell, Polars would print a backtrace."""
     path = write(tmp_path / "run.csv", table())
     path.write_bytes(path.read_bytes() + end.encode())
-    assert "line 1002: a quotation mark is not closed" in refusal(path)
+    assert "line 1002: a quotation mark is not closed" in read_error(path)
     assert capfd.readouterr().err == ""
     wide = path.read_text("utf-8").encode("utf-16")
     path.write_bytes(wide)
-    assert "line 1002: a quotation mark is not closed" in refusal(path)
+    assert "line 1002: a quotation mark is not closed" in read_error(path)
     assert capfd.readouterr().err == ""
 
 
@@ -175,7 +175,7 @@ def test_missing_cells_of_short_lines_are_empty(tmp_path, line):
 def test_overlong_line_raises(tmp_path):
     text = lines(table())
     text[500] = "1" * 200_000
-    assert "line 501: the line has more than" in refusal(write(tmp_path / "run.csv", text))
+    assert "line 501: the line has more than" in read_error(write(tmp_path / "run.csv", text))
 
 
 @pytest.mark.parametrize("row", [11, 9_000, 49_000])
@@ -189,7 +189,7 @@ def test_cell_with_unclosed_quotation_mark_is_not_read_to_end(tmp_path, row, lat
     path = write(tmp_path / "run.csv", text)
     monkeypatch.setattr("polars.scan_csv", None)
     words = f"line {row + 1}: a quotation mark is not closed within 100 lines"
-    assert words in refusal(path)
+    assert words in read_error(path)
     with pytest.raises(RecordError, match=words):
         read_table(path)
 
@@ -231,11 +231,11 @@ def test_carriage_return_line_ends_are_read(tmp_path, encoding):
     assert read_table(path).frame.height == 1000
     text[500] += "x"
     path.write_bytes("\r".join(text).encode(encoding))
-    assert f"line 501: column '{SIGNAL}' contains the text" in refusal(path)
+    assert f"line 501: column '{SIGNAL}' contains the text" in read_error(path)
 
 
 def test_carriage_return_within_line_raises_with_line(tmp_path):
     text = lines(table())
     text[500] = text[500].replace(",", ",1\r", 1) + ",1"
-    message = refusal(write(tmp_path / "run.csv", text))
+    message = read_error(write(tmp_path / "run.csv", text))
     assert "line 501: the line has 4 cells" in message

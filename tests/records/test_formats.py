@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 from raising import raises
-from record_files import ANGLE, SIGNAL, TIME, read, refusal, table, write
+from record_files import ANGLE, SIGNAL, TIME, read, read_error, table, write
 from scipy.io import savemat
 
 from counterspin.errors import DamagedFileError, RecordError
@@ -69,25 +69,25 @@ def test_all_formats_return_same_record(tmp_path):
 
 
 def test_missing_file_directory_and_unknown_format_raise(tmp_path):
-    assert "file not found" in refusal(tmp_path / "none.csv")
+    assert "file not found" in read_error(tmp_path / "none.csv")
     (tmp_path / "folder.csv").mkdir()
-    assert "directory" in refusal(tmp_path / "folder.csv")
-    assert ".parquet" in refusal(tmp_path / "run.odd")
+    assert "directory" in read_error(tmp_path / "folder.csv")
+    assert ".parquet" in read_error(tmp_path / "run.odd")
 
 
 @pytest.mark.parametrize("name", ["run.csv", "run.parquet", "run.h5", "run.mat"])
 def test_empty_file_raises(tmp_path, name):
     path = tmp_path / name
     path.write_bytes(b"")
-    assert "empty" in refusal(path)
+    assert "empty" in read_error(path)
     path.write_bytes(b"\x00\x01 this is not a record \xff" * 40)
-    refusal(path)
+    read_error(path)
 
 
 @pytest.mark.parametrize("name", ["run.csv", "run.parquet"])
 def test_missing_column_raises_with_available_columns(tmp_path, name):
     path = write(tmp_path / name, table())
-    message = refusal(path, signals={"Qx": ColumnSpec("eastt_m")})
+    message = read_error(path, signals={"Qx": ColumnSpec("eastt_m")})
     assert "'eastt_m'" in message
     assert f"'{TIME}', '{ANGLE}', '{SIGNAL}'" in message
     assert "Did you mean 'east_m'?" in message
@@ -101,7 +101,7 @@ def test_file_name_is_not_glob_pattern(tmp_path, suffix, names):
         write(tmp_path / f"{name}{suffix}", table(n=n))
     assert len(read(tmp_path / f"{names[0]}{suffix}").time) == 1000
     (tmp_path / f"{names[0]}{suffix}").unlink()
-    assert "file not found" in refusal(tmp_path / f"{names[0]}{suffix}")
+    assert "file not found" in read_error(tmp_path / f"{names[0]}{suffix}")
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5"])
@@ -116,14 +116,14 @@ def test_folder_name_is_not_glob_pattern(tmp_path, suffix):
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5", ".mat"])
 def test_pipe_and_device_raise(tmp_path, suffix):
     os.mkfifo(tmp_path / f"run{suffix}")
-    assert "this is a pipe, not a file" in refusal(tmp_path / f"run{suffix}")
+    assert "this is a pipe, not a file" in read_error(tmp_path / f"run{suffix}")
     (tmp_path / f"zero{suffix}").symlink_to("/dev/zero")
-    assert "this is a device, not a file" in refusal(tmp_path / f"zero{suffix}")
+    assert "this is a device, not a file" in read_error(tmp_path / f"zero{suffix}")
 
 
 @pytest.mark.parametrize("name", ["a\0b.csv", "a\0b.parquet", "x" * 300 + ".h5"])
 def test_invalid_file_name_raises(tmp_path, name):
-    assert "cannot be read" in refusal(tmp_path / name)
+    assert "cannot be read" in read_error(tmp_path / name)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names are text elsewhere")
@@ -137,7 +137,7 @@ def test_non_utf8_folder_is_read_or_raises(tmp_path, suffix, readable):
     if readable:
         assert len(read(folder / f"run{suffix}").time) == 1000
     else:
-        assert "the path is not valid UTF-8" in refusal(folder / f"run{suffix}")
+        assert "the path is not valid UTF-8" in read_error(folder / f"run{suffix}")
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5"])

@@ -8,7 +8,7 @@ from pathlib import Path
 import misbehaving
 import pytest
 from raising import raises
-from record_files import SIGNAL, read, refusal, table, write
+from record_files import SIGNAL, read, read_error, table, write
 
 from counterspin.errors import DamagedFileError, RecordError
 from counterspin.records import reader_process
@@ -133,5 +133,5 @@ def is_running(number):
 def test_error_in_reader_process_names_row_and_column(tmp_path):
     columns = table()
     columns[SIGNAL][7] = float("inf")
-    message = refusal(write(tmp_path / "run.parquet", columns))
+    message = read_error(write(tmp_path / "run.parquet", columns))
     assert f"row 8: column '{SIGNAL}' " in message

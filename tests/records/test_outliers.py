@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from record_files import ANGLE, RADIUS, SIGNAL, TIME, dense, read, table, write
+from record_files import ANGLE, RADIUS, SIGNAL, TIME, make_dense_columns, read, table, write
 
 from counterspin.arrays import median
 from counterspin.records.record import ColumnSpec
@@ -96,7 +96,7 @@ def test_increased_noise_is_not_outlying(tmp_path):
 @pytest.mark.parametrize("row", [3, 127, 128, 20_000, 20_010])
 def test_outlier_is_found_at_any_row(tmp_path, row, size):
     # The last window overlaps the one before; all others are clean.
-    columns = dense(20_011)
+    columns = make_dense_columns(20_011)
     columns[SIGNAL][row] += size
     record = read(write(tmp_path / "run.parquet", columns), block=None)
     assert [outlier.row for outlier in record.report.listed] == [row + 1]

@@ -10,10 +10,10 @@ from record_files import (
     RATE,
     SIGNAL,
     TIME,
-    dense,
     lines,
+    make_dense_columns,
     read,
-    refusal,
+    read_error,
     table,
     write,
 )
@@ -49,7 +49,7 @@ def test_record_without_angle_is_read(tmp_path):
 
 
 def test_short_record_raises_with_revolutions(tmp_path):
-    message = refusal(write(tmp_path / "run.csv", table(n=290)))  # 5.78 s of 6 s
+    message = read_error(write(tmp_path / "run.csv", table(n=290)))  # 5.78 s of 6 s
     assert "2.89 revolutions" in message
 
 
@@ -57,7 +57,7 @@ def test_infinite_value_raises_with_line(tmp_path):
     for column in (TIME, ANGLE, SIGNAL):
         columns = table()
         columns[column][10] = math.inf
-        message = refusal(write(tmp_path / "run.csv", columns))
+        message = read_error(write(tmp_path / "run.csv", columns))
         assert "line 12" in message
         assert "infinite" in message
 
@@ -65,11 +65,11 @@ def test_infinite_value_raises_with_line(tmp_path):
 def test_infinite_value_raises_at_any_row(tmp_path):
     # In an even stretch, in an uneven one, and in the last window, which overlaps another.
     for row, late in [(500, 0.0), (500, 0.02), (20_010, 0.0)]:
-        columns = dense(20_011)
+        columns = make_dense_columns(20_011)
         columns[TIME][480:] += late
         columns[ANGLE][480:] += RATE * late
         columns[SIGNAL][row] = -np.inf
-        words = refusal(write(tmp_path / "run.parquet", columns))
+        words = read_error(write(tmp_path / "run.parquet", columns))
         assert f"row {row + 1}: column '{SIGNAL}' contains an infinite value." in words
 
 
@@ -112,7 +112,7 @@ def test_more_than_five_percent_empty_cells_raise(tmp_path, column):
     columns = table()
     columns[column][10:61] = np.nan
     path = write(tmp_path / "run.csv", columns)
-    assert f"'{column}' has 51 empty cells in 1000 rows" in refusal(path)
+    assert f"'{column}' has 51 empty cells in 1000 rows" in read_error(path)
     columns[column][60] = table()[column][60]
     read(write(path, columns))
 
@@ -157,7 +157,7 @@ def test_revolutions_are_limited_by_memory(tmp_path, revolutions, refused):
     path = write(tmp_path / "run.csv", columns)
     options = {"swings": {}, "angle": None}
     if refused:
-        assert "Beyond 5000 revolutions, 16 rows are needed" in refusal(path, **options)
+        assert "Beyond 5000 revolutions, 16 rows are needed" in read_error(path, **options)
     else:
         assert len(read(path, **options).time) == 1000
 
@@ -165,7 +165,7 @@ def test_revolutions_are_limited_by_memory(tmp_path, revolutions, refused):
 def test_too_few_rows_per_revolution_raise(tmp_path):
     columns = table(n=100, step=2.0 * 30.01)
     options = {"swings": {}, "angle": None}
-    assert "too few to follow" in refusal(write(tmp_path / "run.csv", columns), **options)
+    assert "too few to follow" in read_error(write(tmp_path / "run.csv", columns), **options)
 
 
 def test_outlier_row_counts_omitted_rows(tmp_path):
@@ -181,8 +181,8 @@ def test_outlier_row_counts_omitted_rows(tmp_path):
 def test_implausible_values_raise(tmp_path, size):
     columns = table()
     columns[ANGLE][1::2] *= size
-    refusal(write(tmp_path / "run.csv", columns))
+    read_error(write(tmp_path / "run.csv", columns))
     columns = table()
     columns[SIGNAL] *= size
-    message = refusal(write(tmp_path / "run.csv", columns), swings={})
+    message = read_error(write(tmp_path / "run.csv", columns), swings={})
     assert f"column '{SIGNAL}' contains implausible values of up to" in message

@@ -7,14 +7,14 @@ import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from record_files import ANGLE, RADIUS, RATE, SIGNAL, TIME, dense, read, write
+from record_files import ANGLE, RADIUS, RATE, SIGNAL, TIME, make_dense_columns, read, write
 
 from counterspin.records.record import ColumnSpec
 from counterspin.records.signals import FirstHarmonic
 
 
 def test_blocks_are_exact_means(tmp_path):
-    columns = dense()
+    columns = make_dense_columns()
     record = read(write(tmp_path / "run.parquet", columns))
     assert record.report.block == 50
     means = {name: values.reshape(-1, 50).mean(axis=1) for name, values in columns.items()}
@@ -28,7 +28,7 @@ def test_blocks_are_exact_means(tmp_path):
 
 def test_angle_sd_covers_scattering_times(tmp_path):
     """Time stamps with an error of 1/20 step; accurate time stamps need no angle_sd."""
-    columns = dense(20_000)
+    columns = make_dense_columns(20_000)
     assert np.isnan(read(write(tmp_path / "good.parquet", columns)).angle_sd).all()
     step = columns[TIME][1]
     rng = np.random.default_rng(6)
@@ -40,14 +40,14 @@ def test_angle_sd_covers_scattering_times(tmp_path):
 
 
 def test_point_samples_are_not_averaged(tmp_path):
-    record = read(write(tmp_path / "run.parquet", dense(20_000)), block=None)
+    record = read(write(tmp_path / "run.parquet", make_dense_columns(20_000)), block=None)
     assert len(record.time) == 20_000
     assert (record.count == 1).all()
     assert (record.time_sd == 0).all()
 
 
 def test_blocks_of_damaged_record_have_normal_residuals(tmp_path):
-    columns = dense()
+    columns = make_dense_columns()
     rng = np.random.default_rng(5)
     columns[ANGLE] = np.mod(columns[ANGLE], 2 * math.pi)
     gross = np.zeros(300_000, dtype=bool)
@@ -71,7 +71,7 @@ def test_blocks_of_damaged_record_have_normal_residuals(tmp_path):
 
 
 def test_two_accelerometers_share_rows_of_block(tmp_path):
-    columns = dense()
+    columns = make_dense_columns()
     columns["north_m"] = RADIUS * np.sin(RATE * columns[TIME])
     columns["north_m"][1000:1200] = np.nan  # four whole blocks
     columns["north_m"][5003] = np.nan
@@ -92,7 +92,7 @@ def test_two_accelerometers_share_rows_of_block(tmp_path):
 @given(st.integers(1, 200_000), st.integers(0, 2**32 - 1))
 def test_result_does_not_depend_on_batch_size(tmp_path_factory, batch, seed):
     # Row groups of any size hand the rows over in other batches; pieces stay the same.
-    columns = dense(140_000)
+    columns = make_dense_columns(140_000)
     rng = np.random.default_rng(seed)
     columns[SIGNAL][rng.choice(140_000, 50, replace=False)] += 3.0
     columns[SIGNAL][rng.choice(140_000, 50, replace=False)] = np.nan

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from raising import raises
-from record_files import ANGLE, RATE, SIGNAL, TIME, lines, read, refusal, table, write
+from record_files import ANGLE, RATE, SIGNAL, TIME, lines, read, read_error, table, write
 
 from counterspin.records.record import ColumnSpec
 from counterspin.records.run_file import pulse_angle
@@ -31,7 +31,7 @@ def test_error_in_continuation_file_names_file(tmp_path):
     text = second.read_text().splitlines()
     text[3] = text[3].replace(text[3].split(",")[0], "0.5")
     write(second, text)
-    assert "b.csv, line 4: the time decreases" in refusal(first, continuation_files=(second,))
+    assert "b.csv, line 4: the time decreases" in read_error(first, continuation_files=(second,))
 
 
 def test_row_counter_replaces_missing_time(tmp_path):
@@ -53,7 +53,7 @@ def test_time_range_selects_part_of_record(tmp_path):
     assert record.time[-1] == pytest.approx(12.0)
     assert record.report.outside == 1000 - 601
     assert "399 rows outside the part to be used were omitted." in record.report.notes()
-    assert "in the selected part" in refusal(path, time_range=(30.0, 50.0))
+    assert "in the selected part" in read_error(path, time_range=(30.0, 50.0))
 
 
 def test_units_are_read_from_file_or_compared(tmp_path):
@@ -67,11 +67,11 @@ def test_units_are_read_from_file_or_compared(tmp_path):
     }
     np.testing.assert_array_equal(read(path, -RATE, **taken).angle, -table()[ANGLE])
     stated = ColumnSpec(TIME, 1e-3, unit="ms", target_unit="s")
-    assert "is in 's' according to the units row of the file, but in 'ms'" in refusal(
+    assert "is in 's' according to the units row of the file, but in 'ms'" in read_error(
         path, time=stated
     )
     plain = write(tmp_path / "plain.csv", table())
-    assert f"column '{TIME}' has no unit in the file" in refusal(plain, **taken)
+    assert f"column '{TIME}' has no unit in the file" in read_error(plain, **taken)
 
 
 # Pulses

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from record_files import ANGLE, RATE, SIGNAL, TIME, read, refusal, table, write
+from record_files import ANGLE, RATE, SIGNAL, TIME, read, read_error, table, write
 
 from counterspin.records.signals import FirstHarmonic
 
@@ -14,7 +14,7 @@ def test_change_of_unit_raises_with_line(tmp_path, factor, place, start):
     columns = table(n=3000)
     part = slice(None, place) if start else slice(place, None)
     columns[SIGNAL][part] *= factor
-    message = refusal(write(tmp_path / "run.csv", columns))
+    message = read_error(write(tmp_path / "run.csv", columns))
     assert "changes its unit or scale" in message
     found = int(message.split("line ")[1].split(":")[0])
     # Where the wave crosses zero, one unit is as good as the other.
@@ -53,7 +53,7 @@ def test_long_dropout_raises(tmp_path):
     ):
         columns = table(n=4000)
         columns[SIGNAL][dead] = 0.0
-        assert words in refusal(write(tmp_path / "run.csv", columns))
+        assert words in read_error(write(tmp_path / "run.csv", columns))
 
 
 @pytest.mark.parametrize(
@@ -72,7 +72,7 @@ def test_long_dropout_raises(tmp_path):
 def test_displacement_differing_from_motion_raises(tmp_path, change, words):
     columns = table(n=3000)
     columns[SIGNAL] = change(columns[SIGNAL])
-    assert words in refusal(write(tmp_path / "run.csv", columns))
+    assert words in read_error(write(tmp_path / "run.csv", columns))
 
 
 def test_signal_without_stated_amplitude_is_accepted(tmp_path):
@@ -89,7 +89,7 @@ def test_amplitude_hidden_by_noise_is_accepted(tmp_path):
     path = write(tmp_path / "run.csv", columns)
     read(path, swings={"Qx": FirstHarmonic(1e-3, "m/s^2")})
     # What the records do show is told all the same.
-    message = refusal(path, swings={"Qx": FirstHarmonic(0.1, "m/s^2")})
+    message = read_error(path, swings={"Qx": FirstHarmonic(0.1, "m/s^2")})
     assert "give 0.1 m/s^2" in message
 
 
@@ -111,7 +111,7 @@ def test_growing_wave_along_spindle_axis_is_accepted(tmp_path, noise):
 def test_jump_of_wave_along_spindle_axis_raises(tmp_path, factor):
     columns = simulate_growing_wave()
     columns[SIGNAL][1500:] *= factor
-    message = refusal(write(tmp_path / "run.csv", columns), swings={})
+    message = read_error(write(tmp_path / "run.csv", columns), swings={})
     assert "changes its unit or scale" in message
     assert abs(int(message.split("line ")[1].split(":")[0]) - 1502) <= 2
 

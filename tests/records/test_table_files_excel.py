@@ -7,7 +7,7 @@ import zipfile
 import numpy as np
 import pytest
 from raising import raises
-from record_files import ANGLE, SIGNAL, TIME, read, refusal, table
+from record_files import ANGLE, SIGNAL, TIME, read, read_error, table
 from workbooks import write_workbook
 
 from counterspin.campaign.description import read_campaign
@@ -108,9 +108,9 @@ def test_sheet_is_read_as_record(tmp_path):
     assert record.report.format_description == "sheet 'Run', names in row 3, a units row"
     rows[200][1] = "oops"
     write_workbook(path, {"Run": [*head, *rows]})
-    assert f"row 205: column '{ANGLE}' contains the text 'oops'" in refusal(path, time=time)
+    assert f"row 205: column '{ANGLE}' contains the text 'oops'" in read_error(path, time=time)
     write_workbook(path, {"Run": [["only", "words"]] * 5})
-    assert "no rows of numbers" in refusal(path)
+    assert "no rows of numbers" in read_error(path)
 
 
 def test_only_sheet_with_numeric_rows_is_read(tmp_path):

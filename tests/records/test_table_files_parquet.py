@@ -5,19 +5,19 @@ from datetime import datetime
 
 import numpy as np
 import polars as pl
-from record_files import ANGLE, SIGNAL, TIME, read, refusal, table, write
+from record_files import ANGLE, SIGNAL, TIME, read, read_error, table, write
 
 
 def test_text_column_of_parquet_raises(tmp_path):
     columns = {**table(), SIGNAL: ["x"] * 1000}
-    assert "String" in refusal(write(tmp_path / "run.parquet", columns))
+    assert "String" in read_error(write(tmp_path / "run.parquet", columns))
 
 
 def test_columns_too_large_for_file_size_raise(tmp_path):
     pl.DataFrame(dict.fromkeys((TIME, ANGLE, SIGNAL), np.zeros(5_000_000))).write_parquet(
         tmp_path / "run.parquet"
     )
-    message = refusal(tmp_path / "run.parquet")
+    message = read_error(tmp_path / "run.parquet")
     assert re.search(r"\d+ bytes, .* 120000000 bytes", message)
 
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from campaigns import campaign_of
+from campaigns import write_and_read_campaign
 
 from counterspin.simulation.readings import (
     head_errors,
@@ -57,7 +57,7 @@ reading = "?"
 
 
 def simulate_values(folder, text, head=HEAD):
-    readings, _ = true_readings(campaign_of(folder, head + text))
+    readings, _ = true_readings(write_and_read_campaign(folder, head + text))
     return [reading.value for reading in readings]
 
 
@@ -147,7 +147,7 @@ def test_head_error_is_shared_by_accelerometers_of_position(tmp_path):
     text = HEAD.replace("[truth.A]", f"{second}[truth.A]").replace(
         '"0 V"', '{ A = "0 V", B = "0 g" }'
     )
-    readings, errors = true_readings(campaign_of(tmp_path, text + runs))
+    readings, errors = true_readings(write_and_read_campaign(tmp_path, text + runs))
     a, b = errors[::2], errors[1::2]
     np.testing.assert_array_equal(a, b)
     assert abs(a.std() / math.radians(0.01) - 1.0) < 5.0 / 20.0
@@ -156,7 +156,7 @@ def test_head_error_is_shared_by_accelerometers_of_position(tmp_path):
 
 
 def test_table_rows_with_same_name_are_separate_positions(tmp_path):
-    campaign = campaign_of(tmp_path, HEAD + STATIC.replace("30 deg", "30 ± 0.01 deg"))
+    campaign = write_and_read_campaign(tmp_path, HEAD + STATIC.replace("30 deg", "30 ± 0.01 deg"))
     (reading,) = campaign.readings
     first, second = head_errors([reading, reading], np.random.default_rng(1))
     assert first != second
@@ -167,7 +167,7 @@ def test_arm_record_has_harmonic_of_earth_rate(tmp_path):
     run = run.replace('pendulous = "forward"', 'pendulous = "up"')
     text = HEAD + '[simulation]\nsampling_rate = "20 Hz"\n' + run
     text = text.replace(f'K_III = "{K_III} g/g^3"', 'K_IP = "1e-3 g/g^2"')
-    campaign = campaign_of(tmp_path, text)
+    campaign = write_and_read_campaign(tmp_path, text)
     time, angle, force = simulate_mean_record(campaign, campaign.readings[0], 0.0)
     assert time[-1] == pytest.approx(20 * math.pi / 6, abs=0.05)
     np.testing.assert_array_equal(angle, -6.0 * time)
@@ -205,7 +205,7 @@ def test_arm_record_follows_true_spindle(tmp_path):
     text = text.replace(f'K_III = "{K_III} g/g^3"', 'K_IP = "1e-3 g/g^2"\ndelta_P = "0.01 rad"\n')
     text += '[truth.records]\ntiming_offset = "3 ms"\n'
     text += '[truth.encoder]\nharmonic = { 1 = { sin = "1 mrad" } }\n'
-    campaign = campaign_of(tmp_path, text)
+    campaign = write_and_read_campaign(tmp_path, text)
     time, recorded, force = simulate_mean_record(campaign, campaign.readings[0], 0.0)
     later = closed_forms(time + 3e-3)[0]
     np.testing.assert_allclose(recorded, later + 1e-3 * np.sin(later), rtol=0, atol=1e-12)
@@ -285,7 +285,7 @@ def test_setting_errors_have_stated_size(tmp_path):
     )
     drawn = [
         size
-        for symbol, size in true_machine(campaign_of(tmp_path, text)).items()
+        for symbol, size in true_machine(write_and_read_campaign(tmp_path, text)).items()
         if "position" in symbol
     ]
     assert len(drawn) == 200

@@ -6,7 +6,7 @@ import sys
 from contextlib import contextmanager
 
 import pytest
-from campaigns import SMALL, changed, write
+from campaigns import SMALL, replace_parts, write_description
 from raising import raises
 
 from counterspin.campaign.description import read_campaign
@@ -36,7 +36,7 @@ SLOW = ('rate = "0.5 rev/s"', 'rate = "{}"')
 
 def read_changed_campaign(tmp_path, old, new):
     # A rotation that drifts for so long would be wrong for another reason.
-    return write(tmp_path, changed(SMALL, (old, new), DRIFT))
+    return write_description(tmp_path, replace_parts(SMALL, (old, new), DRIFT))
 
 
 @pytest.mark.parametrize(
@@ -115,14 +115,14 @@ def test_simulation_allows_more_rows_than_study(tmp_path):
 
 
 def test_excessive_trial_count_raises(tmp_path):
-    campaign = write(tmp_path, SMALL)
+    campaign = write_description(tmp_path, SMALL)
     with limit_memory(), pytest.raises(CounterspinError, match="`trials`"):
         study(campaign, trials=10**15)
     with limit_memory(), pytest.raises(CounterspinError, match="need too much memory"):
         study(campaign, trials=10**9, engine="full")
     text = SMALL + "\n[study]\ntrials = 1000000000000000\n"
     with pytest.raises(CampaignError, match=r"study\.trials"):
-        study(write(tmp_path, text, "other.toml"))
+        study(write_description(tmp_path, text, "other.toml"))
 
 
 @pytest.mark.slow
@@ -149,6 +149,6 @@ def test_too_many_records_for_forecast_raise(tmp_path):
     many = "".join(
         f'\n[[runs]]\nname = "r{i}"\nrate = "1 rev/s"\nrecord = "r{i}.csv"\n' for i in range(31)
     )
-    campaign = write(tmp_path, f"{head}{many}{simulation}{tail}")
+    campaign = write_description(tmp_path, f"{head}{many}{simulation}{tail}")
     with raises("too-many-rows", "62 records", "60"):
         forecast(campaign)

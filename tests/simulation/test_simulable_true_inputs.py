@@ -4,15 +4,17 @@ import math
 
 import numpy as np
 import pytest
-from campaigns import SMALL, campaign_of, changed, without
+from campaigns import SMALL, remove_table, replace_parts, write_and_read_campaign
 
 from counterspin.errors import CampaignError
 from counterspin.simulation.simulate import simulate, simulate_run
 
-SILENT = changed(without(SMALL, "truth.noise"), ('[noise]\ndisplacement = "0.01 m"', "[noise]"))
+SILENT = replace_parts(
+    remove_table(SMALL, "truth.noise"), ('[noise]\ndisplacement = "0.01 m"', "[noise]")
+)
 #: A steady spindle, so that closed forms hold.
-STEADY = without(SILENT, "truth.spindle")
-TWO = changed(
+STEADY = remove_table(SILENT, "truth.spindle")
+TWO = replace_parts(
     STEADY,
     ('record = "slow.csv"', 'record = "slow.csv"\nrecords = { recorder = "B" }'),
     ("[records]", '[records]\nrecorder = "A"'),
@@ -20,7 +22,7 @@ TWO = changed(
 
 
 def simulate_columns(folder, text, run=0):
-    campaign = campaign_of(folder, text)
+    campaign = write_and_read_campaign(folder, text)
     return simulate_run(campaign, campaign.runs[run], np.random.default_rng(0))
 
 
@@ -31,7 +33,7 @@ def add_truth(table, text=STEADY):
 def test_displacement_uses_true_radius_and_gravity(tmp_path):
     table = '[truth.centrifuge]\nradius = "2.501 m"\n[truth.site]\ngravity = "9.81 m/s^2"'
     bias = [("K_III = ", "# K_III = "), ("2.7e-5 g", "0 g"), ('K_I = "1.002 g/g"', "")]
-    columns = simulate_columns(tmp_path, changed(add_truth(table), *bias), run=1)
+    columns = simulate_columns(tmp_path, replace_parts(add_truth(table), *bias), run=1)
     t = columns["time_s"]
     start = 0.02 - 1e-3 * t
     expected = start + 2.501 * np.cos(math.pi * t) + 0.005 * 9.81 * t**2 / 2.0
@@ -48,10 +50,10 @@ def test_delayed_angle_is_angle_of_later_time(tmp_path):
 
 def test_true_responses_delay_record(tmp_path):
     """Well below their natural frequencies, the delays are zeta/(pi f0) and 1/(2 pi fc)."""
-    stated = changed(STEADY, ("[accelerometers.Qx]\n", "[accelerometers.Qx]\nDAMPED"))
+    stated = replace_parts(STEADY, ("[accelerometers.Qx]\n", "[accelerometers.Qx]\nDAMPED"))
     stated = stated.replace("DAMPED", 'natural_frequency = "600 Hz"\ndamping = "0.5"\n')
     table = '[truth.records]\ncutoff_frequency = "200 Hz"'
-    true = changed(stated, ("[truth.Qx]\n", '[truth.Qx]\nnatural_frequency = "500 Hz"\n'))
+    true = replace_parts(stated, ("[truth.Qx]\n", '[truth.Qx]\nnatural_frequency = "500 Hz"\n'))
     columns = simulate_columns(tmp_path, add_truth(table, true), run=2)
     t = columns["time_s"]
     waves = np.column_stack([np.cos(2.0 * math.pi * t), np.sin(2.0 * math.pi * t)])
@@ -72,7 +74,7 @@ def test_recorders_use_separate_clocks(tmp_path):
 
 
 def test_stated_clock_is_default_true_clock(tmp_path):
-    stated = changed(STEADY, ("[records]", '[records]\nclock = "12 ± 0.5 ppm"'))
+    stated = replace_parts(STEADY, ("[records]", '[records]\nclock = "12 ± 0.5 ppm"'))
     columns = simulate_columns(tmp_path, stated)
     true = np.arange(columns["time_s"].size) / 20.0
     np.testing.assert_allclose(columns["time_s"], true * (1.0 + 1.2e-5), rtol=1e-15)
@@ -81,7 +83,7 @@ def test_stated_clock_is_default_true_clock(tmp_path):
 
 
 def test_record_in_g_uses_true_gravity(tmp_path):
-    force = changed(
+    force = replace_parts(
         STEADY,
         ('displacement = { column = "east_m", unit = "m" }', ""),
         (
@@ -128,7 +130,7 @@ def test_arm_reading_uses_true_radius_and_gravity(tmp_path, unit, per_g):
     (tmp_path / "true").mkdir()
     read = {}
     for name, one in (("stated", text), ("true", add_truth(table, text))):
-        made = simulate(campaign_of(tmp_path / name, one))
+        made = simulate(write_and_read_campaign(tmp_path / name, one))
         read[name] = made.readings[0].value
     # The file has the accelerometer's g; in m/s^2 it is read with the gravity that is stated.
     assert read["stated"] == pytest.approx(100.0 / 9.8066, rel=1e-11)
@@ -142,7 +144,7 @@ def test_invalid_true_input_raises_once(tmp_path):
         '[truth.records]\nclock = { B = "5 ppm" }'
     )
     with pytest.raises(CampaignError) as error:
-        campaign_of(tmp_path, add_truth(tables))
+        write_and_read_campaign(tmp_path, add_truth(tables))
     words = str(error.value)
     assert words.count("truth.centrifuge.radius: must be greater than zero") == 1
     assert words.count("truth.site.latitude") == 1
@@ -154,8 +156,8 @@ def test_invalid_true_input_raises_once(tmp_path):
 
 def test_columns_of_other_recorder_are_written_as_read(tmp_path):
     other = 'records = { recorder = "B", time = { column = "t", unit = "ms" } }'
-    own = changed(STEADY, ('record = "slow.csv"', f'record = "slow.csv"\n{other}'))
+    own = replace_parts(STEADY, ('record = "slow.csv"', f'record = "slow.csv"\n{other}'))
     columns = simulate_columns(tmp_path, own)
     assert columns["t"][-1] == pytest.approx(1000.0 * 80.0)
-    files = simulate(campaign_of(tmp_path, own), tmp_path / "out")
+    files = simulate(write_and_read_campaign(tmp_path, own), tmp_path / "out")
     assert files[0].read_text().startswith("t,angle_rad,east_m,north_m")

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 import pytest
-from campaigns import SMALL, campaign_of, changed, without, write
+from campaigns import SMALL, remove_table, replace_parts, write_and_read_campaign, write_description
 from raising import raises
 
 from counterspin.calibration.calibrate import calibrate
@@ -18,12 +18,14 @@ from counterspin.physics.motion import Trajectory
 from counterspin.simulation import simulate as module
 from counterspin.simulation.simulate import simulate, simulate_run
 
-SILENT = changed(without(SMALL, "truth.noise"), ('[noise]\ndisplacement = "0.01 m"', "[noise]"))
+SILENT = replace_parts(
+    remove_table(SMALL, "truth.noise"), ('[noise]\ndisplacement = "0.01 m"', "[noise]")
+)
 RECORDS = ("slow.csv", "middle.csv", "fast.csv")
 
 
 def simulate_columns(folder, text, run=0, seed=0):
-    campaign = campaign_of(folder, text)
+    campaign = write_and_read_campaign(folder, text)
     return campaign, simulate_run(campaign, campaign.runs[run], np.random.default_rng(seed))
 
 
@@ -59,7 +61,7 @@ def test_noise_free_record_matches_error_model(tmp_path):
 
 def test_columns_have_units_of_campaign(tmp_path):
     _, si = simulate_columns(tmp_path, SILENT)
-    text = changed(
+    text = replace_parts(
         SILENT,
         ('"time_s", unit = "s"', '"time", unit = "ms"'),
         ('"angle_rad", unit = "rad"', '"angle", unit = "deg"'),
@@ -73,7 +75,9 @@ def test_columns_have_units_of_campaign(tmp_path):
 
 
 def test_timing_offset_delays_angle_samples(tmp_path):
-    text = changed(SILENT, ("[accelerometers.Qx]", 'timing_offset = "2 ms"\n[accelerometers.Qx]'))
+    text = replace_parts(
+        SILENT, ("[accelerometers.Qx]", 'timing_offset = "2 ms"\n[accelerometers.Qx]')
+    )
     campaign, columns = simulate_columns(tmp_path, text)
     expected = campaign.simulation.truth.runs["slow"].spindle.angle(columns["time_s"] + 2e-3)
     np.testing.assert_array_equal(columns["angle_rad"], expected)
@@ -81,8 +85,8 @@ def test_timing_offset_delays_angle_samples(tmp_path):
 
 def test_noise_has_stated_sizes(tmp_path):
     noise = 'displacement = "0.02 m"\nangle = "3e-6 rad"\ntiming = "1e-4 s"'
-    text = changed(SILENT, ("[noise]", f"[noise]\n{noise}"), ("= 20\n", "= 200\n"))
-    _, clean = simulate_columns(tmp_path, changed(SILENT, ("= 20\n", "= 200\n")))
+    text = replace_parts(SILENT, ("[noise]", f"[noise]\n{noise}"), ("= 20\n", "= 200\n"))
+    _, clean = simulate_columns(tmp_path, replace_parts(SILENT, ("= 20\n", "= 200\n")))
     _, noisy = simulate_columns(tmp_path, text)
     n = clean["time_s"].size
     sizes = {"time_s": 1e-4, "angle_rad": 3e-6, "east_m": 0.02, "north_m": 0.02}
@@ -93,7 +97,7 @@ def test_noise_has_stated_sizes(tmp_path):
 
 
 def test_accelerometer_noise_is_integrated_to_random_walk(tmp_path):
-    text = changed(SILENT, ("[noise]", '[noise]\nacceleration = "1e-5 g/Hz^0.5"'))
+    text = replace_parts(SILENT, ("[noise]", '[noise]\nacceleration = "1e-5 g/Hz^0.5"'))
     _, clean = simulate_columns(tmp_path, SILENT)
     walk, step = 1e-5 * 9.8066, 0.05
     ends = []
@@ -110,8 +114,10 @@ def test_accelerometer_noise_is_integrated_to_random_walk(tmp_path):
 
 
 def test_displacement_is_quantised_after_noise(tmp_path):
-    text = changed(SILENT, ("[noise]", '[noise]\nquantisation = "1 mm"\ndisplacement = "0.01 m"'))
-    _, clean = simulate_columns(tmp_path, changed(text, ('quantisation = "1 mm"\n', "")))
+    text = replace_parts(
+        SILENT, ("[noise]", '[noise]\nquantisation = "1 mm"\ndisplacement = "0.01 m"')
+    )
+    _, clean = simulate_columns(tmp_path, replace_parts(text, ('quantisation = "1 mm"\n', "")))
     _, rounded = simulate_columns(tmp_path, text)
     steps = rounded["east_m"] / 1e-3
     np.testing.assert_allclose(steps, np.round(steps), rtol=0.0, atol=1e-9)
@@ -121,7 +127,7 @@ def test_displacement_is_quantised_after_noise(tmp_path):
 
 
 def test_truth_and_length_of_run_take_precedence(tmp_path):
-    text = changed(
+    text = replace_parts(
         SILENT,
         (
             'record = "slow.csv"',
@@ -144,26 +150,28 @@ def test_truth_and_length_of_run_take_precedence(tmp_path):
 
 
 def test_files_are_determined_by_seed(tmp_path):
-    path = write(tmp_path, SMALL)
+    path = write_description(tmp_path, SMALL)
     written = simulate(path, tmp_path / "a")
     assert [file.name for file in written] == list(RECORDS)
     simulate(path, tmp_path / "b")
     assert file_contents(tmp_path / "a") == file_contents(tmp_path / "b")
     assert (tmp_path / "a" / "campaign.toml").read_text(encoding="utf-8") == SMALL
-    simulate(write(tmp_path, changed(SMALL, ("seed = 1", "seed = 2"))), tmp_path / "c")
+    simulate(
+        write_description(tmp_path, replace_parts(SMALL, ("seed = 1", "seed = 2"))), tmp_path / "c"
+    )
     for name in RECORDS:
         assert (tmp_path / "a" / name).read_bytes() != (tmp_path / "c" / name).read_bytes()
 
 
 def test_changing_run_changes_no_other_run(tmp_path):
     more = '[[runs]]\nname = "more"\nrate = "-1 rev/s"\nrecord = "more.csv"\n\n'
-    text = changed(
+    text = replace_parts(
         SMALL,
         ("[simulation]", more + "[simulation]"),
         ('record = "slow.csv"', 'record = "slow.csv"\nrevolutions = 7'),
     )
-    simulate(write(tmp_path, SMALL), tmp_path / "a")
-    simulate(write(tmp_path, text), tmp_path / "b")
+    simulate(write_description(tmp_path, SMALL), tmp_path / "a")
+    simulate(write_description(tmp_path, text), tmp_path / "b")
     before, after = file_contents(tmp_path / "a"), file_contents(tmp_path / "b")
     assert after["middle.csv"] == before["middle.csv"]
     assert after["fast.csv"] == before["fast.csv"]
@@ -172,16 +180,16 @@ def test_changing_run_changes_no_other_run(tmp_path):
 
 
 def test_runs_of_same_rate_have_independent_noise(tmp_path):
-    text = changed(SMALL, ("1 rev/s", "0.5 rev/s"))
-    simulate(write(tmp_path, text), tmp_path / "a")
+    text = replace_parts(SMALL, ("1 rev/s", "0.5 rev/s"))
+    simulate(write_description(tmp_path, text), tmp_path / "a")
     middle, fast = (pl.read_csv(tmp_path / "a" / name)["east_m"].to_numpy() for name in RECORDS[1:])
     apart = middle - fast
     assert apart.std() == pytest.approx(0.01 * math.sqrt(2), rel=0.1)
 
 
 def test_parquet_equals_csv_exactly(tmp_path):
-    simulate(write(tmp_path, SMALL), tmp_path / "a")
-    simulate(write(tmp_path, SMALL.replace(".csv", ".parquet")), tmp_path / "b")
+    simulate(write_description(tmp_path, SMALL), tmp_path / "a")
+    simulate(write_description(tmp_path, SMALL.replace(".csv", ".parquet")), tmp_path / "b")
     for name in ("slow", "fast"):
         csv = pl.read_csv(tmp_path / "a" / f"{name}.csv")
         assert csv.columns == ["time_s", "angle_rad", "east_m", "north_m"]
@@ -189,8 +197,10 @@ def test_parquet_equals_csv_exactly(tmp_path):
 
 
 def test_records_in_subfolders_are_simulated_and_calibrated(tmp_path):
-    text = changed(SMALL, ('"slow.csv"', '"data/slow/run.csv"'), ('"fast.csv"', '"data/fast.csv"'))
-    written = simulate(write(tmp_path, text), tmp_path / "made")
+    text = replace_parts(
+        SMALL, ('"slow.csv"', '"data/slow/run.csv"'), ('"fast.csv"', '"data/fast.csv"')
+    )
+    written = simulate(write_description(tmp_path, text), tmp_path / "made")
     assert written[0] == tmp_path / "made" / "data" / "slow" / "run.csv"
     assert set(calibrate(tmp_path / "made", method="two-stage").runs) == {"slow", "middle", "fast"}
 
@@ -198,7 +208,9 @@ def test_records_in_subfolders_are_simulated_and_calibrated(tmp_path):
 def test_record_outside_campaign_folder_raises(tmp_path):
     outside = tmp_path / "elsewhere" / "run.csv"
     for record in (outside.as_posix(), "../elsewhere/run.csv"):
-        path = write(tmp_path / "c", changed(SMALL, ('"slow.csv"', f'"{record}"')))
+        path = write_description(
+            tmp_path / "c", replace_parts(SMALL, ('"slow.csv"', f'"{record}"'))
+        )
         with pytest.raises(CampaignError, match=r"runs\[0\]\.record: .*run\.csv.* outside") as info:
             simulate(path, tmp_path / "made")
         assert info.value.exit_status == 2
@@ -207,7 +219,7 @@ def test_record_outside_campaign_folder_raises(tmp_path):
 
 
 def test_simulation_into_campaign_folder_preserves_description(tmp_path):
-    path = write(tmp_path, SMALL)
+    path = write_description(tmp_path, SMALL)
     simulate(path, tmp_path)
     assert path.read_text(encoding="utf-8") == SMALL
     assert sorted(file_contents(tmp_path)) == sorted(["campaign.toml", *RECORDS])
@@ -217,10 +229,10 @@ def test_simulation_into_campaign_folder_preserves_description(tmp_path):
 
 
 def test_existing_record_requires_overwrite(tmp_path):
-    path = write(tmp_path, SMALL)
+    path = write_description(tmp_path, SMALL)
     there = {"middle.csv": b"an earlier one", "campaign.toml": b"[truth.Qx]"}
     for name, content in there.items():
-        write(tmp_path / "made", content.decode(), name)
+        write_description(tmp_path / "made", content.decode(), name)
     with pytest.raises(CounterspinError, match=r"middle\.csv exists; .*`overwrite=True`"):
         simulate(path, tmp_path / "made")
     assert file_contents(tmp_path / "made") == there
@@ -229,8 +241,8 @@ def test_existing_record_requires_overwrite(tmp_path):
 
 
 def test_record_of_unknown_origin_is_never_overwritten(tmp_path):
-    path = write(tmp_path, SMALL)
-    write(tmp_path / "made", "measured", "middle.csv")
+    path = write_description(tmp_path, SMALL)
+    write_description(tmp_path / "made", "measured", "middle.csv")
     with raises("file-exists", "middle.csv"):
         simulate(path, tmp_path / "made", overwrite=True)
     assert file_contents(tmp_path / "made") == {"middle.csv": b"measured"}
@@ -238,9 +250,9 @@ def test_record_of_unknown_origin_is_never_overwritten(tmp_path):
 
 @pytest.mark.parametrize("text", ['schema = 1\n[site]\ngravity = "9.8 m/s^2"\n', "no TOML"])
 def test_measured_campaign_is_never_overwritten(tmp_path, text):
-    path = write(tmp_path, SMALL)
-    write(tmp_path / "made", text)
-    write(tmp_path / "made", "measured", "middle.csv")
+    path = write_description(tmp_path, SMALL)
+    write_description(tmp_path / "made", text)
+    write_description(tmp_path / "made", "measured", "middle.csv")
     with raises("file-exists", "campaign.toml"):
         simulate(path, tmp_path / "made", overwrite=True)
     assert file_contents(tmp_path / "made") == {
@@ -252,25 +264,25 @@ def test_measured_campaign_is_never_overwritten(tmp_path, text):
 def test_campaign_without_truth_raises(tmp_path):
     text = SMALL
     for table in ("simulation", "truth.Qx", "truth.Qy", "truth.spindle", "truth.noise"):
-        text = without(text, table)
+        text = remove_table(text, table)
     with pytest.raises(CampaignError, match=r"truth: missing; .*\[truth.NAME\]"):
-        simulate(write(tmp_path, text), tmp_path / "made")
-    campaign = campaign_of(tmp_path, text)
+        simulate(write_description(tmp_path, text), tmp_path / "made")
+    campaign = write_and_read_campaign(tmp_path, text)
     with pytest.raises(ValueError, match="has no data for a simulation"):
         simulate_run(campaign, campaign.runs[0], np.random.default_rng(0))
 
 
 def test_unsupported_formats_raise_together(tmp_path):
-    text = changed(SMALL, ("slow.csv", "slow.mat"), ("fast.csv", "fast.h5"))
+    text = replace_parts(SMALL, ("slow.csv", "slow.mat"), ("fast.csv", "fast.h5"))
     with pytest.raises(CampaignError) as info:
-        simulate(write(tmp_path, text), tmp_path / "made")
+        simulate(write_description(tmp_path, text), tmp_path / "made")
     assert "slow.mat cannot be simulated; " in str(info.value)
     assert "fast.h5" in str(info.value)
     assert not (tmp_path / "made").exists()
 
 
 def test_folder_that_cannot_be_created_raises(tmp_path):
-    path = write(tmp_path, SMALL)
+    path = write_description(tmp_path, SMALL)
     (tmp_path / "file").write_text("x", encoding="utf-8")
     with raises("file-not-writable", "made", "(Not a directory)"):
         simulate(path, tmp_path / "file" / "made")
@@ -283,14 +295,14 @@ def test_failed_write_leaves_no_partial_file(tmp_path, monkeypatch):
 
     monkeypatch.setattr(module, "WRITERS", {".csv": full})
     with raises("file-not-writable", "slow.csv", "(No space left"):
-        simulate(write(tmp_path, SMALL), tmp_path / "made")
+        simulate(write_description(tmp_path, SMALL), tmp_path / "made")
     assert file_contents(tmp_path / "made") == {"campaign.toml": SMALL.encode()}
     monkeypatch.undo()
     assert len(simulate(tmp_path, tmp_path / "made", overwrite=True)) == 3
 
 
 def test_command_line(tmp_path, capsys):
-    path = write(tmp_path, SMALL)
+    path = write_description(tmp_path, SMALL)
     assert main(["simulate", str(path), "-o", str(tmp_path / "made")]) == 0
     assert "Wrote 3 files and campaign.toml" in capsys.readouterr().out
     assert sorted(file_contents(tmp_path / "made")) == sorted(["campaign.toml", *RECORDS])
@@ -299,15 +311,19 @@ def test_command_line(tmp_path, capsys):
     assert error.startswith("counterspin: ")
     assert error.count("\n") == 1
     assert "Traceback" not in error
-    bad = write(tmp_path / "bad", without(SMALL, "truth.Qx").replace("20 Hz", "20 m"))
+    bad = write_description(
+        tmp_path / "bad", remove_table(SMALL, "truth.Qx").replace("20 Hz", "20 m")
+    )
     assert main(["simulate", str(bad), "-o", str(tmp_path / "other")]) == 2
     assert "simulation.sampling_rate" in capsys.readouterr().err
 
 
 def test_implausible_truth_raises(tmp_path):
-    text = changed(SMALL, ('K_II = "2.7e-5 g/g^2"', 'K_II = "27 g/g^2"'))
-    text = changed(text, ('[noise]\ndisplacement = "0.01 m"', '[noise]\nquantisation = "estimate"'))
-    campaign = write(tmp_path, without(text, "truth.noise"))
+    text = replace_parts(SMALL, ('K_II = "2.7e-5 g/g^2"', 'K_II = "27 g/g^2"'))
+    text = replace_parts(
+        text, ('[noise]\ndisplacement = "0.01 m"', '[noise]\nquantisation = "estimate"')
+    )
+    campaign = write_description(tmp_path, remove_table(text, "truth.noise"))
     with pytest.raises(CampaignError) as caught:
         simulate(campaign, tmp_path / "records")
     noise, coefficient = caught.value.problems
@@ -317,8 +333,8 @@ def test_implausible_truth_raises(tmp_path):
 
 
 def test_excessive_row_count_raises(tmp_path):
-    text = changed(SMALL, ('rate = "0.5 rev/s"', 'rate = "1e-6 rad/s"'))
-    campaign = write(tmp_path, text)
+    text = replace_parts(SMALL, ('rate = "0.5 rev/s"', 'rate = "1e-6 rad/s"'))
+    campaign = write_description(tmp_path, text)
     with pytest.raises(CampaignError) as caught:
         simulate(campaign, tmp_path / "records")
     (problem,) = caught.value.problems
@@ -331,7 +347,7 @@ def test_excessive_row_count_raises(tmp_path):
 
 
 def test_simulation_in_memory_equals_simulation_in_folder(tmp_path):
-    campaign = campaign_of(tmp_path, SMALL)
+    campaign = write_and_read_campaign(tmp_path, SMALL)
     simulate(campaign, tmp_path / "made")
     in_memory = simulate(campaign)
     assert not (tmp_path / "slow.csv").exists()
@@ -347,7 +363,7 @@ def test_simulation_in_memory_equals_simulation_in_folder(tmp_path):
 
 def test_changed_campaign_is_simulated_with_changes(tmp_path):
     changes = {"truth": {"Qx": {"K_II": "5e-5 g/g^2"}}, "noise": {"displacement": "0.02 m"}}
-    campaign = campaign_of(tmp_path, SMALL).change(changes)
+    campaign = write_and_read_campaign(tmp_path, SMALL).change(changes)
     simulate(campaign, tmp_path / "made")
     again = read_campaign(tmp_path / "made")
     assert again.simulation == campaign.simulation
@@ -361,7 +377,7 @@ def test_changed_campaign_is_simulated_with_changes(tmp_path):
 
 
 def test_different_seeds_have_independent_noise(tmp_path):
-    campaign = campaign_of(tmp_path, SMALL)
+    campaign = write_and_read_campaign(tmp_path, SMALL)
     one, other = (simulate(campaign.change({"simulation": {"seed": seed}})) for seed in (1, 2))
     record = one.runs[0].record
     errors = [c.record_at(record).columns["east_m"] for c in (one, other)]
@@ -369,6 +385,6 @@ def test_different_seeds_have_independent_noise(tmp_path):
 
 
 def test_campaign_without_description_raises_in_memory(tmp_path):
-    campaign = replace(campaign_of(tmp_path, SMALL), title="other")
+    campaign = replace(write_and_read_campaign(tmp_path, SMALL), title="other")
     with pytest.raises(CounterspinError, match="its description is unknown"):
         simulate(campaign)

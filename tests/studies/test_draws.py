@@ -6,7 +6,7 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
-from campaigns import changed, write
+from campaigns import replace_parts, write_description
 from raising import raises
 
 from counterspin.calibration.calibrate import calibrate
@@ -21,7 +21,7 @@ from counterspin.studies.study import study
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 
 #: The paper's plan, short, with nothing known beforehand and an encoder without noise.
-PLAN = changed(
+PLAN = replace_parts(
     (files("counterspin.reproduction") / "paper.toml").read_text(encoding="utf-8"),
     ("revolutions = 100", "revolutions = 12"),
     ('"50 Hz"', '"8 Hz"'),
@@ -43,7 +43,7 @@ def varied(**fixed):
 
 def made(folder, text, engine):
     """Return engine, estimates and u by symbol, of one trial without noise."""
-    description = read_study(write(folder, text))
+    description = read_study(write_description(folder, text))
     setup, truth = (
         make_setup(description.campaign),
         StudyTruth.from_campaign(description.campaign, description.varying),
@@ -95,7 +95,7 @@ def test_engines_agree_on_effect_of_true_input(tmp_path, name, true, shifts, ana
 
 
 def test_tilt_is_multiplied_by_scale_factor(tmp_path):
-    text = changed(PLAN, ('K_I = "1.001 g/g"', 'K_I = "1.05 g/g"')) + TWO_STAGE
+    text = replace_parts(PLAN, ('K_I = "1.001 g/g"', 'K_I = "1.05 g/g"')) + TWO_STAGE
     tilted = text + varied(**{"platform.tilt.north": "3 arcsec"})
     for engine in ("auto", "full"):
         _, level = made(tmp_path / f"{engine} level", text, engine)
@@ -106,7 +106,7 @@ def test_tilt_is_multiplied_by_scale_factor(tmp_path):
 
 
 #: Inputs that u rests on: radius and gravity to 1e-4, and a poor clock.
-UNCERTAIN = changed(
+UNCERTAIN = replace_parts(
     PLAN,
     ('"9.8 m/s^2"', '"9.8 ± 9.8e-4 m/s^2"'),
     ('"2.5 m"', '"2.5 ± 2.5e-4 m"'),
@@ -114,7 +114,7 @@ UNCERTAIN = changed(
     ('displacement = "0.01 m"', 'displacement = "1 mm"'),
 )
 #: The same with two recorders, each with a clock of its own.
-TWO_CLOCKS = changed(
+TWO_CLOCKS = replace_parts(
     UNCERTAIN, ('record = "run1.csv"', 'record = "run1.csv"\nrecords = { recorder = "B" }')
 )
 
@@ -123,7 +123,7 @@ TWO_CLOCKS = changed(
 @pytest.mark.parametrize("text", [UNCERTAIN, TWO_CLOCKS], ids=["one clock", "two clocks"])
 def test_stated_input_uncertainties_have_coverage(tmp_path, text):
     n = 200_000 if FULL else 20_000
-    folder = write(tmp_path / "campaign", text + JOINT)
+    folder = write_description(tmp_path / "campaign", text + JOINT)
     result = study(folder, trials=n)
     joint = result.analyses["joint"]
     assert joint.engine == "linear"
@@ -150,17 +150,17 @@ def test_stated_input_uncertainties_have_coverage(tmp_path, text):
 
 
 def test_recorders_may_have_separate_clocks(tmp_path):
-    text = changed(TWO_CLOCKS, ("[records]", '[records]\nrecorder = "A"')) + JOINT
+    text = replace_parts(TWO_CLOCKS, ("[records]", '[records]\nrecorder = "A"')) + JOINT
     vary = '[study.vary.B]\nrecords.clock = { fixed = "7 ppm" }\n'
     vary += '[study.vary.A]\nrecords.clock = { fixed = "0 ppm" }'
-    read = read_study(write(tmp_path / "named", f"{text}\n{vary}\n"))
+    read = read_study(write_description(tmp_path / "named", f"{text}\n{vary}\n"))
     clocks = {v.owner: v.first for v in read.varying if v.symbol == "records.clock"}
     assert clocks == {"B": 7e-6, "": 0.0}
     both = '[study.vary]\nrecords.clock = { normal = "0 ± 5 ppm" }'
-    read = read_study(write(tmp_path / "both", f"{text}\n{both}\n"))
+    read = read_study(write_description(tmp_path / "both", f"{text}\n{both}\n"))
     assert {v.owner for v in read.varying if v.symbol == "records.clock"} == {"", "B"}
     true = '[truth.records]\nclock = { B = "7 ppm" }\n'
-    read = read_study(write(tmp_path / "true", text + true))
+    read = read_study(write_description(tmp_path / "true", text + true))
     truth = StudyTruth.from_campaign(read.campaign, read.varying)
     assert truth.inputs["B", "records.clock"] == 7e-6
     assert ("", "records.clock") not in truth.inputs
@@ -169,22 +169,22 @@ def test_recorders_may_have_separate_clocks(tmp_path):
 
 def test_response_inputs_vary_by_accelerometer(tmp_path):
     stated = '[accelerometers.Qx]\nnatural_frequency = "400 ± 20 Hz"\ndamping = "0.7 ± 0.1"\n'
-    text = changed(UNCERTAIN, ("[accelerometers.Qx]\n", stated)) + JOINT
+    text = replace_parts(UNCERTAIN, ("[accelerometers.Qx]\n", stated)) + JOINT
     vary = '[study.vary]\n"Qx.sensor.damping" = { fixed = "0.6 1" }\n'
-    read = read_study(write(tmp_path / "named", f"{text}\n{vary}"))
+    read = read_study(write_description(tmp_path / "named", f"{text}\n{vary}"))
     truth = StudyTruth.from_campaign(read.campaign, read.varying)
     response = make_setup(read.campaign).true_mounting("Qx", truth.mean_draw()).response
     assert (response.natural_frequency, response.damping) == (400.0, pytest.approx(0.6))
     unstated = re.sub(r"(\[truth\.Qx\].*\n)", r"\1damping = 0.6\n", UNCERTAIN) + JOINT
-    campaign = read_study(write(tmp_path / "unstated", unstated)).campaign
+    campaign = read_study(write_description(tmp_path / "unstated", unstated)).campaign
     with raises("not-simulable", "truth.Qx.damping:"):
         make_setup(campaign)
 
 
 def test_large_input_deviation_requires_full_records(tmp_path):
     """K_II goes as the square of the radius: 4 % of it are 30 of its u."""
-    text = changed(UNCERTAIN, ("± 2.5e-4 m", "± 0.1 m")) + JOINT
-    result = study(write(tmp_path, text), trials=2)
+    text = replace_parts(UNCERTAIN, ("± 2.5e-4 m", "± 0.1 m")) + JOINT
+    result = study(write_description(tmp_path, text), trials=2)
     assert "not linear" in result.analyses["joint"].engine
 
 
@@ -201,7 +201,7 @@ def test_large_input_deviation_requires_full_records(tmp_path):
 )
 def test_invalid_variation_of_input_raises(tmp_path, vary, words):
     with pytest.raises(CampaignError, match=re.escape(words)):
-        read_study(write(tmp_path, f"{PLAN}{JOINT}[study.vary]\n{vary}\n"))
+        read_study(write_description(tmp_path, f"{PLAN}{JOINT}[study.vary]\n{vary}\n"))
 
 
 def on_the_arm(rate, unit):
@@ -233,7 +233,7 @@ K_I = "1.002 g/g"
 """
     text += "".join(on_the_arm(rate, unit) for rate in (3, 5, 7, 9, 11))
     n = 1000 if FULL else 100
-    joint = study(write(tmp_path, text), trials=n).analyses["joint"]
+    joint = study(write_description(tmp_path, text), trials=n).analyses["joint"]
     k_i = joint.coefficients["A.K_I"]
     expected = np.hypot(1e-4, 2e-4 if unit == "g" else 0.0)
     assert k_i.u == pytest.approx(1.002 * expected, rel=1e-2)

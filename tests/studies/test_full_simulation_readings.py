@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mixed_campaign import MODEL, RUNS, TRUE
 from raising import raises
-from reading_descriptions import at_rest, on_arm
+from reading_descriptions import format_arm_run, format_rest_run
 from scipy import stats
 
 import counterspin as cs
@@ -36,14 +36,14 @@ K_II = "15 ug/g^2"
 def tumble(u=" ± 2e-6 mA", count=12):
     step = 360 // count
     return "".join(
-        at_rest(f"{i * step} deg", f"{i * step} ± 2e-5 deg about north", f"?{u}")
+        format_rest_run(f"{i * step} deg", f"{i * step} ± 2e-5 deg about north", f"?{u}")
         for i in range(count)
     )
 
 
 def arm(u=" ± 2e-6 mA", rates=(3.1, 7.0, 10.0, 14.0)):
     return "".join(
-        on_arm(f"{side} {rate}", f"{rate} rad/s", f"?{u}", side=side, mounting=side)
+        format_arm_run(f"{side} {rate}", f"{rate} rad/s", f"?{u}", side=side, mounting=side)
         for side in ("inward", "outward")
         for rate in rates
     )
@@ -154,11 +154,11 @@ def check_coverage(analysis, engine):
 def describe_records_and_readings(folder, varying):
     """Describe records of a double turntable with readings at rest and on the arm beside them."""
     resting = "".join(
-        at_rest(f"rest {angle}", f"{angle} deg about north", "? ± 2.5e-6 mA")
+        format_rest_run(f"rest {angle}", f"{angle} deg about north", "? ± 2.5e-6 mA")
         for angle in range(0, 360, 30)
     )
     carried = "".join(
-        on_arm(f"{side} {rate}", f"{rate} rad/s", "? ± 5e-5 mA", side=side)
+        format_arm_run(f"{side} {rate}", f"{rate} rad/s", "? ± 5e-5 mA", side=side)
         for side in ("inward", "outward")
         for rate in (3.1, 7.0, 14.0)
     )

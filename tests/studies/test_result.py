@@ -1,7 +1,7 @@
 """What a study's figures amount to, in words."""
 
 import pytest
-from campaigns import SMALL, write
+from campaigns import SMALL, write_description
 
 from counterspin.reports.blocks import Paragraph
 from counterspin.studies.result import MIN_TRIALS, StudyResult
@@ -11,7 +11,7 @@ from counterspin.studies.study import study
 @pytest.mark.parametrize("trials", [4, MIN_TRIALS - 1])
 def test_too_few_trials_have_no_verdict(tmp_path, trials):
     """At 4 trials of 4, of 3 and of 2 the intervals of every analysis hold 95 %, or may."""
-    result = study(write(tmp_path, SMALL), trials=trials)
+    result = study(write_description(tmp_path, SMALL), trials=trials)
     assert {one.trustworthy for one in result.analyses.values()} == {None}
     first, *numbers = result.verdict
     assert first.startswith(f"{trials} trials are too few for a verdict")
@@ -32,7 +32,7 @@ def test_interrupted_study_has_verdict_of_completed_trials(tmp_path):
         if done:
             raise KeyboardInterrupt
 
-    folder = write(tmp_path, f'{SMALL}\n[study.analyses.joint]\nmethod = "joint"\n')
+    folder = write_description(tmp_path, f'{SMALL}\n[study.analyses.joint]\nmethod = "joint"\n')
     result = study(folder, trials=MIN_TRIALS, engine="full", progress=stop)
     assert not result.complete
     assert result.trials < MIN_TRIALS == result.trials_asked
@@ -41,6 +41,6 @@ def test_interrupted_study_has_verdict_of_completed_trials(tmp_path):
 
 
 def test_enough_trials_have_verdict(tmp_path):
-    result = study(write(tmp_path, SMALL), trials=MIN_TRIALS)
+    result = study(write_description(tmp_path, SMALL), trials=MIN_TRIALS)
     assert None not in {one.trustworthy for one in result.analyses.values()}
     assert "too few" not in " ".join(result.verdict)

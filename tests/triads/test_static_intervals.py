@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from posed_records import NOISE, STEP, Posed, simulate_poses
+from posed_records import NOISE, STEP, PosedRecord, simulate_poses
 from raising import raises
 
 from counterspin.arrays import Array
@@ -20,7 +20,7 @@ _REAL = next(filter(Path.exists, (up / "shared/real" for up in Path(__file__).pa
 
 
 def assert_poses_found(
-    truth: Posed, found, among: np.ndarray | None = None, slack: float = 0.5
+    truth: PosedRecord, found, among: np.ndarray | None = None, slack: float = 0.5
 ) -> None:
     """Check that each rest is found within it, but for `slack` s at either end, with its mean."""
     there = np.ones(len(truth.start), dtype=bool) if among is None else among

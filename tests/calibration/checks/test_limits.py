@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaigns import SMALL, changed, write
-from reading_campaigns import simulated, tumble
-from reading_descriptions import ACCELEROMETER, at_rest, place
+from campaigns import SMALL, replace_parts, write_description
+from reading_campaigns import simulate_readings, tumble
+from reading_descriptions import ACCELEROMETER, format_rest_run, format_site
 
 from counterspin import validation
 from counterspin.calibration.calibrate import calibrate
@@ -23,10 +23,10 @@ SIGN = "the sign of the output, and the senses of the input axis and of the atti
 
 def calibrate_tumble(folder, change, *, turned=0.0, terms=tuple(TRUTH), more="", accelerometer=""):
     """Calibrate a tumble with changed indications or rotated positions, deg."""
-    values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=TRUTH)
+    values = simulate_readings(tumble(), np.random.default_rng(1), SIGMA, truth=TRUTH)
     step = 360 / len(values)
     runs = "".join(
-        at_rest(
+        format_rest_run(
             f"tumble {i}",
             f"{i * step + turned!r} deg about north",
             f"{float(1.25 * change(value))!r} ± {1.25 * SIGMA!r} mA",
@@ -34,7 +34,7 @@ def calibrate_tumble(folder, change, *, turned=0.0, terms=tuple(TRUTH), more="",
         for i, value in enumerate(values)
     )
     model = f"[model]\nassume = 'all'\nterms = {list(terms)}\n{more}".replace("'", '"')
-    head = place("1.0 ± 1e-6 m", "9.80665 m/s^2", "0.8 rad") + ACCELEROMETER + accelerometer
+    head = format_site("1.0 ± 1e-6 m", "9.80665 m/s^2", "0.8 rad") + ACCELEROMETER + accelerometer
     (folder / "campaign.toml").write_text(head + "\n" + model + runs, encoding="utf-8")
     return calibrate(folder)
 
@@ -135,7 +135,7 @@ def make_coefficient(value, u, *, estimated=True, unit="g/g^2"):
 def test_limit_must_be_exceeded_by_three_standard_uncertainties(
     tmp_path, value, u, estimated, told
 ):
-    campaign = read_campaign(write(tmp_path, SMALL))
+    campaign = read_campaign(write_description(tmp_path, SMALL))
     found = check_credibility(
         campaign.limit_of, "Qx", {"K_II": make_coefficient(value, u, estimated=estimated)}
     )
@@ -144,8 +144,8 @@ def test_limit_must_be_exceeded_by_three_standard_uncertainties(
 
 @pytest.mark.parametrize("method", ["joint", "two-stage"])
 def test_both_methods_report_incredible_value(tmp_path, method):
-    larger = changed(SMALL, ('K_II = "2.7e-5 g/g^2"', 'K_II = "4e-4 g/g^2"'))
-    result = calibrate(simulate(read_campaign(write(tmp_path, larger))), method=method)
+    larger = replace_parts(SMALL, ('K_II = "2.7e-5 g/g^2"', 'K_II = "4e-4 g/g^2"'))
+    result = calibrate(simulate(read_campaign(write_description(tmp_path, larger))), method=method)
     assert only_finding(result).subject == "Qx.K_II"
     assert "the rates, the radius" in only_finding(result).text
 

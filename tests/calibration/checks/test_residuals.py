@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from campaigns import PLACE, changed, runs, write
-from reading_descriptions import ACCELEROMETER, at_rest, place
+from campaigns import PLACE, format_runs, replace_parts, write_description
+from reading_descriptions import ACCELEROMETER, format_rest_run, format_site
 from scipy import stats
 
 import triads
@@ -32,7 +32,7 @@ displacement = "0.001 m"
 [model]
 assume = "all"
 
-{runs("slow", "middle", "fast")}
+{format_runs("slow", "middle", "fast")}
 [simulation]
 sampling_rate = "16 Hz"
 revolutions = 20
@@ -81,9 +81,9 @@ def calibrate_tumble(folder, seed, sigma, stated, assume='["all"]'):
     for angle in range(0, 360, 30):
         value = 2e-3 + math.cos(math.radians(angle)) + sigma * float(rng.standard_normal())
         value = f"{1.25 * value!r} ± {1.25 * stated!r} mA"
-        text += at_rest(f"{angle}", f"{angle} deg about north", value)
-    head = place("1.0 ± 1e-6 m", "9.80665 m/s^2", "0.8 rad")
-    return calibrate(write(folder, head + text).parent)
+        text += format_rest_run(f"{angle}", f"{angle} deg about north", value)
+    head = format_site("1.0 ± 1e-6 m", "9.80665 m/s^2", "0.8 rad")
+    return calibrate(write_description(folder, head + text).parent)
 
 
 @pytest.mark.parametrize("assume", ['["all"]', "[]"], ids=["all assumed", "nothing assumed"])
@@ -127,11 +127,11 @@ def test_overstated_uncertainty_of_poses_has_remark(tmp_path):
 
 def test_overstated_noise_of_strobes_is_finding(tmp_path):
     """As for records by the joint method; the finding names the observed noise."""
-    simulate(write(tmp_path, SIMULATED), tmp_path / "made")
+    simulate(write_description(tmp_path, SIMULATED), tmp_path / "made")
     campaign = tmp_path / "made" / "campaign.toml"
     right = calibrate(campaign.parent, method="two-stage")
     assert [f.code for f in right.findings if f.code == "wrong-noise"] == []
-    campaign.write_text(changed(campaign.read_text(), ('"0.001 m"', '"0.01 m"')))
+    campaign.write_text(replace_parts(campaign.read_text(), ('"0.001 m"', '"0.01 m"')))
     found = {
         method: calibrate(campaign.parent, method=method).findings
         for method in ("joint", "two-stage")

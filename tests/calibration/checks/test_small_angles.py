@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from campaigns import SMALL, changed, write
+from campaigns import SMALL, replace_parts, write_description
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.checks.small_angles import check_drifts
@@ -16,7 +16,7 @@ from counterspin.simulation.simulate import simulate
 ARCMIN = math.radians(1.0 / 60.0)
 
 #: No exact inputs; the same noise in each simulation.
-QUIET = changed(
+QUIET = replace_parts(
     SMALL,
     ('"1.002 g/g"\ndisp', '"1.002 ± 1e-4 g/g"\ndisp'),
     ('"0.999 g/g"\ndisp', '"0.999 ± 1e-4 g/g"\ndisp'),
@@ -30,7 +30,7 @@ def calibrate_tilted(folder, tilt, prior, key="held"):
     listed = '["platform.tilt.north"]'
     if key == "estimated":
         listed = '["K_F", "K_I", "K_II", "K_III", "platform.tilt.north"]'
-    text = changed(
+    text = replace_parts(
         QUIET,
         ("TILT", tilt),
         (
@@ -39,7 +39,7 @@ def calibrate_tilted(folder, tilt, prior, key="held"):
             f'priors = {{ "platform.tilt.north" = "{prior}" }}\n',
         ),
     )
-    simulate(write(folder, text, "plan.toml"), folder / "records", overwrite=True)
+    simulate(write_description(folder, text, "plan.toml"), folder / "records", overwrite=True)
     return calibrate(folder / "records")
 
 

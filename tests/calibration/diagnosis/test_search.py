@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from campaigns import changed
+from campaigns import replace_parts
 from mistaken_campaigns import NOISE, RUNS, SOUND, Mistake, make_mistaken_campaign, make_records
 from results import accelerometer
 
@@ -88,7 +88,7 @@ def make_accelerometer(view):
     ],
 )
 def test_false_alarm_rate_of_good_campaigns_is_1_percent(given, walk, trials, tmp_path):
-    text = SOUND if given else changed(SOUND, (NOISE, ""))
+    text = SOUND if given else replace_parts(SOUND, (NOISE, ""))
     campaigns = Campaigns(tmp_path, text, walk)
     rng = np.random.default_rng(5)
     blamed = sum(bool(campaigns.draw_causes(rng)) for _ in range(trials))

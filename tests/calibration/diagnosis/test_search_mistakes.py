@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaigns import PLACE, changed, runs, write
+from campaigns import PLACE, format_runs, replace_parts, write_description
 from mistaken_campaigns import (
     ANGLE,
     EAST,
@@ -21,8 +21,8 @@ from mistaken_campaigns import (
     exchange_records,
     make_mistaken_campaign,
     make_records,
+    make_step,
     multiply_column,
-    step,
     swap_columns,
 )
 
@@ -196,12 +196,12 @@ MISTAKES = (
     Mistake(
         "a jump of 5 cm in one record",
         "jump middle.Qx",
-        records=add_values("middle", EAST, step(0.05, 0.4)),
+        records=add_values("middle", EAST, make_step(0.05, 0.4)),
     ),
     Mistake(
         "a jump of 5 cm in one record",
         "jump middle.Qx",
-        records=add_values("middle", EAST, step(0.05, 0.4)),
+        records=add_values("middle", EAST, make_step(0.05, 0.4)),
         estimated=True,
         state="reservations",
     ),
@@ -320,7 +320,7 @@ MISTAKES = (
     Mistake(
         "a jump of 2 cm in one record",
         "jump slow.Qy",
-        records=add_values("slow", NORTH, step(0.02, 0.7)),
+        records=add_values("slow", NORTH, make_step(0.02, 0.7)),
         state="reservations",
     ),
 )
@@ -388,7 +388,7 @@ reading = { Qx = "0.0050321 ± 1e-5 g", Qy = "-0.003 ± 1e-5 g" }
     "mistake",
     [
         Mistake("", "wrong-scale middle.Qx", records=multiply_column("middle", EAST, 1.002)),
-        Mistake("", "jump slow.Qy", records=add_values("slow", NORTH, step(0.02, 0.7))),
+        Mistake("", "jump slow.Qy", records=add_values("slow", NORTH, make_step(0.02, 0.7))),
         Mistake(
             "",
             "wrong-angle records.angle",
@@ -454,13 +454,13 @@ def test_clock_error_is_named_with_equivalent_causes(observable, unit, fast, alo
     text = text.replace("displacement =", f"{observable} =").replace(' "m" }', f' "{unit}" }}')
     if alone:
         text = re.sub(r"\[(accelerometers|truth)\.Qy\](\n[a-zK].*)+", "", text)
-    simulate(write(tmp_path / "true", text), tmp_path / "made")
+    simulate(write_description(tmp_path / "true", text), tmp_path / "made")
     for record in (tmp_path / "made").glob("*.csv"):
         rows = np.loadtxt(record, delimiter=",", skiprows=1)
         rows[:, TIME] *= 1.0 + fast
         head = record.read_text("utf-8").partition("\n")[0]
         np.savetxt(record, rows, delimiter=",", header=head, comments="", fmt="%.15g")
-    first = calibrate(write(tmp_path / "made", text).parent).findings[0]
+    first = calibrate(write_description(tmp_path / "made", text).parent).findings[0]
     named = [first.subject, *first.as_well]
     if alone:
         assert {"records.clock", "centrifuge.radius", "Qx.K_I", "Qx"} <= {*named[:4]}
@@ -482,7 +482,7 @@ velocity = {{ column = "east", unit = "m/s" }}
 [noise]
 velocity = "1e-3 m/s"
 
-{runs("slow", "middle", "fast")}
+{format_runs("slow", "middle", "fast")}
 [simulation]
 sampling_rate = "20 Hz"
 revolutions = 30
@@ -499,7 +499,7 @@ K_III = "3e-6 g/g^3"
 @pytest.mark.parametrize(("ppm", "way"), [(1000.0, "fell"), (-1000.0, "rose")])
 def test_frequency_response_is_named_before_stretch(tmp_path, ppm, way):
     """The gain varies with the square of the rate; the equivalent stretch is 200 typical sizes."""
-    simulate(write(tmp_path, VELOCITIES), tmp_path / "made")
+    simulate(write_description(tmp_path, VELOCITIES), tmp_path / "made")
     for run, part in (("slow", 0.25), ("middle", 0.5), ("fast", 1.0)):
         file = tmp_path / "made" / f"{run}.csv"
         head, *lines = file.read_text().splitlines()
@@ -526,14 +526,14 @@ def test_frequency_response_is_named_before_stretch(tmp_path, ppm, way):
 
 def calibrate_force(folder, symbol, value, assume=""):
     """Calibrate specific-force records of an accelerometer with an additional term."""
-    text = changed(
+    text = replace_parts(
         VELOCITIES,
         ("[noise]", f"[model]\n{assume}\n[noise]"),
         ("velocity = {", "specific_force = {"),
         ('"m/s" }', '"m/s^2" }'),
         ('velocity = "1e-3 m/s"', 'specific_force = "1e-4 m/s^2"'),
     )
-    simulate(write(folder, f'{text}{symbol} = "{value}"\n'), folder / "made")
+    simulate(write_description(folder, f'{text}{symbol} = "{value}"\n'), folder / "made")
     return calibrate(folder / "made")
 
 

@@ -5,8 +5,8 @@ import re
 
 import numpy as np
 import pytest
-from campaigns import PLACE, campaign_of, changed, runs, write
-from reading_descriptions import at_rest
+from campaigns import PLACE, format_runs, replace_parts, write_and_read_campaign, write_description
+from reading_descriptions import format_rest_run
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.simulation.simulate import simulate
@@ -38,7 +38,7 @@ velocity = {{ column = "east", unit = "m/s" }}
 [noise]
 velocity = "1e-3 m/s"
 
-{runs("slow", "middle", "fast")}
+{format_runs("slow", "middle", "fast")}
 [simulation]
 sampling_rate = "20 Hz"
 revolutions = 30
@@ -57,17 +57,17 @@ def untested_remarks(result):
 
 def calibrate_tumble(folder, mountings=(0,), more=""):
     rng = np.random.default_rng(4)
-    text = changed(TUMBLE, ("priors = {", f"priors = {{ {more}"))
+    text = replace_parts(TUMBLE, ("priors = {", f"priors = {{ {more}"))
     for turn in mountings:
         for angle in range(0, 360, 15):
             value = 2e-3 + math.cos(math.radians(angle)) + 2e-6 * rng.standard_normal()
-            text += at_rest(
+            text += format_rest_run(
                 f"{turn} {angle}",
                 f"{angle} deg about north",
                 f"{value:.9f} ± 2e-6 g",
                 f'head = "{(angle + turn) % 360} deg"\nmounting = "m{turn}"\n',
             )
-    return calibrate(write(folder, text).parent)
+    return calibrate(write_description(folder, text).parent)
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_head_with_understated_error_has_remark(tmp_path, source, symbol, unit, 
 @pytest.mark.parametrize("size", ["2.06 arcsec", "0.2 arcsec"])
 def test_typical_or_tested_input_has_no_remark(tmp_path, size, monkeypatch):
     """Two mountings determine the error of the head, whatever its prior."""
-    monkeypatch.setitem(globals(), "TUMBLE", changed(TUMBLE, ("0.2 arcsec", size)))
+    monkeypatch.setitem(globals(), "TUMBLE", replace_parts(TUMBLE, ("0.2 arcsec", size)))
     typical = size.startswith("2")
     assert untested_remarks(calibrate_tumble(tmp_path, (0,) if typical else (0, 60, 135))) == []
 
@@ -113,7 +113,7 @@ def test_typical_or_tested_input_has_no_remark(tmp_path, size, monkeypatch):
 def test_untested_clock_of_single_run_has_remark(tmp_path):
     """An error of 20 ppm shifts K_III and does not appear in the residuals."""
     made = tmp_path / "made"
-    simulate(campaign_of(tmp_path / "true", RECORDED), made)
+    simulate(write_and_read_campaign(tmp_path / "true", RECORDED), made)
     result = calibrate(made)
     assert (result.state, result.findings) == ("good", [])
     (text,) = untested_remarks(result)
@@ -134,7 +134,7 @@ def test_untested_clock_of_single_run_has_remark(tmp_path):
     # A second recorder has a separate clock, whose uncertainty is in u.
     text = (made / "campaign.toml").read_text()
     line = f'record = "{run}.csv"'
-    named = changed(text, (line, f'{line}\nrecords = {{ recorder = "B" }}'))
-    own = calibrate(write(made, named).parent)
+    named = replace_parts(text, (line, f'{line}\nrecords = {{ recorder = "B" }}'))
+    own = calibrate(write_description(made, named).parent)
     assert f"clock during {run}" not in "".join(untested_remarks(own))
     assert own.accelerometers["Qx"].coefficients["K_III"].u > 1.5 * before.u

@@ -7,8 +7,8 @@ import mixed_campaign
 import numpy as np
 import pytest
 import reading_campaigns
-from campaigns import PLACE, campaign_of, changed, runs, write
-from reading_descriptions import at_rest
+from campaigns import PLACE, format_runs, replace_parts, write_and_read_campaign, write_description
+from reading_descriptions import format_rest_run
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.diagnosis.untested_inputs import (
@@ -40,7 +40,7 @@ scale_factor = "1.002 ± 1e-5 g/g"
 [model]
 assume = "all"
 
-{runs("slow", "middle", "fast")}
+{format_runs("slow", "middle", "fast")}
 [simulation]
 sampling_rate = "20 Hz"
 seed = 5
@@ -58,14 +58,14 @@ K_IO = "3e-6 g/g^2"
 @pytest.fixture(scope="module", params=UNITS)
 def recorded_campaign(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param)
-    simulate(campaign_of(folder / "true", describe(request.param)), folder / "made")
+    simulate(write_and_read_campaign(folder / "true", describe(request.param)), folder / "made")
     return request.param, folder / "made"
 
 
 def calibrate_axis(recorded_campaign, axis, known=STATED):
     observable, folder = recorded_campaign
-    text = changed(describe(observable, known), ('"down"', f'"{axis}"'))
-    return calibrate(write(folder, text).parent)
+    text = replace_parts(describe(observable, known), ('"down"', f'"{axis}"'))
+    return calibrate(write_description(folder, text).parent)
 
 
 def mounting_remarks(result):
@@ -113,9 +113,13 @@ def test_wrong_axis_is_named_if_detectable(recorded_campaign, axis):
 def test_wrong_axis_is_named_with_estimated_noise_and_default_priors(tmp_path):
     """The full fit has more unknowns than the fit that estimates the noise."""
     text = describe("specific_force").replace("2e-6", "4e-5").replace("3e-6", "6e-5")
-    simulate(campaign_of(tmp_path / "true", text), tmp_path / "made")
+    simulate(write_and_read_campaign(tmp_path / "true", text), tmp_path / "made")
     own = ('[noise]\nspecific_force = "1e-4 m/s^2"\n', ""), ('[model]\nassume = "all"\n', "")
-    result = calibrate(write(tmp_path / "made", changed(text, *own, ('"down"', '"north"'))).parent)
+    result = calibrate(
+        write_description(
+            tmp_path / "made", replace_parts(text, *own, ('"down"', '"north"'))
+        ).parent
+    )
     first = result.findings[0]
     assert (first.code, first.subject) == ("wrong-mounting", "Qx")
     assert "pointed down instead of the stated north" in first.text
@@ -129,9 +133,9 @@ def test_readings_and_records_jointly_reveal_wrong_axis(tmp_path, monkeypatch):
     """delta_O = -1 mrad with the pendulous axis down equals 1 mrad with the axis up."""
     monkeypatch.setitem(mixed_campaign.TRUTH, "delta_O", 1e-3)
     true = ('K_F = "2e-3 g"', 'K_F = "2e-3 g"\ndelta_O = "1e-3 rad"')
-    monkeypatch.setattr(mixed_campaign, "TRUE", changed(mixed_campaign.TRUE, true))
+    monkeypatch.setattr(mixed_campaign, "TRUE", replace_parts(mixed_campaign.TRUE, true))
     campaign = mixed_campaign.MixedCampaign(tmp_path)
-    model = changed(mixed_campaign.MODEL, ('"K_III", "delta_O"', '"K_III"'))
+    model = replace_parts(mixed_campaign.MODEL, ('"K_III", "delta_O"', '"K_III"'))
 
     def describe_delta_o(value):
         return campaign.calibrated(model=f'{model}"delta_O" = "{value} ± 1e-6 rad"\n')
@@ -174,11 +178,11 @@ K_IP = "1e-4 ± 1e-6 g/g^2"
         (range(12), (stations, sides, head), " ± 2.5e-6"),
         ([3] * 6, again, ""),
     ):
-        read = reading_campaigns.simulated(test, rng, 2e-6, truth=truth).tolist()
+        read = reading_campaigns.simulate_readings(test, rng, 2e-6, truth=truth).tolist()
         for turn, value in zip(turns, read, strict=True):
             name = f"{30 * turn} deg about north"
-            text += at_rest(f"{len(text)}", name, f"{1.25 * value!r}{u} mA")
-    result = calibrate(write(tmp_path, text).parent)
+            text += format_rest_run(f"{len(text)}", name, f"{1.25 * value!r}{u} mA")
+    result = calibrate(write_description(tmp_path, text).parent)
     found = {(finding.code, finding.subject) for finding in result.findings}
     assert found == {("wrong-mounting", "A"), ("prior-conflict", "A.K_F")}
 

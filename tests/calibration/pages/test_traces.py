@@ -3,7 +3,7 @@
 import numpy as np
 import polars as pl
 import pytest
-from campaigns import SMALL, changed, write
+from campaigns import SMALL, replace_parts, write_description
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ndtri
@@ -29,7 +29,9 @@ def results(tmp_path_factory):
     """Return results of a clean campaign and of the same campaign with two displaced samples."""
     folder = tmp_path_factory.mktemp("traces")
     # The noise is a tenth of the stated noise.
-    description = write(folder, changed(SMALL, ('"0.01 m"\nangle', '"0.001 m"\nangle')))
+    description = write_description(
+        folder, replace_parts(SMALL, ('"0.01 m"\nangle', '"0.001 m"\nangle'))
+    )
     simulate(description, folder / "made")
     clean = calibrate(folder / "made")
     record = folder / "made" / "slow.csv"

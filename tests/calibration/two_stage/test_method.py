@@ -8,7 +8,7 @@ from dataclasses import fields
 
 import polars as pl
 import pytest
-from campaigns import SMALL, campaign_of, changed, without, write
+from campaigns import SMALL, remove_table, replace_parts, write_and_read_campaign, write_description
 from raising import raises
 from scipy.special import chdtrc, stdtrit
 
@@ -40,7 +40,7 @@ def extend_model(model):
 
 
 def make_records(folder, *pairs, text=SMALL):
-    simulate(write(folder, changed(text, *pairs)), folder / "made")
+    simulate(write_description(folder, replace_parts(text, *pairs)), folder / "made")
     return folder / "made"
 
 
@@ -136,7 +136,7 @@ def test_prior_of_k_ii_is_combined(tmp_path):
     assert c.value == pytest.approx(plain.value + weight * (2.8e-5 - plain.value), rel=1e-9)
     assert c.u == pytest.approx(math.sqrt(weight) * 2e-7, rel=1e-6)
     assert c.u_stated == pytest.approx(weight * 2e-7, rel=1e-6)
-    tight = changed(prior[1], ("2e-7", "1e-12"))
+    tight = replace_parts(prior[1], ("2e-7", "1e-12"))
     held = qx(calibrate_records(tmp_path / "c", (prior[0], tight))).coefficients["K_II"]
     assert (held.estimated, held.value, held.u) == (False, 2.8e-5, 1e-12)
 
@@ -212,7 +212,7 @@ def test_stated_noise_is_total_noise(tmp_path):
 @pytest.mark.parametrize("how", ["asked", "estimate"])
 def test_sigma_is_estimated_from_residuals(tmp_path, capsys, how):
     noise = '[noise]\ndisplacement = "0.01 m"\n'
-    given = {"asked": noise, "estimate": changed(noise, ("0.01 m", "estimate"))}
+    given = {"asked": noise, "estimate": replace_parts(noise, ("0.01 m", "estimate"))}
     folder = make_records(tmp_path, (noise, given[how]))
     sigma = ["--sigma", "residuals"] if how == "asked" else []
     file = tmp_path / "result.json"
@@ -259,7 +259,7 @@ def test_unstated_accelerometer_noise_is_taken_from_joint_fit(tmp_path, noise):
     assert walk.estimated
     assert abs(walk.value - WALK) < 4 * walk.u
     stated = noise or ESTIMATED[0]
-    known = changed(stated, ("estimate", "1e-4 g/Hz^0.5")) if noise == ESTIMATED[0] else None
+    known = replace_parts(stated, ("estimate", "1e-4 g/Hz^0.5")) if noise == ESTIMATED[0] else None
     if known:
         sure = qx(calibrate_records(tmp_path / "sure", *add_walk(known))).coefficients["K_F"]
         c = accelerometer.coefficients["K_F"]
@@ -278,7 +278,7 @@ def test_comparison_in_joint_result_uses_joint_estimates(tmp_path):
     k_iii = jointly.coefficients["K_III"]
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     told = f'{PRIORS[0]}\nK_III = "{k_iii.value!r} ± {k_iii.u!r} g/g^3"'
-    write(folder, changed(text, (PRIORS[0], told)))
+    write_description(folder, replace_parts(text, (PRIORS[0], told)))
     c = qx(calibrate(folder, method="two-stage")).coefficients["K_II"]
     comparison = jointly.two_stage
     assert (comparison.value, comparison.u) == pytest.approx((c.value, c.u), rel=1e-9)
@@ -315,7 +315,7 @@ def test_undetected_noise_has_remark(tmp_path, monkeypatch):
 
 def test_contradicted_prior_is_named(tmp_path):
     """K_F is stated with an error of 40 ug and u of 2 ug: it explains the misfit of the runs."""
-    wrong = (PRIORS[0], changed(PRIORS[1], ("0.005 ± 2e-6 g", "0.00504 ± 2e-6 g")))
+    wrong = (PRIORS[0], replace_parts(PRIORS[1], ("0.005 ± 2e-6 g", "0.00504 ± 2e-6 g")))
     result = calibrate_records(tmp_path, wrong)
     first = qx(result).findings[0]
     assert (first.code, first.subject, first.contradicts) == ("prior-conflict", "Qx.K_F", True)
@@ -347,7 +347,7 @@ def test_trials_with_walk_have_stated_uncertainty(tmp_path, noise):
     for trial in range(count):
         folder = tmp_path / str(trial)
         changes = (("seed = 1", f"seed = {trial}"), *add_walk(noise))
-        campaign = campaign_of(folder, changed(SMALL, *changes))
+        campaign = write_and_read_campaign(folder, replace_parts(SMALL, *changes))
         simulate(campaign, folder)
         for name, c in calibrate(folder, method="two-stage").accelerometers.items():
             truth = campaign.simulation.truth.coefficients[name]
@@ -580,7 +580,9 @@ def test_full_trials_have_stated_uncertainty(tmp_path):
     chi2, covered = 0.0, 0
     for trial in range(TRIALS):
         folder = tmp_path / str(trial)
-        campaign = campaign_of(folder, changed(SMALL, ("seed = 1", f"seed = {trial}")))
+        campaign = write_and_read_campaign(
+            folder, replace_parts(SMALL, ("seed = 1", f"seed = {trial}"))
+        )
         simulate(campaign, folder)
         problem = JointProblem(campaign, list(observe(campaign)))
         for name, truth in K_II.items():
@@ -600,8 +602,8 @@ def test_truth_does_not_affect_result(tmp_path):
     with_truth = calibrate(folder, method="two-stage")
     text = SMALL
     for table in ("simulation", "truth.Qx", "truth.Qy", "truth.spindle", "truth.noise"):
-        text = without(text, table)
-    write(folder, text)
+        text = remove_table(text, table)
+    write_description(folder, text)
     bare = calibrate(folder, method="two-stage")
     assert bare.accelerometers == with_truth.accelerometers
 
@@ -633,7 +635,7 @@ def test_harmonics_reveal_incredible_scale_factor(tmp_path, scale, told):
     limits = extend_model('limits = { K_I = "1 g/g" }')
     folder = make_records(tmp_path, limits, ('K_I = "1.002 g/g"', f'K_I = "{scale} g/g"'))
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
-    write(folder, changed(text, (limits[1], MODEL)))
+    write_description(folder, replace_parts(text, (limits[1], MODEL)))
     accelerometer = qx(calibrate(folder, method="two-stage"))
     of_k_i = [f for f in accelerometer.findings if (f.code, f.subject) == ("incredible", "Qx.K_I")]
     assert len(of_k_i) == told

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import ARCSEC, add_noise, considered_inputs, three_rates, unknowns
+from joint_campaign import ARCSEC, add_noise, make_considered_inputs, three_rates, unknowns
 
 from counterspin.inference.joint.alternatives import (
     Alternative,
@@ -24,7 +24,10 @@ PRIORS = {"K_F": (0.005, 2e-6), "K_I": (1.002, 5e-6), "K_III": (0.0, 0.0)}
 TILTS = tuple(Unknown(f"run{i}", "platform.tilt.north", (0.0, ARCSEC), 1e-2) for i in (1, 2, 3))
 MODEL = Unknowns(
     (*unknowns(["K_F", "K_I", "K_II", "K_III"], PRIORS), *TILTS),
-    (Considered("Qx", "K_PP", (0.0, 1e-6), 1e-4), *considered_inputs({"centrifuge.radius": 1e-5})),
+    (
+        Considered("Qx", "K_PP", (0.0, 1e-6), 1e-4),
+        *make_considered_inputs({"centrifuge.radius": 1e-5}),
+    ),
 )
 
 

@@ -11,8 +11,8 @@ from joint_campaign import (
     RATES,
     SITE,
     add_noise,
-    considered_inputs,
-    simulated,
+    make_considered_inputs,
+    simulate_series,
     three_rates,
     unknowns,
 )
@@ -67,7 +67,7 @@ def model():
             "", "platform.g_sensitivity.zx", (0.0, 0.02 * DEG_H), 10 * DEG_H, has_default_prior=True
         ),
     )
-    return Unknowns((*own, drift, *tilts), (*considered, *considered_inputs(SIZES)))
+    return Unknowns((*own, drift, *tilts), (*considered, *make_considered_inputs(SIZES)))
 
 
 @pytest.fixture(scope="module")
@@ -193,10 +193,10 @@ def test_sensitivities_match_differences_of_estimates(series, fit, model):
 def test_record_in_g_depends_on_assumed_gravity():
     """The assumed gravity converts a record from g to m/s^2."""
     one = [
-        replace(simulated(f"run{i}", r, TRUTH, observable="specific_force"), in_g=True)
+        replace(simulate_series(f"run{i}", r, TRUTH, observable="specific_force"), in_g=True)
         for i, r in enumerate(RATES)
     ]
-    model = Unknowns(unknowns(TRUTH), considered_inputs({"site.gravity": 1e-4}))
+    model = Unknowns(unknowns(TRUTH), make_considered_inputs({"site.gravity": 1e-4}))
     plain = model.without_inputs()
     noise = {"Qx": Noise(1e-3)}
     first = solve_joint(build_design_blocks(one, plain, SCALES), plain, noise).solution

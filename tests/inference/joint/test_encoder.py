@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import LEVEL, RATES, add_noise, simulated, unknowns
+from joint_campaign import LEVEL, RATES, add_noise, simulate_series, unknowns
 from scipy.special import stdtrit
 
 from counterspin.inference.joint import encoder
@@ -65,7 +65,7 @@ def make_rippled_series(observable, size, rng, **more):
         )
         spindle = Spindle(rate, 1e-6, ripples, start_angle=rng.uniform(0, 6))
         series.append(
-            simulated(f"run{i}", rate, TRUTH, observable=observable, spindle=spindle, **more)
+            simulate_series(f"run{i}", rate, TRUTH, observable=observable, spindle=spindle, **more)
         )
     return series
 
@@ -78,7 +78,7 @@ def make_rippled_series(observable, size, rng, **more):
 def test_columns_match_simulation(observable, attitude):
     """Compare the chain rule with full simulations of ripple, start angle and drift."""
     spindle = Spindle(RATES[1], 1e-5, start_angle=0.4)
-    one = simulated("run", RATES[1], LARGE, observable=observable, spindle=spindle)
+    one = simulate_series("run", RATES[1], LARGE, observable=observable, spindle=spindle)
     rng = np.random.default_rng(1)
     fit = fit_spindle(
         one.time, spindle.angle(one.time) + 1e-6 * rng.standard_normal(one.time.size), RATES[1]
@@ -124,7 +124,9 @@ def test_columns_match_simulation(observable, attitude):
 
 
 def test_terms_over_blocks_are_averaged():
-    one = fit_encoder_angle([simulated("run", RATES[2], TRUTH)], 1e-6, np.random.default_rng(2))[0]
+    one = fit_encoder_angle(
+        [simulate_series("run", RATES[2], TRUTH)], 1e-6, np.random.default_rng(2)
+    )[0]
     spread = np.full(one.time.size, 2e-3)
     mean = encoder.columns(replace(one, time_sd=spread), ["encoder.ripple2.sin"], {"K_I": 0.0})
     fine = [

@@ -12,8 +12,8 @@ from joint_campaign import (
     RATES,
     SITE,
     add_noise,
-    considered_inputs,
-    simulated,
+    make_considered_inputs,
+    simulate_series,
     three_rates,
     unknowns,
 )
@@ -122,7 +122,7 @@ def test_absent_component_is_dropped_without_cost(noise_free_series):
 def test_quantisation_larger_than_noise(white):
     step, noise = 0.01, Noise(2e-3)
     # 31.4 samples a revolution, so that the steps do not fall alike in every revolution.
-    series = [simulated(f"run{i}", r, TRUTH, per_revolution=31) for i, r in enumerate(RATES)]
+    series = [simulate_series(f"run{i}", r, TRUTH, per_revolution=31) for i, r in enumerate(RATES)]
     rng = np.random.default_rng(14)
     trials, distance = 25 if FULL else 12, 0.0
     for _ in range(trials):
@@ -164,7 +164,7 @@ def test_delay_within_uncertainty_is_not_noise(noise_free_series, held):
     ]
     drawn = [add_noise(one, WHITE, rng) for one in late]
     drawn[2].error[100] += 0.15
-    delay = considered_inputs({TIMING: 5e-3})
+    delay = make_considered_inputs({TIMING: 5e-3})
     model = Unknowns(MODEL.unknowns, delay) if held else Unknowns((*MODEL.unknowns, *delay))
     found = estimate(drawn, model, {"Qx": Noise(ESTIMATE, 0.0)})
     assert found.fit.noise["Qx"].white == pytest.approx(0.01, rel=4 / math.sqrt(2 * 570))
@@ -173,7 +173,7 @@ def test_delay_within_uncertainty_is_not_noise(noise_free_series, held):
 
 def test_early_outliers_do_not_bias_input_derivatives(noise_free_series):
     """A radius known to 1e-3 of itself does to the records what K_I is found to be, not guessed."""
-    model = Unknowns((*MODEL.unknowns, *considered_inputs({"centrifuge.radius": 2.5e-3})))
+    model = Unknowns((*MODEL.unknowns, *make_considered_inputs({"centrifuge.radius": 2.5e-3})))
     drawn = [add_noise(one, WHITE, np.random.default_rng(21)) for one in noise_free_series]
     for one in drawn:
         one.error[::97] += 2e3
@@ -255,7 +255,7 @@ def make_series_without_angle(start, rate_error, drift, observable="displacement
     series = []
     for i, rate in enumerate(RATES, start=1):
         turned = Spindle(rate * (1 + rate_error), drift, start_angle=start)
-        one = simulated(
+        one = simulate_series(
             f"run{i}", rate, TRUTH, spindle=turned, revolutions=revolutions, observable=observable
         )
         nominal = Trajectory(Spindle(rate), 2.5, SITE)
@@ -394,7 +394,7 @@ def test_time_stamp_noise_is_proportional_to_slope(white):
     rng = np.random.default_rng(22)
     timing, drawn = 2e-3, []
     for i, rate in enumerate(RATES):
-        one = simulated(f"run{i}", rate, TRUTH, observable="specific_force")
+        one = simulate_series(f"run{i}", rate, TRUTH, observable="specific_force")
         slope = (one.reference(delay=1e-4) - one.reference(delay=-1e-4)) / 2e-4
         late = timing * rng.standard_normal(one.time.size)
         moved = add_noise(replace(one, error=one.error + slope * late), Noise(0.02), rng)

@@ -13,13 +13,13 @@ from joint_campaign import (
     RATES,
     SITE,
     add_noise,
-    considered_inputs,
+    make_considered_inputs,
     redraw_noise,
-    simulated,
+    simulate_series,
     three_rates,
     unknowns,
 )
-from prose import told, value_of
+from prose import find_numbers, value_of
 from scipy.special import ndtri
 
 from counterspin.errors import NotIdentifiableError
@@ -216,7 +216,7 @@ def test_both_senses_separate_gyro_sensitivity_from_k_ii():
     two_senses = [
         *three_rates(TRUTH, platform, revolutions=6),
         *[
-            simulated(f"back{i}", -rate, TRUTH, platform, revolutions=6)
+            simulate_series(f"back{i}", -rate, TRUTH, platform, revolutions=6)
             for i, rate in enumerate(RATES)
         ],
     ]
@@ -294,7 +294,7 @@ def test_three_attitudes_separate_squares():
     attitudes = {"p": PENDULOUS_VERTICAL, "o": OUTPUT_VERTICAL, "i": INPUT_VERTICAL}
     model = Unknowns(unknowns(truth, {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6)}))
     series = [
-        simulated(f"{name}{i}", rate, truth, attitude=attitude)
+        simulate_series(f"{name}{i}", rate, truth, attitude=attitude)
         for name, attitude in attitudes.items()
         for i, rate in enumerate(RATES)
     ]
@@ -490,7 +490,7 @@ def test_block_means_preserve_information_on_k_ii():
             )
         )
     model = Unknowns(unknowns(TRUTH))
-    (percent,) = told(
+    (percent,) = find_numbers(
         "campaign", "averaging increases the standard uncertainty of K_II by less than {} %"
     )
     for noise in (WHITE, MIXED):
@@ -506,7 +506,7 @@ def test_block_means_preserve_information_on_k_ii():
 
 def test_record_too_short_for_start_errors_raises():
     model = Unknowns(unknowns(("K_F", "K_II")))
-    short = simulated("run1", 2.0, {}, revolutions=1, per_revolution=1)
+    short = simulate_series("run1", 2.0, {}, revolutions=1, per_revolution=1)
     short = short.drop_rows(np.array([True, False]))
     with pytest.raises(NotIdentifiableError, match="too short"):
         solve_joint(build_design_blocks([short], model, SCALES), model, {"Qx": WHITE})
@@ -522,7 +522,7 @@ def test_updated_design_blocks_match_new_ones():
     series = three_rates(TRUTH)
     before = Unknowns((*unknowns(TRUTH, PRIORS), tilt), (gyro,))
     after = replace(
-        before, considered=(k_oo, gyro, *considered_inputs({"centrifuge.radius": 1e-4}))
+        before, considered=(k_oo, gyro, *make_considered_inputs({"centrifuge.radius": 1e-4}))
     )
     fit = solve_joint(build_design_blocks(series, before, SCALES), before, {"Qx": WHITE})
     other = {"Qx": 1.5}
@@ -543,7 +543,8 @@ def test_updated_design_blocks_match_new_ones():
 def test_input_sensitivity_matches_difference_of_estimates():
     spindle = {rate: Spindle(rate, 1e-6, start_angle=0.4) for rate in RATES}
     series = [
-        simulated(f"run{i}", rate, TRUTH, spindle=spindle[rate]) for i, rate in enumerate(RATES)
+        simulate_series(f"run{i}", rate, TRUTH, spindle=spindle[rate])
+        for i, rate in enumerate(RATES)
     ]
     sizes = {
         "centrifuge.radius": 1e-4,
@@ -551,7 +552,7 @@ def test_input_sensitivity_matches_difference_of_estimates():
         "site.latitude": 1e-3,
         TIMING: 1e-6,
     }
-    model = Unknowns(unknowns(TRUTH, PRIORS), considered_inputs(sizes))
+    model = Unknowns(unknowns(TRUTH, PRIORS), make_considered_inputs(sizes))
     plain = model.without_inputs()
     noise = {"Qx": WHITE}
     first = solve_joint(build_design_blocks(series, plain, SCALES), plain, noise).solution
@@ -597,11 +598,11 @@ def test_input_with_prior_matches_dense_least_squares(noise):
     rng = np.random.default_rng(41)
     series, rows, values = [], [], []
     for i, rate in enumerate(RATES):
-        nominal = simulated(f"run{i}", rate, TRUTH)
+        nominal = simulate_series(f"run{i}", rate, TRUTH)
 
         def output(of_run=(f"run{i}", rate), nominal=nominal, **changed):
             """What is recorded in another world, less what this one would show."""
-            one = simulated(*of_run, TRUTH, **changed)
+            one = simulate_series(*of_run, TRUTH, **changed)
             return one.error + one.reference() - nominal.reference()
 
         one = add_noise(replace(nominal, error=output(radius=true_radius)), noise, rng)
@@ -653,7 +654,7 @@ def test_input_with_prior_matches_dense_least_squares(noise):
 def test_gravity_derivative_of_record_in_g_has_no_noise():
     """Else a gravity of zero explains all of the record: its noise is then as small as it is."""
     truth = {"K_F": 5e-3, "K_II": 2.7e-5}
-    model = Unknowns(unknowns(truth), considered_inputs({"site.gravity": 1e-5}))
+    model = Unknowns(unknowns(truth), make_considered_inputs({"site.gravity": 1e-5}))
     true = np.array(list(truth.values()))
     clean = [
         replace(one, in_g=True)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import RATES, simulated, three_rates, unknowns
+from joint_campaign import RATES, simulate_series, three_rates, unknowns
 from scipy import integrate, stats
 
 from counterspin.inference.joint import mistakes
@@ -52,7 +52,7 @@ def test_low_pass_is_found_with_time_constant(observable):
     tau, records = 5e-3, []
     truth = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5}
     for k, rate in enumerate(RATES):
-        one = simulated(f"run{k}", rate, truth, observable=observable)
+        one = simulate_series(f"run{k}", rate, truth, observable=observable)
         wave = one.reference()
         wave -= wave.mean()
         gain = 1.0 / math.sqrt(1.0 + (rate * tau) ** 2)

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from joint_campaign import add_noise, simulated, three_rates, unknowns
+from joint_campaign import add_noise, simulate_series, three_rates, unknowns
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
@@ -74,7 +74,7 @@ def test_spindle_harmonics_are_not_filter_memory():
     for rate, revolutions in ((3.72, 18), (4.77, 31), (5.34, 24), (5.56, 39), (-2.58, 24)):
         rows = round(math.tau / abs(rate) * (50 if rate > 5.5 else 25))
         more = {"revolutions": revolutions, "per_revolution": rows}
-        one = simulated(f"{rate}", rate, TRUTH, observable="specific_force", **more)
+        one = simulate_series(f"{rate}", rate, TRUTH, observable="specific_force", **more)
         wave = 1e-4 * rate**2 * np.cos(5.0 * one.trajectory.spindle.angle(one.time))
         drawn.append(add_noise(replace(one, error=one.error + wave), Noise(1e-4), rng))
     found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE)})

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import SITE, simulated
+from joint_campaign import SITE, simulate_series
 
 from counterspin.inference.joint.series import CLOCK, expected_output, input_column
 from counterspin.physics.observation import LEVEL, ORDERS
@@ -27,11 +27,15 @@ def test_clock_column_matches_record_with_fast_clock(observable):
     """The record is sampled at true times and stamped by a clock that is 20 ppm fast."""
     ripple = Ripple(1, 1e-5 * math.pi, 0.5)
     true = Spindle(math.pi, 1e-6, (ripple,), 0.4)
-    made = simulated("run", math.pi, TRUTH, spindle=true, observable=observable, revolutions=40)
+    made = simulate_series(
+        "run", math.pi, TRUTH, spindle=true, observable=observable, revolutions=40
+    )
     # As read by that clock, the same angles are passed at lower rates.
     slower = Ripple(1, ripple.amplitude / (1 + FAST), 0.5)
     slow = Spindle(math.pi / (1 + FAST), 1e-6 / (1 + FAST), (slower,), 0.4)
-    read = simulated("run", math.pi, TRUTH, spindle=slow, observable=observable, revolutions=40)
+    read = simulate_series(
+        "run", math.pi, TRUTH, spindle=slow, observable=observable, revolutions=40
+    )
     recorded = made.error + made.reference()
     time = made.time * (1 + FAST)
     read = replace(read, time=time, error=recorded)
@@ -46,7 +50,7 @@ def test_clock_column_matches_record_with_fast_clock(observable):
 
 
 def test_clock_error_doubles_in_scale_factor_of_force():
-    series = simulated("run", 2 * math.pi, {}, observable="specific_force", attitude=LEVEL)
+    series = simulate_series("run", 2 * math.pi, {}, observable="specific_force", attitude=LEVEL)
     column = input_column(series, CLOCK, 1.0, {}, series.reference())
     scale = series.columns(["K_I"], 1.0)[:, 0]
     # But for the Earth's rate, which is what it is: 1e-5 of the spindle's.
@@ -59,7 +63,7 @@ def test_blocks_with_sign_change_have_mean_of_samples(size):
     """Compare with signs and magnitudes of single samples."""
     # No sample is at the zero of a_I itself.
     spindle, observable = Spindle(2.0, start_angle=0.35), "specific_force"
-    samples = simulated(
+    samples = simulate_series(
         "run",
         2.0,
         {},

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from dense_stamps import Machine, Records, fit_rows
-from joint_campaign import RATES, SITE, add_noise, simulated, unknowns
+from joint_campaign import RATES, SITE, add_noise, simulate_series, unknowns
 
 from counterspin.inference.joint import encoder, rotation
 from counterspin.inference.joint.estimation import estimate
@@ -28,7 +28,7 @@ def noise_free_series():
     """Return noise-free records sampled at their time stamps."""
     return {
         observable: [
-            simulated(f"run{i}", rate, TRUTH, observable=observable, revolutions=25)
+            simulate_series(f"run{i}", rate, TRUTH, observable=observable, revolutions=25)
             for i, rate in enumerate(RATES)
         ]
         for observable in WHITE
@@ -91,7 +91,7 @@ def test_u_matches_scatter(noise_free_series, observable, timing, stated):
 def test_few_samples_per_revolution_are_sufficient():
     """With eight of them the eighth harmonic at the time stamps is nothing but their errors."""
     noise_free_series = [
-        simulated(
+        simulate_series(
             f"run{i}", w, TRUTH, observable="specific_force", per_revolution=8, revolutions=20
         )
         for i, w in enumerate(RATES)
@@ -219,7 +219,7 @@ def test_ripples_hidden_by_jitter_are_followed_to_second_order():
     hidden = [tuple(Ripple(n, 6e-4 * n * w, 0.7 * n) for n in (1, 2, 3, 4)) for w in RATES]
     ripples = [Spindle(w, ripples=one) for w, one in zip(RATES, hidden, strict=True)]
     noise_free_series = [
-        simulated(
+        simulate_series(
             f"run{i}", one.rate, TRUTH, observable="specific_force", revolutions=25, spindle=one
         )
         for i, one in enumerate(ripples)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import RATES, add_noise, simulated, three_rates, unknowns
+from joint_campaign import RATES, add_noise, simulate_series, three_rates, unknowns
 from scipy.special import ndtr, stdtr, stdtrit
 
 from counterspin.inference.joint.budget import budget
@@ -155,7 +155,7 @@ def test_reduced_allowance_fails_at_detection_limit(monkeypatch):
 @pytest.fixture(scope="module")
 def noise_free_series():
     return [
-        simulated(f"run{i}", rate, TRUTH, per_revolution=8, revolutions=turns)
+        simulate_series(f"run{i}", rate, TRUTH, per_revolution=8, revolutions=turns)
         for i, (rate, turns) in enumerate(zip(RATES, (12, 24, 48), strict=True), start=1)
     ]
 
