@@ -267,7 +267,7 @@ class TestMonteCarlo:
 
     def responses(self, source):
         indices = {"noise": range(self.N), "prior": (0, 2), "considered": (0, 1)}[source]
-        return np.array([self.respond(source, index)[0] for index in indices])
+        return np.array([self.solve_unit_draw(source, index)[0] for index in indices])
 
     def draw(self, source, seed):
         gain = self.responses(source)
@@ -276,7 +276,7 @@ class TestMonteCarlo:
     @pytest.mark.parametrize("source", ["noise", "prior", "considered"])
     def test_single_source_has_stated_variance(self, source):
         errors = self.draw(source, 13)
-        solution = self.respond("noise", 0)[1]
+        solution = self.solve_unit_draw("noise", 0)[1]
         variance = np.diag(getattr(solution, f"covariance_{source}"))
         # The sample variance of N normal draws has relative standard deviation sqrt(2/N).
         np.testing.assert_allclose(
@@ -286,23 +286,26 @@ class TestMonteCarlo:
     def test_all_sources_have_no_bias_and_full_coverage(self):
         sources = ("noise", "prior", "considered")
         errors = sum(self.draw(source, seed) for seed, source in enumerate(sources))
-        u = self.respond("noise", 0)[1].u
+        u = self.solve_unit_draw("noise", 0)[1].u
         assert (np.abs(errors.mean(axis=0)) < 4.5 * u / np.sqrt(self.TRIALS)).all()
         coverage = np.mean(np.abs(errors) < 1.959964 * u, axis=0)
         np.testing.assert_allclose(coverage, 0.95, atol=4.5 * np.sqrt(0.95 * 0.05 / self.TRIALS))
-        noise_only = np.sqrt(np.diag(self.respond("noise", 0)[1].covariance_noise))
+        noise_only = np.sqrt(np.diag(self.solve_unit_draw("noise", 0)[1].covariance_noise))
         # The unknowns that priors and considered terms touch are not covered by noise alone.
         assert (np.mean(np.abs(errors) < 1.959964 * noise_only, axis=0)[[0, 2]] < 0.6).all()
 
     def test_response_is_linear(self):
         for source in ("noise", "prior", "considered"):
-            one, five = self.respond(source, 0)[0], self.respond(source, 0, size=5.0)[0]
+            one, five = (
+                self.solve_unit_draw(source, 0)[0],
+                self.solve_unit_draw(source, 0, size=5.0)[0],
+            )
             np.testing.assert_allclose(five, 5.0 * one, atol=1e-13)
 
     def test_mean_chi_square_is_degrees_of_freedom(self):
         # Chi-square is a quadratic form of the standardised draws; its mean is the form's trace.
         draws = [("noise", k) for k in range(self.N)] + [("prior", 0), ("prior", 2)]
-        solutions = [self.respond(*draw)[1] for draw in draws]
+        solutions = [self.solve_unit_draw(*draw)[1] for draw in draws]
         assert solutions[0].dof == self.N - 2 + 2 - 3
         assert sum(s.chi2 for s in solutions) == pytest.approx(solutions[0].dof, rel=1e-10)
 
