@@ -199,7 +199,7 @@ NUMBERS = [
     ("diagnosis", "constant of {} or {} of the duration of the series", [*patterns._WARM_UPS]),
     (
         "diagnosis",
-        "Every explanation within {} of the best chi-square is named",
+        "explanation whose chi-square is within {} of the best one",
         [patterns._DECISIVE_CHI2],
     ),
     ("result", "accelerometer is above {} ug/Hz^0.5", [1e6 * findings.LARGEST_WALK]),
@@ -209,7 +209,11 @@ NUMBERS = [
         "uncertainties",
         [ALARMS, diagnostics.AGREEMENT],
     ),
-    ("result", "two-stage K_II differs by more than {} standard", [diagnostics.AGREEMENT]),
+    (
+        "result",
+        "two-stage K_II differs from the joint K_II by more than {} standard",
+        [diagnostics.AGREEMENT],
+    ),
     ("result", "more than {} % of the samples of a run, or", [100 * outcome.OUTLIER_SHARE]),
     ("result", "shorter than {} % of the run's", [100 * assembly.COMPLETE_FRACTION]),
     ("result", "means infinite or more than {}", [distributions._INFINITE_DOF]),
@@ -670,7 +674,7 @@ def test_residual_of_settling_bias_matches_text():
         others = np.stack([*((time / 100.0) ** k for k in range(power)), *waves], axis=1)
         left = shown - others @ np.linalg.lstsq(others, shown, rcond=None)[0]
         assert f"{np.linalg.norm(left) / noise:.2g}" == text
-    (largest_shift,) = find_numbers("diagnosis", "increase shifts K_II by {} ug/g^2. Unless")
+    (largest_shift,) = find_numbers("diagnosis", "increase shifts K_II by {} ug/g^2. If")
     assert f"{1e6 * 2.0 * rise * (g / (radius * rate**2)) ** 2:.2g}" == largest_shift
 
 

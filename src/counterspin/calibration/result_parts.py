@@ -542,7 +542,7 @@ class RunResult(ResultPart):
     ripples: list[RippleResult] = []  #: Ripple components of the rate, identified from the angle.
     angle_rms: float | None = None  #: Root mean square of the encoder residual, rad.
     samples: int  #: Number of rows used.
-    rejected: int  #: Number of rejected samples, which are repeated rows, empty cells and outliers.
+    rejected: int  #: Number of rejected samples: repeated rows, empty cells and outliers.
     #: Number of rejected samples of each kind; ``block`` is the number of rows in each average.
     counts: dict[str, int] = {}
     notes: list[str] = []  #: Remarks on how the record was read.
