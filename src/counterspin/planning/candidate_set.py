@@ -126,11 +126,11 @@ def _max_revolutions(limits: Limits, rate: float) -> float:
     return min(limits.longest_run, available) * rate / (2.0 * math.pi)
 
 
-def _refine_grid(limits: Limits, grid: Design, used: Places, steps: Array) -> Design:
+def _refine_grid(limits: Limits, grid: Design, support: Places, steps: Array) -> Design:
     """Return possible runs a step to each side of those in use."""
     low, high = limits.rate
     neighbours: dict[tuple[RunType, float, float], None] = {}
-    for index in used:
+    for index in support:
         for rate_step in (-1, 0, 1) if steps[0] > 0.0 else (0,):
             w = float(np.clip(grid.rate[index] * math.exp(rate_step * steps[0]), low, high))
             w = float(grid.rate[index]) if rate_step == 0 else w
@@ -184,16 +184,16 @@ class CandidateSet:
 
     def concatenate(self, addition: CandidateSet) -> CandidateSet:
         """Return the observations of both."""
-        parts = ("design", "considered", "cost")
-        design, fixed, cost = (
-            np.concatenate([getattr(self, part), getattr(addition, part)]) for part in parts
+        fields = ("design", "considered", "cost")
+        design, considered, cost = (
+            np.concatenate([getattr(self, field), getattr(addition, field)]) for field in fields
         )
-        return CandidateSet(design, fixed, self.known, self.known_considered, cost)
+        return CandidateSet(design, considered, self.known, self.known_considered, cost)
 
     def covariance(self, counts: npt.ArrayLike) -> Array:
         """Return the covariance of the unknowns, shape (..., p, p), for numbers (..., n)."""
-        _, inner, moved = self._scaled_moments(np.asarray(counts, dtype=np.float64))
-        spread = inner @ moved
+        _, inner, cross = self._scaled_moments(np.asarray(counts, dtype=np.float64))
+        spread = inner @ cross
         return np.asarray(inner + spread @ np.swapaxes(spread, -1, -2))
 
     def value(self, criterion: Criterion, counts: npt.ArrayLike) -> Array:
@@ -206,14 +206,14 @@ class CandidateSet:
         Each adds rows D to the information, so that P becomes P - P D' (1 + D P D')^-1 D P.
         """
         n = np.asarray(counts, dtype=np.float64)
-        scale, inner, moved = self._scaled_moments(n)
+        scale, inner, cross = self._scaled_moments(n)
         if np.max(np.diag(inner) / scale**2) > _ILL_CONDITIONED:
             return self.value(criterion, n + np.eye(n.size))
-        indices, transposed = list(criterion.indices), np.swapaxes(self.design, 1, 2)
-        projected = self.design @ inner
-        gain = np.linalg.solve(np.eye(projected.shape[1]) + projected @ transposed, projected)
-        rows = inner[indices] - np.swapaxes(projected[..., indices], 1, 2) @ gain
-        spread = rows @ moved + rows @ transposed @ self.considered
+        indices, transpose = list(criterion.indices), np.swapaxes(self.design, 1, 2)
+        projection = self.design @ inner
+        gain = np.linalg.solve(np.eye(projection.shape[1]) + projection @ transpose, projection)
+        rows = inner[indices] - np.swapaxes(projection[..., indices], 1, 2) @ gain
+        spread = rows @ cross + rows @ transpose @ self.considered
         block = rows[..., indices] + spread @ np.swapaxes(spread, 1, 2)
         return replace(criterion, indices=tuple(range(len(indices)))).value(block)
 
@@ -238,27 +238,27 @@ class CandidateSet:
         return scale, inner, moments[..., p:]
 
     def relax(
-        self, criterion: Criterion, number: float, total: float, start: Array | None = None
+        self, criterion: Criterion, max_count: float, max_cost: float, start: Array | None = None
     ) -> Optimum[Array]:
         """Return the best numbers that need not be whole.
 
-        number, total: Largest sum of the numbers and of their costs, s; one of them finite.
+        max_count, max_cost: Largest sum of the numbers and of their costs, s; one of them finite.
         start: Weights to begin from, shape (n,).
         """
         cost = self.cost
-        if not math.isfinite(total):
-            cost, total = np.ones(len(cost)), number
-        if not math.isfinite(number):
-            number = total / float(cost.min())
-        known = np.hstack([self.known, self.known_considered])
-        identity = np.eye(known.shape[1])[self.known.shape[1] :]
+        if not math.isfinite(max_cost):
+            cost, max_cost = np.ones(len(cost)), max_count
+        if not math.isfinite(max_count):
+            max_count = max_cost / float(cost.min())
+        prior_rows = np.hstack([self.known, self.known_considered])
+        identity = np.eye(prior_rows.shape[1])[self.known.shape[1] :]
         relaxation = _Relaxation(
-            triangle_of(np.vstack([known, identity])),
+            triangle_of(np.vstack([prior_rows, identity])),
             criterion,
             np.concatenate([self.design, self.considered], axis=2),
             cost,
-            total,
-            number,
+            max_cost,
+            max_count,
         )
         return relaxation.solve(relaxation.initial_weights() if start is None else start)
 
@@ -288,34 +288,34 @@ class _Relaxation:
             # With a little of everything no gain is infinite at nothing: the bound holds anywhere.
             interior = weight + _UNIFORM_FRACTION * (self.uniform_weights() - weight)
             current, gains = self.gain(interior)
-            best, price = self.linear_optimum(gains)
-            bound = max(bound, current + float(gains @ interior) - float(gains @ best))
+            optimum, price = self.linear_optimum(gains)
+            bound = max(bound, current + float(gains @ interior) - float(gains @ optimum))
             if value - bound < _OPTIMALITY_GAP:
                 break
-            support = np.flatnonzero((weight > ZERO_WEIGHT) | (best > ZERO_WEIGHT))
-            improved = self.optimise_support(support, weight, best)
-            improved_value = self.value(improved)
-            if improved_value > value - 0.01 * _OPTIMALITY_GAP:
+            support = np.flatnonzero((weight > ZERO_WEIGHT) | (optimum > ZERO_WEIGHT))
+            new_weight = self.optimise_support(support, weight, optimum)
+            new_value = self.value(new_weight)
+            if new_value > value - 0.01 * _OPTIMALITY_GAP:
                 break  # rounding is all that is left to gain
-            weight, value = improved, improved_value
+            weight, value = new_weight, new_value
         return Optimum(weight, value, bound, price)
 
     def value(self, weight: Array) -> float:
         """Return the criterion."""
-        used = np.flatnonzero(weight > 0.0)
-        return self._solve(used, weight[used])[0]
+        support = np.flatnonzero(weight > 0.0)
+        return self._solve(support, weight[support])[0]
 
     def gain(self, weight: Array) -> tuple[float, Array]:
         """Return the criterion and its decrease per added observation, shape (n,)."""
-        used = np.flatnonzero(weight > 0.0)
-        value, covariance = self._solve(used, weight[used])
+        support = np.flatnonzero(weight > 0.0)
+        value, covariance = self._solve(support, weight[support])
         v = covariance @ self.criterion.directions(covariance)
         return value, np.asarray(np.sum((self.sqrt_information @ v) ** 2, axis=(1, 2)))
 
-    def _solve(self, used: Places, weight: Array) -> tuple[float, Array]:
-        rows = self.sqrt_information[used] * np.sqrt(weight)[:, None, None]
-        stacked = np.vstack([rows.reshape(-1, self.prior.shape[1]), self.prior])
-        inverse = np.linalg.inv(np.linalg.qr(stacked, mode="r"))
+    def _solve(self, support: Places, weight: Array) -> tuple[float, Array]:
+        rows = self.sqrt_information[support] * np.sqrt(weight)[:, None, None]
+        matrix = np.vstack([rows.reshape(-1, self.prior.shape[1]), self.prior])
+        inverse = np.linalg.inv(np.linalg.qr(matrix, mode="r"))
         covariance = inverse @ inverse.T
         return float(self.criterion.value(covariance)), covariance
 
@@ -361,22 +361,22 @@ class _Relaxation:
             return weight[:-1], float(gain[upper])
         while True:
             slope = (gain[upper] - gain[lower]) / (cost[upper] - cost[lower])
-            above = gain - slope * cost
-            price = float(above[lower])
-            vertex = int(np.argmax(above))
-            if above[vertex] <= price + _ROUNDING * gain[upper] or vertex in (lower, upper):
+            intercept = gain - slope * cost
+            price = float(intercept[lower])
+            vertex = int(np.argmax(intercept))
+            if intercept[vertex] <= price + _ROUNDING * gain[upper] or vertex in (lower, upper):
                 break
             lower, upper = (vertex, upper) if cost[vertex] <= share else (lower, vertex)
         weight[upper] = self.number * (share - cost[lower]) / (cost[upper] - cost[lower])
         weight[lower] = self.number - weight[upper]
         return weight[:-1], price
 
-    def optimise_support(self, support: Places, weight: Array, best: Array) -> Array:
+    def optimise_support(self, support: Places, weight: Array, optimum: Array) -> Array:
         """Return the best weights on a support."""
         from scipy.optimize import minimize
 
         count = support.size
-        start = weight[support] + 0.1 * (best[support] - weight[support])
+        start = weight[support] + 0.1 * (optimum[support] - weight[support])
         cost = self.cost[support]
 
         def objective(n: Array) -> tuple[float, Array]:

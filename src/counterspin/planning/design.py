@@ -156,14 +156,14 @@ class Limits:
 
         rate: Of the runs, shape (n,).
         """
-        chosen: list[int] = []
+        indices: list[int] = []
         for index in np.argsort(-rate, kind="stable"):
-            limit = math.inf if not chosen else float(rate[chosen[-1]]) / self.min_rate_ratio
+            limit = math.inf if not indices else float(rate[indices[-1]]) / self.min_rate_ratio
             # Settings may have any ratio; other rates need the least ratio, except for rounding.
             limit *= 1.0 - 1e-9 if self.settings else 1.0 + _ROUNDING
-            if len(chosen) < self.fewest_rates and rate[index] <= limit:
-                chosen.append(int(index))
-        return chosen
+            if len(indices) < self.fewest_rates and rate[index] <= limit:
+                indices.append(int(index))
+        return indices
 
 
 @frozen

@@ -111,31 +111,33 @@ def fault_requirements(
         for symbol, of in owners.items()
     ]
     effects = fault_sensitivities(replace(prediction, fit=fit), [*faults, *paths], expected)
-    zero, rate, drift, radius, delay, *machine = (effect.moved[index] for effect in effects)
+    origin, rate, drift, radius, delay, *machine = (effect.moved[index] for effect in effects)
     rates = np.array([run.rate for run in campaign.runs])
     lines = [
         ("radius", radius, "m"),
         ("rate drift that the recorded angle does not show", drift, "1/s"),
         ("relative rate error common to all runs", rate @ rates, "1"),
-        ("zero of the angle, varying between runs", zero, "rad"),
+        ("zero of the angle, varying between runs", origin, "rad"),
         (
             "angle noise per sample",
-            _angle_noise(campaign, np.column_stack([zero, rate, drift]), sampling_rate),
+            _angle_noise(campaign, np.column_stack([origin, rate, drift]), sampling_rate),
             "rad",
         ),
         (f"{paths[0].words}, common to all runs", machine[0], "rad"),
         (paths[1].words, machine[1], "m"),
         ("delay between the clocks of angle and output", delay, "s"),
     ]
-    allowed = _TOLERABLE_FRACTION_OF_U * prediction.u[name]
-    largest = {**_MAX_SIZES, "m": _MAX_SIZES["1"] * campaign.radius.value}
+    allowed_shift = _TOLERABLE_FRACTION_OF_U * prediction.u[name]
+    max_sizes = {**_MAX_SIZES, "m": _MAX_SIZES["1"] * campaign.radius.value}
     return basis, [
         Requirement(
             words=text,
-            size=size if (size := _allowed_size(allowed, moved)) <= largest[unit] else None,
+            size=size
+            if (size := _allowed_size(allowed_shift, shifts)) <= max_sizes[unit]
+            else None,
             unit=unit,
         )
-        for text, moved, unit in lines
+        for text, shifts, unit in lines
     ]
 
 
@@ -175,8 +177,8 @@ def _angle_noise(campaign: Campaign, run_shifts: Array, sampling_rate: float) ->
         # over even samples, and whose squares have these means.
         linear = (n + 1.0) / (12.0 * (n - 1.0))
         square = (n + 1.0) * (n**2 - 4.0) / (180.0 * (n - 1.0) ** 3)
-        rest = c - b + a * (0.25 - linear)
-        variance += (a**2 + (b - 0.5 * a) ** 2 / linear + rest**2 / square) / n
+        quadratic = c - b + a * (0.25 - linear)
+        variance += (a**2 + (b - 0.5 * a) ** 2 / linear + quadratic**2 / square) / n
     return math.sqrt(variance)
 
 

@@ -177,8 +177,8 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
                     f"noise.{key}: a prediction requires a value, because the noise cannot be "
                     "estimated without records"
                 )
-        sizes = [noise.get(key) for key in (accelerometer.observable, "acceleration")]
-        if sizes == [0.0, 0.0]:
+        noise_levels = [noise.get(key) for key in (accelerometer.observable, "acceleration")]
+        if noise_levels == [0.0, 0.0]:
             problems.append(
                 f"noise: the noise of {name} is missing; give {accelerometer.observable}"
             )
@@ -214,9 +214,9 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     block = block_size(step, run.rate * max(1.0, abs(run.table_ratio)))
     samples = sample_count(run.duration, sampling_rate)
     # As in the reduction of a record: the remainder at the end is a shorter block.
-    first = np.arange(0, samples, block)
-    count = np.minimum(block, samples - first).astype(np.float64)
-    time = np.asarray((first + 0.5 * (count - 1.0)) * step, dtype=np.float64)
+    block_starts = np.arange(0, samples, block)
+    count = np.minimum(block, samples - block_starts).astype(np.float64)
+    time = np.asarray((block_starts + 0.5 * (count - 1.0)) * step, dtype=np.float64)
     noise = _resolved_noise(campaign, name)
     timing = float(noise.get("timing", 0.0))
     encoder_noise = float(noise.get("angle", 0.0))
@@ -315,12 +315,12 @@ def make_setup(campaign: Campaign, sampling_rate: float, *, with_considered: boo
     # The warming is assumed, as in runs without a recorded temperature: it is a slope.
     model = model.without([row.symbol for row in CONDITION_TERMS.values() if row.effect.power > 1])
     if not with_considered:
-        estimated = tuple(
+        estimated_terms = tuple(
             Unknown(c.owner, c.symbol, c.prior, c.limit, False, c.has_default_prior)
             for c in model.considered
         )
         dated = [row.symbol for row in CONDITION_TERMS.values() if row.effect.condition != "force"]
-        model = Unknowns(model.unknowns + estimated).without(dated)
+        model = Unknowns(model.unknowns + estimated_terms).without(dated)
     stated = _resolved_noise(campaign, next(iter(campaign.accelerometers)))
     timing, encoder_noise = float(stated.get("timing", 0.0)), float(stated.get("angle", 0.0))
     if campaign.angle is None:

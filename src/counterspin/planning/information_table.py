@@ -53,12 +53,12 @@ def integration_matrix(harmonics: int, order: int) -> Array:
     for power in range(3):
         once[power + 1, power] = 1.0 / (power + 1)
     for m in range(1, harmonics + 1):
-        place = slice(4 * m, 4 * m + 4)
+        block = slice(4 * m, 4 * m + 4)
         # Columns: the derivatives of cos, sin, th cos, th sin in terms of the same four.
         derivative = np.array(
             [[0.0, m, 1.0, 0.0], [-m, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, m], [0.0, 0.0, -m, 0.0]]
         )
-        once[place, place] = np.linalg.inv(derivative)
+        once[block, block] = np.linalg.inv(derivative)
     return np.asarray(np.linalg.matrix_power(once, order))
 
 

@@ -152,7 +152,7 @@ def _improve(search: Search, predictor: Predictor, limits: Limits, design: Desig
             for place, scale in zip(search.criterion.indices, search.criterion.scales, strict=True)
         ]
         shorter = shortest_plan(predictor, limits, singles, design)
-        reached = all(predictor.value(single, shorter) < 1e-5 for single in singles)
-        return math.log(limits.time(shorter)) if reached else math.inf
+        meets_goal = all(predictor.value(single, shorter) < 1e-5 for single in singles)
+        return math.log(limits.time(shorter)) if meets_goal else math.inf
     start = scale_to_time(design, limits) or design
     return polish(predictor, limits, search.criterion, start)[0]

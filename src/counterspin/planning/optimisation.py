@@ -60,21 +60,22 @@ def optimise(
             code="plan-infeasible",
         )
     choices = [
-        (*relax(relaxing or predictor, allowed, criterion), allowed) for allowed in _subsets(limits)
+        (*relax(relaxing or predictor, run_limits, criterion), run_limits)
+        for run_limits in _subsets(limits)
     ]
     choices.sort(key=lambda choice: choice[1].bound)
     best: tuple[float, Design] | None = None
-    for support, relaxed, allowed in choices:
+    for support, relaxed, run_limits in choices:
         if best is not None and relaxed.bound > best[0] - _MIN_GAIN:
             break  # nor can those that follow be better
-        starts = list(_integer_starts(support, relaxed, allowed))
-        if start is not None and (adjusted := fit_to_limits(start, allowed)) is not None:
+        starts = list(_integer_starts(support, relaxed, run_limits))
+        if start is not None and (adjusted := fit_to_limits(start, run_limits)) is not None:
             starts = [adjusted, *starts[:1]]
-        starts = starts or list(_fastest_starts(allowed))
+        starts = starts or list(_fastest_starts(run_limits))
         if not starts:
             continue
-        polished = _polish_best(predictor, allowed, criterion, starts)
-        exchanged = _exchange(predictor, allowed, criterion, polished)
+        polished = _polish_best(predictor, run_limits, criterion, starts)
+        exchanged = _exchange(predictor, run_limits, criterion, polished)
         if best is None or exchanged[0] < best[0] - _MIN_GAIN:
             best = exchanged
     if best is None:
@@ -124,19 +125,21 @@ def _integer_starts(design: Design, relaxed: Optimum[Array], limits: Limits) -> 
     turns = np.array(
         [np.average(design.revolutions[i], weights=relaxed.design[i]) for i in groups.values()]
     )
-    total = float(weight.sum())
-    totals = {min(limits.runs, max(1, n)) for n in (math.floor(total), math.ceil(total))}
+    total_weight = float(weight.sum())
+    totals = {
+        min(limits.runs, max(1, n)) for n in (math.floor(total_weight), math.ceil(total_weight))
+    }
     totals |= {limits.runs} if relaxed.shadow_price > 0.0 else set()
     shares = [_largest_remainder(weight, count) for count in sorted(totals, reverse=True)]
     # A group with a fraction of a run may separate terms: then it needs a complete run.
     shares += [_keep_each_group(weight, share) for share in shares]
     for runs in shares:
         count = int(runs.sum())
-        chosen = np.repeat(np.arange(weight.size), runs)
-        types = tuple(run_types[i] for i in chosen)
+        indices = np.repeat(np.arange(weight.size), runs)
+        types = tuple(run_types[i] for i in indices)
         # As much time in each group as the relaxation spends there.
         scaled = scale_to_time(
-            Design(types, rate[chosen], (turns * weight / np.maximum(runs, 1))[chosen]), limits
+            Design(types, rate[indices], (turns * weight / np.maximum(runs, 1))[indices]), limits
         )
         if scaled is None:
             continue
@@ -145,7 +148,7 @@ def _integer_starts(design: Design, relaxed: Optimum[Array], limits: Limits) -> 
         if count < 2:
             continue
         # Some optima have one long run that determines drifts, and many short ones.
-        for index in np.unique(chosen, return_index=True)[1]:
+        for index in np.unique(indices, return_index=True)[1]:
             longer = scaled.revolutions.copy()
             longer[index] *= 3.0
             fitted = scale_to_time(Design(types, scaled.rate, longer), limits)
@@ -175,28 +178,30 @@ def _largest_remainder(weight: Array, count: int) -> npt.NDArray[np.int64]:
     """Return whole numbers of a given sum nearest to proportional (largest remainders)."""
     exact = weight * (count / weight.sum())
     counts: npt.NDArray[np.int64] = np.floor(exact).astype(np.int64)
-    rest = np.argsort(-(exact - counts), kind="stable")[: count - int(counts.sum())]
-    counts[rest] += 1
+    largest = np.argsort(-(exact - counts), kind="stable")[: count - int(counts.sum())]
+    counts[largest] += 1
     return counts
 
 
 def _keep_each_group(weight: Array, runs: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """Return the runs with one for each group of some weight, taken from the largest groups."""
-    changed = runs.copy()
+    new_runs = runs.copy()
     for index in np.flatnonzero((weight > _WEIGHT_OF_A_RUN) & (runs == 0)):
-        largest = int(np.argmax(changed))
-        if changed[largest] > 1:
-            changed[largest] -= 1
-            changed[index] = 1
-    return changed
+        largest = int(np.argmax(new_runs))
+        if new_runs[largest] > 1:
+            new_runs[largest] -= 1
+            new_runs[index] = 1
+    return new_runs
 
 
 def _polish_best(
     predictor: Predictor, limits: Limits, criterion: Criterion, starts: Sequence[Design]
 ) -> tuple[float, Design]:
     """Polish the most promising starts."""
-    ranked = sorted(starts, key=lambda design: predictor.value(criterion, design))
-    polished = [polish(predictor, limits, criterion, design) for design in ranked[:_MAX_POLISHED]]
+    ranked_starts = sorted(starts, key=lambda design: predictor.value(criterion, design))
+    polished = [
+        polish(predictor, limits, criterion, design) for design in ranked_starts[:_MAX_POLISHED]
+    ]
     return min(polished, key=lambda pair: pair[0])
 
 
@@ -264,12 +269,12 @@ def _order_runs(
 
     Up with every other run and down with the rest, a steady warming looks like no rate.
     """
-    ordered = _sort_runs(design)
+    sorted_design = _sort_runs(design)
     if not predictor.information.dated:
-        return value, ordered
+        return value, sorted_design
     n = len(design.types)
-    mirrored = ordered.select([*range(0, n, 2), *reversed(range(1, n, 2))])
-    candidates = (ordered, mirrored, design)
+    mirrored_design = sorted_design.select([*range(0, n, 2), *reversed(range(1, n, 2))])
+    candidates = (sorted_design, mirrored_design, design)
     return min(
         ((predictor.value(criterion, candidate), candidate) for candidate in candidates),
         key=lambda pair: pair[0],

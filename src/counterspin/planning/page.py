@@ -86,31 +86,31 @@ def _optimality(goal: GoalResult, timed: bool) -> str:
             "Another plan may be better by an unknown amount, because no theorem gives a bound for "
             "noisy time stamps."
         )
-    less = 100.0 * (1.0 - goal.efficiency)
-    if less > _EMPTY_BOUND:
+    gain = 100.0 * (1.0 - goal.efficiency)
+    if gain > _EMPTY_BOUND:
         return (
-            f"Another plan may be better, but by no more than {format_number(less, 2)} %, which is "
+            f"Another plan may be better, but by no more than {format_number(gain, 2)} %, which is "
             "the bound for all plans."
         )
-    if less < 0.05:
+    if gain < 0.05:
         return "No plan within these limits is better by more than 0.05 %."
-    by = f"more than {format_number(less, 2)} %"
+    by = f"more than {format_number(gain, 2)} %"
     if goal.kind == "minimise":
-        what = (
+        quantity = (
             "uncertainty"
             if goal.criterion == "sum"
             else ("mean uncertainty (geometric mean from the covariance determinant)")
         )
-        return f"No plan within these limits can reduce the {what} by {by}."
+        return f"No plan within these limits can reduce the {quantity} by {by}."
     if timed:
         return f"No plan within these limits can be {by} shorter."
     return f"No plan within these limits needs {by} fewer readings."
 
 
 def _run_blocks(result: PlanResult) -> Iterator[Block]:
-    planned = all(run.start is not None for run in result.runs)
+    is_scheduled = all(run.start is not None for run in result.runs)
     several = len({run.attitude for run in result.runs}) > 1
-    yield Heading("Runs in time order" if planned else "Runs")
+    yield Heading("Runs in time order" if is_scheduled else "Runs")
     columns = [
         Column("Run"),
         Column("Rate, rad/s", "right"),
@@ -118,7 +118,7 @@ def _run_blocks(result: PlanResult) -> Iterator[Block]:
         Column("Revolutions", "right"),
         Column("Record, s", "right"),
     ]
-    columns += [Column("Start time, s", "right")] * planned
+    columns += [Column("Start time, s", "right")] * is_scheduled
     columns += [Column("Attitude", wraps=True)] * several
     rows = []
     for run in result.runs:
@@ -129,7 +129,7 @@ def _run_blocks(result: PlanResult) -> Iterator[Block]:
             format_number(run.revolutions, 5),
             format_number(run.duration, 6),
         ]
-        row += [format_number(run.start, 6)] if run.start is not None and planned else []
+        row += [format_number(run.start, 6)] if run.start is not None and is_scheduled else []
         row += [run.attitude] * several
         rows.append(tuple(row))
     yield Table(tuple(columns), tuple(rows))
@@ -241,21 +241,23 @@ def _budget_blocks(
 ) -> Iterator[Block]:
     unit, factor = field_unit(result.accelerometers[name].coefficients[symbol].unit)
     yield Heading(f"Expected uncertainty budget of {symbol} of {name}")
-    gathered: dict[str, list[BudgetLine]] = {}
+    by_source: dict[str, list[BudgetLine]] = {}
     runs = {run.name for run in result.runs}
     for line in lines:
         owner, _, term = line.source.partition(".")
-        gathered.setdefault(f"{term}, all runs" if owner in runs else line.source, []).append(line)
+        by_source.setdefault(f"{term}, all runs" if owner in runs else line.source, []).append(line)
     rows = []
-    for source, together in gathered.items():
+    for source, together in by_source.items():
         share = sum(line.share for line in together)
         contribution = math.sqrt(sum(line.contribution**2 for line in together))
-        sizes = {line.u for line in together}
-        size = sizes.pop() if len(sizes) == 1 else None
+        u_values = {line.u for line in together}
+        size = u_values.pop() if len(u_values) == 1 else None
         its_unit, its_factor = field_unit(together[0].unit)
-        known = "" if size is None else f"{format_number(size * its_factor, 3)} {its_unit}"
-        words = describe_term(source.removesuffix(", all runs"))
-        rows.append((share, (source, words, known, format_number(contribution * factor, 2))))
+        known_u = "" if size is None else f"{format_number(size * its_factor, 3)} {its_unit}"
+        description = describe_term(source.removesuffix(", all runs"))
+        rows.append(
+            (share, (source, description, known_u, format_number(contribution * factor, 2)))
+        )
     rows.sort(key=lambda row: -row[0])
     yield Table(
         (
@@ -276,9 +278,9 @@ def _fault_blocks(
     if accelerometer.faults is None:
         return
     yield Heading(f"Effects on {name} that the plan cannot detect")
-    undetected = [effect for effect in accelerometer.faults if not effect.noticed]
-    detected = [effect for effect in accelerometer.faults if effect.noticed]
-    if undetected:
+    undetected_faults = [effect for effect in accelerometer.faults if not effect.noticed]
+    detected_faults = [effect for effect in accelerometer.faults if effect.noticed]
+    if undetected_faults:
         yield Paragraph(
             "The plan fixes each of these effects at the nominal value. Any one of these "
             "effects, with its default size, would shift K_II by more than the standard "
@@ -298,7 +300,7 @@ def _fault_blocks(
                     f"{effect.ratio:.3g} u" if effect.ratio < 1e3 else f"{effect.ratio:.0f} u",
                     "determined" if effect.deviation > _DETECTION_DEVIATIONS else "not determined",
                 )
-                for effect in undetected
+                for effect in undetected_faults
             ),
         )
         yield Paragraph(
@@ -313,15 +315,15 @@ def _fault_blocks(
             else "The plan does not fix any effect at a nominal value. Each term without a "
             "prior contributes its default standard uncertainty."
         )
-    if detected:
-        named = ", ".join(effect.symbol for effect in detected)
-        yield Paragraph(f"The residuals would reveal {named}.")
+    if detected_faults:
+        symbols = ", ".join(effect.symbol for effect in detected_faults)
+        yield Paragraph(f"The residuals would reveal {symbols}.")
     share = accelerometer.harmonic_share
     if share is None:
         return
-    part = "Less than 0.1" if abs(share) < 1e-3 else format_number(100.0 * share, 2)
+    percent = "Less than 0.1" if abs(share) < 1e-3 else format_number(100.0 * share, 2)
     yield Paragraph(
-        f"{part} % of the information on K_II comes from the second harmonic of the K_II term. "
+        f"{percent} % of the information on K_II comes from the second harmonic of the K_II term. "
         "Encoder eccentricity and imbalance can imitate this harmonic. The rest of the "
         "information comes from the mean of a_I^2.",
     )
@@ -331,11 +333,11 @@ def _limit_blocks(result: PlanResult) -> Iterator[Block]:
     if result.goal is None:
         return
     yield Heading("Active limits")
-    what = "Uncertainty" if result.goal.kind == "minimise" else "Time"
+    quantity = "Uncertainty" if result.goal.kind == "minimise" else "Time"
     if not result.limits:
         yield Paragraph(
             "Relaxing any limit by 10 % does not help, because the priors limit the "
-            f"{what.lower()}."
+            f"{quantity.lower()}."
         )
         return
     rows = []
@@ -347,7 +349,7 @@ def _limit_blocks(result: PlanResult) -> Iterator[Block]:
         (
             Column("Limit", wraps=True),
             Column("Change"),
-            Column(f"Reduction of {what}", "right"),
+            Column(f"Reduction of {quantity}", "right"),
         ),
         tuple(rows),
     )
@@ -376,9 +378,11 @@ def _comparison_blocks(result: PlanResult) -> Iterator[Block]:
         ),
         tuple(rows),
     )
-    same = " All plans take the same time unless stated otherwise." if result.runs else ""
-    words = f"The ratio is the uncertainty of this plan divided by that of the other plan.{same}"
-    yield Paragraph(words, "quiet")
+    time_note = " All plans take the same time unless stated otherwise." if result.runs else ""
+    explanation = (
+        f"The ratio is the uncertainty of this plan divided by that of the other plan.{time_note}"
+    )
+    yield Paragraph(explanation, "quiet")
 
 
 def _requirement_blocks(result: PlanResult) -> Iterator[Block]:
@@ -427,8 +431,8 @@ def _spoken_name(name: str) -> str:
 
 
 def _in_field_unit(size: float, unit: str) -> str:
-    shown, factor = field_unit(unit)
-    return f"{format_number(size * factor, 2)} {shown}"
+    field, factor = field_unit(unit)
+    return f"{format_number(size * factor, 2)} {field}"
 
 
 def _format_u(predicted: PredictedCoefficient) -> str:
@@ -446,19 +450,19 @@ def _format_prior(predicted: PredictedCoefficient) -> str:
 
 
 def _dominant_source(predicted: PredictedCoefficient) -> str:
-    parts = {
+    u_parts = {
         "noise": predicted.u_noise,
         "stated priors": predicted.u_stated,
         "default priors": predicted.u_unstated,
     }
-    squares = {key: part**2 for key, part in parts.items() if part}
-    total = sum(squares.values())
-    if predicted.u is None or total == 0.0:
+    squares = {key: part**2 for key, part in u_parts.items() if part}
+    sum_of_squares = sum(squares.values())
+    if predicted.u is None or sum_of_squares == 0.0:
         return "-"
     return ", ".join(
-        f"{key} {format_share(square / total)}"
+        f"{key} {format_share(square / sum_of_squares)}"
         for key, square in sorted(squares.items(), key=lambda pair: -pair[1])
-        if square > 1e-3 * total
+        if square > 1e-3 * sum_of_squares
     )
 
 

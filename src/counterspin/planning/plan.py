@@ -140,31 +140,33 @@ def plan(
     file = file if isinstance(where, Mapping) else path_of(where, "a plan, or its file")
     if "stations" in load_plan(where):
         return _plan_readings(where, file)
-    described = read_plan(where, file)
-    search = Search(described)
+    plan_data = read_plan(where, file)
+    search = Search(plan_data)
     require_determined(search)
     optimum = search.best()
     if optimum is None:
         raise unreachable(search)
     design, prediction = _round_to_targets(search, search.in_order(optimum.design))
     campaign = prediction.campaign
-    total = search.limits.time(design)
-    first = next(iter(described.goal.sizes))
-    words, requirements = _accelerometer_requirements(prediction, first, described.sampling_rate)
+    total_time = search.limits.time(design)
+    goal_name = next(iter(plan_data.goal.sizes))
+    basis, requirements = _accelerometer_requirements(
+        prediction, goal_name, plan_data.sampling_rate
+    )
     result = result_of(
         prediction,
-        described.sampling_rate,
-        total,
+        plan_data.sampling_rate,
+        total_time,
         _run_attitudes(campaign, design),
         _start_times(campaign, design, search.limits),
     )
     result = result.model_copy(
         update={
-            "goal": described.goal.met(optimum.efficiency if search.bounded else None),
-            "others": _alternative_plans(search, design, prediction, total),
+            "goal": plan_data.goal.met(optimum.efficiency if search.bounded else None),
+            "others": _alternative_plans(search, design, prediction, total_time),
             "limits": active_limits(search, optimum.design),
             "requirements": requirements,
-            "requirements_for": words,
+            "requirements_for": basis,
         }
     )
     document = write_document(search.document(design), _COMMENTS)
@@ -173,9 +175,9 @@ def plan(
 
 def _plan_readings(where: Mapping[str, Any] | Path | str, file: Path | None) -> PlannedCampaign:
     """Return a plan of readings, with their values left blank in its campaign."""
-    described = read_reading_plan(where, file)
-    result, readings = ReadingSearch(described).best()
-    document = write_document(described.campaign_document(readings), _COMMENTS)
+    plan_data = read_reading_plan(where, file)
+    result, readings = ReadingSearch(plan_data).best()
+    document = write_document(plan_data.campaign_document(readings), _COMMENTS)
     return PlannedCampaign(result, document, load_plan(where), file)
 
 
@@ -183,19 +185,19 @@ def _round_to_targets(search: Search, design: Design) -> tuple[Design, Forecast]
     """Return a plan as it is written, and its forecast, which meets the targets."""
     goal = search.plan.goal
     if goal.kind == "minimise":
-        rounded = search.rounded(design)
-        return rounded, forecast(search.campaign(rounded))
+        rounded_design = search.rounded(design)
+        return rounded_design, forecast(search.campaign(rounded_design))
     sizes = goal.sizes
     for _ in range(_MAX_CHANGES):
-        met = search.meeting(design, sizes)
-        if met is None:
+        new_design = search.meeting(design, sizes)
+        if new_design is None:
             break
-        prediction = forecast(search.campaign(met))
-        missed = {name: prediction.u[name] / size for name, size in goal.sizes.items()}
-        if max(missed.values()) <= 1.0:
-            return met, prediction
+        prediction = forecast(search.campaign(new_design))
+        u_ratios = {name: prediction.u[name] / size for name, size in goal.sizes.items()}
+        if max(u_ratios.values()) <= 1.0:
+            return new_design, prediction
         # The search's predictions differ by a few 1e-5 from the forecast where the noise walks.
-        sizes = {name: size * min(1.0, 0.99999 / missed[name]) for name, size in sizes.items()}
+        sizes = {name: size * min(1.0, 0.99999 / u_ratios[name]) for name, size in sizes.items()}
     raise unreachable(search)
 
 
@@ -249,14 +251,14 @@ def check(
     if sampling_rate is None and campaign.simulation is not None:
         sampling_rate = campaign.simulation.sampling_rate
     attitudes = {run.name: attitude_words(run.attitude) for run in campaign.runs}
-    total = sum(run.duration or 0.0 for run in campaign.runs)
-    result = result_of(prediction, sampling_rate, total, attitudes, None)
+    total_time = sum(run.duration or 0.0 for run in campaign.runs)
+    result = result_of(prediction, sampling_rate, total_time, attitudes, None)
     symbol = "K_II" if "K_II" in campaign.model.terms else campaign.model.terms[0]
     name = f"{next(iter(campaign.accelerometers))}.{symbol}"
-    words: str = ""
+    basis: str = ""
     requirements: list[Requirement] = []
     if sampling_rate is not None and not campaign.readings:
-        words, requirements = _accelerometer_requirements(prediction, name, sampling_rate)
+        basis, requirements = _accelerometer_requirements(prediction, name, sampling_rate)
     warnings = [
         f"{run.name}: counterspin assumes {revolutions:g} revolutions, because the campaign "
         "does not state the length of the record."
@@ -265,7 +267,7 @@ def check(
     return result.model_copy(
         update={
             "requirements": requirements,
-            "requirements_for": words,
+            "requirements_for": basis,
             "warnings": [*result.warnings, *warnings],
         }
     )
@@ -332,31 +334,32 @@ def _accelerometer_requirements(
 
 
 def _alternative_plans(
-    search: Search, design: Design, prediction: Forecast, total: float
+    search: Search, design: Design, prediction: Forecast, total_time: float
 ) -> list[OtherPlan]:
     """Return plans for three rates as in the paper, equally spaced rates, and half of the time.
 
     Half of the time applies to plans that minimise u; a plan of least time has none to spare.
     """
-    half = replace(search.limits, total_time=0.5 * total)
+    half = replace(search.limits, total_time=0.5 * total_time)
     shorter = None
     if search.plan.goal.kind == "minimise" and half.is_feasible:
         # The best rates may leave no time for a record.
         with suppress(NotIdentifiableError):
             start = search.smallest(half).design
             shorter = search.rounded(search.in_order(start), half)
-    others = []
-    for words, alternative in (
+    plans = []
+    for text, alternative in (
         (
             "plan of the paper: 1/4, 1/2 and the whole of the highest rate, equal revolutions",
-            search.three_rates(design, total),
+            search.three_rates(design, total_time),
         ),
-        ("equally spaced rates, equal durations", search.even_rates(design, total)),
+        ("equally spaced rates, equal durations", search.even_rates(design, total_time)),
         ("best plan in half the time", shorter),
     ):
         if alternative is None:
             continue
         u = forecast(search.campaign(alternative)).u
-        called, time = f"{words} ({len(alternative.types)} runs)", search.limits.time(alternative)
-        others.append(other_plan(called, time, prediction.u, u, search.plan.goal.sizes))
-    return others
+        time = search.limits.time(alternative)
+        label = f"{text} ({len(alternative.types)} runs)"
+        plans.append(other_plan(label, time, prediction.u, u, search.plan.goal.sizes))
+    return plans

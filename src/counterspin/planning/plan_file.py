@@ -97,7 +97,7 @@ def load_plan(path: Mapping[str, Any] | Path | str) -> dict[str, Any]:
 
 def change_plan(document: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return a plan's document with named changes; see `counterspin.PlannedCampaign.change`."""
-    changed = dict(document)
+    new_document = dict(document)
     for name, value in changes.items():
         if name in LimitsSettings.model_fields:
             path: tuple[str | int, ...] = ("limits", name)
@@ -106,14 +106,14 @@ def change_plan(document: Mapping[str, Any], changes: Mapping[str, Any]) -> dict
         else:
             path = tuple(SHORT.get(name) or name.split("."))
         patch = value
-        for part in reversed(path):
-            patch = {part: patch}
-        changed = merge_patch(changed, patch)
+        for path_key in reversed(path):
+            patch = {path_key: patch}
+        new_document = merge_patch(new_document, patch)
         # A plan either reaches a target or makes u least in the time there is.
-        excluded = {"target": "minimise", "minimise": "target"}.get(str(path[-1]))
-        if path[0] == "goal" and excluded is not None and value is not None:
-            changed = merge_patch(changed, {"goal": {excluded: None}})
-    return changed
+        excluded_key = {"target": "minimise", "minimise": "target"}.get(str(path[-1]))
+        if path[0] == "goal" and excluded_key is not None and value is not None:
+            new_document = merge_patch(new_document, {"goal": {excluded_key: None}})
+    return new_document
 
 
 def is_plan(document: Mapping[str, Any]) -> bool:
@@ -233,12 +233,12 @@ def _expected_truth(document: Mapping[str, Any], campaign: Campaign) -> dict[str
     """Return [truth], completed by the prior values of the terms that it does not name."""
     truth = dict(table_of(document, "truth"))
     for name, accelerometer in campaign.accelerometers.items():
-        known = {
+        known_values = {
             symbol: f"{prior.value!r} {prior.unit}"
             for symbol, prior in accelerometer.priors.items()
             if prior.value != term(symbol).nominal
         }
-        truth[name] = {**known, **table_of(truth, name)}
+        truth[name] = {**known_values, **table_of(truth, name)}
     return truth
 
 
@@ -436,8 +436,8 @@ def resolve_goal(
         problems.add(("goal", key), "does not name a coefficient", "unknown-term")
     for index, name in enumerate(names):
         path = ("goal", key, name if isinstance(settings_path, Mapping) else index)
-        chosen = [u for u in shared if name in (u.name, u.symbol)]
-        if not chosen:
+        matches = [u for u in shared if name in (u.name, u.symbol)]
+        if not matches:
             known_names = dict.fromkeys(n for u in shared for n in (u.symbol, u.name))
             problems.add(
                 path, f'"{name}" is not estimated' + suggest_name(name, known_names), "unknown-term"
@@ -445,9 +445,9 @@ def resolve_goal(
             continue
         size: float | None = 1.0
         if isinstance(settings_path, Mapping):
-            size = _resolve_size(settings_path[name], chosen[0], campaign, path, problems)
-        sizes |= {u.name: size for u in chosen if size is not None}
-        units |= {unit_of(u.symbol) for u in chosen}
+            size = _resolve_size(settings_path[name], matches[0], campaign, path, problems)
+        sizes |= {u.name: size for u in matches if size is not None}
+        units |= {unit_of(u.symbol) for u in matches}
     if not isinstance(settings_path, Mapping) and settings.criterion == "sum" and len(units) > 1:
         problems.add(
             ("goal", key),
@@ -500,5 +500,5 @@ def campaign_document(plan: Plan, runs: Sequence[Mapping[str, Any]], title: str)
     # The sections in the order of the example that `counterspin init` writes.
     order = ("site", "centrifuge", "records", "accelerometers", "noise", "model", "runs")
     other_keys["runs"] = [dict(run) for run in runs]
-    ordered = {key: other_keys[key] for key in (*order, *other_keys) if key in other_keys}
-    return {"schema": document["schema"], "campaign": about, **ordered}
+    ordered_keys = {key: other_keys[key] for key in (*order, *other_keys) if key in other_keys}
+    return {"schema": document["schema"], "campaign": about, **ordered_keys}

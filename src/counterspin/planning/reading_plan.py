@@ -64,31 +64,31 @@ _BISECTIONS: Final = 12
 
 
 def best_counts(
-    candidates: CandidateSet, criterion: Criterion, number: float, time: float
+    candidates: CandidateSet, criterion: Criterion, max_count: float, time: float
 ) -> Optimum[Counts]:
     """Return the numbers with the smallest criterion.
 
-    number, time: Largest sum of the numbers and of their times, s; one of them finite.
+    max_count, time: Largest sum of the numbers and of their times, s; one of them finite.
     """
-    relaxed = candidates.relax(criterion, number, time)
-    visited: set[bytes] = set()
+    relaxed = candidates.relax(criterion, max_count, time)
+    visited_keys: set[bytes] = set()
     results = [
-        _exchange_readings(candidates, criterion, start, number, time, visited)
-        for start in _initial_counts(candidates, relaxed.design, number, time)
+        _exchange_readings(candidates, criterion, start, max_count, time, visited_keys)
+        for start in _initial_counts(candidates, relaxed.design, max_count, time)
     ]
     value, counts = min(results, key=lambda end: end[0])
     return Optimum(counts, value, min(relaxed.bound, value))
 
 
 def _initial_counts(
-    candidates: CandidateSet, weight: Array, number: float, time: float
+    candidates: CandidateSet, weight: Array, max_count: float, time: float
 ) -> list[Counts]:
     """Return numbers from which to exchange: some ends are worse than others.
 
     weight: The numbers that need not be whole, shape (n,).
     """
     rounded = np.floor(weight + 1e-6).astype(np.int64)
-    draws = _DRAWS_SMALL_NUMBER if number <= _SMALL_NUMBER else _DRAWS
+    draws = _DRAWS_SMALL_NUMBER if max_count <= _SMALL_NUMBER else _DRAWS
     rng, draws = (
         np.random.default_rng(_SEED_OF_ROUNDING),
         draws if weight.size <= _MAX_DRAWN_CANDIDATES else 0,
@@ -100,7 +100,7 @@ def _initial_counts(
             weight - rounded + (0.0 if counts is starts[0] else rng.uniform(size=weight.size))
         )
         for index in np.argsort(-remainders, kind="stable"):
-            counts[index] += _allows_addition(candidates, counts, number, time)[index]
+            counts[index] += _allows_addition(candidates, counts, max_count, time)[index]
     return starts
 
 
@@ -108,20 +108,20 @@ def _exchange_readings(
     candidates: CandidateSet,
     criterion: Criterion,
     counts: Counts,
-    number: float,
+    max_count: float,
     time: float,
-    visited: set[bytes],
+    visited_keys: set[bytes],
 ) -> tuple[float, Counts]:
     """Return the criterion and the numbers where no exchange of one reading gains any more.
 
-    visited: Numbers that were reached from earlier starts. The search ends there, because their
+    visited_keys: Counts that were reached from earlier starts. The search ends there, because their
         end is known; it adds the numbers that it reaches.
     """
     value = float(candidates.value(criterion, counts))
     for _ in range(_MAX_EXCHANGES):
-        if counts.tobytes() in visited:
+        if counts.tobytes() in visited_keys:
             break
-        visited.add(counts.tobytes())
+        visited_keys.add(counts.tobytes())
         lowest, best_counts = math.inf, counts
         for removed in (None, *np.flatnonzero(counts)):
             candidate = counts.copy()
@@ -129,16 +129,16 @@ def _exchange_readings(
             if removed is not None:
                 candidate[removed] -= 1
                 is_allowed[removed] = False
-            is_allowed &= _allows_addition(candidates, candidate, number, time)
+            is_allowed &= _allows_addition(candidates, candidate, max_count, time)
             if not is_allowed.any():
                 continue
             values = np.where(
                 is_allowed, candidates.values_with_addition(criterion, candidate), math.inf
             )
-            best = int(np.argmin(values))
-            if values[best] < lowest:
-                lowest, best_counts = float(values[best]), candidate
-                best_counts[best] += 1
+            best_index = int(np.argmin(values))
+            if values[best_index] < lowest:
+                lowest, best_counts = float(values[best_index]), candidate
+                best_counts[best_index] += 1
         new_value = float(candidates.value(criterion, best_counts))
         if not new_value < value - _MIN_GAIN:
             break
@@ -147,17 +147,19 @@ def _exchange_readings(
 
 
 def _allows_addition(
-    candidates: CandidateSet, counts: Counts, number: float, time: float
+    candidates: CandidateSet, counts: Counts, max_count: float, time: float
 ) -> npt.NDArray[np.bool_]:
     """Return a mask of the observations that the limits allow once more, shape (n,)."""
     total_cost = float(candidates.cost @ counts) + candidates.cost
-    return np.asarray((float(counts.sum()) + 1.0 <= number) & (total_cost <= time * (1.0 + 1e-12)))
+    return np.asarray(
+        (float(counts.sum()) + 1.0 <= max_count) & (total_cost <= time * (1.0 + 1e-12))
+    )
 
 
 def least_counts(
     candidates: CandidateSet,
     criterion: Criterion,
-    number: float,
+    max_count: float,
     time: float,
     u_of: Callable[[Counts], Array],
 ) -> tuple[Optimum[Counts], float] | None:
@@ -178,14 +180,18 @@ def least_counts(
     def limits(fraction: float) -> tuple[float, float] | None:
         if math.isfinite(time):
             return (
-                (number, fraction * time)
+                (max_count, fraction * time)
                 if fraction * time >= float(candidates.cost.min())
                 else None
             )
-        return (most, time) if (most := math.floor(fraction * number + 1e-9)) else None
+        return (
+            (count_limit, time)
+            if (count_limit := math.floor(fraction * max_count + 1e-9))
+            else None
+        )
 
-    best = best_counts(candidates, criterion, number, time)
-    if not meets_targets(best):
+    optimum = best_counts(candidates, criterion, max_count, time)
+    if not meets_targets(optimum):
         return None
     low, high = 0.0, 1.0
     for _ in range(_BISECTIONS):
@@ -195,7 +201,7 @@ def least_counts(
             None if scaled_limits is None else best_counts(candidates, criterion, *scaled_limits)
         )
         if chosen is not None and meets_targets(chosen):
-            best, high = chosen, middle
+            optimum, high = chosen, middle
         else:
             low = middle
     floor = 0.0
@@ -206,7 +212,7 @@ def least_counts(
             floor = middle
         else:
             high = middle
-    return best, floor
+    return optimum, floor
 
 
 #: Seed of the random order; the campaign's file has the order itself.
@@ -267,8 +273,8 @@ class ReadingSearch:
         """Refuse a goal that all possible readings together do not determine."""
         assessment = _forecast_readings(self.plan, self.plan.candidates * 4).assessment
         by = "any number of these readings"
-        missing, text = not_determined(assessment, self.plan.goal.sizes, by)
-        if not missing:
+        missing_names, text = not_determined(assessment, self.plan.goal.sizes, by)
+        if not missing_names:
             return
         if text.endswith(by) and all(r.motion == "static" for r in self.plan.template.readings):
             text += ", because at 1 g the squares of the specific force components add up to one"
@@ -287,9 +293,9 @@ class ReadingSearch:
             u = self.forecast(counts).u
             return np.array([u[name] for name in goal.sizes])
 
-        least = least_counts(self.candidates, self.criterion, *self.limits, u_of)
-        if least is not None:
-            return least
+        optimum = least_counts(self.candidates, self.criterion, *self.limits, u_of)
+        if optimum is not None:
+            return optimum
         best_numbers = best_counts(self.candidates, self.criterion, *self.limits).design
         text = words_of_missed_target(
             self.forecast(best_numbers),
@@ -316,15 +322,15 @@ class ReadingSearch:
         """Return the gain from a tenth more of each limit; empty for a plan for a target."""
         if self.plan.goal.kind == "target":
             return []
-        number, time = self.limits
+        max_count, time = self.limits
         factor = 1.0 + RELAXATION
         relaxed = {
             "readings": (
-                f"at most {number:.0f} readings",
-                number,
-                (np.ceil(number * factor), time),
+                f"at most {max_count:.0f} readings",
+                max_count,
+                (np.ceil(max_count * factor), time),
             ),
-            "total_time": (f"total time {time:.6g} s", time, (number, time * factor)),
+            "total_time": (f"total time {time:.6g} s", time, (max_count, time * factor)),
         }
         lines = []
         for key, (text, limit, limits) in relaxed.items():

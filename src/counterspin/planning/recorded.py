@@ -76,41 +76,43 @@ def needs_records(campaign: Campaign, sampling_rate: float | None) -> bool:
 def apply_records(campaign: Campaign) -> tuple[Campaign, dict[str, float]]:
     """Return a campaign with the lengths and the noise of its records, and run -> rate, Hz."""
     campaign = with_recorded_conditions(campaign)
-    observed, noise = observe_with_noise(campaign)
-    return apply_observations(campaign, observed, noise), sampling_rates(observed)
+    observed_runs, noise = observe_with_noise(campaign)
+    return apply_observations(campaign, observed_runs, noise), sampling_rates(observed_runs)
 
 
 def observe_with_noise(campaign: Campaign) -> tuple[list[ObservedRun], dict[str, Noise]]:
     """Return a campaign's records, and the noise of each accelerometer that it leaves to them."""
-    observed = list(observe(campaign))
+    observed_runs = list(observe(campaign))
     if not _unstated_noise(campaign):
-        return observed, {}
-    estimated, _ = estimate_campaign(JointProblem(campaign, observed))
-    return observed, fitted_noise(estimated.fit)
+        return observed_runs, {}
+    estimated, _ = estimate_campaign(JointProblem(campaign, observed_runs))
+    return observed_runs, fitted_noise(estimated.fit)
 
 
 def fitted_noise(fit: JointFit) -> dict[str, Noise]:
     """Return the noise that was found, with the random walk that may be there and not show."""
-    undetected = {name: level for name, (level, _) in fit.undetected_walks.items()}
+    undetected_levels = {name: level for name, (level, _) in fit.undetected_walks.items()}
     return {
-        name: replace(noise, random_walk=math.hypot(noise.random_walk, undetected.get(name, 0.0)))
+        name: replace(
+            noise, random_walk=math.hypot(noise.random_walk, undetected_levels.get(name, 0.0))
+        )
         for name, noise in fit.noise.items()
     }
 
 
-def sampling_rates(observed: Sequence[ObservedRun]) -> dict[str, float]:
+def sampling_rates(observed_runs: Sequence[ObservedRun]) -> dict[str, float]:
     """Return run -> samples a second, Hz."""
-    return {run.run.name: 1.0 / run.record.report.step for run in observed}
+    return {run.run.name: 1.0 / run.record.report.step for run in observed_runs}
 
 
 def apply_observations(
-    campaign: Campaign, observed: Sequence[ObservedRun], noise: Mapping[str, Noise]
+    campaign: Campaign, observed_runs: Sequence[ObservedRun], noise: Mapping[str, Noise]
 ) -> Campaign:
     """Return a campaign with the lengths of runs, and the noise, that it leaves to its records.
 
     noise: By accelerometer, as it was found; the largest counts, since a description has one.
     """
-    seconds = {run.run.name: float(run.record.time[-1]) for run in observed}
+    seconds = {run.run.name: float(run.record.time[-1]) for run in observed_runs}
     runs = tuple(
         r.model_copy(update={"duration": seconds.get(r.name, r.duration)}) for r in campaign.runs
     )
@@ -118,7 +120,7 @@ def apply_observations(
     for name, noise_sizes in noise.items():
         for component, key in size_keys(campaign.accelerometers[name].observable).items():
             largest[key] = max(getattr(noise_sizes, component), largest.get(key, 0.0))
-    angles = [run.rotation.rms for run in observed if run.rotation is not None]
+    angles = [run.rotation.rms for run in observed_runs if run.rotation is not None]
     stated = campaign.noise or NoiseSettings()
     sizes = {key: largest.get(key, 0.0) for key in _unstated_noise(campaign)}
     if not stated.angle and angles:
@@ -161,7 +163,7 @@ class SuggestedRuns:
 
 @one_blas_thread()
 def suggest_runs(
-    campaign: Campaign, observed: Sequence[ObservedRun], noise: Mapping[str, Noise], name: str
+    campaign: Campaign, observed_runs: Sequence[ObservedRun], noise: Mapping[str, Noise], name: str
 ) -> SuggestedRuns | None:
     """Return the cheapest runs in another attitude that help a coefficient; None if none does.
 
@@ -171,32 +173,33 @@ def suggest_runs(
     """
     if not campaign.runs:
         return None
-    rates = sampling_rates(observed)
+    rates = sampling_rates(observed_runs)
 
     def u_of(runs: Sequence[dict[str, Any]]) -> float:
         existing = list(require_source(campaign).document["runs"])
-        extended = campaign.change({"runs": [*existing, *runs]}) if runs else campaign
+        new_campaign = campaign.change({"runs": [*existing, *runs]}) if runs else campaign
         highest = max(rates.values())
-        run_rates = {run.name: rates.get(run.name, highest) for run in extended.runs}
-        return forecast(apply_observations(extended, observed, noise), sampling_rate=run_rates).u[
-            name
-        ]
+        run_rates = {run.name: rates.get(run.name, highest) for run in new_campaign.runs}
+        return forecast(
+            apply_observations(new_campaign, observed_runs, noise), sampling_rate=run_rates
+        ).u[name]
 
     u_without = u_of(())
-    best: SuggestedRuns | None = None
-    for attitude, runs in _candidate_runs(apply_observations(campaign, observed, noise)):
+    best_suggestion: SuggestedRuns | None = None
+    for attitude, runs in _candidate_runs(apply_observations(campaign, observed_runs, noise)):
         seconds = sum(float(run["duration"].split()[0]) for run in runs)
         try:
             u = u_of(runs)
         except NotIdentifiableError:
             continue
         candidate = SuggestedRuns(attitude, runs, seconds, u, u_without)
-        is_longer = best is not None and seconds > best.seconds
+        is_longer = best_suggestion is not None and seconds > best_suggestion.seconds
         if u < _MAX_REMAINING_FRACTION * u_without and (
-            best is None or u < (_MAX_REMAINING_FRACTION if is_longer else 1.0) * best.u
+            best_suggestion is None
+            or u < (_MAX_REMAINING_FRACTION if is_longer else 1.0) * best_suggestion.u
         ):
-            best = candidate
-    return best
+            best_suggestion = candidate
+    return best_suggestion
 
 
 def _candidate_runs(campaign: Campaign) -> Iterator[tuple[str, list[dict[str, Any]]]]:
@@ -208,9 +211,9 @@ def _candidate_runs(campaign: Campaign) -> Iterator[tuple[str, list[dict[str, An
     ]
     runs = sorted(campaign.runs, key=lambda run: -abs(run.rate))
     by_rate = list({run.rate: run for run in reversed(runs)}.values())[::-1]
-    for chosen in ([runs[0]], by_rate)[: 1 + (len(by_rate) > 1)]:
+    for selection in ([runs[0]], by_rate)[: 1 + (len(by_rate) > 1)]:
         for attitude in attitudes:
-            yield attitude, [_repeat_run(campaign, run, attitude) for run in chosen]
+            yield attitude, [_repeat_run(campaign, run, attitude) for run in selection]
 
 
 def _repeat_run(campaign: Campaign, run: Run, attitude: str) -> dict[str, Any]:
@@ -218,8 +221,8 @@ def _repeat_run(campaign: Campaign, run: Run, attitude: str) -> dict[str, Any]:
     names = {existing.name for existing in campaign.runs}
     name = next(
         name
-        for number in range(1, len(names) + 2)
-        if (name := f"{run.name} turned{'' if number == 1 else f' {number}'}") not in names
+        for index in range(1, len(names) + 2)
+        if (name := f"{run.name} turned{'' if index == 1 else f' {index}'}") not in names
     )
     return {
         "name": name,

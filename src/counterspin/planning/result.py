@@ -106,8 +106,8 @@ class GoalResult(ResultPart):
 
     def criterion_of(self, names: Sequence[str]) -> Criterion:
         """Return the criterion to minimise, for unknowns of these names."""
-        places = tuple(names.index(name) for name in self.sizes)
-        return Criterion(places, tuple(self.sizes.values()), self.criterion)
+        indices = tuple(names.index(name) for name in self.sizes)
+        return Criterion(indices, tuple(self.sizes.values()), self.criterion)
 
     def met(self, efficiency: float | None) -> GoalResult:
         """Return the goal of a plan that is so efficient."""
@@ -233,7 +233,7 @@ def _one_rate(campaign: Campaign) -> list[str]:
 def accelerometers_of(prediction: Forecast) -> dict[str, PlannedAccelerometer]:
     """Return the expected result of a campaign for each accelerometer."""
     requested = prediction.fit.model.of_interest
-    places = {
+    indices = {
         name: {
             u.symbol: i for i, u in enumerate(requested) if u.owner == name and u.symbol in TERMS
         }
@@ -241,33 +241,33 @@ def accelerometers_of(prediction: Forecast) -> dict[str, PlannedAccelerometer]:
     }
     return {
         name: _accelerometer(prediction, name, symbol_places)
-        for name, symbol_places in places.items()
+        for name, symbol_places in indices.items()
     }
 
 
 def _accelerometer(
-    prediction: Forecast, name: str, places: Mapping[str, int]
+    prediction: Forecast, name: str, indices: Mapping[str, int]
 ) -> PlannedAccelerometer:
-    coefficients = {symbol: _predicted(prediction, index) for symbol, index in places.items()}
+    coefficients = {symbol: _predicted(prediction, index) for symbol, index in indices.items()}
     campaign = prediction.campaign
-    others = [f"{prefix}." for prefix in campaign.accelerometers if prefix != name]
-    determined = "K_II" in coefficients and coefficients["K_II"].estimated
+    other_prefixes = [f"{prefix}." for prefix in campaign.accelerometers if prefix != name]
+    is_determined = "K_II" in coefficients and coefficients["K_II"].estimated
     share, faults = (
-        undetected_faults(prediction, name, places["K_II"]) if determined else (None, None)
+        undetected_faults(prediction, name, indices["K_II"]) if is_determined else (None, None)
     )
     budgets = {
         symbol: budget(prediction.fit, index, name)
-        for symbol, index in places.items()
+        for symbol, index in indices.items()
         if coefficients[symbol].estimated
     }
     return PlannedAccelerometer(
         coefficients={s: coefficients[s] for s in campaign.model.terms if s in coefficients},
         budget=budgets,
-        what_if=what_if(prediction.fit, places, budgets, name),
+        what_if=what_if(prediction.fit, indices, budgets, name),
         confounded=[
             replace(item.of(name), value=None)
             for item in prediction.assessment.confounded
-            if not any(t.startswith(prefix) for t in item.terms for prefix in others)
+            if not any(t.startswith(prefix) for t in item.terms for prefix in other_prefixes)
         ],
         harmonic_share=share,
         faults=faults,
@@ -345,7 +345,7 @@ def planned_readings(campaign: Campaign) -> list[PlannedReading]:
 def _planned_pose(pose: Sequence[Reading]) -> PlannedReading:
     """Return a planned pose of a triad, a single reading of all three accelerometers."""
     values = np.array([reading.value for reading in pose])
-    parts = zip(pose, values / np.linalg.norm(values), strict=True)
+    components = zip(pose, values / np.linalg.norm(values), strict=True)
     return PlannedReading(
         name=pose[0].name,
         accelerometer=", ".join(reading.accelerometer for reading in pose),
@@ -353,7 +353,8 @@ def _planned_pose(pose: Sequence[Reading]) -> PlannedReading:
         mounting="",
         rate=0.0,
         specific_force=0.0,
-        axes="up: " + ", ".join(f"{r.accelerometer} {part:+.2f}" for r, part in parts),
+        axes="up: "
+        + ", ".join(f"{r.accelerometer} {component:+.2f}" for r, component in components),
         u=max(reading.u or 0.0 for reading in pose),
         time=pose[0].time,
     )
@@ -364,4 +365,4 @@ def _direction(axis: Array, names: Mapping[str, tuple[float, float, float]]) -> 
     for name, components in names.items():
         if np.allclose(axis, components, atol=1e-9):
             return name
-    return "[" + ", ".join(f"{part:.4f}" for part in axis) + "]"
+    return "[" + ", ".join(f"{component:.4f}" for component in axis) + "]"

@@ -130,10 +130,10 @@ class RunInformation:
 
     def of_model(self, setup: Setup) -> RunInformation:
         """Return the same for a set-up whose model has some of these terms, in other parts."""
-        copied = copy.copy(self)
-        copied.setup = setup
-        copied._arrange()
-        return copied
+        clone = copy.copy(self)
+        clone.setup = setup
+        clone._arrange()
+        return clone
 
     def _made_tables(self) -> list[list[InformationTable | None]]:
         """Return the interpolation tables for each instrument and kind; None: a closed form exists.
@@ -288,17 +288,19 @@ def _project_out_first(rows: Array, prior: Array) -> Array:
     The remaining information is Y' (1 - x x'/(prior^2 + x'x)) Y, and its root is Y minus a
     part of its component along x: exact, and no product is formed of which a root must be taken.
     """
-    x, others = rows[:, :, :1], rows[:, :, 1:]
-    size = np.sum(x**2, axis=1, keepdims=True)
-    kept = prior / np.sqrt(prior**2 + size)
-    along = np.sum(x * others, axis=1, keepdims=True) / np.where(size > 0.0, size, 1.0)
-    return np.asarray(others - x * ((1.0 - kept) * along))
+    x, other_columns = rows[:, :, :1], rows[:, :, 1:]
+    sum_of_squares = np.sum(x**2, axis=1, keepdims=True)
+    kept = prior / np.sqrt(prior**2 + sum_of_squares)
+    projection = np.sum(x * other_columns, axis=1, keepdims=True) / np.where(
+        sum_of_squares > 0.0, sum_of_squares, 1.0
+    )
+    return np.asarray(other_columns - x * ((1.0 - kept) * projection))
 
 
 def _by_condition(setup: Setup, condition: str) -> list[int]:
     """Return the places of the shared unknowns that depend on a condition."""
     symbols = (setup.model.unknowns[i].symbol for i in setup.shared)
-    return [place for place, symbol in enumerate(symbols) if condition_of(symbol) == condition]
+    return [index for index, symbol in enumerate(symbols) if condition_of(symbol) == condition]
 
 
 def _pad_keys(keys: list[Key], count: int) -> list[Key]:

@@ -131,9 +131,9 @@ class Search:
         Returns: none if the total time does not suffice.
         """
         rounded = self._round_down(design)
-        places = [self.predictor.names.index(name) for name in targets]
-        wanted = np.array(list(targets.values()))
-        while np.any(self.predictor.u(rounded)[places] > wanted):
+        indices = [self.predictor.names.index(name) for name in targets]
+        target_u = np.array(list(targets.values()))
+        while np.any(self.predictor.u(rounded)[indices] > target_u):
             # One step more for the run that it helps most.
             candidates = [
                 longer
@@ -149,8 +149,8 @@ class Search:
                 np.array([candidate.revolutions for candidate in candidates]),
                 whole_samples=True,
             )
-            u = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))[:, places]
-            rounded = candidates[int(np.argmin((u / wanted).max(axis=1)))]
+            u = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))[:, indices]
+            rounded = candidates[int(np.argmin((u / target_u).max(axis=1)))]
         return rounded
 
     def _round_down(self, design: Design) -> Design:
@@ -269,13 +269,13 @@ def not_determined(
 
     by, where: Words: the data that do not determine the goal; their campaign or plan.
     """
-    missing = [name for name in goal if not assessment.determined[name]]
-    if not missing:
+    missing_names = [name for name in goal if not assessment.determined[name]]
+    if not missing_names:
         return [], ""
-    also = f" (nor {', '.join(missing[1:])})" if missing[1:] else ""
-    text = f"{missing[0]} is not determined by {by}{also}"
-    confounded = [item for item in assessment.confounded if missing[0] in item.terms]
-    return missing, text + (
+    also = f" (nor {', '.join(missing_names[1:])})" if missing_names[1:] else ""
+    text = f"{missing_names[0]} is not determined by {by}{also}"
+    confounded = [item for item in assessment.confounded if missing_names[0] in item.terms]
+    return missing_names, text + (
         (f": {where}only {confounded[0].determined} is determined") if confounded else ""
     )
 
@@ -344,15 +344,15 @@ def assess_blocks(predictor: Predictor, blocks: Array) -> Assessment:
     return assess(solution, [unknown.name for unknown in shared if unknown.is_of_interest])
 
 
-def _find_helpful_attitude(search: Search, missing: list[str]) -> str | None:
+def _find_helpful_attitude(search: Search, missing_names: list[str]) -> str | None:
     """Return an attitude with which the missing coefficients would be determined."""
     plan, limits = search.plan, search.limits
     run = plan.template.runs[0]
-    for words in _ATTITUDES_TRIED:
-        if words in plan.attitudes:
+    for attitude in _ATTITUDES_TRIED:
+        if attitude in plan.attitudes:
             continue
-        added = run.model_copy(update={"name": words, "stand": read_attitude(words)})
-        campaign = replace(plan.template, runs=(*plan.template.runs, added))
+        new_run = run.model_copy(update={"name": attitude, "stand": read_attitude(attitude)})
+        campaign = replace(plan.template, runs=(*plan.template.runs, new_run))
         turns = limits.longest_run * limits.rate[1] / (2.0 * math.pi)
         predictor = Predictor(
             RunInformation(
@@ -363,26 +363,26 @@ def _find_helpful_attitude(search: Search, missing: list[str]) -> str | None:
             )
         )
         senses = {run_type.sense for run_type in limits.types}
-        run_types = (*limits.types, *(RunType(words, sense) for sense in sorted(senses)))
+        run_types = (*limits.types, *(RunType(attitude, sense) for sense in sorted(senses)))
         assessment = _assess(search, predictor, run_types)
-        if all(assessment.determined[name] for name in missing):
-            return words
+        if all(assessment.determined[name] for name in missing_names):
+            return attitude
     return None
 
 
 def unreachable(search: Search) -> CounterspinError:
     """Return the error for a target that no plan within the limits reaches."""
-    best = search.smallest()
+    optimum = search.smallest()
     goal: Mapping[str, float] = search.plan.goal.sizes
     text = words_of_missed_target(
-        forecast(search.campaign(best.design)),
+        forecast(search.campaign(optimum.design)),
         goal,
         f"no plan {'within the limits' if search.bounded else 'found by the search'}",
-        f"The best plan, which takes {search.limits.time(best.design):.4g} s,",
+        f"The best plan, which takes {search.limits.time(optimum.design):.4g} s,",
     )
     if len(goal) > 1:
         return CounterspinError(text + ".", code="goal-not-reached")
-    ((name, size),) = goal.items()
+    ((name, target),) = goal.items()
     unit = term(find_symbol(name)).unit
     if search.bounded:
         unlimited = replace(
@@ -391,11 +391,11 @@ def unreachable(search: Search) -> CounterspinError:
             attitude_change=0.0,
         )
         _, relaxed = relax(search.relaxing or search.predictor, unlimited, search.criterion)
-        floor = math.exp(relaxed.value) * size
-        if floor > size:
-            text += f". With unlimited time, u would be {format_distinct(floor, size)} {unit}"
+        floor = math.exp(relaxed.value) * target
+        if floor > target:
+            text += f". With unlimited time, u would be {format_distinct(floor, target)} {unit}"
     if all(run_type.sense == 1 for run_type in search.limits.types):
-        both = search.smallest(allow_both_senses(search.limits), best.design)
-        u = search.predictor.u(both.design)[search.predictor.names.index(name)]
-        text += f", and with both senses of rotation {format_distinct(u, size)} {unit}"
+        both_senses = search.smallest(allow_both_senses(search.limits), optimum.design)
+        u = search.predictor.u(both_senses.design)[search.predictor.names.index(name)]
+        text += f", and with both senses of rotation {format_distinct(u, target)} {unit}"
     return CounterspinError(text + ".", code="goal-not-reached")

@@ -45,34 +45,34 @@ def sensitivities(fit: JointFit, columns: Columns) -> Sensitivities:
     blocks = [_block(observation, columns(observation), fit) for observation in fit.observations]
     solution = solve_blocks(blocks, _with_further(model, blocks[0].considered.shape[1]))
     owners = [_owner(observation) for observation in fit.observations]
-    left, left_in = _residual_products(blocks, owners, model)
+    products, products_by_name = _residual_products(blocks, owners, model)
     ends = np.cumsum([block.factor.shape[0] for block in blocks])
     freedom: dict[str, float] = {}
-    followed = np.split(solution.leverages, ends[:-1])
-    for owner, block, leverages in zip(owners, blocks, followed, strict=True):
-        rest = block.rows - block.nuisance - float(leverages.sum())
-        freedom[owner] = freedom.get(owner, 0.0) + rest
-    moved = -solution.sensitivity_considered[:, len(model.considered) :]
-    return Sensitivities(moved, left, left_in, freedom)
+    block_leverages = np.split(solution.leverages, ends[:-1])
+    for owner, block, leverages in zip(owners, blocks, block_leverages, strict=True):
+        block_dof = block.rows - block.nuisance - float(leverages.sum())
+        freedom[owner] = freedom.get(owner, 0.0) + block_dof
+    shifts = -solution.sensitivity_considered[:, len(model.considered) :]
+    return Sensitivities(shifts, products, products_by_name, freedom)
 
 
 def _with_further(model: Unknowns, count: int) -> Unknowns:
     """Return a model with so many considered columns, the further ones of no uncertainty."""
     further = range(len(model.considered), count)
-    named = (Considered("", str(place), (0.0, 0.0), 1.0) for place in further)
-    return Unknowns(model.unknowns, (*model.considered, *named))
+    added_terms = (Considered("", str(index), (0.0, 0.0), 1.0) for index in further)
+    return Unknowns(model.unknowns, (*model.considered, *added_terms))
 
 
 def _block(observation: Observation, columns: Array, fit: JointFit) -> Block:
     """Return the block of an observation with columns (n, m) after the considered ones."""
-    before = len(fit.model.considered)
-    count = before + columns.shape[1]
-    whole = replace(
+    start = len(fit.model.considered)
+    count = start + columns.shape[1]
+    full_observation = replace(
         observation,
         fixed=np.column_stack([observation.fixed, columns]),
-        considered=(*observation.considered, *range(before, count)),
+        considered=(*observation.considered, *range(start, count)),
     )
-    return whole.block_in(_with_further(fit.model, count), fit.noise)
+    return full_observation.block_in(_with_further(fit.model, count), fit.noise)
 
 
 def _owner(observation: Observation) -> str:
@@ -91,17 +91,21 @@ def columns_of(fit: JointFit, terms: Sequence[Considered], expected: Array) -> C
     """
     model, acting = fit.model, np.flatnonzero(expected)
     # An input acts on what is expected: nothing else is needed for its column.
-    on = Unknowns(tuple(model.unknowns[i] for i in acting), tuple(terms))
-    whole = Unknowns(model.unknowns, (*model.considered, *terms))
+    acting_model = Unknowns(tuple(model.unknowns[i] for i in acting), tuple(terms))
+    full_model = Unknowns(model.unknowns, (*model.considered, *terms))
 
     def columns_at(observation: Observation) -> Array:
         if isinstance(observation, LinearReadings):
-            return observation.group.linearize(whole, expected).fixed[:, len(model.considered) :]
+            return observation.group.linearize(full_model, expected).fixed[
+                :, len(model.considered) :
+            ]
         assert isinstance(observation, DesignBlock)
         factors = {observation.accelerometer: observation.scale_factor}
-        (made,) = build_design_blocks([observation.series], on, factors, expected[acting])
+        (block,) = build_design_blocks(
+            [observation.series], acting_model, factors, expected[acting]
+        )
         columns = np.zeros((len(observation.design), len(terms)))
-        columns[:, list(made.considered)] = made.fixed
+        columns[:, list(block.considered)] = block.fixed
         return columns
 
     return columns_at
@@ -119,15 +123,15 @@ def _residual_products(
     p = spread.size
     spread = np.where(spread > 0.0, spread, 1e-30)
     correlation = prior_correlation((*model.unknowns, *model.considered))
-    held = whiten_priors(np.eye(p), spread, correlation)
+    prior_rows = whiten_priors(np.eye(p), spread, correlation)
     rows = [np.hstack([block.factor, block.considered]) for block in blocks]
-    prior = np.hstack([held, np.zeros((p, rows[0].shape[1] - p))])
+    prior = np.hstack([prior_rows, np.zeros((p, rows[0].shape[1] - p))])
     triangle = triangle_of(np.vstack([*rows, prior]))
-    rest = triangle[p:, p:]
-    followed = np.linalg.solve(triangle[:p, :p], triangle[:p, p:])
+    remainder = triangle[p:, p:]
+    solution = np.linalg.solve(triangle[:p, :p], triangle[:p, p:])
     by_accelerometer: dict[str, Array] = {}
     for block, owner in zip(rows, owners, strict=True):
-        residual = block[:, p:] - block[:, :p] @ followed
-        before = by_accelerometer.get(owner, 0.0)
-        by_accelerometer[owner] = before + residual.T @ residual
-    return rest.T @ rest, by_accelerometer
+        residual = block[:, p:] - block[:, :p] @ solution
+        previous_sum = by_accelerometer.get(owner, 0.0)
+        by_accelerometer[owner] = previous_sum + residual.T @ residual
+    return remainder.T @ remainder, by_accelerometer

@@ -79,14 +79,14 @@ class ReadingPlan:
     goal: GoalResult  #: What it is for.
 
     def campaign_document(
-        self, chosen: Sequence[PossibleReading], *, value: str = BLANK
+        self, readings: Sequence[PossibleReading], *, value: str = BLANK
     ) -> dict[str, Any]:
         """Return the document of the campaign with readings in this order."""
-        timed = any(reading.time > 0.0 for reading in chosen)
+        has_times = any(reading.time > 0.0 for reading in readings)
         now, runs = 0.0, []
-        for name, reading in zip(_number_names(chosen), chosen, strict=True):
+        for name, reading in zip(_number_names(readings), readings, strict=True):
             run = _with_value(reading.run, value) | {"name": name}
-            if timed:
+            if has_times:
                 # The time in the middle of the reading, from the start of the first.
                 run["time"] = f"{round(now + 0.5 * reading.time, 6)!r} s"
                 now += reading.time
@@ -100,33 +100,35 @@ class ReadingPlan:
         triad = self.template.triad and replace(self.template.triad, poses=self.poses)
         return replace(self.template, readings=existing, triad=triad)
 
-    def campaign(self, chosen: Sequence[PossibleReading]) -> Campaign:
+    def campaign(self, readings: Sequence[PossibleReading]) -> Campaign:
         """Return the campaign with readings in this order, their values zero."""
-        campaign = resolve_plan_campaign(self.campaign_document(chosen, value="0"), self.path)
+        campaign = resolve_plan_campaign(self.campaign_document(readings, value="0"), self.path)
         if campaign.triad is None:
             return campaign
-        planned = _simulate_poses(campaign, dict(zip(_number_names(chosen), chosen, strict=True)))
-        triad = replace(campaign.triad, poses=(*self.poses, *planned), records=())
+        poses = _simulate_poses(campaign, dict(zip(_number_names(readings), readings, strict=True)))
+        triad = replace(campaign.triad, poses=(*self.poses, *poses), records=())
         return replace(campaign, triad=triad)
 
 
-def _number_names(chosen: Sequence[PossibleReading]) -> list[str]:
-    digits = len(str(len(chosen)))
-    return [f"{index:0{digits}d} {reading.name}" for index, reading in enumerate(chosen, start=1)]
+def _number_names(readings: Sequence[PossibleReading]) -> list[str]:
+    digits = len(str(len(readings)))
+    return [f"{index:0{digits}d} {reading.name}" for index, reading in enumerate(readings, start=1)]
 
 
 def _simulate_poses(
-    campaign: Campaign, planned: Mapping[str, PossibleReading]
+    campaign: Campaign, planned_readings: Mapping[str, PossibleReading]
 ) -> tuple[tuple[Reading, ...], ...]:
     """Return the poses that are planned, by the names of their runs, as they will be read."""
     assert campaign.triad is not None
-    poses = [pose for pose in campaign.triad.poses if pose[0].name in planned]
+    poses = [pose for pose in campaign.triad.poses if pose[0].name in planned_readings]
     if not poses:
         return ()
-    ups = [planned[pose[0].name].up or {} for pose in poses]
+    ups = [planned_readings[pose[0].name].up or {} for pose in poses]
     priors_of = [campaign.accelerometers[reading.accelerometer].priors for reading in poses[0]]
-    known = [{symbol: prior.value for symbol, prior in priors.items()} for priors in priors_of]
-    values = pointing_up(make_group(campaign, poses), ups, known).value.tolist()
+    coefficients = [
+        {symbol: prior.value for symbol, prior in priors.items()} for priors in priors_of
+    ]
+    values = pointing_up(make_group(campaign, poses), ups, coefficients).value.tolist()
     return tuple(
         tuple(replace(reading, value=value) for reading, value in zip(pose, row, strict=True))
         for pose, row in zip(poses, values, strict=True)
@@ -134,18 +136,20 @@ def _simulate_poses(
 
 
 def pointing_up(
-    poses: TriadPoses, ups: Sequence[Mapping[str, float]], known: Sequence[Mapping[str, float]]
+    poses: TriadPoses,
+    ups: Sequence[Mapping[str, float]],
+    coefficients: Sequence[Mapping[str, float]],
 ) -> TriadPoses:
     """Return poses with the values that they have where they point as `every_up` says.
 
-    known: Coefficients of each accelerometer; those not named are nominal.
+    coefficients: Of each accelerometer; those not named are nominal.
     """
     up = np.array(
         [[directions.get(name, 0.0) for name in poses.accelerometers] for directions in ups]
     )
-    along = up @ poses.axes[:, 0]
-    unit = along / np.linalg.norm(along, axis=1)[:, None]
-    return replace(poses, value=predict_indications(poses, known, unit))
+    direction = up @ poses.axes[:, 0]
+    unit = direction / np.linalg.norm(direction, axis=1)[:, None]
+    return replace(poses, value=predict_indications(poses, coefficients, unit))
 
 
 def every_up(names: Sequence[str]) -> list[dict[str, float]]:
@@ -194,7 +198,7 @@ def read_reading_plan(
     goal = problems.check(GoalSettings, table_of(raw, "goal"), ("goal",))
     plan_keys = ("limits", "goal", "stations", "runs")
     document = {k: v for k, v in raw.items() if k not in plan_keys}
-    taken = list_of(raw, "runs")
+    existing_runs = list_of(raw, "runs")
     tables = table_of(raw, "accelerometers")
     names = list(tables)
     units = {
@@ -210,12 +214,12 @@ def read_reading_plan(
         if settings is not None:
             read = triad.accelerometers if triad and settings.attitude else names
             candidates += _candidate_readings(settings, entry, read, raw, path_of_entry, problems)
-    seen = {str(run.get("name")) for run in taken if isinstance(run, dict)}
+    used_names = {str(run.get("name")) for run in existing_runs if isinstance(run, dict)}
     for reading in candidates:
-        if reading.name in seen:
+        if reading.name in used_names:
             text = f'two have the name "{reading.name}"; give each entry a different name'
             problems.add(("stations",), text, "duplicate-entry")
-        seen.add(reading.name)
+        used_names.add(reading.name)
     if len(candidates) > _MAX_CANDIDATES:
         words = (
             f"allow {len(candidates)} different readings, which exceeds the limit of "
@@ -225,11 +229,11 @@ def read_reading_plan(
     runs = [_with_value(reading.run, "0") for reading in candidates]
     campaign = None
     if runs and not problems.lines:
-        full_document = {**document, "runs": [*taken, *runs]}
-        inside = Problems(full_document)
-        campaign = resolve_campaign(full_document, file, inside)
+        full_document = {**document, "runs": [*existing_runs, *runs]}
+        run_problems = Problems(full_document)
+        campaign = resolve_campaign(full_document, file, run_problems)
         # One message for an error that all readings share.
-        lines = (_at_stations(line, len(taken)) for line in inside.lines)
+        lines = (_at_stations(line, len(existing_runs)) for line in run_problems.lines)
         problems.lines += dict.fromkeys(line.partition(' (run "')[0] for line in lines)
     poses: tuple[tuple[Reading, ...], ...] = ()
     if campaign is not None and campaign.triad is not None:
@@ -237,7 +241,7 @@ def read_reading_plan(
         # The number of poses decides the parameters of interest; here the minimum is enough.
         model = {"terms": list(campaign.model.terms), **table_of(raw, "model")}
         document = {**document, "model": model}
-    sought = resolve_goal(goal, campaign, problems) if goal and campaign else None
+    goal_result = resolve_goal(goal, campaign, problems) if goal and campaign else None
     if limits is not None and limits.readings is None and limits.total_time is None:
         problems.add(("limits",), "give readings or total_time", "missing-key")
     if limits is not None and limits.total_time is not None and not all(r.time for r in candidates):
@@ -252,14 +256,14 @@ def read_reading_plan(
             "this entry is missing; the records in [[runs]] require a sampling rate",
             "missing-key",
         )
-    if problems.lines or campaign is None or sought is None or limits is None:
+    if problems.lines or campaign is None or goal_result is None or limits is None:
         raise campaign_error(
             file, problems.lines or ["stations: missing; give at least one [[stations]]"]
         )
     return ReadingPlan(
         file.absolute(),
         document,
-        tuple(taken),
+        tuple(existing_runs),
         limits.sampling_rate,
         campaign,
         tuple(candidates),
@@ -267,7 +271,7 @@ def read_reading_plan(
         float(limits.readings or math.inf),
         limits.total_time or math.inf,
         limits.order,
-        sought,
+        goal_result,
     )
 
 
@@ -276,19 +280,19 @@ def _add_poses(
 ) -> tuple[Campaign, tuple[tuple[Reading, ...], ...]]:
     """Return a template campaign with the values of possible poses; and those taken already."""
     assert campaign.triad is not None
-    planned = {reading.name: reading for reading in candidates}
-    pointed = _simulate_poses(campaign, planned)
-    existing = tuple(pose for pose in campaign.triad.poses if pose[0].name not in planned)
+    planned_readings = {reading.name: reading for reading in candidates}
+    planned_poses = _simulate_poses(campaign, planned_readings)
+    existing = tuple(pose for pose in campaign.triad.poses if pose[0].name not in planned_readings)
     complete = add_pose_noise(replace(campaign, triad=replace(campaign.triad, poses=existing)))
     assert complete.triad is not None
-    triad = replace(complete.triad, poses=(*complete.triad.poses, *pointed))
+    triad = replace(complete.triad, poses=(*complete.triad.poses, *planned_poses))
     return replace(campaign, triad=triad), complete.triad.poses
 
 
-def _at_stations(line: str, taken: int) -> str:
+def _at_stations(line: str, run_count: int) -> str:
     """Return a mistake of a run that stands for a station as one of the stations."""
     match = re.match(r"runs\[(\d+)\]", line)
-    if match is None or int(match[1]) < taken:
+    if match is None or int(match[1]) < run_count:
         return line
     return f"stations{line[match.end() :]}"
 
@@ -302,10 +306,10 @@ def _candidate_readings(
     problems: Problems,
 ) -> list[PossibleReading]:
     """Return the readings that an entry of [[stations]] stands for."""
-    sizes = settings.u if isinstance(settings.u, dict) else dict.fromkeys(names, settings.u)
-    values = {name: f"{BLANK} ± {u}" for name, u in sizes.items()}
-    shared: dict[str, Any] = {"motion": settings.motion}
-    shared |= {key: entry[key] for key in ("attitude", "axes", "mounting") if key in entry}
+    u_values = settings.u if isinstance(settings.u, dict) else dict.fromkeys(names, settings.u)
+    values = {name: f"{BLANK} ± {u}" for name, u in u_values.items()}
+    shared_keys: dict[str, Any] = {"motion": settings.motion}
+    shared_keys |= {key: entry[key] for key in ("attitude", "axes", "mounting") if key in entry}
     reading: Any = next(iter(values.values())) if len(values) == 1 else values
     before = len(problems.lines)
     static = settings.motion == "static"
@@ -325,29 +329,29 @@ def _candidate_readings(
             )
         if len(problems.lines) == before:
             if "triad" in raw:
-                return _poses(settings, {**shared, "reading": reading}, names, path, problems)
+                return _poses(settings, {**shared_keys, "reading": reading}, names, path, problems)
             problems.add((*path, "attitude"), 'is "unknown", which needs [triad]', "missing-key")
         return []
     if len(problems.lines) > before:
         return []
-    made = _attitudes(settings) if static else _rates(settings, raw)
+    entries = _attitudes(settings) if static else _rates(settings, raw)
     return [
         PossibleReading(
             {
                 "name": " ".join(filter(None, (settings.name, name))),
-                **shared,
+                **shared_keys,
                 **entry_keys,
                 "reading": reading,
             },
             settings.time,
         )
-        for name, entry_keys in made
+        for name, entry_keys in entries
     ]
 
 
 def _poses(
     settings: StationsSettings,
-    shared: Mapping[str, Any],
+    shared_keys: Mapping[str, Any],
     names: Sequence[str],
     path: KeyPath,
     problems: Problems,
@@ -356,33 +360,33 @@ def _poses(
     ups = every_up(names)
     if settings.up is not None:
         read = [
-            problems.collect((*path, "up", place), _up, words, names)
-            for place, words in enumerate(settings.up)
+            problems.collect((*path, "up", index), _up, words, names)
+            for index, words in enumerate(settings.up)
         ]
         ups = [up for up in read if up is not None]
-    made = []
+    candidates = []
     for up in ups:
-        run = {"name": " ".join(filter(None, (settings.name, words_of_up(up)))), **shared}
-        made.append(PossibleReading(run, settings.time, up))
-    return made
+        run = {"name": " ".join(filter(None, (settings.name, words_of_up(up)))), **shared_keys}
+        candidates.append(PossibleReading(run, settings.time, up))
+    return candidates
 
 
 def _up(text: str, names: Sequence[str]) -> dict[str, float]:
     """Return accelerometer -> 1 or -1 of words such as "X - Y"."""
     up, sign = {}, 1.0
-    for part in re.findall(r"[+-]|[^\s+-]\S*", text):
-        if part in "+-":
-            sign = -1.0 if part == "-" else 1.0
-        elif part in up:
-            raise InputError(f'"{part}" is listed twice', "duplicate-entry")
-        elif part not in names:
-            suggestion = suggest_name(part, names)
+    for token in re.findall(r"[+-]|[^\s+-]\S*", text):
+        if token in "+-":
+            sign = -1.0 if token == "-" else 1.0
+        elif token in up:
+            raise InputError(f'"{token}" is listed twice', "duplicate-entry")
+        elif token not in names:
+            suggestion = suggest_name(token, names)
             raise InputError(
-                f'"{part}" is not an accelerometer of the triad{suggestion}',
+                f'"{token}" is not an accelerometer of the triad{suggestion}',
                 "unknown-accelerometer",
             )
         else:
-            up[part], sign = sign, 1.0
+            up[token], sign = sign, 1.0
     if not up:
         raise InputError("does not name an accelerometer", "unknown-accelerometer")
     return up
@@ -392,8 +396,8 @@ def _attitudes(settings: StationsSettings) -> Iterator[tuple[str, dict[str, Any]
     """Yield name and attitude of every position at rest."""
     head = f" ± {settings.u_angle!r} rad" if settings.u_angle else ""
     if settings.positions is not None:
-        for place in range(settings.positions):
-            angle = 360.0 * place / settings.positions
+        for position in range(settings.positions):
+            angle = 360.0 * position / settings.positions
             turn = f"{math.radians(angle)!r}{head}" if head else f"{angle!r} deg"
             yield f"{angle:.6g} deg", {"attitude": f"{turn} about {settings.about}"}
     elif settings.attitudes is not None:
@@ -409,9 +413,9 @@ def _rates(
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield name and rate of every reading that turns."""
     signs = (1.0, -1.0) if settings.senses == "both" else (1.0,)
-    named: list[tuple[str, float]] = [(f"{w:.6g} rad/s", w) for w in settings.rates or ()]
-    named += [(f"{force:.6g} g", math.nan) for force in settings.specific_forces or ()]
-    for index, (words, rate) in enumerate(named):
+    named_rates: list[tuple[str, float]] = [(f"{w:.6g} rad/s", w) for w in settings.rates or ()]
+    named_rates += [(f"{force:.6g} g", math.nan) for force in settings.specific_forces or ()]
+    for index, (words, rate) in enumerate(named_rates):
         size = rate
         if settings.specific_forces:
             size = _rate_for(settings.specific_forces[index], raw)

@@ -180,12 +180,12 @@ class TermWeights:
     def at(self, weights: Array, run_types: npt.NDArray[np.intp], rate: Array, order: int) -> Array:
         """Return the weights at rates, shape (n, b, columns), integrated over time."""
         low, high = self.rates
-        place = (2.0 * rate - low - high) / (high - low)
-        vander = chebyshev.chebvander(place, _RATE_NODES - 1) / rate[:, None] ** (1 + order)
+        position = (2.0 * rate - low - high) / (high - low)
+        vander = chebyshev.chebvander(position, _RATE_NODES - 1) / rate[:, None] ** (1 + order)
         result = np.empty((len(rate), *weights.shape[2:]))
         for run_type in np.unique(run_types):
-            which = run_types == run_type
-            result[which] = np.tensordot(vander[which], weights[run_type], axes=1)
+            is_type = run_types == run_type
+            result[is_type] = np.tensordot(vander[is_type], weights[run_type], axes=1)
         return result
 
     @property
@@ -203,18 +203,18 @@ class TermWeights:
         """
         points = 24 * (_HARMONICS[-1] + 1)
         angle: Array = np.arange(3.0 * points) * (2.0 * math.pi / points)
-        model, shown = self.setup.model, []
+        model, forces = self.setup.model, []
         for rate in self._nodes:
-            prepared = self._columns(instrument, attitude, sense * rate, angle / rate)
-            keys = [key_of(model.unknowns[i]) for i in prepared.unknowns]
-            keys += [key_of(model.considered[i]) for i in prepared.considered]
-            columns = [prepared.design, prepared.fixed]
-            for owner, symbol in keys[: len(prepared.unknowns)]:
+            block = self._columns(instrument, attitude, sense * rate, angle / rate)
+            keys = [key_of(model.unknowns[i]) for i in block.unknowns]
+            keys += [key_of(model.considered[i]) for i in block.considered]
+            columns = [block.design, block.fixed]
+            for owner, symbol in keys[: len(block.unknowns)]:
                 if condition_of(symbol) == "time":
                     keys.append((owner, symbol + A_SECOND))
-                    columns.append(prepared.series.columns([coefficient_of(symbol)], 1.0))
-            shown.append(np.hstack(columns))
-        return keys, np.array(shown)
+                    columns.append(block.series.columns([coefficient_of(symbol)], 1.0))
+            forces.append(np.hstack(columns))
+        return keys, np.array(forces)
 
     def _suffice(
         self, harmonics: int, instrument: PlannedInstrument, keys: list[Key], forces: Array
@@ -223,12 +223,14 @@ class TermWeights:
 
         forces: Of the terms, as of `_forces`.
         """
-        residual, least = (_combination(forces, tried)[1] for tried in (harmonics, _HARMONICS[-1]))
+        residual, min_residual = (
+            _combination(forces, order)[1] for order in (harmonics, _HARMONICS[-1])
+        )
         # Integration divides the remainder after the first harmonics by at least their number.
-        of_kink = _RESIDUAL_OF_KINK * (harmonics + 1.0) ** instrument.order
-        kinked = [_has_kink(symbol.removesuffix(A_SECOND)) for _, symbol in keys]
-        allowed = np.where(kinked, of_kink, np.maximum(_RESIDUAL, 1.1 * least))
-        return bool(np.all(residual < allowed))
+        kink_residual = _RESIDUAL_OF_KINK * (harmonics + 1.0) ** instrument.order
+        is_kinked = [_has_kink(symbol.removesuffix(A_SECOND)) for _, symbol in keys]
+        limit = np.where(is_kinked, kink_residual, np.maximum(_RESIDUAL, 1.1 * min_residual))
+        return bool(np.all(residual < limit))
 
     def _weights_of(
         self, instrument: PlannedInstrument, keys: list[Key], forces: Array
@@ -252,17 +254,17 @@ class TermWeights:
     ) -> DesignBlock:
         """Return the columns of the specific force, before any integration."""
         setup = self.setup
-        forced = replace(instrument, observable="specific_force")
-        series = self.series(forced, attitude, rate, times)
+        force_instrument = replace(instrument, observable="specific_force")
+        series = self.series(force_instrument, attitude, rate, times)
         factors = {name: setup.scale_factors[name] for name in [instrument.name]}
-        (prepared,) = build_design_blocks([series], setup.model, factors, setup.estimate)
-        unknowns = [setup.model.unknowns[i].symbol for i in prepared.unknowns]
-        considered = [setup.model.considered[i].symbol for i in prepared.considered]
-        for symbols, columns in ((unknowns, prepared.design), (considered, prepared.fixed)):
+        (block,) = build_design_blocks([series], setup.model, factors, setup.estimate)
+        unknowns = [setup.model.unknowns[i].symbol for i in block.unknowns]
+        considered = [setup.model.considered[i].symbol for i in block.considered]
+        for symbols, columns in ((unknowns, block.design), (considered, block.fixed)):
             if CLOCK in symbols and instrument.order > 0:
                 column = columns[:, symbols.index(CLOCK)]
-                column[:] = self._by_clock(prepared, column, instrument.order)
-        return prepared
+                column[:] = self._by_clock(block, column, instrument.order)
+        return block
 
     def series(
         self, instrument: PlannedInstrument, attitude: str, rate: float, times: Array
@@ -288,17 +290,17 @@ class TermWeights:
             error=np.zeros_like(times),
         )
 
-    def _by_clock(self, prepared: DesignBlock, column: Array, order: int) -> Array:
+    def _by_clock(self, block: DesignBlock, column: Array, order: int) -> Array:
         """Return the `order`-th derivative of a fast clock's effect on a record, from the force.
 
         The clock reduces a force at true times by its own size for each integration.
         A circle is passed at the same angles: nothing of it shows in displacement, its
         acceleration in velocity.
         """
-        series, model = prepared.series, self.setup.model
-        requested = [k for k, i in enumerate(prepared.unknowns) if model.unknowns[i].is_of_interest]
-        values = self.setup.estimate[[prepared.unknowns[k] for k in requested]]
-        errors = prepared.design[:, requested] @ values
+        series, model = block.series, self.setup.model
+        requested = [k for k, i in enumerate(block.unknowns) if model.unknowns[i].is_of_interest]
+        values = self.setup.estimate[[block.unknowns[k] for k in requested]]
+        errors = block.design[:, requested] @ values
         change = series.rescale_clock(_CLOCK_STEP).reference() - series.reference()
         shown: Array = column - change / _CLOCK_STEP - order * errors
         if order == 1:
@@ -318,8 +320,8 @@ def _combination(columns: Array, harmonics: int) -> tuple[Array, Array]:
     points = columns.shape[-2] // 3
     angle: Array = np.arange(3.0 * points) * (2.0 * math.pi / points)
     shapes = basis_functions(angle, harmonics)
-    periodic = [0, *(place for m in range(1, harmonics + 1) for place in (4 * m, 4 * m + 1))]
-    growing = [1, *(place for m in range(1, harmonics + 1) for place in (4 * m + 2, 4 * m + 3))]
+    periodic = [0, *(index for m in range(1, harmonics + 1) for index in (4 * m, 4 * m + 1))]
+    growing = [1, *(index for m in range(1, harmonics + 1) for index in (4 * m + 2, 4 * m + 3))]
     project = 2.0 / points * shapes[:points, periodic].T
     project[0] *= 0.5
     first, second = columns[..., :points, :], columns[..., points : 2 * points, :]
