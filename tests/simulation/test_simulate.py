@@ -233,7 +233,7 @@ def test_existing_record_requires_overwrite(tmp_path):
     there = {"middle.csv": b"an earlier one", "campaign.toml": b"[truth.Qx]"}
     for name, content in there.items():
         write_description(tmp_path / "made", content.decode(), name)
-    with pytest.raises(CounterspinError, match=r"middle\.csv exists; .*`overwrite=True`"):
+    with pytest.raises(CounterspinError, match=r"middle\.csv already exists; .*`overwrite=True`"):
         simulate(path, tmp_path / "made")
     assert file_contents(tmp_path / "made") == there
     simulate(path, tmp_path / "made", overwrite=True)
