@@ -92,7 +92,7 @@ ROWS = {
         ),
         ("allows a settling time of {} s", float(PLAN["limits"]["settling"].split()[0])),
         ("for each of at most {} runs", PLAN["limits"]["runs"]),
-        ("affects K_II {} times less", 2.0**4),
+        ("on K_II is therefore smaller by a factor of {}", 2.0**4),
         ("higher harmonics ({} arcsec)", MOTION["encoder.harmonic.3.cos"].typical / ARCSEC),
         ("imbalance ({} µm)", 1e6 * MOTION["centrifuge.imbalance.1.cos"].typical),
         ("stretch of the arm ({} per m/s²)", MOTION["centrifuge.stretch"].typical),
@@ -155,7 +155,7 @@ ROWS = {
             signers._CURVE_BITS,
         ),
     ],
-    "compare": [("they agree within {} or", rerun.LIMIT)],
+    "compare": [("two results agree to within {}", rerun.LIMIT)],
     "monitoring": [
         ("from the nominal rate by more than {} %", 100.0 * assembly.MAX_RATE_DEVIATION),
         ("shorter than {} of the stated duration", assembly.COMPLETE_FRACTION),
