@@ -143,7 +143,7 @@ def _refuse_constant(word: str) -> None:
     raise ValueError(f"{word} is not a valid number in JSON")
 
 
-def looks_like(content: bytes) -> str:
+def detect_file_type(content: bytes) -> str:
     """Return the apparent type of a file, for a message; empty if it is unknown."""
     text = content[:1000].removeprefix(b"\xef\xbb\xbf").lstrip()
     if not text:

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError,
 from pydantic_core import PydanticSerializationError
 
 from counterspin.errors import DamagedFileError, RecordError, describe_read_error, read_error_code
-from counterspin.input import looks_like, parse_json, path_of, read_file
+from counterspin.input import detect_file_type, parse_json, path_of, read_file
 from counterspin.loading import load_name
 
 if TYPE_CHECKING:
@@ -201,7 +201,7 @@ class ResultFile(ResultPart):
         except ValueError as error:
             reason = str(error)
             if content.lstrip()[:1] not in (b"{", b"["):
-                reason = f"this is {looks_like(content) or 'not JSON'}"
+                reason = f"this is {detect_file_type(content) or 'not JSON'}"
             raise DamagedFileError(
                 f"{path}: not a {cls.KIND} file, or damaged ({reason}); {wanted}, or write the "
                 "file again"

@@ -21,7 +21,7 @@ from counterspin.errors import (
     read_error_code,
 )
 from counterspin.frozen import frozen
-from counterspin.input import looks_like, path_of, read_file
+from counterspin.input import detect_file_type, path_of, read_file
 from counterspin.toml_text import NestingError, parse_toml, write_document
 
 #: What to do where no campaign is.
@@ -158,7 +158,7 @@ def load_with_checksum(
 
 def _describe_other_file(file: Path, content: bytes) -> str:
     """Return the type of a file that is not TOML; empty text if it may be TOML."""
-    file_type = looks_like(content)
+    file_type = detect_file_type(content)
     if file_type or file.suffix.lower() == ".toml":
         return file_type
     from counterspin.records.format_registry import RECORD_FORMATS

@@ -16,7 +16,7 @@ from lxml import etree
 
 from counterspin.characters import escape_controls
 from counterspin.errors import CounterspinError, DamagedFileError, RecordError
-from counterspin.input import looks_like
+from counterspin.input import detect_file_type
 
 DCC: Final = "https://ptb.de/dcc"
 SI: Final = "https://ptb.de/si"
@@ -75,7 +75,7 @@ def parse(document: bytes, source: str, *, comments: bool = False) -> Any:
     try:
         root = etree.fromstring(document, parser(remove_comments=not comments))
     except etree.LxmlError as error:
-        seen = "" if document.lstrip()[:1] == b"<" else looks_like(document) or "other text"
+        seen = "" if document.lstrip()[:1] == b"<" else detect_file_type(document) or "other text"
         reason = f"it is {seen}" if seen else str(error)
         raise DamagedFileError(
             f"{source} is not XML, or is damaged ({reason}); give the XML or PDF of a certificate"

@@ -90,7 +90,7 @@ class _ReaderProcess:
                     process = self._started(suffix)
                     if process is None:
                         return None
-                    reply, in_time = self._exchange_in_time(process, message, path)
+                    reply, in_time = self._exchange_with_timeout(process, message, path)
                     if not in_time:
                         self._kill()
                     if reply is not None:
@@ -133,7 +133,7 @@ class _ReaderProcess:
             self._startable = False
         return self._process
 
-    def _exchange_in_time(
+    def _exchange_with_timeout(
         self, process: subprocess.Popen[bytes], message: bytes, path: Path
     ) -> tuple[tuple[Any] | BaseException | None, bool]:
         """Return the answer, and whether it came before the process was ended for its time."""

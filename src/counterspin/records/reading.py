@@ -44,7 +44,7 @@ from counterspin.records.record import (
 from counterspin.records.reduction import BlockAverager, BlockMeans, block_size, main_segment
 from counterspin.records.run_file import RunFile, check_length, is_derived, pulse_angle
 from counterspin.records.sampling import MAX_REPEATED_TIMES, RepeatedValues
-from counterspin.records.several_sensors import refuse_several_sensors
+from counterspin.records.several_sensors import require_single_sensor
 from counterspin.records.signals import (
     HarmonicFit,
     SignalSums,
@@ -137,7 +137,7 @@ def open_record(
         for record_file in files:
             record_file.timestamp_columns = columns.timestamp_columns
             record_file.require(columns.file_columns)
-            refuse_several_sensors(record_file, columns.file_columns)
+            require_single_sensor(record_file, columns.file_columns)
         columns = columns.resolve_units(files[0])
         if len(files) == 1 and not is_derived(columns):
             yield files[0], columns, files

@@ -133,7 +133,7 @@ def _is_even(series: np.ndarray) -> bool:
     return is_rising and float(np.mean(is_usual)) > _MIN_EVEN_FRACTION
 
 
-def refuse_several_sensors(file: ColumnFile, wanted: Sequence[str]) -> None:
+def require_single_sensor(file: ColumnFile, wanted: Sequence[str]) -> None:
     """Raise RecordError if rows of several sensors alternate in a file and none is selected.
 
     wanted: Columns that are read; they are quantities.

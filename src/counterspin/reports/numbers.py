@@ -15,20 +15,20 @@ from counterspin.physics.terms import ARCSEC, DEGREE_PER_HOUR
 
 NOT_DETERMINED: Final = "not determined"
 
-_MICRO: Final = 1e6
+_MICRO_PER_UNIT: Final = 1e6
 
 #: Unit of a result -> display unit, and conversion factor.
 _FIELD_UNITS: Final = {
-    "g": ("ug", _MICRO),
-    "g/g^2": ("ug/g^2", _MICRO),
-    "g/g^3": ("ug/g^3", _MICRO),
-    "g/g^4": ("ug/g^4", _MICRO),
+    "g": ("ug", _MICRO_PER_UNIT),
+    "g/g^2": ("ug/g^2", _MICRO_PER_UNIT),
+    "g/g^3": ("ug/g^3", _MICRO_PER_UNIT),
+    "g/g^4": ("ug/g^4", _MICRO_PER_UNIT),
     "rad": ("arcsec", 1.0 / ARCSEC),
     "rad/g": ("arcsec/g", 1.0 / ARCSEC),
     "rad/s": ("deg/h", 1.0 / DEGREE_PER_HOUR),
     "rad/s/g": ("deg/h/g", 1.0 / DEGREE_PER_HOUR),
     "rad/s/g^2": ("deg/h/g^2", 1.0 / DEGREE_PER_HOUR),
-    "1/s": ("ppm/h", 3600.0 * _MICRO),
+    "1/s": ("ppm/h", 3600.0 * _MICRO_PER_UNIT),
 }
 
 #: Exponents written without a power of ten: from 0.001 to below a million.

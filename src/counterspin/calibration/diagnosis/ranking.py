@@ -79,21 +79,20 @@ def find_best(
         index = _best_index(tests, _PRIOR_KINDS)
         if not _is_significant(tests, index):
             return None
-    return _rank_rivals(tests, _prefer_outsized(tests, index), noise_known)
+    return _rank_rivals(tests, _prefer_too_large(tests, index), noise_known)
 
 
-def _prefer_outsized(tests: ScoreTests, index: int) -> int:
-    """Return the term larger than credible that explains more than the best one, or that one.
+def _prefer_too_large(tests: ScoreTests, index: int) -> int:
+    """Return the index of a term that is too large to be credible but fits better, or `index`.
 
-    It is asked only where the best credible one is more than chance, so that nothing is blamed in
-    more good campaigns.
+    The caller has found `index` significant, so this choice causes no further false alarms.
     """
-    scores = [score if _is_outsized(tests, i) else 0.0 for i, score in enumerate(tests.z.tolist())]
+    scores = [score if _is_too_large(tests, i) else 0.0 for i, score in enumerate(tests.z.tolist())]
     largest = int(np.argmax(scores))
     return largest if min_equal_gain(scores[largest] ** 2) > tests.z[index] ** 2 else index
 
 
-def _is_outsized(tests: ScoreTests, index: int) -> bool:
+def _is_too_large(tests: ScoreTests, index: int) -> bool:
     alternative = tests.alternatives[index]
     magnitude = abs(float(tests.value[index]))
     return (
@@ -141,7 +140,7 @@ def _rank_rivals(tests: ScoreTests, index: int, noise_known: bool) -> BestExplan
     equal = [
         k
         for k in range(len(alternatives))
-        if tests.z[k] ** 2 > min_gain and (_is_credible(tests, k) or _is_outsized(tests, k))
+        if tests.z[k] ** 2 > min_gain and (_is_credible(tests, k) or _is_too_large(tests, k))
     ]
     # Steps differ by where they are only: the best one stands for those of its record.
     equal = [k for k in equal if k == index or alternatives[k].kind not in _TIMED_KINDS] or [index]
@@ -159,7 +158,7 @@ def _rank_rivals(tests: ScoreTests, index: int, noise_known: bool) -> BestExplan
         weight, has_owner = round(-evidence, 6), bool(alternatives[k].owner)
         doubtful = alternatives[k].is_implausible(float(tests.value[k]))
         return (
-            _is_outsized(tests, k),
+            _is_too_large(tests, k),
             doubtful,
             alternatives[k].kind not in _FIRST_KINDS,
             weight,
@@ -176,7 +175,7 @@ def _rank_rivals(tests: ScoreTests, index: int, noise_known: bool) -> BestExplan
         tuple((alternatives[k], float(tests.value[k])) for k in rivals),
         _test_count(tests, leader),
         None if noise_known else tests.dof,
-        _is_outsized(tests, leader),
+        _is_too_large(tests, leader),
     )
 
 

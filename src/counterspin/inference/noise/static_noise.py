@@ -179,7 +179,7 @@ def split_segments(time: Array, values: Array) -> Segments:
     if kept.size < _MIN_SAMPLES:
         raise ValueError(f"{kept.size} samples are too few: {_MIN_SAMPLES} are required")
     relative_steps = np.diff(good_times) / step
-    cuts = np.flatnonzero(relative_steps > _max_missing(relative_steps) + 1.5) + 1
+    cuts = np.flatnonzero(relative_steps > _max_missing_rows(relative_steps) + 1.5) + 1
     parts: list[tuple[float, Array, Array]] = []
     unused = 0
     for own_time, segment_values in zip(
@@ -237,12 +237,12 @@ def split_segments(time: Array, values: Array) -> Segments:
     )
 
 
-def _max_missing(ahead: Array) -> int:
+def _max_missing_rows(relative_steps: Array) -> int:
     """Return the number of missing samples in a row beyond which a record is cut.
 
-    ahead: Steps of the clock from one sample to the next.
+    relative_steps: Steps of the clock from one sample to the next.
     """
-    near = ahead[ahead < _MAX_LOST + 1.5]
+    near = relative_steps[relative_steps < _MAX_LOST + 1.5]
     lost = 1.0 - near.size / max(float(np.round(near).sum()), 1.0)
     if not 0.0 < lost < _MAX_LOST_FRACTION:
         return _MAX_MISSING
