@@ -183,16 +183,16 @@ class SignalNoise(ResultPart):
     in_g: bool  #: Whether the column is in g, or in an output unit that is converted with gravity.
     rows: int  #: Number of rows in the record.
     sampling_rate: float  #: Sampling rate, Hz.
-    seconds: float  #: Duration of the used parts, s.
+    seconds: float  #: Duration of the parts used, s.
     outliers: int  #: Number of rejected samples.
-    filled: int  #: Number of missing samples in the used parts, including rejected outliers.
+    filled: int  #: Number of missing samples in the parts used, including rejected outliers.
     gaps: int  #: Number of gaps at which the record was split.
     #: Smallest difference between distinct samples, in SI units; null if no resolution was
     #: detected.
     resolution: float | None
-    #: Noise components by key of ``[noise]``: ``acceleration`` (N), ``flicker`` (B), ``bias_walk``
-    #: (K), and the white noise of the record, which is ``displacement``, ``velocity`` or, for a
-    #: specific force, ``quantisation`` (m/s).
+    #: Noise components with the keys of ``[noise]``: ``acceleration`` (N), ``flicker`` (B),
+    #: ``bias_walk`` (K), and the white noise of the record: ``displacement``, ``velocity`` or, for
+    #: a specific-force record, ``quantisation`` (m/s).
     components: dict[str, NoiseSize]
     drift: float  #: Linear drift of the bias, m/s^2 per second.
     u_drift: float  #: Standard uncertainty of the drift, calculated from the detected components.
