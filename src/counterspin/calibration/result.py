@@ -85,7 +85,7 @@ class Result(ReportableResult):
     state: State | None = None
     #: Findings on all accelerometers and on the campaign, most severe first.
     findings: list[Finding] = []
-    accepted_misfit: str | None = None  #: Reason for which a contradicted result was accepted.
+    accepted_misfit: str | None = None  #: Reason for accepting a contradicted result.
     title: str = ""  #: Title of the campaign.
     accelerometers: dict[str, AccelerometerResult]  #: Results of each accelerometer.
     platform: dict[str, Coefficient] = {}  #: Coefficients of the platform, common to all runs.
