@@ -102,10 +102,10 @@ def _prediction_chi2(
     terms = (*model.unknowns, *model.considered)
     prior_sds = np.array([term.prior_sd for term in terms])
     limits = np.array([term.limit for term in terms])
-    directions_seen, sizes, _ = np.linalg.svd(
+    directions_seen, singular_values, _ = np.linalg.svd(
         rows * np.minimum(prior_sds, limits), full_matrices=False
     )
-    directions_seen = directions_seen[:, sizes > _MIN_SINGULAR_VALUE]
+    directions_seen = directions_seen[:, singular_values > _MIN_SINGULAR_VALUE]
     # Only what the kind says of the unknowns; its own scatter has tests of its own.
     innovation = directions_seen.T @ (target - rows @ predicted.estimate)
     directions, prediction_sd, _ = np.linalg.svd(

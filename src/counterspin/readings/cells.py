@@ -107,33 +107,33 @@ class RateColumn:
     settings: RateSettings  #: The section.
     document: Mapping[str, Any]  #: In which it stands.
 
-    def read(self, number: float, u: float | None) -> tuple[float, float, str]:
+    def read(self, value: float, u: float | None) -> tuple[float, float, str]:
         """Return a rate, its standard uncertainty and their unit; ValueError if it is not a rate.
 
         u: Standard uncertainty of the number, in its unit; None: that of the section, if any.
         """
         if u is not None and u < 0.0:
             raise OutOfRangeError("a standard uncertainty cannot be negative")
-        rate, unit, power = self._exact(number)
+        rate, unit, power = self._exact(value)
         stated = self.settings.u_rate
         if u is None and stated is not None:
             return rate, exact(stated, "rad/s") / unit_factor(unit, "rad/s"), unit
-        return rate, abs(power * rate * (u or 0.0) / number), unit
+        return rate, abs(power * rate * (u or 0.0) / value), unit
 
-    def _exact(self, number: float) -> tuple[float, str, float]:
+    def _exact(self, value: float) -> tuple[float, str, float]:
         """Return a rate, its unit, and the exponent of the number in the rate."""
         unit = _REVOLUTIONS.get(self.settings.rate_unit, self.settings.rate_unit)
         if _converts(unit, "s"):
-            return 1.0 / (number * unit_factor(unit, "s")), "rev/s", -1.0
+            return 1.0 / (value * unit_factor(unit, "s")), "rev/s", -1.0
         gravity = self._gravity
         if not _converts(unit, "m/s^2", gravity=gravity):
             unit_factor(unit, "rad/s")
-            return number, unit, 1.0
-        if number < 0.0:
+            return value, unit, 1.0
+        if value < 0.0:
             raise OutOfRangeError(
                 "a centripetal acceleration must be positive; the mounting determines the sign"
             )
-        acceleration = number * unit_factor(unit, "m/s^2", gravity=gravity)
+        acceleration = value * unit_factor(unit, "m/s^2", gravity=gravity)
         radius = self._stated("centrifuge", "radius", "m")
         return math.sqrt(acceleration / radius), "rad/s", 0.5
 

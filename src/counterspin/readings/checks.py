@@ -242,18 +242,18 @@ def residual_group(group: FittedReadings, index: int) -> ResidualGroup:
 
     index: Index of the group among the observations of the fit.
     """
-    readings, estimated = group.readings, not group.has_external_noise
+    readings, is_estimated = group.readings, not group.has_external_noise
     outlying = tuple(sorted({index for outlier in group.outliers() for index in outlier.indices}))
     return ResidualGroup(
         readings,
         index,
         group.sigma,
-        group.linear.noise_share if estimated else np.ones(readings.size),
+        group.linear.noise_share if is_estimated else np.ones(readings.size),
         # The noise that is estimated is such that they are what is expected.
-        group.noise_dof if estimated else group.chi2,
-        group.noise_dof if estimated else group.residual_dof,
-        estimated,
-        float(readings.scatter.sum()) / group.noise**2 if estimated else 0.0,
+        group.noise_dof if is_estimated else group.chi2,
+        group.noise_dof if is_estimated else group.residual_dof,
+        is_estimated,
+        float(readings.scatter.sum()) / group.noise**2 if is_estimated else 0.0,
         outlying if len(outlying) <= _max_single_outliers(group) else (),
     )
 
@@ -263,7 +263,7 @@ def _pattern_finding(
 ) -> Finding:
     """Return the finding that residuals follow something, the best explanation first."""
     first = pattern.alternatives[0]
-    size = equivalent_deviations(pattern.p)
+    deviations = equivalent_deviations(pattern.p)
     text = f"The residuals of the {group.label} {pattern_clause(first)} (p = {pattern.p:.2g})."
     terms = [alternative.symbol for alternative in pattern.alternatives if alternative.kind == TERM]
     if first.kind == TERM:
@@ -287,8 +287,9 @@ def _pattern_finding(
         code="lack-of-fit",
         subject=name,
         text=text,
-        size=size,
-        contradicts=size > CONTRADICTION_SIGMAS or (general is not None and general.contradicts),
+        size=deviations,
+        contradicts=deviations > CONTRADICTION_SIGMAS
+        or (general is not None and general.contradicts),
     )
 
 
@@ -328,23 +329,25 @@ def outlier_findings(name: str, group: FittedReadings) -> list[Finding]:
     outliers = group.outliers()
     if _count_positions(outliers) <= _max_single_outliers(group):
         return [_outlier_finding(group, name, outlier) for outlier in outliers]
-    worst = _outlier_finding(group, name, max(outliers, key=lambda outlier: abs(outlier.z)))
+    largest_finding = _outlier_finding(
+        group, name, max(outliers, key=lambda outlier: abs(outlier.z))
+    )
     text = (
         f"{_count_readings(outliers)} of {group.readings.size} {group.label} deviate from the "
         "model. This many deviations suggest an error in the model rather than in individual "
-        f"readings. {worst.text}"
+        f"readings. {largest_finding.text}"
     )
-    return [worst.model_copy(update={"text": text})]
+    return [largest_finding.model_copy(update={"text": text})]
 
 
-def _merge_outliers(finding: Finding, group: FittedReadings, worst: Finding) -> Finding:
+def _merge_outliers(finding: Finding, group: FittedReadings, outlier: Finding) -> Finding:
     """Return a misfit of known shape with the many positions that it puts off the model."""
     count = _count_readings(group.outliers())
     count_text = f"{count} of {group.readings.size} {group.label} deviate from the model."
     changes = {
         "text": f"{finding.text} {count_text}",
-        "size": max(finding.size or 0.0, worst.size or 0.0),
-        "contradicts": finding.contradicts or worst.contradicts,
+        "size": max(finding.size or 0.0, outlier.size or 0.0),
+        "contradicts": finding.contradicts or outlier.contradicts,
     }
     return finding.model_copy(update=changes)
 

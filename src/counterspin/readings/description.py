@@ -103,10 +103,10 @@ def _with_common_records(
     stated = raw.get("records")
     if not isinstance(stated, Mapping):
         return raw
-    known = Dialect.__dataclass_fields__
+    known_keys = Dialect.__dataclass_fields__
     for key in stated:
-        if key not in known:
-            problem = f"cannot be set for a record of poses; known: {', '.join(known)}"
+        if key not in known_keys:
+            problem = f"cannot be set for a record of poses; known: {', '.join(known_keys)}"
             problems.add((*path, "records", key), problem)
     return {**raw, "records": merge_patch(section, stated)}
 

@@ -144,8 +144,8 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
     )
     for is_wrong, message, keys in rows:
         if is_wrong:
-            key, *related = keys.split(" ")
-            yield ((key,) if key else ()), message, *related
+            key, *related_keys = keys.split(" ")
+            yield ((key,) if key else ()), message, *related_keys
 
 
 def collect_readings(
@@ -159,8 +159,8 @@ def collect_readings(
         if any(math.isnan(reading.value) for reading in run_readings):
             blank_paths.append((*path, "reading"))
     if blank_paths and turns is None:
-        others = len(blank_paths) - 1
-        others_text = f", and neither have {others} others" if others else ""
+        other_count = len(blank_paths) - 1
+        others_text = f", and neither have {other_count} others" if other_count else ""
         message = f"has no value yet{others_text}; enter the reading, or [truth] to simulate it"
         problems.add(blank_paths[0], message, "missing-value")
     return tuple(readings)
@@ -192,9 +192,9 @@ def resolve_readings(
     for index, pattern in enumerate(patterns):
         similar.setdefault(pattern, []).append(index)
     similar.pop(None, None)
-    converted: dict[int, Sequence[Reading]] = {}
+    converted_readings: dict[int, Sequence[Reading]] = {}
     for index, (raw, path) in enumerate(runs):
-        readings = converted.pop(index, None)
+        readings = converted_readings.pop(index, None)
         if readings is None:
             readings = _resolve_run(raw, path, mountings, outputs, folder, problems, gravity)
             members = similar.pop(patterns[index], []) if readings else []
@@ -203,7 +203,11 @@ def resolve_readings(
                 rows = [runs[member][0] for member in members]
                 columns = convert_rows(rows, readings, mountings, outputs, gravity)
                 pairs = zip(members, columns, strict=True)
-                converted |= {member: made for member, made in pairs if made is not None}
+                converted_readings |= {
+                    member: member_readings
+                    for member, member_readings in pairs
+                    if member_readings is not None
+                }
         yield path, [_with_duration(reading, turns) for reading in readings]
 
 
@@ -313,7 +317,7 @@ def number_positions(readings: Sequence[Reading], setting: Quantity | None) -> t
     keys = dict.fromkeys(
         reading.position for reading in readings if setting and reading.motion == "static"
     )
-    numbers = {key: str(number) for number, key in enumerate(keys, start=1)}
+    numbers = {key: str(index) for index, key in enumerate(keys, start=1)}
     return tuple(
         copy_with(reading, {"position": numbers.get(reading.position, "")}) for reading in readings
     )

@@ -74,14 +74,16 @@ def solve_readings(
 
     model: What is estimated and considered. Of the inputs radius, gravity and latitude count here.
     """
-    first = None
+    first_fit = None
     for group in readings:
         if candidates := group.default_candidates(model):
-            first = _solve_or_constrain(readings, model.with_default_priors(candidates), records)
-            undetermined = group.undetermined(first.fit, model, candidates)
-            model = model.with_default_priors(undetermined)
+            first_fit = _solve_or_constrain(
+                readings, model.with_default_priors(candidates), records
+            )
+            undetermined_terms = group.undetermined(first_fit.fit, model, candidates)
+            model = model.with_default_priors(undetermined_terms)
             break
-    solved = _solve_or_constrain(readings, model, records, first)
+    solved = _solve_or_constrain(readings, model, records, first_fit)
     return replace(solved, groups=tuple(group.evaluate(solved.fit) for group in solved.groups))
 
 

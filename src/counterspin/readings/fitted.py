@@ -169,21 +169,21 @@ class FittedReadings:
         """
         if self.noise_dof < MIN_DOF:
             return []
-        tested = [*self.positions, *self.single]
-        z, level = [item.studentized for item in tested], _SINGLE_LEVEL / len(tested)
+        tested_sets = [*self.positions, *self.single]
+        z, level = [item.studentized for item in tested_sets], _SINGLE_LEVEL / len(tested_sets)
         outliers: list[OutlyingReadings] = []
-        reported: dict[int, float] = {}
+        z_by_index: dict[int, float] = {}
         # The tails of the distributions of the tests are not below those of the normal one.
         for i in np.flatnonzero(np.abs(z) > -normal_quantile(0.5 * level)).tolist():
-            if tested[i].p >= level:
+            if tested_sets[i].p >= level:
                 continue
-            indices, size = tested[i].indices, abs(z[i])
+            indices, size = tested_sets[i].indices, abs(z[i])
             # A reading is named beside its position only where it alone is the worse.
-            if any(size <= reported.get(index, 0.0) for index in indices):
+            if any(size <= z_by_index.get(index, 0.0) for index in indices):
                 continue
-            reported |= dict.fromkeys(indices, size)
+            z_by_index |= dict.fromkeys(indices, size)
             names = ", ".join(dict.fromkeys(self.readings.names[index] for index in indices))
-            outliers.append(OutlyingReadings(tuple(indices), names, tested[i].residual, z[i]))
+            outliers.append(OutlyingReadings(tuple(indices), names, tested_sets[i].residual, z[i]))
         return outliers
 
     @property
@@ -269,8 +269,8 @@ class _CombinedResiduals:
 
     def dot(self, vector: Array) -> Array:
         """Return r . vector, shape (k,); vector: shape (n,)."""
-        total = self._sets.sum(self._s * vector[self._sets.readings])
-        return np.asarray(total - self._projection @ (self._rows.T @ vector))
+        sums = self._sets.sum(self._s * vector[self._sets.readings])
+        return np.asarray(sums - self._projection @ (self._rows.T @ vector))
 
     @property
     def variance(self) -> Array:
@@ -280,9 +280,9 @@ class _CombinedResiduals:
 
     def squares(self, weights: Array) -> Array:
         """Return the sums of weights r^2, shape (k,); weights: shape (n,)."""
-        total = self._sets.sum(weights[self._sets.readings] * self._s**2)
+        sums = self._sets.sum(weights[self._sets.readings] * self._s**2)
         rows = self._weighted_rows(weights) + self._residual_rows(weights)
-        return np.asarray(np.maximum(total - np.sum(rows * self._projection, axis=1), 0.0))
+        return np.asarray(np.maximum(sums - np.sum(rows * self._projection, axis=1), 0.0))
 
     def _residual_rows(self, weights: Array) -> Array:
         """Return rows' (weights r), shape (k, q)."""
@@ -319,8 +319,8 @@ def evaluate_positions(
     shifts = members.sum(weights[:, None] * sensitivity)
     variance = r.variance + np.sum(shifts**2, axis=1)
     residual = members.sum(weights * part.residuals(solution, model)[members.readings])
-    undetermined = variance <= _LEAST_VARIANCE * members.sum(combined**2)
-    variance[undetermined] = 1.0
+    is_undetermined = variance <= _LEAST_VARIANCE * members.sum(combined**2)
+    variance[is_undetermined] = 1.0
     z = residual / np.sqrt(variance)
     studentized, share, dof = z, np.zeros(len(sets)), np.full(len(sets), math.inf)
     if noise is not None:
@@ -329,7 +329,7 @@ def evaluate_positions(
         scale, dof = _deleted_noise(*noise, members, combined)
         ratio = 1.0 - fraction + fraction * scale
         studentized, share = z / np.sqrt(ratio), fraction * scale / ratio
-    z[undetermined] = studentized[undetermined] = math.nan
+    z[is_undetermined] = studentized[is_undetermined] = math.nan
     columns = (column.tolist() for column in (residual, z, studentized, share, dof))
     return [Position(tuple(s), *row) for s, *row in zip(sets, *columns, strict=True)]
 
@@ -352,8 +352,8 @@ def _deleted_noise(
     total_dof = part.noise_dof(solution) + repeat_dof
     # The noise is such that the squares of residuals and repeats are what is expected.
     total_squares = float(share @ (1.0 - part.leverages(solution))) + repeat_dof
-    undetermined = variance <= _LEAST_VARIANCE * sets.sum(combined**2)
-    variance[undetermined] = 1.0
+    is_undetermined = variance <= _LEAST_VARIANCE * sets.sum(combined**2)
+    variance[is_undetermined] = 1.0
     removed = sets.sum(combined * residual[sets.readings]) / variance
     removed_squares = r.squares(share)
     removed_dof = removed_squares / variance
@@ -363,6 +363,6 @@ def _deleted_noise(
     )
     dof = total_dof - 2.0 * r.weighted_variance(share) / variance + removed_dof**2
     return (
-        np.where(undetermined, 1.0, scale),
-        np.where(undetermined, total_dof, np.maximum(dof, 1.0)),
+        np.where(is_undetermined, 1.0, scale),
+        np.where(is_undetermined, total_dof, np.maximum(dof, 1.0)),
     )

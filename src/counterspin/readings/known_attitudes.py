@@ -117,10 +117,10 @@ class Readings:
 
     def perturb(self, stations: Stations, symbol: str, size: float) -> Stations:
         """Return the readings' stations, moved already, with one more of the machine's terms."""
-        sizes = size * self.acts_mask(symbol)
+        steps = size * self.acts_mask(symbol)
         return (
-            stations.perturb(symbol, sizes, self.head, self.head_angles)
-            if sizes.any()
+            stations.perturb(symbol, steps, self.head, self.head_angles)
+            if steps.any()
             else stations
         )
 
@@ -332,8 +332,8 @@ def linearize(
             )
             shift[affected] += curvature_term
             unseen[affected] += np.bincount(owner_index)[owner_index] * 2.0 * curvature_term**2
-    indicated = np.sum(point.products * point.effective, axis=1)
-    offset = indicated - columns @ at
+    indications = np.sum(point.products * point.effective, axis=1)
+    offset = indications - columns @ at
     # Derivatives by inputs are taken at what is stated of them, and not at the estimate.
     replaced = [s for i, s in symbols.items() if s in machine and not unknowns[i].has_default_prior]
     steps = {**INPUT_STEPS, **dict.fromkeys(group.clocks, _RATE_STEP)}
@@ -341,10 +341,10 @@ def linearize(
         if name in steps:
             step = steps[name]
             ahead, behind = (with_input(group, name, s, replaced) for s in (step, -step))
-            both = ahead.products(machine), behind.products(machine)
-            columns[:, index] = point.slope(*both, step)
+            sides = ahead.products(machine), behind.products(machine)
+            columns[:, index] = point.slope(*sides, step)
         if name == "site.gravity":
-            columns[:, index] += group.in_si * indicated / group.site.gravity
+            columns[:, index] += group.in_si * indications / group.site.gravity
     linear = LinearReadings.from_columns(
         group,
         model,
@@ -396,11 +396,11 @@ class _OperatingPoint:
         ahead, behind = (
             mean_products(
                 stations.perturb(
-                    symbol, np.full(rows.size, size), group.head[rows], group.head_angles[rows]
+                    symbol, np.full(rows.size, change), group.head[rows], group.head_angles[rows]
                 ),
                 group.site,
             )
-            for size in (step, -step)
+            for change in (step, -step)
         )
         return ahead, behind
 
@@ -452,8 +452,8 @@ def with_input(group: Readings, name: str, change: float, replaced: Collection[s
     if name == "site.latitude":
         return replace(group, site=replace(group.site, latitude=group.site.latitude + change))
     if name in group.clocks:
-        timed = np.array([clock == name for clock in group.clocks])
-        return group.with_setting_errors(change * timed)
+        is_timed = np.array([clock == name for clock in group.clocks])
+        return group.with_setting_errors(change * is_timed)
     if name != "centrifuge.radius":
         return group
     radius_owned = np.zeros(group.size)

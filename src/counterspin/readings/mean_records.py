@@ -65,9 +65,9 @@ def average_records(campaign: Campaign) -> tuple[list[Reading], MeanRecords]:
             continue
         averaged = average_record(campaign, reading)
         digest = averaged.mean.digest
-        earlier = first_readings.setdefault(digest, reading) if digest else reading
-        if earlier.name != reading.name:
-            raise duplicate_record_error(campaign, earlier, reading)
+        first_reading = first_readings.setdefault(digest, reading) if digest else reading
+        if first_reading.name != reading.name:
+            raise duplicate_record_error(campaign, first_reading, reading)
         readings.append(averaged.reading)
         means[reading.accelerometer, reading.name] = averaged.mean
         if averaged.reading.measured is not None:

@@ -165,8 +165,8 @@ def _fit_offset(y: Array, rotation: RowRotation) -> tuple[float, Array]:
     for n in range(1, highest + 1) if rotation.turns else ():
         waves += [np.cos(n * angle), np.sin(n * angle)]
     design = np.column_stack(waves)
-    fitted = np.linalg.lstsq(design, y, rcond=None)[0]
-    return float(fitted[0]), y - design @ fitted
+    coefficients = np.linalg.lstsq(design, y, rcond=None)[0]
+    return float(coefficients[0]), y - design @ coefficients
 
 
 def _burst_mask(t: Array, y: Array, rotation: RowRotation) -> np.ndarray:
@@ -176,10 +176,10 @@ def _burst_mask(t: Array, y: Array, rotation: RowRotation) -> np.ndarray:
     if count < MIN_SAMPLES:
         return mask
     edges = np.linspace(0, y.size, count + 1).astype(int)
-    sizes = np.diff(edges)
+    lengths = np.diff(edges)
     # Medians: a burst of a third of the record must not make waves.
     residuals = _fit_offset(y, rotation)[1] if rotation.turns else y - median(y)
-    means, times = (np.add.reduceat(column, edges[:-1]) / sizes for column in (residuals, t))
+    means, times = (np.add.reduceat(column, edges[:-1]) / lengths for column in (residuals, t))
     steps = np.diff(times)
     step = median(steps)
     uneven = float(np.abs(steps / step - 1.0).max())
@@ -197,14 +197,14 @@ def u_of_mean(means: Array) -> float:
     dof = count - 1
     if not np.ptp(means) > 0.0:
         return 0.0
-    scaled = means / means.std()
+    scaled_means = means / means.std()
     weight, variance = [], []
     proportions = np.append(0.0, _PROPORTIONS)
     prior = np.append(_WHITE_PRIOR, np.full(_PROPORTIONS.size, 0.5 * (1.0 - _WHITE_PRIOR)))
     prior[1:] /= _PROPORTIONS.size
     for sizes, contrasts in _colored_noise_contrasts(count):
         spread = 1.0 + proportions[:, None] * sizes
-        squares = np.sum((scaled @ contrasts) ** 2 / spread, axis=1)
+        squares = np.sum((scaled_means @ contrasts) ** 2 / spread, axis=1)
         log = -0.5 * np.log(spread).sum(axis=1) - 0.5 * dof * np.log(squares)
         # White noise alone stands once in each of the two kinds.
         weight.append(log + np.log(np.append(0.5 * prior[0], prior[1:])))
@@ -233,8 +233,8 @@ def _colored_noise_contrasts(count: int) -> tuple[tuple[Array, Array], tuple[Arr
     for shape in (flicker, walk):
         covariance = shape @ shape.T
         unit = 0.5 * float(difference @ covariance @ difference) * count
-        sizes, rotation = np.linalg.eigh(
+        eigenvalues, rotation = np.linalg.eigh(
             contrasts.T @ covariance[:count, :count] @ contrasts / unit
         )
-        results.append((np.maximum(sizes, 0.0), contrasts @ rotation))
+        results.append((np.maximum(eigenvalues, 0.0), contrasts @ rotation))
     return results[0], results[1]

@@ -128,8 +128,8 @@ def _determined(view: AccelerometerView, solution: Solution) -> dict[str, bool]:
     """Return which of an accelerometer's own terms a solution determines."""
     unknowns = view.fit.model.unknowns
     names = [unknown.name for unknown in view.fit.model.of_interest]
-    determined = assess(solution, names).determined
-    return {symbol: determined[unknowns[index].name] for symbol, index in view.indices.items()}
+    flags = assess(solution, names).determined
+    return {symbol: flags[unknowns[index].name] for symbol, index in view.indices.items()}
 
 
 def _has_square_terms(view: AccelerometerView) -> bool:
@@ -183,8 +183,10 @@ def _disagreement_findings(
     symbol_of_shift = max(
         method.without, key=lambda symbol: abs(method.without[symbol].z), default=""
     )
-    others = " and ".join(alternative.kind for alternative in methods if alternative is not method)
-    text = f"The test methods are not consistent: {method.kind} compared with {others}"
+    other_kinds = " and ".join(
+        alternative.kind for alternative in methods if alternative is not method
+    )
+    text = f"The test methods are not consistent: {method.kind} compared with {other_kinds}"
     if symbol_of_shift:
         unit, factor = field_unit(unit_of(symbol_of_shift))
         shift = method.without[symbol_of_shift]

@@ -209,15 +209,15 @@ def _head_errors(readings: Readings, estimated_symbols: Collection[str]) -> Iter
     In one mounting they are waves of the angle, and cannot be told from the accelerometer's terms.
     """
     angle, on_axis = head_angle(readings)
-    indicated = np.broadcast_to(readings.head_angle, readings.size)
-    offsets = np.exp(1j * (angle - indicated))[on_axis]
+    nominal_angle = np.broadcast_to(readings.head_angle, readings.size)
+    offsets = np.exp(1j * (angle - nominal_angle))[on_axis]
     if not offsets.size or np.abs(offsets - offsets[0]).max() < _ANGLE_STEP:
         return
     slope = _head_derivative(readings, on_axis)
     for order, multiple in _TIMES.items():
         for name, harmonic in (
-            ("cos", np.cos(order * indicated)),
-            ("sin", np.sin(order * indicated)),
+            ("cos", np.cos(order * nominal_angle)),
+            ("sin", np.sin(order * nominal_angle)),
         ):
             if f"head.harmonic.{order}.{name}" not in estimated_symbols:
                 yield HEAD, f"{name} {multiple}", slope * harmonic
@@ -268,14 +268,16 @@ def time_patterns(readings: ReadingGroup, forces: Array) -> Iterator[_Column]:
             yield SWING, f"cos {periods:g} {basis}", np.cos(2.0 * math.pi * periods * progress)
             yield SWING, f"sin {periods:g} {basis}", np.sin(2.0 * math.pi * periods * progress)
     order = np.argsort(progress, kind="stable")
-    last = readings.size - _MIN_READINGS_PER_SIDE
+    last_position = readings.size - _MIN_READINGS_PER_SIDE
     step_positions = (
-        np.linspace(_MIN_READINGS_PER_SIDE, last, min(max(last - 1, 0), _STEPS)).round().astype(int)
+        np.linspace(_MIN_READINGS_PER_SIDE, last_position, min(max(last_position - 1, 0), _STEPS))
+        .round()
+        .astype(int)
     )
     for position in np.unique(step_positions).tolist():
-        later = progress >= progress[order[position]]
-        if np.sum(~later) >= _MIN_READINGS_PER_SIDE:
-            yield STEP, readings.names[order[position]], later.astype(float)
+        is_later = progress >= progress[order[position]]
+        if np.sum(~is_later) >= _MIN_READINGS_PER_SIDE:
+            yield STEP, readings.names[order[position]], is_later.astype(float)
 
 
 def _series_progress(readings: ReadingGroup) -> tuple[Array, str]:
@@ -308,8 +310,8 @@ def _gain_steps(forces: Array) -> Iterator[_Column]:
 
     forces: g, shape (n,).
     """
-    sizes = np.unique(np.round(np.abs(forces), _DIGITS))
-    midpoints = 0.5 * (sizes[1:] + sizes[:-1])
+    levels = np.unique(np.round(np.abs(forces), _DIGITS))
+    midpoints = 0.5 * (levels[1:] + levels[:-1])
     for level in midpoints[:: max(math.ceil(midpoints.size / _STEPS), 1)].tolist():
         yield RANGE, f"{level:.2g} g", forces * (np.abs(forces) > level)
 
@@ -383,9 +385,9 @@ def best_patterns(
     ]
     if len(all_columns) == len(outlier_columns):
         return []
-    projected = project_columns(fit, all_columns)
-    columns, residual = projected.columns, projected.residual
-    is_usable = np.sum(columns**2, axis=0) > MIN_RESIDUAL_FRACTION * projected.squared_norms
+    projection = project_columns(fit, all_columns)
+    columns, residual = projection.columns, projection.residual
+    is_usable = np.sum(columns**2, axis=0) > MIN_RESIDUAL_FRACTION * projection.squared_norms
     patterns, tests = [], 0
     start = len(outlier_columns)
     for index, (group, group_columns) in enumerate(zip(groups, alternatives, strict=True)):
@@ -434,7 +436,7 @@ def best_patterns(
         )
         chi2 = group.chi2 - float(outlier_projection @ outlier_projection)
         residual_dof = group.residual_dof - len(outlier_indices)
-        reductions, p_values, rows = [], [], projected.row_slices[group.index]
+        reductions, p_values, rows = [], [], projection.row_slices[group.index]
         for members in combinations:
             reductions.append(
                 _chi2_reduction(np.linalg.qr(unit[:, members])[0], residual_without_outliers, rows)
@@ -445,13 +447,13 @@ def best_patterns(
             )
             reduced_group = replace(group, chi2=chi2, residual_dof=residual_dof)
             p_values.append(_p_value(reduced_group, reductions[-1], len(members), noise_share))
-        best = min(range(len(combinations)), key=lambda member: p_values[member][0])
-        p, scale = p_values[best]
+        best_index = min(range(len(combinations)), key=lambda member: p_values[member][0])
+        p, scale = p_values[best_index]
         equivalent = [
             column
             for member, column in enumerate(usable_columns)
-            if collinear[member, combinations[best]].all()
-            or reductions[member] > reductions[best] - _DECISIVE_CHI2 * scale
+            if collinear[member, combinations[best_index]].all()
+            or reductions[member] > reductions[best_index] - _DECISIVE_CHI2 * scale
         ]
         # Steps differ by where they are only, and so do ranges: the best one stands for all.
         for kind in (STEP, RANGE):
@@ -469,7 +471,7 @@ def best_patterns(
         patterns.append(
             Pattern(
                 index,
-                tuple(equivalent) or (_join_harmonics(usable_columns, combinations[best]),),
+                tuple(equivalent) or (_join_harmonics(usable_columns, combinations[best_index]),),
                 p,
                 0,
             )

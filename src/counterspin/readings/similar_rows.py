@@ -88,14 +88,14 @@ class _RowColumns:
 
     def common_fields(self) -> dict[str, list[Any]]:
         """Return the fields that all accelerometers share."""
-        first, fields = self._rows[0], {"name": [row["name"] for row in self._rows]}
+        first_row, fields = self._rows[0], {"name": [row["name"] for row in self._rows]}
         for key, unit in (("rate", "rad/s"), ("time", "s")):
-            if isinstance(first.get(key), Quantity):
+            if isinstance(first_row.get(key), Quantity):
                 value, u = self._convert([row[key] for row in self._rows], unit)
                 fields |= {key: value.tolist()} | ({f"u_{key}": u.tolist()} if u[0] > 0.0 else {})
-        if isinstance(first.get("temperature"), Quantity):
+        if isinstance(first_row.get("temperature"), Quantity):
             kelvin = np.array([row["temperature"].value for row in self._rows])
-            kelvin += TEMPERATURE_SCALES[first["temperature"].unit]
+            kelvin += TEMPERATURE_SCALES[first_row["temperature"].unit]
             coldest, warmest = WORKING_TEMPERATURES
             self.valid &= (kelvin >= coldest) & (kelvin <= warmest)
             fields["temperature"] = [(temperature,) for temperature in kelvin.tolist()]
@@ -120,8 +120,8 @@ class _RowColumns:
 
     def axes_fields(self, checked: Reading, mounting: Mounting | None) -> dict[str, list[Any]]:
         """Return the fields that follow from the angle of the dividing head; none without it."""
-        first = self._rows[0]
-        if mounting is None or not isinstance(turn := first.get("attitude"), HeadTurn):
+        first_row = self._rows[0]
+        if mounting is None or not isinstance(turn := first_row.get("attitude"), HeadTurn):
             return {}
         angles, _ = self._convert([row["attitude"].angle for row in self._rows], "rad")
         axis = np.array(quantity.read_direction(turn.about))
@@ -130,10 +130,10 @@ class _RowColumns:
         fields: dict[str, list[Any]] = {
             "axes": [Mounting(tuple(map(tuple, rows)), mounting.response) for rows in axes]
         }
-        if "head" not in first:
+        if "head" not in first_row:
             fields["head_angle"] = angles.tolist()
         if checked.position:
-            fields["position"] = attitude_keys(first.get("mounting", ""), attitudes)
+            fields["position"] = attitude_keys(first_row.get("mounting", ""), attitudes)
         return fields
 
     def _convert(
@@ -142,6 +142,6 @@ class _RowColumns:
         """Return values and standard uncertainties in a unit; mark rows outside the limits."""
         factor = unit_factor(numbers[0].unit, unit, gravity=gravity)
         value, u = factor * np.array([(number.value, number.u) for number in numbers]).T
-        within = quantity.within_limits
-        self.valid &= within(value, unit) & within(u, unit) & (u >= 0.0)
+        is_within = quantity.within_limits
+        self.valid &= is_within(value, unit) & is_within(u, unit) & (u >= 0.0)
         return value, u

@@ -65,12 +65,12 @@ def read_table(
     settings = problems.check(ReadingsSettings, document["readings"], ("readings",))
     if settings is None:
         return
-    loaded = problems.collect(
+    table_data = problems.collect(
         ("readings", "file"), load_table, folder / settings.file, settings.dialect
     )
-    if loaded is None:
+    if table_data is None:
         return
-    table, places, checksums[folder / settings.file] = loaded
+    table, places, checksums[folder / settings.file] = table_data
     frame = table.frame
     if frame.is_empty():
         problems.add(
@@ -217,10 +217,12 @@ class ReadingsTable:
 
         Many tables end with empty rows or remarks.
         """
-        required = set(row)
+        required_names = set(row)
         if _STATIONS & self.columns.keys():
-            required = set().union(*(view.required_columns for view in self.mounting_views(row)))
-        return not all(is_empty(row[column]) for column in required)
+            required_names = set().union(
+                *(view.required_columns for view in self.mounting_views(row))
+            )
+        return not all(is_empty(row[column]) for column in required_names)
 
     @cached_property
     def required_columns(self) -> set[str]:
@@ -289,8 +291,10 @@ class ReadingsTable:
         stated_columns, problems = self.settings.columns, self.problems
         for key, value in stated_columns.items():
             if key not in (*COLUMNS, "reading", "u"):
-                known = (*COLUMNS, "reading", "u")
-                problems.add((*path, key), "unknown key" + suggest_name(key, known), "unknown-key")
+                known_names = (*COLUMNS, "reading", "u")
+                problems.add(
+                    (*path, key), "unknown key" + suggest_name(key, known_names), "unknown-key"
+                )
             elif key in COLUMNS and not isinstance(value, str):
                 problems.add(
                     (*path, key), "this value must be the name of one column", "wrong-type"
@@ -321,10 +325,10 @@ class ReadingsTable:
                 "attitude is missing; give the column with the position of each reading",
                 "missing-key",
             )
-        required = [*self.columns.values()]
+        required_names = [*self.columns.values()]
         for key in ("reading", "u"):
             for owner, columns in self.value_columns(key).items():
-                required += columns
+                required_names += columns
                 if owner not in self.accelerometers:
                     hint = suggest_name(owner, self.accelerometers)
                     problems.add(
@@ -332,7 +336,7 @@ class ReadingsTable:
                         f'no accelerometer is named "{owner}"' + hint,
                         "unknown-accelerometer",
                     )
-        self._check_existence(required, names)
+        self._check_existence(required_names, names)
 
     def _check_mounting_columns(self, names: Sequence[str]) -> None:
         """Note errors of tables with a column for each mounting."""
@@ -357,9 +361,9 @@ class ReadingsTable:
             names,
         )
 
-    def _check_existence(self, required: Iterable[str], names: Sequence[str]) -> None:
+    def _check_existence(self, required_names: Iterable[str], names: Sequence[str]) -> None:
         """Note columns that the table does not have."""
-        for column in dict.fromkeys(required):
+        for column in dict.fromkeys(required_names):
             if column not in names:
                 message = f'{self.settings.file} has no column "{column}"'
                 self.problems.add(

@@ -55,8 +55,10 @@ class _UndetectedFault(NamedTuple):
 
     def merge(self, known: _UndetectedFault) -> _UndetectedFault:
         """Return the faults of both, which are of the same kind."""
-        expected = max(self.expected_ratio, known.expected_ratio)
-        return max(self, known, key=lambda fault: fault.ratio)._replace(expected_ratio=expected)
+        expected_ratio = max(self.expected_ratio, known.expected_ratio)
+        return max(self, known, key=lambda fault: fault.ratio)._replace(
+            expected_ratio=expected_ratio
+        )
 
 
 def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list[str]]:
@@ -92,12 +94,12 @@ def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list
                 ratio *= _noise_shrinkage(
                     view, fit, symbol, group, size * float(residual_norms[column_index])
                 )
-                expected = _expected_size(
+                expected_size = _expected_size(
                     column, typical, float(tests.value[column_index]), float(tests.u[column_index])
                 )
                 clause = f"{_describe_fault(column, size)} shifts {symbol} by "
                 clause += f"{format_size(symbol, abs(shift), 3)} ({ratio:.2g} u({symbol}))"
-                fault = _UndetectedFault(ratio * expected / size, ratio, clause)
+                fault = _UndetectedFault(ratio * expected_size / size, ratio, clause)
                 kinds = faults_by_name[view.name]
                 kinds[column.kind] = fault.merge(kinds.get(column.kind, fault))
     return {
