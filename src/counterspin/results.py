@@ -99,7 +99,7 @@ class ResultFile(ResultPart):
     KIND: ClassVar[str] = "result"
 
     schema_version: Annotated[int, Field(alias="schema")] = 1  #: Version of this format.
-    #: SHA-256 checksum of all other content of the file, which counterspin checks on reading.
+    #: SHA-256 checksum of the rest of the file; counterspin verifies it when it reads the file.
     seal: str | None = None
 
     _content: bytes | None = PrivateAttr(default=None)

@@ -262,8 +262,8 @@ class StatedNoise(SettingsSection):
         kind="quantity, m/s^2 or g",
     )
     acceleration: Annotated[float | str, noise_size("m/s^2/Hz^0.5")] = key_field(
-        "white noise of the accelerometer: velocity random walk coefficient N, for a velocity "
-        "variance of N^2 t",
+        "white noise of the accelerometer: velocity random walk coefficient N, "
+        "which gives a velocity variance of N^2 t",
         "estimate",
         0.0,
         kind="quantity, m/s^2/Hz^0.5 or g/Hz^0.5",
