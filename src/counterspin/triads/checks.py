@@ -60,15 +60,17 @@ def pose_findings(fit: JointFit, groups: Sequence[FittedReadings]) -> list[Findi
 def _pattern_finding(group: FittedReadings, pattern: Pattern) -> Finding:
     """Return the finding that the residuals of poses follow something."""
     first = pattern.alternatives[0]
-    size = equivalent_deviations(pattern.p)
+    deviations = equivalent_deviations(pattern.p)
     clause = pattern_clause(first)
     if first.kind == TERM:
         clause = clause.replace(first.symbol, first.name, 1)
-        others = [
+        other_terms = [
             alternative.name for alternative in pattern.alternatives[1:] if alternative.kind == TERM
         ]
         remedy = (
-            f" {' or '.join(others[:_MOST_NAMED])} would have the same effect." if others else ""
+            f" {' or '.join(other_terms[:_MOST_NAMED])} would have the same effect."
+            if other_terms
+            else ""
         )
     else:
         owners = dict.fromkeys(
@@ -87,8 +89,8 @@ def _pattern_finding(group: FittedReadings, pattern: Pattern) -> Finding:
         code="lack-of-fit",
         subject=TRIAD,
         text=f"The residuals of the {group.label} {clause} (p = {pattern.p:.2g}).{remedy}",
-        size=size,
-        contradicts=size > CONTRADICTION_SIGMAS,
+        size=deviations,
+        contradicts=deviations > CONTRADICTION_SIGMAS,
     )
 
 

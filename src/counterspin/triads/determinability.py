@@ -50,11 +50,11 @@ def undetermined_parameters(
     fit: Of the model with the default priors of all candidates.
     model: Without these priors.
     """
-    undetermined: list[Unknown] = []
-    while len(undetermined) < len(candidates):
-        current = model.with_default_priors(undetermined)
+    undetermined_unknowns: list[Unknown] = []
+    while len(undetermined_unknowns) < len(candidates):
+        current = model.with_default_priors(undetermined_unknowns)
         solution = solve_blocks(fit.blocks, current)
-        remaining = [unknown for unknown in candidates if unknown not in undetermined]
+        remaining = [unknown for unknown in candidates if unknown not in undetermined_unknowns]
         indices = [model.unknowns.index(unknown) for unknown in remaining]
         limits = np.array([unknown.limit for unknown in remaining])
         is_undetermined = solution.u[indices] >= limits
@@ -64,20 +64,24 @@ def undetermined_parameters(
             # A bend that moves a parameter by little of its default prior leaves it determined.
             is_significant = solution.u[indices] * np.sqrt(curvature) / _STEP > _PART * default
             is_undetermined = (curvature > _STEP**2) & is_significant
-        if not is_undetermined.any() and undetermined:
+        if not is_undetermined.any() and undetermined_unknowns:
             is_undetermined = _prior_contributions(solution, current, indices) > _PART * default
         if not is_undetermined.any():
             break
         size = solution.u[indices] / default
-        undetermined.append(remaining[int(np.argmax(np.where(is_undetermined, size, -1.0)))])
-    return undetermined
+        undetermined_unknowns.append(
+            remaining[int(np.argmax(np.where(is_undetermined, size, -1.0)))]
+        )
+    return undetermined_unknowns
 
 
 def _prior_contributions(solution: Solution, model: Unknowns, indices: Sequence[int]) -> Array:
     """Return the parts of the uncertainties that default priors of other parameters contribute."""
-    defaulted = [unknown.uses_fallback_prior for unknown in model.unknowns]
+    has_fallback_prior = [unknown.uses_fallback_prior for unknown in model.unknowns]
     weights = np.eye(len(model.unknowns))[indices]
-    return np.array([np.linalg.norm(solution.combine(row).prior[defaulted]) for row in weights])
+    return np.array(
+        [np.linalg.norm(solution.combine(row).prior[has_fallback_prior]) for row in weights]
+    )
 
 
 def _curvature(fit: JointFit, solution: Solution, indices: Sequence[int]) -> Array:

@@ -57,14 +57,14 @@ def make_group(
     directions = temperature_directions(campaign, series or first_readings)
     assumed_offsets = assumed_temperatures(series or first_readings)
     assumed = [assumed_offsets.get((reading.name, 0), 0.0) for reading in first_readings]
-    stated = all(reading.u is not None for pose in poses for reading in pose)
+    is_stated = all(reading.u is not None for pose in poses for reading in pose)
     return TriadPoses(
         accelerometers=tuple(reading.accelerometer for reading in poses[0]),
         names=tuple(first_reading.name for first_reading in first_readings),
         axes=np.array([reading.axes.matrix for reading in poses[0]]),
         gravity=campaign.site.gravity,
         value=np.array([[reading.value for reading in pose] for pose in poses]),
-        u=np.array([[r.u for r in pose] for pose in poses], dtype=float) if stated else None,
+        u=np.array([[r.u for r in pose] for pose in poses], dtype=float) if is_stated else None,
         conditions=relative_conditions(campaign, first_readings, assumed, directions),
         repeats=np.array([float(min(reading.repeats for reading in pose)) for pose in poses]),
         scatter=np.array([sum(reading.scatter for reading in pose) for pose in poses]),

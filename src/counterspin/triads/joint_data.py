@@ -95,13 +95,15 @@ def pose_advice(view: AccelerometerView) -> str:
             f"than the {free_count} unknowns without a prior."
         )
     for direction, sign in (("up", -1.0), ("down", 1.0)):
-        missing = [
+        missing_directions = [
             name
             for name, projections in axes.items()
             if np.min(sign * np.concatenate(projections)) > -_MAX_COSINE
         ]
-        if missing:
-            sentences.append(f" In no pose does {' or '.join(missing)} point {direction}.")
+        if missing_directions:
+            sentences.append(
+                f" In no pose does {' or '.join(missing_directions)} point {direction}."
+            )
     return (
         "".join(sentences)
         + " Measure poses with directions spread over the whole sphere. Alternatively, request "
@@ -118,6 +120,9 @@ def _count_directions(view: AccelerometerView) -> tuple[int, int]:
         assert isinstance(group, TriadPoses)
         count += group.size
         for direction in group.at(view.fit.model, view.fit.solution.estimate).direction:
-            if all(direction @ known < math.cos(_MIN_SEPARATION) for known in directions):
+            if all(
+                direction @ counted_direction < math.cos(_MIN_SEPARATION)
+                for counted_direction in directions
+            ):
                 directions.append(direction)
     return count, len(directions)

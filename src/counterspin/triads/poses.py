@@ -122,11 +122,11 @@ class TriadPoses:
                 columns[:, :, index] += self.in_si * point.indicated / self.gravity
         projection = point.projection
         rows = np.einsum("nk,nkp->np", projection, columns)
-        stated = None if self.u is None else np.sqrt(np.sum((projection * self.u) ** 2, axis=1))
+        stated_u = None if self.u is None else np.sqrt(np.sum((projection * self.u) ** 2, axis=1))
         no_head_error = np.zeros(self.size)
         target = np.sum(projection * (self.value - offset), axis=1)
         return LinearReadings.from_columns(
-            self, model, rows, target, stated, self.repeats, no_head_error
+            self, model, rows, target, stated_u, self.repeats, no_head_error
         )
 
     def _columns(self, point: SolvedPoses) -> Array:
@@ -263,18 +263,18 @@ class SolvedPoses:
         weight = np.ones((poses.size, 3)) if poses.u is None else 1.0 / poses.u
         direction, terms = _initial_directions(poses, effective), _active_terms(effective)
         for _ in range(_ROUNDS):
-            indicated, slopes = _indications_and_slopes(poses.axes, direction, terms)
-            residuals = weight * (poses.value - indicated)
+            indications, slopes = _indications_and_slopes(poses.axes, direction, terms)
+            residuals = weight * (poses.value - indications)
             basis = _tangent_basis(direction)
             tangent_slopes = weight[:, :, None] * (slopes @ basis)
             gram = np.swapaxes(tangent_slopes, 1, 2) @ tangent_slopes
             step = np.linalg.solve(gram, np.swapaxes(tangent_slopes, 1, 2) @ residuals[:, :, None])
-            updated = direction + (basis @ step)[:, :, 0]
-            direction = updated / np.linalg.norm(updated, axis=1)[:, None]
+            new_direction = direction + (basis @ step)[:, :, 0]
+            direction = new_direction / np.linalg.norm(new_direction, axis=1)[:, None]
             if np.max(np.abs(step), initial=0.0) < _CONVERGED:
                 break
         products = _products(poses.axes, direction)
-        indicated, slopes = _indications_and_slopes(poses.axes, direction, terms)
+        indications, slopes = _indications_and_slopes(poses.axes, direction, terms)
         tangent_slopes = slopes @ _tangent_basis(direction)
         projection = np.cross(tangent_slopes[:, :, 0], tangent_slopes[:, :, 1])
         projection /= np.linalg.norm(projection, axis=1)[:, None]
@@ -286,7 +286,7 @@ class SolvedPoses:
             effective,
             direction,
             products,
-            indicated,
+            indications,
             projection * sign[:, None],
             gain * sign,
         )
@@ -339,8 +339,8 @@ def _products(axes: Array, direction: Array) -> Array:
 
 def _force_along_axes(axes: Array, direction: Array) -> Array:
     """Return the specific force along each axis of the accelerometers, shape (3, n, 3)."""
-    along = direction @ axes.reshape(-1, 3).T
-    return np.moveaxis(along.reshape(-1, *axes.shape[:2]), 2, 0)
+    components = direction @ axes.reshape(-1, 3).T
+    return np.moveaxis(components.reshape(-1, *axes.shape[:2]), 2, 0)
 
 
 _ActiveTerms = list[tuple[SpecificForceProduct, Array]]
@@ -360,13 +360,13 @@ def _indications_and_slopes(
     Returns: shapes (n, 3) and (n, 3, 3).
     """
     a_ipo = _force_along_axes(axes, direction)
-    indicated, by_axis = np.zeros(a_ipo.shape[1:]), np.zeros((3, *a_ipo.shape[1:]))
+    indications, by_axis = np.zeros(a_ipo.shape[1:]), np.zeros((3, *a_ipo.shape[1:]))
     for effect, coefficient in terms:
-        indicated += coefficient * effect.evaluate(a_ipo, sign_width=SIGN_WIDTH)
+        indications += coefficient * effect.evaluate(a_ipo, sign_width=SIGN_WIDTH)
         for axis, name in enumerate("IPO"):
             if not {name, f"|{name}|"}.isdisjoint(effect.factors):
                 by_axis[axis] += coefficient * effect.slope(a_ipo, name)
-    return indicated, np.moveaxis(np.moveaxis(by_axis, (0, 2), (2, 0)) @ axes, 0, 1)
+    return indications, np.moveaxis(np.moveaxis(by_axis, (0, 2), (2, 0)) @ axes, 0, 1)
 
 
 def _tangent_basis(direction: Array) -> Array:
@@ -399,8 +399,8 @@ def _fit_ellipsoid(value: Array, axes: Array) -> tuple[Array, Array]:
     """
     nominal = axes[:, 0]
     nominal_force: Array = np.asarray(np.linalg.solve(nominal, value.T).T, np.float64)
-    size = float(np.sqrt(np.mean(np.sum(nominal_force**2, axis=1))))
-    bias, gram = np.zeros(3), size**2 * np.eye(3)
+    rms_force = float(np.sqrt(np.mean(np.sum(nominal_force**2, axis=1))))
+    bias, gram = np.zeros(3), rms_force**2 * np.eye(3)
     sphere = _least_squares(2.0 * nominal_force, np.sum(nominal_force**2, axis=1), constant=True)
     if sphere is not None:
         square = sphere[3] + float(sphere[:3] @ sphere[:3])
@@ -435,12 +435,12 @@ def _are_credible(squares: npt.NDArray[np.float64]) -> bool:
 
 def _least_squares(columns: Array, target: Array, *, constant: bool = False) -> Array | None:
     """Return the solution; None where the rows do not determine it."""
-    ones = np.ones((target.size, int(constant)))
-    design: Array = np.hstack([columns, ones])
-    sizes = np.linalg.norm(design, axis=0)
-    if design.shape[0] < design.shape[1] or not sizes.all():
+    constants = np.ones((target.size, int(constant)))
+    design: Array = np.hstack([columns, constants])
+    norms = np.linalg.norm(design, axis=0)
+    if design.shape[0] < design.shape[1] or not norms.all():
         return None
-    if np.linalg.cond(design / sizes) > _WORST_CONDITION:
+    if np.linalg.cond(design / norms) > _WORST_CONDITION:
         return None
     return np.asarray(np.linalg.lstsq(design, target, rcond=None)[0], np.float64)
 
@@ -448,17 +448,19 @@ def _least_squares(columns: Array, target: Array, *, constant: bool = False) -> 
 def _insufficient_poses_error(poses: TriadPoses, solution: Solution, model: Unknowns) -> str:
     """Return that poses tell no noise, and what they do not determine besides."""
     free_names = [u.name for u in model.unknowns if math.isinf(u.prior[1])]
-    requested = [unknown.name for unknown in model.unknowns if unknown.is_of_interest]
-    determined = assess(solution, requested).determined
-    undetermined = [name for name in requested if not determined[name]]
+    requested_names = [unknown.name for unknown in model.unknowns if unknown.is_of_interest]
+    determined = assess(solution, requested_names).determined
+    undetermined_names = [name for name in requested_names if not determined[name]]
     undetermined_text = (
-        f" The poses do not determine {', '.join(undetermined)} at all." if undetermined else ""
+        f" The poses do not determine {', '.join(undetermined_names)} at all."
+        if undetermined_names
+        else ""
     )
     angles = [u for u in model.unknowns if u.is_of_interest and u.symbol.startswith("delta")]
     suggestion = (
         " The poses can determine biases and scale factors if only these coefficients are "
         'requested: terms = ["K_F", "K_I"] in [model].'
-        if angles and poses.size > len(requested) - len(angles)
+        if angles and poses.size > len(requested_names) - len(angles)
         else ""
     )
     return (

@@ -63,7 +63,7 @@ def pooled_noise(poses: Sequence[LocatedPose], gravity: float) -> float:
     """Return the noise estimated within the poses found in records, g."""
     noise_values = [pose.scatter_noise for pose in poses if pose.record is not None]
     return (
-        math.sqrt(sum(size**2 for size in noise_values) / len(noise_values)) / gravity
+        math.sqrt(sum(noise**2 for noise in noise_values) / len(noise_values)) / gravity
         if noise_values
         else 0.0
     )

@@ -98,9 +98,9 @@ def triad_result(
         nominal = np.linalg.inv(group.axes[:, 0])
         norms_before.append(np.linalg.norm(group.value @ nominal.T, axis=1) - 1.0)
         if matrix is not None:
-            corrected = group.value - _nonlinear_part(campaign, solved) - linear.bias
-            corrected -= _slope_part(group, solved, model.of_interest)
-            norms_after.append(np.linalg.norm(corrected @ matrix.T, axis=1) - 1.0)
+            corrected_values = group.value - _nonlinear_part(campaign, solved) - linear.bias
+            corrected_values -= _slope_part(group, solved, model.of_interest)
+            norms_after.append(np.linalg.norm(corrected_values @ matrix.T, axis=1) - 1.0)
     gravity = campaign.gravity.value
     return TriadResult(
         accelerometers=list(names),
@@ -202,25 +202,25 @@ def _derive_parameters(
         limit = campaign.limit_of("K_F", name)
         slopes = linear.slopes(name, {"K_F": 1.0})
         yield f"offset.{name}", _DerivedParameter(float(linear.bias[index]), slopes, "g", limit)
-    sizes = np.linalg.norm(linear.rows, axis=1)
-    units = linear.rows / sizes[:, None]
+    norms = np.linalg.norm(linear.rows, axis=1)
+    units = linear.rows / norms[:, None]
     for index, name in enumerate(names):
         limit = campaign.limit_of("K_I", name)
         slopes = linear.row_slopes(index, units[index])
         slopes = slopes + _misalignment_slopes(
-            linear, name, float(sizes[index]), estimated.fit.model.of_interest
+            linear, name, float(norms[index]), estimated.fit.model.of_interest
         )
-        yield f"sensitivity.{name}", _DerivedParameter(float(sizes[index]), slopes, "g/g", limit)
+        yield f"sensitivity.{name}", _DerivedParameter(float(norms[index]), slopes, "g/g", limit)
     for first, second in combinations(range(len(names)), 2):
         first_unit, second_unit = units[first], units[second]
         cosine = float(first_unit @ second_unit)
         angle = math.acos(max(-1.0, min(1.0, cosine)))
         sine = math.sin(angle)
         angle_slopes = linear.row_slopes(
-            first, -(second_unit - cosine * first_unit) / (sine * sizes[first])
+            first, -(second_unit - cosine * first_unit) / (sine * norms[first])
         )
         angle_slopes = angle_slopes + linear.row_slopes(
-            second, -(first_unit - cosine * second_unit) / (sine * sizes[second])
+            second, -(first_unit - cosine * second_unit) / (sine * norms[second])
         )
         limit = max(campaign.limit_of("delta_O", names[k]) for k in (first, second))
         yield (
@@ -273,9 +273,9 @@ def _make_coefficient(
     combined = fit.solution.combine(parameter.slopes)
     if not combined.u < parameter.limit or _is_default_only(estimated, parameter, combined):
         return Coefficient(value=None, u=None, unit=parameter.unit, estimated=False)
-    used = np.flatnonzero(np.abs(parameter.slopes) > _NEGLIGIBLE)
-    known = float(np.linalg.norm(parameter.slopes[used] * fit.solution.prior_sd[used]))
-    if combined.u**2 > MAX_VARIANCE_RATIO * known**2:
+    indices = np.flatnonzero(np.abs(parameter.slopes) > _NEGLIGIBLE)
+    prior_u = float(np.linalg.norm(parameter.slopes[indices] * fit.solution.prior_sd[indices]))
+    if combined.u**2 > MAX_VARIANCE_RATIO * prior_u**2:
         # What is known beforehand is all there is.
         return Coefficient(
             value=parameter.value, u=combined.u, unit=parameter.unit, estimated=False
@@ -298,9 +298,9 @@ def _is_default_only(
 ) -> bool:
     """Return whether a parameter is known only by default priors of undetermined unknowns."""
     fit = estimated.fit
-    defaulted = [unknown.uses_fallback_prior for unknown in fit.model.unknowns]
-    slopes, contributed = parameter.slopes[defaulted], combined.prior[defaulted]
-    prior_norm = np.linalg.norm(slopes * fit.solution.prior_sd[defaulted])
+    has_fallback_prior = [unknown.uses_fallback_prior for unknown in fit.model.unknowns]
+    slopes, contributed = parameter.slopes[has_fallback_prior], combined.prior[has_fallback_prior]
+    prior_norm = np.linalg.norm(slopes * fit.solution.prior_sd[has_fallback_prior])
     depends = np.max(np.abs(slopes), initial=0.0) > _DEFAULT_FRACTION
     return bool(depends and np.linalg.norm(contributed) > _DEFAULT_FRACTION * prior_norm)
 
@@ -372,7 +372,7 @@ def _pose_results(
             poses, index = pose.record.poses, pose.index
             start, end = float(poses.start[index]), float(poses.end[index])
             samples = int(poses.count[index])
-        growth = float(solved.gain[k])
+        gain = float(solved.gain[k])
         yield PoseResult(
             name=name,
             start=start,
@@ -380,8 +380,8 @@ def _pose_results(
             samples=samples,
             values=tuple(group.value[k].tolist()),
             direction=tuple(solved.direction[k].tolist()),
-            residual=float(fitted.residuals[k]) / growth,
-            u=float(fitted.sigma[k]) / growth,
+            residual=float(fitted.residuals[k]) / gain,
+            u=float(fitted.sigma[k]) / gain,
             z=None if math.isnan(z) else z,
         )
 

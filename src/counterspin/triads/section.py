@@ -114,17 +114,17 @@ def _axes_of(
 ) -> list[Mounting]:
     """Return the axes of the three, none where they are no triad."""
     before = len(problems.lines)
-    for place, name in enumerate(names if mountings else ()):
+    for index, name in enumerate(names if mountings else ()):
         if name not in mountings:
-            said = suggest_name(name, mountings)
+            suggestion = suggest_name(name, mountings)
             problems.add(
-                ("triad", "accelerometers", place),
-                f'no accelerometer is named "{name}"{said}',
+                ("triad", "accelerometers", index),
+                f'no accelerometer is named "{name}"{suggestion}',
                 "unknown-accelerometer",
             )
-        elif name in names[:place]:
+        elif name in names[:index]:
             problems.add(
-                ("triad", "accelerometers", place), f'"{name}" is listed twice', "duplicate-entry"
+                ("triad", "accelerometers", index), f'"{name}" is listed twice', "duplicate-entry"
             )
     axes = [own for own in map(mountings.get, names) if own is not None]
     if len(problems.lines) > before or len(axes) < len(names):

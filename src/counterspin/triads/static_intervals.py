@@ -159,13 +159,15 @@ def find_poses(
         )
     contrast = _contrast(level, used_threshold, starts, ends)
     faults = _interval_faults(x, starts, ends, resolutions)
-    left_out = tuple(
+    unused_intervals = tuple(
         f"The rest interval from {t[starts[index]]:.6g} s to {t[ends[index] - 1]:.6g} s was "
         f"rejected: {reason}"
         for index, reason in faults.items()
     )
     if len(faults) == len(starts):
-        raise RecordError("all rest intervals were rejected. " + " ".join(left_out), code="no-rest")
+        raise RecordError(
+            "all rest intervals were rejected. " + " ".join(unused_intervals), code="no-rest"
+        )
     starts, ends = np.delete(starts, list(faults)), np.delete(ends, list(faults))
     rows = [x[first:last] for first, last in zip(starts, ends, strict=True)]
     interval = np.searchsorted(t[starts], spike_times) - 1
@@ -183,7 +185,7 @@ def find_poses(
         level=levels,
         contrast=contrast,
         spikes=spikes[~is_regular][is_inside].sum(axis=0).astype(float),
-        rejected=left_out,
+        rejected=unused_intervals,
     )
 
 
@@ -236,8 +238,8 @@ def _outlier_mask(values: Array, rows: int, resolutions: Array) -> np.ndarray:
 
     rows: In a stretch whose scatter is one.
     """
-    padded = np.pad(values, ((2, 2), (0, 0)), mode="reflect")
-    a, b, c, d, e = (padded[offset : offset + len(values)] for offset in range(5))
+    padded_values = np.pad(values, ((2, 2), (0, 0)), mode="reflect")
+    a, b, c, d, e = (padded_values[offset : offset + len(values)] for offset in range(5))
     # The median of five is that of the fifth and of the two middle ones of the others.
     low = np.maximum(np.minimum(a, b), np.minimum(d, e))
     high = np.minimum(np.maximum(a, b), np.maximum(d, e))
@@ -264,22 +266,25 @@ def _rolling_sd(time: Array, values: Array, window: float) -> Array:
     half = 0.5 * window * (1.0 + 1e-9)
     low = np.searchsorted(time, time - half, side="left")
     high = np.searchsorted(time, time + half, side="right")
-    size = int((high - low).max())
-    block_count = -(-len(time) // size)
-    edges = np.minimum(np.arange(block_count + 1) * size, len(time))
+    block_size = int((high - low).max())
+    block_count = -(-len(time) // block_size)
+    edges = np.minimum(np.arange(block_count + 1) * block_size, len(time))
     means = np.add.reduceat(values, edges[:-1], axis=0) / np.diff(edges)[:, None]
-    block = np.arange(len(time)) // size
+    block = np.arange(len(time)) // block_size
     deviations = values - means[block]
-    padded = np.zeros((block_count * size, 4))
+    padded = np.zeros((block_count * block_size, 4))
     padded[: len(time), :3] = deviations
     padded[: len(time), 3] = (deviations**2).sum(axis=1)
-    sums = np.zeros((block_count, size + 1, 4))
-    np.cumsum(padded.reshape(block_count, size, 4), axis=1, out=sums[:, 1:])
-    first = low // size
-    middle = np.minimum(high, (first + 1) * size)
-    first_sums = sums[first, middle - first * size] - sums[first, low - first * size]
-    second = np.minimum(first + 1, block_count - 1)
-    second_sums = sums[second, np.maximum(high - second * size, 0)]
+    sums = np.zeros((block_count, block_size + 1, 4))
+    np.cumsum(padded.reshape(block_count, block_size, 4), axis=1, out=sums[:, 1:])
+    first_block = low // block_size
+    middle = np.minimum(high, (first_block + 1) * block_size)
+    first_sums = (
+        sums[first_block, middle - first_block * block_size]
+        - sums[first_block, low - first_block * block_size]
+    )
+    second = np.minimum(first_block + 1, block_count - 1)
+    second_sums = sums[second, np.maximum(high - second * block_size, 0)]
     second_sums[high == middle] = 0.0
     # Two groups as one: the squares about each mean, and those of the means about each other.
     first_count, second_count = middle - low, high - middle
@@ -287,7 +292,7 @@ def _rolling_sd(time: Array, values: Array, window: float) -> Array:
     squares += second_sums[:, 3] - (second_sums[:, :3] ** 2).sum(axis=1) / np.maximum(
         second_count, 1
     )
-    mean_difference = means[first] + first_sums[:, :3] / first_count[:, None]
+    mean_difference = means[first_block] + first_sums[:, :3] / first_count[:, None]
     mean_difference = (
         mean_difference - means[second] - second_sums[:, :3] / np.maximum(second_count, 1)[:, None]
     )
@@ -317,10 +322,12 @@ def _default_threshold(level: Array, resolutions: Array) -> float:
     logs = np.log(np.maximum(finite, 0.1 * np.quantile(positive, 0.05)))
     counts, edges = np.histogram(logs, bins=_BINS)
     centres = 0.5 * (edges[1:] + edges[:-1])
-    below, sums = np.cumsum(counts)[:-1], np.cumsum(counts * centres)[:-1]
-    above, upper_sums = len(logs) - below, (counts * centres).sum() - sums
+    lower_counts, sums = np.cumsum(counts)[:-1], np.cumsum(counts * centres)[:-1]
+    upper_counts, upper_sums = len(logs) - lower_counts, (counts * centres).sum() - sums
     with np.errstate(invalid="ignore", divide="ignore"):
-        between_variance = below * above * (sums / below - upper_sums / above) ** 2
+        between_variance = (
+            lower_counts * upper_counts * (sums / lower_counts - upper_sums / upper_counts) ** 2
+        )
     split = (
         edges[1 + int(np.nanargmax(between_variance))]
         if np.isfinite(between_variance).any()
