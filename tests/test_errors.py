@@ -44,7 +44,7 @@ def test_error_code_is_from_call_or_class():
         RecordError("a: b", code="no-rows"),
         UsageError("plan", ["a: b", "c"]),
         CampaignError("a", ["b", "c"], [None, 3], code=("x", "y")),
-        NotInvertibleError(7, "has not converged"),
+        NotInvertibleError(7, "did not converge in"),
     ],
 )
 def test_error_survives_pickling(error):

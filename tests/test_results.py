@@ -243,7 +243,7 @@ def test_report_requires_result(tmp_path):
         lambda: counterspin.report(3, "html"),
         lambda: counterspin.write_report(3, tmp_path / "r.html"),
     ):
-        with pytest.raises(TypeError, match=r"give a result of counterspin, not 3 \(int\)"):
+        with pytest.raises(TypeError, match=r"give a counterspin result, not 3 \(int\)"):
             make()
     assert list(tmp_path.iterdir()) == []
 

@@ -156,7 +156,7 @@ def require_file(path: Path, mode: int) -> None:
     """Raise the OSError of `open_file` if something of this mode (`st_mode`) is no file."""
     if stat.S_ISREG(mode):
         return
-    kind = next((words for is_kind, words in _KINDS if is_kind(mode)), "not an ordinary file")
+    kind = next((words for is_kind, words in _KINDS if is_kind(mode)), "not a regular file")
     code = errno.EISDIR if stat.S_ISDIR(mode) else errno.EINVAL
     raise OSError(code, f"this is {kind}, not a file", str(path))
 

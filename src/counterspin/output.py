@@ -76,12 +76,12 @@ def reserve(
             same = False
         if not same:
             raise ExistingFileError(
-                f"{path} exists and is not {expected.words}, so it was not overwritten; choose "
-                "another file"
+                f"{path} already exists and is not {expected.words}, so it was not overwritten; "
+                "choose another file"
             )
     if not overwrite:
-        advice = "" if kind is None else ", or give `overwrite=True`"
-        raise ExistingFileError(f"{path} exists; choose another file{advice}")
+        advice = "" if kind is None else ", or set `overwrite=True`"
+        raise ExistingFileError(f"{path} already exists; choose another file{advice}")
 
 
 def mark(words: str) -> str:
@@ -143,7 +143,7 @@ def make_folder(folder: Path) -> None:
         if isinstance(error, FileExistsError):
             raise ExistingFileError(f"{folder} is a file, not a folder; give a folder") from error
         raise WriteError(
-            f"{folder} cannot be created ({error.strerror}); choose another place"
+            f"{folder} cannot be created ({error.strerror}); choose another location"
         ) from error
 
 
@@ -302,4 +302,6 @@ def _refusal(path: Path, error: OSError) -> str:
             f"{path} cannot be overwritten ({reason}): the file is open in another program, or "
             "write-protected; close it in that program, or choose another file"
         )
-    return f"{path} cannot be written ({reason}); choose another place or make it writable"
+    return (
+        f"{path} cannot be written ({reason}); choose another location, or make this one writable"
+    )

@@ -226,7 +226,7 @@ class ResultFile(ResultPart):
         if seal is not None and seal != _seal_of(text):
             raise RecordError(
                 f"{path} was changed after it was written: the seal does not match the content; "
-                "give the original file, or compute the result again",
+                "use the original file, or compute the result again",
                 code="result-altered",
             )
         for fault in (
@@ -283,7 +283,7 @@ def unsealed_sentences(names: Sequence[str]) -> list[str]:
     listed = ", ".join(names[:_MAX_NAMED]) + (", ..." if len(names) > _MAX_NAMED else "")
     which = f"The file of {listed} has" if len(names) == 1 else f"{len(names)} files have"
     named = "" if len(names) == 1 else f" ({listed})"
-    return [f"{which} no seal{named}: changes after writing cannot be excluded."]
+    return [f"{which} no seal{named}, so later changes cannot be excluded."]
 
 
 def environment() -> dict[str, str]:

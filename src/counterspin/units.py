@@ -107,7 +107,7 @@ ADVICE: Final[Mapping[str, tuple[str, str]]] = {
     "m/s": ("a velocity", "m/s, mm/s"),
     "m/s^2": ("an acceleration", "m/s^2, mm/s^2"),
     "Hz": ("a frequency", "Hz, kHz, 1/s"),
-    "1": ("a plain ratio", "1, ppm"),
+    "1": ("a dimensionless ratio", "1, ppm"),
     "m/s^2/Hz^0.5": ("a random-walk coefficient", "g/Hz^0.5, ug/Hz^0.5, m/s^2/Hz^0.5, m/s/s^0.5"),
     "m/s^2/s^0.5": ("a random walk of a bias", "ug/h^0.5, g/s^0.5, m/s^2/s^0.5"),
     "g": ("a specific force", "g, mg, ug"),
@@ -121,7 +121,7 @@ ADVICE: Final[Mapping[str, tuple[str, str]]] = {
     "rad/s/g": ("a gyro g-sensitivity", "deg/h/g, rad/s/g"),
     "rad/s/g^2": ("a gyro g^2-sensitivity", "deg/h/g^2, rad/s/g^2"),
     "rad/g": ("a compliance", "arcsec/g, rad/g"),
-    "s^2/m": ("a stretch per acceleration", "s^2/m, ppm/g"),
+    "s^2/m": ("a relative elongation per acceleration", "s^2/m, ppm/g"),
 }
 
 #: No unit takes more characters.
@@ -150,7 +150,7 @@ def unit_factor(unit: str, wanted: str, *, gravity: float | None = None) -> floa
     if names & {"Hz", "kHz"} and "Hz" not in wanted:
         if wanted == "rad/s":
             raise InputError(
-                f"{unit!r} is ambiguous for an angular rate: write rev/s for revolutions a "
+                f"{unit!r} is ambiguous for an angular rate: write rev/s for revolutions per "
                 f"second, or rad/s ({accepted})",
                 "wrong-unit",
             )
@@ -286,7 +286,7 @@ def _unit(name: str) -> tuple[float, Mapping[str, float]]:
 
 def _incomplete(written: str) -> ValueError:
     return InputError(
-        f"{written!r} is not a unit: a factor or a bracket is missing", "unknown-unit"
+        f"{written!r} is not a unit: a factor or a parenthesis is missing", "unknown-unit"
     )
 
 

@@ -115,9 +115,9 @@ class Workers:
         if self.cluster is not None or self.processes <= most:
             return self
         text = (
-            f"`workers`: {self.processes} were requested; more than {most} would not help on this "
-            f"machine, which has {usable_cores()} processor cores available, so "
-            f"{most} are started"
+            f"`workers`: {self.processes} were requested, but only {most} are started, because "
+            f"more than {most} would not help on this machine, which has {usable_cores()} "
+            "processor cores available"
         )
         warnings.warn(CounterspinWarning(text, code="too-many-workers"), stacklevel=3)
         return replace(self, processes=most)
@@ -228,8 +228,11 @@ def _on_cluster(address: str) -> Iterator[WorkerPool]:
     try:
         from distributed import Client, KilledWorker
     except ImportError as error:
-        raise MissingPackageError(f"`cluster` needs Dask: {installing('cluster')}") from error
-    silent = f"{address}: no Dask scheduler answers there; start one with `dask scheduler`"
+        raise MissingPackageError(f"`cluster` requires Dask: {installing('cluster')}") from error
+    silent = (
+        f"{address}: no Dask scheduler responds at this address; start a scheduler with "
+        "`dask scheduler`"
+    )
     try:
         client: Any = Client(address, timeout=_SCHEDULER_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -239,8 +242,8 @@ def _on_cluster(address: str) -> Iterator[WorkerPool]:
             client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT)
         except TimeoutError as error:
             raise CounterspinError(
-                f"{address}: no worker has joined that scheduler in {_FIRST_WORKER_TIMEOUT:.0f} s; "
-                f"start some with `dask worker {address}`",
+                f"{address}: no worker joined this scheduler within {_FIRST_WORKER_TIMEOUT:.0f} "
+                f"s; start workers with `dask worker {address}`",
                 code="cluster-unreachable",
             ) from error
         except OSError as error:
@@ -257,14 +260,14 @@ def _on_cluster(address: str) -> Iterator[WorkerPool]:
             yield WorkerPool(_DaskExecutor(client), (KilledWorker,), count)
         except CancelledError as error:
             raise CounterspinError(
-                f"{address}: the connection with the Dask scheduler was lost; restore it and "
-                "run the command again (a study with an `output` folder continues with "
+                f"{address}: the connection to the Dask scheduler was lost; restore it and run "
+                "the command again (a study with an `output` folder continues with "
                 "`resume=True`)",
                 code="cluster-unreachable",
             ) from error
         except ImportError as error:
             raise CounterspinError(
-                f"a worker of the cluster cannot load counterspin ({error}); every worker "
-                "needs the same versions of it and of Python as this computer",
+                f"a worker of the cluster cannot load counterspin ({error}); every worker must "
+                "have the same versions of counterspin and Python as this computer",
                 code="worker-failed",
             ) from error

@@ -106,4 +106,4 @@ def test_command_writes_both_files_and_requires_both_options(tmp_path, capsys):
     assert {path.suffix for path in tmp_path.glob("c.*")} == {".xml", ".pdf"}
     assert main(["certificate", "--verify", str(xml)]) == 0
     assert main([*words, "--lab", str(lab), "--certificate", str(xml)]) != 0
-    assert "never replaces a file" in capsys.readouterr().err
+    assert "already exists. It" in capsys.readouterr().err

@@ -107,7 +107,9 @@ def test_record_outside_folder_is_not_read(page, folder, record):
     name = record.replace("../", "../../")
     write_description(folder / "three", SMALL.replace("slow.csv", name), "campaign.toml")
     body = page.get("/api/campaign", params={"name": "three"}).json()
-    assert "outside the served folder" in body["mistakes"][0] or "records end" in str(body)
+    assert "outside the served folder" in body["mistakes"][
+        0
+    ] or "the names of record files end" in str(body)
     assert page.post("/api/jobs", json={"name": "three"}).status_code == 422
 
 

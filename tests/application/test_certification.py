@@ -30,12 +30,12 @@ def test_certificate_is_issued_once_and_can_be_downloaded(with_lab, folder):
     body = with_lab.post("/api/certificate", json=SAID).json()
     assert body["accelerometers"] == ["Qx", "Qy"]
     assert body["files"] == ["three/certificate.xml"]
-    assert any("values of the template" in note for note in body["notes"])
+    assert any("values from the template" in note for note in body["notes"])
     certified = check_certificate(folder / "three" / "certificate.xml").certified
     assert certified.identifier == body["identifier"]
     again = with_lab.post("/api/certificate", json=SAID)
     assert again.status_code == 422
-    assert "never replaces a file" in again.json()["error"]
+    assert "already exists. It" in again.json()["error"]
     taken = with_lab.get("/api/file", params={"name": "three/certificate.xml"})
     assert taken.content == (folder / "three" / "certificate.xml").read_bytes()
     assert taken.headers["content-disposition"] == "attachment; filename*=UTF-8''certificate.xml"
@@ -162,7 +162,7 @@ def test_template_data_is_rejected_before_key_is_read(with_lab, folder):
     response = with_lab.post("/api/certificate", json=SAID | {"signing": signing})
     assert response.status_code == 422
     assert "laboratory.name" in response.json()["error"]
-    assert "values of the template" in response.json()["error"]
+    assert "values from the template" in response.json()["error"]
     assert not (folder / "three" / "certificate.xml").exists()
     # The page shows this before the request.
     lab = with_lab.get("/api/lab", params={"file": "LAB.toml", "result": SAID["result"]}).json()

@@ -191,7 +191,11 @@ def test_text_columns_are_shown_where_required(page):
     ("name", "write", "note"),
     [
         ("a.h5", compound, "three-axis sensor: columns 'ax', 'ay', 'az'"),
-        ("a.tdms", partial(waveforms, ends=(0, 1, 2)), "channels truncated to the shortest"),
+        (
+            "a.tdms",
+            partial(waveforms, ends=(0, 1, 2)),
+            "channels truncated to the length of the shortest",
+        ),
         ("b.tdms", partial(waveforms, late=(0, 0, 200)), "channels aligned by start"),
     ],
 )

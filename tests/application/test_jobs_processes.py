@@ -47,7 +47,7 @@ def test_worker_reports_progress_and_result():
     [
         (fail_with, (CounterspinError,), "in words"),
         (fail_with, (ValueError,), "internal error (ValueError: in words)"),
-        (exit, (), "the process ended unexpectedly, possibly because the memory was exhausted"),
+        (exit, (), "the process ended unexpectedly, possibly because it ran out of memory"),
     ],
 )
 def test_worker_reports_failure(work, words, told):

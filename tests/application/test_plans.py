@@ -72,7 +72,7 @@ def test_failed_plan_search_states_cause(planned, folder):
     file.write_text(file.read_text().replace('displacement = "0.01 m"', walk))
     job = wait(planned, planned.post("/api/plan-page", json=request).json()["job"]["number"])
     assert job["state"] == "failed"
-    assert "the search is limited" in job["error"]
+    assert "the search covers only" in job["error"]
 
 
 def test_plan_search_can_be_stopped(planned):
@@ -161,7 +161,7 @@ def test_limits_and_planned_campaign_are_written(planned, folder):
     assert wait(planned, body["number"])["state"] == "done"
     text = (folder / "PLAN.toml").read_text()
     assert tomllib.loads(text)["limits"]["total_time"] == "600 s"
-    assert "# records, spin-up, settling and changes of attitude" in text
+    assert "# includes records, spin-up, settling and changes of attitude" in text
     assert (folder / "planned" / "campaign.toml").is_file()
     again = planned.post("/api/planned", json=request)
     assert again.status_code == 422

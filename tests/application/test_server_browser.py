@@ -150,7 +150,7 @@ def test_certificate_is_signed_by_mouse(open_window, folder, tmp_path, kind):
     tab.get_by_role("heading", name=re.compile("^Certificate .* signed and issued")).wait_for()
     assert tab.get_by_label("Key password").count() == 0
     tab.get_by_role("button", name="Verify three/certificate.pdf").click()
-    tab.get_by_text("The signatures of XML and pages are valid").wait_for()
+    tab.get_by_text("The signatures of the XML and the pages are valid").wait_for()
     for name in ("certificate.xml", "certificate.pdf"):
         assert tab.get_by_role("button", name=f"Save three/{name}").is_visible()
         assert check_certificate(folder / "three" / name, cert=cert).signature == "valid"
@@ -196,7 +196,7 @@ def test_answers_persist_after_change_of_test_type(open_window, folder):
     tab.get_by_label("Recorder files").set_input_files(records)
     for question, said in PLACE:
         answer_field(tab, question).fill(said)
-    kind = tab.get_by_label("Kind of test")
+    kind = tab.get_by_label("Test type")
     kind.select_option("tumble")
     tab.locator(".panel").get_by_role("alert").wait_for()
     kind.select_option("double-turntable")
@@ -223,7 +223,7 @@ def test_table_of_readings_to_result_workflow(open_window, folder, tmp_path):
         answer_field(tab, question).fill(said)
     assert tab.get_by_label("In which direction does the input axis point").input_value() == "up"
     # Detected values of a file do not apply to another.
-    kind = tab.get_by_label("Kind of test")
+    kind = tab.get_by_label("Test type")
     assert kind.input_value() == "tumble"
     files.set_input_files(folder / "three" / "slow.csv")
     holding.clear()
@@ -259,7 +259,7 @@ def test_pasted_arm_table_to_result_workflow(open_window, folder):
     for question, said in (*known, ("What is the nominal sensitivity", "1.25 mA/g")):
         answer_field(tab, question).fill(said)
     # Detected values are shown, also of text columns.
-    assert tab.get_by_label("Kind of test").input_value() == "arm"
+    assert tab.get_by_label("Test type").input_value() == "arm"
     assert tab.get_by_label("Role of column side").input_value() == "position"
     assert tab.get_by_label("in the mounting 'B'").input_value() == "outward"
     tab.get_by_role("button", name="Calibrate").click()
@@ -277,7 +277,7 @@ def test_pose_log_to_triad_workflow(open_window, folder, tmp_path):
     for question, said in answers:
         answer_field(tab, question).fill(said)
     # Detected values are shown.
-    kind = tab.get_by_label("Kind of test")
+    kind = tab.get_by_label("Test type")
     assert kind.input_value() == "poses"
     assert tab.get_by_label("Role of column column 2").input_value() == "Y"
     assert tab.get_by_label("What is the unit of the three axes?").input_value() == "m/s^2"
@@ -440,7 +440,7 @@ def test_page_without_key_shows_instructions(open_window, server_credentials):
         open_again()
         tab.wait_for_url(lambda address: "token" not in address)
         tab.get_by_role("heading", name="This window is not authorised").wait_for()
-        tab.get_by_text("Open the newest link in the terminal").wait_for()
+        tab.get_by_text("Open the most recent link that is shown in the terminal").wait_for()
     # In the same window, where only the fragment differs.
     tab.goto(server_credentials.link)
     tab.get_by_role("link", name="three").wait_for()

@@ -222,5 +222,5 @@ def test_lost_scheduler_is_reported_and_keeps_completed_results(
     assert first == calibrate_alone(folders[0])
     assert "Dask scheduler" in second.error
     monkeypatch.setattr(workers, "_SCHEDULER_TIMEOUT", 0.5)
-    with pytest.raises(CounterspinError, match="no Dask scheduler answers"):
+    with pytest.raises(CounterspinError, match="no Dask scheduler responds at this address"):
         calibrate_many([folders[0]], workers=Workers(cluster=address))

@@ -108,7 +108,7 @@ def test_accepted_misfit_exits_with_0_and_is_stored(wrong_radius, tmp_path, caps
 def test_rejects_empty_reason(wrong_radius, capsys):
     status, _, err = run_calibrate(capsys, wrong_radius, "--accept-misfit", " ")
     assert status == 2
-    assert "give the reason" in err
+    assert "state the reason" in err
 
 
 def test_contradicted_campaign_of_batch_is_named(sound_records, wrong_radius, tmp_path, capsys):
@@ -116,7 +116,7 @@ def test_contradicted_campaign_of_batch_is_named(sound_records, wrong_radius, tm
     status, out, err = run_calibrate(capsys, *words)
     assert status == 1
     assert "the result of 1. " in err
-    assert "the records contradict the result, so the result must not be used." in out
+    assert "the records contradict the result. Do not use it." in out
     assert out.count("contradicted") == 2
     assert BatchResult.read(tmp_path / "all.json").contradicted == [str(wrong_radius)]
     assert run_calibrate(capsys, sound_records, wrong_radius, "--accept-misfit", REASON)[0] == 0

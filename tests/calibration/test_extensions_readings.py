@@ -81,7 +81,7 @@ def test_missing_readings_package_is_reported(tmp_path, run_without):
     write_description(tmp_path, TUMBLE)
     done = run_without("readings", "-m", "counterspin", "calibrate", tmp_path)
     assert done.returncode == 2
-    assert "this installation does not read readings" in done.stderr
+    assert "this installation cannot read tables of readings" in done.stderr
     assert "Traceback" not in done.stderr
 
 

@@ -193,7 +193,7 @@ def set_displacement():
             "write strapped = true in [centrifuge]",
         ),
         (remove_key(describe(0), "records", "angle"), "record the angle of the spindle"),
-        (set_displacement(), "record specific_force, because displacement along a turning axis"),
+        (set_displacement(), "record specific_force, because displacement along a rotating axis"),
         (
             set_attitude(-1, "30 ± 0.01 deg about up"),
             "must not have an uncertainty here; state a prior for platform.tilt",
@@ -203,12 +203,12 @@ def set_displacement():
             "must not have an uncertainty here; state a prior for platform.tilt",
         ),
         (describe("2/0"), "must be a number, or a fraction such as 1/2"),
-        (add_response(), "is larger than 2; the force then has harmonics"),
+        (add_response(), "is larger than 2; counterspin does not calculate the"),
         (describe(100), "must be between -16 and 16"),
         (set_model("terms", ["K_II", "table.lever_arm"]), "in addition to the requested terms"),
         (
             {**describe(-1), "model": {"priors": {"table.lever_arm": "0 ± 1 mm"}}},
-            "acts only in runs with a table_ratio other than -1",
+            "affects only runs with a table_ratio other than -1",
         ),
     ],
 )

@@ -57,7 +57,7 @@ def test_large_radius_uncertainty_has_second_order_response(tmp_path):
     assert [k_i.low, k_i.high] == pytest.approx(np.quantile(exact, [0.025, 0.975]), abs=5e-4)
     assert k_i.gum_validated is False
     text = "".join(map(str, interval_blocks("A", result)))
-    assert "A second-order response is used for K_I (centrifuge.radius)" in text
+    assert "Monte Carlo trials use second-order sensitivities for K_I (centrifuge.radius)" in text
 
 
 def test_small_radius_uncertainty_is_linear(tmp_path):

@@ -62,7 +62,11 @@ def test_complete_result_is_read(tmp_path):
         ("-0.25, -0.125", "-0.25", "the trace of Qx in run1 are of unequal length"),
         ("0.75, 1.25", "0.75", "the trace of Qx in run1 are of unequal length"),
         ("-0.7, 0.7", "-0.7", "the trace of Qx in run1 are of unequal length"),
-        (json.dumps(RESULT["accelerometers"]), "{}", "damaged result: it has no accelerometers"),
+        (
+            json.dumps(RESULT["accelerometers"]),
+            "{}",
+            "damaged result: the result has no accelerometers",
+        ),
         (json.dumps({"K_II": K_II}), "{}", "damaged result: Qx has no coefficients"),
         ('["K_II"]', '["K_II", "K_F"]', "the correlation matrix of Qx is not one of 2 terms"),
         ('"method": "joint", ', "", "not a result file: method: Field required"),

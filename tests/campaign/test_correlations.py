@@ -204,12 +204,12 @@ def test_studies_draw_correlated_truths():
         ('"K_OO"', "must be a list such as"),
         ('[["K_OO", "K_PP"]]', "must be two terms and their correlation"),
         ('[["K_OO", "K_PP", 1.0]]', "less than 1, but it is 1"),
-        ('[["K_OO", "K_OO", 0.5]]', "are not two terms"),
+        ('[["K_OO", "K_OO", 0.5]]', "are not two different terms"),
         ('[["K_OO", "K_PQ", 0.5]]', '"K_PQ" is not a term of an accelerometer'),
         ('[["K_OO", "site.gravity", 0.5]]', '"site.gravity" is not a term'),
         ('[["K_OO", "K_IO", 0.5]]', "A.K_IO has no stated prior"),
         ('[["K_OO", "K_IP", 0.5]]', "A.K_IP is stated without an uncertainty"),
-        ('[["K_OO", "K_PP", 0.5], ["A.K_PP", "K_OO", 0.5]]', "is given twice"),
+        ('[["K_OO", "K_PP", 0.5], ["A.K_PP", "K_OO", 0.5]]', "is stated twice"),
     ],
 )
 def test_rejects_invalid_correlations(tmp_path, entries, message):

@@ -210,16 +210,16 @@ QX_DISPLACEMENT = 'displacement = { column = "east_m", unit = "mm" }'
 EXACT_PATHS = [
     # (old text, new text, the only problem reported)
     ("schema = 1", "", "schema: is missing"),
-    ("schema = 1", "schema = 2", "schema: this version of counterspin reads schema = 1"),
-    ("schema = 1", "schema = true", "schema: this version of counterspin reads schema = 1"),
-    ("schema = 1", "schema = 1.0", "schema: this version of counterspin reads schema = 1"),
+    ("schema = 1", "schema = 2", "schema: this version of counterspin supports schema = 1"),
+    ("schema = 1", "schema = true", "schema: this version of counterspin supports schema = 1"),
+    ("schema = 1", "schema = 1.0", "schema: this version of counterspin supports schema = 1"),
     ("[noise]", "[noize]", 'noize: unknown key; did you mean "noise"?'),
     ('title = "Test"', 'titel = "x"', 'campaign.titel: unknown key; did you mean "title"?'),
     ("latitude =", "lattitude =", 'site.lattitude: unknown key; did you mean "latitude"?'),
     ('latitude = "45 deg"', "", "site.latitude: is missing"),
     ('"45 deg"', '"91 deg"', "site.latitude: a latitude must be between -90 deg and 90 deg"),
-    ('"45 deg"', "48.1", 'site.latitude: a number without a unit; write "48.1 deg" (an angle:'),
-    ('"9.8 ± 1e-5 m/s^2"', "9.8", 'site.gravity: a number without a unit; write "9.8 m/s^2"'),
+    ('"45 deg"', "48.1", 'site.latitude: has no unit; write "48.1 deg" (an angle:'),
+    ('"9.8 ± 1e-5 m/s^2"', "9.8", 'site.gravity: has no unit; write "9.8 m/s^2"'),
     ('"9.8 ± 1e-5 m/s^2"', '"-9.8 m/s^2"', "site.gravity: must be greater than zero"),
     ('"9.8 ± 1e-5 m/s^2"', '"980 m/s^2"', "site.gravity: 980 m/s^2 cannot be gravity on Earth"),
     ('"2.5 ± 1e-5 m"', '"0 m"', "centrifuge.radius: must be greater than zero"),
@@ -238,9 +238,9 @@ EXACT_PATHS = [
     ),
     ('"angle", ', '"time_s", ', 'records.angle: column "time_s" is already used by records.time'),
     ('"east"', '"eest"', 'accelerometers.Qx.input_axis: unknown direction "eest"; did you'),
-    ('"east"', "[1, 0]", "accelerometers.Qx.input_axis: a direction needs three finite"),
-    ('"east"', "[nan, 0, 1]", "accelerometers.Qx.input_axis: a direction needs three finite"),
-    ('"east"', "[0, 0, 0]", "accelerometers.Qx.input_axis: a direction needs three finite"),
+    ('"east"', "[1, 0]", "accelerometers.Qx.input_axis: a direction must have three finite"),
+    ('"east"', "[nan, 0, 1]", "accelerometers.Qx.input_axis: a direction must have three finite"),
+    ('"east"', "[0, 0, 0]", "accelerometers.Qx.input_axis: a direction must have three finite"),
     ('"east"', "3", "accelerometers.Qx.input_axis: must be one of east, west"),
     ('"east"', '[1, 0, "x"]', "accelerometers.Qx.input_axis: must be one of east, west"),
     ('"down"', '"west"', "accelerometers.Qx: input and pendulous axes must be at right angles"),
@@ -252,8 +252,8 @@ EXACT_PATHS = [
     (
         '"1.002 ± 5e-6 g/g"',
         '"1000 ppm"',
-        "accelerometers.Qx.scale_factor: 0.001 g/g is too far from the nominal K_I, 1; an "
-        "error of 1000 ppm is written 1.001 g/g",
+        "accelerometers.Qx.scale_factor: 0.001 g/g is too far from the nominal K_I, 1; write an "
+        "error of 1000 ppm as 1.001 g/g",
     ),
     (
         "K_III =",
@@ -282,7 +282,7 @@ EXACT_PATHS = [
     ("hold = []", 'hold = ["K_OO"]', 'model.hold: "K_OO" is held, but'),
     ("hold = []", 'hold = ["platform.tilt"]', 'model.hold: "platform.tilt.eas'),
     ("[model.priors]", '[model.priors]\nK_II = "1 g"', "model.priors.K_II: 'g' is not a unit of"),
-    ("[model.priors]", "[model.priors]\nK_II = 1", "model.priors.K_II: a number without a"),
+    ("[model.priors]", "[model.priors]\nK_II = 1", "model.priors.K_II: has no"),
     ("[model.priors]", '[model.priors]\nK_Q = "1 g"', 'model.priors.K_Q: unknown term "K_Q"'),
     ("[model.priors]", '[model.priors]\nK_OO = "0 g"', "model.priors.K_OO: 'g' is not a unit of"),
     (
@@ -314,23 +314,30 @@ EXACT_PATHS = [
         "accelerometers.Qy.grade: 'strategic' is not one of 'navigation', 'tactical' or 'consumer'",
     ),
     ("0.25 rev/s", "0.25 Hz", "runs[0].rate: 'Hz' is ambiguous for an angular rate: write rev/s"),
-    ("0.25 rev/s", "0 rev/s", "runs[0].rate: the rate is zero, but the centrifuge must rotate"),
+    ("0.25 rev/s", "0 rev/s", "runs[0].rate: is zero, but the centrifuge must rotate"),
     ("0.25 rev/s", "0.25 m", "runs[0].rate: 'm' is not a unit of angular rate"),
-    ('"0.25 rev/s"', "0.25", 'runs[0].rate: a number without a unit; write "0.25 rad/s"'),
-    ("0.25 rev/s", "0 ± 1 rpm", "runs[0].rate: the rate is zero, but the centrifuge must rotate"),
+    ('"0.25 rev/s"', "0.25", 'runs[0].rate: has no unit; write "0.25 rad/s"'),
+    ("0.25 rev/s", "0 ± 1 rpm", "runs[0].rate: is zero, but the centrifuge must rotate"),
     ('"run2"', '"run1"', 'runs[1].name: "run1" is already used by runs[0]'),
     ("run2.parquet", "run1.csv", 'runs[1].record: "run1.csv" is already used by runs[0]'),
-    ("run2.parquet", "run2.doc", 'runs[1].record: cannot read "run2.doc"; records end in .csv,'),
+    (
+        "run2.parquet",
+        "run2.doc",
+        (
+            'runs[1].record: "run2.doc" is not a supported file type; the '
+            "names of record files end in .csv,"
+        ),
+    ),
     ('"run2"', '""', "runs[1].name: must not be empty"),
     (
         '"run1.csv"',
         r'"data\new\table.csv"',
-        r"runs[0].record: 'data\new\table.csv' contains a line break, tab or similar",
+        r"runs[0].record: 'data\new\table.csv' contains a line break, a tab or another",
     ),
     ('record = "run1.csv"', "", 'runs[0].record: is missing (run "run1")'),
     ("run1.csv", 'run1.csv"\nattitude = "tilted', "runs[0].attitude: is not an attitude; write"),
     ("run1.csv", 'run1.csv"\nattitude = "5 m about up', "runs[0].attitude: 'm' is not a unit of"),
-    ("run1.csv", 'run1.csv"\ntruth = {drift = "1 1/s"}#', "runs[0].truth: needs [simulation]"),
+    ("run1.csv", 'run1.csv"\ntruth = {drift = "1 1/s"}#', "runs[0].truth: requires [simulation]"),
 ]
 
 
@@ -597,7 +604,7 @@ def test_simulation_requires_true_size_of_estimated_noise(tmp_path):
         ('K_II = "20 ug/g^2"', 'K_I = "1000 ppm"', "truth.Qx.K_I: 0.001 g/g is more than 5 times"),
         ('"1 arcsec"', '"90 deg"', 'truth of runs[0] ("run1"), platform.tilt.north: 1.5708 rad is'),
         ('"0.01 deg/h"', '"1 deg/s"', 'truth of runs[0] ("run1"), platform.drift.north: '),
-        ("harmonic = 3", "harmonic = 1000000", 'truth of runs[0] ("run1"): a ripple of harmonic '),
+        ("harmonic = 3", "harmonic = 1000000", 'truth of runs[0] ("run1"): harmonic '),
         ("ratio = 1e-5", "ratio = 0.6", 'truth of runs[0] ("run1"): ripple and drift change the '),
         ('"1e-6 1/s"', '"1e-1 1/s"', 'truth of runs[0] ("run1"): ripple and drift change the rate'),
     ],

@@ -79,7 +79,12 @@ def test_table_is_read_with_checksum(tmp_path):
     [
         ('natural_frequency = "400 Hz"', "", None, "natural_frequency: requires damping as well"),
         ('damping = "0.7"', "", None, "damping: requires natural_frequency as well"),
-        ('natural_frequency = "15 Hz"\ndamping = "1"', "", None, "below 20 times the fastest"),
+        (
+            'natural_frequency = "15 Hz"\ndamping = "1"',
+            "",
+            None,
+            ("below 20 times the highest rotation rate"),
+        ),
         ("", 'cutoff_frequency = "5 Hz"', None, "5 Hz is below 20 times"),
         ('frequency_response = "response.csv"', "", "frequency_Hz,gain\n1,1\n", "no column phase"),
         (
@@ -98,13 +103,13 @@ def test_table_is_read_with_checksum(tmp_path):
             'frequency_response = "response.csv"',
             "",
             "frequency_Hz,gain,phase_deg\n0.1,1,0\n0.5,1,0\n",
-            "ends at 0.5 Hz, below the fastest rotation, 1 rev/s",
+            "ends at 0.5 Hz, which is below the highest rotation rate, 1 rev/s",
         ),
         (
             'frequency_response = "response.csv"\nnatural_frequency = "400 Hz"\ndamping = "0.7"',
             "",
             TABLE,
-            "is given with natural_frequency; keep one",
+            "cannot be combined with natural_frequency; keep one",
         ),
     ],
 )

@@ -118,7 +118,7 @@ def test_rejects_g_for_si_without_gravity():
 @pytest.mark.parametrize(
     ("text", "unit", "message"),
     [
-        (2.5, "m", r'a number without a unit; write "2.5 m" \(a length: m, mm, um, km\)'),
+        (2.5, "m", r'has no unit; write "2.5 m" \(a length: m, mm, um, km\)'),
         (0.5, "rad", r'write "0.5 deg", "0.5 arcsec" or "0.5 rad", whichever applies \(an angle:'),
         (float("nan"), "m", "nan is not a finite number"),
         (True, "m", "must be a length, written as text"),
@@ -146,8 +146,8 @@ def test_rejects_g_for_si_without_gravity():
         ("1.0019 g/g ± 5 ppm", "g/g", r'at the end: "1.0019 ± 5e-06 g/g"$'),
         ("2.5 m ± 1 s", "m", r'at the end: "VALUE ± U UNIT"$'),
         ("1 m1", "m", "'m1' is not a unit"),
-        ("1 m)", "m", "'m\\)' is not a unit: a factor or a bracket is missing"),
-        ("1 1/(s", "1/s", "a factor or a bracket is missing"),
+        ("1 m)", "m", "'m\\)' is not a unit: a factor or a parenthesis is missing"),
+        ("1 1/(s", "1/s", "a factor or a parenthesis is missing"),
         ("1 m^-99 km^99 km^99", "m", "is not a unit of length"),
         ("1 Hz", "rad/s", "'Hz' is ambiguous for an angular rate: write rev/s"),
         ("1 Hz", "1/s", "'Hz' is a frequency; a relative drift is required"),

@@ -99,7 +99,7 @@ def test_unrecorded_axis_of_own_velocity_is_a_question(tmp_path):
     assert [(q.code, q.subject) for q in found] == [("unrecorded-axis", "Qx.K_F")]
     # 2 Omega cos L x 1 mg x 100 s / 2
     assert (
-        "an error of 1 mg in such a direction shifts K_F by 5e-06 g in a run of 100 s"
+        "An error of 1 mg in such a direction shifts K_F by 5e-06 g in a run of 100 s"
         in found[0].text
     )
     whole = replace_parts(SURE, OWN_VELOCITY, ("[noise]\n", UPRIGHT))
@@ -131,11 +131,11 @@ def test_values_without_uncertainty_are_questions(tmp_path):
     ]
     bias, scale_factor, *_ = questions(write_and_read_campaign(tmp_path / "again", text))
     assert bias.text == (
-        "Qx.K_F is stated as 0.005 g without an uncertainty, and is therefore used with the "
-        'default uncertainty. How well is it known? Write "0.005 ± U g".'
+        "Qx.K_F is stated as 0.005 g without an uncertainty and is therefore used with the "
+        'default uncertainty. How accurately is it known? Write "0.005 ± U g".'
     )
     assert (
-        "and is therefore used as exact, because model.assume names it. How well"
+        "and is therefore used as exact, because it is listed in model.assume. How accurately"
         in scale_factor.text
     )
 

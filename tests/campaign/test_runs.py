@@ -137,7 +137,11 @@ def test_errors_name_key(tmp_path, old, new, words):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        (ANGLE, f"{ANGLE}\ndecimal = ','", "records.decimal: simulated records have no such key"),
+        (
+            ANGLE,
+            f"{ANGLE}\ndecimal = ','",
+            ("records.decimal: simulated records cannot have this key"),
+        ),
         (TIME, "time = { sampling_rate = '9 Hz' }", "contain a time column"),
         (
             TIME,
@@ -169,13 +173,13 @@ def test_clock_is_assigned_per_recorder(tmp_path):
     assert clocks["B"] is clocks[""] is None
     assert (clocks["C"].value, clocks["C"].u) == pytest.approx((1e-6, 1e-7))
     assert list_problems(tmp_path, *two_recorders(clock.format("0"), clock.format("1e-6"))) == (
-        'runs: "slow" and "middle" state different clocks for the recorder "B"; state only one of '
-        "them",
+        'runs: "slow" and "middle" state different clocks for the recorder "B"; state only one '
+        "clock",
     )
     (nameless,) = list_problems(
         tmp_path, ('name = "slow"', 'name = "slow"\nrecords = { clock = "0" }')
     )
-    assert "give the recorder of this clock" in nameless
+    assert "name the recorder of this clock" in nameless
     (slow,) = list_problems(tmp_path, (ANGLE, f'{ANGLE}\nclock = "0.02 ± 1e-7"'))
     assert "above 1 %" in slow
 

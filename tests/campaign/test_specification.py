@@ -140,7 +140,7 @@ def test_all_errors_are_reported_by_key():
         "specification.K_II: '5e-5 g/g^2' is not a specification",
         'specification.K_IV: unknown term "K_IV"; did you mean "K_I',
         'specification.decisionrule: unknown term "decisionrule"; did you mean "deci',
-        'specification."platform.tilt": is a term of the machine',
+        'specification."platform.tilt": is a machine term',
         'specification.Qz: no accelerometer is named "Qz"',
         "specification.Qx.K_F: ",
         'specification.Qx.bias: unknown term "bias"',
@@ -153,7 +153,7 @@ def test_all_errors_are_reported_by_key():
 @pytest.mark.parametrize(
     ("table", "line"),
     [
-        ({}, "specification: contains no term; write for example K_II ="),
+        ({}, "specification: contains no term; write, for example, K_II ="),
         ({"decision_rule": "simple", "Qx": {}}, "specification: contains no term"),
         (
             {"decision_rule": "simple", "guard_factor": 1, "K_F": "<= 1 g"},
@@ -165,8 +165,11 @@ def test_all_errors_are_reported_by_key():
         ),
         ({"guard_factor": "1", "K_F": "<= 1 g"}, "specification.guard_factor: must be a number"),
         ({"guard_factor": {"a": 1}, "K_F": "<= 1 g"}, "specification.guard_factor: must be a num"),
-        ({"platform.drift.up": "<= 1 deg/h"}, 'specification."platform.drift.up": is a term of'),
-        ({"platform": {"tilt": "<= 1 arcsec"}}, "specification.platform: is a term of the machine"),
+        (
+            {"platform.drift.up": "<= 1 deg/h"},
+            'specification."platform.drift.up": is a machine term',
+        ),
+        ({"platform": {"tilt": "<= 1 arcsec"}}, "specification.platform: is a machine term"),
     ],
 )
 def test_error_in_table_names_key(table, line):

@@ -57,7 +57,7 @@ def test_bare_names_expand_to_acting_components(mountings, tilt, azimuth):
 def test_no_component_acts_on_vertical_input_axis():
     assert expand_name("platform.tilt", {"Qz": QZ}) == (
         'model.terms[1]: no component of "platform.tilt" affects these accelerometers to first '
-        "order; omit it, or give one component, such as platform.tilt.east"
+        "order; omit it, or name a single component, such as platform.tilt.east"
     )
 
 
@@ -234,7 +234,7 @@ def test_considered_is_alias_of_hold():
     _, _, (told,) = resolve_terms(
         {"Qx": QX}, terms=["K_II"], priors=known, hold=["K_OO"], considered=["K_PP"]
     )
-    assert told == "model.considered: this key is the old name of hold; keep only hold"
+    assert told == "model.considered: this key is the former name of hold; keep only hold"
 
 
 def test_unrequested_term_may_have_prior():

@@ -45,10 +45,10 @@ class Section(SettingsSection):
         ({"inner": {"ratoi": 1.0}}, 'inner.ratoi: unknown key; did you mean "ratio"?'),
         (
             {"reading": 1.5},
-            'reading: a number without a unit; write the quantity as text, such as "1.5 g"',
+            'reading: has no unit; write the quantity as text, such as "1.5 g"',
         ),
         ({"reading": {"Qx": ["1 g", 2]}},
-         'reading: a number without a unit; write the quantity as text, such as "2 g"'),
+         'reading: has no unit; write the quantity as text, such as "2 g"'),
         ({"reading": []}, "reading: must have at least one entry"),
     ],
 )  # fmt: skip

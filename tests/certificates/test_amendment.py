@@ -125,7 +125,7 @@ def test_circular_amendments_are_rejected_without_ledger(certificate_folder):
     # A circular chain from another program is detected on reading.
     whole = (certificate_folder / "2.xml").read_bytes()
     (certificate_folder / "2.xml").write_bytes(whole.replace(b">CS 002<", b">CS 000<"))
-    with pytest.raises(RecordError, match="the amendments are circular"):
+    with pytest.raises(RecordError, match="The amendments are therefore circular"):
         check_certificate(certificate_folder / "2.xml", amends=certificate_folder / "1.xml")
 
 

@@ -152,7 +152,7 @@ def test_coefficient_in_si(tmp_path):
     said = find(xml, f"{QUANTITY}[dcc:name/dcc:content='K_II']/dcc:description/dcc:content")[0]
     assert "27.0000 ± 0.0020 ug/g^2 (U, k = 2.0086)" in said.text
     gravity = find(xml, "//dcc:statement/dcc:nonSIDefinition")[0].text
-    assert gravity == "1 g = 9.8 m/s^2, the local gravity of the site"
+    assert gravity == "1 g = 9.8 m/s^2, the local gravity at the site"
 
 
 def test_certificate_round_trip(tmp_path):
@@ -409,7 +409,7 @@ def test_procedure_and_customer_data_are_stated(tmp_path):
         "Prior for Qx: K_I (scale factor), standard uncertainty 5.0e-6 g/g, supplied by the "
         "customer."
     )
-    assert "The laboratory is not responsible for these data" in supplied[0].text
+    assert "The laboratory is not responsible for them" in supplied[0].text
 
 
 def test_uncertainty_is_at_least_cmc(tmp_path):

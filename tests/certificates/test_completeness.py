@@ -45,6 +45,6 @@ def test_keys_with_template_values_share_one_entry(tmp_path):
     text = LAB.replace('"P-1"', '"EX-1"').replace('"0815"', '"000000"').partition("[conditions]")[0]
     first, second = missing_lines(missing_data(read_lab_for(tmp_path, result(), text), result()))
     assert first.startswith(
-        "item.model, item.serial_number: these entries still have the values of the template"
+        "item.model, item.serial_number: these entries still have the values from the template"
     )
     assert second.startswith("conditions.temperature: this entry is missing")

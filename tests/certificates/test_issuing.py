@@ -140,7 +140,7 @@ def test_verify_reads_xml_in_pdf(certificate_folder, capsys):
     status, out, _ = run_certificate(capsys, "--verify", "c.pdf", "--cert", cert)
     assert status == 0
     assert "27.0000 ± 0.0020 ug/g^2" in out
-    pages = "The pages carry a valid signature of the same signer.\n"
+    pages = "The pages bear a valid signature by the same signer.\n"
     assert out.endswith(f"The signature is valid.\n{pages}")
     assert "The visible pages were not checked" in run_certificate(capsys, "--verify", "c.pdf")[1]
     # Changed pages, unsigned pages and pages of another signer, with the same XML.
@@ -166,13 +166,15 @@ def test_verify_reads_xml_in_pdf(certificate_folder, capsys):
     writer = pypdf.PdfWriter(clone_from="c.pdf")
     writer.add_attachment("second.xml", b"<a/>")
     writer.write("two.pdf")
-    assert "there are 2 XML files attached" in run_certificate(capsys, "--verify", "two.pdf")[2]
+    assert "2 XML files are attached" in run_certificate(capsys, "--verify", "two.pdf")[2]
     writer = pypdf.PdfWriter()
     writer.add_blank_page(10, 10)
     writer.write("none.pdf")
-    assert "there is no XML file attached" in run_certificate(capsys, "--verify", "none.pdf")[2]
+    assert "no XML file is attached" in run_certificate(capsys, "--verify", "none.pdf")[2]
     (certificate_folder / "no.pdf").write_bytes(b"%PDF-1.7 no")
-    assert "no.pdf is not a PDF, or is damaged" in run_certificate(capsys, "--verify", "no.pdf")[2]
+    assert (
+        "no.pdf is not a PDF, or it is damaged" in run_certificate(capsys, "--verify", "no.pdf")[2]
+    )
 
 
 def test_xml_and_pdf_have_same_signature(certificate_folder, capsys):
@@ -277,9 +279,9 @@ def test_template_draft_cannot_be_signed(certificate_folder, capsys):
     status, _, err = run_certificate(capsys, "r.json", "mine.toml", "-o", "d.xml", *signing)
     assert status == 2
     assert "certificate.traceability, laboratory.name" in err
-    assert "values of the template" in err
+    assert "values from the template" in err
     # The check precedes signing: no key is requested.
-    with pytest.raises(CampaignError, match="values of the template"):
+    with pytest.raises(CampaignError, match="values from the template"):
         certificate(
             certificate_folder / "r.json",
             certificate_folder / "mine.toml",
@@ -323,7 +325,7 @@ def test_certificate_command_accepts_reason(certificate_folder, capsys):
     why = ("--accept-misfit", "known play of the arm")
     assert run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.xml", *why)[0] == 0
     made = (certificate_folder / "c.xml").read_bytes()
-    name = "Misfit of the result"
+    name = "Accepted misfit"
     (said,) = find(
         made, f"//dcc:statement[dcc:name/dcc:content='{name}']/dcc:declaration/dcc:content"
     )
@@ -340,7 +342,7 @@ def test_certificate_command_accepts_reason(certificate_folder, capsys):
         (
             ("r.json", "LAB.toml", "-o", "c.txt"),
             2,
-            "c.txt: end the name of the file in .xml or .pdf",
+            "c.txt: the file name must end in .xml or .pdf",
         ),
         (("r.json", "LAB.toml"), 2, "-o FILE.xml"),
         ((), 2, "--init LAB.toml"),

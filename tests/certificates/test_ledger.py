@@ -65,9 +65,9 @@ def test_removed_moved_or_rewritten_entries_are_detected(tmp_path):
     append_entries(path, 4)
     first, second, third, fourth = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(first + third + fourth)
-    assert altered_entry(path).startswith("entry 2 is numbered entry 3: entries are missing")
+    assert altered_entry(path).startswith("entry 2 has the number 3: entries are missing")
     path.write_bytes(first + third + second + fourth)
-    assert altered_entry(path).startswith("entry 2 is numbered entry 3")
+    assert altered_entry(path).startswith("entry 2 has the number 3")
     # A rewritten entry with a valid hash is detected by the next entry.
     other = tmp_path / "other.jsonl"
     append_entries(other, 1)
@@ -75,7 +75,7 @@ def test_removed_moved_or_rewritten_entries_are_detected(tmp_path):
     path.write_bytes(first + other.read_bytes().splitlines(keepends=True)[1] + third + fourth)
     assert altered_entry(path).startswith("entry 2 was altered after it was written")
     path.write_bytes(second)
-    assert altered_entry(path).startswith("entry 1 is numbered entry 2")
+    assert altered_entry(path).startswith("entry 1 has the number 2")
 
 
 @pytest.mark.parametrize("key", ["who", "file"])

@@ -81,7 +81,7 @@ def test_draft_is_not_entered(ledger_folder):
 def test_wrong_usage_and_partial_entry_are_reported(ledger_folder, capsys):
     assert cli.main(["ledger", "add", "ledger.jsonl", "r.json"]) == 2
     assert cli.main(["ledger", "verify", "ledger.jsonl", "r.json"]) == 2
-    assert "give only the ledger" in capsys.readouterr().err
+    assert "verify accepts only the ledger" in capsys.readouterr().err
     more = ("--who", "B", "--why", "w")
     assert cli.main(["ledger", "add", "ledger.jsonl", "none.json", *more]) == 1
     assert not (ledger_folder / "ledger.jsonl").exists()
@@ -209,7 +209,7 @@ def test_pdf_of_other_xml_is_not_completed(ledger_folder, capsys):
     assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
     words = ("r.json", "LAB.toml", "-o", "a.xml", "--both")
     assert run(*words) == 1
-    assert "a.xml exists, but its PDF" in capsys.readouterr().err
+    assert "a.xml already exists, and this command did not start its PDF" in capsys.readouterr().err
     assert not (ledger_folder / "a.pdf").exists()
 
 
@@ -226,7 +226,7 @@ def test_identifier_is_unique_per_content(ledger_folder, monkeypatch, capsys):
     result(serial_number="Q-105").write("r.json", overwrite=True)
     assert run("r.json", "LAB.toml", "-o", "c.xml") == 1
     error = " ".join(capsys.readouterr().err.split())
-    assert "already contains certificate K 7 (entry 4), with different content" in error
+    assert "already contains certificate K 7 (entry 4) with different content" in error
     assert not (ledger_folder / "c.xml").exists()
     assert verify_ledger(ledger_folder / "ledger.jsonl").entries == entries
 

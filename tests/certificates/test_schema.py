@@ -93,7 +93,7 @@ def test_missing_import_is_not_downloaded(folder):
 
 
 def test_folder_without_schema_raises(tmp_path):
-    with pytest.raises(CounterspinError, match="holds no DCC schema"):
+    with pytest.raises(CounterspinError, match="contains no DCC schema"):
         check_schema(GOOD, tmp_path, "x.xml")
     with pytest.raises(CounterspinError, match="file not found"):
         check_schema(GOOD, tmp_path / "none", "x.xml")

@@ -65,11 +65,11 @@ def test_result_file_is_entered_in_ledger(campaign_folder, capsys):
             "--ledger requires --json FILE, --who NAME and --why REASON",
         ),
         (("--json", "r.json", "--ledger", "l.jsonl"), 2, "--who NAME and --why REASON"),
-        (("--json", "r.json", "--who", "B"), 2, "--who and --why need --ledger FILE"),
+        (("--json", "r.json", "--who", "B"), 2, "--who and --why require --ledger FILE"),
         (
             (".", "--json", "r.json", "--ledger", "l.jsonl", *WHO),
             2,
-            "the result of only one campaign",
+            "the result of a single campaign only",
         ),
         (("--json", "r.json", "--ledger", "./r.json", *WHO), 2, "name the same file"),
         (("--json", "r.json", "--ledger", "no/l.jsonl", *WHO), 1, "the folder no does not exist"),

@@ -103,7 +103,7 @@ def test_certificate_does_not_overwrite_files(name, work_folder, capsys):
     assert name in capsys.readouterr().err
     for what in ("certificate", "plan"):
         assert cli.main([what, "--init", name]) == 1
-        assert f"{name} exists" in capsys.readouterr().err
+        assert f"{name} already exists" in capsys.readouterr().err
     assert read_contents(work_folder) == before
 
 

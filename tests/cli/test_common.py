@@ -9,7 +9,7 @@ from counterspin.cli.common import translate_message
 @pytest.mark.parametrize(
     ("words", "raised", "told"),
     [
-        (["simulate", "x"], "give `overwrite=True`", "give --overwrite"),
+        (["simulate", "x"], "set `overwrite=True`", "set --overwrite"),
         (["apply", "r", "f"], "name it with `column`", "name it with --input"),
         (["calibrate"], 'give `method="two-stage"`', "give --method two-stage"),
         (["calibrate"], "`weighted=False`, `fit_bias=True`", "--no-weighted, --fit-bias"),

@@ -49,7 +49,7 @@ def test_exports_to_result(tmp_path, plain_folder, reference, name, capsys):
     folder = tmp_path / "campaign"
     assert main(["init", str(folder), "--from", *map(str, files), *words]) == 0
     output = capsys.readouterr().out
-    assert "Found in the files:" in output
+    assert "Detected in the files:" in output
     assert "Detected for the test double-turntable (please check):" in output
     assert f"counterspin calibrate {folder}" in output
     text = (folder / "campaign.toml").read_text(encoding="utf-8")

@@ -371,7 +371,7 @@ def test_rejects_as_printed_without_force(folder, capsys):
     write_table("Qx\n1.0\n")
     words = ["result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv"]
     assert run(*words) == 2
-    assert "return half the true K_II" in capsys.readouterr().err
+    assert "yield half the true K_II" in capsys.readouterr().err
     assert run(*words, "--force") == 0
 
 

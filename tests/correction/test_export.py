@@ -156,7 +156,7 @@ def test_triad_exports_match_psins_ros_and_kalibr(tmp_path):
             make_triad_result(),
             "a.yaml",
             {"form": "kalibr"},
-            "give `noise` only with the format kalibr",
+            "`noise` is required for the format kalibr",
         ),
         (make_result(), "a.yaml", {"form": "ros"}, "the result has none"),
         (make_result(model="as-printed"), "a.csv", {}, "half the true K_II"),
@@ -184,7 +184,7 @@ def test_only_earlier_export_is_overwritten(ending, tmp_path):
     path, options = tmp_path / f"a{ending}", {"form": "ros"} if ending == ".yaml" else {}
     cs.export(make_triad_result(), path, **options)
     content = path.read_bytes()
-    with pytest.raises(CounterspinError, match="give `overwrite=True`"):
+    with pytest.raises(CounterspinError, match="set `overwrite=True`"):
         cs.export(make_triad_result(), path, **options)
     cs.export(make_triad_result(), path, overwrite=True, **options)
     assert path.read_bytes() == content
@@ -217,7 +217,7 @@ def test_command_uses_largest_noise_and_upper_limits(tmp_path, monkeypatch, caps
     make_triad_result().write("triad.json")
     words = ["export", "triad.json", "-o", "imu.yaml", "--form", "kalibr"]
     assert main(words) == 2
-    assert "--noise only" in capsys.readouterr().err
+    assert "--noise is required" in capsys.readouterr().err
     assert main([*words, "--noise", "noise.json"]) == 0
     assert capsys.readouterr().out == "Wrote imu.yaml.\n"
     kalibr = yaml.safe_load((tmp_path / "imu.yaml").read_text())

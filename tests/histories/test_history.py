@@ -225,7 +225,7 @@ def test_accepted_misfit_is_included(tmp_path):
             'the date of the result, "last spring", is not valid',
         ),
         (make_dated_document(serial=None), "has no serial number"),
-        (make_dated_document(model="as-printed"), "which return half the true K_II"),
+        (make_dated_document(model="as-printed"), "which yield half the true K_II"),
         (remove_estimate(), "does not determine K_II"),
         (remove_term(), "has no K_II"),
         (make_dated_document(2.9e-5, run="same"), "uses the same records as"),
@@ -336,7 +336,7 @@ def test_damaged_file_does_not_stop_history(tmp_path, text, words, capsys):
 
 
 def test_empty_history_states_cause(tmp_path):
-    with pytest.raises(CounterspinError, match=r"no results in .*`write_result`"):
+    with pytest.raises(CounterspinError, match=r"contains no results.*`write_result`"):
         history([tmp_path])
     write_results(tmp_path, a=make_dated_document(date=None))
     with raises("no-results", "Qx of", "a.json:"):
@@ -569,7 +569,7 @@ def test_hidden_files_and_pipes_are_skipped(tmp_path):
     assert len(only_instrument(histories).points) == 1
     (hidden,) = histories.left_out
     assert hidden.file.endswith(".tmpx1y2.json")
-    assert "hidden file is a remainder of an interrupted command" in hidden.reason
+    assert "hidden file was left by an interrupted command" in hidden.reason
     (pipe,) = histories.damaged
     assert "this is a pipe, not a file" in pipe.reason
     # A file given by name must be a result.

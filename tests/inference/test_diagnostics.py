@@ -44,7 +44,7 @@ def test_runs_may_have_different_degrees_of_freedom():
     assert {name: run.dof for name, run in result.runs.items()} == own
     assert result.dof == 3989.5
     assert result.runs["run2"].chi2_p == chi_square_tail(1990.0, result.runs["run2"].chi2)
-    with pytest.raises(ValueError, match="nothing to test"):
+    with pytest.raises(ValueError, match="nothing can be tested"):
         diagnose({"run1": white_noise(1)}, {"run1": 0.0}, noise_given=True)
 
 
@@ -152,7 +152,7 @@ def test_too_few_residuals_raise():
         diagnose({}, 5, noise_given=True)
     with pytest.raises(ValueError, match="at least three"):
         diagnose({"a": [1.0, 2.0]}, 5, noise_given=True)
-    with pytest.raises(ValueError, match="nothing to test"):
+    with pytest.raises(ValueError, match="nothing can be tested"):
         diagnose({"a": white_noise(1)}, 0, noise_given=True)
 
 

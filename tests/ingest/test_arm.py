@@ -185,7 +185,7 @@ def test_coarse_rate_is_reported(tmp_path):
     rows = [["in", 30.0, 1.0], ["out", 67.0, -1.0]]
     told = " ".join(make_arm_draft(write_table(tmp_path / "t.csv", rows)).statements)
     assert (
-        "column 'n_rpm' has so few digits that a change of the last digit changes the "
+        "column 'n_rpm' has so few digits that a change in the last digit changes the "
         "acceleration by 7 %" in told
     )
     rows[0][1] = 30.00012
@@ -301,12 +301,12 @@ def test_rate_formats_return_same_campaign(tmp_path, head, number, unit):
 
 def test_invalid_arm_table_raises(tmp_path):
     path = write_table(tmp_path / "t.csv", make_rows())
-    with raises("wrong-usage", "name one file"):
+    with raises("wrong-usage", "name a single file"):
         make_draft(read_files([path, path]), {}, "arm")
     rows = [["in", 30.0 + n, 1.0 + n, simulate_reading(centripetal_force(30.0))] for n in range(2)]
     path = write_table(tmp_path / "r.csv", rows, "side,n_rpm,radius_m,out_mA")
     answers = PLACE | {"sense": "cw", "out_mA sensitivity": "1.25", "u": "2e-6"}
-    with pytest.raises(CampaignError, match=r"one mounting have 2 radii \(in\)"):
+    with pytest.raises(CampaignError, match=r"a mounting have 2 different radii \(in\)"):
         arm_draft(read_files([path]), answers).document(tmp_path)
     rows = [*make_rows()[:5], ["in", "", simulate_reading(centripetal_force(42.0))]]
     found = make_arm_draft(write_table(tmp_path / "e.csv", rows), u="2e-6")

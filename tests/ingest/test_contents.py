@@ -82,7 +82,9 @@ def test_text_column_is_skipped_and_repeated_header_raises(tmp_path):
     rows = [f"0x68,{0.02 * n:.2f},{n % 7}.5" for n in range(60)]
     rows[30] = "sensor,time_s,a_m"
     (tmp_path / "a.csv").write_text("\n".join([rows[30], *rows, ""]))
-    with pytest.raises(RecordError, match=r"a\.csv, line 32: .* The column names are repeated"):
+    with pytest.raises(
+        RecordError, match=r"a\.csv, line 32: .* The column names occur more than once"
+    ):
         read_contents(tmp_path / "a.csv")
 
 

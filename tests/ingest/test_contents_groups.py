@@ -123,8 +123,8 @@ def test_sensor_groups_are_not_runs(tmp_path):
 @pytest.mark.parametrize(
     ("ends", "late", "note"),
     [
-        ((0, 1, 2), (0, 0, 0), "channels truncated to the shortest"),
-        ((0, 0, 0), (0, 0, 200), "channels aligned by start time, up to 200 samples omitted"),
+        ((0, 1, 2), (0, 0, 0), "channels truncated to the length of the shortest"),
+        ((0, 0, 0), (0, 0, 200), "channels aligned by start time; up to 200 samples omitted"),
     ],
 )
 def test_channels_are_truncated_or_aligned_with_note(tmp_path, ends, late, note):

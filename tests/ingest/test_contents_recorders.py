@@ -131,7 +131,8 @@ def test_rows_are_counted_for_clock_of_one_second_resolution(tmp_path, recorded_
     assert asked.guess == "20 Hz"
     statements = " ".join(draft(read_files([path])).statements)
     assert (
-        "20 rows per second, from the row count, because several rows have the same time in "
+        "20 rows per second, calculated from the row count, because several rows have the same "
+        "time in "
         "column 'time_s'" in statements
     )
 

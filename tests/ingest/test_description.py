@@ -106,9 +106,7 @@ def test_answers_override_guesses(tmp_path):
     assert document["accelerometers"]["Qx"]["input_axis"] == "west"
     assert document["records"]["angle"]["zero"] == "west"
     alone = make_record_draft(files, angle="none", rate="30 deg/s", **{"temp_m is": "unused"})
-    assert alone.problems == (
-        "rate: this is not one of the questions: gravity, latitude, radius, sense",
-    )
+    assert alone.problems == ("rate: not one of the questions: gravity, latitude, radius, sense",)
 
 
 def test_answered_unit_determines_rate_of_runs(tmp_path):
@@ -148,7 +146,7 @@ def test_existing_file_and_invalid_answer_raise(tmp_path):
     with raises("wrong-unit", "radius:", "'s'"):
         write_description(make_record_draft(files, radius="2.5 s"), tmp_path)
     (tmp_path / "campaign.toml").write_text("mine")
-    with pytest.raises(CounterspinError, match=r"campaign.toml exists"):
+    with pytest.raises(CounterspinError, match=r"campaign.toml already exists"):
         write_description(make_record_draft(files), tmp_path)
     assert (tmp_path / "campaign.toml").read_text() == "mine"
     with pytest.raises(CampaignError, match="give the run files"):

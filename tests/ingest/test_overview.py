@@ -84,7 +84,7 @@ def test_file_of_unknown_test_is_not_asked_for_radius(tmp_path, capsys):
     (tmp_path / "log.csv").write_text("a,b,c\n" + rows)
     assert main(["init", str(tmp_path / "c"), "--yes", "--from", str(tmp_path / "log.csv")]) == 2
     told = capsys.readouterr()
-    assert "Found in the files:" in told.out
+    assert "Detected in the files:" in told.out
     assert "What is the test type?" in told.err
     assert "radius" not in told.out + told.err.replace("radius of a centrifuge", "")
 
@@ -98,7 +98,7 @@ def test_rate_of_alternating_sensors_counts_all_rows(tmp_path):
     ]
     (tmp_path / "log.csv").write_text("\n".join(["timestamp;sensor;x", *rows]) + "\n")
     contents = read_files([tmp_path / "log.csv"])
-    assert "about 100.1 rows per second, all sensors together" in overview(contents)[0]
+    assert "about 100.1 rows per second from all sensors together" in overview(contents)[0]
     assert "swings" not in " ".join(overview(contents))
 
 
@@ -134,7 +134,7 @@ def test_lost_samples_and_bursts_are_reported(tmp_path):
     stamps = 0.01 * (8 * packet + rng.random(250)[packet])
     burst = contents_of({"time_s": stamps, "a": rng.normal(size=2000)})
     lines = overview([burst])
-    assert "times repeated or in bursts" in lines[1]
+    assert "times or bursts" in lines[1]
     assert "time is calculated from the row count" in lines[-1]
     assert guess_file(burst).unused[0] == "time_s"
     assert guess_file(burst).sampling == pytest.approx(100.0, rel=2e-3)

@@ -519,7 +519,7 @@ def test_unit_of_unnamed_volts_is_asked(tmp_path, values):
 def test_unsigned_numbers_raise(tmp_path, values):
     counts = np.mod(np.round(values / 9.81 * 16384.0), 65536.0)
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), counts)
-    with raises("unsigned-numbers", "16 bits", "65536", "32768"):
+    with raises("unsigned-numbers", "16-bit", "65536", "32768"):
         likely_test(looks)
 
 
@@ -529,8 +529,8 @@ def test_second_sensor_in_file_is_reported(tmp_path, values):
     found = make_draft(looks, PLACE, "poses")
     assert found.triad == ("a1", "a2", "a3")
     assert (
-        "three more axes rest at the same times and are not used, because they belong to a second "
-        "sensor; to calibrate the second sensor, answer X=b1, Y=b2, Z=b3"
+        "three further axes are at rest at the same times. They belong to a second sensor and "
+        "are not used; to calibrate that sensor, answer X=b1, Y=b2, Z=b3"
     ) in found.statements
     other = make_draft(looks, PLACE | {"X": "b1", "Y": "b2", "Z": "b3"}, "poses")
     assert other.triad == ("b1", "b2", "b3")

@@ -53,4 +53,4 @@ def test_invalid_answers_raise(question, answer, told):
 def test_unknown_question_is_reported():
     taken, problems = judged_answers([GRAVITY, AXIS], {"axis": "e", "gravty": "9.8"})
     assert taken == {"axis": "east"}
-    assert problems == ["gravty: this is not one of the questions: gravity, axis"]
+    assert problems == ["gravty: not one of the questions: gravity, axis"]

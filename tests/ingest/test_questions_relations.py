@@ -95,7 +95,7 @@ def test_sense_contradicting_waves_is_reported(tmp_path):
     found, _ = draft_and_questions(path, **told, **axes, sense="clockwise")
     (problem,) = found.problems
     assert problem.startswith(
-        "sense: the waves along two axes show an angle that increases counterclock"
+        "sense: the periodic signals of two axes show that the angle increases counterclock"
     )
     found, _ = draft_and_questions(path, **told, **axes, sense="counterclockwise")
     assert found.problems == ()

@@ -91,7 +91,7 @@ def test_examples_run_from_init_to_certificate(tmp_path, test, capsys):
 
 def test_existing_reading_table_is_not_overwritten(tmp_path):
     (tmp_path / "readings.csv").write_text("mine", encoding="utf-8")
-    with pytest.raises(CounterspinError, match=r"readings\.csv exists; edit it"):
+    with pytest.raises(CounterspinError, match=r"readings\.csv already exists; edit it"):
         init(tmp_path, "tumble")
     assert not (tmp_path / "campaign.toml").exists()
     with raises("wrong-usage", "`test`", "double-turntable, tumble, arm"):

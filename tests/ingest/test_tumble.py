@@ -135,5 +135,5 @@ def test_table_without_readings_raises(tmp_path):
 
 def test_several_tables_raise(tmp_path):
     path = write_table(tmp_path / "t.csv", make_rows())
-    with raises("wrong-usage", "one file"):
+    with raises("wrong-usage", "a single file"):
         make_draft(read_files([path, path]), {}, "tumble")

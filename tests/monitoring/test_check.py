@@ -130,4 +130,4 @@ def test_command_prints_and_writes_check(folder, tmp_path, capsys):
     assert cs.CheckedRun.read(tmp_path / "c.json") == cs.check(folder / "slow.csv", folder)
     (folder / "slow.csv").write_text("")
     assert main(words) == 1
-    assert "has faults" in capsys.readouterr().err
+    assert "failed its checks" in capsys.readouterr().err

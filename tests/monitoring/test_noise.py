@@ -209,9 +209,9 @@ def test_unreadable_time_cell_is_located(tmp_path):
         (
             {"time_s": [0.0, 2.0, 1.0] * 33, "a_m": np.arange(99.0) % 7},
             {},
-            r"it falls in row 3 \(rows in which it falls: 65\)",
+            r"it decreases in row 3 \(number of decreases: 65\)",
         ),
-        ({"time_s": np.zeros(99), "a_m": np.arange(99.0) % 7}, {}, "it is equal in most rows"),
+        ({"time_s": np.zeros(99), "a_m": np.arange(99.0) % 7}, {}, "most rows"),
         ({"time_s": np.arange(99) // 66, "a_m": np.arange(99.0) % 7}, {}, "differ in too few rows"),
         ({"time_s": np.arange(100.0), "a": np.arange(100.0) % 7}, {}, "no column has a unit"),
         ({"time_s": np.arange(100.0), "a_m": np.zeros(100)}, {}, "all samples are equal"),
@@ -307,7 +307,7 @@ def test_stuck_samples_are_reported_and_excluded():
     stuck[1000:1300] = stuck[999]
     (signal,) = cs.noise({"time_s": time, "Qx_g": stuck / G}).signals
     assert any(
-        remark.startswith("300 of 3000 rows are long sequences") for remark in signal.remarks
+        remark.startswith("300 of 3000 rows belong to long sequences") for remark in signal.remarks
     )
     expected = find_component(
         cs.noise({"time_s": time, "Qx_g": values / G}).signals[0], "acceleration"

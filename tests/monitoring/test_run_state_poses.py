@@ -102,7 +102,7 @@ def test_too_few_poses_list_missing_directions_and_remain_usable(tmp_path):
     posed_records.campaign(tmp_path, {"few": FEW, "many": None})
     checked = cs.check(tmp_path / "few.log", tmp_path)
     assert not checked.good
-    assert "do not determine the noise" in checked.remarks[0]
+    assert "cannot determine both" in checked.remarks[0]
     assert (checked.run.state, checked.run.poses.count) == ("read", 5)
     assert checked.run.poses.rms is None
     assert len(checked.run.poses.missing) >= 4  # at most five of nine unknowns are determined
@@ -121,7 +121,7 @@ def test_record_shorter_than_rest_fails(tmp_path, capsys):
     assert (checked.good, checked.run.state, checked.run.poses) == (False, "failed", None)
     assert "all.log: the record lasts 0.99 s, which is less than one rest" in checked.run.why
     assert main(["check", str(tmp_path / "all.log"), "--campaign", str(tmp_path)]) == 1
-    assert "has faults" in capsys.readouterr().err
+    assert "failed its checks" in capsys.readouterr().err
     (state,) = cs.watch(tmp_path, once=True)
     assert (state.runs[0].state, state.runs[0].why) == (
         "waiting",

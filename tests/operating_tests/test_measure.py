@@ -120,7 +120,7 @@ def test_quantity_without_data_is_not_determined(tmp_path):
     )
     missing = {q.name: q.note for q in result.quantities if q.value is None}
     assert set(missing) == {"hysteresis-error", "threshold", "dead-band"}
-    assert "upwards and downwards" in missing["hysteresis-error"]
+    assert "from below and from above" in missing["hysteresis-error"]
     assert "not determined" in str(result)
 
 
@@ -143,7 +143,7 @@ def test_rejects_invalid_arguments(tmp_path, arguments, message):
 
 def test_rejects_single_input(tmp_path):
     path = write_ramp(tmp_path / "r.csv", np.ones(5), np.arange(5.0))
-    with pytest.raises(CampaignError, match="three points at two inputs"):
+    with pytest.raises(CampaignError, match="three points at two or more inputs"):
         evaluate_ramp(path)
 
 

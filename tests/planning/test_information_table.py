@@ -25,7 +25,7 @@ def test_excessive_runs_and_attitudes_raise(write_starter):
 
 
 def test_planned_run_too_long_for_forecast_raises(write_starter):
-    with pytest.raises(CampaignError, match="a forecast has room"):
+    with pytest.raises(CampaignError, match="a forecast can have at most"):
         plan(
             write_starter(
                 ('total_time = "700 s"', 'total_time = "1e9 s"'), ("runs = 14", "runs = 1")

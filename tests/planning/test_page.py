@@ -9,7 +9,7 @@ from counterspin.planning.result import GoalResult
 @pytest.mark.parametrize(
     ("kind", "efficiency", "timed", "told"),
     [
-        ("minimise", 1.0, True, "No plan within these limits is better by more than 0.05 %."),
+        ("minimise", 1.0, True, "No plan within these limits is more than 0.05 % better."),
         ("minimise", 0.9, True, "can reduce the uncertainty by more than 10 %"),
         ("target", 0.98, True, "can be more than 2 % shorter"),
         ("target", 0.8, False, "needs more than 20 % fewer readings"),

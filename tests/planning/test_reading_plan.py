@@ -324,7 +324,7 @@ MISTAKES = {
     "no rates": ([(f"specific_forces = [{FORCES}]", "")], ARM, "either rates or specific_forces"),
     "both": ([('positions = 24', 'positions = 24\nattitudes = ["level"]')], TUMBLE,
              "either positions or attitudes"),
-    "twice": ([('name = "out"', 'name = "in"')], ARM, 'two have the name "in 1 g"'),
+    "twice": ([('name = "out"', 'name = "in"')], ARM, 'two entries have the name "in 1 g"'),
     "no u": ([('u = "1e-6 g"', "")], TUMBLE, r"stations\[0\].u: is missing"),
     "unit": ([('u = "1e-6 g"', 'u = "1e-6 V"')], TUMBLE, "'V' is not a unit"),
     "no limit": ([("readings = 24", "")], TUMBLE, "give readings or total_time"),

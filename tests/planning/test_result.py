@@ -55,7 +55,7 @@ def test_first_lines_name_largest_contribution_and_assumptions(tmp_path):
     assert "K_OO (second-order output-axis coefficient) contributes" in decides
     assert "No uncertainty was stated for this term, so the default of 2 ug/g^2" in decides
     assert any("The plan does not fix any effect" in text for text in sentences(honest))
-    assert sentences(taken)[2].startswith("These terms are fixed at their nominal values")
+    assert sentences(taken)[2].startswith("u does not include the uncertainty of these terms")
     assert not any("No uncertainty was stated" in text for text in sentences(taken))
 
 

@@ -217,7 +217,7 @@ def test_bias_asymmetry_is_named(tmp_path, u):
     (found,) = lack_of_fit_findings(
         calibrate_readings(tmp_path, angles, values, u=u, terms=(*LEVEL, "K_II"))
     )
-    assert "have the pattern of a bias that differs for negative specific forces" in found.text
+    assert "have the pattern of a bias that is different for negative specific forces" in found.text
 
 
 def test_saturated_fit_is_unjudged(tmp_path):
@@ -227,7 +227,7 @@ def test_saturated_fit_is_unjudged(tmp_path):
     assert "3 readings cannot test the 3 coefficients" in three.findings[0].text
     assert three.state == "reservations"
     four = calibrate_readings(tmp_path, evenly_spaced_angles(4), values, u=SIGMA)
-    assert "4 readings leave 1 degree of freedom" in four.findings[0].text
+    assert "After the fit of 4 readings, 1 degree of freedom remains" in four.findings[0].text
 
 
 def test_warm_up_is_named(tmp_path):
@@ -317,8 +317,8 @@ def test_fewer_than_five_degrees_of_freedom_are_unjudged(tmp_path, count, codes)
     assert stated.state == result.state
     if codes:
         # Chi-square with 4 degrees of freedom exceeds 16.42 by chance in 0.25 %.
-        assert "leave 4 degrees of freedom" in stated.findings[0].text
-        assert "detected only above 2 times the stated uncertainty" in stated.findings[0].text
+        assert "4 degrees of freedom remain" in stated.findings[0].text
+        assert "reveal errors only above 2 times the stated uncertainty" in stated.findings[0].text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])

@@ -148,7 +148,7 @@ SLIPS = {
     ),
     "a position that is missing": (
         HEAD + RUN.replace("attitude", "# attitude"),
-        "runs[0].attitude: is missing: a reading at rest needs a position",
+        "runs[0].attitude: is missing: a reading at rest requires a position",
     ),
     "a sensitivity of another unit": (
         HEAD.replace("1.25 mA/g", "1.25 V/g") + RUN,
@@ -170,7 +170,7 @@ SLIPS = {
     ),
     "a direction of another frame": (
         HEAD + ARM + ON_ARM.replace("inward", "east"),
-        'runs[0]: unknown direction "east" here',
+        'runs[0]: unknown direction "east" for this motion',
     ),
     "no such file": (
         HEAD + '[readings]\nfile = "none.csv"\ncolumns = { reading = "mA" }\n',
@@ -197,12 +197,14 @@ SLIPS = {
     ),
     "a head of no angle": (
         HEAD + RUN.replace("30 ± 0.001 deg about north", "level") + 'head = "30 deg"\n',
-        'runs[0].head: turns about an axis: write attitude = "30 deg about north", or similar',
+        (
+            "runs[0].head: requires an attitude that is a rotation about an axis, such as attitude "
+            '= "30 deg about north"'
+        ),
     ),
     "a number alone, of an output": (
         HEAD + RUN.replace('"1.082532 ± 2e-6 mA"', "1.082532"),
-        'runs[0].reading: a number without a unit; write the quantity as text, such as "1.082532 '
-        'mA"',
+        'runs[0].reading: has no unit; write the quantity as text, such as "1.082532 mA"',
     ),
     "a key of records": (
         HEAD + RUN + 'start = "2 s"\n',

@@ -377,7 +377,7 @@ def test_scatter_of_positions_above_repeats_is_lack_of_fit(tmp_path):
     table = write_table(tmp_path, values)
     result = write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS), table)
     (misfit,) = [f for f in result.findings if f.code == "lack-of-fit"]
-    assert "deviate more from the model than repeated readings of one position" in misfit.text
+    assert "deviate more from the model than repeated readings of the same position" in misfit.text
     fitting = write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS, "K_III"), table)
     assert all(f.code != "lack-of-fit" for f in fitting.findings)
 

@@ -183,7 +183,7 @@ def test_table_and_runs_return_same_result(tmp_path):
         ('amplitude = "5.0 g"', 'amplitude = "5.0 mm"', "amplitude"),
         ('amplitude = "5.0 g"', 'amplitude = "5.0 g"\nrate = "1 rad/s"', "does not rotate"),
         ('motion = "vibration"', 'motion = "static"', 'write motion = "vibration"'),
-        ('attitude = "level"\nreading', "reading", "needs a position"),
+        ('attitude = "level"\nreading', "reading", "requires a position"),
     ],
 )
 def test_invalid_run_raises_with_key(tmp_path, changed, to, message):

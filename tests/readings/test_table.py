@@ -327,7 +327,7 @@ SLIPS = {
     "no position": (
         "angle,mA\n0,1.25\n,0.5\n",
         SIMPLE,
-        'readings."r.csv line 3".attitude: is missing: a reading at rest needs a position',
+        'readings."r.csv line 3".attitude: is missing: a reading at rest requires a position',
     ),
     "no column of positions": (
         "angle,mA\n0,1.25\n30,1.1\n60,0.6\n",
@@ -344,7 +344,7 @@ SLIPS = {
         "w,mA\n6,1.25\n,1.1\n",
         'columns = { rate = "w", reading = "mA" }\nmotion = "arm"\n'
         'axes = { input = "inward", pendulous = "up" }',
-        'readings."r.csv line 3".rate: is missing: an arm rotates',
+        'readings."r.csv line 3".rate: is missing: a reading on an arm requires a rate',
     ),
     "no such mounting": (
         "n,side,mA\n6,inen,1.25\n",

@@ -19,7 +19,9 @@ def test_dataset_without_dataspace_raises(tmp_path):
     with h5py.File(tmp_path / "run.h5", "w") as file:
         for name in table():
             file[name] = h5py.Empty("f8")
-    assert f"'{TIME}' has the shape None; one column is needed" in read_error(tmp_path / "run.h5")
+    assert f"'{TIME}' has the shape None; a single column is required" in read_error(
+        tmp_path / "run.h5"
+    )
 
 
 def test_columns_of_different_length_raise(tmp_path):
@@ -171,7 +173,7 @@ def test_matrix_is_split_into_columns(tmp_path, name):
         assert file.single_numbers() == {"fs": 50.0}
     angle = ColumnSpec(f"pos{mark}1")
     whole = read_error(tmp_path / name, angle=angle, signals={"Qx": ColumnSpec("pos")})
-    assert f"one column is needed: 'pos{mark}1', 'pos{mark}2'" in whole
+    assert f"a single column is required: 'pos{mark}1', 'pos{mark}2'" in whole
 
 
 def test_matlab_text_file_is_read(tmp_path):

@@ -32,7 +32,7 @@ def test_channels_are_read_as_columns_of_group(tmp_path):
     columns = {"angle": ColumnSpec(f"Run/{ANGLE}"), "signals": {"Qx": ColumnSpec(f"Run/{SIGNAL}")}}
     record = read(path, time=ColumnSpec(f"Run/{TIME}"), **columns)
     np.testing.assert_array_equal(record.time, table()[TIME])
-    assert "there is no column" in read_error(path)
+    assert "the file has no column" in read_error(path)
     assert "no group 'Fast' contains columns" in read_error(path, dialect=Dialect(group="Fast"))
 
 

@@ -153,7 +153,7 @@ def test_angle_jump_raises_with_line(tmp_path, place, size, noisy):
     columns[ANGLE][place:] += size
     message = read_error(write(tmp_path / "run.csv", columns))
     assert f"line {place + 2}:" in message
-    assert "angle jumps" in message
+    assert "angle differs" in message
 
 
 def test_coarse_encoder_has_no_outliers(tmp_path):

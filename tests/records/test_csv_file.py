@@ -75,7 +75,7 @@ def test_fortran_exponents_are_parsed(tmp_path, delimiter, first):
 def test_file_without_header_raises(tmp_path):
     path = write(tmp_path / "run.log", lines(table())[1:])
     message = read_error(path)
-    assert "there is no column" in message
+    assert "the file has no column" in message
     assert "first numbers, line 1," in message
     numbered = {"angle": ColumnSpec("column 2"), "signals": {"Qx": ColumnSpec("column 3")}}
     record = read(path, time=ColumnSpec("column 1"), **numbered)
@@ -113,7 +113,7 @@ def test_decimal_comma_is_read_and_excess_cells_raise(tmp_path):
 def test_binary_file_raises(tmp_path, content):
     path = tmp_path / "run.csv"
     path.write_bytes(content)
-    assert "line 1: the file is not text in UTF-8" in read_error(path)
+    assert "line 1: the file is not UTF-8 text" in read_error(path)
 
 
 def test_comments_in_long_record_lose_no_row(tmp_path):

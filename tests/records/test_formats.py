@@ -20,7 +20,7 @@ from counterspin.records.record import ColumnSpec
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("run.csv.gz", "the file is compressed; unpack it, and give the file inside."),
+        ("run.csv.gz", "the file is compressed; unpack it, and use the extracted file."),
         ("runs.ZIP", "the file is compressed; unpack it"),
         (
             "run.doc",
@@ -34,8 +34,8 @@ from counterspin.records.record import ColumnSpec
         ),
         ("run.npz", "NumPy's binary format is not supported; write an array as text: savetxt("),
         ("run.json", "not a data table; export the data as CSV with one line per sample."),
-        ("run.pkl", "the arrangement of its bytes is unknown; export text,"),
-        ("run.odd", "a record file ends in one of .csv, .txt,"),
+        ("run.pkl", "the byte layout of this file is unknown; export text,"),
+        ("run.odd", "the name of a record file must end in one of .csv, .txt,"),
     ],
 )
 def test_unsupported_format_raises_with_remedy(name, words, tmp_path):
@@ -200,7 +200,7 @@ def test_reader_errors_name_file_and_last_row(tmp_path, error):
     with path.open("rb") as stream, Failing(path, stream) as file:
         file.names = ["a"]
         for call in (lambda: file.require(["a"]), file.table):
-            with pytest.raises(DamagedFileError, match=r"run\.csv: the file"):
+            with pytest.raises(DamagedFileError, match=r"run\.csv: (reading )?the file"):
                 call()
         with pytest.raises(DamagedFileError, match=r"run\.csv: .* after row 12"):
             list(file.batches(["a"]))

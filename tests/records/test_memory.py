@@ -100,8 +100,8 @@ def test_text_column_of_digits_is_not_numeric():
 @pytest.mark.parametrize(
     ("frame", "message"),
     [
-        (7, "run: a int has no named columns. Give a mapping"),
-        ({"t": TIMES, "a": [1.0]}, "run: the columns differ in length: 't' 3, 'a' 1"),
+        (7, "run: a int has no named columns. Pass a mapping"),
+        ({"t": TIMES, "a": [1.0]}, "run: the columns have different lengths: 't' 3, 'a' 1"),
         ({"t": [], "a": []}, "run: the file has no rows of numbers"),
         ({"t": TIMES, "a": np.zeros((3, 3))}, r"column 'a' has the shape \(3, 3\)"),
     ],

@@ -96,7 +96,10 @@ def test_values_repeated_by_faster_log_are_used_once(tmp_path, rows, step):
     columns[SIGNAL] = columns[SIGNAL][first]
     record = read(write(tmp_path / "run.csv", columns))
     part = 1.0 - len(np.unique(first)) / len(first)
-    told = f"column '{SIGNAL}' repeats {100.0 * part:.3g} % of its values; the repeats are not used"
+    told = (
+        f"column '{SIGNAL}' repeats {100.0 * part:.3g} % of its values; repeated values are "
+        "not used"
+    )
     assert told in record.report.format_description
     assert record.report.empty[SIGNAL] == 0
     good = np.isfinite(record.signals["Qx"])
@@ -157,7 +160,9 @@ def test_revolutions_are_limited_by_memory(tmp_path, revolutions, refused):
     path = write(tmp_path / "run.csv", columns)
     options = {"swings": {}, "angle": None}
     if refused:
-        assert "Beyond 5000 revolutions, 16 rows are needed" in read_error(path, **options)
+        assert "Each revolution after the first 5000 requires at least 16 rows" in read_error(
+            path, **options
+        )
     else:
         assert len(read(path, **options).time) == 1000
 

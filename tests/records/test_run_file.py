@@ -23,7 +23,7 @@ def test_record_continues_in_further_files(tmp_path):
     np.testing.assert_array_equal(record.time, whole.time)
     np.testing.assert_array_equal(record.signals["Qx"], whole.signals["Qx"])
     assert record.other_files[second].size == second.stat().st_size
-    assert "2 files, concatenated" in record.report.notes()[0]
+    assert "2 concatenated files" in record.report.notes()[0]
 
 
 def test_error_in_continuation_file_names_file(tmp_path):
@@ -52,7 +52,7 @@ def test_time_range_selects_part_of_record(tmp_path):
     assert record.start_time == 3.0
     assert record.time[-1] == pytest.approx(12.0)
     assert record.report.outside == 1000 - 601
-    assert "399 rows outside the part to be used were omitted." in record.report.notes()
+    assert "399 rows outside the selected part were omitted." in record.report.notes()
     assert "in the selected part" in read_error(path, time_range=(30.0, 50.0))
 
 

@@ -44,7 +44,7 @@ def test_coarse_sensor_in_faster_log_is_thinned_or_raises():
     values = np.round(white_noise(4000) / 1e-3) * 1e-3
     found = SensorSamples.of(np.arange(12000) * STEP, repeat_samples(values, 3.0))
     assert np.array_equal(found.values, values)
-    with pytest.raises(ValueError, match="too coarse to distinguish"):
+    with pytest.raises(ValueError, match="too coarse to tell"):
         SensorSamples.of(np.arange(10000) * STEP, repeat_samples(values, 2.5))
 
 

@@ -81,7 +81,7 @@ def test_several_sensors_require_selection(tmp_path):
     assert sensor_question([chosen]) is None
     assert chosen.dialect_keys == {"select": {"column": "device", "value": "C"}}
     assert set(chosen.columns[1].values.tolist()) == {3.0}
-    with raises("several-sensors", "3 values", "`select`", '"device=A"'):
+    with raises("several-sensors", "3 different values", "`select`", '"device=A"'):
         cs.noise(path)
     assert read_contents(path).selected is None
 
@@ -104,7 +104,7 @@ def test_stacked_records_require_selection(tmp_path, names):
     import counterspin as cs
 
     path = write_stacked_sensors(tmp_path / "log.csv", names)
-    with pytest.raises(RecordError, match="column 'device' takes 2 values"):
+    with pytest.raises(RecordError, match="column 'device' has 2 different values"):
         cs.noise(path, sampling_rate="100 Hz")
     (chosen,) = read_files([path], {"select": str(names[1])})
     assert chosen.dialect_keys == {"select": {"column": "device", "value": str(names[1])}}

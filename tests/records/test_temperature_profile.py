@@ -75,16 +75,16 @@ def make_gap(first, last):
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        (np.full(T.size, np.nan), "column 'T' has no number in the part that is used"),
-        (make_gap(100.0, 210.0), "no number from 100 s to 210 s, more than a quarter"),
+        (np.full(T.size, np.nan), "column 'T' contains no number in the selected part"),
+        (make_gap(100.0, 210.0), "no number from 100 s to 210 s, which is more than a quarter"),
         (make_gap(-1.0, 110.0), "no number from 0 s to 110 s"),
         (make_gap(200.0, 500.0), "no number from 200 s to 399.95 s"),
-        (np.where(T[70] == T, np.inf, 20.0), "row 71: column 'T' holds inf K"),
+        (np.where(T[70] == T, np.inf, 20.0), "row 71: column 'T' contains inf K"),
         (
             np.where(T[9] == T, 20020.0, 20.0),
-            r"row 10: column 'T' holds 20293.2 K \(20020 degC\)",
+            r"row 10: column 'T' contains 20293.2 K \(20020 degC\)",
         ),
-        (-200.0 + 0.01 * T, r"holds 73.15 K \(-200 degC\).*Check the unit"),
+        (-200.0 + 0.01 * T, r"contains 73.15 K \(-200 degC\).*Check the unit"),
     ],
 )
 def test_invalid_temperature_column_raises(values, words):

@@ -396,7 +396,7 @@ def test_rejects_unknown_file_ending(tmp_path):
 def test_only_earlier_figure_is_overwritten_on_request(tmp_path):
     file, foreign = tmp_path / "figure.svg", tmp_path / "own.svg"
     save_figure(PICTURES, file)
-    with pytest.raises(CounterspinError, match=r"figure\.svg exists; .*overwrite=True"):
+    with pytest.raises(CounterspinError, match=r"figure\.svg already exists; .*overwrite=True"):
         save_figure(PICTURES[:1], file)
     before = file.read_bytes()
     save_figure(PICTURES[:1], file, overwrite=True)

@@ -138,7 +138,7 @@ def test_campaign_file_is_calibrated_before_report(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "status", "words"),
     [
-        (["-o", "{}/report.doc"], 2, "report.doc: name the file .html, .pdf or .md"),
+        (["-o", "{}/report.doc"], 2, "report.doc: the file name must end in .html, .pdf or .md"),
         (["-o", "{}/none/report.md"], 1, "report.md cannot be written"),
         (["--date", "yesterday"], 2, "--date: 'yesterday' is not a date"),
         (["--date", "9999-12-31T23:59:00-05:00"], 2, "is not a date"),

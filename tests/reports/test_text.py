@@ -207,7 +207,7 @@ def test_infinite_degrees_of_freedom_give_normal_interval():
 def test_gravity_and_meaning_of_uncertainty_are_stated():
     text = collapse_spaces(render_text(make_result()))
     assert (
-        "Joint method, exact model. The number after ± is one standard uncertainty (k = 1)." in text
+        "Joint method, exact model. The number after ± is the standard uncertainty (k = 1)." in text
     )
     assert "the local gravity, g = 9.8066 m/s^2" in text
     assert "K2 = K_II/K_I" in text

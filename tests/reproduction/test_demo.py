@@ -96,7 +96,7 @@ def test_command_writes_listed_files_and_can_be_repeated(tmp_path, monkeypatch, 
     value = r"(19\.9|20\.0)\d+ ± \S+"
     assert re.search(rf"^K_II +20 +{value} +{value} +(9\.9|10\.0)\d+ ± ", first, re.M)
     assert cli.main(["demo"]) == 1
-    assert "displacement.svg exists; " in capsys.readouterr().err
+    assert "displacement.svg already exists; " in capsys.readouterr().err
     assert cli.main(["demo", "--overwrite"]) == 0
     assert capsys.readouterr().out == first
 

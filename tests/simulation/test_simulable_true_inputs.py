@@ -149,7 +149,7 @@ def test_invalid_true_input_raises_once(tmp_path):
     assert words.count("truth.centrifuge.radius: must be greater than zero") == 1
     assert words.count("truth.site.latitude") == 1
     assert (
-        'truth.records.clock.B: no run names this recorder; write recorder = "B" in [records]'
+        'truth.records.clock.B: no run uses this recorder; write recorder = "B" in [records]'
         in (words)
     )
 

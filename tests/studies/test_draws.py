@@ -196,7 +196,10 @@ def test_large_input_deviation_requires_full_records(tmp_path):
             "is the same in all runs",
         ),
         ('"site.gravity" = { fixed = "8 m/s^2" }', "must be between 9.76 and 9.84 m/s^2"),
-        ('"C.records.clock" = { fixed = "1 ppm" }', "does not apply to any record or reading here"),
+        (
+            '"C.records.clock" = { fixed = "1 ppm" }',
+            ("does not apply to any record or reading of this campaign"),
+        ),
     ],
 )
 def test_invalid_variation_of_input_raises(tmp_path, vary, words):

@@ -236,7 +236,7 @@ def test_existing_result_requires_overwrite(campaign, tmp_path):
 def test_foreign_files_are_not_replaced(campaign, tmp_path, name):
     (tmp_path / name).write_text("mine")
     for overwrite in (False, True):
-        with pytest.raises(CounterspinError, match="is not"):
+        with pytest.raises(CounterspinError, match="was not"):
             study(campaign, trials=100, output=StudyFolder(tmp_path, overwrite=overwrite))
     assert (tmp_path / name).read_text() == "mine"
 
@@ -265,7 +265,7 @@ def test_foreign_figure_prevents_resuming(campaign, unfinished_folder, name):
 def test_folder_options_require_folder(campaign, capsys):
     for option in ("--keep-trials", "--resume"):
         assert main(["study", str(campaign), option]) == 1
-        assert f"{option} needs the folder " in capsys.readouterr().err
+        assert f"{option} requires the folder " in capsys.readouterr().err
 
 
 # Patience

@@ -62,7 +62,7 @@ _WORDS: Final = {
     "rate": "rate, random",
     "clock": "rate, clock",
     "gravity": "gravity",
-    "latitude": "Earth rate, latitude",
+    "latitude": "Earth rate and latitude",
 }
 
 
@@ -231,7 +231,12 @@ def _choose_mounting(campaign: Campaign, mounting: str | None) -> str | None:
     if len(alignments) > 1:
         raise UsageError(
             str(campaign.path),
-            [f"the mountings {', '.join(names)} state different alignments: give `mounting`"],
+            [
+                (
+                    f"the mountings {', '.join(names)} have different stated alignments; select "
+                    "one with `mounting`"
+                )
+            ],
         )
     return names[0] if names else None
 

@@ -102,7 +102,7 @@ def certify_applied(
         If key or schema cannot be used.
     """
     data = read_machine_lab(lab, result.gravity)
-    source = "the laboratory's data" if isinstance(lab, Mapping) else str(lab)
+    source = "the laboratory data" if isinstance(lab, Mapping) else str(lab)
     folder = Path() if isinstance(lab, Mapping) else Path(lab).parent
     assumed = [s.symbol for s in result.applied_sources if s.origin == "assumed"]
     require_evidence(assumed, data.evidence, source)

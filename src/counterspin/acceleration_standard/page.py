@@ -53,7 +53,7 @@ def applied_blocks(result: AppliedAcceleration) -> Iterator[Block]:
             "warning",
         )
     yield Paragraph(
-        "The number after ± is one standard uncertainty (k = 1). The acceleration is the mean "
+        "The number after ± is the standard uncertainty (k = 1). The acceleration is the mean "
         "over one revolution along an input axis that points inward. 1 g = "
         f"{format_number(result.gravity, 9)} m/s^2.",
         "quiet",

@@ -64,8 +64,8 @@ _HOST_NAMES: Final = ("127.0.0.1", "localhost", "[::1]")
 
 #: What is told to who asks for something of the folder without the key.
 NO_KEY_MESSAGE: Final = (
-    "This window does not have the key of the server. Open the newest link in the terminal in "
-    "which `counterspin serve` runs. Each link works only once."
+    "This window does not have the key of the server. Open the most recent link that is shown "
+    "in the terminal of `counterspin serve`. Each link works only once."
 )
 
 #: What the page may load: its own modules, styles and data; pictures have styles of their own.
@@ -249,7 +249,7 @@ class AccessControl:
                 await JSONResponse({"error": reason}, 413)(scope, receive, send)
         except _RequestTimeoutError:
             if not has_begun:
-                reason = f"The request did not arrive completely within {seconds:g} s."
+                reason = f"The complete request was not received within {seconds:g} s."
                 answer = JSONResponse({"error": reason}, 408, {"Connection": "close"})
                 await answer(scope, receive, send)
         except Exception as error:  # no traceback for a user

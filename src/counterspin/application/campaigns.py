@@ -273,7 +273,7 @@ def begin_calibration(
     app.campaign(name)
     if "/" in output or not output.lower().endswith(".json"):
         raise RequestError(
-            f"{output!r} is not a valid result file; use a file name such as result.json"
+            f"{output!r} is not a valid name for a result file; use a name such as result.json"
         )
     target = app.folder.path(f"{name}/{output}" if name else output)
     command = calibrate_command(path.parent, target, method, accept_misfit)

@@ -316,7 +316,7 @@ def _parse_text_of(app: AppState, file: str, text: str, result: str | None) -> E
         return parse_lab_text(text, app.result(result))
     if not (path.is_file() and is_plan(load_document(path))):
         raise PathForbiddenError(
-            f"{file}: only descriptions, plans and laboratory data can be edited here"
+            f"{file}: only descriptions, plans and laboratory data can be edited in the application"
         )
     return parse_plan_text(app, path, text)
 
@@ -339,5 +339,5 @@ def _text_path(app: AppState, file: str) -> Path:
     """Return the path of a text; OutsideError unless it is a TOML file."""
     path = app.folder.path(file)
     if path.suffix.lower() != ".toml":
-        raise PathForbiddenError(f"{file}: only TOML files can be edited here")
+        raise PathForbiddenError(f"{file}: only TOML files can be edited in the application")
     return path

@@ -67,7 +67,7 @@ class Worker:
         except (EOFError, OSError):
             return (
                 "failed",
-                "the process ended unexpectedly, possibly because the memory was exhausted",
+                "the process ended unexpectedly, possibly because it ran out of memory",
             )
         return message
 
@@ -323,7 +323,7 @@ class LiveViews:
         if view is None:
             if len(self._views) >= _MAX_VIEWS:
                 raise RequestError(
-                    "too many campaigns are monitored at the same time; close another Live page"
+                    "too many campaigns are being monitored at once; close another Live page"
                 )
             view = self._views[key] = _View(Worker(run_watch, *key))
             if len(self._views) == 1:

@@ -314,8 +314,8 @@ def _certificate_refusal(result: Result) -> str:
             return ""
     if result.state == "contradicted":
         return (
-            "The records contradict this result. Find the cause and calibrate again, or state "
-            "the reason for accepting the misfit."
+            "The records contradict this result. Find the cause and calibrate again, or accept "
+            "the misfit and state the reason."
         )
     return reasons[0] if reasons else ""
 
@@ -329,7 +329,7 @@ def page_picture(app: AppState, kind: Kind, names: Sequence[str], term: str, ind
         raise NotFoundError("the page with this plot is still being prepared")
     pictures = [block for block in page.blocks if isinstance(block, Picture)]
     if not 0 <= index < len(pictures):
-        raise NotFoundError(f"there is no plot {index}")
+        raise NotFoundError(f"the plot {index} does not exist")
     files = [app.file(name) for name in names]
     with app.drawing:
         return app.cache.get(

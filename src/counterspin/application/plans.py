@@ -128,7 +128,9 @@ def begin_plan(app: AppState, name: str, example: Example = "records") -> Named:
     """Write an example of a plan; CounterspinError if the file exists already."""
     path = app.folder.path(name)
     if path.suffix.lower() != ".toml":
-        raise RequestError(f"{name} is not a valid plan file; use a file name such as PLAN.toml")
+        raise RequestError(
+            f"{name} is not a valid name for a plan file; use a name such as PLAN.toml"
+        )
     write_example(path, example)
     return {"name": name}
 

@@ -234,7 +234,9 @@ def fitted_run(app: AppState, name: str, run: str) -> PlotColumns:
     """Return data and fit of a run, for each accelerometer; NotThereError before `begin_fit`."""
     fitted: Mapping[str, PlotColumns] | None = app.cache.lookup(*_fit_cache_key(app, name))[0]
     if fitted is None or run not in fitted:
-        raise NotFoundError(f"{name}: the records of {run} changed or have not been fitted yet")
+        raise NotFoundError(
+            f"{name}: the records of {run} have changed or have not been fitted yet"
+        )
     return fitted[run]
 
 

@@ -141,7 +141,7 @@ def make_application(app: AppState, credentials: Credentials) -> Starlette:
         if key is None:
             why = (
                 "This link has already been used, or it belongs to another server. Open the "
-                "newest link in the terminal."
+                "most recent link shown in the terminal."
             )
             return JSONResponse({"error": why}, 403)
         if credentials.on_token_used is not None:
@@ -280,7 +280,7 @@ def serve(
 
         def print_link(link: str) -> None:
             say(
-                "This link has been used; each link works only once. Link for another browser "
+                "This link has been used. Each link works only once. Link for another browser "
                 "or window:"
             )
             say(f"  {link}")

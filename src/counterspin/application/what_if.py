@@ -295,9 +295,7 @@ def _requested_symbol(result_part: AccelerometerResult) -> str:
 def _requested_update(result_part: AccelerometerResult) -> tuple[str, WhatIf]:
     symbol = _requested_symbol(result_part)
     if result_part.what_if is None or not symbol:
-        raise NotFoundError(
-            "the result does not state what its uncertainty depends on; calibrate again"
-        )
+        raise NotFoundError("the result does not list its sources of uncertainty; calibrate again")
     return symbol, result_part.what_if
 
 

@@ -145,9 +145,9 @@ def _rate_findings(rates: Mapping[str, tuple[float, float]]) -> list[Finding]:
         return findings
     text = (
         f"In every run, the spindle turned {abs(largest):.3%} "
-        f"{'faster' if largest > 0.0 else 'slower'} than stated. Because all runs agree on "
-        "this ratio, either the recording clock or the stated rates are wrong by this amount. "
-        "The fit uses the recorded times and rates."
+        f"{'faster' if largest > 0.0 else 'slower'} than stated. Because the ratio is the same "
+        "in all runs, either the recorder clock or the stated rates must be wrong by this "
+        "amount. The fit uses the recorded times and rates."
     )
     magnitude = abs(largest)
     return [Finding(code="time-base", subject="records.time", text=text, size=magnitude)]
@@ -172,8 +172,8 @@ def _record_end_findings(observed_runs: Sequence[ObservedRun]) -> list[Finding]:
         if isolated := run.record.report.isolated:
             rows = "1 row" if isolated == 1 else f"{isolated} rows"
             text = (
-                f"{name}: {rows} at an end of the record omitted, because a gap separates the "
-                "omitted rows from the rest of the record. Inspect the record."
+                f"{name}: {rows} at one end of the record omitted, because a gap separates "
+                "these rows from the rest of the record. Inspect the record."
             )
             findings.append(Finding(code="lone-rows", subject=name, text=text, size=isolated))
     return findings
@@ -211,7 +211,7 @@ def _campaign_remarks(campaign: Campaign) -> list[str]:
         remarks.append(f"Omitted on request: {names}.")
     if campaign.model.setting is not None and not any(r.position for r in campaign.readings):
         remarks.append(
-            "[fixture] position was not used. The entry describes the setting error of known "
+            "[fixture] position was not used. It describes the positioning error of known "
             "attitudes, but this campaign estimates all attitudes."
         )
     run_names = [run.name for run in campaign.runs if run.u_rate]
@@ -222,7 +222,7 @@ def _campaign_remarks(campaign: Campaign) -> list[str]:
         names = ", ".join(dict.fromkeys(run_names))
         remarks.append(
             f"The stated rate uncertainty of {names} was not used, because the fit estimates "
-            "the rate from the record. The stated rate serves only as the nominal value."
+            "the rate from the record. The stated rate is used only as the nominal value."
         )
     if campaign.rate_clock is None and campaign.clock is not None:
         count = sum(1 for reading in campaign.readings if reading.rate and not reading.by_clock)

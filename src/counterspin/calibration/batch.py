@@ -111,7 +111,7 @@ def calibrate_many(
             # each by itself: who kills its worker then harms nobody else.
             for index in run_pool(indices, workers.capped().processes):
                 if run_pool([index], 1):
-                    reason = "its process crashed twice, possibly because the memory was exhausted"
+                    reason = "its process crashed twice, possibly because it ran out of memory"
                     record_outcome(index, FailedCampaign(error=reason))
         except CounterspinError as error:
             # The cluster is gone. What it has done before is not thrown away.

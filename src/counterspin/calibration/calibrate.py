@@ -74,7 +74,7 @@ def calibrate(
     if monte_carlo:
         load_name(f"{MONTE_CARLO}:check_trials")(monte_carlo, method)
     if accept_misfit is not None and not accept_misfit.strip():
-        raise UsageError("calibrate", ["accept_misfit: give the reason in words"])
+        raise UsageError("calibrate", ["accept_misfit: state the reason in words"])
     with checksums_of(where) as checksums:
         # Loaded only now: checksums and the start of the reader process run in the meantime.
         from counterspin.calibration.observed_runs import with_recorded_conditions

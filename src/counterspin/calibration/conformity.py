@@ -12,7 +12,7 @@ from counterspin.inference.conformity import DecisionRule, Specification, decide
 from counterspin.inference.verdicts import Conformity
 
 _AS_PRINTED: Final = (
-    "the equations as printed return half the true K_II, so conformity cannot be decided"
+    "the equations as printed yield half the true K_II, so conformity cannot be decided"
 )
 _REJECTED: Final = "the records contradict the result, so conformity cannot be decided"
 

@@ -59,7 +59,7 @@ def apply_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outcome:
     if method is None:
         raise CampaignError(
             "calibrate",
-            ["method: this installation has no two-stage method"],
+            ["method: this installation does not include the two-stage method"],
             code="missing-package",
         )
     if problem.campaign.model.correlations:
@@ -90,7 +90,9 @@ def join_readings(problem: JointProblem) -> tuple[Estimate, ReadingData]:
     """Return the estimate from records, readings and poses, and the last two in it."""
     if (join := _load_optional(READINGS)) is None:
         raise CampaignError(
-            "calibrate", ["this installation does not read readings"], code="missing-package"
+            "calibrate",
+            ["this installation cannot read tables of readings"],
+            code="missing-package",
         )
     return cast("tuple[Estimate, ReadingData]", join(problem))
 

@@ -230,8 +230,8 @@ def refusal_reason(result: Result, names: Iterable[str]) -> str | None:
             why = "".join(f"{finding.text} " for finding in accelerometer.findings[:1])
             return (
                 f"the records contradict the result for {name}: {why}Find the cause and "
-                "calibrate again, or state the reason for accepting the misfit (accept_misfit "
-                "of calibrate)"
+                "calibrate again, or accept the misfit and state the reason (accept_misfit of "
+                "calibrate)"
             )
     return None
 
@@ -247,7 +247,7 @@ def _check_model(
         yield Finding(
             code="as-printed",
             subject=name,
-            text="The equations as printed in the paper return half the true K_II.",
+            text="The equations as printed in the paper yield half the true K_II.",
         )
     k_ii, subject = accelerometer.coefficients.get("K_II"), f"{name}.K_II"
     if (

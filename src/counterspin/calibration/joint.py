@@ -284,8 +284,8 @@ def check_unrecorded_ripple(view: AccelerometerView) -> list[Finding]:
     force = campaign.radius.value * fastest**2 / campaign.gravity.value
     u = float(view.fit.solution.u[index])
     text = (
-        "The rate ripple is unknown, because the records contain no angle. A relative rate ripple "
-        f"of {0.5 * u * force:.1g} would shift K_II by about u/2, and u does not include this "
-        "shift. Record the angle, or calibrate with displacement records."
+        "The rate ripple is unknown, because the records contain no angle. A relative rate "
+        f"ripple of {0.5 * u * force:.1g} would shift K_II by about u/2. The stated u does not "
+        "include this shift. Record the angle, or calibrate with displacement records."
     )
     return [Finding(code="unseen-ripple", subject=f"{view.name}.K_II", text=text)]

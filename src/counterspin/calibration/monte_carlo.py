@@ -52,7 +52,8 @@ def check_trials(trials: int, method: str) -> None:
         raise UsageError("calibrate", ["monte_carlo: requires the joint method"])
     if not MIN_TRIALS <= trials <= MAX_TRIALS:
         raise UsageError(
-            "calibrate", [f"monte_carlo: give {MIN_TRIALS} to {MAX_TRIALS} trials, not {trials}"]
+            "calibrate",
+            [(f"monte_carlo: specify {MIN_TRIALS} to {MAX_TRIALS} trials, not {trials}")],
         )
 
 

@@ -122,10 +122,11 @@ def _reject_detrended(campaign: Campaign, name: str, moments_by_run: Mapping[str
     end_condition = ", or zero at both ends in every run" if count == _STRAIGHT_LINE else ""
     raise RecordError(
         f"{', '.join(runs)}: a {REMOVED[count]} was removed from column '{column}' ({name}) "
-        f"before the file was written: the rows are orthogonal to {powers}{end_condition} to the "
-        "last digit, which does not happen in an original record. This also removed the effect of "
-        f"K_F and K_II on {observable.replace('_', ' ')}. Switch this off in the recorder or in "
-        "the export (detrend, remove offset, zero mean), and record or export again.",
+        f"before the file was written: the rows are orthogonal to {powers}{end_condition} to "
+        "the last digit, which does not occur in an unprocessed record. This also removed the "
+        f"effect of K_F and K_II on {observable.replace('_', ' ')}. Switch this processing "
+        "(detrend, remove offset, zero mean) off in the recorder or in the export, and record "
+        "or export again.",
         code="detrended-record",
     )
 

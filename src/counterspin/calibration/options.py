@@ -91,8 +91,8 @@ def parse_options(words: Sequence[str]) -> tuple[Method, TwoStageOptions, tuple[
             without.append(value)
         else:
             raise CampaignError(
-                "the result's options",
-                [f"{word}: this version has no such option"],
+                "the options of the result",
+                [f"{word}: this version does not have this option"],
                 code="newer-version",
             )
     return method, TwoStageOptions(**keywords), tuple(without)

@@ -57,8 +57,8 @@ _CONVERSION: Final = "counterspin.calibration.result_conversion"
 
 #: Why a result has no frame of residuals: its file holds those that the pictures show.
 _NO_RESIDUALS = (
-    "the result contains no residuals of records, because result files do not store residuals; "
-    "to obtain residuals, calibrate a campaign with records again by the joint method"
+    "the result contains no residuals of records, because result files do not store them; to "
+    "obtain residuals, calibrate a campaign with records again by the joint method"
 )
 
 
@@ -276,7 +276,7 @@ class Result(ReportableResult):
             raise CounterspinError(
                 "the result has no correlations between accelerometers: the two-stage method "
                 "estimates each accelerometer separately, and versions before 0.2 did not write "
-                "them",
+                "correlations",
                 code="missing-in-result",
             )
         return covariance
@@ -324,7 +324,9 @@ class Result(ReportableResult):
         if selected.is_empty():
             available = frame.select(*criteria).unique(maintain_order=True).rows()
             names = ", ".join(f"{owner} in {name}" for owner, name in available)
-            raise KeyError(f"no residuals of {accelerometer} in {run}; there are those of {names}")
+            raise KeyError(
+                f"the result has no residuals of {accelerometer} in {run}; it has those of {names}"
+            )
         return selected
 
     def plot(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:

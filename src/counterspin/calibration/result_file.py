@@ -94,12 +94,12 @@ def find_faults(result: Result) -> Iterator[str]:
     if not 0.0 < result.inputs.gravity < math.inf:
         yield f"the gravity is {result.inputs.gravity} m/s^2"
     if not result.accelerometers:
-        yield "it has no accelerometers"
+        yield "the result has no accelerometers"
     confounded_sets = [*result.confounded]
     for accelerometer in result.accelerometers.values():
         confounded_sets += accelerometer.confounded
     if any(len(confounded.terms) < 2 for confounded in confounded_sets):
-        yield "fewer than two terms are listed as inseparable"
+        yield "a list of inseparable terms has fewer than two entries"
     for name, run in result.runs.items():
         if not 0.0 < abs(run.rate) < math.inf:
             yield f"the rate of {name} is {run.rate} rad/s"

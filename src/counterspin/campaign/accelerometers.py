@@ -75,7 +75,9 @@ def _sensitivity_as_prior(value: object, info: ValidationInfo) -> Quantity:
     output = info.data.get("output")
     if output is None:
         if "output" in info.data:
-            raise InputError("also needs output = { unit = ..., sensitivity = ... }", "missing-key")
+            raise InputError(
+                "also requires output = { unit = ..., sensitivity = ... }", "missing-key"
+            )
         return Quantity(math.nan, 0.0, "g/g")  # since what is said of the output is a mistake
     stated = parse_prior(value, f"{output.unit}/g", gravity=None)
     u = stated.u / abs(output.sensitivity)
@@ -265,7 +267,10 @@ class Accelerometer(SettingsSection):
         elif self.damping is not None and not self.damping.value >= 0.0:
             yield ("damping",), Problem("must not be negative", "value-out-of-range")
         if self.frequency_response is not None and self.natural_frequency is not None:
-            yield ("frequency_response",), "is given with natural_frequency; keep one"
+            yield (
+                ("frequency_response",),
+                ("cannot be combined with natural_frequency; keep one of them"),
+            )
         for key, symbol in ({symbol: symbol for symbol in TERMS} | COMMON_NAMES).items():
             if (prior := getattr(self, key)) is not None:
                 try:
@@ -277,7 +282,7 @@ class Accelerometer(SettingsSection):
             if symbol == "K_I":
                 alternative = self.sensitivity_prior or alternative
             if None not in (getattr(self, key), alternative):
-                yield (key,), f"duplicates the prior of {symbol}; keep one"
+                yield (key,), f"duplicates the prior of {symbol}; keep one of them"
 
 
 AccelerometerKeys = create_model(

@@ -180,7 +180,7 @@ def _conflicting_clocks(runs: Mapping[int, Run]) -> Mistakes:
             if clock != run.recording.clock:
                 message = (
                     f'state different clocks for the recorder "{run.recording.recorder}"; state '
-                    "only one of them"
+                    "only one clock"
                 )
                 yield ("runs",), f'"{first_name}" and "{run.name}" {message}'
 
@@ -205,15 +205,15 @@ def _unusable_table_ratio(
         if others:
             yield (
                 path,
-                f"{turns}; record specific_force, because {' or '.join(others)} along a turning "
-                "axis is not evaluated",
+                f"{turns}; record specific_force, because {' or '.join(others)} along a "
+                "rotating axis is not evaluated",
             )
         responds = any(a.response is not None for a in accelerometers.values())
         if responds and abs(run.table_ratio) > _LARGEST_RATIO_WITH_RESPONSE:
             yield (
                 path,
-                f"is larger than {_LARGEST_RATIO_WITH_RESPONSE}; the force then has harmonics for "
-                "which no frequency response is calculated",
+                f"is larger than {_LARGEST_RATIO_WITH_RESPONSE}; counterspin does not calculate "
+                "the frequency response for the harmonics of such a force",
             )
         recording = run.recording or records
         if recording is not None and recording.angle is None:
@@ -229,10 +229,10 @@ def _misplaced_lever_arm(model: ErrorModel, runs: Mapping[int, Run]) -> Mistakes
         if LEVER_ARM not in symbols:
             continue
         if not turns:
-            reason = "acts only in runs with a table_ratio other than -1; omit it"
+            reason = "affects only runs with a table_ratio other than -1; omit it"
             yield ("model", key), f'"{LEVER_ARM}" {reason}'
         elif key == "terms":
-            reason = "is estimated in addition to the requested terms; omit it"
+            reason = "is always estimated in addition to the requested terms; omit it"
             yield ("model", key), f'"{LEVER_ARM}" {reason}'
 
 
@@ -240,7 +240,7 @@ def _misplaced_lever_arm(model: ErrorModel, runs: Mapping[int, Run]) -> Mistakes
 def _truth_without_simulation(document: Mapping[str, Any], runs: Mapping[int, Run]) -> Mistakes:
     for place, run in runs.items():
         if run.truth is not None and not {"simulation", "truth"} & document.keys():
-            yield ("runs", place, "truth"), "needs [simulation] or [truth]"
+            yield ("runs", place, "truth"), "requires [simulation] or [truth]"
 
 
 @check
@@ -297,7 +297,7 @@ def _invalid_noise_record(noise: NoiseSettings | None, listed: Listed) -> Mistak
     entries = [entry for _, entry in listed]
     if noise is not None and noise.rest is not None:
         if all(map(is_reading, entries)):
-            yield ("noise", "from"), "applies to records, and no run has a record"
+            yield ("noise", "from"), "applies only to records, but no run has a record"
         if noise.rest in [entry.get("record") for entry in entries if isinstance(entry, dict)]:
             yield ("noise", "from"), "is the record of a run, not a record at rest"
 

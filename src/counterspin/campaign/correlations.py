@@ -54,7 +54,8 @@ def read_correlations(
                 first, second = pair
                 if second in correlations.get(first, {}):
                     raise InputError(
-                        f"the correlation of {first} and {second} is given twice", "duplicate-entry"
+                        f"the correlation of {first} and {second} is stated twice",
+                        "duplicate-entry",
                     )
                 correlations.setdefault(first, {})[second] = r
                 correlations.setdefault(second, {})[first] = r
@@ -99,7 +100,7 @@ def _read_entry(
         if not {first, second} & {*ACCELEROMETER_TERMS} or a.split(".")[0] == b.split(".")[0]
     ]
     if not pairs or any(a == b for a, b in pairs):
-        raise ValueError(f"{first} and {second} are not two terms")
+        raise ValueError(f"{first} and {second} are not two different terms")
     return pairs, float(r)
 
 
@@ -127,7 +128,7 @@ def _check_term(
     if prior is None or prior.u == 0.0:
         state = "has no stated prior" if prior is None else "is stated without an uncertainty"
         raise InputError(
-            f"{name} {state}; a correlation is between priors with a stated ±", "missing-prior"
+            f"{name} {state}; a correlation requires two priors with a stated ±", "missing-prior"
         )
     if symbol in held:
         raise InputError(

@@ -329,7 +329,12 @@ def read_campaign(path: Path | str) -> Campaign:
     if file.suffix.lower() in RECORD_FORMATS and file.exists():
         raise CampaignError(
             str(file),
-            [f"a record, not a campaign; give the folder that contains {DESCRIPTION_NAME}"],
+            [
+                (
+                    "this is a record, not a campaign; give the folder that contains "
+                    f"{DESCRIPTION_NAME}"
+                )
+            ],
             code="wrong-document",
         )
     raw, checksum = load_with_checksum(file, CAMPAIGN_ADVICE, "campaign")

@@ -25,7 +25,7 @@ from counterspin.input import detect_file_type, path_of, read_file
 from counterspin.toml_text import NestingError, parse_toml, write_document
 
 #: What to do where no campaign is.
-CAMPAIGN_ADVICE: Final = "`counterspin init DIR` creates a campaign to start from"
+CAMPAIGN_ADVICE: Final = "`counterspin init DIR` creates an example campaign"
 
 #: What a TOML file may be.
 Kind = Literal["campaign", "plan", "laboratory"]
@@ -78,7 +78,7 @@ def key_path(path: KeyPath) -> str:
 
 def description_file(where: Path | str) -> Path:
     """Return the description's file, of a campaign's folder or of the file itself."""
-    given = path_of(where, "the folder or the description of a campaign")
+    given = path_of(where, "the folder or description file of a campaign")
     return given / DESCRIPTION_NAME if os.path.isdir(given) else given  # noqa: PTH112 -- any name
 
 
@@ -222,7 +222,7 @@ def parse_document(content: bytes, source: str) -> dict[str, Any]:
 def find_invalid_values(value: Any, path: str) -> Iterator[str]:
     """Yield what is TOML, or almost, and no value of any key: long integers and keys, NUL."""
     if len(path) > _MAX_PATH_CHARACTERS:
-        yield f"{path}: the path of a key has at most {_MAX_PATH_CHARACTERS} characters"
+        yield f"{path}: the path of a key may have at most {_MAX_PATH_CHARACTERS} characters"
     elif isinstance(value, dict):
         for key, item in value.items():
             yield from find_invalid_values(item, f"{path}.{key}" if path else key)
@@ -230,11 +230,11 @@ def find_invalid_values(value: Any, path: str) -> Iterator[str]:
         for index, item in enumerate(value):
             yield from find_invalid_values(item, f"{path}[{index}]")
     elif isinstance(value, int) and not -(2**63) <= value < 2**63:
-        yield f"{path}: an integer has at most 64 bits"
+        yield f"{path}: an integer may have at most 64 bits"
     if isinstance(value, str) and "\0" in value:
         yield f"{path}: contains a NUL character"
     if isinstance(value, str) and len(value) > _MAX_CHARACTERS:
-        yield f"{path}: a text has at most {_MAX_CHARACTERS} characters"
+        yield f"{path}: a text may have at most {_MAX_CHARACTERS} characters"
 
 
 # The lines in which keys stand, for messages
@@ -434,8 +434,8 @@ def require_source(campaign: HasSource) -> Source:
     """Return the source of a campaign; CounterspinError if it is unknown."""
     if campaign.source is None:
         raise CounterspinError(
-            f"{campaign.path}: the campaign was modified without `change`, so its description is "
-            "unknown; make all changes with `change`",
+            f"{campaign.path}: the campaign was modified without `change`, so its description "
+            "is unknown; use `change` for all changes",
             code="unknown-description",
         )
     return campaign.source

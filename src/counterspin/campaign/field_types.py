@@ -274,9 +274,7 @@ def parse_table_ratio(value: object) -> float:
 def small_rate_error(value: float) -> float:
     """Return an error of the rate that leaves it a rate."""
     if abs(value) >= 0.5:
-        raise OutOfRangeError(
-            "is relative to the nominal rate, and its magnitude must be below 0.5"
-        )
+        raise OutOfRangeError("is relative to the nominal rate; its magnitude must be below 0.5")
     return value
 
 
@@ -308,8 +306,9 @@ def file_name(name: str) -> str:
     """Return a file's name; refuse one whose backslashes TOML has read as escapes."""
     if any(ord(character) < 32 for character in name):
         raise ValueError(
-            f"{name!r} contains a line break, tab or similar: in double quotation marks, TOML "
-            f"interprets a backslash as an escape character; {BACKSLASH_ADVICE}"
+            f"{name!r} contains a line break, a tab or another control character, because TOML "
+            "interprets a backslash in double quotation marks as an escape character; "
+            f"{BACKSLASH_ADVICE}"
         )
     return name
 
@@ -319,7 +318,11 @@ def record_file(name: str) -> str:
     file_name(name)
     if PurePath(name).suffix.lower() not in RECORD_FORMATS:
         raise InputError(
-            f'cannot read "{name}"; records end in {", ".join(RECORD_FORMATS)}', "wrong-file-ending"
+            (
+                f'"{name}" is not a supported file type; the names of record files end in '
+                f"{', '.join(RECORD_FORMATS)}"
+            ),
+            "wrong-file-ending",
         )
     return name
 
@@ -484,7 +487,7 @@ def require_units(value: Any, info: ValidationInfo) -> Any:
                 unit = units.get(name, default_unit)
                 example = f'"{item!r} {unit}"'
                 raise InputError(
-                    f"a number without a unit; write the quantity as text, such as {example}",
+                    f"has no unit; write the quantity as text, such as {example}",
                     "missing-unit",
                 )
     return value

@@ -76,8 +76,9 @@ class ResponseReader:
         frame = table.frame
         if missing := [column for column in _COLUMNS if column not in frame.columns]:
             raise InputError(
-                f"{file.name} has no column {', '.join(missing)}; a frequency response has the "
-                f"columns {', '.join(_COLUMNS)}, and optionally {', '.join(_UNCERTAINTIES)}",
+                f"{file.name} has no column {', '.join(missing)}; a frequency response requires "
+                f"the columns {', '.join(_COLUMNS)} and may have the column "
+                f"{', '.join(_UNCERTAINTIES)}",
                 "missing-column",
             )
         columns = {}
@@ -130,10 +131,13 @@ def response_problems(response: FrequencyResponse, rate: float) -> Iterator[tupl
     for section, key in (("accelerometers", "natural_frequency"), ("records", "cutoff_frequency")):
         if (frequency := getattr(response, key)) < MIN_RATIO * turns:
             message = (
-                f"{frequency:.4g} Hz is below {MIN_RATIO:g} times the fastest rotation, "
-                f"{turns:.3g} rev/s; the harmonics of the force would be near it"
+                f"{frequency:.4g} Hz is below {MIN_RATIO:g} times the highest rotation rate, "
+                f"{turns:.3g} rev/s; the harmonics of the force would be too close to this "
+                "frequency"
             )
             yield section, key, message
     if response.table is not None and (last := response.table.frequency[-1]) < turns:
-        message = f"ends at {last:.4g} Hz, below the fastest rotation, {turns:.3g} rev/s"
+        message = (
+            f"ends at {last:.4g} Hz, which is below the highest rotation rate, {turns:.3g} rev/s"
+        )
         yield "accelerometers", "frequency_response", message

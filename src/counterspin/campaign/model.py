@@ -197,7 +197,9 @@ def resolve_model(
     terms = _resolve_names(names_of_terms, "terms", setup, problems)
     key, names = settings.held
     if settings.hold and settings.considered:
-        problems.add(("model", "considered"), "this key is the old name of hold; keep only hold")
+        problems.add(
+            ("model", "considered"), ("this key is the former name of hold; keep only hold")
+        )
     considered = _resolve_names(names, key, setup, problems)
     for symbol in considered:
         if symbol in terms:
@@ -312,7 +314,7 @@ def _resolve_symbols(
         problems.add(
             path,
             f'no component of "{name}" affects these accelerometers to first order; omit it, or '
-            f"give one component, such as {BARE_NAMES[name][0].symbol}",
+            f"name a single component, such as {BARE_NAMES[name][0].symbol}",
             "term-without-effect",
         )
     return symbols
@@ -421,8 +423,8 @@ def check_near_nominal(symbol: str, prior: Quantity, grade: str = DEFAULT_GRADE)
     row = term(symbol)
     if row.nominal and abs(prior.value - row.nominal) > row.sizes(grade).limit:
         raise OutOfRangeError(
-            f"{prior.value:.6g} {row.unit} is too far from the nominal {symbol}, {row.nominal:g}; "
-            f"an error of 1000 ppm is written {1.001 * row.nominal:g} {row.unit}"
+            f"{prior.value:.6g} {row.unit} is too far from the nominal {symbol}, "
+            f"{row.nominal:g}; write an error of 1000 ppm as {1.001 * row.nominal:g} {row.unit}"
         )
     return prior
 

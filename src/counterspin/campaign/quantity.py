@@ -157,11 +157,9 @@ def parse(
                 f"{text!r} is not a finite number; {kind} is required ({accepted})"
             )
         if unit == "1":
-            raise InputError(f'a ratio is written as text, such as "{text!r}"', "wrong-type")
+            raise InputError(f'a ratio must be written as text, such as "{text!r}"', "wrong-type")
         example = _with_unit(repr(text), unit, usual)
-        raise InputError(
-            f"a number without a unit; write {example} ({kind}: {accepted})", "missing-unit"
-        )
+        raise InputError(f"has no unit; write {example} ({kind}: {accepted})", "missing-unit")
     if len(text) > _MAX_CHARACTERS:
         raise ValueError(
             f"a quantity may have at most {_MAX_CHARACTERS} characters, but this text has "

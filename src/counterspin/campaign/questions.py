@@ -130,10 +130,10 @@ def _own_velocity(campaign: Campaign) -> Iterator[Question]:
             yield Question(
                 code="unrecorded-axis",
                 subject=f"{name}.K_F",
-                text=f"The computer's velocity along unrecorded directions affects {name} and is "
-                "assumed to be free of errors: an error of 1 mg in such a direction shifts "
-                f"K_F by {moved:.1g} g in a run of 100 s. Record all three axes in the same "
-                "run.",
+                text=f"The computer's velocity along unrecorded directions affects {name} and "
+                "is assumed to be free of errors. An error of 1 mg in such a direction "
+                f"shifts K_F by {moved:.1g} g in a run of 100 s. Record all three axes in "
+                "the same run.",
             )
 
 
@@ -156,14 +156,14 @@ def _exact_priors(campaign: Campaign) -> Iterator[Question]:
             value = f"{prior.value:.9g}"
             assumed = campaign.model.assumes(find_symbol(subject))
             taken = (
-                "as exact, because model.assume names it"
+                "as exact, because it is listed in model.assume"
                 if assumed
                 else "with the default uncertainty"
             )
             yield Question(
                 code="exact-prior",
                 subject=subject,
-                text=f"{subject} is stated as {value} {prior.unit} without an uncertainty, and is "
-                f'therefore used {taken}. How well is it known? Write "{value} ± U '
-                f'{prior.unit}".',
+                text=f"{subject} is stated as {value} {prior.unit} without an uncertainty and "
+                f'is therefore used {taken}. How accurately is it known? Write "{value} ± '
+                f'U {prior.unit}".',
             )

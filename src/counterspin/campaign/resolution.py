@@ -259,7 +259,7 @@ class DescriptionReader:
             return DescribedReadings()
         if not is_installed(_READINGS_READER):
             self.problems.add(
-                ("runs",), "this installation does not read readings", "missing-package"
+                ("runs",), "this installation cannot read tables of readings", "missing-package"
             )
             return DescribedReadings(whole=False)
         read: DescribedReadings = load_name(_READINGS_READER)(self, turns, has_records=has_records)

@@ -92,12 +92,14 @@ class ReadingAxes(SettingsSection):
 class PosesSettings(SettingsSection):
     """``poses`` of a record at rest: how they are found in it."""
 
-    rest: Seconds = key_field("shortest rest that is used as a pose", "1.5 s", 1.5, absent="1.5 s")
+    rest: Seconds = key_field(
+        "shortest rest interval that is used as a pose", "1.5 s", 1.5, absent="1.5 s"
+    )
     threshold: Annotated[float, read_exactly("m/s^2"), AfterValidator(positive)] | None = key_field(
         "scatter below which the sensor is assumed to be at rest",
         "0.05 m/s^2",
         None,
-        absent="detected in the record",
+        absent="determined from the record",
     )
     u: Annotated[float, read_exactly("m/s^2"), AfterValidator(positive)] | None = key_field(
         "standard uncertainty of each axis in a pose, excluding the scatter at rest; required "
@@ -154,7 +156,7 @@ class Run(SettingsSection):
         applies_to=READINGS,
     )
     file: RecordFile | None = key_field(
-        "record file, with its path relative to the campaign folder "
+        "path of the record file, relative to the campaign folder "
         f"({', '.join(RECORD_FORMATS)}). On an arm, the reading is the mean over complete "
         "revolutions; at rest, it is the mean of the record. The uncertainty of the reading is "
         "computed from the noise",
@@ -202,7 +204,7 @@ class Run(SettingsSection):
         "`unknown`",
         {"rest": "1.5 s"},
         None,
-        absent="rests of 1.5 s",
+        absent="rest intervals of 1.5 s",
         applies_to=READINGS,
     )
     mounting: str = key_field("name of the position on the fixture", "in", "", applies_to=READINGS)
@@ -224,14 +226,14 @@ class Run(SettingsSection):
         "at equal intervals from the start to the end of the record",
         "23.4 degC",
         None,
-        absent="the temperature in the record",
-        kind="text, list of text",
+        absent="the recorded temperature",
+        kind="text, or a list of text",
     )
     time: Annotated[float, read_exactly("s")] | None = key_field(
         "start time of the run, or time of the reading, on any clock; used for `K_F.trend`",
         "12 min",
         None,
-        absent="directly after the previous run",
+        absent="the end of the previous run",
     )
     table_ratio: TableRatio = key_field(
         "rotation angle of the table relative to the arm, divided by the spindle angle: a number "
@@ -377,7 +379,7 @@ class Run(SettingsSection):
             yield ("record",), Problem("is missing", "missing-key"), "motion", "reading"
         if self.rate == 0.0:
             stated = "stated_rate" in self.model_fields_set
-            message = "the rate is zero, but the centrifuge must rotate" if stated else "is missing"
+            message = "is zero, but the centrifuge must rotate" if stated else "is missing"
             code = "value-out-of-range" if stated else "missing-key"
             yield ("rate",), Problem(message, code), "motion", "reading"
         # The angle of a table, about up, may be uncertain.
@@ -465,9 +467,11 @@ def _own_recording(
     """
     for key in run_section:
         if key not in _OWN:
-            problems.add((*path, key), f"cannot be set for one run; known: {', '.join(_OWN)}")
+            problems.add(
+                (*path, key), (f"cannot be set for a single run; known keys: {', '.join(_OWN)}")
+            )
     if "angle" in run_section and "angle" not in section:
-        problems.add((*path, "angle"), "state an angle in [records], for all runs", "missing-key")
+        problems.add((*path, "angle"), "state an angle for all runs in [records]", "missing-key")
     settings = problems.check(RecordsSettings, merge_patch(section, run_section), path)
     if settings is None:
         return None
@@ -476,7 +480,7 @@ def _own_recording(
         if "clock" in run_section:
             problems.add(
                 (*path, "clock"),
-                'give the recorder of this clock, such as recorder = "B"',
+                'name the recorder of this clock, such as recorder = "B"',
                 "missing-key",
             )
         return replace(recording, recorder="")

@@ -203,7 +203,7 @@ class Output(SettingsSection):
         "sensitivity divided by this value",
         "1.25 mA/g",
         None,
-        absent="exact if the output is in g, `mg` and so on",
+        absent="exactly 1 if the output is in g, `mg` or a similar unit",
         kind="text",
         validate_default=True,
     )
@@ -284,7 +284,7 @@ class StatedNoise(SettingsSection):
         "resolution of the recorded displacement", "1 mm", 0.0, kind="quantity, m"
     )
     angle: Annotated[float | str, noise_size("rad")] = key_field(
-        "encoder noise; the calibration estimates this noise unless the time stamps have jitter",
+        "encoder noise, which the calibration estimates unless the time stamps have jitter",
         "1e-6 rad",
         0.0,
         kind="quantity, rad",
@@ -322,8 +322,8 @@ class ModelSettings(SettingsSection):
         kind="list of terms",
     )
     assume: TextList = key_field(
-        "terms and inputs that are assumed perfect and do not contribute to u, unless you enter a "
-        "prior",
+        "terms and inputs that are assumed to be perfect and do not contribute to u, unless you "
+        "enter a prior",
         ["K_OO", "platform.*"],
         [],
         absent="none",
@@ -348,13 +348,13 @@ class ModelSettings(SettingsSection):
         absent="none",
     )
     limits: dict[str, Any] = key_field(
-        "largest credible size by term",
+        "largest credible magnitude, by term",
         {"K_II": "1e-3 g/g^2"},
         {},
         absent="by [grade](physics.md#sources-of-the-typical-sizes)",
     )
     typical: dict[str, Any] = key_field(
-        "default standard uncertainty by term, for terms without a prior",
+        "default standard uncertainty, by term, for terms without a prior",
         {"platform.tilt": "0.2 arcsec"},
         {},
         absent="by grade",

@@ -91,7 +91,7 @@ class Simulation(SettingsSection):
         "sampling rate", "100 Hz", 50.0, absent="50 Hz"
     )
     seed: Annotated[int, Field(ge=0)] = key_field(
-        "seed of the random number generator; each run has a separate stream", 7, 1
+        "seed of the random number generator; each run uses a separate stream", 7, 1
     )
     revolutions: PositiveRatio = key_field("number of revolutions in each run", 40, 100.0)
     poses: Annotated[int, Field(ge=1, le=10_000)] = key_field(
@@ -261,7 +261,7 @@ class TruthReader:
         values = {symbol: getattr(table, symbol) for symbol in ACCELEROMETER_TERMS}
         for key, symbol in COMMON_NAMES.items():
             if None not in (getattr(table, key), values[symbol]):
-                self.problems.add((*path, key), f"duplicates {symbol}; keep one")
+                self.problems.add((*path, key), f"duplicates {symbol}; keep one of them")
             values[symbol] = getattr(table, key) if values[symbol] is None else values[symbol]
         return table, {s: value for s, value in values.items() if value is not None}
 
@@ -387,8 +387,8 @@ def _clock_by_recorder(
         path: KeyPath = ("truth", "records", "clock", name)
         problems.add(
             path,
-            f'no run names this recorder; write recorder = "{name}" in [records], '
-            "or in the records of a run",
+            f'no run uses this recorder; write recorder = "{name}" in [records], or in the '
+            "records of a run",
             "unknown-choice",
         )
     return {(recorders[name], CLOCK): part for name, part in clocks.items() if name in recorders}

@@ -26,7 +26,7 @@ from counterspin.physics.terms import TERMS
 _FORMS: Final = '"abs <= A UNIT", "<= A UNIT", ">= A UNIT", "A to B UNIT" or "V ± T UNIT"'
 
 _PLATFORM_TERM_REFUSAL: Final = (
-    "is a term of the machine; only terms of an accelerometer can have a specification"
+    "is a machine term; only accelerometer terms can have a specification"
 )
 
 _RANGE = re.compile(rf"({NUMBER})\s+to\s+({NUMBER})\s*(\S.*)")
@@ -188,7 +188,7 @@ def resolve_specifications(
     if not shared and not any(by_accelerometer.values()) and len(problems.lines) == before:
         problems.add(
             path,
-            f"contains no term; write for example K_II = {_FORMS.split(',')[0]}",
+            f"contains no term; write, for example, K_II = {_FORMS.split(',')[0]}",
             "missing-value",
         )
     if rule is None or len(problems.lines) > before:

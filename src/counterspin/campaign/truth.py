@@ -172,7 +172,7 @@ _FAMILIES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
         {"zy": "0.1 arcsec/g"},
     ),
     "centrifuge.imbalance": (
-        "change of the radius, proportional to the cosine or sine of 1 or 2 times the angle",
+        "change in the radius, proportional to the cosine or sine of 1 or 2 times the angle",
         {"1": {"cos": "1 um"}},
     ),
     "centrifuge.axis_tilt": (
@@ -240,10 +240,10 @@ class _AccelerometerTruthKeys(SettingsSection):
         "true damping ratio of the accelerometer", 0.72, None, absent=_STATED, kind="number"
     )
     start_offset: Annotated[float, read_exactly("m")] = key_field(
-        "error of the displacement at the start of each run", "0.02 m", 0.0
+        "initial displacement error in each run", "0.02 m", 0.0
     )
     start_velocity: Annotated[float, read_exactly("m/s")] = key_field(
-        "error of the velocity at the start of each run", "-1e-4 m/s", 0.0
+        "initial velocity error in each run", "-1e-4 m/s", 0.0
     )
     bias: Annotated[float, coefficient("g")] | None = key_field("alias of K_F", "5 mg", None)
     scale_factor: Annotated[float, coefficient("g/g")] | None = key_field(
@@ -263,10 +263,13 @@ class TrueNoise(StatedNoise):
     """[truth.noise]: true noise of records and readings."""
 
     reading: Any = key_field(
-        "noise of readings, in g or in the unit of their `output`; or a table by accelerometer",
+        (
+            "noise of the readings, in g or in the unit of their `output`, or a table by "
+            "accelerometer"
+        ),
         "2e-6 mA",
         None,
-        absent="as stated with each reading",
+        absent="the uncertainty of each reading",
         kind="quantity, or table",
     )
 

@@ -28,7 +28,7 @@ _PLAIN_MESSAGES: Final[Mapping[str, str]] = {
     "string_too_short": "must not be empty",
     "int_type": "must be a whole number",
     "too_short": "must have at least one entry",
-    "literal_error": "this version of counterspin reads schema = 1",
+    "literal_error": "this version of counterspin supports schema = 1",
     "finite_number": "must be a finite number",
     "float_type": "must be a number",
     "bool_type": "must be true or false",

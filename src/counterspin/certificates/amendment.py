@@ -80,7 +80,7 @@ def read_amended(amendment: Amendment) -> tuple[AmendedCertificate, bytes]:
     numbers = read_certificate(data, str(amendment.path))
     if numbers.identifier.startswith("DRAFT-"):
         raise RecordError(
-            f"{amendment.path} is a draft, which was never issued and cannot be amended",
+            f"{amendment.path} is a draft that was never issued, so it cannot be amended",
             code="wrong-amendment",
         )
     checksum = hashlib.sha256(data).hexdigest()
@@ -100,7 +100,7 @@ def check_new_identifier(identifier: str, amended: AmendedCertificate) -> None:
         problem = f"is the identifier of a certificate that {amended.identifier} amends"
     else:
         return
-    remedy = "each certificate needs a unique identifier"
+    remedy = "each certificate must have a unique identifier"
     raise CampaignError(
         "certificate.identifier", [f'"{identifier}" {problem}; {remedy}'], code="duplicate-entry"
     )
@@ -153,7 +153,7 @@ def verify_amended(new: bytes, old: Path, source: str) -> str:
         raise RecordError(f"{source} does not amend a certificate", code="wrong-amendment")
     if previous[0].text != hashlib.sha256(data).hexdigest():
         raise RecordError(
-            f"{source} does not amend {old}, or {old} has been changed since then",
+            f"{source} does not amend {old}, or {old} has been changed since it was amended",
             code="wrong-amendment",
         )
     before, after = read_certificate(data, str(old)), read_certificate(new, source)
@@ -162,8 +162,8 @@ def verify_amended(new: bytes, old: Path, source: str) -> str:
         for earlier in (before.identifier, *before.replaced)
     ):
         raise RecordError(
-            f"{source} has the identifier of {old} or of a certificate that {old} amends: the "
-            "amendments are circular; do not rely on any of these certificates",
+            f"{source} has the identifier of {old} or of a certificate that {old} amends. The "
+            "amendments are therefore circular; do not rely on any of these certificates",
             code="wrong-amendment",
         )
     return before.identifier

@@ -62,8 +62,8 @@ def check_certifiable(result: Result, names: Sequence[str]) -> None:
     """Raise RecordError if a result must not be certified; judge it if necessary."""
     if result.model == "as-printed":
         raise RecordError(
-            "this result was computed with the paper's equations as printed, which give "
-            "half the true K_II; calibrate again with the exact model",
+            "this result was computed with the paper's equations as printed, which yield half "
+            "the true K_II; calibrate again with the exact model",
             code="as-printed",
         )
     if (refused := refusal_reason(judge_result(result), names)) is not None:
@@ -73,8 +73,8 @@ def check_certifiable(result: Result, names: Sequence[str]) -> None:
         certificate_text.is_determined(c) for coefficients in by_accelerometer for c in coefficients
     ):
         raise RecordError(
-            f"the records do not determine any coefficient of {', '.join(names)}: there is "
-            "nothing to certify",
+            f"the records do not determine any coefficient of {', '.join(names)}, so nothing "
+            "can be certified",
             code="not-determined",
         )
 

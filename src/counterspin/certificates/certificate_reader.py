@@ -33,7 +33,7 @@ from counterspin.records.isolation import run_isolated
 from counterspin.units import from_si
 
 _PYPDF_MISSING: Final = (
-    f"reading a PDF needs the package pypdf, which is not installed: {installing('signature')}"
+    f"reading a PDF requires the package pypdf, which is not installed: {installing('signature')}"
 )
 
 
@@ -80,13 +80,12 @@ def _attached_xml(path: Path) -> bytes:
     except Exception as error:  # any error of pypdf and zlib on a damaged file
         raise _damage_error(path, error) from error
     if len(attachments) != 1:
-        own_data = (
-            "there is no XML file"
-            if not attachments
-            else (f"there are {len(attachments)} XML files")
-        )
+        own_data = "no XML file is" if not attachments else (f"{len(attachments)} XML files are")
         raise RecordError(
-            f"{path}: {own_data} attached to the PDF; the PDF of a certificate has exactly one",
+            (
+                f"{path}: {own_data} attached to the PDF, but the PDF of a certificate must have "
+                "exactly one"
+            ),
             code="wrong-document",
         )
     return attachments[0]
@@ -104,7 +103,7 @@ def _pdf_signature_status(path: Path, public: bytes) -> PdfSignatureStatus:
 
 def _damage_error(path: Path, error: Exception) -> RecordError:
     reason = str(error)[:REASON_LENGTH] or type(error).__name__
-    return DamagedFileError(f"{path} is not a PDF, or is damaged ({reason})")
+    return DamagedFileError(f"{path} is not a PDF, or it is damaged ({reason})")
 
 
 def _xml_files(reader: Any) -> list[bytes]:

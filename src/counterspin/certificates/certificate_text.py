@@ -72,8 +72,8 @@ _RULES: Final = {
         "limits, and fail otherwise"
     ),
     "guarded": "guarded acceptance: the verdict is pass if the estimate lies inside the "
-    "tolerance limits by at least the guard band, fail if the estimate lies outside "
-    "by more than the guard band, and undecided otherwise",
+    "tolerance limits by at least the guard band, fail if it lies outside by more "
+    "than the guard band, and undecided otherwise",
     "probability": "acceptance by probability: the verdict is pass if the probability of "
     "conformity is at least the required value, fail if the probability of "
     "non-conformity is at least this value, and undecided otherwise",
@@ -81,7 +81,7 @@ _RULES: Final = {
 
 #: Statement of a certificate that lacks data of the laboratory, or is not issued yet.
 DRAFT: Final = (
-    "DRAFT. The data of the laboratory are incomplete. This document is not a certificate and "
+    "DRAFT. The laboratory data are incomplete. This document is not a certificate and "
     "certifies nothing."
 )
 
@@ -93,8 +93,8 @@ BASED_ON: Final = (
 
 #: Disclaimer required by ISO/IEC 17025:2017, 7.8.2.2.
 CUSTOMER_DISCLAIMER: Final = (
-    "The customer supplied these data, which can affect the validity of the results. The "
-    "laboratory is not responsible for these data."
+    "These data were supplied by the customer and can affect the validity of the results. The "
+    "laboratory is not responsible for them."
 )
 
 # Headings of the statements, in the XML and on the pages.
@@ -280,9 +280,8 @@ def seal_lines(result: Result, accepted: str | None) -> list[str]:
     if result.sealed:
         return []
     return [
-        "The result file has no seal, so changes after the file was written cannot be "
-        "excluded. counterspin re-evaluated the state of the result from the numbers in the "
-        "file.",
+        "The result file has no seal, so later changes to the file cannot be excluded. "
+        "counterspin re-evaluated the state of the result from the numbers in the file.",
         *(
             []
             if accepted is None

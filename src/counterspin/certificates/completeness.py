@@ -21,7 +21,7 @@ from counterspin.reports.numbers import format_share
 #: smaller by more than 5 %.
 EVIDENCE_SHARE: Final = 0.1
 
-_TEMPLATE: Final = "this entry still has the value of the template; replace the value"
+_TEMPLATE: Final = "this entry still has the value from the template; replace it"
 
 
 @frozen
@@ -48,9 +48,8 @@ def missing_evidence(source: str, share: float, quantity: str) -> MissingEntry:
     return MissingEntry(
         f"evidence.{source}",
         f"this entry is missing; the default standard uncertainty of {name_with_words(source)} "
-        f"contributes {format_share(share)} of the variance of {quantity}. Give evidence for "
-        "the bound of this term, such as a data sheet, or state a prior for the term in the "
-        "campaign",
+        f"contributes {format_share(share)} of the variance of {quantity}. Give evidence for a "
+        "bound on this term, such as a data sheet, or state a prior for the term in the campaign",
     )
 
 
@@ -86,8 +85,8 @@ def missing_lines(entries: Sequence[MissingEntry]) -> list[str]:
     keys = [entry.key for entry in entries if entry.words == _TEMPLATE]
     lines = (
         [
-            f"{', '.join(keys)}: these entries still have the values of the template; replace "
-            "the values before signing"
+            f"{', '.join(keys)}: these entries still have the values from the template; replace "
+            "them before signing"
         ]
         if keys
         else []
@@ -109,8 +108,8 @@ def _missing_evidence(lab: Lab, result: Result) -> Iterator[MissingEntry]:
     for term in terms_without_evidence(result.assumed, lab.evidence):
         yield MissingEntry(
             f"evidence.{term}",
-            "this entry is missing; the result fixes this term at the nominal value. Give "
-            "evidence for the bound of this term",
+            "this entry is missing, but the result fixes this term at its nominal value. Give "
+            "evidence for a bound on this term",
         )
     lacking = dict[str, tuple[float, str]]()
     for name, source, share, symbol in _default_shares(lab, result):

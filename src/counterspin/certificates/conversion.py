@@ -170,7 +170,7 @@ def triad_lines(triad: TriadResult) -> list[str]:
         rms = ""
         if triad.rms_before is not None:
             before = format_number(triad.rms_before, 3)
-            rms = f" The difference between |f| and g has an rms of {before} m/s^2"
+            rms = f" The rms difference between |f| and g is {before} m/s^2"
             after = triad.rms_after
             rms += (
                 "."

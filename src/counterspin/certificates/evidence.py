@@ -59,8 +59,9 @@ def require_evidence(assumed: Sequence[str], evidence: Mapping[str, str], source
     lines = " ".join(f'"{name}" = "..."' for name in lacking)
     problem = (
         f"evidence: the result fixes {', '.join(lacking)} at nominal values, so u does not "
-        "include these terms; give evidence for the bound of each term in [evidence], such as "
-        f"a measurement or a data sheet: {lines}; or calibrate without fixing these terms"
+        "include these terms. In [evidence], give evidence for a bound on each term, such as a "
+        f"measurement or a data sheet: {lines}. Alternatively, calibrate without fixing these "
+        "terms"
     )
     raise CampaignError(source, [problem], code="certificate-incomplete")
 

@@ -71,9 +71,9 @@ def signer_notes(signer: Signer | None, issue: Issue) -> Iterator[str]:
     begin = signer.certificates[0].not_valid_before_utc.date()
     if not begin <= issue.date.date() <= end:
         yield (
-            f"The day of issue, {issue.date.date()}, is outside the validity of the signer's "
-            f"certificate ({begin} to {end}). After {end}, verifiers will not accept the "
-            "signature."
+            f"The day of issue, {issue.date.date()}, is outside the validity period of the "
+            f"signer's certificate ({begin} to {end}). After {end}, verifiers will not accept "
+            "the signature."
         )
 
 

@@ -170,8 +170,8 @@ class Certificate:
         staged_pdf = self._staged_pdf_path(pdf, published_xml)
         if not (staged_pdf.is_file() and read_document(staged_pdf) == published_xml):
             raise ExistingFileError(
-                f"{xml} exists, but its PDF was not begun by this command; a certificate never "
-                "overwrites a file: choose another name"
+                f"{xml} already exists, and this command did not start its PDF. A certificate "
+                "never overwrites a file; choose another name"
             )
         data = read_file(staged_pdf)
         self._write(pdf, data, ledger, {**self.entry, "sha256": checksum_of(published_xml)})
@@ -209,13 +209,13 @@ def check_output_path(output: Path) -> None:
     if output.suffix.lower() not in FORMATS:
         raise CampaignError(
             "certificate",
-            [f"{output}: end the name of the file in .xml or .pdf"],
+            [f"{output}: the file name must end in .xml or .pdf"],
             code="wrong-file-ending",
         )
     if output.is_file():
         raise ExistingFileError(
-            f"{output} exists; a certificate never replaces a file, which may be an issued "
-            "certificate: choose another name"
+            f"{output} already exists. It may be an issued certificate, so it is never "
+            "replaced; choose another name"
         )
     reserve(output)
 
@@ -286,7 +286,7 @@ def certificate(
     """
     for name, reason in (("accept_misfit", accept_misfit), ("accept_unsealed", accept_unsealed)):
         if reason is not None and not reason.strip():
-            raise UsageError("certificate", [f"`{name}`: give the reason in words"])
+            raise UsageError("certificate", [f"`{name}`: state the reason in words"])
     original = result if isinstance(result, Result) else Result.read(result)
     data, specifications = read_lab(lab, original)
     names = data.certified(original)
@@ -307,7 +307,7 @@ def certificate(
     if (problem := _unsealed_error(original, accept_unsealed)) is not None:
         source = "the result" if isinstance(result, Result) else str(result)
         raise RecordError(f"{source}: {problem}", code="result-altered")
-    source = "the laboratory's data" if isinstance(lab, Mapping) else str(lab)
+    source = "the laboratory data" if isinstance(lab, Mapping) else str(lab)
     folder = Path() if isinstance(lab, Mapping) else Path(lab).parent
     require_evidence(original.assumed, data.evidence, source)
     amended, old = (None, b"") if amends is None else read_amended(amends)
@@ -379,7 +379,7 @@ def draft_pages(result: Result, lab: Mapping[str, Any], folder: Path) -> list[st
     names, judged = data.certified(result), judge_result(result)
     check_certifiable(judged, names)
     issue = make_issue(data, result.content, None, (), draft=True)
-    issue = replace(issue, logo=read_laboratory_logo(data, folder, "the laboratory's data"))
+    issue = replace(issue, logo=read_laboratory_logo(data, folder, "the laboratory data"))
     certified = apply_cmc_floor(judged, data)
     if specifications is not None:
         certified = judge_conformity(certified, specifications)
@@ -401,9 +401,9 @@ def _unsealed_error(result: Result, accept_unsealed: str | None) -> str | None:
     """Return the error of a result whose file must not be certified; None if it may be."""
     if not result.sealed and accept_unsealed is None:
         return (
-            "the file has no seal, so changes after the file was written cannot be excluded; "
-            "give the original file, calibrate again, or state in `accept_unsealed` why the "
-            "result is certified nevertheless"
+            "the file has no seal, so later changes to it cannot be excluded; give the original "
+            "file, calibrate again, or state in `accept_unsealed` why the result is certified "
+            "nevertheless"
         )
     if result.sealed and accept_unsealed is not None:
         return "the file has a valid seal; omit `accept_unsealed`"
@@ -473,7 +473,7 @@ def _check_pages(path: Path, cert: Path | KeyMaterial) -> PdfSignatureStatus | N
     if status == "changed":
         raise RecordError(
             f"{path}: the signature is not valid: the pages were changed after the holder of "
-            f"{cert} had signed them; the attached XML was not changed",
+            f"{cert} signed them; the attached XML was not changed",
             code="invalid-signature",
         )
     if status == "invalid":

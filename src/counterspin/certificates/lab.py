@@ -99,8 +99,8 @@ class CertificateSettings(SettingsSection):
         absent="`CS-` and 12 digits of the SHA-256 digest of the result file and LAB.toml",
     )
     language: Language = key_field(
-        "language of the laboratory's entries in this file; standard texts are in "
-        "English, which is the binding version",
+        "language of the laboratory's entries in this file; the standard texts are in English, "
+        "which is the binding version",
         "de",
         "en",
         kind="language",
@@ -195,7 +195,7 @@ class Laboratory(Contact):
     country: Country = key_field("country code of two letters (ISO 3166-1)", "DE", kind="country")
     code: Text | None = key_field("identifier of the accreditation", "D-K-00000-01-00", None)
     logo: Text | None = key_field(
-        "logo on the pages: a PNG or SVG file of at most 1 MB, relative to LAB.toml",
+        "logo on the pages: path of a PNG or SVG file of at most 1 MB, relative to LAB.toml",
         "logo.svg",
         None,
     )
@@ -333,8 +333,8 @@ class Lab(SettingsSection):
         absent="no limit",
     )
     evidence: Annotated[dict[str, Text], BeforeValidator(_flatten)] = key_field(
-        "evidence for each term, by name, that the result [assumes](#assumed-terms) to be perfect "
-        "or whose default uncertainty contributes at least 10 % of a variance",
+        "evidence, by term, for each term that the result [assumes](#assumed-terms) to be "
+        "perfect or whose default uncertainty contributes at least 10 % of a variance",
         {"K_OO": "type test TR-12"},
         {},
         absent="none",
@@ -418,11 +418,11 @@ def _load_lab(
 ) -> tuple[str, Mapping[str, Any], Problems, Lab | None]:
     """Return the name of the file, its document, its problems and its contents."""
     if isinstance(path, Mapping):
-        source, problems = "the laboratory's data", Problems(path)
+        source, problems = "the laboratory data", Problems(path)
         raw = to_toml_value(path, (), problems.add)
     else:
         path = path_of(
-            path, "a mapping with the laboratory's data, or the file that contains the data"
+            path, "a mapping with the laboratory data, or the file that contains the data"
         )
         source = str(path)
         advice = "`certificates.lab.write_example` writes a template"
@@ -489,7 +489,7 @@ def write_example(path: Path | str) -> Path:
     """Write a commented example; CounterspinError if the file exists or cannot be written."""
     path = Path(path)
     if path.exists():
-        raise ExistingFileError(f"{path} exists; edit it, or choose another name")
+        raise ExistingFileError(f"{path} already exists; edit it, or choose another name")
     write_text(path, example_text())
     return path
 

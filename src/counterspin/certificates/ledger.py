@@ -241,7 +241,7 @@ def _verify_content(content_bytes: bytes, source: str) -> VerifiedLedger:
         elif content["hash"] != _content_hash(content):
             problem = "was altered: its hash does not match its content"
         elif content["number"] != number:
-            problem = f"is numbered entry {content['number']}: entries are missing or were moved"
+            problem = f"has the number {content['number']}: entries are missing or were moved"
         elif content["previous"] != previous:
             # The hash chain shows it only in the following entry.
             problem, which = "was altered after it was written, or removed", number - 1
@@ -357,7 +357,7 @@ def record_certificate(
                     return entry
             raise RecordError(
                 f"{ledger_path} already contains certificate {of['identifier']} (entry "
-                f"{earlier[-1].number}), with different content; issue an amendment (`amends`), "
+                f"{earlier[-1].number}) with different content; issue an amendment (`amends`), "
                 "or choose another certificate.identifier",
                 code="ledger-conflict",
             )
@@ -454,8 +454,8 @@ def ledger_blocks(verified: VerifiedLedger) -> Iterator[Block]:
     )
     yield Paragraph(
         f"{len(verified.entries)} entries, none of them altered. Hash of the last entry: "
-        f"{verified.head}. Keep a copy of this hash in a different place. The copy reveals "
-        "whether the last entries were removed or the whole ledger was rewritten."
+        f"{verified.head}. Keep a copy of this hash elsewhere. With it, you can detect whether "
+        "the last entries were removed or the whole ledger was rewritten."
     )
 
 

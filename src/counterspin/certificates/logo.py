@@ -37,7 +37,7 @@ def read_logo(folder: Path, name: str) -> bytes:
     if not data.startswith(_PNG):
         _check_svg(name, data)
     if not is_image(data):
-        raise ValueError(f"{name} is damaged, or is not an image that can be placed on a page")
+        raise ValueError(f"{name} is damaged, or it is not an image that can be placed on a page")
     return data
 
 

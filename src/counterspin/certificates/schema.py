@@ -78,12 +78,13 @@ def parse(document: bytes, source: str, *, comments: bool = False) -> Any:
         seen = "" if document.lstrip()[:1] == b"<" else detect_file_type(document) or "other text"
         reason = f"it is {seen}" if seen else str(error)
         raise DamagedFileError(
-            f"{source} is not XML, or is damaged ({reason}); give the XML or PDF of a certificate"
+            f"{source} is not XML, or it is damaged ({reason}); give the XML or PDF of a "
+            "certificate"
         ) from error
     if root.getroottree().docinfo.doctype:
         # Entities could hide content, and no certificate needs them.
         raise RecordError(
-            f"{source}: has a document type declaration, which a certificate must not have",
+            f"{source}: has a document type declaration, which is not allowed in a certificate",
             code="wrong-document",
         )
     return root
@@ -105,7 +106,7 @@ def load_schema(schema: Path) -> Any:
         return etree.XMLSchema(etree.parse(str(main), reader))
     except (etree.LxmlError, OSError) as error:
         raise CounterspinError(
-            f"{main} is not a schema, or files that it imports are not in the folder ({error}); "
+            f"{main} is not a schema, or the folder lacks files that it imports ({error}); "
             "download dcc.xsd, the D-SI schema, the QUDT schema and xmldsig-core-schema.xsd",
             code="wrong-document",
         ) from error
@@ -120,7 +121,7 @@ def _main_file(schema: Path) -> Path:
     if len(schemas) == 1:
         return schemas[0]
     description = "several DCC schemas; name one of them" if schemas else "no DCC schema (dcc.xsd)"
-    raise CounterspinError(f"{schema}: holds {description}", code="wrong-document")
+    raise CounterspinError(f"{schema}: contains {description}", code="wrong-document")
 
 
 class _LocalResolver(etree.Resolver):  # type: ignore[misc]  # lxml has no type annotations

@@ -31,7 +31,7 @@ _SIGNATURE: Final = f"{_NAMESPACE}Signature"
 _STATED_CERTIFICATE: Final = f"{_SIGNATURE}//{_NAMESPACE}X509Certificate"
 
 _SIGNXML_MISSING: Final = (
-    f"signatures need the package signxml, which is not installed: {installing('signature')}"
+    f"signatures require the package signxml, which is not installed: {installing('signature')}"
 )
 
 
@@ -86,7 +86,7 @@ def verify(document: bytes, certificate: Path | KeyMaterial, source: str) -> Sig
     except InvalidDigest as error:
         raise RecordError(
             f"{source}: the signature is not valid, because the document was changed after the "
-            f"holder of {certificate} had signed it",
+            f"holder of {certificate} signed it",
             code="invalid-signature",
         ) from error
     except Exception as error:  # any error of signxml, lxml and cryptography
@@ -209,7 +209,7 @@ PdfSignatureStatus = Literal["none", "valid", "changed", "invalid"]
 _FIELD: Final = "Signature"
 _REASON: Final = "Electronic signature of this certificate"
 _MISSING: Final = (
-    f"signing a PDF needs the package pyHanko, which is not installed: {installing('signature')}"
+    f"signing a PDF requires the package pyHanko, which is not installed: {installing('signature')}"
 )
 
 

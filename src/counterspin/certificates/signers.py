@@ -29,7 +29,8 @@ _CURVE_BITS: Final = 256
 _COMMAND_SECONDS: Final = 120.0
 
 _MISSING: Final = (
-    f"signatures need the package cryptography, which is not installed: {installing('signature')}"
+    "signatures require the package cryptography, which is not installed: "
+    f"{installing('signature')}"
 )
 
 

@@ -93,10 +93,8 @@ def _certificate_statements(lab: Lab, stated: Result, issue: Issue) -> Iterator[
     yield Statement("Draft", [certificate_text.DRAFT] if issue.draft else [], valid=False)
     yield Statement("Amendment", amendment_lines(issue.amended), _QUALITY)
     misfit = certificate_text.misfit_lines(stated, lab.certified(stated))
-    yield Statement("Misfit of the result", misfit)
-    yield Statement(
-        "File of the result", certificate_text.seal_lines(stated, issue.accepted_unsealed)
-    )
+    yield Statement("Accepted misfit", misfit)
+    yield Statement("Result file", certificate_text.seal_lines(stated, issue.accepted_unsealed))
     yield Statement(
         certificate_text.TRACEABILITY,
         [settings.traceability],
@@ -111,7 +109,7 @@ def _value_statements(lab: Lab, result: Result, stated: Result) -> Iterator[Stat
     yield Statement(
         certificate_text.UNCERTAINTY, [certificate_text.uncertainty_statement()], _GUM, kind=kind
     )
-    one_g = f"1 g = {g!r} m/s^2, the local gravity of the site"
+    one_g = f"1 g = {g!r} m/s^2, the local gravity at the site"
     yield Statement(certificate_text.UNITS, [certificate_text.unit_statement(g)], non_si=one_g)
     cmc_sentences = cmc_lines(result, stated, lab)
     yield Statement(certificate_text.CAPABILITY, cmc_sentences, ("ILAC-P14:09/2020",))

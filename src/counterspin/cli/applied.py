@@ -22,11 +22,11 @@ class BudgetOptions:
     Parameters
     ----------
     mounting
-        Mounting whose stated alignment counts, if the campaign states several.
+        Mounting whose stated alignment is used, if the campaign states several mountings.
     draws
         Number of Monte Carlo draws.
     seed
-        Seed of the draws.
+        Seed of the random number generator.
     budget
         Print the full budget of each level.
     """
@@ -45,7 +45,7 @@ class CertificateOptions:
     Parameters
     ----------
     lab
-        Laboratory data, LAB.toml; its [item] is the centrifuge.
+        Laboratory data (LAB.toml), in which [item] describes the centrifuge.
     certificate
         Write the certificate to this file: .xml, or .pdf with the XML attached.
     signing
@@ -59,7 +59,7 @@ class CertificateOptions:
     def check(self) -> None:
         """Refuse incomplete options and existing files."""
         if (self.lab is None) != (self.certificate is None):
-            raise UsageError("applied", ["give both `certificate` and `lab`, or neither"])
+            raise UsageError("applied", ["give both `certificate` and `lab`, or neither of them"])
         if self.certificate is not None:
             self.signing.check_output(self.certificate)
 
@@ -91,14 +91,14 @@ def applied(
     certified: CertificateOptions = _NO_CERTIFICATE,
     saved: SaveOptions = NOT_SAVED,
 ) -> None:
-    """State the uncertainty budget of the acceleration that an arm centrifuge applies.
+    """Calculate the uncertainty budget of the acceleration applied by an arm centrifuge.
 
     Parameters
     ----------
     directory
         Campaign folder, or its campaign.toml.
     levels
-        Accelerations, such as 1,10,50,100g; default: those of the stated rates.
+        Accelerations, such as 1,10,50,100g; default: the accelerations at the stated rates.
     report
         Also write a report with the full budgets: .html, .pdf or .md.
     figure

@@ -28,8 +28,8 @@ class ForceOptions:
     column
         Column to correct; required if several columns are possible.
     unit
-        Unit of the forces in the table: g, m/s^2, mg; or the unit of the calibrated output, such as
-        count, in which case the corrected forces are in g.
+        Unit of the forces in the table: g, m/s^2, mg, or the unit of the calibrated output, such as
+        count. In the latter case, the corrected forces are in g.
     pendulous
         Specific force along the pendulous axis: a column, or a constant such as "-1 g".
     output_axis
@@ -37,8 +37,8 @@ class ForceOptions:
     temperature
         Temperature of the accelerometer: a column in degC, or a constant such as "23 ± 1 degC".
     others
-        Other accelerometers on the same platform, from which both cross-axis forces are computed:
-        Qy=COLUMN,Qz=COLUMN.
+        Other accelerometers on the same platform, from which counterspin computes both cross-axis
+        forces: Qy=COLUMN,Qz=COLUMN.
     force
         Also apply a result of the equations as printed in the paper, whose K_II is half the true
         value.
@@ -65,7 +65,7 @@ class FileOptions:
     delimiter
         Character that separates the cells.
     decimal
-        Decimal sign of the numbers.
+        Decimal separator of the numbers.
     encoding
         Encoding of the text, such as latin-1.
     units_row
@@ -107,10 +107,10 @@ def apply(
     result
         Result written by `counterspin calibrate --json`.
     file
-        Record file with a column of the accelerometer's output, such as .csv, .parquet, .h5 or
-        .mat.
+        Record file with a column for the output of the accelerometer, such as .csv, .parquet, .h5
+        or .mat.
     output
-        Output file: the table with two further columns, the corrected specific force and its
+        Output file: the table with two additional columns, the corrected specific force and its
         uncertainty.
     accelerometer
         Accelerometer to correct. Default: every accelerometer in --others, or all three of a

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _CONTRADICTED: Final = "the records contradict the result"
 _REMEDY: Final = (
-    "Find the cause and calibrate again, or state why the misfit is accepted: "
+    "Find the cause and calibrate again, or accept the misfit and state the reason: "
     "--accept-misfit REASON"
 )
 
@@ -30,24 +30,26 @@ class Estimation:
     Parameters
     ----------
     method
-        One weighted fit of all samples, or the two-stage method of the paper.
+        Estimation method: a single weighted fit of all samples (joint), or the two-stage method of
+        the paper.
     model
         Observation model of the two-stage method: exact, or as printed in the paper.
     weighted
-        Two-stage: weight the runs by sigma(b2). The paper gives them equal weights.
+        Two-stage: weight the runs by sigma(b2). The paper uses equal weights.
     ripple
-        Two-stage as printed: ripple quantity shared by all rates, its amplitude or its ratio to
-        the rate.
+        Two-stage as printed: ripple quantity that is the same at all rates: the amplitude, or its
+        ratio to the rate.
     fit_bias
-        Two-stage: estimate K_F with its prior, or treat it as known.
+        Two-stage: estimate K_F, using its prior, or treat K_F as known.
     sigma
-        Two-stage: displacement noise as stated in the campaign, or estimated from the residuals.
+        Two-stage: use the displacement noise stated in the campaign, or estimate it from the
+        residuals.
     without
-        Exclude the run with this name; may be repeated. With several campaigns, the run must
-        exist in every one.
+        Exclude the run with this name; may be repeated. With several campaigns, the run must exist
+        in every campaign.
     monte_carlo
-        Number of trials of a Monte Carlo (JCGM 101) for the coverage intervals, at least 10000.
-        The result says whether they validate those of the GUM. One campaign only.
+        Number of Monte Carlo trials (JCGM 101) for the coverage intervals, at least 10000. The
+        result states whether the trials validate the GUM intervals. Single campaign only.
     """
 
     method: Literal["joint", "two-stage"] = "joint"
@@ -103,7 +105,7 @@ class LedgerOptions:
     Parameters
     ----------
     accept_misfit
-        Accept a result that its records contradict, for this reason.
+        Reason for accepting a result that the records contradict.
     ledger
         Enter the file written by --json in this append-only ledger.
     who
@@ -121,10 +123,12 @@ class LedgerOptions:
         """Refuse what cannot be entered, before there is a result."""
         if self.ledger is None:
             if self.who or self.why:
-                raise UsageError("calibrate", ["--who and --why need --ledger FILE"])
+                raise UsageError("calibrate", ["--who and --why require --ledger FILE"])
             return
         if campaigns > 1:
-            raise UsageError("calibrate", ["--ledger accepts the result of only one campaign"])
+            raise UsageError(
+                "calibrate", [("--ledger accepts the result of a single campaign only")]
+            )
         if json is None or not self.who or not self.why:
             raise UsageError(
                 "calibrate", ["--ledger requires --json FILE, --who NAME and --why REASON"]
@@ -164,8 +168,8 @@ def calibrate(
     directory
         Campaign folder, or its campaign.toml.
     more
-        Further campaigns. A summary is printed; if a campaign fails, the others are still
-        calibrated.
+        Additional campaigns. counterspin prints a summary. If a campaign fails, the others are
+        still calibrated.
     """
     from counterspin.calibration.calibrate import calibrate as run
     from counterspin.calibration.options import TwoStageOptions
@@ -180,7 +184,7 @@ def calibrate(
     )
     ledger_options.check(1 + len(more), save_options.json)
     if more and estimation.monte_carlo:
-        raise UsageError("calibrate", ["--monte-carlo accepts only one campaign"])
+        raise UsageError("calibrate", ["--monte-carlo accepts a single campaign only"])
     if more:
         calibrate_several(
             (directory, *more),

@@ -25,18 +25,18 @@ class SigningOptions:
     Parameters
     ----------
     schema
-        Folder or file of the DCC schema; the certificate is validated against it.
+        Folder or file of the DCC schema, against which the certificate is validated.
     key
         Private key for the signature: PEM, or PKCS #12 with its certificate. counterspin prompts
         for the password of an encrypted key, or reads it from standard input if that is not a
         terminal.
     signer
-        Command that reads bytes on standard input and writes their signature, for example with a
-        smart card or token; replaces --key.
+        Command that reads bytes from standard input and writes their signature to standard output,
+        for example with a smart card or token; replaces --key.
     cert
         X.509 certificate (PEM) of the key; with --verify, of the expected signer.
     both
-        Write XML and PDF, with the same signature.
+        Write both XML and PDF, with the same signature.
     """
 
     schema: Path | None = None
@@ -109,16 +109,16 @@ class IssueOptions:
     Parameters
     ----------
     accept_misfit
-        Certify a result that its records contradict; the certificate states this reason.
+        Reason for certifying a result that the records contradict; the certificate states it.
     accept_unsealed
-        Certify a result without a seal; the certificate states this reason.
+        Reason for certifying a result without a seal; the certificate states it.
     amends
-        Issued certificate (XML or PDF) that the new one replaces; with --verify: check that the
-        certificate replaces it.
+        Issued certificate (XML or PDF) that the new certificate replaces. With --verify: check that
+        the certificate replaces this certificate.
     reason
-        Reason for the replacement; the certificate states it and the changes.
+        Reason for the replacement; the certificate states the reason and the changes.
     ledger
-        Ledger in which to enter the certificate, instead of the one in LAB.toml.
+        Ledger in which to enter the certificate, instead of the ledger named in LAB.toml.
     """
 
     accept_misfit: str | None = None
@@ -141,7 +141,7 @@ _PAGES = {
         "This statement applies only to the XML attached to the PDF. The visible pages are not "
         "signed."
     ),
-    "valid": "The pages carry a valid signature of the same signer.",
+    "valid": "The pages bear a valid signature by the same signer.",
 }
 
 
@@ -157,7 +157,7 @@ def certificate(
     init: Path | None = None,
     verify: Path | None = None,
 ) -> None:
-    """Write the Digital Calibration Certificate (DCC) of a result, or verify one.
+    """Write the Digital Calibration Certificate (DCC) of a result, or verify a certificate.
 
     Parameters
     ----------

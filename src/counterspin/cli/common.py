@@ -73,7 +73,7 @@ class SaveOptions:
     json
         Also write the result to this JSON file.
     overwrite
-        Replace files from an earlier run of this command; other files are never replaced.
+        Replace files that an earlier run of this command wrote; other files are never replaced.
     """
 
     json: JsonFile = None
@@ -144,7 +144,7 @@ def translate_message(message: str, app: App, words: Iterable[str]) -> str:
     """Return a message with each Python argument that it names as the option of the command.
 
     Rooms below the command line name an argument as a Python user writes it, in backquotes:
-    ``give `overwrite=True` ``. Here that becomes ``give --overwrite``.
+    ``set `overwrite=True` ``. Here that becomes ``set --overwrite``.
 
     Parameters
     ----------

@@ -30,12 +30,12 @@ def init(
     yes: bool = False,
     answer: Annotated[list[str] | None, Parameter(consume_multiple=False)] = None,
 ) -> None:
-    """Write a commented campaign: an example, or one for your data files.
+    """Write a commented campaign: an example, or a campaign for your data files.
 
     Parameters
     ----------
     directory
-        Folder for campaign.toml; it is created if necessary.
+        Folder for campaign.toml, which is created if necessary.
     test
         Kind of test: records of a double turntable, readings of a multi-position tumble, readings
         on the arm of a centrifuge, or a record of a three-axis sensor in many poses. Default:
@@ -91,12 +91,12 @@ def _import_files(
     answers = _parse_answers(answer_options)
     with work_progress("Files") as advance:
         all_contents = read_files(files, answers, progress=advance)
-    print_output("Found in the files:", *(f"  {line}" for line in overview(all_contents)))
+    print_output("Detected in the files:", *(f"  {line}" for line in overview(all_contents)))
     asks_questions = asks_questions and sys.stdin is not None and sys.stdin.isatty()
     if (question := sensor_question(all_contents)) is not None:
         if not asks_questions:
             example = f'"select={question.example}"'
-            text = f"{question.text} Give this value with `answer`, such as {example}."
+            text = f"{question.text} Set this value with `answer`, for example {example}."
             raise CampaignError("init", [f"select: {text}"], code="missing-answer")
         answers["select"] = _ask(question)
         all_contents = read_files(files, answers)
@@ -151,8 +151,8 @@ def _choose_test(all_contents: Sequence[FileContents], *, asks: bool) -> Test:
         return cast("Test", _ask(question))
     if likely is None:
         text = (
-            f"{question.text} Choose a test type with `test`. The files do not show the test "
-            f"type: {'; '.join(reasons)}"
+            f"{question.text} Choose a test type with `test`. The files do not identify the "
+            f"test type: {'; '.join(reasons)}"
         )
         raise CampaignError("init", [f"test: {text}"], code="missing-answer")
     return likely
@@ -178,7 +178,7 @@ def _ask(question: FileQuestion) -> str:
             answer = input("> ").strip() or question.guess or ""
         except EOFError:
             raise CounterspinError(
-                "no answer was given; nothing is written", code="missing-answer"
+                "no answer was given, so nothing was written", code="missing-answer"
             ) from None
         try:
             return question.judged(answer)

@@ -18,13 +18,14 @@ class TableColumns:
     input
         Column of the applied inputs.
     time
-        Column of the times since switching on, s, in place of inputs: the warm-up.
+        Column of the times since switch-on, in seconds; use it instead of --input for a warm-up
+        test.
     input_unit
         Unit of the inputs.
     output_unit
         Unit of the outputs.
     full_scale
-        Full scale of the input, in its unit; default: the largest input of the table.
+        Full scale of the input, in the unit of the inputs; default: the largest input in the table.
     """
 
     input: str | None = None
@@ -48,7 +49,7 @@ def operating(
     figure: Path | None = None,
     saved: SaveOptions = NOT_SAVED,
 ) -> None:
-    """Evaluate linearity, hysteresis, threshold, resolution, dead band, or a warm-up.
+    """Evaluate linearity, hysteresis, threshold, resolution, dead band or warm-up.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ def operating(
     report
         Also write a report: .html, .pdf or .md.
     figure
-        Plot the deviations from the line, or the warm-up: .svg, .png or .pdf.
+        Plot the deviations from the fitted line, or the warm-up: .svg, .png or .pdf.
     """
     from counterspin.operating_tests.measure import operating as run
     from counterspin.operating_tests.page import FILE_DESCRIPTION, operating_plot

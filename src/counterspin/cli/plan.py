@@ -46,7 +46,7 @@ class RecordingDetails:
         With --check: sampling rate of the records, such as "50 Hz", if the campaign does not
         state it.
     revolutions
-        With --check: number of revolutions of runs without a duration in the campaign.
+        With --check: number of revolutions of runs whose duration the campaign does not state.
     """
 
     sampling_rate: str | None = None
@@ -74,9 +74,9 @@ def plan(
     file
         Plan file with limits and goal.
     check
-        Predict the uncertainties of the campaign in this folder, and do not plan.
+        Only predict the uncertainties of the campaign in this folder.
     output
-        Folder for the campaign.toml of the planned campaign; an existing campaign.toml is not
+        Folder for the campaign.toml of the planned campaign. An existing campaign.toml is not
         replaced.
     """
     from counterspin.campaign.field_types import exact
@@ -90,8 +90,8 @@ def plan(
         raise UsageError("plan", ["give a plan file, --check DIR, or --init FILE"])
     if start.init is not None:
         print_output(
-            f"Wrote {write_example(start.init, start.example)}. Edit this file, or "
-            "calculate the example plan:"
+            f"Wrote {write_example(start.init, start.example)}. Edit this file, or run the "
+            "example plan:"
         )
         print_output(f"  counterspin plan {shell_word(start.init)}")
         return
@@ -100,7 +100,7 @@ def plan(
         require_no_campaign(output)
     if check is not None:
         if output is not None:
-            raise UsageError("plan", ["--output needs a plan, not --check"])
+            raise UsageError("plan", ["--output requires a plan, not --check"])
         try:
             typed = recording_details.sampling_rate
             rate = None if typed is None else exact(typed, "Hz")

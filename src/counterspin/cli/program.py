@@ -26,15 +26,16 @@ from counterspin.errors import (
 def schema(document: Literal["campaign", "plan", "study", "lab", "result", "noise"], /) -> None:
     """Print the JSON Schema (draft 2020-12) of a document, for editors and other programs.
 
-    Every key has its meaning, its unit and an example. A document names its schema in its first
-    line, `#:schema campaign.schema.json`; editors with TOML support then explain keys, complete
-    them and mark mistakes. Conditions that involve several keys are checked by counterspin only.
+    The schema gives the meaning, the unit and an example of every key. A document names its schema
+    in the first line, `#:schema campaign.schema.json`. Editors with TOML support can then explain
+    and complete keys, and mark errors. Only counterspin checks conditions that involve several
+    keys.
 
     Parameters
     ----------
     document
-        campaign.toml, PLAN.toml, a study's own file, LAB.toml, or the result of `calibrate --json`
-        or of `noise --json`.
+        campaign.toml, PLAN.toml, a study file, LAB.toml, or the result of `calibrate --json` or
+        `noise --json`.
     """
     from counterspin.schemas import schema_text
 
@@ -58,12 +59,12 @@ def serve(
     directory
         Folder with the campaigns; files outside it are neither read nor written.
     port
-        Port to listen on; 0 chooses a free one.
+        Port to listen on; 0 selects a free port.
     browser
         Open the page in the browser.
     signer
-        Command that signs certificates: it reads bytes on standard input and writes their
-        signature, for example with a smart card or token.
+        Command that signs certificates: it reads bytes from standard input and writes their
+        signature to standard output, for example with a smart card or token.
     cert
         X.509 certificate (PEM) of the key that the command uses.
     """
@@ -75,7 +76,7 @@ def serve(
         if error.name not in ("starlette", "uvicorn", "tomlkit"):
             raise
         raise MissingPackageError(
-            f"the web interface needs Starlette and uvicorn: {installing('application')}"
+            f"the web interface requires Starlette and uvicorn: {installing('application')}"
         ) from error
     signing = None if signer is None or cert is None else (signer, cert)
     run(directory, port=port, browser=browser, signing=signing, say=print_output)
@@ -145,7 +146,7 @@ def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: boo
     output
         Folder for validation.html, validation.pdf and validation.json.
     schema
-        Folder or file of the DCC schema; a certificate is validated against it too.
+        Folder or file of the DCC schema, against which a certificate is also validated.
     overwrite
         Replace an earlier validation report; other files are never replaced.
     """
@@ -167,6 +168,6 @@ def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: boo
         installation = dossier.installation
         named = ", ".join([*installation.altered, *installation.missing])
         raise CounterspinError(
-            f"files of the installation are altered or missing: {named}; reinstall counterspin",
+            f"installed files are altered or missing: {named}; reinstall counterspin",
             code="installation-altered",
         )

@@ -81,7 +81,9 @@ def check(
     with save_options.writing(checked):
         report_console().print(checked)
     if not checked.good:
-        raise CounterspinError("the run has faults and should be repeated", code="run-faulty")
+        raise CounterspinError(
+            "the run failed its checks and should be repeated", code="run-faulty"
+        )
 
 
 @command
@@ -97,8 +99,8 @@ def watch(
 ) -> None:
     """Monitor growing records: rate, ripple, residuals and current uncertainty.
 
-    Ends when every run is as long as the campaign states, or with Ctrl-C. Nothing is saved: when
-    started again, it reads the records again and continues.
+    The command ends when every run has reached the duration stated in the campaign, or with Ctrl-C.
+    Nothing is saved. After a restart, the command reads the records again and continues.
 
     Parameters
     ----------
@@ -108,9 +110,9 @@ def watch(
         Standard uncertainty to reach, such as "K_II 1e-8 g/g^2" or "Qx.K_II 0.01 ug/g^2"; may be
         repeated.
     plan
-        PLAN.toml whose target gives the goals.
+        PLAN.toml whose target contains the goals.
     interval
-        Interval between two readings of the files, in seconds.
+        Interval at which the files are read, in seconds.
     once
         Print the current state and exit.
     json
@@ -120,7 +122,7 @@ def watch(
     from counterspin.monitoring.watch import watch as follow
 
     if plan is not None and goal:
-        raise UsageError("watch", ["give `goal` or `plan`, not both"])
+        raise UsageError("watch", ["give either `goal` or `plan`, not both"])
     states = follow(directory, goals=goal if plan is None else plan, pace=Pace(interval), once=once)
     if json:
         for state in states:
@@ -172,7 +174,7 @@ class ColumnOptions:
     sampling_rate
         Sampling rate of a record without a time column, such as "100 Hz".
     gravity
-        Gravity for conversion between g and m/s^2, without a campaign; default 9.80665 m/s^2.
+        Without --campaign: gravity for conversion between g and m/s^2; default: 9.80665 m/s^2.
     rate
         Rate of a nearby rotating spindle, such as "1 rev/s"; its spectral lines are labelled.
     select
@@ -212,7 +214,7 @@ def noise(
     report
         Also write a report: .html, .pdf or .md.
     plot
-        Plot Allan deviation and spectrum: .svg, .png or .pdf.
+        Plot the Allan deviation and the spectrum: .svg, .png or .pdf.
     """
     from counterspin.monitoring.noise import noise as run
     from counterspin.monitoring.page import FILE_DESCRIPTION, noise_plots

@@ -49,19 +49,19 @@ def report(
     date: str | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write the report of any result as HTML, PDF or Markdown, or print it.
+    """Write a report of any result as HTML, PDF or Markdown, or print it.
 
     Parameters
     ----------
     source
-        Result file written by any command with --json; or a campaign folder or description, which
+        Result file written by any command with --json, or a campaign folder or description, which
         is calibrated first.
     output
-        Report file: .html, .pdf or .md; by default the report is printed.
+        Report file: .html, .pdf or .md. By default, the report is printed.
     identifier
-        Identifier of the report; by default derived from the result.
+        Identifier of the report; by default, it is derived from the result.
     date
-        Date of the report, such as 2026-03-01; by default SOURCE_DATE_EPOCH or now.
+        Date of the report, such as 2026-03-01; by default, SOURCE_DATE_EPOCH or the current date.
     overwrite
         Replace an earlier report of the same kind; other files are never replaced.
     """
@@ -120,11 +120,11 @@ def history(
     paths
         Result files, and folders that are searched for results.
     term
-        Coefficient; for triads offset, sensitivity or angle.
+        Coefficient to track; for triads: offset, sensitivity or angle.
     serial
         Serial number of the instrument; default: all instruments.
     reliability
-        Required probability that the instrument is within specification on its due date.
+        Required probability that the instrument is within specification on the due date.
     figure
         Draw a control chart of each instrument: .svg, .png or .pdf.
     """
@@ -150,8 +150,7 @@ def history(
         report_console().print(result)
     if result.damaged:
         raise CounterspinError(
-            f"{len(result.damaged)} of the result files cannot be read; the history omits these "
-            "files",
+            f"{len(result.damaged)} of the result files cannot be read, so the history omits them",
             code="batch-failed",
         )
 
@@ -165,7 +164,7 @@ def compare(
     Parameters
     ----------
     results
-        Two or more result files; each one is compared with the first.
+        Two or more result files. Each file is compared with the first.
     report
         Also write the comparison to this file: .html, .pdf or .md.
     """
@@ -201,9 +200,9 @@ def intercompare(
     Parameters
     ----------
     results
-        One result file of each laboratory, all of the same instrument.
+        One result file per laboratory, all for the same instrument.
     coefficient
-        Coefficients, such as K_I,K_II; default: all that every result determines.
+        Coefficients, such as K_I,K_II; default: all coefficients that every result determines.
     report
         Also write the comparison to this file: .html, .pdf or .md.
     figure
@@ -284,14 +283,15 @@ def export(
     result
         Result written by `counterspin calibrate --json`.
     output
-        File to write: .csv, .xlsx or .mat; for psins .mat, for kalibr and ros .yaml.
+        File to write: .csv, .xlsx or .mat; .mat for psins; .yaml for kalibr and ros.
     normalisation
-        ieee: the coefficients of IEEE Std 1293, K2 = K_II/K_I and so on.
+        Normalisation of the coefficients; ieee: as in IEEE Std 1293, K2 = K_II/K_I and so on.
     form
-        coefficients: all coefficients with their covariance. psins, kalibr, ros: the linear
-        correction of a triad in the form of these programs.
+        Content of the export. coefficients: all coefficients with their covariance. psins, kalibr,
+        ros: the linear correction of a triad in the format of these programs.
     noise
-        With kalibr: noise of the three accelerometers, written by `counterspin noise --json`.
+        With kalibr: file with the noise of the three accelerometers, written by `counterspin noise
+        --json`.
     overwrite
         Replace an earlier export; other files are never replaced.
     """
@@ -328,7 +328,7 @@ def ledger(
     action
         verify: check and list all entries; add: enter results.
     ledger
-        Ledger, an append-only file.
+        Ledger file (append-only).
     results
         With add: result files.
     who
@@ -347,14 +347,15 @@ def ledger(
             add_to_ledger(ledger, file, who=who, why=why)
         return
     if results or who or why:
-        raise UsageError("ledger", ["with verify, give only the ledger"])
+        raise UsageError("ledger", ["verify accepts only the ledger"])
     verified = verify_ledger(ledger)
     report_console().print(Report(list(ledger_blocks(verified))))
     if verified.partial_entry:
         raise RecordError(
             f"{ledger}: entry {len(verified.entries)} is followed by an incomplete line of "
-            f"{len(verified.partial_entry)} bytes, left by an interrupted command or altered at "
-            "the end; the preceding entries are intact, and the next entry will preserve this line",
+            f"{len(verified.partial_entry)} bytes. Either a command was interrupted, or the end "
+            "of the file was altered. The preceding entries are intact, and the next entry will "
+            "preserve this line",
             code="ledger-altered",
         )
 

@@ -18,9 +18,9 @@ class TrialSettings:
     Parameters
     ----------
     trials
-        Number of trials; overrides the study's number.
+        Number of trials; overrides the number in the study.
     seed
-        Seed of the random number generator; overrides the study's seed.
+        Seed of the random number generator; overrides the seed in the study.
     engine
         Engine that computes the trials; auto selects the fastest valid one.
     """
@@ -38,7 +38,7 @@ class StudyWorkers:
     Parameters
     ----------
     workers
-        Number of processes; it does not affect the result.
+        Number of processes, which does not affect the result.
     cluster
         Address of a Dask scheduler, such as tcp://HOST:8786.
     """
@@ -71,9 +71,9 @@ def study(
     output
         Folder for study.json, figures and the files required by --resume.
     keep_trials
-        Write every trial to trials.parquet in that folder.
+        Write every trial to trials.parquet in the output folder.
     resume
-        Continue the study in that folder.
+        Continue the study in the output folder.
     """
     from counterspin.reports.text import report_console, work_progress
     from counterspin.studies.folder import StudyFolder
@@ -84,7 +84,7 @@ def study(
     if output is None and (keep_trials or resume):
         option = "`keep_trials`" if keep_trials else "`resume`"
         raise CounterspinError(
-            f"{option} needs the folder of the study (`output`)", code="wrong-usage"
+            f"{option} requires the folder of the study (`output`)", code="wrong-usage"
         )
     save_options.reserve(StudyResult.file_kind)
     folder = output and StudyFolder(output, keep_trials, resume, save_options.overwrite)

@@ -362,7 +362,8 @@ def relation_of(
     elif first.model != second.model:
         assumed.append(
             "One of the results was computed with the paper's equations as printed, which "
-            "estimate a different quantity. The uncertainty of a difference has little meaning."
+            "estimate a different quantity. The uncertainty of a difference is therefore of "
+            "little use."
         )
     elif efficient is None:
         assumed.append(

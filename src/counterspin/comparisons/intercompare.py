@@ -120,13 +120,13 @@ def _require_comparable(laboratories: Mapping[str, Result]) -> None:
     for name, result in laboratories.items():
         reason = refusal_reason(result, result.accelerometers)
         if result.model == "as-printed":
-            reason = "the equations as printed return half the true K_II"
+            reason = "the equations as printed yield half the true K_II"
         if reason is not None:
             raise _error(f"{name} cannot take part: {reason}")
     for (first, result), (second, other_result) in combinations(laboratories.items(), 2):
         if records_of(result) & records_of(other_result):
             raise _error(
-                f"{first} and {second} use the same records. Give one result from each "
+                f"{first} and {second} use the same records. Give a single result from each "
                 "laboratory, or compare the two results with `compare`"
             )
 

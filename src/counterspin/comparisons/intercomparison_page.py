@@ -39,11 +39,11 @@ def intercomparison_blocks(compared: Intercomparison) -> Iterator[Block]:
             )
     yield from _youden_plots(compared)
     yield Paragraph(
-        "The number after ± is one standard uncertainty. U is an expanded uncertainty (k = 2). "
+        "The number after ± is the standard uncertainty. U is the expanded uncertainty (k = 2). "
         "d is the value minus the reference value. E_n = d/U(d) and zeta = d/u(d) follow ISO "
         "13528; |E_n| <= 1 is satisfactory. The reference value is the weighted mean of the "
-        "largest consistent subset (Cox, Metrologia 44 (2007) 187). The u of the reference "
-        "value does not include the choice of the subset.",
+        "largest consistent subset (Cox, Metrologia 44 (2007) 187). The standard uncertainty of "
+        "the reference value does not include the choice of the subset.",
         "quiet",
     )
     for text in compared.assumed:

@@ -57,10 +57,10 @@ def comparison_blocks(compared: ResultComparison) -> Iterator[Block]:
             coefficients, short_names([result.name for result in compared.results])
         )
     yield Paragraph(
-        "The number after ± is one standard uncertainty (k = 1). Differences are relative to "
+        "The number after ± is the standard uncertainty (k = 1). Differences are relative to "
         f"{_references(compared)}. The uncertainties of the differences account for sources "
-        "common to both results. z is the difference divided by the standard uncertainty of "
-        "the difference.",
+        "common to both results. z is the difference divided by the standard uncertainty of the "
+        "difference.",
         "quiet",
     )
     yield from _shared_source_blocks(compared)
@@ -120,7 +120,7 @@ def agreement_sentence(compared: ResultComparison, agreement: AgreementOfTwo) ->
     whose = f"{agreement.accelerometer}: {agreement.result} and {first}"
     records = _RECORDS[agreement.records]
     if not agreement.terms:
-        return f"{whose} have no determined coefficient in common ({records})."
+        return f"{whose} determine no coefficient in common ({records})."
     if agreement.p is None and _is_identical(compared, agreement):
         return f"{whose} are equal ({records})."
     if agreement.p is None:
@@ -215,7 +215,7 @@ def _pictures(coefficients: list[ComparedCoefficient], names: tuple[str, ...]) -
                 y_label=f"K_II, {unit}",
                 series=(
                     PlotSeries(
-                        "estimate; error bars: one standard uncertainty",
+                        "estimate; error bars: standard uncertainty",
                         tuple(map(float, range(len(y)))),
                         y,
                         low=tuple(a - b for a, b in zip(y, u, strict=True)),
@@ -231,7 +231,10 @@ def _shared_source_blocks(compared: ResultComparison) -> Iterator[Block]:
     shared = dict.fromkeys(source for a in compared.agreements for source in a.shared)
     if shared:
         yield Paragraph(
-            f"These sources are shared by both results and accounted for: {', '.join(shared)}.",
+            (
+                "Sources common to both results, which the comparison takes into account: "
+                f"{', '.join(shared)}."
+            ),
             "quiet",
         )
     for text in dict.fromkeys(text for a in compared.agreements for text in a.assumed):
@@ -248,7 +251,7 @@ def repeat_blocks(repeated: RepeatedCalibration) -> list[Block]:
     if repeated.moved:
         locations = "; ".join(f"{name}: {where}" for name, where in repeated.moved.items())
         blocks.append(
-            Paragraph(f"These inputs were found under different names: {locations}.", "quiet")
+            Paragraph(f"These inputs were found under different file names: {locations}.", "quiet")
         )
     differing = [c for c in repeated.coefficients if c.relative is None or c.relative > 0.0]
     if not repeated.same and differing:

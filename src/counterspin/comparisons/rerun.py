@@ -163,14 +163,12 @@ def rerun(
     before = judge_result(result if isinstance(result, Result) else Result.read(result))
     result_name = before.title or "the result" if isinstance(result, Result) else str(result)
     if folder is None and isinstance(result, Result):
-        raise RecordError(
-            f"{result_name}: give the folder of the campaign (`folder`)", code="wrong-usage"
-        )
+        raise RecordError(f"{result_name}: give the campaign folder (`folder`)", code="wrong-usage")
     campaign_folder = Path(result).parent if folder is None else Path(folder)  # type: ignore[arg-type]
     if before.provenance.in_memory or not before.provenance.inputs:
         raise RecordError(
-            f"{result_name}: computed from data in memory; only results from the files of a "
-            "campaign can be repeated",
+            f"{result_name}: computed from data in memory; only results from campaign files can "
+            "be repeated",
             code="missing-in-result",
         )
     method, options, without = parse_options(before.provenance.options)
@@ -220,8 +218,8 @@ def _locate_inputs(
             moved[name] = str(elsewhere)
         elif name in changed and actual[name] == "unreadable":
             raise RecordError(
-                f"{result_name}: the input {name} ({checksum}) is not in {folder} under this "
-                "or any other name. Give the folder of the campaign",
+                f"{result_name}: the input {name} ({checksum}) is not in {folder} under this or "
+                "any other name. Give the campaign folder",
                 code="file-not-found",
             )
         else:
@@ -245,8 +243,8 @@ def _is_inside_folder(name: str) -> bool:
 def _refuse_renamed(result_name: str, moved: dict[str, str]) -> dict[str, str]:
     name, new_path = next(iter(moved.items()))
     raise RecordError(
-        f"{result_name}: its input {name} is now {new_path}; rename it to the earlier name, "
-        "because other inputs are outside the folder of the campaign",
+        f"{result_name}: the input {name} is now named {new_path}; restore the earlier name, "
+        "because other inputs are outside the campaign folder",
         code="path-outside-folder",
     )
 

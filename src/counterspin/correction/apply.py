@@ -160,8 +160,8 @@ def apply(
         raise CampaignError(
             _SOURCE,
             [
-                "the result was computed with the equations as printed, which return half the "
-                "true K_II; calibrate again with the exact model, or give `force=True`"
+                "the result was computed with the equations as printed, which yield half the "
+                "true K_II; calibrate again with the exact model, or set `force=True`"
             ],
             code="as-printed",
         )
@@ -334,8 +334,8 @@ def _missing_input_warnings(name: str, symbols: Sequence[str]) -> Iterator[str]:
     ):
         if omitted:
             yield (
-                f"{name}: {', '.join(omitted)} are not stated, and {missing_input}. Therefore, "
-                "u does not include the uncertainty of these terms."
+                f"{name}: {', '.join(omitted)} are not stated, and {missing_input}, so u does "
+                "not include the uncertainty of these terms."
             )
 
 
@@ -399,7 +399,8 @@ def _missing_force_errors(
             remedy = "give `pendulous` or `output_axis` for the accelerometer to be corrected"
         problems.append(
             f"{', '.join(symbols)} of {instrument.name} {verb} the specific force along its "
-            f"{axis_name} axis; {remedy}, or name an accelerometer that senses it with `others`"
+            f"{axis_name} axis; {remedy}, or use `others` to name an accelerometer that senses "
+            "it"
         )
     return problems
 

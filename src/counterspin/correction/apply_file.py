@@ -167,7 +167,7 @@ def apply_file(
         if name in frame.columns:
             raise CampaignError(
                 str(source),
-                [f"the file already has a column '{name}'; was the file corrected before?"],
+                [f"the file already has a column '{name}'; check whether it was corrected before"],
                 code="duplicate-entry",
             )
     forces: dict[str, Any] = {
@@ -210,9 +210,9 @@ def _check_units(source: Path, units: Mapping[str, str], stated: str) -> None:
     for name, file_unit in units.items():
         if file_unit and not same_unit(file_unit, stated):
             raise RecordError(
-                f"{source}: column '{name}' is in '{file_unit}' according to the units row of the "
-                f"file, but in '{stated}' according to `unit`; all forces must be in one unit, "
-                "stated with `unit`.",
+                f"{source}: column '{name}' is in '{file_unit}' according to the units row of "
+                f"the file, but in '{stated}' according to `unit`; all forces must be in the "
+                "same unit, which is stated with `unit`.",
                 code="unit-mismatch",
             )
 

@@ -113,13 +113,19 @@ def export(
         raise UsageError("export", [f"`normalisation` does not apply to the format {form}"])
     if (noise is not None) != (form == "kalibr"):
         raise UsageError(
-            "export", ["give `noise` only with the format kalibr, where it is required"]
+            "export",
+            [
+                (
+                    "`noise` is required for the format kalibr, and cannot be used with any "
+                    "other format"
+                )
+            ],
         )
     if result.model == "as-printed":
         raise CampaignError(
             "export",
             [
-                "the result was computed with the equations as printed, which return half the "
+                "the result was computed with the equations as printed, which yield half the "
                 "true K_II; calibrate again with the exact model"
             ],
             code="as-printed",
@@ -303,7 +309,7 @@ def _determined_triad(result: Result) -> TriadResult:
     if triad is None:
         raise CampaignError(
             "export",
-            ["this format requires a triad, and the result has none"],
+            ["this format requires a triad, but the result has none"],
             code="missing-in-result",
         )
     if triad.matrix is None or triad.bias is None:

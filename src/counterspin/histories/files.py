@@ -87,7 +87,7 @@ def tracked_values(result: Result, quantity: str) -> Iterator[TrackedValue]:
 #: Keys of every result, whatever its schema; other JSON files in a folder are not results.
 _RESULT_KEYS: Final = {"method", "accelerometers", "provenance"}
 
-_HIDDEN_REASON: Final = "this hidden file is a remainder of an interrupted command; delete the file"
+_HIDDEN_REASON: Final = "this hidden file was left by an interrupted command; delete it"
 
 _SUMMARY_REASON: Final = (
     "this file is a summary of several campaigns; write a separate result file for each campaign"
@@ -287,7 +287,7 @@ def _reason_unusable(result: Result, names: Sequence[str]) -> str | None:
     """Return the reason why a result is unusable, or None."""
     if result.model == "as-printed":
         return (
-            "the result was computed with the equations as printed, which return half the true K_II"
+            "the result was computed with the equations as printed, which yield half the true K_II"
         )
     for name in names:
         if refusal_reason(result, [name]) is not None:

@@ -174,7 +174,7 @@ def _no_results_message(paths: Sequence[Path | str | Result], collected: ResultS
     places = ", ".join("memory" if isinstance(p, Result) else str(p) for p in paths)
     unused = [*collected.damaged, *collected.left_out]
     if not unused:
-        return f"no results in {places}. Write one with `write_result`" + (
+        return f"{places} contains no results. Write a result with `write_result`" + (
             f" ({len(collected.passed_over)} other JSON files)" if collected.passed_over else ""
         )
     names_by_reason: dict[str, list[str]] = {}

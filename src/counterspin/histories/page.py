@@ -49,9 +49,9 @@ def history_blocks(history: History) -> Iterator[Block]:
         if len(instrument.points) > 1:
             yield control_plot(history, instrument)
     yield Paragraph(
-        "The number after ± is one standard uncertainty (k = 1). z is the difference from the "
+        "The number after ± is the standard uncertainty (k = 1). z is the difference from the "
         "weighted mean, divided by the standard uncertainty of the difference. E_n is the "
-        "change since the previous result, divided by the expanded uncertainty (95 %) of the "
+        "change since the previous result, divided by the expanded uncertainty (95 %) of this "
         "change. Two results are consistent if |E_n| <= 1 (ISO 13528).",
         "quiet",
     )
@@ -128,8 +128,9 @@ def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Ite
         )
     if instrument.correlation is not None:
         yield (
-            f"The results have the common sources {', '.join(instrument.shared)} (correlation "
-            f"up to {instrument.correlation:.2f}). The evaluation includes these correlations."
+            "The results have these sources of uncertainty in common: "
+            f"{', '.join(instrument.shared)} (correlation up to {instrument.correlation:.2f}). "
+            "The evaluation includes these correlations."
         )
     if (due := instrument.due) is not None:
         reliability = format_probability(due.reliability)
@@ -140,7 +141,7 @@ def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Ite
                 "(control chart method of ILAC-G24:2022)."
             )
         elif instrument.specification is not None:
-            yield f"There is no due date at {reliability}: {due.reason}."
+            yield f"No due date can be stated with {reliability}: {due.reason}."
     for pair in instrument.laboratories:
         agree = "agree" if pair.agrees else "differ significantly"
         difference = format_number(pair.difference * factor, 2)
@@ -200,7 +201,7 @@ def _repeatability_blocks(history: History, repeats: Repeatability) -> Iterator[
         if name != "day"
     ]
     yield Paragraph(
-        f"These standard deviations about {about} are additional to the uncertainties of the "
+        f"These standard deviations about {about} are in addition to the uncertainties of the "
         "results (restricted likelihood)."
         + (
             (

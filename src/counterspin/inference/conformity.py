@@ -186,7 +186,7 @@ def _standardised(
 ) -> tuple[float, float]:
     """Return the tolerance limits in standard uncertainties from the estimate."""
     if low is None and high is None:
-        raise ValueError("a specification needs a tolerance limit")
+        raise ValueError("a specification must have a tolerance limit")
     if low is not None and high is not None and not low < high:
         raise ValueError(f"the lower limit {low} is not below the upper limit {high}")
     if not (math.isfinite(value) and 0.0 <= u < math.inf):

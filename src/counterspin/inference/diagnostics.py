@@ -121,7 +121,7 @@ def diagnose(
     values = {name: np.asarray(rows, float) for name, rows in residuals.items()}
     total = sum(len(rows) for rows in values.values())
     if not values or min(len(rows) for rows in values.values()) < 3:
-        raise ValueError("at least three residuals in every run are needed for a test")
+        raise ValueError("a test requires at least three residuals in every run")
     shares = (
         dof
         if isinstance(dof, Mapping)
@@ -129,7 +129,7 @@ def diagnose(
     )
     total_dof = float(sum(shares[name] for name in values))
     if not min(shares[name] for name in values) > 0:
-        raise ValueError(f"there are {total_dof} degrees of freedom, so there is nothing to test")
+        raise ValueError(f"the fit has {total_dof} degrees of freedom, so nothing can be tested")
     runs = {}
     for name, rows in values.items():
         interval = 1.0 if times is None else median(np.diff(np.asarray(times[name])))

@@ -481,7 +481,7 @@ def _vector(name: str, values: npt.ArrayLike | None, size: int, default: float) 
     vector = np.asarray(values, dtype=np.float64)
     if vector.shape != (size,) or np.isnan(vector).any():
         raise ValueError(
-            f"{name} needs {size} numbers; it has shape {vector.shape} or contains NaN"
+            f"{name} must contain {size} numbers; it has the shape {vector.shape} or contains NaN"
         )
     return vector
 
@@ -535,14 +535,14 @@ def fit(
     given = None if sigma is None else np.asarray(sigma, dtype=np.float64)
     weight = np.ones(()) if given is None else given
     if weight.shape not in {(), y.shape} or not ((weight > 0) & np.isfinite(weight)).all():
-        raise ValueError("sigma must be positive: one number, or one for each observation")
+        raise ValueError("sigma must be positive: a single number, or one per observation")
     solution = solve([reduce_block(columns / weight.reshape(-1, 1), y / weight)])
     covariance, dof = solution.covariance_noise, y.size - columns.shape[1]
     scale: float | Array
     if given is None:
         if dof < 1:
             raise NotIdentifiableError(
-                f"{y.size} observations for {columns.shape[1]} unknowns leave no degrees of "
+                f"{y.size} observations of {columns.shape[1]} unknowns leave no degrees of "
                 "freedom to estimate sigma; give sigma"
             )
         scale = math.sqrt(solution.chi2 / dof)

@@ -267,7 +267,7 @@ def _radius_and_model(table: ArmTable, values: Mapping[str, str]) -> tuple[str, 
     for word, sizes in table.radii().items():
         if len(sizes) > 1:
             text = (
-                f"readings of one mounting have {len(sizes)} "
+                f"the readings of a mounting have {len(sizes)} different "
                 f"radii{f' ({word})' if word else ''}; add a column of mountings to the table, "
                 "with a separate name for each radius"
             )
@@ -290,7 +290,9 @@ def arm_draft(
     answers: By the keys of questions; they take precedence over guesses.
     """
     if len(all_contents) != 1:
-        raise UsageError("init", ["readings on an arm must be in one table: name one file"])
+        raise UsageError(
+            "init", [("readings on an arm must be in a single table; name a single file")]
+        )
     (contents,) = all_contents
 
     def ask(taken: Mapping[str, str]) -> tuple[FileQuestion, ...]:
@@ -500,7 +502,7 @@ def _shows_noise(table: ArmTable) -> bool:
 
 
 def _radius_questions(table: ArmTable) -> Iterator[FileQuestion]:
-    text = "What is the distance of the proof mass from the spindle axis"
+    text = "What is the distance from the spindle axis to the proof mass"
     radii = table.radii()
     known = {radius for sizes in radii.values() for radius in sizes}
     example = "1.0 ± 1e-3 m"
@@ -542,10 +544,10 @@ def _statements(table: ArmTable) -> Iterator[str]:
     yield from role_statements(table.contents, table.roles)
     if table.rate is not None and (step := table.rate_step()) > _LARGE_STEP:
         yield (
-            f"column '{table.rate.name}' has so few digits that a change of the last digit "
-            f"changes the acceleration by {100.0 * step:.1g} %; give more digits if available. "
-            "A stated uncertainty of the readings must include this rounding error; without a "
-            "stated uncertainty, the residuals include the error"
+            f"column '{table.rate.name}' has so few digits that a change in the last digit "
+            f"changes the acceleration by {100.0 * step:.1g} %. Give more digits if available. "
+            "A stated uncertainty of the readings must include this rounding error. Without a "
+            "stated uncertainty, the residuals show it"
         )
     rests = int(table.rests.sum())
     if table.rate is not None:
@@ -567,6 +569,6 @@ def _statements(table: ArmTable) -> Iterator[str]:
             source = "according to the name" if axis == meant else "according to the readings"
             yield f"mounting '{word}': input axis {axis}, {source}"
     yield (
-        "the pendulous axis rotates with the input axis; if the input axis is vertical, the "
+        "the pendulous axis turns with the input axis; if the input axis is vertical, the "
         "pendulous axis points outward"
     )

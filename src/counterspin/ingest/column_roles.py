@@ -154,12 +154,12 @@ class FileGuess:
         """Return the description of rows that are counted for a person; empty with a time."""
         if self.time is not None or self.sampling is None:
             return []
-        rate = f"time: there is no time column; {self.sampling:.8g} rows per second"
+        rate = f"time: no time column; {self.sampling:.8g} rows per second"
         if self.shared is None or self.uncounted:
             return [rate]
         return [
-            f"{rate}, from the row count, because several rows have the same time in column "
-            f"'{self.shared.name}'"
+            f"{rate}, calculated from the row count, because several rows have the same time in "
+            f"column '{self.shared.name}'"
         ]
 
     @property
@@ -427,9 +427,9 @@ def why_no_time(contents: FileContents) -> str:
             return next(spoilt, f"Column '{name}' cannot be read as a time: '{stamp}'").rstrip(".")
     for column in contents.columns:
         falls = np.flatnonzero(np.diff(column.values) < 0.0)
-        reason = "it is equal in most rows"
+        reason = "most rows have the same value"
         if falls.size:
-            reason = f"it falls in row {falls[0] + 2} (rows in which it falls: {falls.size})"
+            reason = f"it decreases in row {falls[0] + 2} (number of decreases: {falls.size})"
         if _is_named_time(column.name) and (falls.size or not is_fine(column.values)):
             return f"Column '{column.name}' is not used as the time: {reason}"
     return "The file has no time column"

@@ -39,8 +39,8 @@ _WANTED: Final = (
 )
 #: What to do where numbers end at words.
 _ANOTHER_RUN: Final = (
-    "If another run begins at this line, put each run into a separate file. If the line is "
-    "a remark, remove the line."
+    "If another run begins at this line, put each run into a separate file. If the line is a "
+    "remark, remove it."
 )
 #: Rows that are looked at, at most, and columns.
 _MAX_ROWS: Final = 2_000_000

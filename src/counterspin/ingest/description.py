@@ -112,9 +112,9 @@ def _against_waves(sense: str | None, shown: str | None) -> Iterator[str]:
     """Yield errors of the answered sense, which the waves contradict."""
     if sense is not None and shown is not None and sense != shown:
         yield (
-            f"sense: the waves along two axes show an angle that increases {shown}. If the "
-            "angle does not increase in this sense, the direction of one axis is wrong, such "
-            "as east instead of west"
+            f"sense: the periodic signals of two axes show that the angle increases {shown}. If "
+            "the angle does not increase in this sense, the direction of one axis is wrong, for "
+            "example east instead of west"
         )
 
 
@@ -160,7 +160,7 @@ def write_description(draft: AnyDraft, folder: Path) -> Path:
     """Write the description into the campaign's folder, with the guesses as comments."""
     target = folder / DESCRIPTION_NAME
     if target.exists():
-        raise ExistingFileError(f"{target} exists; edit it, or choose another folder")
+        raise ExistingFileError(f"{target} already exists; edit it, or choose another folder")
     document = draft.document(folder)
     problems = Problems(document)
     new = not folder.exists()
@@ -261,7 +261,7 @@ def _statements(common: FileGuess, sense: str | None) -> Iterator[str]:
         unit = angle.unit or "an unknown unit"
         yield f"angle: column '{angle.column}', in {unit}{counts} ({source})"
     if sense is not None and angle is not None:
-        yield f"sense: {sense}, determined from the phase of the waves along two axes"
+        yield f"sense: {sense}, determined from the phase difference between two axes"
     yield from common.temperature_words
     for signal in common.signals:
         what = (signal.observable or "a signal").replace("_", " ")

@@ -36,7 +36,7 @@ TESTS: Final[dict[Test, str]] = {
     "double-turntable": "records of a double turntable",
     "tumble": "a table of readings of a multi-position tumble",
     "arm": "a table of readings on the arm of a centrifuge",
-    "poses": "record of a three-axis sensor in many poses",
+    "poses": "a record of a three-axis sensor in many poses",
 }
 
 
@@ -61,7 +61,7 @@ def _lines(contents: FileContents) -> Iterator[str]:
         yield from [f"  and {more} more columns"] if more > 0 else []
     if contents.numbers:
         numbers = (f"{name} = {value:.9g}" for name, value in contents.numbers.items())
-        yield f"  single numbers: {', '.join(islice(numbers, _SHOWN))}"
+        yield f"  scalar values: {', '.join(islice(numbers, _SHOWN))}"
     yield from (f"  {remark}" for remark in _sampling_remarks(guess))
     if contents.footer:
         shown = ", ".join(f"'{line.strip()[:40]}'" for line in contents.footer[:_SHOWN_WORDS])
@@ -89,8 +89,8 @@ def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
             held.setdefault(round(100.0 * (1.0 - 1.0 / holding.rows)), []).append(column.name)
     for part, names in held.items():
         yield (
-            f"repeated values: {part:g} % of {format_names(names)}, which is typical of a log "
-            "that is faster than the sensor; only new values are used"
+            f"repeated values: {part:g} % of {format_names(names)}, which is typical of a "
+            "logging rate above the output rate of the sensor; only new values are used"
         )
     if guess.shared is not None:
         stamps = int(np.sum(np.diff(join_bursts(guess.shared.values)) > 0.0)) + 1
@@ -113,7 +113,10 @@ def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
     multiples = steps[steps > 0.0] / usual
     even = np.mean(np.abs(multiples - np.round(multiples)) < _OFF_STEP) > _EVEN_PART
     if missing > 0 and even:
-        yield f"missing samples: about {missing} (the time advances by more than one step)"
+        yield (
+            f"missing samples: about {missing} (the time advances by more than one sampling "
+            "interval)"
+        )
 
 
 def _sampling(guess: FileGuess) -> str:
@@ -125,7 +128,7 @@ def _sampling(guess: FileGuess) -> str:
     column = next(c for c in guess.contents.columns if c.name == guess.time.column)
     steps = np.diff(column.values[np.isfinite(column.values)]) * guess.time.factor
     if guess.contents.is_mixed:  # rows of several sensors have no common step
-        return f"about {1.0 / np.mean(steps):.4g} rows per second, all sensors together"
+        return f"about {1.0 / np.mean(steps):.4g} rows per second from all sensors together"
     steps = steps[steps > 0.0]
     step = median(steps) if steps.size else math.nan
     return f"about {1.0 / step:.4g} rows per second" if steps.size else ""
@@ -142,7 +145,10 @@ def _appearance(column: FileColumn, guess: FileGuess) -> str:
     name = column.name
     evidence = [
         (guess.time is not None and guess.time.column == name, "the time"),
-        (guess.shared is not None and guess.shared.name == name, "times repeated or in bursts"),
+        (
+            guess.shared is not None and guess.shared.name == name,
+            ("repeated times or bursts of rows"),
+        ),
         (is_nominal(values), "nominal orientations (values -1, 0 and 1 only), not measurements"),
         (
             guess.angle is not None and guess.angle.column == name,

@@ -75,7 +75,9 @@ class PosesDraft(AnsweredDraft):
         said, place = self.complete(), folder.resolve()
         columns = [said[axis] for axis in AXES]
         if len(set(columns)) < len(columns):
-            text = f"each axis must have a separate column, not {', '.join(columns)}"
+            text = (
+                f"each axis must have a separate column, but the columns are {', '.join(columns)}"
+            )
             raise CampaignError("init", [text], code="duplicate-entry")
         in_table = self.found is not None and self.found.in_table
         instruments = {}
@@ -246,7 +248,7 @@ def _statements(
     yield f"three-axis sensor: columns {format_names(found.columns)}{unit}"
     poses = found.poses
     if poses is None:
-        yield "no rest was found in the record"
+        yield "no rest interval was found in the record"
         return
     usual = " if the record has 100 rows per second" if time is None and sampling is None else ""
     usual = ", first part of the record," + usual if len(poses.level) == MOST_ROWS else usual
@@ -256,15 +258,15 @@ def _statements(
     yield (
         f"{len(poses.start)} poses in {where}{usual}: rest intervals of at least "
         f"{answers.get('rest', f'{found.rest:g} s')} in which the combined scatter of the axes "
-        f"is less than {level}; the attitudes are unknown"
+        f"is below {level}; the attitudes are unknown"
     )
     yield from poses.warnings
     yield from poses.rejected
     for axes in found.others:
         named = ", ".join(f"{axis}={name}" for axis, name in zip(AXES, axes, strict=True))
         yield (
-            "three more axes rest at the same times and are not used, because they belong to a "
-            f"second sensor; to calibrate the second sensor, answer {named}"
+            "three further axes are at rest at the same times. They belong to a second sensor "
+            f"and are not used; to calibrate that sensor, answer {named}"
         )
     yield from _not_used(guesses[0], found)
 
@@ -293,7 +295,8 @@ def _few(found: TriadColumns) -> Iterator[str]:
     )
     more = "spread over the whole sphere" if few else "halfway between two axes, in both directions"
     yield (
-        f"{why}: only biases and scale factors are requested. Measure at least twelve poses, {more}"
+        f"{why}, so only biases and scale factors are requested. Measure at least twelve poses, "
+        f"{more}"
     )
 
 

@@ -189,7 +189,8 @@ def questions_of(
     names = tuple(column.name for column in common.contents.columns)
     yield from place_questions(common.contents, ALL_SHEETS)
     text = (
-        f"What is the distance from the spindle axis to the platform (radius)?{_size_seen(common)}"
+        "What is the distance from the spindle axis to the platform (the "
+        f"radius)?{_size_seen(common)}"
     )
     yield FileQuestion("radius", text, "2.5 ± 1e-5 m", quantity="m")
     yield from time_questions(common, names)
@@ -258,7 +259,7 @@ def _angle_questions(
         choices = ("deg", "rad", "rev", "mrad", "arcmin", "arcsec", "count")
         yield FileQuestion("angle unit", text, "deg", choices, guess=angle.unit)
     if angle is not None and angle.unit == "count":
-        seen = f" The waves show {angle.turn:.6g}." if angle.turn else ""
+        seen = f" The periodic signals suggest {angle.turn:.6g}." if angle.turn else ""
         text = f"How many counts of column '{angle.column}' are there per revolution?{seen}"
         counts = f"{angle.per_revolution:.12g}" if angle.per_revolution else None
         yield FileQuestion("per_revolution", text, "65536", guess=counts)
@@ -320,7 +321,7 @@ def judged_answers(
     for key, answer in answers.items():
         if key not in known:
             needed = [question.key for question in questions if question.guess is None]
-            text = f"{key}: this is not one of the questions: {', '.join(needed) or 'none'}"
+            text = f"{key}: not one of the questions: {', '.join(needed) or 'none'}"
             problems.append(Problem(text, "unknown-key"))
             continue
         try:

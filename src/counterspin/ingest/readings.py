@@ -102,7 +102,10 @@ class ReadingsDraft(AnsweredDraft):
         ]
         if not readings:
             known = ", ".join(column.name for column in self.contents.columns)
-            text = f'no column of readings was found (columns: {known}); answer "COLUMN is=reading"'
+            text = (
+                f"no column of readings was found (columns: {known}); give the answer "
+                '"COLUMN is=reading"'
+            )
             raise CampaignError("init", [text], code="missing-column")
         few = len(readings) <= len(ascii_uppercase)
         names = [ascii_uppercase[n] if few else f"A{n + 1}" for n in range(len(readings))]

@@ -55,20 +55,22 @@ def init(folder: Path | str, test: Test = "double-turntable") -> Path:
 
     if test == "poses":
         raise CounterspinError(
-            "there is no example with poses; create a campaign from a log of your sensor by naming "
-            "that file",
+            "no example with poses is available; create a campaign from a log of your sensor by "
+            "naming the log file",
             code="wrong-usage",
         )
     if test not in _EXAMPLES:
         raise CounterspinError(
-            f"`test` is one of {', '.join(_EXAMPLES)}, not {test!r}", code="wrong-usage"
+            f"`test` must be one of {', '.join(_EXAMPLES)}, not {test!r}", code="wrong-usage"
         )
     folder = path_of(folder, "the folder of the new campaign")
     description, table = _EXAMPLES[test]
     written = {DESCRIPTION_NAME: description} | ({_TABLE: table} if table else {})
     for name in written:
         if (folder / name).exists():
-            raise ExistingFileError(f"{folder / name} exists; edit it, or choose another folder")
+            raise ExistingFileError(
+                f"{folder / name} already exists; edit it, or choose another folder"
+            )
     make_folder(folder)
     for name, example in written.items():
         text = (files("counterspin.ingest") / example).read_text("utf-8")

@@ -311,8 +311,8 @@ def _refuse_unsigned(columns: Sequence[FileColumn], values: Array) -> None:
             names = ", ".join(f"'{column.name}'" for column in columns)
             raise RecordError(
                 f"the columns {names} jump between 0 and {most - 1:.0f}, because signed "
-                f"numbers of {bits} bits (two's complement) were written as unsigned numbers. "
-                f"Export signed numbers, or subtract {most:.0f} from each number of "
+                f"{bits}-bit numbers (two's complement) were written as unsigned numbers. "
+                f"Export signed numbers, or subtract {most:.0f} from each number that is "
                 f"{most / 2:.0f} or more.",
                 code="unsigned-numbers",
             )

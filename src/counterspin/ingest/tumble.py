@@ -91,7 +91,9 @@ def tumble_draft(
     answers: By the keys of questions; they take precedence over guesses.
     """
     if len(all_contents) != 1:
-        raise UsageError("init", ["the readings of a tumble must be in one table: give one file"])
+        raise UsageError(
+            "init", [("the readings of a tumble must be in a single table; give a single file")]
+        )
     (contents,) = all_contents
 
     def asked(taken: Mapping[str, str]) -> tuple[FileQuestion, ...]:

@@ -92,7 +92,7 @@ def _check_record(record: object, campaign: Campaign, name: str | None) -> Check
             others=[],
             reached=[],
             expected=[],
-            why_not="the record cannot be used as it is",
+            why_not="the record cannot be used in its present form",
         )
     others, reached = _check_with_others(campaign, campaign_with_file, single_check.fit)
     expected, reason = _expected_estimates(campaign, campaign_with_file, single_check)
@@ -151,9 +151,7 @@ def _select_run(campaign: Campaign, file: Path | None, name: str | None) -> Reco
                 return run
     if len(recorded) == 1:
         return recorded[0]
-    raise UsageError(
-        "`run`", [f"give the name of a run: {', '.join(by_name) or 'no run has a record'}"]
-    )
+    raise UsageError("`run`", [f"name a run: {', '.join(by_name) or 'no run has a record'}"])
 
 
 @frozen

@@ -76,7 +76,7 @@ def check_mean(campaign: Campaign, run: MeanRun, file: Path) -> CheckedRun:
             others=[],
             reached=[],
             expected=[],
-            why_not="the record cannot be used as it is",
+            why_not="the record cannot be used in its present form",
         )
     state = _read_state(campaign, averaged)
     notes = list(dict.fromkeys(note for record in averaged for note in record.mean.report.notes()))

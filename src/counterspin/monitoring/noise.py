@@ -170,7 +170,7 @@ def _select_signals(signals: list[StaticSignal], columns: Sequence[str]) -> list
         available = ", ".join(signal.column for signal in signals)
         raise CampaignError(
             "noise",
-            [f"`columns`: the campaign's accelerometers have {available}"],
+            [f"`columns`: the accelerometers of the campaign have {available}"],
             code="missing-column",
         )
     return chosen
@@ -265,9 +265,9 @@ def _read_source(source: Path | MemoryTable, select: str | None) -> FileContents
     if contents.is_mixed and contents.sensors is not None:
         key, sensors = contents.sensors
         raise RecordError(
-            f"{source}: column '{key}' takes {len(sensors)} values ({format_names(sensors, 8)}): "
-            "the rows come from several sensors. Select the rows of one sensor with `select`, "
-            f'such as "{key}={sensors[0]}".',
+            f"{source}: column '{key}' has {len(sensors)} different values "
+            f"({format_names(sensors, 8)}), so the rows come from several sensors. Select the "
+            f'rows of one sensor with `select`, such as "{key}={sensors[0]}".',
             code="several-sensors",
         )
     return contents
@@ -403,9 +403,9 @@ def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
             if key in BIAS_COMPONENTS_BY_KEY:
                 scale = BIAS_COMPONENTS_BY_KEY[key].limit_scale
                 yield (
-                    f"The record does not show {name}. The stated upper limit decreases "
-                    f"approximately in proportion to {scale}, so a longer record (hours) can show "
-                    "smaller values."
+                    f"The record does not reveal any {name}. The stated upper limit decreases "
+                    f"approximately in proportion to {scale}, so a longer record (hours) can "
+                    "reveal smaller values."
                 )
             continue
         wide = (
@@ -420,8 +420,8 @@ def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
             )
         elif wide:
             yield (
-                f"The estimate of the {name} depends on the few slowest periods of this "
-                "record, so the interval is wide. Use a record several times longer than "
+                f"The estimate of the {name} depends on the few slowest fluctuations in this "
+                "record, so its interval is wide. Use a record several times longer than "
                 f"{stated.seconds:.4g} s."
             )
     yield from _sampling_remarks(record)
@@ -437,8 +437,8 @@ def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
     thin = round(record.analysis.step / record.segments.step)
     if thin > 1:
         yield (
-            "Noise components, spectral lines and Allan deviation are computed from velocities "
-            f"{thin} samples apart. The spectrum is computed from all samples."
+            "The noise components, the spectral lines and the Allan deviation are computed from "
+            f"velocities {thin} samples apart. The spectrum is computed from all samples."
         )
     if stated.resolution and stated.resolution**2 / 12.0 > 0.1 * _local_scatter(record) ** 2:
         yield (
@@ -461,8 +461,9 @@ def _sampling_remarks(record: StaticRecord) -> Iterator[str]:
         )
     if stretches.stuck:
         yield (
-            f"{stretches.stuck} of {stretches.rows} rows are long sequences of identical values, "
-            "which suggests that the sensor stopped. The analysis does not use these rows."
+            f"{stretches.stuck} of {stretches.rows} rows belong to long sequences of identical "
+            "values, which suggests that the sensor stopped. The analysis does not use these "
+            "rows."
         )
     if stretches.restamped:
         yield (

@@ -51,7 +51,7 @@ def check_blocks(checked: CheckedRun) -> Iterator[Block]:
             else ("The run is usable, with these remarks:")
         )
     else:
-        words = "The run has faults and should be repeated."
+        words = "The run failed its checks and should be repeated."
     yield Paragraph(words, "answer" if checked.good else "warning")
     for remark in checked.remarks:
         yield Paragraph(remark, "plain" if checked.good else "warning")
@@ -63,7 +63,7 @@ def check_blocks(checked: CheckedRun) -> Iterator[Block]:
         yield Heading("Expected uncertainty")
         yield _coefficients(
             checked,
-            f"with {others}" if others else ("uncertainty from this record and the priors only"),
+            f"with {others}" if others else ("uncertainty from this record and the priors alone"),
         )
     if checked.why_not and run.state == "read":
         yield Paragraph(
@@ -244,8 +244,8 @@ def noise_blocks(result: NoiseResult) -> Iterator[Block]:
         yield Paragraph(line, "command")
     yield Paragraph(
         "Intervals have 95 % coverage. N^2 is a two-sided density, as in IEEE Std 952. The "
-        "variance of velocity grows as N^2 t, and a one-sided spectrum is twice as high. For "
-        "flicker noise, the minimum of the Allan deviation is 0.664 B.",
+        "variance of the velocity grows as N^2 t, and a one-sided spectrum is twice as high. "
+        "For flicker noise, the minimum of the Allan deviation is 0.664 B.",
         "quiet",
     )
     if result.unused:
@@ -275,7 +275,7 @@ def _summary_sentence(signal: SignalNoise, gravity: float) -> str:
         if component.value is not None:
             symbol = COMPONENTS_BY_KEY[key].symbol
             slow.append(f"{symbol} = {format_number(component.value * factor)} {unit}")
-    others = f", {' and '.join(slow)}" if slow else "; no slower noise detected"
+    others = f", {' and '.join(slow)}" if slow else "; no noise at lower frequencies detected"
     rate = format_number(signal.sampling_rate, 5)
     return f"{white}{others}, in {signal.seconds:.5g} s at {rate} Hz."
 
@@ -345,7 +345,7 @@ def _allan_table(signal: SignalNoise, gravity: float) -> Table:
         for point in signal.allan[::_TABLE_STRIDE]
     )
     titles = ("Averaging time, s", f"Allan deviation, {unit}", "95 % interval")
-    columns = (*titles, "Degrees of freedom", "From the components")
+    columns = (*titles, "Degrees of freedom", "Calculated from the components")
     return Table(tuple(Column(title, "right") for title in columns), rows)
 
 

@@ -44,7 +44,13 @@ class Pace:
     def __post_init__(self) -> None:
         if not (0.0 < self.interval < 1e6 and 0.0 < self.share <= 1.0):
             raise UsageError(
-                "watch", ["the interval must be above 0 s, and the share of a core between 0 and 1"]
+                "watch",
+                [
+                    (
+                        "the interval must be greater than 0 s, and the share of a core must "
+                        "be between 0 and 1"
+                    )
+                ],
             )
 
 
@@ -89,7 +95,7 @@ def watch(
     if not recordings(campaign):
         raise CampaignError(
             "watch",
-            ["the campaign has no runs with a record to follow"],
+            ["the campaign has no run whose record can be monitored"],
             code="method-not-applicable",
         )
     targets = resolve_goals(campaign, goals)

@@ -68,9 +68,11 @@ def operating(
     RecordError
         If the file or a column cannot be read.
     """
-    path = path_of(file, "the file of a table")
+    path = path_of(file, "a table, or its file")
     if (input is None) == (time is None):
-        raise UsageError("operating", ["give an input column, or a time column (warm-up)"])
+        raise UsageError(
+            "operating", [("give an input column, or a time column for a warm-up test")]
+        )
     if output in (input, time):
         problem = f'"{output}" was given for both columns; give two different columns'
         raise UsageError("operating", [problem])
@@ -121,7 +123,8 @@ def _read_columns(path: Path, first: str, output: str) -> tuple[Array, Array, st
     pair = pair[np.isfinite(pair).all(axis=1)]
     if not 0 < len(pair) <= _MAX_ROWS:
         raise RecordError(
-            f"{path}: {len(pair)} rows with numbers; 1 to {_MAX_ROWS} are allowed", code="no-rows"
+            f"{path}: {len(pair)} rows contain numbers; 1 to {_MAX_ROWS} are allowed",
+            code="no-rows",
         )
     return pair[:, 0].copy(), pair[:, 1].copy(), hashlib.sha256(content).hexdigest()
 
@@ -151,8 +154,11 @@ def _static_tests(
         (
             "hysteresis-error",
             lambda: model.hysteresis(line, inputs, outputs),
-            "largest difference between the upward and downward outputs at the same input",
-            "no input was reached both upwards and downwards",
+            (
+                "largest difference between the outputs at the same input, approached from below "
+                "and from above"
+            ),
+            "no input was approached both from below and from above",
         ),
         (
             "threshold",
@@ -170,7 +176,10 @@ def _static_tests(
                 "smallest input step, starting above the threshold, that changes the output by at "
                 "least 50 % of the expected change"
             ),
-            "no step from larger inputs changes the output by at least 50 % of the expected change",
+            (
+                "no step above the threshold changes the output by at least 50 % of the expected "
+                "change"
+            ),
         ),
         (
             "dead-band",

@@ -84,7 +84,7 @@ def fit_line(inputs: Array, outputs: Array) -> Line:
     settings = group_inputs(inputs)
     count = int(settings.max(initial=-1)) + 1
     if inputs.size < 3 or count < 2:
-        raise ValueError("a line needs at least three points at two inputs")
+        raise ValueError("a straight line requires at least three points at two or more inputs")
     centred = inputs - inputs.mean()
     square = float(centred @ centred)
     slope = float(centred @ outputs) / square
@@ -220,10 +220,10 @@ def fit_warm_up(time: Array, outputs: Array) -> WarmUp:
     from scipy.optimize import curve_fit
 
     if time.size < 6 or not np.all(np.diff(time) > 0.0):
-        raise ValueError("a warm-up needs at least six rows with increasing times")
+        raise ValueError("a warm-up test requires at least six rows with increasing times")
     _require_finite_squares(time, outputs)
     if np.ptp(outputs) == 0.0:
-        raise ValueError("the output does not change, so it shows no warm-up")
+        raise ValueError("the output does not change, so no warm-up can be determined")
     span = float(time[-1] - time[0])
 
     def approach(t: Array, final: float, change: float, rate: float) -> Array:
@@ -233,7 +233,7 @@ def fit_warm_up(time: Array, outputs: Array) -> WarmUp:
     try:
         estimate, covariance = curve_fit(approach, time, outputs, start, maxfev=2000)
     except RuntimeError as error:
-        raise ValueError("no exponential fits this warm-up") from error
+        raise ValueError("no exponential function fits this warm-up") from error
     final, change, rate = (float(value) for value in estimate)
     u_final, u_change, u_rate = (float(u) for u in np.sqrt(np.diag(covariance)))
     if not math.isfinite(u_rate) or rate <= 2.0 * u_rate:

@@ -53,7 +53,7 @@ def operating_blocks(result: OperatingTests) -> Iterator[Block]:
         else ""
     )
     yield Paragraph(
-        "The number after ± is one standard uncertainty (k = 1). The noise of a point is "
+        "The number after ± is the standard uncertainty (k = 1). The noise of a point is "
         f"{noise} with {format_number(result.noise_dof, 4)} degrees of freedom, estimated from "
         f"{basis}.{scale}",
         "quiet",

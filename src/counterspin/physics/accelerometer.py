@@ -34,7 +34,9 @@ def direction(value: str | Sequence[float]) -> Array:
     # The square of a finite number may be beyond all numbers.
     length = math.hypot(*vec.flat)
     if vec.shape != (3,) or not math.isfinite(length) or length == 0.0:
-        raise ValueError(f"a direction needs three finite components, not all zero; got {value}")
+        raise ValueError(
+            f"a direction must have three finite components that are not all zero; got {value}"
+        )
     return vec / length
 
 

@@ -26,7 +26,9 @@ def parabola(symbol: str, mounting: Mounting, rate: float, radius: float, gravit
     """
     matrix = mounting.matrix
     if abs(matrix[0, 2]) > 1e-9 or abs(abs(matrix[1, 2]) - 1.0) > 1e-9:
-        raise ValueError("closed forms need a horizontal input axis and a vertical pendulous axis")
+        raise ValueError(
+            "closed forms require a horizontal input axis and a vertical pendulous axis"
+        )
     force = radius * rate**2 / gravity
     match term(symbol).effect:
         case Slope() as slope:

@@ -249,7 +249,7 @@ def _root(poly: Array, high: Array, y: Array, rows: np.ndarray) -> Array:
         if has_converged.all():
             return x
     row = int(rows[int(np.flatnonzero(~has_converged)[0])])
-    raise NotInvertibleError(row, f"has not converged after {_MAX_STEPS} steps.")
+    raise NotInvertibleError(row, f"did not converge in {_MAX_STEPS} steps.")
 
 
 # Accelerometers together -----------------------------------------------------------------------
@@ -395,7 +395,7 @@ def correct(
     if unknown_axes:
         instrument, axis, symbols = unknown_axes[0]
         raise ValueError(
-            f"{instrument.name}: {', '.join(symbols)} need a_{axis}, which is not known"
+            f"{instrument.name}: {', '.join(symbols)} require a_{axis}, which is not known"
         )
     weights, _ = _projections(instruments, known_forces)
     n, m = indications.shape
@@ -538,7 +538,7 @@ def _correct_jointly(
     moving_row = int(np.flatnonzero(is_moving.any(axis=1))[0])
     raise NotInvertibleError(
         moving_row,
-        "cannot be corrected: the accelerometers' mutual corrections have not converged after "
+        "cannot be corrected: the mutual corrections of the accelerometers did not converge in "
         f"{_MAX_ROUNDS} rounds; check the coefficients and their units.",
     )
 

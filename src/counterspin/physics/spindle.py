@@ -460,7 +460,7 @@ def _fit(
     n, unknown_count = time.size, 3 + 2 * harmonic_count
     if n <= unknown_count:
         raise NotIdentifiableError(
-            f"{n} angle samples cannot determine a spindle with {harmonic_count} harmonics "
+            f"{n} angle samples cannot determine the rotation with {harmonic_count} harmonics "
             f"({unknown_count} unknowns); use a longer record or request fewer harmonics"
         )
     span = float(np.ptp(time))
@@ -500,8 +500,8 @@ def _fit(
             break
     else:
         raise ConvergenceError(
-            f"the spindle rate did not converge near {start_rate:.9g} rad/s. Check the nominal "
-            "rate of the run"
+            f"the estimate of the spindle rate did not converge near {start_rate:.9g} rad/s. "
+            "Check the nominal rate of the run"
         )
     residuals = columns[-1] - solution @ columns[:-1]
     dof = n - unknown_count

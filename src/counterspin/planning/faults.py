@@ -115,7 +115,7 @@ def fault_requirements(
     rates = np.array([run.rate for run in campaign.runs])
     lines = [
         ("radius", radius, "m"),
-        ("rate drift that the recorded angle does not show", drift, "1/s"),
+        ("rate drift that does not appear in the recorded angle", drift, "1/s"),
         ("relative rate error common to all runs", rate @ rates, "1"),
         ("zero of the angle, varying between runs", origin, "rad"),
         (

@@ -180,7 +180,7 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
         noise_levels = [noise.get(key) for key in (accelerometer.observable, "acceleration")]
         if noise_levels == [0.0, 0.0]:
             problems.append(
-                f"noise: the noise of {name} is missing; give {accelerometer.observable}"
+                f"noise: the noise of {name} is missing; state {accelerometer.observable}"
             )
     if problems:
         raise CampaignError(str(campaign.path), dict.fromkeys(problems), code="missing-key")

@@ -324,9 +324,9 @@ class InformationTable:
         self._harmonics = harmonics
         if revolutions[1] > (most := MOST_ROWS / BLOCKS_PER_REVOLUTION):
             raise CounterspinError(
-                f"limits: a run may have {revolutions[1]:.3g} revolutions; with a random walk or "
-                f"time-stamp jitter, the search is limited to runs of at most {most:.3g}: give a "
-                "shorter longest_run or total_time, or a lower highest_rate",
+                f"limits: these limits allow runs of {revolutions[1]:.3g} revolutions. With a "
+                "random walk or time-stamp jitter, the search covers only runs of at most "
+                f"{most:.3g} revolutions. Reduce longest_run, total_time or highest_rate",
                 code="value-out-of-range",
             )
         self._counts = _integer_grid(revolutions)

@@ -93,7 +93,7 @@ def _optimality(goal: GoalResult, timed: bool) -> str:
             "the bound for all plans."
         )
     if gain < 0.05:
-        return "No plan within these limits is better by more than 0.05 %."
+        return "No plan within these limits is more than 0.05 % better."
     by = f"more than {format_number(gain, 2)} %"
     if goal.kind == "minimise":
         quantity = (
@@ -225,7 +225,7 @@ def _separation_advice(result: PlanResult, terms: Sequence[str]) -> str:
         )
     ):
         # Drift and g-sensitivity change their sign with the sense, the accelerometer's do not.
-        return "To separate these terms, add runs in the other sense of rotation."
+        return "To separate these terms, add runs in the opposite sense of rotation."
     one_rate = max(map(abs, rates)) < 1.001 * min(map(abs, rates))
     if one_rate and len({len(row.effect.factors) for row in rows}) > 1:
         return "To separate these terms, add runs at other rates."
@@ -282,9 +282,9 @@ def _fault_blocks(
     detected_faults = [effect for effect in accelerometer.faults if effect.noticed]
     if undetected_faults:
         yield Paragraph(
-            "The plan fixes each of these effects at the nominal value. Any one of these "
-            "effects, with its default size, would shift K_II by more than the standard "
-            "uncertainty, and the residuals would still be consistent with noise."
+            "The plan fixes each of these effects at the nominal value. Each of them, at its "
+            "default size, would by itself shift K_II by more than the standard uncertainty, "
+            "and the residuals would still be consistent with noise."
         )
         yield Table(
             (
@@ -323,8 +323,8 @@ def _fault_blocks(
         return
     percent = "Less than 0.1" if abs(share) < 1e-3 else format_number(100.0 * share, 2)
     yield Paragraph(
-        f"{percent} % of the information on K_II comes from the second harmonic of the K_II term. "
-        "Encoder eccentricity and imbalance can imitate this harmonic. The rest of the "
+        f"{percent} % of the information on K_II comes from the second harmonic of the K_II "
+        "term. Encoder eccentricity and imbalance can imitate this harmonic. The remaining "
         "information comes from the mean of a_I^2.",
     )
 
@@ -378,9 +378,10 @@ def _comparison_blocks(result: PlanResult) -> Iterator[Block]:
         ),
         tuple(rows),
     )
-    time_note = " All plans take the same time unless stated otherwise." if result.runs else ""
+    time_note = " Unless stated otherwise, all plans take the same time." if result.runs else ""
     explanation = (
-        f"The ratio is the uncertainty of this plan divided by that of the other plan.{time_note}"
+        "The ratio is the uncertainty with this plan divided by the uncertainty with the other "
+        f"plan.{time_note}"
     )
     yield Paragraph(explanation, "quiet")
 
@@ -392,7 +393,7 @@ def _requirement_blocks(result: PlanResult) -> Iterator[Block]:
     rows = tuple((line.words, _format_size(line)) for line in result.requirements)
     yield Table((Column("Property", wraps=True), Column("Within", "right")), rows)
     yield Paragraph(
-        "Any single one of these errors would increase the uncertainty by 5 %, "
+        "Each of these errors would by itself increase the uncertainty by 5 %, "
         f"{result.requirements_for}.",
         "quiet",
     )

@@ -137,7 +137,7 @@ def plan(
     CounterspinError
         If no plan within the limits reaches the target.
     """
-    file = file if isinstance(where, Mapping) else path_of(where, "a plan, or its file")
+    file = file if isinstance(where, Mapping) else path_of(where, "a plan, or a plan file")
     if "stations" in load_plan(where):
         return _plan_readings(where, file)
     plan_data = read_plan(where, file)
@@ -203,8 +203,7 @@ def _round_to_targets(search: Search, design: Design) -> tuple[Design, Forecast]
 
 _COMMENTS: Final = {
     "simulation": (
-        "The following section is only for `counterspin simulate`. A calibration ignores this "
-        "section."
+        "The following section is only for `counterspin simulate`. A calibration ignores it."
     ),
 }
 
@@ -277,7 +276,7 @@ def require_no_campaign(folder: Path) -> Path:
     """Return the description's path in a folder; raise CounterspinError if it exists already."""
     target = folder / DESCRIPTION_NAME
     if target.exists():
-        raise ExistingFileError(f"{target} exists; choose another folder")
+        raise ExistingFileError(f"{target} already exists; choose another folder")
     return target
 
 
@@ -296,7 +295,7 @@ Example = Literal["records", "poses"]
 def write_example(file: Path, example: Example = "records") -> Path:
     """Write a commented plan to start from; raises as `write_campaign` does."""
     if file.exists():
-        raise ExistingFileError(f"{file} exists; edit it, or choose another name")
+        raise ExistingFileError(f"{file} already exists; edit it, or choose another name")
     starter = "starter.toml" if example == "records" else f"starter_{example}.toml"
     write_text(file, (files("counterspin.planning") / starter).read_text("utf-8"))
     return file
@@ -350,7 +349,10 @@ def _alternative_plans(
     plans = []
     for text, alternative in (
         (
-            "plan of the paper: 1/4, 1/2 and the whole of the highest rate, equal revolutions",
+            (
+                "plan of the paper: 1/4, 1/2 and 1 times the highest rate, with equal numbers of "
+                "revolutions"
+            ),
             search.three_rates(design, total_time),
         ),
         ("equally spaced rates, equal durations", search.even_rates(design, total_time)),

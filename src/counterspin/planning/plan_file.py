@@ -281,7 +281,9 @@ def _check_noise(campaign: Campaign, problems: Problems) -> None:
         sizes = (getattr(noise, accelerometer.observable), noise.acceleration, noise.quantisation)
         if sizes == (0.0, 0.0, 0.0):
             problems.add(
-                ("noise",), f"{name} has no noise; give {accelerometer.observable}", "missing-value"
+                ("noise",),
+                f"{name} has no noise; state {accelerometer.observable}",
+                "missing-value",
             )
 
 
@@ -347,8 +349,9 @@ def _resolve_limits(
             f"no run fits, because the shortest run takes {limits.shortest_time:.4g} s with "
             f"spin-up, settling and {fewest:g} revolutions"
             if limits.fewest_rates == 1
-            else f"{limits.fewest_rates} runs at different rates do not fit: the shortest take "
-            f"{limits.shortest_time:.4g} s with spin-up, settling and {fewest:g} revolutions each",
+            else f"{limits.fewest_rates} runs at different rates do not fit: even the shortest "
+            f"runs take {limits.shortest_time:.4g} s, with spin-up, settling and "
+            f"{fewest:g} revolutions each",
             "plan-infeasible",
         )
     return limits if len(problems.lines) == error_count else None
@@ -369,7 +372,7 @@ def _rate_shortage(limits: Limits) -> str:
         )
     if limits.revolutions * 2.0 * math.pi / rates[-1] > limits.longest_run * (1.0 + 1e-9):
         return (
-            f"{limits.revolutions:g} revolutions at the slowest of {count} different rates, "
+            f"{limits.revolutions:g} revolutions at the lowest of {count} different rates, "
             f"{rates[-1]:.6g} rad/s, take longer than the longest run"
         )
     return ""
@@ -422,7 +425,7 @@ def resolve_goal(
         problems.add(("goal",), "has both minimise and target; keep only one of them")
         return None
     if settings.target is not None and settings.criterion != "sum":
-        problems.add(("goal", "criterion"), "has no meaning with target; omit it")
+        problems.add(("goal", "criterion"), "does not apply to a target; omit it")
     key: Literal["target", "minimise"] = "minimise" if settings.target is None else "target"
     settings_path = settings.target if settings.target is not None else settings.minimise
     if settings_path is None:

@@ -88,7 +88,7 @@ class LimitsSettings(SettingsSection):
         "highest centripetal acceleration, in g",
         "1 g",
         None,
-        absent="the force at the highest rate",
+        absent="the acceleration at the highest rate",
     )
     senses: Literal["one", "both"] = key_field("sense of rotation", "both", "one")
     settling: Duration = key_field("settling time before each record", "10 s", 0.0, absent="0 s")
@@ -161,7 +161,7 @@ class StationsSettings(SettingsSection):
         "at equal angles",
         ["X", "-X", "Y - Z"],
         None,
-        absent="26 poses: every axis, pair and triple of axes",
+        absent="26 poses: every axis, pair of axes and triple of axes",
     )
     about: Text = key_field("axis of rotation of the positions", "east", "north")
     u_angle: Annotated[float, read_exactly("rad"), AfterValidator(_check_not_negative)] = key_field(
@@ -192,14 +192,14 @@ class ReadingLimitsSettings(SettingsSection):
     """[limits]: limits on the number and order of readings."""
 
     readings: Annotated[int, Field(le=MOST_READINGS), AfterValidator(positive)] | None = key_field(
-        "maximum number of readings", 60, None, absent="limited by the time"
+        "maximum number of readings", 60, None, absent="limited only by the time"
     )
     total_time: Seconds | None = key_field(
         "total time of all readings; if given, the plan reaches a target in the least time, "
         "otherwise with the fewest readings",
         "2 h",
         None,
-        absent="limited by the number",
+        absent="limited only by the number of readings",
     )
     order: Literal["mirrored", "random", "listed"] = key_field(
         'order of the readings: random, as listed, or mirrored; `"mirrored"` repeats the sequence '
@@ -278,7 +278,7 @@ class PlanDocument(_Sections):
         "dimensions of the centrifuge, as in a campaign", {}
     )
     noise: Annotated[dict[str, Any], Section(NoiseSettings)] = key_field(
-        "noise of the records, as in a campaign; every value is a number",
+        "noise of the records, as in a campaign; every value must be a number",
         {"displacement": "0.01 m"},
     )
     truth: Annotated[dict[str, Any] | None, Section(TruthSettings)] = key_field(
@@ -311,7 +311,12 @@ class ReadingPlanDocument(_Sections):
         default_factory=list,
     )
     readings: Annotated[dict[str, Any] | None, Section(ReadingsSettings)] = key_field(
-        "a table of readings that are made regardless of the plan, as in a campaign", {}, None
+        (
+            "a table of readings that will be made regardless of the plan; same keys as in a "
+            "campaign"
+        ),
+        {},
+        None,
     )
     stations: Annotated[list[Any], Field(min_length=1), Section(list[StationsSettings])] = (
         key_field("stations at which readings may be taken", [{"positions": 24, "u": "2e-6 g"}])

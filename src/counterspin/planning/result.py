@@ -223,10 +223,10 @@ def _one_rate(campaign: Campaign) -> list[str]:
     if campaign.readings or not rates or max(rates) > 1.001 * min(rates):
         return []
     return [
-        f"All runs have the same rate, {rates[0]:.6g} rad/s. At a single rate, the mean "
-        "effects of K_F, K_II, K_4 and K_F.heating cannot be separated, so K_II depends on the "
-        "priors for the other terms. If these priors are wrong, the records will not show the "
-        "error. Add runs at a second rate."
+        f"All runs have the same rate, {rates[0]:.6g} rad/s. At a single rate, the mean effects "
+        "of K_F, K_II, K_4 and K_F.heating cannot be separated, so K_II depends on the priors "
+        "for the other terms. If these priors are wrong, the records will not reveal the error. "
+        "Add runs at a second rate."
     ]
 
 

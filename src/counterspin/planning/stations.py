@@ -217,7 +217,7 @@ def read_reading_plan(
     used_names = {str(run.get("name")) for run in existing_runs if isinstance(run, dict)}
     for reading in candidates:
         if reading.name in used_names:
-            text = f'two have the name "{reading.name}"; give each entry a different name'
+            text = f'two entries have the name "{reading.name}"; give each entry a different name'
             problems.add(("stations",), text, "duplicate-entry")
         used_names.add(reading.name)
     if len(candidates) > _MAX_CANDIDATES:
@@ -330,7 +330,7 @@ def _candidate_readings(
         if len(problems.lines) == before:
             if "triad" in raw:
                 return _poses(settings, {**shared_keys, "reading": reading}, names, path, problems)
-            problems.add((*path, "attitude"), 'is "unknown", which needs [triad]', "missing-key")
+            problems.add((*path, "attitude"), 'is "unknown", which requires [triad]', "missing-key")
         return []
     if len(problems.lines) > before:
         return []

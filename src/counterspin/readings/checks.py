@@ -107,7 +107,7 @@ def check_readings(view: AccelerometerView) -> list[Finding]:
                 f"The residuals of the {group.label} are not consistent with the stated noise"
                 if noise_stated
                 else f"In the {group.label}, the positions deviate more from the model than "
-                "repeated readings of one position deviate from each other"
+                "repeated readings of the same position differ from each other"
             )
             sentences = [f"{statement} (p = {p:.2g})."]
         general = lack_of_fit_finding(view.name, sentences, residual) if sentences else None
@@ -136,9 +136,9 @@ def _check_redundancy(view: AccelerometerView) -> list[Finding]:
     ):
         return []
     text = (
-        f"{count} readings cannot test the {len(free_symbols)} coefficients that they "
-        f"determine ({', '.join(free_symbols)}), because the model would fit the readings "
-        "despite any error. Take more readings."
+        f"{count} readings cannot test the {len(free_symbols)} coefficients that they determine "
+        f"({', '.join(free_symbols)}), because the model would fit the readings regardless of "
+        "any error. Take more readings."
     )
     return [Finding(code="unjudged-readings", subject=view.name, text=text)]
 
@@ -156,9 +156,10 @@ def _check_residual_dof(view: AccelerometerView) -> list[Finding]:
         return []
     count = sum(group.readings.size for group in stated)
     dof_text = format_number(dof, 2)
+    remaining = "degree of freedom remains" if dof_text == "1" else "degrees of freedom remain"
     text = (
-        f"{count} readings leave {dof_text} degree{'' if dof_text == '1' else 's'} of freedom "
-        "after the estimation, so a pattern in the residuals, such as a drift, hysteresis or a "
+        f"After the fit of {count} readings, {dof_text} {remaining}, so patterns "
+        "in the residuals, such as a drift, hysteresis or a "
         f"missing term, cannot be detected{_detection_clause(dof)}. Take more readings, or "
         "state priors for more terms."
     )
@@ -181,24 +182,20 @@ def _parameter_dof(view: AccelerometerView) -> float:
 def _detection_clause(dof: float) -> str:
     """Return in words how large residuals must be for chi-square to call them no noise."""
     if dof <= 0.5:
-        return ", and the scatter cannot be compared with the stated uncertainty"
+        return ", nor can the scatter be compared with the stated uncertainty"
     from scipy.special import chdtri
 
     ratio = math.sqrt(float(chdtri(dof, 0.5 * SIGNIFICANCE)) / dof)
     ratio_text = format_number(ratio, 2)
-    return (
-        f", and deviations of the residuals are detected only above {ratio_text} times the "
-        "stated uncertainty"
-    )
+    return f", and residuals reveal errors only above {ratio_text} times the stated uncertainty"
 
 
 def untestable_finding(name: str, group: FittedReadings) -> Finding:
     """Return the finding that hardly any freedom is left to test residuals by."""
     text = (
-        f"{group.readings.size} {group.label} without a stated uncertainty leave "
-        f"{format_number(group.tested_dof, 2)} degrees of freedom after the estimation, so the "
-        "residuals cannot be tested. State the uncertainty of the readings, or take more "
-        "readings."
+        f"After the fit of {group.readings.size} {group.label} without a stated uncertainty, "
+        f"{format_number(group.tested_dof, 2)} degrees of freedom remain, so the residuals "
+        "cannot be tested. State the uncertainty of the readings, or take more readings."
     )
     return Finding(code="unjudged-readings", subject=name, text=text)
 
@@ -300,7 +297,10 @@ def pattern_clause(alternative: Alternative) -> str:
         "angle": "the head angle",
     }.get(alternative.symbol.rpartition(" ")[2], "the time of reading")
     return {
-        WAVE: f"follow {alternative.symbol}, where phi is the head angle from input axis up",
+        WAVE: (
+            f"follow {alternative.symbol}, where phi is the head angle measured from the "
+            "position with the input axis up"
+        ),
         HEAD: f"have the pattern of a head error {alternative.symbol.partition(' ')[2]} per "
         "revolution",
         TERM: f"follow {alternative.symbol}, more than the model allows",
@@ -313,11 +313,12 @@ def pattern_clause(alternative: Alternative) -> str:
             f"oscillate {alternative.symbol.partition(' ')[2].partition(' ')[0]} times with {when}"
         ),
         ASYMMETRY: (
-            f"have the pattern of a {alternative.symbol} that differs for negative specific forces"
+            f"have the pattern of a {alternative.symbol} that is different for negative "
+            "specific forces"
         ),
         RANGE: f"have the pattern of a gain that changes above {alternative.symbol}, as "
         "between two ranges of a meter",
-        STEP: f'have a step that starts at "{alternative.symbol}"',
+        STEP: f'have a step at "{alternative.symbol}"',
         SENSE: "depend on the sense of rotation of the machine",
         REVERSED: "have the pattern of a rotation opposite to the stated sense",
         HYSTERESIS: f"depend on {_HYSTERESIS_CAUSES.get(alternative.symbol)} (hysteresis)",
@@ -334,8 +335,8 @@ def outlier_findings(name: str, group: FittedReadings) -> list[Finding]:
     )
     text = (
         f"{_count_readings(outliers)} of {group.readings.size} {group.label} deviate from the "
-        "model. This many deviations suggest an error in the model rather than in individual "
-        f"readings. {largest_finding.text}"
+        "model, which suggests an error in the model rather than in individual readings. "
+        f"{largest_finding.text}"
     )
     return [largest_finding.model_copy(update={"text": text})]
 
@@ -396,9 +397,9 @@ def rounding_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
             if group.readings.u is None and group.has_external_noise:
                 size = format_number(group.readings.noise_floor * 1e6, 2)
                 yield (
-                    f"{view.name}: the {group.label} fit the model to the last digit, so the "
-                    f"noise is assumed to be rounding error of {size} ug. If the noise is "
-                    "larger, state it with each reading (±)."
+                    f"{view.name}: the {group.label} fit the model to the last digit, so "
+                    f"counterspin assumes that the noise is a rounding error of {size} ug. If "
+                    "the noise is larger, state it with each reading (±)."
                 )
 
 

@@ -106,7 +106,7 @@ def _with_common_records(
     known_keys = Dialect.__dataclass_fields__
     for key in stated:
         if key not in known_keys:
-            problem = f"cannot be set for a record of poses; known: {', '.join(known_keys)}"
+            problem = f"cannot be set for a record of poses; known keys: {', '.join(known_keys)}"
             problems.add((*path, "records", key), problem)
     return {**raw, "records": merge_patch(section, stated)}
 
@@ -123,7 +123,9 @@ def _resolve_triad(
     if section is None and not pose_entries:
         return None
     if not is_installed(TRIAD):
-        reader.problems.add(("triad",), "this installation has no triads", "missing-package")
+        reader.problems.add(
+            ("triad",), "this installation does not support triads", "missing-package"
+        )
         return None
     folder, problems = reader.file.parent, reader.problems
     resolve = load_name(TRIAD)

@@ -42,7 +42,7 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
     static, vibrates = run.motion == "static", run.motion == "vibration"
     has_attitude, no_axes = "stand" in run.model_fields_set, run.axes is None
     single_temperature = len(run.temperature or ()) < 2
-    no_meaning = "has no meaning at an unknown attitude"
+    no_meaning = "does not apply to an unknown attitude"
     arm = 'a run on an arm has no attitude; write axes = { input = "inward", pendulous = "up" }'
     # Whether it is wrong, its key, and further ones on which that hangs.
     rows: Iterable[tuple[object, str, str]] = (
@@ -72,7 +72,7 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
         ),
         (
             vibrates and run.amplitude is None,
-            Problem("is missing: a vibration needs a peak acceleration", "missing-key"),
+            Problem("is missing: a vibration requires a peak acceleration", "missing-key"),
             "amplitude motion",
         ),
         (
@@ -102,12 +102,12 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
         ),
         (
             not static and not vibrates and not rotates,
-            Problem(f"is missing: a run with motion {run.motion} rotates", "missing-key"),
+            Problem(f"is missing: a run with motion {run.motion} requires a rate", "missing-key"),
             "rate motion",
         ),
         (
             (static or vibrates) and no_axes and not has_attitude,
-            Problem("is missing: a reading at rest needs a position", "missing-key"),
+            Problem("is missing: a reading at rest requires a position", "missing-key"),
             "attitude axes motion",
         ),
         (no_axes and not is_pose and run.motion == "arm", arm, " axes motion"),
@@ -118,12 +118,15 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
         ),
         (
             run.head is not None and not (static and any(run.stand.head)),
-            'turns about an axis: write attitude = "30 deg about north", or similar',
+            (
+                'requires an attitude that is a rotation about an axis, such as attitude = "30 deg '
+                'about north"'
+            ),
             "head attitude motion",
         ),
         (
             run.revolutions is not None and run.duration is None and not rotates,
-            Problem("a run at rest needs a duration", "missing-key"),
+            Problem("a run at rest requires a duration", "missing-key"),
             "revolutions duration rate",
         ),
         (
@@ -160,7 +163,7 @@ def collect_readings(
             blank_paths.append((*path, "reading"))
     if blank_paths and turns is None:
         other_count = len(blank_paths) - 1
-        others_text = f", and neither have {other_count} others" if other_count else ""
+        others_text = f", and {other_count} other readings have none either" if other_count else ""
         message = f"has no value yet{others_text}; enter the reading, or [truth] to simulate it"
         problems.add(blank_paths[0], message, "missing-value")
     return tuple(readings)
@@ -399,6 +402,8 @@ def _resolve_axes(run: Run, mounting: Mounting | None) -> Mounting | None:
 def _resolve_direction(value: str | list[float], names: Mapping[str, Any]) -> list[float]:
     if isinstance(value, str):
         if value not in names:
-            raise ValueError(f'unknown direction "{value}" here' + suggest_name(value, names))
+            raise ValueError(
+                f'unknown direction "{value}" for this motion' + suggest_name(value, names)
+            )
         return list(names[value])
     return value

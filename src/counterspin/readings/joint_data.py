@@ -187,7 +187,9 @@ def make_triad(campaign: Campaign) -> TriadData | None:
         return None
     if not is_installed(TRIAD):
         raise CampaignError(
-            str(campaign.path), ["triad: this installation has no triads"], code="missing-package"
+            str(campaign.path),
+            ["triad: this installation does not support triads"],
+            code="missing-package",
         )
     triad: TriadData = load_name(TRIAD)(campaign)
     return triad
@@ -268,9 +270,8 @@ def _check_reading_count(campaign: Campaign, model: Unknowns) -> None:
             count_text = f"{count} readings" if count != 1 else "1 reading"
             raise NotIdentifiableError(
                 f"{campaign.path}: {count_text} of {name} cannot determine {len(free_symbols)} "
-                "coefficients "
-                f"({', '.join(free_symbols)}); add positions, reduce model.terms, "
-                "or give priors"
+                f"coefficients ({', '.join(free_symbols)}); add positions, reduce model.terms, "
+                "or state priors"
             )
 
 

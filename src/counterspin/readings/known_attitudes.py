@@ -249,7 +249,7 @@ class Readings:
             return ""
         return (
             f"{self.accelerometer}: {self.size} readings ({self.motion}) without a stated "
-            "uncertainty do not determine the noise in addition to the unknowns; state the "
+            "uncertainty cannot determine both the unknowns and the noise; state the "
             "uncertainty, or take more readings than there are unknowns"
         )
 

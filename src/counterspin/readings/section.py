@@ -73,7 +73,7 @@ class ReadingsSettings(TableDialect, _TableFile):
         absent="estimated",
     )
     motion: MotionKind = key_field(
-        "motion of every row, if no column contains the motion", "arm", "static"
+        "motion of every row, if no column specifies the motion", "arm", "static"
     )
     about: Text = key_field("axis of the angles in the column `attitude`", "east", "north")
     attitude_unit: Text = key_field(

@@ -110,7 +110,7 @@ def load_table(path: Path, dialect: Dialect) -> tuple[StoredTable, list[str], st
         raise InputError(str(error).rstrip("."), code_of(error)) from error
     if (rows := table.frame.height) > MOST_READINGS:
         raise InputError(
-            f"{path.name} has {rows} rows; a table of readings has at most {MOST_READINGS}",
+            f"{path.name} has {rows} rows; a table of readings may have at most {MOST_READINGS}",
             "too-many-rows",
         )
     if dialect.decimal == ",":
@@ -122,7 +122,7 @@ def insert_readings(document: dict[str, Any], frame: Any, problems: Problems) ->
     """Put the rows of a frame among a document's runs, by what its section of readings says."""
     raw = document.pop("readings", None)
     if not isinstance(raw, Mapping) or "file" in raw:
-        reason = "gives a file; omit this key" if isinstance(raw, Mapping) else "is missing"
+        reason = "names a file; omit this key" if isinstance(raw, Mapping) else "is missing"
         problems.add(
             ("readings",),
             f"{reason}: the table is given as a frame, and `columns` assigns its columns",
@@ -296,9 +296,7 @@ class ReadingsTable:
                     (*path, key), "unknown key" + suggest_name(key, known_names), "unknown-key"
                 )
             elif key in COLUMNS and not isinstance(value, str):
-                problems.add(
-                    (*path, key), "this value must be the name of one column", "wrong-type"
-                )
+                problems.add((*path, key), "must be the name of a single column", "wrong-type")
         if not stated_columns.get("reading"):
             problems.add(path, "reading is missing; give the column with the values", "missing-key")
             return
@@ -343,8 +341,9 @@ class ReadingsTable:
         columns = [entry.reading for entry in self.settings.mountings.values()]
         if len(self.accelerometers) != 1 or not all(columns) or "reading" in self.settings.columns:
             message = (
-                "give `reading` for every mounting or for none; with it, a table has one "
-                "accelerometer, and readings.columns has no `reading`"
+                "give `reading` for every mounting or for none; if `reading` is given, the "
+                "table must have a single accelerometer, and readings.columns must not contain "
+                "`reading`"
             )
             self.problems.add(("readings", "mountings"), message)
             return
@@ -475,7 +474,9 @@ class ReadingsTable:
         if motion != "arm" or "motion" in self.columns:
             return motion, None
         if stated is None:
-            message = "is missing: an arm rotates; write 0 for readings at rest"
+            message = (
+                "is missing: a reading on an arm requires a rate; write 0 for readings at rest"
+            )
             self.problems.add(path, message, "missing-value")
         return "static", None
 

@@ -141,14 +141,17 @@ class ArrayFile(ColumnFile):
                 ]
                 hint = f": {format_names(columns)}" if columns else ""
                 raise RecordError(
-                    f"{self.path}: '{name}' has the shape {shape}; one column is needed{hint}.",
+                    (
+                        f"{self.path}: '{name}' has the shape {shape}; a single column is "
+                        f"required{hint}."
+                    ),
                     code="wrong-shape",
                 )
             lengths[name] = size
         if len(set(lengths.values())) > 1:
             name_list = ", ".join(f"'{name}' {length}" for name, length in lengths.items())
             raise RecordError(
-                f"{self.path}: the columns differ in length: {name_list}.", code="wrong-shape"
+                f"{self.path}: the columns have different lengths: {name_list}.", code="wrong-shape"
             )
         self._check_size(8 * sum(lengths.values()))
 
@@ -364,8 +367,8 @@ class MatlabFile(ArrayFile):
         unreadable = [name for name, (_, kind) in self._variables.items() if kind == "opaque"]
         if unreadable or any(name == "None" for name in self._variables):
             return (
-                f"there is no column '{missing[0]}'. Only MATLAB can read an object such as a "
-                "table: save s = table2struct(T, 'ToScalar', true) instead."
+                f"the file has no column '{missing[0]}'. Only MATLAB can read an object such as "
+                "a table. In MATLAB, save s = table2struct(T, 'ToScalar', true) instead."
             )
         return super()._missing_columns_message(missing)
 

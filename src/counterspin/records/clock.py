@@ -291,7 +291,7 @@ class Clock:
             if revolutions > _GAP_REVOLUTIONS:
                 raise self._fail(
                     int(rows[index]),
-                    f"there are no rows for {length:.6g} s ({revolutions:.4g} revolutions), "
+                    f"no rows were recorded for {length:.6g} s ({revolutions:.4g} revolutions), "
                     "and the rotation cannot be tracked over such a gap. End the record before "
                     "the gap.",
                     "time-gap",
@@ -460,10 +460,11 @@ def _jump_message(elapsed: float, step: float, misfit: float, rate: float) -> st
     """
     if abs(elapsed / step - 1) < 0.2:
         return (
-            f"the angle jumps by {misfit:.4g} rad from the extrapolation of the preceding rows, "
-            "and does not return. Cut the record here."
+            f"the angle differs by {misfit:.4g} rad from the extrapolation of the preceding "
+            "rows, and does not return. End the record before this row."
         )
     return (
-        f"the clock jumps: time advances by {elapsed:.6g} s over one row, but the angle advances "
-        f"as expected in {elapsed + misfit / rate:.6g} s. Cut the record here."
+        f"the clock jumps: time advances by {elapsed:.6g} s over one row, but the angle "
+        f"advances only as much as expected in {elapsed + misfit / rate:.6g} s. End the record "
+        "before this row."
     )

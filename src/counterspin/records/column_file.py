@@ -156,7 +156,8 @@ def record_errors(path: Path, where: Callable[[], str] = str) -> Iterator[None]:
         ) from None
     except MemoryError:
         raise DamagedFileError(
-            f"{path}: the file needs more memory than is available{where()}.", code="out-of-memory"
+            f"{path}: reading the file requires more memory than is available{where()}.",
+            code="out-of-memory",
         ) from None
     # Polars turns a panic into an exception that is no `Exception`.
     except BaseException as error:
@@ -310,9 +311,8 @@ class ColumnFile(ABC):
         if not mask.any():
             values = format_names(sorted(set(cells)), 8)
             raise RecordError(
-                f"{self.path}: select: column '{column}' does not contain the value '{value}'; it "
-                f""
-                f"has {values}.",
+                f"{self.path}: select: column '{column}' does not contain the value '{value}'; "
+                f"it contains {values}.",
                 code="no-rows",
             )
         self.selection = mask
@@ -417,7 +417,7 @@ class ColumnFile(ABC):
         from difflib import get_close_matches
 
         message = (
-            f"there is no column {format_names(missing)}; the file has {format_names(self.names)}."
+            f"the file has no column {format_names(missing)}; it has {format_names(self.names)}."
         )
         similar = get_close_matches(missing[0], self.names, n=1)
         return message + (f" Did you mean '{similar[0]}'?" if similar else "")

@@ -57,7 +57,9 @@ _BODY_LINES = 20
 _TAIL_BYTES = 16_384
 #: A number with its unit, `1.25 mA`.
 _UNIT_CELL = re.compile(r"[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)? ?[^\s\d,;.:+-]\S{0,9}")
-_FORM = "A .csv file contains a header line with the column names, and lines of numbers."
+_FORM = (
+    "A .csv file must contain a header line with the column names, followed by lines of numbers."
+)
 
 
 class CsvFile(ColumnFile):
@@ -233,7 +235,7 @@ class CsvFile(ColumnFile):
                 self._is_utf8 = True
             except UnicodeError:
                 raise RecordError(
-                    f"{self.path}: the file is not text in {self._encoding}.", code="wrong-encoding"
+                    f"{self.path}: the file is not {self._encoding} text.", code="wrong-encoding"
                 ) from None
         if self._content is not None:
             first_bytes = self._content[:_LINE_BYTES]
@@ -256,7 +258,7 @@ class CsvFile(ColumnFile):
             line = raw.decode("utf-8-sig", errors="replace").strip("\r\n")
             if "\ufffd" in line or any(c < " " and c != "\t" for c in line):
                 raise RecordError(
-                    f"{self.path}, line {number}: the file is not text in UTF-8. {_FORM}",
+                    f"{self.path}, line {number}: the file is not UTF-8 text. {_FORM}",
                     code="wrong-encoding",
                 )
             if line.strip() and not line.startswith("#"):
@@ -393,7 +395,7 @@ class CsvFile(ColumnFile):
             )
         hint = ""
         if cell.strip() == column:
-            hint = " The column names are repeated: put each run into a separate file."
+            hint = " The column names occur more than once: put each run into a separate file."
         if _UNIT_CELL.fullmatch(cell.strip()):
             hint = " Move the unit from the cells to the header row, such as 'Time [s]'."
         if _is_number(cell.replace(",", ".")):

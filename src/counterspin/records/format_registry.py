@@ -80,7 +80,7 @@ _ALTERNATIVES: Final[Mapping[str, str]] = {
     ),
     **dict.fromkeys(
         (".bin", ".raw", ".pkl", ".pickle"),
-        "the arrangement of its bytes is unknown; export text, such as .csv, from the program "
+        "the byte layout of this file is unknown; export text, such as .csv, from the program "
         "that wrote it.",
     ),
 }
@@ -97,8 +97,8 @@ def suffix_problem(path: Path) -> str:
     if format_of(path) is not None:
         return ""
     if ending in _COMPRESSED_SUFFIXES:
-        return "the file is compressed; unpack it, and give the file inside."
+        return "the file is compressed; unpack it, and use the extracted file."
     if ending in _ALTERNATIVES and not path.is_dir():
         return _ALTERNATIVES[ending]
     problem = "this is a folder" if path.is_dir() else "this file does not"
-    return f"a record file ends in one of {', '.join(RECORD_FORMATS)}; {problem}."
+    return f"the name of a record file must end in one of {', '.join(RECORD_FORMATS)}; {problem}."

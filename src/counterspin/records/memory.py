@@ -110,7 +110,9 @@ def memory_table(name: str, frame: Any) -> MemoryTable:
     lengths = {key: len(values) for key, values in columns.items()}
     if len(set(lengths.values())) > 1:
         listing = ", ".join(f"'{key}' {length}" for key, length in lengths.items())
-        raise RecordError(f"{name}: the columns differ in length: {listing}.", code="wrong-shape")
+        raise RecordError(
+            f"{name}: the columns have different lengths: {listing}.", code="wrong-shape"
+        )
     if not any(lengths.values()):
         raise RecordError(f"{name}: the file has no rows of numbers.", code="no-rows")
     return MemoryTable(name, columns, tuple(skipped_names))
@@ -133,8 +135,8 @@ def iter_columns(name: str, frame: Any) -> Iterator[tuple[str, Any]]:
         yield from ((column.name, column) for column in polars_frame.get_columns())
     else:
         raise RecordError(
-            f"{name}: a {type(frame).__name__} has no named columns. Give a mapping of arrays, a "
-            "polars or pandas data frame, or a file.",
+            f"{name}: a {type(frame).__name__} has no named columns. Pass a mapping of arrays, "
+            "a polars or pandas data frame, or a file.",
             code="wrong-type",
         )
 

@@ -328,7 +328,7 @@ def _answer(message: bytes) -> tuple[Any] | BaseException:
         return error
     except MemoryError:
         return DamagedFileError(
-            f"{path}: the file needs more memory than allowed.", code="out-of-memory"
+            f"{path}: reading the file requires more memory than allowed.", code="out-of-memory"
         )
     except BaseException as error:
         error.add_note(traceback.format_exc())
@@ -374,6 +374,7 @@ def _exit_description(status: int) -> str:
         )
     if name == "SIGKILL":
         return (
-            "the operating system stopped the reader process, most likely because memory ran out."
+            "the operating system stopped the reader process, most likely because it ran out of "
+            "memory."
         )
     return f"the file is damaged: it crashed the reader process ({name})."

@@ -91,7 +91,7 @@ class RecordReport:
         if self.format_description:
             notes.append(f"Detected file format: {self.format_description}.")
         if self.outside:
-            notes.append(f"{self.outside} rows outside the part to be used were omitted.")
+            notes.append(f"{self.outside} rows outside the selected part were omitted.")
         if self.repeated:
             text = f", {self.differing} of them with different values" if self.differing else ""
             notes.append(f"{self.repeated} repeated rows were dropped{text}.")

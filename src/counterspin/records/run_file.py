@@ -57,11 +57,11 @@ class RunFile:
         self.identity: FileIdentity | None = files[0].identity
         notes = [file.format_description for file in files[:1] if file.format_description]
         if len(files) > 1:
-            notes.append(f"{len(files)} files, concatenated")
+            notes.append(f"{len(files)} concatenated files")
         if columns.time.kind == "rows":
-            notes.append(f"the time from counted rows, {columns.time.factor:.9g} s per row")
+            notes.append(f"time calculated from the row count, {columns.time.factor:.9g} s per row")
         if pulses is not None:
-            notes.append(f"the angle interpolated between {len(pulses)} pulses")
+            notes.append(f"angle interpolated between {len(pulses)} pulses")
         self.format_description = ", ".join(notes)
 
     def use_strict_parser(self) -> bool:
@@ -175,8 +175,9 @@ def check_length(path: object, rows: int, duration: float, motion: NominalMotion
     if motion.rate and revolutions < min_revolutions * (1.0 - 1e-9):
         requirement = f"{min_revolutions:g} are" if min_revolutions > 1.0 else "1 is"
         raise RecordError(
-            f"{path}: the record lasts {duration:.6g} s, {revolutions:.3g} revolutions at the "
-            f"stated rate; at least {requirement} needed. Check the unit of the time column.",
+            f"{path}: the record lasts {duration:.6g} s, which is {revolutions:.3g} revolutions "
+            f"at the stated rate; at least {requirement} are required. Check the unit of the "
+            "time column.",
             code="record-too-short",
         )
     if revolutions > MAX_REVOLUTIONS_PER_ROW * rows:
@@ -188,8 +189,8 @@ def check_length(path: object, rows: int, duration: float, motion: NominalMotion
     max_revolutions = ANY_REVOLUTIONS + MAX_REVOLUTIONS_PER_ROW_ANY_PHASE * rows
     if revolutions > max_revolutions and not is_constant:
         raise RecordError(
-            f"{path}: the record has {rows} rows in {revolutions:.6g} revolutions. Beyond "
-            f"{ANY_REVOLUTIONS:g} revolutions, 16 rows are needed for each further one. Check the "
-            "unit of the time column, or cut the record.",
+            f"{path}: the record has {rows} rows in {revolutions:.6g} revolutions. Each "
+            f"revolution after the first {ANY_REVOLUTIONS:g} requires at least 16 rows. Check "
+            "the unit of the time column, or shorten the record.",
             code="too-few-rows",
         )

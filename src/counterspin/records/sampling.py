@@ -109,10 +109,10 @@ class ValueHolding:
         rows = 1.0 / (1.0 - repeated_fraction)
         if chance_repeats > _MAX_CHANCE_FRACTION:
             raise InputError(
-                f"the signal repeats {100.0 * repeated_fraction:.2g} % of its values at irregular "
-                "intervals, which suggests that the log is faster than the sensor; the "
-                "resolution is too coarse to distinguish a repeated sample from an equal "
-                "sample. Export only the samples of the sensor",
+                f"the signal repeats {100.0 * repeated_fraction:.2g} % of its values at "
+                "irregular intervals, which suggests that the log is faster than the sensor. "
+                "The resolution is too coarse to tell repeated samples from samples that happen "
+                "to be equal. Export only the samples of the sensor",
                 "irregular-time",
             )
         return cls(rows, 0, 0)
@@ -187,8 +187,8 @@ class RepeatedValues:
             (name, count / rows) for name, count in zip(self._names, self._held, strict=True)
         )
         return [
-            f"column '{name}' repeats {100.0 * fraction:.3g} % of its values; the repeats are not "
-            "used"
+            f"column '{name}' repeats {100.0 * fraction:.3g} % of its values; repeated values "
+            "are not used"
             for name, fraction in fractions
             if fraction
         ]
@@ -278,9 +278,9 @@ def count_times(time: Array, restamped_count: int) -> Array:
     for segment, last in zip(segments, last_rows, strict=True):
         if _lacks_rows(segment[last] / step - last, segment.size):
             raise InputError(
-                f"{restamped_count} of {time.size} rows repeat the time of the previous row with "
-                "different values, and samples are missing among them or have too long delays, so "
-                "the rows cannot be counted; export the times of the sensor with a finer "
+                f"{restamped_count} of {time.size} rows repeat the time of the previous row "
+                "with different values, and samples are missing or delayed too much, so the "
+                "rows cannot be counted; export the times of the sensor with a finer "
                 "resolution, or, if no sample is missing, give `sampling_rate`",
                 "irregular-time",
             )

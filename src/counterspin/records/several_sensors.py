@@ -149,8 +149,9 @@ def sensors_message(name: str, values: Sequence[str]) -> str:
     """Return a message about a column that tells sensors apart."""
     example = f'select = {{ column = "{name}", value = "{values[0]}" }}'
     return (
-        f"column '{name}' takes {len(values)} values ({format_names(values, 8)}): the rows come "
-        f"from several sensors. Select the rows of one sensor: {example} in [records]."
+        f"column '{name}' has {len(values)} different values ({format_names(values, 8)}), so "
+        f"the rows come from several sensors. Select the rows of one sensor: {example} in "
+        "[records]."
     )
 
 

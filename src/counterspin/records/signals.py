@@ -187,7 +187,7 @@ def find_unit_change(harmonic_fit: HarmonicFit, *, may_grow: bool) -> UnitChange
     factor = float(amplitude[after] / amplitude[before]) if amplitude[before] else math.inf
     if may_grow and 1 / _CHANGE_RATIO <= factor <= _CHANGE_RATIO:
         return None
-    description = "the once-per-revolution wave "
+    description = "the once-per-revolution component "
     if not 1e-9 < factor < 1e9:
         return UnitChange(before, after, description + ("stops" if factor < 1.0 else "only starts"))
     description += f"changes by a factor of {factor:.4g}"
@@ -266,14 +266,14 @@ def check_first_harmonic(
     ):
         return None
     message = (
-        f"has an amplitude of {magnitude * abs(expected):.4g} {unit} about the spindle axis, "
-        f"but the radius and the input axis give {abs(expected):.4g} {unit}"
+        f"has an amplitude of {magnitude * abs(expected):.4g} {unit} at the rotation rate, but "
+        f"{abs(expected):.4g} {unit} is expected from the radius and the input axis"
     )
     if 0.5 < magnitude < 2:
         angle_degrees = math.degrees(math.atan2(ratio.imag, ratio.real))
         return (
-            f"is rotated by {angle_degrees:.0f} degrees against the input axis: check the input "
-            "axis, its sign, and which column is which"
+            f"is rotated by {angle_degrees:.0f} degrees relative to the input axis: check the "
+            "input axis, its sign, and the assignment of the columns"
         )
     nearest, distance = _nearest_unit_ratio(magnitude) if magnitude > 0.0 else ("", math.inf)
     if distance < 0.05:

@@ -154,8 +154,8 @@ def _open_workbook(path: Path, content: bytes) -> Any:
         import fastexcel
     except ModuleNotFoundError:
         raise RecordError(
-            f"{path}: Excel files need the package fastexcel. Save the table as CSV, or install "
-            f"it: {installing('excel')}.",
+            f"{path}: Excel files require the package fastexcel. Save the table as CSV, or "
+            f"install it: {installing('excel')}.",
             code="missing-package",
         ) from None
     _require_size(path, content)
@@ -178,8 +178,7 @@ def _find_sheet(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str
     matches = filled_sheets if len(filled_sheets) == 1 else _table_sheets(book, filled_sheets)
     if len(matches) != 1:
         text = (
-            f"the sheets {format_names(matches or filled_sheets)} contain rows; give the name of "
-            "one"
+            f"the sheets {format_names(matches or filled_sheets)} contain rows; name one of them"
             if filled_sheets
             else "the workbook has no sheets with rows"
         )

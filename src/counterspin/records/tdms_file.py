@@ -80,8 +80,8 @@ class TdmsFile(ArrayFile):
             import nptdms
         except ModuleNotFoundError:
             raise RecordError(
-                f"{self.path}: TDMS files need the package npTDMS. Export the table as CSV, or "
-                f"install it: {installing('tdms')}.",
+                f"{self.path}: TDMS files require the package npTDMS. Export the table as CSV, "
+                f"or install it: {installing('tdms')}.",
                 code="missing-package",
             ) from None
         # A path would also read the index file, which the checksum of the record does not cover.
@@ -143,10 +143,10 @@ class TdmsFile(ArrayFile):
         notes = []
         if any(skipped_rows):
             notes.append(
-                f"channels aligned by start time, up to {max(skipped_rows)} samples omitted"
+                f"channels aligned by start time; up to {max(skipped_rows)} samples omitted"
             )
         if max(row_counts) > common_rows:
-            notes.append(f"channels truncated to the shortest, {common_rows} samples")
+            notes.append(f"channels truncated to the length of the shortest, {common_rows} samples")
         self.format_description = ", ".join(notes)
         return {
             path: (skipped_count, common_rows)

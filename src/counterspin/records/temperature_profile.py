@@ -80,9 +80,9 @@ def _temperature_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> 
                 file.locate_row(rows + int(impossible[0])),
             )
             raise RecordError(
-                f"{file.path}, {row_location}: column '{spec.name}' holds {implausible:.6g} K "
-                f"({implausible - ZERO_CELSIUS:.6g} degC), outside the operating range of any "
-                "accelerometer. Check the unit of the column.",
+                f"{file.path}, {row_location}: column '{spec.name}' contains {implausible:.6g} "
+                f"K ({implausible - ZERO_CELSIUS:.6g} degC), which is outside the operating "
+                "range of any accelerometer. Check the unit of the column.",
                 code="value-out-of-range",
             )
         rows += len(time)
@@ -103,12 +103,15 @@ def _temperature_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> 
         last = float(t[-1])
         segments.append(_segment_means(np.stack([t, x, np.ones(len(t))]), _SEGMENTS_PER_PIECE))
     if not segments:
-        raise RecordError(f"{location} has no number in the part that is used.", code="no-rows")
+        raise RecordError(
+            f"{location} contains no number in the selected part of the record.", code="no-rows"
+        )
     gap = max(gap, (span[1] - last, last, span[1]))
     if gap[0] > _MAX_GAP_FRACTION * (span[1] - span[0]):
         raise RecordError(
-            f"{location} has no number from {gap[1]:.6g} s to {gap[2]:.6g} s, more than a quarter "
-            "of the record. State the temperature of the run (`temperature`) instead of a column.",
+            f"{location} contains no number from {gap[1]:.6g} s to {gap[2]:.6g} s, which is "
+            "more than a quarter of the record. State the temperature of the run "
+            "(`temperature`) instead of a column.",
             code="empty-cells",
         )
     values = np.concatenate(segments, axis=1)

@@ -68,7 +68,10 @@ def check_format(path: Path) -> str:
     kind = path.suffix.lower()
     if kind not in _METADATA:
         raise CounterspinError(
-            f"{path}: unsupported file type for a figure; end the name in {', '.join(_METADATA)}",
+            (
+                f"{path}: unsupported file type for a figure; the name must end in "
+                f"{', '.join(_METADATA)}"
+            ),
             code="wrong-file-ending",
         )
     return kind

@@ -84,7 +84,7 @@ def pdf(
     """
     names = [attachment.name for attachment in attachments]
     if len(set(names)) < len(names):
-        raise ValueError(f"each attachment needs a unique name; got {', '.join(names)}")
+        raise ValueError(f"each attachment must have a unique name; got {', '.join(names)}")
     moment = date.astimezone(UTC).replace(microsecond=0)
     data = _layout_data(blocks, title, identifier, moment, marks)
     data |= {

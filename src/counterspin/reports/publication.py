@@ -28,7 +28,9 @@ def check_format(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise CampaignError(
-            "report", [f"{path}: name the file .html, .pdf or .md"], code="wrong-file-ending"
+            "report",
+            [f"{path}: the file name must end in .html, .pdf or .md"],
+            code="wrong-file-ending",
         )
     return suffix
 
@@ -191,7 +193,7 @@ def draw_on_axes(pictures: Sequence[Picture], axes: Any = None) -> list[Any]:
 def _publication_of(result: ReportableResult, identifier: str | None) -> Publication:
     """Return the report of a result; TypeError for anything else."""
     if not isinstance(result, ReportableResult):
-        raise TypeError(f"give a result of counterspin, not {result!r} ({type(result).__name__})")
+        raise TypeError(f"give a counterspin result, not {result!r} ({type(result).__name__})")
     page: Publication = result.publication(identifier)
     return page
 

@@ -170,7 +170,10 @@ def _strobes() -> tuple[Row, ...]:
             float(printed_drifting[2] - printed_steady[2]) / drift_unit / RATE,
             float(drifting[2] - steady[2]) / drift_unit / RATE,
             "K_I R C w0",
-            "a column in w0 has to absorb this coefficient, which is zero with a measured angle",
+            (
+                "a column proportional to w0 must absorb this coefficient, which is zero with a "
+                "measured angle"
+            ),
             "z.2f",
         ),
         Row(
@@ -226,8 +229,8 @@ def _constants() -> tuple[Row, ...]:
             _printed_constant(radius_error=RADIUS_ERROR) / (scale_factor * RADIUS_ERROR),
             float(radius[0]) / (scale_factor * RADIUS_ERROR),
             "K_I dr",
-            "the radius term of Eq. 14 integrates to K_I dr (cos(w0 t) - 1); the error affects "
-            "only b0",
+            "the integral of the radius term of Eq. 14 is K_I dr (cos(w0 t) - 1); the error "
+            "affects only b0",
             "z.2f",
         ),
     )

@@ -88,7 +88,7 @@ def demonstration_report(shown: Demonstration) -> Report:
         Heading(f"{campaign.title}: {runs} runs of 100 revolutions were simulated and calibrated."),
         table,
         Paragraph(
-            "The number after ± is one standard uncertainty (k = 1). g is the local gravity.",
+            "The number after ± is the standard uncertainty (k = 1). g is the local gravity.",
             "quiet",
         ),
         Paragraph(
@@ -101,7 +101,7 @@ def demonstration_report(shown: Demonstration) -> Report:
         ),
         Paragraph(
             "The as-printed method uses the equations as printed in the paper. Their K_II term "
-            "is twice the exact one, so these equations return half the true K_II."
+            "is twice the exact term, so these equations yield half the true K_II."
         ),
     ]
     return Report(blocks)

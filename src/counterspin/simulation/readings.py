@@ -409,7 +409,10 @@ def fill_table(
     if stated_names:
         raise CampaignError(
             str(campaign.path),
-            [f"readings.{key}: a simulated table has no such key; omit it" for key in stated_names],
+            [
+                f"readings.{key}: a simulated table cannot have this key; omit it"
+                for key in stated_names
+            ],
             code="conflicting-keys",
         )
     frame = load_table(path, settings.dialect)[0].frame

@@ -81,8 +81,8 @@ def _implausible_size(location: str, symbol: str, value: float, limit: float) ->
 def _unsteady_rate(spindle: Spindle, duration: float | None) -> Iterator[str]:
     if spindle.highest_harmonic > _MAX_RIPPLE_HARMONIC:
         yield (
-            f"a ripple of harmonic {spindle.highest_harmonic} is above {_MAX_RIPPLE_HARMONIC}, "
-            "the highest that can be simulated"
+            f"harmonic {spindle.highest_harmonic} of the ripple is above "
+            f"{_MAX_RIPPLE_HARMONIC}, the highest harmonic that can be simulated"
         )
     ripple = sum(abs(ripple.amplitude / spindle.rate) for ripple in spindle.ripples)
     change = ripple + abs(spindle.drift) * (duration or 0.0)
@@ -149,7 +149,7 @@ def refuse_unsupported(campaign: Campaign) -> None:
     for where, recording in ({"records": campaign_recording} | run_recordings).items():
         stated_keys = [key for key, value in vars(recording.dialect).items() if value is not None]
         problems += [
-            f"{where}.{key}: simulated records have no such key; omit it" for key in stated_keys
+            f"{where}.{key}: simulated records cannot have this key; omit it" for key in stated_keys
         ]
         for key, channel in (("time", recording.time), ("angle", recording.angle)):
             if channel is not None and channel.name and (channel.kind != "numbers"):
@@ -256,8 +256,8 @@ def check_size(
         raise CampaignError(str(campaign.path), [text], code="too-many-rows")
     max_rows = MOST_SIMULATED_ROWS if purpose == "simulation" else MOST_ROWS
     advice = (
-        f"rows to compute, and a {purpose} has room for {max_rows:.2g}; choose fewer "
-        "revolutions, a shorter duration or a lower sampling rate"
+        f"rows, but a {purpose} can have at most {max_rows:.2g}; choose fewer revolutions, a "
+        "shorter duration or a lower sampling rate"
     )
     if purpose == "simulation":
         problems = [f"{w} makes {rows:.3g} {advice}" for rows, w in sizes if rows > max_rows]

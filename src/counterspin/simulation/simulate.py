@@ -172,7 +172,7 @@ def _check_simulable(campaign: Campaign) -> None:
     if campaign.simulation is None:
         raise CampaignError(
             str(campaign.path),
-            ["truth: missing; `simulate` needs [truth.NAME] tables with the true coefficients"],
+            ["truth: missing; `simulate` requires [truth.NAME] tables with the true coefficients"],
             code="missing-key",
         )
     check_size(campaign, campaign.simulation.sampling_rate, "simulation")
@@ -309,7 +309,7 @@ def _static_record_copy(campaign: Campaign, folder: Path) -> dict[Path, Path | M
     if not named or place is None or Path(named).is_absolute():
         return {}
     if ".." in place.parts:
-        words = "is outside the campaign's folder; choose a file next to the description"
+        words = "is outside the campaign folder; choose a file in the folder of the description"
         raise CampaignError(
             str(campaign.path), [f"noise.from: {named} {words}"], code="path-outside-folder"
         )
@@ -328,8 +328,8 @@ def _targets_in_folder(
             problems.append(f"{key}: {file.name} cannot be simulated; write {' or '.join(WRITERS)}")
         elif ".." in file.parts or not file.is_relative_to(campaign.folder):
             problems.append(
-                f"{key}: {file} is outside the campaign's folder, where a simulation does not "
-                "write; choose a file next to the description"
+                f"{key}: {file} is outside the campaign folder, where a simulation must not "
+                "write; choose a file in the folder of the description"
             )
         else:
             targets.append(folder / file.relative_to(campaign.folder))

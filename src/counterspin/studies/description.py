@@ -60,7 +60,7 @@ _DISTRIBUTIONS: Final = ("normal", "uniform", "fixed")
 
 def _analysis_name(analysis: str) -> str:
     if not analysis.replace("-", "").replace("_", "").isalnum():
-        raise ValueError("the name of an analysis consists of letters, digits, - and _")
+        raise ValueError("the name of an analysis may contain only letters, digits, - and _")
     return analysis
 
 
@@ -239,7 +239,7 @@ def parse_study(
     if campaign.simulation is None:
         problems.add(
             ("truth",),
-            "missing; a study needs [truth.NAME] with the true coefficients",
+            "missing; a study requires [truth.NAME] with the true coefficients",
             "missing-key",
         )
     else:
@@ -270,7 +270,7 @@ def parse_study(
     for name, table in (settings.analyses or default).items():
         two_stage = isinstance(table, Mapping) and table.get("method") == "two-stage"
         if two_stage and (has_readings or not only_displacement):
-            data = "readings" if has_readings else "records of velocity or force"
+            data = "readings" if has_readings else "records of velocity or specific force"
             problems.add(
                 ("study", "analyses", name, "method"),
                 "the two-stage method requires records of displacement on a double turntable; "
@@ -342,7 +342,9 @@ def _campaign_document(
         if key not in known:
             problems.add((key,), "unknown key" + suggest_name(key, known), "unknown-key")
     if type(raw.get("schema")) is not int or raw["schema"] != 1:
-        problems.add(("schema",), "this version of counterspin reads schema = 1", "unknown-choice")
+        problems.add(
+            ("schema",), "this version of counterspin supports schema = 1", "unknown-choice"
+        )
     return load_document(base, CAMPAIGN_ADVICE, "campaign"), base
 
 
@@ -485,7 +487,7 @@ def _resolve_inputs(
         if input_symbol == symbol and (key in INPUTS or input_owner == owner)
     ]
     if not matches:
-        problems.add(path, "does not apply to any record or reading here")
+        problems.add(path, "does not apply to any record or reading of this campaign")
     return matches
 
 
@@ -496,15 +498,15 @@ def _parse_distribution(
     if distribution == "normal":
         quantity = parse(_as_quantity(value, unit), unit, gravity=gravity)
         if quantity.u <= 0.0:
-            raise ValueError('a normal distribution is written "MEAN ± SD UNIT"')
+            raise ValueError('write a normal distribution as "MEAN ± SD UNIT"')
         return quantity.value, quantity.u
     if distribution == "fixed":
         return exact(_as_quantity(value, unit), unit, gravity), 0.0
     if not isinstance(value, list) or len(value) != 2:
-        raise ValueError('a uniform distribution is written ["LEAST UNIT", "GREATEST UNIT"]')
+        raise ValueError('write a uniform distribution as ["LOWEST UNIT", "HIGHEST UNIT"]')
     low, high = (exact(_as_quantity(bound, unit), unit, gravity) for bound in value)
     if not low < high:
-        raise OutOfRangeError("the least value must be below the greatest")
+        raise OutOfRangeError("the lowest value must be below the highest")
     return low, high
 
 
@@ -524,7 +526,7 @@ def _parse_analysis(
     if settings.method == "joint":
         for key in ("model", "weighted", "ripple", "fit_bias", "sigma"):
             if isinstance(table, Mapping) and key in table:
-                problems.add((*path, key), "applies to the two-stage method only")
+                problems.add((*path, key), "applies only to the two-stage method")
     error_count = len(problems.lines)
     campaign = _campaign(_apply_terms(document, settings), file, problems, (".".join(path),))
     if campaign is None or len(problems.lines) > error_count:

@@ -79,7 +79,7 @@ def list_analyses(study: StudyDescription) -> tuple[Analysis, ...]:
             continue
         if campaign.angle is None:
             raise NotIdentifiableError(
-                f"{name}: a study of the two-stage method needs a recorded angle ([records] "
+                f"{name}: a study of the two-stage method requires a recorded angle ([records] "
                 "angle); without an angle, study only the joint fit ([study.analyses])",
                 code="method-not-applicable",
             )
@@ -139,8 +139,8 @@ def choose_engine(
         obstacles = _compare_with_full_records(setup, truth, analysis, selected)
     if obstacles and engine == "linear":
         raise NotIdentifiableError(
-            f'{analysis.name}: `engine="linear"` is not valid here: {"; ".join(obstacles)}; '
-            'use `engine="full"`, or omit `engine`',
+            f'{analysis.name}: `engine="linear"` cannot be used for this study: '
+            f'{"; ".join(obstacles)}; use `engine="full"`, or omit `engine`',
             code="method-not-applicable",
         )
     if obstacles or selected is None:
@@ -158,8 +158,8 @@ def _engine_with_readings(
     """Return the engine of a campaign with readings, with or without records."""
     if engine == "linear":
         raise NotIdentifiableError(
-            f'{analysis.name}: `engine="linear"` is not valid here: there are readings; '
-            'use `engine="full"`, or omit `engine`',
+            f'{analysis.name}: `engine="linear"` cannot be used for readings; use '
+            '`engine="full"`, or omit `engine`',
             code="method-not-applicable",
         )
     try:

@@ -111,7 +111,8 @@ class StudyFolder:
 
 def _foreign_file_error(path: Path) -> CounterspinError:
     return ExistingFileError(
-        f"{path} exists and was not written by a study, so it is not replaced: name another folder"
+        f"{path} already exists and was not written by a study, so it was not replaced; choose "
+        "another folder"
     )
 
 
@@ -199,8 +200,8 @@ class StudyProgress:
         arrays = _load_arrays(self._file)
         if arrays is not None and str(arrays.get("fingerprint")) != self._fingerprint:
             raise CounterspinError(
-                f"{self.folder}: the study started there differs (in its description, "
-                "engine or `keep_trials`); use another folder",
+                f"{self.folder}: this folder contains a study with a different description, "
+                "engine or `keep_trials`; use another folder",
                 code="study-differs",
             )
         try:

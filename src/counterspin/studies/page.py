@@ -136,7 +136,7 @@ def z_plots(result: StudyResult) -> Iterator[Plot]:
         density = counts[1:-1] / (counts.sum() * (edges[1] - edges[0]))
         percent_outside = 100.0 * (counts[0] + counts[-1]) / counts.sum()
         yield Plot(
-            title=f"{name}: {percent_outside:.3g} % beyond ± {Z_EDGE:g}",
+            title=f"{name}: {percent_outside:.3g} % beyond ±{Z_EDGE:g}",
             x_label="error / stated standard uncertainty",
             y_label="density",
             series=(

@@ -320,7 +320,7 @@ def summarise_analyses(analyses: Mapping[str, AnalysisResult]) -> list[str]:
         best = min(trustworthy, key=lambda name: _mean_square_error(trustworthy[name]))
         lines.append(
             f"{best}: no fault found"
-            + (", and smallest errors" if len(trustworthy) > 1 else "")
+            + (", and the smallest errors" if len(trustworthy) > 1 else "")
             + ". "
             + _findings(trustworthy[best].coefficients.values())
         )

@@ -150,7 +150,7 @@ def _check_memory(engine: StudyEngine, trials: int) -> None:
     max_trials = _MAX_RESULTS_SIZE // batch_bytes * engine.batch_size
     if trials > max_trials:
         raise CounterspinError(
-            f"{trials:.3g} `trials` need too much memory; this study may have at most "
+            f"{trials:.3g} `trials` require too much memory; this study may have at most "
             f"{max_trials:.3g}",
             code="too-many-rows",
         )

@@ -91,8 +91,8 @@ def pose_advice(view: AccelerometerView) -> str:
         sentences.append(f" {count} poses cannot determine {free_count} unknowns without a prior.")
     elif distinct < free_count:
         sentences.append(
-            f" The {count} poses have only {distinct} different directions, which are fewer "
-            f"than the {free_count} unknowns without a prior."
+            f" The {count} poses have only {distinct} different directions, which cannot "
+            f"determine {free_count} unknowns without a prior."
         )
     for direction, sign in (("up", -1.0), ("down", 1.0)):
         missing_directions = [

@@ -464,10 +464,10 @@ def _insufficient_poses_error(poses: TriadPoses, solution: Solution, model: Unkn
         else ""
     )
     return (
-        f"{poses.accelerometer}: {poses.size} pose{'s' * (poses.size > 1)} at unknown "
-        "attitudes without a stated uncertainty do not determine the noise in addition to "
-        f"{len(free_names)} unknowns without a prior.{undetermined_text} Measure more poses, "
-        f"spread over all directions, or state the uncertainty.{suggestion}"
+        f"{poses.accelerometer}: {poses.size} pose{'s' * (poses.size > 1)} at unknown attitudes "
+        f"without a stated uncertainty cannot determine both {len(free_names)} unknowns without "
+        f"a prior and the noise.{undetermined_text} Measure more poses, spread over all "
+        f"directions, or state the uncertainty.{suggestion}"
     )
 
 
@@ -482,8 +482,6 @@ def _divergence_error(poses: TriadPoses, rounds: int) -> str:
     )
     return (
         f"{poses.accelerometer}: the fit of {poses.size} poses did not converge in {rounds} "
-        f"rounds. They lie within {largest_angle:.0f} deg of one direction; take poses all over "
-        "the "
-        f"sphere, or "
-        "give the coefficients priors."
+        f"rounds. Their directions lie within {largest_angle:.0f} deg of each other; take poses "
+        "in all directions, or state priors for the coefficients."
     )

@@ -83,8 +83,8 @@ def resolve_triad(
         for _, path in runs:
             problems.add(
                 (*path, "attitude"),
-                'is "unknown", which needs three accelerometers; write [triad] accelerometers = '
-                '["X", "Y", "Z"]',
+                'is "unknown", which requires three accelerometers; write [triad] '
+                'accelerometers = ["X", "Y", "Z"]',
                 "missing-key",
             )
         return None
@@ -195,7 +195,10 @@ def _resolve_pose(
     error_count = len(problems.lines)
     readings = next(pose_readings)
     if names and readings and set(readings) != set(names):
-        message = f"at an unknown attitude, exactly {', '.join(names)} must have readings"
+        message = (
+            f"at an unknown attitude, {', '.join(names)} must have readings, and no other "
+            "accelerometers"
+        )
         problems.add((*path, "reading"), message, "missing-value")
     stated = [reading.u is not None for reading in readings.values()]
     if any(stated) and not all(stated):

@@ -91,17 +91,17 @@ class StaticIntervals:
             )
         elif self.contrast < MIN_CONTRAST:
             messages.append(
-                "Rest and motion are not clearly separated: the level in motion is "
-                f"{self.contrast:.2g} times the level at rest. Compare the plot of the level "
-                f"with the threshold of {self.threshold:.3g}. If a different threshold "
-                "separates rest and motion better, specify that threshold."
+                "Rest and motion are not clearly separated: the scatter in motion is only "
+                f"{self.contrast:.2g} times the scatter at rest. Compare the plot of the "
+                f"scatter with the threshold of {self.threshold:.3g}. If a different threshold "
+                "separates rest from motion better, specify it."
             )
         total_scatter = np.sqrt((self.scatter**2).sum(axis=1))
         for index in np.flatnonzero(total_scatter > _DRIFT_RATIO * self.threshold)[:1]:
             messages.append(
-                f"The pose from {self.start[index]:.6g} s to {self.end[index]:.6g} s scatters "
-                f"by {total_scatter[index]:.3g} over the whole interval, which is more than "
-                "the noise explains. The sensor may have rotated slowly."
+                f"In the pose from {self.start[index]:.6g} s to {self.end[index]:.6g} s, the "
+                f"readings scatter by {total_scatter[index]:.3g} over the whole interval, which "
+                "is more than the noise explains. The sensor may have rotated slowly."
             )
         return tuple(messages)
 
@@ -201,7 +201,7 @@ def _sampling_step(time: Array, rest: float) -> float:
         )
     if len(time) < _FEWEST_ROWS:
         raise RecordError(
-            f"{len(time)} rows have all three values, which is too few to detect a pose.",
+            f"Only {len(time)} rows have all three values, which is too few to detect a pose.",
             code="record-too-short",
         )
     steps = np.diff(time)

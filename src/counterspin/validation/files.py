@@ -47,7 +47,7 @@ def read_record(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     for package in RECORD_FORMATS[path.suffix].libraries:
         if find_spec(package) is None:
             raise NotAvailableError(
-                f"{package} is not installed; it is needed to read {path.suffix}"
+                f"{package} is not installed, but it is required to read {path.suffix}"
             )
     columns = RecordColumns(
         time=ColumnSpec("time_s"),
@@ -131,7 +131,7 @@ def check_schema(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
 def verify(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Verify the signature of a document, of an altered one, and of another signer."""
     if find_spec("signxml") is None:
-        raise NotAvailableError("signxml is not installed; it is needed to verify signatures")
+        raise NotAvailableError("signxml is not installed, but it is required to verify signatures")
     folder = DATA / given["folder"]
     signed = (folder / "signed.xml").read_bytes()
 

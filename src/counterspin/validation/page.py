@@ -92,9 +92,9 @@ def dossier_blocks(dossier: Dossier) -> Iterator[Block]:
         yield Heading(f"Cases: {requirement}")
         yield _cases([case for case in dossier.cases if case.requirement == requirement])
     yield Paragraph(
-        "For each case, the table shows the number closest to the limit of this number. "
-        "Digits: correct digits of this number (-log10 of the relative difference), at most "
-        "16. Limit: largest allowed difference.",
+        "For each case, the table shows the number that is closest to its limit. Digits: number "
+        "of correct digits (-log10 of the relative difference), at most 16. Limit: largest "
+        "allowed difference.",
         "quiet",
     )
     yield Heading("Sources")
@@ -119,7 +119,7 @@ def _summary(dossier: Dossier) -> Iterator[Block]:
         )
     else:
         yield Paragraph(
-            f"{count_text}, but the files of the installation differ from the delivered files.",
+            f"{count_text}, but the installed files differ from the delivered files.",
             "warning",
         )
     installed_files = dossier.installation
@@ -130,9 +130,7 @@ def _summary(dossier: Dossier) -> Iterator[Block]:
         problems += (
             [f"missing: {', '.join(installed_files.missing)}"] if installed_files.missing else []
         )
-        yield Paragraph(
-            f"Problems with the files of the installation: {'; '.join(problems)}.", "warning"
-        )
+        yield Paragraph(f"Problems with the installed files: {'; '.join(problems)}.", "warning")
 
 
 def _failures(dossier: Dossier) -> Iterator[Block]:

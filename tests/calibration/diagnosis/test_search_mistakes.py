@@ -117,7 +117,7 @@ MISTAKES = (
     ),
     Mistake(
         "zero of the angle wrong by 90 deg",
-        "is rotated by 90 degrees against the input axis",
+        "is rotated by 90 degrees relative to the input axis",
         records=add_values(None, ANGLE, lambda t: math.radians(90.0)),
         state="",
     ),
@@ -147,13 +147,13 @@ MISTAKES = (
     ),
     Mistake(
         "columns of the two accelerometers interchanged",
-        "check the input axis, its sign, and which column is which",
+        "check the input axis, its sign, and the assignment of the columns",
         records=swap_columns,
         state="",
     ),
     Mistake(
         "wrong sign in the record of one accelerometer",
-        "check the input axis, its sign, and which column is which",
+        "check the input axis, its sign, and the assignment of the columns",
         records=multiply_column(None, NORTH, -1.0),
         state="",
     ),

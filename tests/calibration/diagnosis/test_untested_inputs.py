@@ -51,7 +51,7 @@ K_II = "2e-5 g/g^2"
 
 
 def untested_remarks(result):
-    unchecked = "depends on values that the data cannot check"
+    unchecked = "depends on values that the data cannot verify"
     return [text for text in result.warnings if unchecked in text]
 
 
@@ -85,7 +85,7 @@ def test_head_with_understated_error_has_remark(tmp_path, source, symbol, unit, 
     match = re.search(
         rf"the stated value of head\.harmonic\.{re.escape(source)} has an error of ([\d.]+) "
         rf"arcsec, "
-        rf"the error of {symbol} is ([\d.e-]+) \S+, ([\d.]+) times the u of",
+        rf"the error of {symbol} is ([\d.e-]+) \S+, or ([\d.]+) u\(",
         text,
     )
     assert match, text

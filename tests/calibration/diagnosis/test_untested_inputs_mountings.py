@@ -85,7 +85,7 @@ def test_correct_axis_is_good(recorded_campaign):
     # In displacement K_OO has the t^2 of K_II: only the description defines the axis.
     (text,) = mounting_remarks(result)
     assert re.search(
-        r"With (north|south) instead of down, the records would fit equally well, and K_II would "
+        r"With (north|south) instead of down, the records would fit equally well, but K_II would "
         r"be 2 ug/g\^2 larger",
         text,
     )

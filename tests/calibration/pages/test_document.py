@@ -145,10 +145,10 @@ def test_full_result_has_all_plots():
     assert sum(isinstance(p, Bars) for p in pictures) == 1
     titles = [p.title for p in pictures if isinstance(p, Plot)]
     assert titles == [
-        "K_II of Qx with one run omitted at a time",
+        "K_II of Qx with each run omitted in turn",
         "Residuals of Qx, slow",
         "Residuals of Qx, fast",
-        "Mean residual of Qx over the revolution",
+        "Mean residual of Qx as a function of the spindle angle",
         "Spectrum of the whitened residuals of Qx",
         "Detrended normal Q-Q plot of whitened residuals of Qx",
         "Rate ripple by harmonic; error bars: 95 % intervals",
@@ -230,7 +230,7 @@ def test_many_runs_are_divided_among_plots():
     traces = {f"run{i}": trace() for i in range(8)}
     plots = list(residual_plots("Qx", result(traces=traces).accelerometers["Qx"], {}))
     assert len(plots) == 8 + 2 * 3
-    labels = [s.label for p in plots if "over the revolution" in p.title for s in p.series]
+    labels = [s.label for p in plots if "of the spindle angle" in p.title for s in p.series]
     assert labels == list(traces)
 
 
@@ -260,7 +260,7 @@ def test_residual_plot_has_labels_and_rms_limits():
     calibration.runs["slow"].counts["block"] = 7
     first = next(residual_plots("Qx", calibration.accelerometers["Qx"], calibration.runs))
     band, upper, lower, _ = first.series
-    assert band.label == "means of 7 samples, smallest to largest"
+    assert band.label == "means of 7 samples, from smallest to largest"
     assert (upper.label, upper.y, lower.y) == ("± 2 rms", (20.0, 20.0), (-20.0, -20.0))
 
 

@@ -89,7 +89,8 @@ def test_negligible_lines_are_combined():
 def test_assumed_terms_are_named():
     assert assumption_sentence(make_result(2e-6)) == ""
     assert assumption_sentence(make_result(2e-6, assumed=["K_4", "K_IP"])) == (
-        "These terms are fixed at their nominal values, so u does not include them: K_4, K_IP."
+        "u does not include the uncertainty of these terms, which are fixed at their nominal "
+        "values: K_4, K_IP."
     )
     many = [f"K_{k}" for k in range(11)]
     assert assumption_sentence(make_result(2e-6, assumed=many)).endswith("K_7 and 3 more.")
@@ -115,5 +116,5 @@ def test_table_lists_main_sources_in_descending_order():
     assert table.rows[0][1:3] == ("second-order output-axis coefficient", "default")
     assert table.rows[1][4] == "held (considered)"
     assert isinstance(blocks[-1], Paragraph)
-    assert blocks[-1].text.startswith("These terms are fixed")
+    assert blocks[-1].text.startswith("u does not include")
     assert list(prior_blocks(make_result(2e-6))) == []

@@ -25,11 +25,11 @@ def test_reservations_state_most_serious_finding_and_number_of_others():
         jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -3.1}],
     )
     assert sentence == (
-        "The result for Qx is usable with reservations: Omitting slow shifts K_II by 0.01 ug/g^2, "
-        "3.1 times the standard uncertainty of the shift. Therefore, this run is not consistent "
-        "with the others. 2 more findings are listed below. Passed checks: the residuals are "
-        "consistent with the stated noise (p = 0.5); the two-stage result agrees with the "
-        "joint result."
+        "The result for Qx is usable with reservations: Omitting slow shifts K_II by 0.01 "
+        "ug/g^2, which is 3.1 times the standard uncertainty of the shift. This run is "
+        "therefore not consistent with the others. 2 more findings are listed below. Passed "
+        "checks: the residuals are consistent with the stated noise (p = 0.5); the two-stage "
+        "result agrees with the joint result."
     )
 
 
@@ -71,6 +71,6 @@ def test_sentence_of_cause_includes_explained_findings():
         "explains": [misfit],
     }
     assert make_sentence(findings=[cause]).startswith(
-        "The result for Qx is usable with reservations: A radius of 2.5 m would fit. This explains "
-        "the other findings: The residuals are large. Passed checks"
+        "The result for Qx is usable with reservations: A radius of 2.5 m would fit. This "
+        "explains these other findings: The residuals are large. Passed checks"
     )

@@ -142,7 +142,7 @@ export async function certificateView(result) {
     const { text } = form.now;
     if (text === drawn) return;
     if (form.now.problems.some(({ words }) => !words.includes("missing"))) {
-      preview.state.textContent = "The preview does not show the latest entries, because one of these entries is not valid.";
+      preview.state.textContent = "The preview does not show the latest entries, because an entry is not valid.";
       return;
     }
     preview.state.textContent = "Rendering the pages.";

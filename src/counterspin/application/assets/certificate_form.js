@@ -38,7 +38,7 @@ const plain = (key) => key.replaceAll('"', "");
 
 export class CertificateForm extends Editor {
   /**
-   * @param {import("./answers.js").LaboratoryData} told the laboratory's data
+   * @param {import("./answers.js").LaboratoryData} told the laboratory data
    * @param {{result: string, shown: () => void}} more
    */
   constructor(told, more) {

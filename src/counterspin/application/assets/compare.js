@@ -67,7 +67,7 @@ export async function historyView() {
     title: "History",
     content: [
       make("h1", {}, "Instrument history"),
-      make("p", { class: "quiet" }, "The history shows all results with the same serial number in order of date. ",
+      make("p", { class: "quiet" }, "The history lists all results with the same serial number by date. ",
         "Enter the serial number under Accelerometers and the date under Campaign in the campaign description."),
       make("div", { class: "row" }, labelled("Coefficient", term)),
       place,

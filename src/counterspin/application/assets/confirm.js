@@ -13,7 +13,7 @@ import { forgetImport, keepImport } from "./unfinished.js";
 /** @typedef {import("./quantity.js").Field} Field */
 
 /**
- * Kind of test -> roles of a single column, roles of any column, and words of a column without a role.
+ * Test type -> roles of a single column, roles of any column, and words of a column without a role.
  */
 const ROLES = {
   "double-turntable": { parts: ["time", "angle"], others: ["displacement", "velocity", "specific_force", "unused"], blank: "choose" },
@@ -21,7 +21,7 @@ const ROLES = {
   "arm": { parts: ["rate", "position"], others: ["radius", "reading", "uncertainty", "temperature", "time", "unused"], blank: "choose" },
   "poses": { parts: ["time", "X", "Y", "Z"], others: [], blank: "unused" },
 };
-/** Kind of test -> its words. */
+/** Test type -> its words. */
 const TESTS = {
   "double-turntable": "Double-turntable records",
   "tumble": "Tumble-test readings",
@@ -76,7 +76,7 @@ export class Confirmation {
     this.names = state.names;
     this.folder = state.folder;
     this.tests = tests;
-    /** Kind of test; empty: to be guessed. */
+    /** Test type; empty: to be guessed. */
     this.test = state.test;
     /** @type {Record<string, string>} a person's answers, by the keys of questions */
     this.answers = state.answers;
@@ -110,7 +110,7 @@ export class Confirmation {
       },
     },
     make("div", {}, this.asks, this.columns, this.below),
-    make("aside", { class: "panel" }, make("h2", {}, "Checklist"), labelled("Kind of test", this.kindOfTest), this.list,
+    make("aside", { class: "panel" }, make("h2", {}, "Checklist"), labelled("Test type", this.kindOfTest), this.list,
       make("button", { class: "main" }, "Calibrate"),
       make("button", { type: "button", onclick: () => this.write(false) }, "Save without calibrating"), this.state));
   }

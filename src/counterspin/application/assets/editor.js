@@ -72,7 +72,7 @@ const MOST_LISTED = 4;
 const ADDED = /** @type {Record<string, string>} */ ({
   accelerometers: "Name of the new accelerometer",
   specification: "Name of an accelerometer with separate limits",
-  truth: "Name of an accelerometer with true values, or spindle, platform, centrifuge, encoder or noise",
+  truth: "Accelerometer name, or spindle, platform, centrifuge, encoder or noise",
 });
 
 /**

@@ -87,7 +87,7 @@ function newCampaign() {
       say(`Wrote ${made.name}/campaign.toml.`);
       location.hash = campaignAddress(made.name);
     }),
-  }, labelled("Example folder", name), labelled("Kind of test", test),
+  }, labelled("Example folder", name), labelled("Test type", test),
   make("button", {}, "Write example"));
   return [
     make("h2", {}, "New campaign"), importEntry(),

@@ -61,7 +61,7 @@ function importPanel(take) {
   }, "Open a sample campaign");
   const zone = make("div", { class: "drop" },
     make("h2", {}, "Drop your recorder’s files here"),
-    make("p", { class: "quiet" }, "One file per run, or one table of readings: CSV, text, Excel, Parquet, HDF5, MATLAB, TDMS or " +
+    make("p", { class: "quiet" }, "One file per run, or a single table of readings: CSV, text, Excel, Parquet, HDF5, MATLAB, TDMS or " +
       "LabVIEW. The files stay on this machine."),
     make("div", { class: "row" }, labelled("Recorder files", files), labelled("Folder for the new campaign (optional)", folder), sample),
     pastedTable((file) => takeFiles([file])), place);
@@ -98,7 +98,7 @@ function pastedTable(take) {
     placeholder: "position_deg\treading_mA\n0\t1.2503\n30\t1.0825" });
   let count = 0;
   return make("details", {}, make("summary", {}, "Paste a table"),
-    labelled("Table copied from a spreadsheet: one header row, then one row per reading", text),
+    labelled("Table copied from a spreadsheet: a header row, then one row per reading", text),
     make("button", {
       type: "button",
       // A changed table is another file, because no file is replaced.

@@ -113,14 +113,14 @@ export async function waysPart(name, result) {
       ...symbols(`Add ${runs.count} run${runs.count === 1 ? "" : "s"} with attitude ${runs.attitude} (${runs.minutes} min of records): ` +
         `the uncertainty of ${stated.symbol}${of} would fall from ${runs.now} to ${runs.left}. `),
       make("button", { type: "button",
-        onclick: prepare(accelerometer, "runs", "A copy of the campaign contains these runs. Record these runs, then calibrate the copy.") }, "Prepare a copy with these runs"))]
-      : told.searched ? [make("li", {}, `No run in another attitude would reduce the uncertainty of ${stated.symbol}${of}.`)] : [];
+        onclick: prepare(accelerometer, "runs", "These runs were added to a copy of the campaign. Record them, then calibrate the copy.") }, "Prepare a copy with these runs"))]
+      : told.searched ? [make("li", {}, `No run at another attitude would reduce the uncertainty of ${stated.symbol}${of}.`)] : [];
     return [make("li", {},
       ...symbols(`Measure or specify the ${named({ name: stated.source, words: stated.words })}, with a standard uncertainty of ${stated.known}: ` +
         `the uncertainty of ${stated.symbol}${of} would fall from ${stated.now} to ${stated.left}. `),
       make("button", { type: "button",
-        onclick: prepare(accelerometer, "state", "The copy of the campaign contains an assumed value. " +
-          "Replace this value with your measured value.") }, "Prepare a copy with this value")),
+        onclick: prepare(accelerometer, "state", "The copy of the campaign contains the assumed value. " +
+          "Replace it with your measured value.") }, "Prepare a copy with this value")),
     ...found];
   });
   const box = make("section", { class: "ways" }, make("h2", {}, "How to reduce the uncertainty"), make("ul", {}, ...lines));
@@ -128,7 +128,7 @@ export async function waysPart(name, result) {
     box.append(make("button", {
       type: "button",
       onclick: carryOut(place, () => send("POST", "ways", { name }), again),
-    }, "Search for runs in another attitude"));
+    }, "Find additional runs at another attitude"));
   }
   box.append(place);
   return box;

@@ -102,7 +102,7 @@ export const columnsOf = (seen) => [
 export async function liveView(name) {
   const campaign = await get("campaign", { name });
   const goal = make("input", { placeholder: "K_II 1e-8 g/g^2", autocomplete: "off", "aria-describedby": "goal-mistake" });
-  const place = make("div", {}, make("p", { class: "quiet" }, "Reading the records. The first reading takes a few seconds."));
+  const place = make("div", {}, make("p", { class: "quiet" }, "Reading the records. This takes a few seconds the first time."));
   const events = make("ul", { class: "quiet", "aria-live": "polite" });
   const command = make("div");
   const chart = new UncertaintyChart();
@@ -168,7 +168,7 @@ export async function liveView(name) {
     content: [
       make("h1", {}, campaign.title), campaignTabs(name, "live", reachedBy(campaign)),
       make("p", { class: "quiet" }, "While your recorder writes records into the campaign folder, this page reads the records every second. "
-        + "Ripple is given as a fraction of the rate. The residuals should be about the same size as the noise."),
+        + "The ripple is given as a fraction of the rate. The residuals should have about the same size as the noise."),
       make("div", { class: "row" }, labelled("Goal (coefficient and standard uncertainty)", goal)), wrong, chart.element, place, events, command,
     ],
   };

@@ -57,7 +57,7 @@ function fileBox(name, checksum, pem) {
       return;
     }
     state.replaceChildren(make("span", { class: "state good" }, {
-      valid: told.pages ? "The signatures of XML and pages are valid" : "The signature is valid",
+      valid: told.pages ? "The signatures of the XML and the pages are valid" : "The signature is valid",
       none: "Unchanged; not signed",
       unchecked: "Unchanged; the signature was not verified",
     }[/** @type {"valid" | "none" | "unchecked"} */ (told.signature)]));

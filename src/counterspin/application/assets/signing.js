@@ -63,7 +63,7 @@ export class Signing {
     this.files.hidden = this.how.value !== "key";
     this.words.textContent = {
       "": "",
-      key: "The server signs both XML and PDF. Key and password are used for this request only and are not stored.",
+      key: "The server signs both XML and PDF. The key and the password are used only for this request and are not stored.",
       command: "The server signs both XML and PDF.",
     }[this.how.value] ?? "";
   }
@@ -76,7 +76,7 @@ export class Signing {
     if (this.how.value === "") return undefined;
     if (this.how.value === "command") return {};
     const [key, certificate] = [this.key.files?.[0], this.certificate.files?.[0]];
-    if (!key) throw new Error("Choose the key file.");
+    if (!key) throw new Error("Choose a key file.");
     const password = this.password.value;
     this.password.value = "";
     return {

@@ -86,7 +86,7 @@ export async function tryView(name) {
           () => send("POST", "study", { name, trials: Number(trials.value) }),
           () => showStudy().then(() => studied.scrollIntoView()))),
       make("section", {}, make("h2", {}, "Simulated records"),
-        make("p", { class: "quiet" }, "counterspin simulates records from the true values in the description and writes the records to a separate folder."),
+        make("p", { class: "quiet" }, "counterspin simulates records from the true values in the description and writes them to a separate folder."),
         ...jobForm(campaign, "simulation", labelled("Folder for the records", folder), "Simulate",
           () => send("POST", "simulation", { name, folder: folder.value }),
           (job) => simulated.replaceChildren("The records are in ",
@@ -95,7 +95,7 @@ export async function tryView(name) {
       studied,
       make("section", {}, make("h2", {}, "Forecast"),
         make("p", { class: "quiet" }, "The forecast calculates the expected uncertainties from the description. If the description lacks noise, rates or "
-          + "durations, counterspin takes these values from existing records of the runs."), forecast),
+          + "durations, counterspin takes them from existing records of the runs."), forecast),
     ],
   };
 }

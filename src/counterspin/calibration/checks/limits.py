@@ -139,7 +139,7 @@ def _credibility_finding(
     grade = f" state the grade of the instrument in accelerometers.{owner}, or" if owner else ""
     text = (
         f"{symbol} = {format_number(c.value, 5)} {c.unit} is not credible, because "
-        f"{excess_text}. The records cannot show the cause. Check {cause}. If the value is "
+        f"{excess_text}. The records cannot reveal the cause. Check {cause}. If the value is "
         f"real,{grade} raise {symbol} in [model.limits]."
     )
     return Finding(

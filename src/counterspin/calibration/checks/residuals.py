@@ -83,8 +83,8 @@ def noise_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
             ratio = noise_ratios[noisiest] / noise_ratios[quietest]
             yield (
                 f"{view.name}: the noise in {noisiest} is {ratio:.2g} times the noise in "
-                f"{quietest}. The fit weights each run according to its noise. Find the cause, "
-                "and check whether the runs differ in any other way."
+                f"{quietest}. The fit weights each run by its noise. Find the cause, and check "
+                "whether the runs also differ in other respects."
             )
         if timing := estimated_timing_noise(view):
             symptom, action = (
@@ -93,7 +93,7 @@ def noise_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
             )
             if any(series.corrected_fraction > 0.0 for series in view.series):
                 symptom, action = (
-                    "the angle and the signal have a common error",
+                    "the angle and the signal share an error",
                     "the fit uses the angle to correct the times",
                 )
             yield (

@@ -112,7 +112,7 @@ def _tilt_finding(
     text = (
         f"The tilt in {run} may reach {tilt:.3g} arcsec (estimate plus 2 u). The second-order "
         f"effect of this tilt shifts {subject} by up to {format_number(shift * factor, 2)} "
-        f"{unit}, {format_number(ratio, 2)} times the u of {subject}. The first-order model is "
-        f"valid only for tilts up to about {tilt / math.sqrt(ratio):.2g} arcsec."
+        f"{unit}, or {format_number(ratio, 2)} u({subject}). The first-order model is valid "
+        f"only for tilts up to about {tilt / math.sqrt(ratio):.2g} arcsec."
     )
     return Finding(code="large-tilt", subject=subject, text=text, size=ratio)

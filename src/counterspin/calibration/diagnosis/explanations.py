@@ -131,7 +131,7 @@ class Explanation(PriorExplanation):
             f"u {format_number(self.u, 2)}). If the computer does so, enter reference = "
             f'"{stated}" in [records].'
         )
-        name = f"velocity in the Coriolis acceleration: {owner}"
+        name = f"velocity used for the Coriolis acceleration: {owner}"
         return FindingText(
             code="own-velocity", subject=self.alternative.symbol, text=text, name=name
         )
@@ -190,7 +190,7 @@ class Explanation(PriorExplanation):
         return FindingText(
             code="jump",
             subject=self.alternative.owner,
-            text=f"The record of {self._record_names} {change_text}. Omit the run, or repeat "
-            "the recording.",
+            text=f"The record of {self._record_names} {change_text}. Omit the run, or record it "
+            "again.",
             name=f"{quantity} of {self._record_names}",
         )

@@ -203,9 +203,9 @@ def undetermined_axis_remarks(mountings: Sequence[AlternativeMounting]) -> Itera
         symbols = _stated_cross_terms(worst_mounting.view)
         values, verb = ("values", "depend") if symbols[1:] else ("value", "depends")
         yield (
-            f"{name}: the records do not determine the direction of the pendulous axis, and "
-            f"the stated {values} of {_join_symbols(symbols)} {verb} on this direction. With "
-            f"{fitted} instead of {stated}, the records would fit equally well, and {symbol} "
+            f"{name}: the records do not determine the direction of the pendulous axis, and the "
+            f"stated {values} of {_join_symbols(symbols)} {verb} on this direction. With "
+            f"{fitted} instead of {stated}, the records would fit equally well, but {symbol} "
             f"would be {format_size(symbol, abs(shift))} {direction}, a change of "
             f"{format_number(z, 2)} times the u of {symbol}."
         )
@@ -266,16 +266,15 @@ def untested_input_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
                     f"{format_size(item.symbol, float(size[index]))}"
                 )
                 amount = (
-                    f"{format_size(symbol, abs(shift))}, {format_number(ratio, 2)} times "
-                    f"the u of {symbol}"
+                    f"{format_size(symbol, abs(shift))}, or {format_number(ratio, 2)} u({symbol})"
                 )
                 remarks.append((ratio, f"if {clause}, the error of {symbol} is {amount}"))
         remarks.sort(reverse=True)
         if remarks:
             yield (
-                f"The result for {view.name} depends on values that the data cannot check: "
+                f"The result for {view.name} depends on values that the data cannot verify: "
                 f"{'; '.join(sentence for _, sentence in remarks[:_MAX_NAMED])}. The residuals "
-                "would not show such an error."
+                "would not reveal an error in these values."
             )
 
 

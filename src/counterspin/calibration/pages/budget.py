@@ -87,8 +87,7 @@ def _linearity_sentence(accelerometer: AccelerometerResult) -> str:
     if ratios[worst_symbol] < _NEGLIGIBLE_RATIO:
         amount = f"less than {_NEGLIGIBLE_RATIO:g} times the tolerance"
     text = (
-        "Full fits with each source shifted by ±2 u deviate from the linear prediction by "
-        f"{amount}."
+        f"Full fits with each source shifted by ±2 u differ from the linear prediction by {amount}."
     )
     second_order = [
         f"{symbol} ({', '.join(interval.second_order)})"

@@ -146,8 +146,8 @@ def _checks(accelerometer: AccelerometerResult) -> Iterator[Check]:
     if largest is not None:
         shift_text = format_number(abs(largest.z or 0.0), 2)
         shift = (
-            f"the largest shift, {shift_text} times the u of the shift, occurs if "
-            f"{largest.run} is omitted"
+            f"the largest shift, {shift_text} times its standard uncertainty, results from "
+            f"omitting {largest.run}"
         )
     clause = evidence.get("leave-one-run-out")
     yield _make_check("Runs", f"{clause}; {shift}" if clause else None, shift)

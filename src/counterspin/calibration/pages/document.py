@@ -145,7 +145,7 @@ def answer_blocks(result: Result, *, report: bool = False) -> Iterator[Block]:
         yield Paragraph(f"{line[:1].upper()}{line[1:]}.", "quiet")
     gravity = format_number(result.inputs.gravity, 9)
     yield Paragraph(
-        f"{result.method.capitalize()} method, {result.model} model. The number after ± is one "
+        f"{result.method.capitalize()} method, {result.model} model. The number after ± is the "
         "standard uncertainty (k = 1). Coefficients are expressed in units of the local "
         f"gravity, g = {gravity} m/s^2, and are not normalised by K_I (IEEE Std 1293: K2 = "
         "K_II/K_I).",
@@ -230,7 +230,7 @@ def run_blocks(runs: dict[str, RunResult], *, details: bool) -> Iterator[Block]:
         ),
     )
     yield Paragraph(
-        "The digits in brackets are the standard uncertainty of the last digits.", "quiet"
+        "The digits in parentheses are the standard uncertainty of the last digits.", "quiet"
     )
     yield from _parabola_table(runs)
     yield from _fit_table(runs)
@@ -422,7 +422,7 @@ def batch_blocks(batch: BatchResult) -> list[Block]:
     blocks += [Paragraph(f"{folder}: {error}", "warning") for folder, error in batch.failed.items()]
     blocks += [
         Paragraph(
-            f"{folder}: the records contradict the result, so the result must not be used.",
+            f"{folder}: the records contradict the result. Do not use it.",
             "warning",
         )
         for folder in batch.contradicted

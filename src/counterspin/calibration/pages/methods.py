@@ -59,8 +59,8 @@ def model_blocks(result: Result) -> Iterator[Block]:
     """Yield the equations of the fit with the terms that it had."""
     yield Heading("Model")
     yield Paragraph(
-        "The indication of an accelerometer, in g, is as follows. The specific force a has the "
-        "components a_I, a_P and a_O along the input, pendulous and output axes:"
+        "The indication of an accelerometer, in g, is the following function of the components "
+        "a_I, a_P and a_O of the specific force along the input, pendulous and output axes:"
     )
     for name, accelerometer in result.accelerometers.items():
         # A term without a value was not in the fit.
@@ -95,8 +95,8 @@ def _recorded_signal_blocks(result: Result) -> Iterator[Block]:
         for accelerometer in result.accelerometers.values()
     }
     yield Paragraph(
-        "The recorded signal is as follows. The navigation computer subtracts a_h, the sum of "
-        "the gravitational, Coriolis and centrifugal accelerations:"
+        "The recorded signal is the following integral. The navigation computer subtracts a_h, "
+        "the sum of the gravitational, Coriolis and centrifugal accelerations:"
     )
     for observable in sorted(observables):
         yield Paragraph(_OBSERVED[observable], "equation")
@@ -108,8 +108,8 @@ def _recorded_signal_blocks(result: Result) -> Iterator[Block]:
 def _method_sentence(result: Result) -> str:
     if result.model == "as-printed":
         return (
-            "The observation model uses the paper's equations as printed, which return half "
-            "the true K_II. Use this model only for comparison."
+            "The observation model uses the paper's equations as printed, which yield half the "
+            "true K_II. Use this model only for comparison."
         )
     if result.method == "two-stage":
         return (
@@ -168,13 +168,14 @@ def origin_blocks(result: Result) -> Iterator[Block]:
             f"{name} ({description})" for name, description in result.provenance.in_memory.items()
         )
         yield Paragraph(
-            f"{version_text} Some inputs are not files: {inputs_text}. Therefore, no command "
-            "can repeat the calibration. `Campaign.write` writes a campaign folder from which "
-            "the calibration can be repeated."
+            f"{version_text} Some inputs are not files: {inputs_text}. No command can therefore "
+            "repeat the calibration. `Campaign.write` writes a campaign folder from which it "
+            "can be repeated."
         )
         return
     yield Paragraph(
-        f"{version_text} To repeat the calibration, run this command in the folder of these files:"
+        f"{version_text} To repeat the calibration, run this command in the folder that "
+        "contains these files:"
     )
     options = list(result.provenance.options)
     method_arguments = command_arguments(result.method, TwoStageOptions())

@@ -91,7 +91,7 @@ def jackknife_plot(name: str, accelerometer: AccelerometerResult) -> Plot | None
     y_values = [line.value * factor for line in lines if line.value is not None]
     x_range = (x_values[0] - 0.5, x_values[-1] + 0.5)
     return Plot(
-        title=f"K_II of {name} with one run omitted at a time",
+        title=f"K_II of {name} with each run omitted in turn",
         x_label="omitted run",
         y_label=f"K_II, {unit}",
         series=(
@@ -104,7 +104,7 @@ def jackknife_plot(name: str, accelerometer: AccelerometerResult) -> Plot | None
                 kind="band",
             ),
             PlotSeries(
-                "with this run omitted; error bar: standard uncertainty of the shift",
+                "with this run omitted (error bar: standard uncertainty of the shift)",
                 x_values,
                 tuple(y_values),
                 low=tuple(y - s for y, s in zip(y_values, shift_us, strict=True)),
@@ -183,7 +183,7 @@ def _time_plot(name: str, residual_trace: _ResidualTrace, unit: str, factor: flo
     sample_text = (
         f"means of {residual_trace.block} samples" if residual_trace.block > 1 else "samples"
     )
-    label = f"{sample_text}, smallest to largest" if low != high else sample_text
+    label = f"{sample_text}, from smallest to largest" if low != high else sample_text
     series = [PlotSeries(label, time, centre, low, high, kind="band", colour=residual_trace.colour)]
     if trace.rms is not None:
         # Two standard deviations, if the model is right.
@@ -221,7 +221,7 @@ def _angle_plot(
             )
     if series:
         yield Plot(
-            title=f"Mean residual of {name} over the revolution",
+            title=f"Mean residual of {name} as a function of the spindle angle",
             x_label="spindle angle, deg",
             y_label=f"mean residual, {unit}",
             series=tuple(series),

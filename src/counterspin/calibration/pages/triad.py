@@ -92,8 +92,8 @@ def triad_blocks(result: Result, *, details: bool) -> Iterator[Block]:
         order = ", ".join(triad.accelerometers)
         yield Paragraph(
             "Corrected output: f = M (y - b), where f, y and b are in g. The components of y "
-            f"are in the order {order}; f has components along the axes of the triad's frame. "
-            f"b = ({bias})."
+            f"are in the order {order}. The components of f are along the axes of the triad "
+            f"frame. b = ({bias})."
         )
         if outputs := nominal_outputs(result, triad):
             yield Paragraph(f"y is calculated from the nominal outputs: {outputs}.")

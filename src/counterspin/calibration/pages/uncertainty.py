@@ -147,7 +147,8 @@ def assumption_sentence(result: HasAssumptions) -> str:
     remaining_count = len(names) - _MAX_NAMES
     name_list = f"{first_names} and {remaining_count} more" if remaining_count > 0 else first_names
     return (
-        f"These terms are fixed at their nominal values, so u does not include them: {name_list}."
+        "u does not include the uncertainty of these terms, which are fixed at their nominal "
+        f"values: {name_list}."
     )
 
 
@@ -162,8 +163,8 @@ def prior_blocks(result: Result) -> Iterator[Block]:
         rows.sort(key=lambda row: -shares[row.name])
         yield Paragraph(
             "The fit uses priors as stated in the description. For terms without a stated "
-            "prior, the prior is 0 with the default standard uncertainty. The share is the "
-            "largest share of u^2 among all coefficients.",
+            "prior, the prior is 0 with the default standard uncertainty. The last column gives "
+            "the largest share of u^2 among all coefficients.",
             "quiet",
         )
         yield Table(
@@ -193,7 +194,7 @@ def _correlation_sentence(result: Result) -> str:
                 full_name = f"{name}.{partner}" if partner in all_correlations else partner
                 pairs[frozenset({f"{name}.{term}", full_name})] = r
     texts = [f"{' and '.join(sorted(pair))} {r:g}" for pair, r in pairs.items()]
-    return f"These correlations between priors are stated: {', '.join(texts)}." if texts else ""
+    return f"Stated correlations between priors: {', '.join(texts)}." if texts else ""
 
 
 def _largest_shares(result: Result) -> dict[str, float]:

@@ -81,7 +81,7 @@ def finding_text(finding: Finding) -> str:
     if not finding.explains:
         return finding.text
     explained_text = " ".join(explained.text for explained in finding.explains)
-    return f"{finding.text} This explains the other findings: {explained_text}"
+    return f"{finding.text} This explains these other findings: {explained_text}"
 
 
 def verdict_blocks(result: Result) -> Iterator[Block]:
@@ -221,9 +221,9 @@ def rule_in_words(verdict: Conformity) -> str:
         return f"Decision rule: simple acceptance. The verdict depends only on the estimate. {risk}"
     if verdict.rule == "guarded":
         return (
-            "Decision rule: guard bands of width w. The verdict is pass if the estimate is "
-            "inside the tolerance limits by at least w, fail if the estimate is outside by "
-            f"more than w, and undecided otherwise. {risk}"
+            "Decision rule: guard bands of width w. The verdict is pass if the estimate lies "
+            "inside the tolerance limits by at least w, fail if it lies outside by more than w, "
+            f"and undecided otherwise. {risk}"
         )
     assert verdict.needed is not None
     needed = format_number(100.0 * verdict.needed, 6)

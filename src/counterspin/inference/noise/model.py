@@ -166,7 +166,7 @@ class Differences:
             )
         counts = np.broadcast_to(np.asarray(1 if count is None else count, float), time.shape)
         if not (counts >= 1).all():
-            raise ValueError("a row represents no samples: counts must be at least 1")
+            raise ValueError("counts must be at least 1: a row represents at least one sample")
         steps = np.diff(time)
         if not (steps > 0).all():
             raise ValueError("times must increase from row to row")
@@ -182,7 +182,7 @@ class Differences:
             row = int(np.argmax(blocks.half[1:] + blocks.half[:-1] >= steps))
             raise ValueError(
                 f"blocks {row} and {row + 1} overlap: {counts[row]:g} and {counts[row + 1]:g} "
-                f"samples {spacing[row]:g} s apart do not fit in {steps[row]:g} s"
+                f"samples {spacing[row]:g} s apart do not fit into {steps[row]:g} s"
             )
         return cls(order, blocks, spacing, relative)
 
@@ -363,7 +363,7 @@ def build_whitener(
     """
     white, walk = noise.sample_variance + added_variance, noise.random_walk**2
     if np.any(white + walk == 0):
-        raise ValueError("noise: all components are zero, so rows cannot be weighted")
+        raise ValueError("noise: all components are zero, so the rows cannot be weighted")
     order, polynomials = differences.order, 0
     if walk == 0:
         polynomials = order

@@ -178,7 +178,7 @@ def _select_components(
     ]
     maxima = [choice.maximum(base) for choice in candidates if choice.is_possible]
     if not maxima:
-        raise ValueError("noise: all components are given as zero, so rows cannot be weighted")
+        raise ValueError("noise: all components are stated as zero, so the rows cannot be weighted")
     best = max(maxima, key=lambda maximum: maximum.value - KEEPING_GAIN / 2 * len(maximum.names))
     return best, {maximum.names: maximum.value for maximum in maxima}
 
