@@ -159,14 +159,14 @@ def find_poses(
         )
     contrast = _contrast(level, used_threshold, starts, ends)
     faults = _interval_faults(x, starts, ends, resolutions)
-    unused_intervals = tuple(
+    rejections = tuple(
         f"The rest interval from {t[starts[index]]:.6g} s to {t[ends[index] - 1]:.6g} s was "
         f"rejected: {reason}"
         for index, reason in faults.items()
     )
     if len(faults) == len(starts):
         raise RecordError(
-            "all rest intervals were rejected. " + " ".join(unused_intervals), code="no-rest"
+            "all rest intervals were rejected. " + " ".join(rejections), code="no-rest"
         )
     starts, ends = np.delete(starts, list(faults)), np.delete(ends, list(faults))
     rows = [x[first:last] for first, last in zip(starts, ends, strict=True)]
@@ -185,7 +185,7 @@ def find_poses(
         level=levels,
         contrast=contrast,
         spikes=spikes[~is_regular][is_inside].sum(axis=0).astype(float),
-        rejected=unused_intervals,
+        rejected=rejections,
     )
 
 
