@@ -144,6 +144,14 @@ def test_circular_link_raises(tmp_path):
             write_text(tmp_path / name, "x", overwrite=True)
 
 
+@pytest.mark.parametrize("apostrophe", ["'", "&#39;"])
+def test_mark_with_apostrophe_is_recognised(tmp_path, apostrophe):
+    page = tmp_path / "page.html"
+    page.write_text(mark("a study's result").replace("'", apostrophe))
+    assert marked("a study's result").recognises(page)
+    assert not marked("a plan's result").recognises(page)
+
+
 def test_file_with_two_marks_or_none_is_not_recognised(tmp_path):
     page = tmp_path / "page.html"
     report, comparison = marked("a report"), marked("a comparison")

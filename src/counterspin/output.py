@@ -19,7 +19,8 @@ from counterspin.input import open_file
 _END_BYTES: Final = 1 << 18
 
 #: What `mark` puts into a file.
-_MARK: Final = re.compile(rb"Made by counterspin: ([a-z ]+)\.")
+#: The apostrophe may be escaped as in HTML.
+_MARK: Final = re.compile(rb"Made by counterspin: ((?:[a-z ']|&#39;)+)\.")
 
 #: Names of devices on Windows, with any ending: ``NUL.json`` discards what is written.
 _DEVICE: Final = re.compile(
@@ -94,9 +95,8 @@ def marked(words: str) -> FileType:
 
     def recognises(path: Path) -> bool:
         # Words of a user may look like another mark: then nobody can tell.
-        return {found[1] for end in _ends(path) for found in _MARK.finditer(end)} == {
-            words.encode()
-        }
+        marks = {match[1] for end in _ends(path) for match in _MARK.finditer(end)}
+        return {mark.replace(b"&#39;", b"'") for mark in marks} == {words.encode()}
 
     return FileType(f"{words} written by counterspin", recognises)
 

@@ -197,6 +197,7 @@ def test_results_of_all_commands_have_reports(
     written = (tmp_path / "found.md").read_text(encoding="utf-8")
     assert f"# {title}".replace("_", r"\_") in written
     assert f"<!-- Made by counterspin: {mark}. -->" in written
+    assert main(["report", str(file), "-o", str(tmp_path / "found.md"), "--overwrite"]) == 0
     capsys.readouterr()
     assert main(["report", str(file)]) == 0
     assert title in capsys.readouterr().out
