@@ -380,9 +380,9 @@ class TestWrongInput:
         block = reduce_block(np.eye(3)[:, :2], np.ones(3))
         with pytest.raises(ValueError, match="no block"):
             solve([])
-        with pytest.raises(ValueError, match="prior_sd needs 2 numbers"):
+        with pytest.raises(ValueError, match="prior_sd must contain 2 numbers"):
             solve([block], prior_sd=[1.0])
-        with pytest.raises(ValueError, match="prior_mean needs 2 numbers"):
+        with pytest.raises(ValueError, match="prior_mean must contain 2 numbers"):
             solve([block], prior_mean=[1.0, np.nan])
         with pytest.raises(ValueError, match="must not be negative"):
             solve([block], prior_sd=[-1.0, 1.0])
@@ -427,7 +427,7 @@ class TestFit:
             fit(self.X[:1], self.Y[:1], sigma=1.0)
         with pytest.raises(ValueError, match="sigma must be positive"):
             fit(self.X, self.Y, sigma=0.0)
-        with pytest.raises(ValueError, match="one for each"):
+        with pytest.raises(ValueError, match="one per observation"):
             fit(self.X, self.Y, sigma=[1.0, 2.0])
 
 

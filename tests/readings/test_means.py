@@ -139,7 +139,7 @@ def test_records_of_same_samples_have_same_digest(tmp_path):
             np.arange(50) * 0.01,
             np.ones(50),
             1.0,
-            "0.078 revolutions at the stated rate; at least 1 is needed",
+            "0.078 revolutions at the stated rate; the minimum is 1",
         ),
         (np.arange(5) * 1.0, np.ones(5), 0.0, "5 samples are too few"),
         (

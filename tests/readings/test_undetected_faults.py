@@ -183,7 +183,7 @@ def test_step_of_accelerometer_during_poses_has_stated_shift(tmp_path):
     values = triads.indications(triads.directions(30, rng))
     values += 3e-4 * rng.standard_normal(values.shape)
     usual = calibrate(triads.table(tmp_path / "usual", values, u=3e-4)).accelerometers["X"]
-    clause = r'step of ([\d.]+) ug at "reading (\d+)" shifts K_F by ([\d.]+) ug'
+    clause = r'step of ([\d.]+) ug starting at "reading (\d+)" shifts K_F by ([\d.]+) ug'
     size, first, shift = re.search(clause, usual.unseen_faults[0]).groups()
     values[int(first) - 1 :, 0] += PART * 1e-6 * float(size)
     other = calibrate(triads.table(tmp_path / "other", values, u=3e-4)).accelerometers["X"]

@@ -186,7 +186,7 @@ def _disagreement_findings(
     other_kinds = " and ".join(
         alternative.kind for alternative in methods if alternative is not method
     )
-    text = f"The test methods are not consistent: {method.kind} differ from {other_kinds}"
+    text = f"The test methods are not consistent: {method.kind} compared with {other_kinds}"
     if symbol_of_shift:
         unit, factor = field_unit(unit_of(symbol_of_shift))
         shift = method.without[symbol_of_shift]

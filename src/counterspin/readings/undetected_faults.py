@@ -184,7 +184,7 @@ def _describe_fault(fault: Alternative, size: float) -> str:
     if fault.kind == REVERSED:
         return "a rotation opposite to the stated sense"
     if fault.kind == STEP:
-        return f'a bias step of {format_size("K_F", size, 3)} at "{fault.symbol}"'
+        return f'a bias step of {format_size("K_F", size, 3)} starting at "{fault.symbol}"'
     if fault.kind == RANGE:
         return f"a meter gain change of {1e6 * size:.2g} ppm above {fault.symbol}"
     if fault.kind == TURN:

@@ -173,10 +173,9 @@ def check_length(path: object, rows: int, duration: float, motion: NominalMotion
     is_constant = motion.constant_input
     min_revolutions = MIN_REVOLUTIONS_OF_MEAN if is_constant else MIN_REVOLUTIONS
     if motion.rate and revolutions < min_revolutions * (1.0 - 1e-9):
-        requirement = f"{min_revolutions:g} are" if min_revolutions > 1.0 else "1 is"
         raise RecordError(
             f"{path}: the record lasts {duration:.6g} s, which is {revolutions:.3g} revolutions "
-            f"at the stated rate; at least {requirement} are required. Check the unit of the "
+            f"at the stated rate; the minimum is {min_revolutions:g}. Check the unit of the "
             "time column.",
             code="record-too-short",
         )
