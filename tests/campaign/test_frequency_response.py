@@ -83,7 +83,7 @@ def test_table_is_read_with_checksum(tmp_path):
             'natural_frequency = "15 Hz"\ndamping = "1"',
             "",
             None,
-            ("below 20 times the highest rotation rate"),
+            "below 20 times the highest rotation rate",
         ),
         ("", 'cutoff_frequency = "5 Hz"', None, "5 Hz is below 20 times"),
         ('frequency_response = "response.csv"', "", "frequency_Hz,gain\n1,1\n", "no column phase"),

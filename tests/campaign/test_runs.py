@@ -140,7 +140,7 @@ def test_errors_name_key(tmp_path, old, new, words):
         (
             ANGLE,
             f"{ANGLE}\ndecimal = ','",
-            ("records.decimal: simulated records cannot have this key"),
+            "records.decimal: simulated records cannot have this key",
         ),
         (TIME, "time = { sampling_rate = '9 Hz' }", "contain a time column"),
         (

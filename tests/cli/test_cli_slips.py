@@ -47,7 +47,7 @@ def run_command(tmp_path, monkeypatch, capsys):
         (
             "seed = 1",
             "seed = 9223372036854775808",
-            ("simulation.seed: an integer may have at most 64"),
+            "simulation.seed: an integer may have at most 64",
         ),
         ("seed = 1", "seed = -1", "simulation.seed: "),
         ("seed = 1", "seed = " + "[" * 5000 + "]" * 5000, "is nested too deeply"),

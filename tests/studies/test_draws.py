@@ -198,7 +198,7 @@ def test_large_input_deviation_requires_full_records(tmp_path):
         ('"site.gravity" = { fixed = "8 m/s^2" }', "must be between 9.76 and 9.84 m/s^2"),
         (
             '"C.records.clock" = { fixed = "1 ppm" }',
-            ("does not apply to any record or reading of this campaign"),
+            "does not apply to any record or reading of this campaign",
         ),
     ],
 )

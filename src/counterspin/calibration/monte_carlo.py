@@ -53,7 +53,7 @@ def check_trials(trials: int, method: str) -> None:
     if not MIN_TRIALS <= trials <= MAX_TRIALS:
         raise UsageError(
             "calibrate",
-            [(f"monte_carlo: specify {MIN_TRIALS} to {MAX_TRIALS} trials, not {trials}")],
+            [f"monte_carlo: specify {MIN_TRIALS} to {MAX_TRIALS} trials, not {trials}"],
         )
 
 

@@ -269,7 +269,7 @@ class Accelerometer(SettingsSection):
         if self.frequency_response is not None and self.natural_frequency is not None:
             yield (
                 ("frequency_response",),
-                ("cannot be combined with natural_frequency; keep one of them"),
+                "cannot be combined with natural_frequency; keep one of them",
             )
         for key, symbol in ({symbol: symbol for symbol in TERMS} | COMMON_NAMES).items():
             if (prior := getattr(self, key)) is not None:

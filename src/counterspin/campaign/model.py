@@ -197,9 +197,7 @@ def resolve_model(
     terms = _resolve_names(names_of_terms, "terms", setup, problems)
     key, names = settings.held
     if settings.hold and settings.considered:
-        problems.add(
-            ("model", "considered"), ("this key is the former name of hold; keep only hold")
-        )
+        problems.add(("model", "considered"), "this key is the former name of hold; keep only hold")
     considered = _resolve_names(names, key, setup, problems)
     for symbol in considered:
         if symbol in terms:

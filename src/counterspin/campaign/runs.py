@@ -468,7 +468,7 @@ def _own_recording(
     for key in run_section:
         if key not in _OWN:
             problems.add(
-                (*path, key), (f"cannot be set for a single run; known keys: {', '.join(_OWN)}")
+                (*path, key), f"cannot be set for a single run; known keys: {', '.join(_OWN)}"
             )
     if "angle" in run_section and "angle" not in section:
         problems.add((*path, "angle"), "state an angle for all runs in [records]", "missing-key")

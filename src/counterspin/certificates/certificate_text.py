@@ -285,7 +285,7 @@ def seal_lines(result: Result, accepted: str | None) -> list[str]:
         *(
             []
             if accepted is None
-            else [(f"The missing seal was accepted for this reason: {accepted}")]
+            else [f"The missing seal was accepted for this reason: {accepted}"]
         ),
     ]
 

@@ -126,9 +126,7 @@ class LedgerOptions:
                 raise UsageError("calibrate", ["--who and --why require --ledger FILE"])
             return
         if campaigns > 1:
-            raise UsageError(
-                "calibrate", [("--ledger accepts the result of a single campaign only")]
-            )
+            raise UsageError("calibrate", ["--ledger accepts the result of a single campaign only"])
         if json is None or not self.who or not self.why:
             raise UsageError(
                 "calibrate", ["--ledger requires --json FILE, --who NAME and --why REASON"]

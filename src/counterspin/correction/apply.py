@@ -322,7 +322,7 @@ def _missing_input_warnings(name: str, symbols: Sequence[str]) -> Iterator[str]:
     for omitted, missing_input in (
         (
             products,
-            ("the specific force along the other axes is not given (`pendulous`, `output_axis`)"),
+            "the specific force along the other axes is not given (`pendulous`, `output_axis`)",
         ),
         (
             slopes,

@@ -291,7 +291,7 @@ def arm_draft(
     """
     if len(all_contents) != 1:
         raise UsageError(
-            "init", [("readings on an arm must be in a single table; name a single file")]
+            "init", ["readings on an arm must be in a single table; name a single file"]
         )
     (contents,) = all_contents
 

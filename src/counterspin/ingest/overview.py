@@ -147,7 +147,7 @@ def _appearance(column: FileColumn, guess: FileGuess) -> str:
         (guess.time is not None and guess.time.column == name, "the time"),
         (
             guess.shared is not None and guess.shared.name == name,
-            ("repeated times or bursts of rows"),
+            "repeated times or bursts of rows",
         ),
         (is_nominal(values), "nominal orientations (values -1, 0 and 1 only), not measurements"),
         (

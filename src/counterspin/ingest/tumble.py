@@ -92,7 +92,7 @@ def tumble_draft(
     """
     if len(all_contents) != 1:
         raise UsageError(
-            "init", [("the readings of a tumble must be in a single table; give a single file")]
+            "init", ["the readings of a tumble must be in a single table; give a single file"]
         )
     (contents,) = all_contents
 

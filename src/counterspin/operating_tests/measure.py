@@ -70,9 +70,7 @@ def operating(
     """
     path = path_of(file, "a table, or its file")
     if (input is None) == (time is None):
-        raise UsageError(
-            "operating", [("give an input column, or a time column for a warm-up test")]
-        )
+        raise UsageError("operating", ["give an input column, or a time column for a warm-up test"])
     if output in (input, time):
         problem = f'"{output}" was given for both columns; give two different columns'
         raise UsageError("operating", [problem])

@@ -140,7 +140,7 @@ class PriorExplanation:
             code="prior-conflict",
             subject=symbol,
             text=text,
-            name=(f"{symbol} (common to all runs)"),
+            name=f"{symbol} (common to all runs)",
         )
 
     def _describe_input(self) -> FindingText:

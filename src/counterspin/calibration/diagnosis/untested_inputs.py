@@ -317,7 +317,7 @@ def _run_clocks(fit: JointFit) -> Iterator[_UntestedInput]:
                 ]
             )
             description, no_priors = (
-                (f"the clock during {run} only"),
+                f"the clock during {run} only",
                 np.zeros(len(fit.model.unknowns)),
             )
             yield _UntestedInput(description, CLOCK, unknown.prior[1], (index,), data, no_priors)
