@@ -257,7 +257,7 @@ def test_two_accelerometers_need_known_vertical_force():
     missing = missing_axes(instruments, [])
     assert [(one.name, axis) for one, axis, _ in missing] == [("Qx", "P"), ("Qy", "P")]
     assert missing[0][2] == ("K_IP", "K_PO", "K_PP", "delta_O")
-    with pytest.raises(ValueError, match="Qx: K_IP, K_PO, K_PP, delta_O need a_P"):
+    with pytest.raises(ValueError, match="Qx: K_IP, K_PO, K_PP, delta_O require a_P"):
         correct(instruments, y)
 
 
