@@ -413,8 +413,9 @@ def _check_jackknife(
         code="run-disagrees",
         subject=f"{name}.K_II",
         text=f"Omitting {worst_line.run} shifts K_II by "
-        f"{format_number(worst_line.shift * factor, 2)} {unit}, {z:.1f} times the standard "
-        "uncertainty of the shift. Therefore, this run is not consistent with the others.",
+        f"{format_number(worst_line.shift * factor, 2)} {unit}, which is {z:.1f} times the "
+        "standard uncertainty of the shift. This run is therefore not consistent with the "
+        "others.",
         size=equivalent_z,
         contradicts=equivalent_z > CONTRADICTION_SIGMAS,
     )

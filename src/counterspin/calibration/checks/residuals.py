@@ -44,11 +44,11 @@ def _compare_run_noise(view: AccelerometerView) -> list[Finding]:
     if result is None or result.p * tests >= FALSE_ALARMS:
         return []
     text = (
-        f"The estimated accelerometer noise differs between runs: in {result.run}, the noise is "
+        f"The estimated accelerometer noise differs between runs. In {result.run}, it is "
         f"{format_number(math.sqrt(result.ratio), 2)} times as large as in the other runs (p = "
         f"{result.p:.2g}). The fit may have attributed a slow error of this record, or of a "
-        "comparison record, to noise. Such an error may shift the coefficients by more than "
-        "their uncertainty. Inspect the records."
+        "record used for comparison, to noise. Such an error may shift the coefficients by more "
+        "than their uncertainty. Inspect the records."
     )
     return [
         Finding(

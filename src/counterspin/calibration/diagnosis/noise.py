@@ -105,9 +105,9 @@ def check_stated_noise(view: AccelerometerView) -> Iterator[Finding]:
     white, unit = view.fit.noise[name].white, OBSERVABLES[view.accelerometer.observable]
     noise_text = f", {format_number(factor * white, 3)} {unit}," if white > 0.0 else ""
     text = (
-        "The residuals are independent of each other and, in every run, "
-        f"{format_number(factor, 4)} times as large as expected from the stated noise. Noise "
-        f"of this size{noise_text} would fit. Check the stated noise, or let counterspin estimate "
+        "The residuals are independent of each other. In every run, they are "
+        f"{format_number(factor, 4)} times as large as expected from the stated noise. Noise of "
+        f"this size{noise_text} would fit. Check the stated noise, or let counterspin estimate "
         "the noise."
     )
     yield Finding(code="wrong-noise", subject=name, text=text, size=max(factor, 1.0 / factor))

@@ -94,7 +94,7 @@ def _linearity_sentence(accelerometer: AccelerometerResult) -> str:
         for symbol, interval in accelerometer.monte_carlo.items()
         if interval.second_order
     ]
-    sentence = f"A second-order response is used for {', '.join(second_order)}."
+    sentence = f"Monte Carlo trials use second-order sensitivities for {', '.join(second_order)}."
     text += f" {sentence}" if second_order else " Monte Carlo trials use linear sensitivities."
     failed_symbols = [
         symbol
@@ -103,9 +103,9 @@ def _linearity_sentence(accelerometer: AccelerometerResult) -> str:
     ]
     if failed_symbols:
         text += (
-            " With all sources shifted together, full fits still deviate from the prediction "
-            f"by more than the tolerance for {', '.join(failed_symbols)}. The intervals of these "
-            "coefficients are approximate. State smaller uncertainties."
+            " With all sources shifted together, full fits still differ from the prediction by "
+            f"more than the tolerance for {', '.join(failed_symbols)}. The intervals for these "
+            "coefficients are therefore approximate. State smaller uncertainties."
         )
     return text
 
