@@ -249,5 +249,5 @@ def test_report_requires_result(tmp_path):
 
 
 def test_laboratory_data_of_wrong_type_raise():
-    with pytest.raises(TypeError, match=r"give a mapping with the laboratory's data, .* not 5"):
+    with pytest.raises(TypeError, match=r"give a mapping with the laboratory data, .* not 5"):
         read_lab(5, None)

@@ -318,7 +318,7 @@ def pattern_clause(alternative: Alternative) -> str:
         ),
         RANGE: f"have the pattern of a gain that changes above {alternative.symbol}, as "
         "between two ranges of a meter",
-        STEP: f'have a step at "{alternative.symbol}"',
+        STEP: f'have a step that starts at "{alternative.symbol}"',
         SENSE: "depend on the sense of rotation of the machine",
         REVERSED: "have the pattern of a rotation opposite to the stated sense",
         HYSTERESIS: f"depend on {_HYSTERESIS_CAUSES.get(alternative.symbol)} (hysteresis)",
