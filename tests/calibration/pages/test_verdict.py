@@ -26,8 +26,8 @@ def test_reservations_state_most_serious_finding_and_number_of_others():
     )
     assert sentence == (
         "The result for Qx is usable with reservations: Omitting slow shifts K_II by 0.01 "
-        "ug/g^2, 3.1 times the standard uncertainty of the shift. Therefore, this run is not "
-        "consistent with the others. 2 more findings are listed below. Passed "
+        "ug/g^2, which is 3.1 times the standard uncertainty of the shift. This run is "
+        "therefore not consistent with the others. 2 more findings are listed below. Passed "
         "checks: the residuals are consistent with the stated noise (p = 0.5); the two-stage "
         "result agrees with the joint result."
     )
