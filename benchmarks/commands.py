@@ -66,7 +66,11 @@ angle = "1e-6 rad"
 ASSUMED = 'assume = "all"\n'
 STARTING = "Python with NumPy, scipy.linalg, polars, Pydantic"
 TWO_KINDS = "counterspin calibrate, noise of two kinds stated"
-IMPORTS = "import numpy, scipy.linalg, polars, pydantic"
+#: counterspin sets the number of threads too; without it, idle threads of BLAS use processor time.
+IMPORTS = (
+    "import os; os.environ.setdefault('OPENBLAS_NUM_THREADS', '1'); "
+    "import numpy, scipy.linalg, polars, pydantic"
+)
 
 
 def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
