@@ -95,7 +95,7 @@ def open_file(path: Path) -> FileIO:
 
 
 def read_file(path: Path, most: int = DOCUMENT_BYTES) -> bytes:
-    """Return the content of an ordinary file; OSError as of `open_file`, or if there is more."""
+    """Return the content of an ordinary file; OSError as in `open_file`, or if there is more."""
     with open_file(path) as file:
         parts = []
         left = most

@@ -159,7 +159,7 @@ def write_whole(
     A link keeps standing, and what it leads to is replaced; a device or a pipe such as
     ``/dev/stdout`` is written to.
 
-    kind, overwrite: As of `reserve`: what may be replaced, also if it came while this was written.
+    kind, overwrite: As in `reserve`: what may be replaced, also if it came while this was written.
     """
     reserve(path, kind, overwrite=overwrite)
     place = _place(path)
@@ -190,7 +190,7 @@ def write_text(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write text as UTF-8, whole or not at all; parameters and errors as of `write_whole`."""
+    """Write text as UTF-8, whole or not at all; parameters and errors as in `write_whole`."""
     data = text.encode("utf-8")
     write_whole(path, lambda part: part.write_bytes(data), kind, overwrite=overwrite)
 

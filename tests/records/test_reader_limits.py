@@ -31,7 +31,7 @@ class Kernel:
         return 7
 
     def count(self, process, counters, size):
-        assert size == 72  # as of the 64-bit Windows
+        assert size == 72  # size on 64-bit Windows
         counters._obj.PagefileUsage = 10**9
 
     def set(self, job, kind, limits, size):

@@ -206,7 +206,7 @@ TRIADS = 300 if FULL else 30
     ("count", "stated"), [(10, True), (12, True), (24, True), (12, False), (24, False)]
 )
 def test_few_poses_have_coverage_with_and_without_stated_noise(count, stated):
-    """z of the nine parameters, by Student's t where the noise is found, are as of a normal one.
+    """z of the nine parameters (Student's t if the noise is estimated) are normally distributed.
 
     Those of one triad depend on each other, so the bound is from how the triads scatter: 4.5
     standard deviations of the mean square. In full also the rms itself, 0.95 to 1.05.

@@ -168,7 +168,7 @@ def _section(key: str, model: type[BaseModel], page: str) -> FormSection:
 
 
 def _table_fields(model: type[BaseModel], page: str, excluded: str = "") -> list[FormField]:
-    """Return the fields of a table, without those of some tables only; page: as of `_section`."""
+    """Return the fields of a table, without those of some tables only; page: as in `_section`."""
     page = (page_explaining(model) or page).partition("#")[0]
     return [
         _form_field(field.alias or name, field, page)

@@ -321,7 +321,7 @@ def _certificate_refusal(result: Result) -> str:
 
 
 def page_picture(app: AppState, kind: Kind, names: Sequence[str], term: str, index: int) -> str:
-    """Return a picture of a page as SVG, by its place among them; as `page_of`."""
+    """Return a picture of a page as SVG; `index` counts the pictures of the page."""
     from counterspin.reports.charts import svg
 
     page = _page_or_job(app, kind, names, term)

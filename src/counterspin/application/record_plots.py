@@ -71,7 +71,7 @@ _RECORDS: Final = FileCache(_MAX_RECORDS)
 def record_overview(app: AppState, name: str, run: str, fit: bool = False) -> RecordAnswer:
     """Return a record's columns, rows, first and last time, and its used part.
 
-    fit: Return data and fit of each accelerometer as the columns, as of `begin_fit`;
+    fit: Return data and fit of each accelerometer as the columns, as in `begin_fit`;
         None before that.
     """
     campaign, described_run = _find_run(app, name, run)
@@ -107,7 +107,7 @@ def record_window(
 
     name, run: The campaign's folder, and the run.
     low, high: First and last time, s.
-    fit: As of `record_overview`.
+    fit: As in `record_overview`.
     """
     record = fitted_run(app, name, run) if fit else _cached_record(*_find_run(app, name, run))
     # One more on either side, so that lines leave the window.

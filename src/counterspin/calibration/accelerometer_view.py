@@ -54,7 +54,7 @@ class FittedGroup(Protocol):
 
     @property
     def motion(self) -> str:
-        """Kind of test, as of `Observation`."""
+        """Kind of test, as in `Observation`."""
 
     @property
     def label(self) -> str:

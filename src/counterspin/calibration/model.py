@@ -245,7 +245,7 @@ def _acting_terms(campaign: Campaign, accelerometer: str = "") -> list[tuple[str
 def _is_active(
     campaign: Campaign, row: Term[SpecificForceProduct | Slope], changing: Collection[str]
 ) -> bool:
-    """Return whether a coefficient acts; changing: as of `changing_conditions`."""
+    """Return whether a coefficient acts; changing: as in `changing_conditions`."""
     if isinstance(row.effect, SpecificForceProduct):
         arm_axes = (reading.axes for reading in campaign.readings if reading.motion == "arm")
         table_axes = (

@@ -101,7 +101,7 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
 def detect_detrending(moments_by_run: Mapping[str, Array]) -> tuple[int, list[str]]:
     """Return the number of terms of 1, t, t^2 that a recorder removed from a signal, and the runs.
 
-    moments_by_run: Run -> parts of the signal's column, as of `Record.polynomials`.
+    moments_by_run: Run -> parts of the signal's column, as in `Record.polynomials`.
     """
     if not moments_by_run:
         return 0, []

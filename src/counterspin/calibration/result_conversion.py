@@ -36,7 +36,7 @@ def coefficient_frame(result: Result, library: str = "polars") -> Any:
 
 
 def residual_frame(tables: Sequence[Mapping[str, Any]]) -> pl.DataFrame:
-    """Return the residuals of all records as a frame; columns as of `Result.residuals`."""
+    """Return the residuals of all records as a frame; columns as in `Result.residuals`."""
     import polars as pl
 
     frame = pl.concat([pl.DataFrame(table) for table in tables])

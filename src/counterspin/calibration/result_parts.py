@@ -295,7 +295,7 @@ class ReadingResult(ResultPart):
     """One reading: value, standard uncertainty and residual in g; `z` is None where it fits wholly.
 
     `rate` in rad/s; `z` over the residual's own standard deviation. Axes: east, north, up; outward,
-    forward, up on an arm. `samples` used, `counts`, `notes` of a record's mean: as of `RunResult`.
+    forward, up on an arm. `samples` used, `counts`, `notes` of a record's mean: as in `RunResult`.
     """
 
     name: str  #: Name of the run or of the table row.

@@ -58,7 +58,7 @@ def instrument_unit_estimate(
 ) -> SiEstimate:
     """Return in SI units what is in an instrument's own unit, or in that over g.
 
-    Arguments as of `si_estimate`; ValueError if the unit has no expression in SI.
+    Arguments as in `si_estimate`; ValueError if the unit has no expression in SI.
     """
     return _estimate(value, u, own_unit(unit), dof, gravity)
 

@@ -238,7 +238,7 @@ def relative_conditions(
     The centripetal force is zero, as at rest.
 
     assumed_temperatures: Of readings that state none, minus the reference temperature, K.
-    directions: As of `temperature_directions`.
+    directions: As in `temperature_directions`.
     """
     origin = reference_point(campaign)
     temperatures = [

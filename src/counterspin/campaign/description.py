@@ -205,7 +205,7 @@ class Campaign:
         return stated or self._size(symbol, owner).limit
 
     def typical_of(self, symbol: str, owner: str = "") -> float:
-        """Return the standard uncertainty to assume of a term; parameters as of `limit_of`."""
+        """Return the standard uncertainty to assume of a term; parameters as in `limit_of`."""
         typical = self.model.typical
         stated = typical.get(symbol) or typical.get(same_for_all(symbol))
         return stated or self._size(symbol, owner).typical
@@ -239,12 +239,12 @@ class Campaign:
             the keys that it has, None removes a key, and anything else, such as the list of
             runs, replaces the value. Quantities are text, or a `Quantity`.
         records
-            As of `make_campaign`, of the runs that get another record.
+            As in `make_campaign`, of the runs that get another record.
 
         Raises
         ------
         CampaignError
-            With every mistake, as of a file.
+            With every mistake, as for a file.
         """
         document, frames = load_name(CHANGE)(self, patch, records or {})
         source = replace(require_source(self), document=document)

@@ -159,7 +159,7 @@ ParsedQuantity = Annotated[Quantity, _IsQuantity()]
 
 
 def uncertain_quantity(unit: str, usual: str | None = None) -> PlainValidator:
-    """Return the validator of a quantity with its uncertainty; `usual` as of `parse`."""
+    """Return the validator of a quantity with its uncertainty; `usual` as in `parse`."""
     return Quantities(
         partial(_parse_quantity, unit, usual=usual), _written_form(unit, uncertain=True)
     )
@@ -185,7 +185,7 @@ def check_clock_error(value: Quantity) -> Quantity:
 
 
 def read_exactly(unit: str, usual: str | None = None) -> PlainValidator:
-    """Return the validator of a quantity without uncertainty; `usual` as of `parse`."""
+    """Return the validator of a quantity without uncertainty; `usual` as in `parse`."""
     return Quantities(partial(_parse_exact, unit, usual=usual), _written_form(unit))
 
 

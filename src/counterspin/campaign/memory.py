@@ -80,7 +80,7 @@ def make_campaign(
     Raises
     ------
     CampaignError
-        With every mistake of the description, as of a file.
+        With every mistake of the description, as for a file.
     RecordError
         If a frame cannot be taken for a record.
     """

@@ -125,7 +125,7 @@ class Quantity:
 
 @frozen
 class HeadTurn:
-    """A right-handed turn of the level platform, as of a dividing head."""
+    """A right-handed rotation of the level platform, such as that of a dividing head."""
 
     angle: Quantity  #: In a unit of angle.
     about: str  #: A direction.
@@ -335,7 +335,7 @@ def platform_attitude(attitude: Attitude) -> Attitude:
 
 
 def attitude_rows(value: object) -> Array:
-    """Return the directions of a platform's axes, shape (3, 3); `value` as of `read_attitude`."""
+    """Return the directions of a platform's axes, shape (3, 3); `value` as in `read_attitude`."""
     return platform_attitude(read_attitude(value)).rows
 
 

@@ -280,7 +280,7 @@ class DescriptionReader:
         readings: Sequence[Reading] | None,
         truths: Mapping[str, tuple[Mapping[str, Any], KeyPath]],
     ) -> Simulation | None:
-        """Return the settings of simulated records; parameters as of `DescribedRuns`."""
+        """Return the settings of simulated records; parameters as in `DescribedRuns`."""
         if not self.simulated:
             return None
         truth_reader = load_name(f"{_TRUTH_READER}:TruthReader")

@@ -32,7 +32,7 @@ class ResolvedNoise:
     """The stated noise of one accelerometer."""
 
     sizes: StatedNoise | None  #: None: nothing.
-    #: Of the variances of `COMPONENTS`, as of `Noise`; empty where no record at rest says them.
+    #: Of the variances of `COMPONENTS`, as in `Noise`; empty where no record at rest says them.
     covariance: tuple[tuple[float, ...], ...] = ()
 
 

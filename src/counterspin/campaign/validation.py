@@ -143,7 +143,7 @@ class Problems:
     def validate_partial(
         self, model: type[M], raw: Any, path: KeyPath, **context: object
     ) -> tuple[M | None, set[str]]:
-        """Return the section with its right keys, and the wrong ones; parameters as of `check`.
+        """Return the section with its right keys, and the wrong ones; parameters as in `check`.
 
         What is required and wrong has the value of its example.
         """

@@ -97,7 +97,7 @@ def guard_band_for_risk(
 ) -> float:
     """Return the smallest guard band with at most a consumer's risk; 0 if none is needed.
 
-    Parameters as of `global_risk`; consumer: The largest permitted risk, positive.
+    Parameters as in `global_risk`; consumer: The largest permitted risk, positive.
     """
     if not 0.0 < consumer < 1.0:
         raise ValueError(f"a risk must be between 0 and 1; got {consumer}")

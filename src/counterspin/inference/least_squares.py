@@ -303,7 +303,7 @@ class Solution:
     def undetected_shifts(self, data: Array, priors: Array) -> Array:
         """Return by how much the unknowns move, shape (p, c), where columns go unnoticed.
 
-        What `project_out` leaves; arguments as of that.
+        The shifts are what `project_out` leaves; the arguments are the same.
         """
         rows = self._rows
         shifts = np.zeros((self.estimate.size, data.shape[1]))

@@ -92,7 +92,7 @@ class TriadColumns:
     #: which the poses lie.
     zero: Array = field(default_factory=lambda: np.zeros(3))
     rest: float = MIN_DURATION  #: The shortest rest that counted, s.
-    #: Further columns of three axes that rest alike, as of a second sensor.
+    #: Further columns of three axes at rest at the same times, such as a second sensor's.
     others: tuple[tuple[str, ...], ...] = ()
 
     @property

@@ -81,7 +81,7 @@ class RunConditions:
 
         The time condition is taken at the start of the run.
 
-        force: As of `at_start`.
+        force: As in `at_start`.
         """
         temperature = self._temperature_offset_at(times)
         return {

@@ -287,7 +287,7 @@ class CalibratedAccelerometer:
         return {s: CONDITION_TERMS[s].effect for s in self.coefficients if s in CONDITION_TERMS}
 
     def at(self, temperature_offset: Array | float) -> dict[str, Array | float]:
-        """Return the coefficients of products at a temperature, as of `TemperatureOffset`."""
+        """Return the coefficients of products at a temperature, as in `TemperatureOffset`."""
         slopes = self.slopes
         values: dict[str, Array | float] = {
             s: value for s, value in self.coefficients.items() if s not in slopes

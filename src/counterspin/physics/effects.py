@@ -64,7 +64,7 @@ class SpecificForceProduct:
         return not set(self.factors).isdisjoint(ROTATIONS)
 
     def design_factors(self, conditions: Mapping[str, Array]) -> Array:
-        """Return ones: the coefficient itself does not depend on conditions; as of `Slope`."""
+        """Return ones: the coefficient itself does not depend on conditions; as in `Slope`."""
         return np.ones_like(conditions["time"])
 
     def evaluate(
@@ -216,7 +216,7 @@ class AttitudeError:
     def leaves_mean(self, input_axis: Array, attitude: Array, start: Array | None = None) -> bool:
         """Return True if the error leaves an acceleration over whole revolutions.
 
-        input_axis, attitude: As of `acts_on`.
+        input_axis, attitude: As in `acts_on`.
         start: Direction in which the platform moves at t = 0, shape (3,); None: any level
             direction.
         """
@@ -271,10 +271,10 @@ class TrajectoryError:
     harmonic: int = 0
     quadrature: str = ""
     axis: str = ""  #: For a tilt ``east`` or ``north``.
-    part: ClassVar = "centrifuge"  #: As of `AttitudeError`.
+    part: ClassVar = "centrifuge"  #: As in `AttitudeError`.
 
     def acts_on(self, input_axis: Array, attitude: Array) -> bool:  # noqa: ARG002
-        """Return True if the error reaches an accelerometer; parameters as of `AttitudeError`."""
+        """Return True if the error reaches an accelerometer; parameters as in `AttitudeError`."""
         # A tilted axis lifts the platform; all else moves it in the level plane.
         moved = input_axis[2:] if self.kind == "axis_tilt" else input_axis[:2]
         return float(np.linalg.norm(moved)) > _ROUNDING
@@ -287,7 +287,7 @@ class TrajectoryError:
         attitude: Array,
         start: Array | None = None,  # noqa: ARG002
     ) -> bool:
-        """Return True if the error reaches an accelerometer, as of `acts_on`."""
+        """Return True if the error reaches an accelerometer, as in `acts_on`."""
         return self.acts_on(input_axis, attitude)
 
 

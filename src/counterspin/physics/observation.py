@@ -458,7 +458,7 @@ class _SensorInputs:
 
     @cached_property
     def _rotation(self) -> Array | None:
-        """Rotation of the instrument, as of `TableMotion.instrument_rotation`."""
+        """Rotation of the instrument, as in `TableMotion.instrument_rotation`."""
         return self._motion.table.instrument_rotation(self._axes)
 
     @cached_property

@@ -92,7 +92,7 @@ class PlannedCampaign:
         Raises
         ------
         CampaignError
-            With every mistake, as of a file.
+            With every mistake, as for a file.
         """
         return plan(change_plan(self.source, changes), file=self.file)
 
@@ -102,7 +102,7 @@ class PlannedCampaign:
         Parameters
         ----------
         name
-            As of `change`, such as ``"total_time"``.
+            As in `change`, such as ``"total_time"``.
         values
             What stands there, such as ``["10 min", "20 min"]``.
         """

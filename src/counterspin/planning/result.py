@@ -181,7 +181,7 @@ def result_of(
 ) -> PlanResult:
     """Return the result of a campaign's forecast, without goal and limits.
 
-    attitudes, starts: Of each run by name, in words and s, as of `planned_runs`; None: runs are
+    attitudes, starts: Of each run by name, in words and s, as in `planned_runs`; None: runs are
         there already.
     """
     campaign = prediction.campaign

@@ -182,7 +182,7 @@ def _with_value(run: Mapping[str, Any], value: str) -> dict[str, Any]:
 def read_any_plan(
     path: Mapping[str, Any] | Path | str, file: Path | None = None
 ) -> Plan | ReadingPlan:
-    """Read and check a plan of records or of readings; file: as of `plan_file.read_plan`."""
+    """Read and check a plan of records or of readings; file: as in `plan_file.read_plan`."""
     readings = "stations" in load_plan(path)
     return read_reading_plan(path, file) if readings else read_plan(path, file)
 
@@ -190,7 +190,7 @@ def read_any_plan(
 def read_reading_plan(
     path: Mapping[str, Any] | Path | str, file: Path | None = None
 ) -> ReadingPlan:
-    """Read and check a plan of readings; file: as of `plan_file.read_plan`."""
+    """Read and check a plan of readings; file: as in `plan_file.read_plan`."""
     file, raw = file or plan_name(path), load_plan(path)
     problems = Problems(raw)
     problems.check(ReadingPlanDocument, raw, ())

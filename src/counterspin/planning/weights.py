@@ -221,7 +221,7 @@ class TermWeights:
     ) -> bool:
         """Check that the terms are combinations of the functions, to the required accuracy.
 
-        forces: Of the terms, as of `_forces`.
+        forces: Of the terms, as in `_forces`.
         """
         residual, min_residual = (
             _combination(forces, order)[1] for order in (harmonics, _HARMONICS[-1])
@@ -237,7 +237,7 @@ class TermWeights:
     ) -> dict[Key, Array]:
         """Return Chebyshev coefficients of each term's weights over the rate, (nodes, b).
 
-        forces: Of the terms, as of `_forces`.
+        forces: Of the terms, as in `_forces`.
         """
         weights, _ = _combination(forces, self.harmonics)
         # At a given angle forces are polynomials in the rate; times the rate, so is what grows with

@@ -187,7 +187,7 @@ def _solve(
 ) -> ReadingsFit:
     """Return the solved problem, its groups not yet judged under the fit.
 
-    start: As of `_solved_or_held`.
+    start: As in `_solve_or_constrain`.
     joint_noise: Fit whose noise is used; None: the noise is estimated.
     """
     unknowns = [*model.unknowns, *model.considered]

@@ -343,7 +343,7 @@ def _deleted_noise(
 ) -> tuple[Array, Array]:
     """Return the noise variance estimated without each set, over that with it, and its dof.
 
-    All else being equal. Arguments as of `evaluate_positions`; combined: the weights of the
+    All else being equal. Arguments as in `evaluate_positions`; combined: the weights of the
     readings in standard uncertainties.
     """
     r = _CombinedResiduals(part, solution, sets, combined)

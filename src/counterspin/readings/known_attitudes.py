@@ -73,7 +73,7 @@ class Readings:
     #: one for all, estimated from the residuals.
     value: Array
     u: Array | None
-    #: Conditions relative to the reference, as of `relative_conditions`, each of shape (n,).
+    #: Conditions relative to the reference, as in `relative_conditions`, each of shape (n,).
     conditions: Mapping[str, Array]
     #: How many repeats at one setting each value is the mean of, and the sum of their squares about
     #: it, g^2, shape (n,). Where `u` is None.
@@ -192,7 +192,7 @@ class Readings:
     def linearize(
         self, model: Unknowns, estimate: Array, variance: Array | None = None
     ) -> LinearReadings:
-        """Return their rows at an estimate; parameters as of `linearise`."""
+        """Return their rows at an estimate; parameters as in `linearise`."""
         return linearize(self, model, estimate, variance)
 
     @property

@@ -1,4 +1,4 @@
-"""Readings and poses linearised at an estimate: rows of square-root information, as of records."""
+"""Readings and poses linearised at an estimate: rows of square-root information, as for records."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class ReadingGroup(Protocol):
     def linearize(
         self, model: Unknowns, estimate: Array, variance: Array | None = None
     ) -> LinearReadings:
-        """Return the rows at an estimate; parameters as of `linearise`."""
+        """Return the rows at an estimate; parameters as in `linearise`."""
 
     def start(self, unknowns: Sequence[Unknown], point: Array) -> Array:
         """Return the point at which to begin, shape (p,)."""
@@ -150,7 +150,7 @@ class LinearReadings(Observation):
     head: Array  # (n,), what head, rates and squares of setting errors add, g
     sigma: Array  # (n,), g, both together
     rate: Array | float = 0.0  # (n,), the part of the rates in `head`, g
-    u_rate: Array | float = 0.0  # (n,), as of `Readings`
+    u_rate: Array | float = 0.0  # (n,), as in `Readings`
     default_rate: Array | float = 0.0
 
     @property

@@ -533,7 +533,7 @@ def _p_value(
 ) -> tuple[float, float]:
     """Return the probability of a gain in chi-square, and the scale of the residuals without it.
 
-    columns: How many of them gain it, as of `_tail`.
+    columns: How many of them gain it, as in `_tail`.
     noise_share: Part of the combination that comes from the noise of the readings.
     """
     other_dof = max(group.residual_dof - columns, 0.5)

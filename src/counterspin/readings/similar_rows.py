@@ -56,7 +56,7 @@ def convert_rows(
     """Yield the readings of similar rows; None for a row with a number outside the limits.
 
     checked: Readings of a row that is similar to them and passed the model of a run.
-    mountings, outputs, gravity: As of `resolve_readings`.
+    mountings, outputs, gravity: As in `resolve_readings`.
     """
     columns = _RowColumns(rows)
     common = columns.common_fields()

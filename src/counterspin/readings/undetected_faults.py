@@ -1,8 +1,9 @@
 """Single faults of typical size that readings and poses would not show, and their effects.
 
-With few degrees of freedom a fit takes up a step of the bias or another range of the meter, and
-leaves hardly anything of it in the residuals. Each such fault is one column beside the fit. A fault
-is unseen if what the fit leaves of it is below what the tests of `reading_findings` notice.
+With few degrees of freedom, the fit absorbs a bias step or a change of meter range almost
+completely, and the residuals show little of it. Each fault is a column that is tested in addition
+to the model. A fault is undetected if its remainder in the residuals is below the detection limit
+of the tests in `readings.checks` and `triads.checks`.
 """
 
 from __future__ import annotations

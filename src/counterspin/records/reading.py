@@ -125,7 +125,7 @@ def open_record(
 ) -> Iterator[tuple[ColumnFile | RunFile, RecordColumns, list[ColumnFile]]]:
     """Open a record: what it is read from, its columns as that yields them, and its files.
 
-    rate, pulses: As of `RunFile`.
+    rate, pulses: As in `RunFile`.
     """
     with ExitStack() as stack:
         files = [stack.enter_context(open_columns(path, columns.dialect))]

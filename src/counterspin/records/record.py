@@ -130,8 +130,7 @@ class ColumnSpec:
     factor: float = 1.0
     offset: float = 0.0
     #: The unit that is stated of it (None: the file's own is taken), and the SI unit wanted;
-    #: without the latter, as of an output such as a current, nothing is compared with what the
-    #: file says.
+    #: without the latter, for example for a current, the unit in the file is not compared.
     unit: str | None = None
     target_unit: str = ""
     gravity: float | None = None  #: m/s^2, where g and m/s^2 are to be converted.

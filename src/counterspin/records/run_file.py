@@ -65,7 +65,7 @@ class RunFile:
         self.format_description = ", ".join(notes)
 
     def use_strict_parser(self) -> bool:
-        """As of `ColumnFile`."""
+        """As in `ColumnFile`."""
         has_switched = [file.use_strict_parser() for file in self._files]  # all of them
         return any(has_switched)
 

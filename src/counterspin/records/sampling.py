@@ -350,7 +350,7 @@ def _lacks_rows(delay: Array, rows: int) -> bool:
 
 
 def _is_constant_stretch(lengths: npt.NDArray[np.int_], rows: float) -> bool:
-    """Return whether values stand still in places, as of a dead channel or beyond a range."""
+    """Return True if a value repeats for a while, as in a dead or saturated channel."""
     long_stretches = lengths[lengths > 1]
     return bool(long_stretches.size == 0 or quantile(long_stretches, 0.95) > 3.0 * rows + 2.0)
 

@@ -394,7 +394,7 @@ def detrending_order(moments: Sequence[Array]) -> int:
     By chance, where noise is all that there is, the answer is wrong once in a million times; any
     part of an error along them makes it rarer.
 
-    moments: Of each record as of `SignalSums.coefficients`, over the noise of one row, shape (4,).
+    moments: Of each record as in `SignalSums.coefficients`, over the noise of one row, shape (4,).
     """
     moment_sizes = np.abs(np.array(moments).reshape(-1, 4))
     if len(moment_sizes) > 1 and float(moment_sizes[:, 3].max()) < _ROUNDING:

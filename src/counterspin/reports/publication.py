@@ -231,7 +231,7 @@ def report(
     kind
         ``html``, ``md`` or ``pdf``.
     identifier, issued
-        As of `write_report`.
+        As in `write_report`.
 
     Raises
     ------

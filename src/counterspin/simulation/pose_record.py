@@ -92,7 +92,7 @@ def indicated_forces(
 ) -> dict[str, Array]:
     """Return the noiseless indication of each accelerometer of the triad, m/s^2, shape (n,).
 
-    time, force: As of `simulate_forces`.
+    time, force: As in `simulate_forces`.
     """
     assert campaign.triad is not None
     assert campaign.simulation is not None

@@ -57,7 +57,7 @@ class TriadPoses:
     #: (n, 3); None: one for all, estimated from the residuals.
     value: Array
     u: Array | None
-    #: Conditions relative to the reference, as of `relative_conditions`, each of shape (n,).
+    #: Conditions relative to the reference, as in `relative_conditions`, each of shape (n,).
     conditions: Mapping[str, Array]
     #: How many repeats each indication is the mean of, and the sum of all squares about their
     #: means, g^2, shape (n,). Where `u` is None.
@@ -223,11 +223,11 @@ class TriadPoses:
     def undetermined(
         self, fit: JointFit, model: Unknowns, candidates: Sequence[Unknown]
     ) -> Sequence[Unknown]:
-        """Return the candidates that the directions do not determine, as of `Measured`."""
+        """Return the candidates that the directions do not determine, as in `Measured`."""
         return undetermined_parameters(fit, model, candidates)
 
     def lack_of_noise(self, freedom: float, free: int, solution: Solution, model: Unknowns) -> str:
-        """Return the error that the residuals do not determine their noise; as of `Measured`."""
+        """Return the error that the residuals do not determine their noise; as in `Measured`."""
         if freedom >= 0.5 and self.size + self.repeat_dof > free:
             return ""
         return _insufficient_poses_error(self, solution, model)

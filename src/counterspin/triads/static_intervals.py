@@ -114,7 +114,7 @@ def read_poses(
 ) -> tuple[StaticIntervals, Record]:
     """Return the poses of a record of three signals, and the record itself, all its rows.
 
-    rest, threshold: As of `find_poses`; the threshold in the unit that the columns come in.
+    rest, threshold: As in `find_poses`; the threshold in the unit that the columns come in.
     """
     record = read_record(
         path, columns, NominalMotion(0.0, constant_input=True, multi_pose=True), block=None

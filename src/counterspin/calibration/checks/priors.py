@@ -85,7 +85,7 @@ def find_prior_conflict(view: AccelerometerView) -> Iterator[Finding]:
 class FindingText:
     """The words of an explanation."""
 
-    #: As of a finding.
+    #: As in `Finding`.
     code: str
     subject: str
     text: str

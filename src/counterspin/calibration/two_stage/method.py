@@ -86,7 +86,7 @@ def calibrate_accelerometer(
     noise_components: Mapping[str, NoiseEstimate],
     corrected_series: Sequence[ResidualSeries],
 ) -> TwoStageOutcome:
-    """Apply the two-stage method to one accelerometer; arguments as of `two_stage_view`."""
+    """Apply the two-stage method to one accelerometer; arguments as in `two_stage_view`."""
     view, second = two_stage_view(
         problem, accelerometer, options, noise_components, corrected_series
     )

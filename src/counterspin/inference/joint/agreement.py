@@ -2,8 +2,8 @@
 
 Each run is left out in turn. With all runs the estimate is the better one, so that the variance of
 the shift is what the variance grows by (Hausman, Econometrica 46 (1978) 1251). Where the noise was
-estimated, the shift has Student's distribution, and noise that the records do not show is part of
-it, as of u itself.
+estimated, the shift has Student's distribution, and includes noise that the records do not show,
+as u does.
 
 Noise of the accelerometer is looked for in the slowest changes of a record, where a bend of the
 record itself stands too: a slow error of one run makes the noise of all runs seem larger, and moves

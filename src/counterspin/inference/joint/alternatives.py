@@ -233,7 +233,7 @@ class ProjectedColumns:
 
 
 def project_columns(fit: JointFit, alternatives: Sequence[Alternative]) -> ProjectedColumns:
-    """Project alternatives off a fit; arguments as of `run_score_tests`."""
+    """Project alternatives off a fit; arguments as in `run_score_tests`."""
     blocks, solution, augmented_rows = _augment_rows(fit, [a for a in alternatives if a.columns])
     data, priors = _columns(alternatives, blocks, solution, augmented_rows)
     target = np.concatenate([block.target for block in blocks])

@@ -211,7 +211,7 @@ def inflate_covariance(
 def inflate_for_noise(
     fit: JointFit, estimates: Mapping[str, NoiseEstimate]
 ) -> tuple[JointFit, Array, dict[str, Array]]:
-    """Return a fit as of `inflate_covariance`, degrees of freedom, and `information_losses`."""
+    """Return a fit as in `inflate_covariance`, degrees of freedom, and `information_losses`."""
     names = noise_covariances(fit.noise, estimates)
     lost = {name: information_losses(fit, name) for name in names}
     wider, dof = inflate_covariance(fit, covariance_sensitivities(fit, lost), fit.noise, estimates)

@@ -260,7 +260,7 @@ def augment_block(
 def augment(
     fit: JointFit, unknowns: Sequence[Unknown], columns: Sequence[Mapping[int, Array]]
 ) -> JointFit:
-    """Add unknowns to a fit with considered terms estimated; columns as of `augment_block`."""
+    """Add unknowns to a fit with considered terms estimated; columns as in `augment_block`."""
     augmented_blocks = (augment_block(fit, i, columns) for i in range(len(fit.blocks)))
     observations, blocks = zip(*augmented_blocks, strict=True)
     model = replace(fit.model, unknowns=(*fit.model.unknowns, *unknowns))

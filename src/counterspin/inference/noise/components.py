@@ -232,7 +232,7 @@ BIAS_COMPONENTS_BY_KEY: Final = {row.key: row for row in BIAS_COMPONENTS.values(
 def sampled_densities(angle: Array, step: float, sampling: Sampling) -> Array:
     """Return the densities of samples of the specific force for each component of unit size.
 
-    angle, step: As of `NoiseComponent.sampled_density`.
+    angle, step: As in `NoiseComponent.sampled_density`.
     Returns: (4, m).
     """
     rows = NOISE_COMPONENTS.values()

@@ -203,7 +203,7 @@ class RestrictedLikelihood:
         prior_rows: ArrayLike | None,
         prior_values: ArrayLike | None,
     ) -> RestrictedLikelihood:
-        """Difference the records; arguments as of `search.estimate_noise`."""
+        """Difference the records; arguments as in `search.estimate_noise`."""
         if not records:
             raise ValueError("noise cannot be estimated without records")
         rows = [np.asarray(r.design, float) for r in records]

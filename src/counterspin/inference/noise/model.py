@@ -342,7 +342,7 @@ def make_whitener(
     count: (n,) or a number: how many evenly spaced samples a row is the mean of; absent: 1.
     sample_spacing: s, (n,) or a number: time between the samples of a block; absent: what makes
         most blocks adjoin.
-    walk_duration, added_variance: As of `build_whitener`.
+    walk_duration, added_variance: As in `build_whitener`.
     """
     return build_whitener(
         Differences.of(times, order, count, sample_spacing), noise, walk_duration, added_variance

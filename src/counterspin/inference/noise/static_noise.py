@@ -81,7 +81,7 @@ class Segments:
     gaps: int  #: Between the parts.
     unused: int  #: Samples of parts that are too short.
     resolution: float  #: Least step between different samples, SI.
-    repeated: int = 0  #: Rows that repeat the value before, as of a log faster than the sensor.
+    repeated: int = 0  #: Rows that repeat the previous value, as in a log faster than the sensor.
     restamped: int = 0  #: Rows that repeat the time of the row before with another value.
     stuck: int = 0  #: Rows in long stretches of one value, which are not used.
 
@@ -101,7 +101,7 @@ class StaticAnalysis:
     """Noise estimates from a record."""
 
     noise: StaticNoise
-    recorded: Variances  #: Variances of the series of recorded samples, as of `StaticNoise`.
+    recorded: Variances  #: Variances of the series of recorded samples, as in `StaticNoise`.
     lines: tuple[SpectralLine, ...]
     step: float  #: Of the samples that it rests on, s.
     velocity: Array  #: Integral of the specific force of the longest part, without lines, m/s.
