@@ -13,8 +13,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final, TextIO
 
-from rich.cells import cell_len
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich import box
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.table import Table as RichTable
 from rich.text import Text
 
 from counterspin.characters import encodable
@@ -198,7 +199,7 @@ class Report:
                     text = encodable(text, options.encoding)
                     yield Text(text, _STYLES[style], overflow="fold")
                 case Table():
-                    yield from _tables(block, console, options)
+                    yield from _tables(block, options)
             before = block
 
 
@@ -208,7 +209,7 @@ def _needs_blank_line(before: Block, block: Block) -> bool:
     return not isinstance(before, Heading) and isinstance(before, Table) | isinstance(block, Table)
 
 
-def _tables(block: Table, console: Console, options: ConsoleOptions) -> Iterator[Text]:
+def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
     """Yield the table, split into several with repeated names if the columns do not fit.
 
     Numbers are broken only if a single column next to the names is too wide.
@@ -219,17 +220,21 @@ def _tables(block: Table, console: Console, options: ConsoleOptions) -> Iterator
     for number, (chosen, widths) in enumerate(
         _split_columns(block, [titles, *rows], options.max_width)
     ):
-        columns = [
-            (place, width, block.columns[place].align)
-            for place, width in zip(chosen, widths, strict=True)
-        ]
-        rule = "─" * (sum(widths) + _COLUMN_GAP * (len(widths) - 1))
-        table = Text("\n" if number else "", no_wrap=True, overflow="ignore")
-        table.append(_row_text(titles, columns, console, at_bottom=True), "bold")
-        table.append("\n" + encodable(rule, options.encoding))
+        table = RichTable(
+            box=box.SIMPLE_HEAD,
+            padding=(0, _COLUMN_GAP - 1, 0, 0),
+            pad_edge=False,
+            show_edge=False,
+            header_style="bold",
+        )
+        for place, width in zip(chosen, widths, strict=True):
+            justify = block.columns[place].align
+            table.add_column(Text(titles[place]), justify=justify, width=width, overflow="fold")
         for index, row in enumerate(rows):
             style = _STYLES["quiet"] if index in block.quiet else None
-            table.append("\n" + _row_text(row, columns, console), style)
+            table.add_row(*(Text(row[place], overflow="fold") for place in chosen), style=style)
+        if number:
+            yield ""
         yield table
     if count > len(shown):
         yield Text(
@@ -239,44 +244,9 @@ def _tables(block: Table, console: Console, options: ConsoleOptions) -> Iterator
         )
 
 
-def _row_text(
-    cells: Sequence[str],
-    columns: Sequence[tuple[int, int, str]],
-    console: Console,
-    *,
-    at_bottom: bool = False,
-) -> str:
-    """Return the text of a row, which has several lines if a cell does not fit its column.
-
-    columns: Index, width and alignment of each column.
-    at_bottom: Whether the last lines of the cells are aligned, instead of the first.
-    """
-    wrapped = [_wrap_cell(cells[index], width, console) for index, width, _ in columns]
-    height = max(map(len, wrapped))
-    padded = []
-    for lines, (_, width, align) in zip(wrapped, columns, strict=True):
-        blank = [""] * (height - len(lines))
-        padded.append(
-            [
-                fill + line if align == "right" else line + fill
-                for line in (blank + lines if at_bottom else lines + blank)
-                for fill in [" " * (width - cell_len(line))]
-            ]
-        )
-    gap = " " * _COLUMN_GAP
-    return "\n".join(gap.join(line) for line in zip(*padded, strict=True))
-
-
-def _wrap_cell(cell: str, width: int, console: Console) -> list[str]:
-    """Return the lines of a cell; a word that is wider than the column is folded."""
-    if cell_len(cell) <= width and "\n" not in cell:
-        return [cell.rstrip()]
-    return [line.plain.rstrip() for line in Text(cell).wrap(console, width, overflow="fold")]
-
-
 def _split_columns(
     block: Table, rows: list[list[str]], available: int
-) -> Iterator[tuple[list[int], Sequence[int]]]:
+) -> Iterator[tuple[list[int], Sequence[int | None]]]:
     """Yield the columns of each table that fits the terminal, and their widths."""
     wanted, whole, least = [], [], []
     for index, column in enumerate(block.columns):
@@ -317,16 +287,11 @@ def _spare_width(widths: Sequence[int], chosen: Sequence[int], available: int) -
 
 def _distribute_width(
     least: Sequence[int], wanted: Sequence[int], chosen: Sequence[int], spare: int
-) -> Sequence[int]:
-    """Return the widths of columns; spare width goes to those that lack most.
-
-    Missing width is taken from the names in the first column, then from the widest column.
-    """
+) -> Sequence[int | None]:
+    """Return the widths of columns; spare width goes to those that lack most."""
+    if spare < 0:
+        return [None] * len(chosen)
     widths = [least[index] for index in chosen]
-    while spare < 0 and max(widths) > 1:
-        place = 0 if widths[0] > _MIN_WIDTH else widths.index(max(widths))
-        widths[place] -= 1
-        spare += 1
     lacking = [wanted[index] - least[index] for index in chosen]
     while spare > 0 and any(lacking):
         neediest = lacking.index(max(lacking))
