@@ -29,6 +29,15 @@ BESIDE = str(Path(sys.executable).parent)
 COMMANDS = [name for name in cli.app if not name.startswith("-")]
 
 
+@pytest.mark.parametrize("words", [[], ["--help"]])
+def test_help_describes_each_command(words, capsys):
+    assert cli.main(words) == 0
+    rows = re.findall(r"^│ ([a-z]+) +(\S.*\S) +│$", capsys.readouterr().out, re.MULTILINE)
+    descriptions = dict(rows)
+    assert set(COMMANDS) <= descriptions.keys()
+    assert all(len(descriptions[command].split()) > 2 for command in COMMANDS)
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_of_command(command, capsys):
     assert cli.main([command, "--help"]) == 0

@@ -10,7 +10,7 @@ from joint_campaign import LEVEL, RATES, add_noise, simulate_series, unknowns
 from scipy.special import stdtrit
 
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint.budget import budget
+from counterspin.inference.joint.budget import budget, u_by_category, unknown_u_by_category
 from counterspin.inference.joint.design_blocks import build_design_blocks
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_joint
@@ -185,6 +185,22 @@ def test_omitted_and_considered_terms_are_below_limit(observable, encoder_noise,
     for place, name in enumerate(names):
         limit = math.inf if name in taken else 1e-2 if name in kept else 1e-5
         assert share[:, place].max() < limit, name
+
+
+def test_u_from_encoder_is_noise():
+    """The uncertainty of the rotation comes from the noise of the angle, not from a prior."""
+    noise = Noise(1e-4)
+    series, model = choose_encoder_terms("specific_force", 1e-5, noise)
+    fit = solve_joint(
+        build_design_blocks(series, model, {"Qx": TRUTH["K_I"]}), model, {"Qx": noise}
+    )
+    for index, unknown in enumerate(MODEL.unknowns):
+        prior = float(fit.solution.covariance_prior[index, index])
+        assert prior > 1e-3 * fit.solution.u[index] ** 2, unknown.name
+        expected = (fit.solution.u[index], 0.0, 0.0)
+        weights = np.eye(len(model.unknowns))[index]
+        for parts in (unknown_u_by_category(fit, index), u_by_category(fit, weights)):
+            assert parts == pytest.approx(expected, rel=1e-10, abs=1e-10 * expected[0])
 
 
 def test_run_without_angle_has_no_encoder_terms():
