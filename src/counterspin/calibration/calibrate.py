@@ -74,7 +74,7 @@ def calibrate(
     if monte_carlo:
         load_name(f"{MONTE_CARLO}:check_trials")(monte_carlo, method)
     if accept_misfit is not None and not accept_misfit.strip():
-        raise UsageError("calibrate", ["accept_misfit: state the reason in words"])
+        raise UsageError("calibrate", ["`accept_misfit`: state the reason in words"])
     with checksums_of(where) as checksums:
         # Loaded only now: checksums and the start of the reader process run in the meantime.
         from counterspin.calibration.observed_runs import with_recorded_conditions
@@ -159,7 +159,7 @@ def _check_method(method: str, options: TwoStageOptions | None) -> None:
     """Refuse what would be passed over in silence: half of K_II is at stake."""
     if method not in get_args(Method):
         known = " or ".join(get_args(Method))
-        raise UsageError("calibrate", [f"method: {method!r} is not {known}"])
+        raise UsageError("calibrate", [f"`method`: {method!r} is not {known}"])
     if method == "joint" and options not in (None, TwoStageOptions()):
         options_text = "model, sigma, bias, ripple and weights are options of the two-stage method"
         raise UsageError("calibrate", [f'{options_text}; with them give `method="two-stage"`'])

@@ -59,7 +59,7 @@ def apply_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outcome:
     if method is None:
         raise CampaignError(
             "calibrate",
-            ["method: this installation does not include the two-stage method"],
+            ["`method`: this installation does not include the two-stage method"],
             code="missing-package",
         )
     if problem.campaign.model.correlations:

@@ -49,11 +49,11 @@ _SAME_LENGTH: Final = 1.01
 def check_trials(trials: int, method: str) -> None:
     """Refuse a number of trials that is too small for an interval, or too large for the memory."""
     if method != "joint":
-        raise UsageError("calibrate", ["monte_carlo: requires the joint method"])
+        raise UsageError("calibrate", ["`monte_carlo`: requires the joint method"])
     if not MIN_TRIALS <= trials <= MAX_TRIALS:
         raise UsageError(
             "calibrate",
-            [f"monte_carlo: specify {MIN_TRIALS} to {MAX_TRIALS} trials, not {trials}"],
+            [f"`monte_carlo`: specify {MIN_TRIALS} to {MAX_TRIALS} trials, not {trials}"],
         )
 
 
