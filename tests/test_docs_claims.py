@@ -214,7 +214,7 @@ NUMBERS = [
         "two-stage K_II differs from the joint K_II by more than {} standard",
         [diagnostics.AGREEMENT],
     ),
-    ("result", "more than {} % of the samples of a run, or", [100 * outcome.OUTLIER_SHARE]),
+    ("result", "more than {} % of the samples of a run, or", [100 * outcome.MAX_OUTLIER_SHARE]),
     ("result", "shorter than {} % of the run's", [100 * assembly.COMPLETE_FRACTION]),
     ("result", "means infinite or more than {}", [distributions._INFINITE_DOF]),
     (

@@ -157,9 +157,12 @@ ROWS = {
     ],
     "compare": [("two results agree to within {}", rerun.LIMIT)],
     "monitoring": [
-        ("from the nominal rate by more than {} %", 100.0 * assembly.MAX_RATE_DEVIATION),
+        ("from the nominal rate by more than {} %", 100.0 * assembly.MAX_RATE_DIFFERENCE),
         ("shorter than {} of the stated duration", assembly.COMPLETE_FRACTION),
-        ("More than {} % of the samples in the record are outliers", 100.0 * outcome.OUTLIER_SHARE),
+        (
+            "More than {} % of the samples in the record are outliers",
+            100.0 * outcome.MAX_OUTLIER_SHARE,
+        ),
         ("a run of fewer than {} revolutions", observer.MIN_REVOLUTIONS),
         (
             "{} bytes each: {} columns at {} rows per second take {} MB per hour",

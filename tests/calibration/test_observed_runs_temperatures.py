@@ -9,7 +9,7 @@ from campaigns import write_and_read_campaign
 from raising import raises
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.observed_runs import with_recorded_conditions
+from counterspin.calibration.observed_runs import add_recorded_conditions
 from counterspin.campaign.memory import make_campaign
 from counterspin.errors import CampaignError
 from counterspin.physics.motion import EARTH_RATE
@@ -166,11 +166,11 @@ def test_rejects_stated_temperature_that_differs_from_record():
     document = describe("velocity", rates=(1.5, 1.5))
     document["runs"][1]["temperature"] = "300 K"  # within 5 K of 23 to 32 degC
     campaign = make_campaign(document, records=records)
-    assert with_recorded_conditions(campaign).runs[1].temperature[0] == pytest.approx(296.15)
+    assert add_recorded_conditions(campaign).runs[1].temperature[0] == pytest.approx(296.15)
     document["runs"][1]["temperature"] = "12 degC"
     campaign = make_campaign(document, records=records)
     with raises("temperature-mismatch", "23 to", "degC", '"r1"', "11 K"):
-        with_recorded_conditions(campaign)
+        add_recorded_conditions(campaign)
 
 
 def test_run_may_override_temperature_column():
@@ -179,12 +179,12 @@ def test_run_may_override_temperature_column():
     first, second = (record_upright("velocity", rate, 1, 1e-3) for rate in (1.5, 3.0))
     first = first.with_columns(probe=pl.col("T") + 274.15)
     campaign = make_campaign(document, records={"r0": first, "r1": second})
-    one, other = with_recorded_conditions(campaign).runs
+    one, other = add_recorded_conditions(campaign).runs
     assert np.subtract(one.temperature, other.temperature) == pytest.approx(1.0)
     del document["records"]["temperature"], document["runs"][0]["records"]
     document["model"]["terms"] = ["K_F"]
     bare = make_campaign(document, records={"r0": first, "r1": second})
-    assert with_recorded_conditions(bare) is bare
+    assert add_recorded_conditions(bare) is bare
 
 
 def test_simulation_requires_true_temperature():

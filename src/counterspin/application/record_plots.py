@@ -251,12 +251,12 @@ def run_fit(connection: Connection, campaign: Path) -> None:
     def work(_: Progress) -> dict[str, PlotColumns]:
         from counterspin.calibration.joint import estimate_campaign
         from counterspin.calibration.joint_problem import JointProblem
-        from counterspin.calibration.observed_runs import observe, with_recorded_conditions
+        from counterspin.calibration.observed_runs import add_recorded_conditions, observe
         from counterspin.campaign.description import read_campaign
         from counterspin.threads import one_blas_thread
 
         with one_blas_thread():
-            recorded_campaign = with_recorded_conditions(read_campaign(campaign))
+            recorded_campaign = add_recorded_conditions(read_campaign(campaign))
             fit = estimate_campaign(
                 JointProblem(recorded_campaign, list(observe(recorded_campaign)))
             )[0].fit

@@ -189,11 +189,11 @@ def run_search(connection: Connection, campaign: Path) -> None:
     """Search for helpful runs; report to `connection` as `report_progress` does."""
 
     def work(progress: Progress) -> dict[str, SuggestedRuns | None]:
-        from counterspin.calibration.observed_runs import with_recorded_conditions
+        from counterspin.calibration.observed_runs import add_recorded_conditions
         from counterspin.campaign.description import read_campaign
         from counterspin.planning.recorded import observe_with_noise, suggest_runs
 
-        campaign_conditions = with_recorded_conditions(read_campaign(campaign))
+        campaign_conditions = add_recorded_conditions(read_campaign(campaign))
         observed, noise = observe_with_noise(campaign_conditions)
         suggestions = {}
         for index, owner in enumerate(campaign_conditions.accelerometers):

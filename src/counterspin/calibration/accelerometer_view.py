@@ -30,7 +30,7 @@ from counterspin.inference.joint.summary import Jackknife
 from counterspin.physics.accelerometer import Mounting
 
 #: Degrees of freedom of a very short record, whose every row the fit may follow.
-_FEWEST_DOF: Final = 0.5
+_MIN_DOF: Final = 0.5
 
 
 class FittedGroup(Protocol):
@@ -153,18 +153,18 @@ class AccelerometerView:
         }
 
     @property
-    def k_ii(self) -> int | None:
+    def k_ii_index(self) -> int | None:
         """Place of its K_II; None where the model has none."""
         return self.indices.get("K_II")
 
     def jackknife(self) -> list[Jackknife]:
         """Return the jackknife of its K_II: the shift without each run."""
-        return [] if self.k_ii is None else jackknife_runs(self.estimate, self.k_ii)
+        return [] if self.k_ii_index is None else jackknife_runs(self.estimate, self.k_ii_index)
 
-    def with_groups(self, groups: Sequence[FittedGroup]) -> AccelerometerView:
+    def select_groups(self, groups: Sequence[FittedGroup]) -> AccelerometerView:
         """Return the view with those of some groups that are the accelerometer's."""
-        own_groups = [group for group in groups if self.name in group.accelerometers]
-        return replace(self, groups=tuple(own_groups))
+        selection = [group for group in groups if self.name in group.accelerometers]
+        return replace(self, groups=tuple(selection))
 
     @property
     def has_records(self) -> bool:
@@ -173,9 +173,9 @@ class AccelerometerView:
 
     def records(self) -> Iterator[tuple[int, DesignBlock, Residuals]]:
         """Yield its records: place among those of the fit, columns, residuals."""
-        for index, prepared in enumerate(self.fit.design_blocks):
-            if prepared.accelerometer == self.name:
-                yield index, prepared, self.fit.residuals[index]
+        for index, block in enumerate(self.fit.design_blocks):
+            if block.accelerometer == self.name:
+                yield index, block, self.fit.residuals[index]
 
     @property
     def series(self) -> list[ResidualSeries]:
@@ -185,22 +185,22 @@ class AccelerometerView:
     @cached_property
     def diagnostics(self) -> Diagnostics:
         """Tests of its whitened residuals, run by run."""
-        rows, times, dofs = {}, {}, {}
-        for index, prepared, residuals in self.records():
+        whitened_by_run, times_by_run, dof_by_run = {}, {}, {}
+        for index, block, residuals in self.records():
             whitened_residuals = residuals.whitened
-            rows[prepared.run] = whitened_residuals
+            whitened_by_run[block.run] = whitened_residuals
             # Differences belong to the later of the rows they are made from.
-            times[prepared.run] = prepared.series.time[-whitened_residuals.size :]
-            dofs[prepared.run] = max(self.fit.degrees_of_freedom[index], _FEWEST_DOF)
+            times_by_run[block.run] = block.series.time[-whitened_residuals.size :]
+            dof_by_run[block.run] = max(self.fit.degrees_of_freedom[index], _MIN_DOF)
         noise_given = self.name not in self.estimate.estimated_noise
-        fits = len(self.campaign.accelerometers)
+        accelerometer_count = len(self.campaign.accelerometers)
         return diagnose(
-            rows,
-            dofs,
+            whitened_by_run,
+            dof_by_run,
             noise_given=noise_given,
             noise_dof=noise_level_dof(self.fit, self.name) if noise_given else math.inf,
-            times=times,
-            fits=fits,
+            times=times_by_run,
+            fits=accelerometer_count,
         )
 
 

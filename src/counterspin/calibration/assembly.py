@@ -28,7 +28,7 @@ from counterspin.results import environment
 COMPLETE_FRACTION: Final = 0.9
 
 #: A rate that differs by more than this part from the nominal one is another rate.
-MAX_RATE_DEVIATION: Final = 1e-3
+MAX_RATE_DIFFERENCE: Final = 1e-3
 
 #: Rates are off alike if their parts differ by less than this part of them.
 _MAX_COMMON_SPREAD: Final = 0.1
@@ -39,7 +39,7 @@ def assemble_result(
     observed_runs: Sequence[ObservedRun],
     method: Method,
     options: TwoStageOptions,
-    load_inputs: Callable[[], tuple[Mapping[str, str], Mapping[str, str]]],
+    collect_inputs: Callable[[], tuple[Mapping[str, str], Mapping[str, str]]],
     accepted_misfit: str | None = None,
 ) -> Result:
     """Estimate every coefficient, and bring together what the result says.
@@ -47,7 +47,7 @@ def assemble_result(
     accepted_misfit: The reason for which the result is to be used though the records contradict it.
     """
     problem = locate_nonlinear_inputs(JointProblem(campaign, observed_runs))
-    observed_runs = problem.observed
+    observed_runs = problem.observed_runs
     outcome = fit_jointly(problem) if method == "joint" else apply_two_stage(problem, options)
     findings = [
         *outcome.findings,
@@ -60,7 +60,7 @@ def assemble_result(
         ),
         *_record_end_findings(observed_runs),
     ]
-    checksums, in_memory = load_inputs()
+    checksums, origins = collect_inputs()
     temperatures, reference_temperature = temperatures_of(campaign), campaign.reference_temperature
     result = Result(
         method=method,
@@ -96,7 +96,7 @@ def assemble_result(
         provenance=Provenance(
             version=__version__,
             inputs=dict(checksums),
-            in_memory=dict(in_memory),
+            in_memory=dict(origins),
             options=command_arguments(method, options),
             environment=environment(),
         ),
@@ -124,32 +124,32 @@ def _rate_findings(rates: Mapping[str, tuple[float, float]]) -> list[Finding]:
 
     rates: Run -> its rate by the recorded angle, and the stated rate, rad/s.
     """
-    findings, deviations = [], []
+    findings, differences = [], []
     for name, (rate, stated_rate) in rates.items():
-        deviation = rate / stated_rate - 1.0
-        deviations.append(deviation)
-        if abs(deviation) > MAX_RATE_DEVIATION:
+        difference = rate / stated_rate - 1.0
+        differences.append(difference)
+        if abs(difference) > MAX_RATE_DIFFERENCE:
             text = (
                 f"{name}: the spindle turned at {rate:.6f} rad/s instead of the nominal "
                 f"{stated_rate:.6f} rad/s. The fit uses the recorded angle."
             )
             findings.append(
-                Finding(code="other-rate", subject=name, text=text, size=abs(deviation))
+                Finding(code="other-rate", subject=name, text=text, size=abs(difference))
             )
-    smallest, largest = min(deviations, default=0.0), max(deviations, default=0.0)
+    min_difference, max_difference = min(differences, default=0.0), max(differences, default=0.0)
     if (
         len(findings) < 2
-        or len(findings) < len(deviations)
-        or largest - smallest > _MAX_COMMON_SPREAD * abs(largest)
+        or len(findings) < len(differences)
+        or max_difference - min_difference > _MAX_COMMON_SPREAD * abs(max_difference)
     ):
         return findings
     text = (
-        f"In every run, the spindle turned {abs(largest):.3%} "
-        f"{'faster' if largest > 0.0 else 'slower'} than stated. Because the ratio is the same "
-        "in all runs, either the recorder clock or the stated rates must be wrong by this "
+        f"In every run, the spindle turned {abs(max_difference):.3%} "
+        f"{'faster' if max_difference > 0.0 else 'slower'} than stated. Because the ratio is the "
+        "same in all runs, either the recorder clock or the stated rates must be wrong by this "
         "amount. The fit uses the recorded times and rates."
     )
-    magnitude = abs(largest)
+    magnitude = abs(max_difference)
     return [Finding(code="time-base", subject="records.time", text=text, size=magnitude)]
 
 
@@ -157,25 +157,28 @@ def _record_end_findings(observed_runs: Sequence[ObservedRun]) -> list[Finding]:
     """Return the runs whose record ends early, or with rows that stand alone."""
     findings = []
     for run in observed_runs:
-        name, nominal = run.run.name, run.run.duration
+        name, nominal_duration = run.run.name, run.run.duration
         if any(map(math.isfinite, run.run.part)):
-            nominal = None  # it is cut on purpose
+            nominal_duration = None  # it is cut on purpose
         duration = float(run.record.time[-1] - run.record.time[0])
-        if nominal is not None and duration < COMPLETE_FRACTION * nominal:
+        if nominal_duration is not None and duration < COMPLETE_FRACTION * nominal_duration:
             text = (
-                f"{name}: the record lasts {duration:.4g} s instead of the {nominal:.4g} s "
-                "stated in the campaign. Check that the record is complete."
+                f"{name}: the record lasts {duration:.4g} s instead of the "
+                f"{nominal_duration:.4g} s stated in the campaign. Check that the record is "
+                "complete."
             )
             findings.append(
-                Finding(code="short-record", subject=name, text=text, size=nominal / duration)
+                Finding(
+                    code="short-record", subject=name, text=text, size=nominal_duration / duration
+                )
             )
-        if isolated := run.record.report.isolated:
-            rows = "1 row" if isolated == 1 else f"{isolated} rows"
+        if isolated_rows := run.record.report.isolated:
+            rows = "1 row" if isolated_rows == 1 else f"{isolated_rows} rows"
             text = (
                 f"{name}: {rows} at one end of the record omitted, because a gap separates "
                 "these rows from the rest of the record. Inspect the record."
             )
-            findings.append(Finding(code="lone-rows", subject=name, text=text, size=isolated))
+            findings.append(Finding(code="lone-rows", subject=name, text=text, size=isolated_rows))
     return findings
 
 

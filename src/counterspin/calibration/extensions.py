@@ -82,8 +82,8 @@ def compare_two_stage(view: AccelerometerView) -> Comparison | None:
 
 def thin_residuals(view: AccelerometerView) -> dict[str, Trace]:
     """Return the residuals that pictures show, by run; none where no pages are installed."""
-    traces = _load_optional(TRACES)
-    return {} if traces is None else cast("dict[str, Trace]", traces(view))
+    make_traces = _load_optional(TRACES)
+    return {} if make_traces is None else cast("dict[str, Trace]", make_traces(view))
 
 
 def join_readings(problem: JointProblem) -> tuple[Estimate, ReadingData]:

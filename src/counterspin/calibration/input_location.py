@@ -28,12 +28,12 @@ _MAX_LINEAR_ANGLE: Final = 3e-4
 
 #: An input is located if its prior allows more than `_MAX_LINEAR_ANGLE` within so many standard
 #: deviations.
-_PRIOR_DEVIATIONS: Final = 4.0
+_PRIOR_SIGMAS: Final = 4.0
 
 #: Located: the inputs turn the output by less than this, rad.
-_CONVERGED: Final = 1e-5
+_ANGLE_TOLERANCE: Final = 1e-5
 
-_ROUNDS: Final = 8
+_MAX_ITERATIONS: Final = 8
 
 
 def locate_nonlinear_inputs(problem: JointProblem) -> JointProblem:
@@ -42,47 +42,43 @@ def locate_nonlinear_inputs(problem: JointProblem) -> JointProblem:
     A problem whose inputs are not estimated, or are known to a small turn of the output, is
     returned as it is.
     """
-    fastest = max((abs(run.run.rate) for run in problem.observed), default=0.0)
-    located_unknowns = [
+    max_rate = max((abs(run.run.rate) for run in problem.observed_runs), default=0.0)
+    unknowns = [
         unknown
         for unknown in problem.model.unknowns
-        if _turn(problem, unknown, _PRIOR_DEVIATIONS * unknown.prior[1], fastest)
+        if _phase_change(problem, unknown, _PRIOR_SIGMAS * unknown.prior[1], max_rate)
         >= _MAX_LINEAR_ANGLE
     ]
-    names = [unknown.name for unknown in located_unknowns]
-    for _ in range(_ROUNDS if located_unknowns else 0):
-        located_values = locate_inputs(problem.series, problem.model, problem.noise, names)
+    names = [unknown.name for unknown in unknowns]
+    for _ in range(_MAX_ITERATIONS if unknowns else 0):
+        values = locate_inputs(problem.series, problem.model, problem.noise, names)
         phase_changes = [
-            _turn(problem, unknown, located_values[unknown.name], fastest)
-            for unknown in located_unknowns
+            _phase_change(problem, unknown, values[unknown.name], max_rate) for unknown in unknowns
         ]
-        if max(phase_changes) < _CONVERGED:
+        if max(phase_changes) < _ANGLE_TOLERANCE:
             break
-        changes = {
-            (unknown.owner, unknown.symbol): located_values[unknown.name]
-            for unknown in located_unknowns
-        }
-        problem = _with_changes(problem, changes)
+        changes = {(unknown.owner, unknown.symbol): values[unknown.name] for unknown in unknowns}
+        problem = _apply_changes(problem, changes)
     return problem
 
 
-def _turn(problem: JointProblem, unknown: Unknown, change: float, rate: float) -> float:
+def _phase_change(problem: JointProblem, unknown: Unknown, change: float, rate: float) -> float:
     """Return the change of the complex gain at a rate with an input, rad; 0 for other unknowns."""
     if unknown.symbol == TIMING:
         return abs(change) * rate
     if unknown.symbol not in RESPONSE_INPUTS or math.isinf(change):
         return 0.0
     frequency = np.array([rate / (2.0 * math.pi)])
-    largest = 0.0
+    max_gain_change = 0.0
     for name, accelerometer in problem.campaign.accelerometers.items():
         if unknown.owner in ("", name) and (response := accelerometer.response) is not None:
             old_gain = response.gain(frequency)
             new_gain = response.deviate(unknown.symbol, change).gain(frequency)
-            largest = max(largest, abs(complex(new_gain[0] - old_gain[0])))
-    return largest
+            max_gain_change = max(max_gain_change, abs(complex(new_gain[0] - old_gain[0])))
+    return max_gain_change
 
 
-def _with_changes(problem: JointProblem, changes: Mapping[tuple[str, str], float]) -> JointProblem:
+def _apply_changes(problem: JointProblem, changes: Mapping[tuple[str, str], float]) -> JointProblem:
     """Return the problem with further deviations of inputs from their stated values."""
     campaign = problem.campaign
     shifts = {
@@ -93,18 +89,18 @@ def _with_changes(problem: JointProblem, changes: Mapping[tuple[str, str], float
         stated_offset = campaign.timing_offset or Quantity(0.0, 0.0, "s")
         delay = stated_offset.value + shifts["", TIMING]
         campaign = replace(campaign, timing_offset=replace(stated_offset, value=delay))
-    responses = {
+    response_values = {
         (owner, symbol): known.value + shifts[owner, symbol]
         for name, accelerometer in campaign.accelerometers.items()
         for symbol, known in accelerometer.response_inputs.items()
         for owner in ("", name)
         if (owner, symbol) in shifts
     }
-    if responses:
-        accelerometers = with_responses(campaign.accelerometers, responses)
+    if response_values:
+        accelerometers = with_responses(campaign.accelerometers, response_values)
         campaign = replace(campaign, accelerometers=accelerometers)
     observed_runs = [
         observe_run(campaign, run.run, run.record, run.trajectory.conditions)
-        for run in problem.observed
+        for run in problem.observed_runs
     ]
-    return replace(problem, observed=observed_runs, shifts=shifts)
+    return replace(problem, observed_runs=observed_runs, shifts=shifts)

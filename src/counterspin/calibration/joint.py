@@ -1,4 +1,4 @@
-"""The joint method: from observed runs to every coefficient that full records determine."""
+"""The joint method: estimate all coefficients in one fit of all records."""
 
 from __future__ import annotations
 
@@ -25,27 +25,25 @@ from counterspin.calibration.extensions import (
     join_readings,
     thin_residuals,
 )
-from counterspin.calibration.findings import (
-    not_determined_finding,
-)
+from counterspin.calibration.findings import not_determined_finding
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import is_requested, stated_inputs
 from counterspin.calibration.outcome import (
     Outcome,
-    coefficient,
-    confounded,
-    confounded_platform,
-    correlation,
+    accelerometer_correlation,
+    confounded_platform_terms,
+    confounded_terms,
+    convert_to_output_units,
     describe_instrument,
     full_correlation,
-    in_output_units,
+    make_coefficient,
+    make_run_result,
     mounting_radii,
     noise_lines,
-    own_correlations,
+    prior_correlations,
     prior_information,
-    residual,
-    residual_columns,
-    run_result,
+    residual_tables,
+    summarize_residuals,
 )
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
@@ -54,59 +52,62 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.identifiability import Assessment
+from counterspin.inference.joint import estimation
 from counterspin.inference.joint.budget import budget
-from counterspin.inference.joint.estimation import Estimate, estimate
+from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.unknowns import ROTATION, Unknown
 from counterspin.inference.joint.what_if import what_if
 from counterspin.physics.terms import TERMS
 
-#: Rates whose ratio is smaller count as one rate.
-_SAME_RATE: Final = 1.05
+#: Rates with a smaller ratio count as the same rate.
+_MIN_RATE_RATIO: Final = 1.05
 
-#: What determines a term of which nothing more is known.
-_PRIOR: Final = " State a prior in [model.priors], or remove the term from model.terms."
+#: Advice for a term that no further data would determine.
+_PRIOR_ADVICE: Final = " State a prior in [model.priors], or remove the term from model.terms."
 
 
-def _as_deviation(unknown: Unknown, c: Coefficient) -> Coefficient:
-    """Return an estimate as far as it is from what is stated of it: a shorter arm is no mistake."""
-    stated = unknown.prior_mean
-    return c if c.value is None else c.model_copy(update={"value": c.value - stated})
+def _subtract_prior_mean(unknown: Unknown, coefficient: Coefficient) -> Coefficient:
+    """Return a coefficient as a deviation from its prior mean."""
+    if coefficient.value is None:
+        return coefficient
+    return coefficient.model_copy(update={"value": coefficient.value - unknown.prior_mean})
 
 
 def fit_jointly(problem: JointProblem) -> Outcome:
     """Fit all records of a campaign together."""
-    campaign, observed, model = problem.campaign, problem.observed, problem.model
-    estimated, data = estimate_campaign(problem)
-    assessment = estimated.fit.assessment
+    campaign, observed_runs, model = problem.campaign, problem.observed_runs, problem.model
+    estimate, data = estimate_campaign(problem)
+    assessment = estimate.fit.assessment
     views = [
-        AccelerometerView(problem, estimated, assessment, name, data).with_groups(data.groups)
+        AccelerometerView(problem, estimate, assessment, name, data).select_groups(data.groups)
         for name in campaign.accelerometers
     ]
     contributions = data.contributions(views)
     shared = {
-        unknown: coefficient(estimated, assessment, index)
+        unknown: make_coefficient(estimate, assessment, index)
         for index, unknown in enumerate(model.of_interest)
         if unknown.symbol not in TERMS and unknown.owner not in campaign.accelerometers
-    } | _rotation_coefficients(estimated, assessment)
+    } | _rotation_coefficients(estimate, assessment)
     deviations = (
-        (unknown.symbol, unknown.name, _as_deviation(unknown, c)) for unknown, c in shared.items()
+        (unknown.symbol, unknown.name, _subtract_prior_mean(unknown, c))
+        for unknown, c in shared.items()
     )
     incredible_findings = list(check_shared_credibility(campaign.limit_of, deviations))
     shared |= mounting_radii(campaign, shared)
-    outliers: dict[str, int] = {run.run.name: 0 for run in observed}
-    for record, mask in zip(estimated.series, estimated.outliers, strict=True):
-        outliers[record.run] += int(record.count[mask].sum())
-    longest = max((float(record.time[-1]) for record in estimated.series), default=0.0)
+    outliers: dict[str, int] = {run.run.name: 0 for run in observed_runs}
+    for series, mask in zip(estimate.series, estimate.outliers, strict=True):
+        outliers[series.run] += int(series.count[mask].sum())
+    duration = max((float(series.time[-1]) for series in estimate.series), default=0.0)
     accelerometers = {
-        view.name: _accelerometer_result(view, contributions[view.name]) for view in views
+        view.name: _make_accelerometer_result(view, contributions[view.name]) for view in views
     }
     terms = {
         run.run.name: {u.symbol: c for u, c in shared.items() if u.owner == run.run.name}
-        for run in observed
+        for run in observed_runs
     }
     diagnose = find_diagnosis()
     diagnosis = diagnose(views, accelerometers) if diagnose else Diagnosis()
-    rests_on = prior_information(estimated, stated_inputs(campaign))
+    rests_on = prior_information(estimate, stated_inputs(campaign))
     units = {
         name: OBSERVABLES[accelerometer.observable]
         for name, accelerometer in campaign.accelerometers.items()
@@ -115,25 +116,25 @@ def fit_jointly(problem: JointProblem) -> Outcome:
         model="exact",
         accelerometers=accelerometers,
         runs={
-            name: run_result(
+            name: make_run_result(
                 run, terms=terms[name], fit=run_fit_tests(views, name), outliers=outliers[name]
             )
-            for run in observed
+            for run in observed_runs
             for name in [run.run.name]
         },
         platform={u.symbol: c for u, c in shared.items() if not u.owner},
-        confounded=confounded_platform(assessment),
-        correlation=full_correlation(estimated, assessment),
+        confounded=confounded_platform_terms(assessment),
+        correlation=full_correlation(estimate, assessment),
         rests_on=rests_on,
         findings=[
             *(
                 not_determined_finding(
-                    u.name, u.name, more=_PRIOR, requested=is_requested(campaign, u.symbol)
+                    u.name, u.name, more=_PRIOR_ADVICE, requested=is_requested(campaign, u.symbol)
                 )
                 for u, c in shared.items()
                 if c.value is None
             ),
-            *check_drifts(shared, longest),
+            *check_drifts(shared, duration),
             *check_tilts(campaign, terms, accelerometers),
             *incredible_findings,
             *check_default_priors(rests_on),
@@ -147,64 +148,64 @@ def fit_jointly(problem: JointProblem) -> Outcome:
             *undetected_walk_remarks(views),
             *noise_remarks(views),
         ),
-        residuals=residual_columns(estimated.fit, units),
-        **data.fields(estimated),
+        residuals=residual_tables(estimate.fit, units),
+        **data.fields(estimate),
     )
 
 
 def estimate_campaign(problem: JointProblem) -> tuple[Estimate, ReadingData]:
-    """Return the estimate from all data of a campaign, and the readings and poses in it."""
+    """Return the estimate from all data of a campaign, and its readings and poses."""
     campaign = problem.campaign
     if campaign.readings or campaign.triad:
         return join_readings(problem)
-    return estimate(problem.series, problem.model, problem.noise), ReadingData()
+    return estimation.estimate(problem.series, problem.model, problem.noise), ReadingData()
 
 
 def _rotation_coefficients(
-    estimated: Estimate, assessment: Assessment
+    estimate: Estimate, assessment: Assessment
 ) -> dict[Unknown, Coefficient]:
-    """Return the rotations that were found from the displacement, as the runs had them."""
-    spindles = {record.run: record.trajectory.spindle for record in estimated.series}
+    """Return the rotation parameters that the fit estimated from the displacement."""
+    spindles = {series.run: series.trajectory.spindle for series in estimate.series}
     rotations = {}
-    for index, unknown in enumerate(estimated.fit.model.unknowns):
+    for index, unknown in enumerate(estimate.fit.model.unknowns):
         if unknown.symbol in ROTATION:
-            step = coefficient(estimated, assessment, index)
-            base = getattr(spindles[unknown.owner], unknown.symbol.removeprefix("spindle."))
-            rotations[unknown] = step.model_copy(update={"value": base + (step.value or 0.0)})
+            change = make_coefficient(estimate, assessment, index)
+            rate = getattr(spindles[unknown.owner], unknown.symbol.removeprefix("spindle."))
+            rotations[unknown] = change.model_copy(update={"value": rate + (change.value or 0.0)})
     return rotations
 
 
-def _accelerometer_result(
+def _make_accelerometer_result(
     view: AccelerometerView, contribution: Contribution
 ) -> AccelerometerResult:
-    name, estimated = view.name, view.estimate
+    name, estimate = view.name, view.estimate
     coefficients = {
-        symbol: coefficient(estimated, view.assessment, index)
+        symbol: make_coefficient(estimate, view.assessment, index)
         for symbol, index in view.indices.items()
     }
     budgets = {
-        symbol: budget(estimated.fit, index, name)
+        symbol: budget(estimate.fit, index, name)
         for symbol, index in view.indices.items()
         if coefficients[symbol].estimated
     }
     return AccelerometerResult(
-        # The campaign's order is the user's; the table of terms has its own.
+        # In the order of the campaign, not of the table of terms.
         coefficients={
             symbol: coefficients[symbol]
             for symbol in view.campaign.model.terms
             if symbol in coefficients
         },
-        correlation=correlation(view),
-        confounded=confounded(view),
-        residual=residual(contribution.residual_view),
+        correlation=accelerometer_correlation(view),
+        confounded=confounded_terms(view),
+        residual=summarize_residuals(contribution.residual_view),
         noise=noise_lines(view),
         budget=budgets,
-        what_if=what_if(estimated.fit, view.indices, budgets, name),
+        what_if=what_if(estimate.fit, view.indices, budgets, name),
         jackknife=view.jackknife(),
-        two_stage=compare_two_stage(view) if view.problem.observed else None,
+        two_stage=compare_two_stage(view) if view.problem.observed_runs else None,
         traces=thin_residuals(view),
-        output=in_output_units(view.campaign, name, coefficients),
-        prior_correlations=own_correlations(view.campaign, name),
+        output=convert_to_output_units(view.campaign, name, coefficients),
+        prior_correlations=prior_correlations(view.campaign, name),
         findings=[
             *contribution.findings,
             *residual_findings(contribution.residual_view),
@@ -222,24 +223,24 @@ def _undetermined_findings(
 ) -> Iterator[Finding]:
     for symbol, c in coefficients.items():
         if c.value is None:
-            data, advice = view.data.advice(view, symbol)
+            data_name, advice = view.data.advice(view, symbol)
             yield not_determined_finding(
                 f"{view.name}.{symbol}",
                 symbol,
-                data,
+                data_name,
                 advice or _suggest_data(view, symbol),
                 requested=is_requested(view.campaign, symbol, view.name),
             )
 
 
 def _suggest_data(view: AccelerometerView, symbol: str) -> str:
-    """Return advice on data that would determine a term."""
+    """Return advice on determining a term."""
     campaign = view.campaign
     rates = [abs(run.rate) for run in campaign.runs]
     rates += [abs(reading.rate) for reading in campaign.readings if reading.rate]
-    if symbol in TERMS and rates and max(rates) < _SAME_RATE * min(rates):
+    if symbol in TERMS and rates and max(rates) < _MIN_RATE_RATIO * min(rates):
         return " All runs have the same rate; add a run at another rate."
-    return _PRIOR
+    return _PRIOR_ADVICE
 
 
 # Checks
@@ -249,39 +250,38 @@ def run_fit_tests(
     views: Sequence[AccelerometerView], run: str
 ) -> dict[str, dict[str, float | str | None]]:
     """Return the tests of one run's residuals, by accelerometer."""
-    fits: dict[str, dict[str, float | str | None]] = {}
+    tests_by_name: dict[str, dict[str, float | str | None]] = {}
     for view in views:
         if not view.has_records:
             continue
-        tests = view.diagnostics
-        test = tests.runs.get(run)
+        diagnostics = view.diagnostics
+        test = diagnostics.runs.get(run)
         if test is not None:
-            fits[view.name] = {
+            tests_by_name[view.name] = {
                 "rows": float(test.rows),
                 "chi2": test.chi2,
                 "dof": test.dof,
-                "chi2_p": test.chi2_p if tests.noise_given else None,
+                "chi2_p": test.chi2_p if diagnostics.noise_given else None,
                 "sign_p": test.sign_p,
                 "peak_frequency_hz": test.peak_frequency,
                 "peak_p": test.peak_p,
             }
-    return fits
+    return tests_by_name
 
 
 def check_unrecorded_ripple(view: AccelerometerView) -> list[Finding]:
-    """Return a finding where a ripple would move K_II and no angle was recorded to show it.
+    """Return a finding if a rate ripple could bias K_II and no angle was recorded.
 
-    A ripple shakes the platform along the tangent with R w^2 times its ratio. In displacement
-    that leaves nothing behind; in velocity or specific force it stands where K_II does. Where the
-    angle is recorded, what its noise hides is in the uncertainty.
+    A ripple accelerates the platform along the tangent by R w^2 times the relative ripple. In
+    velocity or specific force this effect is confounded with K_II; in displacement it is not.
     """
-    index, campaign = view.k_ii, view.campaign
+    index, campaign = view.k_ii_index, view.campaign
     if index is None or view.accelerometer.observable == "displacement":
         return []
     if campaign.angle is not None or (view.groups and not view.has_records):
         return []
-    fastest = max(abs(run.rate) for run in campaign.runs)
-    force = campaign.radius.value * fastest**2 / campaign.gravity.value
+    max_rate = max(abs(run.rate) for run in campaign.runs)
+    force = campaign.radius.value * max_rate**2 / campaign.gravity.value
     u = float(view.fit.solution.u[index])
     text = (
         "The rate ripple is unknown, because the records contain no angle. A relative rate "

@@ -1,4 +1,4 @@
-"""The joint fit's problem: a campaign's unknowns (of `model`), series and noise."""
+"""The problem of the joint fit: unknowns (`model`), series and noise of a campaign."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ STATIC_NOISE: Final = "counterspin.campaign.static_noise:resolve_noise"
 
 @frozen(eq=False)
 class JointProblem:
-    """A campaign and what was recorded of it, as the joint fit takes both."""
+    """A campaign and its observed runs, for the joint fit."""
 
     campaign: Campaign  #: The description.
-    observed: Sequence[ObservedRun] = ()  #: Its runs.
-    #: (owner, input) -> deviation of its value in `observed` from the stated one, SI.
+    observed_runs: Sequence[ObservedRun] = ()
+    #: (owner, input) -> value used in `observed_runs` minus the stated value, SI.
     shifts: Mapping[tuple[str, str], float] = field(default_factory=dict)
 
     @cached_property
@@ -53,28 +53,26 @@ class JointProblem:
     @cached_property
     def series(self) -> tuple[ResidualSeries, ...]:
         """The recorded series."""
-        return make_series(self.campaign, self.observed)
+        return make_series(self.campaign, self.observed_runs)
 
     @cached_property
     def noise(self) -> dict[str, Noise]:
-        """The noise of each accelerometer, as far as it is stated."""
+        """The noise model of each accelerometer, with its stated components."""
         return make_noise(self.campaign)
 
     def accelerometer_series(self, name: str) -> list[ResidualSeries]:
         """Return the series of an accelerometer."""
-        return [
-            record_series for record_series in self.series if record_series.accelerometer == name
-        ]
+        return [series for series in self.series if series.accelerometer == name]
 
 
-def make_series(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[ResidualSeries, ...]:
-    """Return one series for each run and accelerometer, missing samples left out."""
-    timing, encoder_noise = stated_timing_noise(campaign)
+def make_series(campaign: Campaign, runs: Sequence[ObservedRun]) -> tuple[ResidualSeries, ...]:
+    """Return one series for each run and accelerometer, without missing samples."""
+    timing_noise, encoder_noise = stated_timing_noise(campaign)
     series = []
-    for run in observed:
-        timestamp_errors = _timestamp_errors(run, timing, encoder_noise)
+    for run in runs:
+        timestamp_errors = _timestamp_errors(run, timing_noise, encoder_noise)
         for name, signal in run.signals.items():
-            valid = np.isfinite(signal.error)
+            finite = np.isfinite(signal.error)
             accelerometer = signal.accelerometer
             record_series = ResidualSeries(
                 accelerometer=name,
@@ -83,20 +81,20 @@ def make_series(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Re
                 mounting=accelerometer.mounting,
                 observable=accelerometer.observable,
                 attitude=run.run.attitude,
-                time=run.record.time[valid],
-                time_sd=run.record.time_sd[valid],
-                count=run.record.count[valid].astype(float),
+                time=run.record.time[finite],
+                time_sd=run.record.time_sd[finite],
+                count=run.record.count[finite].astype(float),
                 spacing=run.record.report.step,
-                error=signal.error[valid],
+                error=signal.error[finite],
                 in_g=accelerometer.channel.in_g,
                 angle_error=run.rotation.error if run.rotation else None,
                 recorder=campaign.recording_of(run.run).recorder,
                 latitude_sensitivity=None
                 if signal.latitude_derivative is None
-                else signal.latitude_derivative[valid],
-                timestamp_errors=timestamp_errors and timestamp_errors.select(valid),
+                else signal.latitude_derivative[finite],
+                timestamp_errors=timestamp_errors and timestamp_errors.select(finite),
             )
-            record_series = record_series.with_timestamp_noise(timing)
+            record_series = record_series.with_timestamp_noise(timing_noise)
             series.append(
                 record_series.correct_times(timestamp_errors.prior[0])
                 if timestamp_errors
@@ -108,67 +106,65 @@ def make_series(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Re
 def stated_timing_noise(campaign: Campaign) -> tuple[float, float]:
     """Return the stated noise of time stamps, s, and of the encoder, rad; 0: not stated."""
     noise = campaign.noise
-    sizes = (noise.timing, noise.angle) if noise else (0.0, 0.0)
-    timing, angle = (size if isinstance(size, float) else 0.0 for size in sizes)
+    values = (noise.timing, noise.angle) if noise else (0.0, 0.0)
+    timing, angle = (value if isinstance(value, float) else 0.0 for value in values)
     return timing, angle
 
 
 def _timestamp_errors(
-    run: ObservedRun, timing: float, encoder_noise: float
+    run: ObservedRun, timing_noise: float, encoder_noise: float
 ) -> TimestampErrors | None:
-    """Return the errors of the time stamps of a run that its recorded angle shows."""
+    """Return the time-stamp errors of a run, as estimated from its recorded angle."""
     rotation, record = run.rotation, run.record
     if rotation is None:
         return None
-    widening = None
+    excess_variance = None
     if record.angle_sd is not None:
-        time_sd_of_angle = record.angle_sd / abs(rotation.spindle.rate)
-        widening = np.nan_to_num(time_sd_of_angle**2 - record.time_sd**2)
-    stated = timing, encoder_noise
-    return find_stamp_errors(rotation, record.time, record.count, stated, widening)
+        angle_time_sd = record.angle_sd / abs(rotation.spindle.rate)
+        excess_variance = np.nan_to_num(angle_time_sd**2 - record.time_sd**2)
+    stated_noise = timing_noise, encoder_noise
+    return find_stamp_errors(rotation, record.time, record.count, stated_noise, excess_variance)
 
 
 def make_noise(campaign: Campaign) -> dict[str, Noise]:
-    """Return each accelerometer's noise, as far as it is stated.
+    """Return the noise model of each accelerometer: stated components, and those to estimate.
 
-    Without [noise], or where it says nothing of an accelerometer's record, all is wanted. In
-    a record of specific force the accelerometer's white noise cannot be told from that of the
-    record: only one of the two is estimated.
+    In a record of specific force, the white noise of accelerometer and recorder is inseparable,
+    so only one of the two is estimated.
     """
     if campaign.rest is None:
         return {
             name: _noise_model(campaign.noise, accelerometer)
             for name, accelerometer in campaign.accelerometers.items()
         }
-    stated = load_name(STATIC_NOISE)(campaign)
+    static = load_name(STATIC_NOISE)(campaign)
     return {
         name: replace(
-            _noise_model(stated[name].sizes, accelerometer), covariance=stated[name].covariance
+            _noise_model(static[name].sizes, accelerometer), covariance=static[name].covariance
         )
         for name, accelerometer in campaign.accelerometers.items()
     }
 
 
 def _noise_model(noise: StatedNoise | None, accelerometer: Accelerometer) -> Noise:
-    integrated = observation.ORDERS[accelerometer.observable] > 0
-    unknown_noise = Noise(ESTIMATE, ESTIMATE if integrated else 0.0)
+    is_integrated = observation.ORDERS[accelerometer.observable] > 0
+    unknown_noise = Noise(ESTIMATE, ESTIMATE if is_integrated else 0.0)
     if noise is None:
         return unknown_noise
-    sizes = {key: _size_or_wanted(size) for key, size in noise if key in NOISE_UNITS}
+    sizes = {key: _size_or_estimate(size) for key, size in noise if key in NOISE_UNITS}
     if sizes["quantisation"] is ESTIMATE:
         sizes["quantisation"] = 0.0
-    stated = Noise.from_sizes(sizes, accelerometer.observable)
-    if not integrated and stated.random_walk is ESTIMATE:
-        stated = replace(stated, white=ESTIMATE, random_walk=0.0)
-    # A record without any noise cannot be weighted: the noise is then estimated, except a walk that
-    # is stated as zero.
-    if not any((stated.white, stated.random_walk, stated.quantisation)):
-        estimated = Noise(ESTIMATE) if "acceleration" in noise.model_fields_set else unknown_noise
-        return estimated.with_sizes({name: getattr(stated, name) for name in BIAS_COMPONENTS})
-    if noise.wanders and stated.white == 0.0 and stated.to_estimate:
-        return replace(stated, white=ESTIMATE)  # beside what wanders there is white noise
-    return stated
+    model = Noise.from_sizes(sizes, accelerometer.observable)
+    if not is_integrated and model.random_walk is ESTIMATE:
+        model = replace(model, white=ESTIMATE, random_walk=0.0)
+    # Rows without noise have no weights, so noise is estimated, except a random walk stated as 0.
+    if not any((model.white, model.random_walk, model.quantisation)):
+        default = Noise(ESTIMATE) if "acceleration" in noise.model_fields_set else unknown_noise
+        return default.with_sizes({name: getattr(model, name) for name in BIAS_COMPONENTS})
+    if noise.wanders and model.white == 0.0 and model.to_estimate:
+        return replace(model, white=ESTIMATE)  # a bias drift comes with white noise
+    return model
 
 
-def _size_or_wanted(size: float | str) -> float:
+def _size_or_estimate(size: float | str) -> float:
     return size if isinstance(size, float) else ESTIMATE

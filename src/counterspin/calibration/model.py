@@ -1,8 +1,7 @@
-"""From [model] to unknowns: what is asked for, what is held, and everything else that acts.
+"""Select the unknowns of a fit from [model]: requested, nuisance and considered terms.
 
-Whatever acts on records and readings is an unknown of the one fit, with the prior that the
-description states, else with the typical size of the table of terms; only what is assumed to be
-perfect is left out.
+Each term that affects records or readings is an unknown with its stated prior, or with the default
+standard uncertainty of the table of terms. Terms that are assumed perfect are fixed.
 """
 
 from __future__ import annotations
@@ -41,42 +40,42 @@ from counterspin.physics.terms import (
     term,
 )
 
-#: Largest credible errors of a rotation that nobody recorded: rad, rad/s, 1/s.
+#: Largest credible errors of a rotation that was not recorded: rad, rad/s, 1/s.
 _ROTATION_LIMITS: Final = (math.pi, 1.0, 1e-2)
 
-#: Products of components of unit vectors that are smaller are zero.
-_ROUNDING: Final = 1e-9
+#: Products of components of unit vectors below this value count as zero.
+_ZERO_TOLERANCE: Final = 1e-9
 
-#: At 1 g their sum with K_II is that of the squares of the specific forces, a constant.
-SQUARES: Final = ("K_PP", "K_OO")
+#: Terms that are inseparable from K_II at 1 g, because the sum of the squares is constant.
+SQUARE_TERMS: Final = ("K_PP", "K_OO")
 
 
 def make_unknowns(campaign: Campaign) -> Unknowns:
-    """Return the requested, the considered and all other acting terms of a campaign."""
+    """Return the requested, the considered and the nuisance terms of a campaign."""
     requested: list[Unknown] = []
     nuisance: list[Unknown] = []
     considered: list[Considered] = []
     requested_symbols, considered_symbols = campaign.model.terms, campaign.model.considered
     for owner, symbol in _acting_terms(campaign):
-        known = _stated_prior(campaign, owner, symbol)
-        prior, unstated = resolve_prior(campaign, owner, symbol, known)
+        stated_value = _stated_prior(campaign, owner, symbol)
+        prior, is_default = resolve_prior(campaign, owner, symbol, stated_value)
         limit = campaign.limit_of(symbol, owner)
         if symbol in requested_symbols:
-            default = math.inf if known else campaign.typical_of(symbol, owner)
-            prior, unstated = (prior, unstated) if known else (NO_PRIOR, False)
+            sd = math.inf if stated_value else campaign.typical_of(symbol, owner)
+            prior, is_default = (prior, is_default) if stated_value else (NO_PRIOR, False)
             requested.append(
-                Unknown(owner, symbol, prior, limit, has_default_prior=unstated, default_sd=default)
+                Unknown(owner, symbol, prior, limit, has_default_prior=is_default, default_sd=sd)
             )
         elif symbol in considered_symbols:
             considered.append(
                 Considered(
-                    owner, symbol, prior, limit, is_of_interest=False, has_default_prior=unstated
+                    owner, symbol, prior, limit, is_of_interest=False, has_default_prior=is_default
                 )
             )
-        elif known or prior[1] > 0.0:
+        elif stated_value or prior[1] > 0.0:
             nuisance.append(
                 Unknown(
-                    owner, symbol, prior, limit, is_of_interest=False, has_default_prior=unstated
+                    owner, symbol, prior, limit, is_of_interest=False, has_default_prior=is_default
                 )
             )
     if campaign.angle is None:
@@ -85,15 +84,15 @@ def make_unknowns(campaign: Campaign) -> Unknowns:
             for run in campaign.runs
             for symbol, limit in zip(ROTATION, _ROTATION_LIMITS, strict=True)
         ]
-    for (owner, symbol), known in inputs_by_owner(campaign).items():
-        # Of an input the unknown is its deviation from what is stated.
-        (_, u), unstated = resolve_prior(campaign, "", symbol, known)
+    for (owner, symbol), stated_value in inputs_by_owner(campaign).items():
+        # The unknown of an input is its deviation from the stated value.
+        (_, u), is_default = resolve_prior(campaign, "", symbol, stated_value)
         if u > 0.0:
             limit = campaign.limit_of(symbol)
             if symbol in considered_symbols:
-                considered.append(Considered(owner, symbol, (0.0, u), limit, False, unstated))
+                considered.append(Considered(owner, symbol, (0.0, u), limit, False, is_default))
             else:
-                nuisance.append(Unknown(owner, symbol, (0.0, u), limit, False, unstated))
+                nuisance.append(Unknown(owner, symbol, (0.0, u), limit, False, is_default))
     unknowns = (*requested, *_inseparable_squares(campaign, nuisance), *nuisance)
     correlations = campaign.model.correlations
     return Unknowns(
@@ -108,12 +107,12 @@ def make_unknowns(campaign: Campaign) -> Unknowns:
 
 
 def is_requested(campaign: Campaign, symbol: str, name: str = "") -> bool:
-    """Return whether a result is not determined without a term.
+    """Return whether a result without this term is in the state ``not-determined``.
 
-    Such terms are those that [model] names, K_II of a test on a centrifuge, and the terms that give
-    the corrected output of a triad in poses. Other usual terms may be missing.
+    This applies to the terms that [model] names, to K_II of a test on a centrifuge, and to the
+    terms that correct the output of a triad in poses.
 
-    name: Of the accelerometer; empty: a term of the machine.
+    name: The accelerometer; empty for a term of the machine.
     """
     if campaign.model.named and symbol in campaign.model.terms:
         return True
@@ -125,11 +124,9 @@ def is_requested(campaign: Campaign, symbol: str, name: str = "") -> bool:
 
 
 def fixed_terms(campaign: Campaign, model: Unknowns, name: str) -> tuple[Considered, ...]:
-    """Return the terms that could reach an accelerometer and that are assumed to be perfect.
+    """Return the terms that affect an accelerometer and are assumed perfect, with u = 0.
 
-    Each is taken as a held term without uncertainty; a tilt is one term for each run.
-
-    model: Of the campaign, as `make_unknowns` returns it.
+    model: The unknowns of the campaign, from `make_unknowns`.
     """
     prior_sds = {
         (parameter.owner, parameter.symbol): parameter.prior[1]
@@ -143,7 +140,7 @@ def fixed_terms(campaign: Campaign, model: Unknowns, name: str) -> tuple[Conside
 
 
 def fixed_symbols(campaign: Campaign, model: Unknowns) -> tuple[str, ...]:
-    """Return the symbols of all terms and inputs that act and are assumed to be perfect."""
+    """Return the symbols of all terms and inputs that are assumed perfect."""
     if not campaign.model.assume:
         return ()
     terms = (
@@ -156,22 +153,22 @@ def fixed_symbols(campaign: Campaign, model: Unknowns) -> tuple[str, ...]:
 
 
 def exact_inputs(campaign: Campaign) -> list[str]:
-    """Return the inputs that are taken as exact."""
-    exact = (
+    """Return the symbols of the inputs that count as exact."""
+    exact_symbols = (
         symbol
-        for (_, symbol), known in inputs_by_owner(campaign).items()
-        if known.u == 0.0 and campaign.model.assumes(symbol)
+        for (_, symbol), quantity in inputs_by_owner(campaign).items()
+        if quantity.u == 0.0 and campaign.model.assumes(symbol)
     )
-    return list(dict.fromkeys(exact))
+    return list(dict.fromkeys(exact_symbols))
 
 
 def resolve_prior(
-    campaign: Campaign, owner: str, symbol: str, known: Quantity | None
+    campaign: Campaign, owner: str, symbol: str, stated_value: Quantity | None
 ) -> tuple[tuple[float, float], bool]:
-    """Return value and standard uncertainty, and whether the uncertainty is a typical size."""
-    if known is not None and known.u > 0.0:
-        return (known.value, known.u), False
-    value = term(symbol).nominal if known is None else known.value
+    """Return prior mean and standard uncertainty, and whether the latter is the default."""
+    if stated_value is not None and stated_value.u > 0.0:
+        return (stated_value.value, stated_value.u), False
+    value = term(symbol).nominal if stated_value is None else stated_value.value
     if campaign.model.assumes(symbol):
         return (value, 0.0), False
     return (value, campaign.typical_of(symbol, owner)), True
@@ -188,54 +185,54 @@ def _stated_prior(campaign: Campaign, owner: str, symbol: str) -> Quantity | Non
 
 
 def stated_inputs(campaign: Campaign) -> dict[str, Quantity]:
-    """Return by name the inputs that act, as they are stated; without u where none is."""
+    """Return the stated values of the inputs that affect the data, by name."""
     return {
-        f"{owner}.{symbol}" if owner else symbol: known
-        for (owner, symbol), known in inputs_by_owner(campaign).items()
+        f"{owner}.{symbol}" if owner else symbol: quantity
+        for (owner, symbol), quantity in inputs_by_owner(campaign).items()
     }
 
 
 def inputs_by_owner(campaign: Campaign) -> dict[tuple[str, str], Quantity]:
-    """Return the same by owner, the recorder of a clock, and symbol."""
+    """Return the stated inputs by owner and symbol; the owner of a clock is its recorder."""
     inputs = {("", "site.gravity"): campaign.gravity, ("", "site.latitude"): campaign.latitude}
-    rotating = [reading for reading in campaign.readings if reading.rate]
-    if campaign.runs or rotating:
+    readings = [reading for reading in campaign.readings if reading.rate]
+    if campaign.runs or readings:
         inputs["", "centrifuge.radius"] = campaign.radius
-    for owner, symbol in dict.fromkeys(rate_clock_input(campaign, reading) for reading in rotating):
-        stated = campaign.rate_clock if symbol == RATE_CLOCK else campaign.clock
-        inputs[owner, symbol] = stated or Quantity(0.0, 0.0, "1")
+    for owner, symbol in dict.fromkeys(rate_clock_input(campaign, reading) for reading in readings):
+        clock = campaign.rate_clock if symbol == RATE_CLOCK else campaign.clock
+        inputs[owner, symbol] = clock or Quantity(0.0, 0.0, "1")
     for recording in map(campaign.recording_of, campaign.runs):
         inputs[recording.recorder, CLOCK] = recording.clock or Quantity(0.0, 0.0, "1")
     if campaign.runs and campaign.angle is not None:
         inputs["", TIMING] = campaign.timing_offset or Quantity(0.0, 0.0, "s")
     for name, accelerometer in campaign.accelerometers.items() if campaign.runs else ():
-        for symbol, known in accelerometer.response_inputs.items():
-            inputs["" if symbol == CUTOFF else name, symbol] = known
+        for symbol, quantity in accelerometer.response_inputs.items():
+            inputs["" if symbol == CUTOFF else name, symbol] = quantity
     return inputs
 
 
 def _acting_terms(campaign: Campaign, accelerometer: str = "") -> list[tuple[str, str]]:
-    """Return owner and symbol of all terms that act, of one accelerometer or of all of them."""
+    """Return owner and symbol of the terms that affect one accelerometer, or any of them."""
     names = [accelerometer] if accelerometer else list(campaign.accelerometers)
     frame_terms = campaign.triad.of_frame if campaign.triad else ()
-    named = {*campaign.model.terms, *campaign.model.considered, *campaign.model.priors}
-    changing = set(changing_conditions(campaign))
+    named_symbols = {*campaign.model.terms, *campaign.model.considered, *campaign.model.priors}
+    conditions = set(changing_conditions(campaign))
     accelerometer_terms = [
         (name, symbol)
         for name in names
         for symbol, row in ACCELEROMETER_TERMS.items()
-        if symbol in campaign.model.terms or _is_active(campaign, row, changing)
+        if symbol in campaign.model.terms or _is_active(campaign, row, conditions)
         if (name, symbol) not in frame_terms
     ]
     readings = tuple(reading for reading in campaign.readings if reading.accelerometer in names)
-    reading_terms = [("", s) for s in symbols_shown(readings) if s not in ACCELEROMETER_TERMS]
-    # A radius for all accelerometers of a mounting stands in place of theirs where it is named.
+    # A named radius of a mounting replaces the radii of its accelerometers.
     reading_terms = [
-        (o, s)
-        for o, s in reading_terms
-        if s in named
-        or not s.startswith("centrifuge.radius.")
-        or (accelerometer_name(s) and same_for_all(s) not in named)
+        ("", symbol)
+        for symbol in symbols_shown(readings)
+        if symbol not in ACCELEROMETER_TERMS
+        if symbol in named_symbols
+        or not symbol.startswith("centrifuge.radius.")
+        or (accelerometer_name(symbol) and same_for_all(symbol) not in named_symbols)
     ]
     return list(
         dict.fromkeys([*accelerometer_terms, *_platform_terms(campaign, names), *reading_terms])
@@ -243,9 +240,9 @@ def _acting_terms(campaign: Campaign, accelerometer: str = "") -> list[tuple[str
 
 
 def _is_active(
-    campaign: Campaign, row: Term[SpecificForceProduct | Slope], changing: Collection[str]
+    campaign: Campaign, row: Term[SpecificForceProduct | Slope], conditions: Collection[str]
 ) -> bool:
-    """Return whether a coefficient acts; changing: as in `changing_conditions`."""
+    """Return whether a coefficient affects the output under these changing conditions."""
     if isinstance(row.effect, SpecificForceProduct):
         arm_axes = (reading.axes for reading in campaign.readings if reading.motion == "arm")
         table_axes = (
@@ -257,34 +254,34 @@ def _is_active(
         return not row.effect.requires_rotation or any(
             _has_mean_product(row.effect, axes) for axes in (*arm_axes, *table_axes)
         )
-    # An assumed change of temperature is small: only the first power acts.
+    # An assumed change of temperature is small, so only the linear term matters.
     is_assumed = row.effect.condition == "temperature" and row.effect.power == 1
-    return row.effect.condition in changing or (is_assumed and ASSUMED_TEMPERATURE in changing)
+    return row.effect.condition in conditions or (is_assumed and ASSUMED_TEMPERATURE in conditions)
 
 
 def _has_mean_product(product: SpecificForceProduct, axes: Mounting) -> bool:
-    """Return whether a constant rotation of an arm gives a product of the rotation a mean."""
+    """Return whether a product has a non-zero mean at a constant rotation of an arm."""
     up = axes.matrix[:, 2]
-    mean = product.evaluate(np.zeros(3), np.array([up[0], up[1], 0.0]))
-    return abs(float(mean)) > _ROUNDING
+    mean_product = product.evaluate(np.zeros(3), np.array([up[0], up[1], 0.0]))
+    return abs(float(mean_product)) > _ZERO_TOLERANCE
 
 
 def _platform_terms(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield owner and symbol of the terms that records of these accelerometers show."""
+    """Yield owner and symbol of the platform terms that affect these accelerometers."""
     accelerometers = [campaign.accelerometers[name] for name in names]
     attitudes = dict.fromkeys(key for run in campaign.runs for key in run.attitude_keys)
     has_lever_arm = any(run.turns_in_space for run in campaign.runs)
-    named = {*campaign.model.terms, *campaign.model.considered}
+    named_symbols = {*campaign.model.terms, *campaign.model.considered}
     for symbol, row in SHARED_TERMS.items():
         if campaign.angle is None and symbol.startswith("encoder."):
             continue
-        # Strapped instruments turn with the table, and have no gyros.
+        # Strapdown instruments rotate with the table and have no gyros.
         if row.effect.part == ("gyros" if campaign.strapped else "table"):
             continue
         if symbol == LEVER_ARM:
             yield from ((name, symbol) for name in names if has_lever_arm)
             continue
-        acting = {
+        acting_keys = {
             key
             for key in attitudes
             if any(
@@ -292,30 +289,27 @@ def _platform_terms(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[
                 for accelerometer in accelerometers
             )
         }
-        affected = [
+        affected_runs = [
             run
             for run in campaign.runs
-            if symbol in named or not acting.isdisjoint(run.attitude_keys)
+            if symbol in named_symbols or not acting_keys.isdisjoint(run.attitude_keys)
         ]
-        for run in affected if row.per_run else affected[:1]:
+        for run in affected_runs if row.per_run else affected_runs[:1]:
             yield (run.name if row.per_run else ""), symbol
 
 
 @lru_cache(maxsize=1024)
-def _is_observable(symbol: str, observable: str, mounting: Mounting, attitude: bytes) -> bool:
-    """Return whether a shared term shows in a record; a calibration asks so several times.
-
-    attitude: The bytes of its rows.
-    """
-    effect, rows = SHARED_TERMS[symbol].effect, np.frombuffer(attitude).reshape(3, 3)
-    is_shown = effect.acts_on if observable == "displacement" else effect.shows_in
-    return is_shown(mounting.turned(rows).input_axis, rows)
+def _is_observable(symbol: str, observable: str, mounting: Mounting, attitude_bytes: bytes) -> bool:
+    """Return whether a shared term affects a record."""
+    effect, matrix = SHARED_TERMS[symbol].effect, np.frombuffer(attitude_bytes).reshape(3, 3)
+    is_sensitive = effect.acts_on if observable == "displacement" else effect.shows_in
+    return is_sensitive(mounting.turned(matrix).input_axis, matrix)
 
 
 def _inseparable_squares(campaign: Campaign, nuisance: Sequence[Unknown]) -> Iterator[Unknown]:
-    """Yield the squares that 1 g cannot tell from K_II, where all is assumed to be perfect.
+    """Yield K_PP and K_OO if they are inseparable from K_II, although assumed perfect.
 
-    They count as if they were asked for: K_II is no more than K_II - K_PP or K_II - K_OO.
+    At 1 g, the data determine only K_II - K_PP or K_II - K_OO.
     """
     motions = {reading.motion for reading in campaign.readings}
     motions |= {"static"} if campaign.posed else set()
@@ -323,10 +317,10 @@ def _inseparable_squares(campaign: Campaign, nuisance: Sequence[Unknown]) -> Ite
         return
     if ALL_TERMS not in campaign.model.assume:
         return
-    known = {*campaign.model.terms, *campaign.model.considered}
-    present = {(parameter.owner, parameter.symbol) for parameter in nuisance}
+    named_symbols = {*campaign.model.terms, *campaign.model.considered}
+    nuisance_keys = {(parameter.owner, parameter.symbol) for parameter in nuisance}
     for name in campaign.accelerometers:
-        for symbol in SQUARES:
-            if symbol not in known and (name, symbol) not in present:
+        for symbol in SQUARE_TERMS:
+            if symbol not in named_symbols and (name, symbol) not in nuisance_keys:
                 limit = campaign.limit_of(symbol, name)
                 yield Unknown(name, symbol, (0.0, limit), limit, has_default_prior=True)

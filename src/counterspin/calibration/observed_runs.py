@@ -1,4 +1,4 @@
-"""Observed records, joined with the rotation on which they were taken."""
+"""Observed runs: records with the identified rotation and the reference output."""
 
 from __future__ import annotations
 
@@ -35,62 +35,61 @@ from counterspin.records.signals import FirstHarmonic, detrending_order
 from counterspin.records.temperature_profile import read_temperature_profile
 from counterspin.units import ZERO_CELSIUS
 
-#: Horizontal part of an input axis from which its signal is held to the motion's wave.
+#: Smallest horizontal component of an input axis for comparing its signal with the rotation.
 _MIN_HORIZONTAL: Final = 0.05
 
-#: How many of 1, t and t^2 a line is.
+#: Number of powers of t in a straight line: 1 and t.
 _STRAIGHT_LINE: Final = 2
 
-#: A stated temperature may be off the recorded ones by so much, K: chamber and instrument differ.
-_MAX_DEVIATION: Final = 5.0
+#: Largest difference between stated and recorded temperature, K: chamber and instrument differ.
+_MAX_DIFFERENCE: Final = 5.0
 
-#: Record and the part of it -> its course.
+#: (record, time range) -> temperatures.
 _Profiles = dict[tuple[Path, tuple[float, float]], tuple[float, ...]]
 
-#: rad, over which a change with the latitude is taken.
+#: Step of the finite difference with respect to the latitude, rad.
 _LATITUDE_STEP: Final = 1e-5
 
 
 @frozen
 class Signal:
-    """One accelerometer's output in one run, less what a perfect system would have recorded."""
+    """Output of one accelerometer in one run minus the output of a perfect system."""
 
-    accelerometer: Accelerometer  #: Whose it is.
-    #: S - S_ref in m, m/s or m/s^2, shape (n,), at the record's times; NaN where it is missing.
-    #: What a computer took off with its own velocity is put back.
+    accelerometer: Accelerometer
+    #: S - S_ref in m, m/s or m/s^2, shape (n,), at the times of the record; NaN: missing sample.
+    #: Corrections that a computer derived from its own velocity are removed.
     error: Array
-    #: Change of what is put back with the latitude, m/rad and so on, shape (n,); None of a computer
-    #: that is given the platform's velocity.
+    #: Derivative of the removed corrections with respect to the latitude, m/rad, m/s/rad or
+    #: m/s^2/rad, shape (n,); None if the computer uses the velocity of the platform.
     latitude_derivative: Array | None = None
 
 
 @frozen
 class ObservedRun:
-    """One run as the estimators see it."""
+    """One run with its record, rotation, trajectory and signals."""
 
     run: Run  #: Its description.
-    #: The cleaned record: times from the first sample, block means where it was dense.
-    record: Record
-    #: The spindle identified from the recorded angle; None where the nominal rate is taken.
+    record: Record  #: The cleaned record, in block means; time 0 is the first sample.
+    #: Rotation identified from the recorded angle; None: the nominal rate applies.
     rotation: SpindleFit | None
-    trajectory: Trajectory  #: The motion along which reference and columns are taken.
+    trajectory: Trajectory  #: Motion for the reference output and the design columns.
     signals: Mapping[str, Signal]  #: By accelerometer.
 
 
 def observe(campaign: Campaign) -> Iterator[ObservedRun]:
-    """Read the campaign's runs one after the other."""
+    """Read the runs of a campaign one by one."""
     _check_files_exist(campaign)
-    first_runs: dict[bytes, Run] = {}
+    runs_by_digest: dict[bytes, Run] = {}
     timeline = RunTimeline(campaign)
     moments_by_run: dict[str, dict[str, Array]] = {}
     for run in campaign.runs:
         record = read_run(campaign, run)
         moments_by_run[run.name] = dict(record.polynomials)
-        samples = _samples_digest(record)
-        earlier = first_runs.setdefault(samples, run)
-        if earlier is not run:
-            raise duplicate_record_error(campaign, earlier, run)
-        # When a run was made may depend on how long those before it lasted.
+        digest = _samples_digest(record)
+        first_run = runs_by_digest.setdefault(digest, run)
+        if first_run is not run:
+            raise duplicate_record_error(campaign, first_run, run)
+        # The start time of a run may depend on the durations of the earlier runs.
         yield observe_run(campaign, run, record, timeline.add(run, float(record.time[-1])))
     for name in campaign.accelerometers:
         _reject_detrended(
@@ -112,7 +111,7 @@ def detect_detrending(moments_by_run: Mapping[str, Array]) -> tuple[int, list[st
 
 
 def _reject_detrended(campaign: Campaign, name: str, moments_by_run: Mapping[str, Array]) -> None:
-    """Refuse a signal from which more was removed than start offset and velocity take up."""
+    """Raise RecordError if more was removed from a signal than the start values absorb."""
     observable = campaign.accelerometers[name].observable
     count, runs = detect_detrending(moments_by_run)
     if count <= observation.ORDERS[observable]:
@@ -132,25 +131,25 @@ def _reject_detrended(campaign: Campaign, name: str, moments_by_run: Mapping[str
 
 
 def _check_files_exist(campaign: Campaign) -> None:
-    """Name all files that are not there at once, before hours go into those that are."""
-    on_disk = (
+    """Raise RecordError with all missing files, before any file is read."""
+    record_files = (
         file
         for run in campaign.runs
         for file in run.files
         if isinstance(campaign.record_at(file), Path)
     )
-    missing = [f"{file}: " for file in dict.fromkeys(on_disk) if not file.exists()]
-    rest = None if campaign.rest is None else campaign.record_at(campaign.rest)
-    if isinstance(rest, Path) and not rest.exists():
-        missing.append(f"{rest} (noise.from): ")
-    if missing:
+    missing_files = [f"{file}: " for file in dict.fromkeys(record_files) if not file.exists()]
+    static_record = None if campaign.rest is None else campaign.record_at(campaign.rest)
+    if isinstance(static_record, Path) and not static_record.exists():
+        missing_files.append(f"{static_record} (noise.from): ")
+    if missing_files:
         raise RecordError(
-            "\n".join(f"{file}file not found" for file in missing), code="file-not-found"
+            "\n".join(f"{file}file not found" for file in missing_files), code="file-not-found"
         )
 
 
 def read_run(campaign: Campaign, run: Run) -> Record:
-    """Return the record of one run; RecordError if it cannot be used, with file and line."""
+    """Return the record of one run; RecordError names file and line of an invalid record."""
     harmonics = {
         name: harmonic
         for name, accelerometer in campaign.accelerometers.items()
@@ -162,12 +161,13 @@ def read_run(campaign: Campaign, run: Run) -> Record:
 
 
 def duplicate_record_error(
-    campaign: Campaign, earlier: Run | Reading, run: Run | Reading
+    campaign: Campaign, first_run: Run | Reading, run: Run | Reading
 ) -> RecordError:
-    """Return the error that a run's record has the same samples as that of an earlier one."""
-    first, second = (item.record and campaign.record_at(item.record) for item in (earlier, run))
+    """Return the error that two runs have records with the same samples."""
+    sources = [entry.record and campaign.record_at(entry.record) for entry in (first_run, run)]
     return RecordError(
-        f"{second} contains the same samples as {first} (runs {earlier.name} and {run.name}). "
+        f"{sources[1]} contains the same samples as {sources[0]} "
+        f"(runs {first_run.name} and {run.name}). "
         "Each record may be used only once. Remove one of the runs, or give it a different "
         "record.",
         code="duplicate-record",
@@ -186,24 +186,23 @@ def _samples_digest(record: Record) -> bytes:
 def _expected_harmonic(
     campaign: Campaign, run: Run, accelerometer: Accelerometer
 ) -> FirstHarmonic | None:
-    """Return the wave that the motion makes along an input axis; None where it is nearly upright.
+    """Return the harmonic of the rotation along an input axis; None for a nearly vertical axis.
 
-    The position is R (cos th, sin th); each time derivative multiplies it with the rate and turns
-    it forward by a right angle. On a table of another ratio the force turns by -ratio times th; of
-    ratio 0 it stands still.
+    The position is R (cos th, sin th); each time derivative multiplies it by the rate and advances
+    it by a right angle. On a table with another ratio, the force rotates by -ratio times th.
     """
     if run.table_ratio == 0.0:
         return None
     east, north, _ = accelerometer.mounting.turned(run.attitude).input_axis
     if math.hypot(east, north) < _MIN_HORIZONTAL:
         return None
-    derivatives = 2 - observation.ORDERS[accelerometer.observable]
-    amplitude = campaign.radius.value * complex(east, north) * (-1j * run.rate) ** derivatives
+    derivative_order = 2 - observation.ORDERS[accelerometer.observable]
+    amplitude = campaign.radius.value * complex(east, north) * (-1j * run.rate) ** derivative_order
     return FirstHarmonic(amplitude, OBSERVABLES[accelerometer.observable])
 
 
 def record_columns(campaign: Campaign, run: Run) -> RecordColumns:
-    """Return the columns of a run's record, how its file is written, and the part to be used."""
+    """Return columns, file dialect and time range of the record of a run."""
     recording = campaign.recording_of(run)
     return RecordColumns(
         recording.time,
@@ -217,26 +216,23 @@ def record_columns(campaign: Campaign, run: Run) -> RecordColumns:
 
 
 def fit_rotation(
-    campaign: Campaign, time: Array, angle: Array, rate: float, count: Array, spread: Array
+    campaign: Campaign, time: Array, angle: Array, rate: float, count: Array, time_sd: Array
 ) -> SpindleFit:
     """Return the rotation identified from a recorded angle.
 
-    time, angle: Of the block means, s and rad, shape (n,).
-    rate: The stated one, rad/s.
-    count, spread: Of each block, the samples and the standard deviation of their times, s.
+    time, angle: Block means, s and rad, shape (n,).
+    rate: Stated rate, rad/s.
+    count, time_sd: Number of samples of each block, and standard deviation of their times, s.
     """
-    # The angle of a row was sampled `timing_offset` after its output.
+    # The angle of a row was sampled `timing_offset` after the output.
     delay = campaign.timing_offset.value if campaign.timing_offset else 0.0
-    return fit_spindle(time + delay, angle, rate, weights=count, spread=spread)
+    return fit_spindle(time + delay, angle, rate, weights=count, spread=time_sd)
 
 
 def observe_run(
     campaign: Campaign, run: Run, record: Record, conditions: RunConditions = AT_REFERENCE
 ) -> ObservedRun:
-    """Identify the rotation of one run and take the reference displacement away.
-
-    record: The run's record.
-    """
+    """Identify the rotation of one run and subtract the reference output."""
     rotation = None
     if record.angle is not None:
         rotation = fit_rotation(
@@ -256,31 +252,29 @@ def observe_run(
         )
         signals[name] = Signal(accelerometer, record.signals[name] - reference)
     if campaign.own_velocity:
-        signals = _with_platform_velocity(campaign, run, record.time, signals)
+        signals = _apply_platform_velocity(campaign, run, record.time, signals)
     return ObservedRun(run, record, rotation, trajectory, signals)
 
 
-def _with_platform_velocity(
+def _apply_platform_velocity(
     campaign: Campaign, run: Run, time: Array, signals: Mapping[str, Signal]
 ) -> dict[str, Signal]:
-    """Return the signals that a computer which is given the platform's velocity would have made."""
-    errors = []
+    """Return the signals that a computer with the velocity of the platform would have recorded."""
+    axis_errors = []
     for signal in signals.values():
         accelerometer = signal.accelerometer
         axis = accelerometer.mounting.turned(run.attitude).input_axis
-        # The reference has what is left of gravity in it; the velocity is off by that too.
+        # The reference contains the residual gravity, which also affects the velocity.
         residual_gravity = observation.residual_gravity(
             campaign.site, axis, time, accelerometer.observable
         )
-        errors.append(
+        axis_errors.append(
             AxisError(axis, accelerometer.observable, time, signal.error + residual_gravity)
         )
     site = campaign.site
-    north = replace(site, latitude=site.latitude + _LATITUDE_STEP)
-    corrections, shifted_corrections = (
-        computer_correction(site, errors),
-        computer_correction(north, errors),
-    )
+    shifted_site = replace(site, latitude=site.latitude + _LATITUDE_STEP)
+    corrections = computer_correction(site, axis_errors)
+    shifted_corrections = computer_correction(shifted_site, axis_errors)
     return {
         name: Signal(
             signal.accelerometer, signal.error + correction, (shifted - correction) / _LATITUDE_STEP
@@ -291,13 +285,13 @@ def _with_platform_velocity(
     }
 
 
-# The temperatures that are in records, in the place of those that a description states
+# Recorded temperatures, which replace stated ones
 
 
-def with_recorded_conditions(campaign: Campaign) -> Campaign:
-    """Return a campaign with temperatures from its records, and which of them have no angle.
+def add_recorded_conditions(campaign: Campaign) -> Campaign:
+    """Return the campaign with temperatures from its records, and readings without angle marked.
 
-    RecordError where a column cannot be used, or contradicts what a run states.
+    RecordError: a column is invalid, or contradicts a stated temperature.
     """
     profiles: _Profiles = {}
     runs = tuple(
@@ -306,29 +300,30 @@ def with_recorded_conditions(campaign: Campaign) -> Campaign:
     )
     readings = tuple(
         replace(
-            item,
-            temperature=recorded_temperatures(campaign, item, profiles),
-            by_clock=item.by_clock and _has_angle(campaign, item),
+            reading,
+            temperature=recorded_temperatures(campaign, reading, profiles),
+            by_clock=reading.by_clock and _has_angle(campaign, reading),
         )
-        if item.record is not None
-        else item
-        for item in campaign.readings
+        if reading.record is not None
+        else reading
+        for reading in campaign.readings
     )
     triad = campaign.triad
     if triad is not None:
         records = tuple(
-            replace(item, temperature=recorded_temperatures(campaign, item, profiles))
-            for item in triad.records
+            replace(record, temperature=recorded_temperatures(campaign, record, profiles))
+            for record in triad.records
         )
         triad = replace(triad, records=records)
     if not profiles and readings == campaign.readings:
         return campaign
-    changed = replace(campaign, runs=runs, readings=readings, triad=triad)
-    return changed if campaign.source is None else with_source(changed, campaign.source)
+    source = campaign.source
+    campaign = replace(campaign, runs=runs, readings=readings, triad=triad)
+    return campaign if source is None else with_source(campaign, source)
 
 
 def _has_angle(campaign: Campaign, reading: Reading) -> bool:
-    """Return whether the record of a reading has the column of the angle, as far as it exists."""
+    """Return whether the record of a reading has an angle column; True if the file is missing."""
     assert reading.record is not None
     assert campaign.angle is not None
     source = campaign.record_at(reading.record)
@@ -339,32 +334,32 @@ def _has_angle(campaign: Campaign, reading: Reading) -> bool:
 
 
 def recorded_temperatures(
-    campaign: Campaign, item: Run | Reading | PoseRecord, profiles: _Profiles
+    campaign: Campaign, entry: Run | Reading | PoseRecord, profiles: _Profiles
 ) -> tuple[float, ...] | None:
-    """Return the temperatures of a run, reading or record of poses, K: what its own record says.
+    """Return the temperatures of a run, reading or record of poses, K, from its record if possible.
 
-    profiles: Profiles read before, to which that of the item is added.
+    profiles: Cache of temperature profiles; the function adds the profile of this entry.
     """
-    columns = temperature_columns(campaign, item)
-    if columns is None or item.record is None:
-        return item.temperature
-    source, key = campaign.record_at(item.record), (item.record, columns.time_range)
+    columns = temperature_columns(campaign, entry)
+    if columns is None or entry.record is None:
+        return entry.temperature
+    source, key = campaign.record_at(entry.record), (entry.record, columns.time_range)
     if isinstance(source, Path) and not source.exists():
-        return item.temperature  # whoever reads the rest of it says so
+        return entry.temperature  # reading the signals raises the error
     if key not in profiles:
         profiles[key] = read_temperature_profile(source, columns)
     profile = profiles[key]
-    deviation = max(
-        (max(min(profile) - stated, stated - max(profile)) for stated in item.temperature or ()),
+    difference = max(
+        (max(min(profile) - value, value - max(profile)) for value in entry.temperature or ()),
         default=0.0,
     )
-    if deviation > _MAX_DEVIATION:
+    if difference > _MAX_DIFFERENCE:
         low, high = (f"{value - ZERO_CELSIUS:.4g}" for value in (min(profile), max(profile)))
         (column,) = columns.signals.values()
         raise RecordError(
             f"{source}: column '{column.name}' contains temperatures from {low} to {high} degC; "
-            f'the temperature stated for "{item.name}" differs from these values by '
-            f"{deviation:.3g} K. Correct the unit of the column or the stated temperature, or "
+            f'the temperature stated for "{entry.name}" differs from these values by '
+            f"{difference:.3g} K. Correct the unit of the column or the stated temperature, or "
             "remove that temperature.",
             code="temperature-mismatch",
         )
@@ -372,17 +367,17 @@ def recorded_temperatures(
 
 
 def temperature_columns(
-    campaign: Campaign, item: Run | Reading | PoseRecord
+    campaign: Campaign, entry: Run | Reading | PoseRecord
 ) -> RecordColumns | None:
-    """Return the columns of time and temperature of a record; None where it has no temperature."""
-    own_dialect = item.dialect if isinstance(item, PoseRecord) else None
+    """Return the time and temperature columns of a record; None if it has no temperature."""
+    own_dialect = entry.dialect if isinstance(entry, PoseRecord) else None
     dialect = own_dialect or campaign.dialect
     recording = Recording(campaign.time, None, dialect, campaign.temperature)
     columns = RecordColumns(campaign.time, None, {})
-    if isinstance(item, Run):
-        recording = campaign.recording_of(item)
+    if isinstance(entry, Run):
+        recording = campaign.recording_of(entry)
         columns = replace(
-            columns, time_range=item.part, continuation_files=tuple(item.continued_in)
+            columns, time_range=entry.part, continuation_files=tuple(entry.continued_in)
         )
     if recording.temperature is None:
         return None

@@ -40,8 +40,8 @@ MONTE_CARLO: Final = "counterspin.calibration.monte_carlo"
 
 def further_arguments(without: Sequence[str], monte_carlo: int) -> list[str]:
     """Return the words by which a command line leaves runs out and draws inputs."""
-    trials = [f"--monte-carlo={monte_carlo}"] if monte_carlo else []
-    return [*(f"--without={name}" for name in without), *trials]
+    trial_arguments = [f"--monte-carlo={monte_carlo}"] if monte_carlo else []
+    return [*(f"--without={name}" for name in without), *trial_arguments]
 
 
 def command_arguments(method: str, options: TwoStageOptions) -> list[str]:
@@ -53,7 +53,7 @@ def command_arguments(method: str, options: TwoStageOptions) -> list[str]:
     if method == "joint":
         return []
     defaults = TwoStageOptions()
-    flags = {
+    arguments = {
         "model": f"--model={options.model}",
         "weighted": "--no-weighted",
         "ripple": f"--ripple={options.ripple}",
@@ -62,7 +62,11 @@ def command_arguments(method: str, options: TwoStageOptions) -> list[str]:
     }
     return [
         "--method=two-stage",
-        *(text for key, text in flags.items() if getattr(options, key) != getattr(defaults, key)),
+        *(
+            text
+            for key, text in arguments.items()
+            if getattr(options, key) != getattr(defaults, key)
+        ),
     ]
 
 
@@ -74,17 +78,17 @@ _FLAGS: Final[dict[str, dict[str, Any]]] = {
 }
 
 
-def parse_options(words: Sequence[str]) -> tuple[Method, TwoStageOptions, tuple[str, ...]]:
+def parse_options(arguments: Sequence[str]) -> tuple[Method, TwoStageOptions, tuple[str, ...]]:
     """Return the method, its options and the runs left out that a result's words ask for."""
     method: Method = "joint"
     keywords: dict[str, Any] = {}
     without = []
-    for word in words:
-        key, _, value = word.partition("=")
-        if word == "--method=two-stage":
+    for argument in arguments:
+        key, _, value = argument.partition("=")
+        if argument == "--method=two-stage":
             method = "two-stage"
-        elif word in _FLAGS:
-            keywords |= _FLAGS[word]
+        elif argument in _FLAGS:
+            keywords |= _FLAGS[argument]
         elif key in ("--model", "--ripple"):
             keywords[key.removeprefix("--")] = value
         elif key == "--without":
@@ -92,7 +96,7 @@ def parse_options(words: Sequence[str]) -> tuple[Method, TwoStageOptions, tuple[
         else:
             raise CampaignError(
                 "the options of the result",
-                [f"{word}: this version does not have this option"],
+                [f"{argument}: this version does not have this option"],
                 code="newer-version",
             )
     return method, TwoStageOptions(**keywords), tuple(without)

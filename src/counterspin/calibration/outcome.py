@@ -46,10 +46,10 @@ from counterspin.physics.terms import SHARED_TERMS, TERMS, find_symbol
 from counterspin.records.record import rejected_count
 
 #: More outliers than this part of a record's samples are worth a warning.
-OUTLIER_SHARE: Final = 0.05
+MAX_OUTLIER_SHARE: Final = 0.05
 
 
-def coefficient(estimate: Estimate, assessment: Assessment, index: int) -> Coefficient:
+def make_coefficient(estimate: Estimate, assessment: Assessment, index: int) -> Coefficient:
     """Return one unknown as the result shows it: estimated, or its prior, or nothing."""
     unknown, solution = estimate.fit.model.unknowns[index], estimate.fit.solution
     unit = unknown.unit
@@ -61,14 +61,14 @@ def coefficient(estimate: Estimate, assessment: Assessment, index: int) -> Coeff
             unit=unit,
             estimated=False,
         )
-    noise, stated, unstated = unknown_u_by_category(estimate.fit, index)
+    u_noise, u_stated, u_unstated = unknown_u_by_category(estimate.fit, index)
     dof = float(estimate.dof[index])
     return Coefficient(
         value=float(solution.estimate[index]) + unknown.nominal,
-        u=math.hypot(noise, stated, unstated),
-        u_noise=noise,
-        u_stated=stated,
-        u_unstated=unstated,
+        u=math.hypot(u_noise, u_stated, u_unstated),
+        u_noise=u_noise,
+        u_stated=u_stated,
+        u_unstated=u_unstated,
         dof=finite_dof(dof),
         unit=unit,
         estimated=True,
@@ -82,19 +82,19 @@ def prior_information(estimate: Estimate, stated_inputs: Mapping[str, Quantity])
     for index, parameter in enumerate((*model.unknowns, *model.considered)):
         if parameter.is_of_interest or parameter.symbol in encoder.SYMBOLS:
             continue
-        stated = stated_inputs.get(parameter.name)
+        stated_input = stated_inputs.get(parameter.name)
         # The prior of an input is a deviation from the value at which derivatives are taken.
-        base = stated.value - parameter.prior[0] if stated else 0.0
+        offset = stated_input.value - parameter.prior[0] if stated_input else 0.0
         posterior = u_posterior = None
         if index < len(model.unknowns):
-            posterior = base + parameter.nominal + float(solution.estimate[index])
+            posterior = offset + parameter.nominal + float(solution.estimate[index])
             u_posterior = float(solution.u[index])
         rows.append(
             Knowledge(
                 name=parameter.name,
                 kind=kind_of(parameter),
                 unit=parameter.unit,
-                value=base + parameter.prior[0],
+                value=offset + parameter.prior[0],
                 u=parameter.prior[1],
                 found=posterior,
                 u_found=u_posterior,
@@ -103,10 +103,10 @@ def prior_information(estimate: Estimate, stated_inputs: Mapping[str, Quantity])
     return rows
 
 
-def correlation(view: AccelerometerView) -> Correlation | None:
+def accelerometer_correlation(view: AccelerometerView) -> Correlation | None:
     """Return the correlations of an accelerometer's own and the platform's coefficients."""
     prefix = f"{view.name}."
-    return _correlation(
+    return _make_correlation(
         view.estimate,
         {
             index: unknown.name.removeprefix(prefix)
@@ -119,7 +119,7 @@ def correlation(view: AccelerometerView) -> Correlation | None:
 
 def full_correlation(estimate: Estimate, assessment: Assessment) -> Correlation | None:
     """Return the correlations of everything determined, but for the runs' own rotations."""
-    return _correlation(
+    return _make_correlation(
         estimate,
         {
             index: unknown.name
@@ -129,7 +129,7 @@ def full_correlation(estimate: Estimate, assessment: Assessment) -> Correlation 
     )
 
 
-def _correlation(estimate: Estimate, terms: Mapping[int, str]) -> Correlation | None:
+def _make_correlation(estimate: Estimate, terms: Mapping[int, str]) -> Correlation | None:
     if not terms:
         return None
     covariance = estimate.fit.solution.covariance[np.ix_(list(terms), list(terms))]
@@ -137,7 +137,7 @@ def _correlation(estimate: Estimate, terms: Mapping[int, str]) -> Correlation | 
     return Correlation(terms=list(terms.values()), matrix=(covariance / np.outer(u, u)).tolist())
 
 
-def confounded(view: AccelerometerView) -> list[ConfoundedTerms]:
+def confounded_terms(view: AccelerometerView) -> list[ConfoundedTerms]:
     """Return the sets with terms of an accelerometer's own, its name left out."""
     return [
         item.of(view.name)
@@ -146,7 +146,7 @@ def confounded(view: AccelerometerView) -> list[ConfoundedTerms]:
     ]
 
 
-def confounded_platform(assessment: Assessment) -> list[ConfoundedTerms]:
+def confounded_platform_terms(assessment: Assessment) -> list[ConfoundedTerms]:
     """Return the sets of shared terms alone, those of a run's own rotation left out."""
     return [
         item
@@ -155,16 +155,16 @@ def confounded_platform(assessment: Assessment) -> list[ConfoundedTerms]:
     ]
 
 
-def residual(view: AccelerometerView) -> Residual:
+def summarize_residuals(view: AccelerometerView) -> Residual:
     """Return the size of an accelerometer's residuals, a sample, and how well the model fits."""
     if not view.has_records:
-        return residual_of(view.groups)
-    squares, samples, diagnostics = 0.0, 0.0, view.diagnostics
-    for _, prepared, residuals in view.records():
-        squares += float(np.sum(residuals.unweighted**2 * prepared.series.count))
-        samples += residuals.unweighted.size
+        return summarize_group_residuals(view.groups)
+    square_sum, sample_count, diagnostics = 0.0, 0.0, view.diagnostics
+    for _, block, residuals in view.records():
+        square_sum += float(np.sum(residuals.unweighted**2 * block.series.count))
+        sample_count += residuals.unweighted.size
     return Residual(
-        rms=math.sqrt(squares / samples),
+        rms=math.sqrt(square_sum / sample_count),
         unit=OBSERVABLES[view.accelerometer.observable],
         dof=diagnostics.dof,
         chi2=diagnostics.chi2 if diagnostics.noise_given else None,
@@ -172,25 +172,25 @@ def residual(view: AccelerometerView) -> Residual:
     )
 
 
-def residual_of(groups: Sequence[FittedGroup]) -> Residual:
+def summarize_group_residuals(groups: Sequence[FittedGroup]) -> Residual:
     """Return the size of the residuals of readings, and how well the model fits them."""
     residuals = np.concatenate([group.residuals for group in groups])
     stated_groups = [group for group in groups if math.isinf(group.noise_dof)]
     chi2 = sum(group.chi2 for group in stated_groups)
     dof = sum(group.residual_dof for group in stated_groups)
-    testable = len(stated_groups) == len(groups) and dof > 0.5
+    is_testable = len(stated_groups) == len(groups) and dof > 0.5
     return Residual(
         rms=float(np.sqrt(np.mean(residuals**2))),
         unit="g",
         dof=round(
             sum(group.residual_dof for group in groups), 9
         ),  # of as many readings as unknowns: 0
-        chi2=chi2 if testable else None,
-        lack_of_fit_p=chi_square_tail(dof, chi2) if testable else None,
+        chi2=chi2 if is_testable else None,
+        lack_of_fit_p=chi_square_tail(dof, chi2) if is_testable else None,
     )
 
 
-def reading_noise(groups: Sequence[FittedGroup]) -> dict[str, NoiseLine]:
+def reading_noise_lines(groups: Sequence[FittedGroup]) -> dict[str, NoiseLine]:
     """Return the noise of readings, motion by motion."""
     return {
         group.label: NoiseLine(
@@ -207,32 +207,33 @@ def reading_noise(groups: Sequence[FittedGroup]) -> dict[str, NoiseLine]:
 
 def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
     """Return the noise used, component by component, given or estimated."""
-    reading_lines = reading_noise(view.groups)
+    reading_lines = reading_noise_lines(view.groups)
     if not view.has_records:
         return reading_lines
     components = view.estimate.estimated_noise.get(view.name)
     noise, observable = view.fit.noise[view.name], view.accelerometer.observable
-    record_lines = record_noise(noise, components, observable)
-    record_series = view.series
-    if any(series.variance_ratio != 1.0 for series in record_series):
+    record_lines = record_noise_lines(noise, components, observable)
+    all_series = view.series
+    if any(series.variance_ratio != 1.0 for series in all_series):
         white_line = record_lines[observable]
         runs = {
-            series.run: white_line.value * math.sqrt(series.variance_ratio)
-            for series in record_series
+            series.run: white_line.value * math.sqrt(series.variance_ratio) for series in all_series
         }
         record_lines[observable] = white_line.model_copy(update={"runs": runs})
-    if timing := estimated_timing_noise(view):
-        record_lines["timing"] = NoiseLine(value=timing, unit="s", estimated=True)
-    return with_static_uncertainty(record_lines, view.campaign, noise, observable) | reading_lines
+    if timing_noise := estimated_timing_noise(view):
+        record_lines["timing"] = NoiseLine(value=timing_noise, unit="s", estimated=True)
+    return add_static_uncertainty(record_lines, view.campaign, noise, observable) | reading_lines
 
 
 def estimated_timing_noise(view: AccelerometerView) -> float:
     """Return the noise of the time stamps that the residuals of the records show, s; 0: none."""
-    stated = view.campaign.noise is not None and view.campaign.noise.timing
-    return 0.0 if stated else max((series.timestamp_noise for series in view.series), default=0.0)
+    is_stated = view.campaign.noise is not None and view.campaign.noise.timing
+    return (
+        0.0 if is_stated else max((series.timestamp_noise for series in view.series), default=0.0)
+    )
 
 
-def with_static_uncertainty(
+def add_static_uncertainty(
     lines: dict[str, NoiseLine], campaign: Campaign, noise: Noise, observable: str
 ) -> dict[str, NoiseLine]:
     """Return lines of noise that say which are from the record at rest, and how well it knows."""
@@ -246,7 +247,7 @@ def with_static_uncertainty(
     return updated_lines
 
 
-def record_noise(
+def record_noise_lines(
     noise: Noise, components: NoiseEstimate | None, observable: str
 ) -> dict[str, NoiseLine]:
     """Return noise of records, component by component, given or estimated."""
@@ -271,28 +272,28 @@ def record_noise(
     return lines
 
 
-def residual_columns(fit: JointFit, units: Mapping[str, str]) -> list[dict[str, Any]]:
+def residual_tables(fit: JointFit, units: Mapping[str, str]) -> list[dict[str, Any]]:
     """Return the columns of `Result.residuals`, a table for each record.
 
     units: Of each accelerometer's records.
     """
     tables: list[dict[str, Any]] = []
-    for prepared, residuals in zip(fit.design_blocks, fit.residuals, strict=True):
-        series, plain_residuals = prepared.series, residuals.unweighted
-        whitened_residuals = np.full(plain_residuals.size, np.nan)
+    for block, residuals in zip(fit.design_blocks, fit.residuals, strict=True):
+        series, unweighted = block.series, residuals.unweighted
+        whitened = np.full(unweighted.size, np.nan)
         # Differences belong to the later rows.
-        whitened_residuals[plain_residuals.size - residuals.whitened.size :] = residuals.whitened
+        whitened[unweighted.size - residuals.whitened.size :] = residuals.whitened
         tables.append(
             {
-                "accelerometer": prepared.accelerometer,
-                "run": prepared.run,
+                "accelerometer": block.accelerometer,
+                "run": block.run,
                 "time": series.time,
                 "count": series.count,
                 "error": series.error,
-                "fitted": series.error - plain_residuals,
-                "residual": plain_residuals,
-                "whitened": whitened_residuals,
-                "unit": units[prepared.accelerometer],
+                "fitted": series.error - unweighted,
+                "residual": unweighted,
+                "whitened": whitened,
+                "unit": units[block.accelerometer],
             }
         )
     return tables
@@ -309,24 +310,26 @@ def mounting_radii(
     }
 
 
-def in_output_units(
+def convert_to_output_units(
     campaign: Campaign, name: str, coefficients: dict[str, Coefficient]
 ) -> dict[str, Coefficient]:
     """Return bias and scale factor in what the readings are in; empty where that is g."""
     output = campaign.accelerometers[name].output
     if output is None:
         return {}
-    converted, sensitivity = {}, output.sensitivity
-    for symbol, key, unit, zero in (
+    output_coefficients, sensitivity = {}, output.sensitivity
+    for symbol, key, unit, offset in (
         ("K_F", "bias", output.unit, output.zero),
         ("K_I", "scale_factor", f"{output.unit}/g", 0.0),
     ):
-        c = coefficients.get(symbol)
-        if c is None or c.value is None or c.u is None:
+        coefficient = coefficients.get(symbol)
+        if coefficient is None or coefficient.value is None or coefficient.u is None:
             continue
-        value, u = zero + c.value * sensitivity, c.u * abs(sensitivity)
-        converted[key] = Coefficient(value=value, u=u, dof=c.dof, unit=unit, estimated=c.estimated)
-    return converted
+        value, u = offset + coefficient.value * sensitivity, coefficient.u * abs(sensitivity)
+        output_coefficients[key] = Coefficient(
+            value=value, u=u, dof=coefficient.dof, unit=unit, estimated=coefficient.estimated
+        )
+    return output_coefficients
 
 
 @frozen
@@ -350,7 +353,7 @@ class Outcome:
     arm_rates: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
-def run_result(
+def make_run_result(
     run: ObservedRun,
     *,
     parabolas: Mapping[str, ParabolaResult] | None = None,
@@ -395,12 +398,12 @@ def run_result(
 
 
 def check_outlier_share(
-    subject: str, counts: Mapping[str, int], accelerometers: int = 1
+    subject: str, counts: Mapping[str, int], accelerometer_count: int = 1
 ) -> list[Finding]:
     """Return a finding where outliers are more than `OUTLIER_SHARE` of a record's samples."""
-    samples = counts["rows"] * accelerometers
+    samples = counts["rows"] * accelerometer_count
     share = counts["outliers"] / samples
-    if share <= OUTLIER_SHARE:
+    if share <= MAX_OUTLIER_SHARE:
         return []
     text = (
         f"{subject}: {counts['outliers']} of {samples} samples were rejected as outliers. Find "
@@ -409,7 +412,7 @@ def check_outlier_share(
     return [Finding(code="many-outliers", subject=subject, text=text, size=share)]
 
 
-def own_correlations(campaign: Campaign, name: str) -> dict[str, dict[str, float]]:
+def prior_correlations(campaign: Campaign, name: str) -> dict[str, dict[str, float]]:
     """Return the stated correlations of an accelerometer's priors, its terms by their symbols."""
     prefix = f"{name}."
     return {

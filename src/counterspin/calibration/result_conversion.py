@@ -39,8 +39,8 @@ def residual_frame(tables: Sequence[Mapping[str, Any]]) -> pl.DataFrame:
     """Return the residuals of all records as a frame; columns as in `Result.residuals`."""
     import polars as pl
 
-    frame = pl.concat([pl.DataFrame(table) for table in tables])
-    return frame.with_columns(pl.col("whitened").fill_nan(None))
+    residuals = pl.concat([pl.DataFrame(table) for table in tables])
+    return residuals.with_columns(pl.col("whitened").fill_nan(None))
 
 
 def rows_frame(rows: Iterable[tuple[str, str, Coefficient]], library: str) -> Any:
@@ -54,12 +54,12 @@ def rows_frame(rows: Iterable[tuple[str, str, Coefficient]], library: str) -> An
     }
     for owner, symbol, coefficient in rows:
         unit, factor = field_unit(coefficient.unit)
-        known = (
+        is_determined = (
             coefficient.estimated and coefficient.value is not None and coefficient.u is not None
         )
-        low, high = coefficient.interval() if known else (None, None)
+        low, high = coefficient.interval() if is_determined else (None, None)
         numbers = (coefficient.value, coefficient.u, low, high, coefficient.u_unstated)
-        value, u, low, high, typical = (
+        value, u, low, high, u_unstated = (
             None if number is None else number * factor for number in numbers
         )
         row = (
@@ -70,7 +70,7 @@ def rows_frame(rows: Iterable[tuple[str, str, Coefficient]], library: str) -> An
             unit,
             low,
             high,
-            typical,
+            u_unstated,
             coefficient.dof,
             coefficient.estimated,
         )
@@ -81,28 +81,28 @@ def rows_frame(rows: Iterable[tuple[str, str, Coefficient]], library: str) -> An
 
 def summarize(result: Result) -> str:
     """Return title, state, coefficients and the gravest finding as text of at most 20 lines."""
-    head = (
+    heading = (
         f"{result.title or 'Calibration'}: {result.method} method, {result.state or 'not judged'}"
     )
-    named = [
+    named_coefficients = [
         (f"{owner}.{symbol}" if owner else symbol, str(c)) for owner, symbol, c in result.rows()
     ]
-    width = max((len(name) for name, _ in named), default=0)
-    lines = [f"{name.ljust(width)}  {text}" for name, text in named]
+    width = max((len(name) for name, _ in named_coefficients), default=0)
+    lines = [f"{name.ljust(width)}  {text}" for name, text in named_coefficients]
     findings = [f"{finding.subject}: {finding.text}" for finding in result.findings]
     remarks = [
         escape_controls(shortened)
         for text in findings[:1]
         if (shortened := text[:_LINE_CHARACTERS])
     ]
-    if more := len(findings) - 1:
-        remarks += [f"... {more} more findings"] if more > 0 else []
-    room = MAX_LINES - 1 - len(remarks)
-    if len(lines) > room:
-        lines[room - 1 :] = [
-            (f"... {len(lines) - room + 1} more coefficients; .table() returns all of them")
+    if hidden_count := len(findings) - 1:
+        remarks += [f"... {hidden_count} more findings"] if hidden_count > 0 else []
+    max_lines = MAX_LINES - 1 - len(remarks)
+    if len(lines) > max_lines:
+        lines[max_lines - 1 :] = [
+            (f"... {len(lines) - max_lines + 1} more coefficients; .table() returns all of them")
         ]
-    return "\n".join([escape_controls(head), *map(escape_controls, lines), *remarks])
+    return "\n".join([escape_controls(heading), *map(escape_controls, lines), *remarks])
 
 
 def _import_package(name: str, distribution: str) -> Any:
@@ -144,24 +144,24 @@ def to_gtc(result: Result) -> dict[str, Any]:
             for coefficient in coefficients
         ]
     )
-    root = _correlation_root(covariance.matrix / np.outer(u, u), dof)
-    finite = _finite_dof_shares(root, dof)
-    finite_indices = np.flatnonzero(finite)
-    finite_parts = package.multiple_ureal(
-        [0.0] * finite_indices.size, np.sqrt(finite[finite_indices]).tolist(), 1.0
+    correlation_root = _correlation_root(covariance.matrix / np.outer(u, u), dof)
+    finite_shares = _finite_dof_shares(correlation_root, dof)
+    finite_indices = np.flatnonzero(finite_shares)
+    finite_components = package.multiple_ureal(
+        [0.0] * finite_indices.size, np.sqrt(finite_shares[finite_indices]).tolist(), 1.0
     )
     numbers = {}
     for name, coefficient, row in zip(
-        covariance.terms, coefficients, u[:, None] * root, strict=True
+        covariance.terms, coefficients, u[:, None] * correlation_root, strict=True
     ):
         number = package.constant(coefficient.value)
-        for index, part in zip(finite_indices, finite_parts, strict=True):
-            number += float(row[index]) * part
+        for index, component in zip(finite_indices, finite_components, strict=True):
+            number += float(row[index]) * component
         numbers[name] = number
-    for index in np.flatnonzero(finite < 1.0):
-        part = package.ureal(0.0, math.sqrt(1.0 - finite[index]))
-        for name, size in zip(covariance.terms, u * root[:, index], strict=True):
-            numbers[name] += float(size) * part
+    for index in np.flatnonzero(finite_shares < 1.0):
+        component = package.ureal(0.0, math.sqrt(1.0 - finite_shares[index]))
+        for name, weight in zip(covariance.terms, u * correlation_root[:, index], strict=True):
+            numbers[name] += float(weight) * component
     return {name: package.result(number, label=name) for name, number in numbers.items()}
 
 
@@ -173,9 +173,9 @@ def _correlation_root(correlation: Array, dof: Array) -> Array:
     """
     order = np.argsort(-dof)
     values, vectors = np.linalg.eigh(correlation[np.ix_(order, order)])
-    half = vectors * np.sqrt(np.maximum(values, 0.0))
-    root = np.empty_like(half)
-    _, upper = np.linalg.qr(half.T)
+    half_matrix = vectors * np.sqrt(np.maximum(values, 0.0))
+    root = np.empty_like(half_matrix)
+    _, upper = np.linalg.qr(half_matrix.T)
     root[order] = upper.T
     # Rounding, and what an eigenvalue below zero had added.
     rows: Array = root / np.linalg.norm(root, axis=1)[:, None]
@@ -190,9 +190,9 @@ def _finite_dof_shares(root: Array, dof: Array) -> Array:
     """
     from scipy.optimize import linprog
 
-    required = 1.0 / np.sqrt(dof)
+    required_shares = 1.0 / np.sqrt(dof)
     squares = root**2
-    weight = 1.0 / np.maximum(required, 1e-6)
-    solution = linprog(weight @ squares, A_ub=-squares, b_ub=-required, bounds=(0.0, 1.0))
+    weights = 1.0 / np.maximum(required_shares, 1e-6)
+    solution = linprog(weights @ squares, A_ub=-squares, b_ub=-required_shares, bounds=(0.0, 1.0))
     shares: Array = np.where(solution.x > 1e-12, np.minimum(solution.x, 1.0), 0.0)
     return shares

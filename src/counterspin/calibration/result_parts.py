@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import PrivateAttr, field_validator
 
 from counterspin.arrays import Array
-from counterspin.calibration.si_estimates import SiEstimate, StatedGravity, si_estimate
+from counterspin.calibration.si_estimates import SiEstimate, StatedGravity, convert_to_si
 from counterspin.campaign.quantity import Quantity
 from counterspin.characters import escape_controls
 from counterspin.frozen import frozen
@@ -117,7 +117,7 @@ class Coefficient(ResultPart):
             raise ValueError(
                 "this coefficient belongs to no result: give the `gravity` of its unit"
             )
-        return si_estimate(*self._stated(), self.unit, self.dof, stated)
+        return convert_to_si(*self._stated(), self.unit, self.dof, stated)
 
     def _stated(self) -> tuple[float, float]:
         if self.value is None or self.u is None:

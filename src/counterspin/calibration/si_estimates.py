@@ -39,7 +39,7 @@ class SiEstimate:
         return f"{format_compact(self.value, self.u)} {self.unit.words}"
 
 
-def si_estimate(
+def convert_to_si(
     value: float, u: float, unit: str, dof: float | None, gravity: StatedGravity
 ) -> SiEstimate:
     """Return a coefficient in SI units.
@@ -50,20 +50,20 @@ def si_estimate(
     value, u, unit, dof: Of the coefficient, in g-units.
     gravity: The g of the unit.
     """
-    return _estimate(value, u, (1.0, *si_unit(unit)), dof, gravity)
+    return _convert_estimate(value, u, (1.0, *si_unit(unit)), dof, gravity)
 
 
-def instrument_unit_estimate(
+def convert_instrument_unit(
     value: float, u: float, unit: str, dof: float | None, gravity: StatedGravity
 ) -> SiEstimate:
     """Return in SI units what is in an instrument's own unit, or in that over g.
 
     Arguments as in `si_estimate`; ValueError if the unit has no expression in SI.
     """
-    return _estimate(value, u, own_unit(unit), dof, gravity)
+    return _convert_estimate(value, u, own_unit(unit), dof, gravity)
 
 
-def _estimate(
+def _convert_estimate(
     value: float,
     u: float,
     unit: tuple[float, SiUnit, int],
@@ -79,7 +79,7 @@ def _estimate(
     shift_kept = gravity.sensitivity * gravity.u * scale
     shift = shift_kept + power * si_value / g * gravity.u
     u_without_g = math.sqrt(max(si_u**2 - shift_kept**2, 0.0))
-    combined = math.hypot(u_without_g, shift)
+    combined_u = math.hypot(u_without_g, shift)
     # What g adds or takes away has no degrees of freedom (GUM G.4.1).
-    effective_dof = None if dof is None else dof * (combined / si_u) ** 4
-    return SiEstimate(si_value, combined, symbol, effective_dof, u_without_g, shift, shift_kept)
+    effective_dof = None if dof is None else dof * (combined_u / si_u) ** 4
+    return SiEstimate(si_value, combined_u, symbol, effective_dof, u_without_g, shift, shift_kept)

@@ -18,8 +18,8 @@ from counterspin.calibration.result_parts import Coefficient, Correlation, Triad
 from counterspin.calibration.si_estimates import (
     SiEstimate,
     StatedGravity,
-    instrument_unit_estimate,
-    si_estimate,
+    convert_instrument_unit,
+    convert_to_si,
 )
 from counterspin.certificates import certificate_text
 from counterspin.certificates.certificate_text import coverage_factor
@@ -44,7 +44,7 @@ def coefficients_in_si(result: Result, name: str) -> dict[str, SiEstimate]:
             assert c.value is not None
             assert c.u is not None
             gravity = result.gravity_of(name, symbol)
-            estimates[symbol] = si_estimate(c.value, c.u, c.unit, c.dof, gravity)
+            estimates[symbol] = convert_to_si(c.value, c.u, c.unit, c.dof, gravity)
     return estimates
 
 
@@ -74,7 +74,7 @@ def output_coefficients_in_si(result: Result, name: str) -> dict[str, SiEstimate
             scale = c.value / unit.value if unit.value else c.u / (unit.u or math.inf)
         value = replace(gravity, sensitivity=gravity.sensitivity * scale)
         with suppress(ValueError):
-            estimates[key] = instrument_unit_estimate(c.value, c.u, c.unit, c.dof, value)
+            estimates[key] = convert_instrument_unit(c.value, c.u, c.unit, c.dof, value)
     return estimates
 
 
@@ -147,7 +147,7 @@ def _parameters_in_si(
             assert c.u is not None
             by_g = triad.by_gravity.get(name, 0.0)
             gravity = StatedGravity(inputs.gravity, inputs.u_gravity, by_g)
-            estimates[name] = si_estimate(c.value, c.u, c.unit, c.dof, gravity)
+            estimates[name] = convert_to_si(c.value, c.u, c.unit, c.dof, gravity)
     return estimates
 
 
@@ -369,7 +369,7 @@ def _estimate_factor(c: Coefficient, smallest_u: float | None, g: StatedGravity)
     """
     if smallest_u is None or not c.u or c.value is None:
         return 1.0
-    estimate = si_estimate(c.value, c.u, c.unit, c.dof, g)
+    estimate = convert_to_si(c.value, c.u, c.unit, c.dof, g)
     # In SI the uncertainty of g may contribute less; U must not fall below the limit there either.
     missing_variance = max(
         (smallest_u / coverage_factor(dof)) ** 2 - u**2

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from counterspin.calibration.observed_runs import with_recorded_conditions
+from counterspin.calibration.observed_runs import add_recorded_conditions
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.reading import Reading
 from counterspin.errors import CounterspinError
@@ -155,7 +155,7 @@ def _fit_with_others(campaign: Campaign, name: str) -> tuple[list[str], list[Cur
     others += [run.name for run in mean_runs(usable_campaign) if run.name != name]
     names = displayed_names(campaign)
     try:
-        usable_campaign = with_recorded_conditions(usable_campaign)
+        usable_campaign = add_recorded_conditions(usable_campaign)
         return others, current_estimates(fit_runs(usable_campaign, observed), names)
     except CounterspinError:
         return others, undetermined_estimates(campaign, names)

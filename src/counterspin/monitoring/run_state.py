@@ -13,12 +13,12 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.accelerometer_view import AccelerometerView, ReadingData
-from counterspin.calibration.assembly import COMPLETE_FRACTION, MAX_RATE_DEVIATION
+from counterspin.calibration.assembly import COMPLETE_FRACTION, MAX_RATE_DIFFERENCE
 from counterspin.calibration.joint import estimate_campaign
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import make_unknowns
 from counterspin.calibration.observed_runs import ObservedRun
-from counterspin.calibration.outcome import OUTLIER_SHARE, coefficient
+from counterspin.calibration.outcome import MAX_OUTLIER_SHARE, make_coefficient
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.settings import OBSERVABLES
@@ -133,7 +133,7 @@ def run_remarks(
     faults, unusual = list[str](), list[str]()
     if state.rate is not None:
         part = state.rate / state.nominal_rate - 1.0
-        if abs(part) > MAX_RATE_DEVIATION:
+        if abs(part) > MAX_RATE_DIFFERENCE:
             faults.append(
                 f"The spindle turned at {state.rate:.6f} rad/s instead of the nominal "
                 f"{state.nominal_rate:.6f} rad/s ({part:+.2%})."
@@ -143,7 +143,7 @@ def run_remarks(
             f"The record lasts {state.seconds:.4g} s instead of the stated "
             f"{state.stated_seconds:.4g} s."
         )
-    if state.outliers > OUTLIER_SHARE * max(state.rows, 1) * max(len(views), 1):
+    if state.outliers > MAX_OUTLIER_SHARE * max(state.rows, 1) * max(len(views), 1):
         faults.append(f"{state.outliers} of {state.rows} samples are outliers.")
     for view in views:
         findings = [f"{view.name}: {text}" for text in view.diagnostics.findings]
@@ -232,7 +232,7 @@ def current_estimates(fit: CurrentFit, names: Sequence[str]) -> list[CurrentEsti
     for name in names:
         if name not in indices:
             continue
-        c = coefficient(fit.estimate, fit.estimate.fit.assessment, indices[name])
+        c = make_coefficient(fit.estimate, fit.estimate.fit.assessment, indices[name])
         estimates.append(
             CurrentEstimate(
                 name=name,

@@ -13,7 +13,7 @@ import numpy as np
 from counterspin.calibration.joint import estimate_campaign
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import make_unknowns
-from counterspin.calibration.observed_runs import ObservedRun, observe, with_recorded_conditions
+from counterspin.calibration.observed_runs import ObservedRun, add_recorded_conditions, observe
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.documents import require_source
 from counterspin.campaign.quantity import attitude_rows
@@ -75,7 +75,7 @@ def needs_records(campaign: Campaign, sampling_rate: float | None) -> bool:
 
 def apply_records(campaign: Campaign) -> tuple[Campaign, dict[str, float]]:
     """Return a campaign with the lengths and the noise of its records, and run -> rate, Hz."""
-    campaign = with_recorded_conditions(campaign)
+    campaign = add_recorded_conditions(campaign)
     observed_runs, noise = observe_with_noise(campaign)
     return apply_observations(campaign, observed_runs, noise), sampling_rates(observed_runs)
 

@@ -16,7 +16,7 @@ from pydantic import model_validator
 from counterspin._version import __version__
 from counterspin.arrays import Array
 from counterspin.calibration.model import fixed_symbols, make_unknowns
-from counterspin.calibration.outcome import coefficient
+from counterspin.calibration.outcome import make_coefficient
 from counterspin.calibration.result_parts import Provenance
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
@@ -285,7 +285,7 @@ def platform_of(prediction: Forecast) -> dict[str, PredictedCoefficient]:
 
 def _predicted(prediction: Forecast, index: int) -> PredictedCoefficient:
     """Return an unknown's uncertainty."""
-    shown = coefficient(prediction.estimate, prediction.assessment, index)
+    shown = make_coefficient(prediction.estimate, prediction.assessment, index)
     prior = prediction.fit.model.unknowns[index].prior[1]
     return PredictedCoefficient(
         u=shown.u if shown.estimated else None,

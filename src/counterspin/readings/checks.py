@@ -15,7 +15,7 @@ from counterspin.calibration.findings import (
     equivalent_deviations,
     lack_of_fit_finding,
 )
-from counterspin.calibration.outcome import check_outlier_share, residual_of
+from counterspin.calibration.outcome import check_outlier_share, summarize_group_residuals
 from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE, SIGNIFICANCE
 from counterspin.inference.distributions import chi_square_tail
@@ -98,7 +98,7 @@ def check_readings(view: AccelerometerView) -> list[Finding]:
     for index, group in enumerate(groups):
         if not (too_few or group.stated) and group.tested_dof < MIN_DOF:
             findings.append(untestable_finding(view.name, group))
-        residual = residual_of([group])
+        residual = summarize_group_residuals([group])
         noise_stated = math.isinf(group.noise_dof)
         p = residual.lack_of_fit_p if noise_stated else group.position_misfit_p
         sentences = []

@@ -16,7 +16,7 @@ from counterspin.calibration.accelerometer_view import (
     ReadingData,
 )
 from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.model import SQUARES
+from counterspin.calibration.model import SQUARE_TERMS
 from counterspin.calibration.result_parts import Finding, ReadingResult, TriadResult
 from counterspin.campaign.description import Campaign
 from counterspin.errors import CampaignError, NotIdentifiableError
@@ -121,7 +121,7 @@ class ReadingsAndPoses(ReadingData):
         """Return poses or records, and advice on poses, or on readings at rest only."""
         if self.triad and pose_groups(view) and not reading_groups(view) and not view.has_records:
             return "poses", self.triad.advice(view)
-        if only_at_rest(view.campaign) and symbol in ("K_F", "K_II", *SQUARES):
+        if only_at_rest(view.campaign) and symbol in ("K_F", "K_II", *SQUARE_TERMS):
             return "records", (
                 " At 1 g, the squares of the specific force components add up to one, so no "
                 "set of positions separates K_II, K_PP and K_OO together from K_F. State "
@@ -159,7 +159,7 @@ def join_readings(problem: JointProblem) -> tuple[Estimate, ReadingsAndPoses]:
         records = estimate(problem.series, problem.model, problem.noise)
         return records, ReadingsAndPoses(triad=make_triad(campaign))
     record_estimate = None
-    if problem.observed:
+    if problem.observed_runs:
         record_estimate = estimate(problem.series, problem.model, problem.noise)
     return estimate_with_readings(record_estimate, problem.model, campaign)
 

@@ -16,8 +16,8 @@ from counterspin.calibration.findings import (
     equivalent_deviations,
     method_test_level,
 )
-from counterspin.calibration.model import SQUARES
-from counterspin.calibration.outcome import residual_of
+from counterspin.calibration.model import SQUARE_TERMS
+from counterspin.calibration.outcome import summarize_group_residuals
 from counterspin.calibration.result_parts import Coefficient, Finding, MethodAgreement, Shift
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail, normal_cdf
@@ -63,7 +63,7 @@ def compare_methods(views: Sequence[AccelerometerView]) -> dict[str, MethodCompa
             _method_agreement(view, motion, count, compared[motion])
             for motion, count in counts.items()
         ]
-        separate = view.with_groups(
+        separate = view.select_groups(
             [
                 group.evaluate(compared[group.readings.motion].alone)
                 for group in groups_of_view(view)
@@ -140,7 +140,7 @@ def _has_square_terms(view: AccelerometerView) -> bool:
         for parameter in (*model.unknowns, *model.considered)
         if parameter.owner == view.name
     }
-    return terms >= {*SQUARES}
+    return terms >= {*SQUARE_TERMS}
 
 
 def _coefficient(
@@ -211,7 +211,7 @@ def _residual_ratio(view: AccelerometerView) -> float:
     """Return how many times as large as the stated noise the residuals are, where that is much."""
     ratios = [1.0]
     for group in groups_of_view(view):
-        residual = residual_of([group])
+        residual = summarize_group_residuals([group])
         if residual.chi2 is not None and residual.dof > 0.0:
             ratios.append(math.sqrt(residual.chi2 / residual.dof))
     if view.has_records and view.diagnostics.noise_given:

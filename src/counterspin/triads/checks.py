@@ -10,7 +10,7 @@ from counterspin.calibration.findings import (
     equivalent_deviations,
     lack_of_fit_finding,
 )
-from counterspin.calibration.outcome import residual_of
+from counterspin.calibration.outcome import summarize_group_residuals
 from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.joint.fit import JointFit
@@ -45,7 +45,7 @@ def pose_findings(fit: JointFit, groups: Sequence[FittedReadings]) -> list[Findi
             findings.append(untestable_finding(TRIAD, group))
         elif group.residual_dof < MIN_DOF:
             findings.append(_check_residual_dof(group))
-        residual = residual_of([group])
+        residual = summarize_group_residuals([group])
         p = residual.lack_of_fit_p
         if p is not None and p < 0.5 * SIGNIFICANCE / len(groups):
             statement = (

@@ -268,14 +268,14 @@ def _si_estimate(module: Any, given: Given) -> Values:
 
 def _si_covariance(module: Any, given: Given) -> Values:
     from counterspin.calibration.result_parts import Correlation
-    from counterspin.calibration.si_estimates import StatedGravity, si_estimate
+    from counterspin.calibration.si_estimates import StatedGravity, convert_to_si
 
     if "observations" in given:
         inputs, correlation_matrix = _quotients(given)
     else:
         inputs, correlation_matrix = given["estimates"], np.array(given["correlation"])
     estimates = {
-        name: si_estimate(
+        name: convert_to_si(
             given_estimate["value"],
             given_estimate["u"],
             given_estimate["unit"],

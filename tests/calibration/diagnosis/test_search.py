@@ -17,7 +17,7 @@ from counterspin.calibration.diagnosis import ranking, search
 from counterspin.calibration.joint_problem import JointProblem, make_noise, make_series
 from counterspin.calibration.model import make_unknowns
 from counterspin.calibration.observed_runs import observe
-from counterspin.calibration.outcome import noise_lines, residual
+from counterspin.calibration.outcome import noise_lines, summarize_residuals
 from counterspin.campaign.description import read_campaign
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint import mistakes
@@ -71,7 +71,7 @@ class Campaigns:
 
 def make_accelerometer(view):
     return accelerometer(
-        residual=residual(view),
+        residual=summarize_residuals(view),
         noise=noise_lines(view),
         jackknife=view.jackknife(),
         findings=residual_findings(view),

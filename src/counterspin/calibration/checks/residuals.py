@@ -8,7 +8,7 @@ from typing import Final
 
 from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.findings import equivalent_deviations, lack_of_fit_finding
-from counterspin.calibration.outcome import estimated_timing_noise, residual
+from counterspin.calibration.outcome import estimated_timing_noise, summarize_residuals
 from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import FALSE_ALARMS
 from counterspin.inference.joint.agreement import compare_slow_residuals
@@ -26,7 +26,9 @@ def residual_findings(view: AccelerometerView) -> list[Finding]:
         return findings
     tests = view.diagnostics
     if tests.findings:
-        findings.insert(0, lack_of_fit_finding(view.name, tests.findings, residual(view)))
+        findings.insert(
+            0, lack_of_fit_finding(view.name, tests.findings, summarize_residuals(view))
+        )
     return [*findings, *_compare_run_noise(view)]
 
 
@@ -109,7 +111,7 @@ def undetected_walk_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]
     u holds it, so nothing speaks against the result.
     """
     for view in views:
-        index, name = view.k_ii, view.name
+        index, name = view.k_ii_index, view.name
         if index is None or name not in view.fit.undetected_walks:
             continue
         variance = float(view.fit.undetected_walks[name][1][index, index])

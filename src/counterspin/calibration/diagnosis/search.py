@@ -45,7 +45,12 @@ from counterspin.calibration.findings import (
     check_statistics,
 )
 from counterspin.calibration.model import exact_inputs, fixed_terms, stated_inputs
-from counterspin.calibration.outcome import coefficient, noise_lines, prior_information, residual
+from counterspin.calibration.outcome import (
+    make_coefficient,
+    noise_lines,
+    prior_information,
+    summarize_residuals,
+)
 from counterspin.calibration.result_parts import AccelerometerResult, Finding
 from counterspin.campaign.description import Campaign
 from counterspin.inference.diagnostics import (
@@ -485,14 +490,14 @@ def _affected_accelerometers(
 def _evaluate_view(view: AccelerometerView, estimate: Estimate) -> AccelerometerView:
     """Return a view of a relaxed fit, with the readings as they fit that."""
     groups = [group.evaluate(estimate.fit) for group in view.groups]
-    return replace(view, estimate=estimate).with_groups(groups)
+    return replace(view, estimate=estimate).select_groups(groups)
 
 
 def _check_view(view: AccelerometerView) -> Iterator[Finding]:
     yield from residual_findings(view)
     yield from _check_view_statistics(view, None)
     coefficients = {
-        symbol: coefficient(view.estimate, view.assessment, index)
+        symbol: make_coefficient(view.estimate, view.assessment, index)
         for symbol, index in view.indices.items()
         if f"{view.name}.{symbol}" in view.assessment.determined  # not what was considered before
     }
@@ -507,7 +512,7 @@ def _check_view_statistics(
     judged_result = result or AccelerometerResult(
         coefficients={},
         correlation=None,
-        residual=residual(view),
+        residual=summarize_residuals(view),
         noise=noise_lines(view),
         jackknife=view.jackknife(),
     )

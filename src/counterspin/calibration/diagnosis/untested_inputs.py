@@ -76,7 +76,7 @@ class AlternativeMounting:
 
     def apply_to(self, view: AccelerometerView) -> AccelerometerView:
         """Return a view of an accelerometer whose readings are as they fit then."""
-        return view.with_groups(self.groups)
+        return view.select_groups(self.groups)
 
     def largest_shift(self) -> tuple[str, float, float]:
         """Return the coefficient with the largest shift, the shift, and the shift over u."""

@@ -38,7 +38,7 @@ _ROUNDING: Final = 1e-15
 
 def thin_residuals(view: AccelerometerView) -> dict[str, Trace]:
     """Return the residuals of one accelerometer by run, thinned."""
-    runs = {run.run.name: run for run in view.problem.observed}
+    runs = {run.run.name: run for run in view.problem.observed_runs}
     return {
         prepared.run: _thin_run(view, index, runs[prepared.run])
         for index, prepared, _ in view.records()

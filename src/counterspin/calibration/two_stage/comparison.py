@@ -8,7 +8,7 @@ import numpy as np
 
 from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.calibration.outcome import coefficient
+from counterspin.calibration.outcome import make_coefficient
 from counterspin.calibration.result_parts import Comparison
 from counterspin.calibration.two_stage.method import two_stage_view, walk_is_stated
 from counterspin.errors import NotIdentifiableError, RecordError
@@ -23,7 +23,7 @@ def compare_k_ii(view: AccelerometerView) -> Comparison | None:
     Of what two stages do not estimate they are given what the joint fit found: else a drift, say,
     that was asked for and is there would make them disagree.
     """
-    index = view.k_ii
+    index = view.k_ii_index
     if index is None or view.problem.campaign.model.correlations:
         return None  # the second stage takes its considered terms as independent
     components = {} if walk_is_stated(view.problem.noise) else view.estimate.estimated_noise
@@ -40,7 +40,7 @@ def compare_k_ii(view: AccelerometerView) -> Comparison | None:
     except (NotIdentifiableError, RecordError):
         return None
     position = stage_view.indices["K_II"]
-    parameter = coefficient(stage_view.estimate, stage_view.assessment, position)
+    parameter = make_coefficient(stage_view.estimate, stage_view.assessment, position)
     if not parameter.estimated or parameter.value is None or parameter.u is None:
         return None
     solution, stage_solution = view.fit.solution, stage_view.fit.solution

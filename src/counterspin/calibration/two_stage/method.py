@@ -17,13 +17,13 @@ from counterspin.calibration.model import fixed_terms
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.outcome import (
     Outcome,
-    coefficient,
-    confounded,
-    correlation,
+    accelerometer_correlation,
+    add_static_uncertainty,
+    confounded_terms,
     describe_instrument,
-    record_noise,
-    run_result,
-    with_static_uncertainty,
+    make_coefficient,
+    make_run_result,
+    record_noise_lines,
 )
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
@@ -45,9 +45,9 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess
-from counterspin.inference.joint import encoder
+from counterspin.inference.joint import encoder, estimation
 from counterspin.inference.joint.budget import budget
-from counterspin.inference.joint.estimation import Estimate, correct_series, estimate
+from counterspin.inference.joint.estimation import Estimate, correct_series
 from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns, unit_of
 from counterspin.inference.joint.what_if import what_if
@@ -93,7 +93,7 @@ def calibrate_accelerometer(
     campaign, name, model = problem.campaign, accelerometer.name, second.fit.model
     records = problem.accelerometer_series(name)
     unknowns = {
-        unknown.symbol: coefficient(view.estimate, view.assessment, index)
+        unknown.symbol: make_coefficient(view.estimate, view.assessment, index)
         for index, unknown in enumerate(model.unknowns)
     }
     if RIPPLE in unknowns and options.ripple == "ratio":
@@ -111,10 +111,10 @@ def calibrate_accelerometer(
     result = AccelerometerResult(
         coefficients={k: v for k, v in coefficients.items() if k not in (DRIFT, RIPPLE)},
         second_unknown={k: v for k, v in coefficients.items() if k in (DRIFT, RIPPLE)},
-        correlation=correlation(view),
-        confounded=[*confounded(view), *inseparable_sums(view, second, coefficients)],
+        correlation=accelerometer_correlation(view),
+        confounded=[*confounded_terms(view), *inseparable_sums(view, second, coefficients)],
         residual=residual_size,
-        noise=with_static_uncertainty(
+        noise=add_static_uncertainty(
             _noise_lines(second.parabolas, view), campaign, problem.noise[name], "displacement"
         ),
         budget=budgets,
@@ -137,7 +137,7 @@ def calibrate_accelerometer(
 
 def calibrate_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outcome:
     """Apply the two-stage method to each accelerometer of a campaign."""
-    campaign, observed = problem.campaign, problem.observed
+    campaign, observed = problem.campaign, problem.observed_runs
     campaign.require_records("the two-stage method")
     noise, series = estimate_noise(problem)
     outcomes = {
@@ -148,7 +148,7 @@ def calibrate_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outc
         model=options.model,
         accelerometers={name: outcome.result for name, outcome in outcomes.items()},
         runs={
-            run.run.name: run_result(
+            run.run.name: make_run_result(
                 run,
                 parabolas={
                     name: stage_result.parabolas[run.run.name]
@@ -296,7 +296,7 @@ def _noise_lines(parabolas: Sequence[Parabola], view: AccelerometerView) -> dict
     estimated = parabolas[0].sigma_from_residuals
     components = view.estimate.estimated_noise.get(view.name)
     if components is not None and not estimated:
-        return record_noise(components.noise, components, "displacement")
+        return record_noise_lines(components.noise, components, "displacement")
     dof = sum(p.dof for p in parabolas)
     sigma = math.sqrt(sum(p.sigma**2 * p.dof for p in parabolas) / dof)
     white = NoiseLine(
@@ -306,9 +306,12 @@ def _noise_lines(parabolas: Sequence[Parabola], view: AccelerometerView) -> dict
         estimated=estimated,
     )
     if components is not None:
-        return {**record_noise(components.noise, components, "displacement"), "displacement": white}
+        return {
+            **record_noise_lines(components.noise, components, "displacement"),
+            "displacement": white,
+        }
     walk = Noise(0.0, view.fit.noise[view.name].random_walk)
-    return {"displacement": white, **record_noise(walk, None, "displacement")}
+    return {"displacement": white, **record_noise_lines(walk, None, "displacement")}
 
 
 def _parabola(parabola: Parabola) -> ParabolaResult:
@@ -420,5 +423,5 @@ def estimate_noise(
     """
     if walk_is_stated(problem.noise):
         return {}, correct_series(problem.series, problem.model, problem.noise)
-    estimated = estimate(problem.series, problem.model, problem.noise)
+    estimated = estimation.estimate(problem.series, problem.model, problem.noise)
     return estimated.estimated_noise, estimated.series
