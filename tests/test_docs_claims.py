@@ -65,7 +65,7 @@ NUMBERS = [
     ("README", "report agreement to within {} or", [rerun.LIMIT]),
     (
         "README",
-        "{} m after 100 s at one revolution a second, {} m after 400 s at a quarter of it",
+        "{} m after 100 s at one revolution a second, {} m after 400 s at a quarter of that rate",
         [
             round(paper.TABLE_1["K_II"] * parabola("K_II", QX, rate, *PLAN) * time**2)
             for rate, time in ((2.0 * math.pi, 100.0), (0.5 * math.pi, 400.0))
@@ -194,7 +194,7 @@ NUMBERS = [
         [200.0 * normal_cdf(-diagnostics.AGREEMENT)],
     ),
     ("diagnosis", "causes: {} % of campaigns for priors, {} % for all other", [CAUSES, CAUSES]),
-    ("diagnosis", "(rounded, so from {} on)", [fitted.MIN_DOF]),
+    ("diagnosis", "({} or more, rounded)", [fitted.MIN_DOF]),
     ("diagnosis", "sine of 1 to {} times the head's angle", [patterns._HARMONICS]),
     ("diagnosis", "constant of {} or {} of the duration of the series", [*patterns._WARM_UPS]),
     (
@@ -258,7 +258,7 @@ NUMBERS = [
     ),
     (
         "physics",
-        "{} arcsec/g is therefore equivalent to an error of ${}$ g/g² in $K_{II}$",
+        "{} arcsec/g is equivalent to an error of ${}$ g/g² in $K_{II}$",
         [SHARED_TERMS["platform.compliance.zy"].typical / ARCSEC, 0.1 * ARCSEC],
     ),
     (
@@ -409,7 +409,7 @@ def test_violation_campaign_matches_description():
     assert agrees(most, study["SILENT_UP_TO"])
     assert agrees(least, study["SHOWN_FROM"])
     campaign = tomllib.loads(study["description"]("velocity", study["FULL"]))
-    words = "Three runs at {}, {} and {} rev/s, with {} revolutions each, are sampled at {} Hz on "
+    words = "three runs at {}, {} and {} rev/s, with {} revolutions each, sampled at {} Hz on "
     words += "a radius of {} m. "
     words += "The noise per sample is {} m, {} mm/s or {} m/s^2. "
     words += "The standard uncertainties are {} µg for the bias and {} ppm for the scale factor"
@@ -443,7 +443,7 @@ def test_intervals_with_estimated_noise_are_conservative():
 
 
 def test_u_matches_scatter_if_noise_is_stated_or_visible():
-    (near,) = find_numbers("methods", "1 lies within {} of the band")
+    (near,) = find_numbers("methods", "1 lies inside the band or at most {} outside it")
     study = runpy.run_path(str(ROOT / "docs" / "coverage.py"))
     rows = [row for row in study["TABLE"].load() if not row.hidden]
     assert len(rows) > 10

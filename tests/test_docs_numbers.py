@@ -55,7 +55,7 @@ def default_argument(function, name):
 ROWS = {
     "campaign": [
         ("/g$, for example {} for a gravity difference of {} m/s²", 1e-4 / 9.80665, 1e-4),
-        ("for heights between {} and {} m", *gravity.HEIGHTS),
+        ("at any height between {} and {} m", *gravity.HEIGHTS),
         (
             "latitude of {} deg, an accelerometer error of 1 mg thus changes the perpendicular "
             "displacement by {} m in {} s",
@@ -85,9 +85,9 @@ ROWS = {
         ("each at least {} times the next", design._DIFFERENT_RATE_RATIO),
         ("{} µg for K_F", 1e6 * KNOWN["bias"]),
         ("{} arcsec for the tilt of each run", KNOWN["platform.tilt"]),
-        ("{} deg/h for the drift of the gyro", KNOWN["platform.drift"]),
+        ("{} deg/h for the gyro drift", KNOWN["platform.drift"]),
         (
-            "{} deg/h/g for the g-sensitivity of its azimuth axis",
+            "{} deg/h/g for the g-sensitivity of the azimuth gyro",
             KNOWN["platform.g_sensitivity.zx"],
         ),
         ("allows a settling time of {} s", float(PLAN["limits"]["settling"].split()[0])),
@@ -110,10 +110,10 @@ ROWS = {
         ("compares {} analyses", len(description._DEFAULT_ANALYSES)),
         ("coverage of the {}, {} and {} % intervals", *(100.0 * p for p in result.LEVELS)),
         (
-            "intervals must be {} to {} %",
+            "intervals is {} to {} %",
             *(100.0 * p for p in result._ACCEPTED_COVERAGE),
         ),
-        ("the bias must not exceed {} of the stated u", result._MAX_BIAS_RATIO),
+        ("its bias does not exceed {} of the stated u", result._MAX_BIAS_RATIO),
         (
             "mean true values and at {} random draws of these values",
             engine_selection._COMPARED_TRIALS,
@@ -141,11 +141,11 @@ ROWS = {
         ("(`--reliability`, default {})", default_argument(cs.history, "reliability")),
         ("The date must be no more than {} years after the last result", consistency.MAX_YEARS),
         ("a significance level of {} %", 100.0 * diagnostics.SIGNIFICANCE),
-        ("Correlations below {} are neglected.", consistency._NEGLIGIBLE_CORRELATION),
+        ("neglects correlations below {}.", consistency._NEGLIGIBLE_CORRELATION),
     ],
     "certificate": [
         ("`CS-` and {} digits of the SHA-256", DIGITS),
-        ("k is taken from Student's t distribution for {} %", 100.0 * distributions.COVERAGE),
+        ("k comes from Student's t distribution for {} %", 100.0 * distributions.COVERAGE),
         ("smallest expanded uncertainty ({} %)", 100.0 * distributions.COVERAGE),
         ("ellipsoidal {} % coverage region", 100.0 * distributions.COVERAGE),
         ("rounds k to {} decimal places", certificate_text._FACTOR_DECIMALS),
@@ -182,7 +182,7 @@ ROWS = {
     ],
     "harmful-files": [
         (
-            "unpack to more than {} MB and {} times their size",
+            "unpack to more than {} MB and more than {} times their size",
             table_files._UNPACKED_BYTES / 1e6,
             table_files._UNPACKED_PER_BYTE,
         ),
