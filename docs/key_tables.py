@@ -30,7 +30,7 @@ from counterspin.operating_tests.result import OperatingTests
 from counterspin.physics.terms import ACCELEROMETER_TERMS
 from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
 from counterspin.studies.description import StudiedDocument, StudyDocument
-from counterspin.toml_text import write_value
+from counterspin.toml_text import format_value
 from counterspin.validation.page import Dossier
 
 HERE = Path(__file__).parent
@@ -65,7 +65,7 @@ PARTS = {
         NoiseResult,
         Dossier,
     )
-    for name, part in schemas.parts_of(result).items()
+    for name, part in schemas.collect_models(result).items()
 }
 
 #: Classes that have a table of keys.
@@ -136,10 +136,10 @@ def _anchors(page: str) -> dict[str, str]:
 def fields_table(name: str, anchors: dict[str, str]) -> str:
     """Return the table of a part of a result, with links to the tables of its own parts."""
     part = PARTS[name]
-    said = schemas.comments_of(part)
+    said = schemas.field_comments(part)
     rows = (
-        (f"`{schemas.name_of(part, field)}`", _shape(hint, anchors), _cell(said[field]))
-        for field, hint in schemas.hints_of(part).items()
+        (f"`{schemas.key_of_field(part, field)}`", _shape(hint, anchors), _cell(said[field]))
+        for field, hint in schemas.field_types(part).items()
     )
     return FIELDS_HEAD + "".join(f"| {' | '.join(cells)} |\n" for cells in rows)
 
@@ -213,7 +213,7 @@ def _row(key: str, field: FieldInfo) -> str:
     extra = extra_of(field)
     kind = extra.get("x-kind") or _kind(field.annotation, field.metadata)
     (value,) = field.examples or [None]
-    example = f"`{key} = {write_value(value)}`"
+    example = f"`{key} = {format_value(value)}`"
     cells = (f"`{key}`", kind, _default(field, extra), example, field.description or "")
     return "| " + " | ".join(cells) + " |\n"
 

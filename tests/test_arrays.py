@@ -4,24 +4,26 @@ import numpy as np
 import pytest
 
 from counterspin.arrays import (
-    QR_ROWS,
-    aligned,
-    in_parts,
+    QR_BLOCK_ROWS,
+    empty_aligned,
+    qr_blocks,
     quantile,
     semidefinite_root,
-    triangle_of,
+    triangular_factor,
     triangular_root,
 )
 
 
-@pytest.mark.parametrize("rows", [0, 3, QR_ROWS - 1, QR_ROWS, QR_ROWS + 1, 3 * QR_ROWS + 7])
+@pytest.mark.parametrize(
+    "rows", [0, 3, QR_BLOCK_ROWS - 1, QR_BLOCK_ROWS, QR_BLOCK_ROWS + 1, 3 * QR_BLOCK_ROWS + 7]
+)
 @pytest.mark.parametrize("order", ["C", "F"])
 def test_chunked_qr_has_same_triangle(rows, order):
     matrix = np.asarray(np.random.default_rng(rows).standard_normal((rows, 5)), order=order)
-    parts = in_parts(matrix)
-    assert len(parts) == rows // QR_ROWS * 5 + rows % QR_ROWS
+    parts = qr_blocks(matrix)
+    assert len(parts) == rows // QR_BLOCK_ROWS * 5 + rows % QR_BLOCK_ROWS
     expected = matrix.T @ matrix
-    triangle = triangle_of(parts)
+    triangle = triangular_factor(parts)
     assert not np.tril(triangle, -1).any()
     np.testing.assert_allclose(triangle.T @ triangle, expected, rtol=0, atol=1e-13 * (rows + 1))
 
@@ -53,7 +55,7 @@ def test_inconsistent_contributions_decrease_no_variance():
 
 @pytest.mark.parametrize("shape", [(1,), (1000,), (3, 65), (511, 128)])
 def test_work_arrays_are_aligned_to_cache_lines(shape):
-    array = aligned(*shape)
+    array = empty_aligned(*shape)
     assert array.shape == shape
     rows = array.reshape(-1, shape[-1]) if array.flags.c_contiguous else array
     assert all(row.ctypes.data % 64 == 0 for row in rows)

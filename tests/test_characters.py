@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from counterspin.characters import write_substitutes
-from counterspin.schemas import schema_of
+from counterspin.characters import install_substitution
+from counterspin.schemas import make_schema
 
 
 @pytest.mark.parametrize(
@@ -25,14 +25,14 @@ from counterspin.schemas import schema_of
 def test_stream_substitutes_unencodable_characters(encoding, shown):
     raw = io.BytesIO()
     stream = io.TextIOWrapper(raw, encoding=encoding, newline="\n")
-    write_substitutes(stream)
+    install_substitution(stream)
     print("1 ± 2 µg, 10⁻⁵ − × ≤ 測", end="", file=stream, flush=True)
     assert raw.getvalue().decode(encoding) == shown
 
 
 def test_closed_stream_and_stream_without_encoding_are_unchanged():
-    write_substitutes(None)
-    write_substitutes(io.StringIO())
+    install_substitution(None)
+    install_substitution(io.StringIO())
 
 
 @pytest.mark.slow
@@ -47,4 +47,4 @@ def test_commands_write_in_any_encoding(words):
         )
         assert done.stderr == b""
         if words[0] == "schema":
-            assert json.loads(done.stdout.decode("utf-8")) == schema_of("campaign")
+            assert json.loads(done.stdout.decode("utf-8")) == make_schema("campaign")

@@ -186,7 +186,7 @@ ROWS = {
             table_files._UNPACKED_BYTES / 1e6,
             table_files._UNPACKED_PER_BYTE,
         ),
-        ("repeats at most {} characters of a value", errors._VALUE_LENGTH),
+        ("repeats at most {} characters of a value", errors._MAX_VALUE_LENGTH),
     ],
     "reports": [
         (

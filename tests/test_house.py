@@ -492,7 +492,7 @@ def extras():
 def test_named_extras_exist_and_are_documented():
     told = {path: path.read_text(encoding="utf-8") for path in [*MODULES, *PAGES]}
     everything = "\n".join(told.values())
-    asked = set(re.findall(r"installing\([\"'](\w+)[\"']\)", everything))
+    asked = set(re.findall(r"install_command\([\"'](\w+)[\"']\)", everything))
     named = set(re.findall(r"\bextra(?:\]\(\S+\))?\s`+(\w+)`", everything))
     named |= set(re.findall(r"\.(?:whl)?\[([a-z]+)\]'", everything))
     quickstart = told[ROOT / "docs" / "quickstart.md"]
@@ -709,7 +709,7 @@ def test_no_file_contains_local_path():
 # Codes of errors
 
 #: Function -> position of its argument that is a code.
-POSITIONS = {"InputError": 1, "Problem": 1, "code_of": 1, "add": 2, "_fail": 2}
+POSITIONS = {"InputError": 1, "Problem": 1, "error_code": 1, "add": 2, "_fail": 2}
 #: Classes of errors without a code of their own.
 GENERAL = {"CounterspinError", "RecordError", "CampaignError"}
 

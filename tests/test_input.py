@@ -37,11 +37,11 @@ def test_file_identity_follows_content(tmp_path):
     file = tmp_path / "a"
     file.write_bytes(b"one")
     os.utime(file, ns=(1, 1))
-    identity = FileIdentity.of(file)
+    identity = FileIdentity.from_file(file)
     with open_file(file) as stream:
-        assert FileIdentity.of(stream.fileno()) == identity
+        assert FileIdentity.from_file(stream.fileno()) == identity
     file.touch()
-    assert FileIdentity.of(file) != identity
+    assert FileIdentity.from_file(file) != identity
 
 
 @pytest.mark.parametrize(

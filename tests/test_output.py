@@ -13,7 +13,14 @@ from raising import raises
 
 from counterspin import output
 from counterspin.errors import CounterspinError
-from counterspin.output import begin, make_folder, mark, marked, write_text, write_whole
+from counterspin.output import (
+    create_partial_file,
+    file_mark,
+    make_folder,
+    marked_file_type,
+    write_atomically,
+    write_text,
+)
 
 
 def test_file_is_replaced_without_other_files(tmp_path):
@@ -90,13 +97,13 @@ def test_concurrently_created_file_is_not_lost(tmp_path, hard_link_support):
         part.write_text("ours")
 
     with raises("file-exists", "c.xml"):
-        write_whole(target, write)
+        write_atomically(target, write)
     with raises("file-exists", "c.xml", "comparison"):
-        write_whole(target, write, partial(marked, "a comparison"), overwrite=True)
+        write_atomically(target, write, partial(marked_file_type, "a comparison"), overwrite=True)
     assert target.read_text() == "somebody else's"
     target.unlink()
     with raises("file-exists", "c.xml", "comparison"):
-        write_whole(target, write, partial(marked, "a comparison"), overwrite=True)
+        write_atomically(target, write, partial(marked_file_type, "a comparison"), overwrite=True)
     assert target.read_text() == "somebody else's"
     assert [path.name for path in tmp_path.iterdir()] == ["c.xml"]
 
@@ -107,7 +114,7 @@ def test_single_writer_of_same_name_succeeds(tmp_path, hard_link_support):
     def write(text):
         start.wait()
         try:
-            write_whole(tmp_path / "c.xml", lambda part: part.write_text(text))
+            write_atomically(tmp_path / "c.xml", lambda part: part.write_text(text))
             taken.append(text)
         except CounterspinError:
             refused.append(text)
@@ -147,18 +154,18 @@ def test_circular_link_raises(tmp_path):
 @pytest.mark.parametrize("apostrophe", ["'", "&#39;"])
 def test_mark_with_apostrophe_is_recognised(tmp_path, apostrophe):
     page = tmp_path / "page.html"
-    page.write_text(mark("a study's result").replace("'", apostrophe))
-    assert marked("a study's result").recognises(page)
-    assert not marked("a plan's result").recognises(page)
+    page.write_text(file_mark("a study's result").replace("'", apostrophe))
+    assert marked_file_type("a study's result").recognises(page)
+    assert not marked_file_type("a plan's result").recognises(page)
 
 
 def test_file_with_two_marks_or_none_is_not_recognised(tmp_path):
     page = tmp_path / "page.html"
-    report, comparison = marked("a report"), marked("a comparison")
-    page.write_text(f"<html>{mark('a report')}")
+    report, comparison = marked_file_type("a report"), marked_file_type("a comparison")
+    page.write_text(f"<html>{file_mark('a report')}")
     assert (report.recognises(page), comparison.recognises(page)) == (True, False)
     # As if a title were chosen for it.
-    page.write_text(f"<html>{mark('a report')}<title>{mark('a comparison')}")
+    page.write_text(f"<html>{file_mark('a report')}<title>{file_mark('a comparison')}")
     assert (report.recognises(page), comparison.recognises(page)) == (False, False)
     page.write_text("<html>")
     assert not report.recognises(page)
@@ -188,7 +195,7 @@ def windows(monkeypatch):
     ],
 )
 def test_reserved_windows_names_raise(windows, tmp_path, name, reason):
-    for act in (make_folder, begin, lambda path: write_text(path, "x")):
+    for act in (make_folder, create_partial_file, lambda path: write_text(path, "x")):
         with pytest.raises(CounterspinError, match=f"{reason}.*; choose another name"):
             act(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
@@ -232,7 +239,7 @@ def test_new_file_waits_for_virus_scanner_on_windows(windows, tmp_path, monkeypa
 
     monkeypatch.setattr(Path, "rename", locked)
     monkeypatch.setattr("counterspin.output.os", SimpleNamespace(name="nt"))
-    output._take(part, place)
+    output._rename_exclusively(part, place)
     assert (place.read_text(), len(refused)) == ("new", 3)
 
 
@@ -242,7 +249,7 @@ def test_failed_removal_of_temporary_file_hides_no_error(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "unlink", locked)
     with pytest.raises(ZeroDivisionError):
-        write_whole(tmp_path / "result.json", lambda _: 1 / 0)
+        write_atomically(tmp_path / "result.json", lambda _: 1 / 0)
 
 
 def test_file_open_in_other_program_raises_on_windows(windows, tmp_path, monkeypatch):

@@ -14,12 +14,12 @@ from counterspin.campaign.memory import make_campaign
 from counterspin.cli import main
 from counterspin.errors import CounterspinError, CounterspinWarning
 from counterspin.studies import study as study_module
-from counterspin.threads import BLAS_THREADS, one_blas_thread
+from counterspin.threads import BLAS_THREAD_VARIABLES, single_blas_thread
 from counterspin.workers import Workers
 
 
 def test_excess_workers_are_capped_with_message(monkeypatch):
-    monkeypatch.setattr(workers, "usable_cores", lambda: 3)
+    monkeypatch.setattr(workers, "available_cores", lambda: 3)
     with pytest.warns(CounterspinWarning, match=r"100000 were requested, but only 6 .*3 processor"):
         assert Workers(100_000).capped() == Workers(6)
     assert Workers(6).capped() == Workers(6)
@@ -33,7 +33,7 @@ def test_zero_workers_raise():
 
 
 def test_command_reports_capped_workers(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(workers, "usable_cores", lambda: 1)
+    monkeypatch.setattr(workers, "available_cores", lambda: 1)
     main(["calibrate", str(tmp_path / "a"), str(tmp_path / "b"), "--workers", "5000"])
     error = capsys.readouterr().err
     assert error.count("--workers: 5000 were requested") == 1
@@ -72,7 +72,7 @@ def count_threads():
 
 @pytest.fixture
 def two_threads(monkeypatch):
-    for name in BLAS_THREADS:
+    for name in BLAS_THREAD_VARIABLES:
         monkeypatch.delenv(name, raising=False)
     with threadpoolctl().threadpool_limits(limits=2, user_api="blas"):
         yield
@@ -81,7 +81,7 @@ def two_threads(monkeypatch):
 @pytest.mark.usefixtures("two_threads")
 def test_thread_limit_lasts_until_last_context_exits():
     assert count_threads() == {2}
-    first, second = one_blas_thread(), one_blas_thread()
+    first, second = single_blas_thread(), single_blas_thread()
     with first:
         second.__enter__()
         assert count_threads() == {1}
@@ -93,7 +93,7 @@ def test_thread_limit_lasts_until_last_context_exits():
 @pytest.mark.usefixtures("two_threads")
 def test_thread_count_of_environment_is_preserved(monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
-    with one_blas_thread():
+    with single_blas_thread():
         assert count_threads() == {2}
 
 
@@ -123,7 +123,7 @@ def test_study_uses_single_thread_and_restores_threads(monkeypatch):
 
 def test_library_log_is_silenced_temporarily(caplog):
     log = logging.getLogger("library")
-    with workers._without_log("library"):
+    with workers._silence_logger("library"):
         log.error("Traceback")
     log.error("afterwards")
     assert caplog.messages == ["afterwards"]

@@ -15,7 +15,7 @@ from sphinx.ext.intersphinx import resolve_reference_any_inventory
 from sphinx.util.inspect import TypeAliasForwardRef
 
 from counterspin.campaign.field_types import SettingsSection
-from counterspin.schemas import unlinked
+from counterspin.schemas import strip_links
 
 #: What NumPy's ArrayLike is made of: it stands in its place where None is allowed too.
 _ARRAY_LIKE = re.compile(
@@ -44,7 +44,7 @@ def _on_docstring(*given: Any) -> None:
     if inspect.isclass(value) and issubclass(value, SettingsSection):
         lines += ["", "Attributes", "----------"]
         for key, field in value.model_fields.items():
-            words = unlinked(field.description or "").replace("`", "``")
+            words = strip_links(field.description or "").replace("`", "``")
             lines += [key, f"    {words[:1].upper()}{words[1:]}."]
 
 

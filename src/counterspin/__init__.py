@@ -20,7 +20,7 @@ The commands, as functions:
   `Workers`: where they are kept, and who makes them
 - `demo`: the paper's plan, simulated and calibrated (`Demonstration`)
 - `history`: a coefficient of each instrument through all its results (`History`)
-- `applied`: the uncertainty budget of the acceleration that a centrifuge applies, by level
+- `applied`: uncertainty budget of the acceleration that a centrifuge applies, by level
   (`AppliedAcceleration`)
 - `operating`: linearity, hysteresis, threshold, resolution, dead band, warm-up (`OperatingTests`)
 - `compare`: results of other models, methods or campaigns beside each other (`ResultComparison`)
@@ -172,9 +172,8 @@ if TYPE_CHECKING:
     from counterspin.validation.validate import write_dossier as write_dossier
     from counterspin.workers import Workers as Workers
 
-#: Module -> what it offers here. The same again, for those who run the code and do not check it;
-#: a test holds the two together.
-_OFFERED = {
+#: Module -> its names exported here. A test compares them with the imports for type checkers above.
+_EXPORTS = {
     "_version": ("__version__",),
     "acceleration_standard.budget": ("applied",),
     "acceleration_standard.result": ("AppliedAcceleration",),
@@ -235,21 +234,23 @@ _OFFERED = {
     "workers": ("Workers",),
 }
 
-#: Names that are too short to stand without their module.
-_LONGER = {"by_angle": "strobes_by_angle", "by_nominal_rate": "strobes_by_nominal_rate"}
+#: Name in its module -> exported name, if the former is too short without the module.
+_EXPORT_NAMES = {"by_angle": "strobes_by_angle", "by_nominal_rate": "strobes_by_nominal_rate"}
 
-_PLACES = {
-    _LONGER.get(name, name): (module, name) for module, names in _OFFERED.items() for name in names
+_LOCATIONS = {
+    _EXPORT_NAMES.get(name, name): (module, name)
+    for module, names in _EXPORTS.items()
+    for name in names
 }
 
-__all__ = sorted(_PLACES)  # noqa: PLE0605 -- computed, so that no name is written a third time
+__all__ = sorted(_LOCATIONS)  # noqa: PLE0605 -- computed, so that no name is written a third time
 
 
 def __getattr__(name: str) -> Any:
-    """Load a name at its first use (PEP 562)."""
-    if name not in _PLACES:
+    """Load a name on first use (PEP 562)."""
+    if name not in _LOCATIONS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, attribute = _PLACES[name]
+    module, attribute = _LOCATIONS[name]
     if module not in ("errors", "_version"):
         from counterspin.errors import require_thread_count
 
@@ -260,5 +261,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return the names offered, loaded or not, and what every module has; no helpers."""
-    return sorted({*_PLACES, *(name for name in globals() if name.startswith("__"))})
+    """Return the exported names and the special attributes, without helpers."""
+    return sorted({*_LOCATIONS, *(name for name in globals() if name.startswith("__"))})

@@ -1,4 +1,4 @@
-"""The one array type, working arrays, and triangular factors of tall matrices."""
+"""Array type, aligned arrays, order statistics, and triangular factors of tall matrices."""
 
 from __future__ import annotations
 
@@ -8,99 +8,101 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-#: Every array of this package holds floats unless its docstring says else.
+#: Array of floats; docstrings name the exceptions.
 Array = npt.NDArray[np.float64]
 
 #: Standard deviation of a Gaussian over its median absolute deviation.
-SIGMA_OF_MAD: Final = 1.4826
+MAD_TO_SIGMA: Final = 1.4826
 
-#: Rows that one QR takes at a time: a cache's worth, three times faster than all rows at once.
-QR_ROWS: Final = 512
+#: Rows per QR block: a block fits the cache, which is three times as fast as all rows at once.
+QR_BLOCK_ROWS: Final = 512
 
 #: Values of 8 bytes in a cache line.
 _CACHE_LINE_VALUES: Final = 8
 
 
-def aligned(*shape: int) -> Array:
-    """Return an uninitialised float array whose rows begin where a cache line does.
+def empty_aligned(*shape: int) -> Array:
+    """Return an uninitialised float array whose rows are aligned with cache lines.
 
-    Results written across the ends of cache lines take the processor up to twice as long.
+    Writing results across cache lines takes up to twice as long.
     """
-    *rows, length = shape
-    stride = -(-length // _CACHE_LINE_VALUES) * _CACHE_LINE_VALUES
-    store: Array = np.empty(math.prod(rows) * stride + _CACHE_LINE_VALUES)
-    start = -(store.ctypes.data // store.itemsize) % _CACHE_LINE_VALUES
-    array: Array = store[start : len(store) - _CACHE_LINE_VALUES + start].reshape(*rows, stride)
-    return array[..., :length]
+    *rows, row_length = shape
+    stride = -(-row_length // _CACHE_LINE_VALUES) * _CACHE_LINE_VALUES
+    buffer: Array = np.empty(math.prod(rows) * stride + _CACHE_LINE_VALUES)
+    start = -(buffer.ctypes.data // buffer.itemsize) % _CACHE_LINE_VALUES
+    array: Array = buffer[start : len(buffer) - _CACHE_LINE_VALUES + start].reshape(*rows, stride)
+    return array[..., :row_length]
 
 
 def median(values: Array) -> float:
-    """Return the median of values (n,): NaN of none, or where one is NaN.
+    """Return the median of values (n,); NaN if there are none or any is NaN.
 
-    `np.median` takes twenty times as long for a few hundred values, and at its first call it loads
-    the masked arrays.
+    `np.median` takes twenty times as long for a few hundred values, and its first call loads
+    `numpy.ma`.
     """
     half = len(values) // 2
     if not half:
         return float(values[0]) if len(values) else math.nan
     low, high, last = np.partition(values, (half - 1, half, -1))[[half - 1, half, -1]].tolist()
     if math.isnan(last):
-        return float(last)  # it is sorted last
+        return float(last)  # NaN is sorted last
     return float(high if len(values) % 2 else (low + high) / 2)
 
 
 def quantile(values: npt.NDArray[Any], fraction: float) -> float:
-    """Return a quantile of values (n,), linearly interpolated; NaN of none, or where one is NaN.
+    """Return a linearly interpolated quantile of values (n,); NaN if there are none or any is NaN.
 
-    `np.quantile` loads the masked arrays at its first call, and so does `np.unique`.
+    The first call of `np.quantile` or `np.unique` loads `numpy.ma`.
     """
     if not len(values):
         return math.nan
     position = fraction * (len(values) - 1)
     low, high = math.floor(position), math.ceil(position)
-    below, above, last = np.partition(values, (low, high, -1))[[low, high, -1]].tolist()
-    return float(last if math.isnan(last) else below + (above - below) * (position - low))
+    lower, upper, last = np.partition(values, (low, high, -1))[[low, high, -1]].tolist()
+    return float(last if math.isnan(last) else lower + (upper - lower) * (position - low))
 
 
-def triangle_of(matrix: Array) -> Array:
-    """Return R of the QR factorisation, shape (min(n, p), p); also of a stack of matrices."""
+def triangular_factor(matrix: Array) -> Array:
+    """Return R of the QR factorisation, shape (..., min(n, p), p); matrices can be stacked."""
     return np.asarray(np.linalg.qr(matrix, mode="r"))
 
 
-def in_parts(rows: Array) -> Array:
-    """Return the triangles of parts of the rows (n, p), one above the other, and the rows left.
+def qr_blocks(rows: Array) -> Array:
+    """Return the stacked R factors of row blocks of a matrix (n, p), and its remaining rows.
 
-    R of these is R of all rows, as exact as in one go, but each part fits the cache (Demmel et
-    al., SIAM J. Sci. Comput. 34 (2012) A206).
+    R of the returned matrix is R of all rows, with the same accuracy, but each block fits the cache
+    (Demmel et al., SIAM J. Sci. Comput. 34 (2012) A206).
     """
-    width = rows.shape[1]
-    whole = len(rows) // QR_ROWS * QR_ROWS
-    if whole == 0:
+    n_columns = rows.shape[1]
+    n_block_rows = len(rows) // QR_BLOCK_ROWS * QR_BLOCK_ROWS
+    if n_block_rows == 0:
         return rows
-    triangles = triangle_of(rows[:whole].reshape(-1, QR_ROWS, width)).reshape(-1, width)
-    return np.concatenate([triangles, rows[whole:]])
+    triangles = triangular_factor(
+        rows[:n_block_rows].reshape(-1, QR_BLOCK_ROWS, n_columns)
+    ).reshape(-1, n_columns)
+    return np.concatenate([triangles, rows[n_block_rows:]])
 
 
 def triangular_root(factor: Array) -> Array:
     """Return the lower triangular L with L @ L.T = factor @ factor.T and no negative diagonal."""
-    upper = triangle_of(factor.T)
+    upper = triangular_factor(factor.T)
     signs = np.where(np.diagonal(upper) < 0.0, -1.0, 1.0)
     lower: Array = (signs[:, None] * upper).T
     return lower
 
 
 def semidefinite_root(covariance: Array) -> Array:
-    """Return T with T @ T.T the covariance, shape (p, p); its negative eigenvalues become zero.
+    """Return T with T @ T.T = covariance, shape (p, p); negative eigenvalues become zero.
 
-    They are rounding in a covariance that was computed as one. In one that was put together from
-    parts that do not fit, taking them away makes no variance smaller. Rows and columns are scaled
-    to unit variance first, so that coefficients of any unit keep their digits.
+    Negative eigenvalues are rounding errors, or come from combining inconsistent blocks; removing
+    them does not decrease any variance. Rows and columns are scaled to unit variance first, so that
+    coefficients of any unit keep their digits.
 
     covariance: Symmetric, shape (p, p).
     """
-    diagonal = np.diagonal(covariance)
-    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    root: Array = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    root[~np.any(covariance, axis=1)] = 0.0  # what is known exactly stays so, without rounding
+    variances = np.diagonal(covariance)
+    scale = np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    eigenvalues, eigenvectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    root: Array = scale[:, None] * eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0))
+    root[~np.any(covariance, axis=1)] = 0.0  # exactly known values stay exact, without rounding
     return root

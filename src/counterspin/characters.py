@@ -1,4 +1,4 @@
-"""Characters that may be shown: escape control characters, replace what an encoding lacks."""
+"""Display of text: escape control characters, and substitute characters an encoding lacks."""
 
 from __future__ import annotations
 
@@ -8,16 +8,15 @@ from functools import partial
 from io import TextIOWrapper
 from typing import Final, TextIO
 
-#: What a terminal obeys and does not show, what XML cannot represent, and what turns the direction
-#: of the text after it: C0 and C1 controls, marks of direction (Unicode Standard Annex 9),
-#: separators of lines, the last two code points. What is half of a character (a file name that is
-#: not UTF-8, for example) has no shape either.
-_CONTROL: Final = re.compile(
+#: Characters that a terminal interprets, that XML cannot represent, or that change the direction of
+#: the following text: C0 and C1 controls, directional marks (Unicode Standard Annex 9), line
+#: separators, noncharacters, and lone surrogates (such as from a file name that is not UTF-8).
+_CONTROL_CHARACTER: Final = re.compile(
     "[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff\ufffe\uffff]"
 )
 
-#: What streams without these characters get instead.
-_ASCII: Final = {
+#: Substitutes for characters in encodings without them.
+_ASCII_SUBSTITUTES: Final = {
     "±": "+/-",
     "×": "x",
     "−": "-",
@@ -26,61 +25,69 @@ _ASCII: Final = {
     "…": "...",
 }
 
-#: Raised digits, such as those of 10⁻⁵, get a caret before them instead.
-_RAISED_DIGITS: Final = re.compile("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+")
-_LOWERED: Final = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+#: Superscript digits, such as those of 10⁻⁵, are substituted by a caret and plain digits.
+_SUPERSCRIPT_DIGITS: Final = re.compile("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+")
+_SUPERSCRIPT_TO_ASCII: Final = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
 class MultilineText(str):
-    """Several lines, each of them visible: ends of lines that we mean, not those of a file."""
+    """Text with intended line breaks; line breaks within each given line are escaped."""
 
     __slots__ = ()
 
     def __new__(cls, *lines: str) -> MultilineText:
-        """Return these lines below each other."""
+        """Return the lines, joined with line breaks."""
         return super().__new__(cls, "\n".join(map(escape_controls, lines)))
 
 
 def escape_controls(text: str) -> str:
-    r"""Return a text with its control characters in Python's notation, as ``\x1b``."""
+    r"""Return a text with control characters in Python's notation, such as ``\x1b``."""
     if isinstance(text, MultilineText):
         return text
-    return _CONTROL.sub(lambda control: control[0].encode("unicode_escape").decode(), text)
+    return _CONTROL_CHARACTER.sub(
+        lambda control: control[0].encode("unicode_escape").decode(), text
+    )
 
 
-def encodable(text: str, encoding: str) -> str:
-    """Return the text with what the encoding lacks put otherwise: ``+/-`` for ``±``.
+def substitute_unencodable(text: str, encoding: str) -> str:
+    """Return the text with substitutes for characters that the encoding lacks: ``+/-`` for ``±``.
 
-    A character without such a substitute becomes a question mark.
+    A character without a substitute becomes a question mark.
     """
-    if _can_write(text, encoding):
+    if _is_encodable(text, encoding):
         return text
-    text = _RAISED_DIGITS.sub(
-        lambda run: run[0] if _can_write(run[0], encoding) else f"^{run[0].translate(_LOWERED)}",
+    text = _SUPERSCRIPT_DIGITS.sub(
+        lambda match: (
+            match[0]
+            if _is_encodable(match[0], encoding)
+            else f"^{match[0].translate(_SUPERSCRIPT_TO_ASCII)}"
+        ),
         text,
     )
-    return "".join(c if _can_write(c, encoding) else _ASCII.get(c, "?") for c in text)
+    return "".join(
+        c if _is_encodable(c, encoding) else _ASCII_SUBSTITUTES.get(c, "?") for c in text
+    )
 
 
-def write_substitutes(stream: TextIO | None) -> None:
-    """Let a stream write substitutes for the characters that its encoding lacks, as `encodable`."""
+def install_substitution(stream: TextIO | None) -> None:
+    """Make a stream substitute the characters that its encoding lacks."""
     if isinstance(stream, TextIOWrapper):
-        handler = f"counterspin-{stream.encoding}"
-        codecs.register_error(handler, partial(_substituted, stream.encoding))
-        stream.reconfigure(errors=handler)
+        handler_name = f"counterspin-{stream.encoding}"
+        codecs.register_error(handler_name, partial(_handle_encode_error, stream.encoding))
+        stream.reconfigure(errors=handler_name)
 
 
-def _substituted(encoding: str, error: UnicodeError) -> tuple[str, int]:
-    """Return substitutes for what could not be encoded, and where to go on (`codecs`)."""
+def _handle_encode_error(encoding: str, error: UnicodeError) -> tuple[str, int]:
+    """Return substitutes for characters that cannot be encoded, and their end (`codecs`)."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     # Some codecs ask for one character at a time; raised digits are replaced together.
-    digits = _RAISED_DIGITS.match(error.object, error.start)
+    digits = _SUPERSCRIPT_DIGITS.match(error.object, error.start)
     end = error.end if digits is None else max(error.end, digits.end())
-    return encodable(error.object[error.start : end], encoding), end
+    return substitute_unencodable(error.object[error.start : end], encoding), end
 
 
-def _can_write(text: str, encoding: str) -> bool:
+def _is_encodable(text: str, encoding: str) -> bool:
     try:
         text.encode(encoding)
     except UnicodeEncodeError:

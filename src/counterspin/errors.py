@@ -6,7 +6,7 @@ its message as one short paragraph and ends with `exit_status`; Python users cat
 change when a message is reworded.
 
 A `CounterspinWarning` informs the user while the work continues; the command line prints it.
-`installing` returns the installation command of an optional part.
+`install_command` returns the installation command of an optional extra.
 """
 
 from __future__ import annotations
@@ -21,28 +21,29 @@ from typing import Any, ClassVar, Final
 from counterspin._version import __version__
 
 #: Maximum number of characters of a value in a message.
-_VALUE_LENGTH: Final = 200
+_MAX_VALUE_LENGTH: Final = 200
 
 #: A longer value, in quotation marks or without spaces.
-_LONG: Final = re.compile(
-    rf"'[^']{{{_VALUE_LENGTH},}}'|\"[^\"]{{{_VALUE_LENGTH},}}\"|\S{{{_VALUE_LENGTH + 1},}}"
+_LONG_VALUE: Final = re.compile(
+    rf"'[^']{{{_MAX_VALUE_LENGTH},}}'|\"[^\"]{{{_MAX_VALUE_LENGTH},}}\""
+    rf"|\S{{{_MAX_VALUE_LENGTH + 1},}}"
 )
 
 #: Maximum number of characters of a line.
-_LINE_LENGTH: Final = 3000
+_MAX_LINE_LENGTH: Final = 3000
 
 #: Maximum number of quoted characters of a library's message or a file's text.
-REASON_LENGTH: Final = 150
+MAX_REASON_LENGTH: Final = 150
 
 #: Environment variable with the number of Polars threads, and the maximum that is allowed.
-_THREADS: Final = "POLARS_MAX_THREADS"
-_MOST_THREADS: Final = 1024
+_THREADS_VARIABLE: Final = "POLARS_MAX_THREADS"
+_MAX_THREADS: Final = 1024
 
 #: Number of lines shown at the beginning and at the end of a message.
-_END_LINES: Final = 20
+_MAX_END_LINES: Final = 20
 
 
-def installing(extra: str) -> str:
+def install_command(extra: str) -> str:
     """Return the installation command of an extra, as the end of a message.
 
     counterspin is in no package index, so pip needs the path of a clone or a wheel before the
@@ -70,13 +71,13 @@ def read_error_code(error: OSError) -> str:
     return "file-not-found" if isinstance(error, FileNotFoundError) else "file-not-readable"
 
 
-def code_of(mistake: object, default: str = "invalid-value") -> str:
+def error_code(error: object, default: str = "invalid-value") -> str:
     """Return the code of an error or a `Problem`; `default` for other errors and texts."""
-    return getattr(mistake, "code", default)
+    return getattr(error, "code", default)
 
 
 class Problem(str):
-    """The message of a mistake in an input, with the code of the mistake."""
+    """The message of a mistake in an input, with its code."""
 
     code: str
 
@@ -104,7 +105,7 @@ class OutOfRangeError(InputError):
 
 
 class CounterspinError(Exception):
-    """The base of all errors that counterspin raises on purpose.
+    """Base class of all errors that counterspin raises on purpose.
 
     Parameters
     ----------
@@ -123,23 +124,30 @@ class CounterspinError(Exception):
             self.code = code
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return the parts of the error for another process: its class, message and attributes."""
+        """Return class, message and attributes, to pickle the error for another process."""
         return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
     def __str__(self) -> str:
-        """Return the message, with long values and long lists cut in the middle."""
+        """Return the message, with the middle of long values and long lists omitted."""
         lines = super().__str__().split("\n")
-        left_out = len(lines) - 2 * _END_LINES
-        if left_out > 1:
-            lines[_END_LINES:-_END_LINES] = [f"  ... and {left_out} more"]
+        n_omitted = len(lines) - 2 * _MAX_END_LINES
+        if n_omitted > 1:
+            lines[_MAX_END_LINES:-_MAX_END_LINES] = [f"  ... and {n_omitted} more"]
         return "\n".join(
-            _cut(_LONG.sub(lambda value: _cut(value[0], _VALUE_LENGTH), line), _LINE_LENGTH)
+            _cut_middle(
+                _LONG_VALUE.sub(lambda value: _cut_middle(value[0], _MAX_VALUE_LENGTH), line),
+                _MAX_LINE_LENGTH,
+            )
             for line in lines
         )
 
 
-def _cut(text: str, most: int) -> str:
-    return text if len(text) <= most else f"{text[: most // 2 - 5]} ... {text[5 - most // 2 :]}"
+def _cut_middle(text: str, max_length: int) -> str:
+    return (
+        text
+        if len(text) <= max_length
+        else f"{text[: max_length // 2 - 5]} ... {text[5 - max_length // 2 :]}"
+    )
 
 
 class CampaignError(CounterspinError):
@@ -152,7 +160,7 @@ class CampaignError(CounterspinError):
     problems
         One line per mistake, each beginning with the path of its key.
     lines
-        Where each stands in the source, from 1, as far as that is known.
+        Line of each problem in the source, from 1; None: not known.
     code
         Code of all problems, or a code for each problem; None: the code of each `Problem`, or the
         code of the class.
@@ -173,18 +181,20 @@ class CampaignError(CounterspinError):
         self.source = source
         problems = list(problems)
         if code is None or isinstance(code, str):
-            code = [code or code_of(problem, self.code) for problem in problems]
+            code = [code or error_code(problem, self.code) for problem in problems]
         self.codes = tuple(code)  #: The code of each problem.
-        # A line end in a name that a file gave begins no further line.
+        # A line break in a name from a file must not begin a new line of the message.
         self.problems = tuple(problem.replace("\n", r"\n") for problem in problems)
-        told = [
+        messages = [
             problem if line is None else f"line {line}: {problem}"
             for problem, line in zip_longest(self.problems, lines)
         ]
-        if len(told) == 1:
-            text = f"{source}: {told[0]}"
+        if len(messages) == 1:
+            text = f"{source}: {messages[0]}"
         else:
-            text = f"{source}: {len(told)} {self.heading}\n" + "\n".join(f"  {one}" for one in told)
+            text = f"{source}: {len(messages)} {self.heading}\n" + "\n".join(
+                f"  {one}" for one in messages
+            )
         super().__init__(text, code=next(iter(self.codes), None))
 
 
@@ -257,10 +267,10 @@ def require_thread_count() -> None:
 
     Polars panics at 0, and starts as many threads as a large number states.
     """
-    value = os.environ.get(_THREADS)
-    if value is None or (re.fullmatch("0*[1-9][0-9]{0,3}", value) and int(value) <= _MOST_THREADS):
+    value = os.environ.get(_THREADS_VARIABLE)
+    if value is None or (re.fullmatch("0*[1-9][0-9]{0,3}", value) and int(value) <= _MAX_THREADS):
         return
     raise UsageError(
-        f"environment variable {_THREADS}",
-        [f"{value!r} is not a whole number from 1 to {_MOST_THREADS}; correct or unset it"],
+        f"environment variable {_THREADS_VARIABLE}",
+        [f"{value!r} is not a whole number from 1 to {_MAX_THREADS}; correct or unset it"],
     )

@@ -1,9 +1,9 @@
-"""Dataclasses whose objects cannot be changed, as every room uses them.
+"""Immutable dataclasses that load quickly.
 
 `dataclasses.dataclass(frozen=True)` compiles six methods for each class while the package is
-loaded; for all classes of a calibration together that took longer than its fit. Here a class gets
-one of its own, `__init__`; the others are shared. `dataclasses.replace`, `fields` and the like work
-as usual.
+loaded; for all classes of a calibration together, that takes longer than the fit. Here only
+`__init__` is compiled for each class, and the other methods are shared. `dataclasses.replace`,
+`fields` and similar functions work as usual.
 """
 
 from __future__ import annotations
@@ -13,43 +13,47 @@ from dataclasses import FrozenInstanceError, dataclass, field, fields
 from operator import attrgetter
 from typing import Any, NoReturn, TypeVar, dataclass_transform, overload
 
-Kind = TypeVar("Kind", bound=type)
+ClassT = TypeVar("ClassT", bound=type)
 T = TypeVar("T")
 
 
 @overload
-def frozen(cls: Kind, /) -> Kind: ...
+def frozen(cls: ClassT, /) -> ClassT: ...
 @overload
-def frozen(*, eq: bool) -> Callable[[Kind], Kind]: ...
+def frozen(*, eq: bool) -> Callable[[ClassT], ClassT]: ...
 @dataclass_transform(frozen_default=True, field_specifiers=(field,))
 def frozen(cls: Any = None, /, *, eq: bool = True) -> Any:
     """Make a class a dataclass whose attributes are set once, by `__init__`.
 
-    eq: Whether two objects with equal attributes are equal, and have one hash. False where an
-        attribute is an array, which has no single truth: then an object equals itself alone.
+    eq: Whether objects with equal attributes are equal and have the same hash. False for classes
+        with array attributes, which have no single truth value: an object then equals only itself.
     """
     if cls is None:
-        return lambda it: frozen(it) if eq else _frozen(it, {})
-    return _frozen(cls, {"__eq__": _equal, "__hash__": _hash})
+        return lambda cls: frozen(cls) if eq else _make_frozen(cls, {})
+    return _make_frozen(cls, {"__eq__": _equal, "__hash__": _hash})
 
 
-def _frozen(cls: Any, comparing: dict[str, Any]) -> Any:
-    shared = {"__repr__": _repr, "__setattr__": _set_once, "__delattr__": _refuse} | comparing
-    for name, method in shared.items():
+def _make_frozen(cls: Any, comparison_methods: dict[str, Any]) -> Any:
+    methods = {
+        "__repr__": _repr,
+        "__setattr__": _set_once,
+        "__delattr__": _refuse_change,
+    } | comparison_methods
+    for name, method in methods.items():
         if name not in vars(cls):
             setattr(cls, name, method)
-    made = dataclass(eq=False, repr=False)(cls)
-    if comparing:
-        # Quick, since dictionaries of terms compare them by the thousand.
-        made._compared = attrgetter(*(part.name for part in fields(made) if part.compare))
-    return made
+    new_class = dataclass(eq=False, repr=False)(cls)
+    if comparison_methods:
+        # `attrgetter` is fast: dictionaries compare thousands of terms.
+        new_class._compared = attrgetter(*(part.name for part in fields(new_class) if part.compare))
+    return new_class
 
 
 def copy_with(instance: T, changes: Mapping[str, Any]) -> T:
     """Return a copy of a frozen object with changed attributes.
 
-    It is quicker than `dataclasses.replace` because `__init__` does not run. The class may not have
-    attributes that are computed once.
+    This is faster than `dataclasses.replace` because `__init__` does not run. The class must not
+    have cached attributes.
     """
     copy = object.__new__(type(instance))
     copy.__dict__.update(instance.__dict__, **changes)
@@ -57,26 +61,26 @@ def copy_with(instance: T, changes: Mapping[str, Any]) -> T:
 
 
 def _set_once(self: Any, name: str, value: Any) -> None:
-    own = self.__dict__
-    if name in own or name not in self.__dataclass_fields__:
-        _refuse(self, name)
-    own[name] = value
+    attributes = self.__dict__
+    if name in attributes or name not in self.__dataclass_fields__:
+        _refuse_change(self, name)
+    attributes[name] = value
 
 
-def _refuse(self: Any, name: str) -> NoReturn:
+def _refuse_change(self: Any, name: str) -> NoReturn:
     raise FrozenInstanceError(f"cannot change {name!r} of a {type(self).__qualname__}")
 
 
 def _repr(self: Any) -> str:
-    shown = (f"{part.name}={getattr(self, part.name)!r}" for part in fields(self) if part.repr)
-    return f"{type(self).__qualname__}({', '.join(shown)})"
+    arguments = (f"{part.name}={getattr(self, part.name)!r}" for part in fields(self) if part.repr)
+    return f"{type(self).__qualname__}({', '.join(arguments)})"
 
 
 def _equal(self: Any, other: Any) -> Any:
     if type(other) is not type(self):
         return NotImplemented
-    compared: Callable[[Any], Any] = type(self)._compared
-    return compared(self) == compared(other)
+    compared_attributes: Callable[[Any], Any] = type(self)._compared
+    return compared_attributes(self) == compared_attributes(other)
 
 
 def _hash(self: Any) -> int:

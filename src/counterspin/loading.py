@@ -1,4 +1,4 @@
-"""Names of functions and classes that are imported when they are used."""
+"""Lazy import of functions and classes by name."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def load_name(name: str) -> Any:
-    """Return the object ``package.module:name``; its module is imported on the call."""
+    """Import the module of ``package.module:name`` and return the object."""
     module, _, attribute = name.partition(":")
     return getattr(import_module(module), attribute)
 
@@ -17,5 +17,5 @@ def is_installed(name: str) -> bool:
     """Return whether the module of ``package.module:name`` exists."""
     try:
         return find_spec(name.partition(":")[0]) is not None
-    except ModuleNotFoundError:  # its package
+    except ModuleNotFoundError:  # the package is missing
         return False

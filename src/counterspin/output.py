@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and take no other file's place."""
+"""Atomic writing of files, without overwriting other files."""
 
 from __future__ import annotations
 
@@ -15,117 +15,116 @@ from counterspin.errors import CounterspinError, ExistingFileError, WriteError
 from counterspin.frozen import frozen
 from counterspin.input import open_file
 
-#: How much of either end of a file is searched for a mark.
-_END_BYTES: Final = 1 << 18
+#: Number of bytes at either end of a file that are searched for a mark.
+_SEARCHED_BYTES: Final = 1 << 18
 
-#: What `mark` puts into a file.
-#: The apostrophe may be escaped as in HTML.
-_MARK: Final = re.compile(rb"Made by counterspin: ((?:[a-z ']|&#39;)+)\.")
+#: The text of `file_mark`; its apostrophe may be escaped as in HTML.
+_FILE_MARK: Final = re.compile(rb"Made by counterspin: ((?:[a-z ']|&#39;)+)\.")
 
-#: Names of devices on Windows, with any ending: ``NUL.json`` discards what is written.
-_DEVICE: Final = re.compile(
+#: Names of devices on Windows, with any suffix: ``NUL.json`` discards its content.
+_DEVICE_NAME: Final = re.compile(
     r"(?:CON|PRN|AUX|NUL|CONIN\$|CONOUT\$|(?:COM|LPT)[0-9¹²³]) *(?:\..*)?", re.I
 )
-#: Characters that no name of a file has on Windows; what follows a colon names a hidden stream.
-_FORBIDDEN: Final = re.compile(r'[<>:"|?*\x00-\x1f]')
-#: How often, and after which time in s, a file that another program has open is tried again.
+#: Characters not allowed in file names on Windows; a colon would begin the name of a hidden stream.
+_FORBIDDEN_CHARACTER: Final = re.compile(r'[<>:"|?*\x00-\x1f]')
+#: Number of attempts to rename a file that another program has open, and delay between them, s.
 _RENAME_ATTEMPTS: Final = 10
-_RENAME_PAUSE: Final = 0.1
+_RENAME_DELAY: Final = 0.1
 
 
 @frozen
 class FileType:
-    """A kind of file that a command writes."""
+    """A type of file that a command writes."""
 
-    words: str  #: What a message calls it, with its article.
-    recognises: Callable[[Path], bool]  #: Whether a file is of this kind.
+    description: str  #: Name in messages, with its article.
+    recognises: Callable[[Path], bool]  #: Returns whether a file is of this type.
 
 
-def reserve(
-    path: Path, kind: Callable[[], FileType] | None = None, *, overwrite: bool = False
+def check_writable(
+    path: Path, file_type: Callable[[], FileType] | None = None, *, overwrite: bool = False
 ) -> None:
-    """Refuse a place for an output where a file would be lost, before any work is done.
+    """Raise CounterspinError if an output cannot be written, or would overwrite another file.
 
-    What is there is replaced only if it is of the same kind and `overwrite` asks for it: so no
-    input, campaign, record or other command's result can be lost to a slip. A device or a pipe
-    is no file, and takes what comes.
+    An existing file is replaced only if it has the same type and `overwrite` is set, so that no
+    input, campaign, record or result of another command is lost by mistake. Devices and pipes are
+    always accepted.
 
-    kind: Returns what it will be; not called if nothing is there. None: who asks knows what is
-        there.
-    overwrite: Whether an earlier one of the same kind may be replaced.
+    file_type: Returns the type of the output; called only if a file exists. None: the caller has
+        checked the existing file.
+    overwrite: Whether an existing file of the same type may be replaced.
     """
-    place = _place(path)
+    target = _resolve_target(path)
     try:
-        if not place.exists():
-            if not place.parent.is_dir():
+        if not target.exists():
+            if not target.parent.is_dir():
                 raise CounterspinError(
                     f"{path} cannot be written: the folder {path.parent} does not exist",
                     code="file-not-found",
                 )
             return
     except OSError as error:
-        raise WriteError(_refusal(path, error)) from error
-    if place.is_dir():
-        raise WriteError(_refusal(path, IsADirectoryError()))
-    if not place.is_file():
+        raise WriteError(_describe_write_error(path, error)) from error
+    if target.is_dir():
+        raise WriteError(_describe_write_error(path, IsADirectoryError()))
+    if not target.is_file():
         return
-    if kind is not None:
-        expected = kind()
+    if file_type is not None:
+        expected = file_type()
         try:
-            same = expected.recognises(place)
+            is_same_type = expected.recognises(target)
         except OSError:
-            same = False
-        if not same:
+            is_same_type = False
+        if not is_same_type:
             raise ExistingFileError(
-                f"{path} already exists and is not {expected.words}, so it was not overwritten; "
-                "choose another file"
+                f"{path} already exists and is not {expected.description}, so it was not "
+                "overwritten; choose another file"
             )
     if not overwrite:
-        advice = "" if kind is None else ", or set `overwrite=True`"
+        advice = "" if file_type is None else ", or set `overwrite=True`"
         raise ExistingFileError(f"{path} already exists; choose another file{advice}")
 
 
-def mark(words: str) -> str:
-    """Return the note that identifies the file in formats with a field for remarks."""
-    return f"Made by counterspin: {words}."
+def file_mark(document_type: str) -> str:
+    """Return the remark that identifies the file, for formats with a field for remarks."""
+    return f"Made by counterspin: {document_type}."
 
 
-def marked(words: str) -> FileType:
-    """Return the kind of files that have this `mark` at either end, and none of another kind."""
+def marked_file_type(document_type: str) -> FileType:
+    """Return the type of the files with this `file_mark`, and no other, at either end."""
 
     def recognises(path: Path) -> bool:
-        # Words of a user may look like another mark: then nobody can tell.
-        marks = {match[1] for end in _ends(path) for match in _MARK.finditer(end)}
-        return {mark.replace(b"&#39;", b"'") for mark in marks} == {words.encode()}
+        # Text of a user may look like another mark; the type is then ambiguous.
+        marks = {match[1] for end in _read_ends(path) for match in _FILE_MARK.finditer(end)}
+        return {mark.replace(b"&#39;", b"'") for mark in marks} == {document_type.encode()}
 
-    return FileType(f"{words} written by counterspin", recognises)
-
-
-def holds(words: bytes) -> Callable[[Path], bool]:
-    """Return a test of files: whether these bytes are among the first or last 256 KiB."""
-    return lambda path: any(words in end for end in _ends(path))
+    return FileType(f"{document_type} written by counterspin", recognises)
 
 
-def _ends(path: Path) -> tuple[bytes, bytes]:
+def contains_bytes(pattern: bytes) -> Callable[[Path], bool]:
+    """Return a predicate: whether the first or last 256 KiB of a file contain these bytes."""
+    return lambda path: any(pattern in chunk for chunk in _read_ends(path))
+
+
+def _read_ends(path: Path) -> tuple[bytes, bytes]:
     with open_file(path) as file:
-        head = file.read(_END_BYTES)
-        file.seek(max(file.seek(0, os.SEEK_END) - _END_BYTES, 0))
+        head = file.read(_SEARCHED_BYTES)
+        file.seek(max(file.seek(0, os.SEEK_END) - _SEARCHED_BYTES, 0))
         return head, file.read()
 
 
 def require_valid_name(path: Path) -> None:
-    """Raise CounterspinError if Windows takes a name for a device or stores it under another name.
+    """Raise CounterspinError if a name is a device on Windows, or Windows would change it.
 
     Other systems have no such names.
     """
     if sys.platform != "win32":
         return
-    for part in path.parts[1:] if path.anchor else path.parts:
-        if _DEVICE.fullmatch(part):
-            reason = f"{part} is the name of a device on Windows"
-        elif found := _FORBIDDEN.search(part):
-            reason = f"names must not contain {found[0]!r} on Windows"
-        elif part[-1] in ". " and part not in (".", ".."):
+    for name in path.parts[1:] if path.anchor else path.parts:
+        if _DEVICE_NAME.fullmatch(name):
+            reason = f"{name} is the name of a device on Windows"
+        elif match := _FORBIDDEN_CHARACTER.search(name):
+            reason = f"names must not contain {match[0]!r} on Windows"
+        elif name[-1] in ". " and name not in (".", ".."):
             reason = "names must not end with a dot or a space on Windows"
         else:
             continue
@@ -135,7 +134,7 @@ def require_valid_name(path: Path) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder, and those above it, where it is not there; CounterspinError if it cannot."""
+    """Make a folder and its parents unless they exist; CounterspinError if that fails."""
     require_valid_name(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -147,38 +146,38 @@ def make_folder(folder: Path) -> None:
         ) from error
 
 
-def write_whole(
+def write_atomically(
     path: Path,
     write: Callable[[Path], object],
-    kind: Callable[[], FileType] | None = None,
+    file_type: Callable[[], FileType] | None = None,
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write a file under a hidden name beside its place, then give it its own.
+    """Write a file under a hidden name in the same folder, then rename it.
 
-    A link keeps standing, and what it leads to is replaced; a device or a pipe such as
-    ``/dev/stdout`` is written to.
+    The target of a symbolic link is replaced, and the link is kept. A device or a pipe such as
+    ``/dev/stdout`` is written directly.
 
-    kind, overwrite: As in `reserve`: what may be replaced, also if it came while this was written.
+    file_type, overwrite: As in `check_writable`; also for a file that appears during writing.
     """
-    reserve(path, kind, overwrite=overwrite)
-    place = _place(path)
-    if place.exists() and not place.is_file():
-        _pour(path, write)
+    check_writable(path, file_type, overwrite=overwrite)
+    target = _resolve_target(path)
+    if target.exists() and not target.is_file():
+        _write_to_device(path, write)
         return
-    part = begin(path)
+    partial_file = create_partial_file(path)
     try:
-        write(part)
-        finish(part, path, kind, overwrite=overwrite)
+        write(partial_file)
+        move_into_place(partial_file, path, file_type, overwrite=overwrite)
     except OSError as error:
-        raise WriteError(_refusal(path, error)) from error
+        raise WriteError(_describe_write_error(path, error)) from error
     finally:
-        with suppress(OSError):  # on Windows another program may have it open
-            part.unlink(missing_ok=True)
+        with suppress(OSError):  # on Windows, another program may have the file open
+            partial_file.unlink(missing_ok=True)
 
 
-def write_open(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Write a file that is opened here: polars knows no name that is not UTF-8."""
+def write_binary(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    """Open a file and write it: polars cannot open names that are not UTF-8."""
     with path.open("wb") as file:
         write(file)
 
@@ -186,48 +185,50 @@ def write_open(path: Path, write: Callable[[BinaryIO], object]) -> None:
 def write_text(
     path: Path,
     text: str,
-    kind: Callable[[], FileType] | None = None,
+    file_type: Callable[[], FileType] | None = None,
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write text as UTF-8, whole or not at all; parameters and errors as in `write_whole`."""
-    data = text.encode("utf-8")
-    write_whole(path, lambda part: part.write_bytes(data), kind, overwrite=overwrite)
+    """Write text as UTF-8; parameters and errors as in `write_atomically`."""
+    content = text.encode("utf-8")
+    write_atomically(
+        path, lambda partial_file: partial_file.write_bytes(content), file_type, overwrite=overwrite
+    )
 
 
-def begin(path: Path) -> Path:
-    """Make a hidden, empty file beside the place of an output; CounterspinError if it cannot be."""
-    part = _place(path).parent / f".{os.urandom(8).hex()}{path.suffix}"
+def create_partial_file(path: Path) -> Path:
+    """Create a hidden, empty file in the folder of an output; CounterspinError if that fails."""
+    partial_file = _resolve_target(path).parent / f".{os.urandom(8).hex()}{path.suffix}"
     try:
-        # The system takes the process's umask from these rights: a result is an ordinary file.
-        os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+        # The system applies the umask, so the result has the usual permissions.
+        os.close(os.open(partial_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
     except OSError as error:
-        raise WriteError(_refusal(path, error)) from error
-    return part
+        raise WriteError(_describe_write_error(path, error)) from error
+    return partial_file
 
 
-def finish(
-    part: Path,
+def move_into_place(
+    partial_file: Path,
     path: Path,
-    kind: Callable[[], FileType] | None = None,
+    file_type: Callable[[], FileType] | None = None,
     *,
     overwrite: bool = False,
 ) -> None:
-    """Give a finished file its name: in one step, so that no other writer's file is lost."""
-    place = _place(path)
+    """Rename a finished file atomically, so that no other writer's file is lost."""
+    target = _resolve_target(path)
     while True:
         try:
-            _take(part, place)
+            _rename_exclusively(partial_file, target)
         except FileExistsError:
-            reserve(path, kind, overwrite=overwrite)
+            check_writable(path, file_type, overwrite=overwrite)
             if not overwrite:
-                continue  # what was in the way is gone
-            _retry(lambda: part.replace(place))
+                continue  # the existing file has been removed
+            _retry_rename(lambda: partial_file.replace(target))
         return
 
 
-def _retry(rename: Callable[[], object]) -> None:
-    """Rename a file; on Windows, wait for a virus scanner or indexer that has it open."""
+def _retry_rename(rename: Callable[[], object]) -> None:
+    """Rename a file; on Windows, retry while a virus scanner or indexer has it open."""
     attempts = _RENAME_ATTEMPTS if sys.platform == "win32" else 1
     for attempt in range(attempts):
         try:
@@ -235,65 +236,65 @@ def _retry(rename: Callable[[], object]) -> None:
         except PermissionError:
             if attempt == attempts - 1:
                 raise
-            time.sleep(_RENAME_PAUSE)
+            time.sleep(_RENAME_DELAY)
         else:
             return
 
 
-def _take(part: Path, place: Path) -> None:
-    """Give a file a name that nobody has; FileExistsError if somebody does."""
+def _rename_exclusively(partial_file: Path, target: Path) -> None:
+    """Rename a file; FileExistsError if a file with the new name exists."""
     if os.name == "nt":
-        _retry(lambda: part.rename(place))  # which replaces nothing there
+        _retry_rename(lambda: partial_file.rename(target))  # never replaces a file on Windows
         return
     try:
-        os.link(part, place)
+        os.link(partial_file, target)
     except FileExistsError:
         raise
     except OSError:
-        # A file system without hard links, such as FAT: an empty file takes the name, and the
-        # finished one its place. A kill between the two leaves the empty one.
-        os.close(os.open(place, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+        # File systems without hard links, such as FAT: create an empty file with the name, and
+        # replace it. If the process is killed in between, the empty file remains.
+        os.close(os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         try:
-            part.replace(place)
+            partial_file.replace(target)
         except OSError:
-            place.unlink()
+            target.unlink()
             raise
     else:
-        part.unlink()
+        partial_file.unlink()
 
 
-def _pour(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file elsewhere, and what is in it into a device or a pipe."""
+def _write_to_device(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a temporary file, and copy its content to a device or a pipe."""
     from counterspin.temporary_folders import temporary_folder
 
     try:
         with temporary_folder("counterspin-output-") as folder:
-            part = folder / f"whole{path.suffix}"
-            write(part)
-            path.write_bytes(part.read_bytes())
+            partial_file = folder / f"whole{path.suffix}"
+            write(partial_file)
+            path.write_bytes(partial_file.read_bytes())
     except OSError as error:
-        raise WriteError(_refusal(path, error)) from error
+        raise WriteError(_describe_write_error(path, error)) from error
 
 
-def _place(path: Path) -> Path:
-    """Return where a path leads, links and all; CounterspinError if that is nowhere."""
+def _resolve_target(path: Path) -> Path:
+    """Return a path with symbolic links resolved; CounterspinError if they are circular."""
     require_valid_name(path)
     try:
-        place = path.resolve()
-        around = place.is_symlink()
-    except RuntimeError:  # of Python before 3.13
-        around = True
+        target = path.resolve()
+        is_circular = target.is_symlink()
+    except RuntimeError:  # Python before 3.13
+        is_circular = True
     except OSError as error:
-        raise WriteError(_refusal(path, error)) from error
-    if around:
+        raise WriteError(_describe_write_error(path, error)) from error
+    if is_circular:
         raise WriteError(
             f"{path} cannot be written because the path contains a circular link; choose another "
             "file"
         )
-    return place
+    return target
 
 
-def _refusal(path: Path, error: OSError) -> str:
+def _describe_write_error(path: Path, error: OSError) -> str:
     if isinstance(error, IsADirectoryError) or path.is_dir():
         return f"{path} cannot be written because it is a folder; give the name of a file"
     reason = error.strerror or str(error)

@@ -1,8 +1,8 @@
-"""JSON Schema of every document and result, made from the classes that read and write them.
+"""JSON Schemas of documents and results, made from their classes.
 
-A schema says of every key what it means, how it is written, its unit and an example, so that an
-editor can explain and check a document while it is written. It is no judge: what several keys must
-have in common, a unit's dimension for example, only the program knows.
+A schema states the meaning, format, unit and an example of each key, so that an editor can explain
+and check a document while it is written. A schema cannot express all rules: only the program checks
+relations between keys and the dimensions of units.
 """
 
 from __future__ import annotations
@@ -25,174 +25,176 @@ from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
 from counterspin.results import ResultFile
 from counterspin.studies.description import StudiedDocument, StudyDocument
 
-#: What there is a schema of.
+#: Names of the schemas.
 SchemaName = Literal["campaign", "plan", "study", "lab", "result", "noise"]
 
 _DRAFT: Final = "https://json-schema.org/draft/2020-12/schema"
 
-_LINK: Final = re.compile(r"\[([^\]]+)\]\([^)]*\)")
-_NONE: Final = re.compile(r"`*\bNone\b`*")
-#: The docstring of a table's class, such as ``[site]: gravity and latitude of the centrifuge.``
-_OF_TABLE: Final = re.compile(r"(\[+.*?\]+|``\w+``)(?: of [^:]*)?: (.*)", re.DOTALL)
+_MARKDOWN_LINK: Final = re.compile(r"\[([^\]]+)\]\([^)]*\)")
+_NONE_LITERAL: Final = re.compile(r"`*\bNone\b`*")
+#: Docstring of the class of a table, such as ``[site]: gravity and latitude of the centrifuge.``
+_TABLE_DOCSTRING: Final = re.compile(r"(\[+.*?\]+|``\w+``)(?: of [^:]*)?: (.*)", re.DOTALL)
 
 #: JSON Schema.
-Json = dict[str, Any]
+JsonSchema = dict[str, Any]
 
-#: Kind of result that has a schema -> its class.
-RESULTS: Final[Mapping[str, type[ResultFile]]] = {"result": Result, "noise": NoiseResult}
+#: Name of a result with a schema -> its class.
+RESULT_CLASSES: Final[Mapping[str, type[ResultFile]]] = {"result": Result, "noise": NoiseResult}
 
 #: Section of ``campaign.toml`` -> the class of its table, or the first of each of its tables.
-SECTIONS: Final[Mapping[str, type[BaseModel]]] = {
+SECTION_MODELS: Final[Mapping[str, type[BaseModel]]] = {
     key: table
     for key, written in nested_models(StudiedDocument).items()
     if (table := model_inside(written)) is not None
 }
 
 
-def schema_of(name: SchemaName) -> Json:
+def make_schema(name: SchemaName) -> JsonSchema:
     """Return the JSON Schema (draft 2020-12) of a document or result."""
-    title, make = _SCHEMAS[name]
-    result = RESULTS.get(name)
+    title, build_schema = _SCHEMAS[name]
+    result = RESULT_CLASSES.get(name)
     version = 1 if result is None else result.newest_schema()
     head = {"$schema": _DRAFT, "$id": f"urn:counterspin:schema:{name}:{version}"}
-    made: Json = _plain(make(), nulls=result is not None)
-    return head | {"title": title} | {key: v for key, v in made.items() if key != "title"}
+    schema: JsonSchema = _simplify_schema(build_schema(), allow_null=result is not None)
+    return head | {"title": title} | {key: v for key, v in schema.items() if key != "title"}
 
 
 def schema_text(name: SchemaName) -> str:
-    """Return a schema as it is printed and published, in ASCII: JSON in UTF-8 on any console."""
-    return json.dumps(schema_of(name), indent=1) + "\n"
+    """Return a schema as JSON text, in ASCII."""
+    return json.dumps(make_schema(name), indent=1) + "\n"
 
 
-def _document(model: type[BaseModel]) -> Json:
+def _document_schema(model: type[BaseModel]) -> JsonSchema:
     return model.model_json_schema(ref_template="#/$defs/{model}")
 
 
-def _plan() -> Json:
-    """Return the schema of both kinds of plan: of records, and of readings."""
-    records, readings = _document(PlanDocument), _document(ReadingPlanDocument)
-    defined = records.pop("$defs") | readings.pop("$defs")
+def _plan_schema() -> JsonSchema:
+    """Return the schema of plans of records and plans of readings."""
+    records, readings = _document_schema(PlanDocument), _document_schema(ReadingPlanDocument)
+    definitions = records.pop("$defs") | readings.pop("$defs")
     return {
         "description": "Objective and limits of a plan.",
         "if": {"required": ["stations"]},
         "then": readings,
         "else": records,
-        "$defs": defined,
+        "$defs": definitions,
     }
 
 
-def _result(result: type[ResultFile]) -> Json:
-    made = result.json_schema()
-    for name, part in parts_of(result).items():
-        properties = made["$defs"].get(name, made)["properties"]
-        for key, words in comments_of(part).items():
-            properties[name_of(part, key)]["description"] = words
-    return made
+def _result_schema(result: type[ResultFile]) -> JsonSchema:
+    schema = result.json_schema()
+    for name, model in collect_models(result).items():
+        properties = schema["$defs"].get(name, schema)["properties"]
+        for key, description in field_comments(model).items():
+            properties[key_of_field(model, key)]["description"] = description
+    return schema
 
 
-def parts_of(part: type) -> dict[str, type]:
-    """Return name -> class, of a part of a result and of what its fields are made of."""
-    found, waiting = {part.__name__: part}, [part]
-    while waiting:
-        for hint in hints_of(waiting.pop()).values():
-            new = {inner.__name__: inner for inner in parts_in(hint)}
-            waiting += [inner for name, inner in new.items() if name not in found]
-            found |= new
-    return found
+def collect_models(model: type) -> dict[str, type]:
+    """Return name -> class, for a class and all classes in the types of its fields."""
+    models, pending = {model.__name__: model}, [model]
+    while pending:
+        for hint in field_types(pending.pop()).values():
+            new_models = {inner.__name__: inner for inner in iterate_models(hint)}
+            pending += [inner for name, inner in new_models.items() if name not in models]
+            models |= new_models
+    return models
 
 
-def name_of(part: type, field: str) -> str:
-    """Return the name of a field in the file."""
-    fields = part.model_fields if issubclass(part, BaseModel) else {}
+def key_of_field(model: type, field: str) -> str:
+    """Return the key of a field in the file."""
+    fields = model.model_fields if issubclass(model, BaseModel) else {}
     return fields[field].alias or field if field in fields else field
 
 
-def hints_of(part: type[Any]) -> dict[str, Any]:
+def field_types(model: type[Any]) -> dict[str, Any]:
     """Return field -> its type."""
-    if issubclass(part, BaseModel):
-        return {key: field.annotation for key, field in part.model_fields.items()}
-    hints = get_type_hints(part)
-    return {field.name: hints[field.name] for field in dataclasses.fields(part)}
+    if issubclass(model, BaseModel):
+        return {key: field.annotation for key, field in model.model_fields.items()}
+    hints = get_type_hints(model)
+    return {field.name: hints[field.name] for field in dataclasses.fields(model)}
 
 
-def parts_in(hint: Any) -> Iterator[type]:
-    """Yield the classes with fields of their own that a type is made of."""
+def iterate_models(hint: Any) -> Iterator[type]:
+    """Yield the models and dataclasses in a type hint."""
     if isinstance(hint, type) and (issubclass(hint, BaseModel) or dataclasses.is_dataclass(hint)):
         yield hint
-    for inner in get_args(hint):
-        yield from parts_in(inner)
+    for argument in get_args(hint):
+        yield from iterate_models(argument)
 
 
-def comments_of(part: type) -> dict[str, str]:
-    """Return field -> what stands beside it in the source, behind it or above with ``#:``.
+def field_comments(model: type) -> dict[str, str]:
+    """Return field -> its ``#:`` comment in the source, behind the field or above it.
 
-    What is None in Python is null in JSON.
+    None in Python is null in JSON.
     """
-    found: dict[str, str] = {}
-    for base in reversed(part.__mro__):
-        if base.__module__.startswith("counterspin."):
-            found |= _comments(inspect.getsource(base), set(base.__annotations__))
-    return {key: words for key, words in found.items() if key in hints_of(part)}
+    comments: dict[str, str] = {}
+    for base_class in reversed(model.__mro__):
+        if base_class.__module__.startswith("counterspin."):
+            comments |= _parse_comments(
+                inspect.getsource(base_class), set(base_class.__annotations__)
+            )
+    return {key: words for key, words in comments.items() if key in field_types(model)}
 
 
-def _comments(source: str, fields: set[str]) -> dict[str, str]:
-    found: dict[str, str] = {}
-    above: list[str] = []
+def _parse_comments(source: str, fields: set[str]) -> dict[str, str]:
+    comments: dict[str, str] = {}
+    comment_lines: list[str] = []
     for line in source.splitlines():
-        name, _, behind = line.strip().partition("#:")
+        name, _, comment_text = line.strip().partition("#:")
         field = name.partition(":")[0]
         if name:
-            words, above = behind or " ".join(above), []
-            if field in fields and words:
-                found[field] = _NONE.sub("null", unlinked(words))
+            comment, comment_lines = comment_text or " ".join(comment_lines), []
+            if field in fields and comment:
+                comments[field] = _NONE_LITERAL.sub("null", strip_links(comment))
         else:
-            above = [*above, behind] if behind else []
-    return found
+            comment_lines = [*comment_lines, comment_text] if comment_text else []
+    return comments
 
 
-_SCHEMAS: Final[Mapping[SchemaName, tuple[str, Callable[[], Json]]]] = {
-    "campaign": ("campaign.toml: a campaign", partial(_document, StudiedDocument)),
-    "plan": ("PLAN.toml: a plan", _plan),
-    "study": ("A study of a campaign", partial(_document, StudyDocument)),
-    "lab": ("LAB.toml: laboratory data for certificates", partial(_document, Lab)),
-    "result": ("The result of a calibration", partial(_result, Result)),
-    "noise": ("The noise of a record at rest", partial(_result, NoiseResult)),
+_SCHEMAS: Final[Mapping[SchemaName, tuple[str, Callable[[], JsonSchema]]]] = {
+    "campaign": ("campaign.toml: a campaign", partial(_document_schema, StudiedDocument)),
+    "plan": ("PLAN.toml: a plan", _plan_schema),
+    "study": ("A study of a campaign", partial(_document_schema, StudyDocument)),
+    "lab": ("LAB.toml: laboratory data for certificates", partial(_document_schema, Lab)),
+    "result": ("The result of a calibration", partial(_result_schema, Result)),
+    "noise": ("The noise of a record at rest", partial(_result_schema, NoiseResult)),
 }
 
 
-def _plain(value: Any, *, nulls: bool) -> Any:
-    """Return a schema in plain words: without Markdown's links, titles as people write them.
+def _simplify_schema(value: Any, *, allow_null: bool) -> Any:
+    """Return a schema without Markdown links, with titles in sentence case.
 
-    nulls: Whether null may stand in the document; no TOML has it.
+    allow_null: Whether the document may contain null, which TOML lacks.
     """
     if isinstance(value, list):
-        return [_plain(inner, nulls=nulls) for inner in value]
+        return [_simplify_schema(inner, allow_null=allow_null) for inner in value]
     if not isinstance(value, dict):
         return value
-    made = {key: _plain(inner, nulls=nulls) for key, inner in value.items()}
-    choices = [one for one in made.pop("anyOf", []) if nulls or one != {"type": "null"}]
-    made |= choices[0] if len(choices) == 1 else {"anyOf": choices} if choices else {}
-    if made.get("default", ...) is None:
-        del made["default"]
-    if "$ref" in made:
-        made.pop("examples", None)  # those of its own keys say it
-    said, title = made.get("description"), made.get("title")
+    schema = {key: _simplify_schema(inner, allow_null=allow_null) for key, inner in value.items()}
+    choices = [one for one in schema.pop("anyOf", []) if allow_null or one != {"type": "null"}]
+    schema |= choices[0] if len(choices) == 1 else {"anyOf": choices} if choices else {}
+    if schema.get("default", ...) is None:
+        del schema["default"]
+    if "$ref" in schema:
+        schema.pop("examples", None)  # the referenced keys have examples
+    description, title = schema.get("description"), schema.get("title")
     if isinstance(title, str):
-        made["title"] = title[:1] + title[1:].lower()
-    if isinstance(said, str):
-        table = _OF_TABLE.fullmatch(said)
+        schema["title"] = title[:1] + title[1:].lower()
+    if isinstance(description, str):
+        table = _TABLE_DOCSTRING.fullmatch(description)
         if table is not None:
-            made["title"], said = table[1], table[2][:1].upper() + table[2][1:]
-        made["description"] = unlinked(said)
-    made.pop("x-kind", None)
-    made.pop("x-of", None)
-    if (absent := made.pop("x-absent", None)) is not None and "description" in made:
-        made["description"] += f" (default: {unlinked(absent)})"
-    if "x-unit" in json.dumps([made.get("anyOf"), *made]):
-        made.pop("default", None)  # which is in SI, not as it is written
-    return made
+            schema["title"], description = table[1], table[2][:1].upper() + table[2][1:]
+        schema["description"] = strip_links(description)
+    schema.pop("x-kind", None)
+    schema.pop("x-of", None)
+    if (default_text := schema.pop("x-absent", None)) is not None and "description" in schema:
+        schema["description"] += f" (default: {strip_links(default_text)})"
+    if "x-unit" in json.dumps([schema.get("anyOf"), *schema]):
+        schema.pop("default", None)  # the default is in SI, not in the unit of the file
+    return schema
 
 
-def unlinked(markdown: str) -> str:
-    """Return Markdown without its links, in one line."""
-    return " ".join(_LINK.sub(r"\1", markdown).replace("``", "`").split())
+def strip_links(markdown: str) -> str:
+    """Return Markdown in one line, with links replaced by their texts."""
+    return " ".join(_MARKDOWN_LINK.sub(r"\1", markdown).replace("``", "`").split())

@@ -1,4 +1,4 @@
-"""Commands as the user's shell reads them: the words of a command, and a command from its words."""
+"""Quoting and splitting of commands for the user's shell."""
 
 from __future__ import annotations
 
@@ -10,40 +10,40 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
-#: Words that PowerShell and cmd read unchanged without quotation marks.
-_PLAIN: Final = re.compile(r"[\w.:=/\\+-]+", re.ASCII)
-#: What PowerShell expands, or reads as a quotation mark, between double quotation marks.
-_EXPANDED: Final = re.compile('[$`"“”„]')
-#: What PowerShell reads as the end of a text between single quotation marks.
-_SINGLE: Final = re.compile("['‘’‚‛]")
-#: Endings of the programs that Windows starts without a shell.
-_PROGRAMS: Final = ("", ".exe", ".com")
+#: Word that needs no quotation marks in PowerShell and cmd.
+_UNQUOTED_WORD: Final = re.compile(r"[\w.:=/\\+-]+", re.ASCII)
+#: Character that PowerShell expands, or reads as a quotation mark, in double quotation marks.
+_EXPANDED_CHARACTER: Final = re.compile('[$`"“”„]')
+#: Character that PowerShell reads as a single quotation mark.
+_SINGLE_QUOTE: Final = re.compile("['‘’‚‛]")
+#: Suffixes of programs that Windows starts without a shell.
+_PROGRAM_SUFFIXES: Final = ("", ".exe", ".com")
 
 
 def quote_word(word: str) -> str:
-    """Return a word as a user types it: for a POSIX shell, or for PowerShell and cmd on Windows.
+    """Return a word quoted for a POSIX shell, or for PowerShell and cmd on Windows.
 
-    Both shells of Windows read double quotation marks. PowerShell expands ``$`` and ``"`` between
-    them, so that such a word has single ones, which cmd does not know.
+    Both Windows shells accept double quotation marks. PowerShell expands ``$`` and ``"`` inside
+    them, so such a word gets single quotation marks, which cmd does not support.
     """
     if sys.platform != "win32":
         return shlex.quote(word)
-    if _PLAIN.fullmatch(word):
+    if _UNQUOTED_WORD.fullmatch(word):
         return word
-    if _EXPANDED.search(word):
-        return "'" + _SINGLE.sub(lambda mark: 2 * mark[0], word) + "'"
+    if _EXPANDED_CHARACTER.search(word):
+        return "'" + _SINGLE_QUOTE.sub(lambda mark: 2 * mark[0], word) + "'"
     return f'"{word}"'
 
 
 def join_command(words: Iterable[str]) -> str:
-    """Return a command as a user types it."""
+    """Return a command with its words quoted for the shell."""
     return " ".join(map(quote_word, words))
 
 
 def split_command(command: str) -> list[str]:
-    """Return the words of a command that a user gives as one text; ValueError if a mark is open.
+    """Return the words of a command; ValueError if a quotation mark is not closed.
 
-    On Windows a backslash is a part of a path, and only double quotation marks enclose blanks.
+    On Windows, a backslash is part of a path, and only double quotation marks enclose spaces.
     """
     if sys.platform != "win32":
         return shlex.split(command)
@@ -55,16 +55,16 @@ def split_command(command: str) -> list[str]:
 
 
 def find_program(program: str) -> str:
-    """Return the path of a program that is named as the first word of a command.
+    """Return the path of a program; FileNotFoundError if it is not in PATH.
 
-    Windows would start a program of the working folder before one of PATH. FileNotFoundError if no
-    folder of PATH has the program. Elsewhere the name itself is returned.
+    Windows would prefer a program in the working folder. On other systems the name itself is
+    returned.
     """
     if sys.platform != "win32" or "\\" in program or "/" in program:
         return program
     folders = [Path(folder) for folder in os.get_exec_path()]
     for folder in folders:
-        for ending in _PROGRAMS if folder.is_absolute() else ():
-            if (file := folder / f"{program}{ending}").is_file():
+        for suffix in _PROGRAM_SUFFIXES if folder.is_absolute() else ():
+            if (file := folder / f"{program}{suffix}").is_file():
                 return str(file)
     raise FileNotFoundError(2, "program not found in PATH", program)

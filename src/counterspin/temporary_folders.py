@@ -1,4 +1,4 @@
-"""Temporary folders, and the removal of those that killed processes left."""
+"""Temporary folders, and removal of those that killed processes left behind."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from typing import Final
 _LOCK_NAME: Final = ".lock"
 
 #: A process locks the file at once; a file of this age without a lock is abandoned, s.
-_LOCKING_SECONDS: Final = 60.0
+_LOCK_DELAY: Final = 60.0
 
-#: What `tempfile` appends to a prefix.
-_RANDOM: Final = "[a-z0-9_]{8}"
+#: Suffix that `tempfile` appends to a prefix.
+_RANDOM_SUFFIX: Final = "[a-z0-9_]{8}"
 
 
 @contextmanager
 def temporary_folder(prefix: str, parent: Path | None = None) -> Iterator[Path]:
     """Make a temporary folder and remove it at the end.
 
-    Folders with the same prefix that killed processes left are removed first.
+    Folders with the same prefix that killed processes left behind are removed first.
 
-    parent: Its folder; None: that of the system.
+    parent: Parent folder; None: the system's folder for temporary files.
     """
     parent = parent or Path(tempfile.gettempdir())
     remove_abandoned_folders(prefix, parent)
@@ -38,7 +38,7 @@ def temporary_folder(prefix: str, parent: Path | None = None) -> Iterator[Path]:
         folder = Path(name)
         with (folder / _LOCK_NAME).open("wb") as file:
             with suppress(OSError):  # a file system without locks
-                _lock(file.fileno())
+                _lock_file(file.fileno())
             yield folder
 
 
@@ -50,26 +50,31 @@ def remove_abandoned_folders(prefix: str, parent: Path) -> None:
     """
     with suppress(OSError):
         for folder in list(parent.iterdir()):
-            if re.fullmatch(re.escape(prefix) + _RANDOM, folder.name):
+            if re.fullmatch(re.escape(prefix) + _RANDOM_SUFFIX, folder.name):
                 with suppress(OSError):
                     _remove_abandoned(folder)
 
 
 def _remove_abandoned(folder: Path) -> None:
     """Remove a folder; OSError if another process uses it."""
-    status, lock = folder.lstat(), folder / _LOCK_NAME
-    locked = lock.lstat()
-    is_ours = sys.platform == "win32" or status.st_uid == locked.st_uid == os.getuid()
-    is_old = time.time() > locked.st_mtime + _LOCKING_SECONDS
-    if not (is_ours and is_old and stat.S_ISDIR(status.st_mode) and stat.S_ISREG(locked.st_mode)):
+    folder_status, lock = folder.lstat(), folder / _LOCK_NAME
+    lock_status = lock.lstat()
+    is_ours = sys.platform == "win32" or folder_status.st_uid == lock_status.st_uid == os.getuid()
+    is_old = time.time() > lock_status.st_mtime + _LOCK_DELAY
+    if not (
+        is_ours
+        and is_old
+        and stat.S_ISDIR(folder_status.st_mode)
+        and stat.S_ISREG(lock_status.st_mode)
+    ):
         return
     with lock.open("rb") as file:
-        _lock(file.fileno())
+        _lock_file(file.fileno())
     lock.unlink()  # Windows refuses this while a process has the file open
     shutil.rmtree(folder, ignore_errors=True)
 
 
-def _lock(file: int) -> None:
+def _lock_file(file: int) -> None:
     """Lock a file; OSError if another process has locked it. On Windows, an open file suffices."""
     if sys.platform != "win32":
         import fcntl

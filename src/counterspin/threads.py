@@ -1,4 +1,4 @@
-"""Threads of the libraries for linear algebra."""
+"""Limit on the threads of linear-algebra libraries."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from typing import Any, Final
 
 #: Variables from which BLAS libraries read the number of their threads.
-BLAS_THREADS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+BLAS_THREAD_VARIABLES: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class _ThreadLimit:
-    """A limit that is set by the first who asks for it, and lifted by the last."""
+    """A limit that the first user sets and the last user lifts."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -30,7 +30,7 @@ class _ThreadLimit:
                 self._limit = threadpool_limits(limits=1, user_api="blas")
 
     def lift(self) -> None:
-        """Give the libraries the threads that they had."""
+        """Restore the previous number of threads."""
         with self._lock:
             self._asking -= 1
             if self._asking == 0:
@@ -38,21 +38,21 @@ class _ThreadLimit:
                 self._limit = None
 
 
-_ONE_THREAD: Final = _ThreadLimit()
+_SINGLE_THREAD_LIMIT: Final = _ThreadLimit()
 
 
 @contextmanager
-def one_blas_thread() -> Iterator[None]:
-    """Keep linear algebra to one thread: matrices are small here, and more threads take longer.
+def single_blas_thread() -> Iterator[None]:
+    """Limit linear algebra to one thread, because several threads are slower for small matrices.
 
-    Nothing is done where the environment says how many threads there are to be, as the command line
-    does for its own process. The libraries must be loaded. It is a decorator, too.
+    A number of threads in the environment takes precedence; the command line sets one for its own
+    process. The libraries must be loaded. Also usable as a decorator.
     """
-    if any(os.environ.get(name) for name in BLAS_THREADS):
+    if any(os.environ.get(name) for name in BLAS_THREAD_VARIABLES):
         yield
         return
-    _ONE_THREAD.set()
+    _SINGLE_THREAD_LIMIT.set()
     try:
         yield
     finally:
-        _ONE_THREAD.lift()
+        _SINGLE_THREAD_LIMIT.lift()

@@ -1,14 +1,14 @@
-"""Units as people write them, to SI and g-units, and from those to SI as D-SI writes them.
+"""Conversion of units: from user input to SI and g-units, and from these to SI in D-SI notation.
 
 Only the units of `UNITS` are known, in products, quotients and powers (``g/Hz^0.5``,
-``m^-1 s^2``, ``deg/h/g``). A general unit library would be a trap here: it takes 50 Hz for
+``m^-1 s^2``, ``deg/h/g``). A general unit library would be dangerous here: it takes 50 Hz for
 50 rad/s and ug for a microgram.
 
-Three things are dimensions of their own. Angle is one, so that a rotation rate is not confused
-with a relative drift in 1/s. The site's gravity g is one, so that coefficients stay in g-units.
-Where the site's gravity is given, m/s^2 and g convert into each other.
+Angle is a dimension of its own, so that a rotation rate is not confused with a relative drift in
+1/s. The site's gravity g is another, so that coefficients stay in g-units. If the site's gravity
+is given, m/s^2 and g are convertible.
 
-A coefficient in g/g^n multiplies a_I^n where forces are counted in the site's own g. Counted in
+A coefficient in g/g^n multiplies a_I^n if forces are in units of the site's g. With forces in
 m/s^2 it is the same number times g^(1-n): K_II in g/g^2 becomes K_II/g in (m/s^2)/(m/s^2)^2,
 which is s^2/m (SI brochure, 9th edition).
 """
@@ -24,19 +24,19 @@ from typing import Final
 from counterspin.errors import InputError
 from counterspin.frozen import frozen
 
-#: Conventional gravity, m/s^2, where no site states its own.
+#: Conventional gravity, m/s^2, used if the site's gravity is not given.
 STANDARD_GRAVITY: Final = 9.80665
 #: Kelvin at 0 degC.
 ZERO_CELSIUS: Final = 273.15
 
-#: Temperature scales that may be written -> what is added to their numbers for K.
+#: Accepted temperature scale -> offset to K.
 TEMPERATURE_SCALES: Final = {"degC": ZERO_CELSIUS, "°C": ZERO_CELSIUS, "K": 0.0}
 
 #: Lowest and highest temperature at which an accelerometer works, K.
-WORKING_TEMPERATURES: Final = (100.0, 600.0)
+OPERATING_TEMPERATURES: Final = (100.0, 600.0)
 
-#: The dimensions.
-BASES: Final = (
+#: Base dimensions.
+BASE_DIMENSIONS: Final = (
     "[length]",
     "[time]",
     "[angle]",
@@ -47,8 +47,7 @@ BASES: Final = (
     "[temperature]",
 )
 
-#: Every unit that may be written, as (factor, unit in which the factor is).
-#: A base unit's dimension stands in brackets.
+#: Accepted unit -> (factor, unit of the factor). Dimensions of base units are in brackets.
 UNITS: Final[Mapping[str, tuple[float, str]]] = {
     "m": (1.0, "[length]"),
     "s": (1.0, "[time]"),
@@ -97,8 +96,8 @@ UNITS: Final[Mapping[str, tuple[float, str]]] = {
     "ppb": (1e-9, ""),
 }
 
-#: What is wanted -> its name and the units to advise, for messages.
-ADVICE: Final[Mapping[str, tuple[str, str]]] = {
+#: Unit -> name of the quantity and suggested units, for messages.
+QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
     "m": ("a length", "m, mm, um, km"),
     "s": ("a time", "s, ms, us, min, h"),
     "rad": ("an angle", "rad, mrad, urad, deg, arcmin, arcsec, rev"),
@@ -124,115 +123,123 @@ ADVICE: Final[Mapping[str, tuple[str, str]]] = {
     "s^2/m": ("a relative elongation per acceleration", "s^2/m, ppm/g"),
 }
 
-#: No unit takes more characters.
-_MAX_CHARACTERS: Final = 500
+#: Largest number of characters of a unit.
+_MAX_UNIT_LENGTH: Final = 500
 
-# A name, perhaps with a power, the 1 of "1/s", or what joins them. Nothing else is evaluated.
+# A name with an optional power, the 1 of "1/s", or an operator. Nothing else is evaluated.
 _FACTOR = re.compile(
     r"\s*(?:([A-Za-z]+)(?:\^([+-]?\d{1,2}(?:\.\d{1,3})?))?|(?<![A-Za-z0-9])(1)(?=\s*(?:/|$))|([*/()]))\s*"
 )
 
 
 @lru_cache(maxsize=256)
-def unit_factor(unit: str, wanted: str, *, gravity: float | None = None) -> float:
-    """Return the factor by which a number in `unit` is multiplied to be in `wanted`.
+def unit_factor(unit: str, target_unit: str, *, gravity: float | None = None) -> float:
+    """Return the factor that converts a number in `unit` to `target_unit`.
 
-    unit: A unit as written, such as ``deg/h/g``.
-    wanted: The unit that the number shall have, such as ``rad/s/g``.
+    unit: Unit as written, such as ``deg/h/g``.
+    target_unit: Required unit, such as ``rad/s/g``.
     gravity: The site's gravity in m/s^2, for conversions between g and m/s^2.
     """
-    kind, accepted = advice(wanted)
-    written = _plain(unit)
-    names = _names(written, kind, accepted)
+    quantity, accepted_units = expected_quantity(target_unit)
+    expression = _to_ascii(unit)
+    names = _unit_names(expression, quantity, accepted_units)
     if not names <= set(UNITS):
-        unknown = ", ".join(sorted(repr(name) for name in names - set(UNITS)))
-        raise InputError(f"unknown unit {unknown}; {kind} is required ({accepted})", "unknown-unit")
-    if names & {"Hz", "kHz"} and "Hz" not in wanted:
-        if wanted == "rad/s":
+        unknown_names = ", ".join(sorted(repr(name) for name in names - set(UNITS)))
+        raise InputError(
+            f"unknown unit {unknown_names}; {quantity} is required ({accepted_units})",
+            "unknown-unit",
+        )
+    if names & {"Hz", "kHz"} and "Hz" not in target_unit:
+        if target_unit == "rad/s":
             raise InputError(
                 f"{unit!r} is ambiguous for an angular rate: write rev/s for revolutions per "
-                f"second, or rad/s ({accepted})",
+                f"second, or rad/s ({accepted_units})",
                 "wrong-unit",
             )
-        raise InputError(f"{unit!r} is a frequency; {kind} is required ({accepted})", "wrong-unit")
-    factor, dimension = _evaluate(written)
-    wanted_factor, wanted_dimension = _evaluate(wanted)
-    factor /= wanted_factor
-    surplus = {base: dimension[base] - wanted_dimension[base] for base in BASES}
-    # What is left over may be a power of (m/s^2)/g, which the site's gravity resolves.
-    power = surplus["[length]"]
-    of_gravity = dict.fromkeys(BASES, 0.0)
-    of_gravity |= {"[length]": power, "[time]": -2.0 * power, "[gravity]": -power}
-    if surplus != of_gravity or (power != 0.0 and gravity is None):
         raise InputError(
-            f"{unit!r} is not a unit of {kind.split(' ', 1)[1]}; use {accepted}", "wrong-unit"
+            f"{unit!r} is a frequency; {quantity} is required ({accepted_units})", "wrong-unit"
+        )
+    factor, dimension = _evaluate_unit(expression)
+    target_factor, target_dimension = _evaluate_unit(target_unit)
+    factor /= target_factor
+    excess = {base: dimension[base] - target_dimension[base] for base in BASE_DIMENSIONS}
+    # The excess may be a power of (m/s^2)/g, which the site's gravity resolves.
+    power = excess["[length]"]
+    gravity_excess = dict.fromkeys(BASE_DIMENSIONS, 0.0)
+    gravity_excess |= {"[length]": power, "[time]": -2.0 * power, "[gravity]": -power}
+    if excess != gravity_excess or (power != 0.0 and gravity is None):
+        raise InputError(
+            f"{unit!r} is not a unit of {quantity.split(' ', 1)[1]}; use {accepted_units}",
+            "wrong-unit",
         )
     if power != 0.0 and gravity is not None:
         factor *= gravity**-power
     return factor
 
 
-def converts(unit: str, wanted: str) -> bool:
-    """Return whether a unit converts to a wanted one; an empty text does not."""
+def is_convertible(unit: str, target_unit: str) -> bool:
+    """Return whether a unit is convertible to another one; an empty text is not."""
     try:
-        return bool(unit) and unit_factor(unit, wanted, gravity=STANDARD_GRAVITY) != 0.0
+        return bool(unit) and unit_factor(unit, target_unit, gravity=STANDARD_GRAVITY) != 0.0
     except ValueError:
         return False
 
 
-def _plain(unit: str) -> str:
-    """Return a unit without the signs that stand for others."""
-    written = unit.strip().replace("**", "^").replace("µ", "u").replace("μ", "u")
-    return written.replace("°", "deg").replace("·", "*").replace("²", "^2").replace("³", "^3")
+def _to_ascii(unit: str) -> str:
+    """Return a unit with special characters replaced: µ, °, ·, ², ³ and **."""
+    expression = unit.strip().replace("**", "^").replace("µ", "u").replace("μ", "u")
+    return expression.replace("°", "deg").replace("·", "*").replace("²", "^2").replace("³", "^3")
 
 
-def check_unit(unit: str) -> str:
-    """Return a unit in which something is wanted, in plain signs; ValueError if it is none."""
-    written = _plain(unit[:_MAX_CHARACTERS])
-    wrong = f"{unit!r} is an unknown unit"
+def normalise_unit(unit: str) -> str:
+    """Return a unit in plain characters; ValueError if it is unknown."""
+    expression = _to_ascii(unit[:_MAX_UNIT_LENGTH])
+    problem = f"{unit!r} is an unknown unit"
     try:
-        known = _names(written, wrong, "m, V, mA, ...") <= set(UNITS)
-        factor, _ = _evaluate(written) if known else (math.nan, {})
+        is_known = _unit_names(expression, problem, "m, V, mA, ...") <= set(UNITS)
+        factor, _ = _evaluate_unit(expression) if is_known else (math.nan, {})
     except ValueError as error:
-        raise ValueError(wrong) from error
+        raise ValueError(problem) from error
     if not 0.0 < factor < math.inf:
-        raise ValueError(wrong)
-    return written
+        raise ValueError(problem)
+    return expression
 
 
-def same_unit(unit: str, other: str, *, gravity: float | None = None) -> bool:
-    """Return whether two units are one, however they are written.
+def is_same_unit(unit: str, other_unit: str, *, gravity: float | None = None) -> bool:
+    """Return whether two units are equal, regardless of their notation.
 
-    gravity: The site's gravity in m/s^2, for g and m/s^2.
+    gravity: The site's gravity in m/s^2, for comparing g and m/s^2.
     """
     try:
-        return math.isclose(unit_factor(unit, check_unit(other), gravity=gravity), 1.0)
+        return math.isclose(unit_factor(unit, normalise_unit(other_unit), gravity=gravity), 1.0)
     except ValueError:
         return False
 
 
 def base_unit(unit: str) -> tuple[float, Mapping[str, float]]:
-    """Return a unit's factor to the base units of `BASES`, and their powers."""
-    return _evaluate(check_unit(unit))
+    """Return the factor of a unit to base units, and the powers of `BASE_DIMENSIONS`."""
+    return _evaluate_unit(normalise_unit(unit))
 
 
-def advice(wanted: str) -> tuple[str, str]:
-    """Return the name of what is in a unit, and the units to write it in."""
-    return ADVICE.get(wanted, (f"a quantity in {wanted}", wanted))
+def expected_quantity(unit: str) -> tuple[str, str]:
+    """Return the name of the quantity with a unit, and the accepted units."""
+    return QUANTITIES.get(unit, (f"a quantity in {unit}", unit))
 
 
-def _names(written: str, kind: str, accepted: str) -> set[str]:
-    """Return the unit names in an expression, having checked that it is nothing but one."""
-    if re.search(r"[*/]\s*[*/]", written):
+def _unit_names(expression: str, quantity: str, accepted_units: str) -> set[str]:
+    """Return the unit names in an expression; InputError if it is malformed."""
+    if re.search(r"[*/]\s*[*/]", expression):
         raise InputError(
-            f"{written!r} is not a unit; {kind} is required ({accepted})", "unknown-unit"
+            f"{expression!r} is not a unit; {quantity} is required ({accepted_units})",
+            "unknown-unit",
         )
     names, position = set(), 0
-    while position < len(written):
-        match = _FACTOR.match(written, position)
+    while position < len(expression):
+        match = _FACTOR.match(expression, position)
         if match is None:
             raise InputError(
-                f"{written!r} is not a unit; {kind} is required ({accepted})", "unknown-unit"
+                f"{expression!r} is not a unit; {quantity} is required ({accepted_units})",
+                "unknown-unit",
             )
         if match[1]:
             names.add(match[1])
@@ -241,60 +248,60 @@ def _names(written: str, kind: str, accepted: str) -> set[str]:
 
 
 @lru_cache(maxsize=256)
-def _evaluate(written: str) -> tuple[float, Mapping[str, float]]:
-    """Return factor to base units and dimension of an expression that `_names` has checked.
+def _evaluate_unit(expression: str) -> tuple[float, Mapping[str, float]]:
+    """Return factor to base units and dimension of an expression checked by `_unit_names`.
 
-    Units side by side are multiplied, as if there were a * between them.
+    Adjacent units are multiplied, as with a * between them.
     """
-    factor, dimension = 1.0, dict.fromkeys(BASES, 0.0)
-    senses = [1.0]  # of the brackets that are open: -1 for what is divided by
-    sense, wanting = 1.0, bool(written.strip())
-    for name, power, _, mark in _FACTOR.findall(written):
-        if mark == "(":
-            senses.append(senses[-1] * sense)
-        elif (mark and wanting) or (mark == ")" and len(senses) == 1):
-            raise _incomplete(written)
-        elif mark == ")":
-            senses.pop()
+    factor, dimension = 1.0, dict.fromkeys(BASE_DIMENSIONS, 0.0)
+    bracket_signs = [1.0]  # of open brackets: -1 in a denominator
+    sign, needs_factor = 1.0, bool(expression.strip())
+    for name, power, _, symbol in _FACTOR.findall(expression):
+        if symbol == "(":
+            bracket_signs.append(bracket_signs[-1] * sign)
+        elif (symbol and needs_factor) or (symbol == ")" and len(bracket_signs) == 1):
+            raise _incomplete_unit_error(expression)
+        elif symbol == ")":
+            bracket_signs.pop()
         elif name:
-            exponent = senses[-1] * sense * float(power or 1.0)
-            size, bases = _unit(name)
-            factor *= _power(size, exponent)
-            for base, of_base in bases.items():
-                dimension[base] += of_base * exponent
-        sense, wanting = -1.0 if mark == "/" else 1.0, mark in ("(", "*", "/")
-    if wanting or len(senses) > 1:
-        raise _incomplete(written)
+            exponent = bracket_signs[-1] * sign * float(power or 1.0)
+            unit_size, unit_dimension = _look_up_unit(name)
+            factor *= _raise_to_power(unit_size, exponent)
+            for base_dimension, base_power in unit_dimension.items():
+                dimension[base_dimension] += base_power * exponent
+        sign, needs_factor = -1.0 if symbol == "/" else 1.0, symbol in ("(", "*", "/")
+    if needs_factor or len(bracket_signs) > 1:
+        raise _incomplete_unit_error(expression)
     return factor, dimension
 
 
-def _power(size: float, exponent: float) -> float:
+def _raise_to_power(base: float, exponent: float) -> float:
     try:
-        return float(size**exponent)
+        return float(base**exponent)
     except OverflowError:
         return math.inf
 
 
-def _unit(name: str) -> tuple[float, Mapping[str, float]]:
-    """Return factor to base units and dimension of a unit of `UNITS`."""
-    factor, base = UNITS[name]
-    if base in BASES:
-        return factor, {base: 1.0}
-    of_base, dimension = _evaluate(base)
-    return factor * of_base, dimension
+def _look_up_unit(name: str) -> tuple[float, Mapping[str, float]]:
+    """Return the factor to base units, and the dimension, of a unit in `UNITS`."""
+    factor, definition = UNITS[name]
+    if definition in BASE_DIMENSIONS:
+        return factor, {definition: 1.0}
+    definition_factor, dimension = _evaluate_unit(definition)
+    return factor * definition_factor, dimension
 
 
-def _incomplete(written: str) -> ValueError:
+def _incomplete_unit_error(expression: str) -> ValueError:
     return InputError(
-        f"{written!r} is not a unit: a factor or a parenthesis is missing", "unknown-unit"
+        f"{expression!r} is not a unit: a factor or a parenthesis is missing", "unknown-unit"
     )
 
 
-# As SI units alone -----------------------------------------------------------------------------
+# Conversion to SI units ------------------------------------------------------------------------
 
 _SI_FACTOR: Final = re.compile(r"(1|rad|m|s|g|Hz)(?:\^(\d))?")
 
-#: A unit as powers of radian, metre, second, and g.
+#: Unit -> powers of radian, metre, second and g.
 _SI_POWERS: Final = {
     "1": (0, 0, 0, 0),
     "rad": (1, 0, 0, 0),
@@ -324,8 +331,8 @@ class SiUnit:
         return SiUnit(**{name: getattr(self, name) + getattr(other, name) for name in _SI_SYMBOLS})
 
     @property
-    def text(self) -> str:
-        r"""As D-SI writes it: ``\metre\tothe{-1}\second\tothe{2}``; ``\one`` for a number."""
+    def dsi_text(self) -> str:
+        r"""The unit in D-SI: ``\metre\tothe{-1}\second\tothe{2}``; ``\one`` for a number."""
         parts = (
             rf"\{name}" + ("" if power == 1 else rf"\tothe{{{power}}}")
             for name in _SI_SYMBOLS
@@ -334,8 +341,8 @@ class SiUnit:
         return "".join(parts) or r"\one"
 
     @property
-    def words(self) -> str:
-        """As people write it: ``m^-1 s^2``; ``1`` for a number."""
+    def plain_text(self) -> str:
+        """The unit in plain text: ``m^-1 s^2``; ``1`` for a number."""
         parts = (
             symbol + ("" if power == 1 else f"^{power}")
             for name, symbol in _SI_SYMBOLS.items()
@@ -345,13 +352,13 @@ class SiUnit:
 
 
 def si_unit(unit: str) -> tuple[SiUnit, int]:
-    """Return a unit in SI and the power of g (m/s^2) of the conversion.
+    """Return a unit in SI and the power of g (m/s^2) in the conversion.
 
-    unit: As it stands in a result: ``g/g^2``, ``rad/s/g``, ``m``, ``g s^2/rad``.
+    unit: Unit in a result: ``g/g^2``, ``rad/s/g``, ``m``, ``g s^2/rad``.
     """
     powers = [0, 0, 0, 0]
-    above, *below = unit.split("/")
-    for factor, sign in [*((f, 1) for f in above.split(" ")), *((f, -1) for f in below)]:
+    numerator, *denominators = unit.split("/")
+    for factor, sign in [*((f, 1) for f in numerator.split(" ")), *((f, -1) for f in denominators)]:
         match = _SI_FACTOR.fullmatch(factor)
         if match is None:
             raise ValueError(f"{unit!r} is not a unit supported in certificates")
@@ -363,8 +370,8 @@ def si_unit(unit: str) -> tuple[SiUnit, int]:
     return SiUnit(radian, metre, second), gravity
 
 
-#: Base of a unit -> its field in `SiUnit`; counts are numbers, and g is a power of its own.
-_FIELDS: Final = {
+#: Dimension -> field of `SiUnit`; counts are numbers, and the power of g is separate.
+_SI_FIELDS: Final = {
     "[angle]": "radian",
     "[length]": "metre",
     "[time]": "second",
@@ -373,28 +380,34 @@ _FIELDS: Final = {
 }
 
 
-def own_unit(unit: str) -> tuple[float, SiUnit, int]:
-    """Return an instrument's own unit in SI: factor, unit, and power of g (m/s^2).
+def instrument_unit_in_si(unit: str) -> tuple[float, SiUnit, int]:
+    """Return an instrument's unit in SI: factor, unit, and power of g (m/s^2).
 
     1 mA/g is 1e-3 A/g, which is 1e-3 / g in A/(m/s^2).
 
-    unit: Of its readings, such as ``mA`` or ``count/s``, or that over g.
+    unit: Unit of the readings, such as ``mA`` or ``count/s``, or this unit over g.
     """
     factor, powers = base_unit(unit)
     gravity = powers["[gravity]"]
-    own = {field: powers[base] for base, field in _FIELDS.items()}
-    own["metre"] += gravity
-    own["second"] -= 2.0 * gravity
-    if powers["[temperature]"] or not all(power.is_integer() for power in (*own.values(), gravity)):
+    field_powers = {field: powers[base] for base, field in _SI_FIELDS.items()}
+    field_powers["metre"] += gravity
+    field_powers["second"] -= 2.0 * gravity
+    if powers["[temperature]"] or not all(
+        power.is_integer() for power in (*field_powers.values(), gravity)
+    ):
         raise ValueError(f"{unit!r} is not a product of integer powers of rad, m, s, A, V and g")
-    return factor, SiUnit(**{field: int(power) for field, power in own.items()}), int(gravity)
+    return (
+        factor,
+        SiUnit(**{field: int(power) for field, power in field_powers.items()}),
+        int(gravity),
+    )
 
 
 def to_si(value: float, unit: str, gravity: float) -> float:
-    """Return a number in SI; gravity in m/s^2 is the g of the unit."""
+    """Convert a number to SI; `gravity` is the g of the unit, m/s^2."""
     return value * gravity ** si_unit(unit)[1]
 
 
 def from_si(value: float, unit: str, gravity: float) -> float:
-    """Return a number in the unit of a result from one in SI; the inverse of `to_si`."""
+    """Convert a number in SI to the unit of a result; the inverse of `to_si`."""
     return value / gravity ** si_unit(unit)[1]

@@ -1,4 +1,4 @@
-"""Work shared out: to processes of this machine, or to the workers of a Dask cluster."""
+"""Parallel work in processes of this machine or on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -17,84 +17,89 @@ from dataclasses import dataclass, field, replace
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any, Final
 
-from counterspin.errors import CounterspinError, CounterspinWarning, MissingPackageError, installing
+from counterspin.errors import (
+    CounterspinError,
+    CounterspinWarning,
+    MissingPackageError,
+    install_command,
+)
 from counterspin.frozen import frozen
-from counterspin.threads import BLAS_THREADS
+from counterspin.threads import BLAS_THREAD_VARIABLES
 
-#: Most processes that are started for each processor core.
+#: Largest number of processes per processor core.
 _PROCESSES_PER_CORE: Final = 2
 
-#: How long a scheduler may take to answer, s.
+#: Timeout for the answer of a scheduler, s.
 _SCHEDULER_TIMEOUT: Final = 10.0
 
-#: How long a cluster's first worker may take to join, as where a queue starts it, s.
+#: Timeout for the first worker of a cluster, which a queue may have to start, s.
 _FIRST_WORKER_TIMEOUT: Final = 600.0
 
-#: Time between two counts of a cluster's workers, s.
+#: Interval between counts of a cluster's workers, s.
 _COUNT_INTERVAL: Final = 2.0
 
 
-#: What processes inherit. One thread each: the matrices are small, and more threads would compete
-#: for the cores; libraries read that when they are loaded. And no module from the working folder,
-#: where Python looks first when it is started for multiprocessing, until it has the path of the
-#: process that starts it: whatever lies beside a campaign would be run.
-_INHERITED: Final = {**dict.fromkeys(BLAS_THREADS, "1"), "PYTHONSAFEPATH": "1"}
+#: Environment of worker processes. Each has one thread, because the matrices are small and more
+#: threads would compete for the cores; libraries read this when they are loaded. PYTHONSAFEPATH
+#: prevents Python from importing modules from the working folder, which it would search first, so
+#: that files next to a campaign are not executed.
+_INHERITED_ENVIRONMENT: Final = {**dict.fromkeys(BLAS_THREAD_VARIABLES, "1"), "PYTHONSAFEPATH": "1"}
 
-_INHERITING: Final = threading.RLock()
+_ENVIRONMENT_LOCK: Final = threading.RLock()
 
 
 @contextmanager
-def _inheriting() -> Iterator[None]:
-    """Set for a while what processes that are started inherit.
+def _worker_environment() -> Iterator[None]:
+    """Set the environment of worker processes temporarily.
 
-    They ignore Ctrl-C too, which a terminal sends to all processes: the one that hands out the work
+    Worker processes also ignore Ctrl-C, which a terminal sends to all processes; the parent process
     handles it.
     """
-    with _INHERITING:
-        before = {name: os.environ.get(name) for name in _INHERITED}
-        os.environ.update(_INHERITED)
-        in_main = threading.current_thread() is threading.main_thread()
-        handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if in_main else None
+    with _ENVIRONMENT_LOCK:
+        previous_values = {name: os.environ.get(name) for name in _INHERITED_ENVIRONMENT}
+        os.environ.update(_INHERITED_ENVIRONMENT)
+        is_main_thread = threading.current_thread() is threading.main_thread()
+        handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if is_main_thread else None
         try:
             yield
         finally:
-            if in_main:
+            if is_main_thread:
                 signal.signal(signal.SIGINT, handler)
-            for name, value in before.items():
+            for name, value in previous_values.items():
                 if value is None:
                     os.environ.pop(name, None)
                 else:
                     os.environ[name] = value
 
 
-class _Process(SpawnProcess):
+class _WorkerProcess(SpawnProcess):
     def start(self) -> None:
-        with _inheriting():
+        with _worker_environment():
             super().start()
 
 
-class _Spawning(SpawnContext):
-    Process = _Process
+class _WorkerContext(SpawnContext):
+    Process = _WorkerProcess
 
 
-SPAWNING: Final = _Spawning()
+SPAWN_CONTEXT: Final = _WorkerContext()
 
 
 @frozen
 class Workers:
-    """Who does work that is shared out.
+    """Where parallel work runs.
 
     Attributes
     ----------
     processes
-        Processes of this machine; 1 works in the caller's own.
+        Number of processes on this machine; 1: the work runs in the calling process.
     cluster
-        Address of a Dask scheduler, whose workers are used instead; None: processes.
+        Address of a Dask scheduler, whose workers are used instead; None: use processes.
 
     Raises
     ------
     CounterspinError
-        If there is no process.
+        If `processes` is less than 1.
     """
 
     processes: int = 1
@@ -106,28 +111,28 @@ class Workers:
 
     @property
     def alone(self) -> bool:
-        """Whether the caller works by itself."""
+        """Whether the work runs in the calling process."""
         return self.processes == 1 and self.cluster is None
 
     def capped(self) -> Workers:
-        """Return as many as this machine can use; warns where more were asked for."""
-        most = _PROCESSES_PER_CORE * usable_cores()
-        if self.cluster is not None or self.processes <= most:
+        """Return the workers, limited to those this machine can use, with a warning if reduced."""
+        max_processes = _PROCESSES_PER_CORE * available_cores()
+        if self.cluster is not None or self.processes <= max_processes:
             return self
-        text = (
-            f"`workers`: {self.processes} were requested, but only {most} are started, because "
-            f"more than {most} would not help on this machine, which has {usable_cores()} "
-            "processor cores available"
+        message = (
+            f"`workers`: {self.processes} were requested, but only {max_processes} are started, "
+            f"because more than {max_processes} would not help on this machine, which has "
+            f"{available_cores()} processor cores available"
         )
-        warnings.warn(CounterspinWarning(text, code="too-many-workers"), stacklevel=3)
-        return replace(self, processes=most)
+        warnings.warn(CounterspinWarning(message, code="too-many-workers"), stacklevel=3)
+        return replace(self, processes=max_processes)
 
 
-ALONE: Final = Workers()  #: nobody but the caller
+SINGLE_PROCESS: Final = Workers()  #: The calling process only.
 
 
-def usable_cores() -> int:
-    """Return how many processor cores this process may use."""
+def available_cores() -> int:
+    """Return the number of processor cores available to this process."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -135,85 +140,85 @@ def usable_cores() -> int:
 
 @dataclass
 class WorkerPool:
-    """Workers that take tasks."""
+    """A pool of workers."""
 
-    executor: Executor  #: Takes tasks.
-    died: tuple[type[BaseException], ...]  #: What a task whose worker died raises.
-    #: Returns how many workers there are now; those of a cluster come and go.
-    count: Callable[[], int]
-    _seen: tuple[float, int] = field(default=(-1e9, 1), init=False)
+    executor: Executor
+    death_errors: tuple[type[BaseException], ...]  #: Errors of a task whose worker died.
+    #: Returns the current number of workers, which varies on a cluster.
+    count_workers: Callable[[], int]
+    _last_count: tuple[float, int] = field(default=(-1e9, 1), init=False)
 
     @property
     def size(self) -> int:
         """How many workers there are, or were a moment ago; at least 1."""
-        when, size = self._seen
-        if time.monotonic() - when > _COUNT_INTERVAL:
-            size = max(1, self.count())
-            self._seen = (time.monotonic(), size)
-        return size
+        counted_at, n_workers = self._last_count
+        if time.monotonic() - counted_at > _COUNT_INTERVAL:
+            n_workers = max(1, self.count_workers())
+            self._last_count = (time.monotonic(), n_workers)
+        return n_workers
 
 
 @contextmanager
 def worker_pool(workers: Workers, module: str) -> Iterator[WorkerPool]:
-    """Yield workers, which end with the context.
+    """Yield a pool of workers, which is closed at the end.
 
-    workers: How many, or which cluster's.
+    module: Module that each process imports in advance.
     """
     if workers.cluster is not None:
-        with _on_cluster(workers.cluster) as pool:
+        with _cluster_pool(workers.cluster) as pool:
             yield pool
         return
     from concurrent.futures import ProcessPoolExecutor
 
-    with _inheriting():  # the process that keeps count of its locks is started here
-        executor = ProcessPoolExecutor(workers.processes, mp_context=SPAWNING)
+    with _worker_environment():  # the process that keeps count of its locks is started here
+        executor = ProcessPoolExecutor(workers.processes, mp_context=SPAWN_CONTEXT)
     with executor:
         try:
             # Each of the first tasks starts a process.
             for _ in range(workers.processes):
-                executor.submit(_load, module)
+                executor.submit(_import_module, module)
             yield WorkerPool(executor, (BrokenProcessPool,), lambda: workers.processes)
         except BaseException:
             executor.shutdown(wait=False, cancel_futures=True)
             raise
 
 
-def _load(module: str) -> None:
+def _import_module(module: str) -> None:
     importlib.import_module(module)
 
 
 class _DaskExecutor(Executor):
-    """Hands tasks to a Dask client.
+    """Submits tasks to a Dask client.
 
     Dask's own executor (`Client.get_executor`) fails if a worker leaves before its results have
-    been fetched; here Dask computes them again.
+    been fetched; with this executor, Dask computes them again.
     """
 
     def __init__(self, client: Any) -> None:
         self._client = client
-        self._tasks: set[Any] = set()  # Dask drops a task that nobody refers to
+        self._tasks: set[Any] = set()  # Dask drops tasks without references
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Hand over a task; its future raises CancelledError if the scheduler is lost."""
-        promised: Future[Any] = Future()
+        """Submit a task; its future raises CancelledError if the scheduler is lost."""
+        future: Future[Any] = Future()
         task = self._client.submit(fn, *args, **kwargs, pure=False)
         self._tasks.add(task)
 
-        def keep(done: Any) -> None:
-            if promised.set_running_or_notify_cancel():
+        def keep(completed_task: Any) -> None:
+            if future.set_running_or_notify_cancel():
                 try:
-                    promised.set_result(done.result())
+                    future.set_result(completed_task.result())
                 except BaseException as error:
-                    promised.set_exception(error)
+                    future.set_exception(error)
             self._tasks.discard(task)
 
         task.add_done_callback(keep)
-        return promised
+        return future
 
 
 @contextmanager
-def _without_log(name: str) -> Iterator[None]:
-    """Keep a library's tracebacks off the terminal: what happened is told in one sentence."""
+def _silence_logger(name: str) -> Iterator[None]:
+    """Suppress the log messages of a library; counterspin reports the error itself."""
     logger = logging.getLogger(name)
     level = logger.level
     logger.setLevel(logging.CRITICAL)
@@ -224,20 +229,22 @@ def _without_log(name: str) -> Iterator[None]:
 
 
 @contextmanager
-def _on_cluster(address: str) -> Iterator[WorkerPool]:
+def _cluster_pool(address: str) -> Iterator[WorkerPool]:
     try:
         from distributed import Client, KilledWorker
     except ImportError as error:
-        raise MissingPackageError(f"`cluster` requires Dask: {installing('cluster')}") from error
-    silent = (
+        raise MissingPackageError(
+            f"`cluster` requires Dask: {install_command('cluster')}"
+        ) from error
+    no_scheduler = (
         f"{address}: no Dask scheduler responds at this address; start a scheduler with "
         "`dask scheduler`"
     )
     try:
         client: Any = Client(address, timeout=_SCHEDULER_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise CounterspinError(silent, code="cluster-unreachable") from error
-    with _without_log("distributed.client"), client:
+        raise CounterspinError(no_scheduler, code="cluster-unreachable") from error
+    with _silence_logger("distributed.client"), client:
         try:
             client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT)
         except TimeoutError as error:
@@ -247,17 +254,17 @@ def _on_cluster(address: str) -> Iterator[WorkerPool]:
                 code="cluster-unreachable",
             ) from error
         except OSError as error:
-            raise CounterspinError(silent, code="cluster-unreachable") from error
+            raise CounterspinError(no_scheduler, code="cluster-unreachable") from error
 
-        def count() -> int:
+        def count_workers() -> int:
             try:
                 return sum(client.nthreads().values())
             except OSError as error:
                 raise CancelledError from error
 
         try:
-            # Dask hands a dead worker's tasks to others by itself, until it gives a task up.
-            yield WorkerPool(_DaskExecutor(client), (KilledWorker,), count)
+            # Dask reassigns the tasks of a dead worker by itself, until it gives a task up.
+            yield WorkerPool(_DaskExecutor(client), (KilledWorker,), count_workers)
         except CancelledError as error:
             raise CounterspinError(
                 f"{address}: the connection to the Dask scheduler was lost; restore it and run "

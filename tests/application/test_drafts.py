@@ -15,7 +15,7 @@ from counterspin.campaign.description import read_campaign
 from counterspin.ingest.column_roles import guess_file
 from counterspin.ingest.contents import FileColumn, FileContents, read_files
 from counterspin.ingest.description import draft, write_description
-from counterspin.units import converts
+from counterspin.units import is_convertible
 
 RUNS = ("slow", "middle", "fast")
 COUNTED = {"sampling_rate": "20 Hz"}
@@ -160,7 +160,7 @@ def test_unit_menu_offers_convertible_units(page, uploaded):
     menus = {question["key"]: question["units"] for question in told["questions"]}
     assert menus["radius"] == ["m", "mm", "um", "in"]
     for quantity, units in UNIT_CHOICES.items():
-        assert all(converts(unit, quantity) for unit in units)
+        assert all(is_convertible(unit, quantity) for unit in units)
 
 
 def test_wrapped_angle_is_drawn_without_jumps():

@@ -106,7 +106,7 @@ def test_one_of_many_concurrent_edits_succeeds(inner_folder, monkeypatch):
         time.sleep(0.05)  # long enough for all other edits to read
         write(*words, **more)
 
-    monkeypatch.setattr(served_folder, "write_whole", write_slowly)
+    monkeypatch.setattr(served_folder, "write_atomically", write_slowly)
     seen = inner_folder.read("a/campaign.toml").version
     start, taken = Barrier(8), []
 

@@ -6,7 +6,7 @@ from campaigns import write_description
 
 from counterspin.campaign.documents import load_document
 from counterspin.simulation.simulate import simulate
-from counterspin.toml_text import write_document
+from counterspin.toml_text import format_document
 
 #: True noise of a sample of the two columns of a record at rest, m.
 WHITE = {"east_m": 0.01, "north_m": 0.0101}
@@ -33,7 +33,7 @@ def simulate_measured_campaign(folder, plan, text, *without):
     for run in document["runs"]:
         for key in ("revolutions", "truth"):
             run.pop(key, None)
-    write_description(folder, write_document(document))
+    write_description(folder, format_document(document))
     return folder
 
 

@@ -20,7 +20,7 @@ from counterspin.calibration.findings import (
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Finding, Residual
 from counterspin.inference.distributions import chi_square_tail
-from counterspin.results import _seal_of
+from counterspin.results import _compute_seal
 
 
 def judge_changed(**changes):
@@ -363,7 +363,7 @@ def test_sealed_result_of_schema_1_is_checked_for_incredible_values(tmp_path):
     (name,) = document["accelerometers"]
     for sign, state in ((1.0, "good"), (-1.0, "contradicted")):
         document["accelerometers"][name]["coefficients"]["K_I"]["value"] = sign * 1.0006
-        document["seal"] = _seal_of(json.dumps(document))
+        document["seal"] = _compute_seal(json.dumps(document))
         (tmp_path / "old.json").write_text(json.dumps(document), encoding="utf-8")
         read = Result.read(tmp_path / "old.json")
         assert (read.sealed, read.state) == (True, "good")

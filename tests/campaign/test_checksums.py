@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from counterspin.__main__ import _head_start
+from counterspin.__main__ import _prefetch_context
 from counterspin.campaign.checksums import _STARTED, Checksums, checksums_of, prefetch_campaign
 from counterspin.input import open_file
 
@@ -182,7 +182,7 @@ def test_interrupt_stops_early_checksums(folder):
 def test_commands_with_early_checksums(folder, monkeypatch, words, begins):
     words = [str(folder) if word == "FOLDER" else word for word in words]
     monkeypatch.setattr(sys, "argv", ["counterspin", *words])
-    with _head_start():
+    with _prefetch_context():
         begun = dict(_STARTED)
         with checksums_of(folder) as checksums, checksums_of([]) as others:
             assert begun == ({folder: checksums} if begins else {})

@@ -13,7 +13,7 @@ from counterspin.campaign.quantity import (
     parse,
 )
 from counterspin.physics.terms import SHARED_TERMS, TERMS
-from counterspin.units import ADVICE, UNITS, unit_factor
+from counterspin.units import QUANTITIES, UNITS, unit_factor
 
 G = 9.8066
 UNCERTAINTY = st.one_of(st.just(0.0), st.floats(min_value=1e-50, max_value=1e50))
@@ -165,17 +165,17 @@ def test_rejects_with_advice(text, unit, message):
         parse(text, unit)
 
 
-@pytest.mark.parametrize("wanted", ADVICE)
+@pytest.mark.parametrize("wanted", QUANTITIES)
 def test_advised_units_are_accepted(wanted):
-    for unit in ADVICE[wanted][1].split(", "):
+    for unit in QUANTITIES[wanted][1].split(", "):
         assert unit_factor(unit, wanted, gravity=G) > 0.0
 
 
 def test_all_term_units_have_advice():
-    assert {row.unit for row in [*TERMS.values(), *SHARED_TERMS.values()]} <= set(ADVICE)
+    assert {row.unit for row in [*TERMS.values(), *SHARED_TERMS.values()]} <= set(QUANTITIES)
 
 
-@given(FINITE, UNCERTAINTY, st.sampled_from(sorted(ADVICE)))
+@given(FINITE, UNCERTAINTY, st.sampled_from(sorted(QUANTITIES)))
 def test_quantity_round_trips_exactly(value, u, unit):
     assume(max(abs(value), u) < 1e9 or unit not in ("rad", "s"))
     quantity = Quantity(value, u, unit)

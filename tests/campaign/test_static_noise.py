@@ -15,7 +15,7 @@ from counterspin.campaign.memory import make_campaign
 from counterspin.campaign.static_noise import simulated_noise
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import plan
-from counterspin.toml_text import write_document
+from counterspin.toml_text import format_document
 
 STATED = '[noise]\ndisplacement = "0.01 m"'
 TRUE_NOISE = '[truth.noise]\ndisplacement = "0.01 m"\nangle = "1e-6 rad"\n'
@@ -199,4 +199,4 @@ def test_path_may_be_given_for_record_at_rest(folder, tmp_path):
         {**described, "noise": {}}, {"noise.from": folder / "rest.csv"}, folder=tmp_path
     )
     assert make_noise(given) == make_noise(read_campaign(folder))
-    assert write_document(given.source.document["noise"]).strip() == f'from = "{folder}/rest.csv"'
+    assert format_document(given.source.document["noise"]).strip() == f'from = "{folder}/rest.csv"'

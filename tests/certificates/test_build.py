@@ -30,11 +30,11 @@ QUANTITY = "//dcc:measurementResult//dcc:quantity[@refType='basic_measuredValue'
 
 
 def test_units_in_d_si_notation():
-    assert si_unit("g")[0].text == r"\metre\second\tothe{-2}"
-    assert si_unit("g/g")[0].text == r"\one"
-    assert si_unit("g/g^2")[0].text == r"\metre\tothe{-1}\second\tothe{2}"
-    assert si_unit("g/g^3")[0].text == r"\metre\tothe{-2}\second\tothe{4}"
-    assert si_unit("rad/s/g")[0].text == r"\radian\metre\tothe{-1}\second"
+    assert si_unit("g")[0].dsi_text == r"\metre\second\tothe{-2}"
+    assert si_unit("g/g")[0].dsi_text == r"\one"
+    assert si_unit("g/g^2")[0].dsi_text == r"\metre\tothe{-1}\second\tothe{2}"
+    assert si_unit("g/g^3")[0].dsi_text == r"\metre\tothe{-2}\second\tothe{4}"
+    assert si_unit("rad/s/g")[0].dsi_text == r"\radian\metre\tothe{-1}\second"
     with pytest.raises(ValueError, match="furlong"):
         si_unit("furlong")
 
@@ -50,7 +50,7 @@ def test_documentation_lists_units_of_all_terms():
     assert {unit for _, unit, *_ in rows} == {term.unit for term in TERMS.values()}
     for symbol, unit, shown, written in rows:
         assert TERMS[symbol].unit == unit
-        assert si_unit(unit)[0].text == written
+        assert si_unit(unit)[0].dsi_text == written
         parts = re.findall(r"\\(metre|second|radian|one)(?:\\tothe\{(-?\d)\})?", written)
         letters = {"metre": "m", "second": "s", "radian": "rad", "one": "1"}
         assert " ".join(letters[name] + (f"^{n}" if n else "") for name, n in parts) == shown
@@ -72,7 +72,7 @@ def test_error_model_is_equivalent_in_si(unit):
     "unit", sorted({row.unit for row in [*TERMS.values(), *PLATFORM_TERMS.values()]})
 )
 def test_conversion_agrees_with_quantities_and_is_invertible(unit):
-    wanted = si_unit(unit)[0].words
+    wanted = si_unit(unit)[0].plain_text
     assert to_si(3.0, unit, G) == pytest.approx(
         3.0 * unit_factor(unit, wanted, gravity=G), rel=1e-15
     )

@@ -16,7 +16,7 @@ from counterspin.certificates.conversion import (
     output_coefficients_in_si,
 )
 from counterspin.simulation.simulate import simulate
-from counterspin.units import own_unit, to_si
+from counterspin.units import instrument_unit_in_si, to_si
 
 G, U_G = 9.8066, 1e-4
 KNOWN = replace_parts(SMALL, ('"9.8066 m/s^2"', f'"{G} ± {U_G} m/s^2"'))
@@ -85,7 +85,7 @@ def test_output_unit_uncertainty_matches_effect_of_gravity_change(tmp_path):
     """Bias in A, scale factor in A/(m/s^2): 1 mA/g is 1e-3/g of it."""
     calibration = calibrate_readings(tmp_path, f"{G} ± {U_G}")
     estimates = output_coefficients_in_si(calibration, "A")
-    assert {key: e.unit.text for key, e in estimates.items()} == {
+    assert {key: e.unit.dsi_text for key, e in estimates.items()} == {
         "bias": r"\ampere",
         "scale_factor": r"\metre\tothe{-1}\second\tothe{2}\ampere",
     }
@@ -117,14 +117,14 @@ def test_output_unit_uncertainty_matches_effect_of_gravity_change(tmp_path):
     ],
 )
 def test_output_units_in_si(unit, factor, text, power):
-    found, written, of_g = own_unit(unit)
-    assert (found, written.text, of_g) == (pytest.approx(factor, rel=1e-15), text, power)
+    found, written, of_g = instrument_unit_in_si(unit)
+    assert (found, written.dsi_text, of_g) == (pytest.approx(factor, rel=1e-15), text, power)
 
 
 @pytest.mark.parametrize("unit", ["V/Hz^0.5", "mV/K", "furlong"])
 def test_rejects_output_units_unknown_to_si(unit):
     with pytest.raises(ValueError, match=r"unit|integer powers"):
-        own_unit(unit)
+        instrument_unit_in_si(unit)
 
 
 def test_covariance_is_converted(records):

@@ -16,7 +16,7 @@ from counterspin.ingest.contents import read_files
 from counterspin.ingest.description import make_draft, write_description
 from counterspin.ingest.overview import likely_test, no_test_reasons
 from counterspin.ingest.poses import poses_draft
-from counterspin.toml_text import write_document
+from counterspin.toml_text import format_document
 
 REAL = Path(__file__).parents[3] / "shared" / "real" / "imucal"
 PLACE = {"gravity": "9.81 m/s^2", "latitude": "45 deg"}
@@ -154,7 +154,7 @@ def test_counts_require_sensitivity(tmp_path, values):
     output = document["accelerometers"]["Z"]["output"]
     assert output["unit"] == "count"
     assert float(output["sensitivity"].split()[0]) == pytest.approx(1670.0 * 9.81, rel=0.02)
-    assert "count/g" in write_document(document, {})
+    assert "count/g" in format_document(document, {})
     named = poses_draft(looks, ANSWERS | {"unit": "count", "sensitivity": "16384 count/g"})
     write_description(named, tmp_path / "camp")
 
@@ -567,12 +567,12 @@ def test_stated_uncertainty_of_poses_is_used(tmp_path):
         document["runs"][0]["poses"]["u"] = f"{stated} m/s^2"
         folder = tmp_path / f"u{stated}"
         folder.mkdir()
-        text = write_document(document).replace("../log.csv", str(tmp_path / "log.csv"))
+        text = format_document(document).replace("../log.csv", str(tmp_path / "log.csv"))
         (folder / "campaign.toml").write_text(text, encoding="utf-8")
         result = calibrate(folder)
         u[stated] = result.accelerometers["Z"].coefficients["K_F"].u
     assert u[0.02] == pytest.approx(2.0 * u[0.01], rel=1e-2)
     document["runs"][0]["poses"]["u"] = "0 m/s^2"
-    (folder / "campaign.toml").write_text(write_document(document), encoding="utf-8")
+    (folder / "campaign.toml").write_text(format_document(document), encoding="utf-8")
     with raises("value-out-of-range", "u:"):
         read_campaign(folder)

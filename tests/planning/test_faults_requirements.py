@@ -11,7 +11,7 @@ from counterspin.planning.faults import fault_sensitivities, path_fault
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import check, plan
 from counterspin.reports.text import report_console
-from counterspin.toml_text import write_document
+from counterspin.toml_text import format_document
 
 SMALL = ('total_time = "700 s"', 'total_time = "240 s"')
 FORCE = [
@@ -27,7 +27,7 @@ def test_requirements_increase_u_by_5_percent(write_starter, tmp_path):
     document = tomllib.loads(planned.document)
     document["centrifuge"]["radius"] = f"2.5 ± {radius.size!r} m"
     document["truth"]["Qx"] = {"K_II": "1e-4 g/g^2"}
-    (tmp_path / "campaign.toml").write_text(write_document(document), encoding="utf-8")
+    (tmp_path / "campaign.toml").write_text(format_document(document), encoding="utf-8")
     after = forecast(read_campaign(tmp_path)).u["Qx.K_II"]
     before = planned.result.accelerometers["Qx"].coefficients["K_II"].u
     # As large as the requirement is stated for, and u^2 grows by 1.05^2.
@@ -55,7 +55,7 @@ def test_requirement_of_estimated_fault_is_computed_without_it(write_starter, tm
     moved = []
     for known in ({}, {"encoder.harmonic.1": "0 ± 1 arcsec"}):
         document["model"]["priors"] |= known
-        (tmp_path / "campaign.toml").write_text(write_document(document), encoding="utf-8")
+        (tmp_path / "campaign.toml").write_text(format_document(document), encoding="utf-8")
         result = check(tmp_path)
         u = result.accelerometers["Qx"].coefficients["K_II"].u
         sizes = {line.words: line.size for line in result.requirements}

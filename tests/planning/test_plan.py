@@ -25,7 +25,7 @@ from counterspin.planning.result import PlanResult
 from counterspin.planning.search import Search
 from counterspin.reports.text import report_console
 from counterspin.simulation.simulate import simulate
-from counterspin.toml_text import write_document
+from counterspin.toml_text import format_document
 
 DOCS = Path(__file__).parents[2] / "docs"
 GOAL = 'minimise = ["K_II"]  '
@@ -355,7 +355,7 @@ def test_check_of_incomplete_campaign_raises(plan_starter, tmp_path):
     del document["simulation"], document["truth"]
     for run in document["runs"]:
         del run["duration"]
-    (tmp_path / "campaign.toml").write_text(write_document(document), encoding="utf-8")
+    (tmp_path / "campaign.toml").write_text(format_document(document), encoding="utf-8")
     with pytest.raises(CampaignError, match="neither duration nor revolutions") as raised:
         check(tmp_path)
     assert any("sampling_rate" in line for line in raised.value.problems)
@@ -370,11 +370,11 @@ def test_check_of_incomplete_campaign_raises(plan_starter, tmp_path):
 def test_forecast_needs_no_truth(plan_starter, tmp_path):
     """What is expected of the coefficients is what is known beforehand, and makes no u."""
     document = tomllib.loads(plan_starter(SMALL).document)
-    known = write_document({**document, "truth": {}})
+    known = format_document({**document, "truth": {}})
     (tmp_path / "campaign.toml").write_text(known, encoding="utf-8")
     without = forecast(read_campaign(tmp_path)).u
     document["truth"] = {"Qx": {"K_II": "3e-5 g/g^2", "K_I": "1.01 g/g"}}
-    (tmp_path / "campaign.toml").write_text(write_document(document), encoding="utf-8")
+    (tmp_path / "campaign.toml").write_text(format_document(document), encoding="utf-8")
     # K_I only scales what the platform's errors do.
     assert forecast(read_campaign(tmp_path)).u == pytest.approx(without, rel=0.011)
 
@@ -645,7 +645,7 @@ def test_order_groups_attitudes_and_alternates_senses(write_starter):
     ],
 )
 def test_document_round_trip(document):
-    assert tomllib.loads(write_document(document)) == document
+    assert tomllib.loads(format_document(document)) == document
 
 
 def test_plan_of_mapping_matches_file(write_starter, plan_starter):

@@ -7,7 +7,7 @@ from recorded_campaigns import simulate_measured_campaign
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.planning.recorded import observe_with_noise, suggest_runs
-from counterspin.toml_text import write_document
+from counterspin.toml_text import format_document
 
 #: Nothing is taken as perfect: K_OO, 2 ug/g^2, looks like K_II.
 HONEST = replace_parts(SMALL, ('[model]\nassume = "all"\n', ""))
@@ -33,7 +33,7 @@ def test_further_runs_reach_promised_u(recorded, tmp_path):
     for run in more:
         run["revolutions"] = 20
         assert float(run.pop("duration").split()[0]) > 0.0
-    text = HONEST.replace("[simulation]", f"{write_document({'runs': more})}\n[simulation]")
+    text = HONEST.replace("[simulation]", f"{format_document({'runs': more})}\n[simulation]")
     after = calibrate(simulate_measured_campaign(tmp_path / "more", tmp_path / "plan", text))
     assert after.accelerometers["Qx"].coefficients["K_II"].u == pytest.approx(found.u, rel=1e-2)
 

@@ -5,7 +5,7 @@ import unicodedata
 import pytest
 
 from counterspin.campaign.quantity import parse
-from counterspin.characters import MultilineText, encodable, escape_controls
+from counterspin.characters import MultilineText, escape_controls, substitute_unencodable
 from counterspin.reports.numbers import format_estimate
 
 
@@ -18,7 +18,7 @@ from counterspin.reports.numbers import format_estimate
     ],
 )
 def test_superscripts_are_replaced_if_not_encodable(encoding, said):
-    assert encodable("2 × 10⁻⁵ µg/g²", encoding) == said
+    assert substitute_unencodable("2 × 10⁻⁵ µg/g²", encoding) == said
 
 
 @pytest.mark.parametrize(
@@ -30,11 +30,11 @@ def test_superscripts_are_replaced_if_not_encodable(encoding, said):
     ],
 )
 def test_text_is_encodable_in_any_encoding(encoding, expected):
-    assert encodable("1 ± 2 × 3 − Ω", encoding) == expected
+    assert substitute_unencodable("1 ± 2 × 3 − Ω", encoding) == expected
 
 
 def test_replaced_text_is_valid_in_campaign_file():
-    text = encodable(format_estimate(27.0445, 0.0007, "ug/g^2"), "ascii")
+    text = substitute_unencodable(format_estimate(27.0445, 0.0007, "ug/g^2"), "ascii")
     assert parse(text, "g/g^2").u == pytest.approx(7e-10)
 
 

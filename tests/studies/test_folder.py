@@ -13,7 +13,7 @@ from raising import raises
 
 from counterspin.cli import main
 from counterspin.errors import CounterspinError, CounterspinWarning
-from counterspin.output import write_whole
+from counterspin.output import write_atomically
 from counterspin.studies import batch_runner
 from counterspin.studies import study as study_module
 from counterspin.studies.folder import StudyFolder
@@ -101,7 +101,7 @@ def test_study_killed_during_save_resumes(
         if len(written) == writes:
             raise KilledError
         written.append(path)
-        write_whole(path, content, **more)
+        write_atomically(path, content, **more)
 
     monkeypatch.setattr("counterspin.studies.folder.write_whole", write)
     with pytest.raises(KilledError):

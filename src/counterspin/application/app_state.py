@@ -58,7 +58,7 @@ class FileCache:
 
 def _file_identity(file: Path) -> FileIdentity | None:
     with suppress(OSError, ValueError):
-        return FileIdentity.of(file)
+        return FileIdentity.from_file(file)
     return None
 
 

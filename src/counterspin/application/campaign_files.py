@@ -31,7 +31,7 @@ from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
 from counterspin.errors import CounterspinError, ExistingFileError, WriteError
 from counterspin.frozen import frozen
 from counterspin.ingest.description import further_runs
-from counterspin.output import finish, make_folder
+from counterspin.output import make_folder, move_into_place
 from counterspin.records.format_registry import suffix_problem
 from counterspin.temporary_folders import remove_abandoned_folders, temporary_folder
 
@@ -82,7 +82,7 @@ def complete_upload(app: AppState, upload: Upload) -> StoredFile:
     if upload.path.is_file() and filecmp.cmp(upload.temporary_path, upload.path, shallow=False):
         upload.temporary_path.unlink()  # brought once more, after a mistake
     else:
-        finish(upload.temporary_path, upload.path)
+        move_into_place(upload.temporary_path, upload.path)
     return {"name": app.folder.name(upload.path), "bytes": size}
 
 

@@ -36,7 +36,7 @@ from counterspin.calibration.result import Result
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, table_of
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.ingest.starter import Test
-from counterspin.input import DOCUMENT_BYTES
+from counterspin.input import MAX_DOCUMENT_BYTES
 from counterspin.physics.terms import TERMS
 from counterspin.planning.plan_file import is_plan
 from counterspin.reports.numbers import format_estimate
@@ -122,7 +122,7 @@ def _result_entry(app: AppState, path: Path) -> ResultEntry | None:
 
     name = app.folder.name(path)
     try:
-        if path.stat().st_size > DOCUMENT_BYTES or not Result.file_kind().recognises(path):
+        if path.stat().st_size > MAX_DOCUMENT_BYTES or not Result.file_type().recognises(path):
             return None
         result = judge_result(Result.read(path))
     except OSError:

@@ -36,7 +36,7 @@ from counterspin.ingest.overview import (
 )
 from counterspin.ingest.starter import Test
 from counterspin.ingest.tumble import TumbleDraft
-from counterspin.units import converts
+from counterspin.units import is_convertible
 
 _CONTENTS: Final = FileCache(2)
 #: Rows, and parts of a curve, that are shown before a campaign is written.
@@ -159,7 +159,7 @@ def _unused_reason(column: FileColumn, guess: FileGuess | None) -> str:
         return f"The value is {values[0]:.6g} in every row."
     if counts_rows(column):
         return "The column contains row numbers."
-    if column.unit and not any(converts(column.unit, si) for si in OBSERVABLES.values()):
+    if column.unit and not any(is_convertible(column.unit, si) for si in OBSERVABLES.values()):
         return f"The unit {column.unit} does not match a known signal."
     if guess is not None:
         return (

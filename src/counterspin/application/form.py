@@ -34,8 +34,8 @@ from counterspin.certificates.evidence import ALL
 from counterspin.certificates.lab import Lab, parse_celsius
 from counterspin.physics.terms import ACCELEROMETER_TERMS, READING_TERMS, SHARED_TERMS, TERMS
 from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
-from counterspin.schemas import SECTIONS, unlinked
-from counterspin.units import advice, check_unit
+from counterspin.schemas import SECTION_MODELS, strip_links
+from counterspin.units import expected_quantity, normalise_unit
 
 #: Sections that hold a table for each name, and those that are a list of tables.
 _REPEATED_SECTIONS: Final = {
@@ -52,7 +52,7 @@ _UNIT_CHOICES: Final[Mapping[Any, tuple[str, ...]]] = {
     time_unit: ("s", STAMPS),
     angle_unit: ("rad", "count"),
     force_or_output: ("m/s^2", "g", *OUTPUTS),
-    check_unit: ("g", *OUTPUTS),
+    normalise_unit: ("g", *OUTPUTS),
 }
 
 #: Type -> how it is asked for; others as text.
@@ -73,7 +73,7 @@ _LINK: Final = re.compile(r"\[([^\]]+)\]\(([^)]*)\)")
 def campaign_form() -> tuple[FormSection, ...]:
     """Return the sections of ``campaign.toml``, each with its fields."""
     sections = []
-    for key, model in SECTIONS.items():
+    for key, model in SECTION_MODELS.items():
         section = _section(key, model, "campaign")
         if key == "runs":
             section["fields"] = _table_fields(model, "campaign", READINGS)
@@ -102,7 +102,7 @@ def lab_form() -> tuple[FormSection, ...]:
     sections.append(
         {
             "key": "evidence",
-            "words": unlinked(evidence.description or ""),
+            "words": strip_links(evidence.description or ""),
             "explained": "certificate#assumed-terms",
             "repeat": None,
             "fields": [
@@ -190,7 +190,7 @@ def _form_field(key: str, field: FieldInfo, page: str) -> FormField:
     result: FormField = {
         "key": key,
         "label": extra.get("x-label") or _key_label(key),
-        "help": unlinked(help_text).replace("`", ""),
+        "help": strip_links(help_text).replace("`", ""),
         "links": _links(help_text, page),
         "required": field.is_required(),
         **cast("FormField", _input_kind(base, metadata, page)),
@@ -278,7 +278,7 @@ def _input_kind(base: Any, metadata: Sequence[Any], page: str) -> dict[str, Any]
         reader, input_type = readers[0].func, readers[0].json_schema_input_type
         result: dict[str, Any] = {"kind": "number" if _is_number(input_type, base) else "text"}
         if isinstance(reader, partial):
-            units = advice(reader.args[0])[1].split(", ")
+            units = expected_quantity(reader.args[0])[1].split(", ")
             result = {"kind": "quantity", "unit": reader.args[0], "units": units}
         elif reader in (parse_temperature, parse_temperatures):
             result = {"kind": "quantity", "unit": "K", "units": ["degC", "K"]}
@@ -293,7 +293,9 @@ def _input_kind(base: Any, metadata: Sequence[Any], page: str) -> dict[str, Any]
     checks = [item.func for item in metadata if isinstance(item, AfterValidator)]
     unit_choices = next((choices for check in checks if (choices := _accepted_units(check))), ())
     if unit_choices:
-        suggestions = [unit for unit in unit_choices for unit in advice(unit)[1].split(", ")]
+        suggestions = [
+            unit for unit in unit_choices for unit in expected_quantity(unit)[1].split(", ")
+        ]
         return {"kind": "text", "suggestions": list(dict.fromkeys(suggestions))}
     origin = typing.get_origin(base)
     return {"kind": _INPUT_KINDS.get(origin or base, "text")}

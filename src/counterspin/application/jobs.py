@@ -22,7 +22,7 @@ from counterspin.calibration.options import Method
 from counterspin.errors import CounterspinError, CounterspinWarning
 from counterspin.reports.numbers import field_unit
 from counterspin.reports.typography import typeset, typeset_block
-from counterspin.workers import SPAWNING
+from counterspin.workers import SPAWN_CONTEXT
 
 if TYPE_CHECKING:
     from counterspin.monitoring.result import WatchState
@@ -36,8 +36,8 @@ class Worker:
     """A process with its own memory, which can be ended at any time."""
 
     def __init__(self, function: Callable[..., None], *arguments: Any) -> None:
-        self._connection, connection = SPAWNING.Pipe()
-        self._process = SPAWNING.Process(
+        self._connection, connection = SPAWN_CONTEXT.Pipe()
+        self._process = SPAWN_CONTEXT.Process(
             target=function, args=(connection, *arguments), daemon=True
         )
         try:
@@ -265,9 +265,9 @@ def run_calibration(
     def calibrate_and_write(progress: Progress) -> None:
         from counterspin.calibration.calibrate import calibrate
         from counterspin.calibration.result import Result
-        from counterspin.output import reserve
+        from counterspin.output import check_writable
 
-        reserve(output, Result.file_kind, overwrite=True)
+        check_writable(output, Result.file_type, overwrite=True)
         result = calibrate(campaign, method=method, accept_misfit=accept_misfit, progress=progress)
         result.write(output, overwrite=True)
 

@@ -29,7 +29,7 @@ from counterspin.certificates.certificate_reader import read_certificate, read_d
 from counterspin.certificates.issuing import draft_pages
 from counterspin.certificates.lab import example_text, is_template_value
 from counterspin.errors import CounterspinError
-from counterspin.toml_text import write_document
+from counterspin.toml_text import format_document
 
 #: The profile's file, in the served folder itself.
 PROFILE_NAME: Final = "laboratory.toml"
@@ -98,7 +98,7 @@ def save_profile(app: AppState, file: str, text: str) -> ProfileFile:
     _move_logo(profile, folder, app.folder.root)
     if not any(profile.values()):
         raise RequestError("The profile would be empty. Fill in the Laboratory section first.")
-    app.folder.write(PROFILE_NAME, write_document(profile), app.folder.read(PROFILE_NAME).version)
+    app.folder.write(PROFILE_NAME, format_document(profile), app.folder.read(PROFILE_NAME).version)
     return {"file": PROFILE_NAME}
 
 

@@ -253,9 +253,9 @@ def run_fit(connection: Connection, campaign: Path) -> None:
         from counterspin.calibration.joint_problem import JointProblem
         from counterspin.calibration.observed_runs import add_recorded_conditions, observe
         from counterspin.campaign.description import read_campaign
-        from counterspin.threads import one_blas_thread
+        from counterspin.threads import single_blas_thread
 
-        with one_blas_thread():
+        with single_blas_thread():
             recorded_campaign = add_recorded_conditions(read_campaign(campaign))
             fit = estimate_campaign(
                 JointProblem(recorded_campaign, list(observe(recorded_campaign)))
@@ -370,11 +370,11 @@ def run_study(connection: Connection, campaign: Path, output: Path, trials: int)
     """Study a campaign and write its result; report to `connection` as `report_progress` does."""
 
     def work(progress: Progress) -> None:
-        from counterspin.output import reserve
+        from counterspin.output import check_writable
         from counterspin.studies.result import StudyResult
         from counterspin.studies.study import study
 
-        reserve(output, StudyResult.file_kind, overwrite=True)
+        check_writable(output, StudyResult.file_type, overwrite=True)
         study(campaign, trials=trials, progress=progress).write(output, overwrite=True)
 
     report_progress(connection, work)

@@ -17,7 +17,7 @@ from typing import Final
 from counterspin.errors import CounterspinError, describe_read_error, read_error_code
 from counterspin.frozen import frozen
 from counterspin.input import read_file
-from counterspin.output import make_folder, write_whole
+from counterspin.output import make_folder, write_atomically
 
 #: Folders within folders that are looked into, and most folders in all.
 _MAX_DEPTH: Final = 5
@@ -179,7 +179,7 @@ class ServedFolder:
             if current.version != edited_version:
                 raise EditConflictError(name, current)
             make_folder(path.parent)
-            write_whole(
+            write_atomically(
                 path,
                 lambda part: part.write_bytes(data),
                 overwrite=edited_version != NO_FILE_VERSION,

@@ -29,7 +29,7 @@ from counterspin.calibration.pages.uncertainty import IMPROVEMENT_FACTOR
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.campaign.documents import DESCRIPTION_NAME, key_path, load_document
-from counterspin.errors import CounterspinError, code_of
+from counterspin.errors import CounterspinError, error_code
 from counterspin.inference.joint.summary import WhatIf
 from counterspin.physics.terms import (
     ACCELEROMETER_TERMS,
@@ -63,7 +63,7 @@ def what_if(
     try:
         variances = update.parts(symbol, known or {})
     except ValueError as error:
-        raise CounterspinError(f"{accelerometer}: {error}", code=code_of(error)) from error
+        raise CounterspinError(f"{accelerometer}: {error}", code=error_code(error)) from error
     u = math.sqrt(sum(variances.values()))
     sources = sorted(update.known, key=lambda source: -variances[source])
     if not known:

@@ -16,7 +16,7 @@ from counterspin.calibration.options import Method, TwoStageOptions
 from counterspin.calibration.result import Result
 from counterspin.errors import CounterspinError
 from counterspin.results import ReportableResult, ResultPart
-from counterspin.workers import ALONE, Workers, worker_pool
+from counterspin.workers import SINGLE_PROCESS, Workers, worker_pool
 
 
 class FailedCampaign(ResultPart):
@@ -29,7 +29,7 @@ class BatchResult(ReportableResult):
     """Results and errors of campaigns, by folder as named."""
 
     BLOCKS: ClassVar[str] = "counterspin.calibration.pages.document:batch_blocks"
-    KIND: ClassVar[str] = "batch"
+    DOCUMENT_TYPE: ClassVar[str] = "batch"
 
     campaigns: dict[str, Result | FailedCampaign]
 
@@ -80,7 +80,7 @@ def calibrate_many(
     options: TwoStageOptions | None = None,
     accept_misfit: str | None = None,
     without: Sequence[str] = (),
-    workers: Workers = ALONE,
+    workers: Workers = SINGLE_PROCESS,
     progress: Callable[[int, int], None] | None = None,
 ) -> BatchResult:
     """Calibrate campaigns independently of each other.
@@ -137,7 +137,7 @@ def _run_pool(
         pool_workers = replace(workers, processes=min(workers.processes, len(remaining)))
         try:
             with worker_pool(pool_workers, __name__) as pool:
-                crash_errors = pool.died
+                crash_errors = pool.death_errors
                 while remaining or pending:
                     # No more than there are workers, so that few are suspects when one dies.
                     while remaining and len(pending) < pool.size:

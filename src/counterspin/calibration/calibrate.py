@@ -15,7 +15,7 @@ from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, RecordError, UsageError
 from counterspin.input import FileIdentity
 from counterspin.loading import load_name
-from counterspin.threads import one_blas_thread
+from counterspin.threads import single_blas_thread
 
 if TYPE_CHECKING:
     from counterspin.calibration.observed_runs import ObservedRun
@@ -86,7 +86,7 @@ def calibrate(
         from counterspin.calibration.assembly import assemble_result
 
         file_identities = _identify_averaged_files(campaign)
-        with one_blas_thread():
+        with single_blas_thread():
             campaign = add_recorded_conditions(campaign)
             observed_runs = _observe_runs(campaign, progress)
             checksums.run_parallel()
@@ -184,7 +184,7 @@ def _identify_averaged_files(campaign: Campaign) -> dict[Path, FileIdentity]:
     for file in {*(reading.record for reading in campaign.readings), campaign.rest} - {None}:
         if file is not None and isinstance(campaign.record_at(file), Path):
             with suppress(OSError):  # reading the file raises the error
-                files[file] = FileIdentity.of(file)
+                files[file] = FileIdentity.from_file(file)
     return files
 
 
@@ -237,7 +237,7 @@ def _collect_inputs(
 
 def _current_identity(file: Path) -> FileIdentity | None:
     try:
-        return FileIdentity.of(file)
+        return FileIdentity.from_file(file)
     except OSError:
         return None
 

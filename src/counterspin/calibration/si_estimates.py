@@ -6,7 +6,7 @@ import math
 
 from counterspin.frozen import frozen
 from counterspin.reports.numbers import format_compact
-from counterspin.units import SiUnit, own_unit, si_unit
+from counterspin.units import SiUnit, instrument_unit_in_si, si_unit
 
 
 @frozen
@@ -36,7 +36,7 @@ class SiEstimate:
 
     def __str__(self) -> str:
         """Return such as ``2.75772(37)e-6 m^-1 s^2``."""
-        return f"{format_compact(self.value, self.u)} {self.unit.words}"
+        return f"{format_compact(self.value, self.u)} {self.unit.plain_text}"
 
 
 def convert_to_si(
@@ -60,7 +60,7 @@ def convert_instrument_unit(
 
     Arguments as in `si_estimate`; ValueError if the unit has no expression in SI.
     """
-    return _convert_estimate(value, u, own_unit(unit), dof, gravity)
+    return _convert_estimate(value, u, instrument_unit_in_si(unit), dof, gravity)
 
 
 def _convert_estimate(

@@ -46,7 +46,7 @@ from counterspin.campaign.settings import (
     term_keys,
 )
 from counterspin.campaign.validation import Problems
-from counterspin.errors import InputError, Problem, code_of
+from counterspin.errors import InputError, Problem, error_code
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.frequency_response import RESPONSE_INPUTS, FrequencyResponse
 from counterspin.physics.terms import COMMON_NAMES, TERMS
@@ -276,7 +276,7 @@ class Accelerometer(SettingsSection):
                 try:
                     check_near_nominal(symbol, prior, self.grade)
                 except ValueError as error:
-                    yield (key,), Problem(str(error), code_of(error)), "grade"
+                    yield (key,), Problem(str(error), error_code(error)), "grade"
         for key, symbol in COMMON_NAMES.items():
             alternative = getattr(self, symbol)
             if symbol == "K_I":
@@ -421,7 +421,7 @@ class AccelerometersReader:
             path = ("accelerometers", name, observable, "unit")
             if output is None:
                 self.problems.add(
-                    path, f"{error}; or give output =  {{ unit, sensitivity }}", code_of(error)
+                    path, f"{error}; or give output =  {{ unit, sensitivity }}", error_code(error)
                 )
                 return ColumnSpec("")
             factor = self.problems.collect(path, unit_factor, column.unit, output.unit) or 1.0

@@ -92,11 +92,11 @@ class Checksums:
         digest = hashlib.sha256()
         try:
             with self._turns, open_file(path) as file:
-                before = FileIdentity.of(file.fileno())
+                before = FileIdentity.from_file(file.fileno())
                 buffer = memoryview(bytearray(_BUFFER_BYTES))
                 while (read := file.readinto(buffer)) and not self._given_up.is_set():
                     digest.update(buffer[:read])
-                after = FileIdentity.of(file.fileno())
+                after = FileIdentity.from_file(file.fileno())
         except OSError:
             # Reading the record says what is wrong with the file, and says it better.
             return "unreadable", None

@@ -10,7 +10,7 @@ import numpy as np
 from counterspin.campaign.documents import KeyPath
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.validation import Problems, suggest_name
-from counterspin.errors import InputError, OutOfRangeError, code_of
+from counterspin.errors import InputError, OutOfRangeError, error_code
 from counterspin.inference.priors import correlation_matrix
 from counterspin.physics.terms import ACCELEROMETER_TERMS
 
@@ -60,7 +60,7 @@ def read_correlations(
                 correlations.setdefault(first, {})[second] = r
                 correlations.setdefault(second, {})[first] = r
         except ValueError as error:
-            problems.add(path, str(error), code_of(error))
+            problems.add(path, str(error), error_code(error))
     for members in _find_indefinite(correlations):
         names = ", ".join(
             f"{first} and {second} {r:g}"

@@ -21,8 +21,8 @@ from counterspin.errors import (
     read_error_code,
 )
 from counterspin.frozen import frozen
-from counterspin.input import detect_file_type, path_of, read_file
-from counterspin.toml_text import NestingError, parse_toml, write_document
+from counterspin.input import detect_file_type, read_file, to_path
+from counterspin.toml_text import NestingError, format_document, parse_toml
 
 #: What to do where no campaign is.
 CAMPAIGN_ADVICE: Final = "`counterspin init DIR` creates an example campaign"
@@ -78,7 +78,7 @@ def key_path(path: KeyPath) -> str:
 
 def description_file(where: Path | str) -> Path:
     """Return the description's file, of a campaign's folder or of the file itself."""
-    given = path_of(where, "the folder or description file of a campaign")
+    given = to_path(where, "the folder or description file of a campaign")
     return given / DESCRIPTION_NAME if os.path.isdir(given) else given  # noqa: PTH112 -- any name
 
 
@@ -406,7 +406,7 @@ class Source:
     @property
     def text(self) -> str:
         """The document as TOML, as text."""
-        return write_document(self.document)
+        return format_document(self.document)
 
     def content_checksum(self) -> str:
         """Return SHA-256 of the description: of the file, or of the text that would be written."""

@@ -42,10 +42,10 @@ from counterspin.campaign.quantity import (
     read_attitude,
     read_direction,
 )
-from counterspin.errors import InputError, OutOfRangeError, code_of
+from counterspin.errors import InputError, OutOfRangeError, error_code
 from counterspin.physics.accelerometer import DIRECTIONS
 from counterspin.records.format_registry import RECORD_FORMATS
-from counterspin.units import TEMPERATURE_SCALES, WORKING_TEMPERATURES, ZERO_CELSIUS, unit_factor
+from counterspin.units import OPERATING_TEMPERATURES, TEMPERATURE_SCALES, ZERO_CELSIUS, unit_factor
 
 #: Written as the unit of time stamps in ISO 8601.
 STAMPS: Final = "iso"
@@ -352,7 +352,7 @@ def parse_temperature(value: object) -> float:
 def _to_kelvin(value: float, scale: str) -> float:
     """Return a temperature in K; ValueError if no accelerometer works at it."""
     kelvin = value + TEMPERATURE_SCALES[scale]
-    coldest, warmest = WORKING_TEMPERATURES
+    coldest, warmest = OPERATING_TEMPERATURES
     if not coldest <= kelvin <= warmest:
         raise OutOfRangeError(
             f"{value:g} {scale} is not plausible for an accelerometer; check the unit "
@@ -459,7 +459,9 @@ def direction_of_zero(value: object) -> float:
     try:
         return exact(value, "rad", usual="deg")
     except ValueError as error:
-        raise InputError(f"{error}; or give one of {', '.join(COMPASS)}", code_of(error)) from None
+        raise InputError(
+            f"{error}; or give one of {', '.join(COMPASS)}", error_code(error)
+        ) from None
 
 
 def check_encoding(name: str) -> str:

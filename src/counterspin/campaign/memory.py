@@ -27,9 +27,9 @@ from counterspin.campaign.documents import (
 from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.errors import CampaignError, CounterspinError, ExistingFileError
 from counterspin.loading import load_name
-from counterspin.output import make_folder, write_open, write_text, write_whole
+from counterspin.output import make_folder, write_atomically, write_binary, write_text
 from counterspin.records.memory import MemoryTable, memory_table
-from counterspin.toml_text import write_document
+from counterspin.toml_text import format_document
 
 if TYPE_CHECKING:
     import polars as pl
@@ -42,8 +42,8 @@ _INSERT_READINGS: Final = "counterspin.readings.table:insert_readings"
 
 #: How the record of each ending is written.
 WRITERS: Final[Mapping[str, Callable[[pl.DataFrame, Path], object]]] = {
-    ".csv": lambda frame, path: write_open(path, frame.write_csv),
-    ".parquet": lambda frame, path: write_open(path, frame.write_parquet),
+    ".csv": lambda frame, path: write_binary(path, frame.write_csv),
+    ".parquet": lambda frame, path: write_binary(path, frame.write_parquet),
 }
 
 
@@ -146,7 +146,7 @@ def copy_record(record: Path | MemoryTable, target: Path, *, overwrite: bool) ->
         write = partial(WRITERS[target.suffix.lower()], record.frame())
     else:
         write = partial(shutil.copyfile, record)
-    write_whole(target, write, overwrite=overwrite)
+    write_atomically(target, write, overwrite=overwrite)
 
 
 def assign_filenames(document: dict[str, Any]) -> None:
@@ -263,9 +263,11 @@ def write_campaign(campaign: Campaign, folder: Path | str, *, overwrite: bool = 
     unchanged = not source.in_memory and document == source.document
     if unchanged and source.file is not None:
         if not (description.exists() and description.samefile(source.file)):
-            write_whole(description, partial(shutil.copyfile, source.file), overwrite=overwrite)
+            write_atomically(
+                description, partial(shutil.copyfile, source.file), overwrite=overwrite
+            )
     else:
-        write_text(description, write_document(document), overwrite=overwrite)
+        write_text(description, format_document(document), overwrite=overwrite)
     return description
 
 

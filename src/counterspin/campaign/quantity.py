@@ -19,7 +19,7 @@ from counterspin.campaign.validation import suggest_name
 from counterspin.errors import InputError, OutOfRangeError
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import DIRECTIONS, direction
-from counterspin.units import advice, unit_factor
+from counterspin.units import expected_quantity, unit_factor
 
 #: No quantity takes more characters.
 _MAX_CHARACTERS: Final = 500
@@ -144,7 +144,7 @@ def parse(
     gravity: The site's gravity in m/s^2; with it, m/s^2 serves where g is wanted and the other way.
     usual: The unit that a number without one is most likely in; None: what `_SCALES` say.
     """
-    kind, accepted = advice(unit)
+    kind, accepted = expected_quantity(unit)
     if isinstance(text, Quantity):
         return _in_unit(text, unit, text.written, gravity)
     if not isinstance(text, str):
@@ -203,7 +203,7 @@ def latitude_text(text: object) -> object:
 
 def _in_unit(quantity: Quantity, unit: str, text: str, gravity: float | None) -> Quantity:
     """Return a quantity in a unit; ValueError, which quotes `text`, if it is not one."""
-    kind, accepted = advice(unit)
+    kind, accepted = expected_quantity(unit)
     factor = unit_factor(quantity.unit, unit, gravity=gravity)
     value, u = quantity.value * factor, quantity.u * factor
     if not (math.isfinite(value) and math.isfinite(u)):
@@ -227,7 +227,7 @@ def within_limits(values: Array, unit: str) -> npt.NDArray[np.bool_]:
 
 def _with_unit(number: str, unit: str, usual: str | None) -> str:
     """Suggest the text of a number with its most likely unit."""
-    scales = (usual,) if usual else _SCALES.get(unit, (advice(unit)[1].split(",")[0],))
+    scales = (usual,) if usual else _SCALES.get(unit, (expected_quantity(unit)[1].split(",")[0],))
     *others, last = (f'"{number} {scale}"' for scale in scales)
     return f"{', '.join(others)} or {last}, whichever applies" if others else last
 

@@ -35,7 +35,7 @@ from counterspin.campaign.field_types import (
 )
 from counterspin.campaign.quantity import UNKNOWN, Quantity, platform_attitude, read_attitude
 from counterspin.campaign.validation import Problems, Section
-from counterspin.errors import Problem, code_of
+from counterspin.errors import Problem, error_code
 from counterspin.loading import load_name
 from counterspin.physics.terms import MotionKind
 from counterspin.records.dialect import Dialect
@@ -387,7 +387,7 @@ class Run(SettingsSection):
         try:
             platform_attitude(replace(self.stand, u=0.0) if has_table_angle else self.stand)
         except ValueError as error:
-            yield ("attitude",), Problem(str(error), code_of(error)), "motion", "reading"
+            yield ("attitude",), Problem(str(error), error_code(error)), "motion", "reading"
         for place, file in enumerate(self.continued_in if self.file else ()):
             if file.suffix.lower() != self.record.suffix.lower():
                 words = f"must end in {self.record.suffix.lower()}, like the record"

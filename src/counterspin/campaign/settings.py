@@ -43,7 +43,7 @@ from counterspin.campaign.quantity import Quantity, latitude_text
 from counterspin.errors import InputError, OutOfRangeError
 from counterspin.inference.noise.components import BIAS_COMPONENTS_BY_KEY, COMPONENTS_BY_KEY
 from counterspin.physics.terms import Term
-from counterspin.units import check_unit, unit_factor
+from counterspin.units import normalise_unit, unit_factor
 
 #: What an accelerometer's record may hold -> its SI unit.
 OBSERVABLES: Final = {"displacement": "m", "velocity": "m/s", "specific_force": "m/s^2"}
@@ -196,7 +196,7 @@ def _parse_zero_output(value: object, info: ValidationInfo) -> float:
 class Output(SettingsSection):
     """``output``: what an accelerometer's readings are in, its nominal sensitivity and zero."""
 
-    unit: Annotated[Text, AfterValidator(check_unit)] = key_field("unit of the readings", "mA")
+    unit: Annotated[Text, AfterValidator(normalise_unit)] = key_field("unit of the readings", "mA")
     # A number in that unit per g.
     sensitivity: Annotated[float, PlainValidator(_per_g, Text)] = key_field(
         "nominal sensitivity, required unless the output is in g-units; K_I is the true "

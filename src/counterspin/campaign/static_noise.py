@@ -136,7 +136,9 @@ def _static_record_noise(campaign: Campaign) -> Mapping[str, StaticNoise]:
         record = campaign.record_at(file)
         frames = {file: record} if isinstance(record, MemoryTable) else {}
         without_runs = replace(campaign, frames=frames, runs=(), readings=())
-        identity = record.checksum if isinstance(record, MemoryTable) else FileIdentity.of(record)
+        identity = (
+            record.checksum if isinstance(record, MemoryTable) else FileIdentity.from_file(record)
+        )
         return _analyze_record(_NoiseRequest(identity, read, without_runs))
     except OSError as error:
         raise RecordError(f"{key}: {file}: file not found", code="file-not-found") from error

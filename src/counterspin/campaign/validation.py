@@ -11,7 +11,7 @@ from pydantic import BaseModel, GetJsonSchemaHandler, TypeAdapter, ValidationErr
 from pydantic_core import CoreSchema, core_schema
 
 from counterspin.campaign.documents import KeyPath, key_path
-from counterspin.errors import Problem, code_of
+from counterspin.errors import Problem, error_code
 from counterspin.loading import load_name
 
 M = TypeVar("M", bound=BaseModel)
@@ -115,7 +115,7 @@ class Problems:
     def add(self, path: KeyPath, message: str, code: str = "conflicting-keys") -> None:
         """Note a mistake at a key; a message that is a `Problem` has its own code."""
         text = f"{key_path(path)}: {message}{self._run_name(path)}"
-        line = Problem(text, code_of(message, code))
+        line = Problem(text, error_code(message, code))
         if line not in self.lines:
             self.lines.append(line)
 
@@ -168,7 +168,7 @@ class Problems:
         try:
             return make(*args, **kwargs)
         except ValueError as error:
-            self.add(path, str(error), code_of(error))
+            self.add(path, str(error), error_code(error))
             return None
 
     def _run_name(self, path: KeyPath) -> str:
@@ -199,7 +199,7 @@ def _error_text(mistake: Any, loc: KeyPath, model: type[BaseModel]) -> str:
 def _error_code(mistake: Any) -> str:
     kind = mistake["type"]
     if kind == "value_error":
-        return code_of(mistake["ctx"]["error"])
+        return error_code(mistake["ctx"]["error"])
     return _CODES.get(kind, "wrong-type" if kind.endswith("_type") else "invalid-value")
 
 

@@ -173,11 +173,11 @@ def _template() -> Template:
         "COVERAGE": COVERAGE,
         "ITEM_STATES": ITEM_STATES,
         "SHARED_TERMS": SHARED_TERMS,
-        "ONE": SiUnit().text,
+        "ONE": SiUnit().dsi_text,
         "coverage_factor": coverage_factor,
         "significant_digit": _significant_digit,
         "dcc_version": _dcc_version,
-        "si": lambda unit: si_unit(unit)[0].text,
+        "si": lambda unit: si_unit(unit)[0].dsi_text,
         "to_si": to_si,
         "coefficients_in_si": coefficients_in_si,
         "output_coefficients_in_si": output_coefficients_in_si,
@@ -241,12 +241,12 @@ def _covariance_data(
     return {
         "symbols": symbols,
         "values": [estimates[s].value for s in symbols],
-        "units": [estimates[s].unit.text for s in symbols],
+        "units": [estimates[s].unit.dsi_text for s in symbols],
         "columns": [
             [
                 (
                     covariance(correlation, estimates, row, column),
-                    (estimates[row].unit * estimates[column].unit).text,
+                    (estimates[row].unit * estimates[column].unit).dsi_text,
                 )
                 for row in symbols
             ]

@@ -17,13 +17,13 @@ from counterspin.certificates.conversion import OUTPUT_COEFFICIENTS, TRIAD_TITLE
 from counterspin.certificates.schema import NAMESPACES, Element, parse
 from counterspin.certificates.signature import PdfSignatureStatus, verify_pdf_signature
 from counterspin.errors import (
-    REASON_LENGTH,
+    MAX_REASON_LENGTH,
     CounterspinError,
     DamagedFileError,
     MissingPackageError,
     RecordError,
     describe_read_error,
-    installing,
+    install_command,
     read_error_code,
 )
 from counterspin.frozen import frozen
@@ -33,7 +33,8 @@ from counterspin.records.isolation import run_isolated
 from counterspin.units import from_si
 
 _PYPDF_MISSING: Final = (
-    f"reading a PDF requires the package pypdf, which is not installed: {installing('signature')}"
+    "reading a PDF requires the package pypdf, which is not installed: "
+    f"{install_command('signature')}"
 )
 
 
@@ -102,7 +103,7 @@ def _pdf_signature_status(path: Path, public: bytes) -> PdfSignatureStatus:
 
 
 def _damage_error(path: Path, error: Exception) -> RecordError:
-    reason = str(error)[:REASON_LENGTH] or type(error).__name__
+    reason = str(error)[:MAX_REASON_LENGTH] or type(error).__name__
     return DamagedFileError(f"{path} is not a PDF, or it is damaged ({reason})")
 
 

@@ -328,7 +328,7 @@ def output_lines(accelerometer: AccelerometerResult) -> dict[str, str]:
 
 def unit_remark(unit: SiUnit, quantity: str = "value") -> str:
     """Return a remark on the unit of a quantity, for the end of its description."""
-    unit_text = "a dimensionless number" if unit == SiUnit() else f"in {unit.words}"
+    unit_text = "a dimensionless number" if unit == SiUnit() else f"in {unit.plain_text}"
     return f"The {quantity} in this element is {unit_text}."
 
 

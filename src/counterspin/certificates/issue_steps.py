@@ -16,7 +16,7 @@ from counterspin.certificates.pdf_pages import page_title
 from counterspin.certificates.signature import sign_pages
 from counterspin.certificates.signers import Signer
 from counterspin.certificates.statements import Issue
-from counterspin.errors import CampaignError, code_of
+from counterspin.errors import CampaignError, error_code
 from counterspin.reports.blocks import Block
 from counterspin.reports.publication import issue_date
 
@@ -28,7 +28,7 @@ def read_laboratory_logo(lab: Lab, folder: Path, source: str) -> bytes | None:
         return None if name is None else read_logo(folder, name)
     except ValueError as error:
         raise CampaignError(
-            source, [f"laboratory.logo: {error}"], code=code_of(error, "wrong-file-type")
+            source, [f"laboratory.logo: {error}"], code=error_code(error, "wrong-file-type")
         ) from error
 
 

@@ -60,7 +60,7 @@ from counterspin.errors import (
 )
 from counterspin.frozen import frozen
 from counterspin.input import read_file
-from counterspin.output import reserve, write_whole
+from counterspin.output import check_writable, write_atomically
 from counterspin.reports.blocks import Block, Heading, Paragraph
 from counterspin.reports.numbers import format_number
 from counterspin.reports.publication import issue_date
@@ -164,7 +164,7 @@ class Certificate:
         if not xml.is_file():
             data = self.pdf()
             staged_pdf = self._staged_pdf_path(pdf, self.xml)
-            write_whole(staged_pdf, lambda part: part.write_bytes(data), overwrite=True)
+            write_atomically(staged_pdf, lambda part: part.write_bytes(data), overwrite=True)
             self.write(xml, ledger=ledger)
         published_xml = read_document(xml)
         staged_pdf = self._staged_pdf_path(pdf, published_xml)
@@ -192,7 +192,7 @@ class Certificate:
         """Write bytes to a file, after their entry in the ledger if there is one."""
         ledger_path = None if self.draft else ledger or self.ledger
         if ledger_path is None:
-            write_whole(path, lambda part: part.write_bytes(data))
+            write_atomically(path, lambda part: part.write_bytes(data))
             return
         details = IssueDetails(self.signed_by, self.reason, issue_date(), self.result)
         earlier_entry = record_certificate(ledger_path, path, data, entry, details)
@@ -217,7 +217,7 @@ def check_output_path(output: Path) -> None:
             f"{output} already exists. It may be an issued certificate, so it is never "
             "replaced; choose another name"
         )
-    reserve(output)
+    check_writable(output)
 
 
 def check_output_paths(output: Path) -> None:

@@ -38,7 +38,7 @@ from counterspin.certificates.codes import check_code
 from counterspin.certificates.evidence import ALL, names_terms
 from counterspin.certificates.schema import clean_text
 from counterspin.errors import ExistingFileError, InputError, OutOfRangeError, Problem
-from counterspin.input import path_of
+from counterspin.input import to_path
 from counterspin.output import write_text
 from counterspin.physics.terms import TABLE, TERMS
 from counterspin.toml_text import parse_toml
@@ -421,7 +421,7 @@ def _load_lab(
         source, problems = "the laboratory data", Problems(path)
         raw = to_toml_value(path, (), problems.add)
     else:
-        path = path_of(
+        path = to_path(
             path, "a mapping with the laboratory data, or the file that contains the data"
         )
         source = str(path)

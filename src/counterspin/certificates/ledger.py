@@ -28,8 +28,8 @@ from counterspin.errors import (
     read_error_code,
 )
 from counterspin.frozen import frozen
-from counterspin.input import DOCUMENT_BYTES, parse_json, read_file, require_file
-from counterspin.output import finish, require_valid_name, reserve, write_whole
+from counterspin.input import MAX_DOCUMENT_BYTES, parse_json, read_file, require_regular_file
+from counterspin.output import check_writable, move_into_place, require_valid_name, write_atomically
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 
 #: Hash of the previous entry in the first entry.
@@ -113,9 +113,9 @@ class OpenLedger:
     def __init__(self, path: Path, file: int) -> None:
         self._path, self._file = path, file
         self._size = os.fstat(file).st_size
-        if self._size > DOCUMENT_BYTES:
+        if self._size > MAX_DOCUMENT_BYTES:
             raise RecordError(
-                f"{path} has more than {DOCUMENT_BYTES} bytes; start a new ledger",
+                f"{path} has more than {MAX_DOCUMENT_BYTES} bytes; start a new ledger",
                 code="file-too-large",
             )
         complete = b""
@@ -175,7 +175,7 @@ def open_ledger(path: Path) -> Iterator[OpenLedger]:
         raise _write_error(path, error) from error
     try:
         try:
-            require_file(path, os.fstat(file).st_mode)
+            require_regular_file(path, os.fstat(file).st_mode)
             _lock(file)
             ledger = OpenLedger(path, file)
         except OSError as error:
@@ -322,7 +322,7 @@ def check_ledger(ledger: Path) -> None:
     if ledger.exists():
         verify_ledger(ledger)
     else:
-        reserve(ledger)
+        check_writable(ledger)
 
 
 def record_result(ledger: Path, file: Path, *, who: str, why: str, date: datetime) -> Entry:
@@ -348,7 +348,7 @@ def record_certificate(
     """
     checksum = checksum_of(data)
     with open_ledger(ledger_path) as ledger:
-        reserve(path)
+        check_writable(path)
         earlier = [e for e in ledger.entries if e.of.get("identifier") == of["identifier"]]
         if any(entry.of.get("sha256") != of["sha256"] for entry in earlier):
             for entry in earlier:
@@ -363,7 +363,7 @@ def record_certificate(
             )
         _check_amended(ledger, ledger_path, of)
         staged = _staging_path(path, checksum)
-        write_whole(staged, lambda place: _write_to_disk(place, data), overwrite=True)
+        write_atomically(staged, lambda place: _write_to_disk(place, data), overwrite=True)
         known_entries = {(entry.of.get("file"), entry.of.get("file_sha256")) for entry in earlier}
         if (path.name, checksum) not in known_entries:
             _append_entry(ledger, {"file": path.name, **of, "file_sha256": checksum}, details)
@@ -423,7 +423,7 @@ def _write_to_disk(place: Path, data: bytes) -> None:
 
 def _publish(path: Path, checksum: str) -> None:
     try:
-        finish(_staging_path(path, checksum), path)
+        move_into_place(_staging_path(path, checksum), path)
     except OSError as error:
         raise WriteError(f"{path} cannot be written ({error.strerror})") from error
 

@@ -313,7 +313,7 @@ def results_table(
             k = coverage_factor(c.dof)
             in_g, k_in_g = certificate_text.format_in_g_units(c, k), format_decimal(k)
         k = coverage_factor(estimate.dof)
-        unit = "" if estimate.unit.words == "1" else estimate.unit.words
+        unit = "" if estimate.unit.plain_text == "1" else estimate.unit.plain_text
         rows.append(
             (
                 symbol,

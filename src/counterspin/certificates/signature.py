@@ -18,10 +18,10 @@ from typing import Any, Final, Literal
 from counterspin.certificates.schema import NAMESPACES, Element, parse
 from counterspin.certificates.signers import KeyMaterial, Signer, certificates_in
 from counterspin.errors import (
-    REASON_LENGTH,
+    MAX_REASON_LENGTH,
     MissingPackageError,
     RecordError,
-    installing,
+    install_command,
 )
 from counterspin.frozen import frozen
 
@@ -31,7 +31,8 @@ _SIGNATURE: Final = f"{_NAMESPACE}Signature"
 _STATED_CERTIFICATE: Final = f"{_SIGNATURE}//{_NAMESPACE}X509Certificate"
 
 _SIGNXML_MISSING: Final = (
-    f"signatures require the package signxml, which is not installed: {installing('signature')}"
+    "signatures require the package signxml, which is not installed: "
+    f"{install_command('signature')}"
 )
 
 
@@ -157,7 +158,7 @@ def _describe_signer(root: Any, certificate: Path | KeyMaterial) -> str:
         pass  # the document was changed after the other signer had signed it
     except Exception:  # any error of signxml and cryptography
         return "the signature itself was changed"
-    subject = stated.subject.rfc4514_string()[:REASON_LENGTH]
+    subject = stated.subject.rfc4514_string()[:MAX_REASON_LENGTH]
     return f"the signer is {subject}, not the holder of {certificate}"
 
 
@@ -209,7 +210,8 @@ PdfSignatureStatus = Literal["none", "valid", "changed", "invalid"]
 _FIELD: Final = "Signature"
 _REASON: Final = "Electronic signature of this certificate"
 _MISSING: Final = (
-    f"signing a PDF requires the package pyHanko, which is not installed: {installing('signature')}"
+    "signing a PDF requires the package pyHanko, which is not installed: "
+    f"{install_command('signature')}"
 )
 
 

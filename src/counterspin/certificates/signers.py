@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from counterspin.errors import (
-    REASON_LENGTH,
+    MAX_REASON_LENGTH,
     CounterspinError,
     MissingPackageError,
     describe_read_error,
-    installing,
+    install_command,
     read_error_code,
 )
 from counterspin.frozen import frozen
@@ -30,7 +30,7 @@ _COMMAND_SECONDS: Final = 120.0
 
 _MISSING: Final = (
     "signatures require the package cryptography, which is not installed: "
-    f"{installing('signature')}"
+    f"{install_command('signature')}"
 )
 
 
@@ -61,7 +61,7 @@ class Signer:
     def name(self) -> str:
         """Name of the signer, as the certificate states it."""
         text: str = self.certificates[0].subject.rfc4514_string()
-        return text[:REASON_LENGTH]
+        return text[:MAX_REASON_LENGTH]
 
     @property
     def pem(self) -> str:
@@ -189,7 +189,7 @@ def _sign_with_command(words: Sequence[str], data: bytes, public: Any) -> bytes:
     except subprocess.TimeoutExpired as error:
         raise failed(f"did not finish within {_COMMAND_SECONDS:g} s") from error
     if process.returncode != 0:
-        message = process.stderr.decode("utf-8", "replace").strip()[:REASON_LENGTH]
+        message = process.stderr.decode("utf-8", "replace").strip()[:MAX_REASON_LENGTH]
         raise failed(
             f"failed with exit status {process.returncode}: {message or 'no reason given'}"
         )

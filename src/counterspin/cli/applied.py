@@ -111,19 +111,21 @@ def applied(
         report_blocks,
     )
     from counterspin.acceleration_standard.result import AppliedAcceleration
-    from counterspin.output import marked, reserve
+    from counterspin.output import check_writable, marked_file_type
     from counterspin.reports.charts import check_format, save_figure
     from counterspin.reports.publication import check_format as check_report
     from counterspin.reports.text import Report, report_console
 
     if report is not None:
         check_report(report)
-        kind = AppliedAcceleration.report_kind()
-        reserve(report, lambda: marked(kind), overwrite=saved.overwrite)
+        kind = AppliedAcceleration.report_type()
+        check_writable(report, lambda: marked_file_type(kind), overwrite=saved.overwrite)
     if figure is not None:
         check_format(figure)
-        reserve(figure, lambda: marked(FILE_DESCRIPTION), overwrite=saved.overwrite)
-    saved.reserve(AppliedAcceleration.file_kind)
+        check_writable(
+            figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=saved.overwrite
+        )
+    saved.reserve(AppliedAcceleration.file_type)
     certified.check()
     result = run(directory, levels, mounting=chosen.mounting, draws=chosen.draws, seed=chosen.seed)
     with saved.writing(result):

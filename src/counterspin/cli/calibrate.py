@@ -227,7 +227,7 @@ def calibrate(
 def _result_file_type() -> FileType:
     from counterspin.calibration.result import Result
 
-    return Result.file_kind()
+    return Result.file_type()
 
 
 def calibrate_several(
@@ -243,7 +243,7 @@ def calibrate_several(
     from counterspin.reports.text import report_console, work_progress
     from counterspin.workers import Workers
 
-    save_options.reserve(BatchResult.file_kind)
+    save_options.reserve(BatchResult.file_type)
     with work_progress("Campaigns") as advance:
         batch = calibrate_many(
             directories,

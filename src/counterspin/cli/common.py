@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Final, TextIO, TypeVar
 
 from cyclopts import App, Parameter
 
-from counterspin.characters import MultilineText, encodable, escape_controls
+from counterspin.characters import MultilineText, escape_controls, substitute_unencodable
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
-from counterspin.output import FileType, reserve
+from counterspin.output import FileType, check_writable
 from counterspin.shell import quote_word
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class SaveOptions:
     def reserve(self, kind: Callable[[], FileType]) -> None:
         """Refuse a path at which a file would be lost, before there is a result to lose."""
         if self.json is not None:
-            reserve(self.json, kind, overwrite=self.overwrite)
+            check_writable(self.json, kind, overwrite=self.overwrite)
 
     @contextmanager
     def writing(self, result: ResultFile) -> Iterator[None]:
@@ -137,7 +137,7 @@ def print_error(text: str) -> None:
 def _print(text: str, stream: TextIO | None) -> None:
     # None: whoever started the program closed it.
     if stream is not None:
-        print(encodable(text, stream.encoding or "utf-8"), file=stream)
+        print(substitute_unencodable(text, stream.encoding or "utf-8"), file=stream)
 
 
 def translate_message(message: str, app: App, words: Iterable[str]) -> str:

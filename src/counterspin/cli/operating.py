@@ -65,19 +65,21 @@ def operating(
     from counterspin.operating_tests.measure import operating as run
     from counterspin.operating_tests.page import FILE_DESCRIPTION, operating_plot
     from counterspin.operating_tests.result import OperatingTests
-    from counterspin.output import marked, reserve
+    from counterspin.output import check_writable, marked_file_type
     from counterspin.reports.charts import check_format, save_figure
     from counterspin.reports.publication import check_format as check_report
     from counterspin.reports.text import Report, report_console
 
     if report is not None:
         check_report(report)
-        kind = OperatingTests.report_kind()
-        reserve(report, lambda: marked(kind), overwrite=saved.overwrite)
+        kind = OperatingTests.report_type()
+        check_writable(report, lambda: marked_file_type(kind), overwrite=saved.overwrite)
     if figure is not None:
         check_format(figure)
-        reserve(figure, lambda: marked(FILE_DESCRIPTION), overwrite=saved.overwrite)
-    saved.reserve(OperatingTests.file_kind)
+        check_writable(
+            figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=saved.overwrite
+        )
+    saved.reserve(OperatingTests.file_type)
     result = run(
         table,
         output=output,

@@ -14,7 +14,7 @@ from counterspin.cli.common import (
     print_output,
     shell_word,
 )
-from counterspin.errors import CampaignError, UsageError, code_of
+from counterspin.errors import CampaignError, UsageError, error_code
 from counterspin.frozen import frozen
 
 
@@ -95,7 +95,7 @@ def plan(
         )
         print_output(f"  counterspin plan {shell_word(start.init)}")
         return
-    save_options.reserve(PlanResult.file_kind)
+    save_options.reserve(PlanResult.file_type)
     if output is not None:
         require_no_campaign(output)
     if check is not None:
@@ -105,7 +105,7 @@ def plan(
             typed = recording_details.sampling_rate
             rate = None if typed is None else exact(typed, "Hz")
         except ValueError as error:
-            raise CampaignError("--sampling-rate", [str(error)], code=code_of(error)) from error
+            raise CampaignError("--sampling-rate", [str(error)], code=error_code(error)) from error
         result = forecast(check, sampling_rate=rate, revolutions=recording_details.revolutions)
     else:
         assert file is not None  # one of the three is

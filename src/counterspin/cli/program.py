@@ -18,7 +18,7 @@ from counterspin.errors import (
     CounterspinError,
     MissingPackageError,
     UsageError,
-    installing,
+    install_command,
 )
 
 
@@ -76,7 +76,7 @@ def serve(
         if error.name not in ("starlette", "uvicorn", "tomlkit"):
             raise
         raise MissingPackageError(
-            f"the web interface requires Starlette and uvicorn: {installing('application')}"
+            f"the web interface requires Starlette and uvicorn: {install_command('application')}"
         ) from error
     signing = None if signer is None or cert is None else (signer, cert)
     run(directory, port=port, browser=browser, signing=signing, say=print_output)
@@ -131,7 +131,7 @@ def reproduce(*, save_options: SaveOptions = NOT_SAVED) -> None:
     from counterspin.reproduction.comparison import reproduce as run
     from counterspin.reproduction.plan import Reproduction
 
-    save_options.reserve(Reproduction.file_kind)
+    save_options.reserve(Reproduction.file_type)
     reproduction = run()
     with save_options.writing(reproduction):
         report_console().print(reproduction)

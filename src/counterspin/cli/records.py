@@ -76,7 +76,7 @@ def check(
     from counterspin.monitoring.result import CheckedRun
     from counterspin.reports.text import report_console
 
-    save_options.reserve(CheckedRun.file_kind)
+    save_options.reserve(CheckedRun.file_type)
     checked = run_check(record, campaign, run=run)
     with save_options.writing(checked):
         report_console().print(checked)
@@ -219,19 +219,21 @@ def noise(
     from counterspin.monitoring.noise import noise as run
     from counterspin.monitoring.page import FILE_DESCRIPTION, noise_plots
     from counterspin.monitoring.result import NoiseResult
-    from counterspin.output import marked, reserve
+    from counterspin.output import check_writable, marked_file_type
     from counterspin.reports.charts import check_format, save_figure
     from counterspin.reports.publication import check_format as check_report
     from counterspin.reports.text import report_console
 
     if report is not None:
         check_report(report)
-        kind = NoiseResult.report_kind()
-        reserve(report, lambda: marked(kind), overwrite=save_options.overwrite)
+        kind = NoiseResult.report_type()
+        check_writable(report, lambda: marked_file_type(kind), overwrite=save_options.overwrite)
     if plot is not None:
         check_format(plot)
-        reserve(plot, lambda: marked(FILE_DESCRIPTION), overwrite=save_options.overwrite)
-    save_options.reserve(NoiseResult.file_kind)
+        check_writable(
+            plot, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
+        )
+    save_options.reserve(NoiseResult.file_type)
     result = run(
         record,
         campaign=campaign,

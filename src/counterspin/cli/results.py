@@ -66,7 +66,7 @@ def report(
         Replace an earlier report of the same kind; other files are never replaced.
     """
     from counterspin.calibration.result import Result
-    from counterspin.output import marked, reserve
+    from counterspin.output import check_writable, marked_file_type
     from counterspin.reports.publication import check_format, issue_date
     from counterspin.reports.text import Report, report_console
 
@@ -75,7 +75,7 @@ def report(
     kind = _result_class(source) if is_file else Result
     if output is not None:
         check_format(output)
-        reserve(output, lambda: marked(kind.report_kind()), overwrite=overwrite)
+        check_writable(output, lambda: marked_file_type(kind.report_type()), overwrite=overwrite)
     if is_file:
         result = kind.read(source)
     else:
@@ -95,11 +95,11 @@ def _result_class(path: Path) -> type[ReportableResult]:
     """Return the class that a file belongs to; a calibration's for the error message if unknown."""
     from counterspin.calibration.result import Result
 
-    if Result.file_kind().recognises(path):
+    if Result.file_type().recognises(path):
         return Result
     for module, name in _RESULT_CLASSES:
         kind: type[ReportableResult] = getattr(import_module(f"counterspin.{module}"), name)
-        if kind.file_kind().recognises(path):
+        if kind.file_type().recognises(path):
             return kind
     return Result
 
@@ -131,7 +131,7 @@ def history(
     from counterspin.histories.history import history as run
     from counterspin.histories.page import FILE_DESCRIPTION, history_plots
     from counterspin.histories.result import History
-    from counterspin.output import marked, reserve
+    from counterspin.output import check_writable, marked_file_type
     from counterspin.reports.charts import check_format, save_figure
     from counterspin.reports.text import report_console
 
@@ -139,8 +139,10 @@ def history(
         raise UsageError("history", ["give result files, or folders that contain them"])
     if figure is not None:
         check_format(figure)
-        reserve(figure, lambda: marked(FILE_DESCRIPTION), overwrite=save_options.overwrite)
-    save_options.reserve(History.file_kind)
+        check_writable(
+            figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
+        )
+    save_options.reserve(History.file_type)
     result = run(paths, term=term, serial=serial, reliability=reliability)
     with save_options.writing(result):
         if figure is not None:
@@ -170,16 +172,18 @@ def compare(
     """
     from counterspin.comparisons.compare import compare as run
     from counterspin.comparisons.result import ResultComparison
-    from counterspin.output import marked, reserve
+    from counterspin.output import check_writable, marked_file_type
     from counterspin.reports.publication import check_format
     from counterspin.reports.text import report_console
 
     if report is not None:
         check_format(report)
-        reserve(
-            report, lambda: marked(ResultComparison.report_kind()), overwrite=save_options.overwrite
+        check_writable(
+            report,
+            lambda: marked_file_type(ResultComparison.report_type()),
+            overwrite=save_options.overwrite,
         )
-    save_options.reserve(ResultComparison.file_kind)
+    save_options.reserve(ResultComparison.file_type)
     compared = run(*results)
     with save_options.writing(compared):
         if report is not None:
@@ -211,7 +215,7 @@ def intercompare(
     from counterspin.comparisons.intercompare import intercompare as run
     from counterspin.comparisons.intercomparison_page import FILE_DESCRIPTION, pictures
     from counterspin.comparisons.result import Intercomparison
-    from counterspin.output import marked, reserve
+    from counterspin.output import check_writable, marked_file_type
     from counterspin.reports.charts import check_format as check_figure
     from counterspin.reports.charts import save_figure
     from counterspin.reports.publication import check_format
@@ -220,11 +224,13 @@ def intercompare(
     overwrite = save_options.overwrite
     if report is not None:
         check_format(report)
-        reserve(report, lambda: marked(Intercomparison.report_kind()), overwrite=overwrite)
+        check_writable(
+            report, lambda: marked_file_type(Intercomparison.report_type()), overwrite=overwrite
+        )
     if figure is not None:
         check_figure(figure)
-        reserve(figure, lambda: marked(FILE_DESCRIPTION), overwrite=overwrite)
-    save_options.reserve(Intercomparison.file_kind)
+        check_writable(figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=overwrite)
+    save_options.reserve(Intercomparison.file_type)
     symbols = None if coefficient is None else [s.strip() for s in coefficient.split(",")]
     compared = run(*results, coefficients=symbols)
     with save_options.writing(compared):
@@ -256,7 +262,7 @@ def rerun(
     from counterspin.comparisons.result import RepeatedCalibration
     from counterspin.reports.text import progress, report_console
 
-    save_options.reserve(RepeatedCalibration.file_kind)
+    save_options.reserve(RepeatedCalibration.file_type)
     with progress() as advance:
         repeated = run(result, folder, progress=advance)
     with save_options.writing(repeated):

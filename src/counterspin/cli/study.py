@@ -86,7 +86,7 @@ def study(
         raise CounterspinError(
             f"{option} requires the folder of the study (`output`)", code="wrong-usage"
         )
-    save_options.reserve(StudyResult.file_kind)
+    save_options.reserve(StudyResult.file_type)
     folder = output and StudyFolder(output, keep_trials, resume, save_options.overwrite)
     with work_progress("Trials") as advance:
         result = run(

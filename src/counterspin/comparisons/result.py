@@ -99,7 +99,7 @@ class ResultComparison(ReportableResult):
     """A comparison of results; `reference` is the result that the others are compared with."""
 
     BLOCKS: ClassVar[str] = "counterspin.comparisons.page:comparison_blocks"
-    KIND: ClassVar[str] = "comparison"
+    DOCUMENT_TYPE: ClassVar[str] = "comparison"
 
     gravity: float  #: Gravity to which all g-units refer, m/s^2, from the first result.
     results: list[ComparedResult]  #: Compared results, in the order given.
@@ -175,7 +175,7 @@ class RepeatedCalibration(ReportableResult):
     """A result and the same calibration made again."""
 
     BLOCKS: ClassVar[str] = "counterspin.comparisons.page:repeat_blocks"
-    KIND: ClassVar[str] = "repeat of a result"
+    DOCUMENT_TYPE: ClassVar[str] = "repeat of a result"
 
     result: str  #: File or title of the original result.
     same: bool  #: Whether all estimates, uncertainties and states agree within `limit`.
@@ -242,7 +242,7 @@ class Intercomparison(ReportableResult):
     """A comparison of laboratories that calibrated the same instrument."""
 
     BLOCKS: ClassVar[str] = "counterspin.comparisons.intercomparison_page:intercomparison_blocks"
-    KIND: ClassVar[str] = "intercomparison"
+    DOCUMENT_TYPE: ClassVar[str] = "intercomparison"
 
     gravity: float  #: Gravity of the g-units, m/s^2, from the first result.
     significance: float  #: Significance of the chi-square test.

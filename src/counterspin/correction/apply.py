@@ -31,7 +31,7 @@ from counterspin.correction.related import (
     temperature_offset,
     temperature_warnings,
 )
-from counterspin.errors import CampaignError, RecordError, UsageError, code_of
+from counterspin.errors import CampaignError, RecordError, UsageError, error_code
 from counterspin.frozen import frozen
 from counterspin.physics.correction import (
     CalibratedAccelerometer,
@@ -200,7 +200,7 @@ def apply(
     try:
         missing = missing_axes(instruments, known)
     except ValueError as error:
-        raise CampaignError(_SOURCE, [str(error)], code=code_of(error)) from error
+        raise CampaignError(_SOURCE, [str(error)], code=error_code(error)) from error
     if missing:
         raise CampaignError(
             _SOURCE, _missing_force_errors(accelerometer, missing), code="missing-input"
@@ -309,7 +309,7 @@ def _column_scales(
             text = f"`unit`: {error}"
             if nominal is None:
                 text += f"; the result does not state a different output for {name}"
-            raise CampaignError(_SOURCE, [text], code=code_of(error)) from error
+            raise CampaignError(_SOURCE, [text], code=error_code(error)) from error
         scales[name] = _ColumnScale(
             factor / nominal.sensitivity, nominal.zero / nominal.sensitivity
         )
@@ -381,7 +381,9 @@ def _make_known_force(
         try:
             quantity = parse(force, "g", gravity=gravity)
         except ValueError as error:
-            raise CampaignError(_SOURCE, [f"`{option}`: {error}"], code=code_of(error)) from error
+            raise CampaignError(
+                _SOURCE, [f"`{option}`: {error}"], code=error_code(error)
+            ) from error
         return KnownForce(direction, quantity.value, quantity.u)
     return KnownForce(direction, np.asarray(force, dtype=np.float64) * factor)
 

@@ -17,11 +17,17 @@ from counterspin.correction.apply import ApplyOptions, Correction, apply
 from counterspin.correction.instrument import instrument_of
 from counterspin.errors import CampaignError, CounterspinError, RecordError, UsageError
 from counterspin.frozen import frozen
-from counterspin.output import FileType, holds, reserve, write_open, write_whole
+from counterspin.output import (
+    FileType,
+    check_writable,
+    contains_bytes,
+    write_atomically,
+    write_binary,
+)
 from counterspin.physics.correction import NotInvertibleError
 from counterspin.records.formats import locate, read_numbers, read_table
 from counterspin.records.unit_notation import TEMPERATURES
-from counterspin.units import ZERO_CELSIUS, same_unit, unit_factor
+from counterspin.units import ZERO_CELSIUS, is_same_unit, unit_factor
 
 #: Examples of a constant in place of a column.
 _EXAMPLES: Final = {"pendulous": "-1 g", "output_axis": "-1 g", "temperature": "23 degC"}
@@ -35,7 +41,7 @@ _SEPARATORS: Final[Mapping[str, str | None]] = {
 }
 
 #: Files written by this command, recognised by the names of the new columns.
-_CORRECTED: Final = FileType("a file that counterspin corrected", holds(b"_corrected_u"))
+_CORRECTED: Final = FileType("a file that counterspin corrected", contains_bytes(b"_corrected_u"))
 
 
 @frozen
@@ -125,7 +131,7 @@ def apply_file(
             ["this file is the input file, which is never overwritten"],
             code="file-exists",
         )
-    reserve(output, lambda: _CORRECTED, overwrite=overwrite)
+    check_writable(output, lambda: _CORRECTED, overwrite=overwrite)
     options = options or ApplyOptions()
     others: dict[str, Any] = dict(options.others)
     corrects_all = accelerometer is None
@@ -196,7 +202,7 @@ def apply_file(
         ):
             added.append(pl.Series(new, array).fill_nan(None))
     report = replace(reports[0], found=table.format_description, more=tuple(reports[1:]))
-    write_whole(
+    write_atomically(
         output,
         _writer(frame.with_columns(added), suffix, table.decimal),
         lambda: _CORRECTED,
@@ -208,7 +214,7 @@ def apply_file(
 def _check_units(source: Path, units: Mapping[str, str], stated: str) -> None:
     """Raise RecordError if a unit in the file's row of units differs from the stated unit."""
     for name, file_unit in units.items():
-        if file_unit and not same_unit(file_unit, stated):
+        if file_unit and not is_same_unit(file_unit, stated):
             raise RecordError(
                 f"{source}: column '{name}' is in '{file_unit}' according to the units row of "
                 f"the file, but in '{stated}' according to `unit`; all forces must be in the "
@@ -293,11 +299,11 @@ def _writer(frame: pl.DataFrame, suffix: str, decimal: str) -> Callable[[Path], 
     separator = _SEPARATORS[suffix]
     if separator is None:
         typed = pl.DataFrame([_parse_column(column, decimal) for column in frame.get_columns()])
-        return lambda path: write_open(path, typed.write_parquet)
+        return lambda path: write_binary(path, typed.write_parquet)
     comma = decimal == ","
     separator = ";" if comma and separator == "," else separator
     write = partial(frame.write_csv, separator=separator, decimal_comma=comma)
-    return lambda path: write_open(path, write)
+    return lambda path: write_binary(path, write)
 
 
 def _parse_column(column: pl.Series, decimal: str) -> pl.Series:

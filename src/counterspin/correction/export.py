@@ -22,7 +22,14 @@ from counterspin.correction.workbook import Cell, workbook
 from counterspin.errors import CampaignError, RecordError, UsageError
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import finite_dof
-from counterspin.output import FileType, holds, mark, marked, reserve, write_whole
+from counterspin.output import (
+    FileType,
+    check_writable,
+    contains_bytes,
+    file_mark,
+    marked_file_type,
+    write_atomically,
+)
 from counterspin.physics.terms import TABLE, TERMS
 
 Normalisation = Literal["none", "ieee"]
@@ -34,7 +41,10 @@ _WORDS: Final = "an export of a result"
 
 _KIND: Final = FileType(
     f"{_WORDS} written by counterspin",
-    lambda path: marked(_WORDS).recognises(path) or holds(",".join(_HEADER).encode())(path),
+    lambda path: (
+        marked_file_type(_WORDS).recognises(path)
+        or contains_bytes(",".join(_HEADER).encode())(path)
+    ),
 )
 
 #: Factors of all products and conditions, so that every default prior is part of the table.
@@ -132,7 +142,7 @@ def export(
         )
     if (reason := refusal_reason(judge_result(result), result.accelerometers)) is not None:
         raise RecordError(reason, code="contradicted")
-    reserve(output, lambda: _KIND, overwrite=overwrite)
+    check_writable(output, lambda: _KIND, overwrite=overwrite)
     if form == "coefficients":
         table = coefficient_table(result)
         if normalisation == "ieee":
@@ -140,7 +150,9 @@ def export(
         content = _COEFFICIENT_FILES[suffix](table, result)
     else:
         content = _triad_content(form, _determined_triad(result), result.inputs.gravity, noise)
-    write_whole(output, lambda part: part.write_bytes(content), lambda: _KIND, overwrite=overwrite)
+    write_atomically(
+        output, lambda part: part.write_bytes(content), lambda: _KIND, overwrite=overwrite
+    )
 
 
 def coefficient_table(result: Result) -> CoefficientTable:
@@ -253,7 +265,7 @@ def _xlsx(table: CoefficientTable, result: Result) -> bytes:
         sheets["triad"] = [("accelerometer", "bias", *(f"matrix {name}" for name in names))]
         for name, bias, row in zip(names, triad.bias, triad.matrix, strict=True):
             sheets["triad"].append((name, bias, *row))
-    return workbook(sheets, mark(_WORDS))
+    return workbook(sheets, file_mark(_WORDS))
 
 
 def _mat(table: CoefficientTable, result: Result) -> bytes:
@@ -280,7 +292,7 @@ def _mat_file(variables: dict[str, Any]) -> bytes:
     from scipy.io import savemat
 
     stream = io.BytesIO()
-    savemat(stream, variables | {"written_by": mark(_WORDS)})
+    savemat(stream, variables | {"written_by": file_mark(_WORDS)})
     # The header contains the time of writing.
     return b"MATLAB 5.0 MAT-file".ljust(116) + stream.getvalue()[116:]
 
@@ -329,7 +341,7 @@ def _triad_content(
     offset = matrix @ bias * gravity
     if form == "psins":
         return _mat_file({"clbt": {"Ka": matrix, "db": offset[:, None]}})
-    lines = [f"# {mark(_WORDS)}", f"# accelerometers: {json.dumps(triad.accelerometers)}"]
+    lines = [f"# {file_mark(_WORDS)}", f"# accelerometers: {json.dumps(triad.accelerometers)}"]
     if form == "ros":
         lines += [
             "# corrected = SM*raw - bias, m/s^2",

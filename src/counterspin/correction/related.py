@@ -12,7 +12,7 @@ import numpy.typing as npt
 from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.campaign.field_types import parse_uncertain_temperature
-from counterspin.errors import CampaignError, code_of
+from counterspin.errors import CampaignError, error_code
 from counterspin.physics.correction import CalibratedAccelerometer, TemperatureOffset
 from counterspin.units import ZERO_CELSIUS
 
@@ -73,7 +73,7 @@ def _parse_temperature(
             known = parse_uncertain_temperature(temperature)
         except ValueError as error:
             raise CampaignError(
-                "apply", [f"`temperature`: {error}"], code=code_of(error)
+                "apply", [f"`temperature`: {error}"], code=error_code(error)
             ) from error
         return known.value, known.u
     if temperature is None:

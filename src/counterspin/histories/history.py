@@ -48,13 +48,13 @@ from counterspin.histories.result import (
     Verdict,
 )
 from counterspin.inference.diagnostics import SIGNIFICANCE
-from counterspin.input import describe_argument, path_of
+from counterspin.input import describe_argument, to_path
 from counterspin.physics.terms import SHARED_TERMS, TERMS
 from counterspin.results import unsealed_sentences
-from counterspin.threads import one_blas_thread
+from counterspin.threads import single_blas_thread
 
 
-@one_blas_thread()
+@single_blas_thread()
 def history(
     paths: Sequence[Path | str | Result],
     *,
@@ -97,7 +97,7 @@ def history(
             f"give a list of results, their files or folders, not {describe_argument(paths)}"
         )
     inputs = [
-        p if isinstance(p, Result) else path_of(p, "results, their files or folders") for p in paths
+        p if isinstance(p, Result) else to_path(p, "results, their files or folders") for p in paths
     ]
     collected = collect_results(inputs, term)
     _remove_duplicates(collected)

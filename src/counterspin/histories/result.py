@@ -178,7 +178,7 @@ class History(ReportableResult):
     """The history of all instruments."""
 
     BLOCKS: ClassVar[str] = "counterspin.histories.page:history_blocks"
-    KIND: ClassVar[str] = "history"
+    DOCUMENT_TYPE: ClassVar[str] = "history"
 
     term: str  #: Coefficient; for triads, ``offset``, ``sensitivity`` or ``angle`` (minus 90 deg).
     unit: str  #: Unit of all values; a drift is in this unit per year.

@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import Array, triangle_of
+from counterspin.arrays import Array, triangular_factor
 from counterspin.frozen import frozen
 from counterspin.inference.least_squares import Solution
 
@@ -200,14 +200,14 @@ def _project_onto_first(solution: Solution, p: int) -> Array:
     rows = np.column_stack([solution.information[:, uncertain], solution.information[:, :p]])
     priors = solution.whiten_priors(np.eye(solution.estimate.size))[uncertain]
     known_columns = np.column_stack([priors[:, uncertain], priors[:, :p]])
-    return triangle_of(np.vstack([rows, known_columns]))[count:, count:]
+    return triangular_factor(np.vstack([rows, known_columns]))[count:, count:]
 
 
 class _Information:
     """The data's square-root information and the priors' rows of the free unknowns."""
 
     def __init__(self, data: Array, priors: Array, limits: Array) -> None:
-        self.data = triangle_of(data)
+        self.data = triangular_factor(data)
         self.priors = priors
         self.limits = limits
         column_norms = np.sqrt(np.sum(self.data**2, axis=0) + np.sum(priors**2, axis=0))
@@ -219,7 +219,7 @@ class _Information:
         priors = self.priors.copy()
         priors[list(without_priors)] = 0.0
         rows = np.vstack([self.data, priors, np.diag(self.floor)])
-        inverse = np.linalg.solve(triangle_of(rows), np.eye(self.floor.size))
+        inverse = np.linalg.solve(triangular_factor(rows), np.eye(self.floor.size))
         return np.asarray(inverse)
 
     def correlation(self, terms: npt.NDArray[np.intp]) -> float:
@@ -292,7 +292,9 @@ class _Information:
         order = np.argsort(is_last, axis=1, kind="stable")
         order[:, term_count - count :] = sets
         ordered_batch = np.take_along_axis(batch, order[:, None, :], axis=2)
-        return triangle_of(ordered_batch)[:, term_count - count : term_count, term_count - count :]
+        return triangular_factor(ordered_batch)[
+            :, term_count - count : term_count, term_count - count :
+        ]
 
 
 def _determined_combinations(

@@ -22,12 +22,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import QR_ROWS, Array, in_parts, triangle_of
+from counterspin.arrays import QR_BLOCK_ROWS, Array, qr_blocks, triangular_factor
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.priors import whiten_priors
 
-_CHUNK: Final = 32 * QR_ROWS  #: rows copied at a time, which bounds the memory
+_CHUNK: Final = 32 * QR_BLOCK_ROWS  #: rows copied at a time, which bounds the memory
 _COLUMNS: Final = 256  #: columns projected at a time, which bounds the memory
 
 
@@ -97,7 +97,7 @@ def reduce_rows(rows: Array, m: int, p: int) -> Block:
     n, q = rows.shape[0], rows.shape[1] - m - p - 1
     triangle = np.empty((0, m + p + q + 1))
     for start in range(0, n, _CHUNK):
-        triangle = triangle_of(np.vstack([triangle, in_parts(rows[start : start + _CHUNK])]))
+        triangle = triangular_factor(np.vstack([triangle, qr_blocks(rows[start : start + _CHUNK])]))
     if not np.isfinite(triangle).all():
         raise ValueError("the columns or the observations contain numbers that are not finite")
 
@@ -453,7 +453,7 @@ def solve(
         sensitivity_considered=sensitivity_considered,
         chi2=float(chi2),
         dof=float(dof + np.sum(rotation[prior_end:] ** 2)),
-        information=triangle_of(factor),
+        information=triangular_factor(factor),
         prior_mean=mean,
         prior_sd=sd,
         considered_sd=c_sd,

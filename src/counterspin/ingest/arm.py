@@ -46,7 +46,7 @@ from counterspin.ingest.readings import (
 )
 from counterspin.readings.cells import SENSE_WORDS, mounting_of
 from counterspin.records.unit_notation import unit_in_name
-from counterspin.units import STANDARD_GRAVITY, converts, unit_factor
+from counterspin.units import STANDARD_GRAVITY, is_convertible, unit_factor
 
 #: Directions in the frame of the arm; the horizontal ones as a turn about down passes them.
 HORIZONTAL: Final = ("inward", "forward", "outward", "backward")
@@ -160,7 +160,7 @@ class ArmTable:
         if not columns:
             return {}
         units = (columns[0].unit, unit_in_name(columns[0].name))
-        unit = next((unit for unit in units if converts(unit, "m")), "m")
+        unit = next((unit for unit in units if is_convertible(unit, "m")), "m")
         values = self.values(columns[0]) * unit_factor(unit, "m")
         turns = np.nan_to_num(self.values(self.rate)) != 0.0
         found: dict[str, dict[float, None]] = {}
@@ -174,9 +174,9 @@ class ArmTable:
         size = np.where(self.rests, 1.0, np.abs(self.values(self.rate)))
         if self.unit is None:
             size = size * np.nan
-        if converts(unit, "m/s^2"):
+        if is_convertible(unit, "m/s^2"):
             felt = size * unit_factor(unit, "m/s^2", gravity=STANDARD_GRAVITY)
-        elif converts(unit, "s"):
+        elif is_convertible(unit, "s"):
             felt = radius * (2.0 * math.pi / (size * unit_factor(unit, "s"))) ** 2
         else:
             felt = radius * (size * unit_factor(unit, "rad/s")) ** 2
@@ -205,7 +205,7 @@ class ArmTable:
         if not len(sizes) or self.unit is None:
             return 0.0
         ends = (Decimal(repr(size)).normalize().as_tuple().exponent for size in sizes.tolist())
-        power = 1.0 if converts(self.unit, "m/s^2") else 2.0
+        power = 1.0 if is_convertible(self.unit, "m/s^2") else 2.0
         return float(power * 10.0 ** min(map(int, ends)) / sizes.min())
 
 
@@ -362,7 +362,7 @@ def _role(column: FileColumn) -> str:
     usual = usual_role(column)
     if usual != "reading":
         return usual
-    if converts(column.unit, "m") or _RADIUS.match(column.name):
+    if is_convertible(column.unit, "m") or _RADIUS.match(column.name):
         return "radius"
     return "position" if _POSITION.match(column.name) else usual
 
@@ -371,8 +371,8 @@ def _is_rate(column: FileColumn) -> bool:
     """Return whether a column is a rate or the time of a revolution, by its unit or its name."""
     unit = _REVOLUTIONS.get(column.unit, column.unit)
     if _PERIOD.match(column.name):
-        return not unit or converts(unit, "s")
-    return converts(unit, "rad/s") or bool(not unit and _RATE.match(column.name))
+        return not unit or is_convertible(unit, "s")
+    return is_convertible(unit, "rad/s") or bool(not unit and _RATE.match(column.name))
 
 
 def _rate_unit(column: FileColumn) -> str | None:
@@ -384,7 +384,9 @@ def _rate_unit(column: FileColumn) -> str | None:
     wanted = "s" if _PERIOD.match(column.name) else "rad/s"
     units = [_REVOLUTIONS.get(unit, unit) for unit in [*known, unit_in_name(column.name)]]
     either = (wanted,) if _is_rate(column) else ("rad/s", "s")
-    return next((unit for unit in units if any(converts(unit, kind) for kind in either)), None)
+    return next(
+        (unit for unit in units if any(is_convertible(unit, kind) for kind in either)), None
+    )
 
 
 # Directions of the input axis
@@ -552,7 +554,7 @@ def _statements(table: ArmTable) -> Iterator[str]:
     rests = int(table.rests.sum())
     if table.rate is not None:
         yield f"{rests or 'no'} reading{'' if rests == 1 else 's'} at rest (rate 0)"
-        if converts(table.unit or "", "m/s^2"):
+        if is_convertible(table.unit or "", "m/s^2"):
             yield "accelerations refer to the stated radius; g is the local gravity of the site"
     for word in table.mountings:
         meant, seen, axis = (

@@ -24,7 +24,7 @@ from counterspin.frozen import frozen
 from counterspin.ingest.contents import FileColumn, FileContents, frequency, wave
 from counterspin.records.sampling import has_shared_times, row_rate
 from counterspin.records.unit_notation import unit_in_name
-from counterspin.units import converts, unit_factor
+from counterspin.units import is_convertible, unit_factor
 
 _TIME: Final = re.compile(
     r"(?i)(t|time|zeit|temps|elapsed|stamp|x_value|seconds|millis|micros)([^a-z]|stamp|$)"
@@ -352,7 +352,7 @@ def _is_signal(column: FileColumn, swing: float | None, answers: Mapping[str, st
         return column.name == answers["signal"]
     if np.ptp(column.values[np.isfinite(column.values)]) == 0.0:
         return False  # zeros of a residual, or of an unused channel
-    if column.unit and not any(converts(column.unit, si) for si in OBSERVABLES.values()):
+    if column.unit and not any(is_convertible(column.unit, si) for si in OBSERVABLES.values()):
         return False  # such as a temperature
     return bool(swing or _axis(column.name))
 
@@ -513,7 +513,7 @@ def _angle(
         if period is None or abs(slope / turning / period - 1.0) > _UNIT_TOLERANCE:
             period = slope / turning
     unit = answers.get("angle unit") or _unit_of(column, "rad")
-    known = "angle unit" in answers or converts(column.unit, "rad")
+    known = "angle unit" in answers or is_convertible(column.unit, "rad")
     if unit is not None and unit != "count":
         factor = unit_factor(unit, "rad")
         # A name may say what the numbers do not.
@@ -528,7 +528,7 @@ def _angle(
         if (
             abs(period / turn - 1.0) < _UNIT_TOLERANCE
             and unit != "count"
-            and not converts(column.unit, "count")
+            and not is_convertible(column.unit, "count")
         ):
             return AngleGuess(column.name, name), unwrapped * 2.0 * np.pi / turn
     counts = _whole_counts(period)
@@ -596,5 +596,5 @@ def _unit_of(column: FileColumn, wanted: str) -> str | None:
     """Return the unit of a column by the file, or else by its name."""
     for text in (column.unit, unit_in_name(column.name)):
         if text:
-            return text if converts(text, wanted) else None
+            return text if is_convertible(text, wanted) else None
     return None

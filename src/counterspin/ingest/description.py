@@ -35,7 +35,7 @@ from counterspin.ingest.questions import (
 from counterspin.ingest.starter import Test
 from counterspin.ingest.tumble import TumbleDraft, tumble_draft
 from counterspin.output import make_folder, write_text
-from counterspin.toml_text import write_document
+from counterspin.toml_text import format_document
 
 #: Axis -> usual name of an accelerometer.
 _NAMES: Final = {"east": "Qx", "west": "Qx", "north": "Qy", "south": "Qy", "up": "Qz", "down": "Qz"}
@@ -178,7 +178,7 @@ def write_description(draft: AnyDraft, folder: Path) -> Path:
         "records": "docs/campaign.md explains every key",
         "readings": "docs/readings.md explains every key",
     }
-    text = "".join(f"# {line}\n" for line in head) + write_document(document, comments)
+    text = "".join(f"# {line}\n" for line in head) + format_document(document, comments)
     write_text(target, text)
     return target
 

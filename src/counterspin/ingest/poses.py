@@ -37,7 +37,7 @@ from counterspin.ingest.triads import (
 from counterspin.physics.grades import GRADES
 from counterspin.records.column_file import format_names
 from counterspin.triads.static_intervals import MIN_CONTRAST, MIN_DURATION
-from counterspin.units import converts
+from counterspin.units import is_convertible
 
 #: Poses that do not tell their noise beside biases and scale factors.
 _NO_NOISE: Final = 6
@@ -204,7 +204,7 @@ def _questions(
         text += f" The magnitude of the vector at rest is {found.gravity:.4g}."
     unit = answers.get("unit") or (found.unit if found else None)
     yield FileQuestion("unit", text, UNITS[0], UNITS, unit)
-    if unit is not None and not converts(unit, "m/s^2"):
+    if unit is not None and not is_convertible(unit, "m/s^2"):
         text = "What is the nominal sensitivity?"
         felt = found.gravity if found else math.nan
         size = f"{felt:.4g} {unit}/g" if math.isfinite(felt) else None

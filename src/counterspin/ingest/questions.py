@@ -19,7 +19,7 @@ from typing import Final
 from counterspin.campaign.field_types import COMPASS
 from counterspin.campaign.quantity import BARE, latitude_text, parse
 from counterspin.campaign.settings import OBSERVABLES
-from counterspin.errors import CampaignError, InputError, MissingAnswersError, Problem, code_of
+from counterspin.errors import CampaignError, InputError, MissingAnswersError, Problem, error_code
 from counterspin.frozen import frozen
 from counterspin.ingest.column_roles import (
     NONE,
@@ -327,7 +327,7 @@ def judged_answers(
         try:
             taken[key] = known[key].judged(answer)
         except ValueError as error:
-            problems.append(Problem(f"{key}: {error}", code_of(error)))
+            problems.append(Problem(f"{key}: {error}", error_code(error)))
     return taken, problems
 
 

@@ -18,7 +18,7 @@ from counterspin.ingest.column_roles import NONE, UNUSED, is_nominal
 from counterspin.ingest.contents import FileColumn, FileContents
 from counterspin.ingest.questions import AnsweredDraft, FileQuestion, relative_name
 from counterspin.records.unit_notation import unit_in_name
-from counterspin.units import converts
+from counterspin.units import is_convertible
 
 #: What a column of numbers may be in every table, and a column of words.
 ROLES: Final = ("reading", "uncertainty", "temperature", "time", UNUSED)
@@ -156,7 +156,7 @@ def usual_role(column: FileColumn) -> str:
     """Return the role of a column of numbers in any table, by its name and unit."""
     if column.unit in ("degC", "K") or (_TEMPERATURE.match(column.name) and not column.stamps):
         return "temperature"
-    if column.stamps or _TIME.match(column.name) or converts(column.unit, "s"):
+    if column.stamps or _TIME.match(column.name) or is_convertible(column.unit, "s"):
         return "time"
     if _NUMBER.fullmatch(column.name) or _counts_rows(column):
         return UNUSED
@@ -279,7 +279,7 @@ def output_questions(
     text = f"What is the unit of the readings in column '{name}'?"
     unit = output_unit(column, answers)
     yield FileQuestion(f"{name} unit", text, "mA", _OUTPUTS, output_unit(column))
-    if unit is None or converts(unit, "m/s^2"):
+    if unit is None or is_convertible(unit, "m/s^2"):
         return
     text = f"What is the nominal sensitivity of column '{name}'?"
     if math.isfinite(sensed.per_g):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from counterspin.errors import CounterspinError, ExistingFileError
-from counterspin.input import path_of
+from counterspin.input import to_path
 from counterspin.output import make_folder, write_text
 
 #: The kinds of test; of all but the last there is an example.
@@ -63,7 +63,7 @@ def init(folder: Path | str, test: Test = "double-turntable") -> Path:
         raise CounterspinError(
             f"`test` must be one of {', '.join(_EXAMPLES)}, not {test!r}", code="wrong-usage"
         )
-    folder = path_of(folder, "the folder of the new campaign")
+    folder = to_path(folder, "the folder of the new campaign")
     description, table = _EXAMPLES[test]
     written = {DESCRIPTION_NAME: description} | ({_TABLE: table} if table else {})
     for name in written:

@@ -30,7 +30,7 @@ from counterspin.triads.static_intervals import (
     StaticIntervals,
     find_poses,
 )
-from counterspin.units import STANDARD_GRAVITY, converts, unit_factor
+from counterspin.units import STANDARD_GRAVITY, is_convertible, unit_factor
 
 #: The triad's accelerometers, and their axes in its frame.
 AXES: Final = dict(zip("XYZ", USUAL_AXES, strict=True))
@@ -209,7 +209,7 @@ def without_gravity(guess: FileGuess) -> tuple[str, ...]:
     columns, seconds = _concatenate_files([guess])
     candidates = [column for column in columns.values() if len(column.values) == len(seconds)]
     for three in islice(threes(candidates), _MOST_THREES):
-        if not all(converts(column.unit, "m/s^2") for column in three):
+        if not all(is_convertible(column.unit, "m/s^2") for column in three):
             continue
         values = np.column_stack([column.values[:MOST_ROWS] for column in three])
         try:
@@ -266,7 +266,7 @@ def _seconds(guess: FileGuess, rows: int) -> Array:
 
 
 def _may_be_force(unit: str) -> bool:
-    return not unit or converts(unit, "m/s^2") or unit in UNITS
+    return not unit or is_convertible(unit, "m/s^2") or unit in UNITS
 
 
 def _looked_at(
@@ -289,12 +289,12 @@ def _looked_at(
         near = [
             candidate
             for candidate in UNITS
-            if converts(candidate, "m/s^2")
+            if is_convertible(candidate, "m/s^2")
             and _is_gravity(felt * unit_factor(candidate, "m/s^2", gravity=STANDARD_GRAVITY))
         ]
         unit = next(iter(near), "")
     # Counts and volts may be any number where nothing is felt, a specific force is none there.
-    zero = np.zeros(3) if converts(unit or "", "m/s^2") else _middle(means)
+    zero = np.zeros(3) if is_convertible(unit or "", "m/s^2") else _middle(means)
     unit = unit or ("count" if _are_integers(values) else "")
     return TriadColumns(named, unit or None, poses, means, zero, rest)
 

@@ -33,7 +33,7 @@ from counterspin.ingest.readings import (
     several_question,
     usual_role,
 )
-from counterspin.units import converts, unit_factor
+from counterspin.units import is_convertible, unit_factor
 
 _POSITION: Final = re.compile(r"(?i).*(pos|angle|theta|phi|winkel|stell|attitude|deg(_|$))")
 #: Usual units of a position.
@@ -119,7 +119,7 @@ def shows_tumble(all_contents: Sequence[FileContents]) -> bool:
         return False
     # A record of a spindle has times that run evenly, or paths.
     times = columns_of_role(contents, roles, "time")
-    if any(map(_is_even, times)) or any(converts(column.unit, "m") for column in readings):
+    if any(map(_is_even, times)) or any(is_convertible(column.unit, "m") for column in readings):
         return False
     angles = position.values * unit_factor(_angle_unit(position), "rad")
     return all(_follows(angles, column.values) for column in readings)
@@ -148,18 +148,18 @@ def _follows(angles: Array, values: Array) -> bool:
 def _roles(contents: FileContents, answers: Mapping[str, str]) -> dict[str, str]:
     """Return the role of each column."""
     found = [column for column in contents.columns if _role(column) == "position"]
-    found.sort(key=lambda column: not converts(column.unit, "rad"))
+    found.sort(key=lambda column: not is_convertible(column.unit, "rad"))
     return roles_of(contents, answers, _role, {"position": found[0].name if found else None})
 
 
 def _role(column: FileColumn) -> str:
     usual = usual_role(column)
-    may_be = _POSITION.match(column.name) or converts(column.unit, "rad")
+    may_be = _POSITION.match(column.name) or is_convertible(column.unit, "rad")
     return "position" if usual == "reading" and may_be else usual
 
 
 def _angle_unit(column: FileColumn) -> str:
-    if converts(column.unit, "rad"):
+    if is_convertible(column.unit, "rad"):
         return column.unit
     return "deg" if np.nanmax(np.abs(column.values)) > 7.0 else "rad"
 

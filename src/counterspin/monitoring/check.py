@@ -31,7 +31,7 @@ from counterspin.planning.forecast import forecast
 from counterspin.planning.recorded import add_pose_noise, apply_observations, fitted_noise
 from counterspin.records.formats import find_opener
 from counterspin.records.memory import MemoryTable, memory_table
-from counterspin.threads import one_blas_thread
+from counterspin.threads import single_blas_thread
 
 
 def check(
@@ -63,7 +63,7 @@ def check(
         If the file is not found.
     """
     full_campaign = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
-    with one_blas_thread():
+    with single_blas_thread():
         return _check_record(record, full_campaign, run)
 
 

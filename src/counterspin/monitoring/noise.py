@@ -16,7 +16,7 @@ from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.field_types import exact
 from counterspin.campaign.settings import NOISE_UNITS, OBSERVABLES
 from counterspin.campaign.static_noise import static_signals
-from counterspin.errors import CampaignError, RecordError, UsageError, code_of
+from counterspin.errors import CampaignError, RecordError, UsageError, error_code
 from counterspin.inference.noise.components import (
     BIAS_COMPONENTS_BY_KEY,
     size_keys,
@@ -42,8 +42,8 @@ from counterspin.records.column_file import format_names
 from counterspin.records.memory import MemoryTable, memory_table
 from counterspin.records.unit_notation import unit_in_name
 from counterspin.reports.numbers import format_number
-from counterspin.threads import one_blas_thread
-from counterspin.units import STANDARD_GRAVITY, base_unit, converts, unit_factor
+from counterspin.threads import single_blas_thread
+from counterspin.units import STANDARD_GRAVITY, base_unit, is_convertible, unit_factor
 
 #: Mains frequencies, Hz, and their relative tolerance.
 _MAINS: Final = (50.0, 60.0)
@@ -120,7 +120,7 @@ def noise(
     g = _parse_quantity("gravity", gravity, "m/s^2") or STANDARD_GRAVITY
     turning = _parse_quantity("rate", rate, "rad/s")
     unused: list[str] = []
-    with one_blas_thread():
+    with single_blas_thread():
         if campaign is not None:
             full_campaign = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
             if gravity is not None:
@@ -161,7 +161,7 @@ def _parse_quantity(name: str, text: str | None, unit: str) -> float | None:
     try:
         return abs(exact(text, unit))
     except ValueError as error:
-        raise CampaignError("noise", [f"`{name}`: {error}"], code=code_of(error)) from error
+        raise CampaignError("noise", [f"`{name}`: {error}"], code=error_code(error)) from error
 
 
 def _select_signals(signals: list[StaticSignal], columns: Sequence[str]) -> list[StaticSignal]:
@@ -211,7 +211,7 @@ def _guess_signals(
             continue
         known = column.unit or unit_in_name(column.name) or unit
         observable = next(
-            (name for name, si in OBSERVABLES.items() if known and converts(known, si)), None
+            (name for name, si in OBSERVABLES.items() if known and is_convertible(known, si)), None
         )
         if known is None or observable is None or len(column.values) != time.size:
             if columns:
@@ -229,7 +229,7 @@ def _guess_signals(
         used_columns.append(
             StaticSignal(column.name, column.name, observable_order, in_g, time, values)
         )
-    if unit is not None and not any(converts(unit, si) for si in OBSERVABLES.values()):
+    if unit is not None and not any(is_convertible(unit, si) for si in OBSERVABLES.values()):
         requested = "a unit of length, velocity or specific force is required, such as m/s^2"
         raise CampaignError("noise", [f"`unit`: {unit!r}: {requested}"], code="wrong-unit")
     if not used_columns:

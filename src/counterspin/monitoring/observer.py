@@ -90,7 +90,7 @@ class GrowingTable:
     def follow(self) -> tuple[bool, str | None]:
         """Read the new data; return whether they changed, and the events."""
         with open_file(self.path) as file:
-            now = FileIdentity.of(file.fileno())
+            now = FileIdentity.from_file(file.fileno())
             if now == self._identity:
                 return False, None
             event = self._change_event(now, file)
@@ -367,9 +367,9 @@ def _poll_file(watched: _WatchedRun) -> tuple[bool, str | None]:
     try:
         if watched.table is not None:
             changed, event = watched.table.follow()
-            watched.identity = (FileIdentity.of(path),)
+            watched.identity = (FileIdentity.from_file(path),)
         else:
-            now = tuple(FileIdentity.of(file) for file in watched.files)
+            now = tuple(FileIdentity.from_file(file) for file in watched.files)
             changed, event = now != watched.identity, None
             watched.identity = now
     except FileNotFoundError:

@@ -98,7 +98,7 @@ class WatchState(ReportableResult):
     """A campaign whose records grow, at one moment."""
 
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:watch_blocks"
-    KIND: ClassVar[str] = "watch"
+    DOCUMENT_TYPE: ClassVar[str] = "watch"
 
     title: str  #: Title of the campaign.
     runs: list[RunState]  #: Runs in the order of the description.
@@ -121,7 +121,7 @@ class CheckedRun(ReportableResult):
     """A checked record."""
 
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:check_blocks"
-    KIND: ClassVar[str] = "check"
+    DOCUMENT_TYPE: ClassVar[str] = "check"
 
     run: RunState  #: State of the run, fitted alone.
     remarks: list[str]  #: Faults and remarks, as sentences; empty if there are none.
@@ -206,8 +206,8 @@ class NoiseResult(ReportableResult):
     """The noise of a record at rest."""
 
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:noise_blocks"
-    KIND: ClassVar[str] = "noise"
-    REPORT_KIND: ClassVar[str | None] = "a noise report"
+    DOCUMENT_TYPE: ClassVar[str] = "noise"
+    REPORT_TYPE: ClassVar[str | None] = "a noise report"
 
     record: str  #: Record file.
     checksum: str | None  #: SHA-256 of the file; None for a record in memory.

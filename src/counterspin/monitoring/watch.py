@@ -27,7 +27,7 @@ from counterspin.monitoring.run_state import (
     run_state,
     undetermined_estimates,
 )
-from counterspin.threads import one_blas_thread
+from counterspin.threads import single_blas_thread
 
 #: Fraction of the stated duration from which a run is complete.
 _COMPLETE_FRACTION: Final = 1.0 - 1e-3
@@ -140,7 +140,7 @@ def _iter_states(
 def _watch_state(
     campaign: Campaign, observer: Observer, goals: Mapping[str, float], events: Sequence[str]
 ) -> WatchState:
-    with one_blas_thread():
+    with single_blas_thread():
         usable_campaign, observed = observer.usable_runs()
         fit, trouble = None, None
         estimates: list[CurrentEstimate] = []

@@ -13,7 +13,7 @@ import numpy as np
 from counterspin._version import __version__
 from counterspin.arrays import Array
 from counterspin.errors import CampaignError, RecordError, UsageError
-from counterspin.input import path_of, read_file
+from counterspin.input import read_file, to_path
 from counterspin.operating_tests import model
 from counterspin.operating_tests.model import Line, OperatingEstimate
 from counterspin.operating_tests.result import OperatingQuantity, OperatingTests
@@ -68,7 +68,7 @@ def operating(
     RecordError
         If the file or a column cannot be read.
     """
-    path = path_of(file, "a table, or its file")
+    path = to_path(file, "a table, or its file")
     if (input is None) == (time is None):
         raise UsageError("operating", ["give an input column, or a time column for a warm-up test"])
     if output in (input, time):

@@ -14,7 +14,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from counterspin.arrays import Array, in_parts, median, triangle_of, triangular_root
+from counterspin.arrays import (
+    Array,
+    median,
+    qr_blocks,
+    triangular_factor,
+    triangular_root,
+)
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.physics.angle_error import (
@@ -356,7 +362,9 @@ def forecast_angle_error(time: Array, rate: float, noise: float, weights: Array)
     columns[:3] = root_weight, root_weight * scaled_time, root_weight * scaled_time**2
     _fill_harmonics(rate * time, harmonics, root_weight, columns[3:])
     prior = _UnresolvedPrior(_count_resolvable_harmonics(time, rate), noise)
-    triangle = triangle_of(np.vstack([triangle_of(in_parts(columns.T)), prior.rows(harmonics)]))
+    triangle = triangular_factor(
+        np.vstack([triangular_factor(qr_blocks(columns.T)), prior.rows(harmonics)])
+    )
     factor = np.asarray(noise * np.linalg.inv(triangle), np.float64)
     coefficients = _Coefficients(rate, harmonics, np.zeros(len(columns)), factor)
     return _angle_error(time, harmonics, coefficients, coefficients)
@@ -480,10 +488,10 @@ def _fit(
             # As `observation.block_average`: the mean of the waves at both ends of the spread.
             for index, harmonic in enumerate(harmonics):
                 columns[3 + 2 * index : 5 + 2 * index] *= np.cos(harmonic * w0 * spread)
-        triangle = triangle_of(in_parts(columns.T))
+        triangle = triangular_factor(qr_blocks(columns.T))
         if prior is not None:
             rows = np.pad(prior.rows(harmonics), ((0, 0), (0, 1)))
-            triangle = triangle_of(np.vstack([triangle, rows]))
+            triangle = triangular_factor(np.vstack([triangle, rows]))
         r = triangle[:unknown_count, :unknown_count]
         # R's columns are as long as the design's.
         column_norms = np.maximum(np.linalg.norm(r, axis=0), math.sqrt(n))

@@ -29,7 +29,7 @@ from typing import Final, Generic, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import Array, triangle_of
+from counterspin.arrays import Array, triangular_factor
 from counterspin.frozen import frozen
 from counterspin.planning.design import Criterion, Design, Limits, RunType
 from counterspin.planning.run_information import Predictor
@@ -86,7 +86,7 @@ def relax(
 
 def _candidate_runs(predictor: Predictor, limits: Limits, runs: Design) -> CandidateSet:
     blocks = predictor.information.blocks(runs.types, runs.rate, runs.revolutions)
-    design = triangle_of(blocks[:, :, : predictor.p])
+    design = triangular_factor(blocks[:, :, : predictor.p])
     nothing = np.zeros((*design.shape[:2], 0)), np.zeros((predictor.p, 0))
     cost = runs.duration + limits.overhead(runs.rate)
     return CandidateSet(design, nothing[0], predictor.prior, nothing[1], cost)
@@ -253,7 +253,7 @@ class CandidateSet:
         prior_rows = np.hstack([self.known, self.known_considered])
         identity = np.eye(prior_rows.shape[1])[self.known.shape[1] :]
         relaxation = _Relaxation(
-            triangle_of(np.vstack([prior_rows, identity])),
+            triangular_factor(np.vstack([prior_rows, identity])),
             criterion,
             np.concatenate([self.design, self.considered], axis=2),
             cost,

@@ -29,7 +29,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import Array, triangle_of
+from counterspin.arrays import Array, triangular_factor
 from counterspin.campaign.runs import MOST_ROWS
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
@@ -97,7 +97,7 @@ def prefix_factors(rows: Array, ends: npt.NDArray[np.int64], drop: int) -> Array
     triangle = np.empty((0, rows.shape[1]))
     start = 0
     for end in ends:
-        triangle = triangle_of(np.vstack([triangle, rows[start:end]]))
+        triangle = triangular_factor(np.vstack([triangle, rows[start:end]]))
         signs = np.where(np.diagonal(triangle) < 0.0, -1.0, 1.0)
         selected = signs[:, None] * triangle
         factors.append(selected[drop:, drop:])
@@ -281,7 +281,7 @@ def _sum_rows(samples: EvenSamples, run: np.intp, even: Array, odd: Array, harmo
     rows = np.hstack([first, rest])
     rows[-1] *= np.sqrt(count - (rows_needed - 1))  # of the last row only its part counts
     rows = np.vstack([rows, np.zeros((max(0, rows.shape[1] - rows_needed), rows.shape[1]))])
-    return np.asarray(triangle_of(rows) @ np.vstack([even[0], odd[0], even[1:], odd[1:]]))
+    return np.asarray(triangular_factor(rows) @ np.vstack([even[0], odd[0], even[1:], odd[1:]]))
 
 
 #: Parts of a revolution at which factors are tabulated; rows to a revolution are a multiple.

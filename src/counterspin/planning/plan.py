@@ -15,7 +15,7 @@ from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.campaign.quantity import attitude_words
 from counterspin.errors import ExistingFileError, NotIdentifiableError
 from counterspin.frozen import frozen
-from counterspin.input import path_of
+from counterspin.input import to_path
 from counterspin.output import make_folder, write_text
 from counterspin.planning.design import Design, Limits
 from counterspin.planning.faults import Requirement, fault_requirements
@@ -27,8 +27,8 @@ from counterspin.planning.recorded import add_pose_noise, apply_records, needs_r
 from counterspin.planning.result import OtherPlan, PlanResult, other_plan, result_of
 from counterspin.planning.search import Search, require_determined, unreachable
 from counterspin.planning.stations import read_reading_plan
-from counterspin.threads import one_blas_thread
-from counterspin.toml_text import write_document
+from counterspin.threads import single_blas_thread
+from counterspin.toml_text import format_document
 
 #: How often a plan for a target is changed after its forecast has missed it.
 _MAX_CHANGES: Final = 5
@@ -109,7 +109,7 @@ class PlannedCampaign:
         return [self.change(**{name: value}) for value in values]
 
 
-@one_blas_thread()
+@single_blas_thread()
 def plan(
     where: Mapping[str, Any] | Path | str,
     *,
@@ -137,7 +137,7 @@ def plan(
     CounterspinError
         If no plan within the limits reaches the target.
     """
-    file = file if isinstance(where, Mapping) else path_of(where, "a plan, or a plan file")
+    file = file if isinstance(where, Mapping) else to_path(where, "a plan, or a plan file")
     if "stations" in load_plan(where):
         return _plan_readings(where, file)
     plan_data = read_plan(where, file)
@@ -169,7 +169,7 @@ def plan(
             "requirements_for": basis,
         }
     )
-    document = write_document(search.document(design), _COMMENTS)
+    document = format_document(search.document(design), _COMMENTS)
     return PlannedCampaign(result, document, load_plan(where), file)
 
 
@@ -177,7 +177,7 @@ def _plan_readings(where: Mapping[str, Any] | Path | str, file: Path | None) -> 
     """Return a plan of readings, with their values left blank in its campaign."""
     plan_data = read_reading_plan(where, file)
     result, readings = ReadingSearch(plan_data).best()
-    document = write_document(plan_data.campaign_document(readings), _COMMENTS)
+    document = format_document(plan_data.campaign_document(readings), _COMMENTS)
     return PlannedCampaign(result, document, load_plan(where), file)
 
 

@@ -28,7 +28,7 @@ from counterspin.inference.noise.components import size_keys
 from counterspin.inference.noise.model import Noise
 from counterspin.planning.forecast import forecast
 from counterspin.readings.fit import solve_readings
-from counterspin.threads import one_blas_thread
+from counterspin.threads import single_blas_thread
 from counterspin.triads.groups import group_poses
 from counterspin.triads.record_poses import campaign_poses, pooled_noise
 
@@ -161,7 +161,7 @@ class SuggestedRuns:
     u_without: float  #: And without them, by the same forecast.
 
 
-@one_blas_thread()
+@single_blas_thread()
 def suggest_runs(
     campaign: Campaign, observed_runs: Sequence[ObservedRun], noise: Mapping[str, Noise], name: str
 ) -> SuggestedRuns | None:

@@ -142,7 +142,7 @@ class PlanResult(ReportableResult):
     """
 
     BLOCKS: ClassVar[str] = "counterspin.planning.page:plan_blocks"
-    KIND: ClassVar[str] = "plan's result"
+    DOCUMENT_TYPE: ClassVar[str] = "plan's result"
 
     title: str
     gravity: float

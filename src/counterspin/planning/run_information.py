@@ -26,7 +26,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.arrays import Array, triangle_of
+from counterspin.arrays import Array, triangular_factor
 from counterspin.campaign.conditions import DEFAULT_WARMING
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.priors import prior_correlation, whiten_priors
@@ -384,7 +384,7 @@ class Predictor:
         lead = blocks.shape[:-3]
         rows = blocks[..., :p].reshape(*lead, -1, p)
         prior = np.broadcast_to(self.prior, (*lead, p, p))
-        triangle = triangle_of(np.concatenate([rows, prior], axis=-2))
+        triangle = triangular_factor(np.concatenate([rows, prior], axis=-2))
         root = np.linalg.inv(triangle)
         inner = np.asarray(root @ np.swapaxes(root, -1, -2), dtype=np.float64)
         if blocks.shape[-1] == p:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from counterspin.arrays import Array, triangle_of
+from counterspin.arrays import Array, triangular_factor
 from counterspin.frozen import frozen
 from counterspin.inference.joint.design_blocks import DesignBlock, build_design_blocks
 from counterspin.inference.joint.fit import JointFit, solve_blocks
@@ -126,7 +126,7 @@ def _residual_products(
     prior_rows = whiten_priors(np.eye(p), spread, correlation)
     rows = [np.hstack([block.factor, block.considered]) for block in blocks]
     prior = np.hstack([prior_rows, np.zeros((p, rows[0].shape[1] - p))])
-    triangle = triangle_of(np.vstack([*rows, prior]))
+    triangle = triangular_factor(np.vstack([*rows, prior]))
     remainder = triangle[p:, p:]
     solution = np.linalg.solve(triangle[:p, :p], triangle[:p, p:])
     by_accelerometer: dict[str, Array] = {}

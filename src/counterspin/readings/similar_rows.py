@@ -19,7 +19,7 @@ from counterspin.campaign.reading import Reading
 from counterspin.campaign.settings import Output
 from counterspin.frozen import copy_with
 from counterspin.physics.accelerometer import Mounting
-from counterspin.units import TEMPERATURE_SCALES, WORKING_TEMPERATURES, unit_factor
+from counterspin.units import OPERATING_TEMPERATURES, TEMPERATURE_SCALES, unit_factor
 
 #: Keys whose quantities may differ among similar rows.
 _NUMBERS: Final = {"rate", "temperature", "time"}
@@ -96,7 +96,7 @@ class _RowColumns:
         if isinstance(first_row.get("temperature"), Quantity):
             kelvin = np.array([row["temperature"].value for row in self._rows])
             kelvin += TEMPERATURE_SCALES[first_row["temperature"].unit]
-            coldest, warmest = WORKING_TEMPERATURES
+            coldest, warmest = OPERATING_TEMPERATURES
             self.valid &= (kelvin >= coldest) & (kelvin <= warmest)
             fields["temperature"] = [(temperature,) for temperature in kelvin.tolist()]
         return fields

@@ -17,7 +17,7 @@ from counterspin.campaign.quantity import HeadTurn, Quantity
 from counterspin.campaign.runs import ReadingAxes
 from counterspin.campaign.settings import Output
 from counterspin.campaign.validation import Problems, suggest_name
-from counterspin.errors import InputError, RecordError, code_of
+from counterspin.errors import InputError, RecordError, error_code
 from counterspin.frozen import frozen
 from counterspin.physics.conditions import STATED_CONDITIONS
 from counterspin.readings.cells import (
@@ -36,7 +36,7 @@ from counterspin.readings.entries import MOST_READINGS
 from counterspin.readings.section import COLUMNS, TABLE_ENDINGS, MountingSettings, ReadingsSettings
 from counterspin.records.dialect import Dialect
 from counterspin.records.memory import iter_columns
-from counterspin.units import same_unit, unit_factor
+from counterspin.units import is_same_unit, unit_factor
 
 if TYPE_CHECKING:
     from counterspin.records.formats import StoredTable
@@ -107,7 +107,7 @@ def load_table(path: Path, dialect: Dialect) -> tuple[StoredTable, list[str], st
     try:
         table, places, checksum = read_small_table(path, dialect)
     except RecordError as error:
-        raise InputError(str(error).rstrip("."), code_of(error)) from error
+        raise InputError(str(error).rstrip("."), error_code(error)) from error
     if (rows := table.frame.height) > MOST_READINGS:
         raise InputError(
             f"{path.name} has {rows} rows; a table of readings may have at most {MOST_READINGS}",
@@ -402,7 +402,7 @@ class ReadingsTable:
                     described_units |= dict.fromkeys(columns, output.unit if output else "g")
         for column, unit in described_units.items():
             unit_in_table = units.get(column or "")
-            if unit_in_table and not same_unit(unit_in_table, unit):
+            if unit_in_table and not is_same_unit(unit_in_table, unit):
                 self.problems.add(
                     ("readings", "columns"),
                     f'{self.settings.file}: column "{column}" is in {unit_in_table} according to '

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from counterspin.arrays import SIGMA_OF_MAD, aligned, median
+from counterspin.arrays import MAD_TO_SIGMA, empty_aligned, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.column_file import Chunk
@@ -102,7 +102,7 @@ class Clock:
         self._last_time = math.nan
         self._last_angle = math.nan
         self._last_values: list[float] = []
-        self._steps = aligned(0)
+        self._steps = empty_aligned(0)
         # The first row of a run of unfitting angles that is still open, its time, and its fault.
         self._lost: int | None = None
         self._lost_time = math.nan
@@ -215,7 +215,7 @@ class Clock:
     def _differences(self, column: np.ndarray) -> np.ndarray:
         """Return the steps of a column, in an array that the next call writes over."""
         if len(self._steps) < len(column) - 1:
-            self._steps = aligned(len(column) - 1)
+            self._steps = empty_aligned(len(column) - 1)
         steps = self._steps[: len(column) - 1]
         np.subtract(column[1:], column[:-1], out=steps)
         return steps
@@ -420,7 +420,7 @@ def _tolerance(misfits: np.ndarray, angle: np.ndarray) -> float:
         largest_common = float(np.partition(magnitude, -rare_count)[-rare_count])
         quantum = max(quantum, min(largest_common, _ENCODER_STEP_RAD))
     return (
-        _RESIDUAL_SDS * SIGMA_OF_MAD * upper_median(magnitude) + 3 * quantum + rounding
+        _RESIDUAL_SDS * MAD_TO_SIGMA * upper_median(magnitude) + 3 * quantum + rounding
         if len(magnitude)
         else rounding
     )

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, BinaryIO, Self
 
 import numpy as np
 
-from counterspin.arrays import aligned
+from counterspin.arrays import empty_aligned
 from counterspin.errors import CounterspinError, DamagedFileError, RecordError
 from counterspin.frozen import frozen
 from counterspin.input import FileIdentity
@@ -78,7 +78,7 @@ def iter_chunks(
     first = concatenate_batches(head)
     chunk_rows = choose_rows(first)
     # What lies across two batches is brought together in a buffer; the rest are views.
-    buffer = dict(zip(first, aligned(len(first), chunk_rows), strict=True))
+    buffer = dict(zip(first, empty_aligned(len(first), chunk_rows), strict=True))
     filled = 0
     for batch in chain([first], batches):
         rows = row_count(batch)
@@ -202,7 +202,7 @@ class ColumnFile(ABC):
     def __init__(self, path: Path, stream: BinaryIO) -> None:
         self.path = path
         self.names: list[str] = []
-        self.identity: FileIdentity | None = FileIdentity.of(stream.fileno())
+        self.identity: FileIdentity | None = FileIdentity.from_file(stream.fileno())
         self.units, self.units_row = {}, False
         self.timestamp_columns, self.format_description = frozenset(), ""
         self.first_timestamp, self.interval = None, None
@@ -223,7 +223,7 @@ class ColumnFile(ABC):
         self._stream.close()
         if isinstance(error, Exception) or error is None:
             with record_errors(self.path):
-                if FileIdentity.of(self.path) != self.identity:
+                if FileIdentity.from_file(self.path) != self.identity:
                     raise RecordError(
                         f"{self.path}: the file was changed while counterspin was reading it. "
                         "Wait until the file is complete.",

@@ -57,7 +57,7 @@ def open_columns(path: Path | MemoryTable, dialect: Dialect = AUTODETECT) -> Col
     opener = find_opener(path)
     with record_errors(path), ExitStack() as stack:
         stream = stack.enter_context(open_file(path))
-        if FileIdentity.of(stream.fileno()).size == 0:
+        if FileIdentity.from_file(stream.fileno()).size == 0:
             raise RecordError(f"{path}: the file is empty.", code="no-rows")
         file = opener(path, stream, dialect)
         if dialect.select is not None:

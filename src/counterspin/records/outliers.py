@@ -18,7 +18,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from counterspin.arrays import SIGMA_OF_MAD, aligned, median
+from counterspin.arrays import MAD_TO_SIGMA, empty_aligned, median
 
 #: Samples in a window.
 WINDOW_SAMPLES = 128
@@ -172,7 +172,7 @@ def _screen(
         offset -= np.arange(width) - (width - 1) / 2
         is_outlier = np.abs(offset).max(axis=1) > max(_SHIFT_RAD / abs(phase_step), _SHIFT_STEPS)
         windows = windows - ((windows @ basis) @ slopes) * offset
-    residuals = aligned(len(windows), width)
+    residuals = empty_aligned(len(windows), width)
     np.matmul(windows @ basis, functions, out=residuals)
     np.subtract(windows, residuals, out=residuals)
     tested_residuals = residuals[~is_outlier] if is_outlier.any() else residuals
@@ -180,7 +180,7 @@ def _screen(
     if not len(sample):
         return np.zeros(len(residuals)), is_outlier, 0.0
     centre = upper_median(sample)
-    scale = SIGMA_OF_MAD * upper_median(np.abs(sample - centre))
+    scale = MAD_TO_SIGMA * upper_median(np.abs(sample - centre))
     if max(tested_residuals.max() - centre, centre - tested_residuals.min()) <= _SCREEN_SDS * scale:
         return (
             np.zeros(len(residuals)),
@@ -257,7 +257,7 @@ def _robust_fit(
     def spread(residuals: np.ndarray) -> np.ndarray:
         magnitude = np.sort(np.where(is_finite, np.abs(residuals), np.inf), axis=1)
         median: np.ndarray = np.take_along_axis(magnitude, middle[:, None], axis=1)[:, 0]
-        floored: np.ndarray = np.maximum(SIGMA_OF_MAD * median, floor)
+        floored: np.ndarray = np.maximum(MAD_TO_SIGMA * median, floor)
         return floored
 
     # Fewer functions withstand more outliers: the first ones part these from the rest, then all

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from counterspin.arrays import median
-from counterspin.errors import RecordError, code_of
+from counterspin.errors import RecordError, error_code
 from counterspin.input import FileIdentity
 from counterspin.records.clock import LISTED, MAX_ANGLE, Clock
 from counterspin.records.column_file import (
@@ -91,7 +91,7 @@ def read_record(
             pulse_angle(pulses[0], pulses[0][:0], motion.rate, columns.angle.per_revolution)
         except ValueError as error:
             raise RecordError(
-                f"{source}: column '{columns.angle.name}': {error}.", code=code_of(error)
+                f"{source}: column '{columns.angle.name}': {error}.", code=error_code(error)
             ) from None
     return run_isolated(_read_file, record, columns, motion, block, pulses)
 

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.errors import RecordError, code_of
+from counterspin.errors import RecordError, error_code
 from counterspin.frozen import frozen
 from counterspin.input import FileIdentity
 from counterspin.records.dialect import AUTODETECT, Dialect
 from counterspin.records.signals import FirstHarmonic
-from counterspin.units import TEMPERATURE_SCALES, base_unit, same_unit, unit_factor
+from counterspin.units import TEMPERATURE_SCALES, base_unit, is_same_unit, unit_factor
 
 if TYPE_CHECKING:
     from counterspin.records.column_file import ColumnFile
@@ -178,11 +178,11 @@ class ColumnSpec:
             except ValueError as error:
                 raise RecordError(
                     f"{location} is in '{file_unit}' according to the file: {error}.",
-                    code=code_of(error),
+                    code=error_code(error),
                 ) from None
             # Beside the unit there may be a sense, or a clock that is known to be fast.
             return replace(self, factor=factor * self.factor, unit=file_unit)
-        is_same = file_unit == self.unit or same_unit(file_unit, self.unit, gravity=self.gravity)
+        is_same = file_unit == self.unit or is_same_unit(file_unit, self.unit, gravity=self.gravity)
         if file_unit and file.units_row and not is_same:
             raise RecordError(
                 f"{location} is in '{file_unit}' according to the units row of the file, but in "

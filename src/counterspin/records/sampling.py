@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array, median, quantile
-from counterspin.errors import InputError, RecordError, code_of
+from counterspin.errors import InputError, RecordError, error_code
 from counterspin.frozen import frozen
 from counterspin.records.outliers import resolution
 from counterspin.records.unit_notation import bracketed_unit
@@ -155,7 +155,7 @@ class RepeatedValues:
                 self._holding.append(ValueHolding.detect(signal) if repeats else None)
             except ValueError as error:
                 raise RecordError(
-                    f"{path}: column '{name}': {error}.", code=code_of(error)
+                    f"{path}: column '{name}': {error}.", code=error_code(error)
                 ) from None
 
     def fill(self, first_row: int, signals: Sequence[Array], interpolates: bool) -> list[Array]:

@@ -20,7 +20,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.arrays import SIGMA_OF_MAD, Array, median
+from counterspin.arrays import MAD_TO_SIGMA, Array, median
 from counterspin.frozen import frozen
 
 #: Fewest samples from which one revolution's amplitude is taken.
@@ -287,7 +287,7 @@ def check_first_harmonic(
 def _sd_of_median(harmonic_fit: HarmonicFit, mean: complex) -> float:
     """Return the standard deviation of the median wave, from what the revolutions differ by."""
     revolution_count = len(harmonic_fit.amplitude)
-    between_sd = SIGMA_OF_MAD * median(np.abs(harmonic_fit.amplitude - mean))
+    between_sd = MAD_TO_SIGMA * median(np.abs(harmonic_fit.amplitude - mean))
     samples = np.maximum(harmonic_fit.last - harmonic_fit.first + 1, 1)
     within_sd = median(harmonic_fit.deviation * np.sqrt(2.0 / samples))
     return math.hypot(between_sd, within_sd) * math.sqrt(0.5 * math.pi / revolution_count)

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
-from counterspin.errors import DamagedFileError, RecordError, installing
+from counterspin.errors import DamagedFileError, RecordError, install_command
 from counterspin.input import read_file
 from counterspin.records.column_file import (
     ColumnFile,
@@ -155,7 +155,7 @@ def _open_workbook(path: Path, content: bytes) -> Any:
     except ModuleNotFoundError:
         raise RecordError(
             f"{path}: Excel files require the package fastexcel. Save the table as CSV, or "
-            f"install it: {installing('excel')}.",
+            f"install it: {install_command('excel')}.",
             code="missing-package",
         ) from None
     _require_size(path, content)

@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from counterspin.errors import RecordError, installing
+from counterspin.errors import RecordError, install_command
 from counterspin.frozen import frozen
 from counterspin.records.array_files import ArrayFile
 from counterspin.records.dialect import Dialect
@@ -81,7 +81,7 @@ class TdmsFile(ArrayFile):
         except ModuleNotFoundError:
             raise RecordError(
                 f"{self.path}: TDMS files require the package npTDMS. Export the table as CSV, "
-                f"or install it: {installing('tdms')}.",
+                f"or install it: {install_command('tdms')}.",
                 code="missing-package",
             ) from None
         # A path would also read the index file, which the checksum of the record does not cover.

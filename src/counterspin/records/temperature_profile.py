@@ -21,7 +21,7 @@ from counterspin.records.memory import MemoryTable
 from counterspin.records.reading import open_record
 from counterspin.records.record import RecordColumns
 from counterspin.records.run_file import RunFile
-from counterspin.units import WORKING_TEMPERATURES, ZERO_CELSIUS
+from counterspin.units import OPERATING_TEMPERATURES, ZERO_CELSIUS
 
 #: Most values of a course.
 MAX_KNOTS: Final = 64
@@ -72,7 +72,7 @@ def _temperature_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> 
             raise RecordError(
                 f"{file.path}, {row_location}: the time is infinite.", code="value-out-of-range"
             )
-        coldest, warmest = WORKING_TEMPERATURES
+        coldest, warmest = OPERATING_TEMPERATURES
         impossible = np.flatnonzero((temperatures < coldest) | (temperatures > warmest))
         if len(impossible):
             implausible, row_location = (

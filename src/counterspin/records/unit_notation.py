@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from functools import lru_cache, partial
 from typing import Final
 
-from counterspin.units import check_unit
+from counterspin.units import normalise_unit
 
 #: Thousands separator -> the decimal mark used with it: thin, narrow and other blanks that are not
 #: broken, an apostrophe, or the mark that does not separate decimals.
@@ -129,7 +129,7 @@ def _known_unit(text: str) -> str | None:
     if text in TEMPERATURES:
         return "degC"
     try:
-        return check_unit(_WORDS.get(text) or _WORDS.get(text.lower(), text))
+        return normalise_unit(_WORDS.get(text) or _WORDS.get(text.lower(), text))
     except ValueError:
         return None
 

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, cast
 
 from counterspin.errors import CounterspinError
-from counterspin.output import mark, marked, reserve, write_whole
+from counterspin.output import check_writable, file_mark, marked_file_type, write_atomically
 from counterspin.reports.blocks import Picture, Plot
 from counterspin.reports.drawing import PAPER_COLOURS, colour_indices, draw_pictures, settings
 from counterspin.reports.typography import set_indices, typeset_block
@@ -57,10 +57,10 @@ _REMARKS: Final = {".svg": "Description", ".png": "Description", ".pdf": "Subjec
 
 
 def reserve_figures(paths: Iterable[Path], kind: str, *, overwrite: bool = False) -> None:
-    """Refuse figures that would overwrite a file, as `counterspin.output.reserve` does."""
+    """Refuse figures that would overwrite a file, as `counterspin.output.check_writable` does."""
     for path in paths:
         if path.exists():
-            reserve(path, partial(marked, kind), overwrite=overwrite)
+            check_writable(path, partial(marked_file_type, kind), overwrite=overwrite)
 
 
 def check_format(path: Path) -> str:
@@ -85,15 +85,15 @@ def save_figure(
     overwrite: Whether an existing figure of this kind may be replaced; other files never are.
     """
     suffix = check_format(path)
-    reserve(path, partial(marked, kind), overwrite=overwrite)
-    metadata = {**_METADATA[suffix], _REMARKS[suffix]: mark(kind)}
+    check_writable(path, partial(marked_file_type, kind), overwrite=overwrite)
+    metadata = {**_METADATA[suffix], _REMARKS[suffix]: file_mark(kind)}
     printed = [cast("Picture", typeset_block(picture)) for picture in pictures]
     with settings(PAPER_COLOURS):
         figure = draw_pictures(printed, PAPER_COLOURS, titled=True)
-        write_whole(
+        write_atomically(
             path,
             lambda part: figure.savefig(part, format=suffix[1:], dpi=160, metadata=metadata),
-            partial(marked, kind),
+            partial(marked_file_type, kind),
             overwrite=overwrite,
         )
 

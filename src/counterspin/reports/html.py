@@ -17,7 +17,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from counterspin.characters import escape_controls
-from counterspin.output import mark
+from counterspin.output import file_mark
 from counterspin.reports.blocks import (
     ANSWER_STYLES,
     Block,
@@ -60,7 +60,7 @@ def html(
             date=moment,
             day=f"{moment:%Y-%m-%d %H:%M} UTC",
             version=version,
-            mark=mark(kind),
+            mark=file_mark(kind),
             style=Markup(_style(page.zoomable)),
             page_mark=Markup(_css_text(identifier)),
             summary=summary["content"],

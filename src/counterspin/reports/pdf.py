@@ -16,7 +16,7 @@ from typing import Any, Final, Literal
 
 from counterspin.characters import escape_controls
 from counterspin.frozen import frozen
-from counterspin.output import mark
+from counterspin.output import file_mark
 from counterspin.reports.blocks import (
     ANSWER_STYLES,
     Block,
@@ -88,7 +88,7 @@ def pdf(
     moment = date.astimezone(UTC).replace(microsecond=0)
     data = _layout_data(blocks, title, identifier, moment, marks)
     data |= {
-        "mark": mark(kind),
+        "mark": file_mark(kind),
         "attachments": [
             {
                 "name": attachment.name,

@@ -14,7 +14,7 @@ from counterspin._version import __version__
 from counterspin.errors import CampaignError, UsageError
 from counterspin.frozen import frozen
 from counterspin.loading import load_name
-from counterspin.output import mark, marked, reserve, write_whole
+from counterspin.output import check_writable, file_mark, marked_file_type, write_atomically
 from counterspin.reports.blocks import Block, Heading, Paragraph, Picture
 from counterspin.reports.typography import typeset_block
 from counterspin.results import ReportableResult, ResultFile, unsealed_sentences
@@ -63,7 +63,7 @@ class Publication:
 
         made = f"{issued.astimezone(UTC):%Y-%m-%d %H:%M} UTC"
         end = Paragraph(f"End of {self.identifier}, {made}.", "quiet")
-        return f"{markdown(self.blocks)}\n<!-- {mark(self.kind)} -->\n\n{markdown([end])}"
+        return f"{markdown(self.blocks)}\n<!-- {file_mark(self.kind)} -->\n\n{markdown([end])}"
 
     def pdf(self, issued: datetime) -> bytes:
         """Return the report as a PDF, with a time of issue that has a time zone."""
@@ -82,10 +82,10 @@ class Publication:
 
         overwrite: Whether an existing report of this kind may be replaced; other files never are.
         """
-        suffix, kind = check_format(path), partial(marked, self.kind)
-        reserve(path, kind, overwrite=overwrite)
+        suffix, kind = check_format(path), partial(marked_file_type, self.kind)
+        check_writable(path, kind, overwrite=overwrite)
         data = self.pdf(issued) if suffix == ".pdf" else self.text(suffix, issued).encode()
-        write_whole(path, lambda part: part.write_bytes(data), kind, overwrite=overwrite)
+        write_atomically(path, lambda part: part.write_bytes(data), kind, overwrite=overwrite)
 
 
 def publish(result: ReportableResult, identifier: str | None = None) -> Publication:
@@ -94,13 +94,15 @@ def publish(result: ReportableResult, identifier: str | None = None) -> Publicat
     identifier: Identifier of the report; None: that of the result.
     """
     blocks = with_seal_warning(result, load_name(result.REPORT_BLOCKS or result.BLOCKS)(result))
-    title = next((block.text for block in blocks if isinstance(block, Heading)), result.KIND)
-    return Publication(result.report_kind(), title, identifier or result.identifier, blocks)
+    title = next(
+        (block.text for block in blocks if isinstance(block, Heading)), result.DOCUMENT_TYPE
+    )
+    return Publication(result.report_type(), title, identifier or result.identifier, blocks)
 
 
 def seal_warnings(result: ResultFile) -> list[Paragraph]:
     """Return the warning of a result whose file has no seal; nothing for a sealed result."""
-    names = [] if result.sealed else [f"this {result.KIND}"]
+    names = [] if result.sealed else [f"this {result.DOCUMENT_TYPE}"]
     return [Paragraph(sentence, "warning") for sentence in unsealed_sentences(names)]
 
 

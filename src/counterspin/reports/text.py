@@ -18,7 +18,7 @@ from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from counterspin.characters import encodable
+from counterspin.characters import substitute_unencodable
 from counterspin.reports.blocks import (
     TERMINAL_ROWS,
     Block,
@@ -194,9 +194,9 @@ class Report:
                 yield ""
             match block:
                 case Heading(text, _):
-                    yield Text(encodable(text, options.encoding), "bold")
+                    yield Text(substitute_unencodable(text, options.encoding), "bold")
                 case Paragraph(text, style):
-                    text = encodable(text, options.encoding)
+                    text = substitute_unencodable(text, options.encoding)
                     yield Text(text, _STYLES[style], overflow="fold")
                 case Table():
                     yield from _tables(block, options)
@@ -214,9 +214,9 @@ def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
 
     Numbers are broken only if a single column next to the names is too wide.
     """
-    titles = [encodable(column.title, options.encoding) for column in block.columns]
+    titles = [substitute_unencodable(column.title, options.encoding) for column in block.columns]
     shown, count = block.rows[:TERMINAL_ROWS], len(block.rows) + block.omitted
-    rows = [[encodable(cell, options.encoding) for cell in row] for row in shown]
+    rows = [[substitute_unencodable(cell, options.encoding) for cell in row] for row in shown]
     for number, (chosen, widths) in enumerate(
         _split_columns(block, [titles, *rows], options.max_width)
     ):

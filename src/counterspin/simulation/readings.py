@@ -34,7 +34,7 @@ from counterspin.readings.known_attitudes import Readings
 from counterspin.readings.section import ReadingsSettings
 from counterspin.readings.table import ReadingsTable, load_table
 from counterspin.simulation.simulable import apply_inputs_to_readings, apply_true_inputs
-from counterspin.toml_text import parse_toml, write_document
+from counterspin.toml_text import format_document, parse_toml
 from counterspin.triads.groups import make_group
 from counterspin.triads.poses import predict_indications
 from counterspin.units import unit_factor
@@ -315,7 +315,7 @@ def fill_description(
             if where >= 0:
                 edited = f'{edited[:where]}"{after}"{edited[where + len(before) + 2 :]}'
                 index = where + len(after)
-    return edited if _parses_to(edited, document) else write_document(document)
+    return edited if _parses_to(edited, document) else format_document(document)
 
 
 def _pose_readings(pose: Sequence[Reading], names: Iterable[str]) -> Iterator[Reading]:

@@ -25,7 +25,7 @@ from counterspin.campaign.static_noise import simulated_noise
 from counterspin.errors import CampaignError, ExistingFileError, UsageError
 from counterspin.inference.noise.model import SPECIFIC_FORCE, Noise
 from counterspin.inference.noise.simulation import add_noise, add_white_noise
-from counterspin.output import make_folder, write_text, write_whole
+from counterspin.output import make_folder, write_atomically, write_text
 from counterspin.physics import observation, simulation
 from counterspin.physics.motion import Trajectory, encoder_error, perturb_trajectory
 from counterspin.physics.own_velocity import AxisError, own_velocity_errors
@@ -143,11 +143,13 @@ def simulate(
     if text is not None:
         write_text(description, text, overwrite=overwrite)
     elif not own:
-        write_whole(description, partial(shutil.copyfile, campaign.path), overwrite=overwrite)
+        write_atomically(description, partial(shutil.copyfile, campaign.path), overwrite=overwrite)
     for target, rest in taken_along.items():
         copy_record(rest, target, overwrite=overwrite)
     for done, (frame, target) in enumerate(zip(frames, targets, strict=True), start=1):
-        write_whole(target, partial(WRITERS[target.suffix.lower()], frame), overwrite=overwrite)
+        write_atomically(
+            target, partial(WRITERS[target.suffix.lower()], frame), overwrite=overwrite
+        )
         if progress is not None:
             progress(done, len(targets))
     return targets

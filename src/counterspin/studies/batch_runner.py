@@ -33,7 +33,7 @@ from counterspin.studies.draws import (
     random_stream,
 )
 from counterspin.studies.result import BiasCovariate, TrialAccumulator
-from counterspin.workers import ALONE, WorkerPool, Workers, worker_pool
+from counterspin.workers import SINGLE_PROCESS, WorkerPool, Workers, worker_pool
 
 #: Cost of a trial: ``linear``; ``sampled`` where sigma is from the residuals, and with it the
 #: second stage's weights; ``readings``; ``full``.
@@ -280,7 +280,7 @@ def run_batches(
     engine: StudyEngine,
     batch_results: BatchResults,
     *,
-    workers: Workers = ALONE,
+    workers: Workers = SINGLE_PROCESS,
     pool: WorkerPool | None = None,
     progress: Callable[[int, int], None] | None = None,
     save: Callable[[], None] | None = None,
@@ -378,7 +378,7 @@ def _run_in_pool(
         done_before = int(batch_results.done.sum())
         try:
             with nullcontext(pool) if pool else worker_pool(workers, __name__) as current_pool:
-                crash_errors = current_pool.died
+                crash_errors = current_pool.death_errors
                 _submit_tasks(current_pool, pickled, batch_results, size, report)
         except crash_errors as error:
             # A worker was killed, or ran out of memory. Its tasks are submitted again.

@@ -15,7 +15,7 @@ from counterspin.arrays import Array
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.two_stage.method import make_request
 from counterspin.campaign.description import Campaign
-from counterspin.errors import NotIdentifiableError, code_of
+from counterspin.errors import NotIdentifiableError, error_code
 from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import RIPPLE, Unknown, Unknowns
 from counterspin.inference.noise.components import BIAS_COMPONENTS_BY_KEY
@@ -165,7 +165,7 @@ def _engine_with_readings(
     try:
         readings = TrialReadings.from_campaign(campaign)
     except ValueError as error:
-        raise NotIdentifiableError(f"{analysis.name}: {error}", code=code_of(error)) from error
+        raise NotIdentifiableError(f"{analysis.name}: {error}", code=error_code(error)) from error
     description = "readings" if setup is None else "full records and readings"
     return _full_joint_engine(setup, truth, analysis, analysis.joint_request, description, readings)
 

@@ -13,7 +13,7 @@ import polars as pl
 from counterspin.arrays import Array
 from counterspin.errors import CounterspinError, CounterspinWarning, ExistingFileError
 from counterspin.frozen import frozen
-from counterspin.output import FileType, make_folder, reserve, write_whole
+from counterspin.output import FileType, check_writable, make_folder, write_atomically
 from counterspin.studies.batch_runner import BatchResults
 from counterspin.studies.result import StudyResult
 
@@ -64,8 +64,8 @@ class StudyFolder:
             If so, or if the folder cannot be made.
         """
         make_folder(self.directory)
-        reserve(
-            self.directory / _RESULT, StudyResult.file_kind, overwrite=self.overwrite or self.resume
+        check_writable(
+            self.directory / _RESULT, StudyResult.file_type, overwrite=self.overwrite or self.resume
         )
         figures = [
             *(self.directory / "z.svg", self.directory / "coverage.svg"),
@@ -101,7 +101,7 @@ class StudyFolder:
             f"{coefficient.analysis}.{coefficient.name}"
             for coefficient in batch_results.coefficients
         ]
-        write_whole(
+        write_atomically(
             self.directory / _TRIALS,
             lambda part: _write_parquet(part, names, batch_results),
             lambda: _TRIALS_FILE_TYPE,
@@ -187,7 +187,7 @@ class StudyProgress:
 
     def _save_arrays(self, path: Path, **arrays: Any) -> None:
         fingerprint = np.array(self._fingerprint)
-        write_whole(path, partial(np.savez, fingerprint=fingerprint, **arrays), overwrite=True)
+        write_atomically(path, partial(np.savez, fingerprint=fingerprint, **arrays), overwrite=True)
 
     def resume(self) -> None:
         """Load the batches of an earlier study; report damaged batches, which run again."""

@@ -35,8 +35,8 @@ from counterspin.studies.result import (
     summarise,
     summarise_analyses,
 )
-from counterspin.threads import one_blas_thread
-from counterspin.workers import ALONE, Workers, worker_pool
+from counterspin.threads import single_blas_thread
+from counterspin.workers import SINGLE_PROCESS, Workers, worker_pool
 
 #: Duration, s, from which a user is told the duration before the first trial.
 _WARNING_DURATION: Final = 30.0
@@ -51,14 +51,14 @@ _MAX_TRIALS: Final = 10**9
 _MAX_RESULTS_SIZE: Final = 5 * 10**8
 
 
-@one_blas_thread()
+@single_blas_thread()
 def study(
     where: Path | str | Campaign | StudyDescription,
     *,
     trials: int | None = None,
     seed: int | None = None,
     engine: EngineName = "auto",
-    workers: Workers = ALONE,
+    workers: Workers = SINGLE_PROCESS,
     output: StudyFolder | Path | str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> StudyResult:
@@ -194,7 +194,7 @@ class StudyDuration:
     slow_analyses: str  #: Analyses that need full records, with the reasons; empty without one.
 
 
-@one_blas_thread()
+@single_blas_thread()
 def estimate_duration(where: Path) -> StudyDuration:
     """Return the expected duration of a study; it is prepared, and a slow trial is timed."""
     start = time.perf_counter()

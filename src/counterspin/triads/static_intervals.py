@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.arrays import SIGMA_OF_MAD, Array, median
+from counterspin.arrays import MAD_TO_SIGMA, Array, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.memory import MemoryTable
@@ -248,7 +248,7 @@ def _outlier_mask(values: Array, rows: int, resolutions: Array) -> np.ndarray:
     blocks = deviation[: len(deviation) // rows * rows].reshape(-1, rows, 3)
     # From the upper quartile: every fifth value is the median itself, and so not off at all.
     offset = 3 * rows // 4
-    scale = np.partition(blocks, offset, axis=1)[:, offset] * SIGMA_OF_MAD / 2.0
+    scale = np.partition(blocks, offset, axis=1)[:, offset] * MAD_TO_SIGMA / 2.0
     # A smooth motion is its own median: where one fills most of a stretch, the next one tells.
     scale = np.maximum(scale, np.maximum(np.roll(scale, 1, axis=0), np.roll(scale, -1, axis=0)))
     limits = _SPIKE_SDS * scale + 1.5 * resolutions

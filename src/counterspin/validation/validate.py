@@ -17,7 +17,7 @@ import numpy as np
 
 from counterspin._version import __version__
 from counterspin.certificates.schema import load_schema
-from counterspin.output import make_folder, marked, reserve
+from counterspin.output import check_writable, make_folder, marked_file_type
 from counterspin.results import environment
 from counterspin.validation.cases import Case, cases, document
 from counterspin.validation.kernels import NotAvailableError, run_case
@@ -236,9 +236,9 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
     make_folder(folder)
     for name in DOSSIER_FILES:
         path = folder / name
-        page = partial(marked, Dossier.report_kind())
-        kind = Dossier.file_kind if path.suffix == ".json" else page
-        reserve(path, kind, overwrite=overwrite)
+        page = partial(marked_file_type, Dossier.report_type())
+        kind = Dossier.file_type if path.suffix == ".json" else page
+        check_writable(path, kind, overwrite=overwrite)
 
 
 def _case_fields(case: Case) -> dict[str, Any]:

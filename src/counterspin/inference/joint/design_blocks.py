@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import SIGMA_OF_MAD, Array, median, triangle_of
+from counterspin.arrays import MAD_TO_SIGMA, Array, median, triangular_factor
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.joint import encoder
@@ -254,7 +254,7 @@ def compress_nuisance(
         rows[:, list(block.unknowns)] = block.unit_noise_block.factor
         scaled_rows = rows[:, nuisance_places] * (prior_sds / floors[block.accelerometer])
         weighted_rows.append(scaled_rows if root is None else scaled_rows @ root)
-    _, singular_values, directions = np.linalg.svd(triangle_of(np.vstack(weighted_rows)))
+    _, singular_values, directions = np.linalg.svd(triangular_factor(np.vstack(weighted_rows)))
     directions_kept = directions[: int(np.sum(singular_values > _MIN_EFFECT))]
     compressed_unknowns = [
         Unknown("", f"condensed.{k}", (0.0, 1.0), _LIMIT_SDS, is_of_interest=False)
@@ -319,4 +319,4 @@ def estimate_white_noise(block: DesignBlock) -> float:
     third_differences = np.diff(residuals * np.sqrt(series.count / series.variance_ratio), 3)
     if third_differences.size == 0:
         return 0.0
-    return SIGMA_OF_MAD * median(np.abs(third_differences)) / math.sqrt(20.0)
+    return MAD_TO_SIGMA * median(np.abs(third_differences)) / math.sqrt(20.0)

@@ -24,7 +24,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import SIGMA_OF_MAD, Array, median
+from counterspin.arrays import MAD_TO_SIGMA, Array, median
 from counterspin.errors import ConvergenceError
 from counterspin.inference.distributions import student_quantile
 from counterspin.inference.joint.design_blocks import DesignBlock
@@ -112,7 +112,7 @@ def _is_near_gap(position: Array, half_width: int) -> npt.NDArray[np.bool_]:
 
 def _robust_sd(deviations: Array) -> float:
     """Return the robust standard deviation."""
-    return SIGMA_OF_MAD * median(np.abs(deviations))
+    return MAD_TO_SIGMA * median(np.abs(deviations))
 
 
 def _local_deviation(residuals: Array, half_width_max: int) -> Array:
@@ -153,7 +153,7 @@ def _end_scales(values: Array) -> Array:
     windows = np.lib.stride_tricks.sliding_window_view(values, 16)
     near, far = (np.median(windows[:, part], axis=1) for part in (slice(4, 10), slice(10, 16)))
     errors = windows[:, :4] - near[:, None] - (near - far)[:, None] * _EXTRAPOLATION
-    return SIGMA_OF_MAD * np.median(np.abs(errors / np.sqrt(1.0 + _EXTRAPOLATION_VARIANCE)), axis=0)
+    return MAD_TO_SIGMA * np.median(np.abs(errors / np.sqrt(1.0 + _EXTRAPOLATION_VARIANCE)), axis=0)
 
 
 def _pair_median(values: Array, distances: range) -> tuple[Array, float]:
@@ -296,7 +296,7 @@ def _relative_sd(residuals: Array, white: float, jitter: float, variance: Array)
 
     What is less than usual counts as half of it: such rows are compared with noisier neighbours.
     """
-    scale = SIGMA_OF_MAD * float(np.nanmedian(np.abs(residuals)))
+    scale = MAD_TO_SIGMA * float(np.nanmedian(np.abs(residuals)))
     even = max(white**2, scale**2 - jitter**2)
     ratio: Array = np.sqrt(np.maximum((even + variance) / (even + jitter**2), 0.5))
     return ratio
@@ -450,5 +450,5 @@ def _third_difference_variance(residuals: Array, step: int) -> float:
     differences = differences - residuals[: -3 * step]
     if not differences.size:
         return 0.0
-    limit = _CLIP_SDS * SIGMA_OF_MAD * median(np.abs(differences))
+    limit = _CLIP_SDS * MAD_TO_SIGMA * median(np.abs(differences))
     return float(np.mean(np.clip(differences, -limit, limit) ** 2) / 20.0)

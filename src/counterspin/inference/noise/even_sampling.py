@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from counterspin.arrays import Array, triangle_of
+from counterspin.arrays import Array, triangular_factor
 from counterspin.frozen import frozen
 from counterspin.inference.noise.bias_instability import Variances
 from counterspin.inference.noise.components import (
@@ -77,7 +77,7 @@ class EvenlySampledData:
             edges.append(min(n - 1, math.ceil(edges[-1] * (1.0 + _GROUP_FRACTION))))
         stack, variances = [rows[: edges[0]]], [row_variances[:, : edges[0]]]
         for begin, end in pairwise(edges):
-            group_triangle = triangle_of(rows[begin:end])
+            group_triangle = triangular_factor(rows[begin:end])
             stack.append(group_triangle)
             variances.append(
                 np.repeat(

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from counterspin.arrays import Array, in_parts, median, triangle_of
+from counterspin.arrays import Array, median, qr_blocks, triangular_factor
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.noise.bias_instability import (
@@ -178,7 +178,7 @@ class DifferencedRecord:
             )
             bands, log_det = self.differences.factor(white + self.added_variance, walk)
             rows = solve_banded_factor(bands, np.column_stack([cosines, self.stack]))
-            self.triangles[key] = triangle_of(in_parts(rows)), log_det
+            self.triangles[key] = triangular_factor(qr_blocks(rows)), log_det
         return self.triangles[key]
 
 
@@ -372,7 +372,7 @@ class RestrictedLikelihood:
     def _joint_triangle(self, log_scale: float, ratios: Variances) -> tuple[Array, Array]:
         """Return the triangle of [unknowns | observations] with and without the priors."""
         data = self._triangle(ratios)[0] * math.exp(-log_scale / 2)
-        return (triangle_of(np.vstack([data, self.prior])) if len(self.prior) else data), data
+        return (triangular_factor(np.vstack([data, self.prior])) if len(self.prior) else data), data
 
     def _triangle(self, ratios: Variances) -> tuple[Array, float]:
         """Return the triangle of the whitened rows at unit scale, and the log-determinant."""
@@ -383,10 +383,10 @@ class RestrictedLikelihood:
                 rows, part = record.whitened(ratios)
                 log_det += part
                 # The triangle of all, of one record or of many, is taken at the end.
-                triangle = in_parts(rows)
-                triangle = triangle_of(triangle) if len(self.records) > 1 else triangle
+                triangle = qr_blocks(rows)
+                triangle = triangular_factor(triangle) if len(self.records) > 1 else triangle
                 stacked = np.zeros((triangle.shape[0], width))
                 stacked[:, np.append(place, width - 1)] = triangle
                 parts.append(stacked)
-            self.triangles[ratios] = triangle_of(np.vstack(parts)), log_det
+            self.triangles[ratios] = triangular_factor(np.vstack(parts)), log_det
         return self.triangles[ratios]
