@@ -100,7 +100,7 @@ def test_edit_of_old_version_raises_conflict_with_current_text(inner_folder):
 
 
 def test_one_of_many_concurrent_edits_succeeds(inner_folder, monkeypatch):
-    write = served_folder.write_whole
+    write = served_folder.write_atomically
 
     def write_slowly(*words, **more):
         time.sleep(0.05)  # long enough for all other edits to read
