@@ -212,7 +212,7 @@ def test_number_in_page_matches_code(name, row):
 def test_plan_example_has_time_radius_and_rate_of_paper():
     limits = PLAN["limits"]
     assert "has the paper's total time, radius and highest rate" in sentences("plan")
-    time = paper.STROBES * sum(2.0 * math.pi / rate for rate in paper.RATES)
+    time = paper.N_STROBES * sum(2.0 * math.pi / rate for rate in paper.RATES)
     assert exact(limits["total_time"], "s") == pytest.approx(time)
     assert exact(limits["highest_rate"], "rad/s") == pytest.approx(max(paper.RATES))
     assert exact(PLAN["centrifuge"]["radius"], "m") == paper.RADIUS

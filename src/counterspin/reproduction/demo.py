@@ -26,14 +26,14 @@ from counterspin.toml_text import parse_toml
 DEFAULT_FOLDER: Final = "counterspin-demo"
 
 #: Options of the paper: its equations as printed, and unweighted runs.
-_AS_PRINTED: Final = TwoStageOptions(model="as-printed", weighted=False)
+_PAPER_OPTIONS: Final = TwoStageOptions(model="as-printed", weighted=False)
 
 
 @frozen
 class Demonstration:
     """One simulated campaign with a single accelerometer, calibrated three ways."""
 
-    campaign: Campaign  #: The paper's plan, truth included.
+    campaign: Campaign  #: The plan of the paper, including the true coefficients.
     records: tuple[Path, ...]  #: The record files.
     joint: AccelerometerResult  #: All samples in one fit.
     two_stage: TwoStageOutcome  #: The paper's method with exact equations.
@@ -42,7 +42,7 @@ class Demonstration:
 
     @property
     def truth(self) -> Mapping[str, float]:
-        """Term symbol -> the coefficient that the records were made with, in g-units."""
+        """Term symbol -> true coefficient of the simulated records, in g-units."""
         assert self.campaign.simulation is not None
         (coefficients,) = self.campaign.simulation.truth.coefficients.values()
         return coefficients
@@ -54,9 +54,9 @@ def demo(folder: Path | str = DEFAULT_FOLDER, *, overwrite: bool = False) -> Dem
     Parameters
     ----------
     folder
-        For ``campaign.toml`` and its records; made if it is not there.
+        Folder of ``campaign.toml`` and its records; created if it does not exist.
     overwrite
-        Whether an earlier demonstration in it may be replaced.
+        Whether an earlier demonstration in the folder may be replaced.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def demo(folder: Path | str = DEFAULT_FOLDER, *, overwrite: bool = False) -> Dem
     Raises
     ------
     CounterspinError
-        If the folder holds another or an edited campaign, or its records, or cannot be written.
+        If the folder contains another or an edited campaign or its records, or is not writable.
     """
     folder = Path(folder)
     write_description(folder)
@@ -80,7 +80,9 @@ def demo(folder: Path | str = DEFAULT_FOLDER, *, overwrite: bool = False) -> Dem
         two_stage=calibrate_accelerometer(
             problem, accelerometer, TwoStageOptions(), {}, problem.series
         ),
-        as_printed=calibrate_accelerometer(problem, accelerometer, _AS_PRINTED, {}, problem.series),
+        as_printed=calibrate_accelerometer(
+            problem, accelerometer, _PAPER_OPTIONS, {}, problem.series
+        ),
     )
 
 
@@ -94,12 +96,14 @@ def write_description(folder: Path) -> None:
                 f"{target} belongs to another campaign, or to an earlier or edited demonstration; "
                 "remove it, or choose another folder"
             )
-        taken = [
-            place for run in parse_toml(text)["runs"] if (place := folder / run["record"]).exists()
+        existing_records = [
+            record_path
+            for run in parse_toml(text)["runs"]
+            if (record_path := folder / run["record"]).exists()
         ]
-        if taken and not target.exists():
+        if existing_records and not target.exists():
             raise ExistingFileError(
-                f"{taken[0]} does not belong to a demonstration; choose another folder"
+                f"{existing_records[0]} does not belong to a demonstration; choose another folder"
             )
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Printed report of the paper's figures, ours, and the demonstration."""
+"""Reports of the reproduction of the paper and of the demonstration."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from counterspin.reports.text import Report
 from counterspin.reproduction.demo import Demonstration
 from counterspin.reproduction.plan import PaperSection, Reproduction, Row
 
-_COLUMNS = (
+_COMPARISON_COLUMNS = (
     Column("Quantity", wraps=True, narrowest=30),
     Column("Paper", align="right"),
     Column("counterspin", align="right"),
@@ -28,10 +28,10 @@ _COLUMNS = (
 
 
 def reproduction_blocks(reproduction: Reproduction) -> list[Block]:
-    """Return the comparison with the paper: quantity, paper, counterspin, unit, why."""
+    """Return the tables of the comparison with the paper, a table for each section."""
     blocks: list[Block] = []
     for section in reproduction.sections:
-        blocks += [Heading(section.title), _table(section)]
+        blocks += [Heading(section.title), _section_table(section)]
     blocks.append(
         Paragraph(
             'The column "Paper" gives the printed value, or the value of the printed equation. '
@@ -43,11 +43,11 @@ def reproduction_blocks(reproduction: Reproduction) -> list[Block]:
     return blocks
 
 
-def _table(section: PaperSection) -> Table:
-    return Table(_COLUMNS, tuple(_cells(row) for row in section.rows))
+def _section_table(section: PaperSection) -> Table:
+    return Table(_COMPARISON_COLUMNS, tuple(_row_cells(row) for row in section.rows))
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def _row_cells(row: Row) -> tuple[str, ...]:
     return (row.quantity, row.printed_text, row.ours_text, row.unit, row.why)
 
 
@@ -55,10 +55,10 @@ def _cells(row: Row) -> tuple[str, ...]:
 FILE_DESCRIPTION: Final = "a figure of the demonstration"
 
 
-def demonstration_report(shown: Demonstration) -> Report:
-    """Return the demonstration's table and its explanation."""
-    campaign = shown.campaign
-    methods = (shown.joint, shown.two_stage.result, shown.as_printed.result)
+def demonstration_report(demonstration: Demonstration) -> Report:
+    """Return the table of the coefficients by each method, with an explanation."""
+    campaign = demonstration.campaign
+    results = (demonstration.joint, demonstration.two_stage.result, demonstration.as_printed.result)
     table = Table(
         columns=(
             Column("Term"),
@@ -72,20 +72,25 @@ def demonstration_report(shown: Demonstration) -> Report:
             (
                 symbol,
                 format_number(truth * field_unit(term(symbol).unit)[1], 12),
-                *(_cell(method, symbol, symbol in campaign.model.considered) for method in methods),
+                *(
+                    _coefficient_text(method, symbol, symbol in campaign.model.considered)
+                    for method in results
+                ),
                 field_unit(term(symbol).unit)[0],
             )
-            for symbol, truth in shown.truth.items()
+            for symbol, truth in demonstration.truth.items()
         ),
         quiet=frozenset(
             row
-            for row, symbol in enumerate(shown.truth)
-            if not any(_is_estimated(method, symbol) for method in methods)
+            for row, symbol in enumerate(demonstration.truth)
+            if not any(_is_estimated(method, symbol) for method in results)
         ),
     )
-    runs = len(campaign.runs)
+    n_runs = len(campaign.runs)
     blocks: list[Block] = [
-        Heading(f"{campaign.title}: {runs} runs of 100 revolutions were simulated and calibrated."),
+        Heading(
+            f"{campaign.title}: {n_runs} runs of 100 revolutions were simulated and calibrated."
+        ),
         table,
         Paragraph(
             "The number after ± is the standard uncertainty (k = 1). g is the local gravity.",
@@ -107,96 +112,120 @@ def demonstration_report(shown: Demonstration) -> Report:
     return Report(blocks)
 
 
-def _is_estimated(method: AccelerometerResult, symbol: str) -> bool:
-    return symbol in method.coefficients and method.coefficients[symbol].estimated
+def _is_estimated(result: AccelerometerResult, symbol: str) -> bool:
+    return symbol in result.coefficients and result.coefficients[symbol].estimated
 
 
-def _cell(method: AccelerometerResult, symbol: str, considered: bool) -> str:
-    if symbol not in method.coefficients:
-        return "held" if considered else "-"
-    coefficient = method.coefficients[symbol]
+def _coefficient_text(result: AccelerometerResult, symbol: str, is_considered: bool) -> str:
+    if symbol not in result.coefficients:
+        return "held" if is_considered else "-"
+    coefficient = result.coefficients[symbol]
     if not coefficient.estimated:
         return "prior value" if coefficient.value is not None else "not determined"
     value, u, _ = to_field_units(coefficient)
     return format_estimate(value, u)
 
 
-def demonstration_plots(shown: Demonstration) -> list[Plot]:
+def demonstration_plots(demonstration: Demonstration) -> list[Plot]:
     """Return the plots of the two-stage method: K_II's parabola of each run, and the residuals.
 
     The parabola of K_F, which is the same at every rate and much larger, is subtracted from the
     displacement error, and so are the initial offset and velocity.
     """
-    (name,) = shown.campaign.accelerometers
-    bias = shown.two_stage.result.coefficients["K_F"].value
+    (name,) = demonstration.campaign.accelerometers
+    bias = demonstration.two_stage.result.coefficients["K_F"].value
     assert bias is not None
-    half = 0.5 * bias * shown.campaign.gravity.value
-    upper: list[PlotSeries] = []
-    lower: list[Plot] = []
-    runs = shown.two_stage.second.runs
-    end = 1.01 * max(float(run.parabola.strobes.time[-1]) for run in runs)
-    reach = 1.15e3 * max(_largest(run.parabola) for run in runs)
+    bias_curvature = 0.5 * bias * demonstration.campaign.gravity.value
+    displacement_series: list[PlotSeries] = []
+    residual_plots: list[Plot] = []
+    runs = demonstration.two_stage.second.runs
+    time_limit = 1.01 * max(float(run.parabola.strobes.time[-1]) for run in runs)
+    residual_limit = 1.15e3 * max(_residual_limit(run.parabola) for run in runs)
     for index, run in enumerate(runs):
         time, error = run.parabola.strobes.time, run.parabola.strobes.error
         b0, b1, b2 = run.parabola.coefficients
-        fine = np.linspace(0.0, time[-1], 100)
-        upper.append(PlotSeries("", _tuple(fine), _tuple((b2 - half) * fine**2), colour=index))
-        # All strobes would hide the curve; the plot of residuals shows them.
-        some = slice(None, None, max(1, time.size // 25))
-        deviation = (error - b0 - b1 * time - half * time**2)[some]
-        words = f"{run.name}, {run.trajectory.spindle.rate:.4f} rad/s"
-        upper.append(
+        fine_time = np.linspace(0.0, time[-1], 100)
+        displacement_series.append(
             PlotSeries(
-                words, _tuple(time[some]), _tuple(deviation), None, None, "points", colour=index
+                "",
+                _to_tuple(fine_time),
+                _to_tuple((b2 - bias_curvature) * fine_time**2),
+                colour=index,
             )
         )
-        lower.append(_residuals(run, index, (0.0, end), reach))
+        # All strobes would hide the curve; the plot of residuals shows them.
+        subset = slice(None, None, max(1, time.size // 25))
+        displacement = (error - b0 - b1 * time - bias_curvature * time**2)[subset]
+        label = f"{run.name}, {run.trajectory.spindle.rate:.4f} rad/s"
+        displacement_series.append(
+            PlotSeries(
+                label,
+                _to_tuple(time[subset]),
+                _to_tuple(displacement),
+                None,
+                None,
+                "points",
+                colour=index,
+            )
+        )
+        residual_plots.append(_residual_plot(run, index, (0.0, time_limit), residual_limit))
     return [
         Plot(
-            title=f"{shown.campaign.title}: {name}, displacement error minus the parabola of K_F",
+            title=f"{demonstration.campaign.title}: {name}, "
+            "displacement error minus the parabola of K_F",
             x_label="time, s",
             y_label="displacement error, m",
-            series=tuple(upper),
+            series=tuple(displacement_series),
             levels=(0.0,),
-            x_range=(0.0, end),
+            x_range=(0.0, time_limit),
             height=1.3,
         ),
-        *lower,
+        *residual_plots,
     ]
 
 
-def _residuals(run: StrobedRun, index: int, x_range: tuple[float, float], reach: float) -> Plot:
+def _residual_plot(
+    run: StrobedRun, index: int, x_range: tuple[float, float], residual_limit: float
+) -> Plot:
     parabola = run.parabola
-    time = _tuple(parabola.strobes.time)
-    band = 2e3 * _sigma(parabola)
-    ends = (time[0], time[-1])
+    time = _to_tuple(parabola.strobes.time)
+    band_half_width = 2e3 * _strobe_sigma(parabola)
+    time_range = (time[0], time[-1])
     return Plot(
         title=f"{run.name}: strobes minus fitted parabola; band: ± 2 standard deviations",
         x_label="time, s",
         y_label="mm",
         series=(
-            PlotSeries("", ends, (0.0, 0.0), (-band, -band), (band, band), "band", colour=index),
             PlotSeries(
-                "", time, _tuple(1e3 * parabola.residuals), None, None, "points", colour=index
+                "",
+                time_range,
+                (0.0, 0.0),
+                (-band_half_width, -band_half_width),
+                (band_half_width, band_half_width),
+                "band",
+                colour=index,
+            ),
+            PlotSeries(
+                "", time, _to_tuple(1e3 * parabola.residuals), None, None, "points", colour=index
             ),
         ),
         levels=(0.0,),
         x_range=x_range,
-        y_range=(-reach, reach),
+        y_range=(-residual_limit, residual_limit),
         height=0.55,
     )
 
 
-def _sigma(parabola: Parabola) -> float:
+def _strobe_sigma(parabola: Parabola) -> float:
     """Return the standard deviation of a strobe, m."""
     # Strobes between two samples are means of both, so their noise is slightly smaller.
     return parabola.sigma * float(np.mean(parabola.strobes.noise_factor))
 
 
-def _largest(parabola: Parabola) -> float:
+def _residual_limit(parabola: Parabola) -> float:
     """Return the half-height of a plot that contains residuals and band, m."""
-    return max(2.0 * _sigma(parabola), float(np.max(np.abs(parabola.residuals))))
+    return max(2.0 * _strobe_sigma(parabola), float(np.max(np.abs(parabola.residuals))))
 
 
-def _tuple(values: Array) -> tuple[float, ...]:
+def _to_tuple(values: Array) -> tuple[float, ...]:
     return tuple(values.tolist())
