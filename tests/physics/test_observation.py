@@ -26,10 +26,10 @@ from counterspin.physics.observation import ORDERS, columns, reference
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 from counterspin.records.run_file import ANY_REVOLUTIONS
-from counterspin.validation.cases import document
+from counterspin.validation.cases import load_document
 
 FOLDER = Path(__file__).parents[1] / "reference"
-DOCUMENT = document("double_integrals.json")
+DOCUMENT = load_document("double_integrals.json")
 CASES = {case["label"]: case for case in DOCUMENT["cases"]}
 MOUNTINGS = {"QX": QX, "QY": QY, "QZ": QZ}
 SYMBOLS = [*TERMS, *PLATFORM_TERMS]

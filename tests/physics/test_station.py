@@ -14,10 +14,10 @@ from counterspin.physics.observation import columns
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.station import FRAMES, mean_products
 from counterspin.physics.terms import TERMS
-from counterspin.validation.cases import document
+from counterspin.validation.cases import load_document
 
-REFERENCE = document("arm_forces.json")
-TILTED = document("axis_tilt.json")
+REFERENCE = load_document("arm_forces.json")
+TILTED = load_document("axis_tilt.json")
 SITE = Site(9.80665, 0.8)
 SYMBOLS = list(TERMS)
 

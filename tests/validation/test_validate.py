@@ -82,7 +82,7 @@ def test_wrong_coverage_factor_fails_case(of, monkeypatch):
 
 def test_tolerances_of_fits_are_small_relative_to_u():
     """Tolerances are at most 0.5 % of u, and 0.0003 u for a stated noise."""
-    fits = [case for case in cases() if case.absolute is None]
+    fits = [case for case in cases() if case.absolute_tolerance is None]
     assert len(fits) >= 6
     for one in fits:
         for name, line in one.expected.items():

@@ -9,7 +9,7 @@ import pytest
 
 import counterspin
 from counterspin.validation import validate as validating
-from counterspin.validation.validate import installation, validate, verify_files
+from counterspin.validation.validate import inspect_installation, validate, verify_files
 
 
 def make_record(folder):
@@ -43,22 +43,22 @@ def test_missing_file_is_reported_except_for_editable_install(editable, monkeypa
     )
     monkeypatch.setattr(validating.metadata, "distribution", lambda name: delivered)
     missing = [] if editable else ["application/documentation/gone.md"]
-    assert installation().missing == missing
+    assert inspect_installation().missing == missing
 
 
 def test_installation_lists_files_and_packages():
-    there = installation()
+    there = inspect_installation()
     assert there.files > 300
     assert "numpy" in there.packages
     assert there.environment["python"]
-    assert there.checksum == installation().checksum
+    assert there.checksum == inspect_installation().checksum
 
 
 def test_altered_installation_fails(monkeypatch, tmp_path, capsys):
     from counterspin.cli import main
 
-    altered = installation().model_copy(update={"altered": ["errors.py"], "recorded": 400})
-    monkeypatch.setattr(validating, "installation", lambda: altered)
+    altered = inspect_installation().model_copy(update={"altered": ["errors.py"], "recorded": 400})
+    monkeypatch.setattr(validating, "inspect_installation", lambda: altered)
     dossier = validate(chosen=[])
     assert not dossier.passed
     assert "errors.py" in repr(dossier)

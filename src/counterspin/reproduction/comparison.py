@@ -46,20 +46,20 @@ def first_stage_rows() -> tuple[Row, ...]:
     """Return the rows of sigma(b2): stated plan against printed values."""
     return tuple(
         Row(
-            f"sigma_b2.{number}",
-            f"sigma(b2) at {name} rad/s",
-            printed,
+            f"sigma_b2.{run_number}",
+            f"sigma(b2) at {rate_text} rad/s",
+            printed_sigma,
             run.parabola.u_b2,
             "m/s^2",
             "100 strobes with a noise of 0.01 m give this value. At four times the rate, the "
             "value is 16 times as large, because the strobes span a quarter of the time. No "
             "interpretation of the plan gives the printed value (printed in g^2; b2 is in "
             "m/s^2)"
-            if number == 1
+            if run_number == 1
             else "likewise",
             ".5e",
         )
-        for number, name, run, printed in zip(
+        for run_number, rate_text, run, printed_sigma in zip(
             (1, 2, 3), ("pi/2", "pi", "2 pi"), simulate_runs(), PRINTED_SIGMA_B2, strict=True
         )
     )
@@ -93,8 +93,8 @@ def second_stage_rows() -> tuple[Row, ...]:
             "from the printed sigma(b2), Eq. 26, g = 9.8",
             u_printed_b2,
             f"reproduced to {abs(1 - u_printed_b2 / PRINTED_SIGMA_K_II):.2%}; the paper does not "
-            f"state g, and g = {GRAVITY * PRINTED_SIGMA_K_II / u_printed_b2:.4f} m/s^2 would give the "
-            "printed value",
+            f"state g, and g = {GRAVITY * PRINTED_SIGMA_K_II / u_printed_b2:.4f} m/s^2 would give "
+            "the printed value",
         ),
         make_row(
             "standard_gravity",
@@ -301,8 +301,8 @@ def _replace_gravity(runs: Sequence[StrobedRun], gravity: float) -> list[Strobed
 
 def _replace_sigma_b2(runs: Sequence[StrobedRun], sigma_b2: Sequence[float]) -> list[StrobedRun]:
     return [
-        replace(run, parabola=replace(run.parabola, covariance=np.diag([0.0, 0.0, s**2])))
-        for run, s in zip(runs, sigma_b2, strict=True)
+        replace(run, parabola=replace(run.parabola, covariance=np.diag([0.0, 0.0, sigma**2])))
+        for run, sigma in zip(runs, sigma_b2, strict=True)
     ]
 
 

@@ -73,8 +73,8 @@ def demonstration_report(demonstration: Demonstration) -> Report:
                 symbol,
                 format_number(truth * field_unit(term(symbol).unit)[1], 12),
                 *(
-                    _coefficient_text(method, symbol, symbol in campaign.model.considered)
-                    for method in results
+                    _coefficient_text(result, symbol, symbol in campaign.model.considered)
+                    for result in results
                 ),
                 field_unit(term(symbol).unit)[0],
             )
@@ -83,7 +83,7 @@ def demonstration_report(demonstration: Demonstration) -> Report:
         quiet=frozenset(
             row
             for row, symbol in enumerate(demonstration.truth)
-            if not any(_is_estimated(method, symbol) for method in results)
+            if not any(_is_estimated(result, symbol) for result in results)
         ),
     )
     n_runs = len(campaign.runs)

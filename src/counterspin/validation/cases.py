@@ -1,6 +1,6 @@
-"""Reference cases: inputs, expected values, their sources, and limits.
+"""Reference cases: inputs, expected values with sources, and tolerances.
 
-They are data, in ``data/cases.json``; the project's tests use the same.
+The cases are stored in ``data/cases.json``; the tests of the project use the same cases.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 
-DATA: Final = Path(__file__).parent / "data"
+DATA_FOLDER: Final = Path(__file__).parent / "data"
 
 
 @frozen
@@ -30,42 +30,50 @@ class Case:
     kernel: str  #: The function under test, as ``module:name``.
     source: str  #: Where the expected values come from: document and place, closed form, or script.
     given: Mapping[str, Any]  #: Inputs of the function.
-    #: Expected values by name; None: `given` names the file with them.
-    stated: Mapping[str, Any] | None
-    #: Tolerances, relative and absolute; they add up. `absolute` may be a number, or by name; None:
-    #: it is in the file with the expected values.
-    relative: float
-    absolute: float | Mapping[str, Any] | None
+    #: Expected values by name; None: they are in the file that `given` names.
+    inline_expected: Mapping[str, Any] | None
+    #: Relative and absolute tolerance, which are added. The absolute tolerance is a number or a
+    #: number for each name; None: it is in the file with the expected values.
+    relative_tolerance: float
+    absolute_tolerance: float | Mapping[str, Any] | None
 
     @cached_property
     def expected(self) -> Mapping[str, Array]:
         """Expected values, name -> values of any shape; CounterspinError if they are missing."""
         kernel = self.kernel.rpartition(":")[2]
-        stated = _REFERENCES[kernel](self.given) if self.stated is None else self.stated
-        return {name: np.array(values, np.float64) for name, values in stated.items()}
+        expected = (
+            _EXPECTED_VALUES[kernel](self.given)
+            if self.inline_expected is None
+            else self.inline_expected
+        )
+        return {name: np.array(values, np.float64) for name, values in expected.items()}
 
     def tolerance(self, name: str) -> Array:
         """Return the tolerance of each number of a name, in the shape of `expected`."""
-        bound = _fit_entry(self.given)["limits"] if self.absolute is None else self.absolute
-        size = bound if isinstance(bound, float | int) else bound[name]
-        return np.asarray(size) + self.relative * np.abs(self.expected[name])
+        limit = (
+            _campaign_entry(self.given)["limits"]
+            if self.absolute_tolerance is None
+            else self.absolute_tolerance
+        )
+        absolute = limit if isinstance(limit, float | int) else limit[name]
+        return np.asarray(absolute) + self.relative_tolerance * np.abs(self.expected[name])
 
 
 @cache
-def document(name: str) -> Any:
-    """Return a JSON document of the folder, which callers must not modify."""
-    return json.loads((DATA / name).read_text(encoding="utf-8"))
+def load_document(name: str) -> Any:
+    """Load a JSON file of `DATA_FOLDER`; callers must not modify the document."""
+    return json.loads((DATA_FOLDER / name).read_text(encoding="utf-8"))
 
 
 @cache
 def cases() -> tuple[Case, ...]:
     """Return all cases, in the order of their requirements."""
-    return tuple(_parse_case(entry) for entry in document("cases.json")["cases"])
+    return tuple(_parse_case(entry) for entry in load_document("cases.json")["cases"])
 
 
 def case(name: str) -> Case:
     """Return a case by its name; raise KeyError if it does not exist."""
-    return {candidate.name: candidate for candidate in cases()}[name]
+    return {entry.name: entry for entry in cases()}[name]
 
 
 def _parse_case(entry: Mapping[str, Any]) -> Case:
@@ -75,51 +83,51 @@ def _parse_case(entry: Mapping[str, Any]) -> Case:
         kernel=entry["kernel"],
         source=entry["source"],
         given=entry["given"],
-        stated=entry["expected"],
-        relative=entry["limit"].get("relative", 0.0),
-        absolute=entry["limit"].get("absolute", 0.0),
+        inline_expected=entry["expected"],
+        relative_tolerance=entry["limit"].get("relative", 0.0),
+        absolute_tolerance=entry["limit"].get("absolute", 0.0),
     )
 
 
 # Expected values in separate files, computed by scripts in 40-digit arithmetic.
 
 
-def select_motion(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the case of the file of integrals that a given label names."""
-    motions = document(given["file"])["cases"]
-    return next(motion for motion in motions if motion["label"] == given["label"])
+def find_motion(inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the motion with the given label from the file of integrals."""
+    motions = load_document(inputs["file"])["cases"]
+    return next(motion for motion in motions if motion["label"] == inputs["label"])
 
 
-def compared_integrals(given: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return mounting -> symbols of the compared integrals: `terms`, or all except `without`."""
-    motion = select_motion(given)
-    integrals = motion[given["observable"]]["QX"] if motion.get("platform") else ()
-    platform = [symbol for symbol in PLATFORM_TERMS if symbol in integrals]
-    symbols = [symbol for symbol, row in TERMS.items() if not row.effect.requires_rotation]
-    compared = given.get("terms", [*symbols, *platform])
-    compared = [symbol for symbol in compared if symbol not in given.get("without", ())]
-    return dict.fromkeys(motion[given["observable"]], compared)
+def compared_symbols(inputs: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return mounting -> symbols of compared integrals: `terms` or all, except `without`."""
+    motion = find_motion(inputs)
+    integrals = motion[inputs["observable"]]["QX"] if motion.get("platform") else ()
+    platform_symbols = [symbol for symbol in PLATFORM_TERMS if symbol in integrals]
+    default_symbols = [symbol for symbol, row in TERMS.items() if not row.effect.requires_rotation]
+    symbols = inputs.get("terms", [*default_symbols, *platform_symbols])
+    symbols = [symbol for symbol in symbols if symbol not in inputs.get("without", ())]
+    return dict.fromkeys(motion[inputs["observable"]], symbols)
 
 
-def compared_forces(given: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the positions on an arm, at one rate, whose force the file states."""
+def compared_positions(inputs: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the positions on an arm, at one rate, for which the file states forces."""
     return [
         position
-        for position in document(given["file"])["cases"]
-        if position["rate"] == given["rate"]
+        for position in load_document(inputs["file"])["cases"]
+        if position["rate"] == inputs["rate"]
     ]
 
 
-def _integrals(given: Mapping[str, Any]) -> dict[str, Any]:
-    table = select_motion(given)[given["observable"]]
+def _expected_integrals(inputs: Mapping[str, Any]) -> dict[str, Any]:
+    table = find_motion(inputs)[inputs["observable"]]
     expected = {}
-    for mounting, symbols in compared_integrals(given).items():
+    for mounting, symbols in compared_symbols(inputs).items():
         for symbol in symbols:
             key = TERMS[symbol].effect.text if symbol in TERMS else symbol
             if key not in table[mounting]:
                 raise CounterspinError(
-                    f"{given['file']} does not contain the integral of {symbol} along {mounting} "
-                    f'for the motion "{given["label"]}"; generate it with the script in '
+                    f"{inputs['file']} does not contain the integral of {symbol} along {mounting} "
+                    f'for the motion "{inputs["label"]}"; generate it with the script in '
                     "tests/reference",
                     code="validation-failed",
                 )
@@ -129,44 +137,49 @@ def _integrals(given: Mapping[str, Any]) -> dict[str, Any]:
     return expected
 
 
-def _angles(given: Mapping[str, Any]) -> dict[str, Any]:
-    return {"angle": select_motion(given)["angle"]}
+def _expected_angles(inputs: Mapping[str, Any]) -> dict[str, Any]:
+    return {"angle": find_motion(inputs)["angle"]}
 
 
-def _forces(given: Mapping[str, Any]) -> dict[str, Any]:
-    key = "arm" if given["file"] == "axis_tilt.json" else "force"
-    return {"force": [position[key] for position in compared_forces(given)]}
+def _expected_forces(inputs: Mapping[str, Any]) -> dict[str, Any]:
+    key = "arm" if inputs["file"] == "axis_tilt.json" else "force"
+    return {"force": [position[key] for position in compared_positions(inputs)]}
 
 
-def _certified_values(given: Mapping[str, Any]) -> dict[str, Any]:
-    accelerometer = document(given["file"])["result"]["accelerometers"][given["accelerometer"]]
-    return {s: [c["value"], c["u"]] for s, c in accelerometer["coefficients"].items()}
+def _expected_estimates(inputs: Mapping[str, Any]) -> dict[str, Any]:
+    accelerometer = load_document(inputs["file"])["result"]["accelerometers"][
+        inputs["accelerometer"]
+    ]
+    return {
+        symbol: [coefficient["value"], coefficient["u"]]
+        for symbol, coefficient in accelerometer["coefficients"].items()
+    }
 
 
-def _fit_entry(given: Mapping[str, Any]) -> Any:
-    """Return the entry of a campaign in the file of fits."""
-    return document(given["file"])[given["fit"]]
+def _campaign_entry(inputs: Mapping[str, Any]) -> Any:
+    """Return the campaign's entry in the file of fits."""
+    return load_document(inputs["file"])[inputs["fit"]]
 
 
-def _fitted_values(given: Mapping[str, Any]) -> Any:
-    return _fit_entry(given)["expected"]
+def _expected_fit(inputs: Mapping[str, Any]) -> Any:
+    return _campaign_entry(inputs)["expected"]
 
 
-def _noise_levels(given: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: document(given["file"])[key] for key in ("white", "random_walk", "gain")}
+def _expected_noise(inputs: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: load_document(inputs["file"])[key] for key in ("white", "random_walk", "gain")}
 
 
-def _script_values(given: Mapping[str, Any]) -> Any:
-    return document(given["expected"])[given["part"]]
+def _expected_script_values(inputs: Mapping[str, Any]) -> Any:
+    return load_document(inputs["expected"])[inputs["part"]]
 
 
-_REFERENCES: Final = {
-    "columns": _integrals,
-    "Spindle.angle": _angles,
-    "Stations.forces": _forces,
-    "read_certificate": _certified_values,
-    "calibrate": _fitted_values,
-    "certificate": _script_values,
-    "apply": _script_values,
-    "estimate_noise": _noise_levels,
+_EXPECTED_VALUES: Final = {
+    "columns": _expected_integrals,
+    "Spindle.angle": _expected_angles,
+    "Stations.forces": _expected_forces,
+    "read_certificate": _expected_estimates,
+    "calibrate": _expected_fit,
+    "certificate": _expected_script_values,
+    "apply": _expected_script_values,
+    "estimate_noise": _expected_noise,
 }

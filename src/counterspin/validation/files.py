@@ -1,4 +1,4 @@
-"""Case inputs from files and results: records, campaigns, corrected forces, certificates."""
+"""Cases with files: records, campaigns, corrected forces and certificates."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ from counterspin.physics.terms import ACCELEROMETER_TERMS
 from counterspin.records.format_registry import RECORD_FORMATS
 from counterspin.records.record import ColumnSpec, NominalMotion, RecordColumns
 from counterspin.records.signals import FirstHarmonic
-from counterspin.validation.cases import DATA, document
+from counterspin.validation.cases import DATA_FOLDER, load_document
 
-_RATE, _RADIUS = math.pi, 2.5  #: rate and radius of the cases' records, rad/s and m
+_RECORD_RATE, _RECORD_RADIUS = math.pi, 2.5  #: rate, rad/s, and radius, m, of the records
 
 
-#: Alterations that the schema must refuse: a decimal comma, a missing and an unknown element.
-_ALTERATIONS: Final = (
+#: Edits (pattern, replacement) that make a certificate invalid: a decimal comma, a missing and an
+#: unknown element.
+_INVALID_EDITS: Final = (
     (rb"<si:value>(\d+)\.(\d+)</si:value>", rb"<si:value>\1,\2</si:value>"),
     (rb"<dcc:uniqueIdentifier>.*?</dcc:uniqueIdentifier>", b""),
     (rb"<(/?)dcc:uniqueIdentifier>", rb"<\1dcc:uniqueName>"),
@@ -41,9 +42,9 @@ class NotAvailableError(CounterspinError):
     code = "missing-package"
 
 
-def read_record(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return rows of a record's time, angle and signal."""
-    path = DATA / given["file"]
+def read_record(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return time, angle and signal of some rows of a record."""
+    path = DATA_FOLDER / inputs["file"]
     for package in RECORD_FORMATS[path.suffix].libraries:
         if find_spec(package) is None:
             raise NotAvailableError(
@@ -55,9 +56,9 @@ def read_record(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         signals={"Qx": ColumnSpec("east_m")},
     )
     record = module.read_record(
-        path, columns, NominalMotion(_RATE, {"Qx": FirstHarmonic(_RADIUS, "m")})
+        path, columns, NominalMotion(_RECORD_RATE, {"Qx": FirstHarmonic(_RECORD_RADIUS, "m")})
     )
-    rows = given["rows"]
+    rows = inputs["rows"]
     return {
         "time": record.time[rows],
         "angle": record.angle[rows],
@@ -65,20 +66,31 @@ def read_record(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def fitted_numbers(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+def fitted_values(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
     """Return all numbers of a campaign's result, by name."""
-    result = module.calibrate(DATA / given["folder"])
+    result = module.calibrate(DATA_FOLDER / inputs["folder"])
     values: dict[str, Any] = {
-        symbol: _coefficient_values(c) for symbol, c in result.platform.items()
+        symbol: _coefficient_values(coefficient) for symbol, coefficient in result.platform.items()
     }
     for row in result.rests_on:
         if row.found is not None:
             values[f"what {row.name} is"] = [row.found - row.value, row.u_found]
     for name, accelerometer in result.accelerometers.items():
-        coefficients = {f"{name}.{symbol}": c for symbol, c in accelerometer.coefficients.items()}
-        values |= {symbol: _coefficient_values(c) for symbol, c in coefficients.items()}
-        values |= {f"degrees of freedom of {symbol}": [c.dof] for symbol, c in coefficients.items()}
-        values |= {f"{key} of {name}": [c.value, c.u] for key, c in accelerometer.output.items()}
+        coefficients = {
+            f"{name}.{symbol}": coefficient
+            for symbol, coefficient in accelerometer.coefficients.items()
+        }
+        values |= {
+            symbol: _coefficient_values(coefficient) for symbol, coefficient in coefficients.items()
+        }
+        values |= {
+            f"degrees of freedom of {symbol}": [coefficient.dof]
+            for symbol, coefficient in coefficients.items()
+        }
+        values |= {
+            f"{key} of {name}": [coefficient.value, coefficient.u]
+            for key, coefficient in accelerometer.output.items()
+        }
         values |= {
             f"{component} noise of {name}": [line.value]
             for component, line in accelerometer.noise.items()
@@ -93,47 +105,54 @@ def fitted_numbers(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
                 values[f"{name}.{symbol} by {source}"] = [line.contribution]
         if accelerometer.correlation is not None:
             indices = [
-                accelerometer.correlation.terms.index(s) for s in sorted(accelerometer.coefficients)
+                accelerometer.correlation.terms.index(symbol)
+                for symbol in sorted(accelerometer.coefficients)
             ]
             matrix = np.array(accelerometer.correlation.matrix)[np.ix_(indices, indices)]
             values[f"correlation of {name}"] = matrix.ravel()
     return {name: np.array(values, np.float64) for name, values in values.items()}
 
 
-def _coefficient_values(c: Coefficient) -> list[float | None]:
-    return [c.value, c.u, c.u_noise, c.u_stated, c.u_unstated]
+def _coefficient_values(coefficient: Coefficient) -> list[float | None]:
+    return [
+        coefficient.value,
+        coefficient.u,
+        coefficient.u_noise,
+        coefficient.u_stated,
+        coefficient.u_unstated,
+    ]
 
 
-def check_schema(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Check a certificate, and altered ones, against the schema."""
-    if "schema" not in given:
+def check_schema(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """Check a certificate and altered certificates against the schema; 1 means valid."""
+    if "schema" not in inputs:
         raise NotAvailableError(
             "the DCC schema is not part of the package; name its folder (`schema`)"
         )
-    certificate_xml = make_certificate(given["file"])
+    certificate_xml = make_certificate(inputs["file"])
 
-    def conforms(document: bytes) -> float:
+    def conforms(altered_xml: bytes) -> float:
         try:
-            module.check_schema(document, Path(given["schema"]), "the certificate of the case")
+            module.check_schema(altered_xml, Path(inputs["schema"]), "the certificate of the case")
         except RecordError:
             return 0.0
         return 1.0
 
-    altered_versions = [
-        re.sub(old, new, certificate_xml, flags=re.DOTALL) for old, new in _ALTERATIONS
+    altered_documents = [
+        re.sub(old, new, certificate_xml, flags=re.DOTALL) for old, new in _INVALID_EDITS
     ]
     return {
         "as made": conforms(certificate_xml),
-        "altered": [conforms(altered) for altered in altered_versions],
+        "altered": [conforms(altered_document) for altered_document in altered_documents],
     }
 
 
-def verify(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Verify the signature of a document, of an altered one, and of another signer."""
+def verify_signatures(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """Verify a signature, also with an altered document and another signer; 1 means valid."""
     if find_spec("signxml") is None:
         raise NotAvailableError("signxml is not installed, but it is required to verify signatures")
-    folder = DATA / given["folder"]
-    signed = (folder / "signed.xml").read_bytes()
+    folder = DATA_FOLDER / inputs["folder"]
+    signed_document = (folder / "signed.xml").read_bytes()
 
     def is_valid(document: bytes, signer: str) -> float:
         try:
@@ -142,28 +161,30 @@ def verify(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
             return 0.0
         return 1.0
 
-    altered = signed.replace(b"K-2026-0117", b"K-2026-0118")
+    altered_document = signed_document.replace(b"K-2026-0117", b"K-2026-0118")
     return {
-        "as signed": is_valid(signed, "signer.pem"),
-        "altered": is_valid(altered, "signer.pem"),
-        "of another signer": is_valid(signed, "other.pem"),
+        "as signed": is_valid(signed_document, "signer.pem"),
+        "altered": is_valid(altered_document, "signer.pem"),
+        "of another signer": is_valid(signed_document, "other.pem"),
     }
 
 
-def read_estimates(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return estimate and u of each term that a result's certificate states."""
-    certificate_data = module.read_certificate(
-        make_certificate(given["file"]), "the certificate of the case"
+def certified_estimates(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return value and u of each term in the certificate of a result."""
+    numbers = module.read_certificate(
+        make_certificate(inputs["file"]), "the certificate of the case"
     )
-    coefficients = certificate_data.accelerometers[given["accelerometer"]].coefficients
-    return {symbol: [c.value, c.u] for symbol, c in coefficients.items()}
+    coefficients = numbers.accelerometers[inputs["accelerometer"]].coefficients
+    return {
+        symbol: [coefficient.value, coefficient.u] for symbol, coefficient in coefficients.items()
+    }
 
 
-_UNITS: Final = {"K_F": "g", "delta_O": "rad", "delta_P": "rad"}
-_SI: Final = "{https://ptb.de/si}"
+_COEFFICIENT_UNITS: Final = {"K_F": "g", "delta_O": "rad", "delta_P": "rad"}
+_SI_NAMESPACE: Final = "{https://ptb.de/si}"
 
 #: Axes of the artificial result's accelerometers on the level platform, rows I, P, O.
-_AXES: Final = {
+_ACCELEROMETER_AXES: Final = {
     "Qx": [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
     "Qy": [[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]],
 }
@@ -174,40 +195,53 @@ def make_certificate(file: str, changes: Mapping[str, Any] | None = None) -> byt
 
     changes: Changed fields of the result's accelerometer and inputs.
     """
-    data = deepcopy(document(file))
+    data = deepcopy(load_document(file))
     for section, keys in (changes or {}).items():
         data["result"][section] |= keys
-    dates = {key: date.fromisoformat(data["lab"]["certificate"][key]) for key in ("begin", "end")}
-    lab = data["lab"] | {"certificate": data["lab"]["certificate"] | dates}
+    period = {key: date.fromisoformat(data["lab"]["certificate"][key]) for key in ("begin", "end")}
+    lab = data["lab"] | {"certificate": data["lab"]["certificate"] | period}
     return certificate(Result.model_validate(data["result"]), lab).xml
 
 
-def certificate_numbers(_: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of a certificate: value, U and k of each coefficient, and the region."""
-    accelerometer = document(given["file"])["result"]["accelerometers"]["Qx"]
+def certificate_values(_: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return value, U and k of each coefficient in a certificate, and the coverage region."""
+    accelerometer = load_document(inputs["file"])["result"]["accelerometers"]["Qx"]
     accelerometer = {
         **accelerometer,
-        "coefficients": {s: {**c, "estimated": True} for s, c in given["coefficients"].items()},
-        "budget": {s: [line] for s, line in given["budget"].items()},
+        "coefficients": {
+            symbol: {**coefficient, "estimated": True}
+            for symbol, coefficient in inputs["coefficients"].items()
+        },
+        "budget": {symbol: [line] for symbol, line in inputs["budget"].items()},
     }
-    changes = {"accelerometers": {"Qx": accelerometer}, "inputs": given["inputs"]}
-    root = ET.fromstring(make_certificate(given["file"], changes))
+    changes = {"accelerometers": {"Qx": accelerometer}, "inputs": inputs["inputs"]}
+    root = ET.fromstring(make_certificate(inputs["file"], changes))
     keys = ("value", "valueExpandedMU", "coverageFactor")
     values: dict[str, Any] = {}
-    for real in root.iter(f"{_SI}real"):
-        label = real.findtext(f"{_SI}label")
+    for real_element in root.iter(f"{_SI_NAMESPACE}real"):
+        label = real_element.findtext(f"{_SI_NAMESPACE}label")
         if label is not None:
-            values[label] = [float(real.findtext(f".//{_SI}{key}") or "nan") for key in keys]
-    region = next(root.iter(f"{_SI}ellipsoidalRegionMUXMLList"))
-    cells = region.iter(f"{_SI}covarianceXMLList")
-    values["covariance"] = [float(c.findtext(f"{_SI}valueXMLList") or "nan") for c in cells]
-    values["k of the region"] = [float(region.findtext(f"{_SI}coverageFactorXMLList") or "nan")]
+            values[label] = [
+                float(real_element.findtext(f".//{_SI_NAMESPACE}{key}") or "nan") for key in keys
+            ]
+    region_element = next(root.iter(f"{_SI_NAMESPACE}ellipsoidalRegionMUXMLList"))
+    covariance_elements = region_element.iter(f"{_SI_NAMESPACE}covarianceXMLList")
+    values["covariance"] = [
+        float(element.findtext(f"{_SI_NAMESPACE}valueXMLList") or "nan")
+        for element in covariance_elements
+    ]
+    values["k of the region"] = [
+        float(region_element.findtext(f"{_SI_NAMESPACE}coverageFactorXMLList") or "nan")
+    ]
     return values
 
 
-def corrected_forces(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return forces corrected for given coefficients, and their u."""
-    case_data, result = document(given["file"]), deepcopy(document("certified.json")["result"])
+def corrected_forces(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return corrected specific forces and their standard uncertainties."""
+    case_data, result = (
+        load_document(inputs["file"]),
+        deepcopy(load_document("certified.json")["result"]),
+    )
     template = result["accelerometers"]["Qx"] | {"known": {}, "budget": {}}
     accelerometers = {}
     for name, table in case_data["coefficients"].items():
@@ -218,20 +252,27 @@ def corrected_forces(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
                 i, j = symbols.index(first), symbols.index(second)
                 correlation_matrix[i, j] = correlation_matrix[j, i] = float(r)
         coefficients = {
-            s: {"value": float(v), "u": float(u), "unit": _coefficient_unit(s), "estimated": True}
-            for s, (v, u) in table.items()
+            symbol: {
+                "value": float(value),
+                "u": float(u),
+                "unit": _coefficient_unit(symbol),
+                "estimated": True,
+            }
+            for symbol, (value, u) in table.items()
         }
         correlation = {"terms": symbols, "matrix": correlation_matrix.tolist()}
         accelerometers[name] = template | {
             "coefficients": coefficients,
             "correlation": correlation,
-            "axes": _AXES[name],
+            "axes": _ACCELEROMETER_AXES[name],
         }
     result = Result.model_validate(result | {"accelerometers": accelerometers})
-    answer = module.apply(result, "Qx", given["indicated"], module.ApplyOptions(**given["options"]))
-    return {"corrected": answer.corrected, "u": answer.u}
+    correction = module.apply(
+        result, "Qx", inputs["indicated"], module.ApplyOptions(**inputs["options"])
+    )
+    return {"corrected": correction.corrected, "u": correction.u}
 
 
 def _coefficient_unit(symbol: str) -> str:
     degree = {"K_I": 1, "K_III": 3}.get(symbol, 2)
-    return _UNITS.get(symbol, "g/g" if degree == 1 else f"g/g^{degree}")
+    return _COEFFICIENT_UNITS.get(symbol, "g/g" if degree == 1 else f"g/g^{degree}")

@@ -1,6 +1,6 @@
-"""Calls of the functions that cases name, and the compared values of their results.
+"""Calls of the functions under test, and the values to compare.
 
-Functions are looked up in their modules on each call, so that a case tests the function in use.
+Each call looks the function up in its module, so that a case tests the function in use.
 """
 
 from __future__ import annotations
@@ -17,71 +17,76 @@ from counterspin.arrays import Array
 from counterspin.validation import files
 from counterspin.validation.cases import (
     Case,
-    compared_forces,
-    compared_integrals,
-    document,
-    select_motion,
+    compared_positions,
+    compared_symbols,
+    find_motion,
+    load_document,
 )
 from counterspin.validation.files import NotAvailableError
 
 __all__ = ["NotAvailableError", "run_case"]
 
-Given = Mapping[str, Any]
-Values = Mapping[str, Any]
+Inputs = Mapping[str, Any]
+Outputs = Mapping[str, Any]
 
 
 def run_case(case: Case) -> dict[str, Any]:
-    """Return the result of a case's function: name -> values, in the shapes of `expected`."""
+    """Call the function of a case; return name -> values, in the shapes of `Case.expected`."""
     module, _, name = case.kernel.partition(":")
     return dict(_KERNELS[name](import_module(module), case.given))
 
 
-def _spindle(given: Given) -> Any:
+def _make_spindle(inputs: Inputs) -> Any:
     from counterspin.physics.spindle import Ripple, Spindle
 
-    ripples = tuple(Ripple(n, float(a), float(p)) for n, a, p in given.get("ripples", []))
-    start = float(given.get("start_angle", 0.0))
-    return Spindle(float(given["rate"]), float(given.get("drift", 0.0)), ripples, start)
+    ripples = tuple(
+        Ripple(order, float(amplitude), float(phase))
+        for order, amplitude, phase in inputs.get("ripples", [])
+    )
+    start_angle = float(inputs.get("start_angle", 0.0))
+    return Spindle(float(inputs["rate"]), float(inputs.get("drift", 0.0)), ripples, start_angle)
 
 
-def _columns(module: Any, given: Given) -> Values:
+def _run_columns(module: Any, inputs: Inputs) -> Outputs:
     from counterspin.physics import accelerometer
     from counterspin.physics.motion import Site, Trajectory
 
-    data, motion = document(given["file"]), select_motion(given)
-    earth_rate = float(data["earth_rate"]) if motion.get("earth_rate") else 0.0
-    site = Site(float(data["gravity"]), float(data["latitude"]), earth_rate)
-    trajectory = Trajectory(_spindle(motion), float(data["radius"]), site)
+    reference, motion = load_document(inputs["file"]), find_motion(inputs)
+    earth_rate = float(reference["earth_rate"]) if motion.get("earth_rate") else 0.0
+    site = Site(float(reference["gravity"]), float(reference["latitude"]), earth_rate)
+    trajectory = Trajectory(_make_spindle(motion), float(reference["radius"]), site)
     times = np.array(motion["times"], np.float64)
     values = dict[str, Any]()
-    for name, symbols in compared_integrals(given).items():
+    for name, symbols in compared_symbols(inputs).items():
         mounting = getattr(accelerometer, name)
-        table = module.columns(trajectory, mounting, symbols, times, given["observable"])
-        values |= {f"{s} of {name}": column for s, column in zip(symbols, table.T, strict=True)}
+        table = module.columns(trajectory, mounting, symbols, times, inputs["observable"])
+        values |= {
+            f"{symbol} of {name}": column for symbol, column in zip(symbols, table.T, strict=True)
+        }
     return values
 
 
-def _angle(_: Any, given: Given) -> Values:
-    motion = select_motion(given)
-    return {"angle": _spindle(motion).angle(np.array(motion["times"], np.float64))}
+def _run_angle(_: Any, inputs: Inputs) -> Outputs:
+    motion = find_motion(inputs)
+    return {"angle": _make_spindle(motion).angle(np.array(motion["times"], np.float64))}
 
 
-def _fit_spindle(module: Any, given: Given) -> Values:
-    time = np.linspace(0.0, given["duration"], given["samples"])
-    spindle = module.fit_spindle(time, _spindle(given).angle(time), given["rate"]).spindle
+def _run_fit_spindle(module: Any, inputs: Inputs) -> Outputs:
+    time = np.linspace(0.0, inputs["duration"], inputs["samples"])
+    spindle = module.fit_spindle(time, _make_spindle(inputs).angle(time), inputs["rate"]).spindle
     return {name: getattr(spindle, name) for name in ("rate", "drift", "start_angle")}
 
 
-def _force(module: Any, given: Given) -> Values:
+def _run_forces(module: Any, inputs: Inputs) -> Outputs:
     from counterspin.physics.accelerometer import Mounting
     from counterspin.physics.motion import Site
 
-    data, mounting = (
-        document(given["file"]),
+    reference, mounting = (
+        load_document(inputs["file"]),
         Mounting.from_axes(*(module.FRAMES["arm"][name] for name in ("outward", "up"))),
     )
     forces = []
-    for position in compared_forces(given):
+    for position in compared_positions(inputs):
         tilt = tuple(float(position.get(axis, 0.0)) for axis in ("east", "north"))
         station = module.Stations.at(
             "arm",
@@ -90,154 +95,158 @@ def _force(module: Any, given: Given) -> Values:
             radius=float(position["radius"]),
             axis_tilt=tilt,
         )
-        site = Site(float(data["gravity"]), float(position["latitude"]))
+        site = Site(float(reference["gravity"]), float(position["latitude"]))
         forces.append(station.forces(site, np.array([float(position["angle"])]))[0, 0])
     return {"force": forces}
 
 
-def _normal_gravity(module: Any, given: Given) -> Values:
-    return {"gravity": module.normal_gravity(math.radians(given["degrees"]))}
+def _run_normal_gravity(module: Any, inputs: Inputs) -> Outputs:
+    return {"gravity": module.normal_gravity(math.radians(inputs["degrees"]))}
 
 
-def _indicated(module: Any, given: Given) -> Values:
-    force = np.array([given["force"]])
-    return {"indicated": module.indicated(module.QX, given["coefficients"], force)[0]}
+def _run_indicated(module: Any, inputs: Inputs) -> Outputs:
+    force = np.array([inputs["force"]])
+    return {"indicated": module.indicated(module.QX, inputs["coefficients"], force)[0]}
 
 
-def _parabola(module: Any, given: Given) -> Values:
+def _run_parabola(module: Any, inputs: Inputs) -> Outputs:
     from counterspin.physics.accelerometer import QX
 
-    inputs = (given["rate"], given["radius"], given["gravity"])
-    return {"parabola": module.parabola(given["symbol"], QX, *inputs)}
+    motion = (inputs["rate"], inputs["radius"], inputs["gravity"])
+    return {"parabola": module.parabola(inputs["symbol"], QX, *motion)}
 
 
-def _second_stage_columns(module: Any, given: Given) -> Values:
-    constants = (given["radius"], given["gravity"], given["scale_factor"])
-    table = module.second_stage_columns(np.array(given["rates"]), *constants)
-    if "sigma_b2" not in given:
+def _run_second_stage_columns(module: Any, inputs: Inputs) -> Outputs:
+    constants = (inputs["radius"], inputs["gravity"], inputs["scale_factor"])
+    table = module.second_stage_columns(np.array(inputs["rates"]), *constants)
+    if "sigma_b2" not in inputs:
         return {"columns": table}
     # Eq. 33 and 34, unweighted as in the paper.
-    row = np.linalg.pinv(table)[0] * np.array(given["sigma_b2"])
+    row = np.linalg.pinv(table)[0] * np.array(inputs["sigma_b2"])
     return {"sigma": math.sqrt(float(row @ row))}
 
 
-def _fit(module: Any, given: Given) -> Values:
-    if "polynomial" in given:
-        design = np.vander(np.array(given["x"], float), given["polynomial"] + 1, increasing=True)
+def _run_fit(module: Any, inputs: Inputs) -> Outputs:
+    if "polynomial" in inputs:
+        design = np.vander(np.array(inputs["x"], float), inputs["polynomial"] + 1, increasing=True)
     else:
-        design = np.array(given["design"], float)
-    answer = module.fit(design, np.array(given["y"], float), given.get("sigma"))
+        design = np.array(inputs["design"], float)
+    fit = module.fit(design, np.array(inputs["y"], float), inputs.get("sigma"))
     return {
-        "estimate": answer.estimate,
-        "u": answer.u,
-        "sigma": answer.sigma,
-        "chi2": answer.chi2,
-        "dof": answer.dof,
-        "covariance": answer.covariance[0, -1],
+        "estimate": fit.estimate,
+        "u": fit.u,
+        "sigma": fit.sigma,
+        "chi2": fit.chi2,
+        "dof": fit.dof,
+        "covariance": fit.covariance[0, -1],
     }
 
 
-def _solve(module: Any, given: Given) -> Values:
+def _run_solve(module: Any, inputs: Inputs) -> Outputs:
     from counterspin.inference.least_squares import reduce_block
 
-    block = reduce_block(given["design"], given["y"], None, given.get("considered"))
+    block = reduce_block(inputs["design"], inputs["y"], None, inputs.get("considered"))
     priors = {
-        key: np.array(given[key], np.float64)
+        key: np.array(inputs[key], np.float64)
         for key in ("prior_mean", "prior_sd", "considered_sd")
-        if key in given
+        if key in inputs
     }
-    answer = module.solve([block], **priors)
-    return {"estimate": answer.estimate, "u": np.sqrt(np.diag(answer.covariance))}
+    solution = module.solve([block], **priors)
+    return {"estimate": solution.estimate, "u": np.sqrt(np.diag(solution.covariance))}
 
 
-def _effective_dof(module: Any, given: Given) -> Values:
-    variances = np.square(np.array(given["u"], np.float64))
-    covariance = np.diag(2.0 * variances**2 / np.array(given["dof"]))
+def _run_effective_dof(module: Any, inputs: Inputs) -> Outputs:
+    variances = np.square(np.array(inputs["u"], np.float64))
+    covariance = np.diag(2.0 * variances**2 / np.array(inputs["dof"]))
     gradient = np.ones((1, variances.size))
     return {"dof": module.effective_dof([variances.sum()], gradient, covariance)[0]}
 
 
-def _variance(module: Any, given: Given) -> Values:
+def _run_white_noise(module: Any, inputs: Inputs) -> Outputs:
     from counterspin.inference.noise.likelihood import RecordData
     from counterspin.inference.noise.model import ESTIMATE, Noise
 
-    y = np.array(given["y"], np.float64)
+    y = np.array(inputs["y"], np.float64)
     record = RecordData(np.arange(y.size, dtype=np.float64), 0, np.ones((y.size, 1)), y)
     return {"white": module.estimate_noise([record], Noise(ESTIMATE)).noise.white}
 
 
-def _first_stage(module: Any, given: Given) -> Values:
+def _run_first_stage(module: Any, inputs: Inputs) -> Outputs:
     from counterspin.inference.two_stage.first_stage import Strobes
 
-    time = np.arange(float(given["strobes"]))
-    error = np.polynomial.polynomial.polyval(time, given["coefficients"])
-    answer = module.first_stage(Strobes(time, error, np.ones(time.size), 0), given["sigma"])
-    return {"coefficients": answer.coefficients, "u_b2": answer.u_b2}
+    time = np.arange(float(inputs["strobes"]))
+    error = np.polynomial.polynomial.polyval(time, inputs["coefficients"])
+    parabola = module.first_stage(Strobes(time, error, np.ones(time.size), 0), inputs["sigma"])
+    return {"coefficients": parabola.coefficients, "u_b2": parabola.u_b2}
 
 
-def _walk(module: Any, given: Given) -> Values:
-    return {"covariance": module.walk_covariance(np.array(given["time"]))}
+def _run_walk_covariance(module: Any, inputs: Inputs) -> Outputs:
+    return {"covariance": module.walk_covariance(np.array(inputs["time"]))}
 
 
-def _flicker(module: Any, given: Given) -> Values:
-    lag = np.array(given["lag"])
-    answer = module.flicker_autocovariance(lag, given["low"], given["high"])
-    return {"autocovariance": answer}
+def _run_flicker_autocovariance(module: Any, inputs: Inputs) -> Outputs:
+    lag = np.array(inputs["lag"])
+    autocovariance = module.flicker_autocovariance(lag, inputs["low"], inputs["high"])
+    return {"autocovariance": autocovariance}
 
 
-def _acceptance_limits(module: Any, given: Given) -> Values:
-    low, high = module.acceptance_limits(**given)
+def _run_acceptance_limits(module: Any, inputs: Inputs) -> Outputs:
+    low, high = module.acceptance_limits(**inputs)
     return {"low": low, "high": high}
 
 
-def _decide(module: Any, given: Given) -> Values:
+def _run_decide(module: Any, inputs: Inputs) -> Outputs:
     """Return the verdict as a number: 1 pass, 0 undecided, -1 fail."""
-    limits = module.Specification("", given["low"], given["high"], "")
-    item = (given[key] for key in ("value", "u", "dof"))
-    answer = module.decide(*item, limits, module.DecisionRule(**given["rule"]))
-    verdict = {"pass": 1.0, "undecided": 0.0, "fail": -1.0}[answer.verdict]
-    risk = {} if answer.risk is None else {"risk": answer.risk}
-    return {"verdict": verdict, "guard_band": answer.guard_band, **risk}
+    limits = module.Specification("", inputs["low"], inputs["high"], "")
+    estimate = (inputs[key] for key in ("value", "u", "dof"))
+    decision = module.decide(*estimate, limits, module.DecisionRule(**inputs["rule"]))
+    verdict_number = {"pass": 1.0, "undecided": 0.0, "fail": -1.0}[decision.verdict]
+    risk = {} if decision.risk is None else {"risk": decision.risk}
+    return {"verdict": verdict_number, "guard_band": decision.guard_band, **risk}
 
 
-def _random_walk(module: Any, given: Given) -> Values:
+def _run_random_walk(module: Any, inputs: Inputs) -> Outputs:
     from counterspin.inference.noise.likelihood import RecordData
     from counterspin.inference.noise.model import ESTIMATE, Noise
 
-    data = document(given["file"])
-    time, velocity = (np.array(data[key], np.float64) for key in ("time", "velocity"))
-    line = np.stack([np.ones_like(time), time], axis=1)
-    noise = Noise(given.get("white", ESTIMATE), ESTIMATE)
-    answer = module.estimate_noise([RecordData(time, 1, line, velocity)], noise)
-    levels = {"white": answer.noise.white, "random_walk": answer.noise.random_walk}
-    if "white" in given:
+    series = load_document(inputs["file"])
+    time, velocity = (np.array(series[key], np.float64) for key in ("time", "velocity"))
+    design = np.stack([np.ones_like(time), time], axis=1)
+    noise = Noise(inputs.get("white", ESTIMATE), ESTIMATE)
+    estimate = module.estimate_noise([RecordData(time, 1, design, velocity)], noise)
+    levels = {"white": estimate.noise.white, "random_walk": estimate.noise.random_walk}
+    if "white" in inputs:
         return levels
-    with_walk, white_only = (
-        answer.log_likelihoods[key] for key in (("white", "random_walk"), ("white",))
+    full_log_likelihood, white_log_likelihood = (
+        estimate.log_likelihoods[key] for key in (("white", "random_walk"), ("white",))
     )
-    return levels | {"gain": with_walk - white_only}
+    return levels | {"gain": full_log_likelihood - white_log_likelihood}
 
 
-def _noise(module: Any, given: Given) -> Values:
-    return _random_walk(module, given) if "file" in given else _variance(module, given)
+def _run_estimate_noise(module: Any, inputs: Inputs) -> Outputs:
+    return (
+        _run_random_walk(module, inputs) if "file" in inputs else _run_white_noise(module, inputs)
+    )
 
 
-def _quotients(given: Given) -> tuple[dict[str, Any], Array]:
+def _quotient_estimates(inputs: Inputs) -> tuple[dict[str, Any], Array]:
     """Return R, X and Z of GUM H.2 as quotients by I, and the correlations of their numerators.
 
     The conversion of a coefficient in g/g^2 to SI divides it by g, and g and the coefficient are
     correlated: V cos(phi), V sin(phi) and V over I have the same structure.
     """
-    observed = np.array(given["observations"], np.float64)
-    v, current, phase = observed.mean(axis=0)
+    observations = np.array(inputs["observations"], np.float64)
+    voltage, current, phase = observations.mean(axis=0)
     cos, sin = math.cos(phase), math.sin(phase)
     jacobian = np.array(
-        [[cos, 0.0, -v * sin], [sin, 0.0, v * cos], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+        [[cos, 0.0, -voltage * sin], [sin, 0.0, voltage * cos], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
     )
-    mean_covariance = jacobian @ np.cov(observed.T) @ jacobian.T / len(observed)
+    mean_covariance = jacobian @ np.cov(observations.T) @ jacobian.T / len(observations)
     u = np.sqrt(np.diag(mean_covariance))
     estimates = {}
-    for index, (name, value) in enumerate(zip("RXZ", (v * cos, v * sin, v), strict=True)):
+    for index, (name, value) in enumerate(
+        zip("RXZ", (voltage * cos, voltage * sin, voltage), strict=True)
+    ):
         sensitivity = mean_covariance[index, 3] / mean_covariance[3, 3]
         estimates[name] = {
             "value": value,
@@ -248,32 +257,35 @@ def _quotients(given: Given) -> tuple[dict[str, Any], Array]:
     return estimates, mean_covariance[:3, :3] / np.outer(u[:3], u[:3])
 
 
-def _si_estimate(module: Any, given: Given) -> Values:
-    inputs = _quotients(given)[0] if "observations" in given else {"": given}
-    answer = dict[str, Any]()
-    for name, given_estimate in inputs.items():
+def _run_si_estimate(module: Any, inputs: Inputs) -> Outputs:
+    estimates = _quotient_estimates(inputs)[0] if "observations" in inputs else {"": inputs}
+    outputs = dict[str, Any]()
+    for name, given_estimate in estimates.items():
         gravity = module.StatedGravity(**given_estimate["gravity"])
-        estimate = module.si_estimate(
+        si_estimate = module.si_estimate(
             given_estimate["value"],
             given_estimate["u"],
             given_estimate["unit"],
             given_estimate.get("dof"),
             gravity,
         )
-        answer |= {name or "value": estimate.value, f"u({name})" if name else "u": estimate.u}
-        if estimate.dof is not None:
-            answer["dof"] = estimate.dof
-    return answer
+        outputs |= {
+            name or "value": si_estimate.value,
+            f"u({name})" if name else "u": si_estimate.u,
+        }
+        if si_estimate.dof is not None:
+            outputs["dof"] = si_estimate.dof
+    return outputs
 
 
-def _si_covariance(module: Any, given: Given) -> Values:
+def _run_covariance(module: Any, inputs: Inputs) -> Outputs:
     from counterspin.calibration.result_parts import Correlation
     from counterspin.calibration.si_estimates import StatedGravity, convert_to_si
 
-    if "observations" in given:
-        inputs, correlation_matrix = _quotients(given)
+    if "observations" in inputs:
+        given_estimates, correlation_matrix = _quotient_estimates(inputs)
     else:
-        inputs, correlation_matrix = given["estimates"], np.array(given["correlation"])
+        given_estimates, correlation_matrix = inputs["estimates"], np.array(inputs["correlation"])
     estimates = {
         name: convert_to_si(
             given_estimate["value"],
@@ -282,18 +294,18 @@ def _si_covariance(module: Any, given: Given) -> Values:
             None,
             StatedGravity(**given_estimate["gravity"]),
         )
-        for name, given_estimate in inputs.items()
+        for name, given_estimate in given_estimates.items()
     }
-    correlation = Correlation(terms=list(inputs), matrix=correlation_matrix.tolist())
-    answer = dict[str, Any]()
-    for first, second in combinations(inputs, 2):
+    correlation = Correlation(terms=list(given_estimates), matrix=correlation_matrix.tolist())
+    outputs = dict[str, Any]()
+    for first, second in combinations(given_estimates, 2):
         covariance = module.covariance(correlation, estimates, first, second)
-        u = estimates[first].u * estimates[second].u if "observations" in given else 1.0
-        answer[f"{first}, {second}"] = covariance / u
-    return answer
+        scale = estimates[first].u * estimates[second].u if "observations" in inputs else 1.0
+        outputs[f"{first}, {second}"] = covariance / scale
+    return outputs
 
 
-def _forecast(module: Any, given: Given) -> Values:
+def _run_forecast(module: Any, inputs: Inputs) -> Outputs:
     from counterspin.campaign.memory import make_campaign
 
     runs = [
@@ -301,7 +313,7 @@ def _forecast(module: Any, given: Given) -> Values:
             "name": name,
             "motion": "static",
             "axes": {"input": name, "pendulous": "east"},
-            "reading": f"{value} ± {given['sigma']!r} g",
+            "reading": f"{value} ± {inputs['sigma']!r} g",
         }
         for name, value in (("up", 1.0), ("down", -1.0))
     ]
@@ -313,80 +325,81 @@ def _forecast(module: Any, given: Given) -> Values:
             "runs": runs,
         }
     )
-    answer = module.forecast(campaign)
-    estimated = [unknown.symbol for unknown in answer.fit.model.unknowns]
-    u = np.sqrt(np.diag(answer.fit.solution.covariance))
-    return {symbol: u[estimated.index(symbol)] for symbol in ("K_F", "K_I")}
+    forecast = module.forecast(campaign)
+    symbols = [unknown.symbol for unknown in forecast.fit.model.unknowns]
+    u = np.sqrt(np.diag(forecast.fit.solution.covariance))
+    return {symbol: u[symbols.index(symbol)] for symbol in ("K_F", "K_I")}
 
 
-def _individuals(module: Any, given: Given) -> Values:
-    values = given["values"]
-    answer = module.individuals_chart(values, [str(index) for index in range(len(values))])
-    limits = {"low": answer.action_low, "high": answer.action_high}
-    return {"centre": answer.centre, "mean_range": answer.mean_range, **limits}
+def _run_individuals_chart(module: Any, inputs: Inputs) -> Outputs:
+    values = inputs["values"]
+    chart = module.individuals_chart(values, [str(index) for index in range(len(values))])
+    limits = {"low": chart.action_low, "high": chart.action_high}
+    return {"centre": chart.centre, "mean_range": chart.mean_range, **limits}
 
 
-def _weighted_mean(module: Any, given: Given) -> Values:
-    answer = module.weighted_mean(given["values"], given["u"])
-    return {"value": answer.value, "u": answer.u}
+def _run_weighted_mean(module: Any, inputs: Inputs) -> Outputs:
+    mean = module.weighted_mean(inputs["values"], inputs["u"])
+    return {"value": mean.value, "u": mean.u}
 
 
-def _en_score(module: Any, given: Given) -> Values:
-    return {"E_n": module.en_score(tuple(given["first"]), tuple(given["second"]))}
+def _run_en_score(module: Any, inputs: Inputs) -> Outputs:
+    return {"E_n": module.en_score(tuple(inputs["first"]), tuple(inputs["second"]))}
 
 
-def _factors(module: Any, given: Given) -> Values:
-    g = given["gravity"]
+def _run_unit_factor(module: Any, inputs: Inputs) -> Outputs:
+    gravity = inputs["gravity"]
     return {
-        unit: module.unit_factor(unit, target, gravity=g) for unit, target in given["units"].items()
+        unit: module.unit_factor(unit, target, gravity=gravity)
+        for unit, target in inputs["units"].items()
     }
 
 
-def _number(name: str, key: str) -> Callable[[Any, Given], Values]:
-    """Return the call of a function with keyword arguments that returns a number."""
-    return lambda module, given: {key: getattr(module, name)(**given)}
+def _call_with_keywords(name: str, key: str) -> Callable[[Any, Inputs], Outputs]:
+    """Return a kernel that passes the inputs as keywords to a function and returns a number."""
+    return lambda module, inputs: {key: getattr(module, name)(**inputs)}
 
 
-_KERNELS: Final[Mapping[str, Callable[[Any, Given], Values]]] = {
-    "columns": _columns,
-    "Spindle.angle": _angle,
-    "fit_spindle": _fit_spindle,
-    "Stations.forces": _force,
-    "normal_gravity": _normal_gravity,
-    "indicated": _indicated,
-    "parabola": _parabola,
-    "second_stage_columns": _second_stage_columns,
-    "fit": _fit,
-    "solve": _solve,
-    "effective_dof": _effective_dof,
-    "estimate_noise": _noise,
-    "first_stage": _first_stage,
-    "walk_covariance": _walk,
-    "flicker_autocovariance": _flicker,
-    "student_quantile": _number("student_quantile", "t"),
-    "student_cdf": _number("student_cdf", "p"),
-    "normal_quantile": _number("normal_quantile", "z"),
-    "normal_cdf": _number("normal_cdf", "p"),
-    "chi_square_tail": _number("chi_square_tail", "p"),
-    "expanded_uncertainty": _number("expanded_uncertainty", "U"),
-    "conformance_probability": _number("conformance_probability", "p"),
-    "nonconformance_probability": _number("nonconformance_probability", "p"),
-    "acceptance_limits": _acceptance_limits,
-    "decide": _decide,
-    "calibrate": files.fitted_numbers,
-    "forecast": _forecast,
-    "certificate": files.certificate_numbers,
+_KERNELS: Final[Mapping[str, Callable[[Any, Inputs], Outputs]]] = {
+    "columns": _run_columns,
+    "Spindle.angle": _run_angle,
+    "fit_spindle": _run_fit_spindle,
+    "Stations.forces": _run_forces,
+    "normal_gravity": _run_normal_gravity,
+    "indicated": _run_indicated,
+    "parabola": _run_parabola,
+    "second_stage_columns": _run_second_stage_columns,
+    "fit": _run_fit,
+    "solve": _run_solve,
+    "effective_dof": _run_effective_dof,
+    "estimate_noise": _run_estimate_noise,
+    "first_stage": _run_first_stage,
+    "walk_covariance": _run_walk_covariance,
+    "flicker_autocovariance": _run_flicker_autocovariance,
+    "student_quantile": _call_with_keywords("student_quantile", "t"),
+    "student_cdf": _call_with_keywords("student_cdf", "p"),
+    "normal_quantile": _call_with_keywords("normal_quantile", "z"),
+    "normal_cdf": _call_with_keywords("normal_cdf", "p"),
+    "chi_square_tail": _call_with_keywords("chi_square_tail", "p"),
+    "expanded_uncertainty": _call_with_keywords("expanded_uncertainty", "U"),
+    "conformance_probability": _call_with_keywords("conformance_probability", "p"),
+    "nonconformance_probability": _call_with_keywords("nonconformance_probability", "p"),
+    "acceptance_limits": _run_acceptance_limits,
+    "decide": _run_decide,
+    "calibrate": files.fitted_values,
+    "forecast": _run_forecast,
+    "certificate": files.certificate_values,
     "apply": files.corrected_forces,
-    "unit_factor": _factors,
-    "read_certificate": files.read_estimates,
+    "unit_factor": _run_unit_factor,
+    "read_certificate": files.certified_estimates,
     "check_schema": files.check_schema,
-    "verify": files.verify,
-    "si_estimate": _si_estimate,
-    "covariance": _si_covariance,
-    "to_si": _number("to_si", "si"),
-    "from_si": _number("from_si", "value"),
-    "en_score": _en_score,
-    "individuals_chart": _individuals,
-    "weighted_mean": _weighted_mean,
+    "verify": files.verify_signatures,
+    "si_estimate": _run_si_estimate,
+    "covariance": _run_covariance,
+    "to_si": _call_with_keywords("to_si", "si"),
+    "from_si": _call_with_keywords("from_si", "value"),
+    "en_score": _run_en_score,
+    "individuals_chart": _run_individuals_chart,
+    "weighted_mean": _run_weighted_mean,
     "read_record": files.read_record,
 }

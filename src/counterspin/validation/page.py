@@ -1,4 +1,4 @@
-"""The validation dossier: its JSON and its printed report."""
+"""Validation dossier: JSON and report."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Installation(ResultPart):
 
 
 class CheckedCase(ResultPart):
-    """A case and the deviation of its found values."""
+    """A case and its value closest to the tolerance."""
 
     name: str  #: Name of the case.
     requirement: str  #: Requirement that the case checks.
@@ -68,7 +68,7 @@ class Dossier(ReportableResult):
         return [case.name for case in self.cases if case.state == "failed"]
 
 
-_TITLE: Final = "Validation of counterspin"
+_DOSSIER_TITLE: Final = "Validation of counterspin"
 
 #: Description in the file of a dossier.
 FILE_DESCRIPTION: Final = "a validation dossier"
@@ -76,21 +76,26 @@ FILE_DESCRIPTION: Final = "a validation dossier"
 
 def summary_blocks(dossier: Dossier) -> list[Block]:
     """Return the summary and the table of requirements."""
-    return [Heading(_TITLE, 1), *_summary(dossier), *_failures(dossier), _requirements(dossier)]
+    return [
+        Heading(_DOSSIER_TITLE, 1),
+        *_summary_paragraphs(dossier),
+        *_failure_blocks(dossier),
+        _requirements_table(dossier),
+    ]
 
 
 def dossier_blocks(dossier: Dossier) -> Iterator[Block]:
     """Yield the summary, the installation, requirements, cases, and the parts not covered."""
-    yield Heading(_TITLE, 1)
-    yield from _summary(dossier)
-    yield from _failures(dossier)
+    yield Heading(_DOSSIER_TITLE, 1)
+    yield from _summary_paragraphs(dossier)
+    yield from _failure_blocks(dossier)
     yield Heading("Requirements and the cases that test them")
-    yield _requirements(dossier)
+    yield _requirements_table(dossier)
     yield Heading("Installed software")
     yield from _installation_blocks(dossier)
     for requirement in dict.fromkeys(case.requirement for case in dossier.cases):
         yield Heading(f"Cases: {requirement}")
-        yield _cases([case for case in dossier.cases if case.requirement == requirement])
+        yield _cases_table([case for case in dossier.cases if case.requirement == requirement])
     yield Paragraph(
         "For each case, the table shows the number that is closest to its limit. Digits: number "
         "of correct digits (-log10 of the relative difference), at most 16. Limit: largest "
@@ -106,7 +111,7 @@ def dossier_blocks(dossier: Dossier) -> Iterator[Block]:
         yield Paragraph(text)
 
 
-def _summary(dossier: Dossier) -> Iterator[Block]:
+def _summary_paragraphs(dossier: Dossier) -> Iterator[Block]:
     states = [case.state for case in dossier.cases]
     count_text = f"{states.count('passed')} of {len(states)} reference cases passed"
     if states.count("not run"):
@@ -122,38 +127,34 @@ def _summary(dossier: Dossier) -> Iterator[Block]:
             f"{count_text}, but the installed files differ from the delivered files.",
             "warning",
         )
-    installed_files = dossier.installation
-    if installed_files.altered or installed_files.missing:
-        problems = (
-            [f"altered: {', '.join(installed_files.altered)}"] if installed_files.altered else []
-        )
-        problems += (
-            [f"missing: {', '.join(installed_files.missing)}"] if installed_files.missing else []
-        )
+    installation = dossier.installation
+    if installation.altered or installation.missing:
+        problems = [f"altered: {', '.join(installation.altered)}"] if installation.altered else []
+        problems += [f"missing: {', '.join(installation.missing)}"] if installation.missing else []
         yield Paragraph(f"Problems with the installed files: {'; '.join(problems)}.", "warning")
 
 
-def _failures(dossier: Dossier) -> Iterator[Block]:
-    failed = [case for case in dossier.cases if case.state == "failed"]
-    if failed:
-        yield _cases(failed)
-    for case in failed:
+def _failure_blocks(dossier: Dossier) -> Iterator[Block]:
+    failed_cases = [case for case in dossier.cases if case.state == "failed"]
+    if failed_cases:
+        yield _cases_table(failed_cases)
+    for case in failed_cases:
         if case.note:
             yield Paragraph(f"{case.name}: {case.note}", "warning")
 
 
-def _requirements(dossier: Dossier) -> Table:
+def _requirements_table(dossier: Dossier) -> Table:
     rows = []
     for requirement in dict.fromkeys(case.requirement for case in dossier.cases):
         cases = [case for case in dossier.cases if case.requirement == requirement]
         states = [case.state for case in cases]
-        passed = f"{states.count('passed')} of {len(cases)}"
-        rows.append((requirement, passed, "; ".join(case.name for case in cases)))
+        passed_text = f"{states.count('passed')} of {len(cases)}"
+        rows.append((requirement, passed_text, "; ".join(case.name for case in cases)))
     columns = (Column("Requirement", wraps=True), Column("Passed"), Column("Cases", wraps=True))
     return Table(columns, tuple(rows))
 
 
-def _cases(cases: list[CheckedCase]) -> Table:
+def _cases_table(cases: list[CheckedCase]) -> Table:
     return Table(
         (
             Column("Case", wraps=True),
@@ -168,7 +169,7 @@ def _cases(cases: list[CheckedCase]) -> Table:
             (
                 f"{case.name} ({case.numbers} numbers)" if case.numbers > 1 else case.name,
                 case.quantity,
-                *(_number(number) for number in (case.expected, case.found)),
+                *(_format_value(value) for value in (case.expected, case.found)),
                 "" if case.digits is None else f"{case.digits:.1f}",
                 "" if case.limit is None else f"{case.limit:.1e}",
                 case.state,
@@ -178,7 +179,7 @@ def _cases(cases: list[CheckedCase]) -> Table:
     )
 
 
-def _number(value: float | None) -> str:
+def _format_value(value: float | None) -> str:
     return "" if value is None else f"{value:.12g}"
 
 
@@ -197,10 +198,10 @@ def _installation_blocks(dossier: Dossier) -> Iterator[Block]:
             "installed), so the files cannot be compared with the delivered files."
         )
         return
-    altered, missing = len(installation.altered), len(installation.missing)
+    n_altered, n_missing = len(installation.altered), len(installation.missing)
     yield Paragraph(
-        f"The RECORD of the installation lists {installation.recorded} files: {altered} "
-        f"altered, {missing} missing. {len(installation.unknown)} files of the package are not "
+        f"The RECORD of the installation lists {installation.recorded} files: {n_altered} "
+        f"altered, {n_missing} missing. {len(installation.unknown)} files of the package are not "
         "in the RECORD."
     )
     if installation.unknown:

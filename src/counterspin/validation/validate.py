@@ -1,4 +1,4 @@
-"""`counterspin validate`: reference cases run on the installed package, and its files' state."""
+"""`counterspin validate`: run reference cases on the installed package and check its files."""
 
 from __future__ import annotations
 
@@ -19,31 +19,34 @@ from counterspin._version import __version__
 from counterspin.certificates.schema import load_schema
 from counterspin.output import check_writable, make_folder, marked_file_type
 from counterspin.results import environment
-from counterspin.validation.cases import Case, cases, document
+from counterspin.validation.cases import Case, cases, load_document
 from counterspin.validation.kernels import NotAvailableError, run_case
 from counterspin.validation.page import CheckedCase, Dossier, Installation
 
-_PACKAGE: Final = "counterspin"
+_PACKAGE_NAME: Final = "counterspin"
 
 
-def installation() -> Installation:
-    """Return versions of the package and what it needs, the environment, and its files' state."""
+def inspect_installation() -> Installation:
+    """Return the versions of the package and its dependencies, and the state of its files."""
     folder = Path(__file__).parents[1]
     dependencies, record = dict[str, str](), None
     try:
-        distribution = metadata.distribution(_PACKAGE)
+        distribution = metadata.distribution(_PACKAGE_NAME)
     except metadata.PackageNotFoundError:
         distribution = None
     if distribution is not None:
         # An editable installation runs other files than those next to its RECORD.
-        location = Path(str(distribution.locate_file(_PACKAGE)))
+        location = Path(str(distribution.locate_file(_PACKAGE_NAME)))
         if location.resolve() == folder.resolve():
             record = distribution.read_text("RECORD")
         for requirement in distribution.requires or []:
             if ";" not in requirement:
-                name = "".join(c if c.isalnum() or c in "-_." else " " for c in requirement).split()
+                name = "".join(
+                    character if character.isalnum() or character in "-_." else " "
+                    for character in requirement
+                ).split()
                 dependencies[name[0]] = _installed_version(name[0])
-    files, altered, missing = (
+    recorded_files, altered_files, missing_files = (
         verify_files(record, folder) if record else (dict[str, str](), list[str](), list[str]())
     )
     paths = sorted(path for path in folder.rglob("*") if path.is_file() and _is_package_file(path))
@@ -57,10 +60,10 @@ def installation() -> Installation:
         packages=dependencies,
         files=len(paths),
         checksum=f"sha256:{digest.hexdigest()}",
-        recorded=len(files),
-        altered=altered,
-        missing=missing,
-        unknown=_unrecorded_files(paths, folder, files) if files else [],
+        recorded=len(recorded_files),
+        altered=altered_files,
+        missing=missing_files,
+        unknown=_unrecorded_files(paths, folder, recorded_files) if recorded_files else [],
     )
 
 
@@ -69,30 +72,34 @@ def verify_files(record: str, folder: Path) -> tuple[dict[str, str], list[str], 
 
     record: Text of RECORD: CSV of path, ``sha256=`` and the hash in base64 for URLs, size.
     """
-    files, altered, missing = dict[str, str](), list[str](), list[str]()
+    recorded_files, altered_files, missing_files = dict[str, str](), list[str](), list[str]()
     for path, recorded_hash, *_ in csv.reader(record.splitlines()):
         parts = Path(path).parts
-        if parts[0] != _PACKAGE or not recorded_hash:
+        if parts[0] != _PACKAGE_NAME or not recorded_hash:
             continue
         name = Path(*parts[1:]).as_posix()
-        files[name] = recorded_hash
-        algorithm, _, expected = recorded_hash.partition("=")
+        recorded_files[name] = recorded_hash
+        algorithm, _, expected_digest = recorded_hash.partition("=")
         file = folder / name
         if not file.is_file():
-            missing.append(name)
+            missing_files.append(name)
             continue
         digest = hashlib.new(algorithm, file.read_bytes()).digest()
-        if base64.urlsafe_b64encode(digest).rstrip(b"=").decode() != expected:
-            altered.append(name)
-    return files, altered, missing
+        if base64.urlsafe_b64encode(digest).rstrip(b"=").decode() != expected_digest:
+            altered_files.append(name)
+    return recorded_files, altered_files, missing_files
 
 
 def _is_package_file(path: Path) -> bool:
     return "__pycache__" not in path.parts and path.suffix != ".pyc"
 
 
-def _unrecorded_files(paths: list[Path], folder: Path, files: dict[str, str]) -> list[str]:
-    return [n for n in (path.relative_to(folder).as_posix() for path in paths) if n not in files]
+def _unrecorded_files(paths: list[Path], folder: Path, recorded_files: dict[str, str]) -> list[str]:
+    return [
+        name
+        for name in (path.relative_to(folder).as_posix() for path in paths)
+        if name not in recorded_files
+    ]
 
 
 def _installed_version(name: str) -> str:
@@ -102,7 +109,7 @@ def _installed_version(name: str) -> str:
         return "not installed"
 
 
-#: The files that `write_dossier` writes.
+#: Names of the files that `write_dossier` writes.
 DOSSIER_FILES: Final = ("validation.html", "validation.pdf", "validation.json")
 
 _MAX_DIGITS: Final = 16.0
@@ -119,44 +126,45 @@ def validate(
     Parameters
     ----------
     schema
-        Folder or file of DCC's schema, for the case of a certificate checked against it; None: that
-        case is not run.
+        Folder or file of the DCC schema, for the case that checks a certificate against the schema;
+        None: this case is not run.
     chosen
-        The cases; None: all.
+        Cases to run; None: all.
     progress
-        Called with (cases run, cases in all).
+        Called with (number of finished cases, number of cases).
 
     Returns
     -------
     Dossier
-        `passed` says whether every case stayed within its limit.
+        `passed` is True if all cases are within their tolerances and no file is altered.
 
     Raises
     ------
     CounterspinError
         If `schema` is given and does not contain the complete schema.
     """
-    selected = cases() if chosen is None else tuple(chosen)
+    selected_cases = cases() if chosen is None else tuple(chosen)
     if schema is not None:
         load_schema(Path(schema))
-        selected = tuple(_set_schema(case, schema) for case in selected)
-    checked = []
-    for case in selected:
-        checked.append(check_case(case))
+        selected_cases = tuple(_set_schema(case, schema) for case in selected_cases)
+    checked_cases = []
+    for case in selected_cases:
+        checked_cases.append(check_case(case))
         if progress is not None:
-            progress(len(checked), len(selected))
-    installed = installation()
-    is_unaltered = not (installed.altered or installed.missing)
+            progress(len(checked_cases), len(selected_cases))
+    installation = inspect_installation()
+    is_complete = not (installation.altered or installation.missing)
     return Dossier(
-        passed=is_unaltered and all(outcome.state != "failed" for outcome in checked),
-        installation=installed,
-        cases=checked,
+        passed=is_complete
+        and all(checked_case.state != "failed" for checked_case in checked_cases),
+        installation=installation,
+        cases=checked_cases,
         not_covered=[
-            *document("cases.json")["not_covered"],
+            *load_document("cases.json")["not_covered"],
             *(
-                f"{outcome.name}: {outcome.note}"
-                for outcome in checked
-                if outcome.state == "not run"
+                f"{checked_case.name}: {checked_case.note}"
+                for checked_case in checked_cases
+                if checked_case.state == "not run"
             ),
         ],
     )
@@ -171,33 +179,35 @@ def _set_schema(case: Case, schema: Path | str) -> Case:
 def check_case(case: Case) -> CheckedCase:
     """Run a case; an error in its function or in its expected values is a failure."""
     try:
-        reference, answer = case.expected, run_case(case)
+        expected_outputs, outputs = case.expected, run_case(case)
     except NotAvailableError as error:
-        return _failed_case(case, "not run", str(error))
+        return _case_without_values(case, "not run", str(error))
     except Exception as error:  # report any error to the assessor
-        return _failed_case(case, "failed", f"{type(error).__name__}: {error}")
-    largest: tuple[float, str, float, float, float] | None = None
-    count = 0
-    for name, expected in reference.items():
-        computed = np.asarray(answer.get(name, np.nan), np.float64)
+        return _case_without_values(case, "failed", f"{type(error).__name__}: {error}")
+    worst_value: tuple[float, str, float, float, float] | None = None
+    n_values = 0
+    for name, expected in expected_outputs.items():
+        computed = np.asarray(outputs.get(name, np.nan), np.float64)
         if computed.shape != expected.shape:
-            return _failed_case(case, "failed", f"{name} is missing, or has a different shape")
+            return _case_without_values(
+                case, "failed", f"{name} is missing, or has a different shape"
+            )
         tolerance = np.broadcast_to(case.tolerance(name), expected.shape)
         for index in np.ndindex(expected.shape):
-            count += 1
-            deviation = _relative_deviation(
+            n_values += 1
+            tolerance_ratio = _tolerance_ratio(
                 float(computed[index]), float(expected[index]), float(tolerance[index])
             )
-            if largest is None or deviation > largest[0]:
+            if worst_value is None or tolerance_ratio > worst_value[0]:
                 label = name + "".join(f"[{i + 1}]" for i in index)
-                numbers = (float(expected[index]), float(computed[index]), float(tolerance[index]))
-                largest = (deviation, label, *numbers)
-    assert largest is not None
-    deviation, quantity, expected_value, computed_value, limit = largest
+                triple = (float(expected[index]), float(computed[index]), float(tolerance[index]))
+                worst_value = (tolerance_ratio, label, *triple)
+    assert worst_value is not None
+    tolerance_ratio, quantity, expected_value, computed_value, limit = worst_value
     return CheckedCase(
         **_case_fields(case),
-        state="passed" if deviation <= 1.0 else "failed",
-        numbers=count,
+        state="passed" if tolerance_ratio <= 1.0 else "failed",
+        numbers=n_values,
         quantity=quantity,
         expected=expected_value,
         found=computed_value if math.isfinite(computed_value) else None,
@@ -212,40 +222,40 @@ def write_dossier(dossier: Dossier, folder: Path | str, *, overwrite: bool = Fal
     Parameters
     ----------
     dossier
-        What `validate` returned.
+        Result of `validate`.
     folder
-        Where; made if it is not there.
+        Target folder; created if it does not exist.
     overwrite
-        Whether an earlier dossier may be replaced; nothing else is.
+        Whether an earlier dossier may be replaced; other files are never replaced.
 
     Raises
     ------
     CounterspinError
-        If another file is in the way, or one cannot be written.
+        If another file with the same name exists, or a file cannot be written.
     """
-    target = Path(folder)
-    check_folder(target, overwrite=overwrite)
-    *pages, json = (target / name for name in DOSSIER_FILES)
-    for path in pages:
+    folder_path = Path(folder)
+    check_folder(folder_path, overwrite=overwrite)
+    *report_paths, json_path = (folder_path / name for name in DOSSIER_FILES)
+    for path in report_paths:
         dossier.write_report(path, overwrite=overwrite)
-    dossier.write(json, overwrite=overwrite)
+    dossier.write(json_path, overwrite=overwrite)
 
 
 def check_folder(folder: Path, *, overwrite: bool) -> None:
-    """Make the folder, and refuse it where a file would be lost."""
+    """Make the folder; raise an error if a file would be lost."""
     make_folder(folder)
     for name in DOSSIER_FILES:
         path = folder / name
-        page = partial(marked_file_type, Dossier.report_type())
-        kind = Dossier.file_type if path.suffix == ".json" else page
-        check_writable(path, kind, overwrite=overwrite)
+        report_type = partial(marked_file_type, Dossier.report_type())
+        file_type = Dossier.file_type if path.suffix == ".json" else report_type
+        check_writable(path, file_type, overwrite=overwrite)
 
 
 def _case_fields(case: Case) -> dict[str, Any]:
     return {key: getattr(case, key) for key in ("name", "requirement", "kernel", "source")}
 
 
-def _failed_case(case: Case, state: str, note: str) -> CheckedCase:
+def _case_without_values(case: Case, state: str, note: str) -> CheckedCase:
     empty_fields = dict.fromkeys(("expected", "found", "digits", "limit"))
     return CheckedCase.model_validate(
         {
@@ -259,12 +269,12 @@ def _failed_case(case: Case, state: str, note: str) -> CheckedCase:
     )
 
 
-def _relative_deviation(value: float, expected: float, allowed: float) -> float:
+def _tolerance_ratio(value: float, expected: float, tolerance: float) -> float:
     """Return a difference relative to the tolerance; infinite if the tolerance is zero."""
     if value == expected:
         return 0.0
     difference = abs(value - expected)
-    return difference / allowed if allowed and difference < math.inf else math.inf
+    return difference / tolerance if tolerance and difference < math.inf else math.inf
 
 
 def _correct_digits(value: float, expected: float) -> float | None:
