@@ -127,7 +127,7 @@ ROWS = {
     ],
     "history": [
         ("the expanded uncertainty ({} %) of the change", 100.0 * distributions.COVERAGE),
-        ("per year of {} days", page._YEAR),
+        ("per year of {} days", page._DAYS_PER_YEAR),
         ("is calculated for {} or more results. Its limits", consistency.MIN_RESULTS),
         ("moving range divided by {}. The warning", consistency._D2),
         (

@@ -28,7 +28,7 @@ def test_weighted_mean_of_two_measurements():
     assert mean.scatter.birge == pytest.approx(math.sqrt(5.0))
     # With one degree of freedom chi-square is a squared normal variable.
     assert mean.scatter.p == pytest.approx(math.erfc(math.sqrt(5.0 / 2.0)))
-    assert mean.difference == pytest.approx([-1.0, 4.0])
+    assert mean.differences == pytest.approx([-1.0, 4.0])
     assert mean.z == pytest.approx([-math.sqrt(5.0), math.sqrt(5.0)])
 
 
@@ -54,7 +54,7 @@ def test_z_is_difference_over_uncertainty(measured):
     spread = u**2 - mean.u**2
     clear = spread > 1e-6 * u**2
     assert mean.z[clear] == pytest.approx(
-        (mean.difference / np.sqrt(np.where(clear, spread, 1.0)))[clear], rel=1e-8, abs=1e-8
+        (mean.differences / np.sqrt(np.where(clear, spread, 1.0)))[clear], rel=1e-8, abs=1e-8
     )
 
 

@@ -7,7 +7,7 @@ import pytest
 from results import coefficient, result
 
 from counterspin.histories.consistency import en_score, find_shared_inputs, fit_drift, weighted_mean
-from counterspin.histories.files import shared_sources
+from counterspin.histories.files import source_shifts
 
 V = np.array([[4.0, 1.5, 0.5], [1.5, 9.0, 2.0], [0.5, 2.0, 1.0]])
 X = np.array([1.0, 4.0, 2.0])
@@ -80,7 +80,7 @@ def test_default_priors_are_shared_by_results_of_instrument():
         budget_line("slow.platform.tilt.north", 1e-6, 1e-4, kind="unstated"),
         budget_line("slow.ripple1", 1e-6, 1e-4, kind="noise"),
     ]
-    first = shared_sources(*budget_of(result(budget={"K_II": lines})))
+    first = source_shifts(*budget_of(result(budget={"K_II": lines})))
     assert {source for source, _ in first} == {
         "K_OO",
         "centrifuge.stretch",
@@ -88,11 +88,15 @@ def test_default_priors_are_shared_by_results_of_instrument():
         "records.timing_offset",
     }
     # (6e-10)^2 + (2e-10)^2 + (3e-10)^2 + (1e-10)^2 over (1e-9)^2.
-    assert find_shared_inputs([1e-9, 1e-9], [first, first]).largest == pytest.approx(0.50)
+    assert find_shared_inputs([1e-9, 1e-9], [first, first]).largest_correlation == pytest.approx(
+        0.50
+    )
     # Defaults of different sizes may differ: the shared part is then smaller, never larger.
     lines[0] = budget_line("K_OO", 1e-6, -3e-4, kind="unstated")
-    sources = shared_sources(*budget_of(result(budget={"K_II": lines})))
-    assert find_shared_inputs([1e-9, 1e-9], [first, sources]).largest == pytest.approx(0.14)
+    sources = source_shifts(*budget_of(result(budget={"K_II": lines})))
+    assert find_shared_inputs([1e-9, 1e-9], [first, sources]).largest_correlation == pytest.approx(
+        0.14
+    )
 
 
 LINES = [
@@ -104,24 +108,24 @@ LINES = [
 
 def test_radius_and_priors_are_shared_but_not_run_inputs():
     given = result(budget={"K_II": LINES})
-    found = shared_sources(*budget_of(given))
+    found = source_shifts(*budget_of(given))
     assert {source for source, _ in found} == {"centrifuge.radius", "K_I"}
     assert found["K_I", "5e-06"] == pytest.approx(2e-10)
     common = find_shared_inputs([1e-9, 1e-9], [found, found])
     # (6e-10)^2 + (2e-10)^2 over (1e-9)^2.
-    assert common.largest == pytest.approx(0.40)
+    assert common.largest_correlation == pytest.approx(0.40)
     assert common.covariance[0, 0] == pytest.approx(1e-18)
     assert common.names == ("centrifuge.radius", "K_I")
     # A different radius is a separate measurement.
     inputs = given.inputs.model_copy(update={"radius": 2.51})
-    sources = shared_sources(*budget_of(given.model_copy(update={"inputs": inputs})))
+    sources = source_shifts(*budget_of(given.model_copy(update={"inputs": inputs})))
     assert find_shared_inputs([1e-9, 1e-9], [found, sources]).names == ("K_I",)
     assert find_shared_inputs([1e-9, 1e-9], [found, {}]) is None
 
 
 def test_budget_of_different_uncertainty_is_ignored():
     small = {"K_II": coefficient(2.7e-5, 1e-10, "g/g^2")}
-    assert shared_sources(*budget_of(result(coefficients=small, budget={"K_II": LINES}))) == {}
+    assert source_shifts(*budget_of(result(coefficients=small, budget={"K_II": LINES}))) == {}
 
 
 def test_terms_of_same_second_accelerometer_are_shared():
@@ -130,8 +134,10 @@ def test_terms_of_same_second_accelerometer_are_shared():
         budget_line("slow.K_F", 1e-6, 1e-4),
     ]
     given = result(budget={"K_II": lines}, serial_number="Q-1")
-    found = shared_sources(*budget_of(given))
+    found = source_shifts(*budget_of(given))
     assert found == {("Qx.K_OO", "2e-06 of Q-1"): pytest.approx(-6e-10)}
-    sources = shared_sources(*budget_of(result(budget={"K_II": lines}, serial_number="Q-2")))
-    assert find_shared_inputs([1e-9, 1e-9], [found, found]).largest == pytest.approx(0.36)
+    sources = source_shifts(*budget_of(result(budget={"K_II": lines}, serial_number="Q-2")))
+    assert find_shared_inputs([1e-9, 1e-9], [found, found]).largest_correlation == pytest.approx(
+        0.36
+    )
     assert find_shared_inputs([1e-9, 1e-9], [found, sources]) is None

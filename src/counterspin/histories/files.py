@@ -1,4 +1,4 @@
-"""Result files, their instruments and dates, and the tracked value of each."""
+"""Result files: search, dates, serial numbers and tracked values."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from counterspin.input import parse_json, read_file
 from counterspin.physics.effects import SpecificForceProduct
 from counterspin.physics.terms import TERMS, Term, is_term, term
 
-#: Common sources in a budget: an input of the campaign -> the key of its value in the result.
-_INPUTS: Final = {
+#: Input of the campaign in a budget -> key of its value in the result.
+_INPUT_FIELDS: Final = {
     "site.gravity": "gravity",
     "site.latitude": "latitude",
     "centrifuge.radius": "radius",
@@ -32,34 +32,34 @@ _INPUTS: Final = {
 #: Scopes of terms that vary between the runs, readings or fixtures of one machine.
 _RUN_SCOPES: Final = ("run", "reading", "mounting", "position")
 
-#: Largest sum of a budget's contributions over u^2: 1, except for rounding.
+#: Largest sum of squared contributions of a budget, relative to u^2: 1, except for rounding.
 _MAX_BUDGET_SUM: Final = 1.01
 
 #: Parameter of triads -> a term with the same unit and number of specific forces.
-TRIAD_QUANTITIES: Final = {"offset": "K_F", "sensitivity": "K_I", "angle": "delta_O"}
+TRIAD_PARAMETERS: Final = {"offset": "K_F", "sensitivity": "K_I", "angle": "delta_O"}
 
 
 @frozen
 class TrackedValue:
     """Value of the tracked quantity in a result."""
 
-    accelerometers: tuple[str, ...]  #: Names of its accelerometers; an angle has two.
-    coefficient: Coefficient | None  #: None if the result has none.
+    accelerometers: tuple[str, ...]  #: Names of the accelerometers; an angle has two.
+    coefficient: Coefficient | None  #: None if the result does not contain the quantity.
     budget: Sequence[BudgetLine]  #: Uncertainty budget of the coefficient.
-    conformity: Conformity | None  #: Conformity with its specification; None without one.
+    conformity: Conformity | None  #: Conformity; None without a specification.
 
 
-def term_of(quantity: str) -> Term[SpecificForceProduct]:
+def equivalent_term(quantity: str) -> Term[SpecificForceProduct]:
     """Return the term of a quantity; for a parameter of triads, a term with the same unit."""
-    return TERMS[TRIAD_QUANTITIES.get(quantity, quantity)]
+    return TERMS[TRIAD_PARAMETERS.get(quantity, quantity)]
 
 
 def tracked_values(result: Result, quantity: str) -> Iterator[TrackedValue]:
-    """Yield a term of each accelerometer of a result, or a parameter of its triad.
+    """Yield the values of a term for each accelerometer, or of a parameter of the triad.
 
     Angles are given minus 90 deg.
     """
-    if quantity not in TRIAD_QUANTITIES:
+    if quantity not in TRIAD_PARAMETERS:
         for name, accelerometer in result.accelerometers.items():
             coefficient = accelerometer.coefficients.get(quantity)
             lines, conformity = (
@@ -73,18 +73,21 @@ def tracked_values(result: Result, quantity: str) -> Iterator[TrackedValue]:
         for name in result.accelerometers:
             yield TrackedValue((name,), None, (), None)
         return
-    for parameter, c in triad.parameters.items():
+    for parameter, triad_coefficient in triad.parameters.items():
         parameter_type, *names = parameter.split(".")
         if parameter_type != quantity or not set(names) <= set(triad.accelerometers):
             continue
-        if parameter_type == "angle" and c.value is not None:
-            c = c.model_copy(update={"value": c.value - 0.5 * math.pi})  # noqa: PLW2901
+        coefficient = triad_coefficient
+        if parameter_type == "angle" and coefficient.value is not None:
+            coefficient = coefficient.model_copy(
+                update={"value": coefficient.value - 0.5 * math.pi}
+            )
         bias_conformity = result.accelerometers[names[0]].conformity.get("K_F")
         conformity = bias_conformity if parameter_type == "offset" else None
-        yield TrackedValue(tuple(names), c, triad.budget.get(parameter, ()), conformity)
+        yield TrackedValue(tuple(names), coefficient, triad.budget.get(parameter, ()), conformity)
 
 
-#: Keys of every result, whatever its schema; other JSON files in a folder are not results.
+#: Keys of every result of any schema; JSON files without them are not results.
 _RESULT_KEYS: Final = {"method", "accelerometers", "provenance"}
 
 _HIDDEN_REASON: Final = "this hidden file was left by an interrupted command; delete it"
@@ -112,10 +115,10 @@ class DatedResult:
     u: float
     dof: float | None
     gravity: float  #: m/s^2.
-    records: frozenset[str]  #: Checksums of its record files.
-    #: Shifts by shared sources, see `shared_sources`.
-    shared: dict[tuple[str, str], float] = field(default_factory=dict)
-    #: Specification: lower and upper limit, and its words; None without one.
+    record_checksums: frozenset[str]  #: Checksums of the record files.
+    #: Shifts by sources that other results may share, see `source_shifts`.
+    source_shifts: dict[tuple[str, str], float] = field(default_factory=dict)
+    #: Lower limit, upper limit and text of the specification; None without a specification.
     limits: tuple[float | None, float | None, str] | None = None
     #: Conditions that the campaign states.
     laboratory: str | None = None
@@ -125,76 +128,78 @@ class DatedResult:
 
 @dataclass
 class ResultSet:
-    """Results of the files; the fields are those of `counterspin.histories.result.History`."""
+    """Usable results, and files and results that are not used, each with the reason."""
 
     records: list[DatedResult] = field(default_factory=list)
-    left_out: list[UnusedResult] = field(default_factory=list)
-    damaged: list[UnusedResult] = field(default_factory=list)
-    passed_over: list[str] = field(default_factory=list)
-    unsealed: list[str] = field(default_factory=list)  #: Names of the results without a seal.
+    omitted_results: list[UnusedResult] = field(default_factory=list)
+    damaged_files: list[UnusedResult] = field(default_factory=list)
+    ignored_files: list[str] = field(default_factory=list)
+    unsealed_results: list[str] = field(default_factory=list)  #: Results without a seal.
 
 
 def collect_results(inputs: Sequence[Path | Result], term: str) -> ResultSet:
-    """Read the named results and those in the named folders, whatever their schema."""
+    """Read results of any schema from named files and folders."""
     paths = [path for path in inputs if isinstance(path, Path)]
-    missing = [str(path) for path in paths if not path.exists()]
-    if len(missing) == 1:
-        raise CampaignError(missing[0], ["file not found"], code="file-not-found")
-    if missing:
-        problems = [f"{name}: file not found" for name in missing]
+    missing_paths = [str(path) for path in paths if not path.exists()]
+    if len(missing_paths) == 1:
+        raise CampaignError(missing_paths[0], ["file not found"], code="file-not-found")
+    if missing_paths:
+        problems = [f"{name}: file not found" for name in missing_paths]
         raise CampaignError("history", problems, code="file-not-found")
-    collected, seen = ResultSet(), dict[str, str]()
+    result_set, path_by_checksum = ResultSet(), dict[str, str]()
     for file, is_named in _iter_files(paths):
         if not is_named and file.name.startswith("."):
-            collected.left_out.append(UnusedResult(file=str(file), reason=_HIDDEN_REASON))
+            result_set.omitted_results.append(UnusedResult(file=str(file), reason=_HIDDEN_REASON))
             continue
         try:
             content = read_file(file)
         except OSError as error:
-            collected.damaged.append(
+            result_set.damaged_files.append(
                 UnusedResult(file=str(file), reason=describe_read_error(error))
             )
             continue
-        if not is_named and (reason := _reason_not_a_result(content)):
+        if not is_named and (reason := _non_result_reason(content)):
             if reason == _SUMMARY_REASON:
-                collected.left_out.append(UnusedResult(file=str(file), reason=reason))
+                result_set.omitted_results.append(UnusedResult(file=str(file), reason=reason))
             else:
-                collected.passed_over.append(str(file))
+                result_set.ignored_files.append(str(file))
             continue
-        first = seen.setdefault(hashlib.sha256(content).hexdigest(), str(file))
-        if first != str(file):
-            collected.left_out.append(
-                UnusedResult(file=str(file), reason=f"this file is the same as {first}")
+        first_path = path_by_checksum.setdefault(hashlib.sha256(content).hexdigest(), str(file))
+        if first_path != str(file):
+            result_set.omitted_results.append(
+                UnusedResult(file=str(file), reason=f"this file is the same as {first_path}")
             )
         else:
-            _add_file(file, term, collected)
+            _add_file(file, term, result_set)
     for number, result in enumerate(inputs, 1):
         if isinstance(result, Result):
             name = f"result {number}" + (f" ({result.title})" if result.title else "")
-            _add_result(judge_result(result), name, term, collected)
-    return collected
+            _add_result(judge_result(result), name, term, result_set)
+    return result_set
 
 
 def _iter_files(paths: Sequence[Path]) -> Iterator[tuple[Path, bool]]:
     """Yield each file once, and whether it was named explicitly."""
-    seen = set()
+    visited_paths = set()
     for path in paths:
-        candidates = sorted(_json_files(path)) if path.is_dir() else [path]
-        for file in candidates:
-            if file.is_dir() or file.resolve() in seen:
+        files = sorted(_json_files(path)) if path.is_dir() else [path]
+        for file in files:
+            if file.is_dir() or file.resolve() in visited_paths:
                 continue
-            seen.add(file.resolve())
+            visited_paths.add(file.resolve())
             yield file, not path.is_dir()
 
 
 def _json_files(folder: Path) -> Iterator[Path]:
     """Yield the JSON files of a folder and its subfolders, except hidden ones."""
     for file in folder.rglob("*.json"):
-        if not any(part.startswith(".") for part in file.relative_to(folder).parts[:-1]):
+        if not any(
+            folder_name.startswith(".") for folder_name in file.relative_to(folder).parts[:-1]
+        ):
             yield file
 
 
-def _reason_not_a_result(content: bytes) -> str | None:
+def _non_result_reason(content: bytes) -> str | None:
     """Return the reason why a JSON document is not a result; None if it may be one."""
     try:
         document = parse_json(content)
@@ -207,55 +212,59 @@ def _reason_not_a_result(content: bytes) -> str | None:
     return None if set(document) >= _RESULT_KEYS else "other"
 
 
-def _add_file(file: Path, term: str, collected: ResultSet) -> None:
+def _add_file(file: Path, term: str, result_set: ResultSet) -> None:
     try:
         result = judge_result(Result.read(file))
     except RecordError as error:
         reason = str(error).removeprefix(f"{file}: ")
-        collected.damaged.append(UnusedResult(file=str(file), reason=reason))
+        result_set.damaged_files.append(UnusedResult(file=str(file), reason=reason))
         return
-    _add_result(result, str(file), term, collected)
+    _add_result(result, str(file), term, result_set)
 
 
-def _add_result(result: Result, file: str, term: str, collected: ResultSet) -> None:
+def _add_result(result: Result, file: str, term: str, result_set: ResultSet) -> None:
     date = _parse_date(result.details.get("date"))
     if not result.sealed:
-        collected.unsealed.append(file)
-    for value in tracked_values(result, term):
-        outcome = _dated_result(result, value, term, file, date)
-        if isinstance(outcome, str):
-            names = ", ".join(value.accelerometers)
-            collected.left_out.append(UnusedResult(file=file, accelerometer=names, reason=outcome))
+        result_set.unsealed_results.append(file)
+    for tracked_value in tracked_values(result, term):
+        record_or_reason = _make_dated_result(result, tracked_value, term, file, date)
+        if isinstance(record_or_reason, str):
+            names = ", ".join(tracked_value.accelerometers)
+            result_set.omitted_results.append(
+                UnusedResult(file=file, accelerometer=names, reason=record_or_reason)
+            )
         else:
-            collected.records.append(outcome)
+            result_set.records.append(record_or_reason)
 
 
-def _dated_result(
-    result: Result, tracked: TrackedValue, term: str, file: str, date: datetime | str
+def _make_dated_result(
+    result: Result, tracked_value: TrackedValue, term: str, file: str, date: datetime | str
 ) -> DatedResult | str:
     """Return the dated result, or the reason why it is unusable."""
-    names, coefficient = tracked.accelerometers, tracked.coefficient
-    campaign_serial = result.details.get("serial_number")
+    names, coefficient = tracked_value.accelerometers, tracked_value.coefficient
+    campaign_serial_number = result.details.get("serial_number")
     serial_numbers = [result.accelerometers[name].serial_number for name in names]
-    uses_campaign_serial = None in serial_numbers
+    uses_campaign_serial_number = None in serial_numbers
     if coefficient is None:
         return f"the result has no {term}"
     if not coefficient.estimated or coefficient.value is None or not coefficient.u:
         return f"the result does not determine {term}"
-    if (problem := _reason_unusable(result, names)) is not None:
-        return problem
-    if uses_campaign_serial and campaign_serial is None:
+    if (unusable_reason := _unusable_reason(result, names)) is not None:
+        return unusable_reason
+    if uses_campaign_serial_number and campaign_serial_number is None:
         return (
             "the result has no serial number; state the serial number in [accelerometers] or "
             "[campaign]"
         )
     if isinstance(date, str):
         return date
-    identifiers = [campaign_serial, *names] if uses_campaign_serial else serial_numbers
+    identifiers = (
+        [campaign_serial_number, *names] if uses_campaign_serial_number else serial_numbers
+    )
     return DatedResult(
         serial_number=" ".join(map(str, identifiers)),
-        stated_by="campaign" if uses_campaign_serial else "accelerometer",
-        campaign_serial_number=campaign_serial,
+        stated_by="campaign" if uses_campaign_serial_number else "accelerometer",
+        campaign_serial_number=campaign_serial_number,
         date=date,
         file=file,
         accelerometer=", ".join(names),
@@ -264,26 +273,28 @@ def _dated_result(
         u=coefficient.u,
         dof=coefficient.dof,
         gravity=result.inputs.gravity,
-        records=frozenset(
+        record_checksums=frozenset(
             checksum
             for input_file, checksum in result.provenance.inputs.items()
             if not input_file.endswith(".toml") and checksum.startswith("sha256:")
         ),
-        shared=shared_sources(result, coefficient.u, tracked.budget),
-        limits=_limits(tracked.conformity),
+        source_shifts=source_shifts(result, coefficient.u, tracked_value.budget),
+        limits=_specification_limits(tracked_value.conformity),
         laboratory=result.details.get("laboratory"),
         mounting=result.details.get("mounting"),
         turn_on=result.details.get("turn_on"),
     )
 
 
-def _limits(conformity: Conformity | None) -> tuple[float | None, float | None, str] | None:
+def _specification_limits(
+    conformity: Conformity | None,
+) -> tuple[float | None, float | None, str] | None:
     return (
         None if conformity is None else (conformity.low, conformity.high, conformity.specification)
     )
 
 
-def _reason_unusable(result: Result, names: Sequence[str]) -> str | None:
+def _unusable_reason(result: Result, names: Sequence[str]) -> str | None:
     """Return the reason why a result is unusable, or None."""
     if result.model == "as-printed":
         return (
@@ -298,7 +309,7 @@ def _reason_unusable(result: Result, names: Sequence[str]) -> str | None:
 
 
 def _parse_date(text: str | None) -> datetime | str:
-    """Return a campaign's date, or the reason why it is unusable."""
+    """Parse the date of a campaign; return the reason if it is unusable."""
     if text is None:
         return "the result has no date; state the date in [campaign]"
     try:
@@ -308,33 +319,32 @@ def _parse_date(text: str | None) -> datetime | str:
     return date.astimezone(UTC).replace(tzinfo=None) if date.tzinfo else date
 
 
-def shared_sources(
-    result: Result, u: float, lines: Sequence[BudgetLine]
+def source_shifts(
+    result: Result, u: float, budget: Sequence[BudgetLine]
 ) -> dict[tuple[str, str], float]:
-    """Return the shifts of the coefficient by sources that other results may share.
+    """Return (source, identity) -> shift of the coefficient by sources that results may share.
 
-    Two results share an input if both have the same value and uncertainty of it, and a term of the
-    accelerometer, the platform or the machine if both have the same uncertainty, stated or default:
-    it then counts as the same measurement, or as equally unmeasured. A term of another
-    accelerometer is shared only with the same serial number. Terms of a run or a mounting are not
-    shared.
+    Two results share an input if its value and uncertainty are equal in both. They share a term
+    of the accelerometer, the platform or the machine if its uncertainty, stated or default, is
+    equal in both. A term of another accelerometer is shared only with the same serial number.
+    Terms of a run or a mounting are not shared.
 
-    u, lines: Standard uncertainty of the coefficient, and its budget.
+    u, budget: Standard uncertainty of the coefficient, and its budget.
     """
     shifts: dict[tuple[str, str], float] = {}
-    if sum(line.contribution**2 for line in lines) > _MAX_BUDGET_SUM * u**2:
+    if sum(line.contribution**2 for line in budget) > _MAX_BUDGET_SUM * u**2:
         return shifts  # the budget does not belong to this u
-    for line in lines:
+    for line in budget:
         source = line.source
         if line.kind == "noise" or line.u is None or line.sensitivity is None:
             continue
-        owner, _, symbol = source.partition(".")
-        if source in _INPUTS:
-            identity = f"{getattr(result.inputs, _INPUTS[source])!r} ± {line.u!r}"
+        accelerometer_name, _, symbol = source.partition(".")
+        if source in _INPUT_FIELDS:
+            identity = f"{getattr(result.inputs, _INPUT_FIELDS[source])!r} ± {line.u!r}"
         elif is_term(source) and term(source).scope not in _RUN_SCOPES:
             identity = repr(line.u)
-        elif owner in result.accelerometers and is_term(symbol):
-            serial_number = result.accelerometers[owner].serial_number
+        elif accelerometer_name in result.accelerometers and is_term(symbol):
+            serial_number = result.accelerometers[accelerometer_name].serial_number
             identity = f"{line.u!r} of {serial_number or result.details.get('serial_number')}"
         else:
             continue

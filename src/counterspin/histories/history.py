@@ -1,4 +1,4 @@
-"""`counterspin history`: a coefficient of each instrument through all its results."""
+"""`counterspin history`: a coefficient in all results of each instrument."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from counterspin.histories.consistency import (
     Drift,
     Mean,
     en_score,
+    evaluate_repeatability,
     find_shared_inputs,
     fit_drift,
     individuals_chart,
     next_due_date,
-    repeatability,
     weighted_mean,
 )
 from counterspin.histories.files import (
-    TRIAD_QUANTITIES,
+    TRIAD_PARAMETERS,
     DatedResult,
     ResultSet,
     collect_results,
-    term_of,
+    equivalent_term,
 )
 from counterspin.histories.result import (
     Due,
@@ -62,75 +62,81 @@ def history(
     serial: str | None = None,
     reliability: float = 0.95,
 ) -> History:
-    """Collect the results of each instrument, oldest first.
+    """Collect and evaluate the results of each instrument, oldest first.
 
     Parameters
     ----------
     paths
-        Results, their files, and folders in which all are found.
+        Results, result files, and folders that are searched for result files.
     term
-        Symbol of the coefficient; or ``offset``, ``sensitivity`` or ``angle`` of triads.
+        Symbol of the coefficient; for triads ``offset``, ``sensitivity`` or ``angle``.
     serial
-        Serial number of the instrument, as its accelerometers or its campaigns state it; None
-        takes all.
+        Serial number of the instrument, stated for the accelerometer or the campaign; None: all
+        instruments.
     reliability
-        Probability with which it is to be in specification until it is due again.
+        Required probability that the instrument is in specification until the due date.
 
     Returns
     -------
     History
-        In g-units of the latest result's gravity.
+        Values in g-units of the gravity of the latest result.
 
     Raises
     ------
     CampaignError
-        If a path does not exist, the term is unknown, or no result is of this serial number.
+        If a path does not exist, the term is unknown, or no result has the serial number.
     CounterspinError
-        If no result can be used; the reasons are given.
+        If no result can be used; the message gives the reasons.
     """
     if not 0.5 < reliability < 1.0:
         raise UsageError("`reliability`", [f"{reliability} is not between 0.5 and 1"])
-    if term not in TERMS and term not in TRIAD_QUANTITIES:
+    if term not in TERMS and term not in TRIAD_PARAMETERS:
         raise CampaignError("`term`", [_unknown_term_message(term)], code="unknown-term")
     if isinstance(paths, str | os.PathLike | Result) or not isinstance(paths, Iterable):
         raise TypeError(
             f"give a list of results, their files or folders, not {describe_argument(paths)}"
         )
     inputs = [
-        p if isinstance(p, Result) else to_path(p, "results, their files or folders") for p in paths
+        path if isinstance(path, Result) else to_path(path, "results, their files or folders")
+        for path in paths
     ]
-    collected = collect_results(inputs, term)
-    _remove_duplicates(collected)
-    if not collected.records:
-        raise CounterspinError(_no_results_message(paths, collected), code="no-results")
-    gravity = max(collected.records, key=lambda record: (record.date, record.file)).gravity
-    by_serial: dict[str, list[DatedResult]] = {}
-    for record in sorted(collected.records, key=lambda record: (record.date, record.file)):
+    result_set = collect_results(inputs, term)
+    _remove_duplicate_results(result_set)
+    if not result_set.records:
+        raise CounterspinError(_no_results_message(paths, result_set), code="no-results")
+    gravity = max(result_set.records, key=lambda record: (record.date, record.file)).gravity
+    records_by_serial: dict[str, list[DatedResult]] = {}
+    for record in sorted(result_set.records, key=lambda record: (record.date, record.file)):
         if serial in (None, record.serial_number, record.campaign_serial_number):
-            by_serial.setdefault(record.serial_number, []).append(record)
-    if not by_serial:
-        known = {record.serial_number for record in collected.records}
+            records_by_serial.setdefault(record.serial_number, []).append(record)
+    if not records_by_serial:
+        serial_numbers = {record.serial_number for record in result_set.records}
         raise CampaignError(
             "`serial`",
             [
                 f"no result has the serial number "
-                f'"{serial}"{suggest_name(str(serial), sorted(known))}'
+                f'"{serial}"{suggest_name(str(serial), sorted(serial_numbers))}'
             ],
             code="no-results",
         )
     return History(
         term=term,
-        unit=term_of(term).unit,
+        unit=equivalent_term(term).unit,
         gravity=gravity,
-        converted=any(record.gravity != gravity for record in collected.records),
+        converted=any(record.gravity != gravity for record in result_set.records),
         instruments=[
-            _instrument_history([_convert_gravity(gravity, r, term) for r in records], reliability)
-            for _, records in sorted(by_serial.items())
+            _make_instrument_history(
+                [_convert_gravity(gravity, record, term) for record in records], reliability
+            )
+            for _, records in sorted(records_by_serial.items())
         ],
-        left_out=collected.left_out,
-        damaged=collected.damaged,
-        passed_over=collected.passed_over,
-        notes=[*unsealed_sentences(collected.unsealed), *_shared_record_notes(by_serial)],
+        left_out=result_set.omitted_results,
+        damaged=result_set.damaged_files,
+        passed_over=result_set.ignored_files,
+        notes=[
+            *unsealed_sentences(result_set.unsealed_results),
+            *_shared_record_notes(records_by_serial),
+        ],
     )
 
 
@@ -140,64 +146,72 @@ def history(
 def _unknown_term_message(term: str) -> str:
     if term in SHARED_TERMS:
         return f'"{term}" is a machine term; a history tracks an accelerometer term'
-    kind, _, owner = term.partition(".")
-    if owner and kind in TRIAD_QUANTITIES:
+    parameter_type, _, accelerometer_names = term.partition(".")
+    if accelerometer_names and parameter_type in TRIAD_PARAMETERS:
         return (
-            f'"{term}" is a parameter of a triad; "{kind}" tracks this parameter for all '
+            f'"{term}" is a parameter of a triad; "{parameter_type}" tracks this parameter for all '
             "accelerometers of the triad"
         )
-    return f'unknown term "{term}"{suggest_name(term, [*TERMS, *TRIAD_QUANTITIES])}'
+    return f'unknown term "{term}"{suggest_name(term, [*TERMS, *TRIAD_PARAMETERS])}'
 
 
-def _remove_duplicates(collected: ResultSet) -> None:
-    """Keep one result of the same records and accelerometer: a measurement counts once.
+def _remove_duplicate_results(result_set: ResultSet) -> None:
+    """Keep one of several results from the same records and accelerometer.
 
     A result of the joint method takes precedence, then the first one read.
     """
-    unique: dict[tuple[str, str, frozenset[str]], DatedResult] = {}
-    for record in sorted(collected.records, key=lambda record: record.method != "joint"):
+    record_by_key: dict[tuple[str, str, frozenset[str]], DatedResult] = {}
+    for record in sorted(result_set.records, key=lambda record: record.method != "joint"):
         # Without checksums, the input files of the result are unknown.
-        key = (record.serial_number, record.accelerometer, record.records or {record.file})
-        first = unique.setdefault((*key[:2], frozenset(key[2])), record)
-        if first is not record:
-            collected.records.remove(record)
-            collected.left_out.append(
+        key = (record.serial_number, record.accelerometer, record.record_checksums or {record.file})
+        first_record = record_by_key.setdefault((*key[:2], frozenset(key[2])), record)
+        if first_record is not record:
+            result_set.records.remove(record)
+            result_set.omitted_results.append(
                 UnusedResult(
                     file=record.file,
                     accelerometer=record.accelerometer,
-                    reason=f"the result uses the same records as {first.file}",
+                    reason=f"the result uses the same records as {first_record.file}",
                 )
             )
 
 
-def _no_results_message(paths: Sequence[Path | str | Result], collected: ResultSet) -> str:
-    places = ", ".join("memory" if isinstance(p, Result) else str(p) for p in paths)
-    unused = [*collected.damaged, *collected.left_out]
-    if not unused:
-        return f"{places} contains no results. Write a result with `write_result`" + (
-            f" ({len(collected.passed_over)} other JSON files)" if collected.passed_over else ""
+def _no_results_message(paths: Sequence[Path | str | Result], result_set: ResultSet) -> str:
+    inputs_text = ", ".join("memory" if isinstance(path, Result) else str(path) for path in paths)
+    unused_results = [*result_set.damaged_files, *result_set.omitted_results]
+    if not unused_results:
+        return f"{inputs_text} contains no results. Write a result with `write_result`" + (
+            f" ({len(result_set.ignored_files)} other JSON files)"
+            if result_set.ignored_files
+            else ""
         )
     names_by_reason: dict[str, list[str]] = {}
-    for item in unused[:5]:
-        name = f"{item.accelerometer} of {item.file}" if item.accelerometer else item.file
-        names_by_reason.setdefault(item.reason, []).append(name)
+    for unused_result in unused_results[:5]:
+        name = (
+            f"{unused_result.accelerometer} of {unused_result.file}"
+            if unused_result.accelerometer
+            else unused_result.file
+        )
+        names_by_reason.setdefault(unused_result.reason, []).append(name)
     reasons = "; ".join(
         f"{', '.join(names)}: {reason}" for reason, names in names_by_reason.items()
     )
-    more = f"; and {len(unused) - 5} more" if len(unused) > 5 else ""
-    return f"no usable results: {reasons}{more}"
+    remainder = f"; and {len(unused_results) - 5} more" if len(unused_results) > 5 else ""
+    return f"no usable results: {reasons}{remainder}"
 
 
-def _shared_record_notes(by_serial: dict[str, list[DatedResult]]) -> list[str]:
+def _shared_record_notes(records_by_serial: dict[str, list[DatedResult]]) -> list[str]:
     """Return a note for each pair of results that share records and are not independent."""
     notes = []
-    for serial, records in by_serial.items():
-        for i, later in enumerate(records):
-            for earlier in records[:i]:
-                if common := len(earlier.records & later.records):
+    for serial, records in records_by_serial.items():
+        for i, later_record in enumerate(records):
+            for earlier_record in records[:i]:
+                checksums = later_record.record_checksums
+                if n_shared := len(checksums & earlier_record.record_checksums):
                     notes.append(
-                        f"{serial}: {later.file} shares {common} of {len(later.records)} "
-                        f"records with {earlier.file}, so the two results are not independent."
+                        f"{serial}: {later_record.file} shares {n_shared} of {len(checksums)} "
+                        f"records with {earlier_record.file}, so the two results are not "
+                        "independent."
                     )
     return notes
 
@@ -206,33 +220,35 @@ def _shared_record_notes(by_serial: dict[str, list[DatedResult]]) -> list[str]:
 
 
 def _convert_gravity(gravity: float, record: DatedResult, term: str) -> DatedResult:
-    """Return the record in g-units of another gravity.
+    """Convert a result to g-units of another gravity.
 
-    A coefficient of n factors is in g/g^n, and so proportional to g^(1 - n).
+    A coefficient with n factors has the unit g/g^n and is proportional to g^(1 - n).
     """
-    factor = (record.gravity / gravity) ** (1 - len(term_of(term).effect.factors))
+    factor = (record.gravity / gravity) ** (1 - len(equivalent_term(term).effect.factors))
     limits = record.limits
     if limits is not None:
-        low, high = (None if end is None else end * factor for end in limits[:2])
+        low, high = (None if limit is None else limit * factor for limit in limits[:2])
         limits = (low, high, limits[2])
     return replace(
         record,
         value=record.value * factor,
         u=record.u * factor,
         gravity=gravity,
-        shared={key: moved * factor for key, moved in record.shared.items()},
+        source_shifts={key: shift * factor for key, shift in record.source_shifts.items()},
         limits=limits,
     )
 
 
-def _instrument_history(records: Sequence[DatedResult], reliability: float) -> InstrumentHistory:
+def _make_instrument_history(
+    records: Sequence[DatedResult], reliability: float
+) -> InstrumentHistory:
     values, u = [record.value for record in records], [record.u for record in records]
-    common = find_shared_inputs(u, [record.shared for record in records])
-    covariance = None if common is None else common.covariance
+    shared_inputs = find_shared_inputs(u, [record.source_shifts for record in records])
+    covariance = None if shared_inputs is None else shared_inputs.covariance
     mean = weighted_mean(values, u, covariance)
     start = records[0].date
-    line = fit_drift([(record.date - start) / YEAR for record in records], values, u, covariance)
-    verdict = _verdict(mean, line)
+    drift = fit_drift([(record.date - start) / YEAR for record in records], values, u, covariance)
+    verdict = _judge_agreement(mean, drift)
     return InstrumentHistory(
         serial_number=records[0].serial_number,
         # The accelerometer's serial number takes precedence over the campaign's.
@@ -241,14 +257,14 @@ def _instrument_history(records: Sequence[DatedResult], reliability: float) -> I
         mean=mean.value,
         u_mean=mean.u,
         scatter=mean.scatter,
-        drift=None if line is None else _make_trend(line, start),
+        drift=None if drift is None else _make_trend(drift, start),
         verdict=verdict,
-        shared=[] if common is None else list(common.names),
-        correlation=None if common is None else common.largest,
+        shared=[] if shared_inputs is None else list(shared_inputs.names),
+        correlation=None if shared_inputs is None else shared_inputs.largest_correlation,
         control=individuals_chart(values, [record.file for record in records]),
         specification=_latest_specification(records),
-        due=_due_date(records, line, verdict, reliability),
-        repeatability=repeatability(records, covariance, drifts=verdict == "drifts"),
+        due=_make_due(records, drift, verdict, reliability),
+        repeatability=evaluate_repeatability(records, covariance, has_drift=verdict == "drifts"),
         laboratories=_compare_laboratories(records, covariance),
     )
 
@@ -262,21 +278,21 @@ def _latest_specification(records: Sequence[DatedResult]) -> SpecificationLimits
     return None
 
 
-def _due_date(
-    records: Sequence[DatedResult], line: Drift | None, verdict: Verdict, reliability: float
+def _make_due(
+    records: Sequence[DatedResult], drift: Drift | None, verdict: Verdict, reliability: float
 ) -> Due:
-    limits = _latest_specification(records)
-    if limits is None:
+    specification_limits = _latest_specification(records)
+    if specification_limits is None:
         reason = "none of the results states a specification"
-    elif line is None:
+    elif drift is None:
         reason = "a straight line requires results of at least two dates"
     elif verdict in {"differ", "disagree"}:
         reason = (
             "the results are not consistent with a straight line, so they cannot be extrapolated"
         )
     else:
-        ends = (limits.low, limits.high)
-        date = next_due_date(line, records[0].date, records[-1].date, ends, reliability)
+        specification = (specification_limits.low, specification_limits.high)
+        date = next_due_date(drift, records[0].date, records[-1].date, specification, reliability)
         if date is not None:
             return Due(date=date.date().isoformat(), reliability=reliability)
         reason = (
@@ -293,7 +309,7 @@ def _compare_laboratories(
     u = np.array([record.u for record in records])
     full_covariance = np.diag(u**2) if covariance is None else covariance
     values = np.array([record.value for record in records])
-    weights_by_name: dict[str, tuple[Array, float | None]] = {}
+    weights_by_laboratory: dict[str, tuple[Array, float | None]] = {}
     for name in dict.fromkeys(record.laboratory for record in records):
         if name is None:
             continue
@@ -302,23 +318,25 @@ def _compare_laboratories(
         weights[indices] = np.linalg.solve(
             full_covariance[np.ix_(indices, indices)], np.ones(len(indices))
         )
-        dofs = [dof for i in indices if (dof := records[i].dof) is not None]
-        weights_by_name[name] = weights / weights.sum(), min(dofs, default=None)
+        dofs = [first_dof for i in indices if (first_dof := records[i].dof) is not None]
+        weights_by_laboratory[name] = weights / weights.sum(), min(dofs, default=None)
     pairs = []
-    for (first, (first_weights, dof)), (second, (second_weights, other_dof)) in combinations(
-        weights_by_name.items(), 2
+    for (first, (first_weights, first_dof)), (second, (second_weights, second_dof)) in combinations(
+        weights_by_laboratory.items(), 2
     ):
-        means = [
-            (float(w @ values), float(np.sqrt(w @ full_covariance @ w)), d)
-            for w, d in ((first_weights, dof), (second_weights, other_dof))
+        estimates = [
+            (float(weights @ values), float(np.sqrt(weights @ full_covariance @ weights)), dof)
+            for weights, dof in ((first_weights, first_dof), (second_weights, second_dof))
         ]
         pairs.append(
             LaboratoryPair(
                 first=first,
                 second=second,
-                difference=means[1][0] - means[0][0],
+                difference=estimates[1][0] - estimates[0][0],
                 e_n=en_score(
-                    means[0], means[1], float(first_weights @ full_covariance @ second_weights)
+                    estimates[0],
+                    estimates[1],
+                    float(first_weights @ full_covariance @ second_weights),
                 ),
             )
         )
@@ -329,8 +347,8 @@ def _make_point(
     index: int, records: Sequence[DatedResult], mean: Mean, covariance: Array | None
 ) -> Point:
     record = records[index]
-    alone, z = len(records) == 1, float(mean.z[index])
-    before = records[index - 1] if index else None
+    is_single, z = len(records) == 1, float(mean.z[index])
+    previous_record = records[index - 1] if index else None
     return Point(
         date=_format_date(record.date),
         file=record.file,
@@ -339,12 +357,12 @@ def _make_point(
         value=record.value,
         u=record.u,
         dof=record.dof,
-        difference=None if alone else float(mean.difference[index]),
+        difference=None if is_single else float(mean.differences[index]),
         z=z if math.isfinite(z) else None,
         e_n=None
-        if before is None
+        if previous_record is None
         else en_score(
-            (before.value, before.u, before.dof),
+            (previous_record.value, previous_record.u, previous_record.dof),
             (record.value, record.u, record.dof),
             0.0 if covariance is None else float(covariance[index - 1, index]),
         ),
@@ -359,24 +377,24 @@ def _format_date(date: datetime) -> str:
     return (date.date() if date.time() == datetime.min.time() else date).isoformat()
 
 
-def _make_trend(line: Drift, start: datetime) -> Trend:
+def _make_trend(drift: Drift, start: datetime) -> Trend:
     return Trend(
-        value=line.slope,
-        u=line.u,
-        p=line.p,
-        date=(start + line.time * YEAR).date().isoformat(),
-        level=line.value,
-        u_level=line.u_value,
-        scatter=line.scatter,
+        value=drift.slope,
+        u=drift.u,
+        p=drift.p,
+        date=(start + drift.time * YEAR).date().isoformat(),
+        level=drift.value,
+        u_level=drift.u_value,
+        scatter=drift.scatter,
     )
 
 
-def _verdict(mean: Mean, line: Drift | None) -> Verdict:
+def _judge_agreement(mean: Mean, drift: Drift | None) -> Verdict:
     if mean.scatter.p is None:
         return "single"
-    agree = mean.scatter.p >= SIGNIFICANCE
-    if line is None or line.p >= SIGNIFICANCE:
-        return "constant" if agree else "disagree"
-    if line.scatter.p is None:
+    is_constant = mean.scatter.p >= SIGNIFICANCE
+    if drift is None or drift.p >= SIGNIFICANCE:
+        return "constant" if is_constant else "disagree"
+    if drift.scatter.p is None:
         return "differ"
-    return "drifts" if line.scatter.p >= SIGNIFICANCE else "disagree"
+    return "drifts" if drift.scatter.p >= SIGNIFICANCE else "disagree"

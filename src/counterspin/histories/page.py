@@ -1,4 +1,4 @@
-"""Printed report of a history: a sentence, a table and a control chart for each instrument."""
+"""Report of a history: verdict, table and control chart of each instrument."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from counterspin.reports.numbers import (
 #: Description in the file of a control chart.
 FILE_DESCRIPTION: Final = "a control chart"
 
-_YEAR: Final = 365.25  #: days
+_DAYS_PER_YEAR: Final = 365.25  #: days
 
 #: |z| above which a result requires action (ISO 13528:2015, 9.4.2).
 _ACTION_Z: Final = 3.0
@@ -36,12 +36,14 @@ _ACTION_Z: Final = 3.0
 
 def history_blocks(history: History) -> Iterator[Block]:
     """Yield each instrument's verdict, table and control chart, then the unused files."""
-    yield Heading(f"History of {_title(history)}", 1)
+    yield Heading(f"History of {_quantity_name(history)}", 1)
     for instrument in history.instruments:
         yield Heading(f"Serial number {_instrument_name(instrument)}")
-        good = instrument.verdict in {"single", "constant"}
-        yield Paragraph(verdict_sentences(history, instrument), "answer" if good else "warning")
-        yield _table(history, instrument)
+        is_consistent = instrument.verdict in {"single", "constant"}
+        yield Paragraph(
+            verdict_sentences(history, instrument), "answer" if is_consistent else "warning"
+        )
+        yield _result_table(history, instrument)
         for line in conclusion_sentences(history, instrument):
             yield Paragraph(line)
         if instrument.repeatability is not None:
@@ -67,43 +69,47 @@ def history_blocks(history: History) -> Iterator[Block]:
 
 def verdict_sentences(history: History, instrument: InstrumentHistory) -> str:
     """Return the verdict on the agreement of an instrument's results, in one or two sentences."""
-    name, unit, factor = _title(history), *field_unit(history.unit)
+    name, unit, factor = _quantity_name(history), *field_unit(history.unit)
     points, mean = instrument.points, instrument.mean * factor
-    average = format_estimate(mean, instrument.u_mean * factor, unit)
+    mean_text = format_estimate(mean, instrument.u_mean * factor, unit)
     if instrument.verdict == "single":
-        return f"{name} = {average}. There is only one result; a comparison requires at least two."
-    line = instrument.drift
-    slope = None
-    if line is not None:
-        slope = format_estimate(line.value * factor, line.u * factor, unit) + " a year"
-    scatter = _scatter_sentence(instrument.scatter)
-    if instrument.verdict == "constant":
-        drift = f" No significant drift: {slope}." if slope else ""
         return (
-            f"{name} is constant: {len(points)} results are consistent with {average} "
-            f"({scatter}).{drift}"
+            f"{name} = {mean_text}. There is only one result; a comparison requires at least two."
         )
-    if instrument.verdict == "drifts" and line is not None:
+    trend = instrument.drift
+    drift_text = None
+    if trend is not None:
+        drift_text = format_estimate(trend.value * factor, trend.u * factor, unit) + " a year"
+    scatter_text = _scatter_sentence(instrument.scatter)
+    if instrument.verdict == "constant":
+        drift_sentence = f" No significant drift: {drift_text}." if drift_text else ""
         return (
-            f"{name} drifts by {slope}: {len(points)} results are consistent with a straight "
-            f"line ({_scatter_sentence(line.scatter)}) but not with a constant ({scatter})."
+            f"{name} is constant: {len(points)} results are consistent with {mean_text} "
+            f"({scatter_text}).{drift_sentence}"
+        )
+    if instrument.verdict == "drifts" and trend is not None:
+        return (
+            f"{name} drifts by {drift_text}: {len(points)} results are consistent with a straight "
+            f"line ({_scatter_sentence(trend.scatter)}) but not with a constant ({scatter_text})."
         )
     if instrument.verdict == "differ":
-        first, last = points
-        change = format_estimate(
-            (last.value - first.value) * factor, (last.u**2 + first.u**2) ** 0.5 * factor, unit
+        first_point, last_point = points
+        change_text = format_estimate(
+            (last_point.value - first_point.value) * factor,
+            (last_point.u**2 + first_point.u**2) ** 0.5 * factor,
+            unit,
         )
         return (
-            f"{name} changed by {change} between {first.date} and {last.date} ({scatter}). "
-            "With two results, a drift cannot be distinguished from a jump or from an "
+            f"{name} changed by {change_text} between {first_point.date} and {last_point.date} "
+            f"({scatter_text}). With two results, a drift cannot be distinguished from a jump or from an "
             "understated uncertainty."
         )
-    farthest = max(points, key=lambda point: abs(point.z or 0.0))
+    worst_point = max(points, key=lambda point: abs(point.z or 0.0))
     return (
-        f"The results for {name} scatter more than the uncertainties explain ({scatter}), and "
+        f"The results for {name} scatter more than the uncertainties explain ({scatter_text}), and "
         "a steady drift does not explain the scatter. Either the value jumped, or the "
-        f"uncertainties are understated. The result in {farthest.file} deviates most (z = "
-        f"{format_number(farthest.z or 0.0, 2)})."
+        f"uncertainties are understated. The result in {worst_point.file} deviates most (z = "
+        f"{format_number(worst_point.z or 0.0, 2)})."
     )
 
 
@@ -111,20 +117,20 @@ def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Ite
     """Yield sentences on control limits, shared inputs, due date, and pairs of laboratories."""
     unit, factor = field_unit(history.unit)
 
-    def shown(low: float, high: float) -> str:
-        return f"{low * factor:.6g} to {high * factor:.6g} {unit}"
+    def format_range(lower: float, upper: float) -> str:
+        return f"{lower * factor:.6g} to {upper * factor:.6g} {unit}"
 
     if (chart := instrument.control) is not None:
-        out = [
+        alarms = [
             *(f"{file} is outside the action limits" for file in chart.beyond),
             *(f"{file} has jumped since the previous result" for file in chart.leaps),
         ]
         yield (
             f"Individuals chart: centre {chart.centre * factor:.6g} {unit}, action limits "
-            f"{shown(chart.action_low, chart.action_high)}, warning limits "
-            f"{shown(chart.warning_low, chart.warning_high)}. The limits are calculated from "
-            "the mean moving range. "
-            + (f"The process is out of control: {'; '.join(out)}." if out else "In control.")
+            f"{format_range(chart.action_low, chart.action_high)}, warning limits "
+            f"{format_range(chart.warning_low, chart.warning_high)}. The limits are calculated "
+            "from the mean moving range. "
+            + (f"The process is out of control: {'; '.join(alarms)}." if alarms else "In control.")
         )
     if instrument.correlation is not None:
         yield (
@@ -133,26 +139,26 @@ def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Ite
             "The evaluation includes these correlations."
         )
     if (due := instrument.due) is not None:
-        reliability = format_probability(due.reliability)
+        probability_text = format_probability(due.reliability)
         if due.date is not None:
             yield (
                 f"The next calibration is due on {due.date}. Until this date, the straight "
-                f"line through the results stays within the specification with {reliability} "
+                f"line through the results stays within the specification with {probability_text} "
                 "(control chart method of ILAC-G24:2022)."
             )
         elif instrument.specification is not None:
-            yield f"No due date can be stated with {reliability}: {due.reason}."
+            yield f"No due date can be stated with {probability_text}: {due.reason}."
     for pair in instrument.laboratories:
-        agree = "agree" if pair.agrees else "differ significantly"
-        difference = format_number(pair.difference * factor, 2)
+        agreement = "agree" if pair.agrees else "differ significantly"
+        difference_text = format_number(pair.difference * factor, 2)
         yield (
-            f"{pair.second} minus {pair.first} = {difference} {unit}, E_n = {pair.e_n:.2f}; "
-            f"the results {agree}."
+            f"{pair.second} minus {pair.first} = {difference_text} {unit}, E_n = {pair.e_n:.2f}; "
+            f"the results {agreement}."
         )
 
 
 #: Component -> the repeated condition, singular and plural.
-_CONDITIONS: Final = {
+_CONDITION_NAMES: Final = {
     "day": ("day", "days"),
     "mounting": ("mounting", "mountings"),
     "turn_on": ("turn-on", "turn-ons"),
@@ -162,23 +168,29 @@ _CONDITIONS: Final = {
 _MIN_RELIABLE_DOF: Final = 5
 
 
-def _repeatability_blocks(history: History, repeats: Repeatability) -> Iterator[Block]:
+def _repeatability_blocks(history: History, repeatability: Repeatability) -> Iterator[Block]:
     """Yield the table of the variation of results in excess of their u."""
     unit, factor = field_unit(history.unit)
 
-    def shown(value: float) -> str:
+    def format_number_in_unit(value: float) -> str:
         return format_number(value * factor, 2)
 
-    def row(name: str, component: RepeatComponent) -> tuple[str, ...]:
-        what = " or ".join(_CONDITIONS[alias][0] for alias in (name, *component.same_as))
-        upper = "any" if component.high is None else shown(component.high)
-        interval = f"{shown(component.low) if component.low else 0} to {upper}"
-        counted = f"{component.groups} {_CONDITIONS[name][1]}"
-        return f"another {what}", shown(component.value), interval, counted, str(component.freedom)
+    def component_row(name: str, component: RepeatComponent) -> tuple[str, ...]:
+        condition = " or ".join(_CONDITION_NAMES[alias][0] for alias in (name, *component.same_as))
+        upper_text = "any" if component.high is None else format_number_in_unit(component.high)
+        interval = f"{format_number_in_unit(component.low) if component.low else 0} to {upper_text}"
+        group_count = f"{component.groups} {_CONDITION_NAMES[name][1]}"
+        return (
+            f"another {condition}",
+            format_number_in_unit(component.value),
+            interval,
+            group_count,
+            str(component.freedom),
+        )
 
-    rows = [row(name, component) for name, component in repeats.components.items()]
+    rows = [component_row(name, component) for name, component in repeatability.components.items()]
     if len(rows) > 1:
-        rows.append(("all results", shown(repeats.total), "", "", ""))
+        rows.append(("all results", format_number_in_unit(repeatability.total), "", "", ""))
     yield Table(
         columns=(
             Column("Changed condition"),
@@ -189,35 +201,39 @@ def _repeatability_blocks(history: History, repeats: Repeatability) -> Iterator[
         ),
         rows=tuple(rows),
     )
-    about = "a line" if repeats.about == "line" else "the mean"
-    few = [
-        _CONDITIONS[n][1]
-        for n, component in repeats.components.items()
+    reference = "a line" if repeatability.about == "line" else "the mean"
+    unreliable_conditions = [
+        _CONDITION_NAMES[name][1]
+        for name, component in repeatability.components.items()
         if component.freedom < _MIN_RELIABLE_DOF
     ]
-    why = [
-        f"{_CONDITIONS[name][0]}: {words}"
-        for name, words in repeats.not_told.items()
+    undetermined_reasons = [
+        f"{_CONDITION_NAMES[name][0]}: {reason}"
+        for name, reason in repeatability.not_told.items()
         if name != "day"
     ]
     yield Paragraph(
-        f"These standard deviations about {about} are in addition to the uncertainties of the "
+        f"These standard deviations about {reference} are in addition to the uncertainties of the "
         "results (restricted likelihood)."
         + (
             (
-                f" With few {' and '.join(few)}, the estimates are unreliable. Use the "
-                "intervals instead."
+                f" With few {' and '.join(unreliable_conditions)}, the estimates are unreliable. "
+                "Use the intervals instead."
             )
-            if few
+            if unreliable_conditions
             else ""
         )
-        + (f" These components cannot be separated: {'; '.join(why)}." if why else ""),
+        + (
+            f" These components cannot be separated: {'; '.join(undetermined_reasons)}."
+            if undetermined_reasons
+            else ""
+        ),
         "quiet",
     )
 
 
 def _limit_series(
-    instrument: InstrumentHistory, ends: tuple[float, float], factor: float
+    instrument: InstrumentHistory, date_range: tuple[float, float], factor: float
 ) -> Iterator[PlotSeries]:
     """Yield control and specification limits; each type has one legend entry."""
     lines: list[tuple[str, tuple[float | None, ...], int]] = []
@@ -229,12 +245,14 @@ def _limit_series(
         ]
     if (limits := instrument.specification) is not None:
         lines.append(("specification", (limits.low, limits.high), 6))
-    for words, levels, colour in lines:
-        label = words
+    for legend, levels, colour in lines:
+        label = legend
         for level in levels:
             if level is not None:
                 y = (level * factor,) * 2
-                yield PlotSeries(label, ends, y, colour=colour, stands_out=words == "specification")
+                yield PlotSeries(
+                    label, date_range, y, colour=colour, stands_out=legend == "specification"
+                )
                 label = ""
 
 
@@ -243,38 +261,43 @@ def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
     unit, factor = field_unit(history.unit)
     x = tuple(_days_since_epoch(point.date) for point in instrument.points)
     y = tuple(point.value * factor for point in instrument.points)
-    half = tuple(expanded_uncertainty(point.u, point.dof) * factor for point in instrument.points)
-    ends = (min(x), max(x))
+    half_widths = tuple(
+        expanded_uncertainty(point.u, point.dof) * factor for point in instrument.points
+    )
+    date_range = (min(x), max(x))
     mean, u = instrument.mean * factor, expanded_uncertainty(instrument.u_mean, None) * factor
     series = [
         PlotSeries(
             "weighted mean; band: 95 %",
-            ends,
+            date_range,
             (mean, mean),
             low=(mean - u, mean - u),
             high=(mean + u, mean + u),
         )
     ]
-    series += _limit_series(instrument, ends, factor)
+    series += _limit_series(instrument, date_range, factor)
     if len(x) > 1 and instrument.control is None:
         # The standard uncertainty of a result minus the mean, which includes the result.
-        away = [
+        z_limits = [
             _ACTION_Z * math.sqrt(max(point.u**2 - instrument.u_mean**2, 0.0)) * factor
             for point in instrument.points
         ]
-        words = f"control limits, z = ± {_ACTION_Z:g}"
-        for label, sign in ((words, 1.0), ("", -1.0)):
-            limit = tuple(mean + sign * distance for distance in away)
-            series.append(PlotSeries(label, x, limit, colour=1))
-    if (line := instrument.drift) is not None and len(x) > 2:
+        legend = f"control limits, z = ± {_ACTION_Z:g}"
+        for label, sign in ((legend, 1.0), ("", -1.0)):
+            limit_values = tuple(mean + sign * z_limit for z_limit in z_limits)
+            series.append(PlotSeries(label, x, limit_values, colour=1))
+    if (trend := instrument.drift) is not None and len(x) > 2:
         series.append(
             PlotSeries(
                 "drift",
-                ends,
+                date_range,
                 tuple(
                     factor
-                    * (line.level + line.value * (end - _days_since_epoch(line.date)) / _YEAR)
-                    for end in ends
+                    * (
+                        trend.level
+                        + trend.value * (date - _days_since_epoch(trend.date)) / _DAYS_PER_YEAR
+                    )
+                    for date in date_range
                 ),
                 stands_out=instrument.verdict == "drifts",
                 colour=3,
@@ -285,16 +308,18 @@ def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
             "results; error bars: 95 %",
             x,
             y,
-            low=tuple(a - b for a, b in zip(y, half, strict=True)),
-            high=tuple(a + b for a, b in zip(y, half, strict=True)),
+            low=tuple(value - half_width for value, half_width in zip(y, half_widths, strict=True)),
+            high=tuple(
+                value + half_width for value, half_width in zip(y, half_widths, strict=True)
+            ),
             kind="points",
             colour=2,
         )
     )
     return Plot(
-        title=f"{_title(history)} of {_instrument_name(instrument)}",
+        title=f"{_quantity_name(history)} of {_instrument_name(instrument)}",
         x_label="date",
-        y_label=f"{_title(history)}, {unit}",
+        y_label=f"{_quantity_name(history)}, {unit}",
         series=tuple(series),
         dates=True,
     )
@@ -305,7 +330,7 @@ def history_plots(history: History) -> list[Plot]:
     return [control_plot(history, instrument) for instrument in history.instruments]
 
 
-def _title(history: History) -> str:
+def _quantity_name(history: History) -> str:
     return "angle minus 90 deg" if history.term == "angle" else history.term
 
 
@@ -322,36 +347,36 @@ def _scatter_sentence(scatter: Scatter) -> str:
     return f"chi-square p = {p}, Birge ratio {birge}"
 
 
-def _table(history: History, instrument: InstrumentHistory) -> Table:
+def _result_table(history: History, instrument: InstrumentHistory) -> Table:
     unit, factor = field_unit(history.unit)
     return Table(
         columns=(
             Column("Date"),
             Column("File", wraps=True),
             Column("Method", wraps=True),
-            Column(f"{_title(history)}, {unit}", "right"),
+            Column(f"{_quantity_name(history)}, {unit}", "right"),
             Column("Deviation", "right"),
             Column("z", "right"),
             Column("E_n", "right"),
         ),
-        rows=tuple(_row(point, factor) for point in instrument.points),
+        rows=tuple(_result_row(point, factor) for point in instrument.points),
     )
 
 
-def _row(point: Point, factor: float) -> tuple[str, ...]:
+def _result_row(point: Point, factor: float) -> tuple[str, ...]:
     value, u = point.value * factor, point.u * factor
     rounded = round_to_uncertainty(value, u)
-    less = "-"
+    difference_text = "-"
     if point.difference is not None:
-        less = format_number(point.difference * factor, 2)
+        difference_text = format_number(point.difference * factor, 2)
         if rounded is not None and not rounded.exponent:
-            less = rounded.write(point.difference * factor)
+            difference_text = rounded.write(point.difference * factor)
     return (
         point.date,
         point.file,
         point.method,
         format_estimate(value, u),
-        less,
+        difference_text,
         "-" if point.z is None else f"{point.z:.2f}",
         "-" if point.e_n is None else f"{point.e_n:.2f}",
     )
@@ -360,20 +385,25 @@ def _row(point: Point, factor: float) -> tuple[str, ...]:
 def _unused_blocks(history: History) -> Iterator[Block]:
     for note in history.notes:
         yield Paragraph(f"Warning: {note}", "warning")
-    for unused in history.damaged:
-        yield Paragraph(f"{unused.file} was not used: {unused.reason}.", "warning")
+    for unused_result in history.damaged:
+        yield Paragraph(f"{unused_result.file} was not used: {unused_result.reason}.", "warning")
     if history.left_out:
         yield Paragraph(f"Omitted ({len(history.left_out)}):")
-    for unused in history.left_out:
-        whose = f", {unused.accelerometer}" if unused.accelerometer else ""
-        yield Paragraph(f"{unused.file}{whose}: {unused.reason.removesuffix('.')}.", "quiet")
-    if count := len(history.passed_over):
-        files = (
+    for unused_result in history.left_out:
+        accelerometer_text = (
+            f", {unused_result.accelerometer}" if unused_result.accelerometer else ""
+        )
+        yield Paragraph(
+            f"{unused_result.file}{accelerometer_text}: {unused_result.reason.removesuffix('.')}.",
+            "quiet",
+        )
+    if n_ignored := len(history.passed_over):
+        subject = (
             "JSON file is not a result and is"
-            if count == 1
+            if n_ignored == 1
             else "JSON files are not results and are"
         )
-        yield Paragraph(f"{count} {files} ignored.", "quiet")
+        yield Paragraph(f"{n_ignored} {subject} ignored.", "quiet")
 
 
 def _days_since_epoch(date: str) -> float:
