@@ -62,7 +62,7 @@ def load_results(file):
 
 #: Page, words of it with {} for the numbers, and these numbers by the code.
 NUMBERS = [
-    ("README", "report agreement to within {} or", [rerun.LIMIT]),
+    ("README", "report agreement to within {} or", [rerun.RELATIVE_TOLERANCE]),
     (
         "README",
         "{} m after 100 s at one revolution a second, {} m after 400 s at a quarter of that rate",

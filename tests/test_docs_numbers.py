@@ -155,7 +155,7 @@ ROWS = {
             signers._CURVE_BITS,
         ),
     ],
-    "compare": [("two results agree to within {}", rerun.LIMIT)],
+    "compare": [("two results agree to within {}", rerun.RELATIVE_TOLERANCE)],
     "monitoring": [
         ("from the nominal rate by more than {} %", 100.0 * assembly.MAX_RATE_DIFFERENCE),
         ("shorter than {} of the stated duration", assembly.COMPLETE_FRACTION),

@@ -9,7 +9,7 @@ from raising import raises
 
 import counterspin as cs
 from counterspin.cli import main
-from counterspin.comparisons.intercomparison_page import pictures, reference_sentence
+from counterspin.comparisons.intercomparison_page import intercomparison_plots, reference_sentence
 from counterspin.errors import CampaignError
 
 U = 1e-7
@@ -51,9 +51,9 @@ def test_outlier_is_named(laboratories):
     assert k_ii.pairs[2].d == pytest.approx(1.2e-6)
     assert k_ii.pairs[2].e_n == pytest.approx(12 / 8**0.5)
     assert "Results outside the subset: D" in reference_sentence(k_ii)
-    assert [plot.title.split()[0] for plot in pictures(cs.intercompare(*laboratories))] == [
-        *("Degrees", "Degrees", "Youden")
-    ]
+    assert [
+        plot.title.split()[0] for plot in intercomparison_plots(cs.intercompare(*laboratories))
+    ] == [*("Degrees", "Degrees", "Youden")]
     assert k_f.term == "K_F"
 
 

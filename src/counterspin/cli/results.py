@@ -213,7 +213,7 @@ def intercompare(
         Draw the degrees of equivalence and a Youden plot: .svg, .png or .pdf.
     """
     from counterspin.comparisons.intercompare import intercompare as run
-    from counterspin.comparisons.intercomparison_page import FILE_DESCRIPTION, pictures
+    from counterspin.comparisons.intercomparison_page import FILE_DESCRIPTION, intercomparison_plots
     from counterspin.comparisons.result import Intercomparison
     from counterspin.output import check_writable, marked_file_type
     from counterspin.reports.charts import check_format as check_figure
@@ -237,7 +237,9 @@ def intercompare(
         if report is not None:
             compared.write_report(report, overwrite=overwrite)
         if figure is not None:
-            save_figure(pictures(compared), figure, FILE_DESCRIPTION, overwrite=overwrite)
+            save_figure(
+                intercomparison_plots(compared), figure, FILE_DESCRIPTION, overwrite=overwrite
+            )
         report_console().print(compared)
 
 

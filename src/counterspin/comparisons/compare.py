@@ -12,12 +12,12 @@ from counterspin.calibration.findings import judge_result
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.comparisons.estimates import (
+    apply_joint_check,
     chi_square,
     covariance_of_difference,
-    estimates_of,
-    records_of,
-    relation_of,
-    use_joint_check,
+    extract_estimates,
+    record_checksums,
+    relate_results,
 )
 from counterspin.comparisons.rerun import find_changes
 from counterspin.comparisons.result import (
@@ -29,33 +29,34 @@ from counterspin.comparisons.result import (
 )
 from counterspin.errors import CampaignError, UsageError
 
-#: Part of the sum of variances below which the variance of a difference is rounding.
-_NO_VARIANCE: Final = 1e-9
+#: Variance of a difference, relative to the sum of variances, that is a rounding error.
+_NEGLIGIBLE_VARIANCE: Final = 1e-9
 
 
 def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -> ResultComparison:
     """Compare results: values, differences and their uncertainty, changes.
 
-    Each is compared with the first that has the accelerometer. The covariance of two results
-    includes their common records, radius, gravity, and equal priors. If these are not known, the
-    comparison states its assumptions.
+    Each result is compared with the first result that contains the accelerometer. The covariance
+    of two results includes common records, radius, gravity, and equal priors. If these are
+    unknown, the comparison states its assumptions.
 
     Parameters
     ----------
     results
-        Two or more results or their files.
+        Two or more results or result files.
     names
-        Name of each result; None: its file or title.
+        Names of the results; None: file names or titles.
 
     Returns
     -------
     ResultComparison
-        In g-units of the first result's gravity.
+        Values in g-units of the gravity of the first result.
 
     Raises
     ------
     CampaignError
-        If there are fewer than two results, not as many names, or no accelerometer in common.
+        If there are fewer than two results, a different number of names, or no common
+        accelerometer.
     RecordError
         If a file is not a result.
     """
@@ -69,28 +70,38 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
                 "each result"
             ],
         )
-    loaded = [judge_result(r if isinstance(r, Result) else Result.read(r)) for r in results]
-    result_names = list(names) if names is not None else name_results(results, loaded)
-    names_in_results = dict.fromkeys(name for result in loaded for name in result.accelerometers)
-    shared = [
-        name for name in names_in_results if sum(name in r.accelerometers for r in loaded) > 1
+    loaded_results = [
+        judge_result(result if isinstance(result, Result) else Result.read(result))
+        for result in results
     ]
-    if not shared:
-        available = "; ".join(
-            f"{n}: {', '.join(r.accelerometers)}" for n, r in zip(result_names, loaded, strict=True)
+    result_names = list(names) if names is not None else name_results(results, loaded_results)
+    accelerometer_names = dict.fromkeys(
+        name for result in loaded_results for name in result.accelerometers
+    )
+    common_names = [
+        name
+        for name in accelerometer_names
+        if sum(name in result.accelerometers for result in loaded_results) > 1
+    ]
+    if not common_names:
+        names_text = "; ".join(
+            f"{label}: {', '.join(result.accelerometers)}"
+            for label, result in zip(result_names, loaded_results, strict=True)
         )
         raise CampaignError(
             "compare",
-            [f"the results have no accelerometer in common ({available})"],
+            [f"the results have no accelerometer in common ({names_text})"],
             code="results-not-comparable",
         )
     coefficients, agreements = [], []
-    for name in shared:
-        table, agreements_of_name = _compare_accelerometer(name, loaded, result_names)
-        coefficients += table
-        agreements += agreements_of_name
+    for name in common_names:
+        accelerometer_coefficients, accelerometer_agreements = _compare_accelerometer(
+            name, loaded_results, result_names
+        )
+        coefficients += accelerometer_coefficients
+        agreements += accelerometer_agreements
     return ResultComparison(
-        gravity=loaded[0].inputs.gravity,
+        gravity=loaded_results[0].inputs.gravity,
         results=[
             ComparedResult(
                 name=label,
@@ -100,25 +111,27 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
                 state=result.state,
                 version=result.provenance.version,
                 date=result.details.get("date"),
-                gravity=_conversion_gravity(loaded, index),
+                gravity=_conversion_gravity(loaded_results, index),
                 accelerometers=list(result.accelerometers),
             )
-            for index, (label, result) in enumerate(zip(result_names, loaded, strict=True))
+            for index, (label, result) in enumerate(zip(result_names, loaded_results, strict=True))
         ],
         coefficients=coefficients,
         agreements=agreements,
-        changes=find_changes(loaded),
+        changes=find_changes(loaded_results),
         unsealed=[
-            name for name, result in zip(result_names, loaded, strict=True) if not result.sealed
+            name
+            for name, result in zip(result_names, loaded_results, strict=True)
+            if not result.sealed
         ],
     )
 
 
-def name_results(given: Sequence[Result | Path | str], results: Sequence[Result]) -> list[str]:
-    """Return a name for each result: its file or title, numbered if not unique."""
+def name_results(inputs: Sequence[Result | Path | str], results: Sequence[Result]) -> list[str]:
+    """Return the file or title of each result, numbered if not unique."""
     names = [
-        (result.title or "result") if isinstance(g, Result) else str(g)
-        for g, result in zip(given, results, strict=True)
+        (result.title or "result") if isinstance(input_result, Result) else str(input_result)
+        for input_result, result in zip(inputs, results, strict=True)
     ]
     return [
         f"{name} ({number})" if names.count(name) > 1 else name
@@ -126,40 +139,51 @@ def name_results(given: Sequence[Result | Path | str], results: Sequence[Result]
     ]
 
 
-def is_determined(c: Coefficient | None) -> bool:
+def is_determined(coefficient: Coefficient | None) -> bool:
     """Return True if the records determine a coefficient."""
-    return c is not None and c.estimated and c.value is not None and bool(c.u)
+    return (
+        coefficient is not None
+        and coefficient.estimated
+        and coefficient.value is not None
+        and bool(coefficient.u)
+    )
 
 
 def _compare_accelerometer(
     name: str, results: Sequence[Result], result_names: Sequence[str]
 ) -> tuple[list[ComparedCoefficient], list[AgreementOfTwo]]:
-    """Return an accelerometer's coefficients, and the agreement of each result with the first."""
+    """Compare the coefficients of an accelerometer in all results with those in the first."""
     indices = [index for index, result in enumerate(results) if name in result.accelerometers]
-    start, *later = indices
-    first = results[start].accelerometers[name].coefficients
+    first_index, *later_indices = indices
+    first_coefficients = results[first_index].accelerometers[name].coefficients
     rows: dict[str, list[ComparedEstimate]] = {}
     units: dict[str, str] = {}
     for index in indices:
-        for symbol, c in results[index].accelerometers[name].coefficients.items():
-            missing = ComparedEstimate(value=None, u=None)
-            row = rows.setdefault(symbol, [missing] * len(results))
-            units[symbol] = c.unit
-            if is_determined(c):
+        for symbol, coefficient in results[index].accelerometers[name].coefficients.items():
+            missing_estimate = ComparedEstimate(value=None, u=None)
+            row = rows.setdefault(symbol, [missing_estimate] * len(results))
+            units[symbol] = coefficient.unit
+            if is_determined(coefficient):
                 gravity = results[0].inputs.gravity
-                estimates = estimates_of(
+                estimates = extract_estimates(
                     results[index], name, [symbol], _target_gravity(results, index, gravity)
                 )
                 row[index] = ComparedEstimate(
-                    value=float(estimates.value[0]),
+                    value=float(estimates.values[0]),
                     u=float(estimates.covariance[0, 0] ** 0.5),
-                    dof=c.dof,
+                    dof=coefficient.dof,
                 )
     agreements = []
-    for index in later:
+    for index in later_indices:
         coefficients = results[index].accelerometers[name].coefficients
-        terms = [s for s in first if is_determined(first[s]) and is_determined(coefficients.get(s))]
-        agreement, differences = _compare_pair(name, results, (start, index), terms, result_names)
+        terms = [
+            symbol
+            for symbol in first_coefficients
+            if is_determined(first_coefficients[symbol]) and is_determined(coefficients.get(symbol))
+        ]
+        agreement, differences = _compare_pair(
+            name, results, (first_index, index), terms, result_names
+        )
         agreements.append(agreement)
         for symbol, (difference, u, z) in differences.items():
             update = {"difference": difference, "u_difference": u, "z": z}
@@ -176,16 +200,16 @@ def _target_gravity(results: Sequence[Result], index: int, gravity: float) -> fl
 
     With shared records, a changed gravity is the subject of the comparison.
     """
-    return None if records_of(results[index]) & records_of(results[0]) else gravity
+    return None if record_checksums(results[index]) & record_checksums(results[0]) else gravity
 
 
 def _conversion_gravity(results: Sequence[Result], index: int) -> float | None:
-    """Return the gravity of a result whose numbers are converted; None if they are not."""
-    own_gravity, gravity = results[index].inputs.gravity, results[0].inputs.gravity
+    """Return the gravity of a result if its numbers are converted, otherwise None."""
+    result_gravity, gravity = results[index].inputs.gravity, results[0].inputs.gravity
     return (
         None
-        if own_gravity == gravity or _target_gravity(results, index, gravity) is None
-        else own_gravity
+        if result_gravity == gravity or _target_gravity(results, index, gravity) is None
+        else result_gravity
     )
 
 
@@ -198,33 +222,39 @@ def _compare_pair(
 ) -> tuple[AgreementOfTwo, dict[str, tuple[float, float, float | None]]]:
     gravity = results[0].inputs.gravity
     first_estimates, second_estimates = (
-        estimates_of(results[index], name, terms, _target_gravity(results, index, gravity))
+        extract_estimates(results[index], name, terms, _target_gravity(results, index, gravity))
         for index in indices
     )
     first, second = (results[index] for index in indices)
-    relation, assumed = relation_of(name, (first, second), (first_estimates, second_estimates))
-    covariance, shared = covariance_of_difference(first_estimates, second_estimates, relation)
-    covariance = use_joint_check(
+    relation, assumptions = relate_results(
+        name, (first, second), (first_estimates, second_estimates)
+    )
+    covariance, shared_sources = covariance_of_difference(
+        first_estimates, second_estimates, relation
+    )
+    covariance = apply_joint_check(
         name, (first, second), (first_estimates, second_estimates), covariance
     )
-    difference = second_estimates.value - first_estimates.value
-    scale = np.sqrt(np.diag(first_estimates.covariance) + np.diag(second_estimates.covariance))
-    chi2, dof, p = chi_square(difference, covariance, scale)
+    difference = second_estimates.values - first_estimates.values
+    uncertainties = np.sqrt(
+        np.diag(first_estimates.covariance) + np.diag(second_estimates.covariance)
+    )
+    chi2, dof, p = chi_square(difference, covariance, uncertainties)
     differences = {}
     for i, symbol in enumerate(terms):
         variance = float(covariance[i, i])
-        u = variance**0.5 if variance > _NO_VARIANCE * scale[i] ** 2 else 0.0
+        u = variance**0.5 if variance > _NEGLIGIBLE_VARIANCE * uncertainties[i] ** 2 else 0.0
         z = float(difference[i]) / u if u else None
         differences[symbol] = (float(difference[i]), u, z)
     agreement = AgreementOfTwo(
         result=result_names[indices[1]],
         accelerometer=name,
-        records=relation.records,
+        records=relation.overlap,
         terms=list(terms),
         chi2=chi2,
         dof=dof,
         p=p,
-        shared=sorted(shared),
-        assumed=assumed,
+        shared=sorted(shared_sources),
+        assumed=assumptions,
     )
     return agreement, differences

@@ -1,7 +1,7 @@
 """Reference value of several measurements of one quantity, and degrees of equivalence.
 
-After M. G. Cox, Metrologia 39 (2002) 589, procedure A, and 44 (2007) 187. The weighted mean of
-correlated measurements is that of generalised least squares.
+Method of M. G. Cox, Metrologia 39 (2002) 589, procedure A, and 44 (2007) 187, with generalised
+least squares for correlated measurements.
 """
 
 from __future__ import annotations
@@ -33,37 +33,38 @@ def weighted_mean(
 ) -> Consensus:
     """Return the weighted mean of a subset.
 
-    values, covariance: Shapes (n,) and (n, n); the covariance is positive definite.
+    values: Measurements, shape (n,).
+    covariance: Positive definite covariance, shape (n, n).
     members: Indices of the subset; None: all.
     """
-    chosen = list(range(values.size) if members is None else members)
-    inverse = np.linalg.inv(covariance[np.ix_(chosen, chosen)])
+    indices = list(range(values.size) if members is None else members)
+    precision = np.linalg.inv(covariance[np.ix_(indices, indices)])
     weights = np.zeros(values.size)
-    weights[chosen] = inverse.sum(axis=0) / inverse.sum()
+    weights[indices] = precision.sum(axis=0) / precision.sum()
     mean = float(weights @ values)
-    residuals = values[chosen] - mean
-    chi2, dof = float(residuals @ inverse @ residuals), len(chosen) - 1
+    residuals = values[indices] - mean
+    chi2, dof = float(residuals @ precision @ residuals), len(indices) - 1
     p = chi_square_tail(dof, chi2) if dof else None
-    return Consensus(tuple(chosen), weights, mean, float(inverse.sum() ** -0.5), chi2, p)
+    return Consensus(tuple(indices), weights, mean, float(precision.sum() ** -0.5), chi2, p)
 
 
 def largest_consistent_subsets(
     values: Array, covariance: Array, significance: float
 ) -> list[Consensus]:
-    """Return the largest consistent subsets of at least two, in the order of their chi-square.
+    """Return the largest consistent subsets of at least two measurements, sorted by chi-square.
 
     A subset is consistent if its `p` is at least the significance.
 
     Returns: An empty list if no two measurements are consistent.
     """
-    for size in range(values.size, 1, -1):
+    for n_members in range(values.size, 1, -1):
         means = [
             weighted_mean(values, covariance, members)
-            for members in combinations(range(values.size), size)
+            for members in combinations(range(values.size), n_members)
         ]
-        consistent = [mean for mean in means if mean.p is not None and mean.p >= significance]
-        if consistent:
-            return sorted(consistent, key=lambda mean: mean.chi2)
+        consistent_means = [mean for mean in means if mean.p is not None and mean.p >= significance]
+        if consistent_means:
+            return sorted(consistent_means, key=lambda mean: mean.chi2)
     return []
 
 
@@ -75,5 +76,7 @@ def degrees_of_equivalence(values: Array, covariance: Array, weights: Array) -> 
 
     weights: Weights of the measurements in the reference value, shape (n,).
     """
-    rows = np.eye(values.size) - weights
-    return rows @ values, np.sqrt(np.maximum(np.diag(rows @ covariance @ rows.T), 0.0))
+    projection = np.eye(values.size) - weights
+    return projection @ values, np.sqrt(
+        np.maximum(np.diag(projection @ covariance @ projection.T), 0.0)
+    )

@@ -23,8 +23,8 @@ from counterspin.comparisons.estimates import (
     Estimates,
     Relation,
     covariance_of_difference,
-    estimates_of,
-    records_of,
+    extract_estimates,
+    record_checksums,
 )
 from counterspin.comparisons.result import (
     DegreeOfEquivalence,
@@ -60,93 +60,119 @@ def intercompare(
     Parameters
     ----------
     results
-        A result of each laboratory, or its file: two to sixteen, of the same instrument.
+        A result, or its file, from each of two to sixteen laboratories for the same instrument.
     coefficients
-        Symbols of coefficients, such as ``K_II``; None: all that every result determines.
+        Symbols of coefficients, such as ``K_II``; None: those that every result determines.
 
     Returns
     -------
     Intercomparison
-        In g-units of the first result's gravity.
+        Values in g-units of the gravity of the first result.
 
     Raises
     ------
     CampaignError
-        If the results cannot be compared: too few or too many, common records, other instruments,
-        or fewer than two that determine a coefficient.
+        If the results cannot be compared: wrong number of results, common records, different
+        instruments, or fewer than two results that determine a coefficient.
     RecordError
-        If a file is not a result, or its records contradict it.
+        If a file is not a result, or the records contradict the result.
     """
     if not 2 <= len(results) <= MAX_LABORATORIES:
-        raise _error(f"give 2 to {MAX_LABORATORIES} results or their files, not {len(results)}")
-    loaded = [judge_result(r if isinstance(r, Result) else Result.read(r)) for r in results]
-    laboratories = dict(zip(_names(results, loaded), loaded, strict=True))
+        raise _comparison_error(
+            f"give 2 to {MAX_LABORATORIES} results or their files, not {len(results)}"
+        )
+    loaded_results = [
+        judge_result(result if isinstance(result, Result) else Result.read(result))
+        for result in results
+    ]
+    laboratories = dict(
+        zip(_laboratory_names(results, loaded_results), loaded_results, strict=True)
+    )
     _require_comparable(laboratories)
     references = [
-        _reference_value(accelerometer, symbol, laboratories)
+        _evaluate_reference_value(accelerometer, symbol, laboratories)
         for accelerometer in _common_accelerometers(laboratories)
-        for symbol in _symbols(accelerometer, laboratories, coefficients)
+        for symbol in _compared_symbols(accelerometer, laboratories, coefficients)
     ]
     if not references:
-        raise _error("the results have no coefficient that all of them determine")
-    unnamed = [name for name, r in laboratories.items() if "laboratory" not in r.details]
+        raise _comparison_error("the results have no coefficient that all of them determine")
+    unnamed_laboratories = [
+        name for name, result in laboratories.items() if "laboratory" not in result.details
+    ]
     return Intercomparison(
-        gravity=loaded[0].inputs.gravity,
+        gravity=loaded_results[0].inputs.gravity,
         significance=SIGNIFICANCE,
         laboratories=list(laboratories),
         references=references,
         assumed=[
-            f"The campaigns of {', '.join(unnamed)} do not name a laboratory. Identical "
-            "statements about the machine and the site are treated as the same measurement."
+            f"The campaigns of {', '.join(unnamed_laboratories)} do not name a laboratory. "
+            "Identical statements about the machine and the site are treated as the same "
+            "measurement."
         ]
-        if unnamed
+        if unnamed_laboratories
         else [],
         unsealed=[name for name, result in laboratories.items() if not result.sealed],
     )
 
 
-def _error(text: str) -> CampaignError:
+def _comparison_error(text: str) -> CampaignError:
     return CampaignError("intercompare", [text], code="results-not-comparable")
 
 
-def _names(given: Sequence[Result | Path | str], results: Sequence[Result]) -> list[str]:
-    """Return the laboratories as the campaigns state them; if not all differ, files or titles."""
-    stated = [result.details.get("laboratory", "") for result in results]
-    return stated if all(stated) and len({*stated}) == len(stated) else name_results(given, results)
+def _laboratory_names(
+    inputs: Sequence[Result | Path | str], results: Sequence[Result]
+) -> list[str]:
+    """Return the names of the laboratories; files or titles if they are missing or not unique."""
+    stated_names = [result.details.get("laboratory", "") for result in results]
+    return (
+        stated_names
+        if all(stated_names) and len({*stated_names}) == len(stated_names)
+        else name_results(inputs, results)
+    )
 
 
 def _require_comparable(laboratories: Mapping[str, Result]) -> None:
-    """Raise CampaignError for results that must not take part."""
-    for name, result in laboratories.items():
-        reason = refusal_reason(result, result.accelerometers)
-        if result.model == "as-printed":
+    """Raise CampaignError if a result must not take part."""
+    for name, first_result in laboratories.items():
+        reason = refusal_reason(first_result, first_result.accelerometers)
+        if first_result.model == "as-printed":
             reason = "the equations as printed yield half the true K_II"
         if reason is not None:
-            raise _error(f"{name} cannot take part: {reason}")
-    for (first, result), (second, other_result) in combinations(laboratories.items(), 2):
-        if records_of(result) & records_of(other_result):
-            raise _error(
-                f"{first} and {second} use the same records. Give a single result from each "
-                "laboratory, or compare the two results with `compare`"
+            raise _comparison_error(f"{name} cannot take part: {reason}")
+    for (first_name, first_result), (second_name, second_result) in combinations(
+        laboratories.items(), 2
+    ):
+        if record_checksums(first_result) & record_checksums(second_result):
+            raise _comparison_error(
+                f"{first_name} and {second_name} use the same records. Give a single result from "
+                "each laboratory, or compare the two results with `compare`"
             )
 
 
 def _common_accelerometers(laboratories: Mapping[str, Result]) -> list[str]:
     accelerometers = [result.accelerometers for result in laboratories.values()]
-    names = [name for name in accelerometers[0] if all(name in a for a in accelerometers)]
+    names = [
+        name
+        for name in accelerometers[0]
+        if all(name in result_accelerometers for result_accelerometers in accelerometers)
+    ]
     if not names:
-        listed = "; ".join(f"{n}: {', '.join(r.accelerometers)}" for n, r in laboratories.items())
-        raise _error(f"the results have no accelerometer in common ({listed})")
+        names_text = "; ".join(
+            f"{laboratory}: {', '.join(result.accelerometers)}"
+            for laboratory, result in laboratories.items()
+        )
+        raise _comparison_error(f"the results have no accelerometer in common ({names_text})")
     for name in names:
-        serials = {a[name].serial_number for a in accelerometers} - {None}
-        if len(serials) > 1:
-            raise _error(
-                f"{name} has different serial numbers: {', '.join(sorted(map(str, serials)))}"
-            )
+        serial_numbers = {
+            result_accelerometers[name].serial_number for result_accelerometers in accelerometers
+        } - {None}
+        if len(serial_numbers) > 1:
+            serial_text = ", ".join(sorted(map(str, serial_numbers)))
+            raise _comparison_error(f"{name} has different serial numbers: {serial_text}")
     return names
 
 
-def _determining(
+def _determining_laboratories(
     accelerometer: str, symbol: str, laboratories: Mapping[str, Result]
 ) -> dict[str, Result]:
     """Return the laboratories that determine a coefficient."""
@@ -157,35 +183,35 @@ def _determining(
     }
 
 
-def _symbols(
+def _compared_symbols(
     accelerometer: str, laboratories: Mapping[str, Result], requested: Sequence[str] | None
 ) -> Iterator[str]:
-    """Yield the requested coefficients; by default those that every result determines."""
-    first = next(iter(laboratories.values())).accelerometers[accelerometer]
-    for symbol in first.coefficients if requested is None else requested:
-        count = len(_determining(accelerometer, symbol, laboratories))
-        if requested is not None and count < 2:
-            raise _error(f"fewer than two results determine {symbol} of {accelerometer}")
-        if requested is not None or count == len(laboratories):
+    """Yield the requested coefficients; by default, those that every result determines."""
+    accelerometer_result = next(iter(laboratories.values())).accelerometers[accelerometer]
+    for symbol in accelerometer_result.coefficients if requested is None else requested:
+        n_laboratories = len(_determining_laboratories(accelerometer, symbol, laboratories))
+        if requested is not None and n_laboratories < 2:
+            raise _comparison_error(f"fewer than two results determine {symbol} of {accelerometer}")
+        if requested is not None or n_laboratories == len(laboratories):
             yield symbol
 
 
-def _reference_value(
+def _evaluate_reference_value(
     accelerometer: str, symbol: str, laboratories: Mapping[str, Result]
 ) -> ReferenceValue:
-    chosen = _determining(accelerometer, symbol, laboratories)
-    names, results = list(chosen), list(chosen.values())
+    result_by_laboratory = _determining_laboratories(accelerometer, symbol, laboratories)
+    names, results = list(result_by_laboratory), list(result_by_laboratory.values())
     gravity = next(iter(laboratories.values())).inputs.gravity
-    estimates = [estimates_of(result, accelerometer, [symbol], gravity) for result in results]
-    values = np.array([float(e.value[0]) for e in estimates])
-    covariance, shared = _covariance(results, estimates)
+    estimates = [extract_estimates(result, accelerometer, [symbol], gravity) for result in results]
+    values = np.array([float(estimate.values[0]) for estimate in estimates])
+    covariance, shared_names = _estimate_covariance(results, estimates)
     u = np.sqrt(np.diag(covariance))
     if np.linalg.eigvalsh(covariance / np.outer(u, u))[0] < _MIN_EIGENVALUE:
-        raise _error(
+        raise _comparison_error(
             f"{symbol} of {accelerometer}: the results have no independent uncertainty, so their "
-            f"weights are not defined (common sources: {', '.join(shared)})"
+            f"weights are not defined (common sources: {', '.join(shared_names)})"
         )
-    overall = weighted_mean(values, covariance)
+    overall_mean = weighted_mean(values, covariance)
     subsets = largest_consistent_subsets(values, covariance, SIGNIFICANCE)
     degrees = [
         {"value": float(value), "u": float(u_value), "member": False}
@@ -194,65 +220,71 @@ def _reference_value(
     if subsets:
         d, u_d = degrees_of_equivalence(values, covariance, subsets[0].weights)
         for i, degree in enumerate(degrees):
-            expanded = COVERAGE_FACTOR * float(u_d[i])
+            expanded_u_d = COVERAGE_FACTOR * float(u_d[i])
             degree |= {"member": i in subsets[0].members, "d": float(d[i])}
-            degree |= {"expanded_u_d": expanded}
-            if expanded:
-                degree |= {"e_n": float(d[i]) / expanded, "zeta": float(d[i] / u_d[i])}
+            degree |= {"expanded_u_d": expanded_u_d}
+            if expanded_u_d:
+                degree |= {"e_n": float(d[i]) / expanded_u_d, "zeta": float(d[i] / u_d[i])}
     return ReferenceValue(
         accelerometer=accelerometer,
         term=symbol,
         unit=results[0].accelerometers[accelerometer].coefficients[symbol].unit,
-        chi2=overall.chi2,
+        chi2=overall_mean.chi2,
         dof=values.size - 1,
-        p=overall.p or 0.0,
+        p=overall_mean.p or 0.0,
         consistent=bool(subsets) and len(subsets[0].members) == values.size,
         value=subsets[0].value if subsets else None,
         u=subsets[0].u if subsets else None,
         p_members=subsets[0].p if subsets else None,
         alternatives=[[names[i] for i in subset.members] for subset in subsets[1:]],
-        shared=shared,
+        shared=shared_names,
         degrees={
             name: DegreeOfEquivalence.model_validate(degree)
             for name, degree in zip(names, degrees, strict=True)
         },
-        pairs=list(_pairs(names, values, covariance)),
+        pairs=list(_pairwise_degrees(names, values, covariance)),
     )
 
 
-def _pairs(names: Sequence[str], values: Array, covariance: Array) -> Iterator[PairwiseDegree]:
+def _pairwise_degrees(
+    names: Sequence[str], values: Array, covariance: Array
+) -> Iterator[PairwiseDegree]:
     for i, j in combinations(range(values.size), 2):
         d = float(values[j] - values[i])
         u = float(np.sqrt(covariance[i, i] + covariance[j, j] - 2.0 * covariance[i, j]))
-        expanded = COVERAGE_FACTOR * u
+        expanded_u_d = COVERAGE_FACTOR * u
         yield PairwiseDegree(
-            first=names[i], second=names[j], d=d, expanded_u_d=expanded, e_n=d / expanded
+            first=names[i], second=names[j], d=d, expanded_u_d=expanded_u_d, e_n=d / expanded_u_d
         )
 
 
-def _covariance(
+def _estimate_covariance(
     results: Sequence[Result], estimates: Sequence[Estimates]
 ) -> tuple[Array, list[str]]:
-    """Return the covariance of the results' estimates, and the names of the common sources."""
-    covariance = np.diag([float(e.covariance[0, 0]) for e in estimates])
-    shared = dict[str, None]()
+    """Return the covariance of the estimates, and the names of the common sources."""
+    covariance = np.diag([float(estimate.covariance[0, 0]) for estimate in estimates])
+    shared_names = dict[str, None]()
     laboratories = [result.details.get("laboratory") for result in results]
     for i, j in combinations(range(len(estimates)), 2):
         pair = estimates[i], estimates[j]
         if None not in (laboratories[i], laboratories[j]) and laboratories[i] != laboratories[j]:
-            pair = _sources_of_instrument(pair[0]), _sources_of_instrument(pair[1])
-        of_difference, sources = covariance_of_difference(*pair, Relation("independent"))
-        shared |= dict.fromkeys(sources)
-        total = covariance[i, i] + covariance[j, j]
-        covariance[i, j] = covariance[j, i] = 0.5 * (total - float(of_difference[0, 0]))
-    return covariance, list(shared)
+            pair = _keep_instrument_sources(pair[0]), _keep_instrument_sources(pair[1])
+        difference_covariance, source_names = covariance_of_difference(
+            *pair, Relation("independent")
+        )
+        shared_names |= dict.fromkeys(source_names)
+        variance_sum = covariance[i, i] + covariance[j, j]
+        covariance[i, j] = covariance[j, i] = 0.5 * (
+            variance_sum - float(difference_covariance[0, 0])
+        )
+    return covariance, list(shared_names)
 
 
-def _sources_of_instrument(estimates: Estimates) -> Estimates:
-    """Return the estimates without the sources of machine and site, which a laboratory owns."""
-    kept = {
+def _keep_instrument_sources(estimates: Estimates) -> Estimates:
+    """Return the estimates without sources of machine and site, which belong to a laboratory."""
+    instrument_sources = {
         name: source
         for name, source in estimates.sources.items()
         if is_term(find_symbol(name)) and term(find_symbol(name)).scope == "accelerometer"
     }
-    return replace(estimates, sources=kept)
+    return replace(estimates, sources=instrument_sources)

@@ -1,4 +1,4 @@
-"""Printed report of a comparison of laboratories."""
+"""Report of a comparison of laboratories."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from counterspin.results import unsealed_sentences
 FILE_DESCRIPTION: Final = "degrees of equivalence"
 
 
-def intercomparison_blocks(compared: Intercomparison) -> Iterator[Block]:
-    """Yield for each coefficient its reference value, degrees of equivalence and figure."""
+def intercomparison_blocks(intercomparison: Intercomparison) -> Iterator[Block]:
+    """Yield reference value, degrees of equivalence and figure of each coefficient."""
     yield Heading("Comparison of laboratories", 1)
-    for sentence in unsealed_sentences(compared.unsealed):
+    for sentence in unsealed_sentences(intercomparison.unsealed):
         yield Paragraph(sentence, "warning")
-    for reference in compared.references:
-        yield Heading(_title(reference))
+    for reference in intercomparison.references:
+        yield Heading(_reference_title(reference))
         yield Paragraph(
             reference_sentence(reference), "answer" if reference.consistent else "warning"
         )
-        yield from _tables(reference)
+        yield from _degree_tables(reference)
         yield _degree_plot(reference)
         if reference.shared:
             sources = ", ".join(reference.shared)
             yield Paragraph(
                 f"The comparison includes these common sources as covariances: {sources}.", "quiet"
             )
-    yield from _youden_plots(compared)
+    yield from _youden_plots(intercomparison)
     yield Paragraph(
         "The number after ± is the standard uncertainty. U is the expanded uncertainty (k = 2). "
         "d is the value minus the reference value. E_n = d/U(d) and zeta = d/u(d) follow ISO "
@@ -46,100 +46,118 @@ def intercomparison_blocks(compared: Intercomparison) -> Iterator[Block]:
         "the reference value does not include the choice of the subset.",
         "quiet",
     )
-    for text in compared.assumed:
+    for text in intercomparison.assumed:
         yield Paragraph(f"Assumed: {text}", "quiet")
 
 
 def reference_sentence(reference: ReferenceValue) -> str:
-    """Return the reference value and the consistency of the results in sentences."""
-    test = (
+    """Return sentences on the reference value and the consistency of the results."""
+    test_text = (
         f"chi-square {format_number(reference.chi2)}, degrees of freedom: {reference.dof}, "
         f"p = {format_number(reference.p, 2)}"
     )
     if reference.value is None or reference.u is None or reference.p_members is None:
-        return f"No two results are consistent ({test}), so there is no reference value."
+        return f"No two results are consistent ({test_text}), so there is no reference value."
     unit, factor = field_unit(reference.unit)
     value = format_estimate(reference.value * factor, reference.u * factor, unit)
     if reference.consistent:
-        return f"Reference value {value}. All results are consistent ({test})."
-    outside = [name for name, degree in reference.degrees.items() if not degree.member]
-    members = [name for name, degree in reference.degrees.items() if degree.member]
-    others = "; ".join(", ".join(names) for names in reference.alternatives)
+        return f"Reference value {value}. All results are consistent ({test_text})."
+    outside_names = [name for name, degree in reference.degrees.items() if not degree.member]
+    member_names = [name for name, degree in reference.degrees.items() if degree.member]
+    alternatives = "; ".join(", ".join(names) for names in reference.alternatives)
     return (
-        f"Reference value {value}, from the largest consistent subset: {', '.join(members)} (p "
-        f"= {format_number(reference.p_members, 2)}). Results outside the subset: "
-        f"{', '.join(outside)}. The complete set of results is not consistent ({test})."
-    ) + (f" Other consistent subsets of the same size: {others}." if others else "")
+        f"Reference value {value}, from the largest consistent subset: {', '.join(member_names)} "
+        f"(p = {format_number(reference.p_members, 2)}). Results outside the subset: "
+        f"{', '.join(outside_names)}. The complete set of results is not consistent ({test_text})."
+    ) + (f" Other consistent subsets of the same size: {alternatives}." if alternatives else "")
 
 
-def pictures(compared: Intercomparison) -> list[Plot]:
+def intercomparison_plots(intercomparison: Intercomparison) -> list[Plot]:
     """Return the degrees of equivalence of each coefficient, and a Youden plot of the first two."""
-    return [*map(_degree_plot, compared.references), *_youden_plots(compared)]
+    return [*map(_degree_plot, intercomparison.references), *_youden_plots(intercomparison)]
 
 
-def _title(reference: ReferenceValue) -> str:
+def _reference_title(reference: ReferenceValue) -> str:
     return f"{reference.term} of {reference.accelerometer}"
 
 
-def _tables(reference: ReferenceValue) -> Iterator[Table]:
+def _degree_tables(reference: ReferenceValue) -> Iterator[Table]:
     """Yield the degrees of equivalence, and the differences of all pairs."""
     unit, factor = field_unit(reference.unit)
 
-    def rounded(d: float, expanded_u: float) -> tuple[str, str]:
-        both = round_to_uncertainty(d * factor, expanded_u * factor) if expanded_u else None
-        if both is None or both.exponent:
-            return format_number(d * factor), format_number(expanded_u * factor, 2)
-        return both.value, both.u
+    def rounded(d: float, expanded_u_d: float) -> tuple[str, str]:
+        rounded = round_to_uncertainty(d * factor, expanded_u_d * factor) if expanded_u_d else None
+        if rounded is None or rounded.exponent:
+            return format_number(d * factor), format_number(expanded_u_d * factor, 2)
+        return rounded.value, rounded.u
 
     degree_rows = []
-    for name, degree in reference.degrees.items():
+    for title, degree in reference.degrees.items():
         value = format_estimate(degree.value * factor, degree.u * factor)
-        row = [name, value, "inside" if degree.member else "outside"]
+        row = [title, value, "inside" if degree.member else "outside"]
         if degree.d is not None and degree.expanded_u_d is not None:
-            scores = ("-" if s is None else f"{s:.2f}" for s in (degree.e_n, degree.zeta))
+            scores = (
+                "-" if score is None else f"{score:.2f}" for score in (degree.e_n, degree.zeta)
+            )
             row += [*rounded(degree.d, degree.expanded_u_d), *scores]
         degree_rows.append((*row, *[""] * (7 - len(row))))
-    names = ("Laboratory", f"{reference.term}, {unit}", "Subset", "d", "U(d)", "E_n", "zeta")
-    words = {"Laboratory", "Subset"}
+    titles = ("Laboratory", f"{reference.term}, {unit}", "Subset", "d", "U(d)", "E_n", "zeta")
+    text_titles = {"Laboratory", "Subset"}
     yield Table(
-        tuple(Column(name, "left" if name in words else "right") for name in names),
+        tuple(Column(title, "left" if title in text_titles else "right") for title in titles),
         tuple(degree_rows),
     )
     yield Table(
         (
             Column("Pair"),
-            *(Column(name, "right") for name in (f"Difference, {unit}", "U", "E_n")),
+            *(Column(title, "right") for title in (f"Difference, {unit}", "U", "E_n")),
         ),
         tuple(
-            (f"{p.second} - {p.first}", *rounded(p.d, p.expanded_u_d), f"{p.e_n:.2f}")
-            for p in reference.pairs
+            (
+                f"{pair.second} - {pair.first}",
+                *rounded(pair.d, pair.expanded_u_d),
+                f"{pair.e_n:.2f}",
+            )
+            for pair in reference.pairs
         ),
     )
 
 
 def _degree_plot(reference: ReferenceValue) -> Plot:
-    """Return the degrees of equivalence; without a reference value, the values."""
+    """Return the plot of the degrees of equivalence; without a reference value, of the values."""
     unit, factor = field_unit(reference.unit)
     series = []
-    for member, label in ((True, "inside the subset"), (False, "outside the subset")):
+    for is_member, label in ((True, "inside the subset"), (False, "outside the subset")):
         points = [
-            (float(i), factor * (degree.value if degree.d is None else degree.d), half * factor)
+            (
+                float(i),
+                factor * (degree.value if degree.d is None else degree.d),
+                half_width * factor,
+            )
             for i, degree in enumerate(reference.degrees.values())
-            for half in [2.0 * degree.u if degree.expanded_u_d is None else degree.expanded_u_d]
-            if degree.member is member
+            for half_width in [
+                2.0 * degree.u if degree.expanded_u_d is None else degree.expanded_u_d
+            ]
+            if degree.member is is_member
         ]
         if points:
-            x, y, half = (tuple(column) for column in zip(*points, strict=True))
-            low = tuple(a - b for a, b in zip(y, half, strict=True))
-            high = tuple(a + b for a, b in zip(y, half, strict=True))
+            x, y, half_width = (tuple(column) for column in zip(*points, strict=True))
+            low = tuple(center - width for center, width in zip(y, half_width, strict=True))
+            high = tuple(center + width for center, width in zip(y, half_width, strict=True))
             series.append(
                 PlotSeries(
-                    f"{label}; error bars: U", x, y, low, high, kind="points", stands_out=not member
+                    f"{label}; error bars: U",
+                    x,
+                    y,
+                    low,
+                    high,
+                    kind="points",
+                    stands_out=not is_member,
                 )
             )
     has_reference = reference.value is not None
     return Plot(
-        title=f"Degrees of equivalence, {_title(reference)}",
+        title=f"Degrees of equivalence, {_reference_title(reference)}",
         x_label="laboratory",
         y_label=f"{'d of ' if has_reference else ''}{reference.term}, {unit}",
         series=tuple(series),
@@ -148,33 +166,34 @@ def _degree_plot(reference: ReferenceValue) -> Plot:
     )
 
 
-def _youden_plots(compared: Intercomparison) -> Iterator[Plot]:
-    """Yield the zeta scores of the first two coefficients, if two have scores.
+def _youden_plots(intercomparison: Intercomparison) -> Iterator[Plot]:
+    """Yield a plot of the zeta scores of the first two coefficients, if both have scores.
 
     A cause common to both coefficients moves a laboratory along a diagonal.
     """
-    if len(compared.references) < 2:
+    if len(intercomparison.references) < 2:
         return
-    first, second = compared.references[:2]
+    first_reference, second_reference = intercomparison.references[:2]
     points = [
-        (name, degree.zeta, second.degrees[name].zeta)
-        for name, degree in first.degrees.items()
-        if name in second.degrees
+        (name, degree.zeta, second_reference.degrees[name].zeta)
+        for name, degree in first_reference.degrees.items()
+        if name in second_reference.degrees
     ]
-    complete = [(name, x, y) for name, x, y in points if x is not None and y is not None]
-    if not complete:
+    scored_points = [(name, x, y) for name, x, y in points if x is not None and y is not None]
+    if not scored_points:
         return
-    limit = 1.1 * max(2.0, *(abs(score) for _, x, y in complete for score in (x, y)))
-    ends = (-limit, limit)
+    limit = 1.1 * max(2.0, *(abs(score) for _, x, y in scored_points for score in (x, y)))
+    axis_range = (-limit, limit)
+    x_title, y_title = _reference_title(first_reference), _reference_title(second_reference)
     yield Plot(
-        title=f"Youden plot of {_title(first)} and {_title(second)}",
-        x_label=f"zeta of {_title(first)}",
-        y_label=f"zeta of {_title(second)}",
+        title=f"Youden plot of {x_title} and {y_title}",
+        x_label=f"zeta of {x_title}",
+        y_label=f"zeta of {y_title}",
         series=(
-            PlotSeries("equal scores", ends, ends, colour="muted"),
-            *(PlotSeries(name, (x,), (y,), kind="points") for name, x, y in complete),
+            PlotSeries("equal scores", axis_range, axis_range, colour="muted"),
+            *(PlotSeries(name, (x,), (y,), kind="points") for name, x, y in scored_points),
         ),
         levels=(-2.0, 0.0, 2.0),
-        x_range=ends,
-        y_range=ends,
+        x_range=axis_range,
+        y_range=axis_range,
     )

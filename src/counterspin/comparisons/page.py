@@ -1,4 +1,4 @@
-"""Printed reports of a comparison and of a calibration made again."""
+"""Reports of a comparison of results and of a repeated calibration."""
 
 from __future__ import annotations
 
@@ -28,141 +28,156 @@ from counterspin.reports.blocks import (
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_estimate, format_number
 from counterspin.results import unsealed_sentences
 
-_TITLE: Final = "Comparison of results"
+_COMPARISON_TITLE: Final = "Comparison of results"
 
 #: Description in the file of a comparison.
 FILE_DESCRIPTION: Final = "a comparison"
 
-_RECORDS: Final = {
+_OVERLAP_TEXTS: Final = {
     "same": "the same records",
     "part": "some records in common",
     "independent": "independent records",
 }
 
 
-def comparison_blocks(compared: ResultComparison) -> Iterator[Block]:
+def comparison_blocks(comparison: ResultComparison) -> Iterator[Block]:
     """Yield the verdict on agreement, the values and differences, and the changes."""
-    yield Heading(_TITLE, 1)
-    yield from _unsealed(compared.unsealed)
-    for agreement in sorted(compared.agreements, key=lambda agreement: agreement.agrees):
-        yield Paragraph(agreement_sentence(compared, agreement), _style(agreement))
-    for result in compared.results:
+    yield Heading(_COMPARISON_TITLE, 1)
+    yield from _unsealed_warnings(comparison.unsealed)
+    for agreement in sorted(comparison.agreements, key=lambda agreement: agreement.agrees):
+        yield Paragraph(agreement_sentence(comparison, agreement), _agreement_style(agreement))
+    for result in comparison.results:
         if result.gravity is not None:
-            yield Paragraph(_conversion_note(compared, result, result.gravity))
-    for name in dict.fromkeys(c.accelerometer for c in compared.coefficients):
+            yield Paragraph(_conversion_note(comparison, result, result.gravity))
+    for name in dict.fromkeys(coefficient.accelerometer for coefficient in comparison.coefficients):
         yield Heading(name)
-        coefficients = [c for c in compared.coefficients if c.accelerometer == name]
-        yield _table(compared, coefficients)
-        yield from _pictures(
-            coefficients, short_names([result.name for result in compared.results])
+        coefficients = [
+            coefficient
+            for coefficient in comparison.coefficients
+            if coefficient.accelerometer == name
+        ]
+        yield _coefficient_table(comparison, coefficients)
+        yield from _k_ii_plots(
+            coefficients, short_names([result.name for result in comparison.results])
         )
     yield Paragraph(
         "The number after ± is the standard uncertainty (k = 1). Differences are relative to "
-        f"{_references(compared)}. The uncertainties of the differences account for sources "
+        f"{_reference_names(comparison)}. The uncertainties of the differences account for sources "
         "common to both results. z is the difference divided by the standard uncertainty of the "
         "difference.",
         "quiet",
     )
-    yield from _shared_source_blocks(compared)
+    yield from _shared_source_blocks(comparison)
     yield Heading("Changes")
-    if compared.changes:
-        columns = [Column("", wraps=True), *(Column(r.name, wraps=True) for r in compared.results)]
-        rows = tuple((change.subject, *change.values) for change in compared.changes)
+    if comparison.changes:
+        columns = [
+            Column("", wraps=True),
+            *(Column(result.name, wraps=True) for result in comparison.results),
+        ]
+        rows = tuple((change.subject, *change.values) for change in comparison.changes)
         yield Table(tuple(columns), rows)
     else:
         yield Paragraph("The results use the same model, noise and inputs.")
 
 
-def _unsealed(names: Sequence[str]) -> list[Paragraph]:
-    """Return the warning of results whose files have no seal."""
+def _unsealed_warnings(names: Sequence[str]) -> list[Paragraph]:
+    """Return warnings about results without a seal."""
     return [Paragraph(sentence, "warning") for sentence in unsealed_sentences(names)]
 
 
-def _style(agreement: AgreementOfTwo) -> Style:
+def _agreement_style(agreement: AgreementOfTwo) -> Style:
     if agreement.p is None:
         return "plain"
     return "answer" if agreement.agrees else "warning"
 
 
-def _references(compared: ResultComparison) -> str:
-    names = dict.fromkeys(c.accelerometer for c in compared.coefficients)
-    by_result = dict[str, list[str]]()
+def _reference_names(comparison: ResultComparison) -> str:
+    names = dict.fromkeys(coefficient.accelerometer for coefficient in comparison.coefficients)
+    names_by_result = dict[str, list[str]]()
     for name in names:
-        by_result.setdefault(compared.reference(name).name, []).append(name)
-    if len(by_result) == 1:
-        return next(iter(by_result))
+        names_by_result.setdefault(comparison.reference(name).name, []).append(name)
+    if len(names_by_result) == 1:
+        return next(iter(names_by_result))
     return " and ".join(
-        f"{result} ({', '.join(names_of_result)})" for result, names_of_result in by_result.items()
+        f"{result} ({', '.join(result_names)})" for result, result_names in names_by_result.items()
     )
 
 
-def _conversion_note(compared: ResultComparison, result: ComparedResult, gravity: float) -> str:
-    """Return the note on the conversion of a result's numbers to the first result's g."""
-    moved = dict[float, list[str]]()
-    terms = (c.term for c in compared.coefficients if result.has(c.accelerometer))
+def _conversion_note(comparison: ResultComparison, result: ComparedResult, gravity: float) -> str:
+    """Return a note on the conversion of a result to the gravity of the first result."""
+    symbols_by_percent = dict[float, list[str]]()
+    terms = (
+        coefficient.term
+        for coefficient in comparison.coefficients
+        if result.has(coefficient.accelerometer)
+    )
     for symbol in dict.fromkeys(terms):
-        percent = 100.0 * (g_units_ratio(symbol, gravity, compared.gravity) - 1.0)
-        moved.setdefault(percent, []).append(symbol)
-    amounts = (
-        f"{', '.join(symbols)} by {percent:+.2g} %" for percent, symbols in moved.items() if percent
+        percent = 100.0 * (g_units_ratio(symbol, gravity, comparison.gravity) - 1.0)
+        symbols_by_percent.setdefault(percent, []).append(symbol)
+    change_texts = (
+        f"{', '.join(symbols)} by {percent:+.2g} %"
+        for percent, symbols in symbols_by_percent.items()
+        if percent
     )
     return (
         f"{result.name} was calibrated at a gravity of {format_number(gravity, 9)} m/s^2. The "
-        f"comparison converts the values to the g-units of {compared.results[0].name} "
-        f"({format_number(compared.gravity, 9)} m/s^2). The conversion changes "
-        f"{'; '.join(amounts) or 'no coefficient'}."
+        f"comparison converts the values to the g-units of {comparison.results[0].name} "
+        f"({format_number(comparison.gravity, 9)} m/s^2). The conversion changes "
+        f"{'; '.join(change_texts) or 'no coefficient'}."
     )
 
 
-def agreement_sentence(compared: ResultComparison, agreement: AgreementOfTwo) -> str:
+def agreement_sentence(comparison: ResultComparison, agreement: AgreementOfTwo) -> str:
     """Return a sentence on the agreement of two results."""
-    first = compared.reference(agreement.accelerometer).name
-    whose = f"{agreement.accelerometer}: {agreement.result} and {first}"
-    records = _RECORDS[agreement.records]
+    first_name = comparison.reference(agreement.accelerometer).name
+    subject = f"{agreement.accelerometer}: {agreement.result} and {first_name}"
+    overlap_text = _OVERLAP_TEXTS[agreement.records]
     if not agreement.terms:
-        return f"{whose} determine no coefficient in common ({records})."
-    if agreement.p is None and _is_identical(compared, agreement):
-        return f"{whose} are equal ({records})."
+        return f"{subject} determine no coefficient in common ({overlap_text})."
+    if agreement.p is None and _is_identical(comparison, agreement):
+        return f"{subject} are equal ({overlap_text})."
     if agreement.p is None:
         return (
-            f"{whose} use the same records, so chance cannot explain the difference "
-            f"({records}). The changes listed below cause the difference."
+            f"{subject} use the same records, so chance cannot explain the difference "
+            f"({overlap_text}). The changes listed below cause the difference."
         )
-    agree = "agree" if agreement.agrees else "differ significantly"
-    words = (
+    verdict = "agree" if agreement.agrees else "differ significantly"
+    test_text = (
         f"chi-square {format_number(agreement.chi2)} with {agreement.dof} "
         f"{'degree' if agreement.dof == 1 else 'degrees'} of freedom, "
         f"p = {format_number(agreement.p, 2)}"
     )
-    return f"{whose} {agree} ({words}; {records})."
+    return f"{subject} {verdict} ({test_text}; {overlap_text})."
 
 
-def _is_identical(compared: ResultComparison, agreement: AgreementOfTwo) -> bool:
+def _is_identical(comparison: ResultComparison, agreement: AgreementOfTwo) -> bool:
     """Check that all coefficients determined by both results are equal."""
-    place = [result.name for result in compared.results].index(agreement.result)
+    result_index = [result.name for result in comparison.results].index(agreement.result)
     return not any(
-        coefficient.estimates[place].difference
-        for coefficient in compared.coefficients
+        coefficient.estimates[result_index].difference
+        for coefficient in comparison.coefficients
         if coefficient.accelerometer == agreement.accelerometer
         and coefficient.term in agreement.terms
     )
 
 
-def _table(compared: ResultComparison, coefficients: Sequence[ComparedCoefficient]) -> Table:
-    rows, quiet = list[tuple[str, ...]](), set[int]()
+def _coefficient_table(
+    comparison: ResultComparison, coefficients: Sequence[ComparedCoefficient]
+) -> Table:
+    rows, quiet_rows = list[tuple[str, ...]](), set[int]()
     for coefficient in coefficients:
         unit, factor = field_unit(coefficient.unit)
         label = f"{coefficient.term}, {unit}"
-        for result, estimate in zip(compared.results, coefficient.estimates, strict=True):
+        for result, estimate in zip(comparison.results, coefficient.estimates, strict=True):
             if not result.has(coefficient.accelerometer):
-                continue  # a result may lack an accelerometer of another one
+                continue  # the accelerometer occurs only in other results
             if estimate.value is None or estimate.u is None:
-                quiet.add(len(rows))
+                quiet_rows.add(len(rows))
                 rows.append((label, result.name, NOT_DETERMINED, "", ""))
             else:
                 value = format_estimate(estimate.value * factor, estimate.u * factor)
                 z = "" if estimate.z is None else f"{estimate.z:.2f}"
-                rows.append((label, result.name, value, _difference(estimate, factor), z))
+                rows.append((label, result.name, value, _format_difference(estimate, factor), z))
             label = ""
     return Table(
         columns=(
@@ -173,11 +188,11 @@ def _table(compared: ResultComparison, coefficients: Sequence[ComparedCoefficien
             Column("z", "right"),
         ),
         rows=tuple(rows),
-        quiet=frozenset(quiet),
+        quiet=frozenset(quiet_rows),
     )
 
 
-def _difference(estimate: ComparedEstimate, factor: float) -> str:
+def _format_difference(estimate: ComparedEstimate, factor: float) -> str:
     if estimate.difference is None or estimate.u_difference is None:
         return ""
     difference, u = estimate.difference * factor, estimate.u_difference * factor
@@ -186,29 +201,29 @@ def _difference(estimate: ComparedEstimate, factor: float) -> str:
 
 def short_names(names: Sequence[str]) -> tuple[str, ...]:
     """Return file names without their common folders and suffix."""
-    parts = [name.split("/") for name in names]
+    paths = [name.split("/") for name in names]
     if len({*names}) < len(names):
         return tuple(names)  # the name would be empty
-    while all(len(path) > 1 for path in parts) and len({path[0] for path in parts}) == 1:
-        parts = [path[1:] for path in parts]
-    while all(len(path) > 1 for path in parts) and len({path[-1] for path in parts}) == 1:
-        parts = [path[:-1] for path in parts]
-    return tuple("/".join(path) for path in parts)
+    while all(len(path) > 1 for path in paths) and len({path[0] for path in paths}) == 1:
+        paths = [path[1:] for path in paths]
+    while all(len(path) > 1 for path in paths) and len({path[-1] for path in paths}) == 1:
+        paths = [path[:-1] for path in paths]
+    return tuple("/".join(path) for path in paths)
 
 
-def _pictures(coefficients: list[ComparedCoefficient], names: tuple[str, ...]) -> Iterator[Block]:
-    """Yield K_II through the results, with its standard uncertainties."""
+def _k_ii_plots(coefficients: list[ComparedCoefficient], names: tuple[str, ...]) -> Iterator[Block]:
+    """Yield a plot of K_II in each result, with standard uncertainties."""
     for coefficient in coefficients:
         if coefficient.term != "K_II":
             continue
         unit, factor = field_unit(coefficient.unit)
         points = [
-            (name, e.value * factor, e.u * factor)
-            for name, e in zip(names, coefficient.estimates, strict=True)
-            if e.value is not None and e.u is not None
+            (name, estimate.value * factor, estimate.u * factor)
+            for name, estimate in zip(names, coefficient.estimates, strict=True)
+            if estimate.value is not None and estimate.u is not None
         ]
         if len(points) > 1:
-            shown, y, u = (tuple(row) for row in zip(*points, strict=True))
+            shown_names, y, u = (tuple(row) for row in zip(*points, strict=True))
             yield Plot(
                 title=f"K_II of {coefficient.accelerometer} in each result",
                 x_label="result",
@@ -218,44 +233,58 @@ def _pictures(coefficients: list[ComparedCoefficient], names: tuple[str, ...]) -
                         "estimate; error bars: standard uncertainty",
                         tuple(map(float, range(len(y)))),
                         y,
-                        low=tuple(a - b for a, b in zip(y, u, strict=True)),
-                        high=tuple(a + b for a, b in zip(y, u, strict=True)),
+                        low=tuple(
+                            value - uncertainty for value, uncertainty in zip(y, u, strict=True)
+                        ),
+                        high=tuple(
+                            value + uncertainty for value, uncertainty in zip(y, u, strict=True)
+                        ),
                         kind="points",
                     ),
                 ),
-                x_names=shown,
+                x_names=shown_names,
             )
 
 
-def _shared_source_blocks(compared: ResultComparison) -> Iterator[Block]:
-    shared = dict.fromkeys(source for a in compared.agreements for source in a.shared)
-    if shared:
+def _shared_source_blocks(comparison: ResultComparison) -> Iterator[Block]:
+    shared_sources = dict.fromkeys(
+        source for agreement in comparison.agreements for source in agreement.shared
+    )
+    if shared_sources:
         yield Paragraph(
             (
                 "Sources common to both results, which the comparison takes into account: "
-                f"{', '.join(shared)}."
+                f"{', '.join(shared_sources)}."
             ),
             "quiet",
         )
-    for text in dict.fromkeys(text for a in compared.agreements for text in a.assumed):
+    for text in dict.fromkeys(
+        text for agreement in comparison.agreements for text in agreement.assumed
+    ):
         yield Paragraph(f"Assumed: {text}", "quiet")
 
 
-def repeat_blocks(repeated: RepeatedCalibration) -> list[Block]:
+def repeated_calibration_blocks(repeated: RepeatedCalibration) -> list[Block]:
     """Return the verdict on a repeated result, and the changes."""
     blocks: list[Block] = [
         Heading("Repeated calibration", 1),
-        *_unsealed(repeated.unsealed),
-        Paragraph(repetition_sentence(repeated), "answer" if repeated.same else "warning"),
+        *_unsealed_warnings(repeated.unsealed),
+        Paragraph(
+            repeated_calibration_sentence(repeated), "answer" if repeated.same else "warning"
+        ),
     ]
     if repeated.moved:
-        locations = "; ".join(f"{name}: {where}" for name, where in repeated.moved.items())
+        locations = "; ".join(f"{name}: {path}" for name, path in repeated.moved.items())
         blocks.append(
             Paragraph(f"These inputs were found under different file names: {locations}.", "quiet")
         )
-    differing = [c for c in repeated.coefficients if c.relative is None or c.relative > 0.0]
-    if not repeated.same and differing:
-        blocks.append(_difference_table(differing))
+    changed_coefficients = [
+        coefficient
+        for coefficient in repeated.coefficients
+        if coefficient.relative is None or coefficient.relative > 0.0
+    ]
+    if not repeated.same and changed_coefficients:
+        blocks.append(_difference_table(changed_coefficients))
     if repeated.changes:
         blocks.append(Heading("Changes"))
         blocks.append(
@@ -267,48 +296,51 @@ def repeat_blocks(repeated: RepeatedCalibration) -> list[Block]:
     return blocks
 
 
-def repetition_sentence(repeated: RepeatedCalibration) -> str:
+def repeated_calibration_sentence(repeated: RepeatedCalibration) -> str:
     """Return a sentence on the validity of a repeated result."""
     limit = format_number(repeated.limit)
     if repeated.same:
-        size = repeated.largest or 0.0
-        most = f"largest relative difference {size:.1e}" if size else "all numbers are equal"
-        return (
-            f"{repeated.result}: the repeated result equals the original within {limit} ({most})."
+        largest = repeated.largest or 0.0
+        largest_text = (
+            f"largest relative difference {largest:.1e}" if largest else "all numbers are equal"
         )
-    whose = "; ".join(change.subject for change in repeated.changes)
+        return (
+            f"{repeated.result}: the repeated result equals the original within {limit} "
+            f"({largest_text})."
+        )
+    subjects = "; ".join(change.subject for change in repeated.changes)
     cause = (
-        f" Changed: {whose}."
-        if whose
+        f" Changed: {subjects}."
+        if subjects
         else (" The inputs, the version and the environment are the same.")
     )
     if repeated.largest is None:
-        how = "the sets of coefficients, or of determined coefficients, differ"
+        difference_text = "the sets of coefficients, or of determined coefficients, differ"
     elif repeated.largest <= repeated.limit:
-        how = f"the state was {repeated.state_before} and is now {repeated.state_now}"
+        difference_text = f"the state was {repeated.state_before} and is now {repeated.state_now}"
     elif repeated.largest_in_u is None:
-        how = f"the largest relative difference is {repeated.largest:.1e}"
+        difference_text = f"the largest relative difference is {repeated.largest:.1e}"
     else:
-        how = (
+        difference_text = (
             f"the largest difference is {format_number(repeated.largest_in_u)} u "
             f"(relative: {repeated.largest:.1e})"
         )
     return (
         f"{repeated.result}: the repeated result differs from the original by more than "
-        f"{limit}: {how}.{cause}"
+        f"{limit}: {difference_text}.{cause}"
     )
 
 
-def _difference_table(differing: list[RepeatedCoefficient]) -> Table:
+def _difference_table(changed_coefficients: list[RepeatedCoefficient]) -> Table:
     rows = list[tuple[str, ...]]()
-    for c in differing:
-        unit, factor = field_unit(c.unit)
-        in_u = "" if c.in_u is None else f"{c.in_u:.2g}"
+    for coefficient in changed_coefficients:
+        unit, factor = field_unit(coefficient.unit)
+        in_u = "" if coefficient.in_u is None else f"{coefficient.in_u:.2g}"
         rows.append(
             (
-                f"{c.name}, {unit}",
-                _number(c.before, c.u_before, factor),
-                _number(c.now, c.u_now, factor),
+                f"{coefficient.name}, {unit}",
+                _format_value(coefficient.before, coefficient.u_before, factor),
+                _format_value(coefficient.now, coefficient.u_now, factor),
                 in_u,
             )
         )
@@ -323,7 +355,7 @@ def _difference_table(differing: list[RepeatedCoefficient]) -> Table:
     )
 
 
-def _number(value: float | None, u: float | None, factor: float) -> str:
+def _format_value(value: float | None, u: float | None, factor: float) -> str:
     if value is None:
         return NOT_DETERMINED
     return format_estimate(value * factor, u * factor) if u else format_number(value * factor, 12)

@@ -1,4 +1,4 @@
-"""`counterspin rerun`: a result's calibration made again, and differences between results."""
+"""`counterspin rerun`: repeat the calibration of a result; differences between results."""
 
 from __future__ import annotations
 
@@ -27,105 +27,112 @@ from counterspin.temporary_folders import temporary_folder
 #: Number of characters shown of a checksum.
 _CHECKSUM_DIGITS: Final = 12
 
-_MISSING: Final = "-"
+_NO_VALUE: Final = "-"
 
 
 def find_changes(results: Sequence[Result]) -> list[Change]:
     """Return the differences between results: method and options, terms, noise, inputs, files."""
-    rows = [dict(_description(result)) for result in results]
+    rows = [dict(_describe_result(result)) for result in results]
     subjects = dict.fromkeys(subject for row in rows for subject in row)
     differences = []
     for subject in subjects:
-        values = [row.get(subject, _MISSING) for row in rows]
+        values = [row.get(subject, _NO_VALUE) for row in rows]
         if len(set(values)) > 1:
             differences.append(Change(subject=subject, values=values))
     return differences
 
 
-def terms_of(result: Result) -> set[str]:
+def term_names(result: Result) -> set[str]:
     """Return the names of all terms of a result's model: ``Qx.K_II``, ``platform.drift.north``."""
     terms = set(result.platform)
-    for owner, accelerometer in result.accelerometers.items():
-        terms.update(f"{owner}.{symbol}" for symbol in accelerometer.coefficients)
-    for owner, run in result.runs.items():
-        terms.update(f"{owner}.{symbol}" for symbol in run.terms)
+    for owner_name, accelerometer in result.accelerometers.items():
+        terms.update(f"{owner_name}.{symbol}" for symbol in accelerometer.coefficients)
+    for owner_name, run in result.runs.items():
+        terms.update(f"{owner_name}.{symbol}" for symbol in run.terms)
     return terms
 
 
-def _description(result: Result) -> Iterator[tuple[str, str]]:
+def _describe_result(result: Result) -> Iterator[tuple[str, str]]:
     provenance, inputs = result.provenance, result.inputs
     yield "version", provenance.version
     yield from provenance.environment.items()
     yield "method", result.method
     yield "equations", result.model
-    yield "options", " ".join(provenance.options) or _MISSING
-    yield "accepted misfit", result.accepted_misfit or _MISSING
+    yield "options", " ".join(provenance.options) or _NO_VALUE
+    yield "accepted misfit", result.accepted_misfit or _NO_VALUE
     for subject, value, u, unit in (
         ("gravity", inputs.gravity, inputs.u_gravity, "m/s^2"),
         ("latitude", inputs.latitude, inputs.u_latitude, "rad"),
         ("radius", inputs.radius, inputs.u_radius, "m"),
     ):
-        yield subject, _quantity(value, u, unit)
-    yield from _model(result)
+        yield subject, _format_quantity(value, u, unit)
+    yield from _describe_model(result)
     yield from result.details.items()
     for file, checksum in provenance.inputs.items():
-        where = ", in memory" if file in provenance.in_memory else ""
-        yield file, checksum.removeprefix("sha256:")[:_CHECKSUM_DIGITS] + where
+        suffix = ", in memory" if file in provenance.in_memory else ""
+        yield file, checksum.removeprefix("sha256:")[:_CHECKSUM_DIGITS] + suffix
 
 
-def _model(result: Result) -> Iterator[tuple[str, str]]:
+def _describe_model(result: Result) -> Iterator[tuple[str, str]]:
     for name, accelerometer in result.accelerometers.items():
         yield f"terms of {name}", ", ".join(accelerometer.coefficients)
-        for symbol, known in accelerometer.known.items():
-            yield f"{name}.{symbol}, known", _quantity(known.value, known.u, known.unit)
+        for symbol, known_coefficient in accelerometer.known.items():
+            yield (
+                f"{name}.{symbol}, known",
+                _format_quantity(
+                    known_coefficient.value, known_coefficient.u, known_coefficient.unit
+                ),
+            )
         considered, priors = _prior_information(result, name)
-        yield f"held of {name}", ", ".join(considered) or _MISSING
+        yield f"held of {name}", ", ".join(considered) or _NO_VALUE
         for source, text in priors.items():
             yield f"{name}: {source}", text
-        for part, line in accelerometer.noise.items():
-            size = _quantity(line.value, 0.0, line.unit)
-            yield f"noise of {name}, {part}", "estimated" if line.estimated else size
-    yield "assumed", ", ".join(result.assumed) or _MISSING
-    yield "not stated", ", ".join(_default_priors(result)) or _MISSING
-    yield "platform terms", ", ".join(result.platform) or _MISSING
+        for component, line in accelerometer.noise.items():
+            level = _format_quantity(line.value, 0.0, line.unit)
+            yield f"noise of {name}, {component}", "estimated" if line.estimated else level
+    yield "assumed", ", ".join(result.assumed) or _NO_VALUE
+    yield "not stated", ", ".join(_default_priors(result)) or _NO_VALUE
+    yield "platform terms", ", ".join(result.platform) or _NO_VALUE
     run_terms = dict.fromkeys(symbol for run in result.runs.values() for symbol in run.terms)
-    yield "run terms", ", ".join(run_terms) or _MISSING
+    yield "run terms", ", ".join(run_terms) or _NO_VALUE
     yield "runs", ", ".join(result.runs)
 
 
 def _prior_information(result: Result, name: str) -> tuple[list[str], Mapping[str, str]]:
-    """Return the considered terms, and the stated priors of the unknowns in words."""
+    """Return the considered terms, and the stated priors of the unknowns as text."""
     considered, priors = dict[str, None](), dict[str, str]()
     for lines in result.accelerometers[name].budget.values():
         for line in lines:
             if line.kind == "held":
                 considered[line.source] = None
             elif line.kind == "stated" and line.u is not None:
-                priors[f"u of the prior for {line.source}"] = _quantity(line.u, 0.0, line.unit)
+                priors[f"u of the prior for {line.source}"] = _format_quantity(
+                    line.u, 0.0, line.unit
+                )
     return sorted(considered), priors
 
 
 def _default_priors(result: Result) -> list[str]:
-    """Return the terms with default priors and their sizes, once for all runs."""
-    sizes = (
-        f"{find_symbol(known.name)} ± {_quantity(known.u, 0.0, known.unit)}"
-        for known in result.rests_on
-        if known.kind == "unstated"
+    """Return the terms with default priors and their uncertainties, once for all runs."""
+    prior_texts = (
+        f"{find_symbol(prior.name)} ± {_format_quantity(prior.u, 0.0, prior.unit)}"
+        for prior in result.rests_on
+        if prior.kind == "unstated"
     )
-    return list(dict.fromkeys(sizes))
+    return list(dict.fromkeys(prior_texts))
 
 
-def _quantity(value: float | None, u: float | None, unit: str) -> str:
+def _format_quantity(value: float | None, u: float | None, unit: str) -> str:
     if value is None:
-        return _MISSING
-    shown, factor = field_unit(unit)
+        return _NO_VALUE
+    display_unit, factor = field_unit(unit)
     if not u:
-        return f"{format_number(value * factor, 12)} {shown}"
-    return format_estimate(value * factor, u * factor, shown)
+        return f"{format_number(value * factor, 12)} {display_unit}"
+    return format_estimate(value * factor, u * factor, display_unit)
 
 
-#: Largest relative difference of numbers that count as equal.
-LIMIT: Final = 1e-12
+#: Largest relative difference of numbers that are considered equal.
+RELATIVE_TOLERANCE: Final = 1e-12
 
 
 def rerun(
@@ -136,64 +143,64 @@ def rerun(
 ) -> RepeatedCalibration:
     """Calibrate the inputs of a result again, and compare the numbers.
 
-    An input is looked for under its name, then among all files of the folder by its checksum. One
-    that is there under its name with another content is used, and named as changed.
+    Each input is searched by name, then by checksum among all files of the folder. A file with
+    the same name and different content is used and reported as changed.
 
     Parameters
     ----------
     result
-        The result or its file, of this version or an earlier one.
+        Result or result file of this version or an earlier version.
     folder
-        Folder of its campaign; None: the folder of the result's file.
+        Campaign folder; None: folder of the result file.
     progress
-        Called with (runs read, runs in all).
+        Called with (number of runs read, number of runs).
 
     Returns
     -------
     RepeatedCalibration
-        Each number before and now, and the other differences.
+        Original and repeated numbers, and the other differences.
 
     Raises
     ------
     RecordError
-        If the file is not a result, was made of arrays in memory, or an input is not found.
+        If the file is not a result, the result is from arrays in memory, or an input is missing.
     CampaignError
-        If the campaign can no longer be calibrated, or an option is of another version.
+        If the campaign cannot be calibrated, or an option belongs to another version.
     """
-    before = judge_result(result if isinstance(result, Result) else Result.read(result))
-    result_name = before.title or "the result" if isinstance(result, Result) else str(result)
+    original = judge_result(result if isinstance(result, Result) else Result.read(result))
+    result_name = original.title or "the result" if isinstance(result, Result) else str(result)
     if folder is None and isinstance(result, Result):
         raise RecordError(f"{result_name}: give the campaign folder (`folder`)", code="wrong-usage")
     campaign_folder = Path(result).parent if folder is None else Path(folder)  # type: ignore[arg-type]
-    if before.provenance.in_memory or not before.provenance.inputs:
+    if original.provenance.in_memory or not original.provenance.inputs:
         raise RecordError(
             f"{result_name}: computed from data in memory; only results from campaign files can "
             "be repeated",
             code="missing-in-result",
         )
-    method, options, without = parse_options(before.provenance.options)
+    method, options, without = parse_options(original.provenance.options)
     with ExitStack() as stack:
-        paths, moved = _locate_inputs(before.provenance.inputs, campaign_folder, result_name)
-        if moved:
-            staged = stack.enter_context(temporary_folder("counterspin-rerun-"))
+        paths, new_paths = _locate_inputs(original.provenance.inputs, campaign_folder, result_name)
+        if new_paths:
+            staging_folder = stack.enter_context(temporary_folder("counterspin-rerun-"))
             for name, file in paths.items():
-                (staged / name).parent.mkdir(parents=True, exist_ok=True)
-                _link_or_copy(file, staged / name)
-            campaign_folder = staged
-        after = calibrate(
-            _calibration_input(before, campaign_folder / next(iter(paths))),
+                (staging_folder / name).parent.mkdir(parents=True, exist_ok=True)
+                _link_or_copy(file, staging_folder / name)
+            campaign_folder = staging_folder
+        repeated = calibrate(
+            _calibration_input(original, campaign_folder / next(iter(paths))),
             method=method,
             options=options,
-            accept_misfit=before.accepted_misfit,
+            accept_misfit=original.accepted_misfit,
             without=without,
             progress=progress,
         )
-    return _compare_coefficients(result_name, before, after, moved)
+    return _compare_coefficients(result_name, original, repeated, new_paths)
 
 
-def _calibration_input(before: Result, path: Path) -> Path | Campaign:
-    """Return the input of the calibration; for a result of schema 1, interpreted as in schema 1."""
-    if not before.assumes_all:
+def _calibration_input(original: Result, path: Path) -> Path | Campaign:
+    """Return the campaign to calibrate; results of schema 1 use the defaults of schema 1."""
+    if not original.assumes_all:
         return path
     campaign = read_campaign(path)
     model = replace(campaign.model, assume=(ALL_TERMS,))
@@ -204,19 +211,23 @@ def _locate_inputs(
     inputs: dict[str, str], folder: Path, result_name: str
 ) -> tuple[dict[str, Path], dict[str, str]]:
     """Return the path of each input, and the new paths of renamed inputs."""
-    paths, moved = dict[str, Path](), dict[str, str]()
+    paths, new_paths = dict[str, Path](), dict[str, str]()
     with Checksums() as checksums:
         named_paths = {name: folder / name for name in inputs}
-        actual = dict(zip(named_paths, checksums.checksums(named_paths.values()), strict=True))
-        changed = {name for name in inputs if actual[name] != inputs[name]}
-        by_checksum = _files_by_checksum(folder, {Path(name).suffix for name in changed}, checksums)
+        actual_checksums = dict(
+            zip(named_paths, checksums.checksums(named_paths.values()), strict=True)
+        )
+        changed_names = {name for name in inputs if actual_checksums[name] != inputs[name]}
+        path_by_checksum = _files_by_checksum(
+            folder, {Path(name).suffix for name in changed_names}, checksums
+        )
     for name, checksum in inputs.items():
         # A path outside the folder cannot be assigned to another file.
-        elsewhere = by_checksum.get(checksum) if _is_inside_folder(name) else None
-        if name in changed and elsewhere is not None:
-            paths[name] = elsewhere
-            moved[name] = str(elsewhere)
-        elif name in changed and actual[name] == "unreadable":
+        new_path = path_by_checksum.get(checksum) if _is_inside_folder(name) else None
+        if name in changed_names and new_path is not None:
+            paths[name] = new_path
+            new_paths[name] = str(new_path)
+        elif name in changed_names and actual_checksums[name] == "unreadable":
             raise RecordError(
                 f"{result_name}: the input {name} ({checksum}) is not in {folder} under this or "
                 "any other name. Give the campaign folder",
@@ -225,14 +236,14 @@ def _locate_inputs(
         else:
             paths[name] = named_paths[name]
     if any(not _is_inside_folder(name) for name in inputs):
-        moved = {} if not moved else _refuse_renamed(result_name, moved)
-    return paths, moved
+        new_paths = {} if not new_paths else _refuse_renamed_inputs(result_name, new_paths)
+    return paths, new_paths
 
 
 def _files_by_checksum(folder: Path, suffixes: set[str], checksums: Checksums) -> dict[str, Path]:
     if not suffixes:
         return {}
-    files = sorted(f for f in folder.rglob("*") if f.suffix in suffixes and f.is_file())
+    files = sorted(file for file in folder.rglob("*") if file.suffix in suffixes and file.is_file())
     return dict(zip(checksums.checksums(files), files, strict=True))
 
 
@@ -240,8 +251,8 @@ def _is_inside_folder(name: str) -> bool:
     return not Path(name).is_absolute() and ".." not in Path(name).parts
 
 
-def _refuse_renamed(result_name: str, moved: dict[str, str]) -> dict[str, str]:
-    name, new_path = next(iter(moved.items()))
+def _refuse_renamed_inputs(result_name: str, new_paths: dict[str, str]) -> dict[str, str]:
+    name, new_path = next(iter(new_paths.items()))
     raise RecordError(
         f"{result_name}: the input {name} is now named {new_path}; restore the earlier name, "
         "because other inputs are outside the campaign folder",
@@ -257,74 +268,83 @@ def _link_or_copy(file: Path, target: Path) -> None:
 
 
 def _compare_coefficients(
-    result_name: str, before: Result, after: Result, moved: dict[str, str]
+    result_name: str, original: Result, repeated: Result, new_paths: dict[str, str]
 ) -> RepeatedCalibration:
-    old, new = dict(_coefficients(before)), dict(_coefficients(after))
+    original_coefficients, repeated_coefficients = (
+        dict(_all_coefficients(original)),
+        dict(_all_coefficients(repeated)),
+    )
     rows = [
-        _compare_coefficient(name, old.get(name), new.get(name))
-        for name in dict.fromkeys([*old, *new])
+        _compare_coefficient(name, original_coefficients.get(name), repeated_coefficients.get(name))
+        for name in dict.fromkeys([*original_coefficients, *repeated_coefficients])
     ]
-    relative = [row.relative for row in rows]
-    in_u = [abs(row.in_u) for row in rows if row.in_u is not None]
-    known = [size for size in relative if size is not None]
-    complete = len(known) == len(relative)
-    largest = max(known, default=0.0) if complete else None
+    relative_differences = [row.relative for row in rows]
+    normalized_differences = [abs(row.in_u) for row in rows if row.in_u is not None]
+    known_differences = [
+        difference for difference in relative_differences if difference is not None
+    ]
+    is_complete = len(known_differences) == len(relative_differences)
+    largest = max(known_differences, default=0.0) if is_complete else None
     return RepeatedCalibration(
         result=result_name,
-        same=largest is not None and largest <= LIMIT and before.state == after.state,
-        limit=LIMIT,
+        same=largest is not None
+        and largest <= RELATIVE_TOLERANCE
+        and original.state == repeated.state,
+        limit=RELATIVE_TOLERANCE,
         largest=largest,
-        largest_in_u=max(in_u, default=None),
+        largest_in_u=max(normalized_differences, default=None),
         coefficients=rows,
-        state_before=before.state,
-        state_now=after.state,
-        changes=find_changes([before, after]),
-        moved=moved,
-        unsealed=[] if before.sealed else [result_name],
+        state_before=original.state,
+        state_now=repeated.state,
+        changes=find_changes([original, repeated]),
+        moved=new_paths,
+        unsealed=[] if original.sealed else [result_name],
     )
 
 
-def _coefficients(result: Result) -> Iterator[tuple[str, Coefficient]]:
-    for owner, accelerometer in result.accelerometers.items():
-        for symbol, c in accelerometer.coefficients.items():
-            yield f"{owner}.{symbol}", c
+def _all_coefficients(result: Result) -> Iterator[tuple[str, Coefficient]]:
+    for owner_name, accelerometer in result.accelerometers.items():
+        for symbol, coefficient in accelerometer.coefficients.items():
+            yield f"{owner_name}.{symbol}", coefficient
     yield from result.platform.items()
-    for owner, run in result.runs.items():
-        for symbol, c in run.terms.items():
-            yield f"{owner}.{symbol}", c
+    for owner_name, run in result.runs.items():
+        for symbol, coefficient in run.terms.items():
+            yield f"{owner_name}.{symbol}", coefficient
 
 
 def _compare_coefficient(
-    name: str, old: Coefficient | None, new: Coefficient | None
+    name: str, original: Coefficient | None, repeated: Coefficient | None
 ) -> RepeatedCoefficient:
-    coefficient = old or new
+    coefficient = original or repeated
     assert coefficient is not None
-    before, u_before = (old.value, old.u) if old else (None, None)
-    now, u_now = (new.value, new.u) if new else (None, None)
-    value_change = _relative_difference(before, now, u_before or 0.0)
-    u_change = _relative_difference(u_before, u_now, 0.0)
-    in_both = (old is None) == (new is None)
-    in_u = None
-    if before is not None and now is not None and u_before:
-        in_u = (now - before) / u_before
+    original_value, original_u = (original.value, original.u) if original else (None, None)
+    repeated_value, repeated_u = (repeated.value, repeated.u) if repeated else (None, None)
+    value_change = _relative_difference(original_value, repeated_value, original_u or 0.0)
+    u_change = _relative_difference(original_u, repeated_u, 0.0)
+    is_in_both = (original is None) == (repeated is None)
+    normalized_difference = None
+    if original_value is not None and repeated_value is not None and original_u:
+        normalized_difference = (repeated_value - original_value) / original_u
     return RepeatedCoefficient(
         name=name,
         unit=coefficient.unit,
-        before=before,
-        u_before=u_before,
-        now=now,
-        u_now=u_now,
+        before=original_value,
+        u_before=original_u,
+        now=repeated_value,
+        u_now=repeated_u,
         relative=None
-        if not in_both or value_change is None or u_change is None
+        if not is_in_both or value_change is None or u_change is None
         else max(value_change, u_change),
-        in_u=in_u,
+        in_u=normalized_difference,
     )
 
 
-def _relative_difference(before: float | None, now: float | None, scale: float) -> float | None:
+def _relative_difference(
+    original: float | None, repeated: float | None, scale: float
+) -> float | None:
     """Return a relative difference; None if only one of the numbers exists."""
-    if before is None or now is None:
-        return 0.0 if before is now else None
-    if before == now:
+    if original is None or repeated is None:
+        return 0.0 if original is repeated else None
+    if original == repeated:
         return 0.0
-    return abs(now - before) / max(abs(before), abs(now), scale)
+    return abs(repeated - original) / max(abs(original), abs(repeated), scale)

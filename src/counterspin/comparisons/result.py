@@ -14,7 +14,7 @@ from counterspin.results import ReportableResult, ResultPart, draw_pictures, mak
 
 
 class ComparedResult(ResultPart):
-    """One of the results: its name in the comparison, and its method."""
+    """A compared result: name, method and version."""
 
     name: str  #: Label of the result.
     title: str  #: Title of the campaign.
@@ -49,7 +49,7 @@ class ComparedEstimate(ResultPart):
 
 
 class ComparedCoefficient(ResultPart):
-    """A coefficient through all results: one estimate for each, in their order."""
+    """A coefficient in all results: one estimate for each result, in order."""
 
     accelerometer: str  #: Name of the accelerometer.
     term: str  #: Symbol of the term.
@@ -80,7 +80,7 @@ class AgreementOfTwo(ResultPart):
 
 
 class Change(ResultPart):
-    """A difference between results: its words in each result, in their order."""
+    """A difference between results, with its text in each result."""
 
     #: Subject of the change, for example a file, ``terms of Qx``, ``radius`` or ``method``.
     subject: str
@@ -96,7 +96,7 @@ _COLUMNS: Final = (
 
 
 class ResultComparison(ReportableResult):
-    """A comparison of results; `reference` is the result that the others are compared with."""
+    """A comparison of results with a reference result."""
 
     BLOCKS: ClassVar[str] = "counterspin.comparisons.page:comparison_blocks"
     DOCUMENT_TYPE: ClassVar[str] = "comparison"
@@ -112,21 +112,21 @@ class ResultComparison(ReportableResult):
     unsealed: list[str] = []  #: Labels of results whose files have no seal.
 
     def reference(self, accelerometer: str) -> ComparedResult:
-        """Return the first result that has an accelerometer: the others are compared with it."""
+        """Return the reference result of an accelerometer: the first result that contains it."""
         return next(result for result in self.results if result.has(accelerometer))
 
     def table(self, library: str = "polars") -> Any:
-        """Return the estimates as a frame, a row for each coefficient and result.
+        """Return the estimates as a data frame, with a row for each coefficient and result.
 
         Parameters
         ----------
         library
-            ``polars``, or ``pandas`` where it is installed.
+            ``polars``, or ``pandas`` if it is installed.
 
         Returns
         -------
         polars.DataFrame or pandas.DataFrame
-            In the units of the field.
+            Estimates in the usual units of the field.
 
         Raises
         ------
@@ -154,7 +154,7 @@ class ResultComparison(ReportableResult):
 
 
 class RepeatedCoefficient(ResultPart):
-    """A coefficient before and now."""
+    """A coefficient in the original result and in the repeated calibration."""
 
     #: Name of the coefficient, such as ``Qx.K_II``, ``platform.drift.north`` or
     #: ``run1.platform.tilt.north``.
@@ -172,9 +172,9 @@ class RepeatedCoefficient(ResultPart):
 
 
 class RepeatedCalibration(ReportableResult):
-    """A result and the same calibration made again."""
+    """A result and its repeated calibration."""
 
-    BLOCKS: ClassVar[str] = "counterspin.comparisons.page:repeat_blocks"
+    BLOCKS: ClassVar[str] = "counterspin.comparisons.page:repeated_calibration_blocks"
     DOCUMENT_TYPE: ClassVar[str] = "repeat of a result"
 
     result: str  #: File or title of the original result.
@@ -253,7 +253,7 @@ class Intercomparison(ReportableResult):
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw the degrees of equivalence of each coefficient, and a Youden plot of two."""
-        pictures = load_name("counterspin.comparisons.intercomparison_page:pictures")
+        pictures = load_name("counterspin.comparisons.intercomparison_page:intercomparison_plots")
         return draw_pictures(pictures(self), axes)
 
     @property

@@ -101,8 +101,8 @@ def verdict_sentences(history: History, instrument: InstrumentHistory) -> str:
         )
         return (
             f"{name} changed by {change_text} between {first_point.date} and {last_point.date} "
-            f"({scatter_text}). With two results, a drift cannot be distinguished from a jump or from an "
-            "understated uncertainty."
+            f"({scatter_text}). With two results, a drift cannot be distinguished from a jump or "
+            "from an understated uncertainty."
         )
     worst_point = max(points, key=lambda point: abs(point.z or 0.0))
     return (

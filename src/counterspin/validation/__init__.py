@@ -1,9 +1,9 @@
 """Reference cases with their sources, run on the installed package: a dossier for an assessor.
 
-- `validate`: `counterspin validate`: the reference cases run on the installed package, and the
-  comparison of its files with the delivered ones
-- `cases`: the cases, data in `data/` with sources, expected values and limits; tests use the same
-- `kernels`: the call of each function that a case names
-- `files`: inputs from files, and outputs of a result: records, campaigns, forces, certificates
-- `page`: the dossier, its JSON, and its printed report
+- `validate`: `counterspin validate`: run the reference cases on the installed package, and compare
+  its files with the delivered files
+- `cases`: the cases in `data/` with sources, expected values and tolerances, also used by tests
+- `kernels`: the call of each function under test
+- `files`: cases with files: records, campaigns, corrected forces and certificates
+- `page`: the dossier, its JSON and its report
 """
