@@ -58,7 +58,7 @@ def convert_instrument_unit(
 ) -> SiEstimate:
     """Return in SI units what is in an instrument's own unit, or in that over g.
 
-    Arguments as in `si_estimate`; ValueError if the unit has no expression in SI.
+    Arguments as in `convert_to_si`; ValueError if the unit has no expression in SI.
     """
     return _convert_estimate(value, u, instrument_unit_in_si(unit), dof, gravity)
 

@@ -257,12 +257,12 @@ def _quotient_estimates(inputs: Inputs) -> tuple[dict[str, Any], Array]:
     return estimates, mean_covariance[:3, :3] / np.outer(u[:3], u[:3])
 
 
-def _run_si_estimate(module: Any, inputs: Inputs) -> Outputs:
+def _run_convert_to_si(module: Any, inputs: Inputs) -> Outputs:
     estimates = _quotient_estimates(inputs)[0] if "observations" in inputs else {"": inputs}
     outputs = dict[str, Any]()
     for name, given_estimate in estimates.items():
         gravity = module.StatedGravity(**given_estimate["gravity"])
-        si_estimate = module.si_estimate(
+        si_estimate = module.convert_to_si(
             given_estimate["value"],
             given_estimate["u"],
             given_estimate["unit"],
@@ -394,7 +394,7 @@ _KERNELS: Final[Mapping[str, Callable[[Any, Inputs], Outputs]]] = {
     "read_certificate": files.certified_estimates,
     "check_schema": files.check_schema,
     "verify": files.verify_signatures,
-    "si_estimate": _run_si_estimate,
+    "convert_to_si": _run_convert_to_si,
     "covariance": _run_covariance,
     "to_si": _call_with_keywords("to_si", "si"),
     "from_si": _call_with_keywords("from_si", "value"),
