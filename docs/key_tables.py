@@ -18,7 +18,7 @@ from pydantic.fields import FieldInfo
 from counterspin import schemas
 from counterspin.acceleration_standard.result import AppliedAcceleration
 from counterspin.calibration.result import Result
-from counterspin.campaign.field_types import SettingsSection, extra_of, uncertain_quantity
+from counterspin.campaign.field_types import SettingsSection, field_extra, uncertain_quantity
 from counterspin.campaign.truth import AccelerometerTruthSettings
 from counterspin.campaign.validation import Section
 from counterspin.certificates.lab import Lab
@@ -186,7 +186,7 @@ def keys(name: str) -> dict[str, FieldInfo]:
     told = {key for base in bases for key in base.model_fields} | set(ACCELEROMETER_TERMS)
     named = {field.alias or name: field for name, field in model.model_fields.items()}
     own = {key: field for key, field in named.items() if key not in told}
-    return {key: f for key, f in own.items() if extra_of(f).get("x-of", some) == some}
+    return {key: f for key, f in own.items() if field_extra(f).get("x-of", some) == some}
 
 
 def model_of(name: str) -> type[BaseModel]:
@@ -210,7 +210,7 @@ def _models(annotation: Any) -> set[type[BaseModel]]:
 
 
 def _row(key: str, field: FieldInfo) -> str:
-    extra = extra_of(field)
+    extra = field_extra(field)
     kind = extra.get("x-kind") or _kind(field.annotation, field.metadata)
     (value,) = field.examples or [None]
     example = f"`{key} = {format_value(value)}`"

@@ -72,14 +72,14 @@ NUMBERS = [
         ],
     ),
     *(
-        (page, words, [runs.MOST_ROWS])
+        (page, words, [runs.MAX_COMPUTED_ROWS])
         for page, words in (
             ("harmful-files", "are limited to {} rows at once"),
             ("plan", "a checked campaign may have at most {} rows in total"),
             ("study", "over all runs and accelerometers, is limited to {};"),
         )
     ),
-    ("harmful-files", "with at most {} samples each.", [runs.MOST_SIMULATED_ROWS]),
+    ("harmful-files", "with at most {} samples each.", [runs.MAX_SIMULATED_ROWS]),
     (
         "harmful-files",
         "has at most {} records, one for each run and accelerometer, "

@@ -20,7 +20,7 @@ from counterspin import errors, workers
 from counterspin.application import access_control
 from counterspin.calibration import assembly, outcome
 from counterspin.calibration.pages import pictures
-from counterspin.campaign.field_types import exact
+from counterspin.campaign.field_types import parse_exact
 from counterspin.certificates import certificate_text, signers
 from counterspin.comparisons import rerun
 from counterspin.histories import consistency, page
@@ -213,6 +213,6 @@ def test_plan_example_has_time_radius_and_rate_of_paper():
     limits = PLAN["limits"]
     assert "has the paper's total time, radius and highest rate" in sentences("plan")
     time = paper.N_STROBES * sum(2.0 * math.pi / rate for rate in paper.RATES)
-    assert exact(limits["total_time"], "s") == pytest.approx(time)
-    assert exact(limits["highest_rate"], "rad/s") == pytest.approx(max(paper.RATES))
-    assert exact(PLAN["centrifuge"]["radius"], "m") == paper.RADIUS
+    assert parse_exact(limits["total_time"], "s") == pytest.approx(time)
+    assert parse_exact(limits["highest_rate"], "rad/s") == pytest.approx(max(paper.RATES))
+    assert parse_exact(PLAN["centrifuge"]["radius"], "m") == paper.RADIUS

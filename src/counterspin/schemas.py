@@ -18,7 +18,7 @@ from typing import Any, Final, Literal, get_args, get_type_hints
 from pydantic import BaseModel
 
 from counterspin.calibration.result import Result
-from counterspin.campaign.validation import model_inside, nested_models
+from counterspin.campaign.validation import find_model, nested_models
 from counterspin.certificates.lab import Lab
 from counterspin.monitoring.result import NoiseResult
 from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
@@ -45,7 +45,7 @@ RESULT_CLASSES: Final[Mapping[str, type[ResultFile]]] = {"result": Result, "nois
 SECTION_MODELS: Final[Mapping[str, type[BaseModel]]] = {
     key: table
     for key, written in nested_models(StudiedDocument).items()
-    if (table := model_inside(written)) is not None
+    if (table := find_model(written)) is not None
 }
 
 

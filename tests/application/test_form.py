@@ -7,7 +7,7 @@ from prose import sentences
 
 from counterspin.application.form import SECTIONS, campaign_form, lab_form, plan_form, run_kinds
 from counterspin.campaign.accelerometers import TRUTH_TABLES
-from counterspin.campaign.field_types import COMPASS
+from counterspin.campaign.field_types import COMPASS_ANGLES
 from counterspin.campaign.resolution import CampaignDocument
 from counterspin.campaign.terms import BARE_NAMES
 from counterspin.certificates.lab import Lab
@@ -125,7 +125,7 @@ def test_offered_units_match_key():
 def test_fields_with_free_text_offer_suggestions():
     form = campaign_form()
     assert find_field(form, "accelerometers", "input_axis")["suggestions"] == list(DIRECTIONS)
-    assert find_field(form, "records", "angle", "zero")["suggestions"] == list(COMPASS)
+    assert find_field(form, "records", "angle", "zero")["suggestions"] == list(COMPASS_ANGLES)
     assert find_field(form, "noise", "acceleration")["suggestions"] == ["estimate"]
     country = find_field(lab_form(), "laboratory", "country")
     assert (country["kind"], country["names"]["DE"]) == ("country", "Germany")

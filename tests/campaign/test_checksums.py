@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from counterspin.__main__ import _prefetch_context
-from counterspin.campaign.checksums import _STARTED, Checksums, checksums_of, prefetch_campaign
+from counterspin.campaign.checksums import _PREFETCHED, Checksums, checksums_of, prefetch_campaign
 from counterspin.input import open_file
 
 #: Timeout of all waits, s; only a failure reaches it.
@@ -43,7 +43,7 @@ def test_expected_files_are_hashed_in_advance(tmp_path, monkeypatch, given):
     with Checksums() as checksums:
         checksums.prefetch(given(tmp_path.name))
         limit = time.monotonic() + BOUND
-        while not all(taken.done() for taken in checksums._taken.values()):
+        while not all(future.done() for future in checksums._futures.values()):
             assert time.monotonic() < limit
             time.sleep(0.001)
         (tmp_path / "a.csv").write_bytes(b"after")
@@ -92,7 +92,7 @@ def test_unrequested_checksum_does_not_delay_exit(tmp_path):
     begun = time.monotonic()
     with Checksums() as checksums:
         checksums.prefetch(tmp_path)
-        while not checksums._taken[file].running():
+        while not checksums._futures[file].running():
             assert time.monotonic() - begun < BOUND
             time.sleep(0.001)
     assert time.monotonic() - begun < BOUND
@@ -112,7 +112,7 @@ def test_files_are_hashed_sequentially_until_requested(tmp_path, monkeypatch):
     monkeypatch.setattr("counterspin.campaign.checksums.open_file", wait_and_open)
     with Checksums() as checksums:
         try:
-            checksums._begin(files)
+            checksums._submit(files)
             wait_until(lambda: len(begun) == 1)
             time.sleep(0.02)
             # The threads start in any order.
@@ -141,18 +141,18 @@ def folder(tmp_path):
 def test_early_checksums_are_used_once(folder):
     with prefetch_campaign(f"{folder}/"):
         with checksums_of(folder) as first:
-            assert set(first._taken) == {folder / "a.csv", folder / "campaign.toml"}
+            assert set(first._futures) == {folder / "a.csv", folder / "campaign.toml"}
             (folder / "b.csv").write_bytes(b"2")
             assert first.checksums([folder / "b.csv"]) == [sha256_of(b"2")]
         with checksums_of(folder) as second:
             assert second is not first
-    assert first._given_up.is_set()
+    assert first._cancelled.is_set()
 
 
 @pytest.mark.parametrize("named", ["nowhere", "\0", "x" * 5000])
 def test_early_start_ignores_path_without_campaign(named):
     with prefetch_campaign(named), checksums_of(named) as checksums:
-        assert not checksums._given_up.is_set()
+        assert not checksums._cancelled.is_set()
 
 
 def test_interrupt_stops_early_checksums(folder):
@@ -162,7 +162,7 @@ def test_interrupt_stops_early_checksums(folder):
         checksums_of(folder) as checksums,
     ):
         raise KeyboardInterrupt
-    assert checksums._given_up.is_set()
+    assert checksums._cancelled.is_set()
     with checksums_of(folder) as again:
         assert again is not checksums
 
@@ -183,8 +183,8 @@ def test_commands_with_early_checksums(folder, monkeypatch, words, begins):
     words = [str(folder) if word == "FOLDER" else word for word in words]
     monkeypatch.setattr(sys, "argv", ["counterspin", *words])
     with _prefetch_context():
-        begun = dict(_STARTED)
+        begun = dict(_PREFETCHED)
         with checksums_of(folder) as checksums, checksums_of([]) as others:
             assert begun == ({folder: checksums} if begins else {})
-            assert checksums._taken
-            assert not others._taken
+            assert checksums._futures
+            assert not others._futures

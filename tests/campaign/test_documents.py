@@ -19,15 +19,15 @@ from raising import raises
 
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.documents import (
-    differences,
+    changed_keys,
+    format_key_path,
     key_lines,
-    key_path,
     merge_patch,
     message_lines,
     to_toml_value,
 )
 from counterspin.campaign.memory import make_campaign
-from counterspin.campaign.quantity import Quantity, parse
+from counterspin.campaign.quantity import Quantity, parse_quantity
 from counterspin.campaign.validation import Problems
 from counterspin.certificates.lab import read_lab, write_example
 from counterspin.errors import CampaignError
@@ -85,7 +85,7 @@ def test_key_lines_of_tables_arrays_and_dotted_keys():
 
 def _walk_values(value, path=()):
     """Return key, as in messages, -> value for all values of a document."""
-    found = {key_path(path).replace('"', ""): value}
+    found = {format_key_path(path).replace('"', ""): value}
     inner = value.items() if isinstance(value, dict) else ()
     if isinstance(value, list):
         inner = enumerate(value)
@@ -195,7 +195,7 @@ def test_python_values_become_toml_types():
 def test_quantity_round_trips_exactly():
     for quantity in (Quantity(1 / 3, 1e-7 / 3, "m"), Quantity(-1e-22, 0.0, "g/g^2")):
         text = to_toml_value(quantity, (), Problems({}).add)
-        assert parse(text, quantity.unit) == quantity
+        assert parse_quantity(text, quantity.unit) == quantity
 
 
 def test_unsupported_values_are_reported_with_key():
@@ -227,9 +227,9 @@ def test_merge_patch_follows_rfc_7396():
 def test_differences_are_named_by_key():
     before = {"a": {"b": 1, "c": [1, 2]}, "runs": [{"rate": "1"}, {"rate": "2"}]}
     after = {"a": {"b": 1, "c": [1]}, "runs": [{"rate": "1"}, {"rate": "3"}], "x.y": 0}
-    assert list(differences(before, after)) == ["a.c", "runs[1].rate", '"x.y"']
-    assert list(differences(before, before)) == []
-    assert list(differences({"a": 1}, {"a": True})) == ["a"]
+    assert list(changed_keys(before, after)) == ["a.c", "runs[1].rate", '"x.y"']
+    assert list(changed_keys(before, before)) == []
+    assert list(changed_keys({"a": 1}, {"a": True})) == ["a"]
 
 
 def sha256_of(data):

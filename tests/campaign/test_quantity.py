@@ -6,11 +6,11 @@ from hypothesis import strategies as st
 
 from counterspin.campaign.quantity import (
     Quantity,
-    attitude_rows,
-    attitude_words,
-    last_digit,
-    latitude_text,
-    parse,
+    describe_attitude,
+    last_digit_step,
+    normalize_latitude,
+    parse_quantity,
+    read_attitude_matrix,
 )
 from counterspin.physics.terms import SHARED_TERMS, TERMS
 from counterspin.units import QUANTITIES, UNITS, unit_factor
@@ -62,7 +62,7 @@ FINITE = st.builds(math.copysign, UNCERTAINTY, st.sampled_from([1.0, -1.0]))
     ],
 )
 def test_quantity_is_parsed(text, unit, value, u):
-    quantity = parse(text, unit)
+    quantity = parse_quantity(text, unit)
     assert quantity.value == pytest.approx(value, rel=4e-16, abs=0.0)
     assert quantity.u == pytest.approx(u, rel=4e-16, abs=0.0)
     assert quantity.unit == unit
@@ -81,19 +81,21 @@ def test_quantity_is_parsed(text, unit, value, u):
     ],
 )
 def test_latitude_with_minutes_and_hemisphere(text, degrees):
-    assert parse(latitude_text(text), "rad").value == pytest.approx(math.radians(degrees))
+    assert parse_quantity(normalize_latitude(text), "rad").value == pytest.approx(
+        math.radians(degrees)
+    )
 
 
 def test_rejects_latitude_with_60_minutes():
     with pytest.raises(ValueError, match="less than 60"):
-        latitude_text("45 deg 75 min N")
+        normalize_latitude("45 deg 75 min N")
 
 
 @pytest.mark.parametrize(
     "text", ["45.75 degs", "45.75 degN", "45 deg 45 min 30 s", "45.75 n", "45.75 deg", "N 45.75 S"]
 )
 def test_misspelt_unit_is_not_a_hemisphere(text):
-    assert latitude_text(text) == text
+    assert normalize_latitude(text) == text
 
 
 @pytest.mark.parametrize(
@@ -107,12 +109,12 @@ def test_misspelt_unit_is_not_a_hemisphere(text):
     ],
 )
 def test_site_gravity_converts_between_g_and_si(text, unit, value):
-    assert parse(text, unit, gravity=G).value == pytest.approx(value, rel=1e-15)
+    assert parse_quantity(text, unit, gravity=G).value == pytest.approx(value, rel=1e-15)
 
 
 def test_rejects_g_for_si_without_gravity():
     with pytest.raises(ValueError, match=r"'g' is not a unit of acceleration; use m/s\^2"):
-        parse("1 g", "m/s^2")
+        parse_quantity("1 g", "m/s^2")
 
 
 @pytest.mark.parametrize(
@@ -162,7 +164,7 @@ def test_rejects_g_for_si_without_gravity():
 )
 def test_rejects_with_advice(text, unit, message):
     with pytest.raises(ValueError, match=message):
-        parse(text, unit)
+        parse_quantity(text, unit)
 
 
 @pytest.mark.parametrize("wanted", QUANTITIES)
@@ -179,7 +181,7 @@ def test_all_term_units_have_advice():
 def test_quantity_round_trips_exactly(value, u, unit):
     assume(max(abs(value), u) < 1e9 or unit not in ("rad", "s"))
     quantity = Quantity(value, u, unit)
-    assert parse(str(quantity), unit) == quantity
+    assert parse_quantity(str(quantity), unit) == quantity
 
 
 @pytest.mark.parametrize(
@@ -193,8 +195,8 @@ def test_quantity_round_trips_exactly(value, u, unit):
 )
 def test_rejects_implausible_angles_and_times(text, unit, kind):
     with pytest.raises(ValueError, match=f"implausibly large or small; {kind} is required"):
-        parse(text, unit)
-    parse(text.replace("e18", "e8").replace("e10", "e9"), unit)
+        parse_quantity(text, unit)
+    parse_quantity(text.replace("e18", "e8").replace("e10", "e9"), unit)
 
 
 @given(st.sampled_from(sorted(UNITS)), st.sampled_from(sorted(UNITS)))
@@ -210,7 +212,7 @@ def test_factors_of_same_dimension_are_inverse(one, other):
 @given(st.text(max_size=20))
 def test_any_text_is_quantity_or_raises_value_error(text):
     try:
-        quantity = parse(text, "m")
+        quantity = parse_quantity(text, "m")
     except ValueError:
         return
     assert math.isfinite(quantity.value)
@@ -219,7 +221,7 @@ def test_any_text_is_quantity_or_raises_value_error(text):
 @pytest.mark.parametrize("text", ["1e300 m", "-1e61 m", "2.5 ± 1e-300 m", "1e-64 km"])
 def test_rejects_implausible_lengths(text):
     with pytest.raises(ValueError, match="is implausibly large or small; a length is required"):
-        parse(text, "m")
+        parse_quantity(text, "m")
 
 
 @pytest.mark.parametrize(
@@ -233,19 +235,19 @@ def test_rejects_implausible_lengths(text):
     ],
 )
 def test_last_digit_of_quantity(text, one):
-    assert last_digit(text) == one
+    assert last_digit_step(text) == one
 
 
 def test_quantity_object_is_converted():
-    assert parse(Quantity(2.5, 1.0, "mA"), "A") == parse("2.5 ± 1.0 mA", "A")
-    assert parse(Quantity(2.0, 0.0, "m/s^2"), "g", gravity=8.0) == Quantity(0.25, 0.0, "g")
+    assert parse_quantity(Quantity(2.5, 1.0, "mA"), "A") == parse_quantity("2.5 ± 1.0 mA", "A")
+    assert parse_quantity(Quantity(2.0, 0.0, "m/s^2"), "g", gravity=8.0) == Quantity(0.25, 0.0, "g")
     for wrong, words in (
         (Quantity(1e300, 0.0, "A"), "implausibly large"),
         (Quantity(float("inf"), 0.0, "A"), "not a finite number"),
         (Quantity(1.0, -1.0, "A"), "negative uncertainty"),
     ):
         with pytest.raises(ValueError, match=words):
-            parse(wrong, "A")
+            parse_quantity(wrong, "A")
 
 
 @pytest.mark.parametrize(
@@ -258,4 +260,4 @@ def test_quantity_object_is_converted():
     ],
 )
 def test_attitude_is_described_by_directions_of_axes(written, words):
-    assert attitude_words(attitude_rows(written)) == words
+    assert describe_attitude(read_attitude_matrix(written)) == words

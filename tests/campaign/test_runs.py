@@ -52,7 +52,7 @@ def test_run_overrides_file_format(tmp_path):
     assert read.recording_of(slow).dialect == Dialect(skip_lines=4, delimiter=";")
     assert read.recording_of(middle).dialect == Dialect(skip_lines=4, delimiter=";", decimal=",")
     assert read.recording_of(middle).time.factor == 1e-3
-    assert middle.part == (-math.inf, 30.0)
+    assert middle.time_range == (-math.inf, 30.0)
 
 
 def test_run_can_be_skipped(tmp_path):
@@ -73,7 +73,7 @@ def test_file_may_contain_consecutive_runs(tmp_path):
         ]
 
     read = read_changed(tmp_path, *two_parts('stop = "40 s"', 'start = "40 s"'))
-    assert [run.part for run in read.runs[:2]] == [(-math.inf, 40.0), (40.0, math.inf)]
+    assert [run.time_range for run in read.runs[:2]] == [(-math.inf, 40.0), (40.0, math.inf)]
     for second in ('start = "39 s"', "", 'start = "x"'):
         problems = list_problems(tmp_path, *two_parts('stop = "40 s"', second))
         assert any("is already used by runs[0]" in line or "start" in line for line in problems)

@@ -4,9 +4,9 @@ from campaigns import write_and_read_campaign
 from reading_descriptions import ACCELEROMETER, format_rest_run, format_site
 
 from counterspin.campaign.model import MeasurementSetup, resolve_model
-from counterspin.campaign.quantity import Quantity, attitude_rows
+from counterspin.campaign.quantity import Quantity, read_attitude_matrix
 from counterspin.campaign.settings import ModelSettings
-from counterspin.campaign.terms import BARE_NAMES, rows_of
+from counterspin.campaign.terms import BARE_NAMES, acting_rows
 from counterspin.campaign.validation import Problems
 from counterspin.physics.accelerometer import QX, QY, QZ, Mounting
 from counterspin.physics.closed_forms import parabola
@@ -63,7 +63,7 @@ def test_no_component_acts_on_vertical_input_axis():
 
 def test_gyro_terms_rotate_with_platform():
     # x east, y up, z south: the azimuth gyro is y, and the gyro about north is -z.
-    turned = attitude_rows("90 deg about east")
+    turned = read_attitude_matrix("90 deg about east")
     assert expand_name("platform.tilt", {"Qx": QX}, [turned]) == "north"
     assert expand_name("platform.drift", {"Qx": QX}, [turned]) == "up"
     assert expand_name("platform.g_sensitivity", {"Qx": QX}, [turned]) == "yx zz"
@@ -73,7 +73,7 @@ def test_gyro_terms_rotate_with_platform():
 @pytest.mark.parametrize("attitude", ["level", "90 deg about east", "30 deg about north"])
 @pytest.mark.parametrize("mounting", [QX, QY, QZ, OBLIQUE], ids=["Qx", "Qy", "Qz", "oblique"])
 def test_acting_tilts_couple_gravity(mounting, attitude):
-    rows = attitude_rows(attitude)
+    rows = read_attitude_matrix(attitude)
     gravity = np.array([0.0, 0.0, Site(9.8, 0.7).gravity])
     input_axis = mounting.matrix[0] @ rows
     for row in BARE_NAMES["platform.tilt"]:
@@ -273,7 +273,7 @@ def test_acting_sensitivity_has_mean_at_some_start_angle():
                 for symbol, axes in ((row.symbol, mounting), (_turn_symbol(row.symbol), turned))
             ]
             assert acts(row, mounting, LEVEL) == any(abs(mean) > 1e-9 for mean in means)
-            meant = row in rows_of("platform.g_sensitivity", [mounting], [LEVEL])
+            meant = row in acting_rows("platform.g_sensitivity", [mounting], [LEVEL])
             assert meant == (abs(means[0]) > 1e-9)
 
 

@@ -7,7 +7,7 @@ import pytest
 from pydantic import Field
 
 from counterspin.campaign.field_types import SettingsSection, Text
-from counterspin.campaign.runs import OfEach
+from counterspin.campaign.runs import PerAccelerometer
 from counterspin.campaign.validation import Problems, suggest_name
 
 
@@ -22,7 +22,7 @@ class Section(SettingsSection):
     axis: Text | list[float] = "up"
     named: Text | list[Text] | dict[str, Text | list[Text]] = "x"
     kind: Literal["a", "b"] = "a"
-    reading: OfEach | None = None
+    reading: PerAccelerometer | None = None
     inner: Inner | None = None
 
 

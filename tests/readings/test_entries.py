@@ -86,7 +86,7 @@ def test_output_zero_is_subtracted_from_reading(tmp_path):
     assert read_one.value == pytest.approx(1.082532 / 1.25, rel=1e-12)
     assert read_one.u == pytest.approx(2e-6 / 1.25, rel=1e-12)
     output = read(tmp_path, head + reading).accelerometers["A"].output
-    assert output.of_g(output.in_g(4.7)) == pytest.approx(4.7, rel=1e-15)
+    assert output.from_g(output.to_g(4.7)) == pytest.approx(4.7, rel=1e-15)
 
 
 def test_output_zero_applies_to_records(tmp_path):

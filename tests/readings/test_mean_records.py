@@ -78,7 +78,7 @@ def test_rates_and_means_scatter_by_their_noise():
             averaged = average_record(one, reading)
             value, u = averaged.reading.value, 1e-4 / math.sqrt(averaged.mean.samples)
             side = 1 if reading.name.startswith("in") else -1
-            calibrate_with_clock = arm_run(reading.name, side, averaged.reading.measured.value)
+            calibrate_with_clock = arm_run(reading.name, side, averaged.reading.measured_rate.value)
             of_record = f'record = "{reading.name}.csv"'
             text += calibrate_with_clock.replace(of_record, f'reading = "{value!r} ± {u!r} g"')
         result = cs.calibrate(cs.make_campaign(tomllib.loads(text)))

@@ -4,7 +4,7 @@ import unicodedata
 
 import pytest
 
-from counterspin.campaign.quantity import parse
+from counterspin.campaign.quantity import parse_quantity
 from counterspin.characters import MultilineText, escape_controls, substitute_unencodable
 from counterspin.reports.numbers import format_estimate
 
@@ -35,7 +35,7 @@ def test_text_is_encodable_in_any_encoding(encoding, expected):
 
 def test_replaced_text_is_valid_in_campaign_file():
     text = substitute_unencodable(format_estimate(27.0445, 0.0007, "ug/g^2"), "ascii")
-    assert parse(text, "g/g^2").u == pytest.approx(7e-10)
+    assert parse_quantity(text, "g/g^2").u == pytest.approx(7e-10)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from counterspin.campaign.quantity import parse
+from counterspin.campaign.quantity import parse_quantity
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
     field_unit,
@@ -129,7 +129,7 @@ def test_compact_form_agrees_with_plus_minus_form(value, u):
 def test_text_without_power_of_ten_is_valid_in_campaign_file(value, u):
     text = format_estimate(value, u, "ug/g^2")
     assume("x 1e" not in text)
-    read = parse(text, "g/g^2")
+    read = parse_quantity(text, "g/g^2")
     both = round_to_uncertainty(value, u)
     assert read.value == pytest.approx(1e-6 * float(both.value), rel=1e-12)
     assert read.u == pytest.approx(1e-6 * float(both.u), rel=1e-12)

@@ -10,7 +10,7 @@ from campaigns import SMALL, replace_parts, write_description
 from raising import raises
 
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.runs import MOST_ROWS, MOST_SIMULATED_ROWS
+from counterspin.campaign.runs import MAX_COMPUTED_ROWS, MAX_SIMULATED_ROWS
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import check
@@ -96,7 +96,7 @@ def test_forecast_limits_total_rows_of_runs(tmp_path):
         read_changed_campaign(tmp_path, "revolutions = 20", "revolutions = 8000")
     )
     alone = [computed_rows(run.rate, run.duration, 20.0, means=True) for run in campaign.runs]
-    assert max(alone) < MOST_ROWS < sum(alone)
+    assert max(alone) < MAX_COMPUTED_ROWS < sum(alone)
     with pytest.raises(CampaignError, match="of the"):
         forecast(campaign)
 
@@ -107,7 +107,7 @@ def test_simulation_allows_more_rows_than_study(tmp_path):
         read_changed_campaign(tmp_path, "revolutions = 20", "revolutions = 20")
     )
     longest = max(run.duration for run in campaign.runs)
-    fits, too_many = 0.99 * MOST_SIMULATED_ROWS / longest, 1.01 * MOST_SIMULATED_ROWS / longest
+    fits, too_many = 0.99 * MAX_SIMULATED_ROWS / longest, 1.01 * MAX_SIMULATED_ROWS / longest
     check_size(campaign, fits, "simulation")
     for rate, purpose in ((too_many, "simulation"), (fits, "study")):
         with pytest.raises(CampaignError, match=f"a {purpose} can have at most"):

@@ -34,7 +34,11 @@ def test_poses_and_frame_misalignments_are_read(tmp_path):
     assert {reading.name for reading in second} == {"two"}
     # Y's pendulous axis points up, out of the plane of X and Y: a turn about its output axis
     # carries Y's input axis there.
-    assert campaign.triad.of_frame == (("X", "delta_O"), ("X", "delta_P"), ("Y", "delta_O"))
+    assert campaign.triad.frame_misalignments == (
+        ("X", "delta_O"),
+        ("X", "delta_P"),
+        ("Y", "delta_O"),
+    )
     assert campaign.readings == ()
     assert campaign.model.terms == ("K_F", "K_I", "delta_O", "delta_P")
 
@@ -42,7 +46,7 @@ def test_poses_and_frame_misalignments_are_read(tmp_path):
 def test_known_attitudes_determine_orientation_of_triad(tmp_path):
     known = ONE.replace('"unknown"', '"level"').replace("one", "known")
     campaign = _read(tmp_path, triads.head() + ONE + known)
-    assert campaign.triad.of_frame == ()
+    assert campaign.triad.frame_misalignments == ()
     assert {reading.name for reading in campaign.readings} == {"known"}
     assert {reading.name for reading in campaign.all_readings} == {"known", "one"}
 

@@ -25,7 +25,7 @@ from counterspin.acceleration_standard.result import (
 )
 from counterspin.calibration.model import resolve_prior
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.quantity import BARE, NUMBER, Quantity, parse
+from counterspin.campaign.quantity import BARE_NUMBER, NUMBER, Quantity, parse_quantity
 from counterspin.errors import CampaignError, UsageError
 
 #: Levels without `levels` and without stated rates, g.
@@ -180,9 +180,9 @@ def _parse_levels(levels: str | Sequence[float], gravity: float) -> list[float]:
     unit = re.sub(rf"^\s*{NUMBER}\s*", "", texts[-1]) if texts else ""
     numbers, problems = [], []
     for text in map(str.strip, texts):
-        written = f"{text} {unit.strip() or 'g'}" if BARE.fullmatch(text) else text
+        written = f"{text} {unit.strip() or 'g'}" if BARE_NUMBER.fullmatch(text) else text
         try:
-            quantity = parse(written, "g", gravity=gravity)
+            quantity = parse_quantity(written, "g", gravity=gravity)
         except ValueError as error:
             problems.append(f'`levels`: "{text}": {error}')
             continue

@@ -17,7 +17,7 @@ import numpy as np
 
 from counterspin.acceleration_standard.result import MonteCarloCheck
 from counterspin.arrays import Array
-from counterspin.campaign.distribution import standard_draws
+from counterspin.campaign.distribution import draw_standardized
 from counterspin.campaign.quantity import NORMAL, InputDistribution
 from counterspin.inference.distributions import COVERAGE, expanded_uncertainty, numerical_tolerance
 from counterspin.physics.motion import EARTH_RATE
@@ -108,7 +108,7 @@ def draw_distributions(
     """
     rng = np.random.default_rng(seed)
     errors = {
-        name: u[name] * standard_draws(distributions.get(name, NORMAL), draws, rng)
+        name: u[name] * draw_standardized(distributions.get(name, NORMAL), draws, rng)
         if u[name]
         else np.zeros(1)
         for name in UNITS

@@ -20,7 +20,7 @@ from counterspin.application.app_state import AppState, FileCache
 from counterspin.application.commands import import_command
 from counterspin.arrays import Array, median
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, table_of
-from counterspin.campaign.quantity import latitude_text, parse
+from counterspin.campaign.quantity import normalize_latitude, parse_quantity
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.ingest.column_roles import FileGuess, counts_rows
@@ -296,7 +296,7 @@ def _read_newest_site(app: AppState, paths: Sequence[Path]) -> dict[str, Remembe
 def _is_quantity(text: str, unit: str) -> bool:
     """Return whether a text is a quantity of a unit's dimension."""
     try:
-        parse(latitude_text(text) if unit == "rad" else text, unit)
+        parse_quantity(normalize_latitude(text) if unit == "rad" else text, unit)
     except ValueError:
         return False
     return True

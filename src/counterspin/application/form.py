@@ -16,19 +16,19 @@ from pydantic.fields import FieldInfo
 from counterspin.application.answers import FormField, FormSection, TermRow
 from counterspin.application.pages import page_address, page_explaining
 from counterspin.campaign.field_types import (
-    OUTPUTS,
-    STAMPS,
-    angle_unit,
-    extra_of,
-    force_or_output,
+    OUTPUT_UNITS,
+    TIME_STAMP_UNIT,
+    check_angle_unit,
+    check_output_unit,
+    check_time_unit,
+    field_extra,
     parse_temperature,
     parse_temperatures,
-    time_unit,
 )
 from counterspin.campaign.runs import READINGS, RECORDS, is_reading
 from counterspin.campaign.terms import BARE_NAMES
 from counterspin.campaign.truth import TRUE_TABLES, AccelerometerTruthSettings
-from counterspin.campaign.validation import model_inside, nested_models
+from counterspin.campaign.validation import find_model, nested_models
 from counterspin.certificates.codes import codes_in_force
 from counterspin.certificates.evidence import ALL
 from counterspin.certificates.lab import Lab, parse_celsius
@@ -49,10 +49,10 @@ _REPEATED_SECTIONS: Final = {
 
 #: Check of a unit's name -> units of the dimensions that it lets pass.
 _UNIT_CHOICES: Final[Mapping[Any, tuple[str, ...]]] = {
-    time_unit: ("s", STAMPS),
-    angle_unit: ("rad", "count"),
-    force_or_output: ("m/s^2", "g", *OUTPUTS),
-    normalise_unit: ("g", *OUTPUTS),
+    check_time_unit: ("s", TIME_STAMP_UNIT),
+    check_angle_unit: ("rad", "count"),
+    check_output_unit: ("m/s^2", "g", *OUTPUT_UNITS),
+    normalise_unit: ("g", *OUTPUT_UNITS),
 }
 
 #: Type -> how it is asked for; others as text.
@@ -95,7 +95,7 @@ def lab_form() -> tuple[FormSection, ...]:
     """Return the sections of ``LAB.toml``, each with its fields."""
     sections = []
     for name, field in Lab.model_fields.items():
-        model = model_inside(field.annotation)
+        model = find_model(field.annotation)
         if model is not None:
             sections.append(_section(field.alias or name, model, "certificate"))
     evidence = Lab.model_fields["evidence"]
@@ -121,7 +121,7 @@ def plan_form(of_readings: bool) -> tuple[FormSection, ...]:
     document = ReadingPlanDocument if of_readings else PlanDocument
     sections = []
     for key, annotation in nested_models(document).items():
-        model = model_inside(annotation)
+        model = find_model(annotation)
         if model is not None:
             sections.append(campaign_sections.get(key) or _section(key, model, "plan"))
     # What makes it a plan comes first.
@@ -173,13 +173,13 @@ def _table_fields(model: type[BaseModel], page: str, excluded: str = "") -> list
     return [
         _form_field(field.alias or name, field, page)
         for name, field in model.model_fields.items()
-        if not excluded or extra_of(field).get("x-of") != excluded
+        if not excluded or field_extra(field).get("x-of") != excluded
     ]
 
 
 def _form_field(key: str, field: FieldInfo, page: str) -> FormField:
     base, metadata = _unwrap_annotation(field.annotation, field.metadata)
-    extra = extra_of(field)
+    extra = field_extra(field)
     if_absent = extra.get("x-absent")
     meaning = (
         ""

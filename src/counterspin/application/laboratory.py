@@ -24,7 +24,7 @@ from counterspin.application.editing import parse_lab_text, parse_text, set_valu
 from counterspin.application.form import lab_form
 from counterspin.application.served_folder import RequestError
 from counterspin.calibration.result import Result
-from counterspin.campaign.documents import KeyPath, key_path, table_of
+from counterspin.campaign.documents import KeyPath, format_key_path, table_of
 from counterspin.certificates.certificate_reader import read_certificate, read_document
 from counterspin.certificates.issuing import draft_pages
 from counterspin.certificates.lab import example_text, is_template_value
@@ -118,7 +118,8 @@ def _initial_text(app: AppState, result: Result, folder: Path) -> str:
             text = set_value(text, path, value)
         except CounterspinError as error:
             raise RequestError(
-                f"{PROFILE_NAME}: {key_path(path)} cannot be used; correct or remove this file"
+                f"{PROFILE_NAME}: {format_key_path(path)} cannot be used; correct or remove "
+                "this file"
             ) from error
     return text
 

@@ -18,7 +18,7 @@ from counterspin.application.editing import set_value
 from counterspin.application.jobs import Job, report_progress
 from counterspin.application.served_folder import RequestError
 from counterspin.campaign.documents import load_document, parse_document, table_of
-from counterspin.campaign.quantity import BARE
+from counterspin.campaign.quantity import BARE_NUMBER
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.output import make_folder
@@ -189,7 +189,7 @@ def _stated_limits(stated_plan: Plan | ReadingPlan) -> dict[str, float]:
 def _written_unit(value: Any, unit: str) -> tuple[str, float]:
     """Return the unit in which a quantity is written, and its size in `unit`."""
     text = value.strip() if isinstance(value, str) else ""
-    number = re.match(BARE, text)
+    number = re.match(BARE_NUMBER, text)
     own_unit = text[number.end() :].strip() if number else ""
     return (own_unit, unit_factor(own_unit, unit)) if own_unit else (unit, 1.0)
 

@@ -88,7 +88,7 @@ def record_overview(app: AppState, name: str, run: str, fit: bool = False) -> Re
         "rows": len(record.time),
         "first": float(record.time[0]),
         "last": float(record.time[-1]),
-        "used": [limit if math.isfinite(limit) else None for limit in described_run.part],
+        "used": [limit if math.isfinite(limit) else None for limit in described_run.time_range],
         "file": app.folder.name(described_run.record),
     }
     return {"overview": overview}

@@ -28,7 +28,7 @@ from counterspin.application.served_folder import NotFoundError
 from counterspin.calibration.pages.uncertainty import IMPROVEMENT_FACTOR
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
-from counterspin.campaign.documents import DESCRIPTION_NAME, key_path, load_document
+from counterspin.campaign.documents import DESCRIPTION_NAME, format_key_path, load_document
 from counterspin.errors import CounterspinError, error_code
 from counterspin.inference.joint.summary import WhatIf
 from counterspin.physics.terms import (
@@ -239,7 +239,7 @@ def apply_improvement(
     if way == "state":
         prior, suffix = _best_prior(app.result(result), accelerometer)
         text = set_value(text, ["model", "priors", prior[0]], prior[1])
-        key = key_path(("model", "priors", prior[0]))
+        key = format_key_path(("model", "priors", prior[0]))
     else:
         suggestion = (_search_results(app, name) or {}).get(accelerometer)
         if suggestion is None:

@@ -158,7 +158,7 @@ def _record_end_findings(observed_runs: Sequence[ObservedRun]) -> list[Finding]:
     findings = []
     for run in observed_runs:
         name, nominal_duration = run.run.name, run.run.duration
-        if any(map(math.isfinite, run.run.part)):
+        if any(map(math.isfinite, run.run.time_range)):
             nominal_duration = None  # it is cut on purpose
         duration = float(run.record.time[-1] - run.record.time[0])
         if nominal_duration is not None and duration < COMPLETE_FRACTION * nominal_duration:
@@ -212,14 +212,16 @@ def _campaign_remarks(campaign: Campaign) -> list[str]:
     if campaign.skipped:
         names = ", ".join(campaign.skipped)
         remarks.append(f"Omitted on request: {names}.")
-    if campaign.model.setting is not None and not any(r.position for r in campaign.readings):
+    if campaign.model.setting_error is not None and not any(r.position for r in campaign.readings):
         remarks.append(
             "[fixture] position was not used. It describes the positioning error of known "
             "attitudes, but this campaign estimates all attitudes."
         )
     run_names = [run.name for run in campaign.runs if run.u_rate]
     run_names += [
-        reading.name for reading in campaign.readings if reading.by_clock and reading.u_rate
+        reading.name
+        for reading in campaign.readings
+        if reading.uses_recorder_clock and reading.u_rate
     ]
     if run_names:
         names = ", ".join(dict.fromkeys(run_names))
@@ -228,7 +230,9 @@ def _campaign_remarks(campaign: Campaign) -> list[str]:
             "the rate from the record. The stated rate is used only as the nominal value."
         )
     if campaign.rate_clock is None and campaign.clock is not None:
-        count = sum(1 for reading in campaign.readings if reading.rate and not reading.by_clock)
+        count = sum(
+            1 for reading in campaign.readings if reading.rate and not reading.uses_recorder_clock
+        )
         if count:
             remarks.append(
                 f"[records] clock also applies to the stated rates of {count} readings, "

@@ -110,7 +110,7 @@ def calibrate(
 
 def _exclude_runs(campaign: Campaign, without: Sequence[str]) -> Campaign:
     """Return a campaign without some runs; its source is unchanged."""
-    from counterspin.campaign.documents import require_source, with_source
+    from counterspin.campaign.documents import require_source, set_source
 
     _check_excluded_runs(campaign, without)
     entries = require_source(campaign).document.get("runs", ())
@@ -124,7 +124,7 @@ def _exclude_runs(campaign: Campaign, without: Sequence[str]) -> Campaign:
             str(campaign.path), [prefix + problem for problem in error.problems], code=error.codes
         ) from error
     assert campaign.source is not None
-    return with_source(replace(subset, path=campaign.path, title=campaign.title), campaign.source)
+    return set_source(replace(subset, path=campaign.path, title=campaign.title), campaign.source)
 
 
 def _check_excluded_runs(campaign: Campaign, without: Sequence[str]) -> None:

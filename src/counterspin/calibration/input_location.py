@@ -16,7 +16,7 @@ import numpy as np
 
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.observed_runs import observe_run
-from counterspin.campaign.accelerometers import with_responses
+from counterspin.campaign.accelerometers import update_responses
 from counterspin.campaign.quantity import Quantity
 from counterspin.inference.joint.estimation import locate_inputs
 from counterspin.inference.joint.series import TIMING
@@ -97,7 +97,7 @@ def _apply_changes(problem: JointProblem, changes: Mapping[tuple[str, str], floa
         if (owner, symbol) in shifts
     }
     if response_values:
-        accelerometers = with_responses(campaign.accelerometers, response_values)
+        accelerometers = update_responses(campaign.accelerometers, response_values)
         campaign = replace(campaign, accelerometers=accelerometers)
     observed_runs = [
         observe_run(campaign, run.run, run.record, run.trajectory.conditions)

@@ -22,7 +22,7 @@ from counterspin.campaign.conditions import (
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.model import ALL_TERMS
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.terms import symbols_shown
+from counterspin.campaign.terms import shown_symbols
 from counterspin.inference.joint.series import CLOCK, RATE_CLOCK, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
@@ -114,12 +114,12 @@ def is_requested(campaign: Campaign, symbol: str, name: str = "") -> bool:
 
     name: The accelerometer; empty for a term of the machine.
     """
-    if campaign.model.named and symbol in campaign.model.terms:
+    if campaign.model.has_named_terms and symbol in campaign.model.terms:
         return True
     if symbol == "K_II":
         return bool(campaign.runs) or any(reading.rate for reading in campaign.readings)
     triad = campaign.triad
-    is_posed = triad is not None and triad.posed and name in triad.accelerometers
+    is_posed = triad is not None and triad.has_poses and name in triad.accelerometers
     return is_posed and symbol in ("K_F", *LINEAR)
 
 
@@ -214,7 +214,7 @@ def inputs_by_owner(campaign: Campaign) -> dict[tuple[str, str], Quantity]:
 def _acting_terms(campaign: Campaign, accelerometer: str = "") -> list[tuple[str, str]]:
     """Return owner and symbol of the terms that affect one accelerometer, or any of them."""
     names = [accelerometer] if accelerometer else list(campaign.accelerometers)
-    frame_terms = campaign.triad.of_frame if campaign.triad else ()
+    frame_terms = campaign.triad.frame_misalignments if campaign.triad else ()
     named_symbols = {*campaign.model.terms, *campaign.model.considered, *campaign.model.priors}
     conditions = set(changing_conditions(campaign))
     accelerometer_terms = [
@@ -228,7 +228,7 @@ def _acting_terms(campaign: Campaign, accelerometer: str = "") -> list[tuple[str
     # A named radius of a mounting replaces the radii of its accelerometers.
     reading_terms = [
         ("", symbol)
-        for symbol in symbols_shown(readings)
+        for symbol in shown_symbols(readings)
         if symbol not in ACCELEROMETER_TERMS
         if symbol in named_symbols
         or not symbol.startswith("centrifuge.radius.")

@@ -18,7 +18,7 @@ from counterspin.arrays import Array
 from counterspin.calibration.linearity import Response, assess_linearity
 from counterspin.calibration.model import stated_inputs
 from counterspin.calibration.result_parts import Coefficient, MonteCarloInterval
-from counterspin.campaign.distribution import standard_draws
+from counterspin.campaign.distribution import draw_standardized
 from counterspin.campaign.quantity import NORMAL, InputDistribution
 from counterspin.errors import UsageError
 from counterspin.inference.distributions import COVERAGE, numerical_tolerance
@@ -146,14 +146,14 @@ def draw_errors(
     noise_dof = _noise_dof(coefficient, noise_variance)
     slopes = {line.source: (line.sensitivity or 0.0) * (line.u or 0.0) for line in lines}
     for source, response in responses.items():
-        draws = standard_draws(distributions.get(source, NORMAL), trials, generator)
+        draws = draw_standardized(distributions.get(source, NORMAL), trials, generator)
         errors += slopes.get(source, 0.0) * draws + response.excess(draws)
     for line in lines:
         distribution = distributions.get(line.source)
         if line.source in responses:
             continue
         if line.kind in ("stated", "held") and distribution is not None:
-            errors += line.contribution * standard_draws(distribution, trials, generator)
+            errors += line.contribution * draw_standardized(distribution, trials, generator)
         elif line.kind != "noise" or math.isinf(noise_dof):
             normal_variance += line.contribution**2
     if not math.isinf(noise_dof):

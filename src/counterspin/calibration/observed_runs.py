@@ -16,7 +16,7 @@ from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.columns import Recording
 from counterspin.campaign.conditions import RunTimeline
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.documents import with_source
+from counterspin.campaign.documents import set_source
 from counterspin.campaign.reading import PoseRecord, Reading
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import OBSERVABLES
@@ -209,7 +209,7 @@ def record_columns(campaign: Campaign, run: Run) -> RecordColumns:
         recording.angle,
         {name: accelerometer.channel for name, accelerometer in campaign.accelerometers.items()},
         recording.dialect,
-        run.part,
+        run.time_range,
         tuple(run.continued_in),
         run.pulses,
     )
@@ -302,7 +302,7 @@ def add_recorded_conditions(campaign: Campaign) -> Campaign:
         replace(
             reading,
             temperature=recorded_temperatures(campaign, reading, profiles),
-            by_clock=reading.by_clock and _has_angle(campaign, reading),
+            uses_recorder_clock=reading.uses_recorder_clock and _has_angle(campaign, reading),
         )
         if reading.record is not None
         else reading
@@ -319,7 +319,7 @@ def add_recorded_conditions(campaign: Campaign) -> Campaign:
         return campaign
     source = campaign.source
     campaign = replace(campaign, runs=runs, readings=readings, triad=triad)
-    return campaign if source is None else with_source(campaign, source)
+    return campaign if source is None else set_source(campaign, source)
 
 
 def _has_angle(campaign: Campaign, reading: Reading) -> bool:
@@ -377,7 +377,7 @@ def temperature_columns(
     if isinstance(entry, Run):
         recording = campaign.recording_of(entry)
         columns = replace(
-            columns, time_range=entry.part, continuation_files=tuple(entry.continued_in)
+            columns, time_range=entry.time_range, continuation_files=tuple(entry.continued_in)
         )
     if recording.temperature is None:
         return None

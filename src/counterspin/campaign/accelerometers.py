@@ -22,7 +22,7 @@ from counterspin.campaign.columns import (
     DisplacementChannel,
     ForceChannel,
     VelocityChannel,
-    spec_of,
+    make_column_spec,
 )
 from counterspin.campaign.distribution import parse_prior
 from counterspin.campaign.field_types import (
@@ -31,12 +31,12 @@ from counterspin.campaign.field_types import (
     Fraction,
     SettingsSection,
     Text,
-    file_name,
+    check_file_name,
+    check_positive,
     key_field,
-    positive,
     uncertain_quantity,
 )
-from counterspin.campaign.frequency_response import ResponseReader, with_values
+from counterspin.campaign.frequency_response import ResponseReader, replace_inputs
 from counterspin.campaign.model import check_near_nominal
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.runs import is_reading
@@ -53,10 +53,10 @@ from counterspin.physics.terms import COMMON_NAMES, TERMS
 from counterspin.records.record import ColumnSpec
 from counterspin.units import unit_factor
 
-#: Keys that say how an accelerometer stands on the level platform.
-_AXES: Final = ("input_axis", "pendulous_axis", "output_axis")
+#: Keys of an accelerometer's axes on the level platform.
+_AXIS_KEYS: Final = ("input_axis", "pendulous_axis", "output_axis")
 
-#: Tables of [truth] that are not accelerometers', and so no names for one.
+#: Tables of [truth] for other objects; an accelerometer cannot have these names.
 TRUTH_TABLES: Final = (
     "spindle",
     "platform",
@@ -70,24 +70,24 @@ TRUTH_TABLES: Final = (
 )
 
 
-def _sensitivity_as_prior(value: object, info: ValidationInfo) -> Quantity:
-    """Read what is known of a sensitivity as the prior of K_I."""
+def _parse_sensitivity_prior(raw: object, info: ValidationInfo) -> Quantity:
+    """Convert a stated sensitivity to the prior of K_I."""
     output = info.data.get("output")
     if output is None:
         if "output" in info.data:
             raise InputError(
                 "also requires output = { unit = ..., sensitivity = ... }", "missing-key"
             )
-        return Quantity(math.nan, 0.0, "g/g")  # since what is said of the output is a mistake
-    stated = parse_prior(value, f"{output.unit}/g", gravity=None)
-    u = stated.u / abs(output.sensitivity)
-    return Quantity(stated.value / output.sensitivity, u, "g/g", stated.distribution)
+        return Quantity(math.nan, 0.0, "g/g")  # the output has already been reported
+    prior = parse_prior(raw, f"{output.unit}/g", gravity=None)
+    u = prior.u / abs(output.sensitivity)
+    return Quantity(prior.value / output.sensitivity, u, "g/g", prior.distribution)
 
 
 class Accelerometer(SettingsSection):
-    """One accelerometer under calibration; a key for each term has `AccelerometerKeys`."""
+    """One accelerometer under calibration; `AccelerometerKeys` adds a key for each term."""
 
-    # What is required, the axes, a triad may go without.
+    # A triad may omit the axes, which are required otherwise.
     model_config = ConfigDict(json_schema_extra=lambda made: made.pop("required", None))
 
     input_axis: Direction = key_field(
@@ -109,7 +109,7 @@ class Accelerometer(SettingsSection):
         kind="direction",
     )
     natural_frequency: (
-        Annotated[Quantity, uncertain_quantity("Hz"), AfterValidator(positive)] | None
+        Annotated[Quantity, uncertain_quantity("Hz"), AfterValidator(check_positive)] | None
     ) = key_field(
         "undamped natural frequency of the accelerometer; see "
         "[frequency response](#frequency-response)",
@@ -124,7 +124,7 @@ class Accelerometer(SettingsSection):
         absent="no dynamics",
         kind="number ±",
     )
-    frequency_response: Annotated[Text, AfterValidator(file_name)] | None = key_field(
+    frequency_response: Annotated[Text, AfterValidator(check_file_name)] | None = key_field(
         "file with a measured [frequency response](#frequency-response), instead of "
         "`natural_frequency` and `damping`",
         "response.csv",
@@ -145,14 +145,14 @@ class Accelerometer(SettingsSection):
         None,
         absent="g",
     )
-    sensitivity_prior: Annotated[Quantity, PlainValidator(_sensitivity_as_prior, Text)] | None = (
-        key_field(
-            "prior of K_I in the unit of the readings",
-            "1.25 ± 0.01 mA/g",
-            None,
-            absent="unknown",
-            kind="text",
-        )
+    sensitivity_prior: (
+        Annotated[Quantity, PlainValidator(_parse_sensitivity_prior, Text)] | None
+    ) = key_field(
+        "prior of K_I in the unit of the readings",
+        "1.25 ± 0.01 mA/g",
+        None,
+        absent="unknown",
+        kind="text",
     )
     bias: Annotated[Quantity, uncertain_quantity("g")] | None = key_field(
         "prior of K_F", "0.00503 ± 2e-6 g", None, absent="unknown"
@@ -195,27 +195,31 @@ class Accelerometer(SettingsSection):
 
     @property
     def mounting(self) -> Mounting:
-        """Its axes while the platform is level; `Mounting.turned` gives those of an attitude."""
-        level = self._level_axes
-        return level if self._response is None else replace(level, response=self._response)
+        """Axes on the level platform; `Mounting.turned` rotates them to an attitude."""
+        level_mounting = self._level_mounting
+        return (
+            level_mounting
+            if self._response is None
+            else replace(level_mounting, response=self._response)
+        )
 
     @cached_property
-    def _level_axes(self) -> Mounting:
+    def _level_mounting(self) -> Mounting:
         return Mounting.from_axes(self.input_axis, self.pendulous_axis, self.output_axis)
 
     @property
     def response(self) -> FrequencyResponse | None:
-        """Frequency response of it and of its recorder; None: 1 at all frequencies."""
+        """Frequency response of accelerometer and recorder; None: 1 at all frequencies."""
         return self._response
 
     @property
     def response_inputs(self) -> Mapping[str, Quantity]:
-        """Inputs of the response -> what is stated of them."""
+        """Input of the frequency response -> stated value."""
         return self._response_inputs
 
     @property
     def name(self) -> str:
-        """Its name in the campaign."""
+        """Name in the campaign."""
         return self._name
 
     @property
@@ -225,7 +229,7 @@ class Accelerometer(SettingsSection):
 
     @property
     def channel(self) -> ColumnSpec:
-        """The column with what it records."""
+        """The column of the recorded quantity."""
         return self._channel
 
     @property
@@ -235,35 +239,35 @@ class Accelerometer(SettingsSection):
 
     @property
     def priors(self) -> Mapping[str, Quantity]:
-        """Term symbol -> what is known beforehand, in g-units, here and in [model.priors].
+        """Term symbol -> prior in g-units, from this table or from [model.priors].
 
-        `bias` is K_F, `scale_factor` K_I. u = 0 means known exactly.
+        `bias` is K_F, `scale_factor` is K_I. u = 0 means that the value is exact.
         """
         return self._priors
 
     @property
     def own_priors(self) -> dict[str, Quantity]:
-        """Term symbol -> what its own table says of it beforehand, in g-units."""
+        """Term symbol -> prior in g-units from the accelerometer's own table."""
         values = {symbol: getattr(self, symbol) for symbol in TERMS}
         values["K_I"] = self.sensitivity_prior or values["K_I"]
         values |= {
-            symbol_of_name: prior_of_name
-            for key, symbol_of_name in COMMON_NAMES.items()
-            if (prior_of_name := getattr(self, key))
+            symbol_of_key: prior_of_key
+            for key, symbol_of_key in COMMON_NAMES.items()
+            if (prior_of_key := getattr(self, key))
         }
         return {symbol: prior for symbol, prior in values.items() if prior is not None}
 
     def contradictions(self) -> Iterator[Contradiction]:
-        """Yield what is wrong with its axes, and priors that are not credible or given twice."""
+        """Yield invalid axes, and priors that are implausible or stated twice."""
         try:
             assert self.mounting
         except ValueError as error:
-            yield (), Problem(str(error), "invalid-axes"), *_AXES
+            yield (), Problem(str(error), "invalid-axes"), *_AXIS_KEYS
         if (self.natural_frequency is None) != (self.damping is None):
-            key, missing = "natural_frequency", "damping"
+            key, missing_key = "natural_frequency", "damping"
             if self.natural_frequency is None:
-                key, missing = missing, key
-            yield (key,), Problem(f"requires {missing} as well", "missing-key"), missing
+                key, missing_key = missing_key, key
+            yield (key,), Problem(f"requires {missing_key} as well", "missing-key"), missing_key
         elif self.damping is not None and not self.damping.value >= 0.0:
             yield ("damping",), Problem("must not be negative", "value-out-of-range")
         if self.frequency_response is not None and self.natural_frequency is not None:
@@ -293,31 +297,31 @@ AccelerometerKeys = create_model(
 )
 
 
-def with_responses(
-    accelerometers: Mapping[str, Accelerometer], values: Mapping[tuple[str, str], float]
+def update_responses(
+    accelerometers: Mapping[str, Accelerometer], input_values: Mapping[tuple[str, str], float]
 ) -> dict[str, Accelerometer]:
-    """Return accelerometers whose responses have other values of their inputs.
+    """Return accelerometers with new input values of their frequency responses.
 
-    values: (accelerometer, input) -> value; the cutoff of the recorder has the owner "".
+    input_values: (accelerometer, input) -> value; the cutoff of the recorder has the owner "".
     """
-    changed = {}
+    updated = {}
     for name, accelerometer in accelerometers.items():
-        channel_values = {
+        own_values = {
             symbol: value
-            for (owner, symbol), value in values.items()
+            for (owner, symbol), value in input_values.items()
             if symbol in RESPONSE_INPUTS and owner in ("", name)
         }
-        response = with_values(accelerometer.response, channel_values)
-        changed[name] = accelerometer.with_private(response=response)
-    return changed
+        response = replace_inputs(accelerometer.response, own_values)
+        updated[name] = accelerometer.replace_private(response=response)
+    return updated
 
 
 class AccelerometersReader:
     """Reads the tables of accelerometers; each key is checked even where another one is wrong.
 
-    raw: Accelerometer -> its table, as it stands.
-    runs: What stands in ``[[runs]]`` and is not left out.
-    gravity: Of the site, m/s^2.
+    raw: Accelerometer -> unchecked table.
+    runs: Entries of ``[[runs]]`` that are not excluded.
+    gravity: Gravity of the site, m/s^2.
     """
 
     def __init__(
@@ -326,56 +330,56 @@ class AccelerometersReader:
         self.raw, self.runs = raw, runs
         self.problems, self.gravity = problems, gravity
         are_readings = [is_reading(run) for run in runs]
-        #: Whether there are records of a double turntable, and others.
-        self.turned = not all(are_readings)
-        self.carried = any(
-            has_reading and "record" in run
-            for run, has_reading in zip(runs, are_readings, strict=True)
+        #: Whether there are records of a double turntable, and records on an arm or at rest.
+        self.has_turntable_records = not all(are_readings)
+        self.has_reading_records = any(
+            is_reading_run and "record" in run
+            for run, is_reading_run in zip(runs, are_readings, strict=True)
         )
-        #: Accelerometer -> its table, and the keys that are wrong in it.
+        #: Accelerometer -> validated table and its invalid keys.
         self._read: dict[str, tuple[Any, set[str]]] = {
             name: problems.validate_partial(
                 AccelerometerKeys, table, ("accelerometers", name), gravity=gravity
             )
             for name, table in raw.items()
         }
-        #: Accelerometer -> its axes, where they are in order.
+        #: Accelerometer -> axes, if they are valid.
         self.mountings: dict[str, Mounting] = {}
         for name, (table, invalid_keys) in self._read.items():
-            if table is not None and not invalid_keys & set(_AXES):
+            if table is not None and not invalid_keys & set(_AXIS_KEYS):
                 with suppress(ValueError):
                     self.mountings[name] = table.mounting
-        #: Accelerometer -> what its readings are in (None: g), where it says that rightly.
+        #: Accelerometer -> output (None: in g), if it is valid.
         self.outputs: dict[str, Output | None] = {
             name: table.output
             for name, (table, invalid_keys) in self._read.items()
             if table is not None and "output" not in invalid_keys
         }
-        #: Accelerometer -> grade, of those whose tables are in order.
+        #: Accelerometer -> grade, if its table is valid.
         self.grades: dict[str, str] = {
             name: table.grade
             for name, (table, invalid_keys) in self._read.items()
             if table and not invalid_keys
         }
-        #: Accelerometer -> its table, None where it has mistakes.
+        #: Accelerometer -> validated table; None if it is invalid.
         self.tables: dict[str, Any] = {
             name: None if invalid_keys else table
             for name, (table, invalid_keys) in self._read.items()
         }
 
-    def accelerometers(
+    def build_accelerometers(
         self,
         observables: Mapping[str, str],
         priors: Mapping[str, Mapping[str, Quantity]],
         responses: ResponseReader,
     ) -> dict[str, Accelerometer]:
-        """Return the accelerometers whose tables are in order; their columns are checked."""
+        """Return the accelerometers with valid tables, after a check of their columns."""
         return {
-            name: table.with_private(
+            name: table.replace_private(
                 name=name,
                 observable=observables[name],
-                channel=self._recorded(name, table, observables[name]),
-                force=self._force(name, table),
+                channel=self._resolve_channel(name, table, observables[name]),
+                force=self._resolve_force_channel(name, table),
                 priors=priors[name],
                 **responses.read(name, table),
             )
@@ -385,38 +389,48 @@ class AccelerometersReader:
 
     @property
     def own_priors(self) -> dict[str, dict[str, Quantity]]:
-        """Accelerometer -> the priors of its own table, by symbol."""
+        """Accelerometer -> term symbol -> prior from the accelerometer's own table."""
         return {name: table.own_priors if table else {} for name, table in self.tables.items()}
 
-    def observables(self) -> dict[str, str]:
+    def find_observables(self) -> dict[str, str]:
         """Return the recorded quantity of each accelerometer."""
         observables = {}
         for name, table in self.raw.items():
             if not isinstance(table, dict):
                 continue
-            stated = [key for key in OBSERVABLES if key in table]
-            if not self.turned and (not stated or self.carried):
+            recorded_keys = [key for key in OBSERVABLES if key in table]
+            if not self.has_turntable_records and (not recorded_keys or self.has_reading_records):
                 observables[name] = "specific_force"  # readings are all there is of it
-            elif self.turned and self.carried and stated[1:] == ["specific_force"]:
-                observables[name] = stated[0]  # the other one is of records on an arm or at rest
-            elif len(stated) == 1:
-                observables[name] = stated[0]
+            elif (
+                self.has_turntable_records
+                and self.has_reading_records
+                and recorded_keys[1:] == ["specific_force"]
+            ):
+                observables[name] = recorded_keys[
+                    0
+                ]  # the other one is of records on an arm or at rest
+            elif len(recorded_keys) == 1:
+                observables[name] = recorded_keys[0]
             else:
-                description = f"has {' and '.join(stated)}" if stated else "has no recorded signal"
+                description = (
+                    f"has {' and '.join(recorded_keys)}"
+                    if recorded_keys
+                    else "has no recorded signal"
+                )
                 self.problems.add(
                     ("accelerometers", name), f"{description}; give one of {', '.join(OBSERVABLES)}"
                 )
         return observables
 
-    def _recorded(self, name: str, table: Any, observable: str) -> ColumnSpec:
-        """Return the column of an accelerometer; an output such as a current as m/s^2."""
+    def _resolve_channel(self, name: str, table: Any, observable: str) -> ColumnSpec:
+        """Return the column of an accelerometer; an output such as a current is scaled to m/s^2."""
         column, output = getattr(table, observable), table.output
         if column is None:
             return ColumnSpec("", target_unit=OBSERVABLES[observable])
         if observable != "specific_force":
-            return spec_of(column, OBSERVABLES[observable])
+            return make_column_spec(column, OBSERVABLES[observable])
         try:
-            spec = spec_of(column, "m/s^2", self.gravity)
+            column_spec = make_column_spec(column, "m/s^2", self.gravity)
         except ValueError as error:
             path = ("accelerometers", name, observable, "unit")
             if output is None:
@@ -426,17 +440,17 @@ class AccelerometersReader:
                 return ColumnSpec("")
             factor = self.problems.collect(path, unit_factor, column.unit, output.unit) or 1.0
             factor *= self.gravity / output.sensitivity
-            spec = ColumnSpec(column.column, factor, 0.0, column.unit, "", self.gravity)
+            column_spec = ColumnSpec(column.column, factor, 0.0, column.unit, "", self.gravity)
         if output is not None and output.zero != 0.0:
-            # Of a column that is in m/s^2 already another unit's zero says nothing.
+            # A zero in another unit does not apply to a column in m/s^2.
             with suppress(ValueError):
                 unit_factor(column.unit, output.unit, gravity=self.gravity)
-                spec = replace(spec, offset=self.gravity * output.in_g(0.0))
-        return spec
+                column_spec = replace(column_spec, offset=self.gravity * output.to_g(0.0))
+        return column_spec
 
-    def _force(self, name: str, table: Any) -> ColumnSpec | None:
-        """Return the column that records on an arm or at rest are read from, if there are any."""
-        if not self.carried:
+    def _resolve_force_channel(self, name: str, table: Any) -> ColumnSpec | None:
+        """Return the column of specific force in records on an arm or at rest, if there are any."""
+        if not self.has_reading_records:
             return None
         if table.specific_force is None:
             self.problems.add(
@@ -445,4 +459,4 @@ class AccelerometersReader:
                 "missing-key",
             )
             return None
-        return self._recorded(name, table, "specific_force")
+        return self._resolve_channel(name, table, "specific_force")

@@ -1,4 +1,4 @@
-"""Checksums of a campaign's files, taken on threads of their own while all else goes on."""
+"""Checksums of a campaign's files, computed on background threads."""
 
 from __future__ import annotations
 
@@ -18,14 +18,13 @@ from counterspin.errors import CampaignError
 from counterspin.input import FileIdentity, open_file
 from counterspin.records.isolation import prepare
 
-#: How much nicer the threads are than the process: what is read for the result comes first, but on
-#: a machine that is busy with other work the end must not have to wait for them.
-_NICENESS: Final = 10
-#: Files at a time once all records are read: then every core is free, and a file takes but one.
-#: Before that it is one, for more would keep the interpreter from what is loaded meanwhile.
+#: Increase of the threads' niceness relative to the process. Reading for the result takes priority,
+#: but the checksums must also make progress on a busy machine.
+_NICENESS_INCREMENT: Final = 10
+#: Number of files hashed in parallel after all records are read. Before that, files are hashed one
+#: at a time, because more threads would delay the imports.
 _THREADS: Final = 4
-#: Bytes between two requests for the interpreter's lock, for which imports let others wait; few
-#: enough to remain in a processor's cache between the system's copy and the checksum.
+#: Bytes read between two acquisitions of the interpreter lock; they fit into the processor cache.
 _BUFFER_BYTES: Final = 1 << 21
 
 
@@ -34,113 +33,120 @@ class Checksums:
 
     def __init__(self) -> None:
         self._workers = ThreadPoolExecutor(_THREADS, initializer=_lower_priority)
-        self._turns = threading.Semaphore(1)
-        self._hurried = False
-        self._taken: dict[Path, Future[tuple[str, FileIdentity | None]]] = {}
-        self._given_up = threading.Event()
+        self._slots = threading.Semaphore(1)
+        self._is_parallel = False
+        self._futures: dict[Path, Future[tuple[str, FileIdentity | None]]] = {}
+        self._cancelled = threading.Event()
 
     def __enter__(self) -> Checksums:
         return self
 
     def __exit__(
         self,
-        kind: type[BaseException] | None,
+        error_type: type[BaseException] | None,
         error: BaseException | None,
-        trace: TracebackType | None,
+        traceback: TracebackType | None,
     ) -> None:
-        self._given_up.set()
+        self._cancelled.set()
         self._workers.shutdown(cancel_futures=True)
 
-    def prefetch(self, where: Path | str) -> list[Path]:
-        """Begin with the files that a campaign seems to have, before its description is checked.
+    def prefetch(self, path: Path | str) -> list[Path]:
+        """Start hashing the files of a campaign before its description is checked.
 
-        where: The campaign's folder or its description; what is wrong with it is for others to say.
+        path: Folder or description of the campaign. Errors in it are ignored here.
+        Returns: The record files; empty if the description cannot be read.
         """
         with suppress(CampaignError, OSError, TypeError, ValueError, LookupError, AttributeError):
-            file = description_file(where).absolute()
+            file = description_file(path).absolute()
             runs = load_document(file)["runs"]
             records = [file.parent / run["record"] for run in runs if not run.get("skip")]
-            self._begin([file, *records])
+            self._submit([file, *records])
             return records
         return []
 
     def run_parallel(self) -> None:
-        """Compute several checksums at a time from now on: nothing else needs all cores."""
-        if not self._hurried:
-            self._hurried = True
-            self._turns.release(_THREADS - 1)
+        """Compute several checksums in parallel from now on."""
+        if not self._is_parallel:
+            self._is_parallel = True
+            self._slots.release(_THREADS - 1)
 
     def checksums(self, files: Iterable[Path]) -> list[str]:
         """Return the checksums of files, such as ``sha256:9f86...``, or ``unreadable``."""
         requested = list(files)
-        self._begin(requested)
+        self._submit(requested)
         self.run_parallel()
-        return [self._taken[file].result()[0] for file in requested]
+        return [self._futures[file].result()[0] for file in requested]
 
     def identity(self, file: Path) -> FileIdentity | None:
         """Return the identity of a file's content; None if it is unreadable or was changed."""
-        self._begin([file])
+        self._submit([file])
         self.run_parallel()
-        return self._taken[file].result()[1]
+        return self._futures[file].result()[1]
 
-    def _begin(self, files: Iterable[Path]) -> None:
+    def _submit(self, files: Iterable[Path]) -> None:
         for file in files:
-            if file not in self._taken:
-                self._taken[file] = self._workers.submit(self._compute, file)
+            if file not in self._futures:
+                self._futures[file] = self._workers.submit(self._compute_checksum, file)
 
-    def _compute(self, path: Path) -> tuple[str, FileIdentity | None]:
+    def _compute_checksum(self, path: Path) -> tuple[str, FileIdentity | None]:
         digest = hashlib.sha256()
         try:
-            with self._turns, open_file(path) as file:
-                before = FileIdentity.from_file(file.fileno())
+            with self._slots, open_file(path) as file:
+                identity_before = FileIdentity.from_file(file.fileno())
                 buffer = memoryview(bytearray(_BUFFER_BYTES))
-                while (read := file.readinto(buffer)) and not self._given_up.is_set():
-                    digest.update(buffer[:read])
-                after = FileIdentity.from_file(file.fileno())
+                while (byte_count := file.readinto(buffer)) and not self._cancelled.is_set():
+                    digest.update(buffer[:byte_count])
+                identity_after = FileIdentity.from_file(file.fileno())
         except OSError:
-            # Reading the record says what is wrong with the file, and says it better.
+            # The reader of the record reports the error with more detail.
             return "unreadable", None
-        return f"sha256:{digest.hexdigest()}", before if before == after else None
+        return (
+            f"sha256:{digest.hexdigest()}",
+            identity_before if identity_before == identity_after else None,
+        )
 
 
 def _lower_priority() -> None:
     if sys.platform == "linux":
         niceness = os.getpriority(os.PRIO_PROCESS, 0)
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), min(niceness + _NICENESS, 19))
+        os.setpriority(
+            os.PRIO_PROCESS, threading.get_native_id(), min(niceness + _NICENESS_INCREMENT, 19)
+        )
 
 
-#: The campaign that was begun with and is not asked for yet, as it was named.
-_STARTED: dict[Path, Checksums] = {}
+#: Campaign path -> prefetched checksums that have not been requested yet.
+_PREFETCHED: dict[Path, Checksums] = {}
 
 
 @contextmanager
-def prefetch_campaign(where: str) -> Iterator[None]:
-    """Start on a campaign that is about to be requested; on exit, cancel the remaining work."""
+def prefetch_campaign(path: str) -> Iterator[None]:
+    """Start hashing and reading a campaign's files; on exit, cancel the remaining work."""
     with Checksums() as checksums:
-        _begin(checksums, where)
-        _STARTED[Path(where)] = checksums
+        _start_reading(checksums, path)
+        _PREFETCHED[Path(path)] = checksums
         try:
             yield
         finally:
-            _STARTED.clear()
+            _PREFETCHED.clear()
 
 
 @contextmanager
-def checksums_of(where: object) -> Iterator[Checksums]:
-    """Return a campaign's checksums, with its files started.
+def checksums_of(campaign: object) -> Iterator[Checksums]:
+    """Return the checksums of a campaign, whose files are being hashed.
 
-    where: The campaign's folder or its description; nothing is started for a campaign that is read.
+    campaign: Folder or description of the campaign. For any other object, such as a campaign that
+        has been read, no file is started.
     """
-    path = Path(where) if isinstance(where, Path | str) else None
-    if path is not None and path in _STARTED:
-        yield _STARTED.pop(path)
+    path = Path(campaign) if isinstance(campaign, Path | str) else None
+    if path is not None and path in _PREFETCHED:
+        yield _PREFETCHED.pop(path)
         return
     with Checksums() as checksums:
         if path is not None:
-            _begin(checksums, path)
+            _start_reading(checksums, path)
         yield checksums
 
 
-def _begin(checksums: Checksums, where: Path | str) -> None:
-    for record in checksums.prefetch(where):
+def _start_reading(checksums: Checksums, path: Path | str) -> None:
+    for record in checksums.prefetch(path):
         prepare(record)

@@ -9,24 +9,24 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from counterspin.campaign.field_types import (
-    STAMPS,
+    TIME_STAMP_UNIT,
     Fraction,
     PositiveRatio,
     SettingsSection,
     Text,
     ZeroDirection,
-    angle_unit,
+    check_angle_unit,
     check_clock_error,
     check_encoding,
-    force_or_output,
-    is_unit,
+    check_output_unit,
+    check_positive,
+    check_temperature_unit,
+    check_time_unit,
+    convertible_unit,
+    exact_quantity,
+    is_convertible,
     key_field,
-    positive,
-    read_exactly,
-    temperature_scale,
-    time_unit,
     uncertain_quantity,
-    unit_of,
 )
 from counterspin.campaign.quantity import Quantity
 from counterspin.errors import InputError
@@ -38,36 +38,37 @@ from counterspin.units import unit_factor
 
 @frozen
 class Recording:
-    """How a record is read: its time, its angle (or None), and how its file is written."""
+    """Columns, format and recorder of a record."""
 
     time: ColumnSpec
     angle: ColumnSpec | None
     dialect: Dialect = AUTODETECT
-    temperature: ColumnSpec | None = None  #: Of the accelerometers; None: not recorded.
-    recorder: str = ""  #: Whose clock it has; empty: that of all runs that name no other.
-    clock: Quantity | None = None  #: By how much of itself that is fast; None: not stated.
+    temperature: ColumnSpec | None = None  #: Accelerometer temperature; None: not recorded.
+    recorder: str = ""  #: Name of the recorder; empty: the default recorder.
+    clock: Quantity | None = None  #: Relative rate error of the clock; None: not stated.
 
 
 class _Channel(SettingsSection):
     column: Text = key_field("name of the column in the file", "channel 1")
 
 
-def spec_of(column: Any, wanted: str, gravity: float | None = None) -> ColumnSpec:
-    """Return the column that a table with `column` and `unit` names, in an SI unit.
+def make_column_spec(column: Any, target_unit: str, gravity: float | None = None) -> ColumnSpec:
+    """Return the specification of a column, with its factor to the target unit.
 
-    gravity: The site's, m/s^2, of what may be recorded in g.
+    column: Settings with `column` and `unit`.
+    gravity: Gravity of the site, m/s^2, for columns that may be in g.
     """
-    factor = unit_factor(column.unit, wanted, gravity=gravity) if column.unit else 1.0
-    return ColumnSpec(column.column, factor, 0.0, column.unit, wanted, gravity)
+    factor = unit_factor(column.unit, target_unit, gravity=gravity) if column.unit else 1.0
+    return ColumnSpec(column.column, factor, 0.0, column.unit, target_unit, gravity)
 
 
 class TimeChannel(SettingsSection):
-    """``time``: the column that holds it, or how many rows there are a second."""
+    """``time``: column of the time, or the sampling rate."""
 
     column: Text | None = key_field(
         "name of the column in the file", "time_s", None, absent="counted from zero"
     )
-    unit: Annotated[str, AfterValidator(time_unit)] | None = key_field(
+    unit: Annotated[str, AfterValidator(check_time_unit)] | None = key_field(
         "unit of the column; `iso` for time stamps, which are converted to seconds since the "
         "first time stamp",
         "ms",
@@ -75,12 +76,12 @@ class TimeChannel(SettingsSection):
         absent="the unit in the file",
         kind="unit of time, `iso`",
     )
-    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = (
+    sampling_rate: Annotated[float, exact_quantity("Hz"), AfterValidator(check_positive)] | None = (
         key_field("number of rows per second, instead of a time column", "50 Hz", None)
     )
 
     @model_validator(mode="after")
-    def _one_of_two(self) -> Self:
+    def _check_column_or_rate(self) -> Self:
         if (self.column is None) == (self.sampling_rate is None):
             raise InputError("give a column or a sampling_rate", "missing-key")
         if self.unit is not None and self.column is None:
@@ -93,28 +94,28 @@ class TimeChannel(SettingsSection):
 
     @property
     def spec(self) -> ColumnSpec:
-        """The column, s."""
+        """Specification of the column, s."""
         if self.column is None:
-            step = 1.0 / self.sampling_rate if self.sampling_rate else math.nan
-            return ColumnSpec("", step, unit="s", target_unit="s", kind="rows")
-        if self.unit == STAMPS:
-            return ColumnSpec(self.column, unit=STAMPS, target_unit="s", kind="stamps")
-        return spec_of(self, "s")
+            sample_interval = 1.0 / self.sampling_rate if self.sampling_rate else math.nan
+            return ColumnSpec("", sample_interval, unit="s", target_unit="s", kind="rows")
+        if self.unit == TIME_STAMP_UNIT:
+            return ColumnSpec(self.column, unit=TIME_STAMP_UNIT, target_unit="s", kind="stamps")
+        return make_column_spec(self, "s")
 
 
-#: In which sense something counts, seen from above.
+#: Sense of rotation, seen from above.
 Sense = Literal["counterclockwise", "clockwise"]
 
 
 class AngleChannel(_Channel):
-    """``angle``: the column that holds the spindle's angle, or the times of its pulses."""
+    """``angle``: column of the spindle angle, or of the times of index pulses."""
 
     pulses: bool = key_field(
         "whether the column contains the times, in `unit`, at which the arm passed `zero`",
         False,
         False,
     )
-    unit: Annotated[str, AfterValidator(angle_unit)] | None = key_field(
+    unit: Annotated[str, AfterValidator(check_angle_unit)] | None = key_field(
         "unit of the column",
         "count",
         None,
@@ -138,13 +139,13 @@ class AngleChannel(_Channel):
     )
 
     @model_validator(mode="after")
-    def _counts(self) -> Self:
-        counted = self.unit is not None and is_unit(self.unit, "count")
-        if counted and self.per_revolution is None:
+    def _check_counts(self) -> Self:
+        is_counted = self.unit is not None and is_convertible(self.unit, "count")
+        if is_counted and self.per_revolution is None:
             raise InputError(
                 "counts need per_revolution, the number of counts per revolution", "missing-key"
             )
-        if self.per_revolution is not None and not (counted or self.pulses):
+        if self.per_revolution is not None and not (is_counted or self.pulses):
             raise InputError(
                 'per_revolution belongs to pulses, or to unit = "count"', "conflicting-keys"
             )
@@ -152,41 +153,43 @@ class AngleChannel(_Channel):
 
     @property
     def spec(self) -> ColumnSpec:
-        """The column, rad; of pulses, their times in s."""
+        """Specification of the column, rad; for pulses, of their times in s."""
         if self.pulses:
-            turn, pulses = self.per_revolution or 1.0, spec_of(self, "s")
-            return replace(pulses, offset=self.zero, kind="pulses", per_revolution=turn)
-        sense = -1.0 if self.sense == "clockwise" else 1.0
+            pulses_per_revolution, pulses = self.per_revolution or 1.0, make_column_spec(self, "s")
+            return replace(
+                pulses, offset=self.zero, kind="pulses", per_revolution=pulses_per_revolution
+            )
+        sign = -1.0 if self.sense == "clockwise" else 1.0
         if self.per_revolution is None:
-            angle = spec_of(self, "rad")
-            return replace(angle, factor=sense * angle.factor, offset=self.zero)
-        counts = spec_of(self, "count")
-        factor = sense * counts.factor * 2.0 * math.pi / self.per_revolution
+            angle = make_column_spec(self, "rad")
+            return replace(angle, factor=sign * angle.factor, offset=self.zero)
+        counts = make_column_spec(self, "count")
+        factor = sign * counts.factor * 2.0 * math.pi / self.per_revolution
         return replace(counts, factor=factor, offset=self.zero, target_unit="")
 
 
 class TemperatureChannel(_Channel):
-    """The column that holds the temperature of the accelerometers."""
+    """``temperature``: column of the accelerometer temperature."""
 
-    unit: Annotated[str, AfterValidator(temperature_scale)] | None = key_field(
+    unit: Annotated[str, AfterValidator(check_temperature_unit)] | None = key_field(
         "unit of the column", "degC", None, absent="the unit in the file", kind="`degC`, `K`"
     )
 
     @property
     def spec(self) -> ColumnSpec:
-        """The column, K."""
+        """Specification of the column, K."""
         return ColumnSpec(self.column, unit=self.unit, target_unit="K", kind="temperature")
 
 
 class RowSelection(SettingsSection):
-    """Rows of a file that are read: those in which a column has a value."""
+    """``select``: rows to read, selected by the value of a column."""
 
     column: Text = key_field("column that identifies the sensor", "device")
     value: Text = key_field("value of this column in the rows to read", "A")
 
 
 class TableDialect(SettingsSection):
-    """How a table is written, as far as a person says it: of records and of readings alike."""
+    """Format of a table of records or readings, as far as it is stated."""
 
     skip_lines: Annotated[int, Field(ge=0)] | None = key_field(
         "number of lines (or sheet rows) before the column names", 5, None, absent="detected"
@@ -228,12 +231,12 @@ class TableDialect(SettingsSection):
 
     @property
     def dialect(self) -> Dialect:
-        """The same, as files are read."""
+        """The stated format, as used by the readers of files."""
         keys = Dialect.__dataclass_fields__
-        stated = {key: getattr(self, key) for key in keys if hasattr(self, key)}
+        options = {key: getattr(self, key) for key in keys if hasattr(self, key)}
         if self.select is not None:
-            stated["select"] = (self.select.column, self.select.value)
-        return Dialect(**stated)
+            options["select"] = (self.select.column, self.select.value)
+        return Dialect(**options)
 
 
 class _TimeAndAngle(SettingsSection):
@@ -276,7 +279,7 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
         kind="number ±, or in ppm",
     )
     cutoff_frequency: (
-        Annotated[Quantity, uncertain_quantity("Hz"), AfterValidator(positive)] | None
+        Annotated[Quantity, uncertain_quantity("Hz"), AfterValidator(check_positive)] | None
     ) = key_field(
         "cutoff frequency (-3 dB) of the recorder's first-order low-pass filter; see "
         "[frequency response](#frequency-response)",
@@ -300,35 +303,35 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
 
     @property
     def recording(self) -> Recording:
-        """The recording of every run whose run states no other."""
-        fast = 1.0 if self.clock is None else 1.0 + self.clock.value
+        """The default recording of the runs."""
+        clock_ratio = 1.0 if self.clock is None else 1.0 + self.clock.value
         time, angle = self.time.spec, None if self.angle is None else self.angle.spec
         if angle is not None and angle.kind == "pulses":
-            angle = replace(angle, factor=angle.factor / fast)
-        time = replace(time, factor=time.factor / fast)
-        warm = None if self.temperature is None else self.temperature.spec
-        return Recording(time, angle, self.dialect, warm, self.recorder or "", self.clock)
+            angle = replace(angle, factor=angle.factor / clock_ratio)
+        time = replace(time, factor=time.factor / clock_ratio)
+        temperature = None if self.temperature is None else self.temperature.spec
+        return Recording(time, angle, self.dialect, temperature, self.recorder or "", self.clock)
 
 
 class DisplacementChannel(_Channel):
-    """``displacement``: the column that holds that along the input axis."""
+    """``displacement``: column of the displacement along the input axis."""
 
-    unit: Annotated[str, unit_of("m")] | None = key_field(
+    unit: Annotated[str, convertible_unit("m")] | None = key_field(
         "unit of the column", "mm", None, absent="the unit in the file", kind="unit"
     )
 
 
 class VelocityChannel(_Channel):
-    """``velocity``: the column that holds that along the input axis."""
+    """``velocity``: column of the velocity along the input axis."""
 
-    unit: Annotated[str, unit_of("m/s")] | None = key_field(
+    unit: Annotated[str, convertible_unit("m/s")] | None = key_field(
         "unit of the column", "mm/s", None, absent="the unit in the file", kind="unit"
     )
 
 
 class ForceChannel(_Channel):
-    """``specific_force``: the column that holds it, or an output such as a current."""
+    """``specific_force``: column of the specific force, or of an output such as a current."""
 
-    unit: Annotated[str, AfterValidator(force_or_output)] = key_field(
+    unit: Annotated[str, AfterValidator(check_output_unit)] = key_field(
         "unit of the column", "mg", kind="unit"
     )

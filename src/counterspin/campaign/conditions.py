@@ -18,14 +18,14 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint.series import CLOCK, RATE_CLOCK
 from counterspin.physics.conditions import RunConditions
 
-#: Assumed rise of the temperature during a series of runs, readings or poses that states none, K.
+#: Assumed temperature rise during a series of runs, readings or poses without temperatures, K.
 DEFAULT_WARMING: Final = 1.0
 
 #: Condition of slopes with a temperature that is assumed to change.
 ASSUMED_TEMPERATURE: Final = "assumed temperature"
 
-#: A change of temperature back by less than this is none, K.
-REVERSAL: Final = 2.0
+#: Smallest temperature change in the opposite direction that counts as a reversal, K.
+MIN_REVERSAL: Final = 2.0
 
 
 @frozen
@@ -43,19 +43,19 @@ def timed_items(campaign: Campaign) -> list[Run | Reading | PoseRecord]:
 
 
 def temperatures_of(campaign: Campaign) -> list[float]:
-    """Return all temperatures that were taken, K."""
+    """Return all stated temperatures, K."""
     return [temperature for item in timed_items(campaign) for temperature in item.temperature or ()]
 
 
 def profile_mean(profile: Sequence[float]) -> float:
-    """Return the mean of a course over its length: the ends count half."""
+    """Return the time average of a profile at equal intervals (trapezoidal rule)."""
     if len(profile) == 1:
         return profile[0]
     return (sum(profile) - 0.5 * (profile[0] + profile[-1])) / (len(profile) - 1)
 
 
 def reference_point(campaign: Campaign) -> ReferencePoint:
-    """Return the reference temperature, or the mean of all; and the time of what came first."""
+    """Return the reference temperature, by default the mean, and the earliest time."""
     items = timed_items(campaign)
     means = [profile_mean(item.temperature) for item in items if item.temperature]
     temperature = campaign.reference_temperature
@@ -68,29 +68,28 @@ def reference_point(campaign: Campaign) -> ReferencePoint:
 def temperature_directions(
     campaign: Campaign, pose_readings: Sequence[Reading] = ()
 ) -> dict[str, tuple[float, ...]]:
-    """Return 1/2 for temperatures that were reached while rising, -1/2 while falling.
+    """Return 1/2 for each temperature reached while rising, -1/2 while falling.
 
-    They are in the order of the times of runs and readings if all state theirs, else in the order
-    of the description. Without a reversal by `REVERSAL` nothing is determined, and nothing is
-    returned.
+    The order is that of the stated times, if all items state one, or else that of the description.
+    Without a reversal by at least `MIN_REVERSAL`, the result is empty.
 
     pose_readings: Readings of the poses in records, in place of these records.
-    Returns: By the name of a run, reading or record, for each of its temperatures.
+    Returns: Name of a run, reading or record -> direction at each of its temperatures.
     """
     items = timed_items(campaign)
     if pose_readings:
         names = {item.name for item in items}
         items = [item for item in items if not isinstance(item, PoseRecord)]
         items += [item for item in pose_readings if item.name not in names]
-    with_temperature = [item for item in items if item.temperature]
-    if all(item.time is not None for item in with_temperature):
-        with_temperature.sort(key=lambda item: item.time or 0.0)
-    profiles = [item.temperature or () for item in with_temperature]
+    heated_items = [item for item in items if item.temperature]
+    if all(item.time is not None for item in heated_items):
+        heated_items.sort(key=lambda item: item.time or 0.0)
+    profiles = [item.temperature or () for item in heated_items]
     directions = _change_directions(list(chain.from_iterable(profiles)))
     if len({direction for direction in directions if direction}) < 2:
         return {}
     halves = (0.5 * direction for direction in directions)
-    pairs = zip(with_temperature, profiles, strict=True)
+    pairs = zip(heated_items, profiles, strict=True)
     return {item.name: tuple(islice(halves, len(profile))) for item, profile in pairs}
 
 
@@ -99,18 +98,20 @@ def _change_directions(temperatures: Sequence[float]) -> list[int]:
 
     The first value has the direction of the second.
     """
-    directions, direction, start, extreme = [0] * len(temperatures), 0, 0, 0
+    directions, direction, segment_start, extreme_index = [0] * len(temperatures), 0, 0, 0
     for index, temperature in enumerate(temperatures):
-        change = temperature - temperatures[extreme]
-        if direction == 0 and abs(change) >= REVERSAL:
-            direction, extreme = (1 if change > 0.0 else -1), index
+        change = temperature - temperatures[extreme_index]
+        if direction == 0 and abs(change) >= MIN_REVERSAL:
+            direction, extreme_index = (1 if change > 0.0 else -1), index
         elif direction and change * direction >= 0.0:
-            extreme = index
-        elif direction and abs(change) >= REVERSAL:
-            # What came after the turning point was on the way back already.
-            directions[start : extreme + 1] = [direction] * (extreme + 1 - start)
-            start, direction, extreme = extreme + 1, -direction, index
-    directions[start:] = [direction] * (len(directions) - start)
+            extreme_index = index
+        elif direction and abs(change) >= MIN_REVERSAL:
+            # The samples after the extreme belong to the new direction.
+            directions[segment_start : extreme_index + 1] = [direction] * (
+                extreme_index + 1 - segment_start
+            )
+            segment_start, direction, extreme_index = extreme_index + 1, -direction, index
+    directions[segment_start:] = [direction] * (len(directions) - segment_start)
     return directions
 
 
@@ -119,12 +120,11 @@ def run_conditions(
 ) -> dict[str, RunConditions]:
     """Return the conditions of every run with a record.
 
-    Where the runs do not say when they were made, they count as made one after the other, without
-    a pause: the least that a trend can have done between them. Where no run states a temperature,
-    the temperature is assumed to rise (`DEFAULT_WARMING`).
+    Runs without a stated time are assumed to follow each other without a pause, which is the
+    smallest possible effect of a trend. If no run states a temperature, the temperature is assumed
+    to rise by `DEFAULT_WARMING`.
 
-    lengths: Run -> length of its record, s; those that are not there are taken from the
-        description.
+    lengths: Run -> length of its record, s; by default, the stated duration.
     """
     timeline = RunTimeline(campaign)
     return {
@@ -134,24 +134,24 @@ def run_conditions(
 
 
 class RunTimeline:
-    """Conditions of the runs of a campaign, as the lengths of their records become known."""
+    """Computes the conditions of consecutive runs as the lengths of their records become known."""
 
     def __init__(self, campaign: Campaign) -> None:
-        self._origin = reference_point(campaign)
+        self._reference = reference_point(campaign)
         self._directions = temperature_directions(campaign)
-        self._assumed = assumed_temperatures(campaign.runs)
+        self._assumed_offsets = assumed_temperatures(campaign.runs)
         self._elapsed = 0.0
 
     def add(self, run: Run, length: float) -> RunConditions:
-        """Return the conditions of the next run; length: of its record, s."""
-        origin = self._origin
-        start = self._elapsed if run.time is None else run.time - origin.time
+        """Return the conditions of the next run, whose record has a length in s."""
+        reference = self._reference
+        start = self._elapsed if run.time is None else run.time - reference.time
         self._elapsed += length
-        offsets = [temperature - origin.temperature for temperature in run.temperature or ()]
+        offsets = [temperature - reference.temperature for temperature in run.temperature or ()]
         directions = self._directions.get(run.name, (0.0,))
-        mean = profile_mean(offsets) if offsets else 0.0
-        offset = self._assumed.get((run.name, 0), mean)
-        conditions = RunConditions(start, offset, directions[0])
+        mean_offset = profile_mean(offsets) if offsets else 0.0
+        initial_offset = self._assumed_offsets.get((run.name, 0), mean_offset)
+        conditions = RunConditions(start, initial_offset, directions[0])
         if len(offsets) < 2 or not length:
             return conditions
         reversals = (
@@ -168,63 +168,65 @@ class RunTimeline:
 
 
 def _refine_reversal(profile: Sequence[float], index: int) -> float:
-    """Return the reversal of a temperature profile whose extreme is at a place, in steps.
+    """Return the position of a temperature reversal near a sample, in steps.
 
-    That is the intersection of the lines before and after it, or the place itself near the ends.
+    This is the intersection of the lines before and after the extreme; near the ends, the extreme.
     """
     if not 2 <= index < len(profile) - 2:
         return float(index)
     before_previous, previous, _, following, after_following = profile[index - 2 : index + 3]
-    up, down = previous - before_previous, after_following - following
-    if up == down:
+    slope_before, slope_after = previous - before_previous, after_following - following
+    if slope_before == slope_after:
         return float(index)
-    shift = (following - previous - up - down) / (up - down)
+    shift = (following - previous - slope_before - slope_after) / (slope_before - slope_after)
     return index + min(max(shift, -1.0), 1.0)
 
 
 def assumed_temperatures(series: Sequence[Run | Reading]) -> dict[tuple[str, int], float]:
-    """Return the assumed temperatures of a series that states none, less the reference, K.
+    """Return the assumed temperatures of a series without stated ones, minus the reference, K.
 
-    They rise by the same step from member to member, by `DEFAULT_WARMING` in all. The order is that
-    of the times if all state theirs, else that of the description.
+    They rise in equal steps, by `DEFAULT_WARMING` in total. The order is that of the stated times,
+    if all members state one, or else that of the description.
 
-    Returns: By the keys of `_member_keys`; empty where a member states its temperature, or of one
-        member.
+    Returns: Key of `_member_keys` -> temperature; empty if a member states its temperature, or if
+        the series has fewer than two members.
     """
     if len(series) < 2 or any(member.temperature is not None for member in series):
         return {}
-    keys, order = _member_keys(series), list(range(len(series)))
+    keys, time_order = _member_keys(series), list(range(len(series)))
     if all(member.time is not None for member in series):
-        order.sort(key=lambda index: series[index].time or 0.0)
+        time_order.sort(key=lambda index: series[index].time or 0.0)
     offsets = DEFAULT_WARMING * np.linspace(-0.5, 0.5, len(series))
-    return {keys[index]: offset for index, offset in zip(order, offsets.tolist(), strict=True)}
+    return {keys[index]: offset for index, offset in zip(time_order, offsets.tolist(), strict=True)}
 
 
 def _member_keys(series: Sequence[Run | Reading]) -> list[tuple[str, int]]:
-    """Return name and number of each member: a table may name several readings alike."""
-    seen: Counter[str] = Counter()
+    """Return the name of each member, and its number among the members of the same name."""
+    name_counts: Counter[str] = Counter()
     keys = []
     for member in series:
-        keys.append((member.name, seen[member.name]))
-        seen[member.name] += 1
+        keys.append((member.name, name_counts[member.name]))
+        name_counts[member.name] += 1
     return keys
 
 
 def assumed_reading_temperatures(
     campaign: Campaign, readings: Sequence[Reading]
 ) -> Iterator[tuple[int, float]]:
-    """Yield the places of readings whose temperature is assumed, and that, less the reference."""
+    """Yield index and assumed temperature of readings, minus the reference, K."""
     for name in campaign.accelerometers:
         series = [reading for reading in campaign.readings if reading.accelerometer == name]
-        assumed = assumed_temperatures(series)
-        indices = [
-            position for position, reading in enumerate(readings) if reading.accelerometer == name
+        offset_by_key = assumed_temperatures(series)
+        reading_indices = [
+            index for index, reading in enumerate(readings) if reading.accelerometer == name
         ]
         for index, key in zip(
-            indices, _member_keys([readings[position] for position in indices]), strict=True
+            reading_indices,
+            _member_keys([readings[index] for index in reading_indices]),
+            strict=True,
         ):
-            if key in assumed:
-                yield index, assumed[key]
+            if key in offset_by_key:
+                yield index, offset_by_key[key]
 
 
 def relative_conditions(
@@ -237,19 +239,21 @@ def relative_conditions(
 
     The centripetal force is zero, as at rest.
 
-    assumed_temperatures: Of readings that state none, minus the reference temperature, K.
+    assumed_temperatures: Temperatures of readings that state none, minus the reference, K.
     directions: As in `temperature_directions`.
     """
-    origin = reference_point(campaign)
+    reference = reference_point(campaign)
     temperatures = [
-        profile_mean(reading.temperature) - origin.temperature if reading.temperature else assumed
-        for reading, assumed in zip(readings, assumed_temperatures, strict=True)
+        profile_mean(reading.temperature) - reference.temperature
+        if reading.temperature
+        else assumed_temperature
+        for reading, assumed_temperature in zip(readings, assumed_temperatures, strict=True)
     ]
-    times = [0.0 if r.time is None else r.time - origin.time for r in readings]
+    times = [0.0 if reading.time is None else reading.time - reference.time for reading in readings]
     return {
         "temperature": np.array(temperatures),
         "time": np.array(times),
-        "direction": np.array([directions.get(r.name, (0.0,))[0] for r in readings]),
+        "direction": np.array([directions.get(reading.name, (0.0,))[0] for reading in readings]),
         "force": np.zeros(len(readings)),
     }
 
@@ -258,33 +262,36 @@ def has_assumed_warming(campaign: Campaign) -> bool:
     """Return whether a series of runs, readings or poses has assumed temperatures."""
     poses = campaign.triad.poses if campaign.triad else ()
     series = (campaign.runs, [pose[0] for pose in poses])
-    warming = any(assumed_temperatures(members) for members in series)
-    return warming or any(True for _ in assumed_reading_temperatures(campaign, campaign.readings))
+    has_assumption = any(assumed_temperatures(members) for members in series)
+    return has_assumption or any(
+        True for _ in assumed_reading_temperatures(campaign, campaign.readings)
+    )
 
 
 def changing_conditions(campaign: Campaign) -> Iterator[str]:
-    """Yield the conditions of slopes that change, and `ASSUMED_TEMPERATURE`."""
+    """Yield the conditions that vary in a campaign, and `ASSUMED_TEMPERATURE`."""
     if campaign.runs or any(reading.rate for reading in campaign.readings):
         yield "force"
-    origin = reference_point(campaign)
+    reference = reference_point(campaign)
     has_records = bool(campaign.runs) or bool(campaign.triad and campaign.triad.records)
     times = (item.time for item in timed_items(campaign))
-    if has_records or any(time not in (None, origin.time) for time in times):
+    if has_records or any(time not in (None, reference.time) for time in times):
         yield "time"
     if temperature_directions(campaign):
         yield "direction"
     temperatures = set(temperatures_of(campaign))
     if any(run.temperature for run in campaign.runs):
         temperatures |= {
-            origin.temperature + run.temperature_offset for run in run_conditions(campaign).values()
+            reference.temperature + run.temperature_offset
+            for run in run_conditions(campaign).values()
         }
-    if temperatures - {origin.temperature}:
+    if temperatures - {reference.temperature}:
         yield "temperature"
     if has_assumed_warming(campaign):
         yield ASSUMED_TEMPERATURE
 
 
 def rate_clock_input(campaign: Campaign, reading: Reading) -> tuple[str, str]:
-    """Return recorder and symbol of the input that is the error of the clock of a rate."""
+    """Return recorder and symbol of the input for the error of the clock that measures a rate."""
     is_shared = campaign.rate_clock is None and campaign.clock is not None
-    return ("", CLOCK) if reading.by_clock or is_shared else ("", RATE_CLOCK)
+    return ("", CLOCK) if reading.uses_recorder_clock or is_shared else ("", RATE_CLOCK)

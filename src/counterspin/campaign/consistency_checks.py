@@ -1,7 +1,7 @@
-"""Checks across several tables of ``campaign.toml``: each check names the parts that it needs.
+"""Checks across several tables of ``campaign.toml``: each check names the sections that it needs.
 
-A check runs whenever these parts are valid, whatever else is wrong, and all mistakes are reported
-together. `counterspin.campaign.resolution` defines the parts.
+A check runs if these sections are valid, whatever else is wrong, and all mistakes are reported
+together. `counterspin.campaign.resolution` defines the sections.
 """
 
 from __future__ import annotations
@@ -15,155 +15,160 @@ from typing import Any, Final
 from counterspin.campaign.accelerometers import TRUTH_TABLES, Accelerometer
 from counterspin.campaign.columns import RecordsSettings
 from counterspin.campaign.documents import KeyPath, list_of, table_of
-from counterspin.campaign.field_types import exact
+from counterspin.campaign.field_types import parse_exact
 from counterspin.campaign.frequency_response import response_problems
 from counterspin.campaign.model import ErrorModel
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run, is_reading
 from counterspin.campaign.settings import OBSERVABLES, CentrifugeSettings, NoiseSettings
-from counterspin.campaign.terms import symbols_shown
+from counterspin.campaign.terms import shown_symbols
 from counterspin.campaign.validation import Problems
 from counterspin.errors import Problem
 from counterspin.physics.conditions import STATED_CONDITIONS
 from counterspin.physics.effects import AttitudeError, TrajectoryError
 from counterspin.physics.terms import CONDITION_TERMS, LEVER_ARM, SHARED_TERMS, affects_readings
 
-#: Where mistakes are, and what they are.
+#: Key path and message of each mistake.
 Mistakes = Iterator[tuple[KeyPath, str]]
 
-#: Entries of ``[[runs]]`` that are not left out, with their places.
-Listed = Sequence[tuple[int, Any]]
+#: Entries of ``[[runs]]`` that are not excluded, with their indices.
+IndexedRuns = Sequence[tuple[int, Any]]
 
 _CHECKS: Final[dict[Callable[..., Mistakes], tuple[str, ...]]] = {}
 
-#: Largest size of a table ratio for which a frequency response covers the harmonics of the force.
-_LARGEST_RATIO_WITH_RESPONSE: Final = 2
+#: Largest absolute table ratio for which a frequency response covers the harmonics of the force.
+_MAX_RATIO_WITH_RESPONSE: Final = 2
 
-_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+_NAME_PATTERN: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
 
 def check(function: Callable[..., Mistakes]) -> Callable[..., Mistakes]:
-    """Have a check run where the parts are in order that its arguments name."""
+    """Register a check; its parameter names are the sections that it needs."""
     _CHECKS[function] = tuple(signature(function).parameters)
     return function
 
 
-def run_checks(parts: Mapping[str, Any], problems: Problems) -> None:
-    """Note what every check finds whose parts are in order.
+def run_checks(sections: Mapping[str, Any], problems: Problems) -> None:
+    """Report the mistakes found by all checks whose sections are valid.
 
-    parts: Those of a description that are in order, by name; None of a table that is not there.
+    sections: Name -> valid section of a description; None if the table is missing.
     """
     for function, names in _CHECKS.items():
-        if parts.keys() >= set(names):
-            for path, words in function(*(parts[name] for name in names)):
-                problems.add(path, words)
+        if sections.keys() >= set(names):
+            for path, message in function(*(sections[name] for name in names)):
+                problems.add(path, message)
 
 
 @check
 def _missing_sections(
-    document: Mapping[str, Any], listed: Listed, right_readings: Sequence[Reading]
+    document: Mapping[str, Any], indexed_runs: IndexedRuns, valid_readings: Sequence[Reading]
 ) -> Mistakes:
     """Yield sections that the present ones need."""
-    entries = [entry for _, entry in listed]
-    recorded = any(not is_reading(entry) or "record" in entry for entry in entries)
-    without_machine = ("static", "vibration")
-    turning = any(reading.motion not in without_machine for reading in right_readings) or any(
-        not isinstance(entry, dict) or entry.get("motion") not in without_machine
+    entries = [entry for _, entry in indexed_runs]
+    has_records = any(not is_reading(entry) or "record" in entry for entry in entries)
+    machine_free_motions = ("static", "vibration")
+    needs_centrifuge = any(
+        reading.motion not in machine_free_motions for reading in valid_readings
+    ) or any(
+        not isinstance(entry, dict) or entry.get("motion") not in machine_free_motions
         for entry in entries
     )
-    for key, needed in (("centrifuge", turning), ("records", recorded)):
-        if (needed or not (entries or "readings" in document)) and key not in document:
+    for key, is_needed in (("centrifuge", needs_centrifuge), ("records", has_records)):
+        if (is_needed or not (entries or "readings" in document)) and key not in document:
             yield (key,), Problem("is missing", "missing-key")
 
 
 @check
-def _missing_runs(document: Mapping[str, Any], listed: Listed) -> Mistakes:
-    if not listed and "readings" not in document:
+def _missing_runs(document: Mapping[str, Any], indexed_runs: IndexedRuns) -> Mistakes:
+    if not indexed_runs and "readings" not in document:
         message = "must have at least one entry" if "runs" in document else "is missing"
         message = "are all excluded by skip = true" if list_of(document, "runs") else message
         yield ("runs",), Problem(message, "missing-key")
 
 
 @check
-def _repeated_names_and_files(document: Mapping[str, Any], listed: Listed) -> Mistakes:
-    """Yield names of runs that are used twice, and files; of a file each part is one."""
-    names: dict[str, int] = {}
-    files: dict[str, int] = {}
+def _repeated_names_and_files(document: Mapping[str, Any], indexed_runs: IndexedRuns) -> Mistakes:
+    """Yield names and files that two runs use; runs may use different parts of one file."""
+    index_by_name: dict[str, int] = {}
+    index_by_file: dict[str, int] = {}
     runs_by_record: dict[str, list[Mapping[str, Any]]] = {}
-    for _, entry in listed:
+    for _, entry in indexed_runs:
         if isinstance(entry, dict) and isinstance(entry.get("record"), str):
             runs_by_record.setdefault(entry["record"], []).append(entry)
     records = table_of(document, "records")
-    for index, entry in listed:
+    for index, entry in indexed_runs:
         if not isinstance(entry, dict):
             continue
-        yield from _check_unique(entry.get("name"), names, ("runs", index, "name"))
-        for key, file in _files(entry):
-            sharing = runs_by_record.get(file, []) if isinstance(file, str) else []
-            if not _is_disjoint(entry, sharing, records):
-                yield from _check_unique(file, files, ("runs", index, key))
+        yield from _check_unique(entry.get("name"), index_by_name, ("runs", index, "name"))
+        for key, file in _list_files(entry):
+            runs_with_file = runs_by_record.get(file, []) if isinstance(file, str) else []
+            if not _is_disjoint(entry, runs_with_file, records):
+                yield from _check_unique(file, index_by_file, ("runs", index, key))
 
 
-def _check_unique(value: Any, seen: dict[str, int], path: KeyPath) -> Mistakes:
+def _check_unique(value: Any, index_by_value: dict[str, int], path: KeyPath) -> Mistakes:
     index = path[1]
     assert isinstance(index, int)
-    if isinstance(value, str) and seen.setdefault(value, index) != index:
-        message = f'"{value}" is already used by runs[{seen[value]}]'
+    if isinstance(value, str) and index_by_value.setdefault(value, index) != index:
+        message = f'"{value}" is already used by runs[{index_by_value[value]}]'
         yield path, Problem(message, "duplicate-entry")
 
 
-def _files(entry: Mapping[str, Any]) -> list[tuple[str, Any]]:
+def _list_files(entry: Mapping[str, Any]) -> list[tuple[str, Any]]:
     """Return the files that a run names, with their keys."""
     continuations = entry.get("continued_in")
-    names = [
+    continuation_entries = [
         ("continued_in", name)
         for name in (continuations if isinstance(continuations, list) else [])
     ]
-    return [("record", entry.get("record")), *names, ("pulses", entry.get("pulses"))]
+    return [("record", entry.get("record")), *continuation_entries, ("pulses", entry.get("pulses"))]
 
 
 def _is_disjoint(
-    entry: Mapping[str, Any], sharing: Sequence[Mapping[str, Any]], records: Mapping[str, Any]
+    entry: Mapping[str, Any],
+    runs_with_file: Sequence[Mapping[str, Any]],
+    records: Mapping[str, Any],
 ) -> bool:
-    """Return whether a run uses another part of a file than all other runs that name the file.
+    """Return whether no other run uses the same part of a file.
 
-    sharing: The runs whose record is the file.
+    runs_with_file: Runs whose record is the file.
     """
     selection = _table_selection(entry, records)
-    other_runs = [run for run in sharing if run is not entry]
-    sharing_table = (
+    other_runs = [run for run in runs_with_file if run is not entry]
+    runs_with_table = (
         run
         for run in other_runs
         if not _are_different_tables(selection, _table_selection(run, records))
     )
     if "start" not in entry and "stop" not in entry:
-        return bool(other_runs) and next(sharing_table, None) is None
+        return bool(other_runs) and next(runs_with_table, None) is None
     range_start, range_stop = _time_range(entry)
     return bool(other_runs) and all(
         range_stop <= start or stop <= range_start
-        for start, stop in map(_time_range, sharing_table)
+        for start, stop in map(_time_range, runs_with_table)
     )
 
 
 def _table_selection(entry: Mapping[str, Any], records: Mapping[str, Any]) -> list[Any]:
-    """Return the sheet and the group that are read of a run's record; None: the only one."""
+    """Return sheet and group of a run's record; None: the only one."""
     run_section = entry.get("records")
-    stated = {**records, **run_section} if isinstance(run_section, Mapping) else records
-    return [stated.get("sheet"), stated.get("group")]
+    settings = {**records, **run_section} if isinstance(run_section, Mapping) else records
+    return [settings.get("sheet"), settings.get("group")]
 
 
 def _are_different_tables(first: Sequence[Any], second: Sequence[Any]) -> bool:
     return any(
-        a is not None and b is not None and a != b for a, b in zip(first, second, strict=True)
+        first_value is not None and second_value is not None and first_value != second_value
+        for first_value, second_value in zip(first, second, strict=True)
     )
 
 
 def _time_range(entry: Mapping[str, Any]) -> tuple[float, float]:
-    """Return the part of its record that a run states; all of it if it states none that is one."""
+    """Return the stated time range of a run's record, s; infinite if it is missing or invalid."""
     try:
-        start = exact(entry["start"], "s") if "start" in entry else -math.inf
-        stop = exact(entry["stop"], "s") if "stop" in entry else math.inf
+        start = parse_exact(entry["start"], "s") if "start" in entry else -math.inf
+        stop = parse_exact(entry["stop"], "s") if "stop" in entry else math.inf
     except ValueError:
         return -math.inf, math.inf
     return start, stop
@@ -171,7 +176,7 @@ def _time_range(entry: Mapping[str, Any]) -> tuple[float, float]:
 
 @check
 def _conflicting_clocks(runs: Mapping[int, Run]) -> Mistakes:
-    """Yield recorders of which two runs state two clocks."""
+    """Yield recorders for which two runs state different clocks."""
     clocks: dict[str, tuple[str, Quantity | None]] = {}
     for run in runs.values():
         if run.recording is not None and run.recording.recorder:
@@ -193,42 +198,46 @@ def _unusable_table_ratio(
     observables: Mapping[str, str],
     accelerometers: Mapping[str, Accelerometer],
 ) -> Mistakes:
-    """Yield ratios of the table for which the campaign lacks what they need."""
-    for place, run in runs.items():
+    """Yield table ratios whose requirements the campaign does not meet."""
+    for index, run in runs.items():
         if not run.turns_in_space:
             continue
-        path = ("runs", place, "table_ratio")
-        turns = "turns the instrument in space"
+        path = ("runs", index, "table_ratio")
+        prefix = "turns the instrument in space"
         if centrifuge is not None and not centrifuge.strapped:
-            yield path, f"{turns} with the table; write strapped = true in [centrifuge]"
-        others = sorted({name for name in observables.values() if name != "specific_force"})
-        if others:
+            yield path, f"{prefix} with the table; write strapped = true in [centrifuge]"
+        other_observables = sorted(
+            {name for name in observables.values() if name != "specific_force"}
+        )
+        if other_observables:
             yield (
                 path,
-                f"{turns}; record specific_force, because {' or '.join(others)} along a "
-                "rotating axis is not evaluated",
+                f"{prefix}; record specific_force, because {' or '.join(other_observables)} "
+                "along a rotating axis is not evaluated",
             )
-        responds = any(a.response is not None for a in accelerometers.values())
-        if responds and abs(run.table_ratio) > _LARGEST_RATIO_WITH_RESPONSE:
+        has_response = any(
+            accelerometer.response is not None for accelerometer in accelerometers.values()
+        )
+        if has_response and abs(run.table_ratio) > _MAX_RATIO_WITH_RESPONSE:
             yield (
                 path,
-                f"is larger than {_LARGEST_RATIO_WITH_RESPONSE}; counterspin does not calculate "
+                f"is larger than {_MAX_RATIO_WITH_RESPONSE}; counterspin does not calculate "
                 "the frequency response for the harmonics of such a force",
             )
         recording = run.recording or records
         if recording is not None and recording.angle is None:
-            yield path, f"{turns}; record the angle of the spindle ([records] angle)"
+            yield path, f"{prefix}; record the angle of the spindle ([records] angle)"
 
 
 @check
 def _misplaced_lever_arm(model: ErrorModel, runs: Mapping[int, Run]) -> Mistakes:
-    """Yield the lever arm where it is requested, or where no table turns in space."""
+    """Yield the lever arm if it is requested, or if no table turns in space."""
     symbols_by_key = {"terms": model.terms, "hold": model.considered, "priors": tuple(model.priors)}
-    turns = any(run.turns_in_space for run in runs.values())
+    has_turning_table = any(run.turns_in_space for run in runs.values())
     for key, symbols in symbols_by_key.items():
         if LEVER_ARM not in symbols:
             continue
-        if not turns:
+        if not has_turning_table:
             reason = "affects only runs with a table_ratio other than -1; omit it"
             yield ("model", key), f'"{LEVER_ARM}" {reason}'
         elif key == "terms":
@@ -238,29 +247,29 @@ def _misplaced_lever_arm(model: ErrorModel, runs: Mapping[int, Run]) -> Mistakes
 
 @check
 def _truth_without_simulation(document: Mapping[str, Any], runs: Mapping[int, Run]) -> Mistakes:
-    for place, run in runs.items():
+    for index, run in runs.items():
         if run.truth is not None and not {"simulation", "truth"} & document.keys():
-            yield ("runs", place, "truth"), "requires [simulation] or [truth]"
+            yield ("runs", index, "truth"), "requires [simulation] or [truth]"
 
 
 @check
-def _frequency_responses(
+def _low_frequencies(
     accelerometers: Mapping[str, Accelerometer], runs: Mapping[int, Run]
 ) -> Mistakes:
     """Yield stated frequencies that are too low for the rotation."""
-    fastest = max((abs(run.rate) for run in runs.values()), default=0.0)
+    max_rate = max((abs(run.rate) for run in runs.values()), default=0.0)
     for name, accelerometer in accelerometers.items():
         if accelerometer.response is not None:
-            for section, key, message in response_problems(accelerometer.response, fastest):
+            for section, key, message in response_problems(accelerometer.response, max_rate):
                 path = (section, key) if section == "records" else (section, name, key)
                 yield path, message
 
 
 @check
-def _names_of_accelerometers(tables: Mapping[str, Any]) -> Mistakes:
-    """Yield names that [truth] could not tell from its other tables, or TOML would quote."""
+def _invalid_accelerometer_names(tables: Mapping[str, Any]) -> Mistakes:
+    """Yield names that conflict with tables of [truth], or that TOML would quote."""
     for name in tables:
-        if name in TRUTH_TABLES or not _NAME.fullmatch(name):
+        if name in TRUTH_TABLES or not _NAME_PATTERN.fullmatch(name):
             message = (
                 "cannot be the name of an accelerometer; use letters, digits, - and _, but none of"
             )
@@ -275,7 +284,7 @@ def _repeated_columns(
     """Yield columns that are used twice."""
     if records is None:
         return
-    seen = {records.time.column or "": "records.time"}
+    key_by_column = {records.time.column or "": "records.time"}
     columns_by_key = {
         f"records.{key}": channel.column
         for key, channel in (("angle", records.angle), ("temperature", records.temperature))
@@ -286,15 +295,15 @@ def _repeated_columns(
         for item in accelerometers.values()
     }
     for key, column in columns_by_key.items():
-        if column in seen:
-            message = f'column "{column}" is already used by {seen[column]}'
+        if column in key_by_column:
+            message = f'column "{column}" is already used by {key_by_column[column]}'
             yield tuple(key.split(".")), Problem(message, "duplicate-entry")
-        seen[column] = key
+        key_by_column[column] = key
 
 
 @check
-def _invalid_noise_record(noise: NoiseSettings | None, listed: Listed) -> Mistakes:
-    entries = [entry for _, entry in listed]
+def _invalid_noise_record(noise: NoiseSettings | None, indexed_runs: IndexedRuns) -> Mistakes:
+    entries = [entry for _, entry in indexed_runs]
     if noise is not None and noise.rest is not None:
         if all(map(is_reading, entries)):
             yield ("noise", "from"), "applies only to records, but no run has a record"
@@ -311,31 +320,35 @@ def _unused_noise(noise: NoiseSettings | None, observables: Mapping[str, str]) -
 
 @check
 def _encoder_without_angle(model: ErrorModel, records: RecordsSettings | None) -> Mistakes:
-    """Yield terms of an encoder that records nothing."""
+    """Yield encoder terms if no angle is recorded."""
     for key, symbols in (("terms", model.terms), ("hold", model.considered)):
-        if records and not records.angle and any(s.startswith("encoder.") for s in symbols):
+        if (
+            records
+            and not records.angle
+            and any(symbol.startswith("encoder.") for symbol in symbols)
+        ):
             yield ("model", key), "contains encoder errors, but no angle is recorded"
 
 
 @check
-def _terms_that_cannot_act(
+def _terms_without_effect(
     model: ErrorModel,
-    listed: Listed,
-    right_readings: Sequence[Reading],
+    indexed_runs: IndexedRuns,
+    valid_readings: Sequence[Reading],
     centrifuge: CentrifugeSettings | None,
 ) -> Mistakes:
-    """Yield named terms that neither a record nor a reading of the campaign can show."""
-    recorded = any(not is_reading(entry) for _, entry in listed)
-    strapped = centrifuge is not None and centrifuge.strapped
+    """Yield named terms that affect neither a record nor a reading of the campaign."""
+    has_records = any(not is_reading(entry) for _, entry in indexed_runs)
+    is_strapped = centrifuge is not None and centrifuge.strapped
     symbols_by_key = {"terms": model.terms, "hold": model.considered, "priors": tuple(model.priors)}
     for key, symbols in symbols_by_key.items():
         for symbol in symbols:
             row = SHARED_TERMS.get(symbol)
-            if row is None or symbol in symbols_shown(right_readings):
+            if row is None or symbol in shown_symbols(valid_readings):
                 continue
-            if reason := _reason_without_effect(row.effect, strapped):
+            if reason := _explain_missing_effect(row.effect, is_strapped):
                 yield ("model", key), f'"{symbol}" {reason}'
-            elif not (recorded or key == "priors" or affects_readings(symbol)):
+            elif not (has_records or key == "priors" or affects_readings(symbol)):
                 reason = (
                     "affects only records from a double turntable, but no run uses one; omit this "
                     "term"
@@ -343,14 +356,14 @@ def _terms_that_cannot_act(
                 yield ("model", key), f'"{symbol}" {reason}'
 
 
-def _reason_without_effect(effect: AttitudeError | TrajectoryError, strapped: bool) -> str:
-    """Return why a term acts on no record of the double turntable; empty if it may act."""
-    if effect.part == "table" and not strapped:
+def _explain_missing_effect(effect: AttitudeError | TrajectoryError, is_strapped: bool) -> str:
+    """Explain why a term affects no record of the double turntable; empty if it may."""
+    if effect.part == "table" and not is_strapped:
         return (
             "is an error of the counter-rotating table; if the accelerometers are strapped to the "
             "table, add strapped = true to [centrifuge], otherwise omit this term"
         )
-    if effect.part == "gyros" and strapped:
+    if effect.part == "gyros" and is_strapped:
         return (
             "is an error of the platform gyros; accelerometers strapped to the table (strapped = "
             "true in [centrifuge]) have no gyros; omit this term"
@@ -365,29 +378,31 @@ def _missing_conditions(
     recorded_temperatures: set[str],
     centrifuge: CentrifugeSettings | None,
 ) -> Mistakes:
-    """Yield what is missing for the slopes of a model, and slopes that nothing determines."""
+    """Yield missing conditions of the slopes in a model, and slopes that cannot be determined."""
     reference = centrifuge and centrifuge.reference_temperature
-    used = [
+    requested_rows = [
         row
         for symbol, row in CONDITION_TERMS.items()
         if symbol in {*model.terms, *model.considered}
     ]
     for key in STATED_CONDITIONS:
         conditions = (key, "direction") if key == "temperature" else (key,)
-        term_symbol = next((row.symbol for row in used if row.effect.condition in conditions), None)
-        recorded_runs = recorded_temperatures if key == "temperature" else ()
-        stated = [
-            getattr(run, key) is not None or run.name in recorded_runs for run in runs.values()
+        term_symbol = next(
+            (row.symbol for row in requested_rows if row.effect.condition in conditions), None
+        )
+        runs_with_record = recorded_temperatures if key == "temperature" else ()
+        has_condition = [
+            getattr(run, key) is not None or run.name in runs_with_record for run in runs.values()
         ]
-        if term_symbol is None and (key != "time" or not any(stated)):
+        if term_symbol is None and (key != "time" or not any(has_condition)):
             continue
         reason = f"{term_symbol} is in the model" if term_symbol else "other runs state this value"
         (example,) = Run.model_fields[key].examples or ("",)
-        for index, is_stated in zip(runs, stated, strict=True):
+        for index, is_stated in zip(runs, has_condition, strict=True):
             if not is_stated:
                 message = f'is missing: {reason}; write for example {key} = "{example}"'
                 yield ("runs", index, key), Problem(message, "missing-key")
-        if recorded_runs or reference is not None or not runs or not all(stated):
+        if runs_with_record or reference is not None or not runs or not all(has_condition):
             continue
         if term_symbol and key == "temperature":
             temperatures = {

@@ -29,16 +29,14 @@ Pair = tuple[str, str]
 def read_correlations(
     entries: object,
     priors: Mapping[str, Mapping[str, Quantity]],
-    held: Collection[str],
+    considered: Collection[str],
     problems: Problems,
 ) -> dict[str, dict[str, float]]:
-    """Return full name of a term -> correlation of its prior with those of other terms.
+    """Return full name of a term -> full name of another term -> correlation of their priors.
 
-    Mistakes are noted.
-
-    entries: List of [term, term, r]. A term without an accelerometer counts for each of them.
+    entries: List of [term, term, r]. A term without an accelerometer applies to each of them.
     priors: Accelerometer -> term symbol -> prior.
-    held: Symbols of the terms in [model] hold.
+    considered: Symbols of the considered terms, [model] hold.
     """
     if not isinstance(entries, list):
         problems.add(_PATH, 'must be a list such as [["K_OO", "K_PP", 0.4]]', "wrong-type")
@@ -50,7 +48,7 @@ def read_correlations(
             pairs, r = _read_entry(entry, priors)
             for pair in pairs:
                 for name in pair:
-                    _check_term(name, priors, held)
+                    _check_correlatable(name, priors, considered)
                 first, second = pair
                 if second in correlations.get(first, {}):
                     raise InputError(
@@ -61,12 +59,12 @@ def read_correlations(
                 correlations.setdefault(second, {})[first] = r
         except ValueError as error:
             problems.add(path, str(error), error_code(error))
-    for members in _find_indefinite(correlations):
+    for members in _find_indefinite_sets(correlations):
         names = ", ".join(
             f"{first} and {second} {r:g}"
-            for place, first in enumerate(members)
+            for position, first in enumerate(members)
             for second, r in correlations[first].items()
-            if second not in members[:place]
+            if second not in members[:position]
         )
         problems.add(
             _PATH,
@@ -91,12 +89,12 @@ def _read_entry(
         raise OutOfRangeError(
             f"a correlation must be greater than -1 and less than 1, but it is {r:g}"
         )
-    owned = [_full_names(name, priors) for name in (first, second)]
+    full_names = [_expand_name(name, priors) for name in (first, second)]
     pairs = [
         (a, b)
-        for a in owned[0]
-        for b in owned[1]
-        # A term without an accelerometer is that of the same one.
+        for a in full_names[0]
+        for b in full_names[1]
+        # A term without an accelerometer refers to the same accelerometer.
         if not {first, second} & {*ACCELEROMETER_TERMS} or a.split(".")[0] == b.split(".")[0]
     ]
     if not pairs or any(a == b for a, b in pairs):
@@ -104,8 +102,8 @@ def _read_entry(
     return pairs, float(r)
 
 
-def _full_names(name: str, priors: Mapping[str, Mapping[str, Quantity]]) -> list[str]:
-    """Return the full names of a term, of each accelerometer if it names none."""
+def _expand_name(name: str, priors: Mapping[str, Mapping[str, Quantity]]) -> list[str]:
+    """Return the full names of a term; without an accelerometer, one for each of them."""
     owner, _, symbol = name.partition(".")
     if owner in priors and symbol in ACCELEROMETER_TERMS:
         return [name]
@@ -117,20 +115,20 @@ def _full_names(name: str, priors: Mapping[str, Mapping[str, Quantity]]) -> list
     )
 
 
-def _check_term(
+def _check_correlatable(
     name: str,
     priors: Mapping[str, Mapping[str, Quantity]],
-    held: Collection[str],
+    considered: Collection[str],
 ) -> None:
     """Raise ValueError if the prior of a term cannot be correlated."""
     owner, _, symbol = name.partition(".")
     prior = priors[owner].get(symbol)
     if prior is None or prior.u == 0.0:
-        state = "has no stated prior" if prior is None else "is stated without an uncertainty"
+        reason = "has no stated prior" if prior is None else "is stated without an uncertainty"
         raise InputError(
-            f"{name} {state}; a correlation requires two priors with a stated ±", "missing-prior"
+            f"{name} {reason}; a correlation requires two priors with a stated ±", "missing-prior"
         )
-    if symbol in held:
+    if symbol in considered:
         raise InputError(
             f"{symbol} is in model.hold; remove it there, so that the fit adjusts it",
             "conflicting-keys",
@@ -143,7 +141,7 @@ def _check_term(
         )
 
 
-def _find_indefinite(correlations: Mapping[str, Mapping[str, float]]) -> Iterator[list[str]]:
+def _find_indefinite_sets(correlations: Mapping[str, Mapping[str, float]]) -> Iterator[list[str]]:
     """Yield each set of connected terms whose correlation matrix is not positive definite."""
     remaining = dict.fromkeys(correlations)
     while remaining:

@@ -18,8 +18,8 @@ from counterspin.campaign.documents import (
     description_file,
     load_with_checksum,
     require_source,
+    set_source,
     table_of,
-    with_source,
 )
 from counterspin.campaign.model import (
     ErrorModel,
@@ -67,50 +67,52 @@ class Campaign:
     site
         Gravity and latitude as plain numbers, for the physics.
     gravity, latitude, radius
-        The same with their uncertainties: m/s^2, rad, m.
+        Gravity, latitude and radius with their uncertainties: m/s^2, rad, m.
     time
         Column of the time, in s.
     angle
-        Column of the spindle's angle, in rad; None: the nominal rate is taken.
+        Column of the spindle angle, in rad; None: the nominal rate is used.
     timing_offset
-        How much later than its displacement the angle of a row was sampled, s; None: not stated.
+        Sampling time of the angle minus that of the displacement in the same row, s; None: not
+        stated.
     clock
-        By how much of itself the recorder's clock runs fast; None: not stated.
+        Relative rate error of the recorder's clock, positive if it runs fast; None: not stated.
     rate_clock
-        The same of the clock that measures the rates of readings.
+        Relative rate error of the clock that measures the rates of readings.
     own_velocity
-        Whether the navigation computer takes its own velocity for the Coriolis acceleration, and
-        not the platform's.
+        Whether the navigation computer computes the Coriolis acceleration from its own velocity
+        instead of the platform's.
     accelerometers
-        By name, in the file's order.
+        Accelerometers by name, in the order of the file.
     noise
-        None: to be estimated from the residuals.
+        Stated noise; None: estimated from the residuals.
     model
         Terms, priors and limits.
     runs
-        In the file's order; names and records are unique.
+        Runs in the order of the file; names and records are unique.
     simulation
-        None if the file has neither [simulation] nor [truth].
+        Settings of a simulation; None if the file has neither [simulation] nor [truth].
     details
-        What else [campaign] states, such as `serial_number` and `date`; only what is there.
+        Other keys of [campaign] that are stated, such as `serial_number` and `date`.
     specifications
         Tolerance limits of the coefficients; None if the file states none.
     tables, table_checksums
         Files of readings, and SHA-256 of those that were read with the description.
     frames
-        Records that are in memory, by the files in whose place they are.
+        Records in memory, by the file that each replaces.
     temperature
-        Column of the accelerometers' temperature in records; None without.
+        Column of the accelerometer temperature in records; None: not recorded.
     dialect
-        How record files are written, as far as that is said.
+        Stated format of the record files.
     strapped
-        Whether the accelerometers of records are strapped to the counter-rotating table.
+        Whether the recorded accelerometers are strapped to the counter-rotating table.
     skipped
-        Names of the runs that are left out.
+        Names of the excluded runs.
     triad
-        Three accelerometers of one sensor, with their poses at unknown attitudes; None without.
+        Three accelerometers of one sensor, with their poses at unknown attitudes; or None.
     source
-        The description that it was resolved from; None of a copy that `dataclasses.replace` made.
+        Description from which the campaign was resolved; None for a copy made by
+        `dataclasses.replace`.
     """
 
     title: str
@@ -146,9 +148,9 @@ class Campaign:
     source: Source | None = field(default=None, init=False, repr=False, compare=False)
 
     def __repr__(self) -> str:
-        """Return title, accelerometers and what is recorded, in a line."""
-        names, held = ", ".join(self.accelerometers), f"{len(self.runs)} runs"
-        return f"<campaign {self.title!r}: {names}; {held}, {len(self.readings)} readings>"
+        """Return title, accelerometers and numbers of runs and readings in one line."""
+        names, run_text = ", ".join(self.accelerometers), f"{len(self.runs)} runs"
+        return f"<campaign {self.title!r}: {names}; {run_text}, {len(self.readings)} readings>"
 
     @classmethod
     def of(
@@ -156,59 +158,59 @@ class Campaign:
         source: Source,
         folder: Path,
         frames: Mapping[Path, MemoryTable] | None = None,
-        noted: Problems | None = None,
+        known_problems: Problems | None = None,
     ) -> Campaign:
-        """Return the campaign of a document that is in memory.
+        """Return the campaign of a document in memory.
 
         Parameters
         ----------
         source
-            The document, and the file from which it came, if from one.
+            Document, with its file if it was read from one.
         folder
-            Of the files that it names.
+            Folder of the files that the document names.
         frames
-            Records in memory, by the files in whose place they are.
+            Records in memory, by the file that each replaces.
         noted
-            Mistakes in the document that are known already.
+            Mistakes in the document that have already been found.
 
         Raises
         ------
         CampaignError
             With every mistake.
         """
-        problems = noted or Problems(source.document)
+        problems = known_problems or Problems(source.document)
         campaign = resolve_campaign(source.document, folder / DESCRIPTION_NAME, problems)
         if campaign is None or problems.lines:
             raise CampaignError(source.label, problems.lines)
-        titled = source.file is not None or "title" in table_of(source.document, "campaign")
-        named = {*campaign.files, campaign.rest}
-        made = replace(
+        has_title = source.file is not None or "title" in table_of(source.document, "campaign")
+        named_files = {*campaign.files, campaign.rest}
+        resolved = replace(
             campaign,
             path=Path(source.label),
-            title=campaign.title if titled else "",
-            frames={path: table for path, table in (frames or {}).items() if path in named},
+            title=campaign.title if has_title else "",
+            frames={path: table for path, table in (frames or {}).items() if path in named_files},
         )
-        return with_source(made, source)
+        return set_source(resolved, source)
 
     def limit_of(self, symbol: str, owner: str = "") -> float:
-        """Return the largest credible size of a term: as stated, or by the owner's grade.
+        """Return the largest credible magnitude of a term: as stated, or by the owner's grade.
 
         Parameters
         ----------
         symbol
-            Of the table of terms.
+            Symbol of the term.
         owner
-            The accelerometer, for a term of its own; else it is no matter.
+            Accelerometer of an accelerometer term; ignored for other terms.
         """
         limits = self.model.limits
-        stated = limits.get(symbol) or limits.get(same_for_all(symbol))
-        return stated or self._size(symbol, owner).limit
+        stated_limit = limits.get(symbol) or limits.get(same_for_all(symbol))
+        return stated_limit or self._size(symbol, owner).limit
 
     def typical_of(self, symbol: str, owner: str = "") -> float:
-        """Return the standard uncertainty to assume of a term; parameters as in `limit_of`."""
+        """Return the default standard uncertainty of a term; parameters as in `limit_of`."""
         typical = self.model.typical
-        stated = typical.get(symbol) or typical.get(same_for_all(symbol))
-        return stated or self._size(symbol, owner).typical
+        stated_typical = typical.get(symbol) or typical.get(same_for_all(symbol))
+        return stated_typical or self._size(symbol, owner).typical
 
     def _size(self, symbol: str, owner: str) -> Size:
         accelerometer = self.accelerometers.get(owner)
@@ -220,11 +222,11 @@ class Campaign:
 
     @property
     def recording(self) -> Recording:
-        """The recording of runs that state no other."""
+        """The default recording of the runs."""
         return Recording(self.time, self.angle, self.dialect, self.temperature, clock=self.clock)
 
     def record_at(self, file: Path) -> Path | MemoryTable:
-        """Return the record in memory that stands in the place of a file, or else the file."""
+        """Return the record in memory that replaces a file, or else the file."""
         return self.frames.get(file, file)
 
     def change(
@@ -239,7 +241,7 @@ class Campaign:
             the keys that it has, None removes a key, and anything else, such as the list of
             runs, replaces the value. Quantities are text, or a `Quantity`.
         records
-            As in `make_campaign`, of the runs that get another record.
+            New records of runs, as in `make_campaign`.
 
         Raises
         ------
@@ -251,53 +253,53 @@ class Campaign:
         return Campaign.of(source, self.folder, {**self.frames, **frames})
 
     def write(self, folder: Path | str, *, overwrite: bool = False) -> Path:
-        """Write ``campaign.toml`` and all records, from which the same result comes.
+        """Write ``campaign.toml`` and all records to a folder, which gives the same result.
 
         Parameters
         ----------
         folder
-            Made if it is not there.
+            Target folder; created if it does not exist.
         overwrite
-            Whether files that are already there may be replaced.
+            Whether existing files may be replaced.
 
         Returns
         -------
         Path
-            The description.
+            The description file.
 
         Raises
         ------
         CounterspinError
-            If a file is in the way, cannot be written, or a record is not there.
+            If a file already exists or cannot be written, or a record is missing.
         """
-        written: Path = load_name(WRITE)(self, folder, overwrite=overwrite)
-        return written
+        description_path: Path = load_name(WRITE)(self, folder, overwrite=overwrite)
+        return description_path
 
     @property
     def files(self) -> tuple[Path, ...]:
         """All record files, of runs and of readings."""
-        read = (reading.record for reading in self.readings if reading.record is not None)
+        reading_files = (reading.record for reading in self.readings if reading.record is not None)
         pose_files = (record.record for record in self.triad.records) if self.triad else ()
-        return (*(file for run in self.runs for file in run.files), *read, *pose_files)
+        return (*(file for run in self.runs for file in run.files), *reading_files, *pose_files)
 
     @property
     def rest(self) -> Path | None:
-        """The record at rest that says the noise; None where [noise] names none."""
+        """The record at rest from which the noise is estimated; None if [noise] names none."""
         return None if self.noise is None or not self.noise.rest else self.folder / self.noise.rest
 
     @property
     def posed(self) -> bool:
         """True if there are poses of unknown attitude."""
-        return self.triad is not None and self.triad.posed
+        return self.triad is not None and self.triad.has_poses
 
     @cached_property
     def all_readings(self) -> tuple[Reading, ...]:
-        """All readings, those of poses at unknown attitudes behind the others."""
-        posed = self.triad.poses if self.triad else ()
-        return (*self.readings, *(reading for pose in posed for reading in pose))
+        """All readings; those of poses at unknown attitudes come last."""
+        poses = self.triad.poses if self.triad else ()
+        return (*self.readings, *(reading for pose in poses for reading in pose))
 
     def require_records(self, what: str) -> None:
-        """Raise CampaignError if there is neither a record, which `what` needs, nor a reading."""
+        """Raise CampaignError, for a method `what`, if the campaign has readings or poses."""
         if self.readings or self.posed:
             raise CampaignError(
                 str(self.path),
@@ -322,8 +324,8 @@ def read_campaign(path: Path | str) -> Campaign:
     Raises
     ------
     CampaignError
-        With every mistake found, each with the path of its key; or that the file is missing,
-        is not UTF-8 or not TOML.
+        With every mistake and the path of its key; or if the file is missing, is not UTF-8 or is
+        not TOML.
     """
     file = description_file(path)
     if file.suffix.lower() in RECORD_FORMATS and file.exists():
@@ -342,10 +344,10 @@ def read_campaign(path: Path | str) -> Campaign:
     campaign = resolve_campaign(raw, file, problems)
     if campaign is None:
         raise campaign_error(file, problems.lines)
-    return with_source(campaign, Source(raw, campaign.path, checksum, raw))
+    return set_source(campaign, Source(raw, campaign.path, checksum, raw))
 
 
 def resolve_campaign(raw: Mapping[str, Any], file: Path, problems: Problems) -> Campaign | None:
-    """Return the campaign that a document describes, or None with its mistakes noted."""
-    made = DescriptionReader(raw, file.absolute(), problems).attributes()
-    return None if made is None else Campaign(**made)
+    """Return the campaign of a document; None, with the mistakes reported, if it is invalid."""
+    attributes = DescriptionReader(raw, file.absolute(), problems).resolve_attributes()
+    return None if attributes is None else Campaign(**attributes)

@@ -1,4 +1,4 @@
-"""Quantities with a distribution (GUM 4.3, JCGM 101, 6.4), as tables; draws from them."""
+"""Quantities with a stated distribution (GUM 4.3; JCGM 101, 6.4), and draws from them."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.campaign.quantity import HALF_WIDTHS, InputDistribution, Quantity, parse
+from counterspin.campaign.quantity import HALF_WIDTHS, InputDistribution, Quantity, parse_quantity
 from counterspin.errors import InputError, OutOfRangeError
 
-#: The keys with which a value is given, and what they mean.
-_FORMS: Final = (
+#: Allowed sets of keys of a table.
+_KEY_SETS: Final = (
     {"value", "u"},
     {"value", "u", "dof"},
     {"value", "U", "k"},
     {"value", "half_width", "distribution"},
 )
 
-_KEYS: Final = set[object]().union(*_FORMS)
+_KEYS: Final = set[object]().union(*_KEY_SETS)
 
-#: The tables in JSON Schema.
+#: JSON Schema of the tables.
 TABLE_SCHEMA: Final = {
     "type": "object",
     "properties": {
@@ -34,7 +34,7 @@ TABLE_SCHEMA: Final = {
     "additionalProperties": False,
 }
 
-#: Fewest degrees of freedom of a stated uncertainty.
+#: Smallest degrees of freedom of a stated uncertainty.
 _MIN_DOF: Final = 1.0
 
 _ADVICE: Final = (
@@ -44,70 +44,72 @@ _ADVICE: Final = (
 
 
 def is_prior_table(value: object) -> bool:
-    """Return whether a value is a quantity as a table; no term has a name of its keys."""
+    """Return whether a value is a table with keys of a quantity; no term has such a name."""
     return isinstance(value, Mapping) and not _KEYS.isdisjoint(value)
 
 
-def parse_prior(written: object, unit: str, *, gravity: float | None) -> Quantity:
+def parse_prior(raw: object, unit: str, *, gravity: float | None) -> Quantity:
     """Return a quantity with its standard uncertainty and distribution.
 
-    written: A quantity with ±, which is normal, or a table.
-    unit: Of the quantity.
+    raw: A quantity with ±, which is normal, or a table.
+    unit: Unit of the result.
 
-    Raises ValueError if it is neither.
+    Raises ValueError for other values.
     """
-    if not isinstance(written, Mapping):
-        return parse(written, unit, gravity=gravity)
-    if set(written) not in _FORMS:
-        raise InputError(f"has {', '.join(map(str, written))}; {_ADVICE}", "conflicting-keys")
+    if not isinstance(raw, Mapping):
+        return parse_quantity(raw, unit, gravity=gravity)
+    if set(raw) not in _KEY_SETS:
+        raise InputError(f"has {', '.join(map(str, raw))}; {_ADVICE}", "conflicting-keys")
 
-    def exact(key: str) -> float:
-        quantity = parse(written[key], unit, gravity=gravity)
-        if quantity.u != 0.0:
+    def parse_exact_key(key: str) -> float:
+        parsed = parse_quantity(raw[key], unit, gravity=gravity)
+        if parsed.u != 0.0:
             raise InputError(f"{key} must not have an uncertainty (±)", "wrong-uncertainty")
-        return quantity.value
+        return parsed.value
 
-    def size(key: str) -> float:
-        if (quantity := exact(key)) <= 0.0:
+    def parse_positive_key(key: str) -> float:
+        if (number := parse_exact_key(key)) <= 0.0:
             raise OutOfRangeError(f"{key} must be greater than zero")
-        return quantity
+        return number
 
-    value = exact("value")
-    if "half_width" in written:
-        named = written["distribution"]
-        shape = next((name for name in HALF_WIDTHS if name == named), None)
+    value = parse_exact_key("value")
+    if "half_width" in raw:
+        distribution_name = raw["distribution"]
+        shape = next((name for name in HALF_WIDTHS if name == distribution_name), None)
         if shape is None:
-            raise InputError(f"{named!r} is not one of {', '.join(HALF_WIDTHS)}", "unknown-choice")
-        u = size("half_width") / HALF_WIDTHS[shape]
+            raise InputError(
+                f"{distribution_name!r} is not one of {', '.join(HALF_WIDTHS)}", "unknown-choice"
+            )
+        u = parse_positive_key("half_width") / HALF_WIDTHS[shape]
         return Quantity(value, u, unit, InputDistribution(shape))
-    if "U" in written:
-        return Quantity(value, size("U") / _positive_number(written, "k"), unit)
-    if "dof" in written:
-        dof = _positive_number(written, "dof")
+    if "U" in raw:
+        return Quantity(value, parse_positive_key("U") / _parse_positive_number(raw, "k"), unit)
+    if "dof" in raw:
+        dof = _parse_positive_number(raw, "dof")
         if not _MIN_DOF <= dof < math.inf:
             raise OutOfRangeError(f"dof is {dof:g}; give a number from {_MIN_DOF:g}, or omit it")
-        return Quantity(value, size("u"), unit, InputDistribution("t", dof))
-    return Quantity(value, size("u"), unit)
+        return Quantity(value, parse_positive_key("u"), unit, InputDistribution("t", dof))
+    return Quantity(value, parse_positive_key("u"), unit)
 
 
-def standard_draws(
-    distribution: InputDistribution, trials: int, generator: np.random.Generator
+def draw_standardized(
+    distribution: InputDistribution, n_draws: int, generator: np.random.Generator
 ) -> Array:
-    """Return draws about zero whose standard uncertainty is one (t: whose scale is one)."""
+    """Draw values with mean zero and unit standard deviation (t: unit scale)."""
     if distribution.shape == "t":
-        return np.asarray(generator.standard_t(distribution.dof, trials))
+        return np.asarray(generator.standard_t(distribution.dof, n_draws))
     if distribution.shape == "rectangular":
-        return generator.uniform(-math.sqrt(3.0), math.sqrt(3.0), trials)
+        return generator.uniform(-math.sqrt(3.0), math.sqrt(3.0), n_draws)
     if distribution.shape == "triangular":
         half_width = math.sqrt(6.0)
-        return generator.triangular(-half_width, 0.0, half_width, trials)
+        return generator.triangular(-half_width, 0.0, half_width, n_draws)
     if distribution.shape == "arcsine":
-        return math.sqrt(2.0) * np.sin(generator.uniform(-0.5 * math.pi, 0.5 * math.pi, trials))
-    return generator.standard_normal(trials)
+        return math.sqrt(2.0) * np.sin(generator.uniform(-0.5 * math.pi, 0.5 * math.pi, n_draws))
+    return generator.standard_normal(n_draws)
 
 
-def _positive_number(written: Mapping[str, Any], key: str) -> float:
-    number = written[key]
+def _parse_positive_number(table: Mapping[str, Any], key: str) -> float:
+    number = table[key]
     if isinstance(number, bool) or not isinstance(number, int | float) or not number > 0.0:
         raise OutOfRangeError(f"{key} must be a number greater than zero")
     return float(number)

@@ -1,4 +1,4 @@
-"""Documents in TOML: read with errors that say where, patched, compared; where they came from."""
+"""TOML documents: read with located errors, patched, compared; sources of campaigns."""
 
 from __future__ import annotations
 
@@ -24,38 +24,40 @@ from counterspin.frozen import frozen
 from counterspin.input import detect_file_type, read_file, to_path
 from counterspin.toml_text import NestingError, format_document, parse_toml
 
-#: What to do where no campaign is.
+#: Advice if a folder contains no campaign.
 CAMPAIGN_ADVICE: Final = "`counterspin init DIR` creates an example campaign"
 
-#: What a TOML file may be.
-Kind = Literal["campaign", "plan", "laboratory"]
-_KINDS: Final[Mapping[Kind, str]] = {
+#: Kind of a TOML document.
+DocumentKind = Literal["campaign", "plan", "laboratory"]
+_KIND_LABELS: Final[Mapping[DocumentKind, str]] = {
     "campaign": "a campaign",
     "plan": "a plan",
     "laboratory": "laboratory data for certificates",
 }
 
-#: No TOML file has more bytes.
-_TEXT_BYTES: Final = 5_000_000
-#: Nor is any text in it longer.
+#: Largest size of a TOML file.
+_MAX_BYTES: Final = 5_000_000
+#: Largest length of a text in a TOML file.
 _MAX_CHARACTERS: Final = 10_000
-#: Nor is the path of any key, which messages and tables of lines repeat.
+#: Largest length of a key path, which messages and tables of line numbers repeat.
 _MAX_PATH_CHARACTERS: Final = 1_000
 
-#: What messages call a campaign without a file.
-IN_MEMORY: Final = "campaign in memory"
+#: Name of a campaign without a file, for messages.
+IN_MEMORY_LABEL: Final = "campaign in memory"
 
-#: How the path of a file on Windows is written.
+#: Advice on Windows paths.
 BACKSLASH_ADVICE: Final = "write paths with /, or in single quotation marks, 'C:\\data\\run1.csv'"
 
-_PART: Final = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')"""
-_KEY: Final = re.compile(rf"\s*({_PART}(?:\s*\.\s*{_PART})*)\s*=")
-_HEADER: Final = re.compile(rf"\s*\[(\[?)\s*({_PART}(?:\s*\.\s*{_PART})*)\s*\]\]?\s*(?:#.*)?")
-#: Texts and a comment, in which brackets are no brackets.
-_TEXTS: Final = re.compile(r"""\"(?:[^"\\]|\\.)*\"|'[^']*'|#.*""")
-#: The key with which a message begins, and the last part of a key.
-_MESSAGE_KEY: Final = re.compile(rf"({_PART}(?:\.{_PART}|\[\d+\])*): ")
-_LAST: Final = re.compile(r"(?:\.[\w-]+|\[\d+\])$")
+_KEY_PART: Final = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')"""
+_KEY: Final = re.compile(rf"\s*({_KEY_PART}(?:\s*\.\s*{_KEY_PART})*)\s*=")
+_HEADER: Final = re.compile(
+    rf"\s*\[(\[?)\s*({_KEY_PART}(?:\s*\.\s*{_KEY_PART})*)\s*\]\]?\s*(?:#.*)?"
+)
+#: Strings and comments, in which brackets have no meaning.
+_STRING_OR_COMMENT: Final = re.compile(r"""\"(?:[^"\\]|\\.)*\"|'[^']*'|#.*""")
+#: Key path at the start of a message; last part of a key path.
+_MESSAGE_KEY: Final = re.compile(rf"({_KEY_PART}(?:\.{_KEY_PART}|\[\d+\])*): ")
+_LAST_KEY_PART: Final = re.compile(r"(?:\.[\w-]+|\[\d+\])$")
 
 DESCRIPTION_NAME: Final = "campaign.toml"  #: the description's file in a campaign folder
 
@@ -64,22 +66,22 @@ DESCRIPTION_NAME: Final = "campaign.toml"  #: the description's file in a campai
 KeyPath = tuple[str | int, ...]
 
 
-def key_path(path: KeyPath) -> str:
-    """Write the path of a key as TOML users know it."""
+def format_key_path(path: KeyPath) -> str:
+    """Format a key path as it is written in TOML."""
     text = ""
     for part in path:
         if isinstance(part, int):
             text += f"[{part}]"
         else:
-            plain = part.replace("_", "").replace("-", "").isalnum()
-            text += ("." if text else "") + (part if plain else f'"{part}"')
+            is_bare = part.replace("_", "").replace("-", "").isalnum()
+            text += ("." if text else "") + (part if is_bare else f'"{part}"')
     return text
 
 
 def description_file(where: Path | str) -> Path:
-    """Return the description's file, of a campaign's folder or of the file itself."""
-    given = to_path(where, "the folder or description file of a campaign")
-    return given / DESCRIPTION_NAME if os.path.isdir(given) else given  # noqa: PTH112 -- any name
+    """Return the description file of a campaign, given its folder or the file itself."""
+    path = to_path(where, "the folder or description file of a campaign")
+    return path / DESCRIPTION_NAME if os.path.isdir(path) else path  # noqa: PTH112 -- any name
 
 
 def flatten_keys(
@@ -87,9 +89,9 @@ def flatten_keys(
     prefix: str = "",
     is_value: Callable[[object], bool] = lambda _: False,
 ) -> dict[str, Any]:
-    """Undo TOML's nesting of keys with dots that are not quoted, ``platform.tilt = ...``.
+    """Flatten nested tables to keys with dots, such as ``platform.tilt``.
 
-    is_value: Whether a table is a value and not a part of a key.
+    is_value: Predicate for tables that are values and stay unflattened.
     """
     flat: dict[str, Any] = {}
     for key, value in table.items():
@@ -113,14 +115,14 @@ def list_of(document: Mapping[str, Any], key: str) -> list[Any]:
 
 
 def load_document(
-    file: Path, advice: str = CAMPAIGN_ADVICE, kind: Kind | None = None
+    file: Path, advice: str = CAMPAIGN_ADVICE, kind: DocumentKind | None = None
 ) -> dict[str, Any]:
-    """Return a TOML document; as `load_with_checksum`."""
+    """Return a TOML document; parameters as in `load_with_checksum`."""
     return load_with_checksum(file, advice, kind)[0]
 
 
 def load_with_checksum(
-    file: Path, advice: str, kind: Kind | None = None
+    file: Path, advice: str, kind: DocumentKind | None = None
 ) -> tuple[dict[str, Any], str]:
     """Return a TOML document and its checksum.
 
@@ -132,27 +134,27 @@ def load_with_checksum(
     if kind == "campaign":
         full_advice = f"give the folder that contains {DESCRIPTION_NAME}; {advice}"
     try:
-        content = read_file(file, _TEXT_BYTES)
+        content = read_file(file, _MAX_BYTES)
         if kind is not None and (file_type := _describe_other_file(file, content)):
             raise CampaignError(
                 str(file),
-                [f"{file_type}, not {_KINDS[kind]}; {full_advice}"],
+                [f"{file_type}, not {_KIND_LABELS[kind]}; {full_advice}"],
                 code="wrong-document",
             )
     except OSError as error:
         problem, code = describe_read_error(error), read_error_code(error)
-        advised = isinstance(error, FileNotFoundError | IsADirectoryError)
-        problem += f"; {advice}" if advised else ""
+        needs_advice = isinstance(error, FileNotFoundError | IsADirectoryError)
+        problem += f"; {advice}" if needs_advice else ""
     except ValueError as error:
         code = "invalid-name"
         problem = f"cannot be read: {error}".partition(";")[0]  # a name with NUL
     else:
         document = parse_document(content, str(file))
-        document_kind = _kind_of(document)
+        document_kind = _detect_kind(document)
         if kind in (None, document_kind) or document_kind is None:
             return document, f"sha256:{hashlib.sha256(content).hexdigest()}"
         code = "wrong-document"
-        problem = f"{_KINDS[document_kind]}, not {_KINDS[kind]}; {full_advice}"
+        problem = f"{_KIND_LABELS[document_kind]}, not {_KIND_LABELS[kind]}; {full_advice}"
     raise CampaignError(str(file), [problem], code=code)
 
 
@@ -166,9 +168,9 @@ def _describe_other_file(file: Path, content: bytes) -> str:
     return "a record" if file.suffix.lower() in RECORD_FORMATS else ""
 
 
-def _kind_of(document: Mapping[str, Any]) -> Kind | None:
-    """Return the kind of a document by sections that only this kind has; None if there are none."""
-    kinds: set[Kind] = set()
+def _detect_kind(document: Mapping[str, Any]) -> DocumentKind | None:
+    """Return the kind of a document, detected from its sections; None if it is ambiguous."""
+    kinds: set[DocumentKind] = set()
     if "goal" in document:
         kinds.add("plan")
     if "runs" in document or "readings" in document:
@@ -179,24 +181,26 @@ def _kind_of(document: Mapping[str, Any]) -> Kind | None:
 
 
 def campaign_error(file: Path, problems: Sequence[str]) -> CampaignError:
-    """Return the error that says what is wrong in a file, in the order of its lines."""
+    """Return the error with the problems of a file, in the order of its lines."""
     lines = message_lines(problems, file)
-    ordered = sorted(
+    sorted_pairs = sorted(
         zip(problems, lines, strict=True), key=lambda pair: (pair[1] is None, pair[1] or 0)
     )
-    return CampaignError(str(file), [words for words, _ in ordered], [line for _, line in ordered])
+    return CampaignError(
+        str(file), [problem for problem, _ in sorted_pairs], [line for _, line in sorted_pairs]
+    )
 
 
 def parse_document(content: bytes, source: str) -> dict[str, Any]:
-    """Return the TOML document that the bytes of a file hold; `source` is what messages call it."""
+    """Parse a TOML document; `source` is its name in messages."""
     code = "invalid-toml"
     try:
-        # Editors on Windows put a byte-order mark before the text; TOML knows none.
+        # Editors on Windows write a byte-order mark, which TOML does not allow.
         document = parse_toml(content.decode("utf-8-sig"))
-        faults = list(find_invalid_values(document, ""))
-        if not faults:
+        invalid_values = list(find_invalid_values(document, ""))
+        if not invalid_values:
             return document
-        raise CampaignError(source, faults, code="invalid-value")
+        raise CampaignError(source, invalid_values, code="invalid-value")
     except UnicodeDecodeError:
         code = "wrong-encoding"
         problem = "is not UTF-8 text; save it as UTF-8 (needed for the sign ±; +/- works too)"
@@ -214,21 +218,21 @@ def parse_document(content: bytes, source: str) -> dict[str, Any]:
             )
         problem = f"{location}: {message}; {advice}"
     except ValueError as error:
-        # A number of thousands of digits, which Python reads no further.
+        # Python refuses integers with thousands of digits.
         problem = f"cannot be read: {error}".partition(";")[0]
     raise CampaignError(source, [problem], code=code)
 
 
 def find_invalid_values(value: Any, path: str) -> Iterator[str]:
-    """Yield what is TOML, or almost, and no value of any key: long integers and keys, NUL."""
+    """Yield values that TOML may contain but no key accepts: long integers, long keys, NUL."""
     if len(path) > _MAX_PATH_CHARACTERS:
         yield f"{path}: the path of a key may have at most {_MAX_PATH_CHARACTERS} characters"
     elif isinstance(value, dict):
-        for key, item in value.items():
-            yield from find_invalid_values(item, f"{path}.{key}" if path else key)
+        for key, inner in value.items():
+            yield from find_invalid_values(inner, f"{path}.{key}" if path else key)
     elif isinstance(value, list):
-        for index, item in enumerate(value):
-            yield from find_invalid_values(item, f"{path}[{index}]")
+        for index, inner in enumerate(value):
+            yield from find_invalid_values(inner, f"{path}[{index}]")
     elif isinstance(value, int) and not -(2**63) <= value < 2**63:
         yield f"{path}: an integer may have at most 64 bits"
     if isinstance(value, str) and "\0" in value:
@@ -237,14 +241,14 @@ def find_invalid_values(value: Any, path: str) -> Iterator[str]:
         yield f"{path}: a text may have at most {_MAX_CHARACTERS} characters"
 
 
-# The lines in which keys stand, for messages
+# Line numbers of keys, for messages
 
 
 def message_lines(messages: Sequence[str], file: Path) -> list[int | None]:
-    """Return the line of a document's file to which each message refers, from 1.
+    """Return the line number in a file to which each message refers, from 1.
 
-    Of a key that is missing it is that of its table; None where a message names no key that is
-    there, or the file cannot be read.
+    A missing key has the line of its table. The line is None if a message names no existing key, or
+    if the file cannot be read.
     """
     try:
         lines_by_key = key_lines(file.read_text("utf-8-sig"))
@@ -257,25 +261,25 @@ def _message_line(message: str, lines_by_key: dict[str, int]) -> int | None:
     match = _MESSAGE_KEY.match(message)
     key = match[1] if match else ""
     while key and key.replace('"', "") not in lines_by_key:
-        # What stands in quotation marks may be the row of another file.
-        shorter = _LAST.sub("", key)
-        key = shorter if shorter != key else ""
+        # A part in quotation marks may be the row of another file.
+        parent_key = _LAST_KEY_PART.sub("", key)
+        key = parent_key if parent_key != key else ""
     return lines_by_key.get(key.replace('"', ""))
 
 
 def key_lines(text: str) -> dict[str, int]:
-    """Return key -> line, of a document in TOML; keys as messages write them, unquoted."""
+    """Return key -> line number of a TOML document; keys as in messages, unquoted."""
     lines_by_key: dict[str, int] = {}
-    counts: dict[KeyPath, int] = {}
+    table_counts: dict[KeyPath, int] = {}
     table: KeyPath = ()
-    depth, quotes = 0, ""
+    depth, open_quotes = 0, ""
     for number, line in enumerate(text.splitlines(), 1):
-        if quotes:  # within a text of several lines
-            quotes = "" if line.count(quotes) % 2 else quotes
+        if open_quotes:  # within a multi-line string
+            open_quotes = "" if line.count(open_quotes) % 2 else open_quotes
             continue
         header = _HEADER.fullmatch(line) if depth == 0 else None
         if header is not None:
-            table = _open_table(header, counts)
+            table = _open_table(header, table_counts)
             lines_by_key.setdefault(_unquoted_path(table), number)
             continue
         key = _KEY.match(line) if depth == 0 else None
@@ -284,72 +288,74 @@ def key_lines(text: str) -> dict[str, int]:
             for part in _split_key(key[1]):
                 path = (*path, part)
                 lines_by_key.setdefault(_unquoted_path(path), number)
-        quotes = next((q for q in ('"""', "'''") if line.count(q) % 2), "")
-        brackets = _TEXTS.sub("", line[key.end() :] if key else line)
-        depth += sum(map(brackets.count, "[{")) - sum(map(brackets.count, "]}"))
+        open_quotes = next(
+            (delimiter for delimiter in ('"""', "'''") if line.count(delimiter) % 2), ""
+        )
+        unquoted_line = _STRING_OR_COMMENT.sub("", line[key.end() :] if key else line)
+        depth += sum(map(unquoted_line.count, "[{")) - sum(map(unquoted_line.count, "]}"))
     return lines_by_key
 
 
 def _open_table(
-    header: re.Match[str], counts: dict[tuple[str | int, ...], int]
+    header: re.Match[str], table_counts: dict[tuple[str | int, ...], int]
 ) -> tuple[str | int, ...]:
-    """Return the table that a header opens, counting those of each list of tables."""
+    """Return the path of the table that a header opens, and count the tables of each list."""
     path: tuple[str | int, ...] = ()
-    *outer, last = _split_key(header[2])
-    for part in outer:
+    *parent_keys, last_key = _split_key(header[2])
+    for part in parent_keys:
         path = (*path, part)
-        path = (*path, counts[path]) if path in counts else path
-    path = (*path, last)
+        path = (*path, table_counts[path]) if path in table_counts else path
+    path = (*path, last_key)
     if header[1]:
-        counts[path] = counts.get(path, -1) + 1
-    return (*path, counts[path]) if path in counts else path
+        table_counts[path] = table_counts.get(path, -1) + 1
+    return (*path, table_counts[path]) if path in table_counts else path
 
 
 def _split_key(key: str) -> list[str]:
-    return [part.strip("\"'") for part in re.findall(_PART, key)]
+    return [part.strip("\"'") for part in re.findall(_KEY_PART, key)]
 
 
 def _unquoted_path(path: tuple[str | int, ...]) -> str:
-    return key_path(path).replace('"', "")
+    return format_key_path(path).replace('"', "")
 
 
 # Documents as mappings, in Python
 
 
-def to_toml_value(value: Any, path: KeyPath, note: Callable[[KeyPath, str], None]) -> Any:
-    """Return a copy of what stands at a key as TOML would be read.
+def to_toml_value(value: Any, path: KeyPath, report: Callable[[KeyPath, str], None]) -> Any:
+    """Convert a Python value to the value that TOML would be read as.
 
     value: Text, a number, a date, a `Quantity` or `HeadTurn`, or a mapping or sequence of these.
-        Keys whose value is None are left out.
-    note: Takes the key of what cannot stand in a document, and why.
+        Keys whose value is None are omitted.
+    report: Function that receives key path and message of an invalid value.
     """
     if isinstance(value, Mapping):
         for key in value:
             if not isinstance(key, str):
-                note(path, Problem(f"the key {key!r} must be a string", "wrong-type"))
+                report(path, Problem(f"the key {key!r} must be a string", "wrong-type"))
         return {
-            key: to_toml_value(inner, (*path, key), note)
-            for key, inner in value.items()
-            if isinstance(key, str) and inner is not None
+            key: to_toml_value(item, (*path, key), report)
+            for key, item in value.items()
+            if isinstance(key, str) and item is not None
         }
     if isinstance(value, list | tuple):
-        return [to_toml_value(inner, (*path, place), note) for place, inner in enumerate(value)]
+        return [to_toml_value(item, (*path, index), report) for index, item in enumerate(value)]
     if hasattr(value, "written"):  # a quantity, or a turn
         return getattr(value, "document", value.written)
     if hasattr(value, "tolist"):  # a number of NumPy, or an array
-        return to_toml_value(value.tolist(), path, note)
+        return to_toml_value(value.tolist(), path, report)
     if isinstance(value, PurePath):
         return str(value)
     if not isinstance(value, str | bool | int | float | datetime.date | datetime.time):
         message = f"a {type(value).__name__} is not allowed here; write text or a number"
-        note(path, Problem(message, "wrong-type"))
+        report(path, Problem(message, "wrong-type"))
     return value
 
 
 def merge_patch(document: Mapping[str, Any], patch: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a document with keys changed, as a JSON Merge Patch does it (RFC 7396).
+    """Return a document with a JSON Merge Patch (RFC 7396).
 
-    Tables are patched key by key, None takes a key away, all else is replaced.
+    Tables are patched key by key, None removes a key, and other values are replaced.
     """
     merged = dict(document)
     for key, value in patch.items():
@@ -363,33 +369,33 @@ def merge_patch(document: Mapping[str, Any], patch: Mapping[str, Any]) -> dict[s
     return merged
 
 
-def differences(before: Any, after: Any, path: KeyPath = ()) -> Iterator[str]:
-    """Yield the keys in which documents differ; those of a list whose length differs as one."""
-    if isinstance(before, Mapping) and isinstance(after, Mapping):
-        for key in dict.fromkeys([*before, *after]):
-            yield from differences(before.get(key), after.get(key), (*path, key))
-    elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
-        for index, (item_before, item_after) in enumerate(zip(before, after, strict=True)):
-            yield from differences(item_before, item_after, (*path, index))
-    elif type(before) is not type(after) or before != after:
-        yield key_path(path)
+def changed_keys(old: Any, new: Any, path: KeyPath = ()) -> Iterator[str]:
+    """Yield the keys in which two documents differ; lists of different lengths count as one key."""
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        for key in dict.fromkeys([*old, *new]):
+            yield from changed_keys(old.get(key), new.get(key), (*path, key))
+    elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        for index, (old_item, new_item) in enumerate(zip(old, new, strict=True)):
+            yield from changed_keys(old_item, new_item, (*path, index))
+    elif type(old) is not type(new) or old != new:
+        yield format_key_path(path)
 
 
 @frozen(eq=False)
 class Source:
-    """The description that a campaign was resolved from."""
+    """The description from which a campaign was resolved."""
 
-    document: Mapping[str, Any]  #: As TOML is read.
-    file: Path | None = None  #: The description's file; None: it was made in Python.
-    #: SHA-256 of that file as it was read, such as ``sha256:9f86...``; None without a file.
+    document: Mapping[str, Any]  #: The parsed document.
+    file: Path | None = None  #: The description file; None: made in Python.
+    #: SHA-256 of the file as read, such as ``sha256:9f86...``; None without a file.
     checksum: str | None = None
-    #: What the file says, which `document` may have changed since.
-    of_file: Mapping[str, Any] = field(default_factory=dict)
+    #: The parsed file, from which `document` may differ.
+    file_document: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
     def changed(self) -> tuple[str, ...]:
-        """The keys that are no longer as in the file; empty if it was made in Python."""
-        return () if self.file is None else tuple(differences(self.of_file, self.document))
+        """The keys that differ from the file; empty without a file."""
+        return () if self.file is None else tuple(changed_keys(self.file_document, self.document))
 
     @property
     def in_memory(self) -> bool:
@@ -400,23 +406,23 @@ class Source:
     def label(self) -> str:
         """The description's name in messages."""
         if self.file is None:
-            return IN_MEMORY
+            return IN_MEMORY_LABEL
         return f"{self.file}, changed in memory" if self.changed else str(self.file)
 
     @property
     def text(self) -> str:
-        """The document as TOML, as text."""
+        """The document as TOML."""
         return format_document(self.document)
 
     def content_checksum(self) -> str:
-        """Return SHA-256 of the description: of the file, or of the text that would be written."""
+        """Return the SHA-256 checksum of the file, or of the text that would be written."""
         if self.checksum is not None and not self.in_memory:
             return self.checksum
         return f"sha256:{hashlib.sha256(self.text.encode()).hexdigest()}"
 
 
 class HasSource(Protocol):
-    """A campaign, as far as its description is concerned."""
+    """An object with a description, such as a campaign."""
 
     @property
     def path(self) -> Path:
@@ -424,7 +430,7 @@ class HasSource(Protocol):
 
     @property
     def source(self) -> Source | None:
-        """The document that the campaign was resolved from."""
+        """The document from which the campaign was resolved."""
 
 
 C = TypeVar("C", bound=HasSource)
@@ -441,10 +447,10 @@ def require_source(campaign: HasSource) -> Source:
     return campaign.source
 
 
-def with_source(campaign: C, source: Source) -> C:
+def set_source(campaign: C, source: Source) -> C:
     """Set the source of a campaign that has just been resolved, and return it.
 
-    The source is not an argument of the class: a copy that `dataclasses.replace` changes has none.
+    The source is not an argument of the class, so that a copy by `dataclasses.replace` has none.
     """
     object.__setattr__(campaign, "source", source)
     return campaign

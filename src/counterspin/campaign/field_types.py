@@ -1,7 +1,7 @@
-"""Kinds of values in TOML documents: how each is read, and what its JSON Schema says.
+"""Types of values in TOML documents, with their validators and JSON Schemas.
 
-Quantities are converted to SI and g-units here. Each kind of quantity is a validator whose function
-is partial in the unit, so that a form can show it.
+Validators convert quantities to SI and g-units. The function of a validator is a partial function
+of the unit, so that a form can show the unit.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from counterspin.campaign.quantity import (
     PLUS_MINUS,
     Attitude,
     Quantity,
-    parse,
+    parse_quantity,
     read_attitude,
     read_direction,
 )
@@ -47,30 +47,32 @@ from counterspin.physics.accelerometer import DIRECTIONS
 from counterspin.records.format_registry import RECORD_FORMATS
 from counterspin.units import OPERATING_TEMPERATURES, TEMPERATURE_SCALES, ZERO_CELSIUS, unit_factor
 
-#: Written as the unit of time stamps in ISO 8601.
-STAMPS: Final = "iso"
+#: Unit name of time stamps in ISO 8601.
+TIME_STAMP_UNIT: Final = "iso"
 
-#: Directions that the zero of an encoder may have, rad from east towards north.
-COMPASS: Final = {
+#: Compass direction -> angle from east towards north, rad.
+COMPASS_ANGLES: Final = {
     name: quarter * math.pi / 2.0 for quarter, name in enumerate(("east", "north", "west", "south"))
 }
 
-#: Written in [noise] where a component is to be estimated from the residuals.
+#: Value in [noise] of a component that is estimated from the residuals.
 ESTIMATE: Final = "estimate"
 
 _UNCERTAIN_TEMPERATURE: Final = re.compile(r"\s*(.*?)\s*(degC|°C|K)\s*")
 _TEMPERATURE: Final = re.compile(r"\s*([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)\s*(degC|°C|K)\s*")
 
-#: Largest size of the ratio of a table's angle to that of the arm.
-_LARGEST_TABLE_RATIO: Final = 16
+#: Largest absolute ratio of the table's angle to that of the arm.
+_MAX_TABLE_RATIO: Final = 16
 
-#: Gravity of any laboratory on Earth, m/s^2, with room to spare.
+#: Bounds of gravity on Earth, m/s^2.
 _GRAVITY_RANGE: Final = (9.0, 11.0)
 
 
-def exact(text: object, unit: str, gravity: float | None = None, usual: str | None = None) -> float:
-    """Read a quantity that must have no uncertainty."""
-    quantity = parse(text, unit, gravity=gravity, usual=usual)
+def parse_exact(
+    text: object, unit: str, gravity: float | None = None, likely_unit: str | None = None
+) -> float:
+    """Parse a quantity that must not have an uncertainty."""
+    quantity = parse_quantity(text, unit, gravity=gravity, likely_unit=likely_unit)
     if quantity.u != 0.0:
         raise InputError(
             f"{text!r}: this entry must not have an uncertainty; remove the ±", "wrong-uncertainty"
@@ -82,50 +84,54 @@ def _gravity(info: ValidationInfo) -> float | None:
     return (info.context or {}).get("gravity")
 
 
-def _parse_quantity(
-    unit: str, text: object, info: ValidationInfo, usual: str | None = None
+def _validate_quantity(
+    unit: str, text: object, info: ValidationInfo, likely_unit: str | None = None
 ) -> Quantity:
     if isinstance(text, Mapping):
         return parse_prior(text, unit, gravity=_gravity(info))
-    return parse(text, unit, gravity=_gravity(info), usual=usual)
+    return parse_quantity(text, unit, gravity=_gravity(info), likely_unit=likely_unit)
 
 
-def _parse_exact(unit: str, text: object, info: ValidationInfo, usual: str | None = None) -> float:
-    return exact(text, unit, gravity=_gravity(info), usual=usual)
+def _validate_exact(
+    unit: str, text: object, info: ValidationInfo, likely_unit: str | None = None
+) -> float:
+    return parse_exact(text, unit, gravity=_gravity(info), likely_unit=likely_unit)
 
 
-def _parse_noise(unit: str, text: object, info: ValidationInfo) -> float | str:
+def _validate_noise(unit: str, text: object, info: ValidationInfo) -> float | str:
     if text == ESTIMATE:
         return ESTIMATE
-    size = exact(text, unit, _gravity(info))
-    if size < 0.0:
+    deviation = parse_exact(text, unit, _gravity(info))
+    if deviation < 0.0:
         raise OutOfRangeError('a standard deviation cannot be negative; give a value or "estimate"')
-    return size
+    return deviation
 
 
-def _parse_truth(unit: str, text: object, info: ValidationInfo) -> float:
-    """Read a coefficient, of an accelerometer with an output in its unit too, such as mA/g."""
+def _validate_coefficient(unit: str, text: object, info: ValidationInfo) -> float:
+    """Parse a coefficient, which may also be in the unit of the output, such as mA/g."""
     output = (info.context or {}).get("output")
     if output is not None and unit.startswith("g"):
         with suppress(ValueError):
-            return exact(text, output.unit + unit.removeprefix("g")) / float(output.sensitivity)
-    return exact(text, unit, gravity=_gravity(info))
+            return parse_exact(text, output.unit + unit.removeprefix("g")) / float(
+                output.sensitivity
+            )
+    return parse_exact(text, unit, gravity=_gravity(info))
 
 
-def _written_form(unit: str, *, uncertain: bool = False) -> Any:
-    """Return the written form of a quantity in a unit, for schemas."""
-    spread = rf"({PLUS_MINUS}{NUMBER})?" if uncertain else ""
+def _quantity_pattern(unit: str, *, has_uncertainty: bool = False) -> Any:
+    """Return a text type with the pattern of a quantity in a unit, for schemas."""
+    uncertainty = rf"({PLUS_MINUS}{NUMBER})?" if has_uncertainty else ""
     number = f"[+−-]?{NUMBER.removeprefix('[+-]?')}"
-    pattern = rf"^\s*{number}{spread}(\s+[^\s±]|[^\d\s.±]).*$"
+    pattern = rf"^\s*{number}{uncertainty}(\s+[^\s±]|[^\d\s.±]).*$"
     return Annotated[str, Field(pattern=pattern, json_schema_extra={"x-unit": unit})]
 
 
-class Quantities(PlainValidator):
-    """The reader of quantities: a partial function whose first argument is the unit.
+class QuantityValidator(PlainValidator):
+    """Validator of quantities: a partial function whose first argument is the unit.
 
-    A form shows that unit. Pydantic would build a serialiser and the schema of the written form for
-    each of a hundred keys when the first campaign is read, and inspect the function's arguments.
-    Here the function takes the `ValidationInfo`, and only schemas request the written form.
+    A form shows that unit. The generic validator of pydantic would build a serialiser and a schema
+    for each of a hundred keys, and inspect the function's arguments, when the first campaign is
+    read. Here the function takes the `ValidationInfo`, and the schema is built only on request.
     """
 
     def __get_pydantic_core_schema__(
@@ -137,9 +143,9 @@ class Quantities(PlainValidator):
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        """Return the JSON Schema of what is written."""
+        """Return the JSON Schema of the text, or of the text and the table."""
         text = TypeAdapter(self.json_schema_input_type).json_schema()
-        if not (isinstance(self.func, partial) and self.func.func is _parse_quantity):
+        if not (isinstance(self.func, partial) and self.func.func is _validate_quantity):
             return text
         return {"anyOf": [text, TABLE_SCHEMA], "x-unit": text["x-unit"]}
 
@@ -150,79 +156,82 @@ class _IsQuantity:
     def __get_pydantic_core_schema__(
         self, source_type: Any, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        """Return that it is a `Quantity`."""
+        """Return the schema of an instance of `Quantity`."""
         return core_schema.is_instance_schema(Quantity)
 
 
-#: A number of a table, which has its unit already.
+#: A quantity that has already been parsed, such as a cell of a table.
 ParsedQuantity = Annotated[Quantity, _IsQuantity()]
 
 
-def uncertain_quantity(unit: str, usual: str | None = None) -> PlainValidator:
-    """Return the validator of a quantity with its uncertainty; `usual` as in `parse`."""
-    return Quantities(
-        partial(_parse_quantity, unit, usual=usual), _written_form(unit, uncertain=True)
+def uncertain_quantity(unit: str, likely_unit: str | None = None) -> PlainValidator:
+    """Return the validator of a quantity; `likely_unit` as in `parse_quantity`."""
+    return QuantityValidator(
+        partial(_validate_quantity, unit, likely_unit=likely_unit),
+        _quantity_pattern(unit, has_uncertainty=True),
     )
 
 
 def parse_fraction(text: object, info: ValidationInfo) -> Quantity:
-    """Return a fraction; a number alone needs no unit."""
+    """Parse a dimensionless quantity, with or without a unit such as ppm."""
     try:
-        return _parse_quantity("1", text, info)
+        return _validate_quantity("1", text, info)
     except ValueError:
         return (
-            _parse_quantity("1", f"{text} 1", info)
+            _validate_quantity("1", f"{text} 1", info)
             if isinstance(text, str)
-            else _parse_quantity("1", text, info)
+            else _validate_quantity("1", text, info)
         )
 
 
 def check_clock_error(value: Quantity) -> Quantity:
-    """Return the relative error of a clock's rate, if it is one."""
+    """Return the relative rate error of a clock, if it is plausible."""
     if abs(value.value) > 0.01:
         raise OutOfRangeError("a clock error above 1 % is implausible; check the unit of the time")
     return value
 
 
-def read_exactly(unit: str, usual: str | None = None) -> PlainValidator:
-    """Return the validator of a quantity without uncertainty; `usual` as in `parse`."""
-    return Quantities(partial(_parse_exact, unit, usual=usual), _written_form(unit))
+def exact_quantity(unit: str, likely_unit: str | None = None) -> PlainValidator:
+    """Return the validator of an exact quantity; `likely_unit` as in `parse_quantity`."""
+    return QuantityValidator(
+        partial(_validate_exact, unit, likely_unit=likely_unit), _quantity_pattern(unit)
+    )
 
 
-def coefficient(unit: str) -> PlainValidator:
-    """Return the validator of a true coefficient, in g-units or those of the `output`."""
-    return Quantities(partial(_parse_truth, unit), _written_form(unit))
+def true_coefficient(unit: str) -> PlainValidator:
+    """Return the validator of a true coefficient, in g-units or in units of the `output`."""
+    return QuantityValidator(partial(_validate_coefficient, unit), _quantity_pattern(unit))
 
 
-def positive(value: Any) -> Any:
-    """Return a number or quantity that is greater than zero."""
+def check_positive(value: Any) -> Any:
+    """Return a number or quantity if it is greater than zero."""
     if (value.value if isinstance(value, Quantity) else value) <= 0.0:
         raise OutOfRangeError("must be greater than zero")
     return value
 
 
 def check_gravity(value: Any) -> Any:
-    """Return a gravity that is possible on Earth's surface."""
-    positive(value)
-    size = value.value if isinstance(value, Quantity) else value
-    if not _GRAVITY_RANGE[0] < size < _GRAVITY_RANGE[1]:
+    """Return a gravity if it is possible on the Earth's surface."""
+    check_positive(value)
+    magnitude = value.value if isinstance(value, Quantity) else value
+    if not _GRAVITY_RANGE[0] < magnitude < _GRAVITY_RANGE[1]:
         raise OutOfRangeError(
-            f"{size:.6g} m/s^2 cannot be gravity on Earth, which is about 9.8 m/s^2; "
+            f"{magnitude:.6g} m/s^2 cannot be gravity on Earth, which is about 9.8 m/s^2; "
             "check the number and its unit"
         )
     return value
 
 
 def check_latitude(value: Any) -> Any:
-    """Return an angle, or a quantity that is one, that is a latitude."""
-    size = value.value if isinstance(value, Quantity) else value
-    if abs(size) > math.pi / 2.0 * (1.0 + 1e-12):
+    """Return an angle, or a quantity, if it can be a latitude."""
+    magnitude = value.value if isinstance(value, Quantity) else value
+    if abs(magnitude) > math.pi / 2.0 * (1.0 + 1e-12):
         raise OutOfRangeError("a latitude must be between -90 deg and 90 deg")
     return value
 
 
 def check_zero_mean(value: Quantity) -> Quantity:
-    """Refuse what is not about zero, or has no uncertainty."""
+    """Return a quantity if its value is zero and its uncertainty is not."""
     if value.value != 0.0 or not value.u > 0.0:
         raise InputError(
             'must have the value zero and an uncertainty; write "0 ± 0.5 deg"', "wrong-uncertainty"
@@ -231,7 +240,7 @@ def check_zero_mean(value: Quantity) -> Quantity:
 
 
 def check_normal(value: Quantity) -> Quantity:
-    """Refuse a distribution of a quantity whose errors in single readings are taken as normal."""
+    """Return a quantity if its distribution is normal, as the errors of single readings are."""
     if value.distribution.shape != "normal":
         raise ValueError(
             "the random errors of individual readings are drawn from the normal distribution; "
@@ -240,16 +249,16 @@ def check_normal(value: Quantity) -> Quantity:
     return value
 
 
-def noise_size(unit: str) -> PlainValidator:
-    """Return the validator of a standard deviation, or of the wish to have it estimated."""
-    written = _written_form(unit) | Literal["estimate"]
-    return Quantities(partial(_parse_noise, unit), written)
+def noise_level(unit: str) -> PlainValidator:
+    """Return the validator of a standard deviation, or of ``"estimate"``."""
+    schema = _quantity_pattern(unit) | Literal["estimate"]
+    return QuantityValidator(partial(_validate_noise, unit), schema)
 
 
 def parse_ratio(value: object) -> float:
-    """Read a plain number, or text in ppm."""
+    """Parse a number, or text such as ``"5 ppm"``."""
     if isinstance(value, str):
-        return exact(value, "1")
+        return parse_exact(value, "1")
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError("must be a number", "not-numeric")
     if not math.isfinite(value):
@@ -258,7 +267,7 @@ def parse_ratio(value: object) -> float:
 
 
 def parse_table_ratio(value: object) -> float:
-    """Read the ratio of a table's angle to that of the arm: a number, or a fraction as text."""
+    """Parse the ratio of the table's angle to that of the arm: a number, or a fraction as text."""
     try:
         if isinstance(value, bool):
             raise ValueError
@@ -266,35 +275,35 @@ def parse_table_ratio(value: object) -> float:
         ratio = float(numerator) / (float(denominator) if slash else 1.0)
     except (ValueError, ZeroDivisionError):
         raise InputError("must be a number, or a fraction such as 1/2", "not-numeric") from None
-    if not abs(ratio) <= _LARGEST_TABLE_RATIO:
-        raise OutOfRangeError(f"must be between -{_LARGEST_TABLE_RATIO} and {_LARGEST_TABLE_RATIO}")
+    if not abs(ratio) <= _MAX_TABLE_RATIO:
+        raise OutOfRangeError(f"must be between -{_MAX_TABLE_RATIO} and {_MAX_TABLE_RATIO}")
     return ratio
 
 
-def small_rate_error(value: float) -> float:
-    """Return an error of the rate that leaves it a rate."""
+def check_rate_error(value: float) -> float:
+    """Return a relative rate error if its magnitude is below 0.5."""
     if abs(value) >= 0.5:
         raise OutOfRangeError("is relative to the nominal rate; its magnitude must be below 0.5")
     return value
 
 
-def _check_unit(wanted: str, unit: str, info: ValidationInfo) -> str:
-    unit_factor(unit, wanted, gravity=_gravity(info))
+def _check_unit(target_unit: str, unit: str, info: ValidationInfo) -> str:
+    unit_factor(unit, target_unit, gravity=_gravity(info))
     return unit
 
 
-def unit_of(wanted: str) -> AfterValidator:
-    """Return the validator of a unit's name, of one dimension."""
-    return AfterValidator(partial(_check_unit, wanted))
+def convertible_unit(target_unit: str) -> AfterValidator:
+    """Return the validator of a unit that converts to the target unit."""
+    return AfterValidator(partial(_check_unit, target_unit))
 
 
-#: What an accelerometer's output may be, beside a specific force.
-OUTPUTS: Final = ("V", "A", "count", "count/s")
+#: Units of an accelerometer's output other than a specific force.
+OUTPUT_UNITS: Final = ("V", "A", "count", "count/s")
 
 
-def force_or_output(unit: str, info: ValidationInfo) -> str:
-    """Return the unit of a specific force, or of an output such as a current."""
-    for output in OUTPUTS:
+def check_output_unit(unit: str, info: ValidationInfo) -> str:
+    """Return a unit if it is that of a specific force, or of an output such as a current."""
+    for output in OUTPUT_UNITS:
         with suppress(ValueError):
             unit_factor(unit, output)
             return unit
@@ -302,8 +311,8 @@ def force_or_output(unit: str, info: ValidationInfo) -> str:
     return unit
 
 
-def file_name(name: str) -> str:
-    """Return a file's name; refuse one whose backslashes TOML has read as escapes."""
+def check_file_name(name: str) -> str:
+    """Return a file name if it has no control characters, which come from escaped backslashes."""
     if any(ord(character) < 32 for character in name):
         raise ValueError(
             f"{name!r} contains a line break, a tab or another control character, because TOML "
@@ -313,9 +322,9 @@ def file_name(name: str) -> str:
     return name
 
 
-def record_file(name: str) -> str:
-    """Return the name of a record that can be read by its ending."""
-    file_name(name)
+def check_record_name(name: str) -> str:
+    """Return the file name of a record if its extension is supported."""
+    check_file_name(name)
     if PurePath(name).suffix.lower() not in RECORD_FORMATS:
         raise InputError(
             (
@@ -327,18 +336,18 @@ def record_file(name: str) -> str:
     return name
 
 
-def _in_folder(name: object, info: ValidationInfo) -> Path:
-    """Return a record's file, in the campaign's folder."""
+def _resolve_record(name: object, info: ValidationInfo) -> Path:
+    """Return the path of a record file in the campaign's folder."""
     if not isinstance(name, str):
         raise InputError("must be a string", "wrong-type")
     if not name:
         raise InputError("must not be empty", "missing-value")
     folder: Path = (info.context or {}).get("folder", Path())
-    return folder / record_file(name)
+    return folder / check_record_name(name)
 
 
 def parse_temperature(value: object) -> float:
-    """Return a temperature, K."""
+    """Parse a temperature; return it in K."""
     if isinstance(value, Quantity):
         return _to_kelvin(value.value, value.unit)
     if not isinstance(value, str):
@@ -350,7 +359,7 @@ def parse_temperature(value: object) -> float:
 
 
 def _to_kelvin(value: float, scale: str) -> float:
-    """Return a temperature in K; ValueError if no accelerometer works at it."""
+    """Convert a temperature to K; ValueError if it is not plausible for an accelerometer."""
     kelvin = value + TEMPERATURE_SCALES[scale]
     coldest, warmest = OPERATING_TEMPERATURES
     if not coldest <= kelvin <= warmest:
@@ -362,7 +371,7 @@ def _to_kelvin(value: float, scale: str) -> float:
 
 
 def parse_temperatures(value: object) -> tuple[float, ...]:
-    """Return one temperature or several in turn, K."""
+    """Parse one temperature, or a list of consecutive ones; return them in K."""
     if not isinstance(value, list):
         return (parse_temperature(value),)
     if not value:
@@ -370,24 +379,24 @@ def parse_temperatures(value: object) -> tuple[float, ...]:
     return tuple(parse_temperature(item) for item in value)
 
 
-def temperature_scale(unit: str) -> str:
-    """Return the scale of a column of temperatures."""
+def check_temperature_unit(unit: str) -> str:
+    """Return the temperature scale of a unit, ``K`` or ``degC``."""
     if unit not in TEMPERATURE_SCALES:
         raise InputError(f"'{unit}' is not a temperature unit; use degC or K", "unknown-unit")
     return "K" if unit == "K" else "degC"
 
 
 def parse_uncertain_temperature(text: str) -> Quantity:
-    """Return a temperature with its standard uncertainty, K."""
+    """Parse a temperature with its standard uncertainty; return it in K."""
     match = _UNCERTAIN_TEMPERATURE.fullmatch(text)
     if match is None:
         raise ValueError(f'{text!r} is not a temperature; write "23.4 ± 0.5 degC" or "296.5 K"')
-    number = parse(f"{match[1]} 1", "1")
-    return Quantity(_to_kelvin(number.value, match[2]), number.u, "K")
+    parsed = parse_quantity(f"{match[1]} 1", "1")
+    return Quantity(_to_kelvin(parsed.value, match[2]), parsed.u, "K")
 
 
-def date_or_text(value: object) -> str:
-    """Return a date as text, or the written text instead."""
+def format_date(value: object) -> str:
+    """Return a date in ISO 8601, or text unchanged."""
     if isinstance(value, datetime.date | datetime.datetime):
         return value.isoformat()
     if not isinstance(value, str):
@@ -395,77 +404,79 @@ def date_or_text(value: object) -> str:
     return value
 
 
-def _strict_integer(value: object) -> object:
-    """Refuse true and 1.0, which Python takes for 1."""
+def _reject_non_integer(value: object) -> object:
+    """Return an integer, or None for values equal to an integer, such as true and 1.0."""
     return value if type(value) is int else None
 
 
-#: Where it is, what is wrong there, and the other keys on which that hangs: names in the file.
+#: Key path of a mistake, its message, and the names of the other keys that it involves.
 Contradiction = tuple[tuple[str | int, ...], str, *tuple[str, ...]]
 
 
 class SettingsSection(BaseModel):
     """A table of ``campaign.toml`` in which every key must be known.
 
-    What other tables say of it, such as the column of an accelerometer in SI by the site's gravity,
-    are private attributes, each with a property: no key of the file, and part of the object.
+    Values derived from other tables, such as the column of an accelerometer in SI with the site's
+    gravity, are private attributes with a property.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, defer_build=True)
 
-    def with_private(self, **values: object) -> Self:
-        """Return the table with what other tables say of it, by the properties' names."""
+    def replace_private(self, **values: object) -> Self:
+        """Return a copy of the table with private attributes, by the names of their properties."""
         copy = self.model_copy()
         for name, value in values.items():
             setattr(copy, f"_{name}", value)
         return copy
 
     def contradictions(self) -> Iterator[Contradiction]:
-        """Yield what is wrong among its keys, each of which is right by itself."""
+        """Yield contradictions between keys that are valid individually."""
         yield from ()
 
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
-        """Yield what the object is made of: its keys, and what other tables say."""
+        """Yield keys and private attributes with their values."""
         yield from super().__repr_args__()
         yield from (self.__pydantic_private__ or {}).items()
 
 
-def time_unit(unit: str) -> str:
-    """Return a unit of time, or the unit of time stamps."""
-    if unit != STAMPS:
+def check_time_unit(unit: str) -> str:
+    """Return a unit if it is one of time, or that of time stamps."""
+    if unit != TIME_STAMP_UNIT:
         unit_factor(unit, "s")
     return unit
 
 
-def angle_unit(unit: str, info: ValidationInfo) -> str:
-    """Return a unit of angle or of counts; of pulses, one of time."""
+def check_angle_unit(unit: str, info: ValidationInfo) -> str:
+    """Return a unit if it is one of angle or counts, or of time for pulses."""
     # Pulses are recorded by their times.
-    if not (info.data.get("pulses") and is_unit(unit, "s")) and not is_unit(unit, "count"):
+    if not (info.data.get("pulses") and is_convertible(unit, "s")) and not is_convertible(
+        unit, "count"
+    ):
         unit_factor(unit, "rad")
     return unit
 
 
-def is_unit(unit: str, wanted: str) -> bool:
-    """Return whether a unit has the required dimension."""
+def is_convertible(unit: str, target_unit: str) -> bool:
+    """Return whether a unit converts to the target unit."""
     with suppress(ValueError):
-        return bool(unit_factor(unit, wanted))
+        return bool(unit_factor(unit, target_unit))
     return False
 
 
-def direction_of_zero(value: object) -> float:
-    """Return the direction of an encoder's zero, rad from east towards north."""
-    if isinstance(value, str) and value in COMPASS:
-        return COMPASS[value]
+def parse_zero_direction(value: object) -> float:
+    """Parse the direction of an encoder's zero; return it in rad from east towards north."""
+    if isinstance(value, str) and value in COMPASS_ANGLES:
+        return COMPASS_ANGLES[value]
     try:
-        return exact(value, "rad", usual="deg")
+        return parse_exact(value, "rad", likely_unit="deg")
     except ValueError as error:
         raise InputError(
-            f"{error}; or give one of {', '.join(COMPASS)}", error_code(error)
+            f"{error}; or give one of {', '.join(COMPASS_ANGLES)}", error_code(error)
         ) from None
 
 
 def check_encoding(name: str) -> str:
-    """Return the name of an existing encoding."""
+    """Return the name of an encoding if it exists."""
     try:
         codecs.lookup(name)
     except LookupError:
@@ -476,18 +487,18 @@ def check_encoding(name: str) -> str:
 
 
 def require_units(value: Any, info: ValidationInfo) -> Any:
-    """Return quantities as they are written; a number alone is refused, with the likely unit.
+    """Return quantities unchanged; reject a number without a unit and suggest one.
 
-    That is the one of the context's `units` by name, of which there may be only one, or else g.
+    The suggested unit is that of the name in the context's `units`, their only unit, or else g.
     """
     units: Mapping[str, str] = (info.context or {}).get("units", {})
     default_unit = next(iter(units.values())) if len(set(units.values())) == 1 else "g"
     values = value if isinstance(value, Mapping) else {"": value}
-    for name, items in values.items():
-        for item in items if isinstance(items, list) else [items]:
-            if isinstance(item, int | float) and not isinstance(item, bool):
+    for name, entries in values.items():
+        for entry in entries if isinstance(entries, list) else [entries]:
+            if isinstance(entry, int | float) and not isinstance(entry, bool):
                 unit = units.get(name, default_unit)
-                example = f'"{item!r} {unit}"'
+                example = f'"{entry!r} {unit}"'
                 raise InputError(
                     f"has no unit; write the quantity as text, such as {example}",
                     "missing-unit",
@@ -495,12 +506,12 @@ def require_units(value: Any, info: ValidationInfo) -> Any:
     return value
 
 
-def as_list(value: Any) -> Any:
-    """Return a single text as a list."""
+def wrap_in_list(value: Any) -> Any:
+    """Return a list with a single text; return other values unchanged."""
     return [value] if isinstance(value, str) else value
 
 
-Schema = Annotated[Literal[1], BeforeValidator(_strict_integer)]
+Schema = Annotated[Literal[1], BeforeValidator(_reject_non_integer)]
 Text = Annotated[str, Field(min_length=1)]
 Components = Annotated[list[float], Field(min_length=3, max_length=3)]
 Direction = Annotated[
@@ -508,17 +519,19 @@ Direction = Annotated[
     PlainValidator(read_direction, Literal[tuple(DIRECTIONS)] | Components),
 ]
 AttitudeField = Annotated[Attitude, PlainValidator(read_attitude, Text | dict[str, Any])]
-Ratio = Annotated[float, PlainValidator(parse_ratio, float | _written_form("1"))]
+Ratio = Annotated[float, PlainValidator(parse_ratio, float | _quantity_pattern("1"))]
 TableRatio = Annotated[float, PlainValidator(parse_table_ratio, float | Text)]
-DateOrText = Annotated[str, PlainValidator(date_or_text, str | datetime.date)]
+DateOrText = Annotated[str, PlainValidator(format_date, str | datetime.date)]
 Fraction = Annotated[Quantity, PlainValidator(parse_fraction, str)]
-ZeroDirection = Annotated[float, PlainValidator(direction_of_zero, Literal[tuple(COMPASS)] | str)]
-TextList = Annotated[list[Text], BeforeValidator(as_list, Text | list[Text])]
-PositiveRatio = Annotated[Ratio, AfterValidator(positive)]
+ZeroDirection = Annotated[
+    float, PlainValidator(parse_zero_direction, Literal[tuple(COMPASS_ANGLES)] | str)
+]
+TextList = Annotated[list[Text], BeforeValidator(wrap_in_list, Text | list[Text])]
+PositiveRatio = Annotated[Ratio, AfterValidator(check_positive)]
 Temperature = Annotated[float, PlainValidator(parse_temperature, Text)]
 Temperatures = Annotated[tuple[float, ...], PlainValidator(parse_temperatures, Text | list[Text])]
-RecordFile = Annotated[Path, PlainValidator(_in_folder, Text)]
-Seconds = Annotated[float, read_exactly("s"), AfterValidator(positive)]
+RecordFile = Annotated[Path, PlainValidator(_resolve_record, Text)]
+Seconds = Annotated[float, exact_quantity("s"), AfterValidator(check_positive)]
 
 
 def key_field(
@@ -531,7 +544,7 @@ def key_field(
     applies_to: str = "",
     **options: Any,
 ) -> Any:
-    """Return a field with the texts of its documentation, schema and form.
+    """Return a pydantic field with its documentation, example and form hints.
 
     meaning: Meaning of the key, in Markdown.
     example: Value as read from TOML.
@@ -540,14 +553,18 @@ def key_field(
     applies_to: Tables that have the key, if not all tables of the class.
     options: Options of `pydantic.Field`.
     """
-    schema_extra = {"x-absent": absent, "x-kind": kind, "x-of": applies_to}
-    extra: Any = {name: words for name, words in schema_extra.items() if words}
+    extra_texts = {"x-absent": absent, "x-kind": kind, "x-of": applies_to}
+    json_schema_extra: Any = {name: text for name, text in extra_texts.items() if text}
     return Field(
-        default, description=meaning, examples=[example], json_schema_extra=extra, **options
+        default,
+        description=meaning,
+        examples=[example],
+        json_schema_extra=json_schema_extra,
+        **options,
     )
 
 
-def extra_of(field: FieldInfo) -> dict[str, str]:
-    """Return the extra data of a field from `key_field`, besides its meaning and its example."""
+def field_extra(field: FieldInfo) -> dict[str, str]:
+    """Return the form hints that `key_field` stored in a field."""
     extra: Any = field.json_schema_extra or {}
     return dict(extra)

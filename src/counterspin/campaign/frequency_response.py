@@ -23,20 +23,20 @@ from counterspin.physics.frequency_response import (
 
 #: Columns of a table of the frequency response; the last two may be missing.
 _COLUMNS: Final = ("frequency_Hz", "gain", "phase_deg")
-_UNCERTAINTIES: Final = ("u_gain", "u_phase_deg")
+_UNCERTAINTY_COLUMNS: Final = ("u_gain", "u_phase_deg")
 
 #: The largest gain relative to the static gain that is plausible within the table.
 _MAX_GAIN: Final = 100.0
 
-#: A stated frequency is at least so many times that of the fastest rotation: the response must be
-#: smooth over the harmonics of the force.
-MIN_RATIO: Final = 20.0
+#: Smallest ratio of a stated frequency to the highest rotation rate: the response must be smooth
+#: over the harmonics of the force.
+MIN_FREQUENCY_RATIO: Final = 20.0
 
 
 class ResponseReader:
     """Reads the frequency responses of a description.
 
-    folder: Of the tables.
+    folder: Folder of the response tables.
     cutoff: Stated cutoff frequency of the recorder, Hz; None: no filter.
     """
 
@@ -48,7 +48,7 @@ class ResponseReader:
     def read(self, name: str, accelerometer: Any) -> dict[str, Any]:
         """Return the private attributes of an accelerometer; none if no response is stated.
 
-        accelerometer: Its table.
+        accelerometer: Validated table of the accelerometer.
         """
         inputs: dict[str, Quantity] = {}
         response = None
@@ -66,28 +66,28 @@ class ResponseReader:
             inputs["sensor.damping"] = accelerometer.damping
         if self.cutoff is not None:
             inputs[CUTOFF] = self.cutoff
-        stated = {symbol: known.value for symbol, known in inputs.items()}
-        return {"response": with_values(response, stated), "response_inputs": inputs}
+        input_values = {symbol: quantity.value for symbol, quantity in inputs.items()}
+        return {"response": replace_inputs(response, input_values), "response_inputs": inputs}
 
     def _load(self, file: Path) -> ResponseTable:
-        """Return the table of a file; ValueError if it is not a frequency response."""
+        """Load a response table from a file; ValueError if it is not a frequency response."""
         load_table = load_name("counterspin.records.formats:read_small_table")
-        table, places, self.checksums[file] = load_table(file)
+        table, row_labels, self.checksums[file] = load_table(file)
         frame = table.frame
-        if missing := [column for column in _COLUMNS if column not in frame.columns]:
+        if missing_columns := [column for column in _COLUMNS if column not in frame.columns]:
             raise InputError(
-                f"{file.name} has no column {', '.join(missing)}; a frequency response requires "
-                f"the columns {', '.join(_COLUMNS)} and may have the column "
-                f"{', '.join(_UNCERTAINTIES)}",
+                f"{file.name} has no column {', '.join(missing_columns)}; a frequency response "
+                f"requires the columns {', '.join(_COLUMNS)} and may have the column "
+                f"{', '.join(_UNCERTAINTY_COLUMNS)}",
                 "missing-column",
             )
         columns = {}
-        for column in (*_COLUMNS, *_UNCERTAINTIES):
+        for column in (*_COLUMNS, *_UNCERTAINTY_COLUMNS):
             if column not in frame.columns:
                 continue
             values = frame[column].cast(float, strict=False).to_numpy()
             if not np.isfinite(values).all():
-                row = places[int(np.flatnonzero(~np.isfinite(values))[0])]
+                row = row_labels[int(np.flatnonzero(~np.isfinite(values))[0])]
                 raise InputError(f"{file.name}, {row}: {column} is not a number", "not-numeric")
             columns[column] = values
         frequency, gain = columns["frequency_Hz"], columns["gain"]
@@ -97,47 +97,50 @@ class ResponseReader:
             raise OutOfRangeError(
                 f"{file.name}: gain must be a positive ratio to the static gain (not dB)"
             )
-        if any(np.any(columns[name] < 0.0) for name in _UNCERTAINTIES if name in columns):
+        if any(np.any(columns[name] < 0.0) for name in _UNCERTAINTY_COLUMNS if name in columns):
             raise OutOfRangeError(f"{file.name}: a standard uncertainty must not be negative")
-        scale = {name: math.radians(1.0) for name in columns if name.endswith("_deg")}
-        values_of = {
-            name: tuple((scale.get(name, 1.0) * values).tolist())
+        unit_factors = {name: math.radians(1.0) for name in columns if name.endswith("_deg")}
+        si_columns = {
+            name: tuple((unit_factors.get(name, 1.0) * values).tolist())
             for name, values in columns.items()
         }
         return ResponseTable(
-            values_of["frequency_Hz"],
-            values_of["gain"],
-            values_of["phase_deg"],
-            *(values_of.get(name, ()) for name in _UNCERTAINTIES),
+            si_columns["frequency_Hz"],
+            si_columns["gain"],
+            si_columns["phase_deg"],
+            *(si_columns.get(name, ()) for name in _UNCERTAINTY_COLUMNS),
         )
 
 
-def with_values(
-    response: FrequencyResponse | None, values: Mapping[str, float]
+def replace_inputs(
+    response: FrequencyResponse | None, input_values: Mapping[str, float]
 ) -> FrequencyResponse | None:
-    """Return a response with other values of its inputs; None stays without values."""
-    if not values:
+    """Return a response with new values of its inputs; None without a response and values."""
+    if not input_values:
         return response
-    attributes: dict[str, Any] = {RESPONSE_INPUTS[s]: value for s, value in values.items()}
+    attributes: dict[str, Any] = {
+        RESPONSE_INPUTS[symbol]: value for symbol, value in input_values.items()
+    }
     return replace(response or FrequencyResponse(), **attributes)
 
 
 def response_problems(response: FrequencyResponse, rate: float) -> Iterator[tuple[str, str, str]]:
-    """Yield section and key of each frequency that is too low for a rotation, and why.
+    """Yield section, key and message for each frequency that is too low for a rotation.
 
     rate: Largest rate, rad/s.
     """
-    turns = abs(rate) / (2.0 * math.pi)
+    rotation_rate = abs(rate) / (2.0 * math.pi)  # rev/s
     for section, key in (("accelerometers", "natural_frequency"), ("records", "cutoff_frequency")):
-        if (frequency := getattr(response, key)) < MIN_RATIO * turns:
+        if (frequency := getattr(response, key)) < MIN_FREQUENCY_RATIO * rotation_rate:
             message = (
-                f"{frequency:.4g} Hz is below {MIN_RATIO:g} times the highest rotation rate, "
-                f"{turns:.3g} rev/s; the harmonics of the force would be too close to this "
-                "frequency"
+                f"{frequency:.4g} Hz is below {MIN_FREQUENCY_RATIO:g} times the highest rotation "
+                f"rate, {rotation_rate:.3g} rev/s; the harmonics of the force would be too close "
+                "to this frequency"
             )
             yield section, key, message
-    if response.table is not None and (last := response.table.frequency[-1]) < turns:
+    if response.table is not None and response.table.frequency[-1] < rotation_rate:
         message = (
-            f"ends at {last:.4g} Hz, which is below the highest rotation rate, {turns:.3g} rev/s"
+            f"ends at {response.table.frequency[-1]:.4g} Hz, which is below the highest rotation "
+            f"rate, {rotation_rate:.3g} rev/s"
         )
         yield "accelerometers", "frequency_response", message

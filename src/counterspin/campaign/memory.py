@@ -37,10 +37,10 @@ if TYPE_CHECKING:
 #: Name of the record at rest among the records of runs: its key in the description.
 STATIC_RECORD: Final = "noise.from"
 
-#: The function that takes a table of readings from a frame.
+#: Function that inserts a table of readings from a data frame.
 _INSERT_READINGS: Final = "counterspin.readings.table:insert_readings"
 
-#: How the record of each ending is written.
+#: File extension -> function that writes a record.
 WRITERS: Final[Mapping[str, Callable[[pl.DataFrame, Path], object]]] = {
     ".csv": lambda frame, path: write_binary(path, frame.write_csv),
     ".parquet": lambda frame, path: write_binary(path, frame.write_parquet),
@@ -54,37 +54,38 @@ def make_campaign(
     readings: Any = None,
     folder: Path | str | None = None,
 ) -> Campaign:
-    """Make a campaign from a description and records, without files where there are none.
+    """Make a campaign from a description and records in memory or in files.
 
     Parameters
     ----------
     description
-        What ``campaign.toml`` says, as nested mappings with the same keys; ``schema`` may be left
-        out, and so may the ``record`` of a run for which `records` has one, or of each where
-        there are no records (yet). Quantities are text, or a `Quantity`. Or the file itself.
+        Contents of ``campaign.toml`` as nested mappings with the same keys, or the path of the
+        file. ``schema`` may be omitted, and so may the ``record`` of a run if `records` contains
+        it, or if there are no records yet. Quantities are text, or a `Quantity`.
     records
-        Run's name -> its record: a frame of polars or pandas, a mapping of arrays, a structured
-        array, or a file. Numbers are copied. ``"noise.from"`` -> a record at rest, from which the
-        noise is taken.
+        Name of a run -> record: a frame of polars or pandas, a mapping of arrays, a structured
+        array, or a file. Numbers are copied. ``"noise.from"`` -> record at rest, from which the
+        noise is estimated.
     readings
-        The table of ``[readings]`` as a frame, in the place of its ``file``; each of its rows
-        becomes a run, as which `Campaign.write` writes it.
+        Table of ``[readings]`` as a data frame, in place of its ``file``; each row becomes a run,
+        which `Campaign.write` writes as such.
     folder
-        Where the files are that the description names; None: the current one, or the file's.
+        Folder of the files that the description names; None: the folder of the description, or
+        the current folder.
 
     Returns
     -------
     Campaign
-        As `read_campaign` returns it.
+        The campaign, as from `read_campaign`.
 
     Raises
     ------
     CampaignError
         With every mistake of the description, as for a file.
     RecordError
-        If a frame cannot be taken for a record.
+        If a data frame is not a record.
     """
-    source, where = _source(description, folder)
+    source, files_folder = _load_source(description, folder)
     document = dict(source.document)
     problems = Problems(document)
     if readings is not None:
@@ -93,27 +94,27 @@ def make_campaign(
             raise CampaignError(source.label, problems.lines)
     if records is None:
         assign_filenames(document)
-    tables = attach_records(document, records or {}, where, problems)
-    return Campaign.of(replace(source, document=document), where, tables, problems)
+    tables = attach_records(document, records or {}, files_folder, problems)
+    return Campaign.of(replace(source, document=document), files_folder, tables, problems)
 
 
-def _source(
+def _load_source(
     description: Mapping[str, Any] | Path | str, folder: Path | str | None
 ) -> tuple[Source, Path]:
     """Return the source of a description, and the folder of its files."""
     if isinstance(description, Mapping):
-        where = Path(folder if folder is not None else ".").absolute()
+        files_folder = Path(folder if folder is not None else ".").absolute()
         problems = Problems(description)
         document = {"schema": 1} | to_toml_value(description, (), problems.add)
         problems.lines += find_invalid_values(document, "")
         source = Source(document)
         if problems.lines:
             raise CampaignError(source.label, problems.lines)
-        return source, where
+        return source, files_folder
     file = description_file(description).absolute()
     document, checksum = load_with_checksum(file, CAMPAIGN_ADVICE, "campaign")
-    where = file.parent if folder is None else Path(folder).absolute()
-    return Source(document, file, checksum, document), where
+    files_folder = file.parent if folder is None else Path(folder).absolute()
+    return Source(document, file, checksum, document), files_folder
 
 
 def change_campaign(
@@ -123,25 +124,25 @@ def change_campaign(
     source = require_source(campaign)
     label = source.label if source.file is None else f"{source.file}, changed in memory"
     problems = Problems(source.document)
-    document = merge_patch(source.document, _plain_patch(patch, (), problems))
+    document = merge_patch(source.document, _convert_patch(patch, (), problems))
     tables = attach_records(document, records, campaign.folder, problems)
     if problems.lines:
         raise CampaignError(label, problems.lines)
     return document, tables
 
 
-def _plain_patch(value: Any, path: KeyPath, problems: Problems) -> Any:
-    """Return a value as TOML would be read; None stays in tables, where it removes keys."""
+def _convert_patch(value: Any, path: KeyPath, problems: Problems) -> Any:
+    """Convert a merge patch to TOML values; None stays in tables, where it removes keys."""
     if not isinstance(value, Mapping):
         return to_toml_value(value, path, problems.add)
     return {
-        key: None if inner is None else _plain_patch(inner, (*path, key), problems)
-        for key, inner in value.items()
+        key: None if item is None else _convert_patch(item, (*path, key), problems)
+        for key, item in value.items()
     }
 
 
 def copy_record(record: Path | MemoryTable, target: Path, *, overwrite: bool) -> None:
-    """Write a record that is there, in memory or as a file, to another place."""
+    """Write an existing record, in memory or in a file, to another file."""
     if isinstance(record, MemoryTable):
         write = partial(WRITERS[target.suffix.lower()], record.frame())
     else:
@@ -150,20 +151,20 @@ def copy_record(record: Path | MemoryTable, target: Path, *, overwrite: bool) ->
 
 
 def assign_filenames(document: dict[str, Any]) -> None:
-    """Name a record for each run that states none, for what needs none or makes it."""
+    """Assign a record name to each run without one, before the records exist."""
     runs = document.get("runs")
     if not isinstance(runs, list):
         return
-    taken = [run.get("record") for run in runs if isinstance(run, Mapping)]
-    named: list[Any] = []
+    used_names = [run.get("record") for run in runs if isinstance(run, Mapping)]
+    named_runs: list[Any] = []
     for run in runs:
-        table = isinstance(run, Mapping) and isinstance(run.get("name"), str)
-        if table and "record" not in run and "reading" not in run:
-            taken.append(record_name(run["name"], ".parquet", taken))
-            named.append({**run, "record": taken[-1]})
+        is_named = isinstance(run, Mapping) and isinstance(run.get("name"), str)
+        if is_named and "record" not in run and "reading" not in run:
+            used_names.append(unused_file_name(run["name"], ".parquet", used_names))
+            named_runs.append({**run, "record": used_names[-1]})
         else:
-            named.append(run)
-    document["runs"] = named
+            named_runs.append(run)
+    document["runs"] = named_runs
 
 
 def attach_records(
@@ -171,67 +172,73 @@ def attach_records(
 ) -> dict[Path, MemoryTable]:
     """Put records into a document's runs; return those in memory by the file that each replaces.
 
-    records: Run's name -> frame or file; `AT_REST` -> that of the record at rest.
-    folder: Of the document's files.
+    records: Name of a run -> data frame or file; `STATIC_RECORD` -> record at rest.
+    folder: Folder of the document's files.
     """
-    given = list(list_of(document, "runs"))
-    names = {run.get("name"): place for place, run in enumerate(given) if isinstance(run, Mapping)}
+    runs = list(list_of(document, "runs"))
+    index_by_name = {
+        run.get("name"): index for index, run in enumerate(runs) if isinstance(run, Mapping)
+    }
     tables: dict[Path, MemoryTable] = {}
     for name, record in records.items():
         if name == STATIC_RECORD:
             tables |= _attach_static_record(document, record, folder)
             continue
-        if name not in names:
-            known = [known for known in names if isinstance(known, str)]
+        if name not in index_by_name:
+            run_names = [run_name for run_name in index_by_name if isinstance(run_name, str)]
             problems.add(
-                ("records",), f'no run is named "{name}"' + suggest_name(name, known), "unknown-run"
+                ("records",),
+                f'no run is named "{name}"' + suggest_name(name, run_names),
+                "unknown-run",
             )
             continue
-        run = dict(given[names[name]])
+        run = dict(runs[index_by_name[name]])
         if isinstance(record, Path | str):
-            run["record"] = _file_name(Path(record).absolute(), folder)
+            run["record"] = _relative_name(Path(record).absolute(), folder)
         else:
-            taken = [other.get("record") for other in given if isinstance(other, Mapping)]
-            stated = run.get("record")
-            if not (isinstance(stated, str) and stated.lower().endswith(tuple(WRITERS))):
-                run["record"] = record_name(name, ".parquet", taken)
+            used_names = [
+                other_run.get("record") for other_run in runs if isinstance(other_run, Mapping)
+            ]
+            stated_name = run.get("record")
+            if not (isinstance(stated_name, str) and stated_name.lower().endswith(tuple(WRITERS))):
+                run["record"] = unused_file_name(name, ".parquet", used_names)
             tables[folder / run["record"]] = memory_table(f"{name} in memory", record)
-        given[names[name]] = run
-    if given:
-        document["runs"] = given
+        runs[index_by_name[name]] = run
+    if runs:
+        document["runs"] = runs
     return tables
 
 
 def _attach_static_record(
     document: dict[str, Any], record: Any, folder: Path
 ) -> dict[Path, MemoryTable]:
-    """Put a record at rest into a document's noise; return it by its file where it is in memory."""
+    """Put a record at rest into a document's noise; return it by file if it is in memory."""
     noise = document.get("noise", {})
     if not isinstance(noise, Mapping):
-        return {}  # which is a mistake that is told with all others
+        return {}  # reported with the other mistakes
     if isinstance(record, Path | str):
-        document["noise"] = {**noise, "from": _file_name(Path(record).absolute(), folder)}
+        document["noise"] = {**noise, "from": _relative_name(Path(record).absolute(), folder)}
         return {}
-    stated = noise.get("from")
-    if not (isinstance(stated, str) and stated.lower().endswith(tuple(WRITERS))):
+    file_name = noise.get("from")
+    if not (isinstance(file_name, str) and file_name.lower().endswith(tuple(WRITERS))):
         runs = document.get("runs")
-        taken = [r.get("record") for r in runs or () if isinstance(r, Mapping)]
-        stated = record_name("rest", ".parquet", taken)
-    document["noise"] = {**noise, "from": stated}
-    return {folder / stated: memory_table("record at rest in memory", record)}
+        used_names = [run.get("record") for run in runs or () if isinstance(run, Mapping)]
+        file_name = unused_file_name("rest", ".parquet", used_names)
+    document["noise"] = {**noise, "from": file_name}
+    return {folder / file_name: memory_table("record at rest in memory", record)}
 
 
-def record_name(run: str, ending: str, taken: list[Any]) -> str:
-    """Return the file that the record of a run would be written to, none of those taken."""
-    plain_name = re.sub(r"[^\w.-]+", "_", run).strip("._") or "run"
-    others = {str(other).lower() for other in taken}
-    name, number = f"{plain_name}{ending}", 2
-    while name.lower() in others:
-        name, number = f"{plain_name}-{number}{ending}", number + 1
+def unused_file_name(run: str, suffix: str, used_names: list[Any]) -> str:
+    """Return a file name for the record of a run that is not among the used names."""
+    base_name = re.sub(r"[^\w.-]+", "_", run).strip("._") or "run"
+    lowercase_names = {str(used_name).lower() for used_name in used_names}
+    name, number = f"{base_name}{suffix}", 2
+    while name.lower() in lowercase_names:
+        name, number = f"{base_name}-{number}{suffix}", number + 1
     return name
 
 
-def _file_name(file: Path, folder: Path) -> str:
+def _relative_name(file: Path, folder: Path) -> str:
     try:
         return file.relative_to(folder).as_posix()
     except ValueError:
@@ -243,7 +250,7 @@ def write_campaign(campaign: Campaign, folder: Path | str, *, overwrite: bool = 
     source = require_source(campaign)
     folder = Path(folder)
     document = dict(source.document)
-    files = _Files(campaign, folder)
+    files = _RelocatedFiles(campaign, folder)
     document["runs"] = [files.relocate_run(run) for run in document.get("runs", ())]
     if not document["runs"]:
         del document["runs"]
@@ -271,35 +278,35 @@ def write_campaign(campaign: Campaign, folder: Path | str, *, overwrite: bool = 
     return description
 
 
-class _Files:
-    """The names of a campaign's files in another folder."""
+class _RelocatedFiles:
+    """Assigns names to a campaign's files in another folder."""
 
     def __init__(self, campaign: Campaign, folder: Path) -> None:
         self.campaign, self.folder = campaign, folder
         self.targets: dict[Path, Path | MemoryTable] = {}
 
     def target_name(self, name: str, owner: str) -> str:
-        """Note where a file goes, and return its name there: the owner's where its own is taken."""
-        source, folder = self.campaign.folder, self.folder
-        file = source / name
+        """Register a file and return its new name; a conflict is resolved by the owner's name."""
+        source_folder, folder = self.campaign.folder, self.folder
+        file = source_folder / name
         record = self.campaign.record_at(file)
-        is_inside = file.is_relative_to(source) and ".." not in file.parts
+        is_inside = file.is_relative_to(source_folder) and ".." not in file.parts
         relative_name = name if is_inside else file.name
         if is_inside and Path(name).is_absolute():
-            relative_name = file.relative_to(source).as_posix()
+            relative_name = file.relative_to(source_folder).as_posix()
         if record is file and self.targets.get(folder / relative_name) == file:
-            return relative_name  # of another part of the same record
-        taken = [target.relative_to(folder).as_posix() for target in self.targets]
-        if relative_name.lower() in map(str.lower, taken):
-            relative_name = record_name(owner, file.suffix, taken)
+            return relative_name  # another part of the same record
+        used_names = [target.relative_to(folder).as_posix() for target in self.targets]
+        if relative_name.lower() in map(str.lower, used_names):
+            relative_name = unused_file_name(owner, file.suffix, used_names)
         self.targets[folder / relative_name] = record
         return relative_name
 
     def relocate_run(self, run: Any) -> Any:
-        """Note where a run's files go, and return the run as it names them there."""
+        """Register the files of a run, and return the run with their new names."""
         if "record" not in run:
             return run
-        # A run that is left out need not have a name.
+        # An excluded run may lack a name.
         name, relocated = str(run.get("name", "run")), dict(run)
         relocated["record"] = self.target_name(run["record"], name)
         if "continued_in" in run:
@@ -312,7 +319,7 @@ class _Files:
 
 
 def _refuse_overwriting(targets: list[Path], campaign: Campaign, *, overwrite: bool) -> None:
-    """Raise CounterspinError for a file that is in the way, or a record that is not there."""
+    """Raise CounterspinError if a target already exists, or if a record is missing."""
     for target in targets:
         if target.exists() and not overwrite:
             raise ExistingFileError(

@@ -1,7 +1,7 @@
-"""Quantities, directions and attitudes as people write them, to SI and g-units.
+"""Parser of quantities, directions and attitudes, with conversion to SI and g-units.
 
 A quantity is ``"VALUE UNIT"`` or ``"VALUE ± U UNIT"``. U is a standard uncertainty (k = 1);
-``+/-`` and ``+-`` are the same as ``±``. Which units there are says `counterspin.units`.
+``+/-`` and ``+-`` are the same as ``±``. `counterspin.units` defines the units.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import DIRECTIONS, direction
 from counterspin.units import expected_quantity, unit_factor
 
-#: No quantity takes more characters.
+#: Largest length of the text of a quantity.
 _MAX_CHARACTERS: Final = 500
 
-#: Sizes of measured quantities, in SI and g-units; squares of sizes outside could overflow.
-_SIZE_RANGE: Final = (1e-60, 1e60)
-#: Largest plausible sizes in some units. Larger angles do not resolve the fraction of a turn.
-_LARGEST: Final = {"rad": 1e9, "s": 1e12}
+#: Bounds of magnitudes, in SI and g-units; squares of values outside could overflow.
+_MAGNITUDE_RANGE: Final = (1e-60, 1e60)
+#: Largest plausible magnitudes in some units. Larger angles do not resolve fractions of a turn.
+_MAX_MAGNITUDES: Final = {"rad": 1e9, "s": 1e12}
 
-#: Units of which none is the likely one of a number alone; of others it is the first accepted.
-_SCALES: Final = {
+#: Likely units of a number without a unit, if not the first accepted unit alone.
+_LIKELY_UNITS: Final = {
     "rad": ("deg", "arcsec", "rad"),
     "rad/s": ("rad/s", "rev/s", "deg/s"),
 }
@@ -39,10 +39,10 @@ NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 PLUS_MINUS: Final = r"\s*(?:±|\+/-|\+-)\s*"
 _QUANTITY = re.compile(rf"({NUMBER})(?:{PLUS_MINUS}({NUMBER}))?(?:\s+|(?=[^\d.\s]))(.*)")
 #: A number, with or without an uncertainty, that has no unit.
-BARE: Final = re.compile(rf"{NUMBER}(?:{PLUS_MINUS}{NUMBER})?")
-# After a value: its unit, and an uncertainty with or without its own.
-_UNIT_TWICE = re.compile(rf"([^±]*?){PLUS_MINUS}({NUMBER})\s*([^±]*)")
-#: A latitude as maps write it: degrees, minutes and seconds of arc, and a hemisphere.
+BARE_NUMBER: Final = re.compile(rf"{NUMBER}(?:{PLUS_MINUS}{NUMBER})?")
+# After a value: its unit, and an uncertainty with or without another unit.
+_REPEATED_UNIT = re.compile(rf"([^±]*?){PLUS_MINUS}({NUMBER})\s*([^±]*)")
+#: A latitude in degrees, minutes and seconds of arc, with a hemisphere.
 _LATITUDE: Final = re.compile(
     r"([NS])?\s*(\d+(?:\.\d+)?)\s*(?:deg\b|°)?"
     r"(?:\s*(\d+(?:\.\d+)?)\s*(?:min\b|arcmin\b|['′])"
@@ -66,7 +66,7 @@ class InputDistribution:
     """Shape of the distribution of an input about its value."""
 
     shape: Shape = "normal"
-    dof: float = math.inf  #: Degrees of freedom of Student's t; infinite of all others.
+    dof: float = math.inf  #: Degrees of freedom of Student's t; infinite for other shapes.
 
 
 NORMAL: Final = InputDistribution()
@@ -81,7 +81,7 @@ class Quantity:
     value
         The value, in `unit`.
     u
-        Its standard uncertainty (k = 1), in `unit`; 0 for a value that is taken as exact.
+        Standard uncertainty (k = 1), in `unit`; 0 for an exact value.
     unit
         SI or g-units, such as ``m``, ``rad/s`` or ``g/g^2``.
     distribution
@@ -100,12 +100,12 @@ class Quantity:
     distribution: InputDistribution = NORMAL
 
     def __str__(self) -> str:
-        """Write the quantity so that `parse` reads the same numbers."""
+        """Format the quantity without loss of precision for `parse_quantity`."""
         return f"{self.value!r} ± {self.u!r} {self.unit}"
 
     @property
     def written(self) -> str:
-        """The quantity as a person writes it: without an uncertainty if it has none."""
+        """The quantity as text, without ``± 0`` for an exact value."""
         return str(self) if self.u else f"{self.value!r} {self.unit}"
 
     @property
@@ -132,180 +132,198 @@ class HeadTurn:
 
     @property
     def written(self) -> str:
-        """The turn as a person writes it."""
+        """The turn as text."""
         return f"{self.angle.written} about {self.about}"
 
 
-def parse(
-    text: object, unit: str, *, gravity: float | None = None, usual: str | None = None
+def parse_quantity(
+    text: object, unit: str, *, gravity: float | None = None, likely_unit: str | None = None
 ) -> Quantity:
-    """Read ``"VALUE UNIT"`` or ``"VALUE ± U UNIT"``; a `Quantity` is one that was read already.
+    """Parse ``"VALUE UNIT"`` or ``"VALUE ± U UNIT"``; convert a `Quantity` to the unit.
 
-    gravity: The site's gravity in m/s^2; with it, m/s^2 serves where g is wanted and the other way.
-    usual: The unit that a number without one is most likely in; None: what `_SCALES` say.
+    gravity: Gravity of the site, m/s^2; with it, m/s^2 and g are convertible.
+    likely_unit: Unit to suggest for a number without one; None: as in `_LIKELY_UNITS`.
     """
-    kind, accepted = expected_quantity(unit)
+    description, accepted_units = expected_quantity(unit)
     if isinstance(text, Quantity):
-        return _in_unit(text, unit, text.written, gravity)
+        return _convert(text, unit, text.written, gravity)
     if not isinstance(text, str):
         if isinstance(text, bool) or not isinstance(text, int | float):
             raise InputError(
-                f"must be {kind}, written as text with its unit ({accepted})", "wrong-type"
+                f"must be {description}, written as text with its unit ({accepted_units})",
+                "wrong-type",
             )
         if not math.isfinite(text):
             raise OutOfRangeError(
-                f"{text!r} is not a finite number; {kind} is required ({accepted})"
+                f"{text!r} is not a finite number; {description} is required ({accepted_units})"
             )
         if unit == "1":
             raise InputError(f'a ratio must be written as text, such as "{text!r}"', "wrong-type")
-        example = _with_unit(repr(text), unit, usual)
-        raise InputError(f"has no unit; write {example} ({kind}: {accepted})", "missing-unit")
+        example = _suggest_unit(repr(text), unit, likely_unit)
+        raise InputError(
+            f"has no unit; write {example} ({description}: {accepted_units})", "missing-unit"
+        )
     if len(text) > _MAX_CHARACTERS:
         raise ValueError(
             f"a quantity may have at most {_MAX_CHARACTERS} characters, but this text has "
             f"{len(text)}"
         )
-    clean = text.strip().replace("−", "-")
-    if _NOT_FINITE.search(clean):
-        raise OutOfRangeError(f"{text!r} is not a finite number; {kind} is required ({accepted})")
-    if BARE.fullmatch(clean):
-        example = _with_unit(clean, unit, usual)
+    normalized = text.strip().replace("−", "-")
+    if _NOT_FINITE.search(normalized):
+        raise OutOfRangeError(
+            f"{text!r} is not a finite number; {description} is required ({accepted_units})"
+        )
+    if BARE_NUMBER.fullmatch(normalized):
+        example = _suggest_unit(normalized, unit, likely_unit)
         raise InputError(
-            f"{text!r} has no unit; {kind} is required ({accepted}); write {example}",
+            f"{text!r} has no unit; {description} is required ({accepted_units}); write {example}",
             "missing-unit",
         )
-    if re.match(r"[+-]?\d+,\d", clean):
+    if re.match(r"[+-]?\d+,\d", normalized):
         raise ValueError(f"{text!r} contains a comma; use a decimal point")
-    match = _QUANTITY.fullmatch(clean)
+    match = _QUANTITY.fullmatch(normalized)
     if match is None:
         raise ValueError(
             f'{text!r} is not a quantity; write "VALUE UNIT" or "VALUE ± U UNIT" '
-            f"({kind}: {accepted})"
+            f"({description}: {accepted_units})"
         )
-    twice = _UNIT_TWICE.fullmatch(match[3])
-    if match[2] is None and twice is not None:
-        raise ValueError(f"{text!r} {_suggest_single_unit(match[1], twice, gravity)}")
-    written = Quantity(float(match[1]), float(match[2] or 0.0), match[3])
-    return _in_unit(written, unit, text, gravity)
+    repeated_unit = _REPEATED_UNIT.fullmatch(match[3])
+    if match[2] is None and repeated_unit is not None:
+        raise ValueError(f"{text!r} {_suggest_single_unit(match[1], repeated_unit, gravity)}")
+    quantity = Quantity(float(match[1]), float(match[2] or 0.0), match[3])
+    return _convert(quantity, unit, text, gravity)
 
 
-def latitude_text(text: object) -> object:
-    """Return ``45.75N`` or ``45 deg 45 min N`` in degrees, and any other value unchanged."""
+def normalize_latitude(text: object) -> object:
+    """Convert ``45.75N`` or ``45 deg 45 min N`` to degrees; return other values unchanged."""
     match = _LATITUDE.fullmatch(text.strip()) if isinstance(text, str) else None
     if match is None or (match[1] is None) == (match[5] is None):
         return text
-    degrees, minutes, seconds = (float(part or 0.0) for part in match.groups()[1:4])
+    degrees, minutes, seconds = (float(number or 0.0) for number in match.groups()[1:4])
     if minutes >= 60.0 or seconds >= 60.0:
         raise ValueError(f"{text!r}: minutes and seconds of arc must be less than 60")
     sign = "-" if "S" in (match[1], match[5]) else ""
     return f"{sign}{degrees + minutes / 60.0 + seconds / 3600.0:.12g} deg"
 
 
-def _in_unit(quantity: Quantity, unit: str, text: str, gravity: float | None) -> Quantity:
-    """Return a quantity in a unit; ValueError, which quotes `text`, if it is not one."""
-    kind, accepted = expected_quantity(unit)
+def _convert(quantity: Quantity, unit: str, text: str, gravity: float | None) -> Quantity:
+    """Convert a quantity to a unit; a ValueError quotes `text`."""
+    description, accepted_units = expected_quantity(unit)
     factor = unit_factor(quantity.unit, unit, gravity=gravity)
     value, u = quantity.value * factor, quantity.u * factor
     if not (math.isfinite(value) and math.isfinite(u)):
-        raise OutOfRangeError(f"{text!r} is not a finite number; {kind} is required ({accepted})")
+        raise OutOfRangeError(
+            f"{text!r} is not a finite number; {description} is required ({accepted_units})"
+        )
     if u < 0.0:
         raise InputError(f"{text!r} has a negative uncertainty", "wrong-uncertainty")
-    largest = _LARGEST.get(unit, _SIZE_RANGE[1])
-    if any(size and not _SIZE_RANGE[0] < size < largest for size in (abs(value), u)):
+    max_magnitude = _MAX_MAGNITUDES.get(unit, _MAGNITUDE_RANGE[1])
+    if any(size and not _MAGNITUDE_RANGE[0] < size < max_magnitude for size in (abs(value), u)):
         raise OutOfRangeError(
-            f"{text!r} is implausibly large or small; {kind} is required ({accepted})"
+            f"{text!r} is implausibly large or small; {description} is required ({accepted_units})"
         )
     return Quantity(value, u, unit, quantity.distribution)
 
 
-def within_limits(values: Array, unit: str) -> npt.NDArray[np.bool_]:
-    """Return whether `parse` accepts values in SI or g-units, by their size."""
-    sizes, largest = np.abs(values), _LARGEST.get(unit, _SIZE_RANGE[1])
-    mask: npt.NDArray[np.bool_] = (sizes > _SIZE_RANGE[0]) & (sizes < largest) | (sizes == 0.0)
+def is_plausible(values: Array, unit: str) -> npt.NDArray[np.bool_]:
+    """Return whether `parse_quantity` accepts the magnitudes of values in SI or g-units."""
+    magnitudes, max_magnitude = np.abs(values), _MAX_MAGNITUDES.get(unit, _MAGNITUDE_RANGE[1])
+    mask: npt.NDArray[np.bool_] = (magnitudes > _MAGNITUDE_RANGE[0]) & (
+        magnitudes < max_magnitude
+    ) | (magnitudes == 0.0)
     return mask
 
 
-def _with_unit(number: str, unit: str, usual: str | None) -> str:
+def _suggest_unit(number: str, unit: str, likely_unit: str | None) -> str:
     """Suggest the text of a number with its most likely unit."""
-    scales = (usual,) if usual else _SCALES.get(unit, (expected_quantity(unit)[1].split(",")[0],))
-    *others, last = (f'"{number} {scale}"' for scale in scales)
-    return f"{', '.join(others)} or {last}, whichever applies" if others else last
+    likely_units = (
+        (likely_unit,)
+        if likely_unit
+        else _LIKELY_UNITS.get(unit, (expected_quantity(unit)[1].split(",")[0],))
+    )
+    *alternatives, last = (f'"{number} {candidate}"' for candidate in likely_units)
+    return f"{', '.join(alternatives)} or {last}, whichever applies" if alternatives else last
 
 
-def last_digit(written: str | Quantity) -> str:
-    """Return one of the last digit of a quantity, as a quantity: ``0.001 mA`` of ``1.250 mA``."""
-    text = written.written if isinstance(written, Quantity) else written
-    clean = text.strip().replace("−", "-")
-    match = re.match(r"[+-]?\d*\.?(\d*)(?:[eE]([+-]?\d+))?", clean)
+def last_digit_step(quantity: str | Quantity) -> str:
+    """Return the step of the last digit of a quantity, such as ``1e-3 mA`` for ``1.250 mA``."""
+    text = quantity.written if isinstance(quantity, Quantity) else quantity
+    normalized = text.strip().replace("−", "-")
+    match = re.match(r"[+-]?\d*\.?(\d*)(?:[eE]([+-]?\d+))?", normalized)
     assert match is not None
-    return f"1e{int(match[2] or 0) - len(match[1])}{clean[match.end() :]}"
+    return f"1e{int(match[2] or 0) - len(match[1])}{normalized[match.end() :]}"
 
 
-def _suggest_single_unit(value: str, twice: re.Match[str], gravity: float | None) -> str:
+def _suggest_single_unit(value: str, repeated_unit: re.Match[str], gravity: float | None) -> str:
     """Suggest the text of ``VALUE UNIT ± U UNIT`` with one unit."""
-    unit, u, unit_of_u = twice.groups()
+    unit, u, u_unit = repeated_unit.groups()
     try:
-        same = float(u) * unit_factor(unit_of_u or unit, unit, gravity=gravity)
-        example = f'"{value} ± {same:.12g} {unit}"'
-    except (ValueError, KeyError):  # a unit that nobody knows, on either side
+        converted_u = float(u) * unit_factor(u_unit or unit, unit, gravity=gravity)
+        example = f'"{value} ± {converted_u:.12g} {unit}"'
+    except (ValueError, KeyError):  # an unknown unit, on either side
         example = '"VALUE ± U UNIT"'
     return f"has a unit before the ±; write the unit once, at the end: {example}"
 
 
-#: Written for an attitude that nobody knows.
-UNKNOWN: Final = "unknown"
+#: Value of an unknown attitude.
+UNKNOWN_ATTITUDE: Final = "unknown"
 
-#: What an attitude may look like, for messages.
-NO_ATTITUDE: Final = (
+#: Message about an invalid attitude.
+ATTITUDE_ADVICE: Final = (
     'is not an attitude; write "level", "90 deg about east" or { x = "east", y = "up" }'
 )
 
-TURN_WORDS = re.compile(r"(.+?)\s+about\s+(\w+)")
+TURN_PATTERN = re.compile(r"(.+?)\s+about\s+(\w+)")
 
 
 def read_direction(value: object) -> tuple[float, float, float]:
-    """Return the unit vector in east-north-up."""
+    """Parse a direction; return its unit vector in east-north-up."""
     if isinstance(value, str):
         if value not in DIRECTIONS:
             raise ValueError(f'unknown direction "{value}"' + suggest_name(value, DIRECTIONS))
         return DIRECTIONS[value]
-    numbers = isinstance(value, list) and all(
-        isinstance(c, int | float) and not isinstance(c, bool) for c in value
+    is_numeric = isinstance(value, list) and all(
+        isinstance(component, int | float) and not isinstance(component, bool)
+        for component in value
     )
-    if not isinstance(value, list) or not numbers:
+    if not isinstance(value, list) or not is_numeric:
         raise ValueError(f"must be one of {', '.join(DIRECTIONS)}, or [east, north, up]")
-    vec = direction(value)
-    return float(vec[0]), float(vec[1]), float(vec[2])
+    unit_vector = direction(value)
+    return float(unit_vector[0]), float(unit_vector[1]), float(unit_vector[2])
 
 
 @frozen(eq=False)
 class Attitude:
     """The directions of a platform's axes, and the dividing head that turned them."""
 
-    rows: Array  #: Of x, y, z in east-north-up, shape (3, 3); the identity when level.
-    head: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: Its axis; zero without a turn.
-    angle: float = 0.0  #: Of the turn, rad.
-    u: float = 0.0  #: Its standard uncertainty, rad.
-    unknown: bool = False  #: Of a pose that nobody knows, whose axes count as level.
+    rows: Array  #: Axes x, y, z in east-north-up, shape (3, 3); the identity when level.
+    head_axis: tuple[float, float, float] = (
+        0.0,
+        0.0,
+        0.0,
+    )  #: Axis of the dividing head; zero without a turn.
+    angle: float = 0.0  #: Angle of the turn, rad.
+    u: float = 0.0  #: Standard uncertainty of the angle, rad.
+    is_unknown: bool = False  #: Whether the attitude is unknown; its axes are then those of level.
 
 
 def read_attitude(value: object) -> Attitude:
-    """Return an attitude as it is written.
+    """Parse an attitude.
 
     value: ``"level"``, ``"unknown"``; a right-handed turn of the level platform such as ``"90 deg
-        about east"`` (which takes y from north to up), or as a `HeadTurn`; or a table of the
-        directions of x and y, and of z if wanted.
+        about east"`` (which rotates y from north to up), or a `HeadTurn`; or a table with the
+        directions of x and y, and optionally of z.
     """
-    if value in ("level", UNKNOWN):
-        return Attitude(np.eye(3), unknown=value == UNKNOWN)
-    if isinstance(value, str) and (match := TURN_WORDS.fullmatch(value.strip())) is not None:
-        value = HeadTurn(parse(match[1], "rad"), match[2])
+    if value in ("level", UNKNOWN_ATTITUDE):
+        return Attitude(np.eye(3), is_unknown=value == UNKNOWN_ATTITUDE)
+    if isinstance(value, str) and (match := TURN_PATTERN.fullmatch(value.strip())) is not None:
+        value = HeadTurn(parse_quantity(match[1], "rad"), match[2])
     if isinstance(value, HeadTurn):
-        turn, axis = parse(value.angle, "rad"), read_direction(value.about)
-        rows = rotate_axes(np.array(turn.value), np.array(axis))
-        return Attitude(rows, axis, turn.value, turn.u)
+        turn, axis = parse_quantity(value.angle, "rad"), read_direction(value.about)
+        matrix = rotate_axes(np.array(turn.value), np.array(axis))
+        return Attitude(matrix, axis, turn.value, turn.u)
     if not isinstance(value, Mapping) or not {"x", "y"} <= set(value) <= {"x", "y", "z"}:
-        raise ValueError(NO_ATTITUDE)
+        raise ValueError(ATTITUDE_ADVICE)
     x, y = (np.array(read_direction(value[axis])) for axis in "xy")
     if abs(float(x @ y)) > 1e-6:
         raise ValueError("the axes x and y must be at right angles")
@@ -313,18 +331,18 @@ def read_attitude(value: object) -> Attitude:
     y /= np.linalg.norm(y)
     z = np.cross(x, y)
     if "z" in value:
-        agreement = float(np.array(read_direction(value["z"])) @ z)
-        if agreement < -1.0 + 1e-6:
+        cosine = float(np.array(read_direction(value["z"])) @ z)
+        if cosine < -1.0 + 1e-6:
             raise ValueError("the axes are left-handed: x cross y must be z")
-        if agreement < 1.0 - 1e-6:
+        if cosine < 1.0 - 1e-6:
             raise ValueError("the axis z must be at right angles to x and y")
     return Attitude(np.stack([x, y, z]))
 
 
-def platform_attitude(attitude: Attitude) -> Attitude:
-    """Return an attitude that a platform holds; ValueError of one that is uncertain or unknown."""
-    if attitude.unknown:
-        raise ValueError(NO_ATTITUDE)
+def check_platform_attitude(attitude: Attitude) -> Attitude:
+    """Return the attitude of a platform; ValueError if it is uncertain or unknown."""
+    if attitude.is_unknown:
+        raise ValueError(ATTITUDE_ADVICE)
     if attitude.u != 0.0:
         raise InputError(
             "an attitude must not have an uncertainty here; state a prior for platform.tilt "
@@ -334,42 +352,42 @@ def platform_attitude(attitude: Attitude) -> Attitude:
     return attitude
 
 
-def attitude_rows(value: object) -> Array:
-    """Return the directions of a platform's axes, shape (3, 3); `value` as in `read_attitude`."""
-    return platform_attitude(read_attitude(value)).rows
+def read_attitude_matrix(value: object) -> Array:
+    """Return the axes of a platform as rows, shape (3, 3); `value` as in `read_attitude`."""
+    return check_platform_attitude(read_attitude(value)).rows
 
 
-def attitude_words(rows: Array) -> str:
-    """Return an attitude in words.
+def describe_attitude(matrix: Array) -> str:
+    """Describe an attitude in words.
 
-    rows: Directions of the platform's axes, shape (3, 3).
+    matrix: Axes of the platform as rows, shape (3, 3).
     """
-    if np.allclose(rows, np.eye(3)):
+    if np.allclose(matrix, np.eye(3)):
         return "level"
-    words = []
-    for axis, row in zip("xyz", rows, strict=True):
-        near = [name for name, there in DIRECTIONS.items() if np.allclose(row, there)]
-        numbers = ", ".join(f"{round(float(part), 4) + 0.0:g}" for part in row)
-        words.append(f"{axis} {near[0] if near else f'[{numbers}]'}")
-    return ", ".join(words)
+    axis_texts = []
+    for axis, row in zip("xyz", matrix, strict=True):
+        names = [name for name, unit_vector in DIRECTIONS.items() if np.allclose(row, unit_vector)]
+        components = ", ".join(f"{round(float(component), 4) + 0.0:g}" for component in row)
+        axis_texts.append(f"{axis} {names[0] if names else f'[{components}]'}")
+    return ", ".join(axis_texts)
 
 
 def rotate_axes(angle: Array, axis: Array) -> Array:
     """Return the axes of the level platform after right-handed turns (Rodrigues), as rows.
 
-    angle: Of the turns, rad, shape (...,).
+    angle: Angles of the turns, rad, shape (...,).
     axis: Unit vector, shape (3,).
     Returns: shape (..., 3, 3).
     """
     # A quarter turn leaves the axes exactly along the directions: cos(pi/2) is not quite zero.
-    quarters = np.rint(angle / (math.pi / 2.0))
-    error = np.abs(angle - quarters * math.pi / 2.0)
-    is_exact = error <= np.maximum(1e-12 * np.abs(angle), 1e-15)
-    quarter = quarters.astype(int) % 4
-    cos = np.where(is_exact, np.array([1.0, 0.0, -1.0, 0.0])[quarter], np.cos(angle))
-    sin = np.where(is_exact, np.array([0.0, 1.0, 0.0, -1.0])[quarter], np.sin(angle))
+    quarter_turns = np.rint(angle / (math.pi / 2.0))
+    remainder = np.abs(angle - quarter_turns * math.pi / 2.0)
+    is_exact = remainder <= np.maximum(1e-12 * np.abs(angle), 1e-15)
+    quadrant = quarter_turns.astype(int) % 4
+    cos = np.where(is_exact, np.array([1.0, 0.0, -1.0, 0.0])[quadrant], np.cos(angle))
+    sin = np.where(is_exact, np.array([0.0, 1.0, 0.0, -1.0])[quadrant], np.sin(angle))
     x, y, z = axis
-    across = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    cross_matrix = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
     cos, sin = cos[..., None, None], sin[..., None, None]
-    rows: Array = cos * np.eye(3) + sin * across + (1.0 - cos) * np.outer(axis, axis)
-    return rows
+    matrices: Array = cos * np.eye(3) + sin * cross_matrix + (1.0 - cos) * np.outer(axis, axis)
+    return matrices

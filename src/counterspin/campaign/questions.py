@@ -17,42 +17,42 @@ from counterspin.physics.gravity import HEIGHTS, gravity_range
 from counterspin.physics.own_velocity import NAVIGATED, AxisError, coriolis, unobserved_projection
 from counterspin.physics.terms import find_symbol
 
-#: Standard gravity, which a computer may take away at any place, m/s^2.
+#: Values of standard gravity that a navigation computer may subtract at any site, m/s^2.
 _STANDARD_GRAVITIES: Final = (9.80665, 9.8066, 9.8)
 
-#: Vertical part of an input axis from which gravity that is left shows.
-_VERTICAL_PART: Final = 0.05
+#: Smallest vertical component of an input axis for which residual gravity matters.
+_MIN_VERTICAL_COMPONENT: Final = 0.05
 
-#: Part of an unrecorded velocity from which its Coriolis acceleration shows, 1/s.
-_CORIOLIS_PART: Final = 1e-7
+#: Smallest Coriolis acceleration per unrecorded velocity that matters, 1/s.
+_MIN_CORIOLIS_COUPLING: Final = 1e-7
 
 
 @frozen
 class Question:
-    """One question."""
+    """A question about a statement of the description."""
 
-    code: str  #: What kind of question.
-    subject: str  #: What it is about, such as ``site`` or ``Qx.K_F``.
-    text: str  #: In whole sentences.
+    code: str  #: Kind of the question.
+    subject: str  #: Subject, such as ``site`` or ``Qx.K_F``.
+    text: str  #: Question in complete sentences.
 
 
 def questions(campaign: Campaign) -> list[Question]:
     """Return the questions about a campaign's description."""
     return [
-        *_gravity(campaign),
-        *_removed_gravity(campaign),
-        *_own_velocity(campaign),
-        *_exact_priors(campaign),
+        *_question_gravity(campaign),
+        *_question_removed_gravity(campaign),
+        *_question_own_velocity(campaign),
+        *_question_exact_priors(campaign),
     ]
 
 
-def _gravity(campaign: Campaign) -> Iterator[Question]:
+def _question_gravity(campaign: Campaign) -> Iterator[Question]:
     """Ask about a gravity that is impossible at the latitude."""
-    low, high = gravity_range(campaign.site.latitude)
-    margin = 3.0 * math.hypot(campaign.gravity.u, _slope(campaign) * campaign.latitude.u)
-    degrees = math.degrees(campaign.site.latitude)
-    removed = campaign.site.removed_gravity
-    stated = [
+    min_gravity, max_gravity = gravity_range(campaign.site.latitude)
+    margin = 3.0 * math.hypot(campaign.gravity.u, _gravity_gradient(campaign) * campaign.latitude.u)
+    latitude_deg = math.degrees(campaign.site.latitude)
+    removed_gravity = campaign.site.removed_gravity
+    stated_values = [
         (
             "site",
             "Gravity",
@@ -60,38 +60,44 @@ def _gravity(campaign: Campaign) -> Iterator[Question]:
             "Do gravity and latitude belong to the same site?",
         )
     ]
-    if removed is not None and removed not in _STANDARD_GRAVITIES:
-        words = "Does the computer really subtract this value?"
-        stated.append(("site.removed_gravity", "The removed gravity", removed, words))
-    for subject, what, gravity, question in stated:
-        if low - margin <= gravity <= high + margin:
+    if removed_gravity is not None and removed_gravity not in _STANDARD_GRAVITIES:
+        removed_question = "Does the computer really subtract this value?"
+        stated_values.append(
+            ("site.removed_gravity", "The removed gravity", removed_gravity, removed_question)
+        )
+    for subject, label, gravity, closing_question in stated_values:
+        if min_gravity - margin <= gravity <= max_gravity + margin:
             continue
         yield Question(
             code="gravity-latitude",
             subject=subject,
-            text=f"{what} of {gravity:.6g} m/s^2 does not agree with latitude {degrees:.4g} deg. "
-            f"At this latitude and heights from {HEIGHTS[0]:.0f} to {HEIGHTS[1]:.0f} m, "
-            f"gravity is {low:.4f} to {high:.4f} m/s^2. {question}",
+            text=f"{label} of {gravity:.6g} m/s^2 does not agree with latitude "
+            f"{latitude_deg:.4g} deg. At this latitude and heights from {HEIGHTS[0]:.0f} to "
+            f"{HEIGHTS[1]:.0f} m, gravity is {min_gravity:.4f} to {max_gravity:.4f} m/s^2. "
+            f"{closing_question}",
         )
 
 
-def _removed_gravity(campaign: Campaign) -> Iterator[Question]:
-    """Ask for the subtracted gravity if gravity is not known exactly, where it matters."""
+def _question_removed_gravity(campaign: Campaign) -> Iterator[Question]:
+    """Ask for the subtracted gravity if it matters and gravity is uncertain."""
     if campaign.site.removed_gravity is not None or campaign.gravity.u == 0.0:
         return
     for name, accelerometer in campaign.accelerometers.items():
-        upright = [
+        upright_runs = [
             run.name
             for run in campaign.runs
-            if abs(accelerometer.mounting.turned(run.attitude).input_axis[2]) > _VERTICAL_PART
+            if abs(accelerometer.mounting.turned(run.attitude).input_axis[2])
+            > _MIN_VERTICAL_COMPONENT
         ]
-        if not upright or accelerometer.observable == "specific_force":
+        if not upright_runs or accelerometer.observable == "specific_force":
             continue
-        runs = f"run {upright[0]}" if len(upright) == 1 else f"{len(upright)} runs"
+        run_text = (
+            f"run {upright_runs[0]}" if len(upright_runs) == 1 else f"{len(upright_runs)} runs"
+        )
         yield Question(
             code="removed-gravity",
             subject=f"{name}.K_I",
-            text=f"{name} is upright in {runs}, so its {accelerometer.observable} contains the "
+            text=f"{name} is upright in {run_text}, so its {accelerometer.observable} contains the "
             "gravity that the navigation computer does not remove. Gravity is known only to "
             f"within {campaign.gravity.u:.2g} m/s^2. counterspin assumes that the computer "
             "removes gravity exactly; if the computer removes a fixed value, state this value "
@@ -99,71 +105,78 @@ def _removed_gravity(campaign: Campaign) -> Iterator[Question]:
         )
 
 
-def _own_velocity(campaign: Campaign) -> Iterator[Question]:
-    """Ask for the unrecorded part of the velocity that a computer has used as its own."""
+def _question_own_velocity(campaign: Campaign) -> Iterator[Question]:
+    """Ask for the unrecorded velocity components that the navigation computer has used."""
     if not campaign.own_velocity:
         return
-    none = np.empty(0)
-    turn = coriolis(campaign.site)
-    lacking: dict[str, float] = {}
+    no_times = np.empty(0)
+    coriolis_matrix = coriolis(campaign.site)
+    max_coupling: dict[str, float] = {}
     for run in campaign.runs:
         axes = {
-            name: AxisError(a.mounting.turned(run.attitude).input_axis, a.observable, none, none)
-            for name, a in campaign.accelerometers.items()
+            name: AxisError(
+                accelerometer.mounting.turned(run.attitude).input_axis,
+                accelerometer.observable,
+                no_times,
+                no_times,
+            )
+            for name, accelerometer in campaign.accelerometers.items()
         }
-        away = unobserved_projection(list(axes.values()))
-        for name, axis_component in axes.items():
-            if axis_component.observable in NAVIGATED:
-                coupled = float(np.linalg.norm(axis_component.input_axis @ turn @ away))
-                lacking[name] = max(coupled, lacking.get(name, 0.0))
-    if not lacking:
+        unobserved = unobserved_projection(list(axes.values()))
+        for name, axis_error in axes.items():
+            if axis_error.observable in NAVIGATED:
+                coupling = float(
+                    np.linalg.norm(axis_error.input_axis @ coriolis_matrix @ unobserved)
+                )
+                max_coupling[name] = max(coupling, max_coupling.get(name, 0.0))
+    if not max_coupling:
         yield Question(
             code="unrecorded-axis",
             subject="records.reference",
             text='reference = "own velocity" has no effect here: no Coriolis acceleration is '
             "removed from a specific force. Omit this key, or record displacement or velocity.",
         )
-    for name, coupled in lacking.items():
-        if coupled > _CORIOLIS_PART:
-            # The parabola that fits best to a t^3 over T has 3/2 T of it.
-            moved = 1e-3 * coupled * 100.0 / 2.0
+    for name, coupling in max_coupling.items():
+        if coupling > _MIN_CORIOLIS_COUPLING:
+            # The best parabola through a t^3 over a duration T has the coefficient 3/2 a T.
+            bias_shift = 1e-3 * coupling * 100.0 / 2.0
             yield Question(
                 code="unrecorded-axis",
                 subject=f"{name}.K_F",
                 text=f"The computer's velocity along unrecorded directions affects {name} and "
                 "is assumed to be free of errors. An error of 1 mg in such a direction "
-                f"shifts K_F by {moved:.1g} g in a run of 100 s. Record all three axes in "
+                f"shifts K_F by {bias_shift:.1g} g in a run of 100 s. Record all three axes in "
                 "the same run.",
             )
 
 
-def _slope(campaign: Campaign) -> float:
+def _gravity_gradient(campaign: Campaign) -> float:
     """Return the change of gravity with latitude, m/s^2/rad."""
     latitude, step = campaign.site.latitude, 1e-4
-    ahead, behind = (gravity_range(latitude + change)[0] for change in (step, -step))
-    return (ahead - behind) / (2.0 * step)
+    gravity_above, gravity_below = (gravity_range(latitude + offset)[0] for offset in (step, -step))
+    return (gravity_above - gravity_below) / (2.0 * step)
 
 
-def _exact_priors(campaign: Campaign) -> Iterator[Question]:
+def _question_exact_priors(campaign: Campaign) -> Iterator[Question]:
     """Ask about coefficients that are stated without an uncertainty."""
-    stated = {
+    priors_by_name = {
         f"{name}.{symbol}": prior
         for name, accelerometer in campaign.accelerometers.items()
         for symbol, prior in accelerometer.priors.items()
     }
-    for subject, prior in {**stated, **campaign.model.priors}.items():
+    for subject, prior in {**priors_by_name, **campaign.model.priors}.items():
         if prior.u == 0.0:
             value = f"{prior.value:.9g}"
-            assumed = campaign.model.assumes(find_symbol(subject))
-            taken = (
+            is_assumed = campaign.model.assumes(find_symbol(subject))
+            treatment = (
                 "as exact, because it is listed in model.assume"
-                if assumed
+                if is_assumed
                 else "with the default uncertainty"
             )
             yield Question(
                 code="exact-prior",
                 subject=subject,
                 text=f"{subject} is stated as {value} {prior.unit} without an uncertainty and "
-                f'is therefore used {taken}. How accurately is it known? Write "{value} ± '
+                f'is therefore used {treatment}. How accurately is it known? Write "{value} ± '
                 f'U {prior.unit}".',
             )

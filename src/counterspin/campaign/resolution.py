@@ -1,4 +1,4 @@
-"""The sections of ``campaign.toml``, and what they say together: all mistakes are noted."""
+"""Sections of ``campaign.toml``, resolved together to the attributes of a campaign."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.reading import DescribedReadings, Reading
 from counterspin.campaign.runs import (
     Run,
+    included_runs,
     is_reading,
     recorders_of,
     resolve_runs,
     skipped_runs,
-    taken_runs,
 )
 from counterspin.campaign.settings import (
     CampaignSettings,
@@ -53,8 +53,8 @@ if TYPE_CHECKING:
     from counterspin.campaign.specification import Specifications
 
 
-#: Of a campaign without records.
-NO_RECORDS: Final = Recording(ColumnSpec("", unit="s"), None)
+#: Recording of a campaign without records.
+NO_RECORDING: Final = Recording(ColumnSpec("", unit="s"), None)
 
 #: Tables of accelerometers, by name.
 Accelerometers = Annotated[
@@ -76,7 +76,7 @@ _TRUTH: Final = "counterspin.campaign.truth:TruthSettings"
 
 
 class CampaignDocument(SettingsSection):
-    """All tables; a key that is not here is a mistake."""
+    """The top-level tables of ``campaign.toml``."""
 
     schema_version: Schema = key_field("version of this format", 1, kind="number", alias="schema")
     campaign: Annotated[dict[str, Any], Section(CampaignSettings)] = key_field(
@@ -141,9 +141,13 @@ class DescriptionReader:
         self.raw, self.file, self.problems = raw, file, problems
         problems.check(CampaignDocument, raw, ())
         runs = list_of(raw, "runs")
-        listed, tables = taken_runs(runs), table_of(raw, "accelerometers")
-        #: Name -> a part of the description that is in order; None of a table that is not there.
-        self.parts: dict[str, Any] = {"document": raw, "listed": listed, "tables": tables}
+        indexed_runs, tables = included_runs(runs), table_of(raw, "accelerometers")
+        #: Name -> valid section or resolved value; None for a missing table.
+        self.sections: dict[str, Any] = {
+            "document": raw,
+            "indexed_runs": indexed_runs,
+            "tables": tables,
+        }
         for key, model in (
             ("campaign", CampaignSettings),
             ("site", SiteSettings),
@@ -151,75 +155,85 @@ class DescriptionReader:
             ("records", RecordsSettings),
             ("fixture", FixtureSettings),
         ):
-            self._read(key, model)
-        # With some gravity, a missing site is one mistake, and g against m/s^2 no second one.
-        site = self.parts.get("site")
+            self._read_section(key, model)
+        # A default gravity avoids consequential errors if the site is missing.
+        site = self.sections.get("site")
         self.gravity = site.gravity.value if site else 9.80665
-        self._read("noise", NoiseSettings, gravity=self.gravity)
-        self.simulated = "simulation" in raw or "truth" in raw
-        self.skipped = skipped_runs(runs)
+        self._read_section("noise", NoiseSettings, gravity=self.gravity)
+        self.is_simulated = "simulation" in raw or "truth" in raw
+        self.skipped_names = skipped_runs(runs)
         self.accelerometers = AccelerometersReader(
-            self._tables_with_axes(tables),
-            [run for _, run in listed],
+            self._complete_tables(tables),
+            [run for _, run in indexed_runs],
             problems,
             self.gravity,
         )
 
-    def _read(self, key: str, model: type[BaseModel], **context: object) -> None:
+    def _read_section(self, key: str, model: type[BaseModel], **context: object) -> None:
         """Read a section; a missing required section has already been reported."""
         value = self.raw.get(key)
         if key not in self.raw:
-            self.parts[key] = None
+            self.sections[key] = None
         elif isinstance(value, dict):
-            made = self.problems.check(model, value, (key,), **context)
-            if made is not None:
-                self.parts[key] = made
+            section = self.problems.check(model, value, (key,), **context)
+            if section is not None:
+                self.sections[key] = section
 
-    def attributes(self) -> dict[str, Any] | None:
+    def resolve_attributes(self) -> dict[str, Any] | None:
         """Return the attributes of a `Campaign`, or None if there are problems."""
-        problems, gravity, parts, raw = self.problems, self.gravity, self.parts, self.raw
-        listed, centrifuge, records = parts["listed"], parts.get("centrifuge"), parts.get("records")
-        fixture = parts.get("fixture") or FixtureSettings()
-        observables = parts["observables"] = self.accelerometers.observables()
-        settings = problems.check(ModelSettings, table_of(raw, "model"), ("model",))
-        turns = self._sampling().revolutions if self.simulated else None
-        folder = self.file.parent
-        placed = parts["runs"] = resolve_runs(
-            listed, folder, table_of(raw, "records"), turns, problems
+        problems, gravity, sections, raw = self.problems, self.gravity, self.sections, self.raw
+        indexed_runs, centrifuge, records = (
+            sections["indexed_runs"],
+            sections.get("centrifuge"),
+            sections.get("records"),
         )
-        common = records.recording if records else NO_RECORDS
-        given = self.accelerometers.own_priors
-        read = self._read_readings(turns, has_records=bool(placed))
-        readings = parts["right_readings"] = read.readings
-        priors = given
+        fixture = sections.get("fixture") or FixtureSettings()
+        observables = sections["observables"] = self.accelerometers.find_observables()
+        settings = problems.check(ModelSettings, table_of(raw, "model"), ("model",))
+        revolutions = self._read_sampling().revolutions if self.is_simulated else None
+        folder = self.file.parent
+        resolved_runs = sections["runs"] = resolve_runs(
+            indexed_runs, folder, table_of(raw, "records"), revolutions, problems
+        )
+        recording = records.recording if records else NO_RECORDING
+        own_priors = self.accelerometers.own_priors
+        described = self._read_readings(revolutions, has_records=bool(resolved_runs))
+        readings = sections["valid_readings"] = described.readings
+        priors = own_priors
         if settings is not None:
-            apparatus = MeasurementSetup(
+            setup = MeasurementSetup(
                 self.accelerometers.mountings,
                 self.accelerometers.grades,
-                [run.attitude for run in placed.values()],
+                [run.attitude for run in resolved_runs.values()],
                 readings,
-                read.triad.count if read.triad else 0,
+                described.triad.count if described.triad else 0,
                 centrifuge,
                 fixture.position,
-                read.whole,
+                described.is_complete,
             )
-            parts["model"], priors = resolve_model(settings, given, apparatus, problems, gravity)
-            parts["recorded_temperatures"] = {
-                run.name for run in placed.values() if (run.recording or common).temperature
+            sections["model"], priors = resolve_model(
+                settings, own_priors, setup, problems, gravity
+            )
+            sections["recorded_temperatures"] = {
+                run.name
+                for run in resolved_runs.values()
+                if (run.recording or recording).temperature
             }
-        simulation = self._simulation(placed, readings if read.whole else None, read.truths)
-        specifications = self._specifications()
+        simulation = self._resolve_simulation(
+            resolved_runs, readings if described.is_complete else None, described.truths
+        )
+        specifications = self._resolve_specifications()
         cutoff = records.cutoff_frequency if records else None
         responses = ResponseReader(folder, cutoff, problems)
-        accelerometers = self.accelerometers.accelerometers(observables, priors, responses)
-        parts["accelerometers"] = accelerometers
-        run_checks(parts, problems)
+        accelerometers = self.accelerometers.build_accelerometers(observables, priors, responses)
+        sections["accelerometers"] = accelerometers
+        run_checks(sections, problems)
         if problems.lines:
             return None
         # No problem noted: every section is there.
-        site, info = parts["site"], parts["campaign"] or CampaignSettings()
+        site, campaign_section = sections["site"], sections["campaign"] or CampaignSettings()
         return dict(  # noqa: C408 -- as the arguments of a class
-            title=info.title or folder.name,
+            title=campaign_section.title or folder.name,
             path=self.file,
             folder=folder,
             site=Site(
@@ -229,78 +243,82 @@ class DescriptionReader:
             latitude=site.latitude,
             radius=centrifuge.radius if centrifuge else Quantity(0.0, 0.0, "m"),
             strapped=centrifuge is not None and centrifuge.strapped,
-            time=common.time,
-            angle=common.angle,
-            dialect=common.dialect,
-            temperature=common.temperature,
-            skipped=self.skipped,
+            time=recording.time,
+            angle=recording.angle,
+            dialect=recording.dialect,
+            temperature=recording.temperature,
+            skipped=self.skipped_names,
             timing_offset=records.timing_offset if records else None,
             clock=records.clock if records else None,
             rate_clock=centrifuge.clock if centrifuge else None,
             own_velocity=records is not None and records.reference == "own velocity",
             accelerometers=accelerometers,
-            noise=parts["noise"],
-            model=parts["model"],
-            runs=tuple(placed.values()),
+            noise=sections["noise"],
+            model=sections["model"],
+            runs=tuple(resolved_runs.values()),
             simulation=simulation,
-            details=info.model_dump(exclude={"title"}, exclude_none=True),
+            details=campaign_section.model_dump(exclude={"title"}, exclude_none=True),
             specifications=specifications,
             readings=readings,
             reference_temperature=centrifuge.reference_temperature if centrifuge else None,
-            tables=(*read.files, *responses.checksums),
-            table_checksums={**read.checksums, **responses.checksums},
-            triad=read.triad,
+            tables=(*described.files, *responses.checksums),
+            table_checksums={**described.checksums, **responses.checksums},
+            triad=described.triad,
         )
 
-    def _read_readings(self, turns: float | None, *, has_records: bool) -> DescribedReadings:
-        """Return the readings, poses and triad; none of a document without them."""
-        listed = any(is_reading(run) for _, run in self.parts["listed"])
-        if not listed and not {"readings", "triad"} & self.raw.keys():
+    def _read_readings(self, revolutions: float | None, *, has_records: bool) -> DescribedReadings:
+        """Return the readings, poses and triad; empty if the document has none."""
+        has_readings = any(is_reading(run) for _, run in self.sections["indexed_runs"])
+        if not has_readings and not {"readings", "triad"} & self.raw.keys():
             return DescribedReadings()
         if not is_installed(_READINGS_READER):
             self.problems.add(
                 ("runs",), "this installation cannot read tables of readings", "missing-package"
             )
-            return DescribedReadings(whole=False)
-        read: DescribedReadings = load_name(_READINGS_READER)(self, turns, has_records=has_records)
-        return read
+            return DescribedReadings(is_complete=False)
+        described: DescribedReadings = load_name(_READINGS_READER)(
+            self, revolutions, has_records=has_records
+        )
+        return described
 
-    def _tables_with_axes(self, tables: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the tables of accelerometers, with the usual axes of a triad that states none."""
+    def _complete_tables(self, tables: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return the accelerometer tables, with default axes for a triad that states none."""
         if "triad" not in self.raw or not is_installed(_TRIAD):
             return tables
-        complete: Mapping[str, Any] = load_name(f"{_TRIAD_SECTION}:with_usual_axes")(
+        completed: Mapping[str, Any] = load_name(f"{_TRIAD_SECTION}:with_usual_axes")(
             tables, self.raw["triad"]
         )
-        return complete
+        return completed
 
-    def _simulation(
+    def _resolve_simulation(
         self,
         runs: Mapping[int, Run],
         readings: Sequence[Reading] | None,
         truths: Mapping[str, tuple[Mapping[str, Any], KeyPath]],
     ) -> Simulation | None:
         """Return the settings of simulated records; parameters as in `DescribedRuns`."""
-        if not self.simulated:
+        if not self.is_simulated:
             return None
-        truth_reader = load_name(f"{_TRUTH_READER}:TruthReader")
+        reader_class = load_name(f"{_TRUTH_READER}:TruthReader")
         recorders = recorders_of(table_of(self.raw, "records"), list(runs.values()))
         names = list(self.accelerometers.raw)
-        truth = truth_reader(table_of(self.raw, "truth"), names, self.problems, self.gravity)
-        noise, centrifuge = self.parts.get("noise"), self.parts.get("centrifuge")
+        reader = reader_class(table_of(self.raw, "truth"), names, self.problems, self.gravity)
+        noise, centrifuge = self.sections.get("noise"), self.sections.get("centrifuge")
         outputs = self.accelerometers.outputs
         described = load_name(f"{_TRUTH_READER}:DescribedRuns")(runs, readings, truths)
-        simulation: Simulation | None = truth.simulation(
-            self._sampling(), outputs, noise, described, centrifuge, recorders
+        simulation: Simulation | None = reader.simulation(
+            self._read_sampling(), outputs, noise, described, centrifuge, recorders
         )
         return simulation
 
-    def _sampling(self) -> Simulation:
-        kind, raw = load_name(_SIMULATION), table_of(self.raw, "simulation")
-        sampling: Simulation = self.problems.check(kind, raw, ("simulation",)) or kind()
+    def _read_sampling(self) -> Simulation:
+        settings_class, raw = load_name(_SIMULATION), table_of(self.raw, "simulation")
+        sampling: Simulation = (
+            self.problems.check(settings_class, raw, ("simulation",)) or settings_class()
+        )
         return sampling
 
-    def _specifications(self) -> Specifications | None:
+    def _resolve_specifications(self) -> Specifications | None:
         if not isinstance(self.raw.get("specification"), dict):
             return None
         resolve = load_name("counterspin.campaign.specification:resolve_specifications")

@@ -26,14 +26,19 @@ from counterspin.campaign.field_types import (
     Temperatures,
     Text,
     check_normal,
-    extra_of,
+    check_positive,
+    exact_quantity,
+    field_extra,
     key_field,
-    positive,
-    read_exactly,
     require_units,
     uncertain_quantity,
 )
-from counterspin.campaign.quantity import UNKNOWN, Quantity, platform_attitude, read_attitude
+from counterspin.campaign.quantity import (
+    UNKNOWN_ATTITUDE,
+    Quantity,
+    check_platform_attitude,
+    read_attitude,
+)
 from counterspin.campaign.validation import Problems, Section
 from counterspin.errors import Problem, error_code
 from counterspin.loading import load_name
@@ -41,45 +46,53 @@ from counterspin.physics.terms import MotionKind
 from counterspin.records.dialect import Dialect
 from counterspin.records.format_registry import RECORD_FORMATS
 
-#: Of which runs a key is that not all have.
+#: Runs to which a key applies, if it does not apply to all.
 RECORDS: Final = "records"
 READINGS: Final = "readings"
 
-#: Most rows, those of all accelerometers together, that are computed at once of records that exist
-#: only on paper. A line of a description can state any length, and what is made from it takes
-#: memory and time in proportion: at the bound, below 2 GB and about a minute. What is read from
-#: files has no such bound.
-MOST_ROWS: Final = 1_500_000
+#: Largest total number of rows that are computed at once for records that do not exist. A stated
+#: duration can be arbitrarily long, and memory and time are proportional to it: at the bound, less
+#: than 2 GB and about a minute. Records in files have no such bound.
+MAX_COMPUTED_ROWS: Final = 1_500_000
 
-#: Most rows of a simulated run; runs are made one after the other, and written.
-MOST_SIMULATED_ROWS: Final = 5_000_000
+#: Largest number of rows of a simulated run; runs are simulated and written one by one.
+MAX_SIMULATED_ROWS: Final = 5_000_000
 
-#: Keys of [records] that a run has of its own.
-_OWN: Final = ("time", "angle", "temperature", "recorder", "clock", *Dialect.__dataclass_fields__)
+#: Keys of [records] that a run can override.
+_RUN_RECORD_KEYS: Final = (
+    "time",
+    "angle",
+    "temperature",
+    "recorder",
+    "clock",
+    *Dialect.__dataclass_fields__,
+)
 
 
-#: Matrix that turns vectors, in rows, by a right angle about up.
+#: Matrix that rotates row vectors by a right angle about up.
 _QUARTER_TURN: Final = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 def sample_count(duration: float, sampling_rate: float) -> int:
-    """Return the samples of a record from t = 0 to the last one within its duration.
+    """Return the number of samples of a record from t = 0 to the end of its duration.
 
-    duration, sampling_rate: s, Hz. A sample that falls on the end but for rounding is within.
+    duration, sampling_rate: s, Hz. A sample at the end counts in spite of rounding errors.
     """
     return math.floor(duration * sampling_rate * (1.0 + 1e-12)) + 1
 
 
-#: What was read, as it is written; a number of a table has its unit already.
-_Read = Text | ParsedQuantity
+#: The text of a reading, or a quantity from a table.
+_WrittenValue = Text | ParsedQuantity
 #: A reading, or repeats of one at the same setting.
-Written = _Read | Annotated[list[_Read], Field(min_length=1)]
-#: That of the one accelerometer there is, or of several by name.
-OfEach = Annotated[Written | dict[str, Written], BeforeValidator(require_units)]
+WrittenReading = _WrittenValue | Annotated[list[_WrittenValue], Field(min_length=1)]
+#: Reading of the only accelerometer, or of several accelerometers by name.
+PerAccelerometer = Annotated[
+    WrittenReading | dict[str, WrittenReading], BeforeValidator(require_units)
+]
 
 
 class ReadingAxes(SettingsSection):
-    """``axes`` of a reading: where input and pendulous axis point in the frame of its motion."""
+    """``axes`` of a reading: directions of its axes in the frame of its motion."""
 
     input: Text | list[float] = key_field(
         "direction of the input axis in the frame of the motion", "inward", kind="direction"
@@ -90,18 +103,20 @@ class ReadingAxes(SettingsSection):
 
 
 class PosesSettings(SettingsSection):
-    """``poses`` of a record at rest: how they are found in it."""
+    """``poses`` of a record at rest: settings of their detection."""
 
     rest: Seconds = key_field(
         "shortest rest interval that is used as a pose", "1.5 s", 1.5, absent="1.5 s"
     )
-    threshold: Annotated[float, read_exactly("m/s^2"), AfterValidator(positive)] | None = key_field(
-        "scatter below which the sensor is assumed to be at rest",
-        "0.05 m/s^2",
-        None,
-        absent="determined from the record",
+    threshold: Annotated[float, exact_quantity("m/s^2"), AfterValidator(check_positive)] | None = (
+        key_field(
+            "scatter below which the sensor is assumed to be at rest",
+            "0.05 m/s^2",
+            None,
+            absent="determined from the record",
+        )
     )
-    u: Annotated[float, read_exactly("m/s^2"), AfterValidator(positive)] | None = key_field(
+    u: Annotated[float, exact_quantity("m/s^2"), AfterValidator(check_positive)] | None = key_field(
         "standard uncertainty of each axis in a pose, excluding the scatter at rest; required "
         "for nine poses or fewer",
         "0.01 m/s^2",
@@ -111,7 +126,7 @@ class PosesSettings(SettingsSection):
 
 
 _TRUTH: Final = "counterspin.campaign.truth:RunTruthSettings"
-_OF_READING: Final = "counterspin.readings.entries:contradictions"
+_READING_CONTRADICTIONS: Final = "counterspin.readings.entries:contradictions"
 
 
 class Run(SettingsSection):
@@ -138,7 +153,7 @@ class Run(SettingsSection):
     amplitude: Annotated[
         Quantity | None,
         uncertain_quantity("m/s^2"),
-        AfterValidator(positive),
+        AfterValidator(check_positive),
         AfterValidator(check_normal),
     ] = key_field(
         "peak acceleration of a vibration along the input axis; `±` is the random standard "
@@ -148,7 +163,7 @@ class Run(SettingsSection):
         absent="none",
         applies_to=READINGS,
     )
-    bias_acceleration: Annotated[float, read_exactly("m/s^2")] = key_field(
+    bias_acceleration: Annotated[float, exact_quantity("m/s^2")] = key_field(
         "mean specific force along the input axis during a vibration, in addition to gravity",
         "10 g",
         0.0,
@@ -165,7 +180,7 @@ class Run(SettingsSection):
         absent="`reading`",
         alias="record",
     )
-    reading: OfEach | None = key_field(
+    reading: PerAccelerometer | None = key_field(
         "value with unit, in place of a `record`; `±` gives the standard uncertainty. A list "
         "contains repeats at one setting: counterspin uses their mean, and estimates the noise "
         "from their scatter",
@@ -174,7 +189,7 @@ class Run(SettingsSection):
         absent="`record`",
         applies_to=READINGS,
     )
-    stand: AttitudeField = key_field(
+    stated_attitude: AttitudeField = key_field(
         "attitude of the platform in this run; at rest, this key or `axes` is required. `±` gives "
         "the uncertainty of the dividing head in a reading, or of the table angle in a record "
         "with a `table_ratio`. `unknown` marks a pose of a triad",
@@ -184,7 +199,7 @@ class Run(SettingsSection):
         alias="attitude",
         default_factory=lambda: read_attitude("level"),
     )
-    head: Annotated[float, read_exactly("rad")] | None = key_field(
+    head: Annotated[float, exact_quantity("rad")] | None = key_field(
         "reading of the dividing head, if it differs from the angle of the attitude "
         "because the instrument is mounted differently",
         "120 deg",
@@ -229,7 +244,7 @@ class Run(SettingsSection):
         absent="the recorded temperature",
         kind="text, or a list of text",
     )
-    time: Annotated[float, read_exactly("s")] | None = key_field(
+    time: Annotated[float, exact_quantity("s")] | None = key_field(
         "start time of the run, or time of the reading, on any clock; used for `K_F.trend`",
         "12 min",
         None,
@@ -267,14 +282,14 @@ class Run(SettingsSection):
         absent="as in `[records]`",
         applies_to=RECORDS,
     )
-    start: Annotated[float, read_exactly("s")] | None = key_field(
+    start: Annotated[float, exact_quantity("s")] | None = key_field(
         "start of the part of the record to use, on the time scale of the record",
         "12 s",
         None,
         absent="first row",
         applies_to=RECORDS,
     )
-    stop: Annotated[float, read_exactly("s")] | None = key_field(
+    stop: Annotated[float, exact_quantity("s")] | None = key_field(
         "end of the part of the record to use, on the time scale of the record",
         "390 s",
         None,
@@ -290,18 +305,18 @@ class Run(SettingsSection):
 
     _recording: Recording | None = PrivateAttr(None)
 
-    # An attitude is an array, which has no single truth: a run equals itself alone.
+    # Arrays, such as the attitude, have no truth value: runs are compared by identity.
     __eq__ = object.__eq__
     __hash__ = object.__hash__
 
     @property
     def recording(self) -> Recording | None:
-        """The recording of its record; None: the same as the campaign's others."""
+        """The recording of the run; None: that of the campaign."""
         return self._recording
 
     @property
     def record(self) -> Path:
-        """Its record, the first file of it."""
+        """The first file of the record."""
         assert self.file is not None
         return self.file
 
@@ -317,52 +332,52 @@ class Run(SettingsSection):
 
     @property
     def turns_in_space(self) -> bool:
-        """Whether the table, and the instrument on it, turn in space."""
+        """Whether the table with the instrument rotates in space."""
         return self.table_ratio != -1.0
 
     @property
     def attitude(self) -> Array:
-        """Rows: where the platform's axes point, shape (3, 3)."""
-        return self.stand.rows
+        """Axes of the platform as rows, shape (3, 3)."""
+        return self.stated_attitude.rows
 
     @property
     def table_angle_prior(self) -> Quantity | None:
-        """Prior of the turn about up by the stated uncertainty of the table's angle, if any."""
-        return Quantity(0.0, self.stand.u, "rad") if self.stand.u else None
+        """Prior of the rotation about up, if the table angle has a stated uncertainty."""
+        return Quantity(0.0, self.stated_attitude.u, "rad") if self.stated_attitude.u else None
 
     @property
     def attitude_keys(self) -> tuple[bytes, ...]:
-        """Bytes of the attitudes by which errors act: the attitude, and a quarter turn from it."""
-        quarter = [self.attitude @ _QUARTER_TURN] if self.turns_in_space else []
-        return tuple(attitude.tobytes() for attitude in (self.attitude, *quarter))
+        """Hashable keys of the attitudes by which errors act: the attitude, and a quarter turn."""
+        turned_attitudes = [self.attitude @ _QUARTER_TURN] if self.turns_in_space else []
+        return tuple(attitude.tobytes() for attitude in (self.attitude, *turned_attitudes))
 
     @property
     def length(self) -> float | None:
-        """The length of its record, s, if it is stated."""
+        """The stated length of the record, s; or None."""
         if self.revolutions is None or not self.rate:
             return self.duration
         return 2.0 * math.pi * self.revolutions / abs(self.rate)
 
     @property
-    def part(self) -> tuple[float, float]:
-        """The start and end of the used part of its record, s in the record's time."""
+    def time_range(self) -> tuple[float, float]:
+        """Start and end of the used part of the record, s on its time scale."""
         start = -math.inf if self.start is None else self.start
         return start, math.inf if self.stop is None else self.stop
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All its files, the record first."""
+        """All files of the run, the record first."""
         return (self.record, *self.continued_in, *([self.pulses] if self.pulses else []))
 
     def contradictions(self) -> Iterator[Contradiction]:
-        """Yield what is missing, too much, or contradicts itself."""
-        read = self.motion != "counter-rotating" or self.reading is not None
-        invalid = RECORDS if read else READINGS
+        """Yield missing, superfluous and contradictory keys."""
+        is_reading_run = self.motion != "counter-rotating" or self.reading is not None
+        excluded_kind = RECORDS if is_reading_run else READINGS
         for name, field in type(self).model_fields.items():
-            if name == "records" and self.stand.unknown and self.file is not None:
+            if name == "records" and self.stated_attitude.is_unknown and self.file is not None:
                 continue  # A record of poses states the format of its file.
-            if name in self.model_fields_set and extra_of(field).get("x-of") == invalid:
-                other_kind = "a record of a double turntable" if read else "a reading"
+            if name in self.model_fields_set and field_extra(field).get("x-of") == excluded_kind:
+                other_kind = "a record of a double turntable" if is_reading_run else "a reading"
                 message = f"applies to a run with {other_kind}; omit it"
                 if name == "records" and self.record is not None:
                     message += (
@@ -372,50 +387,52 @@ class Run(SettingsSection):
                 yield (field.alias or name,), message, "motion", "reading"
         if self.duration is not None and self.revolutions is not None:
             yield ("duration",), "revolutions is also given; keep only one of them"
-        yield from load_name(_OF_READING)(self) if read else self._of_record()
+        yield from load_name(_READING_CONTRADICTIONS)(self) if is_reading_run else self._of_record()
 
     def _of_record(self) -> Iterator[Contradiction]:
         if self.file is None:
             yield ("record",), Problem("is missing", "missing-key"), "motion", "reading"
         if self.rate == 0.0:
-            stated = "stated_rate" in self.model_fields_set
-            message = "is zero, but the centrifuge must rotate" if stated else "is missing"
-            code = "value-out-of-range" if stated else "missing-key"
+            has_rate = "stated_rate" in self.model_fields_set
+            message = "is zero, but the centrifuge must rotate" if has_rate else "is missing"
+            code = "value-out-of-range" if has_rate else "missing-key"
             yield ("rate",), Problem(message, code), "motion", "reading"
-        # The angle of a table, about up, may be uncertain.
-        has_table_angle = self.turns_in_space and abs(self.stand.head[2]) == 1.0
+        # Only the angle of a table, about up, may be uncertain.
+        has_table_angle = self.turns_in_space and abs(self.stated_attitude.head_axis[2]) == 1.0
         try:
-            platform_attitude(replace(self.stand, u=0.0) if has_table_angle else self.stand)
+            check_platform_attitude(
+                replace(self.stated_attitude, u=0.0) if has_table_angle else self.stated_attitude
+            )
         except ValueError as error:
             yield ("attitude",), Problem(str(error), error_code(error)), "motion", "reading"
-        for place, file in enumerate(self.continued_in if self.file else ()):
+        for index, file in enumerate(self.continued_in if self.file else ()):
             if file.suffix.lower() != self.record.suffix.lower():
-                words = f"must end in {self.record.suffix.lower()}, like the record"
-                yield ("continued_in", place), Problem(words, "wrong-file-ending")
-        start, stop = self.part
+                ending_message = f"must end in {self.record.suffix.lower()}, like the record"
+                yield ("continued_in", index), Problem(ending_message, "wrong-file-ending")
+        start, stop = self.time_range
         if not start < stop:
             yield ("stop",), Problem("must come after start", "value-out-of-range"), "start"
 
 
-def is_reading(raw: object) -> bool:
-    """Return whether an entry of ``[[runs]]`` is a reading that counts, and not a record."""
-    if not isinstance(raw, Mapping) or _is_skipped(raw):
+def is_reading(entry: object) -> bool:
+    """Return whether an entry of ``[[runs]]`` is an included reading, and not a record."""
+    if not isinstance(entry, Mapping) or _is_skipped(entry):
         return False
-    return raw.get("motion", "counter-rotating") != "counter-rotating" or "reading" in raw
+    return entry.get("motion", "counter-rotating") != "counter-rotating" or "reading" in entry
 
 
-def is_pose(raw: Any) -> bool:
-    """Return whether an entry of ``[[runs]]`` is at an unknown attitude."""
-    return isinstance(raw, Mapping) and raw.get("attitude") == UNKNOWN
+def is_pose(entry: Any) -> bool:
+    """Return whether an entry of ``[[runs]]`` has an unknown attitude."""
+    return isinstance(entry, Mapping) and entry.get("attitude") == UNKNOWN_ATTITUDE
 
 
-def taken_runs(runs: Sequence[Any]) -> list[tuple[int, Any]]:
-    """Return the runs that are not left out, with their places in the description."""
-    return [(place, run) for place, run in enumerate(runs) if not _is_skipped(run)]
+def included_runs(runs: Sequence[Any]) -> list[tuple[int, Any]]:
+    """Return the included runs with their indices in the description."""
+    return [(index, run) for index, run in enumerate(runs) if not _is_skipped(run)]
 
 
 def skipped_runs(runs: Sequence[Any]) -> tuple[str, ...]:
-    """Return the names of the runs that are left out."""
+    """Return the names of the excluded runs."""
     return tuple(str(run.get("name", "?")) for run in runs if _is_skipped(run))
 
 
@@ -427,56 +444,64 @@ def resolve_runs(
     runs: Sequence[tuple[int, Any]],
     folder: Path,
     records: Mapping[str, Any],
-    turns: float | None,
+    revolutions: float | None,
     problems: Problems,
 ) -> dict[int, Run]:
-    """Return the runs that have records, by their places, and note every mistake in them.
+    """Return the runs with records by their indices; report mistakes in them.
 
-    folder: Of the record files.
-    records: The section [records], as it stands.
-    turns: Revolutions of a run that is simulated; None without a simulation.
+    folder: Folder of the record files.
+    records: Unchecked section [records].
+    revolutions: Number of revolutions of a simulated run; None without a simulation.
     """
-    resolved: dict[int, Run] = {}
+    run_by_index: dict[int, Run] = {}
     for index, raw in runs:
         path = ("runs", index)
         run = None if is_reading(raw) else problems.check(Run, raw, path, folder=folder)
         if run is not None and run.file is not None:
-            resolved[index] = _complete_run(run, records, turns, path, problems)
-    return resolved
+            run_by_index[index] = _complete_run(run, records, revolutions, path, problems)
+    return run_by_index
 
 
 def _complete_run(
-    run: Run, records: Mapping[str, Any], turns: float | None, path: KeyPath, problems: Problems
+    run: Run,
+    records: Mapping[str, Any],
+    revolutions: float | None,
+    path: KeyPath,
+    problems: Problems,
 ) -> Run:
-    """Return a run with its length, if its revolutions determine it, and its recording."""
-    turns = run.revolutions or turns
-    if run.duration is None and turns is not None and run.rate:
-        run = run.model_copy(update={"duration": turns * 2.0 * math.pi / abs(run.rate)})
+    """Return a run with its duration, if its revolutions determine it, and its recording."""
+    revolutions = run.revolutions or revolutions
+    if run.duration is None and revolutions is not None and run.rate:
+        run = run.model_copy(update={"duration": revolutions * 2.0 * math.pi / abs(run.rate)})
     if run.records is not None:
-        recording = _own_recording(run.records, records, (*path, "records"), problems)
-        run = run.with_private(recording=recording)
+        recording = _resolve_recording(run.records, records, (*path, "records"), problems)
+        run = run.replace_private(recording=recording)
     return run
 
 
-def _own_recording(
-    run_section: Mapping[str, Any], section: Mapping[str, Any], path: KeyPath, problems: Problems
+def _resolve_recording(
+    run_section: Mapping[str, Any],
+    common_section: Mapping[str, Any],
+    path: KeyPath,
+    problems: Problems,
 ) -> Recording | None:
-    """Return the recording of a run's record, if it differs from the others.
+    """Return the recording of a run that differs from the default recording.
 
-    run_section, section: The key `records` of the run, and the section [records].
+    run_section, common_section: Key `records` of the run, and the section [records].
     """
     for key in run_section:
-        if key not in _OWN:
+        if key not in _RUN_RECORD_KEYS:
             problems.add(
-                (*path, key), f"cannot be set for a single run; known keys: {', '.join(_OWN)}"
+                (*path, key),
+                f"cannot be set for a single run; known keys: {', '.join(_RUN_RECORD_KEYS)}",
             )
-    if "angle" in run_section and "angle" not in section:
+    if "angle" in run_section and "angle" not in common_section:
         problems.add((*path, "angle"), "state an angle for all runs in [records]", "missing-key")
-    settings = problems.check(RecordsSettings, merge_patch(section, run_section), path)
+    settings = problems.check(RecordsSettings, merge_patch(common_section, run_section), path)
     if settings is None:
         return None
     recording = settings.recording
-    if recording.recorder == (section.get("recorder") or ""):
+    if recording.recorder == (common_section.get("recorder") or ""):
         if "clock" in run_section:
             problems.add(
                 (*path, "clock"),
@@ -488,9 +513,9 @@ def _own_recording(
 
 
 def recorders_of(records: Mapping[str, Any], runs: Sequence[Run]) -> dict[str, str]:
-    """Return name -> what the runs call it, of each recorder: nothing where it is that of them all.
+    """Return recorder -> its name in the runs, which is empty for the default recorder.
 
-    records: The section [records], as it stands.
+    records: Unchecked section [records].
     """
     recorders = {run.recording.recorder for run in runs if run.recording} - {""}
     return {str(records.get("recorder", "")): "", **{name: name for name in sorted(recorders)}}

@@ -1,9 +1,9 @@
-"""The keys of ``campaign.toml``, section by section, as strict pydantic models.
+"""Keys of ``campaign.toml`` by section, as strict pydantic models.
 
-A key that is not here is a mistake. Quantities are converted to SI and g-units here; what needs
-several sections (axes, priors, attitudes) is resolved in `description`.
+Unknown keys are mistakes. The models convert quantities to SI and g-units; values that depend on
+several sections (axes, priors, attitudes) are resolved in `resolution`.
 
-The keys that name coefficients are not written here: they are made from the term tables.
+The keys for coefficients are generated from the term tables.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ from counterspin.campaign.field_types import (
     check_clock_error,
     check_gravity,
     check_latitude,
+    check_positive,
+    check_record_name,
     check_zero_mean,
-    exact,
+    exact_quantity,
     key_field,
-    noise_size,
-    positive,
-    read_exactly,
-    record_file,
+    noise_level,
+    parse_exact,
     uncertain_quantity,
 )
-from counterspin.campaign.quantity import Quantity, latitude_text
+from counterspin.campaign.quantity import Quantity, normalize_latitude
 from counterspin.errors import InputError, OutOfRangeError
 from counterspin.inference.noise.components import BIAS_COMPONENTS_BY_KEY, COMPONENTS_BY_KEY
 from counterspin.physics.terms import Term
 from counterspin.units import normalise_unit, unit_factor
 
-#: What an accelerometer's record may hold -> its SI unit.
+#: Recorded quantity of an accelerometer -> SI unit.
 OBSERVABLES: Final = {"displacement": "m", "velocity": "m/s", "specific_force": "m/s^2"}
 
-#: Key of [noise] -> its SI unit.
+#: Key of [noise] -> SI unit.
 NOISE_UNITS: Final[dict[str, str]] = {
     **OBSERVABLES,
     **{key: row.unit for key, row in COMPONENTS_BY_KEY.items()},
@@ -97,11 +97,11 @@ class SiteSettings(SettingsSection):
     latitude: Annotated[
         Quantity,
         uncertain_quantity("rad", "deg"),
-        BeforeValidator(latitude_text),
+        BeforeValidator(normalize_latitude),
         AfterValidator(check_latitude),
     ] = key_field("latitude, used for the components of the Earth's rotation", "45.75 ± 0.001 deg")
     removed_gravity: (
-        Annotated[float, read_exactly("m/s^2"), AfterValidator(check_gravity)] | None
+        Annotated[float, exact_quantity("m/s^2"), AfterValidator(check_gravity)] | None
     ) = key_field(
         "fixed value of gravity that the navigation computer subtracts; see below",
         "9.80665 m/s^2",
@@ -113,8 +113,8 @@ class SiteSettings(SettingsSection):
 class CentrifugeSettings(SettingsSection):
     """[centrifuge]: dimensions and errors of the centrifuge."""
 
-    radius: Annotated[Quantity, uncertain_quantity("m"), AfterValidator(positive)] = key_field(
-        "radius from the spindle axis to the centre of the platform", "2.5 ± 1e-5 m"
+    radius: Annotated[Quantity, uncertain_quantity("m"), AfterValidator(check_positive)] = (
+        key_field("radius from the spindle axis to the centre of the platform", "2.5 ± 1e-5 m")
     )
     stretch: Annotated[Quantity, uncertain_quantity("s^2/m")] | None = key_field(
         "relative increase in radius per m/s^2 of centripetal acceleration; if absent, 0 with the "
@@ -169,11 +169,11 @@ class FixtureSettings(SettingsSection):
     )
 
 
-def _per_g(value: object, info: ValidationInfo) -> float:
-    """Read the nominal output per g; of an output in g it needs no word."""
+def _parse_sensitivity(value: object, info: ValidationInfo) -> float:
+    """Parse the nominal output per g, which may be omitted for an output in g."""
     unit = info.data.get("unit")
     if unit is None:
-        return math.nan  # which is a mistake already
+        return math.nan  # already reported
     if value is None:
         try:
             return unit_factor("g", unit)
@@ -181,24 +181,24 @@ def _per_g(value: object, info: ValidationInfo) -> float:
             raise InputError(
                 f'is missing; give the nominal output, such as "1.25 {unit}/g"', "missing-key"
             ) from None
-    sensitivity = exact(value, f"{unit}/g")
+    sensitivity = parse_exact(value, f"{unit}/g")
     if sensitivity == 0.0:
         raise OutOfRangeError("must not be zero")
     return sensitivity
 
 
 def _parse_zero_output(value: object, info: ValidationInfo) -> float:
-    """Read what is indicated where no force is felt."""
+    """Parse the nominal output at zero specific force."""
     unit = info.data.get("unit")
-    return 0.0 if unit is None else exact(value, unit)
+    return 0.0 if unit is None else parse_exact(value, unit)
 
 
 class Output(SettingsSection):
-    """``output``: what an accelerometer's readings are in, its nominal sensitivity and zero."""
+    """``output``: unit of an accelerometer's readings, nominal sensitivity and zero."""
 
     unit: Annotated[Text, AfterValidator(normalise_unit)] = key_field("unit of the readings", "mA")
-    # A number in that unit per g.
-    sensitivity: Annotated[float, PlainValidator(_per_g, Text)] = key_field(
+    # Number in that unit per g.
+    sensitivity: Annotated[float, PlainValidator(_parse_sensitivity, Text)] = key_field(
         "nominal sensitivity, required unless the output is in g-units; K_I is the true "
         "sensitivity divided by this value",
         "1.25 mA/g",
@@ -215,33 +215,36 @@ class Output(SettingsSection):
         kind="text",
     )
 
-    def in_g(self, reading: Any) -> Any:
-        """Return readings in g by the nominal sensitivity and zero, shape as given."""
+    def to_g(self, reading: Any) -> Any:
+        """Convert readings to g by the nominal sensitivity and zero; same shape."""
         return (reading - self.zero) / self.sensitivity
 
-    def of_g(self, force: Any) -> Any:
-        """Return the outputs at forces in g, by the nominal sensitivity and zero."""
+    def from_g(self, force: Any) -> Any:
+        """Convert forces in g to outputs by the nominal sensitivity and zero; same shape."""
         return self.zero + self.sensitivity * force
 
 
 def term_keys(
-    rows: Mapping[str, Term[Any]], reader: Callable[[str], PlainValidator]
+    rows: Mapping[str, Term[Any]], validator_of: Callable[[str], PlainValidator]
 ) -> dict[str, Any]:
-    """Return optional fields, one for each name of a term, that read a quantity in its unit."""
-    # Types take long to make, and dozens of terms have a few units between them.
-    kinds = {
-        unit: Annotated[Quantity | float, reader(unit)] | None
+    """Return an optional field for each term name, which validates a quantity in its unit."""
+    # Types are expensive to create, and dozens of terms share a few units.
+    type_by_unit = {
+        unit: Annotated[Quantity | float, validator_of(unit)] | None
         for unit in dict.fromkeys(row.unit for row in rows.values())
     }
     return {
-        name: (kinds[row.unit], key_field(row.words, _example(row, reader), None))
+        name: (
+            type_by_unit[row.unit],
+            key_field(row.words, _format_example(row, validator_of), None),
+        )
         for name, row in rows.items()
     }
 
 
-def _example(row: Term[Any], reader: Callable[[str], PlainValidator]) -> str:
-    """Return the written form of a term: its prior, or its true value."""
-    if reader is uncertain_quantity:
+def _format_example(row: Term[Any], validator_of: Callable[[str], PlainValidator]) -> str:
+    """Return an example for a term: its prior, or its true value."""
+    if validator_of is uncertain_quantity:
         return f"{row.nominal:g} ± {row.typical:g} {row.unit}".replace("e-0", "e-")
     return f"{row.nominal + row.typical:.9g} {row.unit}".replace("e-0", "e-")
 
@@ -249,60 +252,60 @@ def _example(row: Term[Any], reader: Callable[[str], PlainValidator]) -> str:
 class StatedNoise(SettingsSection):
     """[noise] and [truth.noise]: standard deviations per sample, SI."""
 
-    displacement: Annotated[float | str, noise_size("m")] = key_field(
+    displacement: Annotated[float | str, noise_level("m")] = key_field(
         "white noise per sample of a recorded displacement", "0.01 m", 0.0, kind="quantity, m"
     )
-    velocity: Annotated[float | str, noise_size("m/s")] = key_field(
+    velocity: Annotated[float | str, noise_level("m/s")] = key_field(
         "white noise per sample of a recorded velocity", "1e-4 m/s", 0.0, kind="quantity, m/s"
     )
-    specific_force: Annotated[float | str, noise_size("m/s^2")] = key_field(
+    specific_force: Annotated[float | str, noise_level("m/s^2")] = key_field(
         "white noise per sample of a recorded specific force",
         "10 ug",
         0.0,
         kind="quantity, m/s^2 or g",
     )
-    acceleration: Annotated[float | str, noise_size("m/s^2/Hz^0.5")] = key_field(
+    acceleration: Annotated[float | str, noise_level("m/s^2/Hz^0.5")] = key_field(
         "white noise of the accelerometer: velocity random walk coefficient N, "
         "which gives a velocity variance of N^2 t",
         "estimate",
         0.0,
         kind="quantity, m/s^2/Hz^0.5 or g/Hz^0.5",
     )
-    flicker: Annotated[float | str, noise_size("m/s^2")] = key_field(
+    flicker: Annotated[float | str, noise_level("m/s^2")] = key_field(
         "bias instability B: the minimum of the Allan deviation is 0.664 B",
         "2 ug",
         0.0,
         kind="quantity, m/s^2 or g",
     )
-    bias_walk: Annotated[float | str, noise_size("m/s^2/s^0.5")] = key_field(
+    bias_walk: Annotated[float | str, noise_level("m/s^2/s^0.5")] = key_field(
         "bias random walk K: the variance of the bias grows by K^2 per second",
         "0.5 ug/h^0.5",
         0.0,
         kind="quantity, m/s^2/s^0.5 or g/s^0.5",
     )
-    quantisation: Annotated[float | str, noise_size("m")] = key_field(
+    quantisation: Annotated[float | str, noise_level("m")] = key_field(
         "resolution of the recorded displacement", "1 mm", 0.0, kind="quantity, m"
     )
-    angle: Annotated[float | str, noise_size("rad")] = key_field(
+    angle: Annotated[float | str, noise_level("rad")] = key_field(
         "encoder noise, which the calibration estimates unless the time stamps have jitter",
         "1e-6 rad",
         0.0,
         kind="quantity, rad",
     )
-    timing: Annotated[float | str, noise_size("s")] = key_field(
+    timing: Annotated[float | str, noise_level("s")] = key_field(
         "standard deviation of the time stamp errors (jitter)", "1 us", 0.0, kind="quantity, s"
     )
 
     @property
     def wanders(self) -> bool:
-        """True if the bias wanders, or may."""
+        """True if the bias wanders, or if its wander is estimated."""
         return any(getattr(self, key) != 0.0 for key in BIAS_COMPONENTS_BY_KEY)
 
 
 class NoiseSettings(StatedNoise):
     """[noise]: noise levels, or a static record from which they are estimated."""
 
-    rest: Annotated[Text, AfterValidator(record_file)] | None = key_field(
+    rest: Annotated[Text, AfterValidator(check_record_name)] | None = key_field(
         "static record from which counterspin estimates the noise components that you omit in this "
         "table",
         "rest.csv",
@@ -361,6 +364,6 @@ class ModelSettings(SettingsSection):
     )
 
     @property
-    def held(self) -> tuple[str, list[str]]:
-        """The key that names what is known but not adjusted, new or old, and the names."""
+    def held_terms(self) -> tuple[str, list[str]]:
+        """The key of the considered terms, new or former, and their names."""
         return ("considered", self.considered) if self.considered else ("hold", self.hold)

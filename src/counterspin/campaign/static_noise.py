@@ -1,4 +1,4 @@
-"""Noise that a campaign leaves to a record of its accelerometers at rest."""
+"""Noise of the accelerometers, estimated from a record at rest."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ from counterspin.records.memory import MemoryTable
 class ResolvedNoise:
     """The stated noise of one accelerometer."""
 
-    sizes: StatedNoise | None  #: None: nothing.
-    #: Of the variances of `COMPONENTS`, as in `Noise`; empty where no record at rest says them.
+    sizes: StatedNoise | None  #: Standard deviations; None: not stated.
+    #: Covariance of the variances of `COMPONENTS`, as in `Noise`; empty without a record at rest.
     covariance: tuple[tuple[float, ...], ...] = ()
 
 
 @frozen
 class _NoiseRequest:
-    """A record at rest and how it is read."""
+    """A record at rest with the settings of its reading, as a cache key."""
 
-    identity: FileIdentity | str  #: Of a record in memory, its checksum.
+    identity: FileIdentity | str  #: Identity of the file, or checksum of a record in memory.
     read: tuple[object, ...]
     campaign: Campaign = field(compare=False)
 
@@ -48,13 +48,12 @@ class _NoiseRequest:
 def resolve_noise(
     campaign: Campaign, undetected: float | str = ESTIMATE
 ) -> dict[str, ResolvedNoise]:
-    """Return the stated noise, by accelerometer.
+    """Return accelerometer -> stated noise, completed from a record at rest.
 
-    Values from a record at rest complete the stated ones; a wander that the record does not show is
-    zero.
+    Bias wander that the record does not show is zero.
 
-    undetected: White noise that the record does not show. A calibration leaves it to the campaign's
-        records; without records, as in a forecast, it is zero.
+    undetected: White noise if the record does not show it. A calibration estimates it from the
+        campaign's records; without records, as in a forecast, it is zero.
     """
     if campaign.rest is None:
         return dict.fromkeys(campaign.accelerometers, ResolvedNoise(campaign.noise))
@@ -66,49 +65,48 @@ def resolve_noise(
 
 
 def simulated_noise(campaign: Campaign) -> dict[str, float]:
-    """Return the sizes of the simulated noise of a campaign, by key of [noise]."""
+    """Return key of [noise] -> standard deviation of the simulated noise."""
     assert campaign.simulation is not None
-    true = campaign.simulation.truth.noise
-    if isinstance(true, NoiseSettings) and true.rest is not None:
-        return with_static_sizes(campaign, true)
-    return _sizes(true)
+    true_noise = campaign.simulation.truth.noise
+    if isinstance(true_noise, NoiseSettings) and true_noise.rest is not None:
+        return complete_noise_sizes(campaign, true_noise)
+    return _noise_sizes(true_noise)
 
 
-def with_static_sizes(campaign: Campaign, noise: NoiseSettings) -> dict[str, float]:
-    """Return the sizes of a campaign's noise, by key, with the sizes from its record at rest.
+def complete_noise_sizes(campaign: Campaign, noise: NoiseSettings) -> dict[str, float]:
+    """Return key of [noise] -> standard deviation, completed from the record at rest.
 
-    If the accelerometers have sizes of their own, take the largest: a simulation and a plan have
-    one noise.
+    If the accelerometers differ, the largest value counts: a simulation and a plan have one noise.
     """
     resolved = resolve_noise(replace(campaign, noise=noise), 0.0)
-    sizes = _sizes(noise)
+    sizes = _noise_sizes(noise)
     for name, accelerometer in campaign.accelerometers.items():
         for key in set(size_keys(accelerometer.observable).values()) - noise.model_fields_set:
             sizes[key] = max(sizes[key], getattr(resolved[name].sizes, key))
     return sizes
 
 
-def _sizes(noise: StatedNoise) -> dict[str, float]:
+def _noise_sizes(noise: StatedNoise) -> dict[str, float]:
     return {key: getattr(noise, key) for key in NOISE_UNITS}
 
 
 def _resolve_accelerometer(
-    campaign: Campaign, name: str, static_noise_of: StaticNoise | None, undetected: float | str
+    campaign: Campaign, name: str, static_noise: StaticNoise | None, undetected: float | str
 ) -> ResolvedNoise:
     noise, observable = campaign.noise, campaign.accelerometers[name].observable
     assert noise is not None
-    if static_noise_of is None:
+    if static_noise is None:
         return ResolvedNoise(noise)
-    covariance = static_noise_of.covariance.copy()
+    covariance = static_noise.covariance.copy()
     sizes: dict[str, float | str] = {}
     for index, (component, key) in enumerate(size_keys(observable).items()):
-        # Of a specific force the first component is quantisation of the velocity: it averages away.
+        # The first component of a specific force, velocity quantisation, averages out.
         if key == "specific_force" or key in noise.model_fields_set:
             covariance[index], covariance[:, index] = 0.0, 0.0
             continue
-        variance = static_noise_of.components[component].variance
+        variance = static_noise.components[component].variance
         if key == "displacement" and isinstance(noise.quantisation, float):
-            # What is stated of the steps is a part of what is white.
+            # The stated quantisation is a part of the white noise.
             variance = max(variance - noise.quantisation**2 / 12.0, 0.0)
         sizes[key] = math.sqrt(variance)
         if variance == 0.0 and component not in BIAS_COMPONENTS:
@@ -118,10 +116,10 @@ def _resolve_accelerometer(
 
 
 def _static_record_noise(campaign: Campaign) -> Mapping[str, StaticNoise]:
-    """Return the noise of the record at rest, by accelerometer."""
-    file, key = campaign.rest, f"{campaign.path}: noise.from"
+    """Return accelerometer -> noise of the record at rest."""
+    file, label = campaign.rest, f"{campaign.path}: noise.from"
     assert file is not None
-    read = (
+    cache_key = (
         file,
         campaign.gravity,
         campaign.time,
@@ -132,22 +130,22 @@ def _static_record_noise(campaign: Campaign) -> Mapping[str, StaticNoise]:
         ),
     )
     try:
-        # What was found stays in memory: the record, and the campaign's others, need not.
+        # The cached request should not keep all records of the campaign in memory.
         record = campaign.record_at(file)
         frames = {file: record} if isinstance(record, MemoryTable) else {}
         without_runs = replace(campaign, frames=frames, runs=(), readings=())
         identity = (
             record.checksum if isinstance(record, MemoryTable) else FileIdentity.from_file(record)
         )
-        return _analyze_record(_NoiseRequest(identity, read, without_runs))
+        return _analyse_record(_NoiseRequest(identity, cache_key, without_runs))
     except OSError as error:
-        raise RecordError(f"{key}: {file}: file not found", code="file-not-found") from error
+        raise RecordError(f"{label}: {file}: file not found", code="file-not-found") from error
     except RecordError as error:
-        raise RecordError(f"{key}: {error}", code=error.code) from error
+        raise RecordError(f"{label}: {error}", code=error.code) from error
 
 
 @lru_cache(maxsize=4)
-def _analyze_record(request: _NoiseRequest) -> Mapping[str, StaticNoise]:
+def _analyse_record(request: _NoiseRequest) -> Mapping[str, StaticNoise]:
     file = request.campaign.rest
     assert file is not None
     record = request.campaign.record_at(file)
@@ -157,12 +155,12 @@ def _analyze_record(request: _NoiseRequest) -> Mapping[str, StaticNoise]:
 
 def static_signals(campaign: Campaign, record: Path | MemoryTable) -> list[StaticSignal]:
     """Return the columns of a campaign's accelerometers in a record at rest."""
-    used = [
+    recorded_accelerometers = [
         accelerometer
         for accelerometer in campaign.accelerometers.values()
         if accelerometer.channel.name
     ]
-    specs = [campaign.time, *(accelerometer.channel for accelerometer in used)]
+    specs = [campaign.time, *(accelerometer.channel for accelerometer in recorded_accelerometers)]
     time, *signals = read_scaled(record, specs, campaign.dialect)
     return [
         StaticSignal(
@@ -173,5 +171,5 @@ def static_signals(campaign: Campaign, record: Path | MemoryTable) -> list[Stati
             time,
             values,
         )
-        for accelerometer, values in zip(used, signals, strict=True)
+        for accelerometer, values in zip(recorded_accelerometers, signals, strict=True)
     ]

@@ -1,13 +1,13 @@
-"""Names of error terms: what each stands for in a campaign, and where it acts.
+"""Names of error terms, and the components that each name includes in a campaign.
 
-A bare platform name means the components that act on the campaign's accelerometers to first
-order, in any of the runs' attitudes, with the paper's start angle of zero:
+A bare platform name includes the components that affect the campaign's accelerometers to first
+order, in any attitude of the runs, with the paper's start angle of zero:
 
-- tilt, drift or g^2-sensitivity about the axis e: where (e x up) has a part along the input axis,
-  so that gravity leaks in;
+- tilt, drift or g^2-sensitivity about the axis e: if (e x up) has a component along the input axis,
+  so that gravity couples in;
 - g-sensitivity: that of the azimuth gyro to force along a horizontal input axis, and that of a
-  gyro whose drift acts to force along the velocity at the start, which stays behind as a tilt;
-- compliance: in azimuth, to level force at right angles to the input axis.
+  gyro whose drift matters to force along the initial velocity, which leaves a tilt;
+- compliance: in azimuth, to horizontal force at right angles to the input axis.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from counterspin.physics.terms import (
 )
 
 
-def _bare_names() -> dict[str, tuple[Term[AttitudeError | TrajectoryError], ...]]:
+def _group_by_bare_name() -> dict[str, tuple[Term[AttitudeError | TrajectoryError], ...]]:
     names: dict[str, list[Term[AttitudeError | TrajectoryError]]] = {}
     for symbol, row in SHARED_TERMS.items():
         parts = symbol.split(".")
@@ -41,15 +41,17 @@ def _bare_names() -> dict[str, tuple[Term[AttitudeError | TrajectoryError], ...]
     return {name: tuple(rows) for name, rows in names.items()}
 
 
-#: Bare name, such as ``platform.tilt`` or ``encoder.harmonic.1`` -> the rows it stands for.
-BARE_NAMES: Final[Mapping[str, tuple[Term[AttitudeError | TrajectoryError], ...]]] = _bare_names()
+#: Bare name, such as ``platform.tilt`` or ``encoder.harmonic.1`` -> its terms.
+BARE_NAMES: Final[Mapping[str, tuple[Term[AttitudeError | TrajectoryError], ...]]] = (
+    _group_by_bare_name()
+)
 
 _NORTH: Final = np.array([0.0, 1.0, 0.0])
 
-#: What a name of the machine's terms begins with.
+#: Prefixes of the machine terms' names.
 _FAMILIES: Final = ("centrifuge.", "fixture.", "head.", "vibration.")
 
-#: Axes about which a fixture may be turned, by motion: the names of the frame.
+#: Motion -> names of the axes about which a fixture may be rotated.
 _AXES: Final = {
     "arm": ("outward", "forward", "up"),
     "static": ("east", "north", "up"),
@@ -57,74 +59,85 @@ _AXES: Final = {
     "counter-rotating": ("east", "north", "up"),
 }
 
-#: What the setting errors of all positions begin with.
+#: Prefix of the setting errors of all positions.
 POSITION: Final = "fixture.position"
 
 
-def rows_of(
+def acting_rows(
     name: str, mountings: Iterable[Mounting], attitudes: Iterable[Array]
 ) -> tuple[Term[AttitudeError | TrajectoryError], ...]:
-    """Return the components that a bare name names.
+    """Return the terms that a bare name includes.
 
-    For the platform these are the components that leave an acceleration, in any run that starts at
-    angle zero, in any accelerometer: one that does not average out and that depends on the run.
+    For the platform these are the components that leave an acceleration in an accelerometer, in a
+    run with start angle zero, which does not average out and depends on the run.
 
-    mountings, attitudes: Of the campaign's accelerometers and runs.
+    mountings, attitudes: Mountings of the accelerometers, attitudes of the runs.
     """
-    axes = [(mounting.turned(a).input_axis, a) for mounting, a in product(mountings, attitudes)]
+    axes = [
+        (mounting.turned(attitude).input_axis, attitude)
+        for mounting, attitude in product(mountings, attitudes)
+    ]
     return tuple(
         row
         for row in BARE_NAMES[name]
-        if any(row.effect.leaves_mean(*directions, _NORTH) for directions in axes)
+        if any(row.effect.leaves_mean(*axis_and_attitude, _NORTH) for axis_and_attitude in axes)
     )
 
 
-# What readings show
+# Terms that affect readings
 
 
-def symbols_shown(readings: Sequence[Reading], *, recorded: bool = False) -> tuple[str, ...]:
-    """Return every term of the machine that these readings, and records with them, can show."""
+def shown_symbols(readings: Sequence[Reading], *, has_records: bool = False) -> tuple[str, ...]:
+    """Return all machine terms that affect readings, and records if there are any."""
     motions = {str(reading.motion) for reading in readings}
-    motions |= {"counter-rotating"} if recorded else set()
-    mounted = dict.fromkeys((r.mounting, r.motion, r.accelerometer) for r in readings if r.mounting)
-    shown = {round(r.head_angle, 9) for r in readings if any(r.head) and r.motion == "static"}
+    motions |= {"counter-rotating"} if has_records else set()
+    mounting_keys = dict.fromkeys(
+        (reading.mounting, reading.motion, reading.accelerometer)
+        for reading in readings
+        if reading.mounting
+    )
+    head_angles = {
+        round(reading.head_angle, 9)
+        for reading in readings
+        if any(reading.head) and reading.motion == "static"
+    }
     symbols: dict[str, None] = {}
     for row in READING_TERMS.values():
         if not motions & set(row.motions):
             continue
-        # A zero needs a head, a wave another angle of it.
-        fewest = 2 if row.symbol.startswith(HEAD_HARMONICS) else 1
-        if row.symbol.startswith("head.") and len(shown) < fewest:
+        # A zero error needs one head angle, a harmonic another.
+        min_angles = 2 if row.symbol.startswith(HEAD_HARMONICS) else 1
+        if row.symbol.startswith("head.") and len(head_angles) < min_angles:
             continue
         if row.scope == "position":
-            positions = dict.fromkeys(r.position for r in readings if r.position)
+            positions = dict.fromkeys(reading.position for reading in readings if reading.position)
             symbols |= {row.symbol.replace("POSITION", name): None for name in positions}
             continue
         if not row.per_mounting:
             symbols[row.symbol] = None
             continue
-        for name, motion, owner in mounted:
+        for name, motion, owner in mounting_keys:
             axis = row.symbol.rpartition(".")[2]
             if motion in row.motions and axis in ("MOUNTING", *_AXES[motion]):
-                named = row.symbol.replace("ACCELEROMETER", owner).replace("MOUNTING", name)
-                symbols[named] = None
+                symbol = row.symbol.replace("ACCELEROMETER", owner).replace("MOUNTING", name)
+                symbols[symbol] = None
     return tuple(symbols)
 
 
 def is_reading_term(name: str) -> bool:
-    """Return whether a name is that of a term shown by readings: of the machine, or of a slope."""
+    """Return whether a name is that of a machine term or slope that affects readings."""
     is_family = "." in name and any(symbol.startswith(f"{name}.") for symbol in READING_TERMS)
     if is_family or affects_readings(name):
         return True
-    shown_by_records = any(f"{symbol}.".startswith(f"{name}.") for symbol in SHARED_TERMS)
-    return name.startswith(_FAMILIES) and not shown_by_records
+    is_in_records = any(f"{symbol}.".startswith(f"{name}.") for symbol in SHARED_TERMS)
+    return name.startswith(_FAMILIES) and not is_in_records
 
 
-def expand(name: str, known: Iterable[str]) -> tuple[str, ...]:
-    """Return the terms that a name names: itself, or all that begin with it.
+def expand_name(name: str, symbols: Iterable[str]) -> tuple[str, ...]:
+    """Return the terms of a name: the term itself, or all terms of the family.
 
-    The slope of a coefficient is one term, for all powers of the same condition.
+    A slope of a coefficient is a single term for all powers of its condition.
     """
     if condition_of(name):
-        return tuple(s for s in known if s == name)
-    return tuple(s for s in known if s == name or s.startswith(f"{name}."))
+        return tuple(symbol for symbol in symbols if symbol == name)
+    return tuple(symbol for symbol in symbols if symbol == name or symbol.startswith(f"{name}."))

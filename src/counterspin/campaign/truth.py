@@ -1,6 +1,6 @@
-"""The tables of [truth] and of a run's `truth`: what may be written of a simulated campaign.
+"""The tables of [truth] and of a run's `truth`: true values of a simulated campaign.
 
-No calibration reads them; `counterspin.campaign.simulated_truth` does.
+Only `counterspin.campaign.simulated_truth` reads them; a calibration does not.
 """
 
 from __future__ import annotations
@@ -15,70 +15,74 @@ from counterspin.campaign.field_types import (
     SettingsSection,
     check_gravity,
     check_latitude,
-    coefficient,
+    check_positive,
+    check_rate_error,
+    exact_quantity,
     key_field,
     parse_ratio,
-    positive,
-    read_exactly,
-    small_rate_error,
+    true_coefficient,
 )
 from counterspin.campaign.settings import StatedNoise, term_keys
 from counterspin.campaign.validation import Section, nested_models
 from counterspin.errors import OutOfRangeError
 from counterspin.physics.terms import ACCELEROMETER_TERMS, SHARED_TERMS
 
-#: Of all recorders, and the largest error of a clock.
+#: Key for all recorders; largest relative rate error of a clock.
 ALL_RECORDERS: Final = "*"
-_MOST_OF_A_CLOCK: Final = 0.01
+_MAX_CLOCK_ERROR: Final = 0.01
 
-_STATED: Final = "as stated"
+_AS_STATED: Final = "as stated"
 
 
-def _clocks(value: object) -> dict[str, float]:
-    """Return the relative rate error of each recorder's clock; that of all of them under ``*``."""
-    named = value if isinstance(value, Mapping) else {ALL_RECORDERS: value}
-    clocks = {str(name): parse_ratio(part) for name, part in named.items()}
-    if any(abs(part) > _MOST_OF_A_CLOCK for part in clocks.values()):
+def _parse_clock_errors(value: object) -> dict[str, float]:
+    """Return recorder -> relative rate error of its clock; ``*`` stands for all recorders."""
+    error_by_recorder = value if isinstance(value, Mapping) else {ALL_RECORDERS: value}
+    clock_errors = {
+        str(name): parse_ratio(clock_error) for name, clock_error in error_by_recorder.items()
+    }
+    if any(abs(clock_error) > _MAX_CLOCK_ERROR for clock_error in clock_errors.values()):
         raise OutOfRangeError("a clock error above 1 % is implausible")
-    return clocks
+    return clock_errors
 
 
 class SiteTruthSettings(SettingsSection):
     """[truth.site]: true gravity and latitude."""
 
-    gravity: Annotated[float, read_exactly("m/s^2"), AfterValidator(check_gravity)] | None = (
+    gravity: Annotated[float, exact_quantity("m/s^2"), AfterValidator(check_gravity)] | None = (
         key_field(
             "true local gravity (magnitude along the plumb line)",
             "9.80663 m/s^2",
             None,
-            absent=_STATED,
+            absent=_AS_STATED,
         )
     )
     latitude: (
-        Annotated[float, read_exactly("rad", "deg"), AfterValidator(check_latitude)] | None
+        Annotated[float, exact_quantity("rad", "deg"), AfterValidator(check_latitude)] | None
     ) = key_field(
         "true latitude, used for the components of the Earth's rotation",
         "45.7502 deg",
         None,
-        absent=_STATED,
+        absent=_AS_STATED,
     )
 
 
-class TrueRadius(SettingsSection):
+class CentrifugeDimensions(SettingsSection):
     """[truth.centrifuge]: true dimensions of the centrifuge."""
 
-    radius: Annotated[float, read_exactly("m"), AfterValidator(positive)] | None = key_field(
-        "true radius from the spindle axis to the centre of the platform",
-        "2.50001 m",
-        None,
-        absent=_STATED,
+    radius: Annotated[float, exact_quantity("m"), AfterValidator(check_positive)] | None = (
+        key_field(
+            "true radius from the spindle axis to the centre of the platform",
+            "2.50001 m",
+            None,
+            absent=_AS_STATED,
+        )
     )
     clock: Ratio | None = key_field(
         "true relative rate error of the clock that measures the rates of readings; positive if "
         "the clock runs fast",
         "20 ppm",
         None,
-        absent=_STATED,
+        absent=_AS_STATED,
         kind="number, or in ppm",
     )
 
@@ -86,27 +90,30 @@ class TrueRadius(SettingsSection):
 class RecordsTruthSettings(SettingsSection):
     """[truth.records]: true timing of the rows."""
 
-    timing_offset: Annotated[float, read_exactly("s")] | None = key_field(
+    timing_offset: Annotated[float, exact_quantity("s")] | None = key_field(
         "true angle delay: sampling time of the angle minus sampling time of the "
         "displacement in the same row",
         "2e-5 s",
         None,
-        absent=_STATED,
+        absent=_AS_STATED,
     )
-    cutoff_frequency: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = (
-        key_field(
-            "true cutoff frequency of the recorder's low-pass filter", "98 Hz", None, absent=_STATED
-        )
+    cutoff_frequency: (
+        Annotated[float, exact_quantity("Hz"), AfterValidator(check_positive)] | None
+    ) = key_field(
+        "true cutoff frequency of the recorder's low-pass filter", "98 Hz", None, absent=_AS_STATED
     )
     clock: (
-        Annotated[dict[str, float], PlainValidator(_clocks, float | str | dict[str, float | str])]
+        Annotated[
+            dict[str, float],
+            PlainValidator(_parse_clock_errors, float | str | dict[str, float | str]),
+        ]
         | None
     ) = key_field(
         "true relative rate error of all recorder clocks, or a table keyed by recorder; positive "
         "if the clock runs fast",
         {"A": "20 ppm", "B": "-5 ppm"},
         None,
-        absent=_STATED,
+        absent=_AS_STATED,
         kind="number, or table",
     )
 
@@ -114,7 +121,7 @@ class RecordsTruthSettings(SettingsSection):
 class RippleSettings(SettingsSection):
     """``ripple``: a periodic fluctuation of the rate, by ratio w_n/w0 or by amplitude."""
 
-    harmonic: Annotated[int, AfterValidator(positive)] = key_field(
+    harmonic: Annotated[int, AfterValidator(check_positive)] = key_field(
         "frequency, in cycles per revolution", 2, 1
     )
     ratio: Ratio | None = key_field(
@@ -123,10 +130,10 @@ class RippleSettings(SettingsSection):
         None,
         kind="number, or in ppm",
     )
-    amplitude: Annotated[float, read_exactly("rad/s")] | None = key_field(
+    amplitude: Annotated[float, exact_quantity("rad/s")] | None = key_field(
         "amplitude of the fluctuation, w_n", "1e-6 rad/s", None
     )
-    phase: Annotated[float, read_exactly("rad", "deg")] = key_field(
+    phase: Annotated[float, exact_quantity("rad", "deg")] = key_field(
         "phase at time zero", "30 deg", 0.0
     )
 
@@ -134,7 +141,7 @@ class RippleSettings(SettingsSection):
 class SpindleTruthSettings(SettingsSection):
     """[truth.spindle]: true rotation of the spindle."""
 
-    drift: Annotated[float, read_exactly("1/s")] | None = key_field(
+    drift: Annotated[float, exact_quantity("1/s")] | None = key_field(
         "relative drift C of the rate", "1e-6 1/s", None
     )
     ripple: list[RippleSettings] | None = key_field(
@@ -143,10 +150,10 @@ class SpindleTruthSettings(SettingsSection):
         None,
         kind="list of tables",
     )
-    start_angle: Annotated[float, read_exactly("rad", "deg")] | None = key_field(
+    start_angle: Annotated[float, exact_quantity("rad", "deg")] | None = key_field(
         "angle at time zero", "30 deg", None, absent="0"
     )
-    rate_error: Annotated[Ratio, AfterValidator(small_rate_error)] | None = key_field(
+    rate_error: Annotated[Ratio, AfterValidator(check_rate_error)] | None = key_field(
         "relative difference between the true rate and the nominal rate",
         "5 ppm",
         None,
@@ -155,8 +162,8 @@ class SpindleTruthSettings(SettingsSection):
     )
 
 
-#: Meaning and example of each table of [truth] for a family of terms.
-_FAMILIES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
+#: Family of terms -> description and example of its table in [truth].
+_FAMILY_FIELDS: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
     "platform.tilt": ("tilt about `east`, `north` and `up`", {"north": "0.2 arcsec"}),
     "platform.drift": ("drift of the gyros about `east`, `north`, `up`", {"north": "0.001 deg/h"}),
     "platform.g_sensitivity": (
@@ -195,58 +202,65 @@ _FAMILIES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
 }
 
 
-def _truth_table(
+def _make_truth_table(
     name: str, family: str, base: type[SettingsSection] = SettingsSection
 ) -> type[SettingsSection]:
-    """Return a table with a key for each term of a family; nested tables for names with dots."""
-    within = {
+    """Create a table with a key for each term of a family; nested tables for names with dots."""
+    row_by_key = {
         symbol.removeprefix(f"{family}."): row
         for symbol, row in SHARED_TERMS.items()
         if symbol.startswith(f"{family}.")
     }
-    fields = term_keys({key: row for key, row in within.items() if "." not in key}, read_exactly)
-    for inner in dict.fromkeys(key.partition(".")[0] for key in within if "." in key):
-        words, example = _FAMILIES.get(f"{family}.{inner}", ("of this number", {}))
-        table = _truth_table(f"{name}_{inner}", f"{family}.{inner}")
-        fields[inner] = (table | None, key_field(words, example, None))
-    words = f"[truth.{family}]: true values of the terms."
-    return create_model(name, __base__=base, __doc__=words, **fields)
+    fields = term_keys(
+        {key: row for key, row in row_by_key.items() if "." not in key}, exact_quantity
+    )
+    for nested_key in dict.fromkeys(key.partition(".")[0] for key in row_by_key if "." in key):
+        description, example = _FAMILY_FIELDS.get(f"{family}.{nested_key}", ("of this number", {}))
+        table = _make_truth_table(f"{name}_{nested_key}", f"{family}.{nested_key}")
+        fields[nested_key] = (table | None, key_field(description, example, None))
+    description = f"[truth.{family}]: true values of the terms."
+    return create_model(name, __base__=base, __doc__=description, **fields)
 
 
 #: [truth.platform]: ``tilt.north``, ``drift.up``, ``g_sensitivity.zx`` and so on.
-PlatformTruthSettings = _truth_table("PlatformTruthSettings", "platform")
+PlatformTruthSettings = _make_truth_table("PlatformTruthSettings", "platform")
 #: [truth.centrifuge]: ``radius``, ``stretch``, ``imbalance.1.cos`` and so on.
-CentrifugeTruthSettings = _truth_table("CentrifugeTruthSettings", "centrifuge", TrueRadius)
+CentrifugeTruthSettings = _make_truth_table(
+    "CentrifugeTruthSettings", "centrifuge", CentrifugeDimensions
+)
 #: [truth.encoder]: ``harmonic.1.cos`` and so on.
-EncoderTruthSettings = _truth_table("EncoderTruthSettings", "encoder")
+EncoderTruthSettings = _make_truth_table("EncoderTruthSettings", "encoder")
 #: [truth.table]: ``harmonic.1.cos`` and so on.
-TableTruthSettings = _truth_table("TableTruthSettings", "table")
+TableTruthSettings = _make_truth_table("TableTruthSettings", "table")
 
-_TILT: Any = _truth_table("True_tilt", "platform.tilt") | None
+_OptionalTilt: Any = _make_truth_table("True_tilt", "platform.tilt") | None
 
 RunTruthSettings = create_model(
     "RunTruthSettings",
     __base__=SpindleTruthSettings,
     __doc__="``truth``: true rotation and tilt of one run, where they differ from [truth].",
-    tilt=(_TILT, key_field(*_FAMILIES["platform.tilt"], None, absent="`[truth.platform]`")),
+    tilt=(
+        _OptionalTilt,
+        key_field(*_FAMILY_FIELDS["platform.tilt"], None, absent="`[truth.platform]`"),
+    ),
 )
 
 
 class _AccelerometerTruthKeys(SettingsSection):
-    natural_frequency: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = (
-        key_field("true natural frequency of the accelerometer", "410 Hz", None, absent=_STATED)
-    )
+    natural_frequency: (
+        Annotated[float, exact_quantity("Hz"), AfterValidator(check_positive)] | None
+    ) = key_field("true natural frequency of the accelerometer", "410 Hz", None, absent=_AS_STATED)
     damping: Ratio | None = key_field(
-        "true damping ratio of the accelerometer", 0.72, None, absent=_STATED, kind="number"
+        "true damping ratio of the accelerometer", 0.72, None, absent=_AS_STATED, kind="number"
     )
-    start_offset: Annotated[float, read_exactly("m")] = key_field(
+    start_offset: Annotated[float, exact_quantity("m")] = key_field(
         "initial displacement error in each run", "0.02 m", 0.0
     )
-    start_velocity: Annotated[float, read_exactly("m/s")] = key_field(
+    start_velocity: Annotated[float, exact_quantity("m/s")] = key_field(
         "initial velocity error in each run", "-1e-4 m/s", 0.0
     )
-    bias: Annotated[float, coefficient("g")] | None = key_field("alias of K_F", "5 mg", None)
-    scale_factor: Annotated[float, coefficient("g/g")] | None = key_field(
+    bias: Annotated[float, true_coefficient("g")] | None = key_field("alias of K_F", "5 mg", None)
+    scale_factor: Annotated[float, true_coefficient("g/g")] | None = key_field(
         "alias of K_I", "1.002 g/g", None
     )
 
@@ -255,7 +269,7 @@ AccelerometerTruthSettings = create_model(
     "AccelerometerTruthSettings",
     __base__=_AccelerometerTruthKeys,
     __doc__="[truth.NAME]: true coefficients of an accelerometer.",
-    **term_keys(ACCELEROMETER_TERMS, coefficient),
+    **term_keys(ACCELEROMETER_TERMS, true_coefficient),
 )
 
 
@@ -274,8 +288,8 @@ class TrueNoise(StatedNoise):
     )
 
     @property
-    def of_records(self) -> StatedNoise:
-        """The truth of records."""
+    def record_noise(self) -> StatedNoise:
+        """True noise of the records."""
         return StatedNoise.model_construct(**self.model_dump(exclude={"reading"}))
 
 
@@ -312,12 +326,12 @@ class TruthSettings(SettingsSection):
         "machine terms that affect readings", {"centrifuge.radius.in": "1.00001 m"}, {}
     )
     site: Annotated[dict[str, Any], Section(SiteTruthSettings)] = key_field(
-        "true gravity and latitude of the site", {"latitude": "45.7502 deg"}, {}, absent=_STATED
+        "true gravity and latitude of the site", {"latitude": "45.7502 deg"}, {}, absent=_AS_STATED
     )
     records: Annotated[dict[str, Any], Section(RecordsTruthSettings)] = key_field(
-        "true timing of the rows", {"timing_offset": "2e-5 s"}, {}, absent=_STATED
+        "true timing of the rows", {"timing_offset": "2e-5 s"}, {}, absent=_AS_STATED
     )
 
 
-#: Tables of [truth] that have keys of their own -> their classes.
+#: Table of [truth] -> its class.
 TRUE_TABLES: Final[Mapping[str, type[SettingsSection]]] = nested_models(TruthSettings)

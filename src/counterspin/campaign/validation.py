@@ -10,14 +10,14 @@ from typing import Any, Final, TypeVar
 from pydantic import BaseModel, GetJsonSchemaHandler, TypeAdapter, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
-from counterspin.campaign.documents import KeyPath, key_path
+from counterspin.campaign.documents import KeyPath, format_key_path
 from counterspin.errors import Problem, error_code
 from counterspin.loading import load_name
 
-M = TypeVar("M", bound=BaseModel)
+ModelT = TypeVar("ModelT", bound=BaseModel)
 T = TypeVar("T")
 
-#: Pydantic's kinds of mistake in plain words; the others keep pydantic's own.
+#: Error type of pydantic -> message in plain words; other types keep pydantic's message.
 _PLAIN_MESSAGES: Final[Mapping[str, str]] = {
     "missing": "is missing",
     "model_type": "must be a table",
@@ -37,8 +37,8 @@ _PLAIN_MESSAGES: Final[Mapping[str, str]] = {
     "less_than_equal": "must be at most {le}",
 }
 
-#: Pydantic's kinds of mistake -> code of the error; ``value_error`` has that of its error.
-_CODES: Final[Mapping[str, str]] = {
+#: Error type of pydantic -> error code; ``value_error`` has the code of its exception.
+_ERROR_CODES: Final[Mapping[str, str]] = {
     "missing": "missing-key",
     "extra_forbidden": "unknown-key",
     "literal_error": "unknown-choice",
@@ -52,20 +52,20 @@ _CODES: Final[Mapping[str, str]] = {
     "": "wrong-type",
 }
 
-#: How pydantic names the one of several types as which a value was read, in a mistake's place.
-_ONE_OF_SEVERAL: Final = re.compile(r"(constrained-)?(str|int|float)|(list|dict|is-instance)\[.*\]")
+#: Name of an alternative type in the location of a pydantic error.
+_TYPE_NAME: Final = re.compile(r"(constrained-)?(str|int|float)|(list|dict|is-instance)\[.*\]")
 
 
 def suggest_name(word: str, choices: Iterable[str]) -> str:
-    """Return ``; did you mean "..."?`` and what is known, for the end of a message."""
+    """Return ``; did you mean "..."?``, or the known names, for the end of a message."""
     names = list(choices)
-    folded = {name.lower(): name for name in names}
-    from difflib import get_close_matches  # needed only where a file is wrong
+    name_by_lowercase = {name.lower(): name for name in names}
+    from difflib import get_close_matches  # needed only for invalid files
 
     if not names:
         return ""
-    matches = get_close_matches(word.lower(), folded, n=1)
-    hint = f'; did you mean "{folded[matches[0]]}"?' if matches else ""
+    matches = get_close_matches(word.lower(), name_by_lowercase, n=1)
+    hint = f'; did you mean "{name_by_lowercase[matches[0]]}"?' if matches else ""
     return f"{hint}; known: {', '.join(names)}" if not matches else hint
 
 
@@ -73,7 +73,7 @@ class Section:
     """The contents of a table that is checked separately from the rest of its document.
 
     written: A class with the table's keys; a dictionary of such tables by name, or a list of them.
-        For a table of an extension, the name ``package.module:Class``, loaded where one is found.
+        For a table of an extension, the name ``package.module:Class``, loaded on demand.
     """
 
     def __init__(self, written: Any) -> None:
@@ -87,16 +87,16 @@ class Section:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        """Return the JSON Schema of what is written: of one class, the reference to it."""
+        """Return the JSON Schema of the table; for one class, the reference to it."""
         written = TypeAdapter(self.model).core_schema
         return handler(core_schema.definitions_schema(written, []))
 
 
-def nested_models(document: type[BaseModel]) -> dict[str, Any]:
-    """Return key -> what may stand there, of the tables of a document that are checked apart."""
+def nested_models(document_class: type[BaseModel]) -> dict[str, Any]:
+    """Return key -> model of each table that is checked separately."""
     return {
         field.alias or name: section.model
-        for name, field in document.model_fields.items()
+        for name, field in document_class.model_fields.items()
         for section in field.metadata
         if isinstance(section, Section)
     }
@@ -105,7 +105,7 @@ def nested_models(document: type[BaseModel]) -> dict[str, Any]:
 class Problems:
     """Collects the mistakes of one file.
 
-    raw: The whole document as read, from which a run's name is taken for the messages.
+    raw: Whole document, which contains the names of the runs for the messages.
     """
 
     def __init__(self, raw: Mapping[str, Any]) -> None:
@@ -113,39 +113,41 @@ class Problems:
         self._raw = raw
 
     def add(self, path: KeyPath, message: str, code: str = "conflicting-keys") -> None:
-        """Note a mistake at a key; a message that is a `Problem` has its own code."""
-        text = f"{key_path(path)}: {message}{self._run_name(path)}"
+        """Add a mistake at a key; a message that is a `Problem` has its own code."""
+        text = f"{format_key_path(path)}: {message}{self._run_name(path)}"
         line = Problem(text, error_code(message, code))
         if line not in self.lines:
             self.lines.append(line)
 
-    def check(self, model: type[M], raw: Any, path: KeyPath, **context: object) -> M | None:
-        """Return the section as its model, or None with its mistakes noted.
+    def check(
+        self, model: type[ModelT], raw: Any, path: KeyPath, **context: object
+    ) -> ModelT | None:
+        """Validate a section; return its model, or None with the mistakes added.
 
-        What its keys contradict in each other is noted, too.
+        Contradictions between its keys are added, too.
 
         Parameters
         ----------
         model
-            What may stand in the section.
+            Class of the section.
         raw
-            What does.
+            Unchecked section.
         path
-            Where the section is.
+            Key path of the section.
         **context
-            What its values are read with: `gravity` of the site in m/s^2, for quantities that may
-            be given in m/s^2 or in g; `output`, in whose unit coefficients may be; `units` of
-            readings by accelerometer; `folder`, in which files are.
+            Context of its validators: `gravity` of the site in m/s^2, for quantities that may be
+            stated in m/s^2 or in g; `output`, in whose unit coefficients may be stated; `units` of
+            readings by accelerometer; `folder` of the files.
         """
         instance, invalid_keys = self.validate_partial(model, raw, path, **context)
         return None if invalid_keys else instance
 
     def validate_partial(
-        self, model: type[M], raw: Any, path: KeyPath, **context: object
-    ) -> tuple[M | None, set[str]]:
-        """Return the section with its right keys, and the wrong ones; parameters as in `check`.
+        self, model: type[ModelT], raw: Any, path: KeyPath, **context: object
+    ) -> tuple[ModelT | None, set[str]]:
+        """Return the section with its valid keys, and the invalid keys; parameters as in `check`.
 
-        What is required and wrong has the value of its example.
+        A required key that is invalid has the value of its example.
         """
         invalid_keys: set[str] = set()
         instance = None
@@ -153,18 +155,18 @@ class Problems:
             instance = model.model_validate(raw, context=context)
         except ValidationError as error:
             for error_path, mistake in _deduplicate(error.errors(include_url=False)):
-                text = _error_text(mistake, error_path, model)
+                text = _format_error(mistake, error_path, model)
                 self.add((*path, *error_path), text, _error_code(mistake))
                 invalid_keys.add(str(error_path[0]) if error_path else "")
             if isinstance(raw, Mapping) and "" not in invalid_keys:
-                instance = _validate_without(model, raw, invalid_keys, context)
-        for location, message, *related in _contradictions(instance):
-            if not invalid_keys & {*map(str, location[:1]), *related}:
-                self.add((*path, *location), message)
+                instance = _validate_without_keys(model, raw, invalid_keys, context)
+        for key_path, message, *related_keys in _find_contradictions(instance):
+            if not invalid_keys & {*map(str, key_path[:1]), *related_keys}:
+                self.add((*path, *key_path), message)
         return instance, invalid_keys
 
     def collect(self, path: KeyPath, make: Callable[..., T], *args: Any, **kwargs: Any) -> T | None:
-        """Return ``make(...)``, or None with its ValueError noted."""
+        """Return ``make(...)``; or None, with its ValueError added."""
         try:
             return make(*args, **kwargs)
         except ValueError as error:
@@ -179,113 +181,119 @@ class Problems:
         return f' (run "{name}")' if isinstance(name, str) and path[2] != "name" else ""
 
 
-def _error_text(mistake: Any, loc: KeyPath, model: type[BaseModel]) -> str:
-    """Return pydantic's message on a mistake in plain words."""
-    kind, sizes = mistake["type"], mistake.get("ctx", {})
+def _format_error(mistake: Any, path: KeyPath, model: type[BaseModel]) -> str:
+    """Return the message of a pydantic error in plain words."""
+    kind, context = mistake["type"], mistake.get("ctx", {})
     if kind == "extra_forbidden":
-        return "unknown key" + suggest_name(str(loc[-1]), _known_keys(model, loc[:-1]))
-    if kind == "literal_error" and loc[-1] != "schema":
-        return f"{str(mistake['input'])!r} is not one of {sizes['expected']}"
+        return "unknown key" + suggest_name(str(path[-1]), _known_keys(model, path[:-1]))
+    if kind == "literal_error" and path[-1] != "schema":
+        return f"{str(mistake['input'])!r} is not one of {context['expected']}"
     if kind == "value_error":
-        return str(sizes["error"])
-    if kind == "too_short" and sizes["min_length"] > 1:
-        return f"must have at least {sizes['min_length']} entries"
+        return str(context["error"])
+    if kind == "too_short" and context["min_length"] > 1:
+        return f"must have at least {context['min_length']} entries"
     if kind == "too_long":
-        return f"must have at most {sizes['max_length']} entries"
-    words: str = _PLAIN_MESSAGES.get(kind, "{}").format(mistake["msg"], **sizes)
-    return words
+        return f"must have at most {context['max_length']} entries"
+    message: str = _PLAIN_MESSAGES.get(kind, "{}").format(mistake["msg"], **context)
+    return message
 
 
 def _error_code(mistake: Any) -> str:
     kind = mistake["type"]
     if kind == "value_error":
         return error_code(mistake["ctx"]["error"])
-    return _CODES.get(kind, "wrong-type" if kind.endswith("_type") else "invalid-value")
+    return _ERROR_CODES.get(kind, "wrong-type" if kind.endswith("_type") else "invalid-value")
 
 
-def _contradictions(instance: Any) -> Iterator[Any]:
-    """Yield what contradicts itself in a section, and in those within it."""
+def _find_contradictions(instance: Any) -> Iterator[Any]:
+    """Yield the contradictions in a section and its nested sections."""
     yield from getattr(instance, "contradictions", tuple)()
     for name, field in (
         type(instance).model_fields.items() if isinstance(instance, BaseModel) else ()
     ):
-        inner = getattr(instance, name)
-        for location, message, *related in _contradictions(inner):
-            yield (field.alias or name, *location), message, *related
+        value = getattr(instance, name)
+        for path, message, *related_keys in _find_contradictions(value):
+            yield (field.alias or name, *path), message, *related_keys
 
 
-def _validate_without(
-    model: type[M], raw: Mapping[str, Any], invalid_keys: set[str], context: dict[str, object]
-) -> M | None:
-    """Return a section without its wrong keys, with required ones as in their examples."""
+def _validate_without_keys(
+    model: type[ModelT], raw: Mapping[str, Any], invalid_keys: set[str], context: dict[str, object]
+) -> ModelT | None:
+    """Validate a section without its invalid keys; required ones get their examples."""
     examples = {
         field.alias or name: (field.examples or [None])[0]
         for name, field in model.model_fields.items()
         if field.is_required()
     }
-    valid = {key: example for key, example in examples.items() if key in invalid_keys}
-    valid |= {key: value for key, value in raw.items() if key not in invalid_keys}
+    valid_values = {key: example for key, example in examples.items() if key in invalid_keys}
+    valid_values |= {key: value for key, value in raw.items() if key not in invalid_keys}
     try:
-        return model.model_validate(valid, context=context)
+        return model.model_validate(valid_values, context=context)
     except ValidationError:
         return None
 
 
 def _deduplicate(mistakes: Iterable[Any]) -> Iterator[tuple[KeyPath, Any]]:
-    """Yield the mistakes with their places; those of a value with alternative types as one.
+    """Yield errors with their key paths; errors of a value with alternative types count as one.
 
-    If one of these types fits except for a mistake within, report that mistake.
+    If a value fits one of these types except for a nested error, yield the nested error.
     """
     errors_by_path: dict[KeyPath, list[Any]] = {}
     for mistake in mistakes:
         if mistake["type"] == "is_instance_of":
-            continue  # what no document can hold
-        loc = mistake["loc"]
-        split = next((i for i, part in enumerate(loc) if _is_type(part)), len(loc))
-        errors_by_path.setdefault(loc[:split], []).append(
-            {**mistake, "loc": loc[:split] + loc[split + 1 :]}
+            continue  # a type that no document can contain
+        error_path = mistake["loc"]
+        type_index = next(
+            (position for position, part in enumerate(error_path) if _is_type_name(part)),
+            len(error_path),
         )
-    for place, errors in errors_by_path.items():
-        nested = [error for error in errors if error["loc"] != place]
-        reported = nested or [error for error in errors if not error["type"].endswith("_type")]
+        errors_by_path.setdefault(error_path[:type_index], []).append(
+            {**mistake, "loc": error_path[:type_index] + error_path[type_index + 1 :]}
+        )
+    for path, errors in errors_by_path.items():
+        nested = [error for error in errors if error["loc"] != path]
+        candidates = nested or [error for error in errors if not error["type"].endswith("_type")]
         if nested:
             yield from _deduplicate(nested)
-        elif reported or len(errors) == 1:
-            yield place, (reported or errors)[0]
+        elif candidates or len(errors) == 1:
+            yield path, (candidates or errors)[0]
         else:
-            *types, last_type = (
+            *requirements, last_requirement = (
                 _PLAIN_MESSAGES[error["type"]].partition("must be ")[2] for error in errors
             )
-            yield place, {"type": "", "msg": f"must be {', '.join(types)} or {last_type}"}
+            yield (
+                path,
+                {"type": "", "msg": f"must be {', '.join(requirements)} or {last_requirement}"},
+            )
 
 
-def _is_type(part: str | int) -> bool:
-    return isinstance(part, str) and _ONE_OF_SEVERAL.fullmatch(part) is not None
+def _is_type_name(part: str | int) -> bool:
+    return isinstance(part, str) and _TYPE_NAME.fullmatch(part) is not None
 
 
-def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:
-    """Return the keys of the (nested) model at a place."""
-    current: Any = model
-    is_user_key = False  # whether the next part is a name that a person gave
-    for part in loc:
-        if isinstance(part, int) or current is None or is_user_key:
+def _known_keys(model: type[BaseModel], path: Sequence[str | int]) -> list[str]:
+    """Return the keys of the (nested) model at a path."""
+    current_model: Any = model
+    is_user_key = False  # whether the next key is a name chosen by the user
+    for part in path:
+        if isinstance(part, int) or current_model is None or is_user_key:
             is_user_key = False
             continue
-        fields = current.model_fields
+        fields = current_model.model_fields
         annotations = {field.alias or name: field.annotation for name, field in fields.items()}
         is_user_key = typing.get_origin(annotations.get(part)) is dict
-        current = model_inside(annotations.get(part))
-    if current is None:
+        current_model = find_model(annotations.get(part))
+    if current_model is None:
         return []
-    return [field.alias or name for name, field in current.model_fields.items()]
+    return [field.alias or name for name, field in current_model.model_fields.items()]
 
 
-def model_inside(annotation: Any) -> type[BaseModel] | None:
+def find_model(annotation: Any) -> type[BaseModel] | None:
     """Return the model in ``Model``, ``Model | None``, ``tuple[Model, ...]`` and the like."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    for inner in typing.get_args(annotation):
-        model = model_inside(inner)
+    for argument in typing.get_args(annotation):
+        model = find_model(argument)
         if model is not None:
             return model
     return None

@@ -21,14 +21,14 @@ from counterspin.campaign.documents import (
     KeyPath,
     campaign_error,
     flatten_keys,
-    key_path,
+    format_key_path,
     list_of,
     load_document,
     table_of,
     to_toml_value,
 )
 from counterspin.campaign.field_types import Contradiction, SettingsSection, key_field
-from counterspin.campaign.quantity import Quantity, parse
+from counterspin.campaign.quantity import Quantity, parse_quantity
 from counterspin.campaign.specification import (
     Specifications,
     resolve_specifications,
@@ -66,7 +66,7 @@ def parse_celsius(text: object) -> Quantity:
     match = _CELSIUS.fullmatch(text.strip()) if isinstance(text, str) else None
     if match is None:
         raise ValueError('must be a temperature, such as "20.0 ± 0.3 degC"')
-    celsius = parse(f"{match[1]} 1", "1")
+    celsius = parse_quantity(f"{match[1]} 1", "1")
     return Quantity(celsius.value, celsius.u, "degC")
 
 
@@ -364,7 +364,7 @@ class Lab(SettingsSection):
                 f'unknown term "{symbol}"{suggest_name(symbol, [*TERMS, APPLIED])}', "unknown-term"
             )
         unit = "1" if symbol == APPLIED else TERMS[symbol].unit
-        stated = parse(self.cmc[symbol], unit, gravity=gravity)
+        stated = parse_quantity(self.cmc[symbol], unit, gravity=gravity)
         if stated.value <= 0.0 or stated.u:
             raise OutOfRangeError(
                 "must be a single positive number: the expanded uncertainty for "
@@ -499,7 +499,7 @@ def template_keys(lab: Lab | Mapping[str, Any]) -> list[str]:
     excluded = {"conditions", "specification"}
     data = lab.model_dump(exclude=excluded) if isinstance(lab, Lab) else dict(lab)
     leaves = _leaves({key: value for key, value in data.items() if key not in excluded}, ())
-    return [key_path(path) for path, value in leaves if is_template_value(path, value)]
+    return [format_key_path(path) for path, value in leaves if is_template_value(path, value)]
 
 
 def is_template_value(path: KeyPath, value: object) -> bool:

@@ -79,7 +79,7 @@ def plan(
         Folder for the campaign.toml of the planned campaign. An existing campaign.toml is not
         replaced.
     """
-    from counterspin.campaign.field_types import exact
+    from counterspin.campaign.field_types import parse_exact
     from counterspin.planning.plan import check as forecast
     from counterspin.planning.plan import plan as search
     from counterspin.planning.plan import require_no_campaign, write_campaign, write_example
@@ -103,7 +103,7 @@ def plan(
             raise UsageError("plan", ["--output requires a plan, not --check"])
         try:
             typed = recording_details.sampling_rate
-            rate = None if typed is None else exact(typed, "Hz")
+            rate = None if typed is None else parse_exact(typed, "Hz")
         except ValueError as error:
             raise CampaignError("--sampling-rate", [str(error)], code=error_code(error)) from error
         result = forecast(check, sampling_rate=rate, revolutions=recording_details.revolutions)

@@ -16,7 +16,7 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.campaign.checksums import Checksums
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.documents import require_source, with_source
+from counterspin.campaign.documents import require_source, set_source
 from counterspin.campaign.model import ALL_TERMS
 from counterspin.comparisons.result import Change, RepeatedCalibration, RepeatedCoefficient
 from counterspin.errors import RecordError
@@ -204,7 +204,7 @@ def _calibration_input(original: Result, path: Path) -> Path | Campaign:
         return path
     campaign = read_campaign(path)
     model = replace(campaign.model, assume=(ALL_TERMS,))
-    return with_source(replace(campaign, model=model), require_source(campaign))
+    return set_source(replace(campaign, model=model), require_source(campaign))
 
 
 def _locate_inputs(

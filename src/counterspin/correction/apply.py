@@ -14,7 +14,7 @@ from counterspin.arrays import Array
 from counterspin.calibration.findings import judge_result, refusal_reason
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
-from counterspin.campaign.quantity import parse
+from counterspin.campaign.quantity import parse_quantity
 from counterspin.correction.instrument import (
     HYSTERESIS,
     acts,
@@ -379,7 +379,7 @@ def _make_known_force(
 ) -> KnownForce:
     if isinstance(force, str):
         try:
-            quantity = parse(force, "g", gravity=gravity)
+            quantity = parse_quantity(force, "g", gravity=gravity)
         except ValueError as error:
             raise CampaignError(
                 _SOURCE, [f"`{option}`: {error}"], code=error_code(error)

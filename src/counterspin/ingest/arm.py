@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.campaign.model import TERMS_ON_A_MACHINE
-from counterspin.campaign.quantity import parse
+from counterspin.campaign.quantity import parse_quantity
 from counterspin.errors import CampaignError, UsageError
 from counterspin.frozen import frozen
 from counterspin.ingest.contents import FileColumn, FileContents
@@ -274,7 +274,7 @@ def _radius_and_model(table: ArmTable, values: Mapping[str, str]) -> tuple[str, 
             raise CampaignError("init", [text], code="conflicting-values")
     stated = [values["radius"]] if "radius" in values else list(radii.values())
     model: dict[str, Any] = {}
-    if len(table.turning) > 1 and all(parse(text, "m").u > 0.0 for text in stated):
+    if len(table.turning) > 1 and all(parse_quantity(text, "m").u > 0.0 for text in stated):
         # The proof mass is somewhere else in each mounting.
         model["terms"] = [*TERMS_ON_A_MACHINE, "centrifuge.radius"]
     if radii:
@@ -531,7 +531,7 @@ def _sensed(
     keys = ("radius", *(f"{word} radius" for word in axes))
     stated = [answers[key] for key in keys if key in answers]
     radii = [sizes[0] for sizes in table.radii().values()]
-    radius = parse(stated[0], "m").value if stated else next(iter(radii), math.nan)
+    radius = parse_quantity(stated[0], "m").value if stated else next(iter(radii), math.nan)
     slopes, zero = table.lines(column, radius)
     signs = {"inward": 1.0, "outward": -1.0}
     inward = [

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.campaign.quantity import parse
+from counterspin.campaign.quantity import parse_quantity
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
@@ -280,7 +280,7 @@ def temperature_scale(column: FileColumn) -> str | None:
 def _sampling(contents: FileContents, answers: Mapping[str, str]) -> float | None:
     """Return the number of rows a second, Hz: as a person answered, or as the file states it."""
     if "sampling_rate" in answers:
-        return parse(answers["sampling_rate"], "Hz").value
+        return parse_quantity(answers["sampling_rate"], "Hz").value
     if contents.interval:
         return 1.0 / contents.interval
     if rate := _number(contents, _SAMPLING):

@@ -11,8 +11,8 @@ import numpy as np
 
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME
-from counterspin.campaign.field_types import COMPASS
-from counterspin.campaign.memory import record_name
+from counterspin.campaign.field_types import COMPASS_ANGLES
+from counterspin.campaign.memory import unused_file_name
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.campaign.validation import Problems
 from counterspin.errors import CampaignError, CounterspinError, ExistingFileError, UsageError
@@ -225,7 +225,7 @@ def _runs(
 ) -> Iterator[dict[str, Any]]:
     """Yield the run of each file under a name that is not among `names`, and add the name."""
     for guess in guesses:
-        name = Path(record_name(guess.contents.title, "", names)).name
+        name = Path(unused_file_name(guess.contents.title, "", names)).name
         names.append(name)
         run: dict[str, Any] = {
             "name": name,
@@ -310,12 +310,12 @@ def _zero(common: FileGuess, sense: str) -> str | None:
     forward = turned if common.rising else -turned
     for signal in common.signals:
         axis = signal.axis
-        if signal.phase is None or axis not in COMPASS:
+        if signal.phase is None or axis not in COMPASS_ANGLES:
             continue
         derivatives = list(OBSERVABLES).index(signal.observable or "displacement")
         ahead = signal.phase - turned * forward * derivatives * math.pi / 2.0
-        zero = turned * ahead + COMPASS[axis]
-        for name, direction in COMPASS.items():
+        zero = turned * ahead + COMPASS_ANGLES[axis]
+        for name, direction in COMPASS_ANGLES.items():
             if abs(math.remainder(zero - direction, 2.0 * math.pi)) < _POINTING_ANGLE:
                 return name
         return f"{math.degrees(math.remainder(zero, 2.0 * math.pi)):.4f} deg"

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.campaign.memory import record_name
+from counterspin.campaign.memory import unused_file_name
 from counterspin.errors import CampaignError, UsageError
 from counterspin.frozen import frozen
 from counterspin.ingest.column_roles import FileGuess
@@ -131,7 +131,7 @@ class PosesDraft(AnsweredDraft):
         keys = self.contents.dialect_keys
         alike = all(guess.contents.dialect_keys == keys for guess in self.guesses)
         for contents in (guess.contents for guess in self.guesses):
-            names.append(Path(record_name(contents.title, "", names)).name)
+            names.append(Path(unused_file_name(contents.title, "", names)).name)
             run = {
                 "name": names[-1],
                 "motion": "static",

@@ -16,8 +16,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
-from counterspin.campaign.field_types import COMPASS
-from counterspin.campaign.quantity import BARE, latitude_text, parse
+from counterspin.campaign.field_types import COMPASS_ANGLES
+from counterspin.campaign.quantity import BARE_NUMBER, normalize_latitude, parse_quantity
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError, InputError, MissingAnswersError, Problem, error_code
 from counterspin.frozen import frozen
@@ -97,10 +97,10 @@ class FileQuestion:
         if self.quantity:
             # A bare number is in the unit of the example, which stands beside the question.
             *_, usual = self.example.split()
-            bare = BARE.fullmatch(clean) and self.key != "rate"
+            bare = BARE_NUMBER.fullmatch(clean) and self.key != "rate"
             text = f"{clean} {usual}" if bare else clean
-            text = str(latitude_text(text)) if self.key == "latitude" else text
-            parse(text, self.quantity)
+            text = str(normalize_latitude(text)) if self.key == "latitude" else text
+            parse_quantity(text, self.quantity)
             return text
         if self.unit:
             unit = parse_file_unit(clean) or clean
@@ -109,7 +109,7 @@ class FileQuestion:
             if len(errors) == len(tuple(wanted)):
                 raise ValueError(errors[0])
             return unit
-        if not BARE.fullmatch(clean) or not 0.0 < float(clean) < math.inf:
+        if not BARE_NUMBER.fullmatch(clean) or not 0.0 < float(clean) < math.inf:
             raise InputError(
                 f"{answer!r} is not a positive number; enter, for example, {self.example}",
                 "not-numeric",
@@ -363,7 +363,7 @@ def complete_guess(common: FileGuess, answers: Mapping[str, str]) -> FileGuess:
     """
     signals = common.signals
     if "radius" in answers and common.rate is not None and (common.time or common.sampling):
-        radius = parse(answers["radius"], "m").value
+        radius = parse_quantity(answers["radius"], "m").value
         signals = tuple(_with_unit(signal, radius, common.rate) for signal in signals)
     if "sense" in answers:
         forward = 1.0 if answers["sense"] == SENSES[0] else -1.0
@@ -394,12 +394,12 @@ def _with_axis(
     if signal.axis is not None or signal.phase is None or signal.observable is None:
         return signal
     for reference in signals:
-        if reference.axis not in COMPASS or reference.observable != signal.observable:
+        if reference.axis not in COMPASS_ANGLES or reference.observable != signal.observable:
             continue
         if reference.phase is None:
             continue
-        direction = COMPASS[reference.axis] + forward * (reference.phase - signal.phase)
-        for axis, known in COMPASS.items():
+        direction = COMPASS_ANGLES[reference.axis] + forward * (reference.phase - signal.phase)
+        for axis, known in COMPASS_ANGLES.items():
             across = abs(math.remainder(direction - known, 2.0 * math.pi))
             if axis != reference.axis and across < _PHASE_TOLERANCE:
                 return replace(signal, axis=axis)

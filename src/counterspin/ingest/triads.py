@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.campaign.quantity import parse
+from counterspin.campaign.quantity import parse_quantity
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.ingest.column_roles import FileGuess, guess_file, is_even, is_nominal
@@ -147,7 +147,9 @@ def find_triad(guesses: Sequence[FileGuess], answers: Mapping[str, str]) -> Tria
     guess = guesses[0]
     columns, seconds = _concatenate_files(guesses)
     if "rest" in answers:
-        return _found_triad(columns, seconds, guess, answers, parse(answers["rest"], "s").value)
+        return _found_triad(
+            columns, seconds, guess, answers, parse_quantity(answers["rest"], "s").value
+        )
     found, shorter = (_found_triad(columns, seconds, guess, answers, rest) for rest in _RESTS)
     return shorter if _tells_more(shorter, found) else found or shorter
 

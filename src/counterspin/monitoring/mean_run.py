@@ -113,7 +113,7 @@ def _unread_state(campaign: Campaign, run: MeanRun, file: Path, reason: str) -> 
 def _read_state(campaign: Campaign, averaged: Sequence[AveragedRecord]) -> RunState:
     """Return the contents of a record: one mean for each accelerometer, and the rotation."""
     first = averaged[0]
-    reading, measured = first.reading, first.reading.measured
+    reading, measured = first.reading, first.reading.measured_rate
     assert reading.record is not None
     facts = report_fields(first.mean.report, first.record.time) | rotation_fields(first.rotation)
     facts["outliers"] = max(sum(record.mean.report.outliers.values()) for record in averaged)

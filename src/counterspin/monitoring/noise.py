@@ -13,7 +13,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.checksums import Checksums
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.field_types import exact
+from counterspin.campaign.field_types import parse_exact
 from counterspin.campaign.settings import NOISE_UNITS, OBSERVABLES
 from counterspin.campaign.static_noise import static_signals
 from counterspin.errors import CampaignError, RecordError, UsageError, error_code
@@ -159,7 +159,7 @@ def _parse_quantity(name: str, text: str | None, unit: str) -> float | None:
     if text is None:
         return None
     try:
-        return abs(exact(text, unit))
+        return abs(parse_exact(text, unit))
     except ValueError as error:
         raise CampaignError("noise", [f"`{name}`: {error}"], code=error_code(error)) from error
 

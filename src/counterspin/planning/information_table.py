@@ -30,7 +30,7 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array, triangular_factor
-from counterspin.campaign.runs import MOST_ROWS
+from counterspin.campaign.runs import MAX_COMPUTED_ROWS
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.inference.noise.model import Noise, make_whitener
@@ -322,7 +322,7 @@ class InformationTable:
         self._lost = order if noise.random_walk > 0.0 else 0
         self._sampling_rate = sampling_rate
         self._harmonics = harmonics
-        if revolutions[1] > (most := MOST_ROWS / BLOCKS_PER_REVOLUTION):
+        if revolutions[1] > (most := MAX_COMPUTED_ROWS / BLOCKS_PER_REVOLUTION):
             raise CounterspinError(
                 f"limits: these limits allow runs of {revolutions[1]:.3g} revolutions. With a "
                 "random walk or time-stamp jitter, the search covers only runs of at most "

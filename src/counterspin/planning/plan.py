@@ -12,7 +12,7 @@ from typing import Any, Final, Literal
 
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME
-from counterspin.campaign.quantity import attitude_words
+from counterspin.campaign.quantity import describe_attitude
 from counterspin.errors import ExistingFileError, NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.input import to_path
@@ -249,7 +249,7 @@ def check(
     prediction = forecast(campaign, sampling_rate=rates)
     if sampling_rate is None and campaign.simulation is not None:
         sampling_rate = campaign.simulation.sampling_rate
-    attitudes = {run.name: attitude_words(run.attitude) for run in campaign.runs}
+    attitudes = {run.name: describe_attitude(run.attitude) for run in campaign.runs}
     total_time = sum(run.duration or 0.0 for run in campaign.runs)
     result = result_of(prediction, sampling_rate, total_time, attitudes, None)
     symbol = "K_II" if "K_II" in campaign.model.terms else campaign.model.terms[0]

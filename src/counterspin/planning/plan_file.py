@@ -24,9 +24,9 @@ from counterspin.campaign.documents import (
     to_toml_value,
 )
 from counterspin.campaign.field_types import ESTIMATE
-from counterspin.campaign.quantity import parse
+from counterspin.campaign.quantity import parse_quantity
 from counterspin.campaign.settings import NOISE_UNITS, OBSERVABLES, NoiseSettings
-from counterspin.campaign.static_noise import with_static_sizes
+from counterspin.campaign.static_noise import complete_noise_sizes
 from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
@@ -254,7 +254,7 @@ def _stated_sizes(noise: Mapping[str, Any], problems: Problems) -> dict[str, Any
 
 def _record_sizes(campaign: Campaign, stated: NoiseSettings, problems: Problems) -> dict[str, str]:
     """Return [noise] as it is written with the sizes that a record at rest says."""
-    sizes = {key: size for key, size in with_static_sizes(campaign, stated).items() if size}
+    sizes = {key: size for key, size in complete_noise_sizes(campaign, stated).items() if size}
     for key in sizes.keys() & set(BIAS_COMPONENTS_BY_KEY) - stated.model_fields_set:
         unit = NOISE_UNITS[key]
         problems.add(
@@ -467,7 +467,7 @@ def _resolve_size(
     text: Any, unknown: Unknown, campaign: Campaign, path: tuple[str | int, ...], problems: Problems
 ) -> float | None:
     unit = unit_of(unknown.symbol)
-    quantity = problems.collect(path, parse, text, unit, gravity=campaign.site.gravity)
+    quantity = problems.collect(path, parse_quantity, text, unit, gravity=campaign.site.gravity)
     if quantity is None:
         return None
     if quantity.value <= 0.0 or quantity.u != 0.0:

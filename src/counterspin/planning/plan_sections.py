@@ -16,12 +16,12 @@ from counterspin.campaign.field_types import (
     Seconds,
     SettingsSection,
     Text,
+    check_positive,
+    exact_quantity,
     key_field,
-    positive,
-    read_exactly,
     require_units,
 )
-from counterspin.campaign.quantity import attitude_rows
+from counterspin.campaign.quantity import read_attitude_matrix
 from counterspin.campaign.resolution import Accelerometers, Runs
 from counterspin.campaign.settings import (
     CampaignSettings,
@@ -55,14 +55,14 @@ def _check_positive_count(value: float) -> float:
     return value
 
 
-Rate = Annotated[float, read_exactly("rad/s"), AfterValidator(positive)]
-SpinUp = Annotated[float, read_exactly("rad/s^2"), AfterValidator(positive)]
-Force = Annotated[float, read_exactly("g"), AfterValidator(positive)]
-Duration = Annotated[float, read_exactly("s"), AfterValidator(_check_not_negative)]
+Rate = Annotated[float, exact_quantity("rad/s"), AfterValidator(check_positive)]
+SpinUp = Annotated[float, exact_quantity("rad/s^2"), AfterValidator(check_positive)]
+Force = Annotated[float, exact_quantity("g"), AfterValidator(check_positive)]
+Duration = Annotated[float, exact_quantity("s"), AfterValidator(_check_not_negative)]
 
 
 def _parse_attitude(value: object) -> object:
-    attitude_rows(value)
+    read_attitude_matrix(value)
     return value
 
 
@@ -110,10 +110,10 @@ class LimitsSettings(SettingsSection):
     longest_run: Seconds | None = key_field(
         "maximum duration of a record", "400 s", None, absent="the total time"
     )
-    runs: Annotated[int, Field(le=MOST_RECORDS), AfterValidator(positive)] = key_field(
+    runs: Annotated[int, Field(le=MOST_RECORDS), AfterValidator(check_positive)] = key_field(
         "maximum number of runs, up to 60", 14, 8
     )
-    fewest_rates: Annotated[int, AfterValidator(positive)] | None = key_field(
+    fewest_rates: Annotated[int, AfterValidator(check_positive)] | None = key_field(
         "minimum number of different rates, each at least 1.25 times the next lower rate; "
         "rates in the list `rates` need only be different",
         3,
@@ -131,8 +131,8 @@ class LimitsSettings(SettingsSection):
     attitude_change: Duration = key_field(
         "time for each change of attitude", "5 min", 0.0, absent="0 s"
     )
-    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = key_field(
-        "sampling rate of the records", "100 Hz", 50.0, absent="50 Hz"
+    sampling_rate: Annotated[float, exact_quantity("Hz"), AfterValidator(check_positive)] = (
+        key_field("sampling rate of the records", "100 Hz", 50.0, absent="50 Hz")
     )
 
 
@@ -143,7 +143,7 @@ class StationsSettings(SettingsSection):
     motion: Literal["counter-rotating", "arm", "static"] = key_field(
         "motion of the instrument", "arm", "static"
     )
-    positions: Annotated[int, Field(le=3600), AfterValidator(positive)] | None = key_field(
+    positions: Annotated[int, Field(le=3600), AfterValidator(check_positive)] | None = key_field(
         "number of equally spaced angles at rest", 24, None
     )
     attitudes: Annotated[list[Any], Field(min_length=1)] | None = key_field(
@@ -164,8 +164,10 @@ class StationsSettings(SettingsSection):
         absent="26 poses: every axis, pair of axes and triple of axes",
     )
     about: Text = key_field("axis of rotation of the positions", "east", "north")
-    u_angle: Annotated[float, read_exactly("rad"), AfterValidator(_check_not_negative)] = key_field(
-        "random error of the dividing head at each position", "2 arcsec", 0.0, absent="0 rad"
+    u_angle: Annotated[float, exact_quantity("rad"), AfterValidator(_check_not_negative)] = (
+        key_field(
+            "random error of the dividing head at each position", "2 arcsec", 0.0, absent="0 rad"
+        )
     )
     rates: Annotated[list[Rate], Field(min_length=1)] | None = key_field(
         "list of rates of a rotating station", ["5 rad/s", "9.9 rad/s"], None
@@ -191,8 +193,8 @@ class StationsSettings(SettingsSection):
 class ReadingLimitsSettings(SettingsSection):
     """[limits]: limits on the number and order of readings."""
 
-    readings: Annotated[int, Field(le=MOST_READINGS), AfterValidator(positive)] | None = key_field(
-        "maximum number of readings", 60, None, absent="limited only by the time"
+    readings: Annotated[int, Field(le=MOST_READINGS), AfterValidator(check_positive)] | None = (
+        key_field("maximum number of readings", 60, None, absent="limited only by the time")
     )
     total_time: Seconds | None = key_field(
         "total time of all readings; if given, the plan reaches a target in the least time, "
@@ -207,7 +209,7 @@ class ReadingLimitsSettings(SettingsSection):
         "random",
         "mirrored",
     )
-    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = (
+    sampling_rate: Annotated[float, exact_quantity("Hz"), AfterValidator(check_positive)] | None = (
         key_field("sampling rate of the records in `[[runs]]`", "50 Hz", None)
     )
 

@@ -16,7 +16,7 @@ from counterspin.calibration.model import make_unknowns
 from counterspin.calibration.observed_runs import ObservedRun, add_recorded_conditions, observe
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.documents import require_source
-from counterspin.campaign.quantity import attitude_rows
+from counterspin.campaign.quantity import read_attitude_matrix
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import NoiseSettings, StatedNoise
@@ -207,7 +207,9 @@ def _candidate_runs(campaign: Campaign) -> Iterator[tuple[str, list[dict[str, An
     attitudes = [
         attitude
         for attitude in _SUGGESTED_ATTITUDES
-        if not any(np.allclose(run.attitude, attitude_rows(attitude)) for run in campaign.runs)
+        if not any(
+            np.allclose(run.attitude, read_attitude_matrix(attitude)) for run in campaign.runs
+        )
     ]
     runs = sorted(campaign.runs, key=lambda run: -abs(run.rate))
     by_rate = list({run.rate: run for run in reversed(runs)}.values())[::-1]

@@ -429,11 +429,11 @@ def _rate_for(force: float, raw: Mapping[str, Any]) -> float:
 
     The check of the campaign reports the errors of the machine.
     """
-    from counterspin.campaign.quantity import parse
+    from counterspin.campaign.quantity import parse_quantity
 
     try:
-        gravity = parse(raw["site"]["gravity"], "m/s^2").value
-        radius = parse(raw["centrifuge"]["radius"], "m").value
+        gravity = parse_quantity(raw["site"]["gravity"], "m/s^2").value
+        radius = parse_quantity(raw["centrifuge"]["radius"], "m").value
         return math.sqrt(force * gravity / radius)
     except (KeyError, TypeError, ValueError, ZeroDivisionError):
         return 1.0

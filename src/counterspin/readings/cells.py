@@ -10,8 +10,8 @@ from functools import cached_property, lru_cache
 from typing import Any, Final, Protocol
 
 from counterspin.campaign.columns import Sense
-from counterspin.campaign.field_types import exact
-from counterspin.campaign.quantity import parse
+from counterspin.campaign.field_types import parse_exact
+from counterspin.campaign.quantity import parse_quantity
 from counterspin.errors import OutOfRangeError
 from counterspin.frozen import frozen
 from counterspin.units import unit_factor
@@ -117,7 +117,7 @@ class RateColumn:
         rate, unit, power = self._exact(value)
         stated = self.settings.u_rate
         if u is None and stated is not None:
-            return rate, exact(stated, "rad/s") / unit_factor(unit, "rad/s"), unit
+            return rate, parse_exact(stated, "rad/s") / unit_factor(unit, "rad/s"), unit
         return rate, abs(power * rate * (u or 0.0) / value), unit
 
     def _exact(self, value: float) -> tuple[float, str, float]:
@@ -144,7 +144,7 @@ class RateColumn:
     def _stated(self, section: str, key: str, unit: str) -> float:
         """Return a quantity of another section; its errors are reported there."""
         try:
-            return abs(parse(self.document[section][key], unit).value) or 1.0
+            return abs(parse_quantity(self.document[section][key], unit).value) or 1.0
         except (KeyError, TypeError, ValueError):
             return 1.0
 

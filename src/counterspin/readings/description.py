@@ -52,11 +52,11 @@ def read_readings(
         gravity=reader.gravity,
         turns=turns,
     )
-    fixture = reader.parts.get("fixture") or FixtureSettings()
+    fixture = reader.sections.get("fixture") or FixtureSettings()
     attitude_entries = [entry for entry in entries if not is_pose(entry[0])]
     readings = collect_readings(resolve(attitude_entries), problems, turns)
     readings = number_positions(readings, fixture.position)
-    records = reader.parts.get("records")
+    records = reader.sections.get("records")
     if records and records.recording.angle is not None:
         readings = with_recorded_angles(readings)
     is_valid = len(problems.lines) == error_count
@@ -85,7 +85,7 @@ def _reading_entries(
 ) -> list[tuple[Any, KeyPath]]:
     """Return the runs that are readings, including rows of the table, with their places."""
     runs: list[tuple[Any, KeyPath]] = [
-        (raw, ("runs", index)) for index, raw in reader.parts["listed"] if is_reading(raw)
+        (raw, ("runs", index)) for index, raw in reader.sections["indexed_runs"] if is_reading(raw)
     ]
     if "readings" in reader.raw:
         outputs = reader.accelerometers.outputs
@@ -143,7 +143,7 @@ def _resolve_triad(
 
 def _reading_files(reader: DescriptionReader) -> tuple[Path, ...]:
     """Return the files of readings."""
-    runs = (run for _, run in reader.parts["listed"] if is_reading(run))
+    runs = (run for _, run in reader.sections["indexed_runs"] if is_reading(run))
     names = [run["record"] for run in runs if "record" in run]
     if "readings" in reader.raw:
         names.append(table_of(reader.raw, "readings").get("file"))

@@ -1,6 +1,6 @@
 """Readings in a campaign: runs with one value each, at rest, on an arm or on a double turntable.
 
-They stand in ``[[runs]]`` with a ``reading``, or in a table that ``[readings]`` names
+They stated_attitude in ``[[runs]]`` with a ``reading``, or in a table that ``[readings]`` names
 (`counterspin.readings.table`): every row of the table becomes such a run, so that both are
 checked alike.
 """
@@ -17,7 +17,7 @@ import numpy as np
 
 from counterspin.campaign.documents import KeyPath
 from counterspin.campaign.field_types import Contradiction
-from counterspin.campaign.quantity import Quantity, last_digit, parse
+from counterspin.campaign.quantity import Quantity, last_digit_step, parse_quantity
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run
 from counterspin.campaign.settings import Output
@@ -38,9 +38,9 @@ MOST_RECORDS: Final = 60
 
 def contradictions(run: Run) -> Iterator[Contradiction]:
     """Yield what is missing, too much, or contradicts itself in a run that is a reading."""
-    is_pose, rotates = run.stand.unknown, run.rate != 0.0
+    is_pose, rotates = run.stated_attitude.is_unknown, run.rate != 0.0
     static, vibrates = run.motion == "static", run.motion == "vibration"
-    has_attitude, no_axes = "stand" in run.model_fields_set, run.axes is None
+    has_attitude, no_axes = "stated_attitude" in run.model_fields_set, run.axes is None
     single_temperature = len(run.temperature or ()) < 2
     no_meaning = "does not apply to an unknown attitude"
     arm = 'a run on an arm has no attitude; write axes = { input = "inward", pendulous = "up" }'
@@ -117,7 +117,7 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
             " axes attitude",
         ),
         (
-            run.head is not None and not (static and any(run.stand.head)),
+            run.head is not None and not (static and any(run.stated_attitude.head_axis)),
             (
                 'requires an attitude that is a rotation about an axis, such as attitude = "30 deg '
                 'about north"'
@@ -288,9 +288,9 @@ def _make_reading(run: Run, name: str, parsed: _ParsedValue, axes: Mounting) -> 
         u_rate=run.u_rate,
         value=parsed.mean,
         u=parsed.u,
-        head=run.stand.head,
-        u_head=run.stand.u,
-        head_angle=run.stand.angle if run.head is None else run.head,
+        head=run.stated_attitude.head_axis,
+        u_head=run.stated_attitude.u,
+        head_angle=run.stated_attitude.angle if run.head is None else run.head,
         **stated_conditions(run),
         record=run.file,
         duration=run.length,
@@ -329,7 +329,7 @@ def number_positions(readings: Sequence[Reading], setting: Quantity | None) -> t
 def with_recorded_angles(readings: Sequence[Reading]) -> tuple[Reading, ...]:
     """Return readings of which those with a record on the arm have an angle in it."""
     return tuple(
-        replace(reading, by_clock=True) if reading.record and reading.rate else reading
+        replace(reading, uses_recorder_clock=True) if reading.record and reading.rate else reading
         for reading in readings
     )
 
@@ -369,13 +369,13 @@ def _parse_value(
         else written_value
         for written_value in repeats
     ]
-    quantities = [parse(text, unit, gravity=conversion) for text in texts]
+    quantities = [parse_quantity(text, unit, gravity=conversion) for text in texts]
     values = (np.array([quantity.value for quantity in quantities]) - zero) / sensitivity
     u = np.array([quantity.u for quantity in quantities]) / abs(sensitivity)
     mean = float(values.mean()) if texts == list(repeats) else math.nan
     in_si = False
     if conversion is not None:
-        rescaled = parse(texts[0], unit, gravity=2.0 * conversion)
+        rescaled = parse_quantity(texts[0], unit, gravity=2.0 * conversion)
         in_si = rescaled != quantities[0]
     if (u > 0.0).all():
         return _ParsedValue(mean, float(np.linalg.norm(u)) / len(u), len(u), in_si=in_si)
@@ -383,7 +383,7 @@ def _parse_value(
     last_digit_size = 0.0
     if not math.isnan(mean):
         last_digit_size = min(
-            parse(last_digit(written_value), unit, gravity=conversion).value
+            parse_quantity(last_digit_step(written_value), unit, gravity=conversion).value
             for written_value in texts
         )
     return _ParsedValue(mean, None, len(u), scatter, in_si, last_digit_size / abs(sensitivity))

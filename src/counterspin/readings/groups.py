@@ -60,7 +60,7 @@ def _make_group(
             first_reading.motion,
             np.array([r.axes.axes for r in readings]),
             rate=[
-                r.measured.value if r.measured else r.rate * _rate_factor(campaign, r)
+                r.measured_rate.value if r.measured_rate else r.rate * _rate_factor(campaign, r)
                 for r in readings
             ],
             radius=[campaign.radius.value if r.rate else 0.0 for r in readings],
@@ -81,10 +81,10 @@ def _make_group(
         resolution=min(r.resolution for r in readings),
         position=tuple(r.position for r in readings),
         in_si=np.array([float(r.in_si) for r in readings]),
-        stated_sense=np.array([float(r.measured is None) for r in readings]),
+        stated_sense=np.array([float(r.measured_rate is None) for r in readings]),
         stated_rates=tuple(r.rate for r in readings),
         u_rate=np.array([_relative_u_rate(campaign, r) for r in readings]),
-        default_rate=np.array([float(not r.measured and r.u_rate is None) for r in readings]),
+        default_rate=np.array([float(not r.measured_rate and r.u_rate is None) for r in readings]),
         u_amplitude=np.array([r.u_amplitude for r in readings]),
         clocks=tuple(clock_name(campaign, r) for r in readings),
     )
@@ -93,7 +93,7 @@ def _make_group(
 def _rate_factor(campaign: Campaign, reading: Reading) -> float:
     """Return the rate by a clock whose stated error is corrected over the stated rate."""
     clock = campaign.rate_clock or campaign.clock
-    return 1.0 if clock is None or reading.by_clock else 1.0 + clock.value
+    return 1.0 if clock is None or reading.uses_recorder_clock else 1.0 + clock.value
 
 
 def clock_name(campaign: Campaign, reading: Reading) -> str:
@@ -105,8 +105,8 @@ def _relative_u_rate(campaign: Campaign, reading: Reading) -> float:
     """Return the random standard uncertainty of a rate, relative."""
     if not reading.rate:
         return 0.0
-    if reading.measured is not None:
-        return reading.measured.u / abs(reading.measured.value)
+    if reading.measured_rate is not None:
+        return reading.measured_rate.u / abs(reading.measured_rate.value)
     if reading.u_rate is not None:
         return reading.u_rate / abs(reading.rate)
     # An estimated noise contains the errors of the rates already.

@@ -70,8 +70,8 @@ def average_records(campaign: Campaign) -> tuple[list[Reading], MeanRecords]:
             raise duplicate_record_error(campaign, first_reading, reading)
         readings.append(averaged.reading)
         means[reading.accelerometer, reading.name] = averaged.mean
-        if averaged.reading.measured is not None:
-            rates[reading.name] = averaged.reading.measured.value, reading.rate
+        if averaged.reading.measured_rate is not None:
+            rates[reading.name] = averaged.reading.measured_rate.value, reading.rate
         elif reading.rate:
             without_angle.append(reading.name)
     return readings, MeanRecords(means, rates, tuple(dict.fromkeys(without_angle)))
@@ -85,7 +85,7 @@ def average_record(campaign: Campaign, reading: Reading) -> AveragedRecord:
     source = campaign.record_at(reading.record)
     columns = RecordColumns(
         campaign.time,
-        campaign.angle if reading.by_clock else None,
+        campaign.angle if reading.uses_recorder_clock else None,
         {reading.accelerometer: channel},
         campaign.dialect,
         needs_angle=False,
@@ -106,8 +106,8 @@ def average_record(campaign: Campaign, reading: Reading) -> AveragedRecord:
         value=mean.value / g,
         u=mean.u / g,
         in_si=in_si,
-        by_clock=rotation is not None,
-        measured=measured,
+        uses_recorder_clock=rotation is not None,
+        measured_rate=measured,
     )
     return AveragedRecord(reading, mean, record, rotation)
 

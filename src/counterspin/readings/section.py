@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal
 from pydantic import AfterValidator
 
 from counterspin.campaign.columns import Sense, TableDialect
-from counterspin.campaign.field_types import SettingsSection, Text, file_name, key_field
+from counterspin.campaign.field_types import SettingsSection, Text, check_file_name, key_field
 from counterspin.campaign.runs import ReadingAxes
 from counterspin.physics.conditions import STATED_CONDITIONS
 from counterspin.physics.terms import MotionKind
@@ -39,7 +39,7 @@ COLUMNS: Final = (
 
 
 class _TableFile(SettingsSection):
-    file: Annotated[Text, AfterValidator(file_name)] = key_field(
+    file: Annotated[Text, AfterValidator(check_file_name)] = key_field(
         f"name of the file ({', '.join(TABLE_ENDINGS)}); .xlsx requires the "
         "[extra](quickstart.md#extras) `excel`",
         "readings.csv",

@@ -114,7 +114,9 @@ class _RowColumns:
         fields = {"value": ((value - zero) / sensitivity).tolist()}
         if u[0] > 0.0:
             return fields | {"u": (u / abs(sensitivity)).tolist()}
-        digits = [Quantity(float(quantity.last_digit(repr(q.value))), 0.0, q.unit) for q in numbers]
+        digits = [
+            Quantity(float(quantity.last_digit_step(repr(q.value))), 0.0, q.unit) for q in numbers
+        ]
         resolution, _ = self._convert(digits, unit, conversion)
         return fields | {"resolution": (resolution / abs(sensitivity)).tolist()}
 
@@ -142,6 +144,6 @@ class _RowColumns:
         """Return values and standard uncertainties in a unit; mark rows outside the limits."""
         factor = unit_factor(numbers[0].unit, unit, gravity=gravity)
         value, u = factor * np.array([(number.value, number.u) for number in numbers]).T
-        is_within = quantity.within_limits
+        is_within = quantity.is_plausible
         self.valid &= is_within(value, unit) & is_within(u, unit) & (u >= 0.0)
         return value, u

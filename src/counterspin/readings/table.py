@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from counterspin.campaign.columns import Sense
 from counterspin.campaign.documents import KeyPath, list_of, table_of, to_toml_value
-from counterspin.campaign.field_types import exact
+from counterspin.campaign.field_types import parse_exact
 from counterspin.campaign.quantity import HeadTurn, Quantity
 from counterspin.campaign.runs import ReadingAxes
 from counterspin.campaign.settings import Output
@@ -373,16 +373,16 @@ class ReadingsTable:
         """Note what is wrong with quantities and units of the section."""
         settings, problems = self.settings, self.problems
         if settings.u_attitude is not None:
-            problems.collect(("readings", "u_attitude"), exact, settings.u_attitude, "rad")
+            problems.collect(("readings", "u_attitude"), parse_exact, settings.u_attitude, "rad")
         problems.collect(("readings", "attitude_unit"), unit_factor, settings.attitude_unit, "rad")
         if settings.u is not None:
             for output in self.accelerometers.values():
                 unit = output.unit if output else "g"
-                problems.collect(("readings", "u"), exact, settings.u, unit)
+                problems.collect(("readings", "u"), parse_exact, settings.u, unit)
         if "rate" in settings.columns:
             problems.collect(("readings", "rate_unit"), self._parse_rate, 1.0, settings.sense)
         if settings.u_rate is not None:
-            problems.collect(("readings", "u_rate"), exact, settings.u_rate, "rad/s")
+            problems.collect(("readings", "u_rate"), parse_exact, settings.u_rate, "rad/s")
 
     def check_units(self, units: Mapping[str, str]) -> None:
         """Note columns that are in other units by the table's row of units."""
@@ -517,7 +517,7 @@ class ReadingsTable:
     def _u_attitude(self) -> float:
         """Standard uncertainty of an angle of the head, in its unit."""
         unit, stated = self.settings.attitude_unit, self.settings.u_attitude
-        return 0.0 if stated is None else exact(stated, "rad") / unit_factor(unit, "rad")
+        return 0.0 if stated is None else parse_exact(stated, "rad") / unit_factor(unit, "rad")
 
     def _reading(self, row: Mapping[str, Any], name: str, path: KeyPath) -> Any:
         """Return the readings of an accelerometer: quantities, and text where there is text."""
@@ -545,7 +545,11 @@ class ReadingsTable:
         if u_columns and not is_empty(row[u_columns[0]]):
             return self._parse_number(row[u_columns[0]], (*path, u_columns[0]))
         output = self.accelerometers[name]
-        return exact(self.settings.u, output.unit if output else "g") if self.settings.u else None
+        return (
+            parse_exact(self.settings.u, output.unit if output else "g")
+            if self.settings.u
+            else None
+        )
 
     def _parse_number(self, value: Any, path: KeyPath) -> float | None:
         number = None if value is None else as_number(value)

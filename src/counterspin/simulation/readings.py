@@ -16,7 +16,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.documents import load_document
-from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
+from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse_quantity
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import is_pose, is_reading, sample_count
 from counterspin.campaign.terms import POSITION
@@ -145,7 +145,7 @@ def true_rates(campaign: Campaign) -> Array:
     It is that over the revolutions of the reading, with the sign of the sense; 0 at rest.
     """
     assert campaign.simulation is not None
-    read = campaign.simulation.truth.read
+    read = campaign.simulation.truth.reading_runs
     return np.array(
         [
             _mean_rate(read[r.name, r.rate].spindle, r.duration or 0.0) if r.rate else 0.0
@@ -243,7 +243,7 @@ def simulate_mean_record(
             still,
             _instantaneous_force(group, effective, stations, stations.forces(group.site, still)),
         )
-    of_run = truth.read[reading.name, reading.rate]
+    of_run = truth.reading_runs[reading.name, reading.rate]
     spindle = of_run.spindle
     stations = replace(stations, rate=np.array([_mean_rate(spindle, reading.duration)]))
     forces = stations.forces(
@@ -367,7 +367,7 @@ def _replace_value(
     else:
         size = unit_factor(output.unit, unit)
         per_g, zero = size * output.sensitivity, size * output.zero
-    stated = parse(f"0 {rest}", unit).u
+    stated = parse_quantity(f"0 {rest}", unit).u
     return f"{_noisy_reading(campaign, reading, (per_g, zero), stated, generator)!r} {rest}"
 
 

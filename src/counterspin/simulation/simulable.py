@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final, Literal
 
-from counterspin.campaign.accelerometers import with_responses
+from counterspin.campaign.accelerometers import update_responses
 from counterspin.campaign.columns import Recording
 from counterspin.campaign.conditions import rate_clock_input
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.field_types import ESTIMATE
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.runs import MOST_ROWS, MOST_SIMULATED_ROWS
+from counterspin.campaign.runs import MAX_COMPUTED_ROWS, MAX_SIMULATED_ROWS
 from counterspin.campaign.settings import NoiseSettings, StatedNoise
 from counterspin.errors import CampaignError
 from counterspin.inference.joint.series import CLOCK, RATE_CLOCK, TIMING
@@ -107,7 +107,7 @@ def reading_problems(campaign: Campaign) -> list[str]:
             "truth.noise.specific_force: missing; a sensor without noise at rest would look like "
             "a stopped sensor, and counterspin would not find any pose in its record"
         )
-    for (name, _), run_truth in truth.read.items():
+    for (name, _), run_truth in truth.reading_runs.items():
         duration = max(
             (r.duration or 0.0 for r in campaign.readings if r.name == name), default=0.0
         )
@@ -254,7 +254,7 @@ def check_size(
     if purpose != "simulation" and records > MOST_RECORDS:
         text = f"runs: {records} records are too many; a {purpose} can have at most {MOST_RECORDS}"
         raise CampaignError(str(campaign.path), [text], code="too-many-rows")
-    max_rows = MOST_SIMULATED_ROWS if purpose == "simulation" else MOST_ROWS
+    max_rows = MAX_SIMULATED_ROWS if purpose == "simulation" else MAX_COMPUTED_ROWS
     advice = (
         f"rows, but a {purpose} can have at most {max_rows:.2g}; choose fewer revolutions, a "
         "shorter duration or a lower sampling rate"
@@ -288,7 +288,7 @@ def apply_true_inputs(campaign: Campaign) -> Campaign:
     angle_delay = true.get(("", TIMING))
     return replace(
         campaign,
-        accelerometers=with_responses(campaign.accelerometers, true),
+        accelerometers=update_responses(campaign.accelerometers, true),
         site=replace(campaign.site, gravity=gravity.value, latitude=latitude.value),
         gravity=gravity,
         latitude=latitude,

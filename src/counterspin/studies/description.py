@@ -33,13 +33,13 @@ from counterspin.campaign.field_types import (
     SettingsSection,
     Text,
     TextList,
-    exact,
     key_field,
+    parse_exact,
 )
-from counterspin.campaign.quantity import parse
+from counterspin.campaign.quantity import parse_quantity
 from counterspin.campaign.resolution import CampaignDocument
 from counterspin.campaign.runs import recorders_of
-from counterspin.campaign.terms import BARE_NAMES, expand, rows_of, symbols_shown
+from counterspin.campaign.terms import BARE_NAMES, acting_rows, expand_name, shown_symbols
 from counterspin.campaign.validation import Problems, Section, suggest_name
 from counterspin.errors import OutOfRangeError
 from counterspin.frozen import frozen
@@ -446,7 +446,7 @@ def _resolve_names(
         return [(owner, symbol_name)]
     if key in ACCELEROMETER_TERMS:
         return [(name, key) for name in campaign.accelerometers]
-    observable_symbols = symbols_shown(campaign.readings)
+    observable_symbols = shown_symbols(campaign.readings)
     if key in INPUTS or symbol_name in INPUTS:
         return _resolve_inputs(key, path, campaign, recorders, problems)
     if key in OTHER_QUANTITIES and not campaign.runs:
@@ -454,11 +454,11 @@ def _resolve_names(
             path, "this quantity requires double-turntable records, but the campaign contains none"
         )
     shared = (key,) if key in SHARED_TERMS or key in OTHER_QUANTITIES else ()
-    if symbols := shared or expand(key, observable_symbols):
+    if symbols := shared or expand_name(key, observable_symbols):
         return [("", symbol) for symbol in symbols]
     if key in BARE_NAMES:
         mountings = [a.mounting for a in campaign.accelerometers.values()]
-        rows = rows_of(key, mountings, [run.attitude for run in campaign.runs])
+        rows = acting_rows(key, mountings, [run.attitude for run in campaign.runs])
         return [("", row.symbol) for row in rows]
     candidates = [
         *OTHER_QUANTITIES,
@@ -496,15 +496,15 @@ def _parse_distribution(
 ) -> tuple[float, float]:
     """Return the two numbers of a distribution."""
     if distribution == "normal":
-        quantity = parse(_as_quantity(value, unit), unit, gravity=gravity)
+        quantity = parse_quantity(_as_quantity(value, unit), unit, gravity=gravity)
         if quantity.u <= 0.0:
             raise ValueError('write a normal distribution as "MEAN ± SD UNIT"')
         return quantity.value, quantity.u
     if distribution == "fixed":
-        return exact(_as_quantity(value, unit), unit, gravity), 0.0
+        return parse_exact(_as_quantity(value, unit), unit, gravity), 0.0
     if not isinstance(value, list) or len(value) != 2:
         raise ValueError('write a uniform distribution as ["LOWEST UNIT", "HIGHEST UNIT"]')
-    low, high = (exact(_as_quantity(bound, unit), unit, gravity) for bound in value)
+    low, high = (parse_exact(_as_quantity(bound, unit), unit, gravity) for bound in value)
     if not low < high:
         raise OutOfRangeError("the lowest value must be below the highest")
     return low, high

@@ -244,9 +244,11 @@ class TrialReadings:
             # Drawn values are not rounded.
             reading_u = true_noise if math.isfinite(dof) else reading.u
             # An angle shows the true rate; of its noise, u of the rate is negligible.
-            measured_rate = MeasuredRate(rate, 0.0) if reading.by_clock else None
+            measured_rate = MeasuredRate(rate, 0.0) if reading.uses_recorder_clock else None
             readings.append(
-                replace(reading, value=0.0, u=reading_u, resolution=0.0, measured=measured_rate)
+                replace(
+                    reading, value=0.0, u=reading_u, resolution=0.0, measured_rate=measured_rate
+                )
             )
             noise.append(true_noise)
             estimated_dof.append(dof)

@@ -247,7 +247,7 @@ def set_pose_noise(campaign: Campaign, records: tuple[PoseRecord, ...]) -> Campa
     sd = mean_noise(campaign, 2.0 * min(record.rest for record in records))
     noise = dict.fromkeys(campaign.triad.accelerometers, sd) | dict(truth.reading_noise)
     simulated_truth = replace(truth, reading_noise=noise)
-    return replace(campaign, simulation=campaign.simulation.with_private(truth=simulated_truth))
+    return replace(campaign, simulation=campaign.simulation.replace_private(truth=simulated_truth))
 
 
 def mean_noise(campaign: Campaign, seconds: float) -> float:

@@ -91,8 +91,10 @@ def resolve_triad(
     settings = problems.check(TriadSettings, raw, ("triad",))
     names = () if settings is None else tuple(settings.accelerometers)
     axes = _axes_of(names, mountings, problems)
-    of_frame = () if given is None or not axes else _frame_misalignments(names, axes, problems)
-    for name, symbol in of_frame:
+    frame_misalignments = (
+        () if given is None or not axes else _frame_misalignments(names, axes, problems)
+    )
+    for name, symbol in frame_misalignments:
         if symbol in (given or {}).get(name, {}):
             problems.add(
                 ("accelerometers", name, symbol),
@@ -106,7 +108,7 @@ def resolve_triad(
             records += _resolve_record(run, path, folder, problems)
         else:
             poses += _resolve_pose(path, names if axes else (), pose_readings, problems)
-    return Triad(names, tuple(poses), tuple(records), of_frame) if axes else None
+    return Triad(names, tuple(poses), tuple(records), frame_misalignments) if axes else None
 
 
 def _axes_of(
