@@ -100,7 +100,7 @@ CODES: Final[Mapping[str, str]] = {
     "too-many-workers": (
         "Warning: more processes were requested than are useful on this computer."
     ),
-    "long-study": "Warning: a study will take long.",
+    "long-study": "Warning: a study will take a long time.",
     "trials-repeated": "Warning: saved trials of a study are missing or damaged.",
     # Results, certificates and studies
     "result-altered": "A result was changed after it was written.",

@@ -120,9 +120,9 @@ class Workers:
         if self.cluster is not None or self.processes <= max_processes:
             return self
         message = (
-            f"`workers`: {self.processes} were requested, but only {max_processes} are started, "
-            f"because more than {max_processes} would not help on this machine, which has "
-            f"{available_cores()} processor cores available"
+            f"`workers`: {self.processes} were requested, but counterspin starts only "
+            f"{max_processes}, because more would not help with the {available_cores()} processor "
+            "cores available"
         )
         warnings.warn(CounterspinWarning(message, code="too-many-workers"), stacklevel=3)
         return replace(self, processes=max_processes)

@@ -43,7 +43,7 @@ def commands_of_the_page():
     And what it sets in the environment before.
     """
     page = (Path(__file__).parents[2] / "docs" / "study.md").read_text(encoding="utf-8")
-    laptop = page[page.index("### On a laptop") : page.index("### On Kubernetes")]
+    laptop = page[page.index("### On one or several computers") : page.index("### On Kubernetes")]
     scheduler, worker = (shlex.split(line) for line in re.findall(r"^    (dask .+)$", laptop, re.M))
     return scheduler[1:], worker[1:], dict(re.findall(r"^    export (\w+)=(.+)$", laptop, re.M))
 

@@ -72,7 +72,7 @@ def test_provenance_states_inputs_in_memory(found, memory_campaign, written_fold
     assert provenance.inputs["slow.parquet"] == f"sha256:{digest.hexdigest()}"
     text = " ".join(block_texts(found))
     assert (
-        "Some inputs are not files: campaign.toml (made in Python); slow.parquet (arrays)" in text
+        "some inputs are not files: campaign.toml (made in Python); slow.parquet (arrays)" in text
     )
     assert "counterspin calibrate" not in text
 

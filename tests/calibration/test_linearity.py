@@ -94,7 +94,7 @@ def test_joint_response_of_sources_is_included(tmp_path):
     assert k_i.joint_difference == pytest.approx(max(differences), rel=1e-2)
     assert k_i.joint_difference > k_i.tolerance
     text = "".join(map(str, interval_blocks("A", result)))
-    assert "by more than the tolerance for K_F, K_I" in text
+    assert "by more than the numerical tolerance for K_F, K_I" in text
 
 
 def test_response_parabola_passes_through_points():

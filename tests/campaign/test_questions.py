@@ -131,11 +131,11 @@ def test_values_without_uncertainty_are_questions(tmp_path):
     ]
     bias, scale_factor, *_ = questions(write_and_read_campaign(tmp_path / "again", text))
     assert bias.text == (
-        "Qx.K_F is stated as 0.005 g without an uncertainty and is therefore used with the "
+        "Qx.K_F is stated as 0.005 g without an uncertainty, so counterspin uses it with the "
         'default uncertainty. How accurately is it known? Write "0.005 ± U g".'
     )
     assert (
-        "and is therefore used as exact, because it is listed in model.assume. How accurately"
+        "so counterspin uses it as exact, because it is listed in model.assume. How accurately"
         in scale_factor.text
     )
 

@@ -209,7 +209,7 @@ def test_pdf_of_other_xml_is_not_completed(ledger_folder, capsys):
     assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
     words = ("r.json", "LAB.toml", "-o", "a.xml", "--both")
     assert run(*words) == 1
-    assert "a.xml already exists, and this command did not start its PDF" in capsys.readouterr().err
+    assert "a.xml already exists, and no interrupted command left a PDF" in capsys.readouterr().err
     assert not (ledger_folder / "a.pdf").exists()
 
 

@@ -82,8 +82,8 @@ def test_repr_does_not_contain_key(tmp_path, keys):
     [
         (lambda: rsa.generate_private_key(65537, 1024), {}, "1024 bits; at least 2048"),
         (lambda: ec.generate_private_key(ec.SECP192R1()), {}, "192 bits; at least 256"),
-        (None, {"days": (-10, -1)}, "only, so it is not valid today"),
-        (None, {"days": (1, 10)}, "only, so it is not valid today"),
+        (None, {"days": (-10, -1)}, ", so it is not valid today"),
+        (None, {"days": (1, 10)}, ", so it is not valid today"),
         (None, {"usage": "key_agreement"}, "not intended for signatures"),
         (None, {"usage": "content_commitment"}, None),
         (None, {"usage": "digital_signature"}, None),

@@ -29,7 +29,7 @@ def test_arguments_in_messages_become_options(words, raised, told):
 def test_error_names_options_of_command(tmp_path, capsys):
     description = tmp_path / "campaign.toml"
     assert cli.main(["calibrate", str(tmp_path), "--model", "as-printed"]) == 2
-    assert "with them give --method two-stage" in capsys.readouterr().err
+    assert "also give --method two-stage" in capsys.readouterr().err
     assert not description.exists()
     assert cli.main(["history", str(tmp_path), "--term", "K_2"]) == 2
     assert capsys.readouterr().err.startswith("counterspin: --term: unknown term")

@@ -356,7 +356,7 @@ def test_wrong_usage_exits_with_2(tmp_path, capsys):
     for term, words in (
         ("K_IV", "unknown term"),
         ("platform.tilt.up", "is a machine term"),
-        ("offset.X", '"offset" tracks this parameter for all accelerometers'),
+        ("offset.X", 'use "offset", which tracks it for all accelerometers'),
     ):
         assert main(["history", str(tmp_path), "--term", term]) == 2
         assert words in capsys.readouterr().err

@@ -107,6 +107,6 @@ def test_inconsistent_kind_is_named(tmp_path, capsys, monkeypatch, kind, moved):
     monkeypatch.setenv("COLUMNS", "120")  # or the heads of columns are wrapped
     assert main(["calibrate", str(tmp_path / "all")]) == 1
     out = " ".join(capsys.readouterr().out.split())
-    assert f"{kind}: not consistent" in out
+    assert f"{kind}, not consistent" in out
     assert "only at rest (12)" in out
     assert any("not consistent" in str(block) for block in document(result))

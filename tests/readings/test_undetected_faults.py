@@ -104,7 +104,7 @@ def test_result_with_unseen_faults_is_good_with_remark(tmp_path):
         "The result for A passed all checks, but the readings test only part"
     )
     assert "gain" in a.unseen_faults[0]
-    (remark,) = (text for text in result.warnings if "would not reveal any of these faults" in text)
+    (remark,) = (text for text in result.warnings if "would not reveal these faults" in text)
     assert all(clause in remark for clause in a.unseen_faults)
 
 

@@ -175,8 +175,8 @@ def _record_end_findings(observed_runs: Sequence[ObservedRun]) -> list[Finding]:
         if isolated_rows := run.record.report.isolated:
             rows = "1 row" if isolated_rows == 1 else f"{isolated_rows} rows"
             text = (
-                f"{name}: {rows} at one end of the record omitted, because a gap separates "
-                "these rows from the rest of the record. Inspect the record."
+                f"{name}: a gap separates {rows} at one end of the record from the rest, so "
+                "counterspin omitted them. Inspect the record."
             )
             findings.append(Finding(code="lone-rows", subject=name, text=text, size=isolated_rows))
     return findings

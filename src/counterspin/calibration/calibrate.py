@@ -162,7 +162,7 @@ def _check_method(method: str, options: TwoStageOptions | None) -> None:
         raise UsageError("calibrate", [f"`method`: {method!r} is not {methods}"])
     if method == "joint" and options not in (None, TwoStageOptions()):
         options_text = "model, sigma, bias, ripple and weights are options of the two-stage method"
-        raise UsageError("calibrate", [f'{options_text}; with them give `method="two-stage"`'])
+        raise UsageError("calibrate", [f'{options_text}; also give `method="two-stage"`'])
 
 
 def _observe_runs(

@@ -115,7 +115,7 @@ class Coefficient(ResultPart):
         stated = self._gravity if gravity is None else StatedGravity(gravity)
         if stated is None:
             raise ValueError(
-                "this coefficient belongs to no result: give the `gravity` of its unit"
+                "this coefficient does not belong to a result; give the `gravity` of its unit"
             )
         return convert_to_si(*self._stated(), self.unit, self.dof, stated)
 

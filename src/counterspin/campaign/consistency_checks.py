@@ -222,7 +222,7 @@ def _unusable_table_ratio(
             yield (
                 path,
                 f"is larger than {_MAX_RATIO_WITH_RESPONSE}; counterspin does not calculate "
-                "the frequency response for the harmonics of such a force",
+                "the frequency response for force harmonics that high",
             )
         recording = run.recording or records
         if recording is not None and recording.angle is None:

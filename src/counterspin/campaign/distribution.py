@@ -87,7 +87,9 @@ def parse_prior(raw: object, unit: str, *, gravity: float | None) -> Quantity:
     if "dof" in raw:
         dof = _parse_positive_number(raw, "dof")
         if not _MIN_DOF <= dof < math.inf:
-            raise OutOfRangeError(f"dof is {dof:g}; give a number from {_MIN_DOF:g}, or omit it")
+            raise OutOfRangeError(
+                f"dof is {dof:g}; give a number of at least {_MIN_DOF:g}, or omit it"
+            )
         return Quantity(value, parse_positive_key("u"), unit, InputDistribution("t", dof))
     return Quantity(value, parse_positive_key("u"), unit)
 

@@ -176,7 +176,7 @@ def _question_exact_priors(campaign: Campaign) -> Iterator[Question]:
             yield Question(
                 code="exact-prior",
                 subject=subject,
-                text=f"{subject} is stated as {value} {prior.unit} without an uncertainty and "
-                f'is therefore used {treatment}. How accurately is it known? Write "{value} ± '
+                text=f"{subject} is stated as {value} {prior.unit} without an uncertainty, so "
+                f'counterspin uses it {treatment}. How accurately is it known? Write "{value} ± '
                 f'U {prior.unit}".',
             )

@@ -165,7 +165,10 @@ class SpindleTruthSettings(SettingsSection):
 #: Family of terms -> description and example of its table in [truth].
 _FAMILY_FIELDS: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
     "platform.tilt": ("tilt about `east`, `north` and `up`", {"north": "0.2 arcsec"}),
-    "platform.drift": ("drift of the gyros about `east`, `north`, `up`", {"north": "0.001 deg/h"}),
+    "platform.drift": (
+        "drift of the gyros about `east`, `north` and `up`",
+        {"north": "0.001 deg/h"},
+    ),
     "platform.g_sensitivity": (
         "g-sensitivity of gyro z to specific force along x (`zx`), and so on",
         {"zx": "0.01 deg/h/g"},

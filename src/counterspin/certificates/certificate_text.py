@@ -168,9 +168,7 @@ def scope_statement() -> str:
 def replace_plus_minus(sentence: str) -> str:
     """Return a sentence with "u =" for "±", which precedes only U in a certificate."""
     separated = _TIMES_POWER.sub(r"\1 \3, u = \2 \3", sentence)
-    return separated.replace(" ± ", ", u = ").replace(
-        "and therefore not in u;", "and therefore not in U:"
-    )
+    return separated.replace(" ± ", ", u = ")
 
 
 # The method

@@ -170,8 +170,8 @@ class Certificate:
         staged_pdf = self._staged_pdf_path(pdf, published_xml)
         if not (staged_pdf.is_file() and read_document(staged_pdf) == published_xml):
             raise ExistingFileError(
-                f"{xml} already exists, and this command did not start its PDF. A certificate "
-                "never overwrites a file; choose another name"
+                f"{xml} already exists, and no interrupted command left a PDF that belongs to it. "
+                "A certificate never overwrites a file; choose another name"
             )
         data = read_file(staged_pdf)
         self._write(pdf, data, ledger, {**self.entry, "sha256": checksum_of(published_xml)})

@@ -183,7 +183,7 @@ class Contact(SettingsSection):
     post_code: Text | None = key_field("postal code of the city", "12345", None)
     city: Text = key_field("city", "Exampletown")
     country: Country | None = key_field(
-        "country code of two letters (ISO 3166-1)", "DE", None, kind="country"
+        "two-letter country code (ISO 3166-1)", "DE", None, kind="country"
     )
     email: Text | None = key_field("e-mail address", "lab@example.org", None)
     phone: Text | None = key_field("telephone number", "+49 30 123456", None)
@@ -192,7 +192,7 @@ class Contact(SettingsSection):
 class Laboratory(Contact):
     """[laboratory]: the calibration laboratory, with the `code` of its accreditation."""
 
-    country: Country = key_field("country code of two letters (ISO 3166-1)", "DE", kind="country")
+    country: Country = key_field("two-letter country code (ISO 3166-1)", "DE", kind="country")
     code: Text | None = key_field("identifier of the accreditation", "D-K-00000-01-00", None)
     logo: Text | None = key_field(
         "logo on the pages: path of a PNG or SVG file of at most 1 MB, relative to LAB.toml",

@@ -454,8 +454,8 @@ def ledger_blocks(verified: VerifiedLedger) -> Iterator[Block]:
     )
     yield Paragraph(
         f"{len(verified.entries)} entries, none of them altered. Hash of the last entry: "
-        f"{verified.head}. Keep a copy of this hash elsewhere. With it, you can detect whether "
-        "the last entries were removed or the whole ledger was rewritten."
+        f"{verified.head}. Keep a copy of this hash elsewhere. If the last entries are "
+        "removed or the whole ledger is rewritten, the hash will differ from your copy."
     )
 
 

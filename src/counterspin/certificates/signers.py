@@ -286,7 +286,7 @@ def _check_signer(signer: Signer, key: str, certificate: str) -> None:
     )
     if not begin <= datetime.now(UTC) <= end:
         raise KeyFileError(
-            f"{certificate} is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d} only, so it is not "
+            f"{certificate} is valid only from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, so it is not "
             "valid today"
         )
     try:

@@ -29,7 +29,7 @@ class ForceOptions:
         Column to correct; required if several columns are possible.
     unit
         Unit of the forces in the table: g, m/s^2, mg, or the unit of the calibrated output, such as
-        count. In the latter case, the corrected forces are in g.
+        count. If the table is in that last unit, the corrected forces are in g.
     pendulous
         Specific force along the pendulous axis: a column, or a constant such as "-1 g".
     output_axis

@@ -37,10 +37,10 @@ class Estimation:
     weighted
         Two-stage: weight the runs by sigma(b2). The paper uses equal weights.
     ripple
-        Two-stage as printed: ripple quantity that is the same at all rates: the amplitude, or its
-        ratio to the rate.
+        Two-stage as printed: whether the amplitude of the rate ripple is the same at all rates, or
+        its ratio to the rate.
     fit_bias
-        Two-stage: estimate K_F, using its prior, or treat K_F as known.
+        Two-stage: estimate K_F with its prior, or treat K_F as known.
     sigma
         Two-stage: use the displacement noise stated in the campaign, or estimate it from the
         residuals.

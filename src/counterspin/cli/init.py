@@ -35,7 +35,7 @@ def init(
     Parameters
     ----------
     directory
-        Folder for campaign.toml, which is created if necessary.
+        Folder for campaign.toml. counterspin creates the folder if it does not exist.
     test
         Kind of test: records of a double turntable, readings of a multi-position tumble, readings
         on the arm of a centrifuge, or a record of a three-axis sensor in many poses. Default:

@@ -95,7 +95,7 @@ def intercompare(
         for symbol in _compared_symbols(accelerometer, laboratories, coefficients)
     ]
     if not references:
-        raise _comparison_error("the results have no coefficient that all of them determine")
+        raise _comparison_error("no coefficient is determined by all results")
     unnamed_laboratories = [
         name for name, result in laboratories.items() if "laboratory" not in result.details
     ]
@@ -106,8 +106,7 @@ def intercompare(
         references=references,
         assumed=[
             f"The campaigns of {', '.join(unnamed_laboratories)} do not name a laboratory. "
-            "Identical statements about the machine and the site are treated as the same "
-            "measurement."
+            "Identical values for the machine and the site are treated as the same measurement."
         ]
         if unnamed_laboratories
         else [],

@@ -149,8 +149,8 @@ def _unknown_term_message(term: str) -> str:
     parameter_type, _, accelerometer_names = term.partition(".")
     if accelerometer_names and parameter_type in TRIAD_PARAMETERS:
         return (
-            f'"{term}" is a parameter of a triad; "{parameter_type}" tracks this parameter for all '
-            "accelerometers of the triad"
+            f'"{term}" is a parameter of a triad; use "{parameter_type}", which tracks it for '
+            "all accelerometers of the triad"
         )
     return f'unknown term "{term}"{suggest_name(term, [*TERMS, *TRIAD_PARAMETERS])}'
 
@@ -285,7 +285,7 @@ def _make_due(
     if specification_limits is None:
         reason = "none of the results states a specification"
     elif drift is None:
-        reason = "a straight line requires results of at least two dates"
+        reason = "a straight line requires results from at least two dates"
     elif verdict in {"differ", "disagree"}:
         reason = (
             "the results are not consistent with a straight line, so they cannot be extrapolated"

@@ -549,7 +549,7 @@ def _statements(table: ArmTable) -> Iterator[str]:
             f"column '{table.rate.name}' has so few digits that a change in the last digit "
             f"changes the acceleration by {100.0 * step:.1g} %. Give more digits if available. "
             "A stated uncertainty of the readings must include this rounding error. Without a "
-            "stated uncertainty, the residuals show it"
+            "stated uncertainty, the noise that counterspin estimates includes it"
         )
     rests = int(table.rests.sum())
     if table.rate is not None:

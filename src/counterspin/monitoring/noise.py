@@ -403,9 +403,9 @@ def _remarks(stated: SignalNoise, record: StaticRecord) -> Iterator[str]:
             if key in BIAS_COMPONENTS_BY_KEY:
                 scale = BIAS_COMPONENTS_BY_KEY[key].limit_scale
                 yield (
-                    f"The record does not reveal any {name}. The stated upper limit decreases "
-                    f"approximately in proportion to {scale}, so a longer record (hours) can "
-                    "reveal smaller values."
+                    f"The record does not reveal any {name}. The stated upper limit is "
+                    f"approximately inversely proportional to {scale}, so a longer record (hours) "
+                    "can reveal smaller values."
                 )
             continue
         wide = (

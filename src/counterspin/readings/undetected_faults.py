@@ -117,10 +117,11 @@ def fault_remarks(faults: Mapping[str, Sequence[str]]) -> Iterator[str]:
     """Yield a remark for each accelerometer whose data would not show some faults."""
     for name, clauses in faults.items():
         if clauses:
+            these, them = ("this fault", "it") if len(clauses) == 1 else ("these faults", "them")
             yield (
-                f"{name}: the residuals would not reveal any of these faults: "
-                f"{'; '.join(clauses)}. Rule them out by other means: repeat the series in another "
-                "order, or use a single range of the meter."
+                f"{name}: the residuals would not reveal {these}: {'; '.join(clauses)}. Rule "
+                f"{them} out by other means: repeat the series in another order, or use a single "
+                "range of the meter."
             )
 
 

@@ -464,7 +464,7 @@ class _RecordReader:
                 f"{self._file.path}: column '{self._columns.signals[accelerometer].name}' does "
                 f"not follow the rotation for {len(dropout) / len(signal):.2g} of the record, "
                 f"between {start:.6g} s and {end:.6g} s after its start, but follows the "
-                "rotation again afterwards. Possibly, the channel failed for a while. At most "
+                "rotation again afterwards. The channel may have failed for a while. At most "
                 f"{MAX_EMPTY_FRACTION:.0%} of the record may be affected. Use only the part of "
                 "the record before the failure.",
                 code="signal-dropout",

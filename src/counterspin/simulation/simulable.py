@@ -167,7 +167,7 @@ def refuse_unsupported(campaign: Campaign) -> None:
     records = [run.record for run in campaign.runs]
     for run in campaign.runs:
         if records.count(run.record) > 1:
-            problems.append(f'run "{run.name}": a simulated record belongs to one run')
+            problems.append(f'run "{run.name}": a simulated record can belong to only one run')
         if len(run.files) > 1:
             problems.append(f'run "{run.name}": a simulated record is a single file')
     if problems:

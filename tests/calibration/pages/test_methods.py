@@ -108,12 +108,10 @@ def make_methods(p):
 @pytest.mark.parametrize(
     ("p", "verdict"),
     [
-        (0.0013, "consistent with the other methods"),
-        (0.0012, "not consistent with the other methods"),
+        (0.0013, "consistent with the others"),
+        (0.0012, "not consistent with the others"),
     ],
 )
 def test_significance_is_shared_by_all_tests(p, verdict):
     (words,) = [b.text for b in method_blocks(make_methods(p)) if isinstance(b, Paragraph)]
-    assert words.startswith(
-        f"Consistency of each test method with the other methods: at rest: {verdict} (chi"
-    )
+    assert words.startswith(f"Agreement between the test methods: at rest, {verdict} (chi")

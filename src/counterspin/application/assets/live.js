@@ -168,7 +168,7 @@ export async function liveView(name) {
     content: [
       make("h1", {}, campaign.title), campaignTabs(name, "live", reachedBy(campaign)),
       make("p", { class: "quiet" }, "While your recorder writes records into the campaign folder, this page reads the records every second. "
-        + "The ripple is given as a fraction of the rate. The residuals should have about the same size as the noise."),
+        + "The ripple is given as a fraction of the rate. The residuals should be about as large as the noise."),
       make("div", { class: "row" }, labelled("Goal (coefficient and standard uncertainty)", goal)), wrong, chart.element, place, events, command,
     ],
   };

@@ -29,8 +29,8 @@ export async function plansView() {
     title: "Plans",
     content: [
       make("h1", {}, "Plans"),
-      make("p", { class: "quiet" }, "A plan selects the rates, durations and attitudes of the runs. The plan minimises the uncertainty within the limits of ",
-        "time and machine, or the time to reach a target uncertainty. A plan for readings selects ",
+      make("p", { class: "quiet" }, "A plan selects the rates, durations and attitudes of the runs. It minimises the uncertainty within the limits of ",
+        "time and machine, or the time needed to reach a target uncertainty. A plan for readings selects ",
         "positions, rates or poses in the same way."),
       folder.plans.length
         ? make("ul", { class: "cards" }, ...folder.plans.map(/** @param {{name: string, title: string}} plan */ ({ name, title }) =>

@@ -12,7 +12,7 @@ const STEPS = [
   [".instrument", "Result", "Each card shows K_II with its standard uncertainty u and its 95 % interval. The bar shows the sources of u; the checks below the bar test the fit."],
   ['[role="tablist"]', "Tabs", "The sliders in the uncertainty budget show how u would decrease if a source were known more accurately. The Residuals tab shows data minus model. The Inputs tab lists all files with checksums."],
   [".head .row", "Report and certificate", "Save a report, copy the values, or issue a certificate. A certificate remains a draft until all laboratory entries are complete."],
-  [".steps .menu", "Description and records", "The ‘More’ menu opens the description with every setting, the record plots, a forecast and a study. The glossary explains the terms."],
+  [".steps .menu", "Description and records", "The ‘More’ menu leads to the record plots, a forecast, a study, and the description with every setting. The glossary explains the terms."],
 ];
 
 /** @param {string} name of the campaign that is shown next */

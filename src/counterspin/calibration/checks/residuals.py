@@ -71,11 +71,13 @@ def noise_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
         if thinned_runs := {
             series.run: series.thinning for series in view.series if series.thinning > 1
         }:
-            strides = ", ".join(f"one in {stride} of {run}" for run, stride in thinned_runs.items())
+            strides = ", ".join(
+                f"one row in {stride} of {run}" for run, stride in thinned_runs.items()
+            )
             yield (
                 f"{view.name}: adjacent rows have nearly the same error, as if the recorder "
-                "had a low-pass filter or a coarse resolution. The fit uses only independent "
-                f"rows: {strides}."
+                "had a low-pass filter or a coarse resolution. The fit uses only rows "
+                f"with independent errors: {strides}."
             )
         noise_ratios = {series.run: math.sqrt(series.variance_ratio) for series in view.series}
         quietest, noisiest = (

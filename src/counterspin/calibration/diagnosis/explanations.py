@@ -48,10 +48,10 @@ class Explanation(PriorExplanation):
             shown_unit, factor = field_unit(unit_of(self.alternative.symbol))
             largest = f"{format_number(limit * factor, 3)} {shown_unit}"
             text += (
-                f"This value exceeds the largest credible value, {largest}, but no credible "
-                "cause explains the misfit as well. If the true value can be this large, add "
-                "the term to the model and state a limit. Otherwise, look for a mistake with "
-                "the same effect."
+                f"This value exceeds the largest credible value, {largest}, but no cause of a "
+                "credible size explains the misfit equally well. If the true value can be this "
+                "large, add the term to the model and state a limit. Otherwise, look for a "
+                "mistake with the same effect."
             )
             label += " and whose value would not be credible"
         else:

@@ -81,11 +81,10 @@ def _linearity_sentence(accelerometer: AccelerometerResult) -> str:
     if not ratios:
         return ""
     worst_symbol = max(ratios, key=lambda symbol: ratios[symbol])
-    amount = (
-        f"at most {format_number(ratios[worst_symbol], 2)} times the tolerance ({worst_symbol})"
-    )
+    largest = format_number(ratios[worst_symbol], 2)
+    amount = f"at most {largest} times the numerical tolerance ({worst_symbol})"
     if ratios[worst_symbol] < _NEGLIGIBLE_RATIO:
-        amount = f"less than {_NEGLIGIBLE_RATIO:g} times the tolerance"
+        amount = f"less than {_NEGLIGIBLE_RATIO:g} times the numerical tolerance"
     text = (
         f"Full fits with each source shifted by ±2 u differ from the linear prediction by {amount}."
     )
@@ -104,8 +103,8 @@ def _linearity_sentence(accelerometer: AccelerometerResult) -> str:
     if failed_symbols:
         text += (
             " With all sources shifted together, full fits still differ from the prediction by "
-            f"more than the tolerance for {', '.join(failed_symbols)}. The intervals for these "
-            "coefficients are therefore approximate. State smaller uncertainties."
+            f"more than the numerical tolerance for {', '.join(failed_symbols)}. The intervals "
+            "for these coefficients are therefore approximate. State smaller uncertainties."
         )
     return text
 

@@ -124,13 +124,14 @@ def _method_sentence(result: Result) -> str:
         observations = " and ".join([*records, *readings, *poses])
         return (
             f"Weighted least squares fits {observations} together. Priors enter as "
-            "pseudo-observations. Fixed (considered) quantities are propagated through their "
-            "sensitivity coefficients."
+            "pseudo-observations. The fit does not adjust considered quantities. Their "
+            "uncertainties are propagated through their sensitivity coefficients."
         )
     return (
         "Weighted least squares fits all samples of all runs and accelerometers together. Priors "
-        "enter as pseudo-observations. Fixed (considered) quantities are propagated through their "
-        "sensitivity coefficients. Each run has a separate initial offset and initial velocity."
+        "enter as pseudo-observations. The fit does not adjust considered quantities. Their "
+        "uncertainties are propagated through their sensitivity coefficients. Each run has a "
+        "separate initial offset and initial velocity."
     )
 
 
@@ -168,9 +169,9 @@ def origin_blocks(result: Result) -> Iterator[Block]:
             f"{name} ({description})" for name, description in result.provenance.in_memory.items()
         )
         yield Paragraph(
-            f"{version_text} Some inputs are not files: {inputs_text}. No command can therefore "
-            "repeat the calibration. `Campaign.write` writes a campaign folder from which it "
-            "can be repeated."
+            f"{version_text} No command can repeat the calibration, because some inputs are not "
+            f"files: {inputs_text}. To make it repeatable, write a campaign folder with "
+            "`Campaign.write`."
         )
         return
     yield Paragraph(
@@ -353,7 +354,7 @@ def method_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
     )
     level = method_test_level(methods)
     sentence = "; ".join(_agreement_text(method, level) for method in methods)
-    yield Paragraph("Consistency of each test method with the other methods: " + sentence + ".")
+    yield Paragraph("Agreement between the test methods: " + sentence + ".")
 
 
 def _has_value(method: MethodAgreement, symbol: str) -> bool:
@@ -369,14 +370,12 @@ def _shift_cell(coefficient: Coefficient | None) -> str:
 
 def _agreement_text(method: MethodAgreement, level: float) -> str:
     if method.p is None:
-        return f"{method.kind}: the other methods do not predict these readings"
+        return f"{method.kind}, not predicted by the other methods"
     verdict = (
-        "consistent with the other methods"
-        if method.p >= level
-        else "not consistent with the other methods"
+        "consistent with the others" if method.p >= level else "not consistent with the others"
     )
     text = (
-        f"{method.kind}: {verdict} (chi-square/dof {format_number(method.chi2 / method.dof, 3)}, "
+        f"{method.kind}, {verdict} (chi-square/dof {format_number(method.chi2 / method.dof, 3)}, "
         f"p = {format_number(method.p, 2)}"
     )
     shifts = {symbol: abs(shift.z) for symbol, shift in method.without.items()}

@@ -163,8 +163,8 @@ def prior_blocks(result: Result) -> Iterator[Block]:
         rows.sort(key=lambda row: -shares[row.name])
         yield Paragraph(
             "The fit uses priors as stated in the description. For terms without a stated "
-            "prior, the prior is 0 with the default standard uncertainty. The last column gives "
-            "the largest share of u^2 among all coefficients.",
+            "prior, the prior is the nominal value with the default standard uncertainty. The last "
+            "column gives the largest share of u^2 among all coefficients.",
             "quiet",
         )
         yield Table(

@@ -64,6 +64,8 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
             )
         if evidence and accelerometer.state in _USABLE:
             sentences.append(f"Passed checks: {evidence}.")
+    elif evidence and accelerometer.unseen_faults:
+        sentences = [f"{opening}.", f"Passed checks: {evidence}."]
     else:
         sentences = [f"{opening}: {evidence}." if evidence else f"{opening}."]
     return " ".join(sentences)

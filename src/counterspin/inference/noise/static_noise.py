@@ -198,9 +198,9 @@ def split_segments(time: Array, values: Array) -> Segments:
             or (np.diff(sample_index) < 1.0).any()
         ):
             raise ValueError(
-                "the samples are not evenly spaced, as the noise analysis requires; if the sensor "
-                "samples at a constant rate and no sample is missing, give `sampling_rate`, or "
-                "else resample the record"
+                "the noise analysis requires evenly spaced samples, but the spacing varies; if the "
+                "sensor samples at a constant rate and no sample is missing, give "
+                "`sampling_rate`; otherwise, resample the record"
             )
         parts.append((float(own_time[0]), sample_index, segment_values))
     if not parts:
