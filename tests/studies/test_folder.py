@@ -103,7 +103,7 @@ def test_study_killed_during_save_resumes(
         written.append(path)
         write_atomically(path, content, **more)
 
-    monkeypatch.setattr("counterspin.studies.folder.write_whole", write)
+    monkeypatch.setattr("counterspin.studies.folder.write_atomically", write)
     with pytest.raises(KilledError):
         study(campaign, trials=TRIALS, output=StudyFolder(tmp_path / "out", keep_trials=True))
     monkeypatch.undo()
