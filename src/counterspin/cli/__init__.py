@@ -1,8 +1,8 @@
-"""The command line: words to calls, errors to one paragraph, nothing else.
+"""Command line: parses arguments, calls functions, and prints errors as one paragraph.
 
-A command imports what it uses when it runs, so that `--help` answers at once.
+Each command imports modules when it runs, so that `--help` is fast.
 
-- `init`, `calibrate`, `applied`, `operating`, `certificate`, `apply`, `plan`, `study`: one each
+- `init`, `calibrate`, `applied`, `operating`, `certificate`, `apply`, `plan`, `study`: one command
 - `records`: `simulate`, `check`, `watch`, `noise`
 - `results`: `report`, `history`, `compare`, `intercompare`, `rerun`, `export`,
   `ledger`
@@ -34,7 +34,7 @@ from counterspin.errors import (
 
 
 def _format_default(value: object) -> str | None:
-    """Return a default as the help shows it; nothing if omission of the option explains it."""
+    """Return a default value for the help; None if the default is to omit the option."""
     if value is None or value is False or value == ():
         return None
     return "on" if value is True else str(value)
@@ -44,12 +44,12 @@ app = App(
     name="counterspin",
     help="Calibrate inertial accelerometers on precision centrifuges.",
     version=__version__,
-    help_format="plaintext",  # nothing there is Markdown, whose reader takes long to load
-    # Only what is on needs a word that turns it off, see `OnOff`.
+    help_format="plaintext",  # the Markdown parser takes long to load
+    # Only options that are on by default have a negative form, see `OnOff`.
     default_parameter=Parameter(
         negative_bool=(), negative_iterable=(), show_default=_format_default
     ),
-    suppress_keyboard_interrupt=False,  # `main` has a word for it
+    suppress_keyboard_interrupt=False,  # `main` handles it
 )
 
 for _path in (
@@ -81,84 +81,86 @@ for _path in (
     app.command(f"{__name__}.{_path}")  # imported when the command is called
 
 
-def _unexpected_error_message(error: Exception) -> str:
-    """Return a message about an unforeseen error, usually but not always a defect of ours."""
+def _describe_unexpected_error(error: Exception) -> str:
+    """Return a message about an unexpected error, which is usually a defect of counterspin."""
     if isinstance(error, MemoryError):
         return "not enough memory"
     if isinstance(error, OSError) and error.errno == ENOSPC:
         return "the output cannot be written: no space left on device"
     if isinstance(error, OSError) and error.strerror:
-        # A name that is too long, a folder that was taken away: none of our faults.
-        where = f"{error.filename}: " if error.filename else ""
-        if where and isinstance(error, FileNotFoundError):
-            return f"{where}{describe_read_error(error)}"
-        return str(CounterspinError(f"{where}the operating system reports: {error.strerror}"))
+        # Not a defect of counterspin: the file name is too long, or the folder was removed.
+        location = f"{error.filename}: " if error.filename else ""
+        if location and isinstance(error, FileNotFoundError):
+            return f"{location}{describe_read_error(error)}"
+        return str(CounterspinError(f"{location}the operating system reports: {error.strerror}"))
     if isinstance(error, ImportError):
         return (
             f"part of the installation cannot be loaded ({CounterspinError(str(error))}); "
             "reinstall counterspin, or check whether enough memory is free"
         )
-    what = str(CounterspinError(f"{type(error).__name__}: {error}"))
+    error_text = str(CounterspinError(f"{type(error).__name__}: {error}"))
     return (
-        f"internal error ({what}). The error is in counterspin, not in your files. To help the "
-        "maintainers, repeat the command with COUNTERSPIN_DEBUG=1 and send them the output."
+        f"internal error ({error_text}). The error is in counterspin, not in your files. To help "
+        "the maintainers, repeat the command with COUNTERSPIN_DEBUG=1 and send them the output."
     )
 
 
 def _discard_output() -> None:
-    """Drop what standard output has not taken: at the end it would be tried, and fail, again."""
+    """Discard buffered output; flushing it at exit would fail again."""
     with suppress(OSError, ValueError, AttributeError):
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())
-        os.close(nowhere)
+        null_device = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null_device, sys.stdout.fileno())
+        os.close(null_device)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit status: 0 done, 1 failed, 2 wrong usage."""
-    words = sys.argv[1:] if arguments is None else arguments
+    arguments = sys.argv[1:] if arguments is None else arguments
     with warnings.catch_warnings():
         warnings.simplefilter("always", CounterspinWarning)
-        usual = warnings.showwarning
+        default_show = warnings.showwarning
 
-        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        def show(
+            message: Warning | str, category: type[Warning], *location: Any, **options: Any
+        ) -> None:
             if issubclass(category, CounterspinWarning):
-                print_error(translate_message(str(message), app, words))
+                print_error(translate_message(str(message), app, arguments))
             else:
-                usual(message, category, *where, **more)
+                default_show(message, category, *location, **options)
 
         warnings.showwarning = show
-        return _run(words)
+        return _run_command(arguments)
 
 
-def _run(words: list[str]) -> int:
+def _run_command(arguments: list[str]) -> int:
     try:
         require_thread_count()
-        if any("\0" in word for word in words):
+        if any("\0" in word for word in arguments):
             raise UsageError("the arguments of the command", ["contain a NUL character"])
-        if not words or words[0].startswith("-"):
+        if not arguments or arguments[0].startswith("-"):
             app.resolved_commands()  # for the list of commands with their descriptions
-        app(words, exit_on_error=False, print_error=False, result_action="return_value")
+        app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
         if sys.stdout is not None:
             sys.stdout.flush()
     except CounterspinError as error:
-        print_error(translate_message(str(error), app, words))
+        print_error(translate_message(str(error), app, arguments))
         return error.exit_status
     except CycloptsError as error:
         print_error(str(error))
         command = " ".join(("counterspin", *(error.command_chain or ()), "--help"))
         print(f"Try {command}.", file=sys.stderr)
         return CampaignError.exit_status
-    except KeyboardInterrupt as stop:
-        print_error(str(stop) or "stopped")
+    except KeyboardInterrupt as interrupt:
+        print_error(str(interrupt) or "stopped")
         return 130
     except BrokenPipeError:
         _discard_output()
         return 0
     except Exception as error:
-        # Never a traceback for a user; with this variable set, one for whoever mends it.
+        # Users get no traceback; developers set this variable.
         if os.environ.get("COUNTERSPIN_DEBUG"):
             raise
         _discard_output()
-        print_error(_unexpected_error_message(error))
+        print_error(_describe_unexpected_error(error))
         return 1
     return 0

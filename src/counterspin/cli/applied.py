@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from counterspin.cli.certificate import UNSIGNED, SigningOptions
-from counterspin.cli.common import NOT_SAVED, SaveOptions, command, option_group, print_output
+from counterspin.cli.certificate import NO_SIGNATURE, SigningOptions
+from counterspin.cli.common import NO_RESULT_FILE, SaveOptions, command, option_group, print_output
 from counterspin.errors import UsageError
 from counterspin.frozen import frozen
 
@@ -54,25 +54,25 @@ class CertificateOptions:
 
     lab: Path | None = None
     certificate: Path | None = None
-    signing: SigningOptions = UNSIGNED
+    signing: SigningOptions = NO_SIGNATURE
 
     def check(self) -> None:
-        """Refuse incomplete options and existing files."""
+        """Raise CounterspinError for incomplete options and existing files."""
         if (self.lab is None) != (self.certificate is None):
             raise UsageError("applied", ["give both `certificate` and `lab`, or neither of them"])
         if self.certificate is not None:
             self.signing.check_output(self.certificate)
 
     def write(self, result: AppliedAcceleration) -> None:
-        """Write the certificate, if there is to be one."""
+        """Write the certificate, if requested."""
         from counterspin.acceleration_standard.certificate import certify_applied
 
         if self.lab is not None and self.certificate is not None:
             signing = self.signing
-            done = certify_applied(
+            certificate = certify_applied(
                 result, self.lab, schema=signing.schema, signer=signing.signer_reader()
             )
-            signing.write(done, self.certificate)
+            signing.write(certificate, self.certificate)
 
 
 _NO_CERTIFICATE = CertificateOptions()
@@ -85,11 +85,11 @@ def applied(
     /,
     *,
     levels: str | None = None,
-    chosen: BudgetOptions = _DEFAULT_BUDGET,
+    budget_options: BudgetOptions = _DEFAULT_BUDGET,
     report: Path | None = None,
     figure: Path | None = None,
-    certified: CertificateOptions = _NO_CERTIFICATE,
-    saved: SaveOptions = NOT_SAVED,
+    certificate_options: CertificateOptions = _NO_CERTIFICATE,
+    save_options: SaveOptions = NO_RESULT_FILE,
 ) -> None:
     """Calculate the uncertainty budget of the acceleration applied by an arm centrifuge.
 
@@ -104,7 +104,7 @@ def applied(
     figure
         Plot the relative uncertainty against the level: .svg, .png or .pdf.
     """
-    from counterspin.acceleration_standard.budget import applied as run
+    from counterspin.acceleration_standard.budget import applied as compute_budget
     from counterspin.acceleration_standard.page import (
         FILE_DESCRIPTION,
         relative_plot,
@@ -118,25 +118,33 @@ def applied(
 
     if report is not None:
         check_report(report)
-        kind = AppliedAcceleration.report_type()
-        check_writable(report, lambda: marked_file_type(kind), overwrite=saved.overwrite)
+        document_type = AppliedAcceleration.report_type()
+        check_writable(
+            report, lambda: marked_file_type(document_type), overwrite=save_options.overwrite
+        )
     if figure is not None:
         check_format(figure)
         check_writable(
-            figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=saved.overwrite
+            figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
         )
-    saved.reserve(AppliedAcceleration.file_type)
-    certified.check()
-    result = run(directory, levels, mounting=chosen.mounting, draws=chosen.draws, seed=chosen.seed)
-    with saved.writing(result):
-        certified.write(result)
+    save_options.check_writable(AppliedAcceleration.file_type)
+    certificate_options.check()
+    result = compute_budget(
+        directory,
+        levels,
+        mounting=budget_options.mounting,
+        draws=budget_options.draws,
+        seed=budget_options.seed,
+    )
+    with save_options.saving(result):
+        certificate_options.write(result)
         if figure is not None:
             save_figure(
-                [relative_plot(result)], figure, FILE_DESCRIPTION, overwrite=saved.overwrite
+                [relative_plot(result)], figure, FILE_DESCRIPTION, overwrite=save_options.overwrite
             )
         if report is not None:
-            result.write_report(report, overwrite=saved.overwrite)
-        blocks = report_blocks(result) if chosen.budget else result.blocks()
+            result.write_report(report, overwrite=save_options.overwrite)
+        blocks = report_blocks(result) if budget_options.budget else result.blocks()
         report_console().print(Report(list(blocks)))
     for path in (report, figure):
         if path is not None:

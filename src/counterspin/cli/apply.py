@@ -12,8 +12,8 @@ from counterspin.errors import UsageError
 from counterspin.frozen import frozen
 
 
-def _check_count(_: object, value: int | None) -> None:
-    """As `cyclopts.validators.Number`, which every command would load at its start."""
+def _require_non_negative(_: object, value: int | None) -> None:
+    """Validate like `cyclopts.validators.Number`, which would slow down every command."""
     if value is not None and value < 0:
         raise ValueError("Must be >= 0.")
 
@@ -21,7 +21,7 @@ def _check_count(_: object, value: int | None) -> None:
 @option_group
 @frozen
 class ForceOptions:
-    """The numbers of the file, and the prior information on the other axes.
+    """Column and unit of the forces, and forces along the other axes.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class ForceOptions:
 @option_group
 @frozen
 class FileOptions:
-    """How the file is written, where this cannot be recognised; keys as in [records] of a campaign.
+    """Format of the file, if it is not detected; keys as in [records] of a campaign.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class FileOptions:
         Group of an HDF5 or TDMS file, or structure of a MATLAB file.
     """
 
-    skip_lines: Annotated[int | None, Parameter(validator=_check_count)] = None
+    skip_lines: Annotated[int | None, Parameter(validator=_require_non_negative)] = None
     delimiter: Literal[",", ";", "tab"] | None = None
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
@@ -85,7 +85,7 @@ class FileOptions:
     group: str | None = None
 
 
-_ALONE, _PLAIN = ForceOptions(), FileOptions()
+_DEFAULT_FORCES, _DEFAULT_FORMAT = ForceOptions(), FileOptions()
 
 
 @command
@@ -96,8 +96,8 @@ def apply(
     *,
     output: OutputFolder,
     accelerometer: str | None = None,
-    force_options: ForceOptions = _ALONE,
-    file_options: FileOptions = _PLAIN,
+    force_options: ForceOptions = _DEFAULT_FORCES,
+    file_options: FileOptions = _DEFAULT_FORMAT,
     overwrite: bool = False,
 ) -> None:
     """Correct the output of a calibrated accelerometer.
@@ -125,10 +125,10 @@ def apply(
     from counterspin.records.dialect import Dialect
     from counterspin.reports.text import report_console
 
-    keys = vars(file_options) | {
+    dialect_keys = vars(file_options) | {
         "delimiter": "\t" if file_options.delimiter == "tab" else file_options.delimiter
     }
-    done = apply_file(
+    correction = apply_file(
         Result.read(result),
         accelerometer,
         file,
@@ -141,21 +141,21 @@ def apply(
             temperature=force_options.temperature,
             others=parse_others(force_options.others),
             force=force_options.force,
-            dialect=Dialect(**keys),
+            dialect=Dialect(**dialect_keys),
         ),
         overwrite=overwrite,
     )
-    report_console().print(correction_report(done))
+    report_console().print(correction_report(correction))
 
 
 def parse_others(text: str | None) -> dict[str, str]:
-    """Read ``"Qy=COLUMN,Qz=COLUMN"``; raises CampaignError if it is not that."""
-    pairs = {}
-    for item in text.split(",") if text else []:
-        name, mark, column = (part.strip() for part in item.partition("="))
-        if not (name and mark and column) or name in pairs:
+    """Parse ``"Qy=COLUMN,Qz=COLUMN"``; raises UsageError for other text."""
+    columns = {}
+    for pair in text.split(",") if text else []:
+        name, equals_sign, column = (part.strip() for part in pair.partition("="))
+        if not (name and equals_sign and column) or name in columns:
             raise UsageError(
                 "apply", [f"--others: {text!r} is not of the form Qy=COLUMN,Qz=COLUMN"]
             )
-        pairs[name] = column
-    return pairs
+        columns[name] = column
+    return columns

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 
-from counterspin.cli.common import NOT_SAVED, OnOff, SaveOptions, command, option_group
+from counterspin.cli.common import NO_RESULT_FILE, OnOff, SaveOptions, command, option_group
 from counterspin.errors import CounterspinError, UsageError
 from counterspin.frozen import frozen
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from counterspin.calibration.options import TwoStageOptions
     from counterspin.output import FileType
 
-_CONTRADICTED: Final = "the records contradict the result"
+_CONTRADICTION: Final = "the records contradict the result"
 _REMEDY: Final = (
     "Find the cause and calibrate again, or accept the misfit and state the reason: "
     "--accept-misfit REASON"
@@ -24,8 +24,8 @@ _REMEDY: Final = (
 
 @option_group
 @frozen
-class Estimation:
-    """How the coefficients are estimated.
+class EstimationOptions:
+    """Estimation of the coefficients.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Estimation:
 @option_group
 @frozen
 class PrintOptions:
-    """The additional output besides the coefficients.
+    """Output in addition to the coefficients.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class BatchWorkers:
 @option_group
 @frozen
 class LedgerOptions:
-    """The record of a result: the reason to accept a misfit, and the instrument's ledger.
+    """Acceptance of a misfit, and entry in the instrument's ledger.
 
     Parameters
     ----------
@@ -119,13 +119,13 @@ class LedgerOptions:
     who: str | None = None
     why: str | None = None
 
-    def check(self, campaigns: int, json: Path | None) -> None:
-        """Refuse what cannot be entered, before there is a result."""
+    def check(self, n_campaigns: int, json: Path | None) -> None:
+        """Raise UsageError for incomplete options, and check the ledger."""
         if self.ledger is None:
             if self.who or self.why:
                 raise UsageError("calibrate", ["--who and --why require --ledger FILE"])
             return
-        if campaigns > 1:
+        if n_campaigns > 1:
             raise UsageError("calibrate", ["--ledger accepts the result of a single campaign only"])
         if json is None or not self.who or not self.why:
             raise UsageError(
@@ -138,14 +138,19 @@ class LedgerOptions:
         check_ledger(self.ledger)
 
     def add_result(self, json: Path | None) -> None:
-        """Enter the result's file, where that is asked for."""
+        """Enter the result's file in the ledger, if requested."""
         if self.ledger is not None and json is not None and self.who and self.why:
             from counterspin.cli.results import add_to_ledger
 
             add_to_ledger(self.ledger, json, who=self.who, why=self.why)
 
 
-_USUAL, _BRIEF, _ALONE, _NOWHERE = Estimation(), PrintOptions(), BatchWorkers(), LedgerOptions()
+_DEFAULT_ESTIMATION, _DEFAULT_PRINT, _DEFAULT_WORKERS, _NO_LEDGER = (
+    EstimationOptions(),
+    PrintOptions(),
+    BatchWorkers(),
+    LedgerOptions(),
+)
 
 
 @command
@@ -153,11 +158,11 @@ def calibrate(
     directory: Path,
     /,
     *more: Path,
-    save_options: SaveOptions = NOT_SAVED,
-    estimation: Estimation = _USUAL,
-    print_options: PrintOptions = _BRIEF,
-    ledger_options: LedgerOptions = _NOWHERE,
-    worker_options: BatchWorkers = _ALONE,
+    save_options: SaveOptions = NO_RESULT_FILE,
+    estimation_options: EstimationOptions = _DEFAULT_ESTIMATION,
+    print_options: PrintOptions = _DEFAULT_PRINT,
+    ledger_options: LedgerOptions = _NO_LEDGER,
+    worker_options: BatchWorkers = _DEFAULT_WORKERS,
 ) -> None:
     """Estimate the coefficients of accelerometers from the records of a campaign.
 
@@ -169,58 +174,59 @@ def calibrate(
         Additional campaigns. counterspin prints a summary. If a campaign fails, the others are
         still calibrated.
     """
-    from counterspin.calibration.calibrate import calibrate as run
+    from counterspin.calibration.calibrate import calibrate as run_calibration
     from counterspin.calibration.options import TwoStageOptions
     from counterspin.reports.text import progress
 
     options = TwoStageOptions(
-        model=estimation.model,
-        weighted=estimation.weighted,
-        ripple=estimation.ripple,
-        fit_bias=estimation.fit_bias,
-        from_residuals=estimation.sigma == "residuals",
+        model=estimation_options.model,
+        weighted=estimation_options.weighted,
+        ripple=estimation_options.ripple,
+        fit_bias=estimation_options.fit_bias,
+        from_residuals=estimation_options.sigma == "residuals",
     )
     ledger_options.check(1 + len(more), save_options.json)
-    if more and estimation.monte_carlo:
+    if more and estimation_options.monte_carlo:
         raise UsageError("calibrate", ["--monte-carlo accepts a single campaign only"])
     if more:
         calibrate_several(
             (directory, *more),
             save_options,
-            estimation,
+            estimation_options,
             options,
             ledger_options.accept_misfit,
             worker_options,
         )
         return
-    save_options.reserve(_result_file_type)
+    save_options.check_writable(_result_file_type)
     with progress() as advance:
-        result = run(
+        result = run_calibration(
             directory,
-            method=estimation.method,
+            method=estimation_options.method,
             options=options,
             accept_misfit=ledger_options.accept_misfit,
-            without=estimation.without,
-            monte_carlo=estimation.monte_carlo,
+            without=estimation_options.without,
+            monte_carlo=estimation_options.monte_carlo,
             progress=advance,
         )
-    # Loaded last, so that reading begins as early as can be.
+    # Loaded last, so that reading begins as early as possible.
     from counterspin.calibration.pages.document import print_result
     from counterspin.reports.text import report_console
 
-    with save_options.writing(result):
+    with save_options.saving(result):
         print_result(
             result, report_console(), budget=print_options.budget, details=print_options.details
         )
     ledger_options.add_result(save_options.json)
     if result.state == "contradicted" and result.accepted_misfit is None:
         raise CounterspinError(
-            f"{_CONTRADICTED}: {result.findings[0].text} {_REMEDY}", code="contradicted"
+            f"{_CONTRADICTION}: {result.findings[0].text} {_REMEDY}", code="contradicted"
         )
     if result.state == "not-determined":
-        first = result.findings[0]
+        first_finding = result.findings[0]
         raise CounterspinError(
-            f"{first.subject} is not determined: {first.text}", code="not-determined"
+            f"{first_finding.subject} is not determined: {first_finding.text}",
+            code="not-determined",
         )
 
 
@@ -233,7 +239,7 @@ def _result_file_type() -> FileType:
 def calibrate_several(
     directories: tuple[Path, ...],
     save_options: SaveOptions,
-    estimation: Estimation,
+    estimation_options: EstimationOptions,
     options: TwoStageOptions,
     accept_misfit: str | None,
     worker_options: BatchWorkers,
@@ -243,18 +249,18 @@ def calibrate_several(
     from counterspin.reports.text import report_console, work_progress
     from counterspin.workers import Workers
 
-    save_options.reserve(BatchResult.file_type)
+    save_options.check_writable(BatchResult.file_type)
     with work_progress("Campaigns") as advance:
         batch = calibrate_many(
             directories,
-            method=estimation.method,
+            method=estimation_options.method,
             options=options,
             accept_misfit=accept_misfit,
-            without=estimation.without,
+            without=estimation_options.without,
             workers=Workers(worker_options.workers, worker_options.cluster),
             progress=advance,
         )
-    with save_options.writing(batch):
+    with save_options.saving(batch):
         report_console().print(batch)
     if batch.failed:
         raise CounterspinError(
@@ -263,7 +269,7 @@ def calibrate_several(
         )
     if batch.contradicted:
         raise CounterspinError(
-            f"{_CONTRADICTED} of {len(batch.contradicted)}. {_REMEDY}", code="contradicted"
+            f"{_CONTRADICTION} of {len(batch.contradicted)}. {_REMEDY}", code="contradicted"
         )
     if batch.not_determined:
         names = ", ".join(batch.not_determined)

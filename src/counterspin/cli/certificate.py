@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @option_group
 @frozen
 class SigningOptions:
-    """How a certificate is validated and signed.
+    """Validation and signature of a certificate.
 
     Parameters
     ----------
@@ -46,19 +46,21 @@ class SigningOptions:
     both: bool = False
 
     def check_output(self, output: Path) -> None:
-        """Refuse a path with another ending, and existing files."""
+        """Raise CounterspinError for an unsupported suffix, or if the file exists."""
         from counterspin.certificates.issuing import check_output_path, check_output_paths
 
         (check_output_paths if self.both else check_output_path)(output)
 
-    def write(self, done: Certificate, output: Path, ledger: Path | None = None) -> None:
+    def write(self, certificate: Certificate, output: Path, ledger: Path | None = None) -> None:
         """Write a certificate, and print its files and notes."""
-        write = done.write_both if self.both else done.write
-        written = write(output, ledger=ledger)
-        files = " and ".join(map(str, written if isinstance(written, list) else [written]))
-        names = f" of {', '.join(done.accelerometers)}" if done.accelerometers else ""
-        print_output(f"Wrote {files}: certificate {done.identifier}{names}.")
-        for note in done.notes:
+        write_files = certificate.write_both if self.both else certificate.write
+        written_paths = write_files(output, ledger=ledger)
+        files = " and ".join(
+            map(str, written_paths if isinstance(written_paths, list) else [written_paths])
+        )
+        names = f" of {', '.join(certificate.accelerometers)}" if certificate.accelerometers else ""
+        print_output(f"Wrote {files}: certificate {certificate.identifier}{names}.")
+        for note in certificate.notes:
             print_output(note)
 
     def signer_reader(self) -> Callable[[], Signer] | None:
@@ -80,16 +82,16 @@ class SigningOptions:
 
 
 def _read_signer(key: Path, cert: Path | None) -> Signer:
-    """Read a key, and ask for its password if it has one."""
+    """Read a key, and prompt for its password if it is encrypted."""
     from counterspin.certificates.signers import PasswordNeededError, read_signer
 
     try:
         return read_signer(key, cert)
     except PasswordNeededError:
-        return read_signer(key, cert, _password(key))
+        return read_signer(key, cert, _read_password(key))
 
 
-def _password(key: Path) -> str:
+def _read_password(key: Path) -> str:
     if sys.stdin is None:
         raise CampaignError(
             "certificate",
@@ -104,7 +106,7 @@ def _password(key: Path) -> str:
 @option_group
 @frozen
 class IssueOptions:
-    """Reasons that a certificate states, and where they are recorded.
+    """Reasons stated in a certificate, and the ledger.
 
     Parameters
     ----------
@@ -128,11 +130,11 @@ class IssueOptions:
     ledger: Path | None = None
 
 
-UNSIGNED = SigningOptions()
-_ISSUED_AS_IS = IssueOptions()
+NO_SIGNATURE = SigningOptions()
+_DEFAULT_ISSUE = IssueOptions()
 
-#: What is said of a PDF's pages.
-_PAGES = {
+#: Status of the pages of a PDF -> statement.
+_PAGE_STATEMENTS = {
     None: (
         "This statement applies only to the XML attached to the PDF. The visible pages were "
         "not checked."
@@ -152,8 +154,8 @@ def certificate(
     /,
     *,
     output: OutputFile = None,
-    signing: SigningOptions = UNSIGNED,
-    issue: IssueOptions = _ISSUED_AS_IS,
+    signing_options: SigningOptions = NO_SIGNATURE,
+    issue_options: IssueOptions = _DEFAULT_ISSUE,
     init: Path | None = None,
     verify: Path | None = None,
 ) -> None:
@@ -173,7 +175,7 @@ def certificate(
         Check an existing certificate (XML or PDF), print its values and exit.
     """
     from counterspin.certificates.amendment import Amendment
-    from counterspin.certificates.issuing import certificate as make
+    from counterspin.certificates.issuing import certificate as issue_certificate
     from counterspin.certificates.issuing import (
         certificate_blocks,
         check_certificate,
@@ -190,41 +192,49 @@ def certificate(
         return
     if verify is not None:
         checked = check_certificate(
-            verify, schema=signing.schema, cert=signing.cert, amends=issue.amends
+            verify,
+            schema=signing_options.schema,
+            cert=signing_options.cert,
+            amends=issue_options.amends,
         )
         report_console().print(Report(list(certificate_blocks(checked.certified))))
-        said = {
+        signature_statements = {
             "none": "The document is not signed.",
             "unchecked": "The document is signed, but the signature was not checked. To check "
             "the signature, give --cert CERT.pem.",
             "valid": "The signature is valid.",
         }
-        print_output("", said[checked.signature])
+        print_output("", signature_statements[checked.signature])
         if checked.expired is not None:
             print_output(
                 f"The signer's certificate expired on {checked.expired}; it was valid on the day "
                 "of issue stated in the document."
             )
-        if (old := checked.certified.amends) is not None:
-            checksum = ", whose checksum is correct" if issue.amends is not None else ""
-            print_output(f"The document amends and replaces certificate {old}{checksum}.")
+        if (replaced_identifier := checked.certified.amends) is not None:
+            checksum_statement = (
+                ", whose checksum is correct" if issue_options.amends is not None else ""
+            )
+            print_output(
+                f"The document amends and replaces certificate {replaced_identifier}"
+                f"{checksum_statement}."
+            )
         if verify.suffix.lower() == ".pdf":
-            print_output(_PAGES[checked.pages])
+            print_output(_PAGE_STATEMENTS[checked.pages])
         return
     if result is None or lab is None or output is None:
         raise UsageError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])
-    if (issue.amends is None) != (issue.reason is None):
+    if (issue_options.amends is None) != (issue_options.reason is None):
         raise UsageError("certificate", ["give both --amends OLD.xml and --reason WHY"])
-    signing.check_output(output)
-    done = make(
+    signing_options.check_output(output)
+    issued = issue_certificate(
         result,
         lab,
-        schema=signing.schema,
-        signer=signing.signer_reader(),
-        accept_misfit=issue.accept_misfit,
-        accept_unsealed=issue.accept_unsealed,
+        schema=signing_options.schema,
+        signer=signing_options.signer_reader(),
+        accept_misfit=issue_options.accept_misfit,
+        accept_unsealed=issue_options.accept_unsealed,
         amends=None
-        if issue.amends is None or issue.reason is None
-        else Amendment(issue.amends, issue.reason),
+        if issue_options.amends is None or issue_options.reason is None
+        else Amendment(issue_options.amends, issue_options.reason),
     )
-    signing.write(done, output, issue.ledger)
+    signing_options.write(issued, output, issue_options.ledger)

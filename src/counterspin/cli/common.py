@@ -1,4 +1,4 @@
-"""Words that several commands share, and what is said below them in the words of a command line."""
+"""Options and output shared by commands, and translation of messages for the command line."""
 
 from __future__ import annotations
 
@@ -21,52 +21,56 @@ from counterspin.shell import quote_word
 if TYPE_CHECKING:
     from counterspin.results import ResultFile
 
-Command = TypeVar("Command", bound=Callable[..., None])
-Options = TypeVar("Options")
+CommandT = TypeVar("CommandT", bound=Callable[..., None])
+OptionsT = TypeVar("OptionsT")
 
 OutputFolder = Annotated[Path, Parameter(name=["--output", "-o"])]
 OutputFile = Annotated[Path | None, Parameter(name=["--output", "-o"])]
 JsonFile = Annotated[Path | None, Parameter(name="--json")]
 
-#: What is on, or found out, unless ``--no-...`` turns it off; nothing else has such a word.
+#: An option that is on or automatic by default, and is turned off by ``--no-...``.
 OnOff = Annotated[bool, Parameter(negative_bool="no-")]
 
 
-def join_docstring(docstring: str) -> str:
-    """Return a docstring with each paragraph, and each parameter's, on one line.
+def unwrap_docstring(docstring: str) -> str:
+    """Return a docstring with each paragraph and each parameter description on one line.
 
-    The help breaks lines itself, and would keep the breaks of the source in addition to its own.
+    The help wraps lines itself, and would keep the line breaks of the source in addition.
     """
     lines: list[str] = []
-    sections = False
+    has_sections = False
     for line in cleandoc(docstring).splitlines():
-        sections |= line.startswith("---")
-        before = lines[-1] if lines else ""
-        of_parameter = line.startswith("    ") and before.startswith("    ")
-        of_prose = not sections and line and before
-        if (of_prose or of_parameter) and line.strip() and not line.startswith("---"):
+        has_sections |= line.startswith("---")
+        previous_line = lines[-1] if lines else ""
+        continues_parameter = line.startswith("    ") and previous_line.startswith("    ")
+        continues_paragraph = not has_sections and line and previous_line
+        if (
+            (continues_paragraph or continues_parameter)
+            and line.strip()
+            and not line.startswith("---")
+        ):
             lines[-1] += " " + line.strip()
         else:
             lines.append(line)
     return "\n".join(lines) + "\n"
 
 
-def command(function: Command) -> Command:
-    """Return a function of the command line, with its docstring prepared for the help."""
-    function.__doc__ = join_docstring(function.__doc__ or "")
+def command(function: CommandT) -> CommandT:
+    """Decorate a function of the command line: prepare its docstring for the help."""
+    function.__doc__ = unwrap_docstring(function.__doc__ or "")
     return function
 
 
-def option_group(options: type[Options]) -> type[Options]:
-    """Make each field of a class an option of the command that has it as a parameter."""
-    options.__doc__ = join_docstring(options.__doc__ or "")
+def option_group(options: type[OptionsT]) -> type[OptionsT]:
+    """Decorate a class whose fields are options of the commands that have it as a parameter."""
+    options.__doc__ = unwrap_docstring(options.__doc__ or "")
     return Parameter(name="*")(options)
 
 
 @option_group
 @frozen
 class SaveOptions:
-    """Where a command's result is written.
+    """Output file of the result.
 
     Parameters
     ----------
@@ -79,14 +83,14 @@ class SaveOptions:
     json: JsonFile = None
     overwrite: bool = False
 
-    def reserve(self, kind: Callable[[], FileType]) -> None:
-        """Refuse a path at which a file would be lost, before there is a result to lose."""
+    def check_writable(self, file_type: Callable[[], FileType]) -> None:
+        """Raise CounterspinError, before any computation, if the file cannot be written."""
         if self.json is not None:
-            check_writable(self.json, kind, overwrite=self.overwrite)
+            check_writable(self.json, file_type, overwrite=self.overwrite)
 
     @contextmanager
-    def writing(self, result: ResultFile) -> Iterator[None]:
-        """Write a result before anything is printed; where it cannot be, print all the same."""
+    def saving(self, result: ResultFile) -> Iterator[None]:
+        """Write a result before it is printed; if that fails, print it and raise the error."""
         failure = None
         if self.json is not None:
             try:
@@ -100,11 +104,11 @@ class SaveOptions:
                 raise failure
 
 
-#: No result is written.
-NOT_SAVED: Final = SaveOptions()
+#: Options without a result file.
+NO_RESULT_FILE: Final = SaveOptions()
 
-#: Function named in a message -> what the command line has in its place.
-_COMMANDS: Final = {
+#: Function named in a message -> the equivalent command.
+_FUNCTION_COMMANDS: Final = {
     "certificates.lab.write_example": "counterspin certificate --init LAB.toml",
     "forecast": "counterspin plan --check DIR",
     "planning.plan.write_example": "counterspin plan --init FILE",
@@ -117,59 +121,59 @@ _ARGUMENT: Final = re.compile(
 )
 
 
-def shell_word(path: Path) -> str:
-    """Return a path as a user may type it into a shell, with quotes around blanks."""
+def quote_path(path: Path) -> str:
+    """Return a path, quoted for the shell."""
     return quote_word(str(path))
 
 
 def print_output(*lines: str) -> None:
-    """Print lines; what would act on the terminal, or what this cannot show, is put otherwise."""
+    """Print lines with control characters escaped and unencodable characters substituted."""
     for line in lines:
-        _print(escape_controls(line), sys.stdout)
+        _print_encodable(escape_controls(line), sys.stdout)
 
 
-def print_error(text: str) -> None:
-    """Print what went wrong to standard error, as `print_output` does, further lines indented."""
-    text_lines = re.sub(r"\n(?!  )", "\n  ", MultilineText(*text.split("\n")))
-    _print(f"counterspin: {text_lines}", sys.stderr)
+def print_error(message: str) -> None:
+    """Print an error message to standard error like `print_output`, with hanging indentation."""
+    indented_message = re.sub(r"\n(?!  )", "\n  ", MultilineText(*message.split("\n")))
+    _print_encodable(f"counterspin: {indented_message}", sys.stderr)
 
 
-def _print(text: str, stream: TextIO | None) -> None:
-    # None: whoever started the program closed it.
+def _print_encodable(text: str, stream: TextIO | None) -> None:
+    # None: the parent process closed the stream.
     if stream is not None:
         print(substitute_unencodable(text, stream.encoding or "utf-8"), file=stream)
 
 
-def translate_message(message: str, app: App, words: Iterable[str]) -> str:
-    """Return a message with each Python argument that it names as the option of the command.
+def translate_message(message: str, app: App, arguments: Iterable[str]) -> str:
+    """Return a message with Python arguments replaced by options of the command.
 
-    Rooms below the command line name an argument as a Python user writes it, in backquotes:
-    ``set `overwrite=True` ``. Here that becomes ``set --overwrite``.
+    Other modules name arguments in Python notation, in backquotes: ``set `overwrite=True` ``. This
+    function replaces them, as in ``set --overwrite``.
 
     Parameters
     ----------
     message
-        What was raised.
+        Message of an error or warning.
     app
         The command line.
     words
-        What was typed; the first names the command. Names that it does not have are left alone.
+        Arguments of the command line, beginning with the command. Unknown names are unchanged.
     """
-    command = next((word for word in words if word[:1] != "-" and word in app), None)
+    command_name = next((word for word in arguments if word[:1] != "-" and word in app), None)
     options = {}
-    if command is not None:
-        for argument in app[command].assemble_argument_collection(parse_docstring=False):
+    if command_name is not None:
+        for argument in app[command_name].assemble_argument_collection(parse_docstring=False):
             if argument.name.startswith("-"):
                 options[argument.field_info.name] = argument
 
     def to_option(match: re.Match[str]) -> str:
-        name, text = match["name"], match["text"]
-        if name in _COMMANDS:
-            return f"`{_COMMANDS[name]}`"
+        name, value = match["name"], match["text"]
+        if name in _FUNCTION_COMMANDS:
+            return f"`{_FUNCTION_COMMANDS[name]}`"
         if name not in options:
             return match[0]
         option = options[name]
         option_name = option.negatives[0] if match["truth"] == "False" else option.name
-        return option_name if text is None else f"{option_name} {quote_word(text)}"
+        return option_name if value is None else f"{option_name} {quote_word(value)}"
 
     return _ARGUMENT.sub(to_option, message)

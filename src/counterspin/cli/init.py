@@ -1,4 +1,4 @@
-"""`counterspin init`: a commented campaign to start from, or one made of a recorder's files."""
+"""`counterspin init`: a commented example campaign, or a campaign for data files."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 from cyclopts import Parameter
 
-from counterspin.cli.common import command, print_output, shell_word
+from counterspin.cli.common import command, print_output, quote_path
 from counterspin.errors import CampaignError, CounterspinError, UsageError
 from counterspin.ingest.starter import Test
 
@@ -49,23 +49,23 @@ def init(
         Answer to a prompt, such as --answer "radius=2.5 m"; may be repeated.
     """
     if from_:
-        _import_files(directory, from_, answer or [], test, asks_questions=not yes)
+        _import_files(directory, from_, answer or [], test, is_interactive=not yes)
         return
     if yes or answer:
         raise UsageError("init", ["give the recorder files: --from FILE ..."])
-    from counterspin.ingest.starter import init as run
+    from counterspin.ingest.starter import init as write_starter
 
-    written = run(directory, test or "double-turntable")
+    path = write_starter(directory, test or "double-turntable")
     _write_schema(directory)
     print_output(
-        f"Wrote {written}. Edit this file, or try the example:",
-        f"  counterspin simulate {shell_word(written)} -o {shell_word(directory / 'simulated')}",
-        f"  counterspin calibrate {shell_word(directory / 'simulated')}",
+        f"Wrote {path}. Edit this file, or try the example:",
+        f"  counterspin simulate {quote_path(path)} -o {quote_path(directory / 'simulated')}",
+        f"  counterspin calibrate {quote_path(directory / 'simulated')}",
     )
 
 
 def _write_schema(directory: Path) -> None:
-    """Write the schema that a description's first line names, so that editors find it."""
+    """Write the schema named in the first line of a description, for editors."""
     from counterspin.ingest.starter import SCHEMA_NAME
     from counterspin.output import write_text
     from counterspin.schemas import schema_text
@@ -80,9 +80,9 @@ def _import_files(
     answer_options: list[str],
     stated_test: Test | None,
     *,
-    asks_questions: bool,
+    is_interactive: bool,
 ) -> None:
-    """Write a campaign of a recorder's files."""
+    """Write a campaign for data files."""
     from counterspin.ingest.contents import read_files
     from counterspin.ingest.description import make_draft, write_description
     from counterspin.ingest.overview import overview, sensor_question
@@ -90,47 +90,49 @@ def _import_files(
 
     answers = _parse_answers(answer_options)
     with work_progress("Files") as advance:
-        all_contents = read_files(files, answers, progress=advance)
-    print_output("Detected in the files:", *(f"  {line}" for line in overview(all_contents)))
-    asks_questions = asks_questions and sys.stdin is not None and sys.stdin.isatty()
-    if (question := sensor_question(all_contents)) is not None:
-        if not asks_questions:
+        contents = read_files(files, answers, progress=advance)
+    print_output("Detected in the files:", *(f"  {line}" for line in overview(contents)))
+    is_interactive = is_interactive and sys.stdin is not None and sys.stdin.isatty()
+    if (question := sensor_question(contents)) is not None:
+        if not is_interactive:
             example = f'"select={question.example}"'
-            text = f"{question.text} Set this value with `answer`, for example {example}."
-            raise CampaignError("init", [f"select: {text}"], code="missing-answer")
-        answers["select"] = _ask(question)
-        all_contents = read_files(files, answers)
+            message = f"{question.text} Set this value with `answer`, for example {example}."
+            raise CampaignError("init", [f"select: {message}"], code="missing-answer")
+        answers["select"] = _prompt(question)
+        contents = read_files(files, answers)
     answers.pop("select", None)
-    test = stated_test or _choose_test(all_contents, asks=asks_questions)
-    detected_test = make_draft(all_contents, answers, test)
+    test = stated_test or _choose_test(contents, is_interactive=is_interactive)
+    draft = make_draft(contents, answers, test)
     print_output(
         f"Detected for the test {test} (please check):",
-        *(f"  {s}" for s in detected_test.statements),
+        *(f"  {s}" for s in draft.statements),
     )
-    if asks_questions and not detected_test.problems:
-        previous = detected_test.statements
-        while detected_test.open_questions:
-            question = detected_test.open_questions[0]
-            answers[question.key] = _ask(question)
+    if is_interactive and not draft.problems:
+        printed_statements = draft.statements
+        while draft.open_questions:
+            question = draft.open_questions[0]
+            answers[question.key] = _prompt(question)
             if question.key == "sheet":
-                all_contents = read_files(files, answers)
-            detected_test = make_draft(all_contents, answers, test)
-        extra = [statement for statement in detected_test.statements if statement not in previous]
-        print_output(*(f"  {statement}" for statement in extra))
+                contents = read_files(files, answers)
+            draft = make_draft(contents, answers, test)
+        new_statements = [
+            statement for statement in draft.statements if statement not in printed_statements
+        ]
+        print_output(*(f"  {statement}" for statement in new_statements))
     try:
-        written = write_description(detected_test, directory)
+        campaign_file = write_description(draft, directory)
     except CampaignError as error:
-        questions = {f"{question.key}: ": question for question in detected_test.open_questions}
-        problems = map(partial(_name_option, questions), error.problems)
+        questions = {f"{question.key}: ": question for question in draft.open_questions}
+        problems = map(partial(_add_option, questions), error.problems)
         raise type(error)("init", problems, code=error.codes) from None
     print_output(
-        f"Wrote {written}. Check this file, then calibrate:",
-        f"  counterspin calibrate {shell_word(directory)}",
+        f"Wrote {campaign_file}. Check this file, then calibrate:",
+        f"  counterspin calibrate {quote_path(directory)}",
     )
 
 
-def _name_option(questions: Mapping[str, FileQuestion], problem: str) -> str:
-    """Return a problem with the option that answers its question."""
+def _add_option(questions: Mapping[str, FileQuestion], problem: str) -> str:
+    """Return a problem, with the option that answers its question added."""
     question = next((q for start, q in questions.items() if problem.startswith(start)), None)
     if question is None:
         return problem
@@ -139,37 +141,37 @@ def _name_option(questions: Mapping[str, FileQuestion], problem: str) -> str:
     )
 
 
-def _choose_test(all_contents: Sequence[FileContents], *, asks: bool) -> Test:
-    """Return the kind of test: a person's choice, or without one the likely kind."""
+def _choose_test(contents: Sequence[FileContents], *, is_interactive: bool) -> Test:
+    """Return the type of test: chosen by the user, or else detected."""
     from counterspin.ingest.overview import kind_question, likely_test, no_test_reasons
 
-    likely = likely_test(all_contents)
-    question = kind_question(likely)
-    reasons = [] if likely else list(no_test_reasons(all_contents))
-    if asks:
+    detected_test = likely_test(contents)
+    question = kind_question(detected_test)
+    reasons = [] if detected_test else list(no_test_reasons(contents))
+    if is_interactive:
         print_output(*reasons)
-        return cast("Test", _ask(question))
-    if likely is None:
-        text = (
+        return cast("Test", _prompt(question))
+    if detected_test is None:
+        message = (
             f"{question.text} Choose a test type with `test`. The files do not identify the "
             f"test type: {'; '.join(reasons)}"
         )
-        raise CampaignError("init", [f"test: {text}"], code="missing-answer")
-    return likely
+        raise CampaignError("init", [f"test: {message}"], code="missing-answer")
+    return detected_test
 
 
-def _parse_answers(given: list[str]) -> dict[str, str]:
+def _parse_answers(answer_options: list[str]) -> dict[str, str]:
     answers = {}
-    for words in given:
-        key, mark, value = words.partition("=")
-        if not mark or not value.strip():
-            raise UsageError("init", [f'answer: "{words}" is not of the form KEY=VALUE'])
+    for option in answer_options:
+        key, equals_sign, value = option.partition("=")
+        if not equals_sign or not value.strip():
+            raise UsageError("init", [f'answer: "{option}" is not of the form KEY=VALUE'])
         answers[key.strip()] = value.strip()
     return answers
 
 
-def _ask(question: FileQuestion) -> str:
-    """Return a person's answer; repeat the question until the answer is valid."""
+def _prompt(question: FileQuestion) -> str:
+    """Prompt for an answer until it is valid, and return it."""
     hint = " or ".join(question.choices) or f"for example {question.example}"
     default = f"; Enter: {question.guess}" if question.guess else ""
     print_output(f"{question.text} ({hint}{default})")

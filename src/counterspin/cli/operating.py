@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from counterspin.cli.common import NOT_SAVED, SaveOptions, command, option_group, print_output
+from counterspin.cli.common import NO_RESULT_FILE, SaveOptions, command, option_group, print_output
 from counterspin.frozen import frozen
 
 
@@ -35,7 +35,7 @@ class TableColumns:
     full_scale: float | None = None
 
 
-_NO_COLUMNS = TableColumns()
+_DEFAULT_COLUMNS = TableColumns()
 
 
 @command
@@ -44,10 +44,10 @@ def operating(
     /,
     *,
     output: str,
-    columns: TableColumns = _NO_COLUMNS,
+    columns: TableColumns = _DEFAULT_COLUMNS,
     report: Path | None = None,
     figure: Path | None = None,
-    saved: SaveOptions = NOT_SAVED,
+    save_options: SaveOptions = NO_RESULT_FILE,
 ) -> None:
     """Evaluate linearity, hysteresis, threshold, resolution, dead band or warm-up.
 
@@ -62,7 +62,7 @@ def operating(
     figure
         Plot the deviations from the fitted line, or the warm-up: .svg, .png or .pdf.
     """
-    from counterspin.operating_tests.measure import operating as run
+    from counterspin.operating_tests.measure import operating as run_operating_tests
     from counterspin.operating_tests.page import FILE_DESCRIPTION, operating_plot
     from counterspin.operating_tests.result import OperatingTests
     from counterspin.output import check_writable, marked_file_type
@@ -72,15 +72,17 @@ def operating(
 
     if report is not None:
         check_report(report)
-        kind = OperatingTests.report_type()
-        check_writable(report, lambda: marked_file_type(kind), overwrite=saved.overwrite)
+        document_type = OperatingTests.report_type()
+        check_writable(
+            report, lambda: marked_file_type(document_type), overwrite=save_options.overwrite
+        )
     if figure is not None:
         check_format(figure)
         check_writable(
-            figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=saved.overwrite
+            figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
         )
-    saved.reserve(OperatingTests.file_type)
-    result = run(
+    save_options.check_writable(OperatingTests.file_type)
+    result = run_operating_tests(
         table,
         output=output,
         input=columns.input,
@@ -89,13 +91,13 @@ def operating(
         output_unit=columns.output_unit or "",
         full_scale=columns.full_scale,
     )
-    with saved.writing(result):
+    with save_options.saving(result):
         if figure is not None:
             save_figure(
-                [operating_plot(result)], figure, FILE_DESCRIPTION, overwrite=saved.overwrite
+                [operating_plot(result)], figure, FILE_DESCRIPTION, overwrite=save_options.overwrite
             )
         if report is not None:
-            result.write_report(report, overwrite=saved.overwrite)
+            result.write_report(report, overwrite=save_options.overwrite)
         report_console().print(Report(list(result.blocks())))
     for path in (report, figure):
         if path is not None:

@@ -1,4 +1,4 @@
-"""`counterspin plan`: the best campaign within limits, or the forecast of one."""
+"""`counterspin plan`: the optimal campaign within limits, or a forecast of a campaign."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Literal
 
 from counterspin.cli.common import (
-    NOT_SAVED,
+    NO_RESULT_FILE,
     OutputFile,
     SaveOptions,
     command,
     option_group,
     print_output,
-    shell_word,
+    quote_path,
 )
 from counterspin.errors import CampaignError, UsageError, error_code
 from counterspin.frozen import frozen
@@ -21,7 +21,7 @@ from counterspin.frozen import frozen
 @option_group
 @frozen
 class ExampleOptions:
-    """An example to start from, instead of a plan.
+    """Writing of an example, instead of planning.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class ExampleOptions:
 @option_group
 @frozen
 class RecordingDetails:
-    """How the records of a campaign will be made, if it does not state this.
+    """Recording of the runs, if the campaign does not state it.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class RecordingDetails:
     revolutions: float | None = None
 
 
-_UNKNOWN = RecordingDetails()
+_NO_DETAILS = RecordingDetails()
 _NO_EXAMPLE = ExampleOptions()
 
 
@@ -62,10 +62,10 @@ def plan(
     file: Path | None = None,
     *,
     check: Path | None = None,
-    start: ExampleOptions = _NO_EXAMPLE,
+    example_options: ExampleOptions = _NO_EXAMPLE,
     output: OutputFile = None,
-    save_options: SaveOptions = NOT_SAVED,
-    recording_details: RecordingDetails = _UNKNOWN,
+    save_options: SaveOptions = NO_RESULT_FILE,
+    recording_details: RecordingDetails = _NO_DETAILS,
 ) -> None:
     """Optimise rates, durations, senses and attitudes of the runs, and predict the uncertainties.
 
@@ -81,21 +81,19 @@ def plan(
     """
     from counterspin.campaign.field_types import parse_exact
     from counterspin.planning.plan import check as forecast
-    from counterspin.planning.plan import plan as search
+    from counterspin.planning.plan import plan as make_plan
     from counterspin.planning.plan import require_no_campaign, write_campaign, write_example
     from counterspin.planning.result import PlanResult
     from counterspin.reports.text import progress, report_console
 
-    if sum(given is not None for given in (file, check, start.init)) != 1:
+    if sum(given is not None for given in (file, check, example_options.init)) != 1:
         raise UsageError("plan", ["give a plan file, --check DIR, or --init FILE"])
-    if start.init is not None:
-        print_output(
-            f"Wrote {write_example(start.init, start.example)}. Edit this file, or run the "
-            "example plan:"
-        )
-        print_output(f"  counterspin plan {shell_word(start.init)}")
+    if example_options.init is not None:
+        example = write_example(example_options.init, example_options.example)
+        print_output(f"Wrote {example}. Edit this file, or run the example plan:")
+        print_output(f"  counterspin plan {quote_path(example_options.init)}")
         return
-    save_options.reserve(PlanResult.file_type)
+    save_options.check_writable(PlanResult.file_type)
     if output is not None:
         require_no_campaign(output)
     if check is not None:
@@ -110,16 +108,16 @@ def plan(
     else:
         assert file is not None  # one of the three is
         with progress(words=("Searching",) * 3):
-            planned = search(file)
+            planned = make_plan(file)
         result = planned.result
-    with save_options.writing(result):
-        written = None if output is None else write_campaign(planned, output)
+    with save_options.saving(result):
+        path = None if output is None else write_campaign(planned, output)
         report_console().print(result)
     if output is not None and result.readings:
-        print_output("", f"Wrote {written}. Replace each ? with the reading, then calibrate:")
-        print_output(f"  counterspin calibrate {shell_word(output)}")
-    elif output is not None and written is not None:
-        print_output("", f"Wrote {written}. Record the runs, or simulate them:")
+        print_output("", f"Wrote {path}. Replace each ? with the reading, then calibrate:")
+        print_output(f"  counterspin calibrate {quote_path(output)}")
+    elif output is not None and path is not None:
+        print_output("", f"Wrote {path}. Record the runs, or simulate them:")
         print_output(
-            f"  counterspin simulate {shell_word(written)} -o {shell_word(output / 'simulated')}"
+            f"  counterspin simulate {quote_path(path)} -o {quote_path(output / 'simulated')}"
         )

@@ -1,4 +1,4 @@
-"""The commands of the program itself: schemas, the page, the demonstration, reference cases."""
+"""Commands for schemas, the web interface, the demonstration and reference cases."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Literal
 
 from counterspin.cli.common import (
-    NOT_SAVED,
+    NO_RESULT_FILE,
     OnOff,
     OutputFolder,
     SaveOptions,
     command,
     print_output,
-    shell_word,
+    quote_path,
 )
 from counterspin.errors import (
     CounterspinError,
@@ -71,15 +71,15 @@ def serve(
     if (signer is None) != (cert is None):
         raise UsageError("serve", ["give both --signer and --cert"])
     try:
-        from counterspin.application.server import serve as run
+        from counterspin.application.server import serve as run_server
     except ModuleNotFoundError as error:
         if error.name not in ("starlette", "uvicorn", "tomlkit"):
             raise
         raise MissingPackageError(
             f"the web interface requires Starlette and uvicorn: {install_command('application')}"
         ) from error
-    signing = None if signer is None or cert is None else (signer, cert)
-    run(directory, port=port, browser=browser, signing=signing, say=print_output)
+    signing_command = None if signer is None or cert is None else (signer, cert)
+    run_server(directory, port=port, browser=browser, signing=signing_command, say=print_output)
 
 
 @command
@@ -102,7 +102,7 @@ def demo(
     """
     from counterspin.reports.charts import reserve_figures, save_figure
     from counterspin.reports.text import report_console
-    from counterspin.reproduction.demo import demo as run
+    from counterspin.reproduction.demo import demo as run_demo
     from counterspin.reproduction.page import (
         FILE_DESCRIPTION,
         demonstration_plots,
@@ -111,7 +111,7 @@ def demo(
 
     figure_path = output / f"displacement.{figure}"
     reserve_figures([figure_path], FILE_DESCRIPTION, overwrite=overwrite)
-    demonstration = run(output, overwrite=overwrite)
+    demonstration = run_demo(output, overwrite=overwrite)
     save_figure(
         demonstration_plots(demonstration), figure_path, FILE_DESCRIPTION, overwrite=overwrite
     )
@@ -120,20 +120,20 @@ def demo(
         "",
         f"Wrote campaign.toml, {len(demonstration.records)} records and "
         f"{figure_path.name} to {output}. Next:",
-        f"  counterspin calibrate {shell_word(output)}",
+        f"  counterspin calibrate {quote_path(output)}",
     )
 
 
 @command
-def reproduce(*, save_options: SaveOptions = NOT_SAVED) -> None:
+def reproduce(*, save_options: SaveOptions = NO_RESULT_FILE) -> None:
     """Recompute the paper's numbers and explain the differences."""
     from counterspin.reports.text import report_console
-    from counterspin.reproduction.comparison import reproduce as run
+    from counterspin.reproduction.comparison import reproduce as run_reproduction
     from counterspin.reproduction.plan import Reproduction
 
-    save_options.reserve(Reproduction.file_type)
-    reproduction = run()
-    with save_options.writing(reproduction):
+    save_options.check_writable(Reproduction.file_type)
+    reproduction = run_reproduction()
+    with save_options.saving(reproduction):
         report_console().print(reproduction)
 
 
@@ -152,22 +152,22 @@ def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: boo
     """
     from counterspin.reports.text import progress, report_console
     from counterspin.validation.validate import check_folder, write_dossier
-    from counterspin.validation.validate import validate as run
+    from counterspin.validation.validate import validate as run_validation
 
     check_folder(output, overwrite=overwrite)
     with progress(words=("Running cases", "Running cases", "Writing")) as advance:
-        dossier = run(schema=schema, progress=advance)
+        dossier = run_validation(schema=schema, progress=advance)
         write_dossier(dossier, output, overwrite=overwrite)
     report_console().print(dossier)
-    print_output(f"Wrote {shell_word(output)}")
+    print_output(f"Wrote {quote_path(output)}")
     if dossier.failed:
         raise CounterspinError(
             f"reference cases failed: {'; '.join(dossier.failed)}", code="validation-failed"
         )
     if not dossier.passed:
         installation = dossier.installation
-        named = ", ".join([*installation.altered, *installation.missing])
+        file_names = ", ".join([*installation.altered, *installation.missing])
         raise CounterspinError(
-            f"installed files are altered or missing: {named}; reinstall counterspin",
+            f"installed files are altered or missing: {file_names}; reinstall counterspin",
             code="installation-altered",
         )

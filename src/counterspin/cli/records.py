@@ -1,4 +1,4 @@
-"""The commands of records: simulated, judged while a centrifuge turns, and at rest."""
+"""Commands for records: simulation, checks, monitoring and noise analysis."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from counterspin.cli.common import (
-    NOT_SAVED,
+    NO_RESULT_FILE,
     OutputFolder,
     SaveOptions,
     command,
@@ -42,13 +42,17 @@ def simulate(campaign: Path, /, *, output: OutputFolder, overwrite: bool = False
     from counterspin.campaign.description import read_campaign
     from counterspin.campaign.questions import questions
     from counterspin.reports.text import progress
-    from counterspin.simulation.simulate import simulate as run
+    from counterspin.simulation.simulate import simulate as run_simulation
 
-    described = read_campaign(campaign)
+    description = read_campaign(campaign)
     with progress(words=("Simulating", "Files", "Files")) as advance:
-        written = run(described, output, overwrite=overwrite, progress=advance)
-    print_output(*(f"Warning: {question.text}" for question in questions(described)))
-    files = f"{len(written)} {'file' if len(written) == 1 else 'files'} and " if written else ""
+        written_files = run_simulation(description, output, overwrite=overwrite, progress=advance)
+    print_output(*(f"Warning: {question.text}" for question in questions(description)))
+    files = (
+        f"{len(written_files)} {'file' if len(written_files) == 1 else 'files'} and "
+        if written_files
+        else ""
+    )
     print_output(f"Wrote {files}campaign.toml to {output}.")
 
 
@@ -59,7 +63,7 @@ def check(
     *,
     campaign: Annotated[Path, Parameter(name="--campaign")],
     run: str | None = None,
-    save_options: SaveOptions = NOT_SAVED,
+    save_options: SaveOptions = NO_RESULT_FILE,
 ) -> None:
     """Check the record of a run: clock, angle, rate, residuals and the expected uncertainty.
 
@@ -76,11 +80,11 @@ def check(
     from counterspin.monitoring.result import CheckedRun
     from counterspin.reports.text import report_console
 
-    save_options.reserve(CheckedRun.file_type)
-    checked = run_check(record, campaign, run=run)
-    with save_options.writing(checked):
-        report_console().print(checked)
-    if not checked.good:
+    save_options.check_writable(CheckedRun.file_type)
+    checked_run = run_check(record, campaign, run=run)
+    with save_options.saving(checked_run):
+        report_console().print(checked_run)
+    if not checked_run.good:
         raise CounterspinError(
             "the run failed its checks and should be repeated", code="run-faulty"
         )
@@ -119,22 +123,24 @@ def watch(
         Print each state as a line of JSON.
     """
     from counterspin.monitoring.watch import Pace
-    from counterspin.monitoring.watch import watch as follow
+    from counterspin.monitoring.watch import watch as watch_campaign
 
     if plan is not None and goal:
         raise UsageError("watch", ["give either `goal` or `plan`, not both"])
-    states = follow(directory, goals=goal if plan is None else plan, pace=Pace(interval), once=once)
+    states = watch_campaign(
+        directory, goals=goal if plan is None else plan, pace=Pace(interval), once=once
+    )
     if json:
         for state in states:
             print_output(state.model_dump_json(by_alias=True))
             sys.stdout.flush()
     elif sys.stdout.isatty() and not once:
-        _show_live(states)
+        _show_live_display(states)
     else:
         _print_lines(states, once=once)
 
 
-def _show_live(states: Iterator[WatchState]) -> None:
+def _show_live_display(states: Iterator[WatchState]) -> None:
     from rich.live import Live
 
     from counterspin.reports.text import report_console
@@ -153,17 +159,19 @@ def _print_lines(states: Iterator[WatchState], *, once: bool) -> None:
         if once:
             report_console().print(state)
             return
-        clock = time.strftime("%H:%M:%S")
-        told = [f"{clock} {event}" for event in state.events]
-        said = [f"{clock} {run.run}: {run.why}" for run in state.runs if run.state == "failed"]
-        print_output(*told, *said, f"{clock} {watch_line(state)}")
+        time_of_day = time.strftime("%H:%M:%S")
+        events = [f"{time_of_day} {event}" for event in state.events]
+        failures = [
+            f"{time_of_day} {run.run}: {run.why}" for run in state.runs if run.state == "failed"
+        ]
+        print_output(*events, *failures, f"{time_of_day} {watch_line(state)}")
         sys.stdout.flush()
 
 
 @option_group
 @frozen
 class ColumnOptions:
-    """The columns of the record, if neither file nor campaign states them.
+    """Columns of the record, if neither the file nor the campaign states them.
 
     Parameters
     ----------
@@ -189,7 +197,7 @@ class ColumnOptions:
     select: str | None = None
 
 
-_AS_THE_FILE_SAYS = ColumnOptions()
+_DEFAULT_COLUMNS = ColumnOptions()
 
 
 @command
@@ -198,10 +206,10 @@ def noise(
     /,
     *,
     campaign: Path | None = None,
-    column_options: ColumnOptions = _AS_THE_FILE_SAYS,
+    column_options: ColumnOptions = _DEFAULT_COLUMNS,
     report: Path | None = None,
     plot: Path | None = None,
-    save_options: SaveOptions = NOT_SAVED,
+    save_options: SaveOptions = NO_RESULT_FILE,
 ) -> None:
     """Analyse the noise of a static record: spectrum, Allan deviation, components, lines.
 
@@ -216,7 +224,7 @@ def noise(
     plot
         Plot the Allan deviation and the spectrum: .svg, .png or .pdf.
     """
-    from counterspin.monitoring.noise import noise as run
+    from counterspin.monitoring.noise import noise as analyse_noise
     from counterspin.monitoring.page import FILE_DESCRIPTION, noise_plots
     from counterspin.monitoring.result import NoiseResult
     from counterspin.output import check_writable, marked_file_type
@@ -226,15 +234,17 @@ def noise(
 
     if report is not None:
         check_report(report)
-        kind = NoiseResult.report_type()
-        check_writable(report, lambda: marked_file_type(kind), overwrite=save_options.overwrite)
+        document_type = NoiseResult.report_type()
+        check_writable(
+            report, lambda: marked_file_type(document_type), overwrite=save_options.overwrite
+        )
     if plot is not None:
         check_format(plot)
         check_writable(
             plot, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
         )
-    save_options.reserve(NoiseResult.file_type)
-    result = run(
+    save_options.check_writable(NoiseResult.file_type)
+    result = analyse_noise(
         record,
         campaign=campaign,
         columns=column_options.columns or (),
@@ -244,7 +254,7 @@ def noise(
         rate=column_options.rate,
         select=column_options.select,
     )
-    with save_options.writing(result):
+    with save_options.saving(result):
         if plot is not None:
             pictures = [
                 picture

@@ -1,4 +1,4 @@
-"""The commands of results: reports, histories, comparisons, repetitions and ledgers."""
+"""Commands for results: reports, histories, comparisons, repetitions and ledgers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 from counterspin.cli.common import (
-    NOT_SAVED,
+    NO_RESULT_FILE,
     OutputFile,
     OutputFolder,
     SaveOptions,
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from counterspin.results import ReportableResult
 
 
-#: Whatever a command writes with --json, beside a calibration: module and class.
+#: Results that commands write with --json, except calibrations: module and class.
 _RESULT_CLASSES: Final = (
     ("planning.result", "PlanResult"),
     ("studies.result", "StudyResult"),
@@ -72,12 +72,14 @@ def report(
 
     issued = issue_date(date)
     is_file = source.suffix.lower() == ".json" or (source.is_file() and source.suffix != ".toml")
-    kind = _result_class(source) if is_file else Result
+    result_class = _detect_result_class(source) if is_file else Result
     if output is not None:
         check_format(output)
-        check_writable(output, lambda: marked_file_type(kind.report_type()), overwrite=overwrite)
+        check_writable(
+            output, lambda: marked_file_type(result_class.report_type()), overwrite=overwrite
+        )
     if is_file:
-        result = kind.read(source)
+        result = result_class.read(source)
     else:
         from counterspin.calibration.calibrate import calibrate
         from counterspin.reports.text import progress
@@ -91,16 +93,16 @@ def report(
     print_output(f"Wrote {output}.")
 
 
-def _result_class(path: Path) -> type[ReportableResult]:
-    """Return the class that a file belongs to; a calibration's for the error message if unknown."""
+def _detect_result_class(path: Path) -> type[ReportableResult]:
+    """Return the class of a result file; `Result` if unknown, for its error message."""
     from counterspin.calibration.result import Result
 
     if Result.file_type().recognises(path):
         return Result
     for module, name in _RESULT_CLASSES:
-        kind: type[ReportableResult] = getattr(import_module(f"counterspin.{module}"), name)
-        if kind.file_type().recognises(path):
-            return kind
+        result_class: type[ReportableResult] = getattr(import_module(f"counterspin.{module}"), name)
+        if result_class.file_type().recognises(path):
+            return result_class
     return Result
 
 
@@ -110,7 +112,7 @@ def history(
     term: str = "K_II",
     serial: str | None = None,
     reliability: float = 0.95,
-    save_options: SaveOptions = NOT_SAVED,
+    save_options: SaveOptions = NO_RESULT_FILE,
     figure: Path | None = None,
 ) -> None:
     """Track a coefficient over time: drift and consistency between calibrations.
@@ -128,7 +130,7 @@ def history(
     figure
         Draw a control chart of each instrument: .svg, .png or .pdf.
     """
-    from counterspin.histories.history import history as run
+    from counterspin.histories.history import history as compute_history
     from counterspin.histories.page import FILE_DESCRIPTION, history_plots
     from counterspin.histories.result import History
     from counterspin.output import check_writable, marked_file_type
@@ -142,9 +144,9 @@ def history(
         check_writable(
             figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
         )
-    save_options.reserve(History.file_type)
-    result = run(paths, term=term, serial=serial, reliability=reliability)
-    with save_options.writing(result):
+    save_options.check_writable(History.file_type)
+    result = compute_history(paths, term=term, serial=serial, reliability=reliability)
+    with save_options.saving(result):
         if figure is not None:
             save_figure(
                 history_plots(result), figure, FILE_DESCRIPTION, overwrite=save_options.overwrite
@@ -159,7 +161,7 @@ def history(
 
 @command
 def compare(
-    *results: Path, save_options: SaveOptions = NOT_SAVED, report: Path | None = None
+    *results: Path, save_options: SaveOptions = NO_RESULT_FILE, report: Path | None = None
 ) -> None:
     """Compare results of different models, methods or campaigns, and show what changed.
 
@@ -170,7 +172,7 @@ def compare(
     report
         Also write the comparison to this file: .html, .pdf or .md.
     """
-    from counterspin.comparisons.compare import compare as run
+    from counterspin.comparisons.compare import compare as compare_results
     from counterspin.comparisons.result import ResultComparison
     from counterspin.output import check_writable, marked_file_type
     from counterspin.reports.publication import check_format
@@ -183,19 +185,19 @@ def compare(
             lambda: marked_file_type(ResultComparison.report_type()),
             overwrite=save_options.overwrite,
         )
-    save_options.reserve(ResultComparison.file_type)
-    compared = run(*results)
-    with save_options.writing(compared):
+    save_options.check_writable(ResultComparison.file_type)
+    comparison = compare_results(*results)
+    with save_options.saving(comparison):
         if report is not None:
-            compared.write_report(report, overwrite=save_options.overwrite)
-        report_console().print(compared)
+            comparison.write_report(report, overwrite=save_options.overwrite)
+        report_console().print(comparison)
 
 
 @command
 def intercompare(
     *results: Path,
     coefficient: str | None = None,
-    save_options: SaveOptions = NOT_SAVED,
+    save_options: SaveOptions = NO_RESULT_FILE,
     report: Path | None = None,
     figure: Path | None = None,
 ) -> None:
@@ -212,14 +214,13 @@ def intercompare(
     figure
         Draw the degrees of equivalence and a Youden plot: .svg, .png or .pdf.
     """
-    from counterspin.comparisons.intercompare import intercompare as run
+    from counterspin.comparisons.intercompare import intercompare as compare_laboratories
     from counterspin.comparisons.intercomparison_page import FILE_DESCRIPTION, intercomparison_plots
     from counterspin.comparisons.result import Intercomparison
     from counterspin.output import check_writable, marked_file_type
     from counterspin.reports.charts import check_format as check_figure
     from counterspin.reports.charts import save_figure
     from counterspin.reports.publication import check_format
-    from counterspin.reports.text import report_console
 
     overwrite = save_options.overwrite
     if report is not None:
@@ -230,17 +231,20 @@ def intercompare(
     if figure is not None:
         check_figure(figure)
         check_writable(figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=overwrite)
-    save_options.reserve(Intercomparison.file_type)
+    save_options.check_writable(Intercomparison.file_type)
     symbols = None if coefficient is None else [s.strip() for s in coefficient.split(",")]
-    compared = run(*results, coefficients=symbols)
-    with save_options.writing(compared):
+    intercomparison = compare_laboratories(*results, coefficients=symbols)
+    with save_options.saving(intercomparison):
         if report is not None:
-            compared.write_report(report, overwrite=overwrite)
+            intercomparison.write_report(report, overwrite=overwrite)
         if figure is not None:
             save_figure(
-                intercomparison_plots(compared), figure, FILE_DESCRIPTION, overwrite=overwrite
+                intercomparison_plots(intercomparison),
+                figure,
+                FILE_DESCRIPTION,
+                overwrite=overwrite,
             )
-        report_console().print(compared)
+        report_console().print(intercomparison)
 
 
 @command
@@ -249,7 +253,7 @@ def rerun(
     /,
     *,
     folder: Path | None = None,
-    save_options: SaveOptions = NOT_SAVED,
+    save_options: SaveOptions = NO_RESULT_FILE,
 ) -> None:
     """Repeat the calibration of a result from the same files, and compare both results.
 
@@ -260,16 +264,16 @@ def rerun(
     folder
         Campaign folder; by default the folder of the result.
     """
-    from counterspin.comparisons.rerun import rerun as run
+    from counterspin.comparisons.rerun import rerun as repeat_calibration
     from counterspin.comparisons.result import RepeatedCalibration
     from counterspin.reports.text import progress, report_console
 
-    save_options.reserve(RepeatedCalibration.file_type)
+    save_options.check_writable(RepeatedCalibration.file_type)
     with progress() as advance:
-        repeated = run(result, folder, progress=advance)
-    with save_options.writing(repeated):
-        report_console().print(repeated)
-    if not repeated.same:
+        repetition = repeat_calibration(result, folder, progress=advance)
+    with save_options.saving(repetition):
+        report_console().print(repetition)
+    if not repetition.same:
         raise CounterspinError(f"{result}: the repeated calibration differs", code="results-differ")
 
 
@@ -304,11 +308,11 @@ def export(
         Replace an earlier export; other files are never replaced.
     """
     from counterspin.calibration.result import Result
-    from counterspin.correction.export import export as run
+    from counterspin.correction.export import export as write_export
     from counterspin.monitoring.result import NoiseResult
 
     densities = None if noise is None else NoiseResult.read(noise).largest_densities()
-    run(
+    write_export(
         Result.read(result),
         output,
         normalisation=normalisation,
@@ -351,25 +355,25 @@ def ledger(
     if action == "add":
         if not results or not who or not why:
             raise UsageError("ledger", ["give RESULT.json, --who NAME and --why REASON"])
-        for file in results:
-            add_to_ledger(ledger, file, who=who, why=why)
+        for result_file in results:
+            add_to_ledger(ledger, result_file, who=who, why=why)
         return
     if results or who or why:
         raise UsageError("ledger", ["verify accepts only the ledger"])
-    verified = verify_ledger(ledger)
-    report_console().print(Report(list(ledger_blocks(verified))))
-    if verified.partial_entry:
+    ledger_state = verify_ledger(ledger)
+    report_console().print(Report(list(ledger_blocks(ledger_state))))
+    if ledger_state.partial_entry:
         raise RecordError(
-            f"{ledger}: entry {len(verified.entries)} is followed by an incomplete line of "
-            f"{len(verified.partial_entry)} bytes. Either a command was interrupted, or the end "
-            "of the file was altered. The preceding entries are intact, and the next entry will "
-            "preserve this line",
+            f"{ledger}: entry {len(ledger_state.entries)} is followed by an incomplete line of "
+            f"{len(ledger_state.partial_entry)} bytes. Either a command was interrupted, or the "
+            "end of the file was altered. The preceding entries are intact, and the next entry "
+            "will preserve this line",
             code="ledger-altered",
         )
 
 
 def add_to_ledger(ledger: Path, result: Path, *, who: str, why: str) -> None:
-    """Enter a result's file, and say so."""
+    """Enter a result file in a ledger, and print the entry."""
     from counterspin.certificates.ledger import record_result
     from counterspin.reports.publication import issue_date
 

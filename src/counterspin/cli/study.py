@@ -1,19 +1,19 @@
-"""`counterspin study`: a campaign and its analyses, tried on many simulated ones."""
+"""`counterspin study`: analyses tested on many simulated campaigns."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Literal
 
-from counterspin.cli.common import NOT_SAVED, OutputFile, SaveOptions, command, option_group
+from counterspin.cli.common import NO_RESULT_FILE, OutputFile, SaveOptions, command, option_group
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 
 
 @option_group
 @frozen
-class TrialSettings:
-    """How many trials are made, and how.
+class TrialOptions:
+    """Number, seed and engine of the trials.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class TrialSettings:
 @option_group
 @frozen
 class StudyWorkers:
-    """The processes that make the trials.
+    """Processes that compute the trials.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class StudyWorkers:
     cluster: str | None = None
 
 
-_OWN, _ALONE = TrialSettings(), StudyWorkers()
+_DEFAULT_TRIALS, _DEFAULT_WORKERS = TrialOptions(), StudyWorkers()
 
 
 @command
@@ -55,12 +55,12 @@ def study(
     campaign: Path,
     /,
     *,
-    trial_settings: TrialSettings = _OWN,
-    worker_options: StudyWorkers = _ALONE,
+    trial_options: TrialOptions = _DEFAULT_TRIALS,
+    worker_options: StudyWorkers = _DEFAULT_WORKERS,
     output: OutputFile = None,
     keep_trials: bool = False,
     resume: bool = False,
-    save_options: SaveOptions = NOT_SAVED,
+    save_options: SaveOptions = NO_RESULT_FILE,
 ) -> None:
     """Test analyses on many simulated campaigns: bias, scatter and coverage of the intervals.
 
@@ -78,7 +78,7 @@ def study(
     from counterspin.reports.text import report_console, work_progress
     from counterspin.studies.folder import StudyFolder
     from counterspin.studies.result import StudyResult
-    from counterspin.studies.study import study as run
+    from counterspin.studies.study import study as run_study
     from counterspin.workers import Workers
 
     if output is None and (keep_trials or resume):
@@ -86,24 +86,24 @@ def study(
         raise CounterspinError(
             f"{option} requires the folder of the study (`output`)", code="wrong-usage"
         )
-    save_options.reserve(StudyResult.file_type)
+    save_options.check_writable(StudyResult.file_type)
     folder = output and StudyFolder(output, keep_trials, resume, save_options.overwrite)
     with work_progress("Trials") as advance:
-        result = run(
+        result = run_study(
             campaign,
-            trials=trial_settings.trials,
-            seed=trial_settings.seed,
-            engine=trial_settings.engine,
+            trials=trial_options.trials,
+            seed=trial_options.seed,
+            engine=trial_options.engine,
             workers=Workers(worker_options.workers, worker_options.cluster),
             output=folder,
             progress=advance,
         )
-    with save_options.writing(result):
+    with save_options.saving(result):
         if output is not None:
             from counterspin.studies.page import write_figures
 
             write_figures(result, output, overwrite=resume or save_options.overwrite)
         report_console().print(result)
     if not result.complete:
-        more = "" if output is None else "; to continue, repeat the command with --resume"
-        raise KeyboardInterrupt(f"stopped{more}")
+        advice = "" if output is None else "; to continue, repeat the command with --resume"
+        raise KeyboardInterrupt(f"stopped{advice}")
