@@ -221,6 +221,7 @@ def intercompare(
     from counterspin.reports.charts import check_format as check_figure
     from counterspin.reports.charts import save_figure
     from counterspin.reports.publication import check_format
+    from counterspin.reports.text import report_console
 
     overwrite = save_options.overwrite
     if report is not None:
