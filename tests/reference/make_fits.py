@@ -142,7 +142,7 @@ class Answers:
             contributions[source] = math.hypot(contributions.get(source, 0.0), moved[k])
         for source, contribution in contributions.items():
             if contribution > 1e-2 * u:
-                self.add(f"{name} by {source}", [contribution], [CLOSE * u])
+                self.add(f"contribution of {source} to {name}", [contribution], [CLOSE * u])
 
     def rests_on(self, found):
         """Return posterior value and u of nuisance parameters that the data inform."""
@@ -150,13 +150,13 @@ class Answers:
             value, u, *_ = found.line(unknown.name)
             random = unknown.name.startswith(RATE)
             if unknown.kind != "asked" and not random and u < 0.9 * unknown.sd:
-                self.add(f"what {unknown.name} is", [value - unknown.mean, u], [CLOSE * u] * 2)
+                self.add(f"posterior of {unknown.name}", [value - unknown.mean, u], [CLOSE * u] * 2)
 
     def misfit(self, found, owner, groups):
         """Chi-square, degrees of freedom, and the probability of a worse fit."""
         chi2, dof = found.misfit(groups)
         p = float(gammainc(dof / 2.0, chi2 / 2.0, regularized=True))
-        self.add(f"misfit of {owner}", [chi2, dof, p], [1e-3 * chi2, 1e-5 * dof, 2e-3])
+        self.add(f"chi-square test of {owner}", [chi2, dof, p], [1e-3 * chi2, 1e-5 * dof, 2e-3])
 
     def dof(self, name, value, close):
         self.add(f"degrees of freedom of {name}", [value], [close * value])

@@ -25,7 +25,7 @@ CHECKS = (
 )
 CERTIFICATE = "counterspin.certificates.issuing:certificate"
 KERNELS = sorted({one.kernel for one in cases()} - {*CHECKS, CERTIFICATE})
-SCHEMA_CASE = "a certificate and the schema of DCC"
+SCHEMA_CASE = "certificate against the DCC schema"
 REQUIREMENTS = {
     "physics",
     "spindle",

@@ -74,7 +74,7 @@ def fitted_values(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
     }
     for row in result.rests_on:
         if row.found is not None:
-            values[f"what {row.name} is"] = [row.found - row.value, row.u_found]
+            values[f"posterior of {row.name}"] = [row.found - row.value, row.u_found]
     for name, accelerometer in result.accelerometers.items():
         coefficients = {
             f"{name}.{symbol}": coefficient
@@ -96,13 +96,13 @@ def fitted_values(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
             for component, line in accelerometer.noise.items()
         }
         residual = accelerometer.residual
-        values[f"misfit of {name}"] = [residual.chi2, residual.dof, residual.lack_of_fit_p]
+        values[f"chi-square test of {name}"] = [residual.chi2, residual.dof, residual.lack_of_fit_p]
         for symbol, lines in accelerometer.budget.items():
             for line in lines:
                 source = (
                     f"{name}.{line.source}" if line.source in ACCELEROMETER_TERMS else line.source
                 )
-                values[f"{name}.{symbol} by {source}"] = [line.contribution]
+                values[f"contribution of {source} to {name}.{symbol}"] = [line.contribution]
         if accelerometer.correlation is not None:
             indices = [
                 accelerometer.correlation.terms.index(symbol)
@@ -142,7 +142,7 @@ def check_schema(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
         re.sub(old, new, certificate_xml, flags=re.DOTALL) for old, new in _INVALID_EDITS
     ]
     return {
-        "as made": conforms(certificate_xml),
+        "original": conforms(certificate_xml),
         "altered": [conforms(altered_document) for altered_document in altered_documents],
     }
 
@@ -163,9 +163,9 @@ def verify_signatures(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
 
     altered_document = signed_document.replace(b"K-2026-0117", b"K-2026-0118")
     return {
-        "as signed": is_valid(signed_document, "signer.pem"),
+        "original": is_valid(signed_document, "signer.pem"),
         "altered": is_valid(altered_document, "signer.pem"),
-        "of another signer": is_valid(signed_document, "other.pem"),
+        "other signer": is_valid(signed_document, "other.pem"),
     }
 
 
