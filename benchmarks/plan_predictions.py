@@ -31,7 +31,7 @@ def predictions(file: Path, runs: int, batches: int) -> tuple[float, float]:
     search = Search(read_plan(file))
     generator = np.random.default_rng(1)
     types = tuple(search.limits.types[i % 2] for i in range(runs))
-    low, high = search.limits.rate
+    low, high = search.limits.rate_range
     rates = generator.uniform(low, high, (BATCH, runs))
     turns = generator.uniform(10.0, 60.0, rates.shape)
 

@@ -100,7 +100,7 @@ ROWS = {
             "square of the specific force ({} µg/g²)",
             1e6 * terms.CONDITION_TERMS["K_F.heating"].typical,
         ),
-        ("gain from relaxing a limit by {} %", 100.0 * limits.RELAXATION),
+        ("gain from relaxing a limit by {} %", 100.0 * limits.RELAXATION_FRACTION),
         (
             "alone would increase u by {} %. If",
             100.0 * (math.hypot(1.0, faults._TOLERABLE_FRACTION_OF_U) - 1.0),

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import get_args
 
 from counterspin.physics.terms import READING_TERMS
-from counterspin.planning.plan_file import SHORT
+from counterspin.planning.plan_file import SHORT_KEYS
 from counterspin.readings.section import COLUMNS, ReadingsSettings
 from counterspin.studies import description
 from counterspin.studies.draws import NOISE_LEVELS
@@ -48,4 +48,4 @@ def test_varying_quantities_of_study_are_listed():
 def test_short_names_of_changes_are_listed():
     page = (DOCS / "python.md").read_text("utf-8")
     sentence = page.partition("or a short name:")[2].partition(".")[0]
-    assert set(re.findall(r"`(\w+)`", sentence)) == set(SHORT)
+    assert set(re.findall(r"`(\w+)`", sentence)) == set(SHORT_KEYS)

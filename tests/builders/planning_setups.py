@@ -60,7 +60,7 @@ def make_setup(
     mountings=None,
     priors=PRIORS,
     sampling_rate=50.0,
-    timing=0.0,
+    timing_noise=0.0,
     expected=1e-3,
 ):
     """Return a set-up; `priors` are standard uncertainties, `expected` is a part of the limits."""
@@ -77,7 +77,7 @@ def make_setup(
     )
     return Setup(
         instruments=tuple(
-            PlannedInstrument(name, mounting, observable, noise, timing)
+            PlannedInstrument(name, mounting, observable, noise, timing_noise)
             for name, mounting in mountings.items()
         ),
         attitudes=dict(attitudes),
@@ -85,7 +85,7 @@ def make_setup(
         site=SITE,
         sampling_rate=sampling_rate,
         model=model,
-        estimate=np.array([expected * u.limit for u in model.unknowns]),
+        expected=np.array([expected * u.limit for u in model.unknowns]),
         scale_factors=dict.fromkeys(mountings, 1.0),
     )
 
@@ -142,7 +142,7 @@ def u_by_joint_fit(setup, design):
         return tuple(found)
 
     model = Unknowns(of_runs(setup.model.unknowns), of_runs(setup.model.considered))
-    expected = {u.name: v for u, v in zip(setup.model.unknowns, setup.estimate, strict=True)}
+    expected = {u.name: v for u, v in zip(setup.model.unknowns, setup.expected, strict=True)}
     estimate = np.array(
         [
             expected.get(u.name, expected.get(f"{owners.get(u.owner)}.{u.symbol}"))
@@ -150,7 +150,7 @@ def u_by_joint_fit(setup, design):
         ]
     )
     prepared = build_design_blocks(series, model, setup.scale_factors, estimate)
-    timing = {one.name: one.timing for one in setup.instruments}
+    timing = {one.name: one.timing_noise for one in setup.instruments}
     prepared = [
         replace(
             part,

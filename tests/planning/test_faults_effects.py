@@ -65,7 +65,7 @@ def fault_of_symbol(prediction, symbol):
 
 def simulate_fault_signal(fault_of_symbol, series):
     """Return the signal of one unit of each component of a fault in a record."""
-    return series.columns([part.symbol for part in fault_of_symbol.parts], 1.0)
+    return series.columns([part.symbol for part in fault_of_symbol.terms], 1.0)
 
 
 # Against the model that knows them
@@ -95,8 +95,8 @@ def test_deviation_matches_fit_that_estimates_fault(symbol, predict):
     found = fault_of_symbol(left_out, symbol)
     estimated = predict(*VELOCITY, ('"K_III", ', f'"K_III", "{symbol}", '))
     u = estimated.u[f"Qx.{symbol}"]
-    size = found.fault.size
-    assert found.deviation(coefficient_index(left_out)) == pytest.approx(size / u, rel=1e-6)
+    size = found.fault.typical_size
+    assert found.z_score(coefficient_index(left_out)) == pytest.approx(size / u, rel=1e-6)
 
 
 # Against records that have the fault
@@ -110,19 +110,19 @@ def test_shift_matches_fit_of_record_with_fault(changes, predict):
     prediction = predict(*changes)
     (found,) = fault_sensitivities(prediction, [ECCENTRICITY])
     place = coefficient_index(prediction)
-    moved = found.moved[place]
+    moved = found.shifts[place]
     phase = moved / np.linalg.norm(moved)
     prepared = []
     for part in prediction.fit.design_blocks:
         shown = simulate_fault_signal(ECCENTRICITY, part.series)
-        error = ECCENTRICITY.size * (shown @ phase)
+        error = ECCENTRICITY.typical_size * (shown @ phase)
         prepared.append(replace(part, series=replace(part.series, error=error)))
     fit = solve_joint(prepared, prediction.fit.model, prediction.fit.noise)
     estimate = float(fit.solution.estimate[place])
     assert estimate == pytest.approx(found.shift(place), rel=1e-6)
     # And what it leaves in the residuals is what the test of them will see.
     left = sum(float(residual.whitened @ residual.whitened) for residual in fit.residuals)
-    seen = found.residual_ss(found.left_in["Qx"], place)
+    seen = found.residual_ss(found.accelerometer_products["Qx"], place)
     assert left == pytest.approx(seen, rel=1e-4)
 
 
@@ -181,7 +181,7 @@ def test_stretch_equals_radius_change_per_rate(predict):
 def predict_harmonic_share(prediction):
     place = coefficient_index(prediction)
     found = fault_sensitivities(prediction, [mean_square_fault("Qx"), square_term_fault("Qx")])
-    mean, whole = (one.moved[place, 0] for one in found)
+    mean, whole = (one.shifts[place, 0] for one in found)
     return 1.0 - mean / whole
 
 

@@ -14,7 +14,7 @@ from scipy.optimize import linprog
 from counterspin.errors import NotIdentifiableError
 from counterspin.planning.candidate_set import relax
 from counterspin.planning.design import Criterion, Design, Limits, RunType, scale_to_time
-from counterspin.planning.optimisation import least_time, optimise, polish
+from counterspin.planning.optimisation import minimise_time, optimise, polish
 from counterspin.planning.run_information import Predictor, RunInformation
 
 FAST = 2.0 * math.pi
@@ -25,15 +25,15 @@ K_II = Criterion((2,), (1.0,))
 #: The paper's time and highest rate, spin-up and settling counted (issue 5).
 DAY = Limits(
     types=ONE,
-    rate=(0.1 * FAST, FAST),
-    settings=(),
+    rate_range=(0.1 * FAST, FAST),
+    rate_settings=(),
     total_time=700.0,
     settling=10.0,
     spin_up=0.0,
     attitude_change=0.0,
-    revolutions=1.0,
-    longest_run=700.0,
-    runs=14,
+    min_revolutions=1.0,
+    max_duration=700.0,
+    max_runs=14,
 )
 
 
@@ -150,17 +150,17 @@ def test_optimum_satisfies_equivalence_theorem(predictor, criterion, types):
 
     # The least prices of time and of a run at which no possible run gains more than it costs, on a
     # grid that the search has not seen. At the optimum they add up to what the plan gains.
-    rate, time = np.meshgrid(np.geomspace(*limits.rate, 41), np.geomspace(5.0, 690.0, 43))
+    rate, time = np.meshgrid(np.geomspace(*limits.rate_range, 41), np.geomspace(5.0, 690.0, 43))
     turns = rate * time / (2.0 * math.pi)
-    keep = turns >= limits.revolutions
+    keep = turns >= limits.min_revolutions
     runs = [((kind,) * int(keep.sum()), rate[keep], turns[keep]) for kind in types]
     runs.append(runs_of(support))
     gain, cost = np.concatenate([gain_and_cost(*some) for some in runs], axis=1)
-    total = np.array([limits.total_time, limits.runs])
+    total = np.array([limits.total_time, limits.max_runs])
     prices = linprog(total, A_ub=-np.column_stack([cost, np.ones_like(cost)]), b_ub=-gain)
     at_plan, _ = gain_and_cost(*runs_of(support))
     assert prices.fun == pytest.approx(float(at_plan @ found.design), abs=4e-3)
-    assert prices.x[1] == pytest.approx(found.shadow_price, abs=4e-3 / limits.runs)
+    assert prices.x[1] == pytest.approx(found.shadow_price, abs=4e-3 / limits.max_runs)
     assert found.bound <= found.value + 1e-9
 
 
@@ -169,12 +169,17 @@ def test_d_optimal_gain_is_coefficient_count():
     setup = make_setup(("K_F", "K_I", "K_II"), platform=(), priors={})
     predictor = Predictor(RunInformation(setup, (1.0, 6.0), (10.0, 100.0), (1,)))
     limits = replace(
-        DAY, rate=(1.0, 6.0), total_time=1e9, longest_run=300.0, runs=10, revolutions=10.0
+        DAY,
+        rate_range=(1.0, 6.0),
+        total_time=1e9,
+        max_duration=300.0,
+        max_runs=10,
+        min_revolutions=10.0,
     )
     _, found = relax(predictor, limits, Criterion((0, 1, 2), (1.0, 1.0, 1.0), "determinant"))
     # The criterion is half the logarithm per coefficient: ten runs gain a half in all.
-    assert found.shadow_price * limits.runs == pytest.approx(0.5, rel=1e-3)
-    assert float(found.design.sum()) == pytest.approx(limits.runs)
+    assert found.shadow_price * limits.max_runs == pytest.approx(0.5, rel=1e-3)
+    assert float(found.design.sum()) == pytest.approx(limits.max_runs)
 
 
 # The search
@@ -182,7 +187,7 @@ def test_d_optimal_gain_is_coefficient_count():
 
 def test_optimum_matches_exhaustive_search(predictor):
     """Three runs at five rates and six lengths each: no plan of the grid is better."""
-    limits = replace(DAY, runs=3, total_time=300.0, types=BOTH, longest_run=300.0)
+    limits = replace(DAY, max_runs=3, total_time=300.0, types=BOTH, max_duration=300.0)
     found = optimise(predictor, limits, K_II)
     best = math.inf
     rates, times = np.geomspace(0.2, 1.0, 5) * FAST, np.linspace(20.0, 230.0, 6)
@@ -201,7 +206,9 @@ def test_optimum_matches_exhaustive_search(predictor):
 
 def test_rate_settings_match_exhaustive_search(predictor):
     settings = (0.25 * FAST, 0.6 * FAST, FAST)
-    limits = replace(DAY, settings=settings, rate=(settings[0], FAST), runs=3, total_time=200.0)
+    limits = replace(
+        DAY, rate_settings=settings, rate_range=(settings[0], FAST), max_runs=3, total_time=200.0
+    )
     criterion = Criterion((1, 2), (1e-4, 1e-8))
     found = optimise(predictor, limits, criterion)
     assert set(found.design.rate) <= set(settings)
@@ -222,8 +229,8 @@ def test_best_plan_reaches_acceptance_u(predictor, types, u):
     found = optimise(predictor, replace(DAY, types=types), K_II)
     assert math.exp(found.value) <= u * 1.0005
     assert found.efficiency > 0.985
-    assert DAY.time(found.design) <= DAY.total_time * (1.0 + 1e-9)
-    assert len(found.design.types) <= DAY.runs
+    assert DAY.campaign_time(found.design) <= DAY.total_time * (1.0 + 1e-9)
+    assert len(found.design.types) <= DAY.max_runs
 
 
 def test_plan_is_within_limits():
@@ -233,17 +240,17 @@ def test_plan_is_within_limits():
     limits = replace(
         DAY,
         types=tuple(RunType(a, s) for a in ATTITUDES for s in (1, -1)),
-        rate=(1.0, 5.0),
-        revolutions=8.0,
-        longest_run=60.0,
-        runs=5,
+        rate_range=(1.0, 5.0),
+        min_revolutions=8.0,
+        max_duration=60.0,
+        max_runs=5,
         total_time=400.0,
         spin_up=2.0,
         attitude_change=30.0,
     )
     found = optimise(predictor, limits, Criterion((1, 2), (1e-4, 1e-8)))
     design = found.design
-    assert limits.time(design) <= 400.0 * (1.0 + 1e-9)
+    assert limits.campaign_time(design) <= 400.0 * (1.0 + 1e-9)
     assert design.rate.max() <= 5.0 * (1.0 + 1e-9)
     assert design.duration.max() <= 60.0 * (1.0 + 1e-6)
     assert design.revolutions.min() >= 8.0 * (1.0 - 1e-9)
@@ -252,12 +259,14 @@ def test_plan_is_within_limits():
 
 #: Limits that the best plan of the day is not within.
 NARROWER = {
-    "rate": replace(DAY, rate=(0.1 * FAST, 0.7 * FAST)),
-    "settings": replace(DAY, settings=(0.3 * FAST, 0.8 * FAST), rate=(0.3 * FAST, 0.8 * FAST)),
-    "runs": replace(DAY, runs=4),
-    "longest run": replace(DAY, longest_run=60.0),
-    "time": replace(DAY, total_time=300.0, longest_run=300.0),
-    "different rates": replace(DAY, fewest_rates=3),
+    "rate": replace(DAY, rate_range=(0.1 * FAST, 0.7 * FAST)),
+    "settings": replace(
+        DAY, rate_settings=(0.3 * FAST, 0.8 * FAST), rate_range=(0.3 * FAST, 0.8 * FAST)
+    ),
+    "runs": replace(DAY, max_runs=4),
+    "longest run": replace(DAY, max_duration=60.0),
+    "time": replace(DAY, total_time=300.0, max_duration=300.0),
+    "different rates": replace(DAY, min_rates=3),
     "kinds of run": replace(DAY, types=(RunType("level", -1),)),
 }
 
@@ -275,14 +284,14 @@ def test_start_outside_limits_leads_to_plan_within_limits(predictor, best_plan, 
 
 @pytest.mark.parametrize(("fewest", "word"), [(2, "two"), (4, "four")])
 def test_plan_has_required_number_of_rates(predictor, best_plan, fewest, word):
-    limits = replace(DAY, fewest_rates=fewest, revolutions=5.0)
+    limits = replace(DAY, min_rates=fewest, min_revolutions=5.0)
     found = optimise(predictor, limits, K_II)
     assert len(set(np.round(best_plan.design.rate, 6))) == 1
     rates = found.design.rate
     apart = rates[limits.distinct_rate_runs(rates)]
     assert len(apart) == fewest
     assert np.all(apart[:-1] / apart[1:] >= 1.25 * (1.0 - 1e-4))
-    assert limits.time(found.design) <= limits.total_time * (1.0 + 1e-9)
+    assert limits.campaign_time(found.design) <= limits.total_time * (1.0 + 1e-9)
     # It costs something, and little: the bound is that without the rule.
     page = (Path(__file__).parents[2] / "docs" / "plan.md").read_text("utf-8")
     stated = float(re.search(rf"(\d+) % for {word} rates", " ".join(page.split()))[1])
@@ -292,7 +301,9 @@ def test_plan_has_required_number_of_rates(predictor, best_plan, fewest, word):
 
 def test_plan_has_required_number_of_rate_settings(predictor):
     settings = (0.25 * FAST, 0.6 * FAST, 0.9 * FAST, FAST)
-    limits = replace(DAY, settings=settings, rate=(settings[0], FAST), runs=5, fewest_rates=3)
+    limits = replace(
+        DAY, rate_settings=settings, rate_range=(settings[0], FAST), max_runs=5, min_rates=3
+    )
     found = optimise(predictor, replace(limits, total_time=300.0), K_II)
     assert len(set(found.design.rate)) >= 3
     assert set(found.design.rate) <= set(settings)
@@ -300,9 +311,9 @@ def test_plan_has_required_number_of_rate_settings(predictor):
 
 def test_least_time_plan_meets_target(predictor):
     target = Criterion((2,), (3e-8,))
-    found = least_time(predictor, DAY, target)
+    found = minimise_time(predictor, DAY, target)
     assert found is not None
-    time = DAY.time(found.design)
+    time = DAY.campaign_time(found.design)
     assert math.exp(found.value) == pytest.approx(time)
     assert predictor.value(target, found.design) <= 1e-6
     # Five seconds less, and the best plan there is misses it.
@@ -312,7 +323,7 @@ def test_least_time_plan_meets_target(predictor):
 
 
 def test_unreachable_target_returns_none(predictor):
-    assert least_time(predictor, DAY, Criterion((2,), (2.2e-8,))) is None
+    assert minimise_time(predictor, DAY, Criterion((2,), (2.2e-8,))) is None
 
 
 def test_plan_without_feasible_run_raises(predictor):

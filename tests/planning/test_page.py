@@ -2,7 +2,7 @@
 
 import pytest
 
-from counterspin.planning.page import _optimality
+from counterspin.planning.page import _optimality_sentence
 from counterspin.planning.result import GoalResult
 
 
@@ -20,4 +20,4 @@ from counterspin.planning.result import GoalResult
 )
 def test_optimality_sentence_states_possible_gain(kind, efficiency, timed, told):
     goal = GoalResult(kind=kind, criterion="sum", sizes={"Qx.K_II": 1.0}, efficiency=efficiency)
-    assert told in _optimality(goal, timed)
+    assert told in _optimality_sentence(goal, timed)

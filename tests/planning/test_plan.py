@@ -314,9 +314,9 @@ def test_search_prediction_matches_forecast(words, changes, write_starter):
     rng = np.random.default_rng(12)
     for runs in (1, 3, 6, 10):
         types = tuple(search.limits.types[i] for i in rng.integers(0, 2, runs))
-        rate = rng.uniform(*search.limits.rate, runs)
+        rate = rng.uniform(*search.limits.rate_range, runs)
         duration = np.round(rng.uniform(5.0, 20.0, runs) * 2.0 * math.pi / rate, 9)
-        design = search.in_order(Design(types, rate, duration * rate / (2.0 * math.pi)))
+        design = search.order_runs(Design(types, rate, duration * rate / (2.0 * math.pi)))
         told = forecast(search.campaign(design)).u
         predicted = dict(zip(search.predictor.names, search.predictor.u(design), strict=True))
         # Nothing has changed from run to run if there is only one.
@@ -626,7 +626,7 @@ def test_order_groups_attitudes_and_alternates_senses(write_starter):
         (ATTITUDES, 'attitudes = ["level", "90 deg about east"]'),
     )
     search = Search(read_plan(file))
-    design = search.in_order(search.smallest().design)
+    design = search.order_runs(search.minimise_u().design)
     attitudes = [kind.attitude for kind in design.types]
     assert attitudes == sorted(attitudes, key=attitudes.index)
     for attitude in set(attitudes):

@@ -16,7 +16,7 @@ from counterspin.errors import CampaignError, CounterspinError
 from counterspin.planning.faults import fault_sensitivities, possible_faults
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import check, plan, write_campaign
-from counterspin.planning.reading_plan import measurement_order
+from counterspin.planning.reading_plan import order_readings
 from counterspin.planning.stations import read_reading_plan
 
 HEAD = """
@@ -258,11 +258,11 @@ def test_forecast_of_readings_requires_uncertainty(write_plan, tmp_path):
 @pytest.mark.parametrize("order", ["mirrored", "random", "listed"])
 def test_order_contains_readings_by_count(order):
     counts = np.array([3, 0, 2, 5, 1])
-    assert np.bincount(measurement_order(counts, order), minlength=5).tolist() == counts.tolist()
+    assert np.bincount(order_readings(counts, order), minlength=5).tolist() == counts.tolist()
 
 
 def test_mirrored_order_cancels_trend():
-    order = np.array(measurement_order(np.array([4, 2, 6, 0, 2]), "mirrored"))
+    order = np.array(order_readings(np.array([4, 2, 6, 0, 2]), "mirrored"))
     assert order.tolist() == order[::-1].tolist()
     time = np.arange(order.size) - 0.5 * (order.size - 1)
     for place in set(order.tolist()):

@@ -36,20 +36,20 @@ CASES = {
         "platform": (*PLATFORM, "platform.tilt.east", "platform.g_sensitivity.zy"),
         "priors": PRIORS | {"platform.tilt.east": 1e-6},
     },
-    "time stamps": {"timing": 1e-3},
-    "time stamps alone": {"timing": 5e-3, "noise": Noise(1e-3)},
-    "time stamps and walk": {"timing": 1e-3, "noise": Noise(1e-3, 3e-5)},
+    "time stamps": {"timing_noise": 1e-3},
+    "time stamps alone": {"timing_noise": 5e-3, "noise": Noise(1e-3)},
+    "time stamps and walk": {"timing_noise": 1e-3, "noise": Noise(1e-3, 3e-5)},
     "time stamps of velocity": {
-        "timing": 5e-3,
+        "timing_noise": 5e-3,
         "noise": Noise(1e-3),
         "observable": "velocity",
     },
     "time stamps of force": {
-        "timing": 5e-3,
+        "timing_noise": 5e-3,
         "noise": Noise(1e-2),
         "observable": "specific_force",
     },
-    "time stamps of a large bias": {"timing": 1e-3, "expected": 0.05},
+    "time stamps of a large bias": {"timing_noise": 1e-3, "expected": 0.05},
     "inputs as unknowns": {"platform": (*PLATFORM, *INPUTS)},
     "considered terms and inputs": {
         "platform": ("platform.drift.north",),
@@ -83,7 +83,7 @@ def test_prediction_matches_joint_fit(case):
     With noise of the time stamps within 3 %: the best samples are those at an extremum, and the
     search takes what they tell on average.
     """
-    rel = 0.03 if "timing" in CASES[case] else 2e-4
+    rel = 0.03 if "timing_noise" in CASES[case] else 2e-4
     setup = make_setup(**CASES[case])
     predictor = Predictor(RunInformation(setup, RATES, TURNS, (1, -1)))
     design = random_design(setup, np.random.default_rng(5))
@@ -102,9 +102,9 @@ def test_columns_of_considered_term_serve_estimating_model():
     setup = make_setup(**HELD)
     others = (estimate_considered_term(one) for one in setup.model.considered)
     model = Unknowns((*setup.model.unknowns, *others))
-    values = np.append(setup.estimate, np.zeros(len(setup.model.considered)))
-    estimated = replace(setup, model=model, estimate=values)
-    taken_over = RunInformation(setup, RATES, TURNS, (1, -1)).of_model(estimated)
+    values = np.append(setup.expected, np.zeros(len(setup.model.considered)))
+    estimated = replace(setup, model=model, expected=values)
+    taken_over = RunInformation(setup, RATES, TURNS, (1, -1)).with_setup(estimated)
     anew = RunInformation(estimated, RATES, TURNS, (1, -1))
     design = random_design(setup, np.random.default_rng(3))
     u = Predictor(taken_over).u(design)

@@ -177,12 +177,12 @@ def _stated_limits(stated_plan: Plan | ReadingPlan) -> dict[str, float]:
         limits = stated_plan.limits
         return {
             "total_time": limits.total_time,
-            "highest_rate": limits.rate[1],
+            "highest_rate": limits.rate_range[1],
             "settling": limits.settling,
-            "runs": limits.runs,
-            "fewest_revolutions": limits.revolutions,
+            "runs": limits.max_runs,
+            "fewest_revolutions": limits.min_revolutions,
         }
-    stated = {"readings": stated_plan.readings, "total_time": stated_plan.total_time}
+    stated = {"readings": stated_plan.max_readings, "total_time": stated_plan.total_time}
     return {key: value for key, value in stated.items() if math.isfinite(value)}
 
 

@@ -41,7 +41,11 @@ from counterspin.physics.spindle import SpindleFit
 from counterspin.physics.terms import TERMS
 from counterspin.planning.plan_file import read_plan, resolve_goal
 from counterspin.planning.plan_sections import GoalSettings
-from counterspin.planning.stations import every_up, pointing_up, words_of_up
+from counterspin.planning.stations import (
+    describe_upward_direction,
+    set_pose_values,
+    upward_directions,
+)
 from counterspin.readings.fitted import FittedReadings
 from counterspin.records.record import RecordReport
 from counterspin.triads.checks import pose_findings
@@ -356,7 +360,7 @@ def missing_directions(
     model = fit.estimate.fit.model if fit else make_unknowns(campaign)
     point = fit.estimate.fit.solution.estimate if fit else np.zeros(len(model.unknowns))
     group = make_group(campaign, [found_pose.pose for found_pose in found_poses])
-    ups = every_up(group.accelerometers)
+    ups = upward_directions(group.accelerometers)
     priors = [
         {
             u.symbol: u.nominal + float(value)
@@ -365,7 +369,7 @@ def missing_directions(
         }
         for name in group.accelerometers
     ]
-    further = pointing_up(make_group(campaign, [found_poses[0].pose] * len(ups)), ups, priors)
+    further = set_pose_values(make_group(campaign, [found_poses[0].pose] * len(ups)), ups, priors)
     requested = [
         index for index, u in enumerate(model.of_interest) if u.owner in group.accelerometers
     ]
@@ -379,7 +383,7 @@ def missing_directions(
         max_count = int(np.argmax(unknown))
         if unknown[max_count] <= 1.0:
             break
-        missing.append(words_of_up(ups[max_count]))
+        missing.append(describe_upward_direction(ups[max_count]))
         information += np.outer(possible[max_count], possible[max_count])
     return missing
 

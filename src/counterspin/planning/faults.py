@@ -1,8 +1,8 @@
 """Shifts of the estimates by faults that a model omits, and the tolerable size of each fault.
 
-A fault is a term of the table that is assumed to be perfect, at its typical size. Each
-moves the estimates, and leaves something in the residuals; where that is too little, the plan
-cannot notice it.
+A fault is a term of the table that the model fixes at its nominal value. At its typical size, it
+shifts the estimates and changes the residuals. The plan detects it only if the residuals change
+enough.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from counterspin.inference.joint.unknowns import (
 )
 from counterspin.physics.terms import MOTION_TERMS, term
 from counterspin.planning.forecast import Forecast, expected_values, scale_factors
-from counterspin.planning.sensitivities import Sensitivities, columns_of, sensitivities
+from counterspin.planning.sensitivities import Sensitivities, make_column_function, sensitivities
 from counterspin.readings.linear import LinearReadings
 from counterspin.results import ResultPart
 
-#: A fault that adds this part of u in quadrature makes u grow by a twentieth.
+#: Adding this fraction of u in quadrature increases u by a twentieth.
 _TOLERABLE_FRACTION_OF_U: Final = math.sqrt(1.05**2 - 1.0)
 
 #: Probability of failing the test of the residuals above which a fault counts as noticed.
@@ -45,14 +45,14 @@ _DETECTION_PROBABILITY: Final = 0.95
 #: The inputs with a requirement.
 _INPUTS: Final = ("centrifuge.radius", TIMING)
 
-#: No centrifuge has larger faults; a length is a part of the radius.
+#: Largest plausible faults by unit; the entry "1" also applies to a length over the radius.
 _MAX_SIZES: Final = {"rad": 0.1, "s": 1.0, "1/s": 1e-2, "1": 0.1}
 
 
 class Requirement(ResultPart):
     """The size of a fault of the centrifuge that increases u of the goal by a twentieth.
 
-    `size` is None where any size that can occur would do.
+    `size` is None if any plausible size is tolerable.
     """
 
     words: str
@@ -61,22 +61,22 @@ class Requirement(ResultPart):
 
 
 class FaultEffect(ResultPart):
-    """A term assumed to be perfect that would move K_II by more than its u."""
+    """A term fixed at its nominal value that would shift K_II by more than u(K_II)."""
 
-    #: As in the table of terms, or as it would stand there; what it is called.
+    #: Symbol and name as in the table of terms.
     symbol: str
     words: str
-    #: At which it is taken: a typical one.
+    #: Typical size of the fault.
     size: float
     unit: str
-    #: Of K_II, g/g^2, without sign; of parts with unknown phase the largest, of those that each run
-    #: has anew the root of the sum of squares.
+    #: Magnitude of the shift of K_II, g/g^2: the maximum over the phase of an amplitude, or the
+    #: root of the sum of squares over runs.
     shift: float
-    ratio: float  #: The shift over u(K_II).
-    #: Standard deviations that the best test for it would see: a fit that estimates it.
+    ratio: float  #: Shift over u(K_II).
+    #: Expected value over standard deviation of the fault in a fit that estimates it.
     deviation: float
-    detection: float  #: Probability that the residuals of the fit without it fail their test.
-    noticed: bool  #: Whether they nearly always do.
+    detection: float  #: Probability that the residuals fail their test if the term is omitted.
+    noticed: bool  #: True if they nearly always fail.
 
 
 def fault_requirements(
@@ -84,47 +84,52 @@ def fault_requirements(
 ) -> tuple[str, list[Requirement]]:
     """Return the requirements on the centrifuge for the predicted uncertainty.
 
-    Each fault by itself, at the size given, makes u of the coefficient grow by a twentieth.
+    Each fault alone, at the returned size, increases u of the coefficient by a twentieth.
 
     sampling_rate: Hz.
     """
     campaign = prediction.campaign
-    paths = [path_fault(symbol) for symbol in ("encoder.harmonic.1", "centrifuge.imbalance.1")]
-    # A fit that has a fault among its unknowns gives way to it: it says nothing of its own need.
-    symbols = {part.symbol for fault in paths for part in fault.parts}
-    fit_before = prediction.fit
-    model = fit_before.model.without({*symbols, *INPUT_PERTURBATIONS, TIMING})
+    path_faults = [
+        path_fault(symbol) for symbol in ("encoder.harmonic.1", "centrifuge.imbalance.1")
+    ]
+    # A fit that estimates a fault would absorb it, so these terms are removed.
+    symbols = {fault_term.symbol for fault in path_faults for fault_term in fault.terms}
+    full_fit = prediction.fit
+    model = full_fit.model.without({*symbols, *INPUT_PERTURBATIONS, TIMING})
     index = [unknown.name for unknown in model.unknowns].index(name)
     unknown = model.unknowns[index]
     expected = expected_values(campaign, model.unknowns)
-    fit = replace(fit_before, model=model, observations=_omit_terms(prediction, model, expected))
+    observations = _rebuild_observations(prediction, model, expected)
+    fit = replace(full_fit, model=model, observations=observations)
     basis = f"for the expected value of {name}"
     if expected[index] == 0.0:
         expected[index] = unknown.limit
         unit = unit_of(unknown.symbol)
         basis = f"if {name} had the largest credible value, {unknown.limit:.3g} {unit}"
-    # A fault of the rotation has its own size in each run.
+    # The rotation has an independent fault in each run.
     owners = {symbol: [run.name for run in campaign.runs] for symbol in ROTATION}
     owners |= {symbol: [""] for symbol in _INPUTS}
     faults = [
-        Fault(symbol, "", 1.0, "", tuple(as_considered_term(owner, symbol) for owner in of))
-        for symbol, of in owners.items()
+        Fault(
+            symbol, "", 1.0, "", tuple(as_considered_term(owner, symbol) for owner in term_owners)
+        )
+        for symbol, term_owners in owners.items()
     ]
-    effects = fault_sensitivities(replace(prediction, fit=fit), [*faults, *paths], expected)
-    origin, rate, drift, radius, delay, *machine = (effect.moved[index] for effect in effects)
+    responses = fault_sensitivities(replace(prediction, fit=fit), [*faults, *path_faults], expected)
+    origin, rate, drift, radius, delay, *path = (response.shifts[index] for response in responses)
     rates = np.array([run.rate for run in campaign.runs])
-    lines = [
+    properties = [
         ("radius", radius, "m"),
         ("rate drift that does not appear in the recorded angle", drift, "1/s"),
         ("relative rate error common to all runs", rate @ rates, "1"),
         ("zero of the angle, varying between runs", origin, "rad"),
         (
             "angle noise per sample",
-            _angle_noise(campaign, np.column_stack([origin, rate, drift]), sampling_rate),
+            _angle_noise_shift(campaign, np.column_stack([origin, rate, drift]), sampling_rate),
             "rad",
         ),
-        (f"{paths[0].words}, common to all runs", machine[0], "rad"),
-        (paths[1].words, machine[1], "m"),
+        (f"{path_faults[0].words}, common to all runs", path[0], "rad"),
+        (path_faults[1].words, path[1], "m"),
         ("delay between the clocks of angle and output", delay, "s"),
     ]
     allowed_shift = _TOLERABLE_FRACTION_OF_U * prediction.u[name]
@@ -137,12 +142,14 @@ def fault_requirements(
             else None,
             unit=unit,
         )
-        for text, shifts, unit in lines
+        for text, shifts, unit in properties
     ]
 
 
-def _omit_terms(prediction: Forecast, model: Unknowns, expected: Array) -> tuple[Observation, ...]:
-    """Return the observations with the columns of a model that has fewer terms."""
+def _rebuild_observations(
+    prediction: Forecast, model: Unknowns, expected: Array
+) -> tuple[Observation, ...]:
+    """Return the observations with the columns of a reduced model."""
     fit, factors = prediction.fit, scale_factors(prediction.campaign)
     readings = [
         observation.group
@@ -155,30 +162,30 @@ def _omit_terms(prediction: Forecast, model: Unknowns, expected: Array) -> tuple
     )
 
 
-def _allowed_size(relative_increase: float, shifts: Array | float) -> float:
-    """Return the allowed size of a fault from the coefficient's shifts per unit of its parts."""
+def _allowed_size(allowed_shift: float, shifts: Array | float) -> float:
+    """Return the allowed size of a fault from the shifts of the coefficient per unit."""
     sensitivity = float(np.linalg.norm(shifts))
-    return relative_increase / sensitivity if sensitivity > 0.0 else math.inf
+    return allowed_shift / sensitivity if sensitivity > 0.0 else math.inf
 
 
-def _angle_noise(campaign: Campaign, run_shifts: Array, sampling_rate: float) -> float:
-    """Return the sensitivity to white noise of the recorded angle.
+def _angle_noise_shift(campaign: Campaign, shifts_by_run: Array, sampling_rate: float) -> float:
+    """Return the shift of the coefficient per unit of white noise of the recorded angle.
 
-    The rotation is fitted to the angle, th0 + w t + C w t^2/2, so that noise of a sample comes in
-    through the uncertainty of these three.
+    The angle is fitted by th0 + w t + C w t^2/2, so the noise acts through the uncertainties of
+    these three parameters.
     """
     variance = 0.0
-    for run, sensitivity in zip(campaign.runs, run_shifts, strict=True):
+    for run, sensitivity in zip(campaign.runs, shifts_by_run, strict=True):
         duration = run.duration or 0.0
         n = sample_count(duration, sampling_rate)
         scale = np.array([1.0, 1.0 / duration, 2.0 / (abs(run.rate) * duration**2)])
         a, b, c = (sensitivity * scale).tolist()  # to 1, t and t^2, t from 0 to 1
-        # The same of 1, t - 1/2 and (t - 1/2)^2 minus its mean, whose products add up to nothing
-        # over even samples, and whose squares have these means.
-        linear = (n + 1.0) / (12.0 * (n - 1.0))
-        square = (n + 1.0) * (n**2 - 4.0) / (180.0 * (n - 1.0) ** 3)
-        quadratic = c - b + a * (0.25 - linear)
-        variance += (a**2 + (b - 0.5 * a) ** 2 / linear + quadratic**2 / square) / n
+        # 1, t - 1/2 and (t - 1/2)^2 minus its mean are orthogonal over even samples; these are
+        # the mean squares.
+        linear_ms = (n + 1.0) / (12.0 * (n - 1.0))
+        quadratic_ms = (n + 1.0) * (n**2 - 4.0) / (180.0 * (n - 1.0) ** 3)
+        quadratic = c - b + a * (0.25 - linear_ms)
+        variance += (a**2 + (b - 0.5 * a) ** 2 / linear_ms + quadratic**2 / quadratic_ms) / n
     return math.sqrt(variance)
 
 
@@ -186,113 +193,117 @@ def _angle_noise(campaign: Campaign, run_shifts: Array, sampling_rate: float) ->
 class Fault:
     """A possible fault that the model omits."""
 
-    #: As the term table has it, or as it would; what it is called.
+    #: Symbol and name as in the table of terms.
     symbol: str
     words: str
-    #: What to reckon with where nothing is known, SI and g-units.
-    size: float
+    #: Default standard uncertainty of each term, in SI and g-units.
+    typical_size: float
     unit: str
-    parts: tuple[Considered, ...]  #: Each has the size.
-    #: Whether the parts are independent (each run has its own); else they are cosine and sine of
-    #: one amplitude, the worst phase of which is taken.
-    random: bool = False
-    #: Column of an observation per unit, shape (n,), for a fault that is not a term.
+    terms: tuple[Considered, ...]  #: Terms of the fault.
+    #: True: the terms are independent, one for each run; False: they are the cosine and sine parts
+    #: of one amplitude, whose worst phase is used.
+    is_per_run: bool = False
+    #: Function that returns the column of an observation per unit, shape (n,); None: from `terms`.
     response: Callable[[Observation], Array] | None = None
 
 
-def _family_fault(symbol: str, parts: Sequence[Considered], size: float) -> Fault:
-    row = term(parts[0].symbol)
-    return Fault(symbol, row.words_of_family, size, row.unit, tuple(parts), random=row.per_run)
+def _make_family_fault(symbol: str, fault_terms: Sequence[Considered], size: float) -> Fault:
+    row = term(fault_terms[0].symbol)
+    return Fault(
+        symbol, row.words_of_family, size, row.unit, tuple(fault_terms), is_per_run=row.per_run
+    )
 
 
 def possible_faults(campaign: Campaign, name: str) -> list[Fault]:
-    """Return the possible undetected faults for an accelerometer: terms assumed to be perfect."""
-    by_symbol: dict[str, list[Considered]] = {}
+    """Return the possible faults of an accelerometer: the terms fixed at nominal values."""
+    terms_by_family: dict[str, list[Considered]] = {}
     for considered_term in fixed_terms(campaign, make_unknowns(campaign), name):
-        by_symbol.setdefault(term(considered_term.symbol).family, []).append(considered_term)
+        terms_by_family.setdefault(term(considered_term.symbol).family, []).append(considered_term)
     return [
-        _family_fault(symbol, parts, campaign.typical_of(parts[0].symbol, name))
-        for symbol, parts in by_symbol.items()
+        _make_family_fault(family, family_terms, campaign.typical_of(family_terms[0].symbol, name))
+        for family, family_terms in terms_by_family.items()
     ]
 
 
 def path_fault(symbol: str) -> Fault:
-    """Return an error of the path, both quadratures: such as ``encoder.harmonic.1``."""
+    """Return an error of the path with both quadratures, such as ``encoder.harmonic.1``."""
     rows = [row for row in MOTION_TERMS.values() if row.family == symbol]
-    return _family_fault(
+    return _make_family_fault(
         symbol, [as_considered_term("", row.symbol) for row in rows], rows[0].typical
     )
 
 
 def as_considered_term(owner: str, symbol: str) -> Considered:
-    """Return a term that is taken as perfect."""
+    """Return a term with the nominal value 0 and the size 1 as a considered term."""
     return Considered(owner, symbol, (0.0, 0.0), 1.0)
 
 
 def square_term_fault(name: str) -> Fault:
-    """Return K_II of an accelerometer, which the estimate must recover completely."""
+    """Return K_II of an accelerometer, which the estimate recovers completely."""
     return Fault("K_II", "", 1.0, "g/g^2", (as_considered_term(name, "K_II"),))
 
 
 def mean_square_fault(name: str) -> Fault:
     """Return the effect of K_II of an accelerometer on the mean force, without its harmonics."""
 
-    def columns(observation: Observation) -> Array:
+    def mean_square_column(observation: Observation) -> Array:
         if not isinstance(observation, DesignBlock) or observation.accelerometer != name:
             return np.zeros(len(observation.design))
-        series, motion = observation.series, observation.series.trajectory
-        times = np.arange(16.0) / 16.0 * (2.0 * math.pi / abs(motion.spindle.rate))
-        projection = (
-            motion.specific_force(times) @ series.mounting.turned(series.attitude).input_axis
+        series, trajectory = observation.series, observation.series.trajectory
+        times = np.arange(16.0) / 16.0 * (2.0 * math.pi / abs(trajectory.spindle.rate))
+        input_force = (
+            trajectory.specific_force(times) @ series.mounting.turned(series.attitude).input_axis
         )
-        mean = float(np.mean((projection / motion.site.gravity) ** 2))
-        return np.asarray(mean * series.columns(["K_F"], 1.0)[:, 0])
+        mean_square = float(np.mean((input_force / trajectory.site.gravity) ** 2))
+        return np.asarray(mean_square * series.columns(["K_F"], 1.0)[:, 0])
 
-    return Fault("K_II", "", 1.0, "g/g^2", (), response=columns)
+    return Fault("K_II", "", 1.0, "g/g^2", (), response=mean_square_column)
 
 
-#: Number of fault columns in memory at once; a fault of each run has a column for each run.
+#: Maximum number of fault columns in memory.
 _MAX_COLUMNS: Final = 16
 
 
 @frozen(eq=False)
 class FaultSensitivity(Sensitivities):
-    """The shift by a fault, and its remainder in the residuals, part by part."""
+    """The shifts and residuals of a fault, one column for each of its terms."""
 
     fault: Fault  #: The fault.
 
     def unit_shift(self, index: int) -> float:
         """Return the size of the shift of an unknown per unit of the fault."""
-        return float(np.linalg.norm(self.moved[index]))
+        return float(np.linalg.norm(self.shifts[index]))
 
     def shift(self, index: int) -> float:
         """Return the size of the shift of an unknown by the fault at its typical size."""
-        return self.fault.size * self.unit_shift(index)
+        return self.fault.typical_size * self.unit_shift(index)
 
-    def deviation(self, index: int) -> float:
-        """Return the deviation seen by the best test for this fault, in standard deviations."""
-        return math.sqrt(self.residual_ss(self.left, index))
+    def z_score(self, index: int) -> float:
+        """Return the expected value over standard deviation of the fault if it is estimated."""
+        return math.sqrt(self.residual_ss(self.residual_products, index))
 
-    def detection(self, index: int, accelerometer: str, significance: float) -> float:
+    def detection_probability(self, index: int, accelerometer: str, significance: float) -> float:
         """Return the probability that the residuals of an accelerometer fail their test."""
         from scipy.special import chdtri, chndtr
 
-        dof = max(1.0, self.freedom[accelerometer])
-        noncentrality = self.residual_ss(self.left_in[accelerometer], index)
+        dof = max(1.0, self.dof[accelerometer])
+        noncentrality = self.residual_ss(self.accelerometer_products[accelerometer], index)
         return 1.0 - float(chndtr(chdtri(dof, significance), dof, noncentrality))
 
-    def residual_ss(self, products: Array, index: int) -> float:
-        """Return the sum of squares that the fault at its typical size leaves, from `products`.
+    def residual_ss(self, residual_products: Array, index: int) -> float:
+        """Return the residual sum of squares of the fault at its typical size.
 
-        Of parts that are one amplitude, in the phase that moves an unknown most.
+        The phase of an amplitude is the one that shifts the unknown `index` most.
+
+        residual_products: Of the whitened residuals per unit, shape (m, m).
         """
-        size = self.fault.size
-        if self.fault.random:
-            return size**2 * float(np.trace(products))
-        shifts = self.moved[index]
-        length = float(np.linalg.norm(shifts))
-        phase = shifts / length if length > 0.0 else np.eye(shifts.size)[0]
-        return max(0.0, size**2 * float(phase @ products @ phase))
+        size = self.fault.typical_size
+        if self.fault.is_per_run:
+            return size**2 * float(np.trace(residual_products))
+        shifts = self.shifts[index]
+        shift_norm = float(np.linalg.norm(shifts))
+        worst_phase = shifts / shift_norm if shift_norm > 0.0 else np.eye(shifts.size)[0]
+        return max(0.0, size**2 * float(worst_phase @ residual_products @ worst_phase))
 
 
 def fault_sensitivities(
@@ -300,83 +311,85 @@ def fault_sensitivities(
 ) -> list[FaultSensitivity]:
     """Return the effects of faults on a campaign's fit, each fault separately.
 
-    expected: Values of the fit's unknowns, minus nominal, on which inputs act; None: those of
+    expected: Values of the fit's unknowns minus nominal, for the effect of inputs; None: those of
         `expected_values`.
     """
     fit = prediction.fit
     if expected is None:
         expected = expected_values(prediction.campaign, fit.model.unknowns)
-    groups: list[list[Fault]] = [[]]
+    batches: list[list[Fault]] = [[]]
     for fault in faults:
-        if groups[-1] and sum(len(f.parts) for f in (*groups[-1], fault)) > _MAX_COLUMNS:
-            groups.append([])
-        groups[-1].append(fault)
-    return [effect for group in groups for effect in _group_sensitivities(fit, group, expected)]
+        if batches[-1] and sum(len(f.terms) for f in (*batches[-1], fault)) > _MAX_COLUMNS:
+            batches.append([])
+        batches[-1].append(fault)
+    return [
+        response for batch in batches for response in _batch_sensitivities(fit, batch, expected)
+    ]
 
 
-def _group_sensitivities(
+def _batch_sensitivities(
     fit: JointFit, faults: Sequence[Fault], expected: Array
 ) -> Iterator[FaultSensitivity]:
-    term_columns = columns_of(fit, [part for fault in faults for part in fault.parts], expected)
-    ends = np.cumsum([len(fault.parts) for fault in faults])[:-1]
+    term_columns = make_column_function(
+        fit, [fault_term for fault in faults for fault_term in fault.terms], expected
+    )
+    split_indices = np.cumsum([len(fault.terms) for fault in faults])[:-1]
 
-    def columns(observation: Observation) -> Array:
-        parts = np.split(term_columns(observation), ends, axis=1)
+    def all_columns(observation: Observation) -> Array:
+        columns_by_fault = np.split(term_columns(observation), split_indices, axis=1)
         return np.column_stack(
             [
                 block if fault.response is None else fault.response(observation)
-                for fault, block in zip(faults, parts, strict=True)
+                for fault, block in zip(faults, columns_by_fault, strict=True)
             ]
         )
 
-    sensitivity = sensitivities(fit, columns)
+    batch_result = sensitivities(fit, all_columns)
     start = 0
     for fault in faults:
-        columns_slice = slice(start, start := start + max(1, len(fault.parts)))
+        columns_slice = slice(start, start := start + max(1, len(fault.terms)))
         accelerometer_products = {
-            name: remainder[columns_slice, columns_slice]
-            for name, remainder in sensitivity.left_in.items()
+            name: products[columns_slice, columns_slice]
+            for name, products in batch_result.accelerometer_products.items()
         }
-        shifts, remainder = (
-            sensitivity.moved[:, columns_slice],
-            sensitivity.left[columns_slice, columns_slice],
+        shifts, products = (
+            batch_result.shifts[:, columns_slice],
+            batch_result.residual_products[columns_slice, columns_slice],
         )
-        yield FaultSensitivity(
-            shifts, remainder, accelerometer_products, sensitivity.freedom, fault
-        )
+        yield FaultSensitivity(shifts, products, accelerometer_products, batch_result.dof, fault)
 
 
 def undetected_faults(
-    prediction: Forecast, name: str, k_ii: int
+    prediction: Forecast, name: str, k_ii_index: int
 ) -> tuple[float | None, list[FaultEffect]]:
     """Return the share of K_II from the second harmonic, and the faults that would shift K_II.
 
-    The first is None where there are readings, which are means.
+    The share is None for a campaign with readings, which are means.
 
-    k_ii: The place of the accelerometer's K_II among the unknowns.
+    k_ii_index: Index of the accelerometer's K_II among the unknowns.
     """
     campaign, fit = prediction.campaign, prediction.fit
     faults = [*possible_faults(campaign, name), mean_square_fault(name), square_term_fault(name)]
-    *sensitivities, mean_effect, square_effect = fault_sensitivities(prediction, faults)
-    u = float(fit.solution.u[k_ii])
+    *responses, mean_response, square_response = fault_sensitivities(prediction, faults)
+    u = float(fit.solution.u[k_ii_index])
     effects = []
-    for effect in sensitivities:
-        shift, fault = effect.shift(k_ii), effect.fault
+    for response in responses:
+        shift, fault = response.shift(k_ii_index), response.fault
         if shift > u:
-            detection = effect.detection(k_ii, name, SIGNIFICANCE)
+            detection_probability = response.detection_probability(k_ii_index, name, SIGNIFICANCE)
             effects.append(
                 FaultEffect(
                     symbol=fault.symbol,
                     words=fault.words,
-                    size=fault.size,
+                    size=fault.typical_size,
                     unit=fault.unit,
                     shift=shift,
                     ratio=shift / u,
-                    deviation=effect.deviation(k_ii),
-                    detection=detection,
-                    noticed=detection >= _DETECTION_PROBABILITY,
+                    deviation=response.z_score(k_ii_index),
+                    detection=detection_probability,
+                    noticed=detection_probability >= _DETECTION_PROBABILITY,
                 )
             )
-    ratio = float(mean_effect.moved[k_ii, 0] / square_effect.moved[k_ii, 0])
-    share = None if campaign.readings else 1.0 - ratio
-    return share, sorted(effects, key=lambda effect: -effect.shift)
+    mean_share = float(mean_response.shifts[k_ii_index, 0] / square_response.shifts[k_ii_index, 0])
+    harmonic_share = None if campaign.readings else 1.0 - mean_share
+    return harmonic_share, sorted(effects, key=lambda response: -response.shift)

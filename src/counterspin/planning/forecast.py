@@ -1,7 +1,7 @@
 """Predict the result of a campaign's calibration from its description, without records.
 
-The same columns, whitening, priors and solve as the calibration's, on the times at which the
-records will be sampled. Only the errors are missing, and the covariance does not need them.
+A forecast uses the columns, whitening, priors and solver of the calibration at the sample times of
+the future records. It does not need their values, because the covariance does not depend on them.
 """
 
 from __future__ import annotations
@@ -43,33 +43,33 @@ from counterspin.triads.groups import all_groups
 
 @frozen(eq=False)
 class Forecast:
-    """A campaign's uncertainties as they will be.
+    """Predicted uncertainties of a campaign.
 
     Attributes
     ----------
     campaign
         The campaign.
     fit
-        The solved problem; its estimates are those of records without errors.
+        The solved fit, with the estimates for records without errors.
     """
 
     campaign: Campaign
     fit: JointFit
 
     def __repr__(self) -> str:
-        """Return the u of the parameters of interest, a line each."""
-        requested = self.fit.model.of_interest
-        width = max((len(unknown.name) for unknown in requested), default=0)
+        """Return u of the parameters of interest, one line each."""
+        parameters = self.fit.model.of_interest
+        name_width = max((len(unknown.name) for unknown in parameters), default=0)
         lines = []
-        for unknown in requested:
+        for unknown in parameters:
             unit, factor = field_unit(unknown.unit)
             u = format_number(self.u[unknown.name] * factor, 2)
-            lines.append(f"{unknown.name.ljust(width)}  u = {u} {unit}")
+            lines.append(f"{unknown.name.ljust(name_width)}  u = {u} {unit}")
         return "\n".join([f"Forecast of {self.campaign.title}", *lines])
 
     @cached_property
     def assessment(self) -> Assessment:
-        """The assessment of the unknowns that the records will and will not determine."""
+        """Assessment of the identifiability of the unknowns."""
         return self.fit.assessment
 
     @property
@@ -80,9 +80,9 @@ class Forecast:
 
     @property
     def estimate(self) -> Estimate:
-        """The forecast in the form of an estimate whose noise is given."""
-        infinite = np.full(len(self.fit.model.unknowns), math.inf)
-        return Estimate(self.fit, {}, infinite, ())
+        """The forecast as an estimate with known noise."""
+        infinite_dof = np.full(len(self.fit.model.unknowns), math.inf)
+        return Estimate(self.fit, {}, infinite_dof, ())
 
 
 def forecast(
@@ -92,62 +92,63 @@ def forecast(
     model: Unknowns | None = None,
     expected: Array | None = None,
 ) -> Forecast:
-    """Predict what a calibration will say.
+    """Predict the uncertainties of a calibration.
 
     Parameters
     ----------
-    where
-        The campaign's folder, its ``campaign.toml``, or a campaign already read; every run with
-        its duration, the noise given, every reading with its standard uncertainty.
+    source
+        The campaign's folder, its ``campaign.toml``, or a `Campaign`. It must state the duration of
+        every run, the noise, and the standard uncertainty of every reading.
     sampling_rate
-        Samples a second, Hz, or those of each run by name; None: that of the campaign's
-        [simulation].
+        Sampling rate, Hz, or sampling rates by run; None: the rate in [simulation].
     model
-        The estimated and considered terms; None: those of the campaign.
+        Estimated and considered terms; None: those of the campaign.
     expected
-        Values of the model's unknowns, minus nominal, on which uncertain inputs act; None: those
-        of `expected_values`.
+        Values of the model's unknowns minus nominal, for the effect of uncertain inputs; None:
+        those of `expected_values`.
 
     Raises
     ------
     CampaignError
-        If the campaign file is missing or wrong, the noise, a run's length or the sampling
-        rate is not known, or the runs are too long.
+        If the campaign file is missing or invalid, the noise, the duration of a run or the sampling
+        rate is unknown, or the runs are too long.
     NotIdentifiableError
         If a run is too short for its own start offset and velocity.
     """
     campaign = source if isinstance(source, Campaign) else read_campaign(source)
     if sampling_rate is None and campaign.simulation is not None:
         sampling_rate = campaign.simulation.sampling_rate
-    _check(campaign, sampling_rate)
+    _require_forecast_data(campaign, sampling_rate)
     model = model or make_unknowns(campaign)
     if expected is None:
         expected = expected_values(campaign, model.unknowns)
     groups = all_groups(campaign)
     if not campaign.runs:
-        read = [group.linearize(model, expected) for group in groups]
-        return Forecast(campaign, solve_joint(read, model, {}))
+        linear_readings = [group.linearize(model, expected) for group in groups]
+        return Forecast(campaign, solve_joint(linear_readings, model, {}))
     assert sampling_rate is not None
-    rates = (
+    rate_by_run = (
         dict(sampling_rate)
         if isinstance(sampling_rate, Mapping)
         else dict.fromkeys((run.name for run in campaign.runs), sampling_rate)
     )
-    check_size(campaign, max(rates.values()), "forecast")
+    check_size(campaign, max(rate_by_run.values()), "forecast")
     series = [
-        planned_series(campaign, run, name, rates[run.name])
+        planned_series(campaign, run, name, rate_by_run[run.name])
         for run in campaign.runs
         for name in campaign.accelerometers
     ]
-    noise = noise_of_records(campaign)
+    noise = record_noise(campaign)
     full_model = add_encoder_terms(model, series, noise)
     expected = np.pad(expected, (0, len(full_model.unknowns) - len(model.unknowns)))
-    prepared = build_design_blocks(series, full_model, scale_factors(campaign), expected)
-    read = [group.linearize(full_model, expected) for group in groups]
-    return Forecast(campaign, solve_joint([*prepared, *read], full_model, noise))
+    design_blocks = build_design_blocks(series, full_model, scale_factors(campaign), expected)
+    linear_readings = [group.linearize(full_model, expected) for group in groups]
+    return Forecast(campaign, solve_joint([*design_blocks, *linear_readings], full_model, noise))
 
 
-def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None) -> None:
+def _require_forecast_data(
+    campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
+) -> None:
     problems = [
         f"runs[{index}]: neither duration nor revolutions are given; a prediction requires one "
         f'of them (run "{run.name}")'
@@ -170,7 +171,7 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
     if sampling_rate is None and campaign.runs:
         problems.append("simulation.sampling_rate: this entry is missing; a prediction requires it")
     for name, accelerometer in campaign.accelerometers.items() if campaign.runs else ():
-        noise = _resolved_noise(campaign, name)
+        noise = _resolve_noise_sizes(campaign, name)
         for key in (*size_keys(accelerometer.observable).values(), "quantisation", "timing"):
             if not isinstance(noise.get(key, "estimate"), float):
                 problems.append(
@@ -186,41 +187,47 @@ def _check(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
         raise CampaignError(str(campaign.path), dict.fromkeys(problems), code="missing-key")
 
 
-def _resolved_noise(campaign: Campaign, name: str) -> Mapping[str, float | str]:
-    """Return the stated noise; noise to be estimated is taken from a simulation's truth."""
-    stated = dict(resolve_noise(campaign, 0.0)[name].sizes or ())
-    truth = simulated_noise(campaign) if campaign.simulation else {}
-    return {key: stated.get(key, size) for key, size in {**truth, **stated}.items()} | {
-        key: size for key, size in truth.items() if not isinstance(stated.get(key), float)
+def _resolve_noise_sizes(campaign: Campaign, name: str) -> Mapping[str, float | str]:
+    """Return the stated noise; take noise to be estimated from the truth of a simulation."""
+    stated_sizes = dict(resolve_noise(campaign, 0.0)[name].sizes or ())
+    true_sizes = simulated_noise(campaign) if campaign.simulation else {}
+    return {
+        key: stated_sizes.get(key, size) for key, size in {**true_sizes, **stated_sizes}.items()
+    } | {
+        key: size
+        for key, size in true_sizes.items()
+        if not isinstance(stated_sizes.get(key), float)
     }
 
 
-def noise_of_records(campaign: Campaign) -> dict[str, Noise]:
+def record_noise(campaign: Campaign) -> dict[str, Noise]:
     """Return the noise of each accelerometer's records."""
     return {
-        name: Noise.from_sizes(_resolved_noise(campaign, name), accelerometer.observable)
+        name: Noise.from_sizes(_resolve_noise_sizes(campaign, name), accelerometer.observable)
         for name, accelerometer in campaign.accelerometers.items()
     }
 
 
 def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float) -> ResidualSeries:
-    """Return the series that a run will give, its samples or block means, without errors.
+    """Return the expected series of a run, its samples or block means, without errors.
 
     sampling_rate: Hz.
     """
     assert run.duration is not None
     accelerometer = campaign.accelerometers[name]
-    step = 1.0 / sampling_rate
-    block = block_size(step, run.rate * max(1.0, abs(run.table_ratio)))
-    samples = sample_count(run.duration, sampling_rate)
-    # As in the reduction of a record: the remainder at the end is a shorter block.
-    block_starts = np.arange(0, samples, block)
-    count = np.minimum(block, samples - block_starts).astype(np.float64)
-    time = np.asarray((block_starts + 0.5 * (count - 1.0)) * step, dtype=np.float64)
-    noise = _resolved_noise(campaign, name)
-    timing = float(noise.get("timing", 0.0))
+    sample_interval = 1.0 / sampling_rate
+    block_length = block_size(sample_interval, run.rate * max(1.0, abs(run.table_ratio)))
+    n_samples = sample_count(run.duration, sampling_rate)
+    # As in the reduction of a record, the last block may be shorter.
+    block_starts = np.arange(0, n_samples, block_length)
+    block_counts = np.minimum(block_length, n_samples - block_starts).astype(np.float64)
+    times = np.asarray(
+        (block_starts + 0.5 * (block_counts - 1.0)) * sample_interval, dtype=np.float64
+    )
+    noise = _resolve_noise_sizes(campaign, name)
+    timing_noise = float(noise.get("timing", 0.0))
     encoder_noise = float(noise.get("angle", 0.0))
-    angle_noise = math.hypot(encoder_noise, run.rate * timing)
+    angle_noise = math.hypot(encoder_noise, run.rate * timing_noise)
     series = ResidualSeries(
         accelerometer=name,
         run=run.name,
@@ -234,36 +241,36 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
         mounting=accelerometer.mounting,
         observable=accelerometer.observable,
         attitude=run.attitude,
-        time=time,
-        time_sd=step * np.sqrt((count**2 - 1.0) / 12.0),
-        count=count,
-        spacing=step,
-        error=np.zeros_like(time),
+        time=times,
+        time_sd=sample_interval * np.sqrt((block_counts**2 - 1.0) / 12.0),
+        count=block_counts,
+        spacing=sample_interval,
+        error=np.zeros_like(times),
         in_g=accelerometer.channel.in_g,
         recorder=campaign.recording_of(run).recorder,
-        angle_error=forecast_angle_error(time, run.rate, angle_noise, count)
+        angle_error=forecast_angle_error(times, run.rate, angle_noise, block_counts)
         if campaign.angle is not None and angle_noise > 0.0
         else None,
         timestamp_errors=TimestampErrors(
-            np.zeros_like(time),
+            np.zeros_like(times),
             angle_noise / abs(run.rate),
-            time.size,
-            np.zeros_like(time),
-            timing,
+            times.size,
+            np.zeros_like(times),
+            timing_noise,
             encoder_noise / abs(run.rate),
         )
-        if campaign.angle is not None and timing > 0.0
+        if campaign.angle is not None and timing_noise > 0.0
         else None,
     )
-    if not series.in_g and timing == 0.0:
+    if not series.in_g and timing_noise == 0.0:
         return series
-    # Of a record in g the size depends on the gravity assumed, errors included; what noise of the
-    # time stamps does depends on its slope.
+    # A record in g depends on the assumed gravity, errors included. The effect of noise of the time
+    # stamps depends on the slope of the record.
     unknowns = make_unknowns(campaign).unknowns
     values = expected_values(campaign, unknowns).tolist()
     expected = dict(zip(unknowns, values, strict=True))
     record = expected_record(series, expected, scale_factors(campaign)[name]).with_timestamp_noise(
-        timing
+        timing_noise
     )
     return (
         record.correct_times(record.timestamp_errors.prior[0])
@@ -275,23 +282,25 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
 def expected_values(campaign: Campaign, unknowns: tuple[Unknown, ...] | list[Unknown]) -> Array:
     """Return expected values of unknowns, minus nominal: the truth, else the prior, else zero."""
     truth = campaign.simulation.truth if campaign.simulation else None
-    coefficients = truth.coefficients if truth else {}
-    platform = {name: run_values.shared for name, run_values in truth.runs.items()} if truth else {}
+    true_coefficients = truth.coefficients if truth else {}
+    platform_truth = (
+        {name: run_truth.shared for name, run_truth in truth.runs.items()} if truth else {}
+    )
     values = []
     for unknown in unknowns:
-        priors = coefficients.get(unknown.owner, {}).get(unknown.symbol)
-        if unknown.symbol not in ACCELEROMETER_TERMS and platform:
-            run_values = platform.get(unknown.owner) or next(iter(platform.values()))
-            priors = run_values.get(unknown.symbol)
-        if priors is None:
+        true_value = true_coefficients.get(unknown.owner, {}).get(unknown.symbol)
+        if unknown.symbol not in ACCELEROMETER_TERMS and platform_truth:
+            run_truth = platform_truth.get(unknown.owner) or next(iter(platform_truth.values()))
+            true_value = run_truth.get(unknown.symbol)
+        if true_value is None:
             values.append(unknown.prior_mean)
             continue
-        values.append(priors - unknown.nominal)
+        values.append(true_value - unknown.nominal)
     return np.array(values)
 
 
 def scale_factors(campaign: Campaign) -> dict[str, float]:
-    """Return the K_I expected of each accelerometer."""
+    """Return the expected K_I of each accelerometer."""
     truth = campaign.simulation.truth.coefficients if campaign.simulation else {}
     factors = {}
     for name, accelerometer in campaign.accelerometers.items():
@@ -301,41 +310,63 @@ def scale_factors(campaign: Campaign) -> dict[str, float]:
 
 
 def make_setup(campaign: Campaign, sampling_rate: float, *, with_considered: bool = True) -> Setup:
-    """Return a plan's problem from its template campaign, which has one run in each attitude.
+    """Return the setup of a plan from its template campaign, with one run in each attitude.
 
     sampling_rate: Hz.
-    with_considered: True: considered terms stay considered; False: they are estimated with their
-        priors, and nothing changes from run to run, which is a bound for any estimator.
+    with_considered: True: keep considered terms; False: estimate them with their priors and omit
+        changes from run to run, which gives a bound for any estimator.
     """
-    reference = campaign.reference_temperature or 0.0
-    warm = tuple(
-        run.model_copy(update={"temperature": (reference + 1.0,)}) for run in campaign.runs
+    reference_temperature = campaign.reference_temperature or 0.0
+    warm_runs = tuple(
+        run.model_copy(update={"temperature": (reference_temperature + 1.0,)})
+        for run in campaign.runs
     )
-    model = make_unknowns(replace(campaign, reference_temperature=reference, runs=warm))
-    # The warming is assumed, as in runs without a recorded temperature: it is a slope.
+    model = make_unknowns(
+        replace(campaign, reference_temperature=reference_temperature, runs=warm_runs)
+    )
+    # The warming is a slope, as in runs without a recorded temperature.
     model = model.without([row.symbol for row in CONDITION_TERMS.values() if row.effect.power > 1])
     if not with_considered:
         estimated_terms = tuple(
-            Unknown(c.owner, c.symbol, c.prior, c.limit, False, c.has_default_prior)
-            for c in model.considered
+            Unknown(
+                considered_term.owner,
+                considered_term.symbol,
+                considered_term.prior,
+                considered_term.limit,
+                False,
+                considered_term.has_default_prior,
+            )
+            for considered_term in model.considered
         )
-        dated = [row.symbol for row in CONDITION_TERMS.values() if row.effect.condition != "force"]
-        model = Unknowns(model.unknowns + estimated_terms).without(dated)
-    stated = _resolved_noise(campaign, next(iter(campaign.accelerometers)))
-    timing, encoder_noise = float(stated.get("timing", 0.0)), float(stated.get("angle", 0.0))
+        time_dependent_symbols = [
+            row.symbol for row in CONDITION_TERMS.values() if row.effect.condition != "force"
+        ]
+        model = Unknowns(model.unknowns + estimated_terms).without(time_dependent_symbols)
+    stated_sizes = _resolve_noise_sizes(campaign, next(iter(campaign.accelerometers)))
+    timing_noise, encoder_noise = (
+        float(stated_sizes.get("timing", 0.0)),
+        float(stated_sizes.get("angle", 0.0)),
+    )
     if campaign.angle is None:
         encoder_noise = math.inf
-    noise = noise_of_records(campaign)
+    noise = record_noise(campaign)
     return Setup(
         instruments=tuple(
-            PlannedInstrument(name, a.mounting, a.observable, noise[name], timing, encoder_noise)
-            for name, a in campaign.accelerometers.items()
+            PlannedInstrument(
+                name,
+                accelerometer.mounting,
+                accelerometer.observable,
+                noise[name],
+                timing_noise,
+                encoder_noise,
+            )
+            for name, accelerometer in campaign.accelerometers.items()
         ),
         attitudes={run.name: run.attitude for run in campaign.runs},
         radius=campaign.radius.value,
         site=campaign.site,
         sampling_rate=sampling_rate,
         model=model,
-        estimate=expected_values(campaign, model.unknowns),
+        expected=expected_values(campaign, model.unknowns),
         scale_factors=scale_factors(campaign),
     )

@@ -11,12 +11,11 @@ a/2)/(n sin(a/2)), and even and odd functions do not mix. In this basis the sums
 without loss of digits, which the raw t^2 and cos wt cannot (functions of a whole revolution or more
 are never near to collinear).
 
-The number of samples need not be whole: between whole numbers the sums follow the smooth curve
-through them.
+The number of samples need not be an integer: between integers, the sums follow a smooth curve.
 
-No closed form exists where the noise has a random walk, or differs from row to row, as that of
-time stamps does: the triangular factor of the whitened functions is tabulated over the rate and the
-number of revolutions, with rows about as dense as the records' own.
+No closed form exists for noise with a random walk, or noise that differs from row to row, such as
+noise of the time stamps. The triangular factor of the whitened functions is then tabulated over the
+rate and the number of revolutions, with rows about as dense as in the records.
 """
 
 from __future__ import annotations
@@ -37,38 +36,38 @@ from counterspin.inference.noise.model import Noise, make_whitener
 from counterspin.records.reduction import BLOCKS_PER_REVOLUTION
 
 
-def basis_functions(angle: Array, harmonics: int) -> Array:
+def basis_functions(angle: Array, n_harmonics: int) -> Array:
     """Return 1, th, th^2, th^3 and, by harmonic, cos, sin, th cos, th sin; shape (n, b)."""
     columns = [angle**power for power in range(4)]
-    for m in range(1, harmonics + 1):
+    for m in range(1, n_harmonics + 1):
         cos, sin = np.cos(m * angle), np.sin(m * angle)
         columns += [cos, sin, angle * cos, angle * sin]
     return np.column_stack(columns)
 
 
-def integration_matrix(harmonics: int, order: int) -> Array:
+def integration_matrix(n_harmonics: int, order: int) -> Array:
     """Return the matrix that integrates a combination of the functions `order` times over th."""
-    size = 4 + 4 * harmonics
-    once = np.zeros((size, size))
+    n_functions = 4 + 4 * n_harmonics
+    single_integration = np.zeros((n_functions, n_functions))
     for power in range(3):
-        once[power + 1, power] = 1.0 / (power + 1)
-    for m in range(1, harmonics + 1):
-        block = slice(4 * m, 4 * m + 4)
+        single_integration[power + 1, power] = 1.0 / (power + 1)
+    for m in range(1, n_harmonics + 1):
+        harmonic_columns = slice(4 * m, 4 * m + 4)
         # Columns: the derivatives of cos, sin, th cos, th sin in terms of the same four.
         derivative = np.array(
             [[0.0, m, 1.0, 0.0], [-m, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, m], [0.0, 0.0, -m, 0.0]]
         )
-        once[block, block] = np.linalg.inv(derivative)
-    return np.asarray(np.linalg.matrix_power(once, order))
+        single_integration[harmonic_columns, harmonic_columns] = np.linalg.inv(derivative)
+    return np.asarray(np.linalg.matrix_power(single_integration, order))
 
 
 def shift_angle_origin(weights: Array, shift: Array) -> Array:
-    """Return combinations of the functions of th as combinations of the functions of th - shift.
+    """Convert combinations of the functions of th to combinations of the functions of th - shift.
 
     weights: Shape (n, b, k).
     shift: rad, shape (n,).
     """
-    n, size, k = weights.shape
+    n, n_functions, k = weights.shape
     s = shift[:, None]
     w = [weights[:, i] for i in range(4)]
     result = np.empty_like(weights)
@@ -76,22 +75,24 @@ def shift_angle_origin(weights: Array, shift: Array) -> Array:
     result[:, 1] = w[1] + s * (2.0 * w[2] + 3.0 * s * w[3])
     result[:, 2] = w[2] + 3.0 * s * w[3]
     result[:, 3] = w[3]
-    m = np.arange(1, size // 4)
-    cos, sin = (f(m * s)[:, :, None] for f in (np.cos, np.sin))
-    before = weights[:, 4:].reshape(n, m.size, 4, k)
-    after = result[:, 4:].reshape(n, m.size, 4, k)
-    of_cos, of_sin = (before[:, :, i] + s[:, :, None] * before[:, :, i + 2] for i in (0, 1))
-    after[:, :, 0] = cos * of_cos + sin * of_sin
-    after[:, :, 1] = cos * of_sin - sin * of_cos
-    after[:, :, 2] = cos * before[:, :, 2] + sin * before[:, :, 3]
-    after[:, :, 3] = cos * before[:, :, 3] - sin * before[:, :, 2]
+    m = np.arange(1, n_functions // 4)
+    cos, sin = (function(m * s)[:, :, None] for function in (np.cos, np.sin))
+    harmonic_weights = weights[:, 4:].reshape(n, m.size, 4, k)
+    shifted_weights = result[:, 4:].reshape(n, m.size, 4, k)
+    cos_weights, sin_weights = (
+        harmonic_weights[:, :, i] + s[:, :, None] * harmonic_weights[:, :, i + 2] for i in (0, 1)
+    )
+    shifted_weights[:, :, 0] = cos * cos_weights + sin * sin_weights
+    shifted_weights[:, :, 1] = cos * sin_weights - sin * cos_weights
+    shifted_weights[:, :, 2] = cos * harmonic_weights[:, :, 2] + sin * harmonic_weights[:, :, 3]
+    shifted_weights[:, :, 3] = cos * harmonic_weights[:, :, 3] - sin * harmonic_weights[:, :, 2]
     return result
 
 
-def prefix_factors(rows: Array, ends: npt.NDArray[np.int64], drop: int) -> Array:
-    """Return the triangular factor of the first rows, up to each end; the first columns dropped.
+def prefix_factors(rows: Array, ends: npt.NDArray[np.int64], n_dropped: int) -> Array:
+    """Return the triangular factors of the rows up to each end, without the first columns.
 
-    Returns: shape (ends, b - drop, b - drop).
+    Returns: shape (ends, b - n_dropped, b - n_dropped).
     """
     factors = []
     triangle = np.empty((0, rows.shape[1]))
@@ -99,18 +100,18 @@ def prefix_factors(rows: Array, ends: npt.NDArray[np.int64], drop: int) -> Array
     for end in ends:
         triangle = triangular_factor(np.vstack([triangle, rows[start:end]]))
         signs = np.where(np.diagonal(triangle) < 0.0, -1.0, 1.0)
-        selected = signs[:, None] * triangle
-        factors.append(selected[drop:, drop:])
+        positive_triangle = signs[:, None] * triangle
+        factors.append(positive_triangle[n_dropped:, n_dropped:])
         start = end
     return np.array(factors)
 
 
-#: Largest angle by which the highest harmonic of the products may turn from sample to sample, rad.
-#: Towards 2 pi the kernel becomes singular.
-_LARGEST_STEP: Final = 5.5
+#: Maximum phase of the highest harmonic of the products per row, rad. The kernel is singular at
+#: 2 pi.
+_MAX_ANGLE_STEP: Final = 5.5
 
-#: Added to the diagonal of a matrix of sums, relative: where samples are too few to tell functions
-#: apart, the matrix is singular.
+#: Relative ridge on the diagonal of the sums of products: the matrix is singular if the samples are
+#: too few to separate the functions.
 _RIDGE: Final = 1e-14
 
 #: Derivatives of q = 1/(n sin(b/n)) by b over q: coefficients of powers of c = cot(b/n)/n and
@@ -127,63 +128,66 @@ _BINOMIAL: Final = ((1,), (1, 1), (1, 2, 1), (1, 3, 3, 1), (1, 4, 6, 4, 1))
 
 @frozen(eq=False)
 class EvenSamples:
-    """Samples, or means of adjoining blocks of samples, evenly spaced in angle; one row a run."""
+    """Samples, or means of adjoining blocks of samples, evenly spaced in angle, for n runs."""
 
-    first: Array  #: Angle of the first row, rad, shape (n,).
-    step: Array  #: Angle from row to row, rad, shape (n,).
+    first_angle: Array  #: Angle of the first row, rad, shape (n,).
+    angle_step: Array  #: Angle from row to row, rad, shape (n,).
     count: Array  #: Number of rows, not necessarily whole, shape (n,).
     #: Standard deviation of the angles inside a block, rad, shape (n,); 0 for point samples.
-    spread: Array
+    angle_sd: Array
 
     @property
-    def middle(self) -> Array:
+    def mean_angle(self) -> Array:
         """Mean angle, rad, shape (n,)."""
-        return np.asarray(self.first + 0.5 * self.step * (self.count - 1.0))
+        return np.asarray(self.first_angle + 0.5 * self.angle_step * (self.count - 1.0))
 
     @property
     def half_width(self) -> Array:
-        """Half the angle that the rows stand for, rad, shape (n,); x is an angle over this."""
-        return np.asarray(0.5 * self.step * self.count)
+        """Half the angle that the rows cover, rad, shape (n,); x is an angle divided by it."""
+        return np.asarray(0.5 * self.angle_step * self.count)
 
 
-def sqrt_information(samples: EvenSamples, weights: Array, held: int) -> Array:
+def sqrt_information(samples: EvenSamples, weights: Array, n_start_errors: int) -> Array:
     """Return square-root information, each row with unit variance.
 
     weights: Combinations of the functions, shape (n, b, k).
-    held: Number of the columns 1 and th that are start errors, estimated in each run: 0, 1 or 2.
+    n_start_errors: Number of start errors, 0, 1 or 2: of the columns 1 and th, estimated per run.
     Returns: shape (n, b - held, k).
     """
-    harmonics = weights.shape[1] // 4 - 1
-    even, odd = center_weights(average_over_blocks(weights, samples.spread), samples)
-    result = np.empty((len(weights), weights.shape[1] - held, weights.shape[2]))
-    wide = 2.0 * harmonics * samples.step > _LARGEST_STEP
-    close = np.flatnonzero(~wide)
-    if close.size:
-        moments = _moments(samples.step[close], samples.count[close], 2 * harmonics)
-        size = np.sqrt(samples.count[close])[:, None, None]
-        half = even.shape[1] - (held > 0)
-        for parity, columns, drop, rows in (
-            (0, even, int(held > 0), slice(0, half)),
-            (1, odd, int(held > 1), slice(half, None)),
+    n_harmonics = weights.shape[1] // 4 - 1
+    even, odd = center_weights(average_over_blocks(weights, samples.angle_sd), samples)
+    result = np.empty((len(weights), weights.shape[1] - n_start_errors, weights.shape[2]))
+    is_coarse = 2.0 * n_harmonics * samples.angle_step > _MAX_ANGLE_STEP
+    fine_runs = np.flatnonzero(~is_coarse)
+    if fine_runs.size:
+        moments = _moments(samples.angle_step[fine_runs], samples.count[fine_runs], 2 * n_harmonics)
+        sqrt_count = np.sqrt(samples.count[fine_runs])[:, None, None]
+        n_even = even.shape[1] - (n_start_errors > 0)
+        for parity, columns, n_dropped, rows in (
+            (0, even, int(n_start_errors > 0), slice(0, n_even)),
+            (1, odd, int(n_start_errors > 1), slice(n_even, None)),
         ):
-            lower = _cholesky_factors(_sums(moments, harmonics, parity))
-            upper = np.swapaxes(lower, 1, 2)[:, drop:]
-            result[close, rows] = size * (upper @ columns[close])
-    for run in np.flatnonzero(wide):
-        result[run] = _sum_rows(samples, run, even[run], odd[run], harmonics)[held:]
+            lower = _cholesky_factors(_product_means(moments, n_harmonics, parity))
+            upper = np.swapaxes(lower, 1, 2)[:, n_dropped:]
+            result[fine_runs, rows] = sqrt_count * (upper @ columns[fine_runs])
+    for run in np.flatnonzero(is_coarse):
+        result[run] = _factor_samples(samples, run, even[run], odd[run], n_harmonics)[
+            n_start_errors:
+        ]
     return result
 
 
-def average_over_blocks(weights: Array, spread: Array) -> Array:
+def average_over_blocks(weights: Array, angle_sd: Array) -> Array:
     """Return the combinations averaged over the angles th - spread and th + spread."""
-    blocks = spread > 0.0
-    if not blocks.any():
+    is_averaged = angle_sd > 0.0
+    if not is_averaged.any():
         return weights
     result = weights.copy()
-    later, earlier = (
-        shift_angle_origin(weights[blocks], shift * spread[blocks]) for shift in (1.0, -1.0)
+    forward_weights, backward_weights = (
+        shift_angle_origin(weights[is_averaged], sign * angle_sd[is_averaged])
+        for sign in (1.0, -1.0)
     )
-    result[blocks] = 0.5 * (later + earlier)
+    result[is_averaged] = 0.5 * (forward_weights + backward_weights)
     return result
 
 
@@ -192,29 +196,39 @@ def center_weights(weights: Array, samples: EvenSamples) -> tuple[Array, Array]:
 
     Even: 1, x^2, cos m t and, for all m, x sin m t; odd: x, x^3, sin m t, x cos m t.
     """
-    about = shift_angle_origin(weights, samples.middle)
-    half = samples.half_width[:, None, None]
-    trig = about[:, 4:]
-    even = [about[:, :1], half**2 * about[:, 2:3], trig[:, 0::4], half * trig[:, 3::4]]
-    odd = [half * about[:, 1:2], half**3 * about[:, 3:4], trig[:, 1::4], half * trig[:, 2::4]]
+    centered = shift_angle_origin(weights, samples.mean_angle)
+    half_width = samples.half_width[:, None, None]
+    trig = centered[:, 4:]
+    even = [
+        centered[:, :1],
+        half_width**2 * centered[:, 2:3],
+        trig[:, 0::4],
+        half_width * trig[:, 3::4],
+    ]
+    odd = [
+        half_width * centered[:, 1:2],
+        half_width**3 * centered[:, 3:4],
+        trig[:, 1::4],
+        half_width * trig[:, 2::4],
+    ]
     return np.concatenate(even, axis=1), np.concatenate(odd, axis=1)
 
 
-def _moments(step: Array, count: Array, highest: int) -> Array:
+def _moments(step: Array, count: Array, max_harmonic: int) -> Array:
     """Return means over the rows of x^p cos(m t), p even, and x^p sin(m t), p odd.
 
-    Shape (n, 7, highest + 1); powers above 4 are there for m = 0 only.
+    Shape (n, 7, max_harmonic + 1); powers above 4 are valid only for m = 0.
     """
     e = (1.0 / count**2)[:, None]
-    m = np.arange(1, highest + 1)
+    m = np.arange(1, max_harmonic + 1)
     b = 0.5 * count[:, None] * m * step[:, None]
     angle = b / count[:, None]
     q = 1.0 / (count[:, None] * np.sin(angle))
     c = np.cos(angle) / np.sin(angle) / count[:, None]
-    kernel = [q * sum(f * c**i * e**j for f, i, j in row) for row in _KERNEL]
+    kernel = [q * sum(factor * c**i * e**j for factor, i, j in row) for row in _KERNEL]
     cos, sin = np.cos(b), np.sin(b)
     derivatives = (sin, cos, -sin, -cos, sin)
-    result = np.zeros((len(step), 7, highest + 1))
+    result = np.zeros((len(step), 7, max_harmonic + 1))
     sign = (1.0, -1.0, -1.0, 1.0, 1.0)
     for p in range(5):
         terms = (_BINOMIAL[p][j] * derivatives[p - j] * kernel[j] for j in range(p + 1))
@@ -228,63 +242,68 @@ def _moments(step: Array, count: Array, highest: int) -> Array:
 
 
 @cache
-def _pairs(
-    harmonics: int, parity: int
+def _product_terms(
+    n_harmonics: int, parity: int
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], npt.NDArray[np.intp], Array, Array]:
     """Return the product of each pair of functions of one parity.
 
     A product has a power of x, a difference and a sum of harmonics, and factors of their moments.
     """
-    zero = [(parity, 0, 0), (parity + 2, 0, 0)]
-    m = range(1, harmonics + 1)
-    functions = [*zero, *((0, parity, i) for i in m), *((1, 1 - parity, i) for i in m)]
-    size = len(functions)
-    power, difference, together = (np.zeros((size, size), dtype=np.intp) for _ in range(3))
-    by_difference, by_sum = np.zeros((size, size)), np.zeros((size, size))
-    for i, (a, sine, m_a) in enumerate(functions):
-        for j, (b, other_sine, m_b) in enumerate(functions):
-            power[i, j], difference[i, j], together[i, j] = a + b, abs(m_a - m_b), m_a + m_b
-            if sine == other_sine:
-                by_difference[i, j], by_sum[i, j] = 0.5, (-0.5 if sine else 0.5)
+    polynomials = [(parity, 0, 0), (parity + 2, 0, 0)]
+    m = range(1, n_harmonics + 1)
+    functions = [*polynomials, *((0, parity, i) for i in m), *((1, 1 - parity, i) for i in m)]
+    shape = len(functions), len(functions)
+    power, difference_index, sum_index = (np.zeros(shape, dtype=np.intp) for _ in range(3))
+    difference_weight, sum_weight = np.zeros(shape), np.zeros(shape)
+    for i, (power_a, is_sine_a, m_a) in enumerate(functions):
+        for j, (power_b, is_sine_b, m_b) in enumerate(functions):
+            power[i, j] = power_a + power_b
+            difference_index[i, j], sum_index[i, j] = abs(m_a - m_b), m_a + m_b
+            if is_sine_a == is_sine_b:
+                difference_weight[i, j], sum_weight[i, j] = 0.5, (-0.5 if is_sine_a else 0.5)
             else:  # sin m cos l = (sin (m + l) + sin (m - l))/2, m the sine's
-                towards = m_a - m_b if sine else m_b - m_a
-                by_difference[i, j], by_sum[i, j] = 0.5 * np.sign(towards), 0.5
-    return power, difference, together, by_difference, by_sum
+                signed_difference = m_a - m_b if is_sine_a else m_b - m_a
+                difference_weight[i, j], sum_weight[i, j] = 0.5 * np.sign(signed_difference), 0.5
+    return power, difference_index, sum_index, difference_weight, sum_weight
 
 
-def _sums(moments: Array, harmonics: int, parity: int) -> Array:
+def _product_means(moments: Array, n_harmonics: int, parity: int) -> Array:
     """Return the mean products of the even (parity 0) or odd (1) functions, shape (n, c, c)."""
-    power, difference, together, by_difference, by_sum = _pairs(harmonics, parity)
-    result = by_difference * moments[:, power, difference]
-    result += by_sum * moments[:, power, together]
+    power, difference_index, sum_index, difference_weight, sum_weight = _product_terms(
+        n_harmonics, parity
+    )
+    result = difference_weight * moments[:, power, difference_index]
+    result += sum_weight * moments[:, power, sum_index]
     return np.asarray(result)
 
 
-def _cholesky_factors(sums: Array) -> Array:
+def _cholesky_factors(products: Array) -> Array:
     """Return lower triangular factors, shape (n, c, c)."""
-    diagonal = np.arange(sums.shape[1])
-    sums[:, diagonal, diagonal] *= 1.0 + _RIDGE
-    return np.asarray(np.linalg.cholesky(sums))
+    diagonal = np.arange(products.shape[1])
+    products[:, diagonal, diagonal] *= 1.0 + _RIDGE
+    return np.asarray(np.linalg.cholesky(products))
 
 
-def _sum_rows(samples: EvenSamples, run: np.intp, even: Array, odd: Array, harmonics: int) -> Array:
-    """Return one run's rows from its samples themselves, the start errors' first."""
+def _factor_samples(
+    samples: EvenSamples, run: np.intp, even: Array, odd: Array, n_harmonics: int
+) -> Array:
+    """Return the rows of a run, computed from its samples; rows of start errors first."""
     count = float(samples.count[run])
-    rows_needed = int(np.ceil(count - 1e-9))
-    t = samples.step[run] * (np.arange(rows_needed) - 0.5 * (count - 1.0))
+    n_rows = int(np.ceil(count - 1e-9))
+    t = samples.angle_step[run] * (np.arange(n_rows) - 0.5 * (count - 1.0))
     x = t / samples.half_width[run]
-    m = np.arange(1, harmonics + 1)
+    m = np.arange(1, n_harmonics + 1)
     cos, sin = np.cos(t[:, None] * m), np.sin(t[:, None] * m)
-    # Start errors first: the rows of the triangle below theirs are free of them.
-    first = np.column_stack([np.ones(rows_needed), x])
-    rest = np.column_stack([x**2, cos, x[:, None] * sin, x**3, sin, x[:, None] * cos])
-    rows = np.hstack([first, rest])
-    rows[-1] *= np.sqrt(count - (rows_needed - 1))  # of the last row only its part counts
-    rows = np.vstack([rows, np.zeros((max(0, rows.shape[1] - rows_needed), rows.shape[1]))])
+    # Start errors first: lower rows of the triangle do not depend on them.
+    start_error_columns = np.column_stack([np.ones(n_rows), x])
+    other_columns = np.column_stack([x**2, cos, x[:, None] * sin, x**3, sin, x[:, None] * cos])
+    rows = np.hstack([start_error_columns, other_columns])
+    rows[-1] *= np.sqrt(count - (n_rows - 1))  # the last row may be a fraction of a row
+    rows = np.vstack([rows, np.zeros((max(0, rows.shape[1] - n_rows), rows.shape[1]))])
     return np.asarray(triangular_factor(rows) @ np.vstack([even[0], odd[0], even[1:], odd[1:]]))
 
 
-#: Parts of a revolution at which factors are tabulated; rows to a revolution are a multiple.
+#: Phases at which factors are tabulated; the number of rows per revolution is a multiple.
 _PHASES: Final = 16
 
 #: Ratio of neighbouring nodes in the number of revolutions, and in the rate.
@@ -292,16 +311,16 @@ _REVOLUTION_RATIO: Final = 1.13
 _RATE_RATIO: Final = 1.22
 
 
-#: Additional variance of a sample, at a rate (rad/s) and angles (rad, shape (n,)): shape (n,).
-Added = Callable[[float, Array], Array]
+#: Function of rate (rad/s) and angles (rad, shape (n,)) that returns a variance, shape (n,).
+VarianceFunction = Callable[[float, Array], Array]
 
 
 class InformationTable:
-    """Factors of the whitened functions of the angle.
+    """Interpolation table of the triangular factors of the whitened functions of the angle.
 
     order: Number of integrations of the specific force in the observable.
-    noise: Of one sample.
-    added: None: nothing.
+    noise: Noise of one sample.
+    added_variance: Additional variance of a sample; None: no additional variance.
     sampling_rate: Hz.
     """
 
@@ -309,24 +328,25 @@ class InformationTable:
         self,
         order: int,
         noise: Noise,
-        added: Added | None,
+        added_variance: VarianceFunction | None,
         sampling_rate: float,
         rates: tuple[float, float],
         revolutions: tuple[float, float],
-        harmonics: int,
+        n_harmonics: int,
     ) -> None:
         self._order = order
         self._noise = noise
-        self._added = added
-        #: The differences of rows whose noise walks have lost the first functions, 1 and th.
-        self._lost = order if noise.random_walk > 0.0 else 0
+        self._added_variance = added_variance
+        #: Number of the functions 1 and th that differences of rows eliminate (random walk).
+        self._n_dropped = order if noise.random_walk > 0.0 else 0
         self._sampling_rate = sampling_rate
-        self._harmonics = harmonics
-        if revolutions[1] > (most := MAX_COMPUTED_ROWS / BLOCKS_PER_REVOLUTION):
+        self._n_harmonics = n_harmonics
+        if revolutions[1] > (max_revolutions := MAX_COMPUTED_ROWS / BLOCKS_PER_REVOLUTION):
             raise CounterspinError(
                 f"limits: these limits allow runs of {revolutions[1]:.3g} revolutions. With a "
                 "random walk or time-stamp jitter, the search covers only runs of at most "
-                f"{most:.3g} revolutions. Reduce longest_run, total_time or highest_rate",
+                f"{max_revolutions:.3g} revolutions. Reduce longest_run, total_time or "
+                "highest_rate",
                 code="value-out-of-range",
             )
         self._counts = _integer_grid(revolutions)
@@ -334,93 +354,107 @@ class InformationTable:
 
     @cached_property
     def _integer_spline(self) -> Any:
-        """The spline through whole numbers of revolutions."""
-        return self._spline(1)
+        """The spline through integer numbers of revolutions."""
+        return self._make_spline(1)
 
     @cached_property
     def _phase_splines(self) -> Any:
-        """A spline for each part of a revolution at the end."""
-        return self._spline(_PHASES)
+        """The splines for each phase at the end of a run."""
+        return self._make_spline(_PHASES)
 
-    def _spline(self, phases: int) -> Any:
+    def _make_spline(self, n_phases: int) -> Any:
         """Return a spline over log rate and log revolutions of factors, (phases, b, b)."""
         from scipy.interpolate import NdBSpline, make_interp_spline
 
-        counts, order, lost = self._counts, self._order, self._lost
-        conversions = _conversion_matrices(counts, phases)
-        densest = 1 if phases == 1 and self._added is None else 4
+        counts, order, n_dropped = self._counts, self._order, self._n_dropped
+        conversion_matrices = _conversion_matrices(counts, n_phases)
+        max_density = 1 if n_phases == 1 and self._added_variance is None else 4
         tables = []
         for rate in np.exp(self._nodes):
-            samples = 2.0 * math.pi * self._sampling_rate / rate  # to a revolution
-            points = _PHASES * int(np.clip(round(samples / _PHASES), 1, densest))
-            angle = (np.arange(points * (counts[-1] + 1)) + 0.5) * (2.0 * math.pi / points)
-            weight = points / samples  # of a row, of the variance of a sample
-            white = math.sqrt(self._noise.sample_variance * weight)
-            added = 0.0 if self._added is None else weight * self._added(float(rate), angle)
-            noise = Noise(white, self._noise.random_walk)
-            whiten = make_whitener(angle / rate, order, noise, added_variance=added)
-            rows = whiten.apply(basis_functions(angle, self._harmonics)[:, lost:])
-            parts = np.arange(phases) * (points // phases)
-            ends = (counts[:, None] * points + parts).ravel() - lost
-            factors = prefix_factors(rows, ends, order - lost).reshape(len(counts), phases, -1)
-            tables.append(conversions @ factors.swapaxes(0, 1))
+            samples_per_revolution = 2.0 * math.pi * self._sampling_rate / rate
+            points_per_revolution = _PHASES * int(
+                np.clip(round(samples_per_revolution / _PHASES), 1, max_density)
+            )
+            angle = (np.arange(points_per_revolution * (counts[-1] + 1)) + 0.5) * (
+                2.0 * math.pi / points_per_revolution
+            )
+            # Variance of a row over the variance of a sample.
+            variance_weight = points_per_revolution / samples_per_revolution
+            white_sd = math.sqrt(self._noise.sample_variance * variance_weight)
+            added_variance = (
+                0.0
+                if self._added_variance is None
+                else variance_weight * self._added_variance(float(rate), angle)
+            )
+            noise = Noise(white_sd, self._noise.random_walk)
+            whitener = make_whitener(angle / rate, order, noise, added_variance=added_variance)
+            rows = whitener.apply(basis_functions(angle, self._n_harmonics)[:, n_dropped:])
+            phase_offsets = np.arange(n_phases) * (points_per_revolution // n_phases)
+            ends = (counts[:, None] * points_per_revolution + phase_offsets).ravel() - n_dropped
+            factors = prefix_factors(rows, ends, order - n_dropped).reshape(
+                len(counts), n_phases, -1
+            )
+            tables.append(conversion_matrices @ factors.swapaxes(0, 1))
         # Interpolation is linear in the values: the splines' coefficients are matrix products.
-        by_rate = make_interp_spline(self._nodes, np.eye(len(self._nodes)))
-        by_count = make_interp_spline(np.log(counts), np.eye(len(counts)))
-        values = np.tensordot(by_rate.c, np.array(tables), axes=1)  # (rates, phases, counts, b b)
-        size = 4 + 4 * self._harmonics - order
-        shape = (len(self._nodes), len(counts), phases, size, size)
-        coefficients = (by_count.c @ values).swapaxes(1, 2).reshape(shape)
-        return NdBSpline((by_rate.t, by_count.t), coefficients, 3)
+        rate_spline = make_interp_spline(self._nodes, np.eye(len(self._nodes)))
+        count_spline = make_interp_spline(np.log(counts), np.eye(len(counts)))
+        # Shape (rates, phases, counts, b b).
+        values = np.tensordot(rate_spline.c, np.array(tables), axes=1)
+        n_functions = 4 + 4 * self._n_harmonics - order
+        shape = (len(self._nodes), len(counts), n_phases, n_functions, n_functions)
+        coefficients = (count_spline.c @ values).swapaxes(1, 2).reshape(shape)
+        return NdBSpline((rate_spline.t, count_spline.t), coefficients, 3)
 
     def sqrt_information(
-        self, weights: Array, rate: Array, samples: Array, *, with_ripple: bool
+        self, weights: Array, rate: Array, n_samples: Array, *, depends_on_phase: bool
     ) -> Array:
         """Return square-root information of runs, each row with unit variance.
 
         weights: Combinations of the functions, shape (n, b, k).
-        rate, samples: rad/s, and number of samples, shape (n,).
-        with_ripple: True: the information follows the part of a revolution at the end, which
-            takes longer; False: smoothly from whole number to whole number of revolutions.
+        rate, n_samples: rad/s, and number of samples, shape (n,).
+        depends_on_phase: True: the information depends on the phase at the end (slower); False: it
+            is interpolated between integer numbers of revolutions.
         Returns: shape (n, b - order, k).
         """
-        phase = rate / self._sampling_rate
-        revolutions = samples * phase / (2.0 * math.pi)
-        # The samples stand for an angle that begins half a step before the first.
-        shifted = shift_angle_origin(weights, -0.5 * phase)[:, self._order :]
-        index = np.column_stack([np.log(rate), np.log(revolutions)])
-        # What samples near an extremum of the output tell, where time stamps do no harm, depends on
-        # where they happen to be: more than the ripple does.
-        if not with_ripple or self._added is not None:
-            return np.asarray(self._integer_spline(index)[:, 0] @ shifted)
-        kernel = _trigonometric_weights(revolutions)[:, :, None, None]
-        return np.asarray(np.sum(kernel * self._phase_splines(index), axis=1) @ shifted)
+        angle_step = rate / self._sampling_rate
+        revolutions = n_samples * angle_step / (2.0 * math.pi)
+        # The samples cover an angle that begins half a step before the first one.
+        shifted_weights = shift_angle_origin(weights, -0.5 * angle_step)[:, self._order :]
+        log_points = np.column_stack([np.log(rate), np.log(revolutions)])
+        # With noisy time stamps, samples near an extremum of the output are most informative, and
+        # their positions matter more than the phase at the end.
+        if not depends_on_phase or self._added_variance is not None:
+            return np.asarray(self._integer_spline(log_points)[:, 0] @ shifted_weights)
+        phase_weights = _trigonometric_weights(revolutions)[:, :, None, None]
+        return np.asarray(
+            np.sum(phase_weights * self._phase_splines(log_points), axis=1) @ shifted_weights
+        )
 
 
-def _conversion_matrices(counts: npt.NDArray[np.int64], phases: int) -> Array:
+def _conversion_matrices(counts: npt.NDArray[np.int64], n_phases: int) -> Array:
     """Return matrices that convert factors tabulated at a phase to whole revolutions.
 
-    At one phase of the end a factor is a smooth function of the number of revolutions.
+    At a fixed phase, a factor is a smooth function of the number of revolutions.
 
-    Returns: for each part a matrix over the numbers, shape (phases, c, c).
+    Returns: shape (n_phases, c, c) for c tabulated numbers of revolutions.
     """
     from scipy.interpolate import make_interp_spline
 
-    alone = np.eye(len(counts))
-    parts = (make_interp_spline(np.log(counts + j / phases), alone) for j in range(phases))
-    return np.array([part(np.log(counts)) for part in parts])
+    identity = np.eye(len(counts))
+    splines = (make_interp_spline(np.log(counts + j / n_phases), identity) for j in range(n_phases))
+    return np.array([spline(np.log(counts)) for spline in splines])
 
 
 def _trigonometric_weights(revolutions: Array) -> Array:
     """Return the weights of equally spaced phases in trigonometric interpolation, (n, phases)."""
-    distance = revolutions[:, None] % 1.0 - np.arange(_PHASES) / _PHASES
-    half = math.pi * np.where(np.abs(distance) < 1e-12, 1.0, distance)
-    weights = np.sin(_PHASES * half) / (_PHASES * np.tan(half))
-    return np.asarray(np.where(np.abs(distance) < 1e-12, 1.0, weights))
+    phase_distance = revolutions[:, None] % 1.0 - np.arange(_PHASES) / _PHASES
+    half_angle = math.pi * np.where(np.abs(phase_distance) < 1e-12, 1.0, phase_distance)
+    weights = np.sin(_PHASES * half_angle) / (_PHASES * np.tan(half_angle))
+    return np.asarray(np.where(np.abs(phase_distance) < 1e-12, 1.0, weights))
 
 
 def _integer_grid(bounds: tuple[float, float]) -> npt.NDArray[np.int64]:
-    """Return whole numbers of revolutions that span a range, nearly in a geometric series."""
+    """Return integer numbers of revolutions that span a range, nearly a geometric series."""
     low, high = max(1, math.floor(bounds[0])), math.ceil(bounds[1])
     high = max(high, low + 4)
     counts = [low]

@@ -1,9 +1,9 @@
-"""The best campaign within limits: whole runs, free rates and lengths.
+"""Optimal campaign within limits, with integer numbers of runs and continuous rates and lengths.
 
-From the relaxed optimum (`counterspin.planning.candidate_set`) whole numbers of runs are made in
-several ways; each start is improved in all rates and lengths at once (SLSQP, exact derivatives),
-then by exchanging the attitude or sense of a run, leaving one out or adding one. The relaxation
-says how far from any better plan the result can be.
+The relaxed optimum (`counterspin.planning.candidate_set`) is rounded to integer numbers of runs in
+several ways. All rates and lengths of each start are optimised together (SLSQP with exact
+derivatives). Then runs are exchanged, removed or added. The relaxation bounds the distance to the
+global optimum.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from counterspin.planning.design import (
 )
 from counterspin.planning.run_information import Predictor
 
-#: Smallest relative gain of u (or of time) for which a plan is changed.
+#: Minimum relative gain of u (or of time) for a change of the plan.
 _MIN_GAIN: Final = 2e-5
 #: Passes of exchanges, and how many candidates are polished in each.
 _PASSES: Final = 3
 _MAX_POLISHED: Final = 5
-#: Weight, in runs, from which a group of the relaxation may get a whole run.
-_WEIGHT_OF_A_RUN: Final = 0.02
-#: Relative difference in rate and length below which the exchanges take two runs as equal.
-_EQUAL_RUNS: Final = 1e-3
+#: Minimum weight of a group in the relaxation, in runs, to get a run.
+_MIN_RUN_WEIGHT: Final = 0.02
+#: Relative difference in rate and length below which two runs are equal in exchanges.
+_EQUAL_RUN_TOLERANCE: Final = 1e-3
 
 
 def optimise(
@@ -46,152 +46,160 @@ def optimise(
     limits: Limits,
     criterion: Criterion,
     *,
-    relaxing: Predictor | None = None,
+    relaxed_predictor: Predictor | None = None,
     start: Design | None = None,
 ) -> Optimum[Design]:
     """Find the plan with the smallest criterion value.
 
-    relaxing: A predictor in which considered terms are estimated; None: no term is considered.
+    relaxed_predictor: A predictor that estimates the considered terms; None: no considered terms.
     """
     if not limits.is_feasible:
         raise NotIdentifiableError(
             f"no run fits into {limits.total_time:.6g} s, because the shortest run takes "
-            f"{limits.shortest_time:.6g} s with spin-up and settling",
+            f"{limits.min_time:.6g} s with spin-up and settling",
             code="plan-infeasible",
         )
-    choices = [
-        (*relax(relaxing or predictor, run_limits, criterion), run_limits)
-        for run_limits in _subsets(limits)
+    relaxations = [
+        (*relax(relaxed_predictor or predictor, run_limits, criterion), run_limits)
+        for run_limits in _attitude_subsets(limits)
     ]
-    choices.sort(key=lambda choice: choice[1].bound)
+    relaxations.sort(key=lambda relaxation: relaxation[1].bound)
     best: tuple[float, Design] | None = None
-    for support, relaxed, run_limits in choices:
+    for support, relaxed, run_limits in relaxations:
         if best is not None and relaxed.bound > best[0] - _MIN_GAIN:
-            break  # nor can those that follow be better
+            break  # all further subsets have higher bounds
         starts = list(_integer_starts(support, relaxed, run_limits))
-        if start is not None and (adjusted := fit_to_limits(start, run_limits)) is not None:
-            starts = [adjusted, *starts[:1]]
+        if start is not None and (adjusted_start := fit_to_limits(start, run_limits)) is not None:
+            starts = [adjusted_start, *starts[:1]]
         starts = starts or list(_fastest_starts(run_limits))
         if not starts:
             continue
-        polished = _polish_best(predictor, run_limits, criterion, starts)
-        exchanged = _exchange(predictor, run_limits, criterion, polished)
-        if best is None or exchanged[0] < best[0] - _MIN_GAIN:
-            best = exchanged
+        local_best = _polish_best(predictor, run_limits, criterion, starts)
+        local_best = _exchange_runs(predictor, run_limits, criterion, local_best)
+        if best is None or local_best[0] < best[0] - _MIN_GAIN:
+            best = local_best
     if best is None:
         raise NotIdentifiableError(
-            f"the search found no plan of at most {limits.runs} runs that fits into "
+            f"the search found no plan of at most {limits.max_runs} runs that fits into "
             f"{limits.total_time:.6g} s; allow more time",
             code="plan-infeasible",
         )
     value, design = _order_runs(predictor, criterion, *best)
-    return Optimum(design, value, min(choices[0][1].bound, value))
+    return Optimum(design, value, min(relaxations[0][1].bound, value))
 
 
-def _subsets(limits: Limits) -> Iterator[Limits]:
-    """Yield the limits for each choice of attitudes, the time to change between them taken off.
+def _attitude_subsets(limits: Limits) -> Iterator[Limits]:
+    """Yield the limits for each subset of attitudes, minus the time to change between them.
 
-    If a change costs nothing, all attitudes together hold every choice.
+    If a change takes no time, yield only the limits with all attitudes.
     """
     attitudes = list(dict.fromkeys(run_type.attitude for run_type in limits.types))
     if limits.attitude_change == 0.0:
         yield limits
         return
-    for count in range(1, len(attitudes) + 1):
-        available = limits.total_time - (count - 1) * limits.attitude_change
-        if available < limits.shortest_time or count > limits.runs:
+    for n_attitudes in range(1, len(attitudes) + 1):
+        available_time = limits.total_time - (n_attitudes - 1) * limits.attitude_change
+        if available_time < limits.min_time or n_attitudes > limits.max_runs:
             return
-        for chosen in combinations(attitudes, count):
+        for subset in combinations(attitudes, n_attitudes):
             yield replace(
                 limits,
-                types=tuple(run_type for run_type in limits.types if run_type.attitude in chosen),
-                total_time=available,
+                types=tuple(run_type for run_type in limits.types if run_type.attitude in subset),
+                total_time=available_time,
                 attitude_change=0.0,
             )
 
 
 def _integer_starts(design: Design, relaxed: Optimum[Array], limits: Limits) -> Iterator[Design]:
-    """Yield starts: whole runs in place of the relaxation's weights.
+    """Yield starts with integer numbers of runs in place of the relaxed weights.
 
-    design: The runs that the relaxation uses.
+    design: Support of the relaxation.
     """
     groups: dict[tuple[RunType, float], list[int]] = {}
-    for index, (run_type, w) in enumerate(zip(design.types, design.rate, strict=True)):
-        rate_group = float(w) if limits.settings else float(round(8.0 * math.log(w)))
+    for index, (run_type, rate) in enumerate(zip(design.types, design.rate, strict=True)):
+        rate_group = float(rate) if limits.rate_settings else float(round(8.0 * math.log(rate)))
         groups.setdefault((run_type, rate_group), []).append(index)
-    weight = np.array([relaxed.design[index].sum() for index in groups.values()])
+    group_weights = np.array([relaxed.design[index].sum() for index in groups.values()])
     run_types = [run_type for run_type, _ in groups]
-    rate = np.array([design.rate[i[np.argmax(relaxed.design[i])]] for i in groups.values()])
-    turns = np.array(
+    group_rates = np.array([design.rate[i[np.argmax(relaxed.design[i])]] for i in groups.values()])
+    group_revolutions = np.array(
         [np.average(design.revolutions[i], weights=relaxed.design[i]) for i in groups.values()]
     )
-    total_weight = float(weight.sum())
-    totals = {
-        min(limits.runs, max(1, n)) for n in (math.floor(total_weight), math.ceil(total_weight))
+    total_weight = float(group_weights.sum())
+    run_totals = {
+        min(limits.max_runs, max(1, n)) for n in (math.floor(total_weight), math.ceil(total_weight))
     }
-    totals |= {limits.runs} if relaxed.shadow_price > 0.0 else set()
-    shares = [_largest_remainder(weight, count) for count in sorted(totals, reverse=True)]
-    # A group with a fraction of a run may separate terms: then it needs a complete run.
-    shares += [_keep_each_group(weight, share) for share in shares]
-    for runs in shares:
-        count = int(runs.sum())
-        indices = np.repeat(np.arange(weight.size), runs)
+    run_totals |= {limits.max_runs} if relaxed.shadow_price > 0.0 else set()
+    allocations = [
+        _round_by_largest_remainder(group_weights, count)
+        for count in sorted(run_totals, reverse=True)
+    ]
+    # A group with a fraction of a run may separate terms, so it may need a complete run.
+    allocations += [_fill_empty_groups(group_weights, allocation) for allocation in allocations]
+    for counts in allocations:
+        count = int(counts.sum())
+        indices = np.repeat(np.arange(group_weights.size), counts)
         types = tuple(run_types[i] for i in indices)
-        # As much time in each group as the relaxation spends there.
-        scaled = scale_to_time(
-            Design(types, rate[indices], (turns * weight / np.maximum(runs, 1))[indices]), limits
+        # Each group takes as much time as in the relaxation.
+        scaled_design = scale_to_time(
+            Design(
+                types,
+                group_rates[indices],
+                (group_revolutions * group_weights / np.maximum(counts, 1))[indices],
+            ),
+            limits,
         )
-        if scaled is None:
+        if scaled_design is None:
             continue
-        yield scaled
-        types, count = scaled.types, len(scaled.types)
+        yield scaled_design
+        types, count = scaled_design.types, len(scaled_design.types)
         if count < 2:
             continue
-        # Some optima have one long run that determines drifts, and many short ones.
+        # Some optima have many short runs, and a long run that determines drifts.
         for index in np.unique(indices, return_index=True)[1]:
-            longer = scaled.revolutions.copy()
-            longer[index] *= 3.0
-            fitted = scale_to_time(Design(types, scaled.rate, longer), limits)
-            if fitted is not None:
-                yield fitted
-        # Rates apart, in case the relaxation has put all runs into one point of a flat optimum.
+            revolutions = scaled_design.revolutions.copy()
+            revolutions[index] *= 3.0
+            start = scale_to_time(Design(types, scaled_design.rate, revolutions), limits)
+            if start is not None:
+                yield start
+        # Spread the rates, in case the relaxation has a single point in a flat optimum.
         spread_rates = np.geomspace(
-            max(limits.rate[0], 0.5 * limits.rate[1]), limits.rate[1], count
+            max(limits.rate_range[0], 0.5 * limits.rate_range[1]), limits.rate_range[1], count
         )
-        if not limits.settings:
-            fitted = scale_to_time(Design(types, spread_rates, scaled.revolutions), limits)
-            if fitted is not None:
-                yield fitted
+        if not limits.rate_settings:
+            start = scale_to_time(Design(types, spread_rates, scaled_design.revolutions), limits)
+            if start is not None:
+                yield start
 
 
 def _fastest_starts(limits: Limits) -> Iterator[Design]:
-    """Yield starts at the highest rates, for a time that is too short at the relaxation's."""
-    rate = np.array(limits.different_rates(limits.rate[1]))
-    revolutions = np.full(rate.size, limits.revolutions)
+    """Yield starts at the highest rates, if the time is too short for the relaxed rates."""
+    rate = np.array(limits.distinct_rates(limits.rate_range[1]))
+    revolutions = np.full(rate.size, limits.min_revolutions)
     for run_type in dict.fromkeys(limits.types):
-        fitted = scale_to_time(Design((run_type,) * rate.size, rate, revolutions), limits)
-        if fitted is not None:
-            yield fitted
+        start = scale_to_time(Design((run_type,) * rate.size, rate, revolutions), limits)
+        if start is not None:
+            yield start
 
 
-def _largest_remainder(weight: Array, count: int) -> npt.NDArray[np.int64]:
-    """Return whole numbers of a given sum nearest to proportional (largest remainders)."""
-    exact = weight * (count / weight.sum())
-    counts: npt.NDArray[np.int64] = np.floor(exact).astype(np.int64)
-    largest = np.argsort(-(exact - counts), kind="stable")[: count - int(counts.sum())]
-    counts[largest] += 1
+def _round_by_largest_remainder(weights: Array, count: int) -> npt.NDArray[np.int64]:
+    """Return integers proportional to the weights with the sum `count` (largest remainders)."""
+    quotas = weights * (count / weights.sum())
+    counts: npt.NDArray[np.int64] = np.floor(quotas).astype(np.int64)
+    largest_remainders = np.argsort(-(quotas - counts), kind="stable")[: count - int(counts.sum())]
+    counts[largest_remainders] += 1
     return counts
 
 
-def _keep_each_group(weight: Array, runs: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Return the runs with one for each group of some weight, taken from the largest groups."""
-    new_runs = runs.copy()
-    for index in np.flatnonzero((weight > _WEIGHT_OF_A_RUN) & (runs == 0)):
-        largest = int(np.argmax(new_runs))
-        if new_runs[largest] > 1:
-            new_runs[largest] -= 1
-            new_runs[index] = 1
-    return new_runs
+def _fill_empty_groups(weights: Array, counts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return the counts with at least 1 for each relevant group, taken from the largest groups."""
+    new_counts = counts.copy()
+    for index in np.flatnonzero((weights > _MIN_RUN_WEIGHT) & (counts == 0)):
+        largest = int(np.argmax(new_counts))
+        if new_counts[largest] > 1:
+            new_counts[largest] -= 1
+            new_counts[index] = 1
+    return new_counts
 
 
 def _polish_best(
@@ -205,61 +213,67 @@ def _polish_best(
     return min(polished, key=lambda pair: pair[0])
 
 
-def _exchange(
+def _exchange_runs(
     predictor: Predictor, limits: Limits, criterion: Criterion, best: tuple[float, Design]
 ) -> tuple[float, Design]:
-    """Exchange, leave out or add runs for as long as it gains."""
+    """Exchange, remove or add runs until the criterion no longer decreases."""
     for _ in range(_PASSES):
         value, design = best
-        fitted = (scale_to_time(candidate, limits) for candidate in _neighbours(design, limits))
+        scaled_designs = (
+            scale_to_time(candidate, limits) for candidate in _neighbour_designs(design, limits)
+        )
         candidates = sorted(
-            (candidate for candidate in fitted if candidate is not None),
+            (candidate for candidate in scaled_designs if candidate is not None),
             key=lambda candidate: predictor.value(criterion, candidate),
         )
         polished = (
             polish(predictor, limits, criterion, candidate)
             for candidate in candidates[:_MAX_POLISHED]
         )
-        better = next((pair for pair in polished if pair[0] < value - _MIN_GAIN), None)
-        if better is None:
+        improvement = next((pair for pair in polished if pair[0] < value - _MIN_GAIN), None)
+        if improvement is None:
             return best
-        best = better
+        best = improvement
     return best
 
 
-def _neighbours(design: Design, limits: Limits) -> Iterator[Design]:
-    """Yield the designs with one run changed; of equal runs, change only one."""
-    seen: list[tuple[RunType, float, float]] = []
+def _neighbour_designs(design: Design, limits: Limits) -> Iterator[Design]:
+    """Yield the designs with one run changed; change only one of several equal runs."""
+    visited_runs: list[tuple[RunType, float, float]] = []
     n = len(design.types)
     for index in range(n):
         run_type, rate = design.types[index], float(design.rate[index])
-        turns = float(design.revolutions[index])
+        revolutions = float(design.revolutions[index])
         if any(
-            run_type == k
-            and abs(rate / w - 1.0) < _EQUAL_RUNS
-            and abs(turns / t - 1.0) < _EQUAL_RUNS
-            for k, w, t in seen
+            run_type == visited_type
+            and abs(rate / visited_rate - 1.0) < _EQUAL_RUN_TOLERANCE
+            and abs(revolutions / visited_revolutions - 1.0) < _EQUAL_RUN_TOLERANCE
+            for visited_type, visited_rate, visited_revolutions in visited_runs
         ):
             continue
-        seen.append((run_type, rate, turns))
+        visited_runs.append((run_type, rate, revolutions))
         for new_type in limits.types:
             if new_type != run_type:
                 yield design.with_type(index, new_type)
-        for setting in limits.settings:
+        for setting in limits.rate_settings:
             if setting != rate:
                 rates = design.rate.copy()
                 rates[index] = setting
-                lengths = design.revolutions.copy()
-                lengths[index] *= setting / rate
-                yield Design(design.types, rates, lengths)
+                new_revolutions = design.revolutions.copy()
+                new_revolutions[index] *= setting / rate
+                yield Design(design.types, rates, new_revolutions)
         if n > 1:
             yield design.without(index)
-    if n < limits.runs:
+    if n < limits.max_runs:
         for run_type in limits.types:
-            rates = np.array(limits.settings or limits.rate)
+            rates = np.array(limits.rate_settings or limits.rate_range)
             for rate in rates:
-                turns = max(limits.revolutions, float(np.median(design.duration)) * rate / 6.3)
-                yield design.concatenate(Design((run_type,), np.array([rate]), np.array([turns])))
+                revolutions = max(
+                    limits.min_revolutions, float(np.median(design.duration)) * rate / 6.3
+                )
+                yield design.concatenate(
+                    Design((run_type,), np.array([rate]), np.array([revolutions]))
+                )
 
 
 def _order_runs(
@@ -267,10 +281,11 @@ def _order_runs(
 ) -> tuple[float, Design]:
     """Return the design with its runs in order of rate, or in a more informative order.
 
-    Up with every other run and down with the rest, a steady warming looks like no rate.
+    With ascending rates in every other run and descending rates between them, a steady warming
+    does not correlate with the rate.
     """
     sorted_design = _sort_runs(design)
-    if not predictor.information.dated:
+    if not predictor.information.is_time_dependent:
         return value, sorted_design
     n = len(design.types)
     mirrored_design = sorted_design.select([*range(0, n, 2), *reversed(range(1, n, 2))])
@@ -282,7 +297,7 @@ def _order_runs(
 
 
 def _sort_runs(design: Design) -> Design:
-    """Return the runs by type as they were met, then by rate and length."""
+    """Return the runs sorted by first occurrence of their type, by rate and by length."""
     run_types = list(dict.fromkeys(design.types))
     order = sorted(
         range(len(design.types)),
@@ -295,12 +310,12 @@ def _sort_runs(design: Design) -> Design:
     return design.select(order)
 
 
-def least_time(
+def minimise_time(
     predictor: Predictor,
     limits: Limits,
     criterion: Criterion,
     *,
-    relaxing: Predictor | None = None,
+    relaxed_predictor: Predictor | None = None,
 ) -> Optimum[Design] | None:
     """Find the shortest plan in which u of each unknown of interest is at most its scale.
 
@@ -308,71 +323,83 @@ def least_time(
         are logarithms of the time in s.
     """
     targets = replace(criterion, combination="sum")
-    singles = [Criterion((i,), (s,)) for i, s in zip(targets.indices, targets.scales, strict=True)]
+    single_criteria = [
+        Criterion((i,), (s,)) for i, s in zip(targets.indices, targets.scales, strict=True)
+    ]
 
-    def misses(design: Design) -> float:
+    def worst_excess(design: Design) -> float:
         covariance = predictor.covariance(design.types, design.rate, design.revolutions)
-        return max(float(single.value(covariance)) for single in singles)
+        return max(
+            float(single_criterion.value(covariance)) for single_criterion in single_criteria
+        )
 
-    design = optimise(predictor, limits, targets, relaxing=relaxing).design
-    if misses(design) > 0.0 and len(singles) > 1:
-        # The mean hides the worst: give it more weight until all are below their targets.
+    design = optimise(predictor, limits, targets, relaxed_predictor=relaxed_predictor).design
+    if worst_excess(design) > 0.0 and len(single_criteria) > 1:
+        # Increase the weight of the worst parameter until all reach their targets.
         for _ in range(8):
-            ratio = predictor.u(design)[list(targets.indices)] / np.array(criterion.scales)
-            scales = np.array(targets.scales) / np.sqrt(ratio)
+            u_ratios = predictor.u(design)[list(targets.indices)] / np.array(criterion.scales)
+            scales = np.array(targets.scales) / np.sqrt(u_ratios)
             targets = replace(targets, scales=tuple(float(s) for s in scales))
             _, design = polish(predictor, limits, targets, design)
-            if misses(design) <= 0.0:
+            if worst_excess(design) <= 0.0:
                 break
-    if misses(design) > 1e-9:
+    if worst_excess(design) > 1e-9:
         return None
-    bound = _lower_bound_of_time(
-        relaxing or predictor, limits, replace(criterion, combination="sum")
+    bound = _lower_time_bound(
+        relaxed_predictor or predictor, limits, replace(criterion, combination="sum")
     )
-    best = shortest_plan(predictor, limits, singles, design)
+    best_design = find_shortest_plan(predictor, limits, single_criteria, design)
     time = bound
     for _ in range(4):
-        scaled = optimise(
+        optimum = optimise(
             predictor,
-            replace(limits, total_time=max(time, limits.shortest_time)),
+            replace(limits, total_time=max(time, limits.min_time)),
             targets,
-            relaxing=relaxing,
+            relaxed_predictor=relaxed_predictor,
         )
-        shorter = shortest_plan(predictor, limits, singles, scaled.design)
-        if misses(shorter) <= 1e-6 and limits.time(shorter) < limits.time(best) * (1.0 - _MIN_GAIN):
-            best = shorter
-        time = 0.5 * (time + limits.time(best))
-    _, best = _order_runs(predictor, targets, predictor.value(targets, best), best)
-    return Optimum(best, math.log(limits.time(best)), math.log(bound))
+        candidate = find_shortest_plan(predictor, limits, single_criteria, optimum.design)
+        if worst_excess(candidate) <= 1e-6 and limits.campaign_time(
+            candidate
+        ) < limits.campaign_time(best_design) * (1.0 - _MIN_GAIN):
+            best_design = candidate
+        time = 0.5 * (time + limits.campaign_time(best_design))
+    _, best_design = _order_runs(
+        predictor, targets, predictor.value(targets, best_design), best_design
+    )
+    return Optimum(best_design, math.log(limits.campaign_time(best_design)), math.log(bound))
 
 
-def _lower_bound_of_time(predictor: Predictor, limits: Limits, criterion: Criterion) -> float:
-    """Return a time below which no plan reaches a criterion of 0, by bisection."""
-    low, high = math.log(limits.shortest_time), math.log(limits.total_time)
+def _lower_time_bound(predictor: Predictor, limits: Limits, criterion: Criterion) -> float:
+    """Return a lower bound of the time of plans with a criterion of 0, by bisection."""
+    low, high = math.log(limits.min_time), math.log(limits.total_time)
     for _ in range(10):
-        middle = 0.5 * (low + high)
-        _, relaxed = relax(predictor, replace(limits, total_time=math.exp(middle)), criterion)
-        low, high = (middle, high) if relaxed.bound > 0.0 else (low, middle)
+        log_time = 0.5 * (low + high)
+        _, relaxed = relax(predictor, replace(limits, total_time=math.exp(log_time)), criterion)
+        low, high = (log_time, high) if relaxed.bound > 0.0 else (low, log_time)
     return math.exp(low)
 
 
 def polish(
     predictor: Predictor, limits: Limits, criterion: Criterion, design: Design
 ) -> tuple[float, Design]:
-    """Improve rates and lengths for given types of run."""
+    """Optimise rates and lengths for fixed types of runs; return the criterion and the design."""
     variables = _Variables(limits, design)
 
     def objective(x: Array) -> tuple[float, Array]:
-        value, by_rate, by_turns = predictor.sensitivities(variables.design(x), criterion)
-        return value, variables.gradient(by_rate, by_turns)
+        value, rate_gradient, revolution_gradient = predictor.sensitivities(
+            variables.design(x), criterion
+        )
+        return value, variables.join_gradients(rate_gradient, revolution_gradient)
 
     x = variables.solve(objective, [variables.time_margin])
-    improved = _shorten_to_fit(variables.design(x), limits)
-    candidates = [improved]
-    if limits.time(design) <= limits.total_time * (1.0 + 1e-9):
+    polished_design = _shorten_to_fit(variables.design(x), limits)
+    candidates = [polished_design]
+    if limits.campaign_time(design) <= limits.total_time * (1.0 + 1e-9):
         candidates.append(design)
-    valued = [(predictor.value(criterion, candidate), candidate) for candidate in candidates]
-    return min(valued, key=lambda pair: pair[0])
+    scored_designs = [
+        (predictor.value(criterion, candidate), candidate) for candidate in candidates
+    ]
+    return min(scored_designs, key=lambda pair: pair[0])
 
 
 class _Variables:
@@ -382,26 +409,32 @@ class _Variables:
         self.limits = limits
         self.start = design
         self.n = len(design.types)
-        self.free = not limits.settings and limits.rate[1] > limits.rate[0] * (1.0 + 1e-9)
-        self.apart = limits.distinct_rate_runs(design.rate) if limits.fewest_rates > 1 else []
+        self.has_free_rates = not limits.rate_settings and limits.rate_range[1] > limits.rate_range[
+            0
+        ] * (1.0 + 1e-9)
+        self.distinct_runs = limits.distinct_rate_runs(design.rate) if limits.min_rates > 1 else []
 
     def design(self, x: Array) -> Design:
-        rate = np.exp(x[: self.n]) if self.free else self.start.rate
+        rate = np.exp(x[: self.n]) if self.has_free_rates else self.start.rate
         return Design(self.start.types, np.asarray(rate), np.asarray(np.exp(x[-self.n :])))
 
-    def gradient(self, by_rate: Array, by_turns: Array) -> Array:
-        return np.concatenate([by_rate, by_turns]) if self.free else by_turns
+    def join_gradients(self, rate_gradient: Array, revolution_gradient: Array) -> Array:
+        return (
+            np.concatenate([rate_gradient, revolution_gradient])
+            if self.has_free_rates
+            else revolution_gradient
+        )
 
-    def time(self, x: Array) -> tuple[float, Array]:
+    def log_time(self, x: Array) -> tuple[float, Array]:
         """Return log(time / total time) and its gradient."""
         design = self.design(x)
-        time = self.limits.time(design)
-        of_rate = (-design.duration + self.limits.spin_up * design.rate) / time
-        gradient = self.gradient(of_rate, design.duration / time)
+        time = self.limits.campaign_time(design)
+        rate_gradient = (-design.duration + self.limits.spin_up * design.rate) / time
+        gradient = self.join_gradients(rate_gradient, design.duration / time)
         return math.log(time / self.limits.total_time), gradient
 
     def time_margin(self, x: Array) -> tuple[Array, Array]:
-        value, gradient = self.time(x)
+        value, gradient = self.log_time(x)
         return np.array([-value]), -gradient[None]
 
     def solve(
@@ -409,73 +442,80 @@ class _Variables:
         objective: Callable[[Array], tuple[float, Array]],
         constraints: Sequence[Callable[[Array], tuple[Array, Array]]],
     ) -> Array:
-        """Minimise by SLSQP; constraints give values, to be positive, and their Jacobian."""
+        """Minimise by SLSQP; each constraint returns non-negative margins and their Jacobian."""
         from scipy.optimize import minimize
 
         limits, start = self.limits, self.start
-        most = limits.longest_run * limits.rate[1] / (2.0 * math.pi)
-        turns = (math.log(limits.revolutions), math.log(max(most, limits.revolutions)))
-        rate = (math.log(limits.rate[0]), math.log(limits.rate[1]))
-        bounds = [rate] * self.n * self.free + [turns] * self.n
-        x = np.concatenate([np.log(start.rate)] * self.free + [np.log(start.revolutions)])
+        max_revolutions = limits.max_duration * limits.rate_range[1] / (2.0 * math.pi)
+        revolution_bounds = (
+            math.log(limits.min_revolutions),
+            math.log(max(max_revolutions, limits.min_revolutions)),
+        )
+        rate_bounds = (math.log(limits.rate_range[0]), math.log(limits.rate_range[1]))
+        bounds = [rate_bounds] * self.n * self.has_free_rates + [revolution_bounds] * self.n
+        x = np.concatenate([np.log(start.rate)] * self.has_free_rates + [np.log(start.revolutions)])
         low, high = np.array(bounds).T
         all_constraints = [*constraints, self.length_margins]
-        all_constraints += [self.rate_ratio_margins] if self.free and len(self.apart) > 1 else []
+        all_constraints += (
+            [self.rate_ratio_margins] if self.has_free_rates and len(self.distinct_runs) > 1 else []
+        )
 
-        def values(x: Array) -> Array:
+        def constraint_values(x: Array) -> Array:
             return np.concatenate([constraint(x)[0] for constraint in all_constraints])
 
-        def slopes(x: Array) -> Array:
+        def constraint_jacobian(x: Array) -> Array:
             return np.vstack([constraint(x)[1] for constraint in all_constraints])
 
-        minimum = minimize(
+        solution = minimize(
             objective,
             np.clip(x, low, high),
             jac=True,
             method="SLSQP",
             bounds=bounds,
-            constraints={"type": "ineq", "fun": values, "jac": slopes},
+            constraints={"type": "ineq", "fun": constraint_values, "jac": constraint_jacobian},
             options={"maxiter": 100, "ftol": 1e-8},
         )
-        return np.asarray(np.clip(minimum.x, low, high))
+        return np.asarray(np.clip(solution.x, low, high))
 
     def length_margins(self, x: Array) -> tuple[Array, Array]:
-        """Return the margin of each record to the longest allowed, as logarithms."""
+        """Return log(maximum / duration) of each record, and the Jacobian."""
         duration = self.design(x).duration
-        eye = np.eye(self.n)
+        identity = np.eye(self.n)
         return (
-            np.log(self.limits.longest_run / duration),
-            np.hstack([eye, -eye]) if self.free else -eye,
+            np.log(self.limits.max_duration / duration),
+            np.hstack([identity, -identity]) if self.has_free_rates else -identity,
         )
 
     def rate_ratio_margins(self, x: Array) -> tuple[Array, Array]:
-        """Return the excess of rate ratios over the required ratio, as logarithms."""
-        slopes = np.zeros((len(self.apart) - 1, x.size))
-        for row, (faster, slower) in enumerate(pairwise(self.apart)):
-            slopes[row, [faster, slower]] = 1.0, -1.0
-        return slopes @ x - math.log(self.limits.min_rate_ratio), slopes
+        """Return log(ratio / minimum) of adjacent rates, and the Jacobian."""
+        jacobian = np.zeros((len(self.distinct_runs) - 1, x.size))
+        for row, (faster, slower) in enumerate(pairwise(self.distinct_runs)):
+            jacobian[row, [faster, slower]] = 1.0, -1.0
+        return jacobian @ x - math.log(self.limits.min_rate_ratio), jacobian
 
 
 def _shorten_to_fit(design: Design, limits: Limits) -> Design:
-    """Return the design, shortened where rounding has put it over the available time."""
-    if limits.time(design) <= limits.total_time:
+    """Return the design, shortened if rounding made it exceed the total time."""
+    if limits.campaign_time(design) <= limits.total_time:
         return design
     return scale_to_time(design, limits) or design
 
 
-def shortest_plan(
-    predictor: Predictor, limits: Limits, singles: Sequence[Criterion], design: Design
+def find_shortest_plan(
+    predictor: Predictor, limits: Limits, single_criteria: Sequence[Criterion], design: Design
 ) -> Design:
-    """Return the shortest plan of the same types of run that still meets every target."""
+    """Return the shortest plan with the same types of runs that meets every target."""
     variables = _Variables(limits, design)
 
-    def below(x: Array) -> tuple[Array, Array]:
-        plan = variables.design(x)
-        values, slopes = [], []
-        for single in singles:
-            value, by_rate, by_turns = predictor.sensitivities(plan, single)
-            values.append(-value)
-            slopes.append(-variables.gradient(by_rate, by_turns))
-        return np.array(values), np.array(slopes)
+    def target_margins(x: Array) -> tuple[Array, Array]:
+        trial_design = variables.design(x)
+        margins, gradients = [], []
+        for criterion in single_criteria:
+            value, rate_gradient, revolution_gradient = predictor.sensitivities(
+                trial_design, criterion
+            )
+            margins.append(-value)
+            gradients.append(-variables.join_gradients(rate_gradient, revolution_gradient))
+        return np.array(margins), np.array(gradients)
 
-    return variables.design(variables.solve(variables.time, [below]))
+    return variables.design(variables.solve(variables.log_time, [target_margins]))

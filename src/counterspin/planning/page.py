@@ -21,15 +21,16 @@ from counterspin.planning.result import (
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_number, format_share
 
-_LINES: Final = 6  #: of a budget
-#: A bound that would allow a reduction by more than these per cent is not informative.
-_EMPTY_BOUND: Final = 90.0
+#: Maximum number of lines of a budget.
+_MAX_BUDGET_LINES: Final = 6
+#: Reduction in per cent above which a bound is not informative.
+_UNINFORMATIVE_BOUND: Final = 90.0
 
-#: Deviations above which a fit that estimates a fault nearly always finds it (5 % each way).
-_DETECTION_DEVIATIONS: Final = 4.0
+#: z-score above which a fit that estimates a fault nearly always detects it (5 % each way).
+_DETECTION_Z_SCORE: Final = 4.0
 
-#: Descriptions of changes to limits that are not sizes.
-_CHANGES: Final = {"senses": "both senses of rotation", "fewest_rates": "reduced by one"}
+#: Descriptions of changes to limits that are not quantities.
+_CHANGE_TEXTS: Final = {"senses": "both senses of rotation", "fewest_rates": "reduced by one"}
 
 
 def plan_blocks(result: PlanResult) -> list[Block]:
@@ -48,30 +49,30 @@ def plan_blocks(result: PlanResult) -> list[Block]:
 
 def _summary_blocks(result: PlanResult) -> Iterator[Block]:
     goal = result.goal
-    sought = goal.sizes if goal else {_main_coefficient(result): 1.0}
-    parts, dominated = [], []
-    for name in sought:
+    goal_names = goal.sizes if goal else {_main_coefficient(result): 1.0}
+    u_texts, prior_sentences = [], []
+    for name in goal_names:
         owner, _, symbol = name.partition(".")
-        predicted = (
+        coefficient = (
             result.accelerometers[owner].coefficients[symbol]
             if owner in result.accelerometers
             else result.platform[name]
         )
-        parts.append(f"u({_spoken_name(name)}) = {_format_u(predicted)}")
+        u_texts.append(f"u({_display_name(name)}) = {_format_u(coefficient)}")
         if owner in result.accelerometers:
-            dominated.append(default_prior_sentence(result.accelerometers[owner], symbol))
-    amounts = [
-        f"{count} {word}{'s' * (count > 1)}"
-        for count, word in ((len(result.runs), "run"), (len(result.readings), "reading"))
+            prior_sentences.append(default_prior_sentence(result.accelerometers[owner], symbol))
+    totals = [
+        f"{count} {noun}{'s' * (count > 1)}"
+        for count, noun in ((len(result.runs), "run"), (len(result.readings), "reading"))
         if count
     ]
-    amounts += [_format_time(result.total_time)] if result.total_time > 0.0 else []
-    yield Paragraph(f"{'; '.join(parts)}: {', '.join(amounts)}.", "answer")
-    for sentence in (*dominated, assumption_sentence(result)):
+    totals += [_format_time(result.total_time)] if result.total_time > 0.0 else []
+    yield Paragraph(f"{'; '.join(u_texts)}: {', '.join(totals)}.", "answer")
+    for sentence in (*prior_sentences, assumption_sentence(result)):
         if sentence:
             yield Paragraph(sentence)
     if goal is not None:
-        yield Paragraph(_optimality(goal, result.total_time > 0.0))
+        yield Paragraph(_optimality_sentence(goal, result.total_time > 0.0))
     gravity = format_number(result.gravity, 9)
     yield Paragraph(
         "All values are standard uncertainties (k = 1) expected from a joint calibration, "
@@ -80,36 +81,36 @@ def _summary_blocks(result: PlanResult) -> Iterator[Block]:
     )
 
 
-def _optimality(goal: GoalResult, timed: bool) -> str:
+def _optimality_sentence(goal: GoalResult, is_timed: bool) -> str:
     if goal.efficiency is None:
         return (
             "Another plan may be better by an unknown amount, because no theorem gives a bound for "
             "noisy time stamps."
         )
-    gain = 100.0 * (1.0 - goal.efficiency)
-    if gain > _EMPTY_BOUND:
+    max_gain = 100.0 * (1.0 - goal.efficiency)
+    if max_gain > _UNINFORMATIVE_BOUND:
         return (
-            f"Another plan may be better, but by no more than {format_number(gain, 2)} %, which is "
-            "the bound for all plans."
+            f"Another plan may be better, but by no more than {format_number(max_gain, 2)} %, "
+            "which is the bound for all plans."
         )
-    if gain < 0.05:
+    if max_gain < 0.05:
         return "No plan within these limits is more than 0.05 % better."
-    by = f"more than {format_number(gain, 2)} %"
+    gain_text = f"more than {format_number(max_gain, 2)} %"
     if goal.kind == "minimise":
         quantity = (
             "uncertainty"
             if goal.criterion == "sum"
             else ("mean uncertainty (geometric mean from the covariance determinant)")
         )
-        return f"No plan within these limits can reduce the {quantity} by {by}."
-    if timed:
-        return f"No plan within these limits can be {by} shorter."
-    return f"No plan within these limits needs {by} fewer readings."
+        return f"No plan within these limits can reduce the {quantity} by {gain_text}."
+    if is_timed:
+        return f"No plan within these limits can be {gain_text} shorter."
+    return f"No plan within these limits needs {gain_text} fewer readings."
 
 
 def _run_blocks(result: PlanResult) -> Iterator[Block]:
     is_scheduled = all(run.start is not None for run in result.runs)
-    several = len({run.attitude for run in result.runs}) > 1
+    has_several_attitudes = len({run.attitude for run in result.runs}) > 1
     yield Heading("Runs in time order" if is_scheduled else "Runs")
     columns = [
         Column("Run"),
@@ -119,7 +120,7 @@ def _run_blocks(result: PlanResult) -> Iterator[Block]:
         Column("Record, s", "right"),
     ]
     columns += [Column("Start time, s", "right")] * is_scheduled
-    columns += [Column("Attitude", wraps=True)] * several
+    columns += [Column("Attitude", wraps=True)] * has_several_attitudes
     rows = []
     for run in result.runs:
         row = [
@@ -130,18 +131,18 @@ def _run_blocks(result: PlanResult) -> Iterator[Block]:
             format_number(run.duration, 6),
         ]
         row += [format_number(run.start, 6)] if run.start is not None and is_scheduled else []
-        row += [run.attitude] * several
+        row += [run.attitude] * has_several_attitudes
         rows.append(tuple(row))
     yield Table(tuple(columns), tuple(rows))
-    if not several:
+    if not has_several_attitudes:
         yield Paragraph(f"Attitude: {result.runs[0].attitude}.")
 
 
 def _reading_blocks(result: PlanResult) -> Iterator[Block]:
-    """Show the readings: one of several at a place with the number of them."""
+    """Show the distinct readings with the number of each."""
     yield Heading("Readings")
-    places: dict[tuple[str, ...], int] = {}
-    several = len(result.accelerometers) > 1
+    counts_by_row: dict[tuple[str, ...], int] = {}
+    has_several_accelerometers = len(result.accelerometers) > 1
     for reading in result.readings:
         row: tuple[str, ...] = (
             reading.motion,
@@ -151,8 +152,8 @@ def _reading_blocks(result: PlanResult) -> Iterator[Block]:
             reading.axes,
             format_number(1e6 * reading.u, 3),
         )
-        row = (reading.accelerometer, *row) if several else row
-        places[row] = places.get(row, 0) + 1
+        row = (reading.accelerometer, *row) if has_several_accelerometers else row
+        counts_by_row[row] = counts_by_row.get(row, 0) + 1
     columns = [
         Column("Motion"),
         Column("Mounting"),
@@ -163,30 +164,35 @@ def _reading_blocks(result: PlanResult) -> Iterator[Block]:
         Column("Number", "right"),
     ]
     yield Table(
-        ((Column("Accelerometer"),) if several else ()) + tuple(columns),
-        tuple((*row, str(count)) for row, count in places.items()),
+        ((Column("Accelerometer"),) if has_several_accelerometers else ()) + tuple(columns),
+        tuple((*row, str(count)) for row, count in counts_by_row.items()),
     )
-    words = {
+    order_texts = {
         "mirrored": "in mirrored order, so that a linear drift cancels",
         "random": "in random order, so that a drift acts as noise",
         "listed": "in the order of the stations",
     }
     if result.order:
-        yield Paragraph(f"The planned campaign lists the readings {words[result.order]}.")
+        yield Paragraph(f"The planned campaign lists the readings {order_texts[result.order]}.")
 
 
 def _accelerometer_blocks(
     result: PlanResult, name: str, accelerometer: PlannedAccelerometer
 ) -> Iterator[Block]:
     yield Heading(f"Expected uncertainties for {name}")
-    rows, quiet = [], set()
-    displayed = dict(accelerometer.coefficients) | result.platform
-    for index, (symbol, predicted) in enumerate(displayed.items()):
+    rows, quiet_rows = [], set()
+    coefficients = dict(accelerometer.coefficients) | result.platform
+    for index, (symbol, coefficient) in enumerate(coefficients.items()):
         rows.append(
-            (symbol, _format_u(predicted), _format_prior(predicted), _dominant_source(predicted))
+            (
+                symbol,
+                _format_u(coefficient),
+                _format_prior(coefficient),
+                _format_sources(coefficient),
+            )
         )
-        if not predicted.estimated:
-            quiet.add(index)
+        if not coefficient.estimated:
+            quiet_rows.add(index)
     yield Table(
         (
             Column("Coefficient"),
@@ -195,17 +201,17 @@ def _accelerometer_blocks(
             Column("Sources", wraps=True),
         ),
         tuple(rows),
-        frozenset(quiet),
+        frozenset(quiet_rows),
     )
-    for item in accelerometer.confounded:
+    for confounded_terms in accelerometer.confounded:
         yield Paragraph(
-            f"{confounding_text(item)} with this plan. The plan determines only "
-            f"{item.determined}. {_separation_advice(result, item.terms)}"
+            f"{confounding_text(confounded_terms)} with this plan. The plan determines only "
+            f"{confounded_terms.determined}. {_separation_advice(result, confounded_terms.terms)}"
         )
     targets = result.goal.sizes if result.goal else {_main_coefficient(result): 1.0}
-    for symbol, lines in accelerometer.budget.items():
+    for symbol, budget_lines in accelerometer.budget.items():
         if f"{name}.{symbol}" in targets:
-            yield from _budget_blocks(result, name, symbol, lines)
+            yield from _budget_blocks(result, name, symbol, budget_lines)
     yield from _fault_blocks(result, name, accelerometer)
 
 
@@ -214,22 +220,22 @@ def _separation_advice(result: PlanResult, terms: Sequence[str]) -> str:
     rates = [run.rate for run in result.runs]
     if not rates:
         return "To separate these terms, add other stations, or state a value for one of the terms."
-    platform = [SHARED_TERMS[symbol] for symbol in terms if symbol in SHARED_TERMS]
-    rows = [TERMS[symbol] for symbol in terms if symbol in TERMS]
+    platform_terms = [SHARED_TERMS[symbol] for symbol in terms if symbol in SHARED_TERMS]
+    accelerometer_terms = [TERMS[symbol] for symbol in terms if symbol in TERMS]
     if (
-        rows
+        accelerometer_terms
         and min(rates) * max(rates) > 0.0
         and any(
             row.symbol.startswith(("platform.drift.", "platform.g_sensitivity."))
-            for row in platform
+            for row in platform_terms
         )
     ):
         # Drift and g-sensitivity change their sign with the sense, the accelerometer's do not.
         return "To separate these terms, add runs in the opposite sense of rotation."
-    one_rate = max(map(abs, rates)) < 1.001 * min(map(abs, rates))
-    if one_rate and len({len(row.effect.factors) for row in rows}) > 1:
+    has_one_rate = max(map(abs, rates)) < 1.001 * min(map(abs, rates))
+    if has_one_rate and len({len(row.effect.factors) for row in accelerometer_terms}) > 1:
         return "To separate these terms, add runs at other rates."
-    if not platform and len({run.attitude for run in result.runs}) == 1:
+    if not platform_terms and len({run.attitude for run in result.runs}) == 1:
         return (
             "To separate these terms, add a second attitude, or state a value for one of the terms."
         )
@@ -237,27 +243,27 @@ def _separation_advice(result: PlanResult, terms: Sequence[str]) -> str:
 
 
 def _budget_blocks(
-    result: PlanResult, name: str, symbol: str, lines: list[BudgetLine]
+    result: PlanResult, name: str, symbol: str, budget_lines: list[BudgetLine]
 ) -> Iterator[Block]:
     unit, factor = field_unit(result.accelerometers[name].coefficients[symbol].unit)
     yield Heading(f"Expected uncertainty budget of {symbol} of {name}")
-    by_source: dict[str, list[BudgetLine]] = {}
+    lines_by_source: dict[str, list[BudgetLine]] = {}
     runs = {run.name for run in result.runs}
-    for line in lines:
+    for line in budget_lines:
         owner, _, term = line.source.partition(".")
-        by_source.setdefault(f"{term}, all runs" if owner in runs else line.source, []).append(line)
+        lines_by_source.setdefault(
+            f"{term}, all runs" if owner in runs else line.source, []
+        ).append(line)
     rows = []
-    for source, together in by_source.items():
-        share = sum(line.share for line in together)
-        contribution = math.sqrt(sum(line.contribution**2 for line in together))
-        u_values = {line.u for line in together}
-        size = u_values.pop() if len(u_values) == 1 else None
-        its_unit, its_factor = field_unit(together[0].unit)
-        known_u = "" if size is None else f"{format_number(size * its_factor, 3)} {its_unit}"
+    for source, source_lines in lines_by_source.items():
+        share = sum(line.share for line in source_lines)
+        contribution = math.sqrt(sum(line.contribution**2 for line in source_lines))
+        u_values = {line.u for line in source_lines}
+        u = u_values.pop() if len(u_values) == 1 else None
+        source_unit, source_factor = field_unit(source_lines[0].unit)
+        u_text = "" if u is None else f"{format_number(u * source_factor, 3)} {source_unit}"
         description = describe_term(source.removesuffix(", all runs"))
-        rows.append(
-            (share, (source, description, known_u, format_number(contribution * factor, 2)))
-        )
+        rows.append((share, (source, description, u_text, format_number(contribution * factor, 2))))
     rows.sort(key=lambda row: -row[0])
     yield Table(
         (
@@ -267,7 +273,7 @@ def _budget_blocks(
             Column(f"Contribution, {unit}", "right", wraps=True),
             Column("Share of u^2", "right", wraps=True),
         ),
-        tuple((*row, format_share(share)) for share, row in rows[:_LINES]),
+        tuple((*row, format_share(share)) for share, row in rows[:_MAX_BUDGET_LINES]),
     )
 
 
@@ -278,8 +284,8 @@ def _fault_blocks(
     if accelerometer.faults is None:
         return
     yield Heading(f"Effects on {name} that the plan cannot detect")
-    undetected_faults = [effect for effect in accelerometer.faults if not effect.noticed]
-    detected_faults = [effect for effect in accelerometer.faults if effect.noticed]
+    undetected_faults = [fault for fault in accelerometer.faults if not fault.noticed]
+    detected_faults = [fault for fault in accelerometer.faults if fault.noticed]
     if undetected_faults:
         yield Paragraph(
             "The plan fixes each of these effects at the nominal value. Each of them, at its "
@@ -295,12 +301,12 @@ def _fault_blocks(
             ),
             tuple(
                 (
-                    f"{effect.words} ({effect.symbol})",
-                    _in_field_unit(effect.size, effect.unit),
-                    f"{effect.ratio:.3g} u" if effect.ratio < 1e3 else f"{effect.ratio:.0f} u",
-                    "determined" if effect.deviation > _DETECTION_DEVIATIONS else "not determined",
+                    f"{fault.words} ({fault.symbol})",
+                    _format_quantity(fault.size, fault.unit),
+                    f"{fault.ratio:.3g} u" if fault.ratio < 1e3 else f"{fault.ratio:.0f} u",
+                    "determined" if fault.deviation > _DETECTION_Z_SCORE else "not determined",
                 )
-                for effect in undetected_faults
+                for fault in undetected_faults
             ),
         )
         yield Paragraph(
@@ -316,12 +322,14 @@ def _fault_blocks(
             "prior contributes its default standard uncertainty."
         )
     if detected_faults:
-        symbols = ", ".join(effect.symbol for effect in detected_faults)
+        symbols = ", ".join(fault.symbol for fault in detected_faults)
         yield Paragraph(f"The residuals would reveal {symbols}.")
-    share = accelerometer.harmonic_share
-    if share is None:
+    harmonic_share = accelerometer.harmonic_share
+    if harmonic_share is None:
         return
-    percent = "Less than 0.1" if abs(share) < 1e-3 else format_number(100.0 * share, 2)
+    percent = (
+        "Less than 0.1" if abs(harmonic_share) < 1e-3 else format_number(100.0 * harmonic_share, 2)
+    )
     yield Paragraph(
         f"{percent} % of the information on K_II comes from the second harmonic of the K_II "
         "term. Encoder eccentricity and imbalance can imitate this harmonic. The remaining "
@@ -341,10 +349,10 @@ def _limit_blocks(result: PlanResult) -> Iterator[Block]:
         )
         return
     rows = []
-    for line in result.limits:
-        change = _CHANGES.get(line.key, "relaxed by 10 %")
-        gain = f"{format_number(100.0 * line.gain, 2)} %" if line.binds else "nothing"
-        rows.append((line.words, change, gain))
+    for limit in result.limits:
+        change = _CHANGE_TEXTS.get(limit.key, "relaxed by 10 %")
+        gain = f"{format_number(100.0 * limit.gain, 2)} %" if limit.binds else "nothing"
+        rows.append((limit.words, change, gain))
     yield Table(
         (
             Column("Limit", wraps=True),
@@ -362,11 +370,11 @@ def _comparison_blocks(result: PlanResult) -> Iterator[Block]:
     rows = []
     for plan in result.others:
         for name, u in plan.u.items():
-            unit, factor = field_unit(_unit_of_name(name))
+            unit, factor = field_unit(_coefficient_unit(name))
             rows.append(
                 (
                     plan.words,
-                    f"u({_spoken_name(name)}) = {format_number(u * factor, 3)} {unit}",
+                    f"u({_display_name(name)}) = {format_number(u * factor, 3)} {unit}",
                     format_number(plan.ratio[name], 3),
                 )
             )
@@ -390,7 +398,9 @@ def _requirement_blocks(result: PlanResult) -> Iterator[Block]:
     if not result.requirements:
         return
     yield Heading("Requirements for the centrifuge")
-    rows = tuple((line.words, _format_size(line)) for line in result.requirements)
+    rows = tuple(
+        (requirement.words, _format_size(requirement)) for requirement in result.requirements
+    )
     yield Table((Column("Property", wraps=True), Column("Within", "right")), rows)
     yield Paragraph(
         "Each of these errors would by itself increase the uncertainty by 5 %, "
@@ -399,13 +409,13 @@ def _requirement_blocks(result: PlanResult) -> Iterator[Block]:
     )
 
 
-def _format_size(line: Requirement) -> str:
-    if line.size is None:
+def _format_size(requirement: Requirement) -> str:
+    if requirement.size is None:
         return "no limit"
-    unit, factor = line.unit, 1.0
-    if line.unit == "1":
+    unit, factor = requirement.unit, 1.0
+    if requirement.unit == "1":
         unit, factor = "ppm", 1e6
-    return f"{format_number(line.size * factor, 2)} {unit}"
+    return f"{format_number(requirement.size * factor, 2)} {unit}"
 
 
 # Words
@@ -418,52 +428,48 @@ def _main_coefficient(result: PlanResult) -> str:
     return f"{name}.{'K_II' if 'K_II' in symbols else symbols[0]}"
 
 
-def _unit_of_name(name: str) -> str:
-    return unit_of(_symbol_of_name(name))
+def _coefficient_unit(name: str) -> str:
+    return unit_of(find_symbol(name))
 
 
-def _symbol_of_name(name: str) -> str:
-    return find_symbol(name)
-
-
-def _spoken_name(name: str) -> str:
-    symbol = _symbol_of_name(name)
+def _display_name(name: str) -> str:
+    symbol = find_symbol(name)
     return name if symbol == name else f"{symbol} of {name.removesuffix(f'.{symbol}')}"
 
 
-def _in_field_unit(size: float, unit: str) -> str:
-    field, factor = field_unit(unit)
-    return f"{format_number(size * factor, 2)} {field}"
+def _format_quantity(size: float, unit: str) -> str:
+    display_unit, factor = field_unit(unit)
+    return f"{format_number(size * factor, 2)} {display_unit}"
 
 
-def _format_u(predicted: PredictedCoefficient) -> str:
-    if predicted.u is None:
+def _format_u(coefficient: PredictedCoefficient) -> str:
+    if coefficient.u is None:
         return NOT_DETERMINED
-    unit, factor = field_unit(predicted.unit)
-    return f"{format_number(predicted.u * factor, 3)} {unit}"
+    unit, factor = field_unit(coefficient.unit)
+    return f"{format_number(coefficient.u * factor, 3)} {unit}"
 
 
-def _format_prior(predicted: PredictedCoefficient) -> str:
-    if predicted.prior is None:
+def _format_prior(coefficient: PredictedCoefficient) -> str:
+    if coefficient.prior is None:
         return "-"
-    unit, factor = field_unit(predicted.unit)
-    return f"{format_number(predicted.prior * factor, 3)} {unit}"
+    unit, factor = field_unit(coefficient.unit)
+    return f"{format_number(coefficient.prior * factor, 3)} {unit}"
 
 
-def _dominant_source(predicted: PredictedCoefficient) -> str:
-    u_parts = {
-        "noise": predicted.u_noise,
-        "stated priors": predicted.u_stated,
-        "default priors": predicted.u_unstated,
+def _format_sources(coefficient: PredictedCoefficient) -> str:
+    u_by_source = {
+        "noise": coefficient.u_noise,
+        "stated priors": coefficient.u_stated,
+        "default priors": coefficient.u_unstated,
     }
-    squares = {key: part**2 for key, part in u_parts.items() if part}
-    sum_of_squares = sum(squares.values())
-    if predicted.u is None or sum_of_squares == 0.0:
+    variances = {source: u**2 for source, u in u_by_source.items() if u}
+    total_variance = sum(variances.values())
+    if coefficient.u is None or total_variance == 0.0:
         return "-"
     return ", ".join(
-        f"{key} {format_share(square / sum_of_squares)}"
-        for key, square in sorted(squares.items(), key=lambda pair: -pair[1])
-        if square > 1e-3 * sum_of_squares
+        f"{source} {format_share(variance / total_variance)}"
+        for source, variance in sorted(variances.items(), key=lambda pair: -pair[1])
+        if variance > 1e-3 * total_variance
     )
 
 

@@ -24,19 +24,19 @@ from counterspin.planning.limits import active_limits
 from counterspin.planning.plan_file import change_plan, load_plan, read_plan
 from counterspin.planning.reading_plan import ReadingSearch
 from counterspin.planning.recorded import add_pose_noise, apply_records, needs_records
-from counterspin.planning.result import OtherPlan, PlanResult, other_plan, result_of
-from counterspin.planning.search import Search, require_determined, unreachable
+from counterspin.planning.result import OtherPlan, PlanResult, compare_plan, make_plan_result
+from counterspin.planning.search import Search, require_determined, unreachable_target_error
 from counterspin.planning.stations import read_reading_plan
 from counterspin.threads import single_blas_thread
 from counterspin.toml_text import format_document
 
-#: How often a plan for a target is changed after its forecast has missed it.
+#: Maximum number of corrections of a plan whose forecast misses its target.
 _MAX_CHANGES: Final = 5
 
 
 @frozen(eq=False)
 class PlannedCampaign:
-    """A plan and the campaign that it makes.
+    """A plan and its campaign.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class PlannedCampaign:
     document
         The campaign's description, as TOML.
     source
-        The source of the plan: limits, goal and the rest of its file.
+        The document of the plan: limits, goal and all other sections.
     file
         The plan's file; files that it names are in the same folder. None for a plan in memory.
     """
@@ -65,29 +65,32 @@ class PlannedCampaign:
     @property
     def u(self) -> dict[str, float]:
         """Standard uncertainty of each coefficient by name, such as ``Qx.K_II``."""
-        owners = {
+        coefficients_by_accelerometer = {
             name: accelerometer.coefficients
             for name, accelerometer in self.result.accelerometers.items()
         }
-        named = {
-            f"{name}.{symbol}": c
-            for name, coefficients in owners.items()
-            for symbol, c in coefficients.items()
+        coefficients_by_name = {
+            f"{name}.{symbol}": coefficient
+            for name, coefficients in coefficients_by_accelerometer.items()
+            for symbol, coefficient in coefficients.items()
         }
-        named |= self.result.platform
-        return {name: c.u for name, c in named.items() if c.u is not None}
+        coefficients_by_name |= self.result.platform
+        return {
+            name: coefficient.u
+            for name, coefficient in coefficients_by_name.items()
+            if coefficient.u is not None
+        }
 
     def change(self, **changes: Any) -> PlannedCampaign:
-        """Return the plan that is found after named changes.
+        """Return the plan after named changes.
 
         Parameters
         ----------
         **changes
             Keys of ``[limits]`` and ``[goal]``, such as ``total_time`` or ``target``, the names
-            that `Campaign.change` knows, a section, or any key with dots,
+            of `Campaign.change`, a section, or any key with dots,
             ``**{"noise.displacement": "5 mm"}``: new value. A mapping changes the keys
-            it has; None takes a key away. ``target`` takes the place of ``minimise``, and the other
-            way round.
+            it has; None removes a key. ``target`` replaces ``minimise``, and vice versa.
 
         Raises
         ------
@@ -97,14 +100,14 @@ class PlannedCampaign:
         return plan(change_plan(self.source, changes), file=self.file)
 
     def sweep(self, name: str, values: Iterable[Any]) -> list[PlannedCampaign]:
-        """Return the plan for each value of a key, found one after the other.
+        """Return the plan for each value of a key.
 
         Parameters
         ----------
         name
-            As in `change`, such as ``"total_time"``.
+            Name as in `change`, such as ``"total_time"``.
         values
-            What stands there, such as ``["10 min", "20 min"]``.
+            Values of the key, such as ``["10 min", "20 min"]``.
         """
         return [self.change(**{name: value}) for value in values]
 
@@ -122,7 +125,7 @@ def plan(
     where
         The plan's file, or its content as nested mappings.
     file
-        The file whose content nested mappings are; files that they name are in its folder.
+        The file of nested mappings; files that they name are in its folder.
 
     Returns
     -------
@@ -140,29 +143,29 @@ def plan(
     file = file if isinstance(where, Mapping) else to_path(where, "a plan, or a plan file")
     if "stations" in load_plan(where):
         return _plan_readings(where, file)
-    plan_data = read_plan(where, file)
-    search = Search(plan_data)
+    parsed_plan = read_plan(where, file)
+    search = Search(parsed_plan)
     require_determined(search)
     optimum = search.best()
     if optimum is None:
-        raise unreachable(search)
-    design, prediction = _round_to_targets(search, search.in_order(optimum.design))
+        raise unreachable_target_error(search)
+    design, prediction = _round_to_targets(search, search.order_runs(optimum.design))
     campaign = prediction.campaign
-    total_time = search.limits.time(design)
-    goal_name = next(iter(plan_data.goal.sizes))
-    basis, requirements = _accelerometer_requirements(
-        prediction, goal_name, plan_data.sampling_rate
-    )
-    result = result_of(
+    total_time = search.limits.campaign_time(design)
+    goal_name = next(iter(parsed_plan.goal.sizes))
+    basis, requirements = _find_requirements(prediction, goal_name, parsed_plan.sampling_rate)
+    result = make_plan_result(
         prediction,
-        plan_data.sampling_rate,
+        parsed_plan.sampling_rate,
         total_time,
         _run_attitudes(campaign, design),
         _start_times(campaign, design, search.limits),
     )
     result = result.model_copy(
         update={
-            "goal": plan_data.goal.met(optimum.efficiency if search.bounded else None),
+            "goal": parsed_plan.goal.with_efficiency(
+                optimum.efficiency if search.has_bound else None
+            ),
             "others": _alternative_plans(search, design, prediction, total_time),
             "limits": active_limits(search, optimum.design),
             "requirements": requirements,
@@ -175,30 +178,32 @@ def plan(
 
 def _plan_readings(where: Mapping[str, Any] | Path | str, file: Path | None) -> PlannedCampaign:
     """Return a plan of readings, with their values left blank in its campaign."""
-    plan_data = read_reading_plan(where, file)
-    result, readings = ReadingSearch(plan_data).best()
-    document = format_document(plan_data.campaign_document(readings), _COMMENTS)
+    parsed_plan = read_reading_plan(where, file)
+    result, readings = ReadingSearch(parsed_plan).best()
+    document = format_document(parsed_plan.campaign_document(readings), _COMMENTS)
     return PlannedCampaign(result, document, load_plan(where), file)
 
 
 def _round_to_targets(search: Search, design: Design) -> tuple[Design, Forecast]:
-    """Return a plan as it is written, and its forecast, which meets the targets."""
+    """Return the rounded plan and its forecast, which meets the targets."""
     goal = search.plan.goal
     if goal.kind == "minimise":
-        rounded_design = search.rounded(design)
+        rounded_design = search.round_design(design)
         return rounded_design, forecast(search.campaign(rounded_design))
-    sizes = goal.sizes
+    targets = goal.sizes
     for _ in range(_MAX_CHANGES):
-        new_design = search.meeting(design, sizes)
+        new_design = search.lengthen_to_targets(design, targets)
         if new_design is None:
             break
         prediction = forecast(search.campaign(new_design))
         u_ratios = {name: prediction.u[name] / size for name, size in goal.sizes.items()}
         if max(u_ratios.values()) <= 1.0:
             return new_design, prediction
-        # The search's predictions differ by a few 1e-5 from the forecast where the noise walks.
-        sizes = {name: size * min(1.0, 0.99999 / u_ratios[name]) for name, size in sizes.items()}
-    raise unreachable(search)
+        # With a random walk, the search and the forecast differ by a few 1e-5.
+        targets = {
+            name: size * min(1.0, 0.99999 / u_ratios[name]) for name, size in targets.items()
+        }
+    raise unreachable_target_error(search)
 
 
 _COMMENTS: Final = {
@@ -232,36 +237,38 @@ def check(
         If the description is wrong, or lacks data that a forecast needs.
     """
     campaign = add_pose_noise(read_campaign(where))
-    unsized_runs = [run for run in campaign.runs if run.duration is None]
+    runs_without_duration = [run for run in campaign.runs if run.duration is None]
     if revolutions is not None:
-        lengths = {run.name: 2.0 * math.pi * revolutions / abs(run.rate) for run in unsized_runs}
+        durations = {
+            run.name: 2.0 * math.pi * revolutions / abs(run.rate) for run in runs_without_duration
+        }
         runs = tuple(
-            r.model_copy(update={"duration": lengths.get(r.name, r.duration)})
-            for r in campaign.runs
+            run.model_copy(update={"duration": durations.get(run.name, run.duration)})
+            for run in campaign.runs
         )
         campaign = replace(campaign, runs=runs)
-    rates: float | Mapping[str, float] | None = sampling_rate
+    sampling_rates: float | Mapping[str, float] | None = sampling_rate
     if revolutions is None and needs_records(campaign, sampling_rate):
-        campaign, recorded = apply_records(campaign)
+        campaign, recorded_rates = apply_records(campaign)
         if sampling_rate is None:
-            # That of the slowest recorder is the one that a requirement may rest on.
-            rates, sampling_rate = recorded, min(recorded.values())
-    prediction = forecast(campaign, sampling_rate=rates)
+            # Requirements use the sampling rate of the slowest recorder.
+            sampling_rates, sampling_rate = recorded_rates, min(recorded_rates.values())
+    prediction = forecast(campaign, sampling_rate=sampling_rates)
     if sampling_rate is None and campaign.simulation is not None:
         sampling_rate = campaign.simulation.sampling_rate
     attitudes = {run.name: describe_attitude(run.attitude) for run in campaign.runs}
     total_time = sum(run.duration or 0.0 for run in campaign.runs)
-    result = result_of(prediction, sampling_rate, total_time, attitudes, None)
+    result = make_plan_result(prediction, sampling_rate, total_time, attitudes, None)
     symbol = "K_II" if "K_II" in campaign.model.terms else campaign.model.terms[0]
     name = f"{next(iter(campaign.accelerometers))}.{symbol}"
     basis: str = ""
     requirements: list[Requirement] = []
     if sampling_rate is not None and not campaign.readings:
-        basis, requirements = _accelerometer_requirements(prediction, name, sampling_rate)
+        basis, requirements = _find_requirements(prediction, name, sampling_rate)
     warnings = [
         f"{run.name}: counterspin assumes {revolutions:g} revolutions, because the campaign "
         "does not state the length of the record."
-        for run in (unsized_runs if revolutions is not None else ())
+        for run in (runs_without_duration if revolutions is not None else ())
     ]
     return result.model_copy(
         update={
@@ -280,11 +287,11 @@ def require_no_campaign(folder: Path) -> Path:
     return target
 
 
-def write_campaign(planned: PlannedCampaign, folder: Path) -> Path:
+def write_campaign(planned_campaign: PlannedCampaign, folder: Path) -> Path:
     """Write the campaign's description into a folder."""
     target = require_no_campaign(folder)
     make_folder(folder)
-    write_text(target, planned.document)
+    write_text(target, planned_campaign.document)
     return target
 
 
@@ -296,8 +303,8 @@ def write_example(file: Path, example: Example = "records") -> Path:
     """Write a commented plan to start from; raises as `write_campaign` does."""
     if file.exists():
         raise ExistingFileError(f"{file} already exists; edit it, or choose another name")
-    starter = "starter.toml" if example == "records" else f"starter_{example}.toml"
-    write_text(file, (files("counterspin.planning") / starter).read_text("utf-8"))
+    starter_name = "starter.toml" if example == "records" else f"starter_{example}.toml"
+    write_text(file, (files("counterspin.planning") / starter_name).read_text("utf-8"))
     return file
 
 
@@ -311,20 +318,20 @@ def _run_attitudes(campaign: Campaign, design: Design) -> dict[str, str]:
 def _start_times(campaign: Campaign, design: Design, limits: Limits) -> dict[str, float]:
     """Return the start time of each record, after spin-up, spin-down and settling."""
     time, starts = 0.0, {}
-    before = None
+    previous_attitude = None
     overhead = limits.overhead(design.rate)
     for index, run in enumerate(campaign.runs):
         attitude = design.types[index].attitude
-        if before is not None and attitude != before:
+        if previous_attitude is not None and attitude != previous_attitude:
             time += limits.attitude_change
-        before = attitude
+        previous_attitude = attitude
         time += float(overhead[index])
         starts[run.name] = time
         time += float(design.duration[index])
     return starts
 
 
-def _accelerometer_requirements(
+def _find_requirements(
     prediction: Forecast, name: str, sampling_rate: float
 ) -> tuple[str, list[Requirement]]:
     if prediction.campaign.angle is None:
@@ -337,15 +344,15 @@ def _alternative_plans(
 ) -> list[OtherPlan]:
     """Return plans for three rates as in the paper, equally spaced rates, and half of the time.
 
-    Half of the time applies to plans that minimise u; a plan of least time has none to spare.
+    Half of the time applies only to plans that minimise u.
     """
-    half = replace(search.limits, total_time=0.5 * total_time)
-    shorter = None
-    if search.plan.goal.kind == "minimise" and half.is_feasible:
-        # The best rates may leave no time for a record.
+    half_time_limits = replace(search.limits, total_time=0.5 * total_time)
+    half_time_design = None
+    if search.plan.goal.kind == "minimise" and half_time_limits.is_feasible:
+        # No time may remain for a record.
         with suppress(NotIdentifiableError):
-            start = search.smallest(half).design
-            shorter = search.rounded(search.in_order(start), half)
+            start = search.minimise_u(half_time_limits).design
+            half_time_design = search.round_design(search.order_runs(start), half_time_limits)
     plans = []
     for text, alternative in (
         (
@@ -353,15 +360,19 @@ def _alternative_plans(
                 "plan of the paper: 1/4, 1/2 and 1 times the highest rate, with equal numbers of "
                 "revolutions"
             ),
-            search.three_rates(design, total_time),
+            search.three_rate_design(design, total_time),
         ),
-        ("equally spaced rates, equal durations", search.even_rates(design, total_time)),
-        ("best plan in half the time", shorter),
+        ("equally spaced rates, equal durations", search.even_rate_design(design, total_time)),
+        ("best plan in half the time", half_time_design),
     ):
         if alternative is None:
             continue
-        u = forecast(search.campaign(alternative)).u
-        time = search.limits.time(alternative)
+        alternative_u = forecast(search.campaign(alternative)).u
+        alternative_time = search.limits.campaign_time(alternative)
         label = f"{text} ({len(alternative.types)} runs)"
-        plans.append(other_plan(label, time, prediction.u, u, search.plan.goal.sizes))
+        plans.append(
+            compare_plan(
+                label, alternative_time, prediction.u, alternative_u, search.plan.goal.sizes
+            )
+        )
     return plans

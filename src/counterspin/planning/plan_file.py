@@ -1,7 +1,7 @@
 """Conversion of ``PLAN.toml`` to a `Plan`: check every key and report all errors together.
 
-Most of a plan is a campaign without runs, and is checked as one: a template campaign with one run
-in each attitude.
+Most sections of a plan are those of a campaign without runs. They are checked as a template
+campaign with one run in each attitude.
 """
 
 from __future__ import annotations
@@ -37,24 +37,24 @@ from counterspin.planning.design import Limits, RunType
 from counterspin.planning.plan_sections import GoalSettings, LimitsSettings, PlanDocument
 from counterspin.planning.result import GoalResult
 
-#: Lowest rate where none is given, as a part of the highest.
+#: Default lowest rate, as a fraction of the highest.
 _MIN_RATE_FRACTION: Final = 0.125
 
-#: Default number of different rates of a plan, if that many are possible.
+#: Default number of distinct rates of a plan, if the limits allow it.
 _DEFAULT_RATES: Final = 2
 
-#: Fewest samples of the shortest run, and most revolutions of the longest.
+#: Minimum number of samples of a run, and maximum number of revolutions.
 _MIN_SAMPLES: Final = 3.0
 _MAX_REVOLUTIONS: Final = 1e9
 
-#: Columns of the records, where the plan does not say them.
-_RECORDS: Final[Mapping[str, Any]] = {
+#: Default columns of the records.
+_DEFAULT_RECORDS: Final[Mapping[str, Any]] = {
     "time": {"column": "time_s", "unit": "s"},
     "angle": {"column": "angle_rad", "unit": "rad"},
 }
 
 #: Short names of keys of a plan.
-SHORT: Final[Mapping[str, KeyPath]] = {
+SHORT_KEYS: Final[Mapping[str, KeyPath]] = {
     "title": ("campaign", "title"),
     "gravity": ("site", "gravity"),
     "latitude": ("site", "latitude"),
@@ -73,14 +73,14 @@ SHORT: Final[Mapping[str, KeyPath]] = {
 class Plan:
     """A plan's description, checked and resolved."""
 
-    path: Path  #: Of the file, absolute.
-    #: The campaign to be, as a document without runs; ``truth`` has the expected values.
+    path: Path  #: Absolute path of the file.
+    #: Document of the planned campaign without runs; ``truth`` has the expected values.
     document: Mapping[str, Any]
-    template: Campaign  #: The campaign with one run for each attitude, named as the attitude is.
-    attitudes: Mapping[str, Any]  #: Name -> attitude as it is written in a campaign.
-    limits: Limits  #: What the machine and the laboratory allow.
-    sampling_rate: float  #: Hz.
-    goal: GoalResult  #: What it is for.
+    template: Campaign  #: Campaign with one run for each attitude, with the name of the attitude.
+    attitudes: Mapping[str, Any]  #: Attitudes by name, as written in a campaign.
+    limits: Limits  #: Limits of the machine and the laboratory.
+    sampling_rate: float  #: Sampling rate, Hz.
+    goal: GoalResult  #: Goal of the plan.
 
 
 def load_plan(path: Mapping[str, Any] | Path | str) -> dict[str, Any]:
@@ -104,12 +104,12 @@ def change_plan(document: Mapping[str, Any], changes: Mapping[str, Any]) -> dict
         elif name in GoalSettings.model_fields:
             path = ("goal", name)
         else:
-            path = tuple(SHORT.get(name) or name.split("."))
+            path = tuple(SHORT_KEYS.get(name) or name.split("."))
         patch = value
         for path_key in reversed(path):
             patch = {path_key: patch}
         new_document = merge_patch(new_document, patch)
-        # A plan either reaches a target or makes u least in the time there is.
+        # A plan either reaches a target in the least time, or minimises u in the available time.
         excluded_key = {"target": "minimise", "minimise": "target"}.get(str(path[-1]))
         if path[0] == "goal" and excluded_key is not None and value is not None:
             new_document = merge_patch(new_document, {"goal": {excluded_key: None}})
@@ -129,7 +129,7 @@ def plan_name(path: Mapping[str, Any] | Path | str) -> Path:
 def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) -> Plan:
     """Read and check a plan.
 
-    file: As whose content a plan in memory counts, for the files that it names; None: nothing's.
+    file: File of a plan in memory, whose folder contains the files that it names; None: no file.
     """
     file, raw = file or plan_name(path), load_plan(path)
     problems = Problems(raw)
@@ -143,9 +143,9 @@ def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) ->
     problems.check(PlanDocument, raw, ())
     settings = problems.check(LimitsSettings, table_of(raw, "limits"), ("limits",), gravity=None)
     goal = problems.check(GoalSettings, table_of(raw, "goal"), ("goal",))
-    attitudes = _named_attitudes(settings.attitudes if settings else ["level"], problems)
+    attitudes = _name_attitudes(settings.attitudes if settings else ["level"], problems)
     document = _campaign_document(raw, settings)
-    document["noise"] = _stated_sizes(table_of(document, "noise"), problems)
+    document["noise"] = _reject_estimated_noise(table_of(document, "noise"), problems)
     if _refuse_time_dependence(document, problems):
         raise campaign_error(file, problems.lines)
     template_runs = [
@@ -154,7 +154,7 @@ def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) ->
     ]
     campaign = resolve_campaign({**document, "runs": template_runs}, file, problems)
     if campaign is not None and campaign.noise is not None and campaign.rest is not None:
-        document["noise"] = _record_sizes(campaign, campaign.noise, problems)
+        document["noise"] = _static_record_sizes(campaign, campaign.noise, problems)
         campaign = resolve_campaign({**document, "runs": template_runs}, file, problems)
     plan = None
     if campaign is not None:
@@ -164,7 +164,7 @@ def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) ->
         if settings is not None and limits is not None and goal_settings is not None:
             plan = Plan(
                 file.absolute(),
-                {**document, "truth": _expected_truth(document, campaign)},
+                {**document, "truth": _complete_truth(document, campaign)},
                 campaign,
                 attitudes,
                 limits,
@@ -179,7 +179,7 @@ def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) ->
 def _refuse_time_dependence(document: Mapping[str, Any], problems: Problems) -> bool:
     """Report terms that depend on the time or temperature of runs, which are not known yet.
 
-    Return True if there are any.
+    Return True if there are any such terms.
     """
     model, error_count = table_of(document, "model"), len(problems.lines)
     for key in ("terms", "hold", "considered"):
@@ -196,9 +196,9 @@ def _refuse_time_dependence(document: Mapping[str, Any], problems: Problems) -> 
 
 
 def _campaign_document(raw: Mapping[str, Any], settings: LimitsSettings | None) -> dict[str, Any]:
-    """Return the document of the campaign to be, its channels filled in."""
-    shared = {key: value for key, value in raw.items() if key not in ("limits", "goal")}
-    document = {"records": dict(_RECORDS), **shared}
+    """Return the document of the planned campaign with default channels."""
+    campaign_sections = {key: value for key, value in raw.items() if key not in ("limits", "goal")}
+    document = {"records": dict(_DEFAULT_RECORDS), **campaign_sections}
     tables = raw.get("accelerometers")
     if isinstance(tables, dict):
         document["accelerometers"] = {
@@ -207,53 +207,55 @@ def _campaign_document(raw: Mapping[str, Any], settings: LimitsSettings | None) 
             else table
             for name, table in tables.items()
         }
-    sampling = settings.sampling_rate if settings else 50.0
-    document["simulation"] = {"sampling_rate": f"{sampling!r} Hz", "seed": 1}
+    sampling_rate = settings.sampling_rate if settings else 50.0
+    document["simulation"] = {"sampling_rate": f"{sampling_rate!r} Hz", "seed": 1}
     return document
 
 
-def _named_attitudes(attitudes: Sequence[Any], problems: Problems) -> dict[str, Any]:
-    """Return the attitudes by the name under which reports show them."""
-    named: dict[str, Any] = {}
+def _name_attitudes(attitudes: Sequence[Any], problems: Problems) -> dict[str, Any]:
+    """Return the attitudes by their names in reports."""
+    attitudes_by_name: dict[str, Any] = {}
     for index, attitude in enumerate(attitudes):
         name = (
             attitude
             if isinstance(attitude, str)
-            else ", ".join(f"{axis} {where}" for axis, where in attitude.items())
+            else ", ".join(f"{axis} {direction}" for axis, direction in attitude.items())
         )
-        if name in named:
+        if name in attitudes_by_name:
             problems.add(
                 ("limits", "attitudes", index), f'"{name}" is listed twice', "duplicate-entry"
             )
-        named[name] = attitude
-    return named
+        attitudes_by_name[name] = attitude
+    return attitudes_by_name
 
 
-def _expected_truth(document: Mapping[str, Any], campaign: Campaign) -> dict[str, Any]:
-    """Return [truth], completed by the prior values of the terms that it does not name."""
+def _complete_truth(document: Mapping[str, Any], campaign: Campaign) -> dict[str, Any]:
+    """Return [truth], completed with the prior values of terms that it does not name."""
     truth = dict(table_of(document, "truth"))
     for name, accelerometer in campaign.accelerometers.items():
-        known_values = {
+        prior_values = {
             symbol: f"{prior.value!r} {prior.unit}"
             for symbol, prior in accelerometer.priors.items()
             if prior.value != term(symbol).nominal
         }
-        truth[name] = {**known_values, **table_of(truth, name)}
+        truth[name] = {**prior_values, **table_of(truth, name)}
     return truth
 
 
-def _stated_sizes(noise: Mapping[str, Any], problems: Problems) -> dict[str, Any]:
-    """Return [noise] without noise to be estimated, and report that: no record exists yet."""
-    unknown = [key for key, size in noise.items() if size == ESTIMATE]
-    for key in unknown:
+def _reject_estimated_noise(noise: Mapping[str, Any], problems: Problems) -> dict[str, Any]:
+    """Report noise to be estimated, which requires records; return [noise] without it."""
+    estimated_keys = [key for key, size in noise.items() if size == ESTIMATE]
+    for key in estimated_keys:
         problems.add(
             ("noise", key), "a plan cannot estimate the noise; state a number", "missing-value"
         )
-    return {key: size for key, size in noise.items() if key not in unknown}
+    return {key: size for key, size in noise.items() if key not in estimated_keys}
 
 
-def _record_sizes(campaign: Campaign, stated: NoiseSettings, problems: Problems) -> dict[str, str]:
-    """Return [noise] as it is written with the sizes that a record at rest says."""
+def _static_record_sizes(
+    campaign: Campaign, stated: NoiseSettings, problems: Problems
+) -> dict[str, str]:
+    """Return [noise] with the values of a record at rest, as strings with units."""
     sizes = {key: size for key, size in complete_noise_sizes(campaign, stated).items() if size}
     for key in sizes.keys() & set(BIAS_COMPONENTS_BY_KEY) - stated.model_fields_set:
         unit = NOISE_UNITS[key]
@@ -293,86 +295,95 @@ def _resolve_limits(
     campaign: Campaign,
     problems: Problems,
 ) -> Limits | None:
-    """Return the limits, or None with their contradictions noted."""
+    """Return the limits, or None after reporting their contradictions."""
     error_count = len(problems.lines)
     rates = _resolve_rates(settings, campaign, problems)
     if rates is None:
         return None
-    (low, high), available = rates
+    (low, high), rate_settings = rates
     senses = (1, -1) if settings.senses == "both" else (1,)
-    spin_up = sum(1.0 / a for a in (settings.spin_up, settings.spin_down) if a is not None)
-    longest = settings.longest_run or settings.total_time
-    fewest = settings.fewest_revolutions
-    if fewest * 2.0 * math.pi / high > longest * (1.0 + 1e-9):
+    spin_up = sum(
+        1.0 / acceleration
+        for acceleration in (settings.spin_up, settings.spin_down)
+        if acceleration is not None
+    )
+    max_duration = settings.longest_run or settings.total_time
+    min_revolutions = settings.fewest_revolutions
+    min_duration = min_revolutions * 2.0 * math.pi / high
+    if min_duration > max_duration * (1.0 + 1e-9):
         problems.add(
             ("limits", "longest_run"),
-            f"{fewest:g} revolutions take {fewest * 2.0 * math.pi / high:.4g} s even at the "
+            f"{min_revolutions:g} revolutions take {min_duration:.4g} s even at the "
             "highest rate; allow longer runs or fewer revolutions",
             "plan-infeasible",
         )
-    samples = fewest * 2.0 * math.pi / high * settings.sampling_rate
-    if samples < _MIN_SAMPLES:
+    n_samples = min_duration * settings.sampling_rate
+    if n_samples < _MIN_SAMPLES:
         problems.add(
             ("limits", "sampling_rate"),
-            f"{fewest:g} revolutions at {high:.6g} rad/s have {samples:.3g} samples at "
+            f"{min_revolutions:g} revolutions at {high:.6g} rad/s have {n_samples:.3g} samples at "
             f"{settings.sampling_rate:.6g} Hz; give a higher sampling rate, or a lower "
             "highest_rate",
             "plan-infeasible",
         )
-    if longest * high > 2.0 * math.pi * _MAX_REVOLUTIONS:
+    if max_duration * high > 2.0 * math.pi * _MAX_REVOLUTIONS:
         problems.add(
             ("limits", "total_time"),
-            f"a run of {longest:.4g} s at {high:.6g} rad/s is longer than the longest possible "
-            f"record",
+            f"a run of {max_duration:.4g} s at {high:.6g} rad/s is longer than the longest "
+            "possible record",
             "plan-infeasible",
         )
     limits = Limits(
         types=tuple(RunType(name, sense) for name in attitudes for sense in senses),
-        rate=(low, high),
-        settings=available,
+        rate_range=(low, high),
+        rate_settings=rate_settings,
         total_time=settings.total_time,
         settling=settings.settling,
         spin_up=spin_up,
         attitude_change=settings.attitude_change,
-        revolutions=fewest,
-        longest_run=min(longest, settings.total_time),
-        runs=settings.runs,
-        fewest_rates=settings.fewest_rates or _DEFAULT_RATES,
+        min_revolutions=min_revolutions,
+        max_duration=min(max_duration, settings.total_time),
+        max_runs=settings.runs,
+        min_rates=settings.fewest_rates or _DEFAULT_RATES,
     )
-    if settings.fewest_rates is None and (_rate_shortage(limits) or not limits.is_feasible):
-        limits = replace(limits, fewest_rates=1)
-    if reason := _rate_shortage(limits):
+    if settings.fewest_rates is None and (_rate_shortage_reason(limits) or not limits.is_feasible):
+        limits = replace(limits, min_rates=1)
+    if reason := _rate_shortage_reason(limits):
         problems.add(("limits", "fewest_rates"), reason, "plan-infeasible")
-    if limits.total_time < limits.shortest_time:
+    if limits.total_time < limits.min_time:
         problems.add(
             ("limits", "total_time"),
-            f"no run fits, because the shortest run takes {limits.shortest_time:.4g} s with "
-            f"spin-up, settling and {fewest:g} revolutions"
-            if limits.fewest_rates == 1
-            else f"{limits.fewest_rates} runs at different rates do not fit: even the shortest "
-            f"runs take {limits.shortest_time:.4g} s, with spin-up, settling and "
-            f"{fewest:g} revolutions each",
+            f"no run fits, because the shortest run takes {limits.min_time:.4g} s with "
+            f"spin-up, settling and {min_revolutions:g} revolutions"
+            if limits.min_rates == 1
+            else f"{limits.min_rates} runs at different rates do not fit: even the shortest "
+            f"runs take {limits.min_time:.4g} s, with spin-up, settling and "
+            f"{min_revolutions:g} revolutions each",
             "plan-infeasible",
         )
     return limits if len(problems.lines) == error_count else None
 
 
-def _rate_shortage(limits: Limits) -> str:
-    """Return the reason why too few different rates are possible; empty if enough are."""
-    count = limits.fewest_rates
-    if count > limits.runs:
-        return f"{count} rates require at least {count} runs, but limits.runs is {limits.runs}"
-    rates = limits.different_rates(limits.rate[1])
-    if len(rates) < count and limits.settings:
-        return f"the limits allow only {len(rates)} settings of the rate"
-    if len(rates) < count:
+def _rate_shortage_reason(limits: Limits) -> str:
+    """Return the reason why the limits allow too few distinct rates; empty if they allow enough."""
+    min_rates = limits.min_rates
+    if min_rates > limits.max_runs:
         return (
-            f"between {limits.rate[0]:.6g} and {limits.rate[1]:.6g} rad/s, there are only "
+            f"{min_rates} rates require at least {min_rates} runs, but limits.runs is "
+            f"{limits.max_runs}"
+        )
+    low, high = limits.rate_range
+    rates = limits.distinct_rates(high)
+    if len(rates) < min_rates and limits.rate_settings:
+        return f"the limits allow only {len(rates)} settings of the rate"
+    if len(rates) < min_rates:
+        return (
+            f"between {low:.6g} and {high:.6g} rad/s, there are only "
             f"{len(rates)} rates with a ratio of at least {limits.min_rate_ratio:g}"
         )
-    if limits.revolutions * 2.0 * math.pi / rates[-1] > limits.longest_run * (1.0 + 1e-9):
+    if limits.min_revolutions * 2.0 * math.pi / rates[-1] > limits.max_duration * (1.0 + 1e-9):
         return (
-            f"{limits.revolutions:g} revolutions at the lowest of {count} different rates, "
+            f"{limits.min_revolutions:g} revolutions at the lowest of {min_rates} different rates, "
             f"{rates[-1]:.6g} rad/s, take longer than the longest run"
         )
     return ""
@@ -381,19 +392,19 @@ def _rate_shortage(limits: Limits) -> str:
 def _resolve_rates(
     settings: LimitsSettings, campaign: Campaign, problems: Problems
 ) -> tuple[tuple[float, float], tuple[float, ...]] | None:
-    """Return smallest and largest rate, and the settings where not all between are available."""
-    bounds = {}
+    """Return the rate range, and the rate settings (empty: any rate); None after an error."""
+    upper_bounds = {}
     if settings.highest_rate is not None:
-        bounds["highest_rate"] = settings.highest_rate
+        upper_bounds["highest_rate"] = settings.highest_rate
     if settings.specific_force is not None:
-        force = settings.specific_force * campaign.site.gravity
-        bounds["specific_force"] = math.sqrt(force / campaign.radius.value)
+        acceleration = settings.specific_force * campaign.site.gravity
+        upper_bounds["specific_force"] = math.sqrt(acceleration / campaign.radius.value)
     if settings.rates is not None:
-        bounds["rates"] = max(settings.rates)
-    if not bounds:
+        upper_bounds["rates"] = max(settings.rates)
+    if not upper_bounds:
         problems.add(("limits",), "give highest_rate, specific_force or rates", "missing-key")
         return None
-    key, high = min(bounds.items(), key=lambda item: item[1])
+    key, high = min(upper_bounds.items(), key=lambda item: item[1])
     low = settings.lowest_rate
     if low is not None and low > high:
         problems.add(
@@ -404,17 +415,17 @@ def _resolve_rates(
         return None
     if settings.rates is None:
         return (low or _MIN_RATE_FRACTION * high, high), ()
-    available = tuple(
-        sorted({w for w in settings.rates if (low or 0.0) <= w <= high * (1.0 + 1e-12)})
+    rate_settings = tuple(
+        sorted({rate for rate in settings.rates if (low or 0.0) <= rate <= high * (1.0 + 1e-12)})
     )
-    if not available:
+    if not rate_settings:
         problems.add(
             ("limits", "rates"),
             f"no rate is between lowest_rate and the limit of {key}",
             "plan-infeasible",
         )
         return None
-    return (available[0], available[-1]), available
+    return (rate_settings[0], rate_settings[-1]), rate_settings
 
 
 def resolve_goal(
@@ -426,41 +437,49 @@ def resolve_goal(
         return None
     if settings.target is not None and settings.criterion != "sum":
         problems.add(("goal", "criterion"), "does not apply to a target; omit it")
-    key: Literal["target", "minimise"] = "minimise" if settings.target is None else "target"
-    settings_path = settings.target if settings.target is not None else settings.minimise
-    if settings_path is None:
-        settings_path = ["K_II"]
-    shared = [u for u in make_unknowns(campaign).of_interest if u.owner not in _run_names(campaign)]
+    kind: Literal["target", "minimise"] = "minimise" if settings.target is None else "target"
+    goal_entries = settings.target if settings.target is not None else settings.minimise
+    if goal_entries is None:
+        goal_entries = ["K_II"]
+    shared_unknowns = [
+        unknown
+        for unknown in make_unknowns(campaign).of_interest
+        if unknown.owner not in _run_names(campaign)
+    ]
     error_count = len(problems.lines)
     sizes: dict[str, float] = {}
     units: set[str] = set()
-    names = list(settings_path)
+    names = list(goal_entries)
     if not names:
-        problems.add(("goal", key), "does not name a coefficient", "unknown-term")
+        problems.add(("goal", kind), "does not name a coefficient", "unknown-term")
     for index, name in enumerate(names):
-        path = ("goal", key, name if isinstance(settings_path, Mapping) else index)
-        matches = [u for u in shared if name in (u.name, u.symbol)]
+        path = ("goal", kind, name if isinstance(goal_entries, Mapping) else index)
+        matches = [unknown for unknown in shared_unknowns if name in (unknown.name, unknown.symbol)]
         if not matches:
-            known_names = dict.fromkeys(n for u in shared for n in (u.symbol, u.name))
+            known_names = dict.fromkeys(
+                known_name
+                for unknown in shared_unknowns
+                for known_name in (unknown.symbol, unknown.name)
+            )
             problems.add(
                 path, f'"{name}" is not estimated' + suggest_name(name, known_names), "unknown-term"
             )
             continue
         size: float | None = 1.0
-        if isinstance(settings_path, Mapping):
-            size = _resolve_size(settings_path[name], matches[0], campaign, path, problems)
-        sizes |= {u.name: size for u in matches if size is not None}
-        units |= {unit_of(u.symbol) for u in matches}
-    if not isinstance(settings_path, Mapping) and settings.criterion == "sum" and len(units) > 1:
+        if isinstance(goal_entries, Mapping):
+            size = _resolve_size(goal_entries[name], matches[0], campaign, path, problems)
+        sizes |= {unknown.name: size for unknown in matches if size is not None}
+        units |= {unit_of(unknown.symbol) for unknown in matches}
+    if not isinstance(goal_entries, Mapping) and settings.criterion == "sum" and len(units) > 1:
         problems.add(
-            ("goal", key),
+            ("goal", kind),
             "the coefficients have different units; give the u that counts as 1 for each "
             'coefficient, such as minimise = { K_II = "1e-8 g/g^2" }',
             "missing-value",
         )
     if len(problems.lines) > error_count:
         return None
-    return GoalResult(kind=key, criterion=settings.criterion, sizes=sizes)
+    return GoalResult(kind=kind, criterion=settings.criterion, sizes=sizes)
 
 
 def _resolve_size(
@@ -485,7 +504,7 @@ def _run_names(campaign: Campaign) -> set[str]:
 
 
 def resolve_plan_campaign(document: Mapping[str, Any], path: Path) -> Campaign:
-    """Return the campaign of a document that a plan has made."""
+    """Return the campaign of a document from a plan."""
     problems = Problems(document)
     campaign = resolve_campaign(document, path, problems)
     if campaign is None:
@@ -494,14 +513,14 @@ def resolve_plan_campaign(document: Mapping[str, Any], path: Path) -> Campaign:
 
 
 def campaign_document(plan: Plan, runs: Sequence[Mapping[str, Any]], title: str) -> dict[str, Any]:
-    """Return the document of the campaign with given runs."""
+    """Return the document of the planned campaign with `runs`."""
     document = dict(plan.document)
-    about = {"title": title, **table_of(document, "campaign")}
-    other_keys = {
-        key: value for key, value in document.items() if key not in ("schema", "campaign")
-    }
+    campaign_section = {"title": title, **table_of(document, "campaign")}
+    sections = {key: value for key, value in document.items() if key not in ("schema", "campaign")}
     # The sections in the order of the example that `counterspin init` writes.
-    order = ("site", "centrifuge", "records", "accelerometers", "noise", "model", "runs")
-    other_keys["runs"] = [dict(run) for run in runs]
-    ordered_keys = {key: other_keys[key] for key in (*order, *other_keys) if key in other_keys}
-    return {"schema": document["schema"], "campaign": about, **ordered_keys}
+    section_order = ("site", "centrifuge", "records", "accelerometers", "noise", "model", "runs")
+    sections["runs"] = [dict(run) for run in runs]
+    ordered_sections = {
+        key: sections[key] for key in (*section_order, *sections) if key in sections
+    }
+    return {"schema": document["schema"], "campaign": campaign_section, **ordered_sections}

@@ -1,7 +1,7 @@
-"""A plan of readings: which positions and rates, how often, and in which order.
+"""Plan of readings: their positions and rates, their counts and their order.
 
-The relaxation in which the numbers need not be whole is convex (`planning.candidate_set`). It is
-rounded, and one reading after another is exchanged for a better one for as long as it gains.
+The relaxation with real counts is convex (`planning.candidate_set`). Its solution is rounded, and
+readings are exchanged one at a time until the criterion no longer decreases.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from counterspin.inference.priors import prior_correlation, whiten_priors
 from counterspin.planning.candidate_set import CandidateSet, Optimum
 from counterspin.planning.design import Criterion
 from counterspin.planning.forecast import Forecast, expected_values, forecast
-from counterspin.planning.limits import GAIN, RELAXATION
+from counterspin.planning.limits import MIN_GAIN, RELAXATION_FRACTION
 from counterspin.planning.result import (
     LimitResult,
     OtherPlan,
     PlanResult,
-    other_plan,
+    compare_plan,
+    make_plan_result,
     planned_readings,
-    result_of,
 )
-from counterspin.planning.search import not_determined, words_of_missed_target
-from counterspin.planning.stations import PossibleReading, ReadingPlan
+from counterspin.planning.search import describe_missed_target, describe_undetermined
+from counterspin.planning.stations import CandidateReading, ReadingPlan
 from counterspin.readings.entries import MOST_READINGS
 from counterspin.readings.groups import group_readings
 from counterspin.readings.known_attitudes import Readings
@@ -44,63 +44,67 @@ from counterspin.triads.poses import TriadPoses
 
 Counts = npt.NDArray[np.int64]
 
-#: Smallest relative gain of u for which readings are exchanged, and the largest number of them.
+#: Minimum relative gain of u of an exchange, and maximum number of exchanges.
 _MIN_GAIN: Final = 1e-9
 _MAX_EXCHANGES: Final = 400
 
-#: Of at most so many possible readings the search begins from so many drawn numbers too.
-_MAX_DRAWN_CANDIDATES: Final = 60
-_DRAWS: Final = 6
-#: Of so few readings that exchanges of one end in many places it begins from so many.
-_SMALL_NUMBER: Final = 12
-_DRAWS_SMALL_NUMBER: Final = 60
-_SEED_OF_ROUNDING: Final = 1
+#: Number of random starts, if the candidates are at most `_MAX_CANDIDATES_RANDOM_STARTS`.
+_MAX_CANDIDATES_RANDOM_STARTS: Final = 60
+_RANDOM_STARTS: Final = 6
+#: Number of random starts for at most `_SMALL_COUNT` readings, with more local optima.
+_SMALL_COUNT: Final = 12
+_RANDOM_STARTS_SMALL_COUNT: Final = 60
+_ROUNDING_SEED: Final = 1
 
-#: A target is reached to rounding.
+#: Relative tolerance of a target.
 _ROUNDING: Final = 1e-9
 
-#: Steps of the search for the least limit.
+#: Number of bisections in the search for the least limit.
 _BISECTIONS: Final = 12
 
 
 def best_counts(
-    candidates: CandidateSet, criterion: Criterion, max_count: float, time: float
+    candidates: CandidateSet, criterion: Criterion, max_count: float, max_time: float
 ) -> Optimum[Counts]:
-    """Return the numbers with the smallest criterion.
+    """Return the counts with the smallest criterion.
 
-    max_count, time: Largest sum of the numbers and of their times, s; one of them finite.
+    max_count, max_time: Maximum sum of the counts and of their times, s; one must be finite.
     """
-    relaxed = candidates.relax(criterion, max_count, time)
+    relaxed = candidates.relax(criterion, max_count, max_time)
     visited_keys: set[bytes] = set()
     results = [
-        _exchange_readings(candidates, criterion, start, max_count, time, visited_keys)
-        for start in _initial_counts(candidates, relaxed.design, max_count, time)
+        _exchange_readings(candidates, criterion, start, max_count, max_time, visited_keys)
+        for start in _initial_counts(candidates, relaxed.design, max_count, max_time)
     ]
-    value, counts = min(results, key=lambda end: end[0])
+    value, counts = min(results, key=lambda result: result[0])
     return Optimum(counts, value, min(relaxed.bound, value))
 
 
 def _initial_counts(
-    candidates: CandidateSet, weight: Array, max_count: float, time: float
+    candidates: CandidateSet, weights: Array, max_count: float, max_time: float
 ) -> list[Counts]:
-    """Return numbers from which to exchange: some ends are worse than others.
+    """Return several initial counts for the exchanges, which end in local optima.
 
-    weight: The numbers that need not be whole, shape (n,).
+    weights: Relaxed counts, shape (n,).
     """
-    rounded = np.floor(weight + 1e-6).astype(np.int64)
-    draws = _DRAWS_SMALL_NUMBER if max_count <= _SMALL_NUMBER else _DRAWS
-    rng, draws = (
-        np.random.default_rng(_SEED_OF_ROUNDING),
-        draws if weight.size <= _MAX_DRAWN_CANDIDATES else 0,
+    rounded = np.floor(weights + 1e-6).astype(np.int64)
+    n_random_starts = _RANDOM_STARTS_SMALL_COUNT if max_count <= _SMALL_COUNT else _RANDOM_STARTS
+    rng, n_random_starts = (
+        np.random.default_rng(_ROUNDING_SEED),
+        n_random_starts if weights.size <= _MAX_CANDIDATES_RANDOM_STARTS else 0,
     )
-    # Rounded; nothing, to which the best is added one by one; and drawn about the first.
-    starts = [rounded.copy(), np.zeros_like(rounded), *(rounded.copy() for _ in range(draws))]
+    # Rounded counts; zeros, to which exchanges add readings one by one; random rounding.
+    starts = [
+        rounded.copy(),
+        np.zeros_like(rounded),
+        *(rounded.copy() for _ in range(n_random_starts)),
+    ]
     for counts in (starts[0], *starts[2:]):
         remainders = (
-            weight - rounded + (0.0 if counts is starts[0] else rng.uniform(size=weight.size))
+            weights - rounded + (0.0 if counts is starts[0] else rng.uniform(size=weights.size))
         )
         for index in np.argsort(-remainders, kind="stable"):
-            counts[index] += _allows_addition(candidates, counts, max_count, time)[index]
+            counts[index] += _allows_addition(candidates, counts, max_count, max_time)[index]
     return starts
 
 
@@ -109,50 +113,50 @@ def _exchange_readings(
     criterion: Criterion,
     counts: Counts,
     max_count: float,
-    time: float,
+    max_time: float,
     visited_keys: set[bytes],
 ) -> tuple[float, Counts]:
-    """Return the criterion and the numbers where no exchange of one reading gains any more.
+    """Return the criterion and counts at a local optimum with respect to single exchanges.
 
-    visited_keys: Counts that were reached from earlier starts. The search ends there, because their
-        end is known; it adds the numbers that it reaches.
+    visited_keys: Counts that earlier starts reached, where the search stops, because the local
+        optimum is known. The search adds the counts that it reaches.
     """
     value = float(candidates.value(criterion, counts))
     for _ in range(_MAX_EXCHANGES):
         if counts.tobytes() in visited_keys:
             break
         visited_keys.add(counts.tobytes())
-        lowest, best_counts = math.inf, counts
-        for removed in (None, *np.flatnonzero(counts)):
+        lowest_value, best_candidate = math.inf, counts
+        for removed_index in (None, *np.flatnonzero(counts)):
             candidate = counts.copy()
             is_allowed = np.ones(counts.size, dtype=np.bool_)
-            if removed is not None:
-                candidate[removed] -= 1
-                is_allowed[removed] = False
-            is_allowed &= _allows_addition(candidates, candidate, max_count, time)
+            if removed_index is not None:
+                candidate[removed_index] -= 1
+                is_allowed[removed_index] = False
+            is_allowed &= _allows_addition(candidates, candidate, max_count, max_time)
             if not is_allowed.any():
                 continue
             values = np.where(
                 is_allowed, candidates.values_with_addition(criterion, candidate), math.inf
             )
             best_index = int(np.argmin(values))
-            if values[best_index] < lowest:
-                lowest, best_counts = float(values[best_index]), candidate
-                best_counts[best_index] += 1
-        new_value = float(candidates.value(criterion, best_counts))
+            if values[best_index] < lowest_value:
+                lowest_value, best_candidate = float(values[best_index]), candidate
+                best_candidate[best_index] += 1
+        new_value = float(candidates.value(criterion, best_candidate))
         if not new_value < value - _MIN_GAIN:
             break
-        value, counts = new_value, best_counts
+        value, counts = new_value, best_candidate
     return value, counts
 
 
 def _allows_addition(
-    candidates: CandidateSet, counts: Counts, max_count: float, time: float
+    candidates: CandidateSet, counts: Counts, max_count: float, max_time: float
 ) -> npt.NDArray[np.bool_]:
-    """Return a mask of the observations that the limits allow once more, shape (n,)."""
+    """Return a mask of the candidates that can be added within the limits, shape (n,)."""
     total_cost = float(candidates.cost @ counts) + candidates.cost
     return np.asarray(
-        (float(counts.sum()) + 1.0 <= max_count) & (total_cost <= time * (1.0 + 1e-12))
+        (float(counts.sum()) + 1.0 <= max_count) & (total_cost <= max_time * (1.0 + 1e-12))
     )
 
 
@@ -160,106 +164,110 @@ def least_counts(
     candidates: CandidateSet,
     criterion: Criterion,
     max_count: float,
-    time: float,
-    u_of: Callable[[Counts], Array],
+    max_time: float,
+    forecast_u: Callable[[Counts], Array],
 ) -> tuple[Optimum[Counts], float] | None:
     """Return the fewest readings, or the least time, with which every u is at most its scale.
 
-    u_of: The forecast u of all unknowns of the criterion, in its order: effects of time make u
-        larger than in `CandidateSet`.
-    Returns: the choice; the part of the limit below which none can be. None if all of the limit
-        does not suffice.
+    forecast_u: Function that returns the forecast u of the parameters of the criterion. Effects of
+        time make u larger than in `CandidateSet`.
+    Returns: the optimum, and a lower bound of the required fraction of the limit. None if the
+        limit does not suffice.
     """
     scales = np.array(criterion.scales)
 
-    def meets_targets(chosen: Optimum[Counts]) -> bool:
-        variance = np.diag(candidates.covariance(chosen.design))[list(criterion.indices)]
+    def meets_targets(optimum: Optimum[Counts]) -> bool:
+        variance = np.diag(candidates.covariance(optimum.design))[list(criterion.indices)]
         is_met_by_search = bool(np.all(np.sqrt(variance) <= scales * (1.0 + _ROUNDING)))
-        return is_met_by_search and bool(np.all(u_of(chosen.design) <= scales * (1.0 + _ROUNDING)))
+        return is_met_by_search and bool(
+            np.all(forecast_u(optimum.design) <= scales * (1.0 + _ROUNDING))
+        )
 
-    def limits(fraction: float) -> tuple[float, float] | None:
-        if math.isfinite(time):
+    def scale_limits(fraction: float) -> tuple[float, float] | None:
+        if math.isfinite(max_time):
             return (
-                (max_count, fraction * time)
-                if fraction * time >= float(candidates.cost.min())
+                (max_count, fraction * max_time)
+                if fraction * max_time >= float(candidates.cost.min())
                 else None
             )
         return (
-            (count_limit, time)
+            (count_limit, max_time)
             if (count_limit := math.floor(fraction * max_count + 1e-9))
             else None
         )
 
-    optimum = best_counts(candidates, criterion, max_count, time)
+    optimum = best_counts(candidates, criterion, max_count, max_time)
     if not meets_targets(optimum):
         return None
     low, high = 0.0, 1.0
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        scaled_limits = limits(middle)
-        chosen = (
-            None if scaled_limits is None else best_counts(candidates, criterion, *scaled_limits)
+        fraction_limits = scale_limits(middle)
+        candidate = (
+            None
+            if fraction_limits is None
+            else best_counts(candidates, criterion, *fraction_limits)
         )
-        if chosen is not None and meets_targets(chosen):
-            optimum, high = chosen, middle
+        if candidate is not None and meets_targets(candidate):
+            optimum, high = candidate, middle
         else:
             low = middle
-    floor = 0.0
+    lower_bound = 0.0
     for _ in range(_BISECTIONS):
-        middle = 0.5 * (floor + high)
-        scaled_limits = limits(middle)
-        if scaled_limits is None or candidates.relax(criterion, *scaled_limits).bound > 0.0:
-            floor = middle
+        middle = 0.5 * (lower_bound + high)
+        fraction_limits = scale_limits(middle)
+        if fraction_limits is None or candidates.relax(criterion, *fraction_limits).bound > 0.0:
+            lower_bound = middle
         else:
             high = middle
-    return optimum, floor
+    return optimum, lower_bound
 
 
-#: Seed of the random order; the campaign's file has the order itself.
-_SEED: Final = 1
+#: Seed of the random order.
+_ORDER_SEED: Final = 1
 
 
 class ReadingSearch:
-    """A plan's problem: which of the possible readings to take, and how often."""
+    """Search for the optimal count of each candidate reading."""
 
     def __init__(self, plan: ReadingPlan) -> None:
         self.plan = plan
-        self.limits = (plan.readings, plan.total_time)
+        self.limits = (plan.max_readings, plan.total_time)
         model = make_unknowns(plan.template)
-        self.candidates = _candidate_set(plan, model)
-        self.criterion = plan.goal.criterion_of([unknown.name for unknown in model.unknowns])
+        self.candidates = _make_candidate_set(plan, model)
+        self.criterion = plan.goal.make_criterion([unknown.name for unknown in model.unknowns])
 
-    def best(self) -> tuple[PlanResult, list[PossibleReading]]:
+    def best(self) -> tuple[PlanResult, list[CandidateReading]]:
         """Find the readings for the plan's goal."""
         self._require_determined()
-        optimum, least_fraction = self._optimum()
+        optimum, least_fraction = self._find_optimum()
         prediction, cost = self.forecast(optimum.design), self.candidates.cost
         if least_fraction is None:
-            # From the reported uncertainties: the search omits effects of time.
+            # The forecast includes effects of time, which the search neglects.
             names = [unknown.name for unknown in prediction.fit.model.unknowns]
-            criterion = self.plan.goal.criterion_of(names)
+            criterion = self.plan.goal.make_criterion(names)
             value = float(criterion.value(prediction.fit.solution.covariance))
             efficiency = math.exp(optimum.bound - value)
         elif math.isfinite(self.plan.total_time):
             efficiency = least_fraction * self.plan.total_time / float(cost @ optimum.design)
         else:
-            efficiency = least_fraction * self.plan.readings / float(optimum.design.sum())
+            efficiency = least_fraction * self.plan.max_readings / float(optimum.design.sum())
         fields = {
-            "readings": planned_readings(_new_readings(self.plan, prediction.campaign)),
+            "readings": planned_readings(_select_new_readings(self.plan, prediction.campaign)),
             "order": self.plan.order,
-            "goal": self.plan.goal.met(min(1.0, efficiency)),
+            "goal": self.plan.goal.with_efficiency(min(1.0, efficiency)),
             "others": self._comparison_plans(optimum, prediction),
             "limits": self._active_limits(optimum),
         }
-        result = result_of(prediction, None, float(cost @ optimum.design))
+        result = make_plan_result(prediction, None, float(cost @ optimum.design))
         return result.model_copy(update=fields), self._ordered_readings(optimum.design)
 
     def forecast(self, counts: Counts) -> Forecast:
-        """Return the forecast of the campaign with these readings."""
+        """Return the forecast of the campaign with these counts."""
         return _forecast_readings(self.plan, self._ordered_readings(counts))
 
-    def _ordered_readings(self, counts: Counts) -> list[PossibleReading]:
-        """Return readings in the order in which to take them; refused if they are too many."""
+    def _ordered_readings(self, counts: Counts) -> list[CandidateReading]:
+        """Return the readings in measurement order; refuse too many readings."""
         if counts.sum() > MOST_READINGS:
             raise CounterspinError(
                 f"{self.plan.path}: limits.total_time leaves time for {counts.sum():.3g} "
@@ -267,37 +275,39 @@ class ReadingSearch:
                 "limits.readings, or reduce the time",
                 code="too-many-rows",
             )
-        return [self.plan.candidates[index] for index in measurement_order(counts, self.plan.order)]
+        return [self.plan.candidates[index] for index in order_readings(counts, self.plan.order)]
 
     def _require_determined(self) -> None:
-        """Refuse a goal that all possible readings together do not determine."""
+        """Refuse a goal that all candidate readings together do not determine."""
         assessment = _forecast_readings(self.plan, self.plan.candidates * 4).assessment
-        by = "any number of these readings"
-        missing_names, text = not_determined(assessment, self.plan.goal.sizes, by)
+        data_text = "any number of these readings"
+        missing_names, text = describe_undetermined(assessment, self.plan.goal.sizes, data_text)
         if not missing_names:
             return
-        if text.endswith(by) and all(r.motion == "static" for r in self.plan.template.readings):
+        if text.endswith(data_text) and all(
+            reading.motion == "static" for reading in self.plan.template.readings
+        ):
             text += ", because at 1 g the squares of the specific force components add up to one"
         raise NotIdentifiableError(
             text + ". Allow other stations, such as an arm or other axes, or state priors for the "
             "other terms in [model.priors]."
         )
 
-    def _optimum(self) -> tuple[Optimum[Counts], float | None]:
-        """Return the readings, and for a target the part of the limit that it needs."""
+    def _find_optimum(self) -> tuple[Optimum[Counts], float | None]:
+        """Return the optimum, and for a target the lower bound of the required limit fraction."""
         goal = self.plan.goal
         if goal.kind == "minimise":
             return best_counts(self.candidates, self.criterion, *self.limits), None
 
-        def u_of(counts: Counts) -> Array:
+        def forecast_u(counts: Counts) -> Array:
             u = self.forecast(counts).u
             return np.array([u[name] for name in goal.sizes])
 
-        optimum = least_counts(self.candidates, self.criterion, *self.limits, u_of)
+        optimum = least_counts(self.candidates, self.criterion, *self.limits, forecast_u)
         if optimum is not None:
             return optimum
         best_numbers = best_counts(self.candidates, self.criterion, *self.limits).design
-        text = words_of_missed_target(
+        text = describe_missed_target(
             self.forecast(best_numbers),
             goal.sizes,
             "no choice of readings within the limits",
@@ -306,48 +316,55 @@ class ReadingSearch:
         raise CounterspinError(text + ".", code="goal-not-reached")
 
     def _comparison_plans(self, optimum: Optimum[Counts], prediction: Forecast) -> list[OtherPlan]:
-        """Return the plan that takes every possible reading equally often, or nearly."""
-        size, number = optimum.design.size, int(optimum.design.sum())
-        spread = np.floor(np.arange(number) * size / number).astype(np.int64)
-        counts = np.bincount(spread, minlength=size)
-        expected = self.forecast(counts)
-        if not all(expected.assessment.determined[name] for name in self.plan.goal.sizes):
+        """Return the plan with equal counts of all candidates, as far as possible."""
+        n_candidates, n_readings = optimum.design.size, int(optimum.design.sum())
+        indices = np.floor(np.arange(n_readings) * n_candidates / n_readings).astype(np.int64)
+        counts = np.bincount(indices, minlength=n_candidates)
+        even_forecast = self.forecast(counts)
+        if not all(even_forecast.assessment.determined[name] for name in self.plan.goal.sizes):
             return []
-        often = "every reading equally often"
-        text = often if number % size == 0 else "same number of readings, distributed evenly"
+        text = (
+            "same number of readings, distributed evenly"
+            if n_readings % n_candidates
+            else "every reading equally often"
+        )
         time = float(self.candidates.cost @ counts)
-        return [other_plan(text, time, prediction.u, expected.u, self.plan.goal.sizes)]
+        return [compare_plan(text, time, prediction.u, even_forecast.u, self.plan.goal.sizes)]
 
     def _active_limits(self, optimum: Optimum[Counts]) -> list[LimitResult]:
-        """Return the gain from a tenth more of each limit; empty for a plan for a target."""
+        """Return the gain from relaxing each limit; empty for a plan with a target."""
         if self.plan.goal.kind == "target":
             return []
-        max_count, time = self.limits
-        factor = 1.0 + RELAXATION
-        relaxed = {
+        max_count, max_time = self.limits
+        factor = 1.0 + RELAXATION_FRACTION
+        relaxed_limits = {
             "readings": (
                 f"at most {max_count:.0f} readings",
                 max_count,
-                (np.ceil(max_count * factor), time),
+                (np.ceil(max_count * factor), max_time),
             ),
-            "total_time": (f"total time {time:.6g} s", time, (max_count, time * factor)),
+            "total_time": (
+                f"total time {max_time:.6g} s",
+                max_time,
+                (max_count, max_time * factor),
+            ),
         }
-        lines = []
-        for key, (text, limit, limits) in relaxed.items():
+        results = []
+        for key, (text, limit, limits) in relaxed_limits.items():
             if math.isfinite(limit):
                 relaxed_value = best_counts(self.candidates, self.criterion, *limits).value
                 gain = 1.0 - math.exp(relaxed_value - optimum.value)
-                lines.append(LimitResult(key=key, words=text, binds=gain > GAIN, gain=gain))
-        return [line for line in lines if line.binds]
+                results.append(LimitResult(key=key, words=text, binds=gain > MIN_GAIN, gain=gain))
+        return [result for result in results if result.binds]
 
 
-def _candidate_set(plan: ReadingPlan, model: Unknowns) -> CandidateSet:
-    """Return the information of each possible reading, and of the existing observations."""
+def _make_candidate_set(plan: ReadingPlan, model: Unknowns) -> CandidateSet:
+    """Return the information of each candidate reading, and of the existing observations."""
     campaign = plan.template
     expected = expected_values(campaign, model.unknowns)
     names = [reading.name for reading in plan.candidates]
     accelerometers = list(campaign.accelerometers)
-    readings = [r for r in campaign.readings if r.name in names]
+    readings = [reading for reading in campaign.readings if reading.name in names]
     poses = campaign.triad.poses if campaign.triad else ()
     poses = tuple(pose for pose in poses if pose[0].name in names)
     groups: list[Readings | TriadPoses] = [
@@ -356,67 +373,67 @@ def _candidate_set(plan: ReadingPlan, model: Unknowns) -> CandidateSet:
     ]
     p, q = len(model.unknowns), len(model.considered)
     design = np.zeros((len(names), len(accelerometers), p))
-    fixed = np.zeros((len(names), len(accelerometers), q))
+    considered = np.zeros((len(names), len(accelerometers), q))
     for group, (design_rows, considered_rows) in zip(
         groups, rows_at(groups, model, expected), strict=True
     ):
         indices = [names.index(name) for name in group.names]
-        # All three accelerometers of a pose together tell one thing.
+        # The three accelerometers of a pose together form a single row.
         row = 0 if isinstance(group, TriadPoses) else accelerometers.index(group.accelerometer)
-        design[indices, row], fixed[indices, row] = design_rows, considered_rows
+        design[indices, row], considered[indices, row] = design_rows, considered_rows
     blocks = _existing_blocks(plan, model, expected)
     prior_sds = np.array([unknown.prior_sd for unknown in model.unknowns])
-    priors = whiten_priors(np.eye(p), prior_sds, prior_correlation(model.unknowns))
-    sizes = np.array(model.considered_sds)
+    prior_rows = whiten_priors(np.eye(p), prior_sds, prior_correlation(model.unknowns))
+    considered_sds = np.array(model.considered_sds)
     return CandidateSet(
         design,
-        fixed * sizes,
-        np.vstack([*(block.factor for block in blocks), priors]),
-        np.vstack([*(block.considered * sizes for block in blocks), np.zeros((p, q))]),
+        considered * considered_sds,
+        np.vstack([*(block.factor for block in blocks), prior_rows]),
+        np.vstack([*(block.considered * considered_sds for block in blocks), np.zeros((p, q))]),
         np.array([reading.time for reading in plan.candidates]),
     )
 
 
 def _existing_blocks(plan: ReadingPlan, model: Unknowns, expected: Array) -> Sequence[Block]:
     """Return the information of the existing observations of the campaign."""
-    if not plan.taken:
+    if not plan.existing_runs:
         return ()
-    rate, campaign = plan.sampling_rate, plan.campaign_as_it_is()
+    rate, campaign = plan.sampling_rate, plan.existing_campaign()
     return forecast(campaign, sampling_rate=rate, model=model, expected=expected).fit.blocks
 
 
-def _new_readings(plan: ReadingPlan, campaign: Campaign) -> Campaign:
-    """Return a planned campaign with the readings alone that are still to be taken."""
-    before = len(plan.campaign_as_it_is().readings)
+def _select_new_readings(plan: ReadingPlan, campaign: Campaign) -> Campaign:
+    """Return the planned campaign with only its new readings."""
+    n_existing = len(plan.existing_campaign().readings)
     triad = campaign.triad
     if triad is not None:
-        triad = replace(triad, poses=triad.poses[len(plan.poses) :])
-    return replace(campaign, readings=campaign.readings[before:], triad=triad)
+        triad = replace(triad, poses=triad.poses[len(plan.existing_poses) :])
+    return replace(campaign, readings=campaign.readings[n_existing:], triad=triad)
 
 
-def _forecast_readings(plan: ReadingPlan, readings: Sequence[PossibleReading]) -> Forecast:
+def _forecast_readings(plan: ReadingPlan, readings: Sequence[CandidateReading]) -> Forecast:
     """Return the forecast of a campaign with these readings."""
     return forecast(plan.campaign(readings), sampling_rate=plan.sampling_rate)
 
 
-def measurement_order(counts: Counts, order: str) -> list[int]:
-    """Return the possible readings in the order in which to take them.
+def order_readings(counts: Counts, order: str) -> list[int]:
+    """Return the indices of the candidate readings in measurement order.
 
-    counts: How often each is taken, shape (n,).
+    counts: Number of readings of each candidate, shape (n,).
     """
     if order == "listed":
         return [int(index) for index in np.repeat(np.arange(counts.size), counts)]
     if order == "random":
         everything = np.repeat(np.arange(counts.size), counts)
-        return [int(i) for i in np.random.default_rng(_SEED).permutation(everything)]
-    # Pairs about the middle; an odd reading is in the middle.
-    half: list[int] = []
+        return [int(i) for i in np.random.default_rng(_ORDER_SEED).permutation(everything)]
+    # Pairs are symmetric about the middle; odd readings are in the middle.
+    first_half: list[int] = []
     remaining = counts // 2
-    forward = True
+    is_forward = True
     while remaining.any():
         indices = np.flatnonzero(remaining)
-        half += [int(i) for i in (indices if forward else indices[::-1])]
+        first_half += [int(i) for i in (indices if is_forward else indices[::-1])]
         remaining = remaining - (remaining > 0)
-        forward = not forward
+        is_forward = not is_forward
     middle = [int(index) for index in np.flatnonzero(counts % 2)]
-    return [*half, *middle, *reversed(half)]
+    return [*first_half, *middle, *reversed(first_half)]

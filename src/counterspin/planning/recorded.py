@@ -34,25 +34,25 @@ from counterspin.triads.record_poses import campaign_poses, pooled_noise
 
 
 def add_pose_noise(campaign: Campaign) -> Campaign:
-    """Return a campaign each of whose poses has a value and a standard uncertainty.
+    """Return a campaign whose poses all have a value and a standard uncertainty.
 
-    Those of records are found in them; the noise of those that state none is that of their fit.
+    Poses of records come from the records. Poses without a stated noise get the noise of the fit.
     """
     if campaign.triad is None:
         return campaign
     fitted_poses = campaign_poses(campaign)
     poses = [fitted.pose for fitted in fitted_poses]
-    blank = any(math.isnan(reading.value) for pose in poses for reading in pose)
-    if blank or all(reading.u is not None for pose in poses for reading in pose):
+    has_blank_values = any(math.isnan(reading.value) for pose in poses for reading in pose)
+    if has_blank_values or all(reading.u is not None for pose in poses for reading in pose):
         return campaign
     *_, group = group_poses(campaign, poses, pooled_noise(fitted_poses, campaign.gravity.value))
     noise = solve_readings([group], make_unknowns(campaign)).groups[0].noise
-    noisy = tuple(_set_noise(pose, noise) for pose in poses)
-    return replace(campaign, triad=replace(campaign.triad, poses=noisy, records=()))
+    noisy_poses = tuple(_set_noise(pose, noise) for pose in poses)
+    return replace(campaign, triad=replace(campaign.triad, poses=noisy_poses, records=()))
 
 
 def _set_noise(pose: Sequence[Reading], noise: float) -> tuple[Reading, ...]:
-    """Return a pose with a noise, of one repeat, where it states none."""
+    """Return a pose with the noise of one repeat if it does not state its noise."""
     if all(reading.u is not None for reading in pose):
         return tuple(pose)
     repeats = min(reading.repeats for reading in pose)
@@ -62,7 +62,7 @@ def _set_noise(pose: Sequence[Reading], noise: float) -> tuple[Reading, ...]:
 def needs_records(campaign: Campaign, sampling_rate: float | None) -> bool:
     """Check that a forecast needs data beyond the description and that the records exist.
 
-    sampling_rate: Hz, where it is known.
+    sampling_rate: Hz; None if unknown.
     """
     if not campaign.runs or campaign.simulation is not None:
         return False
@@ -70,27 +70,27 @@ def needs_records(campaign: Campaign, sampling_rate: float | None) -> bool:
         run.duration is not None for run in campaign.runs
     )
     is_recorded = all(run.record in campaign.frames or run.record.exists() for run in campaign.runs)
-    return is_recorded and not (is_described and _unstated_noise(campaign) == set())
+    return is_recorded and not (is_described and _unstated_noise_keys(campaign) == set())
 
 
 def apply_records(campaign: Campaign) -> tuple[Campaign, dict[str, float]]:
-    """Return a campaign with the lengths and the noise of its records, and run -> rate, Hz."""
+    """Return a campaign with durations and noise from its records, and sampling rates by run."""
     campaign = add_recorded_conditions(campaign)
     observed_runs, noise = observe_with_noise(campaign)
     return apply_observations(campaign, observed_runs, noise), sampling_rates(observed_runs)
 
 
 def observe_with_noise(campaign: Campaign) -> tuple[list[ObservedRun], dict[str, Noise]]:
-    """Return a campaign's records, and the noise of each accelerometer that it leaves to them."""
+    """Return the records of a campaign, and the noise by accelerometer if it is not stated."""
     observed_runs = list(observe(campaign))
-    if not _unstated_noise(campaign):
+    if not _unstated_noise_keys(campaign):
         return observed_runs, {}
     estimated, _ = estimate_campaign(JointProblem(campaign, observed_runs))
     return observed_runs, fitted_noise(estimated.fit)
 
 
 def fitted_noise(fit: JointFit) -> dict[str, Noise]:
-    """Return the noise that was found, with the random walk that may be there and not show."""
+    """Return the estimated noise, including random walks below the detection limit."""
     undetected_levels = {name: level for name, (level, _) in fit.undetected_walks.items()}
     return {
         name: replace(
@@ -101,44 +101,45 @@ def fitted_noise(fit: JointFit) -> dict[str, Noise]:
 
 
 def sampling_rates(observed_runs: Sequence[ObservedRun]) -> dict[str, float]:
-    """Return run -> samples a second, Hz."""
+    """Return the sampling rates by run, Hz."""
     return {run.run.name: 1.0 / run.record.report.step for run in observed_runs}
 
 
 def apply_observations(
     campaign: Campaign, observed_runs: Sequence[ObservedRun], noise: Mapping[str, Noise]
 ) -> Campaign:
-    """Return a campaign with the lengths of runs, and the noise, that it leaves to its records.
+    """Return a campaign with durations and noise from its records where it does not state them.
 
-    noise: By accelerometer, as it was found; the largest counts, since a description has one.
+    noise: Estimated noise by accelerometer; the largest is used, because a description has one.
     """
-    seconds = {run.run.name: float(run.record.time[-1]) for run in observed_runs}
+    durations = {run.run.name: float(run.record.time[-1]) for run in observed_runs}
     runs = tuple(
-        r.model_copy(update={"duration": seconds.get(r.name, r.duration)}) for r in campaign.runs
+        run.model_copy(update={"duration": durations.get(run.name, run.duration)})
+        for run in campaign.runs
     )
-    largest: dict[str, float] = {}
+    max_sizes: dict[str, float] = {}
     for name, noise_sizes in noise.items():
         for component, key in size_keys(campaign.accelerometers[name].observable).items():
-            largest[key] = max(getattr(noise_sizes, component), largest.get(key, 0.0))
-    angles = [run.rotation.rms for run in observed_runs if run.rotation is not None]
-    stated = campaign.noise or NoiseSettings()
-    sizes = {key: largest.get(key, 0.0) for key in _unstated_noise(campaign)}
-    if not stated.angle and angles:
-        sizes["angle"] = max(angles)
-    return replace(campaign, runs=runs, noise=stated.model_copy(update=sizes))
+            max_sizes[key] = max(getattr(noise_sizes, component), max_sizes.get(key, 0.0))
+    angle_rms = [run.rotation.rms for run in observed_runs if run.rotation is not None]
+    stated_noise = campaign.noise or NoiseSettings()
+    sizes = {key: max_sizes.get(key, 0.0) for key in _unstated_noise_keys(campaign)}
+    if not stated_noise.angle and angle_rms:
+        sizes["angle"] = max(angle_rms)
+    return replace(campaign, runs=runs, noise=stated_noise.model_copy(update=sizes))
 
 
-def _unstated_noise(campaign: Campaign) -> set[str]:
-    """Return the components of noise that are left to the records."""
-    stated = [stated_noise.sizes for stated_noise in resolve_noise(campaign).values()]
+def _unstated_noise_keys(campaign: Campaign) -> set[str]:
+    """Return the keys of the noise components that the campaign does not state."""
+    stated_sizes = [stated_noise.sizes for stated_noise in resolve_noise(campaign).values()]
     return {
         key
         for key in StatedNoise.model_fields
-        if any(sizes is None or isinstance(getattr(sizes, key), str) for sizes in stated)
+        if any(sizes is None or isinstance(getattr(sizes, key), str) for sizes in stated_sizes)
     }
 
 
-#: Attitudes that a double turntable is easily set to.
+#: Attitudes that are easy to set on a double turntable.
 _SUGGESTED_ATTITUDES: Final = (
     "90 deg about east",
     "90 deg about north",
@@ -146,64 +147,63 @@ _SUGGESTED_ATTITUDES: Final = (
     "180 deg about north",
 )
 
-#: Runs are worth their time if they reduce u below this part of the u with fewer runs.
-_MAX_REMAINING_FRACTION: Final = 0.8
+#: Further runs must reduce u below this fraction of u with fewer runs.
+_MAX_U_RATIO: Final = 0.8
 
 
 @frozen
 class SuggestedRuns:
-    """Runs to be added, and the uncertainty with them."""
+    """Suggested runs, and the standard uncertainty with and without them."""
 
-    attitude: str  #: Of all of them.
-    runs: list[dict[str, Any]]  #: As in ``[[runs]]``.
-    seconds: float  #: That their records take.
-    u: float  #: Standard uncertainty of the coefficient then.
-    u_without: float  #: And without them, by the same forecast.
+    attitude: str  #: Attitude of all suggested runs.
+    runs: list[dict[str, Any]]  #: Entries of ``[[runs]]``.
+    seconds: float  #: Total duration of their records, s.
+    u: float  #: Forecast standard uncertainty of the coefficient with the runs.
+    u_without: float  #: Forecast standard uncertainty without the runs.
 
 
 @single_blas_thread()
 def suggest_runs(
     campaign: Campaign, observed_runs: Sequence[ObservedRun], noise: Mapping[str, Noise], name: str
 ) -> SuggestedRuns | None:
-    """Return the cheapest runs in another attitude that help a coefficient; None if none does.
+    """Return the shortest runs in another attitude that reduce u of a coefficient; None if none do.
 
-    campaign: As it was read, all of its runs with records.
-    noise: By accelerometer, as it was found.
-    name: Of the coefficient, such as ``Qx.K_II``.
+    campaign: Campaign with records of all runs.
+    noise: Estimated noise by accelerometer.
+    name: Name of the coefficient, such as ``Qx.K_II``.
     """
     if not campaign.runs:
         return None
-    rates = sampling_rates(observed_runs)
+    rate_by_run = sampling_rates(observed_runs)
 
-    def u_of(runs: Sequence[dict[str, Any]]) -> float:
-        existing = list(require_source(campaign).document["runs"])
-        new_campaign = campaign.change({"runs": [*existing, *runs]}) if runs else campaign
-        highest = max(rates.values())
-        run_rates = {run.name: rates.get(run.name, highest) for run in new_campaign.runs}
+    def forecast_u(runs: Sequence[dict[str, Any]]) -> float:
+        existing_runs = list(require_source(campaign).document["runs"])
+        new_campaign = campaign.change({"runs": [*existing_runs, *runs]}) if runs else campaign
+        highest_rate = max(rate_by_run.values())
+        new_rates = {run.name: rate_by_run.get(run.name, highest_rate) for run in new_campaign.runs}
         return forecast(
-            apply_observations(new_campaign, observed_runs, noise), sampling_rate=run_rates
+            apply_observations(new_campaign, observed_runs, noise), sampling_rate=new_rates
         ).u[name]
 
-    u_without = u_of(())
-    best_suggestion: SuggestedRuns | None = None
+    u_without = forecast_u(())
+    best: SuggestedRuns | None = None
     for attitude, runs in _candidate_runs(apply_observations(campaign, observed_runs, noise)):
         seconds = sum(float(run["duration"].split()[0]) for run in runs)
         try:
-            u = u_of(runs)
+            u = forecast_u(runs)
         except NotIdentifiableError:
             continue
         candidate = SuggestedRuns(attitude, runs, seconds, u, u_without)
-        is_longer = best_suggestion is not None and seconds > best_suggestion.seconds
-        if u < _MAX_REMAINING_FRACTION * u_without and (
-            best_suggestion is None
-            or u < (_MAX_REMAINING_FRACTION if is_longer else 1.0) * best_suggestion.u
+        is_longer = best is not None and seconds > best.seconds
+        if u < _MAX_U_RATIO * u_without and (
+            best is None or u < (_MAX_U_RATIO if is_longer else 1.0) * best.u
         ):
-            best_suggestion = candidate
-    return best_suggestion
+            best = candidate
+    return best
 
 
 def _candidate_runs(campaign: Campaign) -> Iterator[tuple[str, list[dict[str, Any]]]]:
-    """Yield runs like those that there are, in other attitudes: the fastest, then all rates."""
+    """Yield repeated runs in other attitudes: first of the fastest run, then of all rates."""
     attitudes = [
         attitude
         for attitude in _SUGGESTED_ATTITUDES
@@ -212,14 +212,14 @@ def _candidate_runs(campaign: Campaign) -> Iterator[tuple[str, list[dict[str, An
         )
     ]
     runs = sorted(campaign.runs, key=lambda run: -abs(run.rate))
-    by_rate = list({run.rate: run for run in reversed(runs)}.values())[::-1]
-    for selection in ([runs[0]], by_rate)[: 1 + (len(by_rate) > 1)]:
+    runs_by_rate = list({run.rate: run for run in reversed(runs)}.values())[::-1]
+    for selection in ([runs[0]], runs_by_rate)[: 1 + (len(runs_by_rate) > 1)]:
         for attitude in attitudes:
-            yield attitude, [_repeat_run(campaign, run, attitude) for run in selection]
+            yield attitude, [_describe_repeated_run(campaign, run, attitude) for run in selection]
 
 
-def _repeat_run(campaign: Campaign, run: Run, attitude: str) -> dict[str, Any]:
-    """Return a run as it is described that repeats another one in an attitude."""
+def _describe_repeated_run(campaign: Campaign, run: Run, attitude: str) -> dict[str, Any]:
+    """Return the description of a run that repeats another run in an attitude."""
     names = {existing.name for existing in campaign.runs}
     name = next(
         name

@@ -63,7 +63,7 @@ class PlannedReading(ResultPart):
 
 
 class PredictedCoefficient(ResultPart):
-    """The uncertainty that a coefficient will have, and where from; None: not determined."""
+    """The expected uncertainty of a coefficient and its sources; None: not determined."""
 
     u: float | None
     u_noise: float | None = None
@@ -77,9 +77,9 @@ class PredictedCoefficient(ResultPart):
 class PlannedAccelerometer(ResultPart):
     """The expected result of an accelerometer.
 
-    `harmonic_share` is the part of K_II's estimate that comes from the second harmonic of the
-    revolution, the rest being the mean of a_I^2, and None where there are readings; `faults`, the
-    largest first; both only where K_II is estimated and determined.
+    `harmonic_share` is the share of the estimate of K_II from the second harmonic; the remaining
+    share comes from the mean of a_I^2. It is None with readings. `faults` has the largest fault
+    first. Both are None if K_II is not estimated or not determined.
     """
 
     coefficients: dict[str, PredictedCoefficient]
@@ -93,9 +93,9 @@ class PlannedAccelerometer(ResultPart):
 class GoalResult(ResultPart):
     """The goal of a plan, and its efficiency.
 
-    `sizes`: unknown, such as ``Qx.K_II``, -> the size of u that counts as 1, or the target.
-    `efficiency` is the least u (or, for a target, time) that any plan within the limits could
-    have, over this plan's; None where no theorem gives it.
+    `sizes`: unknown, such as ``Qx.K_II``, -> u that counts as 1, or the target of u.
+    `efficiency` is the lower bound of u (or, for a target, time) of any plan within the limits,
+    over the u of this plan; None if no theorem gives a bound.
     """
 
     #: ``minimise``: smallest uncertainty within the time; ``target``: shortest time.
@@ -104,13 +104,13 @@ class GoalResult(ResultPart):
     sizes: dict[str, float]
     efficiency: float | None = None
 
-    def criterion_of(self, names: Sequence[str]) -> Criterion:
-        """Return the criterion to minimise, for unknowns of these names."""
+    def make_criterion(self, names: Sequence[str]) -> Criterion:
+        """Return the criterion to minimise, for unknowns with `names`."""
         indices = tuple(names.index(name) for name in self.sizes)
         return Criterion(indices, tuple(self.sizes.values()), self.criterion)
 
-    def met(self, efficiency: float | None) -> GoalResult:
-        """Return the goal of a plan that is so efficient."""
+    def with_efficiency(self, efficiency: float | None) -> GoalResult:
+        """Return the goal with the efficiency of a plan."""
         return self.model_copy(update={"efficiency": efficiency})
 
 
@@ -138,7 +138,7 @@ class LimitResult(ResultPart):
 class PlanResult(ReportableResult):
     """A plan, or the forecast of a campaign that exists (then without goal and limits).
 
-    `assumed` are the terms and inputs that are taken as perfect, and so no part of u.
+    `assumed` are the terms and inputs fixed at nominal values, which do not contribute to u.
     """
 
     BLOCKS: ClassVar[str] = "counterspin.planning.page:plan_blocks"
@@ -165,14 +165,14 @@ class PlanResult(ReportableResult):
 
     @model_validator(mode="before")
     @classmethod
-    def _without_curves(cls, document: Any) -> Any:
-        """Return a document without the curves that files of earlier versions have."""
+    def _drop_curves(cls, document: Any) -> Any:
+        """Return a document without the curves in files of earlier versions."""
         if isinstance(document, Mapping):
             return {key: value for key, value in document.items() if key != "curves"}
         return document
 
 
-def result_of(
+def make_plan_result(
     prediction: Forecast,
     sampling_rate: float | None,
     total_time: float,
@@ -181,8 +181,8 @@ def result_of(
 ) -> PlanResult:
     """Return the result of a campaign's forecast, without goal and limits.
 
-    attitudes, starts: Of each run by name, in words and s, as in `planned_runs`; None: runs are
-        there already.
+    attitudes: Descriptions of the attitudes by run; None: omit the runs.
+    starts: Start times of the records by run, s; None: not planned.
     """
     campaign = prediction.campaign
     return PlanResult(
@@ -193,32 +193,35 @@ def result_of(
         total_time=total_time,
         runs=[] if attitudes is None else planned_runs(campaign, attitudes, starts),
         readings=planned_readings(campaign),
-        accelerometers=accelerometers_of(prediction),
-        platform=platform_of(prediction),
+        accelerometers=predict_accelerometers(prediction),
+        platform=predict_platform(prediction),
         assumed=list(fixed_symbols(campaign, make_unknowns(campaign))),
-        warnings=[*_one_rate(campaign), *(question.text for question in questions(campaign))],
+        warnings=[
+            *_single_rate_warnings(campaign),
+            *(question.text for question in questions(campaign)),
+        ],
         provenance=Provenance(version=__version__, inputs={}),
     )
 
 
-def other_plan(
+def compare_plan(
     words: str,
     total_time: float,
-    u_of_plan: Mapping[str, float],
-    u_of_other: Mapping[str, float],
+    plan_u: Mapping[str, float],
+    other_u: Mapping[str, float],
     names: Iterable[str],
 ) -> OtherPlan:
     """Return the comparison of another plan with this one.
 
-    u_of_plan, u_of_other: u of this plan and of the other, by name.
+    plan_u, other_u: u of this plan and of the other, by name.
     """
-    u = {name: u_of_other[name] for name in names}
-    ratio = {name: u_of_plan[name] / size for name, size in u.items()}
+    u = {name: other_u[name] for name in names}
+    ratio = {name: plan_u[name] / u_value for name, u_value in u.items()}
     return OtherPlan(words=words, total_time=total_time, u=u, ratio=ratio)
 
 
-def _one_rate(campaign: Campaign) -> list[str]:
-    """Return the note on the limits of runs at a single rate; empty for other campaigns."""
+def _single_rate_warnings(campaign: Campaign) -> list[str]:
+    """Return the warning for runs at a single rate; empty for other campaigns."""
     rates = [abs(run.rate) for run in campaign.runs]
     if campaign.readings or not rates or max(rates) > 1.001 * min(rates):
         return []
@@ -230,29 +233,33 @@ def _one_rate(campaign: Campaign) -> list[str]:
     ]
 
 
-def accelerometers_of(prediction: Forecast) -> dict[str, PlannedAccelerometer]:
-    """Return the expected result of a campaign for each accelerometer."""
-    requested = prediction.fit.model.of_interest
+def predict_accelerometers(prediction: Forecast) -> dict[str, PlannedAccelerometer]:
+    """Return the expected result of each accelerometer of a campaign."""
+    parameters = prediction.fit.model.of_interest
     indices = {
         name: {
-            u.symbol: i for i, u in enumerate(requested) if u.owner == name and u.symbol in TERMS
+            parameter.symbol: i
+            for i, parameter in enumerate(parameters)
+            if parameter.owner == name and parameter.symbol in TERMS
         }
         for name in prediction.campaign.accelerometers
     }
     return {
-        name: _accelerometer(prediction, name, symbol_places)
-        for name, symbol_places in indices.items()
+        name: _predict_accelerometer(prediction, name, symbol_indices)
+        for name, symbol_indices in indices.items()
     }
 
 
-def _accelerometer(
+def _predict_accelerometer(
     prediction: Forecast, name: str, indices: Mapping[str, int]
 ) -> PlannedAccelerometer:
-    coefficients = {symbol: _predicted(prediction, index) for symbol, index in indices.items()}
+    coefficients = {
+        symbol: _predict_coefficient(prediction, index) for symbol, index in indices.items()
+    }
     campaign = prediction.campaign
     other_prefixes = [f"{prefix}." for prefix in campaign.accelerometers if prefix != name]
     is_determined = "K_II" in coefficients and coefficients["K_II"].estimated
-    share, faults = (
+    harmonic_share, faults = (
         undetected_faults(prediction, name, indices["K_II"]) if is_determined else (None, None)
     )
     budgets = {
@@ -261,40 +268,46 @@ def _accelerometer(
         if coefficients[symbol].estimated
     }
     return PlannedAccelerometer(
-        coefficients={s: coefficients[s] for s in campaign.model.terms if s in coefficients},
+        coefficients={
+            symbol: coefficients[symbol]
+            for symbol in campaign.model.terms
+            if symbol in coefficients
+        },
         budget=budgets,
         what_if=what_if(prediction.fit, indices, budgets, name),
         confounded=[
-            replace(item.of(name), value=None)
-            for item in prediction.assessment.confounded
-            if not any(t.startswith(prefix) for t in item.terms for prefix in other_prefixes)
+            replace(confounded.of(name), value=None)
+            for confounded in prediction.assessment.confounded
+            if not any(
+                term.startswith(prefix) for term in confounded.terms for prefix in other_prefixes
+            )
         ],
-        harmonic_share=share,
+        harmonic_share=harmonic_share,
         faults=faults,
     )
 
 
-def platform_of(prediction: Forecast) -> dict[str, PredictedCoefficient]:
-    """Return the expected uncertainties of the platform's terms that all runs share."""
+def predict_platform(prediction: Forecast) -> dict[str, PredictedCoefficient]:
+    """Return the expected uncertainties of the platform terms that all runs share."""
     return {
-        unknown.symbol: _predicted(prediction, index)
+        unknown.symbol: _predict_coefficient(prediction, index)
         for index, unknown in enumerate(prediction.fit.model.of_interest)
         if not unknown.owner
     }
 
 
-def _predicted(prediction: Forecast, index: int) -> PredictedCoefficient:
-    """Return an unknown's uncertainty."""
-    shown = make_coefficient(prediction.estimate, prediction.assessment, index)
+def _predict_coefficient(prediction: Forecast, index: int) -> PredictedCoefficient:
+    """Return the expected uncertainty of an unknown."""
+    coefficient_result = make_coefficient(prediction.estimate, prediction.assessment, index)
     prior = prediction.fit.model.unknowns[index].prior[1]
     return PredictedCoefficient(
-        u=shown.u if shown.estimated else None,
-        u_noise=shown.u_noise,
-        u_stated=shown.u_stated,
-        u_unstated=shown.u_unstated,
+        u=coefficient_result.u if coefficient_result.estimated else None,
+        u_noise=coefficient_result.u_noise,
+        u_stated=coefficient_result.u_stated,
+        u_unstated=coefficient_result.u_unstated,
         prior=prior if math.isfinite(prior) else None,
-        unit=shown.unit,
-        estimated=shown.estimated,
+        unit=coefficient_result.unit,
+        estimated=coefficient_result.estimated,
     )
 
 
@@ -303,7 +316,7 @@ def planned_runs(
 ) -> list[PlannedRun]:
     """Return a campaign's runs in their order.
 
-    starts: Run -> when its record starts, s; None: not planned.
+    starts: Start times of the records by run, s; None: not planned.
     """
     runs = []
     for run in campaign.runs:
@@ -333,7 +346,8 @@ def planned_readings(campaign: Campaign) -> list[PlannedReading]:
             rate=reading.rate,
             specific_force=campaign.radius.value * reading.rate**2 / campaign.site.gravity,
             axes=", ".join(
-                _direction(axis, FRAMES[reading.motion]) for axis in reading.axes.matrix[:2]
+                _describe_direction(axis, FRAMES[reading.motion])
+                for axis in reading.axes.matrix[:2]
             ),
             u=reading.u or 0.0,
             time=reading.time,
@@ -343,7 +357,7 @@ def planned_readings(campaign: Campaign) -> list[PlannedReading]:
 
 
 def _planned_pose(pose: Sequence[Reading]) -> PlannedReading:
-    """Return a planned pose of a triad, a single reading of all three accelerometers."""
+    """Return a planned pose of a triad as a single reading of its three accelerometers."""
     values = np.array([reading.value for reading in pose])
     components = zip(pose, values / np.linalg.norm(values), strict=True)
     return PlannedReading(
@@ -354,13 +368,15 @@ def _planned_pose(pose: Sequence[Reading]) -> PlannedReading:
         rate=0.0,
         specific_force=0.0,
         axes="up: "
-        + ", ".join(f"{r.accelerometer} {component:+.2f}" for r, component in components),
+        + ", ".join(
+            f"{reading.accelerometer} {component:+.2f}" for reading, component in components
+        ),
         u=max(reading.u or 0.0 for reading in pose),
         time=pose[0].time,
     )
 
 
-def _direction(axis: Array, names: Mapping[str, tuple[float, float, float]]) -> str:
+def _describe_direction(axis: Array, names: Mapping[str, tuple[float, float, float]]) -> str:
     """Return the name of a direction, or its components."""
     for name, components in names.items():
         if np.allclose(axis, components, atol=1e-9):

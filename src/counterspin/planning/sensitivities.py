@@ -1,4 +1,4 @@
-"""Changes of estimates by effects that a model lacks, and the residuals of these effects."""
+"""Shifts of estimates by effects that a model omits, and the residuals of these effects."""
 
 from __future__ import annotations
 
@@ -20,63 +20,65 @@ from counterspin.inference.least_squares import Block
 from counterspin.inference.priors import prior_correlation, whiten_priors
 from counterspin.readings.linear import LinearReadings
 
-#: What an observation shows of one unit of each of m effects, in its own unit, shape (n, m).
-Columns = Callable[[Observation], Array]
+#: Function that returns the columns of m effects in an observation, shape (n, m).
+ColumnFunction = Callable[[Observation], Array]
 
 
 @frozen(eq=False)
 class Sensitivities:
     """Shifts of the estimates by m unmodelled effects, and the residuals of those effects."""
 
-    #: What one unit of each moves the unknowns by, shape (p, m).
-    moved: Array
-    #: The products of what one unit of each leaves in the whitened rows and priors once the fit has
-    #: followed it as far as it can, shape (m, m).
-    left: Array
-    #: By accelerometer, the same in its own whitened residuals, and their degrees of freedom.
-    left_in: Mapping[str, Array]
-    freedom: Mapping[str, float]
+    #: Shifts of the unknowns per unit of each effect, shape (p, m).
+    shifts: Array
+    #: Inner products of the residuals per unit of each effect, in the whitened rows and priors,
+    #: shape (m, m).
+    residual_products: Array
+    #: By accelerometer: inner products of its own whitened residuals, and degrees of freedom.
+    accelerometer_products: Mapping[str, Array]
+    dof: Mapping[str, float]
 
 
-def sensitivities(fit: JointFit, columns: Columns) -> Sensitivities:
-    """Return the effect of each further column, alone, on a fit."""
+def sensitivities(fit: JointFit, columns: ColumnFunction) -> Sensitivities:
+    """Return the effect of each additional column, alone, on a fit."""
     model = fit.model
-    # One after the other: the columns of all of them together would take much memory.
-    blocks = [_block(observation, columns(observation), fit) for observation in fit.observations]
-    solution = solve_blocks(blocks, _with_further(model, blocks[0].considered.shape[1]))
-    owners = [_owner(observation) for observation in fit.observations]
-    products, products_by_name = _residual_products(blocks, owners, model)
-    ends = np.cumsum([block.factor.shape[0] for block in blocks])
-    freedom: dict[str, float] = {}
-    block_leverages = np.split(solution.leverages, ends[:-1])
+    # One observation at a time, to save memory.
+    blocks = [
+        _extended_block(observation, columns(observation), fit) for observation in fit.observations
+    ]
+    solution = solve_blocks(blocks, _add_considered_columns(model, blocks[0].considered.shape[1]))
+    owners = [_residual_owner(observation) for observation in fit.observations]
+    residual_products, accelerometer_products = _residual_products(blocks, owners, model)
+    row_ends = np.cumsum([block.factor.shape[0] for block in blocks])
+    dof: dict[str, float] = {}
+    block_leverages = np.split(solution.leverages, row_ends[:-1])
     for owner, block, leverages in zip(owners, blocks, block_leverages, strict=True):
         block_dof = block.rows - block.nuisance - float(leverages.sum())
-        freedom[owner] = freedom.get(owner, 0.0) + block_dof
+        dof[owner] = dof.get(owner, 0.0) + block_dof
     shifts = -solution.sensitivity_considered[:, len(model.considered) :]
-    return Sensitivities(shifts, products, products_by_name, freedom)
+    return Sensitivities(shifts, residual_products, accelerometer_products, dof)
 
 
-def _with_further(model: Unknowns, count: int) -> Unknowns:
-    """Return a model with so many considered columns, the further ones of no uncertainty."""
-    further = range(len(model.considered), count)
-    added_terms = (Considered("", str(index), (0.0, 0.0), 1.0) for index in further)
+def _add_considered_columns(model: Unknowns, n_considered: int) -> Unknowns:
+    """Return a model with `n_considered` considered terms; the added ones have no uncertainty."""
+    added_indices = range(len(model.considered), n_considered)
+    added_terms = (Considered("", str(index), (0.0, 0.0), 1.0) for index in added_indices)
     return Unknowns(model.unknowns, (*model.considered, *added_terms))
 
 
-def _block(observation: Observation, columns: Array, fit: JointFit) -> Block:
+def _extended_block(observation: Observation, columns: Array, fit: JointFit) -> Block:
     """Return the block of an observation with columns (n, m) after the considered ones."""
     start = len(fit.model.considered)
-    count = start + columns.shape[1]
+    n_considered = start + columns.shape[1]
     full_observation = replace(
         observation,
         fixed=np.column_stack([observation.fixed, columns]),
-        considered=(*observation.considered, *range(start, count)),
+        considered=(*observation.considered, *range(start, n_considered)),
     )
-    return full_observation.block_in(_with_further(fit.model, count), fit.noise)
+    return full_observation.block_in(_add_considered_columns(fit.model, n_considered), fit.noise)
 
 
-def _owner(observation: Observation) -> str:
-    """Return whose residuals an observation has."""
+def _residual_owner(observation: Observation) -> str:
+    """Return the name of the accelerometer of an observation, or its source."""
     return (
         observation.group.accelerometer
         if isinstance(observation, LinearReadings)
@@ -84,14 +86,16 @@ def _owner(observation: Observation) -> str:
     )
 
 
-def columns_of(fit: JointFit, terms: Sequence[Considered], expected: Array) -> Columns:
-    """Return the columns of terms and inputs that are not in a fit.
+def make_column_function(
+    fit: JointFit, terms: Sequence[Considered], expected: Array
+) -> ColumnFunction:
+    """Return the function that computes the columns of terms and inputs that a fit omits.
 
-    expected: Values of the fit's unknowns, less nominal, on which inputs act, shape (p,).
+    expected: Values of the fit's unknowns minus nominal, shape (p,), for the effect of inputs.
     """
-    model, acting = fit.model, np.flatnonzero(expected)
-    # An input acts on what is expected: nothing else is needed for its column.
-    acting_model = Unknowns(tuple(model.unknowns[i] for i in acting), tuple(terms))
+    model, active_indices = fit.model, np.flatnonzero(expected)
+    # An input acts only on unknowns with an expected value.
+    active_model = Unknowns(tuple(model.unknowns[i] for i in active_indices), tuple(terms))
     full_model = Unknowns(model.unknowns, (*model.considered, *terms))
 
     def columns_at(observation: Observation) -> Array:
@@ -102,7 +106,7 @@ def columns_of(fit: JointFit, terms: Sequence[Considered], expected: Array) -> C
         assert isinstance(observation, DesignBlock)
         factors = {observation.accelerometer: observation.scale_factor}
         (block,) = build_design_blocks(
-            [observation.series], acting_model, factors, expected[acting]
+            [observation.series], active_model, factors, expected[active_indices]
         )
         columns = np.zeros((len(observation.design), len(terms)))
         columns[:, list(block.considered)] = block.fixed
@@ -114,24 +118,23 @@ def columns_of(fit: JointFit, terms: Sequence[Considered], expected: Array) -> C
 def _residual_products(
     blocks: Sequence[Block], owners: Sequence[str], model: Unknowns
 ) -> tuple[Array, dict[str, Array]]:
-    """Return the products of what columns behind the considered ones leave in rows and priors.
+    """Return the inner products of the residuals of the additional columns, in total and by owner.
 
-    What is considered is followed here as what is estimated: the test of the residuals allows
-    for it.
+    Considered terms are estimated here, because the test of the residuals allows for them.
     """
-    spread = np.array([*(u.prior_sd for u in model.unknowns), *model.considered_sds])
-    p = spread.size
-    spread = np.where(spread > 0.0, spread, 1e-30)
+    prior_sds = np.array([*(unknown.prior_sd for unknown in model.unknowns), *model.considered_sds])
+    p = prior_sds.size
+    prior_sds = np.where(prior_sds > 0.0, prior_sds, 1e-30)
     correlation = prior_correlation((*model.unknowns, *model.considered))
-    prior_rows = whiten_priors(np.eye(p), spread, correlation)
+    prior_rows = whiten_priors(np.eye(p), prior_sds, correlation)
     rows = [np.hstack([block.factor, block.considered]) for block in blocks]
     prior = np.hstack([prior_rows, np.zeros((p, rows[0].shape[1] - p))])
     triangle = triangular_factor(np.vstack([*rows, prior]))
-    remainder = triangle[p:, p:]
+    residual_factor = triangle[p:, p:]
     solution = np.linalg.solve(triangle[:p, :p], triangle[:p, p:])
     by_accelerometer: dict[str, Array] = {}
     for block, owner in zip(rows, owners, strict=True):
         residual = block[:, p:] - block[:, :p] @ solution
-        previous_sum = by_accelerometer.get(owner, 0.0)
-        by_accelerometer[owner] = previous_sum + residual.T @ residual
-    return remainder.T @ remainder, by_accelerometer
+        previous_products = by_accelerometer.get(owner, 0.0)
+        by_accelerometer[owner] = previous_products + residual.T @ residual
+    return residual_factor.T @ residual_factor, by_accelerometer

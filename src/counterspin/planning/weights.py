@@ -1,6 +1,6 @@
-"""The weights with which a planned run's columns are combinations of functions of the angle.
+"""Weights of functions of the angle in the columns of a planned run.
 
-Polynomials in the rate, found once from the same columns as a calibration's.
+The weights are polynomials in the rate, fitted once to the columns of the calibration.
 """
 
 from __future__ import annotations
@@ -38,26 +38,30 @@ class PlannedInstrument:
     name: str
     mounting: Mounting
     observable: str
-    noise: Noise  #: Of one sample.
-    timing: float = 0.0  #: Standard deviation of the time stamps, s.
-    #: Standard deviation of a recorded angle, rad, by which times are corrected; infinite without
-    #: an angle.
-    encoder: float = math.inf
+    noise: Noise  #: Noise of one sample.
+    timing_noise: float = 0.0  #: Standard deviation of the time stamps, s.
+    #: Standard deviation of the recorded angle, rad, which corrects the times; infinite without an
+    #: angle.
+    encoder_noise: float = math.inf
 
     @property
     def order(self) -> int:
         """Number of integrations of the specific force in the observable."""
         return ORDERS[self.observable]
 
-    def timing_left(self, rate: float) -> float:
-        """Return the noise of the times that the angles leave at a rate, s."""
-        both = math.hypot(self.timing, self.encoder / rate)
-        return self.timing * self.encoder / rate / both if math.isfinite(both) else self.timing
+    def remaining_timing_noise(self, rate: float) -> float:
+        """Return the noise of the times after correction by the angle at a rate, s."""
+        combined = math.hypot(self.timing_noise, self.encoder_noise / rate)
+        return (
+            self.timing_noise * self.encoder_noise / rate / combined
+            if math.isfinite(combined)
+            else self.timing_noise
+        )
 
     @property
-    def scatters(self) -> bool:
+    def has_timing_noise(self) -> bool:
         """True if noise of the time stamps remains."""
-        return self.timing > 0.0 and self.encoder > 0.0
+        return self.timing_noise > 0.0 and self.encoder_noise > 0.0
 
 
 def expected_record(
@@ -66,11 +70,15 @@ def expected_record(
     """Return a record with its expected errors, except those of inputs.
 
     expected: Values minus nominal.
-    scale_factor: K_I, with which the accelerometer sees the platform's errors.
+    scale_factor: K_I, which multiplies the errors of the platform.
     """
-    relevant = [u for u in expected if expected[u] and u.symbol not in INPUTS and u.affects(series)]
-    columns = series.columns([u.symbol for u in relevant], scale_factor)
-    return replace(series, error=columns @ [expected[u] for u in relevant])
+    active_unknowns = [
+        unknown
+        for unknown in expected
+        if expected[unknown] and unknown.symbol not in INPUTS and unknown.affects(series)
+    ]
+    columns = series.columns([unknown.symbol for unknown in active_unknowns], scale_factor)
+    return replace(series, error=columns @ [expected[unknown] for unknown in active_unknowns])
 
 
 @frozen
@@ -78,32 +86,31 @@ class Setup:
     """The setup of a plan: instruments, attitudes, unknowns."""
 
     instruments: tuple[PlannedInstrument, ...]  #: The accelerometers.
-    #: Name -> rows x, y, z in east-north-up, shape (3, 3). The model has the unknowns that belong
-    #: to a run, such as its tilt, once for each of these names.
+    #: Attitudes by name: rows x, y, z in east-north-up, shape (3, 3). The model has the unknowns of
+    #: a run, such as its tilt, once for each name.
     attitudes: dict[str, Array]
-    #: m; where the centrifuge stands.
-    radius: float
-    site: Site
-    sampling_rate: float  #: Samples a second, Hz.
-    model: Unknowns  #: What is estimated and considered.
-    #: Expected values of the unknowns, minus nominal, shape (p,); the uncertain inputs act on them.
-    estimate: Array
+    radius: float  #: Radius of the centrifuge, m.
+    site: Site  #: Location of the centrifuge.
+    sampling_rate: float  #: Sampling rate, Hz.
+    model: Unknowns  #: Estimated and considered terms.
+    #: Expected values of the unknowns minus nominal, shape (p,), for the effect of inputs.
+    expected: Array
     scale_factors: dict[str, float]  #: K_I of each accelerometer.
 
     @cached_property
-    def shared(self) -> tuple[int, ...]:
-        """Places of the unknowns that all runs share, in the model."""
+    def shared_indices(self) -> tuple[int, ...]:
+        """Indices of the shared unknowns in the model."""
         unknowns = enumerate(self.model.unknowns)
         return tuple(i for i, unknown in unknowns if unknown.owner not in self.attitudes)
 
     @cached_property
-    def considered(self) -> tuple[int, ...]:
-        """Places of the considered terms that all runs share."""
+    def shared_considered(self) -> tuple[int, ...]:
+        """Indices of the shared considered terms in the model."""
         owners = [considered_term.owner for considered_term in self.model.considered]
         return tuple(i for i, owner in enumerate(owners) if owner not in self.attitudes)
 
-    def own(self, attitude: str) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return the places of a run's own unknowns and of its own considered terms."""
+    def own_indices(self, attitude: str) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return the indices of the run's own unknowns and own considered terms."""
         model = self.model
         return (
             tuple(i for i, unknown in enumerate(model.unknowns) if unknown.owner == attitude),
@@ -115,34 +122,34 @@ class Setup:
         )
 
     @property
-    def considered_sizes(self) -> Array:
-        """Standard uncertainties of all considered columns, in the model's order."""
+    def considered_sds(self) -> Array:
+        """Standard uncertainties of all considered terms, in the order of the model."""
         return np.array(self.model.considered_sds)
 
 
-#: Highest harmonics of the angle that are tried, until the columns are combinations of the
-#: functions to `_RESIDUAL` of their size, or as well as they ever are: difference quotients have
-#: rounding. A term with a kink has all harmonics, those of its force falling off as n^-3: of it
-#: the remainder in the record counts, whose square is missing from the information.
+#: Candidates for the number of harmonics. The smallest one with relative residuals below
+#: `_MAX_RESIDUAL` is used, or with residuals near those of all harmonics, because difference
+#: quotients have rounding errors. A term with a kink has all harmonics, which decrease as n^-3; its
+#: limit is higher, because the information lacks only the square of the residual.
 _HARMONICS: Final = (3, 4, 6, 11)
-_RESIDUAL: Final = 1e-6
-_RESIDUAL_OF_KINK: Final = 5e-4
+_MAX_RESIDUAL: Final = 1e-6
+_MAX_KINK_RESIDUAL: Final = 5e-4
 
-#: Nodes in the rate: the weights are polynomials of the tenth degree (a_I^4 goes as w^8).
+#: Number of nodes in the rate: the weights are polynomials of degree 10 (a_I^4 has w^8).
 _RATE_NODES: Final = 13
 
-#: Owner and symbol of a term; an ending marks the change of its effect in each second.
+#: Owner and symbol of a term; the suffix `PER_SECOND` marks the change of its effect per second.
 Key = tuple[str, str]
-A_SECOND: Final = " in a second"
+PER_SECOND: Final = " in a second"
 
-#: Step of the derivative by the clock.
+#: Step of the derivative with respect to the clock.
 _CLOCK_STEP: Final = 1e-6
 
 
 class TermWeights:
-    """The weights of every term in the functions of the angle, over the rate.
+    """Weights of the functions of the angle in the columns of every term, over the rate.
 
-    rates: Smallest and largest size of the rate, rad/s.
+    rates: Lowest and highest rate (magnitudes), rad/s.
     run_types: Attitude and sense of each type of run.
     """
 
@@ -151,33 +158,38 @@ class TermWeights:
     ) -> None:
         self.setup = setup
         self.rates = rates
-        forces = [[self._forces(i, *run_type) for run_type in run_types] for i in setup.instruments]
+        forces = [
+            [self._forces_at_nodes(instrument, *run_type) for run_type in run_types]
+            for instrument in setup.instruments
+        ]
         #: Highest harmonic of the functions.
-        self.harmonics = next(
+        self.n_harmonics = next(
             (
-                harmonics
-                for harmonics in _HARMONICS
+                n_harmonics
+                for n_harmonics in _HARMONICS
                 if all(
-                    self._suffice(harmonics, instrument, *shown)
+                    self._is_accurate(n_harmonics, instrument, *keys_and_forces)
                     for instrument, by_run_type in zip(setup.instruments, forces, strict=True)
-                    for shown in by_run_type
+                    for keys_and_forces in by_run_type
                 )
             ),
             _HARMONICS[-1],
         )
-        #: Of each instrument and kind of run, the Chebyshev coefficients of each term's weights
-        #: over the rate, shape (nodes, b).
+        #: For each instrument and type of run: Chebyshev coefficients of the weights over the rate,
+        #: by term, shape (nodes, b).
         self.terms = [
-            [self._weights_of(instrument, *shown) for shown in by_run_type]
+            [self._fit_weights(instrument, *keys_and_forces) for keys_and_forces in by_run_type]
             for instrument, by_run_type in zip(setup.instruments, forces, strict=True)
         ]
 
     @property
     def shape(self) -> tuple[int, int]:
         """The shape of each term's weights."""
-        return _RATE_NODES, 4 + 4 * self.harmonics
+        return _RATE_NODES, 4 + 4 * self.n_harmonics
 
-    def at(self, weights: Array, run_types: npt.NDArray[np.intp], rate: Array, order: int) -> Array:
+    def evaluate(
+        self, weights: Array, run_types: npt.NDArray[np.intp], rate: Array, order: int
+    ) -> Array:
         """Return the weights at rates, shape (n, b, columns), integrated over time."""
         low, high = self.rates
         position = (2.0 * rate - low - high) / (high - low)
@@ -190,60 +202,62 @@ class TermWeights:
 
     @property
     def _nodes(self) -> Array:
-        """Sizes of the rate at which the weights are computed, rad/s."""
+        """Rates at which the weights are computed, rad/s."""
         low, high = self.rates
         return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * chebyshev.chebpts1(_RATE_NODES))
 
-    def _forces(
+    def _forces_at_nodes(
         self, instrument: PlannedInstrument, attitude: str, sense: int
     ) -> tuple[list[Key], Array]:
-        """Return the terms that act, and their forces at the nodes of the rate, (nodes, n, k).
+        """Return the active terms, and their forces at the nodes of the rate, (nodes, n, k).
 
-        At n even angles in three revolutions.
+        The n angles are evenly spaced over three revolutions.
         """
-        points = 24 * (_HARMONICS[-1] + 1)
-        angle: Array = np.arange(3.0 * points) * (2.0 * math.pi / points)
+        points_per_revolution = 24 * (_HARMONICS[-1] + 1)
+        angle: Array = np.arange(3.0 * points_per_revolution) * (
+            2.0 * math.pi / points_per_revolution
+        )
         model, forces = self.setup.model, []
         for rate in self._nodes:
             block = self._columns(instrument, attitude, sense * rate, angle / rate)
-            keys = [key_of(model.unknowns[i]) for i in block.unknowns]
-            keys += [key_of(model.considered[i]) for i in block.considered]
+            keys = [make_key(model.unknowns[i]) for i in block.unknowns]
+            keys += [make_key(model.considered[i]) for i in block.considered]
             columns = [block.design, block.fixed]
             for owner, symbol in keys[: len(block.unknowns)]:
                 if condition_of(symbol) == "time":
-                    keys.append((owner, symbol + A_SECOND))
+                    keys.append((owner, symbol + PER_SECOND))
                     columns.append(block.series.columns([coefficient_of(symbol)], 1.0))
             forces.append(np.hstack(columns))
         return keys, np.array(forces)
 
-    def _suffice(
-        self, harmonics: int, instrument: PlannedInstrument, keys: list[Key], forces: Array
+    def _is_accurate(
+        self, n_harmonics: int, instrument: PlannedInstrument, keys: list[Key], forces: Array
     ) -> bool:
         """Check that the terms are combinations of the functions, to the required accuracy.
 
         forces: Of the terms, as in `_forces`.
         """
         residual, min_residual = (
-            _combination(forces, order)[1] for order in (harmonics, _HARMONICS[-1])
+            _fit_combination(forces, order)[1] for order in (n_harmonics, _HARMONICS[-1])
         )
-        # Integration divides the remainder after the first harmonics by at least their number.
-        kink_residual = _RESIDUAL_OF_KINK * (harmonics + 1.0) ** instrument.order
-        is_kinked = [_has_kink(symbol.removesuffix(A_SECOND)) for _, symbol in keys]
-        limit = np.where(is_kinked, kink_residual, np.maximum(_RESIDUAL, 1.1 * min_residual))
+        # Integration divides the harmonics after the first n by at least n + 1.
+        kink_residual = _MAX_KINK_RESIDUAL * (n_harmonics + 1.0) ** instrument.order
+        is_kinked = [_has_kink(symbol.removesuffix(PER_SECOND)) for _, symbol in keys]
+        limit = np.where(is_kinked, kink_residual, np.maximum(_MAX_RESIDUAL, 1.1 * min_residual))
         return bool(np.all(residual < limit))
 
-    def _weights_of(
+    def _fit_weights(
         self, instrument: PlannedInstrument, keys: list[Key], forces: Array
     ) -> dict[Key, Array]:
         """Return Chebyshev coefficients of each term's weights over the rate, (nodes, b).
 
         forces: Of the terms, as in `_forces`.
         """
-        weights, _ = _combination(forces, self.harmonics)
-        # At a given angle forces are polynomials in the rate; times the rate, so is what grows with
-        # time.
-        turning = integration_matrix(self.harmonics, instrument.order)
-        values = self._nodes[:, None, None] * (turning @ weights)
+        weights, _ = _fit_combination(forces, self.n_harmonics)
+        # At a fixed angle, forces are polynomials in the rate; times the rate, so are effects that
+        # grow with time.
+        integration = integration_matrix(self.n_harmonics, instrument.order)
+        values = self._nodes[:, None, None] * (integration @ weights)
         vander = chebyshev.chebvander(chebyshev.chebpts1(_RATE_NODES), _RATE_NODES - 1)
         coefficients = np.linalg.solve(vander, values.reshape(_RATE_NODES, -1))
         columns = np.moveaxis(coefficients.reshape(values.shape), 2, 0)
@@ -252,18 +266,18 @@ class TermWeights:
     def _columns(
         self, instrument: PlannedInstrument, attitude: str, rate: float, times: Array
     ) -> DesignBlock:
-        """Return the columns of the specific force, before any integration."""
+        """Return the columns of the specific force, before integration."""
         setup = self.setup
         force_instrument = replace(instrument, observable="specific_force")
         series = self.series(force_instrument, attitude, rate, times)
         factors = {name: setup.scale_factors[name] for name in [instrument.name]}
-        (block,) = build_design_blocks([series], setup.model, factors, setup.estimate)
+        (block,) = build_design_blocks([series], setup.model, factors, setup.expected)
         unknowns = [setup.model.unknowns[i].symbol for i in block.unknowns]
         considered = [setup.model.considered[i].symbol for i in block.considered]
         for symbols, columns in ((unknowns, block.design), (considered, block.fixed)):
             if CLOCK in symbols and instrument.order > 0:
                 column = columns[:, symbols.index(CLOCK)]
-                column[:] = self._by_clock(block, column, instrument.order)
+                column[:] = self._clock_derivative(block, column, instrument.order)
         return block
 
     def series(
@@ -290,53 +304,64 @@ class TermWeights:
             error=np.zeros_like(times),
         )
 
-    def _by_clock(self, block: DesignBlock, column: Array, order: int) -> Array:
-        """Return the `order`-th derivative of a fast clock's effect on a record, from the force.
+    def _clock_derivative(self, block: DesignBlock, column: Array, order: int) -> Array:
+        """Return the `order`-th derivative of the effect of a clock error on a record.
 
-        The clock reduces a force at true times by its own size for each integration.
-        A circle is passed at the same angles: nothing of it shows in displacement, its
-        acceleration in velocity.
+        A fast clock reduces the force at true times by its relative error for each integration.
+        The spindle passes the same angles: the circular motion has no effect on displacement, and
+        the effect of its acceleration on velocity.
         """
         series, model = block.series, self.setup.model
-        requested = [k for k, i in enumerate(block.unknowns) if model.unknowns[i].is_of_interest]
-        values = self.setup.estimate[[block.unknowns[k] for k in requested]]
-        errors = block.design[:, requested] @ values
-        change = series.rescale_clock(_CLOCK_STEP).reference() - series.reference()
-        shown: Array = column - change / _CLOCK_STEP - order * errors
+        parameters = [k for k, i in enumerate(block.unknowns) if model.unknowns[i].is_of_interest]
+        values = self.setup.expected[[block.unknowns[k] for k in parameters]]
+        errors = block.design[:, parameters] @ values
+        clock_effect = series.rescale_clock(_CLOCK_STEP).reference() - series.reference()
+        derivative: Array = column - clock_effect / _CLOCK_STEP - order * errors
         if order == 1:
             axis = series.mounting.turned(series.attitude).input_axis
-            shown = shown + series.trajectory.acceleration(series.time) @ axis
-        return shown
+            derivative = derivative + series.trajectory.acceleration(series.time) @ axis
+        return derivative
 
 
-def _combination(columns: Array, harmonics: int) -> tuple[Array, Array]:
-    """Return the weights of 1, th, cos, sin, th cos and th sin in columns, (..., b, k).
+def _fit_combination(columns: Array, n_harmonics: int) -> tuple[Array, Array]:
+    """Return the weights of 1, th, cos, sin, th cos, th sin in columns, and relative residuals.
 
-    What grows with the angle is the difference of two revolutions, and is exact whatever harmonics
-    the rest has. Also the largest residual of each column, as a part of its size, (k,).
+    Terms that grow with the angle follow from the difference of two revolutions, which is exact for
+    any harmonics of the other terms. Shapes (..., b, k) and (k,).
 
     columns: Over three revolutions, shape (..., n, k).
     """
-    points = columns.shape[-2] // 3
-    angle: Array = np.arange(3.0 * points) * (2.0 * math.pi / points)
-    shapes = basis_functions(angle, harmonics)
-    periodic = [0, *(index for m in range(1, harmonics + 1) for index in (4 * m, 4 * m + 1))]
-    growing = [1, *(index for m in range(1, harmonics + 1) for index in (4 * m + 2, 4 * m + 3))]
-    project = 2.0 / points * shapes[:points, periodic].T
-    project[0] *= 0.5
-    first, second = columns[..., :points, :], columns[..., points : 2 * points, :]
-    slope = (second - first) / (2.0 * math.pi)
-    weights = np.zeros((*columns.shape[:-2], shapes.shape[1], columns.shape[-1]))
-    weights[..., growing, :] = project @ slope
-    weights[..., periodic, :] = project @ (first - angle[:points, None] * slope)
-    size = np.maximum(np.abs(columns).max(axis=-2), np.finfo(float).tiny)
-    residual = np.abs(columns - shapes @ weights).max(axis=-2) / size
+    points_per_revolution = columns.shape[-2] // 3
+    angle: Array = np.arange(3.0 * points_per_revolution) * (2.0 * math.pi / points_per_revolution)
+    basis = basis_functions(angle, n_harmonics)
+    periodic_indices = [
+        0,
+        *(index for m in range(1, n_harmonics + 1) for index in (4 * m, 4 * m + 1)),
+    ]
+    growing_indices = [
+        1,
+        *(index for m in range(1, n_harmonics + 1) for index in (4 * m + 2, 4 * m + 3)),
+    ]
+    projection = 2.0 / points_per_revolution * basis[:points_per_revolution, periodic_indices].T
+    projection[0] *= 0.5
+    first_revolution, second_revolution = (
+        columns[..., :points_per_revolution, :],
+        columns[..., points_per_revolution : 2 * points_per_revolution, :],
+    )
+    slope = (second_revolution - first_revolution) / (2.0 * math.pi)
+    weights = np.zeros((*columns.shape[:-2], basis.shape[1], columns.shape[-1]))
+    weights[..., growing_indices, :] = projection @ slope
+    weights[..., periodic_indices, :] = projection @ (
+        first_revolution - angle[:points_per_revolution, None] * slope
+    )
+    amplitude = np.maximum(np.abs(columns).max(axis=-2), np.finfo(float).tiny)
+    residual = np.abs(columns - basis @ weights).max(axis=-2) / amplitude
     return weights, residual.reshape(-1, columns.shape[-1]).max(axis=0)
 
 
-def key_of(unknown: Unknown, ending: str = "") -> Key:
+def make_key(unknown: Unknown, suffix: str = "") -> Key:
     """Return the key of an unknown's weights."""
-    return unknown.owner, unknown.symbol + ending
+    return unknown.owner, unknown.symbol + suffix
 
 
 def _has_kink(symbol: str) -> bool:
