@@ -82,7 +82,7 @@ ROWS = {
     ],
     "plan": [
         ("highest / {} |", 1.0 / plan_file._MIN_RATE_FRACTION),
-        ("each at least {} times the next", design._DIFFERENT_RATE_RATIO),
+        ("each at least {} times the next", design._DISTINCT_RATE_RATIO),
         ("{} µg for K_F", 1e6 * KNOWN["bias"]),
         ("{} arcsec for the tilt of each run", KNOWN["platform.tilt"]),
         ("{} deg/h for the gyro drift", KNOWN["platform.drift"]),
