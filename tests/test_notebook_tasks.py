@@ -118,7 +118,7 @@ def test_models_are_compared(campaign):
     assert [c.subject for c in compared.changes] == [
         "terms of Qx",
         "terms of Qy",
-        "assumed",  # what is not asked for here is taken as perfect
+        "terms fixed at nominal",  # every term that is not requested
         "campaign.toml",
     ]
 

@@ -15,7 +15,7 @@ from counterspin.planning.result import GoalResult
         ("target", 0.8, False, "needs more than 20 % fewer readings"),
         # A bound that allows next to nothing says nothing of the plan.
         ("target", 0.001, True, "which is the bound for all plans"),
-        ("target", None, True, "because no theorem"),
+        ("target", None, True, "because no bound is known"),
     ],
 )
 def test_optimality_sentence_states_possible_gain(kind, efficiency, timed, told):

@@ -384,8 +384,9 @@ def relate_results(
         )
     if not records[0] & records[1]:
         assumptions.append(
-            "Values of radius, gravity and priors that both results state identically are "
-            "treated as the same measurement. All other inputs are treated as independent."
+            "The comparison treats all inputs as independent, except values of radius, gravity "
+            "and priors that both results state identically: it treats these as the same "
+            "measurement."
         )
         return Relation("independent"), assumptions
     overlap: Literal["same", "part"] = "same" if records[0] == records[1] else "part"

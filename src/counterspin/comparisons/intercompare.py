@@ -106,7 +106,8 @@ def intercompare(
         references=references,
         assumed=[
             f"The campaigns of {', '.join(unnamed_laboratories)} do not name a laboratory. "
-            "Identical values for the machine and the site are treated as the same measurement."
+            "The comparison treats identical values for the machine and the site as the same "
+            "measurement."
         ]
         if unnamed_laboratories
         else [],

@@ -78,20 +78,20 @@ def _describe_model(result: Result) -> Iterator[tuple[str, str]]:
         yield f"terms of {name}", ", ".join(accelerometer.coefficients)
         for symbol, known_coefficient in accelerometer.known.items():
             yield (
-                f"{name}.{symbol}, known",
+                f"prior of {name}.{symbol}",
                 _format_quantity(
                     known_coefficient.value, known_coefficient.u, known_coefficient.unit
                 ),
             )
         considered, priors = _prior_information(result, name)
-        yield f"held of {name}", ", ".join(considered) or _NO_VALUE
+        yield f"considered terms of {name}", ", ".join(considered) or _NO_VALUE
         for source, text in priors.items():
             yield f"{name}: {source}", text
         for component, line in accelerometer.noise.items():
             level = _format_quantity(line.value, 0.0, line.unit)
             yield f"noise of {name}, {component}", "estimated" if line.estimated else level
-    yield "assumed", ", ".join(result.assumed) or _NO_VALUE
-    yield "not stated", ", ".join(_default_priors(result)) or _NO_VALUE
+    yield "terms fixed at nominal", ", ".join(result.assumed) or _NO_VALUE
+    yield "default priors", ", ".join(_default_priors(result)) or _NO_VALUE
     yield "platform terms", ", ".join(result.platform) or _NO_VALUE
     run_terms = dict.fromkeys(symbol for run in result.runs.values() for symbol in run.terms)
     yield "run terms", ", ".join(run_terms) or _NO_VALUE
@@ -106,9 +106,7 @@ def _prior_information(result: Result, name: str) -> tuple[list[str], Mapping[st
             if line.kind == "held":
                 considered[line.source] = None
             elif line.kind == "stated" and line.u is not None:
-                priors[f"u of the prior for {line.source}"] = _format_quantity(
-                    line.u, 0.0, line.unit
-                )
+                priors[f"prior u of {line.source}"] = _format_quantity(line.u, 0.0, line.unit)
     return sorted(considered), priors
 
 

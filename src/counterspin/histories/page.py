@@ -130,7 +130,11 @@ def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Ite
             f"{format_range(chart.action_low, chart.action_high)}, warning limits "
             f"{format_range(chart.warning_low, chart.warning_high)}. The limits are calculated "
             "from the mean moving range. "
-            + (f"The process is out of control: {'; '.join(alarms)}." if alarms else "In control.")
+            + (
+                f"The process is out of control: {'; '.join(alarms)}."
+                if alarms
+                else "The process is in control."
+            )
         )
     if instrument.correlation is not None:
         yield (
@@ -213,8 +217,8 @@ def _repeatability_blocks(history: History, repeatability: Repeatability) -> Ite
         if name != "day"
     ]
     yield Paragraph(
-        f"These standard deviations about {reference} are in addition to the uncertainties of the "
-        "results (restricted likelihood)."
+        f"These standard deviations about {reference} add to the uncertainties of the results. "
+        "They are estimated by restricted likelihood."
         + (
             (
                 f" With few {' and '.join(unreliable_conditions)}, the estimates are unreliable. "

@@ -60,7 +60,10 @@ def _summary_blocks(result: PlanResult) -> Iterator[Block]:
         )
         u_texts.append(f"u({_display_name(name)}) = {_format_u(coefficient)}")
         if owner in result.accelerometers:
-            prior_sentences.append(default_prior_sentence(result.accelerometers[owner], symbol))
+            label = _display_name(name) if len(goal_names) > 1 else ""
+            prior_sentences.append(
+                default_prior_sentence(result.accelerometers[owner], symbol, label)
+            )
     totals = [
         f"{count} {noun}{'s' * (count > 1)}"
         for count, noun in ((len(result.runs), "run"), (len(result.readings), "reading"))
@@ -84,8 +87,8 @@ def _summary_blocks(result: PlanResult) -> Iterator[Block]:
 def _optimality_sentence(goal: GoalResult, is_timed: bool) -> str:
     if goal.efficiency is None:
         return (
-            "Another plan may be better by an unknown amount, because no theorem gives a bound for "
-            "noisy time stamps."
+            "Another plan may be better. counterspin cannot state by how much, because no bound is "
+            "known for plans with time-stamp jitter."
         )
     max_gain = 100.0 * (1.0 - goal.efficiency)
     if max_gain > _UNINFORMATIVE_BOUND:
@@ -341,17 +344,16 @@ def _limit_blocks(result: PlanResult) -> Iterator[Block]:
     if result.goal is None:
         return
     yield Heading("Active limits")
-    quantity = "Uncertainty" if result.goal.kind == "minimise" else "Time"
+    quantity = "uncertainty" if result.goal.kind == "minimise" else "time"
     if not result.limits:
         yield Paragraph(
-            "Relaxing any limit by 10 % does not help, because the priors limit the "
-            f"{quantity.lower()}."
+            f"Relaxing any limit by 10 % does not help, because the priors limit the {quantity}."
         )
         return
     rows = []
     for limit in result.limits:
         change = _CHANGE_TEXTS.get(limit.key, "relaxed by 10 %")
-        gain = f"{format_number(100.0 * limit.gain, 2)} %" if limit.binds else "nothing"
+        gain = f"{format_number(100.0 * limit.gain, 2)} %" if limit.binds else "none"
         rows.append((limit.words, change, gain))
     yield Table(
         (
@@ -401,7 +403,7 @@ def _requirement_blocks(result: PlanResult) -> Iterator[Block]:
     rows = tuple(
         (requirement.words, _format_size(requirement)) for requirement in result.requirements
     )
-    yield Table((Column("Property", wraps=True), Column("Within", "right")), rows)
+    yield Table((Column("Property", wraps=True), Column("Allowed error", "right")), rows)
     yield Paragraph(
         "Each of these errors would by itself increase the uncertainty by 5 %, "
         f"{result.requirements_for}.",

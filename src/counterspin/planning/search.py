@@ -364,7 +364,9 @@ def _find_helpful_attitude(search: Search, missing_names: list[str]) -> str | No
     for attitude in _TRIAL_ATTITUDES:
         if attitude in plan.attitudes:
             continue
-        new_run = run.model_copy(update={"name": attitude, "stand": read_attitude(attitude)})
+        new_run = run.model_copy(
+            update={"name": attitude, "stated_attitude": read_attitude(attitude)}
+        )
         campaign = replace(plan.template, runs=(*plan.template.runs, new_run))
         max_revolutions = limits.max_duration * limits.rate_range[1] / (2.0 * math.pi)
         predictor = Predictor(

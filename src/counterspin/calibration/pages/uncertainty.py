@@ -79,8 +79,11 @@ def split_small_lines(
     return (lines, ()) if len(lines) - count <= _MAX_SMALL_LINES else (lines[:count], lines[count:])
 
 
-def default_prior_sentence(accelerometer: HasAnswer, symbol: str = "K_II") -> str:
-    """Return a sentence on the default prior that dominates the u of a coefficient, or ""."""
+def default_prior_sentence(accelerometer: HasAnswer, symbol: str = "K_II", label: str = "") -> str:
+    """Return a sentence on the default prior that dominates the u of a coefficient, or "".
+
+    label: Name of the coefficient in the sentence, if the symbol alone is ambiguous.
+    """
     coefficient = accelerometer.coefficients.get(symbol)
     lines = accelerometer.budget.get(symbol, [])
     unstated = [line for line in lines if line.kind == "unstated"]
@@ -90,8 +93,8 @@ def default_prior_sentence(accelerometer: HasAnswer, symbol: str = "K_II") -> st
         return ""
     largest = max(unstated, key=lambda line: line.share)
     text = (
-        f"{_contribution_sentence(largest, symbol)} No uncertainty was stated for this term, "
-        f"so the default of {_format_source_u(largest, 1.0)} was used."
+        f"{_contribution_sentence(largest, label or symbol)} No uncertainty was stated for this "
+        f"term, so the default of {_format_source_u(largest, 1.0)} was used."
     )
     update = accelerometer.what_if
     if update is None or largest.source not in update.known:
@@ -99,9 +102,10 @@ def default_prior_sentence(accelerometer: HasAnswer, symbol: str = "K_II") -> st
     improved_u = IMPROVEMENT_FACTOR * update.known[largest.source]
     unit, factor = field_unit(coefficient.unit)
     remaining_u = format_uncertainty(update.u(symbol, {largest.source: improved_u}) * factor)
+    subject = f"u({label})" if label else "u"
     return (
         f"{text} If {largest.source} were known to "
-        f"{_format_source_u(largest, IMPROVEMENT_FACTOR)}, u would fall to {remaining_u} "
+        f"{_format_source_u(largest, IMPROVEMENT_FACTOR)}, {subject} would fall to {remaining_u} "
         f"{unit}."
     )
 
