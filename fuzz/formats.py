@@ -38,10 +38,10 @@ from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.document import document
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import read_campaign
-from counterspin.certificates.build import build_document, to_bytes
+from counterspin.certificates.build import build_document, serialize_document
 from counterspin.certificates.issuing import check_certificate
 from counterspin.certificates.lab import read_lab
-from counterspin.certificates.signature import sign, sign_pages
+from counterspin.certificates.signature import sign_document, sign_pages
 from counterspin.certificates.signers import read_signer
 from counterspin.cli import main
 from counterspin.correction.apply import apply
@@ -309,7 +309,7 @@ def signed_certificate(place: Path) -> Format:
     given = results.result()
     lab_read = certificates.read_lab_for(place, given)
     plain = build_document(given, lab_read, certificates.ISSUE, {}, b"%PDF-1.7")
-    whole = to_bytes(sign(plain, read_signer(key, cert)))
+    whole = serialize_document(sign_document(plain, read_signer(key, cert)))
     root = etree.fromstring(whole)
 
     def make(rng: Random) -> bytes:
@@ -322,11 +322,11 @@ def signed_certificate(place: Path) -> Format:
             return etree.tostring(changed)
         return mutate_text(rng, whole.decode()).encode("utf-8", "replace")
 
-    true = repr(check_certificate(_written(place, whole), cert=cert).certified)
+    true = repr(check_certificate(_written(place, whole), signer_certificate=cert).certified)
 
     def use(path: Path) -> None:
         # What passes for signed has the numbers that were signed.
-        assert repr(check_certificate(path, cert=cert).certified) == true
+        assert repr(check_certificate(path, signer_certificate=cert).certified) == true
 
     return Format(".xml", make, use)
 
@@ -361,8 +361,8 @@ def signed_pdf(place: Path) -> Format:
     key, cert = signing_keys.write_pair(place / "k", ec.generate_private_key(ec.SECP256R1()))
     signer, given = read_signer(key, cert), results.result()
     lab_read = certificates.read_lab_for(place, given)
-    xml = to_bytes(
-        sign(build_document(given, lab_read, certificates.ISSUE, {}, b"%PDF-1.7"), signer)
+    xml = serialize_document(
+        sign_document(build_document(given, lab_read, certificates.ISSUE, {}, b"%PDF-1.7"), signer)
     )
     writer = pypdf.PdfWriter()
     writer.add_blank_page(100, 100)
@@ -375,14 +375,14 @@ def signed_pdf(place: Path) -> Format:
     begin = whole.index(b"/Contents <", len(plain)) + 11
     end = whole.index(b">", begin)
     (place / "whole.pdf").write_bytes(whole)
-    true = repr(check_certificate(place / "whole.pdf", cert=cert).certified)
+    true = repr(check_certificate(place / "whole.pdf", signer_certificate=cert).certified)
 
     def make(rng: Random) -> bytes:
         where = rng.choice((None, (len(plain), len(whole)), (begin, end)))
         return native.damaged(rng, whole, where)
 
     def use(path: Path) -> None:
-        found, content = check_certificate(path, cert=cert), path.read_bytes()
+        found, content = check_certificate(path, signer_certificate=cert), path.read_bytes()
         assert repr(found.certified) == true
         if found.pages == "valid":
             # Not a byte differs but those of the signature itself.

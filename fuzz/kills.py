@@ -27,7 +27,7 @@ import results
 from campaigns import SMALL, replace_parts
 
 from certificates import write_lab
-from counterspin.certificates.ledger import checksum_of, verify_ledger
+from counterspin.certificates.ledger import sha256_hex, verify_ledger
 from fuzz.formats import STUDY, resource_text
 from fuzz.tracing import Runner
 
@@ -210,7 +210,7 @@ class Trial:
         ]
         if "new.xml" in there and self._command.words[-1] == _LEDGER:
             entered = verify_ledger(self._folder / _LEDGER).entries
-            if checksum_of(there["new.xml"]) not in {e.of.get("file_sha256") for e in entered}:
+            if sha256_hex(there["new.xml"]) not in {e.of.get("file_sha256") for e in entered}:
                 faults.append("new.xml stands outside its ledger")
         return faults + [
             f"{name} is not whole"

@@ -151,8 +151,8 @@ ROWS = {
         ("rounds k to {} decimal places", certificate_text._FACTOR_DECIMALS),
         (
             "minimum key length is {} bits for RSA and {} bits for elliptic curves.",
-            signers._RSA_BITS,
-            signers._CURVE_BITS,
+            signers._MIN_RSA_BITS,
+            signers._MIN_CURVE_BITS,
         ),
     ],
     "compare": [("two results agree to within {}", rerun.RELATIVE_TOLERANCE)],

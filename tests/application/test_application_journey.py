@@ -256,7 +256,7 @@ def test_files_to_certificate_within_effort_limits(open_window, frames, folder, 
     hand.click(tab.get_by_role("button", name="Sign and issue"))
     tab.get_by_role("heading", name=re.compile("^Certificate .* signed and issued")).wait_for()
     for name in ("certificate.xml", "certificate.pdf"):
-        assert check_certificate(made / name, cert=cert).signature == "valid"
+        assert check_certificate(made / name, signer_certificate=cert).signature == "valid"
     assert (hand.clicks, hand.fields) == (clicks, fields)
     assert office.fields == (len(LABORATORY) if write is FIRST else 0)
     assert hand.seconds + office.seconds <= MOST_SECONDS

@@ -31,7 +31,7 @@ def test_certificate_is_issued_once_and_can_be_downloaded(with_lab, folder):
     assert body["accelerometers"] == ["Qx", "Qy"]
     assert body["files"] == ["three/certificate.xml"]
     assert any("values from the template" in note for note in body["notes"])
-    certified = check_certificate(folder / "three" / "certificate.xml").certified
+    certified = check_certificate(folder / "three" / "certificate.xml").numbers
     assert certified.identifier == body["identifier"]
     again = with_lab.post("/api/certificate", json=SAID)
     assert again.status_code == 422
@@ -82,9 +82,9 @@ def test_issued_certificate_can_be_amended(with_real_lab, folder):
     assert second["identifier"] == f"{first['identifier']}-A1"
     assert "--reason=The date was wrong." in shlex.split(second["command"])
     amended = check_certificate(
-        folder / "three" / "certificate-A1.xml", amends=folder / "three" / "certificate.xml"
+        folder / "three" / "certificate-A1.xml", amended_path=folder / "three" / "certificate.xml"
     )
-    assert amended.certified.amends == first["identifier"]
+    assert amended.numbers.amended_identifier == first["identifier"]
     request |= {"output": "three/certificate-A2.xml"}
     request["amends"]["reason"] = " "
     assert "`reason`" in str(with_real_lab.post("/api/certificate", json=request).json())
@@ -110,8 +110,11 @@ def test_uploaded_key_signs_both_files_and_is_not_stored(
     told = response.json()
     assert told["files"] == ["three/certificate.xml", "three/certificate.pdf"]
     for name in told["files"]:
-        assert check_certificate(folder / name, cert=cert).signature == "valid"
-    assert check_certificate(folder / told["files"][1], cert=cert).pages == "valid"
+        assert check_certificate(folder / name, signer_certificate=cert).signature == "valid"
+    assert (
+        check_certificate(folder / told["files"][1], signer_certificate=cert).page_signature
+        == "valid"
+    )
     # The command names the original files and omits the password.
     own = [f"--cert={cert.name}"] if write is write_pair else []
     assert shlex.split(told["command"])[6:] == ["--both", f"--key={key.name}", *own]
@@ -189,7 +192,10 @@ def test_signer_command_of_server_signs(with_real_lab, folder, app, tmp_path):
     request = {"file": "LAB.toml", "result": SAID["result"]}
     assert with_real_lab.get("/api/lab", params=request).json()["signer"] == "CN=Example laboratory"
     body = with_real_lab.post("/api/certificate", json=SAID | {"signing": {}}).json()
-    assert check_certificate(folder / "three/certificate.xml", cert=cert).signature == "valid"
+    assert (
+        check_certificate(folder / "three/certificate.xml", signer_certificate=cert).signature
+        == "valid"
+    )
     assert shlex.split(body["command"])[6:] == [f"--signer={command}", f"--cert={cert}"]
 
 

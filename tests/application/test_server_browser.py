@@ -153,8 +153,15 @@ def test_certificate_is_signed_by_mouse(open_window, folder, tmp_path, kind):
     tab.get_by_text("The signatures of the XML and the pages are valid").wait_for()
     for name in ("certificate.xml", "certificate.pdf"):
         assert tab.get_by_role("button", name=f"Save three/{name}").is_visible()
-        assert check_certificate(folder / "three" / name, cert=cert).signature == "valid"
-    assert check_certificate(folder / "three" / "certificate.pdf", cert=cert).pages == "valid"
+        assert (
+            check_certificate(folder / "three" / name, signer_certificate=cert).signature == "valid"
+        )
+    assert (
+        check_certificate(
+            folder / "three" / "certificate.pdf", signer_certificate=cert
+        ).page_signature
+        == "valid"
+    )
     kept = tab.evaluate("JSON.stringify([{...localStorage}, {...sessionStorage}])")
     assert "secret" not in kept
 

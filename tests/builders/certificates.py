@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from lxml import etree
 
-from counterspin.certificates.build import build_document, to_bytes
+from counterspin.certificates.build import build_document, serialize_document
 from counterspin.certificates.lab import read_lab, write_example
 from counterspin.certificates.schema import NAMESPACES
 from counterspin.certificates.statements import Issue
@@ -82,7 +82,7 @@ def read_lab_for(folder, result, text=LAB):
 def document(folder, result, *, text=LAB, verdicts=None, issue=ISSUE, pages=b"%PDF-1.7"):
     """Return a certificate as bytes."""
     lab = read_lab_for(folder, result, text)
-    return to_bytes(build_document(result, lab, issue, verdicts or {}, pages))
+    return serialize_document(build_document(result, lab, issue, verdicts or {}, pages))
 
 
 def find(document_bytes, path):

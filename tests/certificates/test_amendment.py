@@ -99,7 +99,9 @@ def test_rejects_invalid_amendment(certificate_folder, capsys):
     with raises("duplicate-entry", '"7"'):
         certificate("r.json", "LAB.toml", amends=Amendment(certificate_folder / "seven.xml", "why"))
     with pytest.raises(RecordError, match="does not amend a certificate"):
-        check_certificate(certificate_folder / "seven.xml", amends=certificate_folder / "old.xml")
+        check_certificate(
+            certificate_folder / "seven.xml", amended_path=certificate_folder / "old.xml"
+        )
     assert cli.main(["certificate", "--init", "mine.toml"]) == 0
     certificate("r.json", "mine.toml").write("draft.xml")
     with raises("wrong-amendment"):
@@ -117,7 +119,10 @@ def test_circular_amendments_are_rejected_without_ledger(certificate_folder):
         amends = Amendment(certificate_folder / f"{number - 1}.xml", "why") if number else None
         certificate("r.json", "LAB.toml", amends=amends).write(f"{number}.xml")
     newest = read_certificate((certificate_folder / "2.xml").read_bytes(), "")
-    assert (newest.amends, newest.replaced) == ("CS 001", ("CS 001", "CS 000"))
+    assert (newest.amended_identifier, newest.replaced_identifiers) == (
+        "CS 001",
+        ("CS 001", "CS 000"),
+    )
     for name in ("CS 000", "cs 000", "CS\u00a0000", "CS 001", "CS000"):
         write_lab(certificate_folder, LAB.replace('language = "de"', f'identifier = "{name}"'))
         with raises("duplicate-entry", "CS 002"):
@@ -126,7 +131,7 @@ def test_circular_amendments_are_rejected_without_ledger(certificate_folder):
     whole = (certificate_folder / "2.xml").read_bytes()
     (certificate_folder / "2.xml").write_bytes(whole.replace(b">CS 002<", b">CS 000<"))
     with pytest.raises(RecordError, match="The amendments are therefore circular"):
-        check_certificate(certificate_folder / "2.xml", amends=certificate_folder / "1.xml")
+        check_certificate(certificate_folder / "2.xml", amended_path=certificate_folder / "1.xml")
 
 
 def test_amendment_number_is_incremented():

@@ -4,7 +4,11 @@ import pytest
 from results import result
 
 from certificates import LAB, read_lab_for
-from counterspin.certificates.completeness import default_evidence, missing_data, missing_lines
+from counterspin.certificates.completeness import (
+    default_evidence_lines,
+    missing_data,
+    missing_lines,
+)
 from counterspin.inference.joint.summary import BudgetLine
 
 
@@ -34,11 +38,11 @@ def test_dominant_default_requires_evidence(tmp_path, share, needed):
     made = add_default(share)
     missing = missing_data(read_lab_for(tmp_path, made), made)
     assert [entry.key for entry in missing] == (["evidence.K_OO"] if needed else [])
-    assert all("93 % of the variance of K_II of Qx" in entry.words for entry in missing)
+    assert all("93 % of the variance of K_II of Qx" in entry.message for entry in missing)
     for key in ("K_OO", '"Qx.K_OO"', "all"):
         lab = read_lab_for(tmp_path, made, LAB + f'\n[evidence]\n{key} = "type test"\n')
         assert missing_data(lab, made) == []
-        assert len(default_evidence(lab, made)) == needed
+        assert len(default_evidence_lines(lab, made)) == needed
 
 
 def test_keys_with_template_values_share_one_entry(tmp_path):

@@ -12,7 +12,7 @@ from counterspin.certificates.certificate_reader import read_certificate
 from counterspin.certificates.certificate_text import coverage_factor, region_factor
 from counterspin.certificates.pdf_pages import page_blocks
 from counterspin.certificates.schema import NAMESPACES, check_schema
-from counterspin.certificates.statements import statements
+from counterspin.certificates.statements import certificate_statements
 from counterspin.cli import main
 from counterspin.reports.blocks import Paragraph, Table
 from counterspin.reports.numbers import field_unit, format_estimate
@@ -97,7 +97,9 @@ def test_parameters_and_matrix_round_trip(tmp_path, pose_result):
         found.parameters.covariance, np.array(triad.correlation.matrix) * np.outer(u, u), rtol=1e-9
     )
     np.testing.assert_allclose(found.matrix, triad.matrix, rtol=1e-15)
-    np.testing.assert_allclose(found.expanded / found.factor, triad.u_matrix, rtol=1e-4)
+    np.testing.assert_allclose(
+        found.expanded_matrix / found.coverage_factor, triad.u_matrix, rtol=1e-4
+    )
     np.testing.assert_allclose(found.bias, triad.bias, rtol=1e-14)
 
 
@@ -162,7 +164,7 @@ def test_pages_and_xml_have_equal_statements(tmp_path, pose_result):
     lab = read_lab_for(tmp_path, pose_result, OWN)
     (said,) = (
         one
-        for one in statements(lab, pose_result, pose_result, ISSUE, {})
+        for one in certificate_statements(lab, pose_result, pose_result, ISSUE, {})
         if one.name == "Triad X, Y, Z"
     )
     assert "25 poses of unknown attitude" in " ".join(said.lines)

@@ -8,8 +8,8 @@ import pytest
 from results import result
 
 from certificates import LAB, find
-from counterspin.certificates.certificate_text import ASSUMED
-from counterspin.certificates.evidence import names_terms, terms_without_evidence
+from counterspin.certificates.certificate_text import FIXED_TERMS_HEADING
+from counterspin.certificates.evidence import names_known_terms, terms_without_evidence
 from counterspin.certificates.issuing import certificate
 from counterspin.errors import CampaignError
 
@@ -59,10 +59,10 @@ def test_terms_without_evidence(assumed, keys, lacking):
     ],
 )
 def test_evidence_key_names_term(key, known):
-    assert names_terms(key, ["Qx"]) == known
+    assert names_known_terms(key, ["Qx"]) == known
 
 
-STATEMENT = f"//dcc:statement[dcc:name/dcc:content = '{ASSUMED}']"
+STATEMENT = f"//dcc:statement[dcc:name/dcc:content = '{FIXED_TERMS_HEADING}']"
 
 
 def assume_terms(*terms):
@@ -95,7 +95,7 @@ def test_certificate_contains_evidence():
     assert "Nr. 1" not in report
     read = pypdf.PdfReader(io.BytesIO(one.pdf()))
     text = "\n".join(page.extract_text() for page in read.pages)
-    assert ASSUMED in text
+    assert FIXED_TERMS_HEADING in text
     assert "Typprüfung 4714." in text
 
 

@@ -190,7 +190,12 @@ def test_xml_and_pdf_have_same_signature(certificate_folder, capsys):
     assert (
         read_document(certificate_folder / "c.pdf") == (certificate_folder / "c.xml").read_bytes()
     )
-    assert check_certificate(certificate_folder / "c.pdf", cert=Path(cert)).pages == "valid"
+    assert (
+        check_certificate(
+            certificate_folder / "c.pdf", signer_certificate=Path(cert)
+        ).page_signature
+        == "valid"
+    )
     # If one file cannot be written, neither is.
     (certificate_folder / "d.pdf").touch()
     assert run_certificate(capsys, *given, "-o", "d.xml")[0] == 1
@@ -223,7 +228,10 @@ def test_password_is_requested_after_all_other_checks(
     assert (status, err) == (0, "")
     assert asked == ([f"Password of {key}: "] if terminal else [])
     assert "secret" not in out
-    assert check_certificate(certificate_folder / "c.xml", cert=cert).signature == "valid"
+    assert (
+        check_certificate(certificate_folder / "c.xml", signer_certificate=cert).signature
+        == "valid"
+    )
 
 
 def test_signer_command_replaces_key(certificate_folder, capsys):
@@ -233,8 +241,8 @@ def test_signer_command_replaces_key(certificate_folder, capsys):
     if shutil.which("openssl") is None:
         pytest.skip("openssl is not installed")
     assert run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.pdf", *signing)[0] == 0
-    checked = check_certificate(certificate_folder / "c.pdf", cert=cert)
-    assert (checked.signature, checked.pages) == ("valid", "valid")
+    checked = check_certificate(certificate_folder / "c.pdf", signer_certificate=cert)
+    assert (checked.signature, checked.page_signature) == ("valid", "valid")
 
 
 def test_only_selected_accelerometers_are_certified(certificate_folder, capsys):

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from counterspin.certificates.ledger import append, open_ledger, verify_ledger
+from counterspin.certificates.ledger import append_entry, open_ledger, verify_ledger
 from counterspin.errors import CounterspinError, RecordError
 
 WHEN = "2026-03-01T00:00:00Z"
@@ -17,7 +17,9 @@ WHEN = "2026-03-01T00:00:00Z"
 
 def append_entries(path, count, first=1):
     return [
-        append(path, "result", {"file": f"r{n}.json"}, who="A. Erste", why="yearly ü", when=WHEN)
+        append_entry(
+            path, "result", {"file": f"r{n}.json"}, who="A. Erste", why="yearly ü", when=WHEN
+        )
         for n in range(first, first + count)
     ]
 
@@ -71,7 +73,7 @@ def test_removed_moved_or_rewritten_entries_are_detected(tmp_path):
     # A rewritten entry with a valid hash is detected by the next entry.
     other = tmp_path / "other.jsonl"
     append_entries(other, 1)
-    append(other, "result", {"file": "made up"}, who="B", why="", when=WHEN)
+    append_entry(other, "result", {"file": "made up"}, who="B", why="", when=WHEN)
     path.write_bytes(first + other.read_bytes().splitlines(keepends=True)[1] + third + fourth)
     assert altered_entry(path).startswith("entry 2 was altered after it was written")
     path.write_bytes(second)
@@ -118,21 +120,22 @@ def test_partial_entry_is_preserved_in_next_entry(tmp_path):
         assert ledger.entries == (given[0],)
         assert ledger.partial_entry == whole[start:cut]
     (new,) = append_entries(path, 1, first=9)
-    assert (new.number, new.of["unfinished"].encode()) == (2, whole[start:-1])
+    assert (new.number, new.subject["unfinished"].encode()) == (2, whole[start:-1])
     assert verify_ledger(path).entries == (given[0], new)
 
 
 def test_concurrent_writers_lose_no_entry(tmp_path):
     path = tmp_path / "ledger.jsonl"
     program = (
-        "import sys; from pathlib import Path; from counterspin.certificates.ledger import append\n"
+        "import sys; from pathlib import Path\n"
+        "from counterspin.certificates.ledger import append_entry\n"
         "for n in range(10):\n"
-        f"    append(Path(sys.argv[1]), 'result', {{'file': sys.argv[2] + str(n)}}, who='a', "
+        f"    append_entry(Path(sys.argv[1]), 'result', {{'file': sys.argv[2] + str(n)}}, who='a', "
         f"why='b', when='{WHEN}')\n"
     )
     writers = [subprocess.Popen([sys.executable, "-c", program, str(path), name]) for name in "abc"]
     assert [writer.wait() for writer in writers] == [0, 0, 0]
-    names = [entry.of["file"] for entry in verify_ledger(path).entries]
+    names = [entry.subject["file"] for entry in verify_ledger(path).entries]
     assert sorted(names) == sorted(f"{name}{n}" for name in "abc" for n in range(10))
     for name in "abc":  # each writer in its order
         assert [n for n in names if n[0] == name] == [f"{name}{n}" for n in range(10)]
@@ -190,4 +193,8 @@ def test_locked_ledger_includes_new_entries(tmp_path):
             ledger.append("result", {"file": f"r{n}.json"}, who="A", why="B", when=WHEN)
         assert [entry.number for entry in ledger.entries] == [1, 2, 3]
     assert verify_ledger(path).entries == ledger.entries
-    assert [entry.of.get("unfinished") for entry in ledger.entries] == [None, '{"number"', None]
+    assert [entry.subject.get("unfinished") for entry in ledger.entries] == [
+        None,
+        '{"number"',
+        None,
+    ]

@@ -43,14 +43,16 @@ def test_result_certificate_and_amendment_are_entered(ledger_folder, capsys):
     why = ("--amends", "a.xml", "--reason", "The customer has moved.")
     assert run("r.json", "LAB.toml", "-o", "b.pdf", *why) == 0
     entries = verify_ledger(ledger_folder / "ledger.jsonl").entries
-    assert [entry.what for entry in entries] == ["result", "certificate", "amendment"]
-    assert entries[0].of == {"file": "r.json", "sha256": digest(ledger_folder / "r.json")}
+    assert [entry.entry_type for entry in entries] == ["result", "certificate", "amendment"]
+    assert entries[0].subject == {"file": "r.json", "sha256": digest(ledger_folder / "r.json")}
     assert (
-        entries[1].of["sha256"] == entries[1].of["file_sha256"] == digest(ledger_folder / "a.xml")
+        entries[1].subject["sha256"]
+        == entries[1].subject["file_sha256"]
+        == digest(ledger_folder / "a.xml")
     )
-    assert entries[1].of["result"] == digest(ledger_folder / "r.json")
-    assert entries[2].of["file_sha256"] == digest(ledger_folder / "b.pdf")
-    assert entries[2].of["amends"] == entries[1].of["identifier"]
+    assert entries[1].subject["result"] == digest(ledger_folder / "r.json")
+    assert entries[2].subject["file_sha256"] == digest(ledger_folder / "b.pdf")
+    assert entries[2].subject["amends"] == entries[1].subject["identifier"]
     assert (entries[2].why, entries[2].who) == ("The customer has moved.", "A. Erste")
     assert entries[1].when == "2027-01-15T08:00:00Z"
     capsys.readouterr()
@@ -115,15 +117,15 @@ def run_killed(monkeypatch):
     return kill
 
 
-@pytest.mark.parametrize("moment", ["write_whole", "_append_entry", "finish"])
+@pytest.mark.parametrize("moment", ["write_atomically", "_append_entry", "move_into_place"])
 def test_killed_command_leaves_no_certificate_without_entry(ledger_folder, run_killed, moment):
     words = ("r.json", "LAB.toml", "-o", "a.xml")
     run_killed(moment, *words)
     assert not (ledger_folder / "a.xml").exists()
     assert run(*words) == 0
     entries = verify_ledger(ledger_folder / "ledger.jsonl").entries
-    assert [entry.what for entry in entries] == ["result", "certificate"]
-    assert entries[1].of["file_sha256"] == digest(ledger_folder / "a.xml")
+    assert [entry.entry_type for entry in entries] == ["result", "certificate"]
+    assert entries[1].subject["file_sha256"] == digest(ledger_folder / "a.xml")
     assert not [path for path in ledger_folder.iterdir() if path.name.startswith(".")]
 
 
@@ -131,12 +133,14 @@ def test_interrupted_certificate_is_completed_on_later_day(
     ledger_folder, run_killed, monkeypatch, capsys
 ):
     words = ("r.json", "LAB.toml", "-o", "a.xml")
-    run_killed("finish", *words)
+    run_killed("move_into_place", *words)
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800086400")  # the day after
     assert run(*words) == 0
     assert "but was then interrupted" in capsys.readouterr().out
     entries = verify_ledger(ledger_folder / "ledger.jsonl").entries
-    assert [entry.of["file_sha256"] for entry in entries[1:]] == [digest(ledger_folder / "a.xml")]
+    assert [entry.subject["file_sha256"] for entry in entries[1:]] == [
+        digest(ledger_folder / "a.xml")
+    ]
     assert b"2027-01-15" in (ledger_folder / "a.xml").read_bytes()
 
 
@@ -162,7 +166,7 @@ def test_changed_file_of_entered_certificate_cannot_be_amended(ledger_folder, ca
     (ledger_folder / "a.xml").write_bytes(issued)
     assert run("r.json", "LAB.toml", "-o", "b.xml", *why) == 0
     amendment = verify_ledger(ledger_folder / "ledger.jsonl").entries[-1]
-    assert amendment.of["amends_sha256"] == digest(ledger_folder / "a.xml")
+    assert amendment.subject["amends_sha256"] == digest(ledger_folder / "a.xml")
 
 
 @pytest.mark.slow
@@ -187,7 +191,7 @@ def test_interrupted_command_completes_both_files(ledger_folder, monkeypatch, la
         assert run("--verify", name, "--cert", str(cert)) == 0
     if lab == KEPT:
         found = verify_ledger(ledger_folder / "ledger.jsonl").entries[1:]
-        assert [e.of["file_sha256"] for e in found] == [
+        assert [e.subject["file_sha256"] for e in found] == [
             digest(ledger_folder / n) for n in ("a.xml", "a.pdf")
         ]
     assert not [path for path in ledger_folder.iterdir() if path.name.startswith(".")]
@@ -220,8 +224,8 @@ def test_identifier_is_unique_per_content(ledger_folder, monkeypatch, capsys):
     assert run("r.json", "LAB.toml", "-o", "a.pdf") == 0
     assert run("r.json", "LAB.toml", "-o", "b.xml") == 0
     entries = verify_ledger(ledger_folder / "ledger.jsonl").entries
-    assert [entry.of.get("file") for entry in entries] == ["r.json", "a.xml", "a.pdf", "b.xml"]
-    assert len({entry.of["sha256"] for entry in entries[1:]}) == 1
+    assert [entry.subject.get("file") for entry in entries] == ["r.json", "a.xml", "a.pdf", "b.xml"]
+    assert len({entry.subject["sha256"] for entry in entries[1:]}) == 1
     capsys.readouterr()
     result(serial_number="Q-105").write("r.json", overwrite=True)
     assert run("r.json", "LAB.toml", "-o", "c.xml") == 1
@@ -253,4 +257,6 @@ def test_concurrent_commands_issue_one_certificate(ledger_folder):
         process.communicate(b"\n")
     assert sorted(process.returncode for process in both) == [0, 1]
     entries = verify_ledger(ledger_folder / "ledger.jsonl").entries
-    assert [entry.of["file_sha256"] for entry in entries[1:]] == [digest(ledger_folder / "a.xml")]
+    assert [entry.subject["file_sha256"] for entry in entries[1:]] == [
+        digest(ledger_folder / "a.xml")
+    ]

@@ -9,7 +9,7 @@ from results import result
 
 from certificates import LAB, write_lab
 from counterspin.certificates.issuing import certificate, draft_pages
-from counterspin.certificates.logo import MAX_BYTES, read_logo
+from counterspin.certificates.logo import MAX_LOGO_BYTES, read_logo
 from counterspin.toml_text import parse_toml
 
 HEAD = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:x="http://www.w3.org/1999/xlink" width="9" '
@@ -62,7 +62,7 @@ def test_png_and_svg_are_read_unchanged(tmp_path, data):
         (b"<html/>", "neither a PNG nor an SVG"),
         (b"GIF89a", "neither a PNG nor an SVG"),
         (make_png()[:40], "is damaged"),
-        (b"<" + b" " * MAX_BYTES, f"more than {MAX_BYTES} bytes|File too large"),
+        (b"<" + b" " * MAX_LOGO_BYTES, f"more than {MAX_LOGO_BYTES} bytes|File too large"),
     ],
 )
 def test_rejects_other_file_types(tmp_path, data, words):

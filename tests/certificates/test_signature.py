@@ -16,9 +16,9 @@ from signing_keys import write_pair
 
 from certificates import ISSUE, read_lab_for, write_lab
 from counterspin import cli
-from counterspin.certificates.build import build_document, to_bytes
+from counterspin.certificates.build import build_document, serialize_document
 from counterspin.certificates.certificate_reader import read_certificate
-from counterspin.certificates.signature import sign, verify
+from counterspin.certificates.signature import sign_document, verify
 from counterspin.certificates.signers import read_signer, signer_from_key
 from counterspin.errors import CounterspinError, RecordError
 
@@ -36,7 +36,7 @@ def key_pairs(tmp_path_factory):
 def sign_certificate(folder, pair):
     given = result()
     root = build_document(given, read_lab_for(folder, given), ISSUE, {}, b"%PDF")
-    return to_bytes(sign(root, read_signer(*pair)))
+    return serialize_document(sign_document(root, read_signer(*pair)))
 
 
 @pytest.mark.parametrize("kind", ["rsa", "ec"])
@@ -44,7 +44,7 @@ def test_signed_certificate_is_valid_and_readable(tmp_path, key_pairs, kind):
     xml = sign_certificate(tmp_path, key_pairs[kind])
     assert etree.fromstring(xml)[-1].tag == "{http://www.w3.org/2000/09/xmldsig#}Signature"
     covered = verify(xml, key_pairs[kind][1], "x.xml")
-    assert covered.expired is None
+    assert covered.expiry_date is None
     found = read_certificate(covered.content, "x.xml")
     assert found.accelerometers["Qx"].coefficients["K_II"].value == pytest.approx(2.7e-5, rel=1e-15)
 
@@ -131,9 +131,9 @@ def test_signer_certificate_valid_at_issue_is_accepted(tmp_path):
         given = result()
         root = build_document(given, read_lab_for(folder, given), ISSUE, {}, b"%PDF")
         signer = signer_from_key(key, load_pem_x509_certificates(cert.read_bytes()))
-        return verify(to_bytes(sign(root, signer)), cert, "x.xml")
+        return verify(serialize_document(sign_document(root, signer)), cert, "x.xml")
 
-    assert sign_and_verify(since - 10, -1).expired == today - timedelta(days=1)
+    assert sign_and_verify(since - 10, -1).expiry_date == today - timedelta(days=1)
     with raises("certificate-expired", "cert.pem"):
         sign_and_verify(since + 1, -1)
     with raises("certificate-expired"):
@@ -153,7 +153,7 @@ def test_signature_wrapping_is_rejected(tmp_path, key_pairs):
 
 def test_unsigned_certificate_raises(tmp_path, key_pairs):
     given = result()
-    made = to_bytes(build_document(given, read_lab_for(tmp_path, given), ISSUE, {}, None))
+    made = serialize_document(build_document(given, read_lab_for(tmp_path, given), ISSUE, {}, None))
     with pytest.raises(RecordError, match="is not signed"):
         verify(made, key_pairs["rsa"][1], "x.xml")
     with pytest.raises(RecordError, match="is not XML"):
@@ -171,10 +171,14 @@ def test_missing_package_error_names_install_command(monkeypatch, key_pairs):
 )
 def test_number_with_nested_nodes_reads_alike_signed_and_unsigned(tmp_path, key_pairs, put, reads):
     given = result()
-    plain = to_bytes(build_document(given, read_lab_for(tmp_path, given), ISSUE, {}, b"%PDF"))
+    plain = serialize_document(
+        build_document(given, read_lab_for(tmp_path, given), ISSUE, {}, b"%PDF")
+    )
     (value,) = re.findall(rb"<si:label>K_II</si:label>\s*<si:value>([^<]*)<", plain)
     spoilt = plain.replace(b"<si:value>" + value, b"<si:value>" + value[:3] + put + value[3:], 1)
-    made = to_bytes(sign(etree.fromstring(spoilt), read_signer(*key_pairs["rsa"])))
+    made = serialize_document(
+        sign_document(etree.fromstring(spoilt), read_signer(*key_pairs["rsa"]))
+    )
     assert put in made
     for read in (lambda: made, lambda: verify(made, key_pairs["rsa"][1], "x.xml").content):
         if reads:

@@ -50,8 +50,8 @@ def test_result_file_is_entered_in_ledger(campaign_folder, capsys):
     shown = capsys.readouterr().out
     (entry,) = verify_ledger(campaign_folder / "ledger.jsonl").entries
     digest = hashlib.sha256((campaign_folder / "r.json").read_bytes()).hexdigest()
-    assert entry.of == {"file": "r.json", "sha256": digest}
-    assert (entry.what, entry.who, entry.why) == ("result", "A. Erste", "yearly calibration")
+    assert entry.subject == {"file": "r.json", "sha256": digest}
+    assert (entry.entry_type, entry.who, entry.why) == ("result", "A. Erste", "yearly calibration")
     assert entry.when == "2027-01-15T08:00:00Z"
     assert f"ledger.jsonl: entry 1 is result r.json, hash {entry.digest}." in shown
 

@@ -78,7 +78,7 @@ def test_help_omits_negative_options_and_empty_defaults(command, monkeypatch, ca
 @pytest.mark.parametrize(
     ("command", "option", "endings"),
     [
-        ("certificate", "output", issuing.FORMATS),
+        ("certificate", "output", issuing.FILE_SUFFIXES),
         ("report", "output", publication.FORMATS),
         ("compare", "report", publication.FORMATS),
         ("history", "figure", charts._METADATA),

@@ -11,10 +11,10 @@ from typing import Any, Final
 from counterspin.acceleration_standard.page import budget_table, level_words, validation_sentence
 from counterspin.acceleration_standard.result import AppliedAcceleration, AppliedLevel
 from counterspin.certificates import certificate_text
-from counterspin.certificates.build import render_extension, to_bytes
+from counterspin.certificates.build import render_extension, serialize_document
 from counterspin.certificates.certificate_text import coverage_factor
 from counterspin.certificates.completeness import (
-    EVIDENCE_SHARE,
+    MIN_EVIDENCE_SHARE,
     MissingEntry,
     missing_administrative_data,
     missing_evidence,
@@ -32,12 +32,12 @@ from counterspin.certificates.issue_steps import (
     read_laboratory_logo,
     render_images,
     render_pages,
-    signed_pages,
+    sign_pages_if_requested,
     signer_notes,
 )
 from counterspin.certificates.issuing import Certificate
-from counterspin.certificates.lab import APPLIED, Lab, read_machine_lab
-from counterspin.certificates.ledger import checksum_of
+from counterspin.certificates.lab import APPLIED_ACCELERATION, Lab, read_machine_lab
+from counterspin.certificates.ledger import sha256_hex
 from counterspin.certificates.pdf_pages import (
     administrative_rows,
     equipment_blocks,
@@ -47,7 +47,7 @@ from counterspin.certificates.pdf_pages import (
     two_columns_table,
 )
 from counterspin.certificates.schema import Element, check_schema, format_decimal
-from counterspin.certificates.signature import sign
+from counterspin.certificates.signature import sign_document
 from counterspin.certificates.signers import Signer
 from counterspin.certificates.statements import Issue, Statement
 from counterspin.errors import CampaignError
@@ -119,7 +119,7 @@ def certify_applied(
     stated = [(level, _stated_u(data, level)) for level in result.levels]
     blocks = list(_page_blocks(data, result, issue, stated))
     root = _build_document(data, result, issue, stated, render_pages(blocks, issue))
-    xml = to_bytes(root if signer is None else sign(root, signer))
+    xml = serialize_document(root if signer is None else sign_document(root, signer))
     if schema is not None:
         check_schema(xml, schema, f"certificate {issue.identifier}")
     return Certificate(
@@ -127,10 +127,10 @@ def certify_applied(
         accelerometers=[],
         notes=[*issue_notes(data, issue, missing), *signer_notes(signer, issue)],
         xml=xml,
-        pages=lambda: signed_pages(render_pages(blocks, issue, attach=xml), signer),
+        pages=lambda: sign_pages_if_requested(render_pages(blocks, issue, xml=xml), signer),
         page_images=lambda: render_images(blocks, issue),
         ledger=ledger_path(data, lab),
-        entry={"identifier": issue.identifier, "sha256": checksum_of(xml)},
+        entry={"identifier": issue.identifier, "sha256": sha256_hex(xml)},
         signed_by=data.persons[0].name,
         reason="issued",
         draft=issue.draft,
@@ -139,7 +139,7 @@ def certify_applied(
 
 def _stated_u(lab: Lab, level: AppliedLevel) -> float:
     """Return u of a level, m/s^2: U = k u is not below the laboratory's capability."""
-    capability = lab.capability(APPLIED, 1.0) or 0.0
+    capability = lab.capability(APPLIED_ACCELERATION, 1.0) or 0.0
     return max(_evaluated_u(level), capability * abs(level.acceleration) / coverage_factor(None))
 
 
@@ -164,7 +164,7 @@ def _default_shares(result: AppliedAcceleration) -> dict[str, tuple[float, Appli
     for level in result.levels:
         for line in level.budget:
             source = result.source(line.source)
-            known = largest.get(source.symbol, (EVIDENCE_SHARE, level))
+            known = largest.get(source.symbol, (MIN_EVIDENCE_SHARE, level))
             if source.origin == "default" and line.share >= known[0]:
                 largest[source.symbol] = line.share, level
     return largest
@@ -186,13 +186,17 @@ def _sections(
     assumed = [s.symbol for s in result.applied_sources if s.origin == "assumed"]
     defaults = list(_default_shares(result))
     return [
-        (certificate_text.UNCERTAINTY, _uncertainty_lines(result), ("JCGM 100:2008",)),
-        (certificate_text.CAPABILITY, raised, ("ILAC-P14:09/2020",)),
-        (certificate_text.ASSUMED, [*evidence_lines(assumed, lab.evidence)], ()),
-        (certificate_text.DEFAULTS, [*evidence_lines(defaults, lab.evidence)], ()),
-        (certificate_text.SUPPLIED, [*certificate_text.customer_lines(settings)], quality),
-        (certificate_text.SCOPE, [certificate_text.scope_statement()], quality),
-        (certificate_text.REMARKS, [*settings.remarks], ()),
+        (certificate_text.UNCERTAINTY_HEADING, _uncertainty_lines(result), ("JCGM 100:2008",)),
+        (certificate_text.CAPABILITY_HEADING, raised, ("ILAC-P14:09/2020",)),
+        (certificate_text.FIXED_TERMS_HEADING, [*evidence_lines(assumed, lab.evidence)], ()),
+        (certificate_text.DEFAULT_EVIDENCE_HEADING, [*evidence_lines(defaults, lab.evidence)], ()),
+        (
+            certificate_text.CUSTOMER_DATA_HEADING,
+            [*certificate_text.customer_lines(settings)],
+            quality,
+        ),
+        (certificate_text.SCOPE_HEADING, [certificate_text.scope_statement()], quality),
+        (certificate_text.REMARKS_HEADING, [*settings.remarks], ()),
     ]
 
 
@@ -229,13 +233,19 @@ def _build_document(
     """Return the root element of the certificate."""
     settings = lab.certificate
     traceable = Statement(
-        certificate_text.TRACEABILITY,
+        certificate_text.TRACEABILITY_HEADING,
         [settings.traceability],
         language=settings.language,
         traceable=True,
     )
-    draft = Statement("Draft", [certificate_text.DRAFT] if issue.draft else [], valid=False)
-    own = {certificate_text.ASSUMED, certificate_text.DEFAULTS, certificate_text.REMARKS}
+    draft = Statement(
+        "Draft", [certificate_text.DRAFT_STATEMENT] if issue.draft else [], valid=False
+    )
+    own = {
+        certificate_text.FIXED_TERMS_HEADING,
+        certificate_text.DEFAULT_EVIDENCE_HEADING,
+        certificate_text.REMARKS_HEADING,
+    }
     sections = [
         Statement(name, lines, norms, settings.language if name in own else "en")
         for name, lines, norms in _sections(lab, result, stated)
@@ -267,7 +277,7 @@ def _page_blocks(
     """Yield the pages of the certificate."""
     yield Heading(page_title(issue), 1)
     if issue.draft:
-        yield Paragraph(certificate_text.DRAFT, "warning")
+        yield Paragraph(certificate_text.DRAFT_STATEMENT, "warning")
     yield Paragraph(
         f"{issue.identifier}. The Digital Calibration Certificate (DCC, XML) with this "
         "identifier contains the same values in machine-readable form.",
@@ -286,7 +296,7 @@ def _page_blocks(
         yield Heading(f"Uncertainty budget at {level_words(level)}", 3)
         yield typeset_block(budget_table(result, level))
     yield Heading("Statements")
-    yield from section_blocks(certificate_text.TRACEABILITY, lab.certificate.traceability)
+    yield from section_blocks(certificate_text.TRACEABILITY_HEADING, lab.certificate.traceability)
     for name, lines, _ in _sections(lab, result, stated):
         yield from section_blocks(name, *map(typeset, lines))
 

@@ -22,7 +22,7 @@ from counterspin.certificates.issuing import (
     check_output_paths,
     paired_path,
 )
-from counterspin.certificates.ledger import checksum_of
+from counterspin.certificates.ledger import sha256_hex
 from counterspin.certificates.signers import KeyMaterial, PasswordNeededError, Signer, read_signer
 from counterspin.errors import CounterspinError, describe_read_error, read_error_code
 from counterspin.input import read_file
@@ -138,10 +138,10 @@ def begin_certificate(
         "signed_by": issued.signed_by,
         "notes": issued.notes,
         "files": [app.folder.name(target) for target in outputs],
-        "checksums": [checksum_of(read_file(target)) for target in outputs],
+        "checksums": [sha256_hex(read_file(target)) for target in outputs],
         "pages": pages,
         "signer": signers[0].name if signers else "",
-        "signer_certificate": signers[0].pem if signers else None,
+        "signer_certificate": signers[0].certificate_pem if signers else None,
         "command": certificate_command(*files, target, both, options),
     }
 
@@ -153,12 +153,14 @@ def check_file(app: AppState, name: str, certificate: UploadedFile | None = None
     """
     path = app.file(name)
     with app.drawing:
-        check = check_certificate(path, cert=None if certificate is None else certificate.read())
+        check = check_certificate(
+            path, signer_certificate=None if certificate is None else certificate.read()
+        )
     return {
-        "identifier": check.certified.identifier,
-        "checksum": checksum_of(read_file(path)),
+        "identifier": check.numbers.identifier,
+        "checksum": sha256_hex(read_file(path)),
         "signature": check.signature,
-        "pages": check.pages,
+        "pages": check.page_signature,
     }
 
 

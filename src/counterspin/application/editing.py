@@ -33,7 +33,7 @@ from counterspin.certificates.completeness import (
     MissingEntry,
     missing_data,
     missing_despite_mistakes,
-    section_of,
+    section_name,
 )
 from counterspin.certificates.lab import read_lab
 from counterspin.errors import CampaignError, CounterspinError
@@ -67,7 +67,7 @@ class EditedText:
             "document": json.loads(json.dumps(self.document, default=str)),
             "problems": [{"key": key, "words": words} for key, words in self.problems],
             "questions": list(self.questions),
-            "missing": [{"key": entry.key, "words": entry.words} for entry in self.missing],
+            "missing": [{"key": entry.key, "words": entry.message} for entry in self.missing],
             "run_kinds": run_kinds(self.document),
         }
 
@@ -100,7 +100,7 @@ def parse_lab_text(text: str, result: Result) -> EditedText:
         lab, _ = read_lab(document, result)
     except CampaignError as error:
         problems = _split_problems(error.problems)
-        invalid_sections = {section_of(key) for key, _ in problems}
+        invalid_sections = {section_name(key) for key, _ in problems}
         missing = missing_despite_mistakes(document, invalid_sections, result)
         return EditedText(text, document, problems, missing=tuple(missing))
     return EditedText(text, document, missing=tuple(missing_data(lab, result)))

@@ -30,7 +30,7 @@ from counterspin.campaign.terms import BARE_NAMES
 from counterspin.campaign.truth import TRUE_TABLES, AccelerometerTruthSettings
 from counterspin.campaign.validation import find_model, nested_models
 from counterspin.certificates.codes import codes_in_force
-from counterspin.certificates.evidence import ALL
+from counterspin.certificates.evidence import ALL_TERMS
 from counterspin.certificates.lab import Lab, parse_celsius
 from counterspin.physics.terms import ACCELEROMETER_TERMS, READING_TERMS, SHARED_TERMS, TERMS
 from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
@@ -106,7 +106,7 @@ def lab_form() -> tuple[FormSection, ...]:
             "explained": "certificate#assumed-terms",
             "repeat": None,
             "fields": [
-                _text_field(ALL, "a report", "evidence for every term"),
+                _text_field(ALL_TERMS, "a report", "evidence for every term"),
                 *(_text_field(symbol, "a report or a data sheet") for symbol in TERMS),
             ],
         }

@@ -18,27 +18,28 @@ from counterspin.certificates.certificate_reader import (
     read_document,
 )
 from counterspin.certificates.certificate_text import coverage_factor
-from counterspin.certificates.schema import NAMESPACES, Element, parse
+from counterspin.certificates.schema import NAMESPACES, Element, parse_xml
 from counterspin.errors import CampaignError, RecordError, UsageError
 from counterspin.frozen import frozen
 from counterspin.reports.numbers import field_unit, format_estimate
 
-#: Hash algorithm of a replaced certificate's checksum, as the new certificate states it.
+#: Hash algorithm of the checksum of a replaced certificate, as stated in the new certificate.
 HASH_ALGORITHM: Final = "SHA-256"
 
-_ADMINISTRATIVE: Final = "/dcc:digitalCalibrationCertificate/dcc:administrativeData"
+_ADMINISTRATIVE_PATH: Final = "/dcc:digitalCalibrationCertificate/dcc:administrativeData"
 
-#: Sections that are compared as text, by name -> XPath.
-_COMPARED_SECTIONS: Final = {
-    "calibrated item": f"{_ADMINISTRATIVE}/dcc:items",
-    "laboratory": f"{_ADMINISTRATIVE}/dcc:calibrationLaboratory/dcc:contact",
-    "accreditation": f"{_ADMINISTRATIVE}/dcc:calibrationLaboratory/dcc:calibrationLaboratoryCode",
-    "responsible persons": f"{_ADMINISTRATIVE}/dcc:respPersons",
-    "customer": f"{_ADMINISTRATIVE}/dcc:customer",
-    "date of receipt": f"{_ADMINISTRATIVE}/dcc:coreData/dcc:receiptDate",
-    "dates of the calibration": f"{_ADMINISTRATIVE}/dcc:coreData/*[contains(name(), 'eDate')]"
+#: Section that is compared as text -> XPath.
+_SECTION_PATHS: Final = {
+    "calibrated item": f"{_ADMINISTRATIVE_PATH}/dcc:items",
+    "laboratory": f"{_ADMINISTRATIVE_PATH}/dcc:calibrationLaboratory/dcc:contact",
+    "accreditation": f"{_ADMINISTRATIVE_PATH}/dcc:calibrationLaboratory"
+    "/dcc:calibrationLaboratoryCode",
+    "responsible persons": f"{_ADMINISTRATIVE_PATH}/dcc:respPersons",
+    "customer": f"{_ADMINISTRATIVE_PATH}/dcc:customer",
+    "date of receipt": f"{_ADMINISTRATIVE_PATH}/dcc:coreData/dcc:receiptDate",
+    "dates of the calibration": f"{_ADMINISTRATIVE_PATH}/dcc:coreData/*[contains(name(), 'eDate')]"
     "[contains(name(), 'Performance')]",
-    "place of the calibration": f"{_ADMINISTRATIVE}/dcc:coreData/dcc:performanceLocation",
+    "place of the calibration": f"{_ADMINISTRATIVE_PATH}/dcc:coreData/dcc:performanceLocation",
     "method": "//dcc:measurementResult[1]/dcc:usedMethods",
     "conditions": "//dcc:measurementResult[1]/dcc:influenceConditions",
     "input files": "//dcc:metaData[dcc:name/dcc:content='Input files and their checksums']",
@@ -47,7 +48,7 @@ _COMPARED_SECTIONS: Final = {
 
 @frozen
 class Amendment:
-    """The certificate to be replaced, and the reason."""
+    """Path of the certificate to be replaced, and the reason."""
 
     path: Path  #: The issued certificate, XML or PDF.
     reason: str  #: Reason for the replacement.
@@ -55,49 +56,54 @@ class Amendment:
 
 @frozen
 class AmendedCertificate:
-    """A certificate that a new one replaces."""
+    """A certificate that a new certificate replaces."""
 
     identifier: str  #: Identifier of the replaced certificate.
     checksum: str  #: SHA-256 of its XML, hexadecimal.
     reason: str  #: Reason for the replacement.
-    changes: tuple[str, ...] = ()  #: Changes in the new certificate, in sentences.
-    #: Identifiers of the certificates that the replaced one replaced, newest first.
-    earlier: tuple[str, ...] = ()
+    changes: tuple[str, ...] = ()  #: Sentences on the changes in the new certificate.
+    #: Identifiers of earlier replaced certificates, newest first.
+    earlier_identifiers: tuple[str, ...] = ()
 
     def next_identifier(self) -> str:
-        """Return an identifier for the new certificate, if the laboratory gives none."""
-        numbered = re.fullmatch(r"(.*)-A(\d+)", self.identifier)
-        if numbered is None:
+        """Return the default identifier of the new certificate."""
+        match = re.fullmatch(r"(.*)-A(\d+)", self.identifier)
+        if match is None:
             return f"{self.identifier}-A1"
-        return f"{numbered[1]}-A{int(numbered[2]) + 1}"
+        return f"{match[1]}-A{int(match[2]) + 1}"
 
 
-def read_amended(amendment: Amendment) -> tuple[AmendedCertificate, bytes]:
-    """Return the data of the replaced certificate, and its XML."""
+def read_amended_certificate(amendment: Amendment) -> tuple[AmendedCertificate, bytes]:
+    """Read the certificate to be replaced; return its data and its XML."""
     if not amendment.reason.strip():
         raise UsageError("certificate", ["`reason`: give the reason for replacing the certificate"])
-    data = read_document(amendment.path)
-    numbers = read_certificate(data, str(amendment.path))
+    document = read_document(amendment.path)
+    numbers = read_certificate(document, str(amendment.path))
     if numbers.identifier.startswith("DRAFT-"):
         raise RecordError(
             f"{amendment.path} is a draft that was never issued, so it cannot be amended",
             code="wrong-amendment",
         )
-    checksum = hashlib.sha256(data).hexdigest()
+    checksum = hashlib.sha256(document).hexdigest()
     reason = " ".join(amendment.reason.split())
-    amended = AmendedCertificate(numbers.identifier, checksum, reason, earlier=numbers.replaced)
-    return amended, data
+    amended_certificate = AmendedCertificate(
+        numbers.identifier, checksum, reason, earlier_identifiers=numbers.replaced_identifiers
+    )
+    return amended_certificate, document
 
 
-def check_new_identifier(identifier: str, amended: AmendedCertificate) -> None:
-    """Refuse the identifier of the amended certificate or of an earlier one.
+def check_new_identifier(identifier: str, amended_certificate: AmendedCertificate) -> None:
+    """Raise an error if the amended certificate or an earlier certificate has the identifier.
 
-    Identifiers that differ only in blanks or capitals count as equal.
+    Blanks and case are ignored.
     """
-    if _is_same_identifier(identifier, amended.identifier):
+    if _is_same_identifier(identifier, amended_certificate.identifier):
         problem = "is the identifier of the amended certificate"
-    elif any(_is_same_identifier(identifier, earlier) for earlier in amended.earlier):
-        problem = f"is the identifier of a certificate that {amended.identifier} amends"
+    elif any(
+        _is_same_identifier(identifier, earlier_identifier)
+        for earlier_identifier in amended_certificate.earlier_identifiers
+    ):
+        problem = f"is the identifier of a certificate that {amended_certificate.identifier} amends"
     else:
         return
     remedy = "each certificate must have a unique identifier"
@@ -107,85 +113,103 @@ def check_new_identifier(identifier: str, amended: AmendedCertificate) -> None:
 
 
 def _is_same_identifier(first: str, second: str) -> bool:
-    keys = ["".join(normalize("NFKC", text).split()).casefold() for text in (first, second)]
-    return keys[0] == keys[1]
+    normalized = ["".join(normalize("NFKC", text).split()).casefold() for text in (first, second)]
+    return normalized[0] == normalized[1]
 
 
-def record_changes(amended: AmendedCertificate, old: bytes, new: bytes) -> AmendedCertificate:
-    """Return the amendment with the changes between the old and the new XML."""
-    return replace(amended, changes=tuple(describe_changes(old, new)))
+def record_changes(
+    amended_certificate: AmendedCertificate, old_document: bytes, new_document: bytes
+) -> AmendedCertificate:
+    """Return the amended certificate with the changes between the old and the new XML."""
+    return replace(amended_certificate, changes=tuple(describe_changes(old_document, new_document)))
 
 
-def describe_changes(old: bytes, new: bytes) -> list[str]:
+def describe_changes(old_document: bytes, new_document: bytes) -> list[str]:
     """Return sentences about the differences between two certificates, numbers first."""
-    before, after = (read_certificate(data, "the certificate") for data in (old, new))
+    old_numbers, new_numbers = (
+        read_certificate(document, "the certificate") for document in (old_document, new_document)
+    )
     return [
-        *_number_changes(before, after),
-        *_text_changes(parse(old, "the certificate"), parse(new, "the certificate")),
+        *_number_changes(old_numbers, new_numbers),
+        *_text_changes(
+            parse_xml(old_document, "the certificate"), parse_xml(new_document, "the certificate")
+        ),
     ] or ["The amendment changes only the identifier and the date of issue."]
 
 
-def amendment_lines(amended: AmendedCertificate | None) -> list[str]:
-    """Return the statements about the replaced certificate; an empty list without one."""
-    if amended is None:
+def amendment_lines(amended_certificate: AmendedCertificate | None) -> list[str]:
+    """Return the statements on the replaced certificate; empty without an amendment."""
+    if amended_certificate is None:
         return []
     return [
-        f"This certificate amends and replaces certificate {amended.identifier} "
-        f"(SHA-256 of its XML: {amended.checksum}).",
-        *amendment_reasons(amended),
-        *(f"Changed: {change}" for change in amended.changes),
+        f"This certificate amends and replaces certificate {amended_certificate.identifier} "
+        f"(SHA-256 of its XML: {amended_certificate.checksum}).",
+        *amendment_reasons(amended_certificate),
+        *(f"Changed: {change}" for change in amended_certificate.changes),
     ]
 
 
-def amendment_reasons(amended: AmendedCertificate) -> list[str]:
+def amendment_reasons(amended_certificate: AmendedCertificate) -> list[str]:
     """Return the reason of the replacement, and the earlier replaced certificates."""
-    earlier = [f"{EARLIER_PREFIX}{identifier}" for identifier in amended.earlier]
-    return [f"Reason: {amended.reason}", *earlier]
+    earlier_lines = [
+        f"{EARLIER_PREFIX}{identifier}" for identifier in amended_certificate.earlier_identifiers
+    ]
+    return [f"Reason: {amended_certificate.reason}", *earlier_lines]
 
 
-def verify_amended(new: bytes, old: Path, source: str) -> str:
-    """Return the identifier of a replaced certificate; RecordError if `new` does not amend it."""
-    previous = _select(
-        parse(new, source), f"{_ADMINISTRATIVE}/dcc:coreData/dcc:previousReport/dcc:value"
+def verify_amended(new_document: bytes, old_path: Path, source: str) -> str:
+    """Return the identifier of the replaced certificate; RecordError if it is not amended."""
+    checksum_elements = _select_elements(
+        parse_xml(new_document, source),
+        f"{_ADMINISTRATIVE_PATH}/dcc:coreData/dcc:previousReport/dcc:value",
     )
-    data = read_document(old)
-    if not previous:
+    old_document = read_document(old_path)
+    if not checksum_elements:
         raise RecordError(f"{source} does not amend a certificate", code="wrong-amendment")
-    if previous[0].text != hashlib.sha256(data).hexdigest():
+    if checksum_elements[0].text != hashlib.sha256(old_document).hexdigest():
         raise RecordError(
-            f"{source} does not amend {old}, or {old} has been changed since it was amended",
+            f"{source} does not amend {old_path}, or {old_path} has been changed since it was "
+            "amended",
             code="wrong-amendment",
         )
-    before, after = read_certificate(data, str(old)), read_certificate(new, source)
+    old_numbers, new_numbers = (
+        read_certificate(old_document, str(old_path)),
+        read_certificate(new_document, source),
+    )
     if any(
-        _is_same_identifier(after.identifier, earlier)
-        for earlier in (before.identifier, *before.replaced)
+        _is_same_identifier(new_numbers.identifier, identifier)
+        for identifier in (old_numbers.identifier, *old_numbers.replaced_identifiers)
     ):
         raise RecordError(
-            f"{source} has the identifier of {old} or of a certificate that {old} amends. The "
-            "amendments are therefore circular; do not rely on any of these certificates",
+            f"{source} has the identifier of {old_path} or of a certificate that {old_path} "
+            "amends. The amendments are therefore circular; do not rely on any of these "
+            "certificates",
             code="wrong-amendment",
         )
-    return before.identifier
+    return old_numbers.identifier
 
 
-def _number_changes(before: CertificateNumbers, after: CertificateNumbers) -> Iterator[str]:
-    old_values, new_values = _certified_values(before), _certified_values(after)
+def _number_changes(
+    old_numbers: CertificateNumbers, new_numbers: CertificateNumbers
+) -> Iterator[str]:
+    old_values, new_values = _certified_values(old_numbers), _certified_values(new_numbers)
     for name in dict.fromkeys([*old_values, *new_values]):
-        versions = [
+        coefficient_versions = [
             values[name].coefficients if name in values else {}
             for values in (old_values, new_values)
         ]
-        for symbol in dict.fromkeys([*versions[0], *versions[1]]):
-            old_text, new_text = (_format_coefficient(values.get(symbol)) for values in versions)
-            if versions[0].get(symbol) != versions[1].get(symbol):
+        for symbol in dict.fromkeys([*coefficient_versions[0], *coefficient_versions[1]]):
+            old_text, new_text = (
+                _format_coefficient(values.get(symbol)) for values in coefficient_versions
+            )
+            if coefficient_versions[0].get(symbol) != coefficient_versions[1].get(symbol):
                 yield f"{symbol} of {name} was {old_text} and is now {new_text}."
 
 
-def _certified_values(certified: CertificateNumbers) -> dict[str, CertifiedAccelerometer]:
+def _certified_values(numbers: CertificateNumbers) -> dict[str, CertifiedAccelerometer]:
     """Return the accelerometers and the triad that have certified values."""
-    triad = certified.triad
-    return certified.accelerometers | ({"the triad": triad.parameters} if triad else {})
+    triad = numbers.triad
+    return numbers.accelerometers | ({"the triad": triad.parameters} if triad else {})
 
 
 def _format_coefficient(coefficient: Any) -> str:
@@ -196,26 +220,26 @@ def _format_coefficient(coefficient: Any) -> str:
     return format_estimate(coefficient.value * factor, u * factor, unit)
 
 
-def _text_changes(before: Element, after: Element) -> Iterator[str]:
-    for section, path in _COMPARED_SECTIONS.items():
-        old_text, new_text = (_section_text(root, path) for root in (before, after))
+def _text_changes(old_root: Element, new_root: Element) -> Iterator[str]:
+    for section, path in _SECTION_PATHS.items():
+        old_text, new_text = (_section_text(root, path) for root in (old_root, new_root))
         if old_text != new_text:
-            yield f"{section}, {_difference(old_text.split(), new_text.split())}."
-    old_statements, new_statements = (_statements(root) for root in (before, after))
+            yield f"{section}, {_describe_difference(old_text.split(), new_text.split())}."
+    old_statements, new_statements = (_statement_texts(root) for root in (old_root, new_root))
     for name in dict.fromkeys([*old_statements, *new_statements]):
         if old_statements.get(name) != new_statements.get(name):
-            change = (
+            change_text = (
                 "is new"
                 if name not in old_statements
                 else "has been removed"
                 if name not in new_statements
                 else "has changed"
             )
-            yield f'the statement "{name}" {change}.'
+            yield f'the statement "{name}" {change_text}.'
 
 
-def _statements(root: Element) -> dict[str, str]:
-    elements = _select(root, f"{_ADMINISTRATIVE}/dcc:statements/dcc:statement")
+def _statement_texts(root: Element) -> dict[str, str]:
+    elements = _select_elements(root, f"{_ADMINISTRATIVE_PATH}/dcc:statements/dcc:statement")
     texts: dict[str, str] = {}
     for statement in elements:
         name = " ".join(statement[0].itertext()).strip()
@@ -225,7 +249,7 @@ def _statements(root: Element) -> dict[str, str]:
 
 
 def _section_text(root: Element, path: str) -> str:
-    return "; ".join(_element_text(element) for element in _select(root, path))
+    return "; ".join(_element_text(element) for element in _select_elements(root, path))
 
 
 def _element_text(element: Element) -> str:
@@ -233,25 +257,28 @@ def _element_text(element: Element) -> str:
 
 
 #: Maximum length of a quoted text, in characters.
-_MAX_QUOTED: Final = 120
+_MAX_QUOTED_LENGTH: Final = 120
 
 
-def _difference(old: list[str], new: list[str]) -> str:
-    """Return the old and the new words, without the words common to the start and the end."""
-    prefix = 0
-    while prefix < min(len(old), len(new)) and old[prefix] == new[prefix]:
-        prefix += 1
-    old, new = old[prefix:], new[prefix:]
-    while old and new and old[-1] == new[-1]:
-        old, new = old[:-1], new[:-1]
-    return f"from {_quote(' '.join(old))} to {_quote(' '.join(new))}"
+def _describe_difference(old_words: list[str], new_words: list[str]) -> str:
+    """Return the old and the new words, without common words at the start and the end."""
+    n_common = 0
+    while (
+        n_common < min(len(old_words), len(new_words))
+        and old_words[n_common] == new_words[n_common]
+    ):
+        n_common += 1
+    old_words, new_words = old_words[n_common:], new_words[n_common:]
+    while old_words and new_words and old_words[-1] == new_words[-1]:
+        old_words, new_words = old_words[:-1], new_words[:-1]
+    return f"from {_quote(' '.join(old_words))} to {_quote(' '.join(new_words))}"
 
 
-def _quote(words: str) -> str:
-    if not words:
+def _quote(text: str) -> str:
+    if not text:
         return "nothing"
-    return f'"{words}"' if len(words) <= _MAX_QUOTED else f'"{words[:_MAX_QUOTED]}..."'
+    return f'"{text}"' if len(text) <= _MAX_QUOTED_LENGTH else f'"{text[:_MAX_QUOTED_LENGTH]}..."'
 
 
-def _select(root: Element, path: str) -> list[Any]:
+def _select_elements(root: Element, path: str) -> list[Any]:
     return list(root.xpath(path, namespaces=NAMESPACES))

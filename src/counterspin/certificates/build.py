@@ -1,7 +1,7 @@
 """Build the Digital Calibration Certificate (DCC 3.3.0) of a result from a template.
 
-Numbers have all digits of a double, so that a machine reads back the computed values.
-`significantDigit` gives the digit to round to; numbers in the accompanying text are rounded.
+Numbers have all digits of a double, so that software reads exactly the computed values.
+`significantDigit` gives the digit for rounding; numbers in the text are rounded.
 """
 
 from __future__ import annotations
@@ -34,21 +34,26 @@ from counterspin.certificates.conversion import (
     covariance,
     matrix_dof,
     output_coefficients_in_si,
-    output_lines,
     parameter_line,
+    triad_output_lines,
     triad_parameters_in_si,
     triad_title,
 )
 from counterspin.certificates.lab import ITEM_STATES, Lab
 from counterspin.certificates.schema import (
-    DCC,
+    DCC_NAMESPACE,
     NAMESPACES,
     Element,
     clean_text,
     format_decimal,
     format_exact,
 )
-from counterspin.certificates.statements import Issue, Verdicts, item_id, statements
+from counterspin.certificates.statements import (
+    Issue,
+    Verdicts,
+    accelerometer_item_id,
+    certificate_statements,
+)
 from counterspin.errors import RecordError
 from counterspin.inference.distributions import COVERAGE
 from counterspin.physics.terms import SHARED_TERMS
@@ -59,18 +64,22 @@ SCHEMA_VERSION: Final = "3.3.0"
 
 
 def check_certifiable(result: Result, names: Sequence[str]) -> None:
-    """Raise RecordError if a result must not be certified; judge it if necessary."""
+    """Raise RecordError if a result must not be certified."""
     if result.model == "as-printed":
         raise RecordError(
             "this result was computed with the paper's equations as printed, which yield half "
             "the true K_II; calibrate again with the exact model",
             code="as-printed",
         )
-    if (refused := refusal_reason(judge_result(result), names)) is not None:
-        raise RecordError(refused, code="contradicted")
-    by_accelerometer = (result.accelerometers[name].coefficients.values() for name in names)
+    if (refusal := refusal_reason(judge_result(result), names)) is not None:
+        raise RecordError(refusal, code="contradicted")
+    coefficients_by_accelerometer = (
+        result.accelerometers[name].coefficients.values() for name in names
+    )
     if not any(
-        certificate_text.is_determined(c) for coefficients in by_accelerometer for c in coefficients
+        certificate_text.is_determined(coefficient)
+        for coefficients in coefficients_by_accelerometer
+        for coefficient in coefficients
     ):
         raise RecordError(
             f"the records do not determine any coefficient of {', '.join(names)}, so nothing "
@@ -87,70 +96,74 @@ def build_document(
     pages: bytes | None,
     original: Result | None = None,
 ) -> Element:
-    """Return the root element of the certificate of a result that `check_certifiable` accepts.
+    """Build the certificate of a result that `check_certifiable` accepts; return the root element.
 
     verdicts: Conformity of the certified coefficients.
-    pages: The certificate as PDF, or None.
-    original: The unmodified result of the file, if it differs from `result`.
+    pages: Certificate as PDF, or None.
+    original: Unmodified result of the file, if it differs from `result`.
     """
-    names, stated = lab.certified(result), apply_cmc_floor(result, lab)
-    written = _template().render(
+    names, certified_result = lab.certified_names(result), apply_cmc_floor(result, lab)
+    xml_text = _load_template().render(
         version=__version__,
         schema_version=SCHEMA_VERSION,
         namespaces=NAMESPACES,
         lab=lab,
         settings=lab.certificate,
         issue=issue,
-        result=stated,
+        result=certified_result,
         file=(original or result).content,
         names=names,
-        statements=statements(lab, result, stated, issue, verdicts),
+        statements=certificate_statements(lab, result, certified_result, issue, verdicts),
         inputs=[f"{file} {checksum}" for file, checksum in result.provenance.shown],
-        rates=_reading_rates(stated),
+        rates=_reading_rates(certified_result),
         platform={
-            symbol: c
-            for symbol, c in stated.platform.items()
-            if symbol in SHARED_TERMS and certificate_text.is_determined(c)
+            symbol: coefficient
+            for symbol, coefficient in certified_result.platform.items()
+            if symbol in SHARED_TERMS and certificate_text.is_determined(coefficient)
         },
-        joint_covariance=_joint_covariance(stated, names),
-        triad=certified_triad(stated, names),
-        warnings=_warnings(result, names),
+        joint_covariance=_joint_covariance(certified_result, names),
+        triad=certified_triad(certified_result, names),
+        warnings=_warning_lines(result, names),
         pages=pages,
     )
-    return _parse_rendered(written)
+    return _parse_rendered(xml_text)
 
 
 def render_extension(template: str, **context: Any) -> Element:
-    """Return the root element of a document whose template extends that of certificates.
+    """Render a template that extends the template of certificates; return the root element.
 
     template: Text of a template that extends `base`.
-    context: Variables of the template, and those of the administrative data.
+    context: Variables of the template and of the administrative data.
     """
-    base = _template()
-    extension = base.environment.from_string(template)
-    shared = {"version": __version__, "schema_version": SCHEMA_VERSION, "namespaces": NAMESPACES}
-    return _parse_rendered(extension.render(base=base, **shared, **context))
+    base_template = _load_template()
+    extension = base_template.environment.from_string(template)
+    shared_context = {
+        "version": __version__,
+        "schema_version": SCHEMA_VERSION,
+        "namespaces": NAMESPACES,
+    }
+    return _parse_rendered(extension.render(base=base_template, **shared_context, **context))
 
 
-def _parse_rendered(written: str) -> Element:
-    """Return the root element of a rendered template, without superfluous attributes."""
+def _parse_rendered(xml_text: str) -> Element:
+    """Parse a rendered template; return the root element without superfluous attributes."""
     parser = etree.XMLParser(remove_blank_text=True, huge_tree=True, resolve_entities=False)
-    root = etree.fromstring(written.encode(), parser)
+    root = etree.fromstring(xml_text.encode(), parser)
     _remove_unreferenced_ids(root)
     _remove_single_languages(root)
     etree.indent(root, " ")
     return root
 
 
-def to_bytes(root: Element) -> bytes:
-    """Return the document as bytes for a file."""
-    written: bytes = etree.tostring(root, encoding="UTF-8", xml_declaration=True)
-    return written + b"\n"
+def serialize_document(root: Element) -> bytes:
+    """Serialize a document to XML."""
+    xml: bytes = etree.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return xml + b"\n"
 
 
 @cache
-def _template() -> Template:
-    # `finalize` cleans plain strings; the output of macros is Markup, which is clean already.
+def _load_template() -> Template:
+    # `finalize` cleans plain strings; macros return Markup, which is already clean.
     environment = Environment(
         autoescape=True,
         undefined=StrictUndefined,
@@ -162,9 +175,9 @@ def _template() -> Template:
         "paragraphs": lambda lines: Markup("\n").join(map(clean_text, lines)),
         "number": format_exact,
         "factor": format_decimal,
-        "times": lambda values, by: [value * by for value in values],
+        "times": lambda values, factor: [value * factor for value in values],
         "plainly": certificate_text.replace_plus_minus,
-        "base64": lambda data: b64encode(data).decode("ascii"),
+        "base64": lambda content: b64encode(content).decode("ascii"),
     }
     environment.globals |= {
         "certificate_text": certificate_text,
@@ -184,18 +197,18 @@ def _template() -> Template:
         "covariance_data": _covariance_data,
         "triad_title": triad_title,
         "triad_parameters_in_si": triad_parameters_in_si,
-        "triad_output": output_lines,
+        "triad_output": triad_output_lines,
         "matrix_dof": matrix_dof,
         "parameter_line": parameter_line,
         "parameter_words": parameter_words,
-        "item_id": item_id,
+        "item_id": accelerometer_item_id,
     }
     assets = resources.files("counterspin.certificates") / "assets"
     return environment.from_string((assets / "certificate.xml.jinja").read_text(encoding="utf-8"))
 
 
 def _dcc_version(version: str) -> str:
-    """Return a version's release in the form that the DCC requires, such as v1.2.3."""
+    """Return the release of a version in the form required by the DCC, such as v1.2.3."""
     match = re.match(r"\d{1,3}(\.\d{1,3}){0,3}", version)
     return f"v{match[0] if match else version}"
 
@@ -206,7 +219,7 @@ def _significant_digit(value: float, u: float) -> int | None:
 
 
 def _reading_rates(result: Result) -> list[tuple[str, float]]:
-    """Return name and rate in rad/s of each reading that was taken during rotation."""
+    """Return name and rate, rad/s, of each reading during rotation."""
     all_readings = (
         motion_readings for readings in readings_of(result).values() for motion_readings in readings
     )
@@ -216,7 +229,7 @@ def _reading_rates(result: Result) -> list[tuple[str, float]]:
 
 
 def _joint_covariance(result: Result, names: Sequence[str]) -> dict[str, Any] | None:
-    """Return the covariance across accelerometers, caused by g, radius and platform."""
+    """Return the covariance between accelerometers due to g, radius and platform."""
     if len(names) < 2:
         return None
     return _covariance_data(
@@ -232,16 +245,21 @@ def _joint_covariance(result: Result, names: Sequence[str]) -> dict[str, Any] | 
 def _covariance_data(
     correlation: Correlation | None, estimates: Mapping[str, SiEstimate]
 ) -> dict[str, Any] | None:
-    """Return the covariance of the certified coefficients, if there are two or more."""
-    symbols = [s for s in (correlation.terms if correlation else ()) if s in estimates]
+    """Return template data of the covariance of the coefficients; None for fewer than two."""
+    symbols = [
+        symbol for symbol in (correlation.terms if correlation else ()) if symbol in estimates
+    ]
     if correlation is None or len(symbols) < 2:
         return None
-    # Use the smallest degrees of freedom: the region is then too large rather than too small.
-    dof = min((d for s in symbols if (d := estimates[s].dof) is not None), default=None)
+    # The smallest degrees of freedom give a conservative region.
+    dof = min(
+        (finite_dof for symbol in symbols if (finite_dof := estimates[symbol].dof) is not None),
+        default=None,
+    )
     return {
         "symbols": symbols,
-        "values": [estimates[s].value for s in symbols],
-        "units": [estimates[s].unit.dsi_text for s in symbols],
+        "values": [estimates[symbol].value for symbol in symbols],
+        "units": [estimates[symbol].unit.dsi_text for symbol in symbols],
         "columns": [
             [
                 (
@@ -257,8 +275,8 @@ def _covariance_data(
     }
 
 
-def _warnings(result: Result, names: Sequence[str]) -> list[str]:
-    """Return all warnings of the calibration, which the certificate must state."""
+def _warning_lines(result: Result, names: Sequence[str]) -> list[str]:
+    """Return all warnings of the calibration for the certificate."""
     lines = list(result.warnings)
     if result.accepted_misfit is not None:
         lines.append(f"The misfit was accepted for this reason: {result.accepted_misfit}")
@@ -271,19 +289,19 @@ def _warnings(result: Result, names: Sequence[str]) -> list[str]:
 
 
 def _remove_unreferenced_ids(root: Element) -> None:
-    """Remove each id without a reference, as PTB's rules require."""
-    named = {name for element in root.iter() for name in element.get("refId", "").split()}
+    """Remove each id without a reference, as required by the rules of PTB."""
+    referenced_ids = {name for element in root.iter() for name in element.get("refId", "").split()}
     for element in root.iter():
-        if element.get("id") not in {None, *named}:
+        if element.get("id") not in {None, *referenced_ids}:
             del element.attrib["id"]
 
 
 def _remove_single_languages(root: Element) -> None:
-    """Remove the language of text that exists in only one of two languages.
+    """Remove the language of texts if the document uses two languages.
 
-    PTB's rules require text in every language that is used, or text without a language.
+    The rules of PTB require text in every used language, or text without a language.
     """
-    used = len(list(root.iter(f"{{{DCC}}}usedLangCodeISO639_1")))
-    for content in root.iter(f"{{{DCC}}}content"):
-        if used > 1:
+    n_languages = len(list(root.iter(f"{{{DCC_NAMESPACE}}}usedLangCodeISO639_1")))
+    for content in root.iter(f"{{{DCC_NAMESPACE}}}content"):
+        if n_languages > 1:
             content.attrib.pop("lang", None)

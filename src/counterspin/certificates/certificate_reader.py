@@ -1,4 +1,4 @@
-"""Read the numbers of a certificate from the XML that its file carries."""
+"""Read the numbers of a certificate from the XML in its file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates.conversion import OUTPUT_COEFFICIENTS, TRIAD_TITLE_PREFIX
-from counterspin.certificates.schema import NAMESPACES, Element, parse
+from counterspin.certificates.schema import NAMESPACES, Element, parse_xml
 from counterspin.certificates.signature import PdfSignatureStatus, verify_pdf_signature
 from counterspin.errors import (
     MAX_REASON_LENGTH,
@@ -39,23 +39,23 @@ _PYPDF_MISSING: Final = (
 
 
 def is_pdf(path: Path) -> bool:
-    """Return whether a certificate's file is a PDF, by the ending of its name."""
+    """Return whether the file name of a certificate ends in .pdf."""
     return path.suffix.lower() == ".pdf"
 
 
 def read_document(path: Path) -> bytes:
-    """Return the XML of a certificate: the file, or the attachment of a PDF.
+    """Return the XML of a certificate: the file itself, or the attachment of a PDF.
 
-    A PDF is read in an isolated process, as records of native formats are.
+    A PDF is read in an isolated process.
     """
     if is_pdf(path):
-        return run_isolated(_attached_xml, path)
+        return run_isolated(_read_attached_xml, path)
     return _read_xml(path)
 
 
-def verify_pages(path: Path, public: bytes) -> PdfSignatureStatus:
-    """Return the state of a PDF's signature, as `verify_pdf_signature` does."""
-    return run_isolated(_pdf_signature_status, path, public)
+def verify_pages(path: Path, signer_certificate: bytes) -> PdfSignatureStatus:
+    """Verify the signature of a PDF in an isolated process, see `verify_pdf_signature`."""
+    return run_isolated(_read_pdf_signature_status, path, signer_certificate)
 
 
 def _read_xml(path: Path) -> bytes:
@@ -68,23 +68,23 @@ def _read_xml(path: Path) -> bytes:
         ) from error
 
 
-def _attached_xml(path: Path) -> bytes:
+def _read_attached_xml(path: Path) -> bytes:
     content = _read_xml(path)
     try:
         import pypdf
     except ImportError as error:
         raise MissingPackageError(_PYPDF_MISSING) from error
     try:
-        attachments = _xml_files(pypdf.PdfReader(io.BytesIO(content)))
+        attachments = _xml_attachments(pypdf.PdfReader(io.BytesIO(content)))
     except MemoryError:
         raise
     except Exception as error:  # any error of pypdf and zlib on a damaged file
         raise _damage_error(path, error) from error
     if len(attachments) != 1:
-        own_data = "no XML file is" if not attachments else (f"{len(attachments)} XML files are")
+        count_text = "no XML file is" if not attachments else (f"{len(attachments)} XML files are")
         raise RecordError(
             (
-                f"{path}: {own_data} attached to the PDF, but the PDF of a certificate must have "
+                f"{path}: {count_text} attached to the PDF, but the PDF of a certificate must have "
                 "exactly one"
             ),
             code="wrong-document",
@@ -92,10 +92,10 @@ def _attached_xml(path: Path) -> bytes:
     return attachments[0]
 
 
-def _pdf_signature_status(path: Path, public: bytes) -> PdfSignatureStatus:
+def _read_pdf_signature_status(path: Path, signer_certificate: bytes) -> PdfSignatureStatus:
     content = _read_xml(path)
     try:
-        return verify_pdf_signature(content, public)
+        return verify_pdf_signature(content, signer_certificate)
     except (CounterspinError, MemoryError):
         raise
     except Exception as error:  # any error of pyHanko on a damaged file
@@ -107,91 +107,93 @@ def _damage_error(path: Path, error: Exception) -> RecordError:
     return DamagedFileError(f"{path} is not a PDF, or it is damaged ({reason})")
 
 
-def _xml_files(reader: Any) -> list[bytes]:
+def _xml_attachments(reader: Any) -> list[bytes]:
     return [
-        bytes(data)
-        for name, versions in reader.attachments.items()
+        bytes(content)
+        for name, contents in reader.attachments.items()
         if name.lower().endswith(".xml")
-        for data in versions
+        for content in contents
     ]
 
 
-_RESULT: Final = "dcc:measurementResults/dcc:measurementResult"
-_GRAVITY: Final = (
+_RESULT_PATH: Final = "dcc:measurementResults/dcc:measurementResult"
+_GRAVITY_PATH: Final = (
     "dcc:measurementResults//dcc:influenceConditions/dcc:influenceCondition"
     "[dcc:name/dcc:content='Local gravity']/dcc:data/dcc:quantity/si:real/si:value"
 )
-_REPLACED: Final = (
+_REPLACED_PATH: Final = (
     "dcc:administrativeData/dcc:coreData/dcc:reportAmendedSubstituted/dcc:replacedUniqueIdentifier"
 )
-_REASON: Final = (
+_REASON_PATH: Final = (
     "dcc:administrativeData/dcc:coreData/dcc:previousReport/dcc:description/dcc:content"
 )
 #: Prefix of a line that names a certificate replaced before the amended one.
 EARLIER_PREFIX: Final = "Earlier certificate: "
-_QUANTITY: Final = "dcc:results/dcc:result/dcc:data/dcc:quantity"
-_EXPANDED: Final = "si:measurementUncertaintyUnivariate/si:expandedMU"
-_REGION: Final = "si:measurementUncertaintyMultivariateXMLList/si:ellipsoidalRegionMUXMLList"
-_COLUMN: Final = f"{_REGION}/si:covarianceMatrixXMLList/si:columnXMLList"
-_DOF: Final = "dcc:measurementMetaData/dcc:metaData/dcc:data/dcc:quantity/si:real/si:value"
+_QUANTITY_PATH: Final = "dcc:results/dcc:result/dcc:data/dcc:quantity"
+_EXPANDED_PATH: Final = "si:measurementUncertaintyUnivariate/si:expandedMU"
+_REGION_PATH: Final = "si:measurementUncertaintyMultivariateXMLList/si:ellipsoidalRegionMUXMLList"
+_COLUMN_PATH: Final = f"{_REGION_PATH}/si:covarianceMatrixXMLList/si:columnXMLList"
+_DOF_PATH: Final = "dcc:measurementMetaData/dcc:metaData/dcc:data/dcc:quantity/si:real/si:value"
 
-#: XPath of a triad's result, and in it of the corrected output and of the parameters.
-_NAME: Final = "dcc:name/dcc:content"
-_TRIAD: Final = f"{_RESULT}[not(@refId)][starts-with({_NAME}, '{TRIAD_TITLE_PREFIX}')]"
-_OUTPUT: Final = f"[{_NAME}='Corrected output']"
-_PARAMETERS: Final = f"[not({_NAME}='Corrected output')]"
-_DATA: Final = "dcc:data/dcc:quantity"
-_EXPANDED_LIST: Final = "si:measurementUncertaintyUnivariateXMLList/si:expandedMUXMLList"
+#: XPaths of the result of a triad, the corrected output and the parameters.
+_NAME_PATH: Final = "dcc:name/dcc:content"
+_TRIAD_PATH: Final = (
+    f"{_RESULT_PATH}[not(@refId)][starts-with({_NAME_PATH}, '{TRIAD_TITLE_PREFIX}')]"
+)
+_OUTPUT_FILTER: Final = f"[{_NAME_PATH}='Corrected output']"
+_PARAMETER_FILTER: Final = f"[not({_NAME_PATH}='Corrected output')]"
+_DATA_PATH: Final = "dcc:data/dcc:quantity"
+_EXPANDED_LIST_PATH: Final = "si:measurementUncertaintyUnivariateXMLList/si:expandedMUXMLList"
 
 #: Type of a triad's parameter -> unit.
-_KINDS: Final = {"offset": "g", "sensitivity": "g/g", "angle": "rad"}
+_PARAMETER_UNITS: Final = {"offset": "g", "sensitivity": "g/g", "angle": "rad"}
 
-#: Largest difference between a matrix and its parameters, which both have all digits.
-_ROUNDING: Final = 1e-12
+#: Largest difference between a matrix and its parameters.
+_ROUNDING_TOLERANCE: Final = 1e-12
 
 
 @frozen
 class CertifiedAccelerometer:
-    """One accelerometer in a certificate, in g-units of the certificate's g, taken as exact."""
+    """An accelerometer in a certificate, in g-units; the g of the certificate is exact."""
 
     coefficients: dict[str, Coefficient]  #: Value, u = U/k, degrees of freedom.
-    #: Terms and covariance of the coefficients, shape (n, n); empty if the certificate has none.
+    #: Terms and covariance of the coefficients, shape (n, n); empty without a covariance.
     terms: tuple[str, ...]
     covariance: npt.NDArray[np.float64]
 
 
 @frozen
 class CertifiedTriad:
-    """Three accelerometers as one sensor in a certificate, in the same g-units."""
+    """Three accelerometers of a certificate that form one sensor, in the same g-units."""
 
     accelerometers: tuple[str, ...]  #: Names of the three accelerometers.
     parameters: CertifiedAccelerometer  #: Parameters by name, such as ``angle.X.Y``.
-    #: Corrected output, matrix (y - bias): matrix, shape (3, 3), expanded uncertainties, their
-    #: coverage factor, and bias in g, shape (3,); None if the certificate has none.
+    #: Corrected output, matrix (y - bias): matrix, shape (3, 3), expanded uncertainties, coverage
+    #: factor, and bias in g, shape (3,); None without a corrected output.
     matrix: npt.NDArray[np.float64] | None = None
-    expanded: npt.NDArray[np.float64] | None = None
-    factor: float | None = None
+    expanded_matrix: npt.NDArray[np.float64] | None = None
+    coverage_factor: float | None = None
     bias: npt.NDArray[np.float64] | None = None
 
 
 @frozen
 class CertificateNumbers:
-    """The numbers of a certificate; gravity in m/s^2; `amends` identifies the one it replaces."""
+    """The numbers of a certificate; gravity in m/s^2."""
 
     identifier: str
     gravity: float
     accelerometers: dict[str, CertifiedAccelerometer]
-    amends: str | None = None
+    amended_identifier: str | None = None  #: Identifier of the replaced certificate.
     triad: CertifiedTriad | None = None
-    #: Identifiers of all certificates that this one and those before it replaced, newest first.
-    replaced: tuple[str, ...] = ()
+    #: Identifiers of all replaced certificates, newest first.
+    replaced_identifiers: tuple[str, ...] = ()
 
 
 def read_certificate(document: bytes, source: str) -> CertificateNumbers:
     """Read the numbers of a certificate that counterspin wrote."""
-    root = parse(document, source)
+    root = parse_xml(document, source)
     try:
-        gravity = _parse_number(_single_text(root, _GRAVITY))
+        gravity = _parse_number(_single_text(root, _GRAVITY_PATH))
         if gravity <= 0.0:
             raise ValueError(f"the local gravity is {gravity:g} m/s^2")
         return CertificateNumbers(
@@ -200,13 +202,20 @@ def read_certificate(document: bytes, source: str) -> CertificateNumbers:
             ),
             gravity=gravity,
             accelerometers={
-                _accelerometer_name(root, part): _read_values(_select(part, _QUANTITY), gravity)
-                for part in _select(root, _RESULT)
-                if part.get("refId")
+                _accelerometer_name(root, element): _read_values(
+                    _select_elements(element, _QUANTITY_PATH), gravity
+                )
+                for element in _select_elements(root, _RESULT_PATH)
+                if element.get("refId")
             },
-            amends=next((_text(element) for element in _select(root, _REPLACED)), None),
-            triad=next((_read_triad(part, gravity) for part in _select(root, _TRIAD)), None),
-            replaced=tuple(_replaced_identifiers(root)),
+            amended_identifier=next(
+                (_element_text(element) for element in _select_elements(root, _REPLACED_PATH)), None
+            ),
+            triad=next(
+                (_read_triad(element, gravity) for element in _select_elements(root, _TRIAD_PATH)),
+                None,
+            ),
+            replaced_identifiers=tuple(_replaced_identifiers(root)),
         )
     except (ArithmeticError, KeyError, ValueError) as error:
         raise RecordError(
@@ -216,57 +225,70 @@ def read_certificate(document: bytes, source: str) -> CertificateNumbers:
 
 
 def _replaced_identifiers(root: Element) -> Iterator[str]:
-    """Yield the identifiers of the certificates that a certificate and those before it replaced."""
-    yield from (_text(element) for element in _select(root, _REPLACED))
-    for element in _select(root, _REASON):
-        lines = _text(element).splitlines()
+    """Yield the identifiers of the replaced certificate and of earlier ones, newest first."""
+    yield from (_element_text(element) for element in _select_elements(root, _REPLACED_PATH))
+    for element in _select_elements(root, _REASON_PATH):
+        lines = _element_text(element).splitlines()
         yield from (
             line.removeprefix(EARLIER_PREFIX) for line in lines if line.startswith(EARLIER_PREFIX)
         )
 
 
-def _read_triad(part: Element, gravity: float) -> CertifiedTriad:
-    """Return the parameters of a triad; ValueError if its matrix or bias contradicts them."""
-    names = tuple(_single_text(part, _NAME).removeprefix(TRIAD_TITLE_PREFIX).split(", "))
+def _read_triad(element: Element, gravity: float) -> CertifiedTriad:
+    """Read a triad; ValueError if matrix or bias contradict the parameters."""
+    names = tuple(_single_text(element, _NAME_PATH).removeprefix(TRIAD_TITLE_PREFIX).split(", "))
     parameters = _read_values(
-        _select(part, f"dcc:results/dcc:result{_PARAMETERS}/{_DATA}"), gravity
+        _select_elements(element, f"dcc:results/dcc:result{_PARAMETER_FILTER}/{_DATA_PATH}"),
+        gravity,
     )
-    output = _select(part, f"dcc:results/dcc:result{_OUTPUT}/{_DATA}/si:realListXMLList")
-    if not output:
+    output_elements = _select_elements(
+        element, f"dcc:results/dcc:result{_OUTPUT_FILTER}/{_DATA_PATH}/si:realListXMLList"
+    )
+    if not output_elements:
         return CertifiedTriad(names, parameters)
-    matrix_values, bias_values = output
-    matrix = np.reshape(_parse_numbers(matrix_values, "si:valueXMLList"), (3, 3))
-    bias = _parse_numbers(bias_values, "si:valueXMLList") * from_si(1.0, "g", gravity)
-    from_outputs = _parameters(names, np.linalg.inv(matrix).astype(np.float64), bias)
-    for name, c in parameters.coefficients.items():
-        if name in from_outputs and abs((c.value or 0.0) - from_outputs[name]) > _ROUNDING:
+    matrix_element, bias_element = output_elements
+    matrix = np.reshape(_parse_numbers(matrix_element, "si:valueXMLList"), (3, 3))
+    bias = _parse_numbers(bias_element, "si:valueXMLList") * from_si(1.0, "g", gravity)
+    derived_parameters = _triad_parameters(names, np.linalg.inv(matrix).astype(np.float64), bias)
+    for name, coefficient in parameters.coefficients.items():
+        if (
+            name in derived_parameters
+            and abs((coefficient.value or 0.0) - derived_parameters[name]) > _ROUNDING_TOLERANCE
+        ):
             raise ValueError(
-                f"matrix and offsets give {name} {from_outputs[name]:.9g}, not {c.value}"
+                f"matrix and offsets give {name} {derived_parameters[name]:.9g}, not "
+                f"{coefficient.value}"
             )
     return CertifiedTriad(
         names,
         parameters,
         matrix,
         np.reshape(
-            _parse_numbers(matrix_values, f"{_EXPANDED_LIST}/si:valueExpandedMUXMLList"), (3, 3)
+            _parse_numbers(matrix_element, f"{_EXPANDED_LIST_PATH}/si:valueExpandedMUXMLList"),
+            (3, 3),
         ),
-        _parse_number(_single_text(matrix_values, f"{_EXPANDED_LIST}/si:coverageFactorXMLList")),
+        _parse_number(
+            _single_text(matrix_element, f"{_EXPANDED_LIST_PATH}/si:coverageFactorXMLList")
+        ),
         bias,
     )
 
 
-def _parameters(
-    names: Sequence[str], rows: npt.NDArray[np.float64], bias: npt.NDArray[np.float64]
+def _triad_parameters(
+    names: Sequence[str], input_axes: npt.NDArray[np.float64], bias: npt.NDArray[np.float64]
 ) -> dict[str, float]:
-    """Return a triad's nine parameters from the input axes of its accelerometers."""
-    sizes = np.linalg.norm(rows, axis=1)
-    cosine = (rows / sizes[:, None]) @ (rows / sizes[:, None]).T
+    """Return the nine parameters of a triad from its biases and input axes."""
+    sensitivities = np.linalg.norm(input_axes, axis=1)
+    cosines = (input_axes / sensitivities[:, None]) @ (input_axes / sensitivities[:, None]).T
     return {
         **{f"offset.{name}": float(value) for name, value in zip(names, bias, strict=True)},
-        **{f"sensitivity.{name}": float(value) for name, value in zip(names, sizes, strict=True)},
         **{
-            f"angle.{names[a]}.{names[b]}": math.acos(float(np.clip(cosine[a, b], -1.0, 1.0)))
-            for a, b in combinations(range(len(names)), 2)
+            f"sensitivity.{name}": float(value)
+            for name, value in zip(names, sensitivities, strict=True)
+        },
+        **{
+            f"angle.{names[i]}.{names[j]}": math.acos(float(np.clip(cosines[i, j], -1.0, 1.0)))
+            for i, j in combinations(range(len(names)), 2)
         },
     }
 
@@ -276,29 +298,31 @@ def _read_values(quantities: Sequence[Element], gravity: float) -> CertifiedAcce
     terms: tuple[str, ...] = ()
     covariance = np.empty((0, 0))
     for quantity in quantities:
-        for real in _select(quantity, "si:real"):
-            if (label := _single_text(real, "si:label")) not in OUTPUT_COEFFICIENTS:
-                coefficients[label] = _read_coefficient(quantity, real, gravity)
-        for covariance_element in _select(quantity, "si:realListXMLList"):
+        for real_element in _select_elements(quantity, "si:real"):
+            if (label := _single_text(real_element, "si:label")) not in OUTPUT_COEFFICIENTS:
+                coefficients[label] = _read_coefficient(quantity, real_element, gravity)
+        for covariance_element in _select_elements(quantity, "si:realListXMLList"):
             terms = tuple(_single_text(covariance_element, "si:labelXMLList").split())
             covariance = _read_covariance(covariance_element, terms, gravity)
     return CertifiedAccelerometer(coefficients, terms, covariance)
 
 
-def _read_coefficient(quantity: Element, real: Element, gravity: float) -> Coefficient:
-    unit = _unit(_single_text(real, "si:label"))
+def _read_coefficient(quantity: Element, real_element: Element, gravity: float) -> Coefficient:
+    unit = _unit_of_label(_single_text(real_element, "si:label"))
     u = None
-    if _select(real, _EXPANDED):
-        expanded = _parse_number(_single_text(real, f"{_EXPANDED}/si:valueExpandedMU"))
-        k = _parse_number(_single_text(real, f"{_EXPANDED}/si:coverageFactor"))
-        if expanded < 0.0 or k <= 0.0:
+    if _select_elements(real_element, _EXPANDED_PATH):
+        expanded_u = _parse_number(
+            _single_text(real_element, f"{_EXPANDED_PATH}/si:valueExpandedMU")
+        )
+        k = _parse_number(_single_text(real_element, f"{_EXPANDED_PATH}/si:coverageFactor"))
+        if expanded_u < 0.0 or k <= 0.0:
             raise ValueError("an expanded uncertainty or its coverage factor is negative")
-        u = from_si(expanded / k, unit, gravity)
-    dof = _select(quantity, _DOF)
+        u = from_si(expanded_u / k, unit, gravity)
+    dof_elements = _select_elements(quantity, _DOF_PATH)
     return Coefficient(
-        value=from_si(_parse_number(_single_text(real, "si:value")), unit, gravity),
+        value=from_si(_parse_number(_single_text(real_element, "si:value")), unit, gravity),
         u=u,
-        dof=_parse_number(_text(dof[0])) if dof else None,
+        dof=_parse_number(_element_text(dof_elements[0])) if dof_elements else None,
         unit=unit,
         estimated=True,
     )
@@ -307,38 +331,38 @@ def _read_coefficient(quantity: Element, real: Element, gravity: float) -> Coeff
 def _read_covariance(
     covariance_element: Element, terms: tuple[str, ...], gravity: float
 ) -> npt.NDArray[np.float64]:
-    in_si = np.array(
+    si_covariance = np.array(
         [
             [
-                _parse_number(_text(value))
-                for value in _select(column, "si:covarianceXMLList/si:valueXMLList")
+                _parse_number(_element_text(value))
+                for value in _select_elements(column, "si:covarianceXMLList/si:valueXMLList")
             ]
-            for column in _select(covariance_element, _COLUMN)
+            for column in _select_elements(covariance_element, _COLUMN_PATH)
         ]
     ).T
-    scale = np.array([from_si(1.0, _unit(symbol), gravity) for symbol in terms])
-    if in_si.shape != (len(terms), len(terms)):
+    unit_factors = np.array([from_si(1.0, _unit_of_label(symbol), gravity) for symbol in terms])
+    if si_covariance.shape != (len(terms), len(terms)):
         raise ValueError("the size of the covariance matrix does not match the length of the list")
     with np.errstate(over="ignore", invalid="ignore"):
-        covariance: npt.NDArray[np.float64] = in_si * np.outer(scale, scale)
+        covariance: npt.NDArray[np.float64] = si_covariance * np.outer(unit_factors, unit_factors)
     if not np.all(np.isfinite(covariance)):
         raise ValueError("the covariance matrix contains implausibly large numbers")
     return covariance
 
 
-def _unit(label: str) -> str:
-    """Return the unit of a term, of a triad's parameter, or of a term of one of its sensors."""
-    kind, _, symbol = label.partition(".")
-    if kind in _KINDS and symbol:
-        return _KINDS[kind]
+def _unit_of_label(label: str) -> str:
+    """Return the unit of a term, of a parameter of a triad, or of a term of a sensor."""
+    parameter_type, _, symbol = label.partition(".")
+    if parameter_type in _PARAMETER_UNITS and symbol:
+        return _PARAMETER_UNITS[parameter_type]
     return TERMS[symbol if symbol in TERMS else label].unit
 
 
-def _accelerometer_name(root: Element, part: Element) -> str:
+def _accelerometer_name(root: Element, result_element: Element) -> str:
     """Return the name of the accelerometer in the result, from its item."""
-    item = ".//dcc:item[@id=$item]/dcc:identifications/dcc:identification"
-    path = f"{item}[dcc:issuer='calibrationLaboratory']/dcc:value"
-    return _single_text(root, path, item=part.get("refId", ""))
+    identification_path = ".//dcc:item[@id=$item]/dcc:identifications/dcc:identification"
+    path = f"{identification_path}[dcc:issuer='calibrationLaboratory']/dcc:value"
+    return _single_text(root, path, item=result_element.get("refId", ""))
 
 
 def _parse_number(text: str) -> float:
@@ -349,21 +373,23 @@ def _parse_number(text: str) -> float:
 
 
 def _parse_numbers(element: Element, path: str) -> npt.NDArray[np.float64]:
-    return np.array([_parse_number(word) for word in _single_text(element, path).split()])
+    return np.array(
+        [_parse_number(number_text) for number_text in _single_text(element, path).split()]
+    )
 
 
-def _select(element: Element, path: str, **variables: str) -> list[Any]:
+def _select_elements(element: Element, path: str, **variables: str) -> list[Any]:
     return list(element.xpath(path, namespaces=NAMESPACES, **variables))
 
 
 def _single_text(element: Element, path: str, **variables: str) -> str:
-    matches = _select(element, path, **variables)
-    if not matches or not _text(matches[0]):
+    matches = _select_elements(element, path, **variables)
+    if not matches or not _element_text(matches[0]):
         raise ValueError(f"{path.rpartition('/')[2]} is missing")
-    return _text(matches[0])
+    return _element_text(matches[0])
 
 
-def _text(element: Element) -> str:
+def _element_text(element: Element) -> str:
     if len(element):
         # `text` holds only the part before the child.
         raise ValueError(f"{element.tag.rpartition('}')[2]} contains elements other than text")

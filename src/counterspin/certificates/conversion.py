@@ -1,7 +1,7 @@
-"""Conversion of a certificate's numbers to SI, with U not below the laboratory's capability.
+"""Conversion of the numbers of a certificate to SI; U is at least the laboratory's CMC.
 
-The capability (CMC) is the smallest uncertainty that the laboratory may state. In SI the
-uncertainty of g contributes only the part that remains after the conversion.
+The calibration and measurement capability (CMC) is the smallest uncertainty that the laboratory
+may state. In SI, most of the uncertainty of g cancels.
 """
 
 from __future__ import annotations
@@ -39,42 +39,50 @@ from counterspin.units import si_unit, to_si
 def coefficients_in_si(result: Result, name: str) -> dict[str, SiEstimate]:
     """Return the determined coefficients of an accelerometer in SI units."""
     estimates = {}
-    for symbol, c in result.accelerometers[name].coefficients.items():
-        if certificate_text.is_determined(c):
-            assert c.value is not None
-            assert c.u is not None
+    for symbol, coefficient in result.accelerometers[name].coefficients.items():
+        if certificate_text.is_determined(coefficient):
+            assert coefficient.value is not None
+            assert coefficient.u is not None
             gravity = result.gravity_of(name, symbol)
-            estimates[symbol] = convert_to_si(c.value, c.u, c.unit, c.dof, gravity)
+            estimates[symbol] = convert_to_si(
+                coefficient.value, coefficient.u, coefficient.unit, coefficient.dof, gravity
+            )
     return estimates
 
 
-#: Output quantity in the unit of the readings -> the coefficient that it is a multiple of.
+#: Output quantity in the unit of the readings -> proportional coefficient.
 OUTPUT_COEFFICIENTS: Final = {"bias": "K_F", "scale_factor": "K_I"}
 
 
 def output_coefficients_in_si(result: Result, name: str) -> dict[str, SiEstimate]:
     """Return bias and scale factor in the SI unit of an accelerometer's readings.
 
-    Omit those whose unit has no expression in SI.
+    Quantities whose unit cannot be expressed in SI are omitted.
     """
     accelerometer = result.accelerometers[name]
     estimates = {}
-    for key, c in accelerometer.output.items():
+    for key, coefficient in accelerometer.output.items():
         symbol = OUTPUT_COEFFICIENTS[key]
-        unit = accelerometer.coefficients.get(symbol)
-        if unit is None or not certificate_text.is_determined(c):
+        base_coefficient = accelerometer.coefficients.get(symbol)
+        if base_coefficient is None or not certificate_text.is_determined(coefficient):
             continue
-        assert c.value is not None
-        assert c.u is not None
+        assert coefficient.value is not None
+        assert coefficient.u is not None
         gravity = result.gravity_of(name, symbol)
-        # g shifts both equally: one equals the other times the nominal sensitivity, which is exact.
+        # The output is the coefficient times the nominal sensitivity, which is exact.
         if accelerometer.nominal is not None:
             scale = accelerometer.nominal.sensitivity
         else:
-            scale = c.value / unit.value if unit.value else c.u / (unit.u or math.inf)
-        value = replace(gravity, sensitivity=gravity.sensitivity * scale)
+            scale = (
+                coefficient.value / base_coefficient.value
+                if base_coefficient.value
+                else coefficient.u / (base_coefficient.u or math.inf)
+            )
+        scaled_gravity = replace(gravity, sensitivity=gravity.sensitivity * scale)
         with suppress(ValueError):
-            estimates[key] = convert_instrument_unit(c.value, c.u, c.unit, c.dof, value)
+            estimates[key] = convert_instrument_unit(
+                coefficient.value, coefficient.u, coefficient.unit, coefficient.dof, scaled_gravity
+            )
     return estimates
 
 
@@ -83,9 +91,9 @@ def to_si_with_exact_g(
 ) -> dict[str, SiEstimate]:
     """Return coefficients in SI units, with g (m/s^2) taken as exact."""
     return {
-        symbol: c.to_si(gravity)
-        for symbol, c in coefficients.items()
-        if certificate_text.is_determined(c)
+        symbol: coefficient.to_si(gravity)
+        for symbol, coefficient in coefficients.items()
+        if certificate_text.is_determined(coefficient)
     }
 
 
@@ -131,34 +139,46 @@ def triad_parameters_in_si(result: Result, triad: TriadResult) -> dict[str, SiEs
 def displayed_parameters(
     result: Result, triad: TriadResult
 ) -> tuple[dict[str, Coefficient], dict[str, SiEstimate]]:
-    """Return the determined parameters by description, in g-units and in SI, as shown."""
-    shown = {name: shown_parameter(name, triad.parameters[name]) for name in triad.parameters}
-    in_si = _parameters_in_si(result, triad, {name: c for name, (_, c) in shown.items()})
-    return dict(shown.values()), {shown[name][0]: estimate for name, estimate in in_si.items()}
+    """Return the displayed parameters by description, in g-units and in SI."""
+    displayed = {name: shown_parameter(name, triad.parameters[name]) for name in triad.parameters}
+    si_estimates = _parameters_in_si(
+        result, triad, {name: parameter for name, (description, parameter) in displayed.items()}
+    )
+    return dict(displayed.values()), {
+        displayed[name][0]: estimate for name, estimate in si_estimates.items()
+    }
 
 
 def _parameters_in_si(
     result: Result, triad: TriadResult, parameters: Mapping[str, Coefficient]
 ) -> dict[str, SiEstimate]:
     estimates, inputs = {}, result.inputs
-    for name, c in parameters.items():
-        if certificate_text.is_determined(c):
-            assert c.value is not None
-            assert c.u is not None
-            by_g = triad.by_gravity.get(name, 0.0)
-            gravity = StatedGravity(inputs.gravity, inputs.u_gravity, by_g)
-            estimates[name] = convert_to_si(c.value, c.u, c.unit, c.dof, gravity)
+    for name, parameter in parameters.items():
+        if certificate_text.is_determined(parameter):
+            assert parameter.value is not None
+            assert parameter.u is not None
+            gravity_sensitivity = triad.by_gravity.get(name, 0.0)
+            gravity = StatedGravity(inputs.gravity, inputs.u_gravity, gravity_sensitivity)
+            estimates[name] = convert_to_si(
+                parameter.value, parameter.u, parameter.unit, parameter.dof, gravity
+            )
     return estimates
 
 
 def matrix_dof(triad: TriadResult) -> float | None:
-    """Return the degrees of freedom of the matrix: the smallest of its parameters."""
-    dofs = (c for name, c in triad.parameters.items() if name.startswith(("sensitivity", "angle")))
-    return min((c.dof for c in dofs if c.dof is not None), default=None)
+    """Return the degrees of freedom of the matrix: the minimum of its parameters."""
+    parameters = (
+        parameter
+        for name, parameter in triad.parameters.items()
+        if name.startswith(("sensitivity", "angle"))
+    )
+    return min(
+        (parameter.dof for parameter in parameters if parameter.dof is not None), default=None
+    )
 
 
 def triad_lines(triad: TriadResult) -> list[str]:
-    """Return sentences on the triad: the method, its parameters, and those without a value."""
+    """Return sentences on the method of the triad and on undetermined parameters."""
     names = ", ".join(triad.accelerometers)
     lines = [
         f"The accelerometers {names} form one sensor. In addition to their coefficients, the "
@@ -167,38 +187,38 @@ def triad_lines(triad: TriadResult) -> list[str]:
         "Res. NIST 122 (2017) 32)."
     ]
     if triad.poses:
-        rms = ""
+        rms_text = ""
         if triad.rms_before is not None:
-            before = format_number(triad.rms_before, 3)
-            rms = f" The rms difference between |f| and g is {before} m/s^2"
-            after = triad.rms_after
-            rms += (
+            before_text = format_number(triad.rms_before, 3)
+            rms_text = f" The rms difference between |f| and g is {before_text} m/s^2"
+            rms_after = triad.rms_after
+            rms_text += (
                 "."
-                if after is None
-                else (f"before and {format_number(after, 3)} m/s^2 after correction.")
+                if rms_after is None
+                else (f"before and {format_number(rms_after, 3)} m/s^2 after correction.")
             )
         lines.append(
             f"The sensor was at rest in {len(triad.poses)} poses of unknown attitude. The fit "
             "estimated the attitude in each pose together with the coefficients. Only the "
-            f"magnitude of the specific force, the local gravity, was known.{rms}"
+            f"magnitude of the specific force, the local gravity, was known.{rms_text}"
         )
     lines += [
         f'The parameter "{parameter_words(name)}" is not certified: '
-        f"{certificate_text.undetermined_reason(c)}."
-        for name, c in triad.parameters.items()
-        if not certificate_text.is_determined(c)
+        f"{certificate_text.undetermined_reason(parameter)}."
+        for name, parameter in triad.parameters.items()
+        if not certificate_text.is_determined(parameter)
     ]
     return lines
 
 
-def output_table(
+def matrix_table(
     names: Sequence[str],
     matrix: Sequence[Sequence[float]],
-    expanded: Sequence[Sequence[float]],
+    expanded_matrix: Sequence[Sequence[float]],
     k: float,
 ) -> Table:
-    """Return the matrix of the corrected output with U and k."""
-    rows = zip("xyz", matrix, expanded, strict=True)
+    """Return a table of the matrix of the corrected output with U and k."""
+    rows = zip("xyz", matrix, expanded_matrix, strict=True)
     return Table(
         (Column("M ± U"), *(Column(name, "right") for name in names), Column("k", "right")),
         tuple(
@@ -208,36 +228,41 @@ def output_table(
     )
 
 
-def _format_element(value: float, expanded: float) -> str:
-    """Return an element of a matrix, with U if it has one; fixed zeros have none."""
-    return format_estimate(value, expanded, "") if expanded else format_number(value, 9)
+def _format_element(value: float, expanded_u: float) -> str:
+    """Format an element of a matrix, with U unless the element is fixed."""
+    return format_estimate(value, expanded_u, "") if expanded_u else format_number(value, 9)
 
 
 def parameter_line(name: str, parameter: Coefficient) -> str:
-    """Return a determined parameter, with U and k, in g-units and its SI unit."""
-    words, c = shown_parameter(name, parameter)
-    k = coverage_factor(c.dof)
-    quantity = "value" if c.value == parameter.value else "angle"
-    value_text = certificate_text.unit_remark(si_unit(c.unit)[0], quantity)
-    estimate = f"{certificate_text.format_in_g_units(c, k)} (U, k = {format_decimal(k)})"
-    return f"{words} = {estimate}. {value_text}"
+    """Return a line on a determined parameter with U and k in g-units, and the SI unit."""
+    description, displayed_parameter = shown_parameter(name, parameter)
+    k = coverage_factor(displayed_parameter.dof)
+    quantity = "value" if displayed_parameter.value == parameter.value else "angle"
+    remark = certificate_text.unit_remark(si_unit(displayed_parameter.unit)[0], quantity)
+    estimate_text = (
+        f"{certificate_text.format_in_g_units(displayed_parameter, k)} (U, k = {format_decimal(k)})"
+    )
+    return f"{description} = {estimate_text}. {remark}"
 
 
-def output_lines(result: Result, triad: TriadResult) -> list[str]:
-    """Return sentences on the corrected output from the indications; none without a matrix."""
+def triad_output_lines(result: Result, triad: TriadResult) -> list[str]:
+    """Return a paragraph on the corrected output; empty without a matrix."""
     if triad.matrix is None:
         return []
-    outputs = nominal_outputs(result, triad)
-    by = f" ({outputs})" if outputs else ""
+    nominal_text = nominal_outputs(result, triad)
+    divisor_text = f" ({nominal_text})" if nominal_text else ""
     names = ", ".join(triad.accelerometers)
     other_terms = [name for name in triad.parameters if name.split(".")[0] in triad.accelerometers]
-    reduced = f", minus the contributions of {', '.join(other_terms)}" if other_terms else ""
+    subtraction_text = (
+        f", minus the contributions of {', '.join(other_terms)}" if other_terms else ""
+    )
     return [
         f"Corrected output: f = M (y - b). Here, y are the indications of {names} divided by "
-        f"their nominal sensitivities{by}{reduced}, and b are the offsets. The components of f "
-        "are along the axes x, y, z in which the campaign states the directions of the "
-        "accelerometers: east, north and up while the sensor is level. Misalignments that are "
-        "not listed above have their stated values or, without a stated value, zero."
+        f"their nominal sensitivities{divisor_text}{subtraction_text}, and b are the offsets. "
+        "The components of f are along the axes x, y, z in which the campaign states the "
+        "directions of the accelerometers: east, north and up while the sensor is level. "
+        "Misalignments that are not listed above have their stated values or, without a stated "
+        "value, zero."
     ]
 
 
@@ -245,10 +270,10 @@ def output_lines(result: Result, triad: TriadResult) -> list[str]:
 
 
 def apply_cmc_floor(result: Result, lab: Lab) -> Result:
-    """Return the result with each expanded uncertainty at least the laboratory's CMC.
+    """Increase the expanded uncertainties of a result to the laboratory's CMC if necessary.
 
-    The added variance is independent of all others (ILAC-P14:09/2020, 5.4): covariances stay, and
-    correlations become smaller. Degrees of freedom and k stay, which does not reduce U.
+    The added variance is independent (ILAC-P14:09/2020, 5.4): covariances do not change, and
+    correlations become smaller. Degrees of freedom and k do not change.
     """
     if not lab.cmc:
         return result
@@ -261,16 +286,16 @@ def apply_cmc_floor(result: Result, lab: Lab) -> Result:
         name: accelerometer.model_copy(
             update={
                 "coefficients": {
-                    symbol: _scale_u(c, factors[f"{name}.{symbol}"])
-                    for symbol, c in accelerometer.coefficients.items()
+                    symbol: _scale_u(coefficient, factors[f"{name}.{symbol}"])
+                    for symbol, coefficient in accelerometer.coefficients.items()
                 },
                 "output": {
-                    key: _scale_u(c, factors.get(f"{name}.{COMMON_NAMES.get(key)}", 1.0))
-                    for key, c in accelerometer.output.items()
+                    key: _scale_u(coefficient, factors.get(f"{name}.{COMMON_NAMES.get(key)}", 1.0))
+                    for key, coefficient in accelerometer.output.items()
                 },
                 "correlation": _rescale_correlation(
                     accelerometer.correlation,
-                    {s: factors[f"{name}.{s}"] for s in accelerometer.coefficients},
+                    {symbol: factors[f"{name}.{symbol}"] for symbol in accelerometer.coefficients},
                 ),
             }
         )
@@ -296,59 +321,70 @@ _CMC_TERMS: Final = {
 
 
 def _apply_cmc_floor_to_triad(result: Result, triad: TriadResult, lab: Lab) -> TriadResult:
-    """Return a triad with U not below the values that the laboratory states for its terms."""
-    g = StatedGravity(result.inputs.gravity, result.inputs.u_gravity)
+    """Increase the expanded uncertainties of a triad to the CMC of its terms if necessary."""
+    gravity = StatedGravity(result.inputs.gravity, result.inputs.u_gravity)
     factors = {}
-    for name, c in triad.parameters.items():
-        kind, _, symbol = name.partition(".")
-        capabilities = [lab.capability(s, g.value) for s in _CMC_TERMS.get(kind, (symbol,))]
-        smallest_u = max(
+    for name, parameter in triad.parameters.items():
+        parameter_type, _, symbol = name.partition(".")
+        capabilities = [
+            lab.capability(term_symbol, gravity.value)
+            for term_symbol in _CMC_TERMS.get(parameter_type, (symbol,))
+        ]
+        min_expanded_u = max(
             (capability for capability in capabilities if capability is not None), default=None
         )
-        factors[name] = _estimate_factor(
-            c, smallest_u, replace(g, sensitivity=triad.by_gravity.get(name, 0.0))
+        factors[name] = _inflation_factor(
+            parameter, min_expanded_u, replace(gravity, sensitivity=triad.by_gravity.get(name, 0.0))
         )
     # No CMC is stated for the matrix: its u grows by the largest factor of its parameters.
     matrix_factor = max(
-        (f for name, f in factors.items() if not name.startswith("offset.")), default=1.0
+        (factor for name, factor in factors.items() if not name.startswith("offset.")), default=1.0
     )
-    matrix = triad.u_matrix and [[matrix_factor * u for u in row] for row in triad.u_matrix]
+    u_matrix = triad.u_matrix and [[matrix_factor * u for u in row] for row in triad.u_matrix]
     return triad.model_copy(
         update={
-            "u_matrix": matrix,
+            "u_matrix": u_matrix,
             "parameters": {
-                name: _scale_u(c, factors[name]) for name, c in triad.parameters.items()
+                name: _scale_u(parameter, factors[name])
+                for name, parameter in triad.parameters.items()
             },
             "correlation": _rescale_correlation(triad.correlation, factors),
         }
     )
 
 
-def cmc_lines(result: Result, certified: Result, lab: Lab) -> list[str]:
-    """Return a sentence for each coefficient whose uncertainty the CMC made larger.
+def cmc_lines(result: Result, certified_result: Result, lab: Lab) -> list[str]:
+    """Return sentences on the coefficients whose uncertainty was increased to the CMC.
 
-    lab: The laboratory's data.
+    certified_result: Result after `apply_cmc_floor`.
     """
     lines = []
-    pairs = [
-        (f"{symbol} of {name}", c, certified.accelerometers[name].coefficients[symbol])
-        for name in lab.certified(result)
-        for symbol, c in result.accelerometers[name].coefficients.items()
+    compared_values = [
+        (
+            f"{symbol} of {name}",
+            coefficient,
+            certified_result.accelerometers[name].coefficients[symbol],
+        )
+        for name in lab.certified_names(result)
+        for symbol, coefficient in result.accelerometers[name].coefficients.items()
     ]
     evaluated_triad, certified_triad_result = (
-        certified_triad(source, lab.certified(result)) for source in (result, certified)
+        certified_triad(source, lab.certified_names(result))
+        for source in (result, certified_result)
     )
     if evaluated_triad is not None and certified_triad_result is not None:
-        pairs += [
-            (parameter_words(name), c, certified_triad_result.parameters[name])
-            for name, c in evaluated_triad.parameters.items()
+        compared_values += [
+            (parameter_words(name), coefficient, certified_triad_result.parameters[name])
+            for name, coefficient in evaluated_triad.parameters.items()
         ]
-    for words, c, certified_coefficient in pairs:
-        if c.u and certified_coefficient.u and certified_coefficient.u > c.u:
-            unit, factor = field_unit(c.unit)
-            evaluated = format_uncertainty(coverage_factor(c.dof) * c.u * factor)
+    for description, coefficient, certified_coefficient in compared_values:
+        if coefficient.u and certified_coefficient.u and certified_coefficient.u > coefficient.u:
+            unit, factor = field_unit(coefficient.unit)
+            evaluated_text = format_uncertainty(
+                coverage_factor(coefficient.dof) * coefficient.u * factor
+            )
             lines.append(
-                f"{words}: the evaluated uncertainty is U = {evaluated} {unit}. The "
+                f"{description}: the evaluated uncertainty is U = {evaluated_text} {unit}. The "
                 "certificate states the calibration and measurement capability instead, "
                 "because this is the smallest uncertainty that the laboratory may state."
             )
@@ -356,29 +392,33 @@ def cmc_lines(result: Result, certified: Result, lab: Lab) -> list[str]:
 
 
 def _cmc_factor(result: Result, lab: Lab, name: str, symbol: str) -> float:
-    """Return the factor by which u must grow, in g-units: 1 if it is large enough."""
-    c = result.accelerometers[name].coefficients[symbol]
-    smallest_u = lab.capability(symbol, result.inputs.gravity) if symbol in TERMS else None
-    return _estimate_factor(c, smallest_u, result.gravity_of(name, symbol))
+    """Return the factor by which u of a coefficient must increase to reach the CMC, at least 1."""
+    coefficient = result.accelerometers[name].coefficients[symbol]
+    min_expanded_u = lab.capability(symbol, result.inputs.gravity) if symbol in TERMS else None
+    return _inflation_factor(coefficient, min_expanded_u, result.gravity_of(name, symbol))
 
 
-def _estimate_factor(c: Coefficient, smallest_u: float | None, g: StatedGravity) -> float:
-    """Return the factor by which u of an estimate must grow to reach the smallest U.
+def _inflation_factor(
+    coefficient: Coefficient, min_expanded_u: float | None, gravity: StatedGravity
+) -> float:
+    """Return the factor by which u must increase to reach a minimum U, at least 1.
 
-    smallest_u: Smallest U, in the unit of the estimate; None: not stated.
+    min_expanded_u: Minimum U in the unit of the coefficient; None: no limit.
     """
-    if smallest_u is None or not c.u or c.value is None:
+    if min_expanded_u is None or not coefficient.u or coefficient.value is None:
         return 1.0
-    estimate = convert_to_si(c.value, c.u, c.unit, c.dof, g)
-    # In SI the uncertainty of g may contribute less; U must not fall below the limit there either.
+    estimate = convert_to_si(
+        coefficient.value, coefficient.u, coefficient.unit, coefficient.dof, gravity
+    )
+    # In SI, the uncertainty of g may contribute less; U must reach the limit there too.
     missing_variance = max(
-        (smallest_u / coverage_factor(dof)) ** 2 - u**2
+        (min_expanded_u / coverage_factor(dof)) ** 2 - u**2
         for u, dof in (
-            (c.u, c.dof),
-            (estimate.u / to_si(1.0, c.unit, g.value), estimate.dof),
+            (coefficient.u, coefficient.dof),
+            (estimate.u / to_si(1.0, coefficient.unit, gravity.value), estimate.dof),
         )
     )
-    return math.sqrt(1.0 + max(missing_variance, 0.0) / c.u**2)
+    return math.sqrt(1.0 + max(missing_variance, 0.0) / coefficient.u**2)
 
 
 def _scale_u(coefficient: Coefficient, factor: float) -> Coefficient:

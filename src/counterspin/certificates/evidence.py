@@ -1,8 +1,7 @@
-"""[evidence] of ``LAB.toml``: bounds of the terms that a result takes as perfect.
+"""[evidence] of ``LAB.toml``: bounds of terms that a result fixes at nominal values.
 
-A term that a description assumes to be perfect adds nothing to u. Therefore a certificate that
-states u has to justify each such term with a text of the laboratory, such as a measurement or a
-data sheet.
+A term that is fixed at its nominal value does not contribute to u. Therefore, a certificate must
+justify each fixed term, for example with a measurement or a data sheet.
 """
 
 from __future__ import annotations
@@ -15,17 +14,17 @@ from counterspin.errors import CampaignError
 from counterspin.physics.terms import TABLE, describe_term, find_symbol, is_term
 
 #: Key of [evidence], or name in `assume`, for all unstated terms.
-ALL: Final = "all"
+ALL_TERMS: Final = "all"
 
 
 def terms_without_evidence(assumed: Sequence[str], evidence: Mapping[str, str]) -> list[str]:
-    """Return the terms without a text in [evidence]."""
-    return [name for name in assumed if not any(_covers(key, name) for key in evidence)]
+    """Return the fixed terms without an entry in [evidence]."""
+    return [name for name in assumed if not any(_covers_term(key, name) for key in evidence)]
 
 
-def _covers(key: str, name: str) -> bool:
-    """Return whether a key of [evidence] covers an assumed term."""
-    if key == ALL:
+def _covers_term(key: str, name: str) -> bool:
+    """Return whether a key of [evidence] covers a fixed term."""
+    if key == ALL_TERMS:
         return True
     term = name if _is_pattern(name) else find_symbol(name)
     return any(
@@ -35,30 +34,30 @@ def _covers(key: str, name: str) -> bool:
 
 
 def _is_pattern(name: str) -> bool:
-    return any(sign in name for sign in "*?[")
+    return any(character in name for character in "*?[")
 
 
-def names_terms(key: str, accelerometers: Collection[str]) -> bool:
+def names_known_terms(key: str, accelerometers: Collection[str]) -> bool:
     """Return whether a key names terms of these accelerometers or of the machine."""
-    owner, _, rest = key.partition(".")
-    if owner in accelerometers and rest and not is_term(key):
-        return names_terms(rest, ())
-    return key == ALL or is_term(key) or any(_covers(key, symbol) for symbol in TABLE)
+    prefix, _, suffix = key.partition(".")
+    if prefix in accelerometers and suffix and not is_term(key):
+        return names_known_terms(suffix, ())
+    return key == ALL_TERMS or is_term(key) or any(_covers_term(key, symbol) for symbol in TABLE)
 
 
 def require_evidence(assumed: Sequence[str], evidence: Mapping[str, str], source: str) -> None:
-    """Refuse a certificate of a result with assumptions that the laboratory does not justify.
+    """Raise CampaignError if a fixed term has no entry in [evidence].
 
-    source: Name of the laboratory's data in the message.
+    source: Name of the laboratory data in the message.
     """
-    lacking = terms_without_evidence(assumed, evidence)
-    if not lacking:
+    missing_terms = terms_without_evidence(assumed, evidence)
+    if not missing_terms:
         return
-    # A common prefix stands for several terms.
-    lacking = list(dict.fromkeys(".".join(name.split(".")[:2]) for name in lacking))
-    lines = " ".join(f'"{name}" = "..."' for name in lacking)
+    # A common prefix represents several terms.
+    missing_terms = list(dict.fromkeys(".".join(name.split(".")[:2]) for name in missing_terms))
+    lines = " ".join(f'"{name}" = "..."' for name in missing_terms)
     problem = (
-        f"evidence: the result fixes {', '.join(lacking)} at nominal values, so u does not "
+        f"evidence: the result fixes {', '.join(missing_terms)} at nominal values, so u does not "
         "include these terms. In [evidence], give evidence for a bound on each term, such as a "
         f"measurement or a data sheet: {lines}. Alternatively, calibrate without fixing these "
         "terms"
@@ -67,13 +66,13 @@ def require_evidence(assumed: Sequence[str], evidence: Mapping[str, str], source
 
 
 def evidence_lines(assumed: Sequence[str], evidence: Mapping[str, str]) -> Iterator[str]:
-    """Yield the texts for assumed terms, each with its terms."""
+    """Yield the evidence for fixed terms, each with its terms."""
     for key, text in evidence.items():
-        if any(_covers(key, name) for name in assumed):
-            yield f"{', '.join(assumed) if key == ALL else name_with_words(key)}: {text}"
+        if any(_covers_term(key, name) for name in assumed):
+            yield f"{', '.join(assumed) if key == ALL_TERMS else describe_source(key)}: {text}"
 
 
-def name_with_words(source: str) -> str:
+def describe_source(source: str) -> str:
     """Return a term or source of uncertainty with its description in parentheses."""
-    words = describe_term(source)
-    return f"{source} ({words})" if words else source
+    description = describe_term(source)
+    return f"{source} ({description})" if description else source

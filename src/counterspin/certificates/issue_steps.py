@@ -1,4 +1,4 @@
-"""Steps of issuing that the certificates of results and of centrifuges share."""
+"""Steps of issue that are common to certificates of results and of centrifuges."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from counterspin.certificates.amendment import AmendedCertificate, check_new_identifier
 from counterspin.certificates.completeness import MissingEntry, missing_lines
 from counterspin.certificates.lab import Lab
-from counterspin.certificates.ledger import checksum_of
+from counterspin.certificates.ledger import sha256_hex
 from counterspin.certificates.logo import read_logo
 from counterspin.certificates.pdf_pages import page_title
 from counterspin.certificates.signature import sign_pages
@@ -22,7 +22,7 @@ from counterspin.reports.publication import issue_date
 
 
 def read_laboratory_logo(lab: Lab, folder: Path, source: str) -> bytes | None:
-    """Return the content of the logo; CampaignError if it cannot be used."""
+    """Read the logo; CampaignError if it cannot be used."""
     name = lab.laboratory.logo
     try:
         return None if name is None else read_logo(folder, name)
@@ -32,105 +32,112 @@ def read_laboratory_logo(lab: Lab, folder: Path, source: str) -> bytes | None:
         ) from error
 
 
-def signed_pages(pages: bytes, signer: Signer | None) -> bytes:
-    """Return the pages with a signature if there is a signer."""
+def sign_pages_if_requested(pages: bytes, signer: Signer | None) -> bytes:
+    """Sign the pages if there is a signer."""
     return pages if signer is None else sign_pages(pages, signer, issue_date())
 
 
-def ledger_path(data: Lab, lab: Mapping[str, Any] | Path | str) -> Path | None:
-    """Return the path of the ledger beside the laboratory's file; None without one."""
-    if data.certificate.ledger is None:
+def ledger_path(lab: Lab, lab_source: Mapping[str, Any] | Path | str) -> Path | None:
+    """Return the path of the ledger in the folder of the laboratory file; None without one."""
+    if lab.certificate.ledger is None:
         return None
-    folder = Path() if isinstance(lab, Mapping) else Path(lab).parent
-    return folder / data.certificate.ledger
+    folder = Path() if isinstance(lab_source, Mapping) else Path(lab_source).parent
+    return folder / lab.certificate.ledger
 
 
-def issue_notes(lab: Lab, issue: Issue, missing: Sequence[MissingEntry]) -> Iterator[str]:
-    """Yield notes on dates and missing data, which the laboratory should check."""
-    if (day := issue.date.date()) < lab.certificate.end:
-        yield f"The day of issue, {day}, is earlier than certificate.end, {lab.certificate.end}."
+def issue_notes(lab: Lab, issue: Issue, missing_entries: Sequence[MissingEntry]) -> Iterator[str]:
+    """Yield notes on dates and missing data for the laboratory."""
+    if (issue_day := issue.date.date()) < lab.certificate.end:
+        yield (
+            f"The day of issue, {issue_day}, is earlier than certificate.end, "
+            f"{lab.certificate.end}."
+        )
     for equipment in lab.equipment:
         if equipment.due is not None and equipment.due < lab.certificate.begin:
             yield (
                 f"The calibration of {equipment.name} was due on {equipment.due}, earlier than "
                 f"certificate.begin, {lab.certificate.begin}."
             )
-    if missing:
+    if missing_entries:
         yield (
             "This document is a draft, so it cannot be signed or entered in a ledger. These "
             "entries are missing:"
         )
-        yield from missing_lines(missing)
+        yield from missing_lines(missing_entries)
 
 
 def signer_notes(signer: Signer | None, issue: Issue) -> Iterator[str]:
-    """Yield a note if the signer's certificate is not valid on the day of issue."""
+    """Yield a note if the signer certificate is not valid on the day of issue."""
     if signer is None:
         return
-    end = signer.certificates[0].not_valid_after_utc.date()
-    begin = signer.certificates[0].not_valid_before_utc.date()
-    if not begin <= issue.date.date() <= end:
+    valid_until = signer.certificates[0].not_valid_after_utc.date()
+    valid_from = signer.certificates[0].not_valid_before_utc.date()
+    if not valid_from <= issue.date.date() <= valid_until:
         yield (
             f"The day of issue, {issue.date.date()}, is outside the validity period of the "
-            f"signer's certificate ({begin} to {end}). After {end}, verifiers will not accept "
-            "the signature."
+            f"signer's certificate ({valid_from} to {valid_until}). After {valid_until}, verifiers "
+            "will not accept the signature."
         )
 
 
-def _identifier(lab: Lab, content: bytes, accepted: Sequence[str]) -> str:
-    """Return an identifier derived from the bytes of the result and the laboratory's data."""
-    stated = lab.model_dump_json(by_alias=True, exclude_unset=True, warnings="none")
-    rests_on = (checksum_of(content), stated, *(accepted or [""]))
-    return f"CS-{checksum_of(chr(0).join(rests_on).encode('utf-8', 'surrogatepass'))[:12]}"
+def _derive_identifier(lab: Lab, content: bytes, acceptance_reasons: Sequence[str]) -> str:
+    """Derive an identifier from the result file and the laboratory data."""
+    lab_json = lab.model_dump_json(by_alias=True, exclude_unset=True, warnings="none")
+    hashed_texts = (sha256_hex(content), lab_json, *(acceptance_reasons or [""]))
+    return f"CS-{sha256_hex(chr(0).join(hashed_texts).encode('utf-8', 'surrogatepass'))[:12]}"
 
 
 def make_issue(
     lab: Lab,
     content: bytes,
-    amended: AmendedCertificate | None,
-    accepted: Sequence[str],
+    amended_certificate: AmendedCertificate | None,
+    acceptance_reasons: Sequence[str],
     *,
     draft: bool,
 ) -> Issue:
     """Return identifier, date and state of a certificate.
 
-    content: Bytes of the result's file.
-    accepted: Reasons of exceptions.
+    content: Bytes of the result file.
+    acceptance_reasons: Reasons for exceptions.
     """
-    unnamed = _identifier(lab, content, accepted) if amended is None else amended.next_identifier()
-    identifier = lab.certificate.identifier or unnamed
-    if amended is not None:
-        check_new_identifier(identifier, amended)
+    default_identifier = (
+        _derive_identifier(lab, content, acceptance_reasons)
+        if amended_certificate is None
+        else amended_certificate.next_identifier()
+    )
+    identifier = lab.certificate.identifier or default_identifier
+    if amended_certificate is not None:
+        check_new_identifier(identifier, amended_certificate)
     return Issue(
         identifier=f"DRAFT-{identifier}" if draft else identifier,
-        # The date has no time of day, so that XML and PDF made one after the other are identical.
+        # Without a time of day, XML and PDF issued one after the other are identical.
         date=datetime.combine(lab.certificate.issued or issue_date().date(), time(), UTC),
         draft=draft,
-        amended=amended,
+        amended=amended_certificate,
     )
 
 
-def render_pages(blocks: Sequence[Block], issue: Issue, *, attach: bytes | None = None) -> bytes:
-    """Return the pages as PDF, with the XML attached if it is given."""
+def render_pages(blocks: Sequence[Block], issue: Issue, *, xml: bytes | None = None) -> bytes:
+    """Render the pages as PDF, with the XML attached if given."""
     from counterspin.reports.pdf import Attachment, pdf
 
     attachments = []
-    if attach is not None:
+    if xml is not None:
         attachments.append(
             Attachment(
                 name=issue.file_name(".xml"),
-                data=attach,
+                data=xml,
                 media_type="application/xml",
                 description="Digital Calibration Certificate (DCC)",
                 relationship="data",
             )
         )
-    data: bytes = pdf(list(blocks), attachments=attachments, **_page_settings(issue))
-    return data
+    pdf_bytes: bytes = pdf(list(blocks), attachments=attachments, **_page_settings(issue))
+    return pdf_bytes
 
 
 def render_images(blocks: Sequence[Block], issue: Issue) -> list[str]:
-    """Return the pages as SVG images."""
+    """Render the pages as SVG images."""
     from counterspin.reports.pdf import page_images
 
     return page_images(list(blocks), **_page_settings(issue))

@@ -1,4 +1,4 @@
-"""Issue a result's certificate, write its file, and check an existing one."""
+"""Issue the certificate of a result, write its files, and check certificate files."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from counterspin.calibration.pages.triad import shown_parameter
 from counterspin.calibration.result import Result
 from counterspin.certificates.amendment import (
     Amendment,
-    read_amended,
+    read_amended_certificate,
     record_changes,
     verify_amended,
 )
 from counterspin.certificates.build import build_document as dcc_document
-from counterspin.certificates.build import check_certifiable, to_bytes
+from counterspin.certificates.build import check_certifiable, serialize_document
 from counterspin.certificates.certificate_reader import (
     CertificateNumbers,
     is_pdf,
@@ -28,7 +28,7 @@ from counterspin.certificates.certificate_reader import (
     verify_pages,
 )
 from counterspin.certificates.completeness import missing_data, missing_lines
-from counterspin.certificates.conversion import apply_cmc_floor, output_table, to_si_with_exact_g
+from counterspin.certificates.conversion import apply_cmc_floor, matrix_table, to_si_with_exact_g
 from counterspin.certificates.evidence import require_evidence
 from counterspin.certificates.issue_steps import (
     issue_notes,
@@ -37,20 +37,20 @@ from counterspin.certificates.issue_steps import (
     read_laboratory_logo,
     render_images,
     render_pages,
-    signed_pages,
+    sign_pages_if_requested,
     signer_notes,
 )
-from counterspin.certificates.lab import Lab, read_lab, with_required_keys
-from counterspin.certificates.ledger import IssueDetails, checksum_of, record_certificate
-from counterspin.certificates.pdf_pages import TITLE, page_blocks, results_table
+from counterspin.certificates.lab import Lab, add_required_keys, read_lab
+from counterspin.certificates.ledger import IssueDetails, record_certificate, sha256_hex
+from counterspin.certificates.pdf_pages import CERTIFICATE_TITLE, page_blocks, results_table
 from counterspin.certificates.schema import check_schema
 from counterspin.certificates.signature import (
     PdfSignatureStatus,
     is_signed,
-    sign,
+    sign_document,
     verify,
 )
-from counterspin.certificates.signers import KeyMaterial, Signer, certificates_in
+from counterspin.certificates.signers import KeyMaterial, Signer, read_certificates
 from counterspin.certificates.statements import Issue
 from counterspin.errors import (
     CampaignError,
@@ -66,7 +66,7 @@ from counterspin.reports.numbers import format_number
 from counterspin.reports.publication import issue_date
 
 #: Suffixes of certificate files.
-FORMATS: Final = (".xml", ".pdf")
+FILE_SUFFIXES: Final = (".xml", ".pdf")
 
 
 @frozen(eq=False)
@@ -76,25 +76,25 @@ class Certificate:
     Attributes
     ----------
     identifier
-        By which it is known.
+        Unique identifier.
     accelerometers
-        The names of those certified.
+        Names of the certified accelerometers.
     notes
-        What the laboratory should check, in sentences.
+        Sentences on items that the laboratory should check.
     xml
         The certificate (DCC), signed if a key was given.
     pages
-        Makes the PDF.
+        Function that returns the PDF.
     page_images
-        Makes an SVG image of each page.
+        Function that returns an SVG image of each page.
     ledger
-        Where the laboratory enters it once it is written; None: nowhere.
+        Ledger in which the certificate is entered when it is written; None: no ledger.
     entry
-        What is entered there: the certificate's identifier and checksum, what it amends.
+        Data of the entry: identifier and checksum of the certificate and of an amended certificate.
     signed_by, reason
-        Who answers for it, and why it was issued.
+        Responsible person, and reason of issue.
     result
-        The file of the result; None if it came from none.
+        Path of the result file; None for a result in memory.
     """
 
     identifier: str
@@ -111,26 +111,27 @@ class Certificate:
     draft: bool = False
 
     def pdf(self) -> bytes:
-        """Return pages to read (PDF/A-3), with the XML attached byte for byte."""
+        """Return the pages as PDF/A-3, with the XML attached."""
         return self.pages()
 
     def write(self, path: Path | str, *, ledger: Path | None = None) -> Path:
-        """Write the certificate, as XML or PDF by the ending of the name; return the path.
+        """Write the certificate as XML or PDF, according to the file suffix; return the path.
 
         Parameters
         ----------
         path
-            The file.
+            Path of the file.
         ledger
-            The ledger of the entry, instead of the laboratory's. A draft is not entered.
+            Ledger of the entry; None: the laboratory's ledger. A draft is not entered.
 
         Raises
         ------
         CampaignError
-            If the name has another ending.
+            If the file has another suffix.
         CounterspinError
-            If the file exists already or cannot be written; or if the ledger cannot be written,
-            was altered, or has this identifier with other content. Then nothing is written.
+            If the file already exists or cannot be written, or if the ledger cannot be written,
+            was altered, or contains this identifier with different content. In these cases,
+            nothing is written.
         """
         path = Path(path)
         check_output_path(path)
@@ -141,30 +142,32 @@ class Certificate:
     def write_both(self, path: Path | str, *, ledger: Path | None = None) -> list[Path]:
         """Write XML and PDF with the same signature; return their paths.
 
-        The finished PDF is staged under a hidden name before the XML is published. Therefore the
-        same call completes an interrupted one, on any day and with another signature.
+        The finished PDF is staged under a hidden name before the XML is published. Therefore, the
+        same call completes an interrupted call, even on another day or with another signature.
 
         Parameters
         ----------
         path
-            One of the two files; the other differs in the ending of its name.
+            Path of one of the two files; the other has the other suffix.
         ledger
-        The ledger of the entry, as for `write`.
+            Ledger of the entry, as for `write`.
 
         Raises
         ------
         CampaignError
-            If the name ends otherwise.
+            If the file has another suffix.
         CounterspinError
-            As for `write`; or if the XML exists and is not that of an interrupted call.
+            As for `write`, or if the XML exists and does not belong to an interrupted call.
         """
         path = Path(path)
         check_output_paths(path)
-        xml, pdf = _xml_and_pdf(path)
+        xml, pdf = _xml_and_pdf_paths(path)
         if not xml.is_file():
             data = self.pdf()
             staged_pdf = self._staged_pdf_path(pdf, self.xml)
-            write_atomically(staged_pdf, lambda part: part.write_bytes(data), overwrite=True)
+            write_atomically(
+                staged_pdf, lambda partial_path: partial_path.write_bytes(data), overwrite=True
+            )
             self.write(xml, ledger=ledger)
         published_xml = read_document(xml)
         staged_pdf = self._staged_pdf_path(pdf, published_xml)
@@ -174,25 +177,25 @@ class Certificate:
                 "A certificate never overwrites a file; choose another name"
             )
         data = read_file(staged_pdf)
-        self._write(pdf, data, ledger, {**self.entry, "sha256": checksum_of(published_xml)})
-        for part in staged_pdf.parent.glob(self._staged_pdf_path(pdf, None).name):
-            part.unlink(missing_ok=True)
+        self._write(pdf, data, ledger, {**self.entry, "sha256": sha256_hex(published_xml)})
+        for partial_path in staged_pdf.parent.glob(self._staged_pdf_path(pdf, None).name):
+            partial_path.unlink(missing_ok=True)
         return [path, paired_path(path)]
 
     def _staged_pdf_path(self, pdf: Path, xml: bytes | None) -> Path:
         """Return the staging path of a PDF; a pattern for any XML if `xml` is None."""
-        identifier_hash = checksum_of(self.identifier.encode("utf-8", "surrogatepass"))[:16]
+        identifier_hash = sha256_hex(self.identifier.encode("utf-8", "surrogatepass"))[:16]
         return (
-            pdf.resolve().parent / f".{identifier_hash}-{checksum_of(xml)[:16] if xml else '*'}.pdf"
+            pdf.resolve().parent / f".{identifier_hash}-{sha256_hex(xml)[:16] if xml else '*'}.pdf"
         )
 
     def _write(
         self, path: Path, data: bytes, ledger: Path | None, entry: Mapping[str, str]
     ) -> None:
-        """Write bytes to a file, after their entry in the ledger if there is one."""
+        """Write bytes to a file, after the entry in the ledger, if any."""
         ledger_path = None if self.draft else ledger or self.ledger
         if ledger_path is None:
-            write_atomically(path, lambda part: part.write_bytes(data))
+            write_atomically(path, lambda partial_path: partial_path.write_bytes(data))
             return
         details = IssueDetails(self.signed_by, self.reason, issue_date(), self.result)
         earlier_entry = record_certificate(ledger_path, path, data, entry, details)
@@ -205,8 +208,8 @@ class Certificate:
 
 
 def check_output_path(output: Path) -> None:
-    """Refuse a name with another ending, and the name of an existing file."""
-    if output.suffix.lower() not in FORMATS:
+    """Raise an error if the file has another suffix or already exists."""
+    if output.suffix.lower() not in FILE_SUFFIXES:
         raise CampaignError(
             "certificate",
             [f"{output}: the file name must end in .xml or .pdf"],
@@ -222,23 +225,25 @@ def check_output_path(output: Path) -> None:
 
 def check_output_paths(output: Path) -> None:
     """Check the paths of XML and PDF as `check_output_path` does; an existing XML is accepted."""
-    if output.suffix.lower() not in FORMATS:
+    if output.suffix.lower() not in FILE_SUFFIXES:
         check_output_path(output)
-    xml, pdf = _xml_and_pdf(output)
+    xml, pdf = _xml_and_pdf_paths(output)
     if not xml.is_file():
         check_output_path(xml)
     check_output_path(pdf)
 
 
-def _xml_and_pdf(output: Path) -> tuple[Path, Path]:
-    """Return the paths of a certificate's XML and PDF, one of which is given."""
-    places = output, paired_path(output)
-    return places if output.suffix.lower() == ".xml" else places[::-1]
+def _xml_and_pdf_paths(output: Path) -> tuple[Path, Path]:
+    """Return the paths of the XML and of the PDF, given one of them."""
+    paths = output, paired_path(output)
+    return paths if output.suffix.lower() == ".xml" else paths[::-1]
 
 
 def paired_path(output: Path) -> Path:
-    """Return the name of the PDF next to a certificate's XML, or of the XML next to its PDF."""
-    return output.with_suffix(next(f for f in FORMATS if f != output.suffix.lower()))
+    """Return the path of the PDF for a path of an XML, and vice versa."""
+    return output.with_suffix(
+        next(suffix for suffix in FILE_SUFFIXES if suffix != output.suffix.lower())
+    )
 
 
 def certificate(
@@ -256,139 +261,154 @@ def certificate(
     Parameters
     ----------
     result
-        The result, or its JSON file.
+        Result or result file.
     lab
-        What ``LAB.toml`` says, as nested mappings with the same keys; or the file.
+        ``LAB.toml``, or a mapping with the same keys.
     schema
-        Folder or file of DCC's schema, against which the certificate is validated.
+        Folder or file of the DCC schema; validates the certificate.
     signer
-        Who signs XML and pages, as `read_signer` and `command_signer` of
-        `counterspin.certificates.signers` return it; or what returns that, which is called once
-        all else has been checked.
+        Signer of XML and pages, from `read_signer` or `command_signer` of
+        `counterspin.certificates.signers`; or a function that returns a signer and is called after
+        all other checks.
     accept_misfit
-        The reason for which a result that its records contradict is certified all the same; it
-        stands in the certificate.
-    accept_unsealed
-        The reason for which a result is certified although its file has no seal; it stands in the
+        Reason for certifying a result that is contradicted by its records; stated in the
         certificate.
+    accept_unsealed
+        Reason for certifying a result file without a seal; stated in the certificate.
     amends
-        An issued certificate that this one replaces, and why; it says both, and what changed.
+        Issued certificate that this certificate replaces, and the reason. The certificate states
+        both and the changes.
 
     Raises
     ------
     CampaignError
-        If the laboratory's data have missing keys or mistakes, or if a draft is to be signed: one
-        with a value of the template, or without data that a certificate needs.
+        If the laboratory data have missing keys or mistakes, or if a draft is to be signed. A draft
+        contains values of the template or lacks required data.
     RecordError
         If the result cannot be read or must not be certified.
     CounterspinError
-        If key or schema cannot be used.
+        If the key or the schema cannot be used.
     """
     for name, reason in (("accept_misfit", accept_misfit), ("accept_unsealed", accept_unsealed)):
         if reason is not None and not reason.strip():
             raise UsageError("certificate", [f"`{name}`: state the reason in words"])
-    original = result if isinstance(result, Result) else Result.read(result)
-    data, specifications = read_lab(lab, original)
-    names = data.certified(original)
-    judged = judge_result(original)
+    original_result = result if isinstance(result, Result) else Result.read(result)
+    lab_data, specifications = read_lab(lab, original_result)
+    names = lab_data.certified_names(original_result)
+    judged_result = judge_result(original_result)
     if accept_misfit is not None:
-        if judged.state != "contradicted":
+        if judged_result.state != "contradicted":
             raise UsageError(
                 "certificate",
                 ["`accept_misfit`: the records do not contradict this result; omit this argument"],
             )
-        judged = judged.model_copy(update={"accepted_misfit": accept_misfit})
+        judged_result = judged_result.model_copy(update={"accepted_misfit": accept_misfit})
     try:
-        check_certifiable(judged, names)
+        check_certifiable(judged_result, names)
     except RecordError as error:
         if isinstance(result, Result):
             raise
         raise RecordError(f"{result}: {error}", code=error.code) from error
-    if (problem := _unsealed_error(original, accept_unsealed)) is not None:
+    if (seal_problem := _seal_problem(original_result, accept_unsealed)) is not None:
         source = "the result" if isinstance(result, Result) else str(result)
-        raise RecordError(f"{source}: {problem}", code="result-altered")
+        raise RecordError(f"{source}: {seal_problem}", code="result-altered")
     source = "the laboratory data" if isinstance(lab, Mapping) else str(lab)
     folder = Path() if isinstance(lab, Mapping) else Path(lab).parent
-    require_evidence(original.assumed, data.evidence, source)
-    amended, old = (None, b"") if amends is None else read_amended(amends)
-    accepted = tuple(reason for reason in (accept_misfit, accept_unsealed) if reason is not None)
-    missing = missing_data(data, original)
-    issue = make_issue(data, original.content, amended, accepted, draft=bool(missing))
+    require_evidence(original_result.assumed, lab_data.evidence, source)
+    amended_certificate, old_xml = (
+        (None, b"") if amends is None else read_amended_certificate(amends)
+    )
+    acceptance_reasons = tuple(
+        reason for reason in (accept_misfit, accept_unsealed) if reason is not None
+    )
+    missing_entries = missing_data(lab_data, original_result)
+    issue = make_issue(
+        lab_data,
+        original_result.content,
+        amended_certificate,
+        acceptance_reasons,
+        draft=bool(missing_entries),
+    )
     issue = replace(
         issue,
         accepted_unsealed=accept_unsealed,
         signed=signer is not None,
-        logo=read_laboratory_logo(data, folder, source),
+        logo=read_laboratory_logo(lab_data, folder, source),
     )
     if issue.draft and signer is not None:
-        raise CampaignError(source, missing_lines(missing), code="certificate-incomplete")
+        raise CampaignError(source, missing_lines(missing_entries), code="certificate-incomplete")
     if callable(signer):
         signer = signer()
-    certified = apply_cmc_floor(judged, data)
+    certified_result = apply_cmc_floor(judged_result, lab_data)
     if specifications is not None:
-        certified = judge_conformity(certified, specifications)
-    verdicts = {name: certified.accelerometers[name].conformity for name in names}
-    if amended is not None:
-        new = to_bytes(dcc_document(judged, data, issue, verdicts, None, original))
-        issue = replace(issue, amended=record_changes(amended, old, new))
-    blocks = list(page_blocks(data, judged, issue, verdicts))
+        certified_result = judge_conformity(certified_result, specifications)
+    verdicts = {name: certified_result.accelerometers[name].conformity for name in names}
+    if amended_certificate is not None:
+        new_xml = serialize_document(
+            dcc_document(judged_result, lab_data, issue, verdicts, None, original_result)
+        )
+        issue = replace(issue, amended=record_changes(amended_certificate, old_xml, new_xml))
+    blocks = list(page_blocks(lab_data, judged_result, issue, verdicts))
     pages = render_pages(blocks, issue)
-    root = dcc_document(judged, data, issue, verdicts, pages, original)
-    xml = to_bytes(root if signer is None else sign(root, signer))
+    root = dcc_document(judged_result, lab_data, issue, verdicts, pages, original_result)
+    xml = serialize_document(root if signer is None else sign_document(root, signer))
     if schema is not None:
         check_schema(xml, schema, f"certificate {issue.identifier}")
     return Certificate(
         identifier=issue.identifier,
         accelerometers=names,
         notes=[
-            *_omission_notes(data, judged),
-            *issue_notes(data, issue, missing),
+            *_omission_notes(lab_data, judged_result),
+            *issue_notes(lab_data, issue, missing_entries),
             *signer_notes(signer, issue),
         ],
         xml=xml,
-        ledger=ledger_path(data, lab),
-        entry={"identifier": issue.identifier, "sha256": checksum_of(xml)}
+        ledger=ledger_path(lab_data, lab),
+        entry={"identifier": issue.identifier, "sha256": sha256_hex(xml)}
         | (
             {}
-            if amended is None
-            else {"amends": amended.identifier, "amends_sha256": amended.checksum}
+            if amended_certificate is None
+            else {
+                "amends": amended_certificate.identifier,
+                "amends_sha256": amended_certificate.checksum,
+            }
         ),
-        signed_by=data.persons[0].name,
-        reason=_reason(issue, judged),
+        signed_by=lab_data.persons[0].name,
+        reason=_issue_reason(issue, judged_result),
         result=None if isinstance(result, Result) else Path(result),
         draft=issue.draft,
-        pages=lambda: signed_pages(render_pages(blocks, issue, attach=xml), signer),
+        pages=lambda: sign_pages_if_requested(render_pages(blocks, issue, xml=xml), signer),
         page_images=lambda: render_images(blocks, issue),
     )
 
 
 def draft_pages(result: Result, lab: Mapping[str, Any], folder: Path) -> list[str]:
-    """Return the pages of a result's certificate as SVG images, marked as a draft.
+    """Return the pages of a draft certificate as SVG images.
 
-    folder: That of the laboratory's file, for the logo.
+    folder: Folder of the laboratory file, for the logo.
 
     Raises
     ------
     CampaignError
-        If the laboratory's data have mistakes. Required keys that are missing have the values of
-        the template.
+        If the laboratory data have mistakes. Missing required keys take the values of the
+        template.
     RecordError
         If the result must not be certified.
     """
-    data, specifications = read_lab(with_required_keys(lab), result)
-    names, judged = data.certified(result), judge_result(result)
-    check_certifiable(judged, names)
-    issue = make_issue(data, result.content, None, (), draft=True)
-    issue = replace(issue, logo=read_laboratory_logo(data, folder, "the laboratory data"))
-    certified = apply_cmc_floor(judged, data)
+    lab_data, specifications = read_lab(add_required_keys(lab), result)
+    names, judged_result = lab_data.certified_names(result), judge_result(result)
+    check_certifiable(judged_result, names)
+    issue = make_issue(lab_data, result.content, None, (), draft=True)
+    issue = replace(issue, logo=read_laboratory_logo(lab_data, folder, "the laboratory data"))
+    certified_result = apply_cmc_floor(judged_result, lab_data)
     if specifications is not None:
-        certified = judge_conformity(certified, specifications)
-    verdicts = {name: certified.accelerometers[name].conformity for name in names}
-    return render_images(list(page_blocks(data, judged, issue, verdicts)), issue)
+        certified_result = judge_conformity(certified_result, specifications)
+    verdicts = {name: certified_result.accelerometers[name].conformity for name in names}
+    return render_images(list(page_blocks(lab_data, judged_result, issue, verdicts)), issue)
 
 
-def _reason(issue: Issue, result: Result) -> str:
-    """Return the reason of issue, with the reasons of all exceptions."""
+def _issue_reason(issue: Issue, result: Result) -> str:
+    """Return the reason of issue and the reasons for exceptions."""
     reason = "issued" if issue.amended is None else issue.amended.reason
     if result.accepted_misfit is not None:
         reason += f"; the misfit was accepted for this reason: {result.accepted_misfit}"
@@ -397,8 +417,8 @@ def _reason(issue: Issue, result: Result) -> str:
     return reason
 
 
-def _unsealed_error(result: Result, accept_unsealed: str | None) -> str | None:
-    """Return the error of a result whose file must not be certified; None if it may be."""
+def _seal_problem(result: Result, accept_unsealed: str | None) -> str | None:
+    """Return the problem with the seal of a result; None if the result can be certified."""
     if not result.sealed and accept_unsealed is None:
         return (
             "the file has no seal, so later changes to it cannot be excluded; give the original "
@@ -411,11 +431,11 @@ def _unsealed_error(result: Result, accept_unsealed: str | None) -> str | None:
 
 
 def _omission_notes(lab: Lab, result: Result) -> Iterator[str]:
-    names = lab.certified(result)
-    if excluded := [name for name in result.accelerometers if name not in names]:
+    names = lab.certified_names(result)
+    if excluded_names := [name for name in result.accelerometers if name not in names]:
         yield (
             "These accelerometers are not certified (see certificate.accelerometers): "
-            f"{', '.join(excluded)}."
+            f"{', '.join(excluded_names)}."
         )
 
 
@@ -424,84 +444,103 @@ def _omission_notes(lab: Lab, result: Result) -> Iterator[str]:
 
 @frozen
 class CertificateCheck:
-    """The numbers of a certificate's file, and the validity of its signature."""
+    """The numbers of a certificate file, and the validity of its signatures."""
 
-    certified: CertificateNumbers  #: The numbers.
-    #: State of the XML's signature; ``unchecked``: no certificate of the signer was given.
+    numbers: CertificateNumbers  #: Numbers of the certificate.
+    #: State of the signature of the XML; ``unchecked``: no signer certificate was given.
     signature: Literal["none", "unchecked", "valid"]
-    #: State of the PDF's signature, if that of its XML is valid; None: unchecked, or not a PDF.
-    pages: PdfSignatureStatus | None = None
-    #: Day after the issue on which the signer's certificate expired; None: valid or not given.
-    expired: date | None = None
+    #: State of the signature of the PDF, if the XML signature is valid; None: unchecked or no PDF.
+    page_signature: PdfSignatureStatus | None = None
+    #: Day after the issue on which the signer certificate expired; None: valid or not given.
+    expiry_date: date | None = None
 
 
 def check_certificate(
     path: Path,
     *,
     schema: Path | None = None,
-    cert: Path | KeyMaterial | None = None,
-    amends: Path | None = None,
+    signer_certificate: Path | KeyMaterial | None = None,
+    amended_path: Path | None = None,
 ) -> CertificateCheck:
-    """Read a certificate's numbers; validate with a schema, verify with a signer's certificate.
+    """Read the numbers of a certificate; check schema, signatures and amendment if requested.
 
-    schema, cert: As in `certificate`; the signer's certificate, PEM.
+    schema, signer_certificate: As in `certificate`; the signer's certificate, PEM.
     """
-    data = read_document(path)
+    document = read_document(path)
     if schema is not None:
-        check_schema(data, schema, str(path))
-    if amends is not None:
-        verify_amended(data, amends, str(path))
-    if cert is None:
-        signed = is_signed(data, str(path))
+        check_schema(document, schema, str(path))
+    if amended_path is not None:
+        verify_amended(document, amended_path, str(path))
+    if signer_certificate is None:
+        has_signature = is_signed(document, str(path))
         return CertificateCheck(
-            read_certificate(data, str(path)), "unchecked" if signed else "none"
+            read_certificate(document, str(path)), "unchecked" if has_signature else "none"
         )
     # Read only the signed part.
-    verified = verify(data, cert, str(path))
-    certified = read_certificate(verified.content, str(path))
-    return CertificateCheck(certified, "valid", _check_pages(path, cert), verified.expired)
+    signature_check = verify(document, signer_certificate, str(path))
+    numbers = read_certificate(signature_check.content, str(path))
+    return CertificateCheck(
+        numbers,
+        "valid",
+        _verify_page_signature(path, signer_certificate),
+        signature_check.expiry_date,
+    )
 
 
-def _check_pages(path: Path, cert: Path | KeyMaterial) -> PdfSignatureStatus | None:
-    """Return the state of a PDF's signature; RecordError if it is not valid."""
+def _verify_page_signature(
+    path: Path, signer_certificate: Path | KeyMaterial
+) -> PdfSignatureStatus | None:
+    """Return the state of the signature of a PDF; RecordError if it is not valid."""
     if not is_pdf(path):
         return None
     from cryptography.hazmat.primitives.serialization import Encoding
 
-    expected = certificates_in(KeyMaterial.read(cert))[0].public_bytes(Encoding.DER)
-    status = verify_pages(path, expected)
+    expected_certificate = read_certificates(KeyMaterial.read(signer_certificate))[0].public_bytes(
+        Encoding.DER
+    )
+    status = verify_pages(path, expected_certificate)
     if status == "changed":
         raise RecordError(
             f"{path}: the signature is not valid: the pages were changed after the holder of "
-            f"{cert} signed them; the attached XML was not changed",
+            f"{signer_certificate} signed them; the attached XML was not changed",
             code="invalid-signature",
         )
     if status == "invalid":
         raise RecordError(
-            f"{path}: the pages were not signed by the holder of {cert}; the attached XML was",
+            f"{path}: the pages were not signed by the holder of {signer_certificate}; the "
+            "attached XML was",
             code="invalid-signature",
         )
     return status
 
 
-def certificate_blocks(certified: CertificateNumbers) -> Iterator[Block]:
-    """Yield the numbers of a certificate."""
-    yield Heading(f"{TITLE} {certified.identifier}", 1)
-    for name, accelerometer in certified.accelerometers.items():
+def certificate_blocks(numbers: CertificateNumbers) -> Iterator[Block]:
+    """Yield tables with the numbers of a certificate."""
+    yield Heading(f"{CERTIFICATE_TITLE} {numbers.identifier}", 1)
+    for name, accelerometer in numbers.accelerometers.items():
         coefficients = accelerometer.coefficients
-        yield results_table(name, coefficients, to_si_with_exact_g(coefficients, certified.gravity))
-    if (triad := certified.triad) is not None:
+        yield results_table(name, coefficients, to_si_with_exact_g(coefficients, numbers.gravity))
+    if (triad := numbers.triad) is not None:
         parameters = triad.parameters.coefficients
-        shown = dict(shown_parameter(name, c) for name, c in parameters.items())
-        yield results_table("Parameter", shown, to_si_with_exact_g(shown, certified.gravity))
-        if triad.matrix is not None and triad.expanded is not None and triad.factor is not None:
-            matrix, expanded = triad.matrix.tolist(), triad.expanded.tolist()
-            yield output_table(triad.accelerometers, matrix, expanded, triad.factor)
+        displayed_parameters = dict(
+            shown_parameter(name, parameter) for name, parameter in parameters.items()
+        )
+        yield results_table(
+            "Parameter",
+            displayed_parameters,
+            to_si_with_exact_g(displayed_parameters, numbers.gravity),
+        )
+        if (
+            triad.matrix is not None
+            and triad.expanded_matrix is not None
+            and triad.coverage_factor is not None
+        ):
+            matrix, expanded_matrix = triad.matrix.tolist(), triad.expanded_matrix.tolist()
+            yield matrix_table(triad.accelerometers, matrix, expanded_matrix, triad.coverage_factor)
             yield Paragraph(
                 "The matrix and the offsets are calculated from these parameters.", "quiet"
             )
     yield Paragraph(
-        f"g = {format_number(certified.gravity, 9)} m/s^2, taken as exact for the values in "
-        "g-units.",
+        f"g = {format_number(numbers.gravity, 9)} m/s^2, taken as exact for the values in g-units.",
         "quiet",
     )

@@ -1,7 +1,7 @@
-"""The laboratory's data for a certificate: ``LAB.toml``.
+"""Laboratory data for a certificate: ``LAB.toml``.
 
-ISO/IEC 17025 7.8.2 and the certificate's administrative data require it. Without complete data
-no certificate is made: all missing keys are reported together.
+ISO/IEC 17025 7.8.2 and the administrative data of the certificate require these data. A certificate
+requires complete data: all missing keys are reported together.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from counterspin.campaign.specification import (
 )
 from counterspin.campaign.validation import Problems, Section, suggest_name
 from counterspin.certificates.codes import check_code
-from counterspin.certificates.evidence import ALL, names_terms
+from counterspin.certificates.evidence import ALL_TERMS, names_known_terms
 from counterspin.certificates.schema import clean_text
 from counterspin.errors import ExistingFileError, InputError, OutOfRangeError, Problem
 from counterspin.input import to_path
@@ -43,16 +43,16 @@ from counterspin.output import write_text
 from counterspin.physics.terms import TABLE, TERMS
 from counterspin.toml_text import parse_toml
 
-#: Key of [cmc] for the applied acceleration of a centrifuge, relative.
-APPLIED: Final = "applied"
+#: Key of [cmc] for the relative uncertainty of the applied acceleration of a centrifuge.
+APPLIED_ACCELERATION: Final = "applied"
 
-#: Places of a calibration, as the schema names them.
+#: Place of a calibration, as in the DCC schema.
 Place = Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
 
-_CELSIUS: Final = re.compile(r"(.*?)\s*(?:degC|°C)")
+_CELSIUS_PATTERN: Final = re.compile(r"(.*?)\s*(?:degC|°C)")
 
 
-def _check_text(value: str) -> str:
+def _clean_entry(value: str) -> str:
     stripped = " ".join(value.split())
     if not stripped:
         raise InputError("must not be empty", "missing-value")
@@ -62,19 +62,19 @@ def _check_text(value: str) -> str:
 
 
 def parse_celsius(text: object) -> Quantity:
-    """Return a temperature in degrees Celsius; ValueError if a text does not state one."""
-    match = _CELSIUS.fullmatch(text.strip()) if isinstance(text, str) else None
+    """Parse a temperature in degrees Celsius; ValueError for other text."""
+    match = _CELSIUS_PATTERN.fullmatch(text.strip()) if isinstance(text, str) else None
     if match is None:
         raise ValueError('must be a temperature, such as "20.0 ± 0.3 degC"')
-    celsius = parse_quantity(f"{match[1]} 1", "1")
-    return Quantity(celsius.value, celsius.u, "degC")
+    quantity = parse_quantity(f"{match[1]} 1", "1")
+    return Quantity(quantity.value, quantity.u, "degC")
 
 
-def _flatten(table: object) -> object:
+def _flatten_table(table: object) -> object:
     return flatten_keys(table) if isinstance(table, Mapping) else table
 
 
-Text = Annotated[str, AfterValidator(_check_text)]
+Text = Annotated[str, AfterValidator(_clean_entry)]
 
 ItemState = Literal["as received", "after adjustment", "before repair", "after repair"]
 
@@ -85,8 +85,8 @@ ITEM_STATES: Final[Mapping[ItemState, str]] = {
     "before repair": "beforeRepair",
     "after repair": "afterRepair",
 }
-Country = Annotated[str, AfterValidator(partial(check_code, kind="country"))]
-Language = Annotated[str, AfterValidator(partial(check_code, kind="language"))]
+Country = Annotated[str, AfterValidator(partial(check_code, code_list="country"))]
+Language = Annotated[str, AfterValidator(partial(check_code, code_list="language"))]
 
 
 class CertificateSettings(SettingsSection):
@@ -157,7 +157,7 @@ class CertificateSettings(SettingsSection):
     )
 
     def contradictions(self) -> Iterator[Contradiction]:
-        """Yield dates that are not in order, and a ledger elsewhere."""
+        """Yield dates in the wrong order, and a ledger outside the folder."""
         if self.end < self.begin:
             yield ("end",), Problem("lies before certificate.begin", "conflicting-values"), "begin"
         if self.received is not None and self.received > self.begin:
@@ -166,8 +166,8 @@ class CertificateSettings(SettingsSection):
                 Problem("lies after certificate.begin", "conflicting-values"),
                 "begin",
             )
-        place = Path(self.ledger or ".")
-        if place.is_absolute() or ".." in place.parts:
+        ledger_path = Path(self.ledger or ".")
+        if ledger_path.is_absolute() or ".." in ledger_path.parts:
             message = "must be in the same folder as this file, or in a subfolder"
             yield ("ledger",), Problem(message, "path-outside-folder")
         if self.issued is not None and self.issued < self.end:
@@ -332,7 +332,7 @@ class Lab(SettingsSection):
         {},
         absent="no limit",
     )
-    evidence: Annotated[dict[str, Text], BeforeValidator(_flatten)] = key_field(
+    evidence: Annotated[dict[str, Text], BeforeValidator(_flatten_table)] = key_field(
         "evidence, by term, for each term that the result [assumes](#assumed-terms) to be "
         "perfect or whose default uncertainty contributes at least 10 % of a variance",
         {"K_OO": "type test TR-12"},
@@ -347,51 +347,52 @@ class Lab(SettingsSection):
         absent="the campaign's",
     )
 
-    def certified(self, result: Result) -> list[str]:
-        """Return the names of the result's accelerometers in the certificate."""
-        chosen = self.certificate.accelerometers
-        return list(result.accelerometers) if chosen is None else chosen
+    def certified_names(self, result: Result) -> list[str]:
+        """Return the names of the accelerometers to certify."""
+        selected_names = self.certificate.accelerometers
+        return list(result.accelerometers) if selected_names is None else selected_names
 
     def capability(self, symbol: str, gravity: float) -> float | None:
-        """Return the smallest expanded uncertainty that the laboratory may state; None: no limit.
+        """Return the calibration and measurement capability (CMC) for a term; None: no limit.
 
         gravity: Local gravity of the site, m/s^2.
         """
         if symbol not in self.cmc:
             return None
-        if symbol not in TERMS and symbol != APPLIED:
+        if symbol not in TERMS and symbol != APPLIED_ACCELERATION:
             raise InputError(
-                f'unknown term "{symbol}"{suggest_name(symbol, [*TERMS, APPLIED])}', "unknown-term"
+                f'unknown term "{symbol}"{suggest_name(symbol, [*TERMS, APPLIED_ACCELERATION])}',
+                "unknown-term",
             )
-        unit = "1" if symbol == APPLIED else TERMS[symbol].unit
-        stated = parse_quantity(self.cmc[symbol], unit, gravity=gravity)
-        if stated.value <= 0.0 or stated.u:
+        unit = "1" if symbol == APPLIED_ACCELERATION else TERMS[symbol].unit
+        expanded_u = parse_quantity(self.cmc[symbol], unit, gravity=gravity)
+        if expanded_u.value <= 0.0 or expanded_u.u:
             raise OutOfRangeError(
                 "must be a single positive number: the expanded uncertainty for "
                 "a coverage probability of 95 %"
             )
-        return stated.value
+        return expanded_u.value
 
     def serial_number(self, name: str, result: Result) -> str | None:
-        """Return an accelerometer's serial number, from this file or from the result."""
-        part = self.accelerometers.get(name, LabAccelerometer())
-        return part.serial_number or result.accelerometers[name].serial_number
+        """Return the serial number of an accelerometer, from this file or from the result."""
+        lab_accelerometer = self.accelerometers.get(name, LabAccelerometer())
+        return lab_accelerometer.serial_number or result.accelerometers[name].serial_number
 
 
 def read_lab(
     path: Mapping[str, Any] | Path | str, result: Result
 ) -> tuple[Lab, Specifications | None]:
-    """Read the file and check it against the result that is to be certified.
+    """Read the laboratory data and check them against the result to be certified.
 
-    Returns: the file, and its [specification]; None without one.
+    Returns: Laboratory data, and the [specification] or None.
     """
-    source, raw, problems, lab = _load_lab(path)
+    source, document, problems, lab = _load_lab(path)
     _check_terms(lab, problems, result.inputs.gravity, result.accelerometers)
-    _check_accelerometers(raw, result, problems)
+    _check_accelerometers(document, result, problems)
     specifications = None
-    if isinstance(raw.get("specification"), dict):
+    if isinstance(document.get("specification"), dict):
         specifications = resolve_specifications(
-            raw["specification"],
+            document["specification"],
             result.accelerometers,
             problems=problems,
             gravity=result.inputs.gravity,
@@ -402,7 +403,7 @@ def read_lab(
 
 
 def read_machine_lab(path: Mapping[str, Any] | Path | str, gravity: float) -> Lab:
-    """Read the file for the certificate of a centrifuge; its [specification] is not used.
+    """Read the laboratory data for the certificate of a centrifuge, without [specification].
 
     gravity: Local gravity of the site, m/s^2.
     """
@@ -416,68 +417,75 @@ def read_machine_lab(path: Mapping[str, Any] | Path | str, gravity: float) -> La
 def _load_lab(
     path: Mapping[str, Any] | Path | str,
 ) -> tuple[str, Mapping[str, Any], Problems, Lab | None]:
-    """Return the name of the file, its document, its problems and its contents."""
+    """Return the name of the source, the document, its problems, and the parsed data."""
     if isinstance(path, Mapping):
         source, problems = "the laboratory data", Problems(path)
-        raw = to_toml_value(path, (), problems.add)
+        document = to_toml_value(path, (), problems.add)
     else:
         path = to_path(
             path, "a mapping with the laboratory data, or the file that contains the data"
         )
         source = str(path)
-        advice = "`certificates.lab.write_example` writes a template"
-        raw = load_document(path, advice, "laboratory")
-        problems = Problems(raw)
-    # An empty table makes the check report each of its required keys.
-    empty: dict[str, Any] = {"persons": [{}]}
-    empty |= {key: {} for key in ("certificate", "laboratory", "customer", "item")}
-    return source, raw, problems, problems.check(Lab, empty | raw, ())
+        hint = "`certificates.lab.write_example` writes a template"
+        document = load_document(path, hint, "laboratory")
+        problems = Problems(document)
+    # With an empty table, the check reports each required key.
+    empty_tables: dict[str, Any] = {"persons": [{}]}
+    empty_tables |= {key: {} for key in ("certificate", "laboratory", "customer", "item")}
+    return source, document, problems, problems.check(Lab, empty_tables | document, ())
 
 
 def _check_terms(
     lab: Lab | None, problems: Problems, gravity: float, accelerometers: Collection[str]
 ) -> None:
-    """Note unknown terms in [cmc] and [evidence]."""
+    """Add unknown terms in [cmc] and [evidence] to the problems."""
     if lab is None:
         return
     for symbol in lab.cmc:
         problems.collect(("cmc", symbol), lab.capability, symbol, gravity)
     for key in lab.evidence:
-        if not names_terms(key, accelerometers):
-            hint = suggest_name(key, [ALL, *TABLE])
+        if not names_known_terms(key, accelerometers):
+            hint = suggest_name(key, [ALL_TERMS, *TABLE])
             problems.add(("evidence", key), f'unknown term "{key}"{hint}', "unknown-term")
 
 
-def _check_accelerometers(raw: Mapping[str, Any], result: Result, problems: Problems) -> None:
-    """Note names that are not in the result, and serial numbers that contradict it."""
+def _check_accelerometers(document: Mapping[str, Any], result: Result, problems: Problems) -> None:
+    """Add names that are not in the result, and contradictory serial numbers, to the problems."""
     result_names = result.accelerometers
-    settings, parts = table_of(raw, "certificate"), table_of(raw, "accelerometers")
-    chosen = settings.get("accelerometers")
-    if chosen == []:
+    settings, accelerometer_tables = (
+        table_of(document, "certificate"),
+        table_of(document, "accelerometers"),
+    )
+    selected_names = settings.get("accelerometers")
+    if selected_names == []:
         problems.add(
             ("certificate", "accelerometers"), "must have at least one entry", "missing-value"
         )
-    indices: list[tuple[KeyPath, object]] = [
+    named_paths: list[tuple[KeyPath, object]] = [
         *(
-            (("certificate", "accelerometers", place), name)
-            for place, name in enumerate(list_of(settings, "accelerometers"))
+            (("certificate", "accelerometers", path), name)
+            for path, name in enumerate(list_of(settings, "accelerometers"))
         ),
-        *((("accelerometers", name), name) for name in parts),
+        *((("accelerometers", name), name) for name in accelerometer_tables),
     ]
-    for place, name in indices:
+    for path, name in named_paths:
         if isinstance(name, str) and name not in result_names:
             problems.add(
-                place,
+                path,
                 f'the result has no "{name}"' + suggest_name(name, result_names),
                 "unknown-accelerometer",
             )
-    for name, part in parts.items():
-        stated = result_names[name].serial_number if name in result_names else None
-        lab_serial_number = part.get("serial_number") if isinstance(part, dict) else None
-        if stated and lab_serial_number and lab_serial_number != stated:
+    for name, accelerometer_table in accelerometer_tables.items():
+        result_serial_number = result_names[name].serial_number if name in result_names else None
+        lab_serial_number = (
+            accelerometer_table.get("serial_number")
+            if isinstance(accelerometer_table, dict)
+            else None
+        )
+        if result_serial_number and lab_serial_number and lab_serial_number != result_serial_number:
             problems.add(
                 ("accelerometers", name, "serial_number"),
-                f'is "{lab_serial_number}", but the result is for "{stated}"',
+                f'is "{lab_serial_number}", but the result is for "{result_serial_number}"',
                 "conflicting-values",
             )
 
@@ -496,75 +504,79 @@ def write_example(path: Path | str) -> Path:
 
 def template_keys(lab: Lab | Mapping[str, Any]) -> list[str]:
     """Return the keys that still have a value of the template."""
-    excluded = {"conditions", "specification"}
-    data = lab.model_dump(exclude=excluded) if isinstance(lab, Lab) else dict(lab)
-    leaves = _leaves({key: value for key, value in data.items() if key not in excluded}, ())
+    excluded_sections = {"conditions", "specification"}
+    document = lab.model_dump(exclude=excluded_sections) if isinstance(lab, Lab) else dict(lab)
+    leaves = _iter_leaves(
+        {key: value for key, value in document.items() if key not in excluded_sections}, ()
+    )
     return [format_key_path(path) for path, value in leaves if is_template_value(path, value)]
 
 
 def is_template_value(path: KeyPath, value: object) -> bool:
     """Return whether a key has the value that it has in the template."""
     text = " ".join(str(value).split())
-    return isinstance(value, str | datetime.date) and _entry(path, text) in _template_values()
+    return (
+        isinstance(value, str | datetime.date) and _template_entry(path, text) in _template_values()
+    )
 
 
 @cache
 def _template_values() -> frozenset[tuple[str, str]]:
     """Return the placeholders of the template, each with the last name in its key.
 
-    They are the dates and the text; of the lines that are commented out, the dates, zeros and the
-    text with "example".
+    Placeholders are dates and texts; in commented lines, only dates, zeros and texts that contain
+    "example".
     """
     text = example_text()
-    active_values = _leaves(parse_toml(text), ())
-    commented_values = _leaves(parse_toml(_COMMENTED_OUT.sub("", text)), ())
+    active_values = _iter_leaves(parse_toml(text), ())
+    commented_values = _iter_leaves(parse_toml(_COMMENTED_LINE.sub("", text)), ())
     return frozenset(
-        [_entry(path, value) for path, value in active_values]
+        [_template_entry(path, value) for path, value in active_values]
         + [
-            _entry(*leaf)
+            _template_entry(*leaf)
             for leaf in commented_values
             if re.search("(?i)example|^2000-|^0+$", leaf[1])
         ]
     )
 
 
-#: Start of a line of the template that holds a key or a heading within a comment.
-_COMMENTED_OUT: Final = re.compile(r"^# (?=\[?\[[\w.]+\]|[\w.\"*]+ = )", re.MULTILINE)
+#: Start of a commented line of the template with a key or a heading.
+_COMMENTED_LINE: Final = re.compile(r"^# (?=\[?\[[\w.]+\]|[\w.\"*]+ = )", re.MULTILINE)
 
 
-def with_required_keys(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the laboratory's data with values of the template for required keys that it lacks."""
+def add_required_keys(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the laboratory data with template values for missing required keys."""
     completed = dict(document)
     for key, value in parse_toml(example_text()).items():
-        stated = document.get(key, [{}] if isinstance(value, list) else {})
-        if isinstance(value, dict) and isinstance(stated, dict):
-            completed[key] = value | stated
-        elif isinstance(value, list) and isinstance(stated, list):
+        section = document.get(key, [{}] if isinstance(value, list) else {})
+        if isinstance(value, dict) and isinstance(section, dict):
+            completed[key] = value | section
+        elif isinstance(value, list) and isinstance(section, list):
             completed[key] = [
-                value[0] | part if isinstance(part, dict) else part for part in stated
+                value[0] | entry if isinstance(entry, dict) else entry for entry in section
             ]
         else:
             completed.setdefault(key, value)
     return completed
 
 
-def _entry(path: KeyPath, value: str) -> tuple[str, str]:
+def _template_entry(path: KeyPath, value: str) -> tuple[str, str]:
     """Return the last name in a key path, and the value."""
-    return next(str(part) for part in reversed(path) if isinstance(part, str)), value
+    return next(str(key) for key in reversed(path) if isinstance(key, str)), value
 
 
 def example_text() -> str:
-    """Return the commented example of a laboratory's data."""
+    """Return the commented example of ``LAB.toml``."""
     return (files("counterspin.certificates") / "starter.toml").read_text("utf-8")
 
 
-def _leaves(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
-    """Yield all text and dates in a document, as text, with the key path."""
+def _iter_leaves(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
+    """Yield key path and text of all texts and dates in a document."""
     if isinstance(value, str | datetime.date):
         yield path, " ".join(str(value).split())
     elif isinstance(value, dict):
-        for key, entry in value.items():
-            yield from _leaves(entry, (*path, key))
+        for key, child in value.items():
+            yield from _iter_leaves(child, (*path, key))
     elif isinstance(value, list):
-        for index, entry in enumerate(value):
-            yield from _leaves(entry, (*path, index))
+        for index, child in enumerate(value):
+            yield from _iter_leaves(child, (*path, index))

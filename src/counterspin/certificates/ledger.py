@@ -1,8 +1,8 @@
 """The append-only ledger of an instrument: results, certificates and amendments, one line each.
 
-Each line is one entry as JSON, and contains the SHA-256 of the previous entry and its own. Whoever
-changes, removes or moves an entry must therefore rewrite all later ones. A copy of the last hash,
-kept elsewhere, shows even that. An entry is valid only with its newline on the disk.
+Each line is a JSON entry with its own SHA-256 hash and the hash of the previous entry. To change,
+remove or move an entry, all later entries must be rewritten. A separate copy of the last hash
+reveals even that. An entry is valid only if its newline is on the disk.
 """
 
 from __future__ import annotations
@@ -33,37 +33,36 @@ from counterspin.output import check_writable, move_into_place, require_valid_na
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 
 #: Hash of the previous entry in the first entry.
-_FIRST_PREVIOUS: Final = "0" * 64
+_INITIAL_HASH: Final = "0" * 64
 
-#: Offset of the byte that Windows locks: beyond the largest ledger, so that others can read it.
+#: Offset of the byte that is locked on Windows: beyond the largest ledger, so it stays readable.
 _LOCKED_BYTE: Final = 0x7FFF_0000
 #: Time between two attempts to lock a ledger on Windows, s.
 _LOCK_PAUSE: Final = 0.05
 
-_NO_LEDGER: Final = (
+_NOT_A_LEDGER: Final = (
     "entry 1 was altered, or this file is not a ledger; do not rely on this file. Give the "
     "ledger, or the name of a new file"
 )
 
 #: Keys of an entry, in the order in which they are written; `hash` is last.
-_KEYS: Final = ("number", "previous", "when", "who", "what", "why", "of", "hash")
+_ENTRY_KEYS: Final = ("number", "previous", "when", "who", "what", "why", "of", "hash")
 
 #: Types of entries.
-KINDS: Final = ("result", "certificate", "amendment")
+ENTRY_TYPES: Final = ("result", "certificate", "amendment")
 
 
 @frozen
 class Entry:
     """An entry of a ledger."""
 
-    number: int  #: From 1 on.
-    when: str  #: ISO 8601, UTC.
-    #: Person, type and reason.
-    who: str
-    what: str  #: One of `KINDS`.
-    why: str
-    of: Mapping[str, str]  #: Names, identifiers and checksums.
-    digest: str  #: SHA-256 of all this and of the previous entry's hash, hexadecimal.
+    number: int  #: Number of the entry, from 1.
+    when: str  #: Time, ISO 8601, UTC.
+    who: str  #: Person.
+    entry_type: str  #: One of `KINDS`.
+    why: str  #: Reason.
+    subject: Mapping[str, str]  #: Names, identifiers and checksums.
+    digest: str  #: SHA-256 of the entry and of the previous hash, hexadecimal.
 
 
 @frozen
@@ -71,17 +70,17 @@ class VerifiedLedger:
     """A ledger whose entries were not altered."""
 
     entries: tuple[Entry, ...]  #: All entries, oldest first.
-    #: Bytes after the last entry: the beginning of an interrupted one.
+    #: Bytes after the last entry, from an interrupted write.
     partial_entry: bytes = b""
 
     @property
     def head(self) -> str:
-        """Hash of the last entry, which identifies all of them."""
-        return self.entries[-1].digest if self.entries else _FIRST_PREVIOUS
+        """Hash of the last entry, which identifies all entries."""
+        return self.entries[-1].digest if self.entries else _INITIAL_HASH
 
 
 def verify_ledger(path: Path) -> VerifiedLedger:
-    """Read a ledger and check it, to the last byte."""
+    """Read and verify a ledger."""
     try:
         return _verify_content(read_file(path), str(path))
     except OSError as error:
@@ -90,57 +89,61 @@ def verify_ledger(path: Path) -> VerifiedLedger:
         ) from error
 
 
-def append(path: Path, what: str, of: Mapping[str, str], *, who: str, why: str, when: str) -> Entry:
+def append_entry(
+    path: Path, entry_type: str, subject: Mapping[str, str], *, who: str, why: str, when: str
+) -> Entry:
     """Append an entry; concurrent processes wait for each other.
 
     Parameters and errors as for `open_ledger` and `OpenLedger.append`.
     """
     with open_ledger(path) as ledger:
-        return ledger.append(what, of, who=who, why=why, when=when)
+        return ledger.append(entry_type, subject, who=who, why=why, when=when)
 
 
-def checksum_of(data: bytes) -> str:
+def sha256_hex(data: bytes) -> str:
     """Return the SHA-256 checksum of bytes, hexadecimal."""
     return hashlib.sha256(data).hexdigest()
 
 
 class OpenLedger:
-    """A locked ledger: other writers wait.
+    """A locked ledger, for which other writers wait.
 
-    file: The file, open for appending; RecordError if it was altered.
+    descriptor: File descriptor, open for appending; RecordError if the ledger was altered.
     """
 
-    def __init__(self, path: Path, file: int) -> None:
-        self._path, self._file = path, file
-        self._size = os.fstat(file).st_size
+    def __init__(self, path: Path, descriptor: int) -> None:
+        self._path, self._file = path, descriptor
+        self._size = os.fstat(descriptor).st_size
         if self._size > MAX_DOCUMENT_BYTES:
             raise RecordError(
                 f"{path} has more than {MAX_DOCUMENT_BYTES} bytes; start a new ledger",
                 code="file-too-large",
             )
-        complete = b""
-        while partial_entry := os.read(file, self._size + 1):
-            complete += partial_entry
-        verified = _verify_content(complete, str(path))
-        self.entries, self._unfinished = verified.entries, verified.partial_entry
-        self._head = verified.head
+        content = b""
+        while chunk := os.read(descriptor, self._size + 1):
+            content += chunk
+        verified_ledger = _verify_content(content, str(path))
+        self.entries, self._unfinished = verified_ledger.entries, verified_ledger.partial_entry
+        self._head = verified_ledger.head
 
-    def append(self, what: str, of: Mapping[str, str], *, who: str, why: str, when: str) -> Entry:
-        """Append an entry; it is on the disk when this returns.
+    def append(
+        self, entry_type: str, subject: Mapping[str, str], *, who: str, why: str, when: str
+    ) -> Entry:
+        """Append an entry and flush it to the disk.
 
-        The remainder of an interrupted write is not an entry; it is removed, and the new entry
-        keeps it in `of`, as ``unfinished``.
+        The remainder of an interrupted write is removed and kept in the `subject` of the new entry,
+        as ``unfinished``.
         """
         if self._unfinished:
-            of = {**of, "unfinished": self._unfinished.decode("utf-8", "replace")}
+            subject = {**subject, "unfinished": self._unfinished.decode("utf-8", "replace")}
         content = {
             "number": len(self.entries) + 1,
             "previous": self._head,
             "when": when,
             "who": who,
-            "what": what,
+            "what": entry_type,
             "why": why,
-            "of": dict(of),
+            "of": dict(subject),
         }
         content["hash"] = _content_hash(content)
         line = _format_line(content)
@@ -148,13 +151,13 @@ class OpenLedger:
             if self._unfinished:
                 os.ftruncate(self._file, self._size - len(self._unfinished))
                 self._unfinished = b""
-            byte_count = 0
-            while byte_count < len(line):
-                byte_count += os.write(self._file, line[byte_count:])
+            n_written = 0
+            while n_written < len(line):
+                n_written += os.write(self._file, line[n_written:])
             os.fsync(self._file)
         except OSError as error:
             raise _write_error(self._path, error) from error
-        entry = _entry(content)
+        entry = _make_entry(content)
         self.entries, self._head = (*self.entries, entry), entry.digest
         return entry
 
@@ -163,62 +166,62 @@ class OpenLedger:
 def open_ledger(path: Path) -> Iterator[OpenLedger]:
     """Lock a ledger; create it if it does not exist.
 
-    Other writers wait; the lock ends with its process.
+    Other writers wait until the lock is released or the process ends.
     """
     require_valid_name(path)
     is_new = not path.exists()
     flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
     try:
         # Opening a pipe would block until a writer connects.
-        file = os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o666)
+        descriptor = os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o666)
     except OSError as error:
         raise _write_error(path, error) from error
     try:
         try:
-            require_regular_file(path, os.fstat(file).st_mode)
-            _lock(file)
-            ledger = OpenLedger(path, file)
+            require_regular_file(path, os.fstat(descriptor).st_mode)
+            _lock_file(descriptor)
+            ledger = OpenLedger(path, descriptor)
         except OSError as error:
             raise _write_error(path, error) from error
         yield ledger
         if is_new and hasattr(os, "O_DIRECTORY"):
-            folder = os.open(path.resolve().parent, os.O_RDONLY)
-            os.fsync(folder)
-            os.close(folder)
+            folder_descriptor = os.open(path.resolve().parent, os.O_RDONLY)
+            os.fsync(folder_descriptor)
+            os.close(folder_descriptor)
     finally:
-        _unlock(file)
-        os.close(file)
+        _unlock_file(descriptor)
+        os.close(descriptor)
 
 
-def _unlock(file: int) -> None:
+def _unlock_file(descriptor: int) -> None:
     """Unlock a ledger immediately; Windows unlocks it only some time after the process ends."""
     if sys.platform == "win32":
         import msvcrt
 
         with suppress(OSError):  # it was not locked
-            os.lseek(file, _LOCKED_BYTE, os.SEEK_SET)
-            msvcrt.locking(file, msvcrt.LK_UNLCK, 1)
+            os.lseek(descriptor, _LOCKED_BYTE, os.SEEK_SET)
+            msvcrt.locking(descriptor, msvcrt.LK_UNLCK, 1)
 
 
-def _lock(file: int) -> None:
+def _lock_file(descriptor: int) -> None:
     if sys.platform == "win32":
         import msvcrt
 
         # LK_LOCK gives up after ten attempts in ten seconds.
-        os.lseek(file, _LOCKED_BYTE, os.SEEK_SET)
+        os.lseek(descriptor, _LOCKED_BYTE, os.SEEK_SET)
         while True:
             try:
-                msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
+                msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
                 break
             except OSError as error:
                 if error.errno not in (errno.EACCES, errno.EDEADLK):
                     raise
                 time.sleep(_LOCK_PAUSE)
-        os.lseek(file, 0, os.SEEK_SET)
+        os.lseek(descriptor, 0, os.SEEK_SET)
     else:
         import fcntl
 
-        fcntl.flock(file, fcntl.LOCK_EX)
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
 
 
 def _write_error(path: Path, error: OSError) -> CounterspinError:
@@ -230,40 +233,40 @@ def _write_error(path: Path, error: OSError) -> CounterspinError:
 
 
 def _verify_content(content_bytes: bytes, source: str) -> VerifiedLedger:
-    *lines, unfinished = content_bytes.split(b"\n")
+    *lines, partial_entry = content_bytes.split(b"\n")
     entries: list[Entry] = []
-    previous = _FIRST_PREVIOUS
+    previous_hash = _INITIAL_HASH
     for number, line in enumerate(lines, 1):
         content = _parse_line(line)
-        problem, which = None, number
+        problem, entry_number = None, number
         if content is None or _format_line(content) != line + b"\n":
             problem = "was changed after it was written"
         elif content["hash"] != _content_hash(content):
             problem = "was altered: its hash does not match its content"
         elif content["number"] != number:
             problem = f"has the number {content['number']}: entries are missing or were moved"
-        elif content["previous"] != previous:
+        elif content["previous"] != previous_hash:
             # The hash chain shows it only in the following entry.
-            problem, which = "was altered after it was written, or removed", number - 1
+            problem, entry_number = "was altered after it was written, or removed", number - 1
         if problem is not None or content is None:
             if content is None and number == 1:
-                raise RecordError(f"{source}: {_NO_LEDGER}", code="wrong-document")
-            what = f"entry {which}" if which else "the beginning"
+                raise RecordError(f"{source}: {_NOT_A_LEDGER}", code="wrong-document")
+            entry_text = f"entry {entry_number}" if entry_number else "the beginning"
             raise RecordError(
-                f"{source}: {what} {problem}; do not rely on this entry or on later entries",
+                f"{source}: {entry_text} {problem}; do not rely on this entry or on later entries",
                 code="ledger-altered",
             )
-        entries.append(_entry(content))
-        previous = content["hash"]
-    if unfinished and not entries and not _begins_entry(unfinished):
+        entries.append(_make_entry(content))
+        previous_hash = content["hash"]
+    if partial_entry and not entries and not _begins_entry(partial_entry):
         # Bytes that do not begin an entry show that the file is not a ledger.
-        raise RecordError(f"{source}: {_NO_LEDGER}", code="wrong-document")
-    return VerifiedLedger(tuple(entries), unfinished)
+        raise RecordError(f"{source}: {_NOT_A_LEDGER}", code="wrong-document")
+    return VerifiedLedger(tuple(entries), partial_entry)
 
 
 def _begins_entry(line: bytes) -> bool:
-    """Return whether a line may be the beginning of the first entry."""
-    prefix = _canonical_json({"number": 1, "previous": _FIRST_PREVIOUS})[:-1].encode()
+    """Return whether a line can be the beginning of the first entry."""
+    prefix = _canonical_json({"number": 1, "previous": _INITIAL_HASH})[:-1].encode()
     return line.startswith(prefix) or prefix.startswith(line)
 
 
@@ -273,12 +276,12 @@ def _parse_line(line: bytes) -> dict[str, Any] | None:
         content = parse_json(line)
     except ValueError:
         return None
-    if not isinstance(content, dict) or tuple(content) != _KEYS:
+    if not isinstance(content, dict) or tuple(content) != _ENTRY_KEYS:
         return None
-    number, of, *words = (content[key] for key in ("number", "of", *_KEYS[1:6], "hash"))
-    if type(number) is not int or not isinstance(of, dict):
+    number, subject, *texts = (content[key] for key in ("number", "of", *_ENTRY_KEYS[1:6], "hash"))
+    if type(number) is not int or not isinstance(subject, dict):
         return None
-    if not all(isinstance(word, str) for word in (*words, *of.values())):
+    if not all(isinstance(text, str) for text in (*texts, *subject.values())):
         return None
     return content
 
@@ -292,24 +295,26 @@ def _canonical_json(content: Mapping[str, Any]) -> str:
 
 
 def _content_hash(content: Mapping[str, Any]) -> str:
-    return checksum_of(_canonical_json({k: v for k, v in content.items() if k != "hash"}).encode())
+    return sha256_hex(
+        _canonical_json({key: value for key, value in content.items() if key != "hash"}).encode()
+    )
 
 
-def _entry(content: Mapping[str, Any]) -> Entry:
+def _make_entry(content: Mapping[str, Any]) -> Entry:
     return Entry(
         number=content["number"],
         when=content["when"],
         who=content["who"],
-        what=content["what"],
+        entry_type=content["what"],
         why=content["why"],
-        of=content["of"],
+        subject=content["of"],
         digest=content["hash"],
     )
 
 
 @frozen
 class IssueDetails:
-    """The signatory of a certificate, the reason and date of issue, and the file of its result."""
+    """Signatory, reason and date of issue of a certificate, and its result file."""
 
     who: str
     why: str
@@ -318,7 +323,7 @@ class IssueDetails:
 
 
 def check_ledger(ledger: Path) -> None:
-    """Refuse a ledger that was altered, or whose folder does not exist."""
+    """Raise an error if a ledger was altered or its folder does not exist."""
     if ledger.exists():
         verify_ledger(ledger)
     else:
@@ -326,110 +331,120 @@ def check_ledger(ledger: Path) -> None:
 
 
 def record_result(ledger: Path, file: Path, *, who: str, why: str, date: datetime) -> Entry:
-    """Append an entry for a result's file."""
+    """Append an entry for a result file."""
     if not Result.read(file).sealed:
         why += "; the file has no seal"
-    of = {"file": file.name, "sha256": _checksum(file)}
-    return append(ledger, "result", of, who=who, why=why, when=_utc_text(date))
+    subject = {"file": file.name, "sha256": _file_checksum(file)}
+    return append_entry(ledger, "result", subject, who=who, why=why, when=_utc_text(date))
 
 
 def record_certificate(
-    ledger_path: Path, path: Path, data: bytes, of: Mapping[str, str], details: IssueDetails
+    ledger_path: Path, path: Path, data: bytes, subject: Mapping[str, str], details: IssueDetails
 ) -> Entry | None:
-    """Append a certificate's or amendment's entry, after its result's; then rename its file.
+    """Append the entry of a certificate or amendment, then publish its file.
 
-    All of it is done under the ledger's lock, and the entry comes first: every published
-    certificate is in its ledger. The finished bytes are hidden next to their place, under a name
-    that follows from their checksum. If the process is killed between entry and rename, the same
-    command finds them.
+    The ledger is locked, and the entry precedes the file, so that every published certificate is
+    in its ledger. The file is staged in the same folder under a hidden name derived from its
+    checksum. If the process is interrupted after the entry, the same command publishes the file.
 
-    Returns: the entry of an interrupted command, whose certificate is published now instead of
-    `data`; None if there was no such command.
+    Returns: Entry of an interrupted command, whose staged certificate is published instead of
+        `data`; otherwise None.
     """
-    checksum = checksum_of(data)
+    checksum = sha256_hex(data)
     with open_ledger(ledger_path) as ledger:
         check_writable(path)
-        earlier = [e for e in ledger.entries if e.of.get("identifier") == of["identifier"]]
-        if any(entry.of.get("sha256") != of["sha256"] for entry in earlier):
-            for entry in earlier:
-                if entry.of.get("file") == path.name and _is_staged(path, entry):
-                    _publish(path, entry.of["file_sha256"])
+        earlier_entries = [
+            entry
+            for entry in ledger.entries
+            if entry.subject.get("identifier") == subject["identifier"]
+        ]
+        if any(entry.subject.get("sha256") != subject["sha256"] for entry in earlier_entries):
+            for entry in earlier_entries:
+                if entry.subject.get("file") == path.name and _is_staged(path, entry):
+                    _publish_file(path, entry.subject["file_sha256"])
                     return entry
             raise RecordError(
-                f"{ledger_path} already contains certificate {of['identifier']} (entry "
-                f"{earlier[-1].number}) with different content; issue an amendment (`amends`), "
-                "or choose another certificate.identifier",
+                f"{ledger_path} already contains certificate {subject['identifier']} (entry "
+                f"{earlier_entries[-1].number}) with different content; issue an amendment "
+                "(`amends`), or choose another certificate.identifier",
                 code="ledger-conflict",
             )
-        _check_amended(ledger, ledger_path, of)
-        staged = _staging_path(path, checksum)
-        write_atomically(staged, lambda place: _write_to_disk(place, data), overwrite=True)
-        known_entries = {(entry.of.get("file"), entry.of.get("file_sha256")) for entry in earlier}
-        if (path.name, checksum) not in known_entries:
-            _append_entry(ledger, {"file": path.name, **of, "file_sha256": checksum}, details)
-        _publish(path, checksum)
+        _check_amended(ledger, ledger_path, subject)
+        staging_path = _staging_path(path, checksum)
+        write_atomically(staging_path, lambda path: _write_to_disk(path, data), overwrite=True)
+        recorded_files = {
+            (entry.subject.get("file"), entry.subject.get("file_sha256"))
+            for entry in earlier_entries
+        }
+        if (path.name, checksum) not in recorded_files:
+            _append_entry(ledger, {"file": path.name, **subject, "file_sha256": checksum}, details)
+        _publish_file(path, checksum)
     return None
 
 
-def _check_amended(ledger: OpenLedger, ledger_path: Path, of: Mapping[str, str]) -> None:
-    """Refuse to amend a certificate whose content is not that of its entries, if it has entries."""
-    if "amends" not in of:
+def _check_amended(ledger: OpenLedger, ledger_path: Path, subject: Mapping[str, str]) -> None:
+    """Raise RecordError if the amended certificate differs from its entries in the ledger."""
+    if "amends" not in subject:
         return
-    amended = [entry for entry in ledger.entries if entry.of.get("identifier") == of["amends"]]
-    if amended and all(entry.of.get("sha256") != of["amends_sha256"] for entry in amended):
+    amended_entries = [
+        entry for entry in ledger.entries if entry.subject.get("identifier") == subject["amends"]
+    ]
+    if amended_entries and all(
+        entry.subject.get("sha256") != subject["amends_sha256"] for entry in amended_entries
+    ):
         raise RecordError(
-            f"{ledger_path}: entry {amended[-1].number} records certificate {of['amends']} "
-            "with different content, so the file to be amended was changed after it was "
-            "issued. Give the issued file",
+            f"{ledger_path}: entry {amended_entries[-1].number} records certificate "
+            f"{subject['amends']} with different content, so the file to be amended was changed "
+            "after it was issued. Give the issued file",
             code="ledger-conflict",
         )
 
 
-def _append_entry(ledger: OpenLedger, of: Mapping[str, str], details: IssueDetails) -> None:
+def _append_entry(ledger: OpenLedger, subject: Mapping[str, str], details: IssueDetails) -> None:
     when = _utc_text(details.date)
     if details.result is not None:
-        checksum = _checksum(details.result)
-        if checksum not in {entry.of.get("sha256") for entry in ledger.entries}:
-            result_checksum = {"file": details.result.name, "sha256": checksum}
+        checksum = _file_checksum(details.result)
+        if checksum not in {entry.subject.get("sha256") for entry in ledger.entries}:
+            result_subject = {"file": details.result.name, "sha256": checksum}
             ledger.append(
-                "result", result_checksum, who=details.who, why="to be certified", when=when
+                "result", result_subject, who=details.who, why="to be certified", when=when
             )
-        of = {**of, "result": checksum}
-    what = "amendment" if "amends" in of else "certificate"
-    ledger.append(what, of, who=details.who, why=details.why, when=when)
+        subject = {**subject, "result": checksum}
+    entry_type = "amendment" if "amends" in subject else "certificate"
+    ledger.append(entry_type, subject, who=details.who, why=details.why, when=when)
 
 
 def _staging_path(path: Path, checksum: str) -> Path:
-    """Return the hidden path of a certificate before its publication."""
+    """Return the hidden path of a certificate before publication."""
     return path.resolve().parent / f".{checksum[:16]}{path.suffix}"
 
 
 def _is_staged(path: Path, entry: Entry) -> bool:
-    """Return whether the staging file of an entry exists next to a path."""
-    expected = entry.of.get("file_sha256", "")
+    """Return whether the staged file of an entry exists in the folder of a path."""
+    expected_checksum = entry.subject.get("file_sha256", "")
     try:
-        return checksum_of(read_file(_staging_path(path, expected))) == expected
+        return sha256_hex(read_file(_staging_path(path, expected_checksum))) == expected_checksum
     except OSError:
         return False
 
 
-def _write_to_disk(place: Path, data: bytes) -> None:
+def _write_to_disk(path: Path, data: bytes) -> None:
     # The entry precedes the rename, so the bytes of the file must be on the disk too.
-    with place.open("wb") as file:
+    with path.open("wb") as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
 
 
-def _publish(path: Path, checksum: str) -> None:
+def _publish_file(path: Path, checksum: str) -> None:
     try:
         move_into_place(_staging_path(path, checksum), path)
     except OSError as error:
         raise WriteError(f"{path} cannot be written ({error.strerror})") from error
 
 
-def ledger_blocks(verified: VerifiedLedger) -> Iterator[Block]:
-    """Yield the entries of a ledger, and the hash that identifies all of them."""
+def ledger_blocks(verified_ledger: VerifiedLedger) -> Iterator[Block]:
+    """Yield a table of the entries of a ledger, and the hash of the last entry."""
     yield Heading("Ledger", 1)
     yield Table(
         (
@@ -444,24 +459,24 @@ def ledger_blocks(verified: VerifiedLedger) -> Iterator[Block]:
             (
                 str(entry.number),
                 entry.when,
-                entry.what,
-                entry.of.get("identifier") or entry.of.get("file", ""),
+                entry.entry_type,
+                entry.subject.get("identifier") or entry.subject.get("file", ""),
                 entry.who,
                 entry.why,
             )
-            for entry in verified.entries
+            for entry in verified_ledger.entries
         ),
     )
     yield Paragraph(
-        f"{len(verified.entries)} entries, none of them altered. Hash of the last entry: "
-        f"{verified.head}. Keep a copy of this hash elsewhere. If the last entries are "
+        f"{len(verified_ledger.entries)} entries, none of them altered. Hash of the last entry: "
+        f"{verified_ledger.head}. Keep a copy of this hash elsewhere. If the last entries are "
         "removed or the whole ledger is rewritten, the hash will differ from your copy."
     )
 
 
-def _checksum(file: Path) -> str:
+def _file_checksum(file: Path) -> str:
     try:
-        return checksum_of(read_file(file))
+        return sha256_hex(read_file(file))
     except OSError as error:
         raise RecordError(
             f"{file}: {describe_read_error(error)}", code=read_error_code(error)

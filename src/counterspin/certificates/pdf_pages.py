@@ -1,6 +1,6 @@
-"""Pages of a certificate's PDF: subject, method, results and statements.
+"""Pages of the PDF of a certificate: subject, method, results and statements.
 
-Opinions, such as whether a result is good, are left to the report (ISO/IEC 17025 7.8.7).
+Opinions, such as on the quality of a result, are left to the report (ISO/IEC 17025 7.8.7).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from counterspin.calibration.si_estimates import SiEstimate
 from counterspin.certificates import certificate_text
 from counterspin.certificates.amendment import amendment_lines
 from counterspin.certificates.certificate_text import coverage_factor
-from counterspin.certificates.completeness import default_evidence
+from counterspin.certificates.completeness import default_evidence_lines
 from counterspin.certificates.conversion import (
     apply_cmc_floor,
     certified_triad,
@@ -24,9 +24,9 @@ from counterspin.certificates.conversion import (
     coefficients_in_si,
     displayed_parameters,
     matrix_dof,
-    output_lines,
-    output_table,
+    matrix_table,
     triad_lines,
+    triad_output_lines,
     triad_title,
 )
 from counterspin.certificates.evidence import evidence_lines
@@ -38,28 +38,28 @@ from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import format_count, format_estimate, format_number
 from counterspin.reports.typography import typeset, typeset_block
 
-TITLE: Final = "Calibration certificate"
+CERTIFICATE_TITLE: Final = "Calibration certificate"
 
 #: Line for a signature on paper.
 _SIGNATURE_LINE: Final = MultilineText("", "_____________________________________")
-_ELECTRONIC: Final = "electronic signature of the XML and of these pages"
+_ELECTRONIC_SIGNATURE: Final = "electronic signature of the XML and of these pages"
 
 
 def page_title(issue: Issue) -> str:
     """Return the heading of every page."""
-    return f"DRAFT, not a {TITLE.lower()}" if issue.draft else TITLE
+    return f"DRAFT, not a {CERTIFICATE_TITLE.lower()}" if issue.draft else CERTIFICATE_TITLE
 
 
 def page_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> Iterator[Block]:
-    """Yield the certificate's pages.
+    """Yield the pages of a certificate.
 
-    lab: The laboratory's data.
+    lab: Laboratory data.
     """
-    settings, names = lab.certificate, lab.certified(result)
-    stated = apply_cmc_floor(result, lab)
+    settings, names = lab.certificate, lab.certified_names(result)
+    certified_result = apply_cmc_floor(result, lab)
     yield Heading(page_title(issue), 1)
     if issue.draft:
-        yield Paragraph(certificate_text.DRAFT, "warning")
+        yield Paragraph(certificate_text.DRAFT_STATEMENT, "warning")
     yield Paragraph(
         f"{issue.identifier}. The Digital Calibration Certificate (DCC, XML) with this "
         "identifier contains the same values in machine-readable form.",
@@ -72,43 +72,44 @@ def page_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> I
     yield two_columns_table([*item_rows(lab), *_accelerometer_rows(lab, result)])
     yield Heading("Method and conditions")
     yield typeset_block(two_columns_table(_method_rows(lab, result)))
-    for line in (certificate_text.BASED_ON, *certificate_text.deviation_lines(settings)):
+    for line in (certificate_text.STANDARD_STATEMENT, *certificate_text.deviation_lines(settings)):
         yield Paragraph(typeset(line))
     yield from equipment_blocks(lab.equipment)
     yield Heading("Results")
-    seal = certificate_text.seal_lines(result, issue.accepted_unsealed)
-    for line in (*certificate_text.misfit_lines(result, names), *seal):
+    seal_lines = certificate_text.seal_lines(result, issue.accepted_unsealed)
+    for line in (*certificate_text.misfit_lines(result, names), *seal_lines):
         yield Paragraph(typeset(line), "warning")
-    yield from _result_blocks(lab, result, stated)
+    yield from _result_blocks(lab, result, certified_result)
     yield Heading("Statements")
     yield from section_blocks(
-        certificate_text.UNCERTAINTY, typeset(certificate_text.uncertainty_statement())
+        certificate_text.UNCERTAINTY_HEADING, typeset(certificate_text.uncertainty_statement())
     )
     yield from section_blocks(
-        certificate_text.UNITS, typeset(certificate_text.unit_statement(result.inputs.gravity))
+        certificate_text.UNITS_HEADING,
+        typeset(certificate_text.unit_statement(result.inputs.gravity)),
     )
-    yield from section_blocks(certificate_text.TRACEABILITY, settings.traceability)
-    yield from _conformity_blocks(stated, verdicts)
-    yield from section_blocks(certificate_text.REMARKS, *settings.remarks)
-    yield from section_blocks(certificate_text.SCOPE, certificate_text.scope_statement())
+    yield from section_blocks(certificate_text.TRACEABILITY_HEADING, settings.traceability)
+    yield from _conformity_blocks(certified_result, verdicts)
+    yield from section_blocks(certificate_text.REMARKS_HEADING, *settings.remarks)
+    yield from section_blocks(certificate_text.SCOPE_HEADING, certificate_text.scope_statement())
 
 
 def equipment_blocks(equipment: Sequence[Equipment]) -> Iterator[Block]:
-    """Yield a table of the equipment with its traceability; nothing without equipment."""
+    """Yield a table of the equipment with its traceability, if any."""
     if not equipment:
         return
-    yield Heading(certificate_text.EQUIPMENT)
+    yield Heading(certificate_text.EQUIPMENT_HEADING)
     rows = (
         (
-            e.name,
-            ", ".join(part for part in (e.manufacturer, e.model) if part),
-            e.serial_number or "",
-            e.quantity or "",
-            e.certificate or "",
-            e.calibrated_by or "",
-            "" if e.due is None else e.due.isoformat(),
+            item.name,
+            ", ".join(text for text in (item.manufacturer, item.model) if text),
+            item.serial_number or "",
+            item.quantity or "",
+            item.certificate or "",
+            item.calibrated_by or "",
+            "" if item.due is None else item.due.isoformat(),
         )
-        for e in equipment
+        for item in equipment
     )
     titles = (
         "Equipment",
@@ -128,98 +129,106 @@ def _budget_blocks(name: str, result: Result, symbols: Iterable[str]) -> Iterato
     budgets = result.accelerometers[name].budget
     for symbol in symbols:
         if lines := budgets.get(symbol):
-            main_lines = [line for line in lines if line.share >= certificate_text.MIN_SHARE]
-            small_lines = [line for line in lines if line.share < certificate_text.MIN_SHARE]
+            main_lines = [line for line in lines if line.share >= certificate_text.MIN_NAMED_SHARE]
+            small_lines = [line for line in lines if line.share < certificate_text.MIN_NAMED_SHARE]
             yield Heading(f"Uncertainty budget of {symbol}, {name}", 3)
             yield budget_table(name, symbol, result, main_lines, small_lines)
 
 
-def section_blocks(name: str, *lines: str) -> Iterator[Block]:
-    """Yield a section of statements with its heading; nothing if it is empty."""
+def section_blocks(heading: str, *lines: str) -> Iterator[Block]:
+    """Yield a section of statements with its heading, unless it is empty."""
     if lines:
-        yield Heading(name, 3)
+        yield Heading(heading, 3)
     yield from map(Paragraph, lines)
 
 
-def _conformity_blocks(stated: Result, verdicts: Verdicts) -> Iterator[Block]:
+def _conformity_blocks(certified_result: Result, verdicts: Verdicts) -> Iterator[Block]:
     paragraphs = list[Paragraph]()
-    for name, by_symbol in verdicts.items():
-        for symbol, judged in by_symbol.items():
-            coefficient = stated.accelerometers[name].coefficients.get(symbol)
-            word = certificate_text.verdict_sentence(symbol, name, judged, coefficient)
-            text = typeset(f"{word} {certificate_text.decision_rule(judged)}")
+    for name, conformity_by_symbol in verdicts.items():
+        for symbol, conformity in conformity_by_symbol.items():
+            coefficient = certified_result.accelerometers[name].coefficients.get(symbol)
+            sentence = certificate_text.verdict_sentence(symbol, name, conformity, coefficient)
+            text = typeset(f"{sentence} {certificate_text.decision_rule_sentence(conformity)}")
             # Keep a sign and its number on one line.
             text = text.replace("< ", "<\u00a0").replace("> ", ">\u00a0").replace("<= ", "≤\u00a0")
-            paragraphs.append(Paragraph(text, "plain" if judged.verdict == "pass" else "warning"))
+            paragraphs.append(
+                Paragraph(text, "plain" if conformity.verdict == "pass" else "warning")
+            )
     if paragraphs:
-        yield Heading(certificate_text.CONFORMITY, 3)
+        yield Heading(certificate_text.CONFORMITY_HEADING, 3)
     yield from paragraphs
 
 
-def _result_blocks(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
-    """Yield the numbers, of `stated`, and the statements about them."""
-    settings, names = lab.certificate, lab.certified(result)
+def _result_blocks(lab: Lab, result: Result, certified_result: Result) -> Iterator[Block]:
+    """Yield the numbers of `certified_result` and the statements on them."""
+    settings, names = lab.certificate, lab.certified_names(result)
     for name in names:
-        accelerometer = stated.accelerometers[name]
-        estimates = coefficients_in_si(stated, name)
+        accelerometer = certified_result.accelerometers[name]
+        estimates = coefficients_in_si(certified_result, name)
         yield typeset_block(results_table(name, accelerometer.coefficients, estimates))
         yield from map(typeset_block, _budget_blocks(name, result, estimates))
         for line in certificate_text.output_lines(accelerometer).values():
             yield Paragraph(typeset(line))
         for line in certificate_text.undetermined_lines(name, accelerometer):
             yield Paragraph(typeset(line), "warning")
-    if (triad := certified_triad(stated, names)) is not None:
-        yield from map(typeset_block, _triad_blocks(stated, triad))
+    if (triad := certified_triad(certified_result, names)) is not None:
+        yield from map(typeset_block, _triad_blocks(certified_result, triad))
     yield Paragraph(
         "The XML contains the covariances of these coefficients"
         + (
             ", including covariances between accelerometers."
-            if len(names) > 1 and stated.correlation
+            if len(names) > 1 and certified_result.correlation
             else "."
         ),
         "quiet",
     )
     yield from section_blocks(
-        certificate_text.CAPABILITY, *map(typeset, cmc_lines(result, stated, lab))
+        certificate_text.CAPABILITY_HEADING, *map(typeset, cmc_lines(result, certified_result, lab))
     )
-    owners = dict[str, list[str]]()
+    names_by_line = dict[str, list[str]]()
     for name in names:
         for line in certificate_text.assumption_lines(name, result):
-            owners.setdefault(line, []).append(name)
+            names_by_line.setdefault(line, []).append(name)
     paragraphs = [
-        Paragraph(typeset(f"{', '.join(owned_statements)}: {line}"))
-        for line, owned_statements in owners.items()
+        Paragraph(typeset(f"{', '.join(owner_names)}: {line}"))
+        for line, owner_names in names_by_line.items()
     ]
     for name in names:
         for line in result.accelerometers[name].warnings:
             warning = f"Warning: {certificate_text.replace_plus_minus(line)}"
             paragraphs.append(Paragraph(typeset(warning), "warning"))
     if paragraphs:
-        yield Heading(certificate_text.BASIS, 3)
+        yield Heading(certificate_text.BASIS_HEADING, 3)
     yield from paragraphs
     prior_statements = (
         line for name in names for line in certificate_text.prior_lines(name, result, settings)
     )
-    yield from section_blocks(certificate_text.PRIOR_KNOWLEDGE, *map(typeset, prior_statements))
     yield from section_blocks(
-        certificate_text.ASSUMED, *evidence_lines(result.assumed, lab.evidence)
+        certificate_text.PRIOR_INFORMATION_HEADING, *map(typeset, prior_statements)
     )
-    yield from section_blocks(certificate_text.DEFAULTS, *default_evidence(lab, result))
-    yield from section_blocks(certificate_text.SUPPLIED, *certificate_text.customer_lines(settings))
+    yield from section_blocks(
+        certificate_text.FIXED_TERMS_HEADING, *evidence_lines(result.assumed, lab.evidence)
+    )
+    yield from section_blocks(
+        certificate_text.DEFAULT_EVIDENCE_HEADING, *default_evidence_lines(lab, result)
+    )
+    yield from section_blocks(
+        certificate_text.CUSTOMER_DATA_HEADING, *certificate_text.customer_lines(settings)
+    )
 
 
-def _triad_blocks(stated: Result, triad: TriadResult) -> Iterator[Block]:
-    """Yield a triad's parameters with U, and its corrected output."""
+def _triad_blocks(certified_result: Result, triad: TriadResult) -> Iterator[Block]:
+    """Yield the parameters of a triad with U, and its corrected output."""
     yield Heading(triad_title(triad), 3)
     for line in triad_lines(triad):
         yield Paragraph(typeset(line))
-    yield results_table("Parameter", *displayed_parameters(stated, triad))
-    for line in output_lines(stated, triad):
+    yield results_table("Parameter", *displayed_parameters(certified_result, triad))
+    for line in triad_output_lines(certified_result, triad):
         yield Paragraph(typeset(line))
     if triad.matrix is not None and triad.u_matrix is not None:
         k = coverage_factor(matrix_dof(triad))
-        expanded = [[k * u for u in row] for row in triad.u_matrix]
-        yield output_table(triad.accelerometers, triad.matrix, expanded, k)
+        expanded_matrix = [[k * u for u in row] for row in triad.u_matrix]
+        yield matrix_table(triad.accelerometers, triad.matrix, expanded_matrix, k)
 
 
 def administrative_rows(lab: Lab, issue: Issue) -> Iterator[tuple[str, str]]:
@@ -237,14 +246,14 @@ def administrative_rows(lab: Lab, issue: Issue) -> Iterator[tuple[str, str]]:
         temperature = lab.conditions.temperature
         yield "Ambient temperature", _format_expanded(temperature.value, temperature.u, "°C")
     yield "Issued", issue.date.date().isoformat()
-    for place, person in enumerate(lab.persons):
-        signs = ", signs" if place == 0 else ""
-        yield "Responsible", f"{person.name}, {person.role}{signs}"
-    yield "Signature", _ELECTRONIC if issue.signed else _SIGNATURE_LINE
+    for index, person in enumerate(lab.persons):
+        suffix = ", signs" if index == 0 else ""
+        yield "Responsible", f"{person.name}, {person.role}{suffix}"
+    yield "Signature", _ELECTRONIC_SIGNATURE if issue.signed else _SIGNATURE_LINE
 
 
 def _method_rows(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
-    """Yield the method and the conditions, which show whether the result applies."""
+    """Yield method and conditions of the calibration."""
     inputs = result.inputs
     if lab.certificate.procedure is not None:
         yield "Procedure", lab.certificate.procedure
@@ -268,10 +277,10 @@ def _format_expanded(value: float, u: float, unit: str) -> str:
 
 
 def _format_address(contact: Contact) -> str:
-    street = " ".join(part for part in (contact.street, contact.number) if part)
-    city = " ".join(part for part in (contact.post_code, contact.city) if part)
+    street = " ".join(text for text in (contact.street, contact.number) if text)
+    city = " ".join(text for text in (contact.post_code, contact.city) if text)
     parts = (contact.name, street, city, contact.country, contact.email, contact.phone)
-    return ", ".join(part for part in parts if part)
+    return ", ".join(text for text in parts if text)
 
 
 def item_rows(lab: Lab) -> Iterator[tuple[str, str]]:
@@ -287,11 +296,15 @@ def item_rows(lab: Lab) -> Iterator[tuple[str, str]]:
 
 
 def _accelerometer_rows(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
-    for name in lab.certified(result):
-        part = lab.accelerometers.get(name, LabAccelerometer())
-        known = (part.manufacturer, part.model, lab.serial_number(name, result))
-        if any(known):
-            yield f"Accelerometer {name}", ", ".join(text for text in known if text)
+    for name in lab.certified_names(result):
+        lab_accelerometer = lab.accelerometers.get(name, LabAccelerometer())
+        identification = (
+            lab_accelerometer.manufacturer,
+            lab_accelerometer.model,
+            lab.serial_number(name, result),
+        )
+        if any(identification):
+            yield f"Accelerometer {name}", ", ".join(text for text in identification if text)
 
 
 def two_columns_table(rows: Iterable[tuple[str, str]]) -> Table:
@@ -308,17 +321,17 @@ def results_table(
     """
     rows = []
     for symbol, estimate in estimates.items():
-        in_g, k_in_g = "-", "-"
-        if (c := coefficients.get(symbol)) is not None and c.u is not None:
-            k = coverage_factor(c.dof)
-            in_g, k_in_g = certificate_text.format_in_g_units(c, k), format_decimal(k)
+        g_text, k_text = "-", "-"
+        if (coefficient := coefficients.get(symbol)) is not None and coefficient.u is not None:
+            k = coverage_factor(coefficient.dof)
+            g_text, k_text = certificate_text.format_in_g_units(coefficient, k), format_decimal(k)
         k = coverage_factor(estimate.dof)
         unit = "" if estimate.unit.plain_text == "1" else estimate.unit.plain_text
         rows.append(
             (
                 symbol,
-                in_g,
-                k_in_g,
+                g_text,
+                k_text,
                 format_estimate(estimate.value, k * estimate.u, unit),
                 format_decimal(k),
                 "infinite" if estimate.dof is None else format_count(estimate.dof),

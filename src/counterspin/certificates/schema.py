@@ -1,7 +1,7 @@
-"""Text, numbers and namespaces of a certificate's XML, and validation against the DCC schema.
+"""Text, numbers and namespaces of the XML of a certificate, and validation with the DCC schema.
 
-The files that PTB publishes import each other by URL. Here an import is resolved to the file of the
-folder that declares the namespace.
+The schema files of PTB import each other by URL. Here, an import is resolved to the local file that
+declares the namespace.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from counterspin.characters import escape_controls
 from counterspin.errors import CounterspinError, DamagedFileError, RecordError
 from counterspin.input import detect_file_type
 
-DCC: Final = "https://ptb.de/dcc"
-SI: Final = "https://ptb.de/si"
-NAMESPACES: Final = {"dcc": DCC, "si": SI}
+DCC_NAMESPACE: Final = "https://ptb.de/dcc"
+SI_NAMESPACE: Final = "https://ptb.de/si"
+NAMESPACES: Final = {"dcc": DCC_NAMESPACE, "si": SI_NAMESPACE}
 
 #: Language of the text that counterspin writes.
 ENGLISH: Final = "en"
@@ -28,9 +28,9 @@ ENGLISH: Final = "en"
 Element = Any  # lxml has no type annotations
 
 
-def clean_text(words: str) -> str:
+def clean_text(text: str) -> str:
     """Return text stripped, with control characters escaped (XML 1.0, 2.2)."""
-    return escape_controls(words).strip()
+    return escape_controls(text).strip()
 
 
 def format_exact(value: float) -> str:
@@ -43,40 +43,41 @@ def format_decimal(value: float) -> str:
     return f"{value:.4f}".rstrip("0").rstrip(".")
 
 
-_XS: Final = "{http://www.w3.org/2001/XMLSchema}"
+_XS_NAMESPACE: Final = "{http://www.w3.org/2001/XMLSchema}"
 
-#: Number of errors shown; further ones mostly follow from the first.
+#: Maximum number of reported errors; further errors are usually consequences.
 _MAX_ERRORS: Final = 5
 
 
 def check_schema(document: bytes, schema: Path, source: str) -> None:
-    """Validate a certificate."""
-    faults = load_schema(schema)
-    root = parse(document, source)
-    if faults.validate(root):
+    """Validate a certificate; RecordError if it does not conform to the schema."""
+    validator = load_schema(schema)
+    root = parse_xml(document, source)
+    if validator.validate(root):
         return
-    log = list(faults.error_log)
-    lines = [f"line {entry.line}: {_with_prefixes(entry.message)}" for entry in log[:_MAX_ERRORS]]
-    remaining_count = f"\n  and {len(log) - _MAX_ERRORS} more" if len(log) > _MAX_ERRORS else ""
+    errors = list(validator.error_log)
+    lines = [
+        f"line {error.line}: {_replace_namespaces(error.message)}" for error in errors[:_MAX_ERRORS]
+    ]
+    remainder = f"\n  and {len(errors) - _MAX_ERRORS} more" if len(errors) > _MAX_ERRORS else ""
     raise RecordError(
-        f"{source} does not conform to the schema in {schema}\n  "
-        + "\n  ".join(lines)
-        + remaining_count,
+        f"{source} does not conform to the schema in {schema}\n  " + "\n  ".join(lines) + remainder,
         code="wrong-document",
     )
 
 
-def parse(document: bytes, source: str, *, comments: bool = False) -> Any:
-    """Return the root of a document called `source`; RecordError if it is not XML.
+def parse_xml(document: bytes, source: str, *, keep_comments: bool = False) -> Any:
+    """Parse a document named `source`; RecordError if it is not XML.
 
-    Comments are removed, because a signature does not cover them: a number with a comment in it
-    reads the same whether signed or not. With `comments` they stay.
+    Comments are removed, because a signature does not cover them.
     """
     try:
-        root = etree.fromstring(document, parser(remove_comments=not comments))
+        root = etree.fromstring(document, make_parser(remove_comments=not keep_comments))
     except etree.LxmlError as error:
-        seen = "" if document.lstrip()[:1] == b"<" else detect_file_type(document) or "other text"
-        reason = f"it is {seen}" if seen else str(error)
+        file_type = (
+            "" if document.lstrip()[:1] == b"<" else detect_file_type(document) or "other text"
+        )
+        reason = f"it is {file_type}" if file_type else str(error)
         raise DamagedFileError(
             f"{source} is not XML, or it is damaged ({reason}); give the XML or PDF of a "
             "certificate"
@@ -90,96 +91,102 @@ def parse(document: bytes, source: str, *, comments: bool = False) -> Any:
     return root
 
 
-def parser(**options: Any) -> Any:
-    """Return a parser that fetches nothing and replaces no entities."""
+def make_parser(**options: Any) -> Any:
+    """Return a parser without network access and entity replacement."""
     return etree.XMLParser(no_network=True, resolve_entities=False, huge_tree=True, **options)
 
 
 def load_schema(schema: Path) -> Any:
-    """Return the schema, ready to validate; raises as `check_schema` does."""
-    main = _main_file(schema)
+    """Load a schema; CounterspinError if it is incomplete or not a schema."""
+    main_file = _find_main_file(schema)
     # The published files are in sibling folders: dcc/v3.3.0, dsi, qudt.
-    folders = [schema] if schema.is_dir() else [main.parent, main.parent.parent]
-    reader = parser()
-    reader.resolvers.add(_LocalResolver(_import_locations(folders)))
+    folders = [schema] if schema.is_dir() else [main_file.parent, main_file.parent.parent]
+    parser = make_parser()
+    parser.resolvers.add(_LocalResolver(_import_locations(folders)))
     try:
-        return etree.XMLSchema(etree.parse(str(main), reader))
+        return etree.XMLSchema(etree.parse(str(main_file), parser))
     except (etree.LxmlError, OSError) as error:
         raise CounterspinError(
-            f"{main} is not a schema, or the folder lacks files that it imports ({error}); "
+            f"{main_file} is not a schema, or the folder lacks files that it imports ({error}); "
             "download dcc.xsd, the D-SI schema, the QUDT schema and xmldsig-core-schema.xsd",
             code="wrong-document",
         ) from error
 
 
-def _main_file(schema: Path) -> Path:
+def _find_main_file(schema: Path) -> Path:
     if schema.is_file():
         return schema
     if not schema.is_dir():
         raise CounterspinError(f"{schema}: file not found", code="file-not-found")
-    schemas = [path for path in _schema_files(schema) if _target_namespace(path) == DCC]
-    if len(schemas) == 1:
-        return schemas[0]
-    description = "several DCC schemas; name one of them" if schemas else "no DCC schema (dcc.xsd)"
-    raise CounterspinError(f"{schema}: contains {description}", code="wrong-document")
+    schema_files = [
+        path for path in _schema_files(schema) if _target_namespace(path) == DCC_NAMESPACE
+    ]
+    if len(schema_files) == 1:
+        return schema_files[0]
+    problem = "several DCC schemas; name one of them" if schema_files else "no DCC schema (dcc.xsd)"
+    raise CounterspinError(f"{schema}: contains {problem}", code="wrong-document")
 
 
 class _LocalResolver(etree.Resolver):  # type: ignore[misc]  # lxml has no type annotations
-    """Resolves addresses to files of the folder; others resolve to nothing."""
+    """Resolver of URLs to local files; other URLs resolve to nothing."""
 
-    def __init__(self, places: dict[str, Path]) -> None:
-        self._places = places
+    def __init__(self, path_by_url: dict[str, Path]) -> None:
+        self._places = path_by_url
 
     def resolve(self, url: str, _public_id: str | None, context: Any) -> Any:
-        place = self._places.get(url)
-        if place is not None:
-            return self.resolve_filename(str(place), context)
+        path = self._places.get(url)
+        if path is not None:
+            return self.resolve_filename(str(path), context)
         if "://" in url and not url.startswith("file:"):
             return self.resolve_empty(context)
         return None
 
 
 def _schema_files(folder: Path) -> list[Path]:
-    # Opening a pipe of that name would block.
+    # Opening a pipe would block.
     return sorted(path for path in folder.rglob("*.xsd") if path.is_file())
 
 
 def _import_locations(folders: list[Path]) -> dict[str, Path]:
     """Return URL -> file for all imports of the schemas in the folders."""
     paths = [path for folder in folders for path in _schema_files(folder)]
-    by_space = {
-        space: path for path in reversed(paths) if (space := _target_namespace(path)) is not None
+    path_by_namespace = {
+        namespace: path
+        for path in reversed(paths)
+        if (namespace := _target_namespace(path)) is not None
     }
-    places = {}
+    path_by_url = {}
     for path in paths:
-        for location, space in _declared_imports(path):
-            if space in by_space:
-                places[location] = by_space[space]
-                places[urljoin(str(path), location)] = by_space[space]
-    return places
+        for location, namespace in _declared_imports(path):
+            if namespace in path_by_namespace:
+                path_by_url[location] = path_by_namespace[namespace]
+                path_by_url[urljoin(str(path), location)] = path_by_namespace[namespace]
+    return path_by_url
 
 
 def _target_namespace(path: Path) -> str | None:
     try:
-        space: str | None = etree.parse(str(path), parser()).getroot().get("targetNamespace")
+        namespace: str | None = (
+            etree.parse(str(path), make_parser()).getroot().get("targetNamespace")
+        )
     except (etree.LxmlError, OSError):
         return None
-    return space
+    return namespace
 
 
 def _declared_imports(path: Path) -> Iterator[tuple[str, str]]:
     try:
-        root = etree.parse(str(path), parser()).getroot()
+        root = etree.parse(str(path), make_parser()).getroot()
     except (etree.LxmlError, OSError):
         return
-    for element in root.iter(f"{_XS}import"):
-        location, space = element.get("schemaLocation"), element.get("namespace")
-        if location and space:
-            yield location, space
+    for element in root.iter(f"{_XS_NAMESPACE}import"):
+        location, namespace = element.get("schemaLocation"), element.get("namespace")
+        if location and namespace:
+            yield location, namespace
 
 
-def _with_prefixes(message: str) -> str:
-    """Return an error message with prefixes instead of namespaces."""
-    for prefix, space in NAMESPACES.items():
-        message = message.replace(f"{{{space}}}", f"{prefix}:")
+def _replace_namespaces(message: str) -> str:
+    """Replace namespaces by prefixes in an error message."""
+    for prefix, namespace in NAMESPACES.items():
+        message = message.replace(f"{{{namespace}}}", f"{prefix}:")
     return re.sub(r"\s+", " ", message)

@@ -1,6 +1,6 @@
-"""Electronic signatures of a certificate: XML signature, and PAdES signature of its pages.
+"""Electronic signatures of a certificate: XML signature, and PAdES signature of the pages.
 
-The pages' signature is an incremental update: existing bytes, the conformance with PDF/A-3 and the
+The signature of the pages is an incremental update: existing bytes, PDF/A-3 conformance and
 attachments do not change.
 """
 
@@ -15,8 +15,8 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from counterspin.certificates.schema import NAMESPACES, Element, parse
-from counterspin.certificates.signers import KeyMaterial, Signer, certificates_in
+from counterspin.certificates.schema import NAMESPACES, Element, parse_xml
+from counterspin.certificates.signers import KeyMaterial, Signer, read_certificates
 from counterspin.errors import (
     MAX_REASON_LENGTH,
     MissingPackageError,
@@ -25,10 +25,10 @@ from counterspin.errors import (
 )
 from counterspin.frozen import frozen
 
-_NAMESPACE: Final = "{http://www.w3.org/2000/09/xmldsig#}"
-_SIGNATURE: Final = f"{_NAMESPACE}Signature"
+_XMLDSIG_NAMESPACE: Final = "{http://www.w3.org/2000/09/xmldsig#}"
+_SIGNATURE_TAG: Final = f"{_XMLDSIG_NAMESPACE}Signature"
 #: Certificate of the signer in the document.
-_STATED_CERTIFICATE: Final = f"{_SIGNATURE}//{_NAMESPACE}X509Certificate"
+_CERTIFICATE_PATH: Final = f"{_SIGNATURE_TAG}//{_XMLDSIG_NAMESPACE}X509Certificate"
 
 _SIGNXML_MISSING: Final = (
     "signatures require the package signxml, which is not installed: "
@@ -40,50 +40,49 @@ _SIGNXML_MISSING: Final = (
 class SignatureCheck:
     """Content signed by the expected signer."""
 
-    content: bytes  #: The signed part of the document: everything but the signature.
-    #: The day on which the signer's certificate expired, after the day of issue; None: it is valid.
-    expired: date | None
+    content: bytes  #: Signed part of the document: everything except the signature.
+    #: Day on which the signer certificate expired, after the day of issue; None: valid.
+    expiry_date: date | None
 
 
-def sign(root: Element, signer: Signer) -> Element:
-    """Return the certificate with its signature as the last element."""
-    signxml = _signxml()
-    signing = signxml.XMLSigner(
+def sign_document(root: Element, signer: Signer) -> Element:
+    """Sign a certificate; the signature is the last element."""
+    signxml = _import_signxml()
+    xml_signer = signxml.XMLSigner(
         signature_algorithm="rsa-sha256" if signer.uses_rsa else "ecdsa-sha256"
     )
-    return signing.sign(root, key=_SigningKey(signer), cert=list(signer.certificates))
+    return xml_signer.sign(root, key=_SigningKey(signer), cert=list(signer.certificates))
 
 
 class _SigningKey:
-    """A signer as the private key that signxml needs."""
+    """Adapter of a signer to the private-key interface of signxml."""
 
     def __init__(self, signer: Signer) -> None:
         self._signer = signer
         self.key_size = signer.public_key.key_size
 
     def sign(self, data: bytes, **_: Any) -> bytes:
-        """Return the signature of bytes with the scheme that `sign` names."""
+        """Return the signature of bytes."""
         return self._signer.sign(data)
 
 
 def verify(document: bytes, certificate: Path | KeyMaterial, source: str) -> SignatureCheck:
-    """Check that the expected signer signed a certificate, and that it has not changed since.
+    """Verify that the expected signer signed a certificate and that it was not changed.
 
-    A signer's certificate that has expired counts if it was valid on the day of issue, as the
-    signed document states it.
+    An expired signer certificate is accepted if it was valid on the signed day of issue.
 
-    certificate: X.509 certificate of the signer, PEM, from another source: the one in the document
-        itself proves nothing.
+    certificate: X.509 certificate of the signer, PEM, from a trusted source; the certificate in the
+        document is not evidence.
     """
-    _signxml()
+    _import_signxml()
     from signxml.exceptions import InvalidDigest
 
-    trusted = certificates_in(KeyMaterial.read(certificate))[0]
-    root = parse(document, source, comments=True)  # the signature may cover the comments
-    if root.find(_SIGNATURE) is None:
+    signer_certificate = read_certificates(KeyMaterial.read(certificate))[0]
+    root = parse_xml(document, source, keep_comments=True)  # the signature may cover the comments
+    if root.find(_SIGNATURE_TAG) is None:
         raise RecordError(f"{source} is not signed", code="invalid-signature")
     try:
-        verified = _signed_part(root, trusted.public_key())
+        verification = _verify_with_key(root, signer_certificate.public_key())
     except InvalidDigest as error:
         raise RecordError(
             f"{source}: the signature is not valid, because the document was changed after the "
@@ -95,30 +94,33 @@ def verify(document: bytes, certificate: Path | KeyMaterial, source: str) -> Sig
             f"{source}: the signature is not valid: {_describe_signer(root, certificate)}",
             code="invalid-signature",
         ) from error
-    covered: Any = verified.signed_xml
-    if covered is None or covered.tag != root.tag:
+    signed_root: Any = verification.signed_xml
+    if signed_root is None or signed_root.tag != root.tag:
         raise RecordError(
             f"{source}: the signature does not cover the whole document", code="invalid-signature"
         )
     return SignatureCheck(
-        bytes(verified.signed_data), _expiry(trusted, _issue_date(covered), certificate, source)
+        bytes(verification.signed_data),
+        _expiry_date(signer_certificate, _read_issue_date(signed_root), certificate, source),
     )
 
 
 def is_signed(document: bytes, source: str) -> bool:
     """Return whether a certificate has a signature; RecordError if it is not XML."""
-    return parse(document, source).find(_SIGNATURE) is not None
+    return parse_xml(document, source).find(_SIGNATURE_TAG) is not None
 
 
-def _signed_part(root: Any, key: Any) -> Any:
-    """Return the part of a document that a key has signed; raises as signxml if there is none."""
-    signxml = _signxml()
+def _verify_with_key(root: Any, key: Any) -> Any:
+    """Verify a document with a key; return the result of signxml, or raise its errors."""
+    signxml = _import_signxml()
     # signxml accepts only certificates that are valid today. The validity of the signer's
-    # certificate is checked separately, so signxml gets the key in a temporary certificate.
-    wrapper = _make_current_certificate(key)
+    # certificate is checked separately, so the key is passed in a temporary certificate.
+    current_certificate = _make_current_certificate(key)
     # The location matters: a signature deeper in the document could cover other content.
-    expected = signxml.SignatureConfiguration(location="./", expect_references=1)
-    return signxml.XMLVerifier().verify(root, x509_cert=wrapper, expect_config=expected)
+    configuration = signxml.SignatureConfiguration(location="./", expect_references=1)
+    return signxml.XMLVerifier().verify(
+        root, x509_cert=current_certificate, expect_config=configuration
+    )
 
 
 def _make_current_certificate(key: Any) -> Any:
@@ -141,29 +143,29 @@ def _make_current_certificate(key: Any) -> Any:
 
 
 def _describe_signer(root: Any, certificate: Path | KeyMaterial) -> str:
-    """Describe the signer of a signature that is not the expected signer's."""
+    """Describe the signer of a document that the expected signer did not sign."""
     from cryptography.x509 import load_der_x509_certificate
     from signxml.exceptions import InvalidDigest
 
     try:
-        stated = load_der_x509_certificate(b64decode(root.findtext(_STATED_CERTIFICATE)))
+        stated_certificate = load_der_x509_certificate(b64decode(root.findtext(_CERTIFICATE_PATH)))
     except (TypeError, ValueError):
         return (
             f"the document was changed, or the holder of {certificate} did not sign it; the "
             "document does not name a signer"
         )
     try:
-        _signed_part(root, stated.public_key())
+        _verify_with_key(root, stated_certificate.public_key())
     except InvalidDigest:
         pass  # the document was changed after the other signer had signed it
     except Exception:  # any error of signxml and cryptography
         return "the signature itself was changed"
-    subject = stated.subject.rfc4514_string()[:MAX_REASON_LENGTH]
+    subject = stated_certificate.subject.rfc4514_string()[:MAX_REASON_LENGTH]
     return f"the signer is {subject}, not the holder of {certificate}"
 
 
-def _issue_date(root: Any) -> date | None:
-    """Return the day of issue that a certificate states."""
+def _read_issue_date(root: Any) -> date | None:
+    """Return the day of issue in a certificate; None without one."""
     text = root.findtext(".//dcc:coreData/dcc:issueDate", namespaces=NAMESPACES)
     try:
         return date.fromisoformat((text or "").strip())
@@ -171,32 +173,38 @@ def _issue_date(root: Any) -> date | None:
         return None
 
 
-def _expiry(
-    trusted: Any, issued: date | None, certificate: Path | KeyMaterial, source: str
+def _expiry_date(
+    signer_certificate: Any, issue_date: date | None, certificate: Path | KeyMaterial, source: str
 ) -> date | None:
-    """Return the expiry day of the signer's certificate, None if valid; raise if never valid."""
+    """Return the expiry day of the signer certificate; None if it is valid today.
+
+    RecordError if the certificate is not yet valid or was not valid on the day of issue.
+    """
     now = datetime.now(UTC)
-    begin, end = trusted.not_valid_before_utc, trusted.not_valid_after_utc
-    if begin > now:
+    valid_from, valid_until = (
+        signer_certificate.not_valid_before_utc,
+        signer_certificate.not_valid_after_utc,
+    )
+    if valid_from > now:
         raise RecordError(
-            f"{source}: {certificate} is valid only from {begin:%Y-%m-%d}; check the clock",
+            f"{source}: {certificate} is valid only from {valid_from:%Y-%m-%d}; check the clock",
             code="certificate-expired",
         )
-    if now <= end:
+    if now <= valid_until:
         return None
-    if issued is None or not begin.date() <= issued <= end.date():
-        day = "no day of issue" if issued is None else f"the day of issue {issued}"
+    if issue_date is None or not valid_from.date() <= issue_date <= valid_until.date():
+        day_text = "no day of issue" if issue_date is None else f"the day of issue {issue_date}"
         raise RecordError(
-            f"{source}: {certificate} was valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, but "
-            f"the document states {day}, so there is no evidence that the document was signed "
-            "within this period",
+            f"{source}: {certificate} was valid from {valid_from:%Y-%m-%d} to "
+            f"{valid_until:%Y-%m-%d}, but the document states {day_text}, so there is no evidence "
+            "that the document was signed within this period",
             code="certificate-expired",
         )
-    last_day: date = end.date()
+    last_day: date = valid_until.date()
     return last_day
 
 
-def _signxml() -> Any:
+def _import_signxml() -> Any:
     try:
         import signxml
     except ImportError as error:
@@ -204,21 +212,21 @@ def _signxml() -> Any:
     return signxml
 
 
-#: State of a PDF's signature: absent; valid; pages changed since; of another signer, or damaged.
+#: State of the signature of a PDF: absent; valid; pages changed; another signer, or damaged.
 PdfSignatureStatus = Literal["none", "valid", "changed", "invalid"]
 
-_FIELD: Final = "Signature"
-_REASON: Final = "Electronic signature of this certificate"
-_MISSING: Final = (
+_FIELD_NAME: Final = "Signature"
+_FIELD_LABEL: Final = "Electronic signature of this certificate"
+_PYHANKO_MISSING: Final = (
     "signing a PDF requires the package pyHanko, which is not installed: "
     f"{install_command('signature')}"
 )
 
 
 def sign_pages(pages: bytes, signer: Signer, date: datetime) -> bytes:
-    """Return a PDF with its signature, which allows no change after it.
+    """Sign a PDF; the signature permits no later changes.
 
-    date: Time of signing that the signature states.
+    date: Time of signing in the signature.
     """
     _require_pyhanko()
     from pyhanko.pdf_utils.generic import ArrayObject, ByteStringObject
@@ -232,56 +240,56 @@ def sign_pages(pages: bytes, signer: Signer, date: datetime) -> bytes:
     )
     from pyhanko.sign.signers.pdf_byterange import SignatureObject
 
-    class Addition(IncrementalPdfFileWriter):  # type: ignore[misc, unused-ignore]
-        """An incremental update that keeps the file's identifier and metadata."""
+    class IncrementalUpdate(IncrementalPdfFileWriter):  # type: ignore[misc, unused-ignore]
+        """An incremental update that keeps identifier and metadata of the file."""
 
         @classmethod
         def _handle_id(cls, prev: Any) -> Any:
-            # No random bytes: the same certificate gives the same file.
+            # Without random bytes, the same certificate gives the same file.
             first = prev.trailer["/ID"][0].original_bytes
-            return ArrayObject([ByteStringObject(first), ByteStringObject(_digest(pages)[:16])])
+            return ArrayObject([ByteStringObject(first), ByteStringObject(_sha256(pages)[:16])])
 
         def _update_meta(self) -> None:
             # Metadata rewritten by pyHanko would not conform to PDF/A.
             pass
 
-    # An object begins on a line of its own (PDF/A-3, 6.1.9).
-    pdf_writer = io.BytesIO(pages if pages.endswith(b"\n") else pages + b"\n")
-    max_size = replace(signer, sign=lambda _: bytes(_max_signature_size(signer)))
-    reserved_size = len(_run_coroutine(_sign_digest(max_size, bytes(32))))
-    field = SigFieldSpec(_FIELD, readable_field_name=_REASON)
-    embedding = PdfCMSEmbedder(field).write_cms(_FIELD, Addition(pdf_writer))
-    next(embedding)
+    # An object begins on a new line (PDF/A-3, 6.1.9).
+    pdf_buffer = io.BytesIO(pages if pages.endswith(b"\n") else pages + b"\n")
+    sizing_signer = replace(signer, sign=lambda _: bytes(_max_signature_size(signer)))
+    reserved_size = len(_run_coroutine(_sign_digest(sizing_signer, bytes(32))))
+    field_spec = SigFieldSpec(_FIELD_NAME, readable_field_name=_FIELD_LABEL)
+    embedder = PdfCMSEmbedder(field_spec).write_cms(_FIELD_NAME, IncrementalUpdate(pdf_buffer))
+    next(embedder)
     placeholder = SignatureObject(
         timestamp=date,
         subfilter=SigSeedSubFilter.PADES,
         bytes_reserved=2 * reserved_size,
     )
     permissions = SigMDPSetup("sha256", certify=True, docmdp_perms=MDPPerm.NO_CHANGES)
-    embedding.send(SigObjSetup(sig_placeholder=placeholder, mdp_setup=permissions))
-    prepared, output = embedding.send(SigIOSetup(md_algorithm="sha256"))
-    embedding.send(_run_coroutine(_sign_digest(signer, prepared.document_digest)))
-    placeholder_pdf: bytes = output.getvalue()
-    return placeholder_pdf
+    embedder.send(SigObjSetup(sig_placeholder=placeholder, mdp_setup=permissions))
+    prepared_digest, output = embedder.send(SigIOSetup(md_algorithm="sha256"))
+    embedder.send(_run_coroutine(_sign_digest(signer, prepared_digest.document_digest)))
+    signed_pdf: bytes = output.getvalue()
+    return signed_pdf
 
 
 def _max_signature_size(signer: Signer) -> int:
-    """Return the largest number of bytes of a signature; signatures by elliptic curves vary."""
+    """Return the maximum number of bytes of a signature; the length of ECDSA varies."""
     from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 
-    size: int = signer.public_key.key_size
-    max_integer = (1 << size) - 1
-    return size // 8 if signer.uses_rsa else len(encode_dss_signature(max_integer, max_integer))
+    key_bits: int = signer.public_key.key_size
+    max_integer = (1 << key_bits) - 1
+    return key_bits // 8 if signer.uses_rsa else len(encode_dss_signature(max_integer, max_integer))
 
 
 async def _sign_digest(signer: Signer, digest: bytes) -> bytes:
-    """Return the signature of a digest with the certificates of its signer (CMS, CAdES)."""
+    """Return the CMS signature (CAdES) of a digest with the certificates of the signer."""
     from asn1crypto.x509 import Certificate
     from cryptography.hazmat.primitives.serialization import Encoding
     from pyhanko.sign.signers.pdf_cms import Signer as CmsSigner
     from pyhanko_certvalidator.registry import SimpleCertificateStore
 
-    class OfDigests(CmsSigner):  # type: ignore[misc, unused-ignore]
+    class DigestSigner(CmsSigner):  # type: ignore[misc, unused-ignore]
         async def async_sign_raw(
             self,
             data: bytes,
@@ -297,30 +305,30 @@ async def _sign_digest(signer: Signer, digest: bytes) -> bytes:
     )
     store: Any = SimpleCertificateStore()  # type: ignore[no-untyped-call, unused-ignore]
     store.register_multiple(chain)
-    cms = await OfDigests(signing_cert=signing_certificate, cert_registry=store).async_sign(
+    cms = await DigestSigner(signing_cert=signing_certificate, cert_registry=store).async_sign(
         digest, "sha256", use_pades=True
     )
     content: bytes = cms.dump()
     return content
 
 
-def _run_coroutine(work: Coroutine[Any, Any, bytes]) -> bytes:
-    """Return a coroutine's result.
+def _run_coroutine(coroutine: Coroutine[Any, Any, bytes]) -> bytes:
+    """Run a coroutine and return its result.
 
-    It runs in a thread if an event loop is active, as in a notebook.
+    A thread is used because an event loop may be active, as in a notebook.
     """
     import asyncio
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor(1) as pool:
-        return pool.submit(asyncio.run, work).result()
+        return pool.submit(asyncio.run, coroutine).result()
 
 
-def verify_pdf_signature(document: bytes, public: bytes) -> PdfSignatureStatus:
-    """Return the state of the signature of a PDF's pages.
+def verify_pdf_signature(document: bytes, signer_certificate: bytes) -> PdfSignatureStatus:
+    """Verify the signature of the pages of a PDF; return its state.
 
-    public: X.509 certificate of the expected signer, DER. Its validity at the time of signing is
-        not checked.
+    signer_certificate: X.509 certificate of the expected signer, DER. Its validity at the time of
+        signing is not checked.
     """
     _require_pyhanko()
     from asn1crypto.x509 import Certificate
@@ -335,22 +343,25 @@ def verify_pdf_signature(document: bytes, public: bytes) -> PdfSignatureStatus:
         # A signature field exists but cannot be parsed.
         return "invalid" if any(enumerate_sig_fields(reader, filled_status=True)) else "none"
     # The last signature covers all earlier content; content after it is unsigned.
-    last = signatures[-1]
-    last.compute_integrity_info(skip_diff=True)
-    covers_file = last.coverage == SignatureCoverageLevel.ENTIRE_FILE
+    last_signature = signatures[-1]
+    last_signature.compute_integrity_info(skip_diff=True)
+    covers_whole_file = last_signature.coverage == SignatureCoverageLevel.ENTIRE_FILE
     # Compare keys, as for the XML: the certificate may have been renewed.
-    signer, expected = last.signer_cert, Certificate.load(public)
-    if signer.public_key.dump() != expected.public_key.dump():
-        return "invalid"
-    unchanged, valid = validate_sig_integrity(
-        last.signer_info, signer, "data", last.compute_digest()
+    actual_certificate, expected_certificate = (
+        last_signature.signer_cert,
+        Certificate.load(signer_certificate),
     )
-    if not valid:
+    if actual_certificate.public_key.dump() != expected_certificate.public_key.dump():
         return "invalid"
-    return "valid" if unchanged and covers_file else "changed"
+    is_unchanged, is_valid = validate_sig_integrity(
+        last_signature.signer_info, actual_certificate, "data", last_signature.compute_digest()
+    )
+    if not is_valid:
+        return "invalid"
+    return "valid" if is_unchanged and covers_whole_file else "changed"
 
 
-def _digest(data: bytes) -> bytes:
+def _sha256(data: bytes) -> bytes:
     return sha256(data).digest()
 
 
@@ -358,4 +369,4 @@ def _require_pyhanko() -> None:
     try:
         import pyhanko.sign  # noqa: F401
     except ImportError as error:
-        raise MissingPackageError(_MISSING) from error
+        raise MissingPackageError(_PYHANKO_MISSING) from error

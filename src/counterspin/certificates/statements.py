@@ -1,4 +1,4 @@
-"""Statements of a certificate, with their machine-readable attributes."""
+"""Statements of a certificate with machine-readable attributes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Final
 from counterspin.calibration.result import Result
 from counterspin.certificates import certificate_text
 from counterspin.certificates.amendment import AmendedCertificate, amendment_lines
-from counterspin.certificates.completeness import default_evidence
+from counterspin.certificates.completeness import default_evidence_lines
 from counterspin.certificates.conversion import (
     certified_triad,
     cmc_lines,
@@ -25,133 +25,164 @@ from counterspin.inference.verdicts import Conformity
 
 Verdicts = Mapping[str, Mapping[str, Conformity]]
 
-_GUM: Final = ("JCGM 100:2008", "JCGM 102:2011")
-_QUALITY: Final = ("ISO/IEC 17025:2017",)
+_GUM_DOCUMENTS: Final = ("JCGM 100:2008", "JCGM 102:2011")
+_QUALITY_STANDARDS: Final = ("ISO/IEC 17025:2017",)
 
 
 @frozen
 class Issue:
-    """Identifier and date of a certificate."""
+    """Identifier, date and state of a certificate."""
 
     identifier: str  #: Unique identifier.
     date: datetime.datetime  #: Date of issue, UTC.
     signed: bool = False  #: Whether an electronic signature follows.
-    #: Whether data are missing, so that nothing is certified.
-    draft: bool = False
-    amended: AmendedCertificate | None = None  #: The certificate that this one replaces.
-    #: Reason for certifying a result whose file has no seal; None if it has one.
+    draft: bool = False  #: Whether required data are missing.
+    amended: AmendedCertificate | None = None  #: Certificate that is replaced.
+    #: Reason for certifying a result file without a seal; None for a sealed file.
     accepted_unsealed: str | None = None
-    logo: bytes | None = None  #: The laboratory's, PNG or SVG.
+    logo: bytes | None = None  #: Logo of the laboratory, PNG or SVG.
 
-    def file_name(self, ending: str) -> str:
-        """Return a file name made of the identifier; a slash in it would name a folder."""
-        return re.sub(r"[^\w.-]+", "_", self.identifier) + ending
+    def file_name(self, suffix: str) -> str:
+        """Return a file name made from the identifier, without characters such as slashes."""
+        return re.sub(r"[^\w.-]+", "_", self.identifier) + suffix
 
 
 @frozen
 class Statement:
-    """A statement, with its machine-readable attributes (``dcc:statement``)."""
+    """A statement with machine-readable attributes (``dcc:statement``)."""
 
     name: str
-    lines: Sequence[str]  #: Paragraphs; a statement without any is omitted.
-    norms: Sequence[str] = ()  #: Standards that it follows.
+    lines: Sequence[str]  #: Paragraphs; a statement without paragraphs is omitted.
+    standards: Sequence[str] = ()  #: Standards that apply.
     language: str = ENGLISH
-    ref: str | None = None  #: Id of the element that it concerns.
-    kind: str | None = None  #: ``refType`` of the DCC.
+    subject_id: str | None = None  #: Id of the element that is the subject.
+    ref_type: str | None = None  #: ``refType`` of the DCC.
     traceable: bool = False
-    non_si: str | None = None  #: Definition of the unit g.
+    non_si_definition: str | None = None  #: Definition of the unit g.
     conformity: str | None = None  #: DCC keyword, such as ``pass`` or ``fail``.
-    valid: bool = True  #: False: what the statement concerns is not valid.
+    valid: bool = True  #: False: the subject of the statement is not valid.
 
 
-def item_id(lab: Lab, result: Result, name: str) -> str:
-    """Return the id of an accelerometer's item."""
-    return f"item-{lab.certified(result).index(name) + 1}"
+def accelerometer_item_id(lab: Lab, result: Result, name: str) -> str:
+    """Return the id of the item of an accelerometer."""
+    return f"item-{lab.certified_names(result).index(name) + 1}"
 
 
-def statements(
-    lab: Lab, result: Result, stated: Result, issue: Issue, verdicts: Verdicts
+def certificate_statements(
+    lab: Lab, result: Result, certified_result: Result, issue: Issue, verdicts: Verdicts
 ) -> list[Statement]:
-    """Return the statements in the order of reading.
+    """Return the statements in reading order.
 
-    stated: The result with the uncertainties that the laboratory may claim.
+    certified_result: Result after `conversion.apply_cmc_floor`.
     """
-    candidates = [
-        *_certificate_statements(lab, stated, issue),
-        *_value_statements(lab, result, stated),
-        *_conformity_statements(lab, stated, verdicts),
-        Statement(certificate_text.SCOPE, [certificate_text.scope_statement()], _QUALITY),
+    all_statements = [
+        *_document_statements(lab, certified_result, issue),
+        *_value_statements(lab, result, certified_result),
+        *_conformity_statements(lab, certified_result, verdicts),
         Statement(
-            certificate_text.REMARKS, lab.certificate.remarks, language=lab.certificate.language
+            certificate_text.SCOPE_HEADING, [certificate_text.scope_statement()], _QUALITY_STANDARDS
+        ),
+        Statement(
+            certificate_text.REMARKS_HEADING,
+            lab.certificate.remarks,
+            language=lab.certificate.language,
         ),
     ]
-    return [statement for statement in candidates if statement.lines]
+    return [statement for statement in all_statements if statement.lines]
 
 
-def _certificate_statements(lab: Lab, stated: Result, issue: Issue) -> Iterator[Statement]:
+def _document_statements(lab: Lab, certified_result: Result, issue: Issue) -> Iterator[Statement]:
     settings = lab.certificate
-    yield Statement("Draft", [certificate_text.DRAFT] if issue.draft else [], valid=False)
-    yield Statement("Amendment", amendment_lines(issue.amended), _QUALITY)
-    misfit = certificate_text.misfit_lines(stated, lab.certified(stated))
-    yield Statement("Accepted misfit", misfit)
-    yield Statement("Result file", certificate_text.seal_lines(stated, issue.accepted_unsealed))
+    yield Statement("Draft", [certificate_text.DRAFT_STATEMENT] if issue.draft else [], valid=False)
+    yield Statement("Amendment", amendment_lines(issue.amended), _QUALITY_STANDARDS)
+    misfit_lines = certificate_text.misfit_lines(
+        certified_result, lab.certified_names(certified_result)
+    )
+    yield Statement("Accepted misfit", misfit_lines)
     yield Statement(
-        certificate_text.TRACEABILITY,
+        "Result file", certificate_text.seal_lines(certified_result, issue.accepted_unsealed)
+    )
+    yield Statement(
+        certificate_text.TRACEABILITY_HEADING,
         [settings.traceability],
         language=settings.language,
         traceable=True,
     )
 
 
-def _value_statements(lab: Lab, result: Result, stated: Result) -> Iterator[Statement]:
-    settings, names, g = lab.certificate, lab.certified(result), stated.inputs.gravity
-    kind = "basic_methodMeasurementUncertainty"
-    yield Statement(
-        certificate_text.UNCERTAINTY, [certificate_text.uncertainty_statement()], _GUM, kind=kind
+def _value_statements(lab: Lab, result: Result, certified_result: Result) -> Iterator[Statement]:
+    settings, names, gravity = (
+        lab.certificate,
+        lab.certified_names(result),
+        certified_result.inputs.gravity,
     )
-    one_g = f"1 g = {g!r} m/s^2, the local gravity at the site"
-    yield Statement(certificate_text.UNITS, [certificate_text.unit_statement(g)], non_si=one_g)
-    cmc_sentences = cmc_lines(result, stated, lab)
-    yield Statement(certificate_text.CAPABILITY, cmc_sentences, ("ILAC-P14:09/2020",))
+    uncertainty_type = "basic_methodMeasurementUncertainty"
+    yield Statement(
+        certificate_text.UNCERTAINTY_HEADING,
+        [certificate_text.uncertainty_statement()],
+        _GUM_DOCUMENTS,
+        ref_type=uncertainty_type,
+    )
+    g_definition = f"1 g = {gravity!r} m/s^2, the local gravity at the site"
+    yield Statement(
+        certificate_text.UNITS_HEADING,
+        [certificate_text.unit_statement(gravity)],
+        non_si_definition=g_definition,
+    )
+    cmc_sentences = cmc_lines(result, certified_result, lab)
+    yield Statement(certificate_text.CAPABILITY_HEADING, cmc_sentences, ("ILAC-P14:09/2020",))
     prior_sentences = [
-        line for n in names for line in certificate_text.prior_lines(n, stated, settings)
+        line
+        for name in names
+        for line in certificate_text.prior_lines(name, certified_result, settings)
     ]
-    yield Statement(certificate_text.PRIOR_KNOWLEDGE, prior_sentences)
-    evidence = [*evidence_lines(stated.assumed, lab.evidence)]
-    yield Statement(certificate_text.ASSUMED, evidence, language=settings.language)
-    bounds = default_evidence(lab, stated)
-    yield Statement(certificate_text.DEFAULTS, bounds, language=settings.language)
-    supplied = certificate_text.customer_lines(settings)
-    yield Statement(certificate_text.SUPPLIED, supplied, _QUALITY, settings.language)
+    yield Statement(certificate_text.PRIOR_INFORMATION_HEADING, prior_sentences)
+    evidence = [*evidence_lines(certified_result.assumed, lab.evidence)]
+    yield Statement(certificate_text.FIXED_TERMS_HEADING, evidence, language=settings.language)
+    evidence_for_defaults = default_evidence_lines(lab, certified_result)
+    yield Statement(
+        certificate_text.DEFAULT_EVIDENCE_HEADING, evidence_for_defaults, language=settings.language
+    )
+    customer_lines = certificate_text.customer_lines(settings)
+    yield Statement(
+        certificate_text.CUSTOMER_DATA_HEADING,
+        customer_lines,
+        _QUALITY_STANDARDS,
+        settings.language,
+    )
     for name in names:
-        lines = certificate_text.undetermined_lines(name, stated.accelerometers[name])
+        lines = certificate_text.undetermined_lines(name, certified_result.accelerometers[name])
         yield Statement(
             f"Undetermined coefficients of accelerometer {name}",
             lines,
-            ref=item_id(lab, stated, name),
+            subject_id=accelerometer_item_id(lab, certified_result, name),
         )
-    if (triad := certified_triad(stated, names)) is not None:
+    if (triad := certified_triad(certified_result, names)) is not None:
         yield Statement(triad_title(triad), triad_lines(triad))
     for name in names:
-        lines = certificate_text.assumption_lines(name, stated)
-        subject = f"{certificate_text.BASIS}, accelerometer {name}"
-        yield Statement(subject, lines, ref=item_id(lab, stated, name))
+        lines = certificate_text.assumption_lines(name, certified_result)
+        heading = f"{certificate_text.BASIS_HEADING}, accelerometer {name}"
+        yield Statement(
+            heading, lines, subject_id=accelerometer_item_id(lab, certified_result, name)
+        )
 
 
-def _conformity_statements(lab: Lab, stated: Result, verdicts: Verdicts) -> Iterator[Statement]:
-    for name, by_symbol in verdicts.items():
-        for symbol, judged in by_symbol.items():
-            c = stated.accelerometers[name].coefficients.get(symbol)
-            item = item_id(lab, stated, name)
+def _conformity_statements(
+    lab: Lab, certified_result: Result, verdicts: Verdicts
+) -> Iterator[Statement]:
+    for name, conformity_by_symbol in verdicts.items():
+        for symbol, conformity in conformity_by_symbol.items():
+            coefficient = certified_result.accelerometers[name].coefficients.get(symbol)
+            item_id = accelerometer_item_id(lab, certified_result, name)
             yield Statement(
-                f"{certificate_text.CONFORMITY}, {symbol} of {name}",
+                f"{certificate_text.CONFORMITY_HEADING}, {symbol} of {name}",
                 [
-                    certificate_text.verdict_sentence(symbol, name, judged, c),
-                    certificate_text.decision_rule(judged),
+                    certificate_text.verdict_sentence(symbol, name, conformity, coefficient),
+                    certificate_text.decision_rule_sentence(conformity),
                 ],
                 ("JCGM 106:2012",),
-                ref=f"{item}.{symbol}"
-                if c is not None and certificate_text.is_determined(c)
-                else item,
-                conformity=certificate_text.dcc_verdict(judged, c),
+                subject_id=f"{item_id}.{symbol}"
+                if coefficient is not None and certificate_text.is_determined(coefficient)
+                else item_id,
+                conformity=certificate_text.dcc_verdict(conformity, coefficient),
             )

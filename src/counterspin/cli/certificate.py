@@ -194,10 +194,10 @@ def certificate(
         checked = check_certificate(
             verify,
             schema=signing_options.schema,
-            cert=signing_options.cert,
-            amends=issue_options.amends,
+            signer_certificate=signing_options.cert,
+            amended_path=issue_options.amends,
         )
-        report_console().print(Report(list(certificate_blocks(checked.certified))))
+        report_console().print(Report(list(certificate_blocks(checked.numbers))))
         signature_statements = {
             "none": "The document is not signed.",
             "unchecked": "The document is signed, but the signature was not checked. To check "
@@ -205,12 +205,12 @@ def certificate(
             "valid": "The signature is valid.",
         }
         print_output("", signature_statements[checked.signature])
-        if checked.expired is not None:
+        if checked.expiry_date is not None:
             print_output(
-                f"The signer's certificate expired on {checked.expired}; it was valid on the day "
-                "of issue stated in the document."
+                f"The signer's certificate expired on {checked.expiry_date}; it was valid on the "
+                "day of issue stated in the document."
             )
-        if (replaced_identifier := checked.certified.amends) is not None:
+        if (replaced_identifier := checked.numbers.amended_identifier) is not None:
             checksum_statement = (
                 ", whose checksum is correct" if issue_options.amends is not None else ""
             )
@@ -219,7 +219,7 @@ def certificate(
                 f"{checksum_statement}."
             )
         if verify.suffix.lower() == ".pdf":
-            print_output(_PAGE_STATEMENTS[checked.pages])
+            print_output(_PAGE_STATEMENTS[checked.page_signature])
         return
     if result is None or lab is None or output is None:
         raise UsageError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])
