@@ -27,6 +27,7 @@ from counterspin.calibration.result_parts import (
     Correlation,
     Knowledge,
     NominalOutput,
+    ReadingResult,
 )
 from counterspin.correction.apply import ApplyOptions, apply
 from counterspin.correction.apply_file import apply_file
@@ -538,6 +539,15 @@ def test_force_beyond_calibrated_range_is_reported():
     assert apply(result, "Qx", [10.0, -10.1]).warnings == ()
     (warning,) = apply(result, "Qx", [40.0, math.nan]).warnings
     assert "reaches 40 g, but the calibration reached only 10.1 g" in warning
+
+
+def test_readings_extend_calibrated_range():
+    result = make_result(rate=2 * math.pi)
+    reading = ReadingResult(
+        name="arm", motion="arm", rate=14.0, value=-40.0, u=1e-6, residual=0.0, z=0.0
+    )
+    result.accelerometers["Qx"].readings.append(reading)
+    assert apply(result, "Qx", [40.0]).warnings == ()
 
 
 def test_results_of_earlier_versions_have_no_axes():

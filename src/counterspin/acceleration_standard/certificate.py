@@ -217,8 +217,8 @@ def _uncertainty_lines(result: AppliedAcceleration) -> list[str]:
         )
     if defaults:
         lines.append(
-            f"No uncertainty was stated for {', '.join(defaults)}, so the default standard "
-            "uncertainty was used."
+            "The budgets contain the default standard uncertainty of each source without a stated "
+            f"uncertainty: {', '.join(defaults)}."
         )
     return lines
 

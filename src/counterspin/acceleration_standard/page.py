@@ -48,8 +48,8 @@ def applied_blocks(result: AppliedAcceleration) -> Iterator[Block]:
     if defaults:
         named = ", ".join(source.symbol for source in defaults)
         yield Paragraph(
-            f"No uncertainty was stated for {named}, so the default standard uncertainty of "
-            "the term was used.",
+            "The budgets contain the default standard uncertainty of each source without a stated "
+            f"uncertainty: {named}.",
             "warning",
         )
     yield Paragraph(

@@ -25,16 +25,16 @@ class SigningOptions:
     Parameters
     ----------
     schema
-        Folder or file of the DCC schema, against which the certificate is validated.
+        DCC schema (folder or file) to validate the certificate against.
     key
         Private key for the signature: PEM, or PKCS #12 with its certificate. counterspin prompts
         for the password of an encrypted key, or reads it from standard input if that is not a
         terminal.
     signer
         Command that reads bytes from standard input and writes their signature to standard output,
-        for example with a smart card or token; replaces --key.
+        for example with a smart card or token. Use it instead of --key.
     cert
-        X.509 certificate (PEM) of the key; with --verify, of the expected signer.
+        X.509 certificate (PEM) of the key.
     both
         Write both XML and PDF, with the same signature.
     """
@@ -172,7 +172,8 @@ def certificate(
     init
         Write a commented LAB.toml template to this file and exit.
     verify
-        Check an existing certificate (XML or PDF), print its values and exit.
+        Check an existing certificate (XML or PDF), print its values and exit. With --cert, also
+        check the signature.
     """
     from counterspin.certificates.amendment import Amendment
     from counterspin.certificates.issuing import certificate as issue_certificate

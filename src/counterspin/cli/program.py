@@ -146,7 +146,7 @@ def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: boo
     output
         Folder for validation.html, validation.pdf and validation.json.
     schema
-        Folder or file of the DCC schema, against which a certificate is also validated.
+        DCC schema (folder or file), to validate a certificate against it as well.
     overwrite
         Replace an earlier validation report; other files are never replaced.
     """

@@ -437,8 +437,13 @@ def _omitted_term_warnings(name: str, accelerometer: AccelerometerResult) -> lis
 def _range_warnings(result: Result, name: str, indicated: Array) -> list[str]:
     """Return a warning if the indication exceeds the range of the calibration."""
     max_rate = max((abs(run.rate) for run in result.runs.values()), default=0.0)
+    readings = result.accelerometers[name].readings
     # At rest on its side, an accelerometer measures 1 g, whatever the rates of the centrifuge.
-    calibrated_range = max(1.0, result.inputs.radius * max_rate**2 / result.inputs.gravity)
+    calibrated_range = max(
+        1.0,
+        result.inputs.radius * max_rate**2 / result.inputs.gravity,
+        *(abs(reading.value) for reading in readings),
+    )
     valid = np.abs(indicated[np.isfinite(indicated)])
     largest = float(valid.max()) if valid.size else 0.0
     if largest <= _RANGE_FACTOR * calibrated_range:

@@ -35,6 +35,8 @@ from counterspin.readings.reading_groups import groups_of_view
 #: A fault that moves a coefficient by so many of its u is stated.
 _MIN_SHIFT: Final = 2.0
 
+_METER_GAIN: Final = "a meter gain change"
+
 #: Typical difference between the gains of two ranges of a meter: order of magnitude, as two ranges
 #: of a voltmeter of 6.5 digits that are each within 40 ppm after a year.
 _RANGE: Final = 5e-5
@@ -118,10 +120,11 @@ def fault_remarks(faults: Mapping[str, Sequence[str]]) -> Iterator[str]:
     for name, clauses in faults.items():
         if clauses:
             these, them = ("this fault", "it") if len(clauses) == 1 else ("these faults", "them")
+            single_range = any(_METER_GAIN in clause for clause in clauses)
             yield (
                 f"{name}: the residuals would not reveal {these}: {'; '.join(clauses)}. Rule "
-                f"{them} out by other means: repeat the series in another order, or use a single "
-                "range of the meter."
+                f"{them} out by other means: repeat the series in another order"
+                f"{', or use a single range of the meter' * single_range}."
             )
 
 
@@ -188,7 +191,7 @@ def _describe_fault(fault: Alternative, size: float) -> str:
     if fault.kind == STEP:
         return f'a bias step of {format_size("K_F", size, 3)} starting at "{fault.symbol}"'
     if fault.kind == RANGE:
-        return f"a meter gain change of {1e6 * size:.2g} ppm above {fault.symbol}"
+        return f"{_METER_GAIN} of {1e6 * size:.2g} ppm above {fault.symbol}"
     if fault.kind == TURN:
         return (
             f"a head error that grows by {2.0 * math.pi * size / ARCSEC:.2g} arcsec per revolution"
