@@ -12,7 +12,7 @@ from typing import Final
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result
 from counterspin.physics.terms import READING_TERMS, TERMS
-from counterspin.reports.numbers import field_unit, format_number
+from counterspin.reports.numbers import find_display_unit, format_number
 from counterspin.simulation.simulate import simulate
 from kept_table import DOCS, KeptTable
 from violations import Row, Violation, lines_of, replaced, row_between
@@ -84,7 +84,7 @@ def violations() -> list[Violation]:
     for row in (*TERMS.values(), *machine):
         if row.symbol in ASKED or (row.motions and "static" not in row.motions):
             continue
-        unit, factor = field_unit(row.unit)
+        unit, factor = find_display_unit(row.unit)
         size = f"{format_number(row.typical * factor, 2)} {unit}"
         of = "machine" if row.motions else "Qx"
         line = f'"{row.symbol}" = "{row.typical!r} {row.unit}"\n'

@@ -16,7 +16,7 @@ from typing import Final
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result
 from counterspin.physics.terms import ACCELEROMETER_TERMS, SHARED_TERMS, term
-from counterspin.reports.numbers import field_unit, format_number
+from counterspin.reports.numbers import find_display_unit, format_number
 from counterspin.simulation.simulate import simulate
 from kept_table import DOCS, UNITS, KeptTable, channel, frame, runs, table_of
 
@@ -227,7 +227,7 @@ def of_table() -> list[Violation]:
         if symbol in ("K_F", "K_I", "K_II", "K_III") or symbol.startswith("table."):
             continue
         row = term(symbol)
-        unit, factor = field_unit(row.unit)
+        unit, factor = find_display_unit(row.unit)
         size = f"{format_number(row.typical * factor, 2)} {unit}"
         value = f'"{row.typical!r} {row.unit}"'
         if symbol in ACCELEROMETER_TERMS:

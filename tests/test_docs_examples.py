@@ -7,7 +7,7 @@ import pytest
 from counterspin.calibration.pages.document import document
 from counterspin.calibration.result import Result
 from counterspin.certificates.certificate_reader import read_certificate
-from counterspin.reports.blocks import Paragraph, without_cards
+from counterspin.reports.blocks import Paragraph, expand_cards
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples" / "three-rate"
 RESULT = Result.read(EXAMPLES / "result.json")
@@ -16,7 +16,7 @@ RESULT = Result.read(EXAMPLES / "result.json")
 def test_report_contains_identifier_and_answers():
     page = (EXAMPLES / "report.html").read_text(encoding="utf-8")
     assert RESULT.identifier in page
-    blocks = without_cards(document(RESULT))
+    blocks = expand_cards(document(RESULT))
     answers = [b.text for b in blocks if isinstance(b, Paragraph) and b.style == "answer"]
     assert len(answers) == 2
     for answer in answers:

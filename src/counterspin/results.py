@@ -348,7 +348,7 @@ class ReportableResult(ResultFile):
 
     def blocks(self) -> list[Block]:
         """Return the blocks for the screen, including pictures."""
-        blocks: list[Block] = load_name(f"{_PUBLICATION_MODULE}:with_seal_warning")(
+        blocks: list[Block] = load_name(f"{_PUBLICATION_MODULE}:add_seal_warning")(
             self, load_name(self.BLOCKS)(self)
         )
         return blocks
@@ -365,7 +365,7 @@ class ReportableResult(ResultFile):
 
     def publication(self, identifier: str | None = None) -> Any:
         """Return the report, a `counterspin.reports.publication.Publication`."""
-        return load_name(f"{_PUBLICATION_MODULE}:publish")(self, identifier)
+        return load_name(f"{_PUBLICATION_MODULE}:make_publication")(self, identifier)
 
     def write_report(
         self,
@@ -392,11 +392,15 @@ class ReportableResult(ResultFile):
     __str__ = __repr__
 
     def _repr_html_(self) -> str:
-        return str(load_name("counterspin.reports.html:notebook_cell")(self._blocks_of_cell()))
+        return str(
+            load_name("counterspin.reports.html:render_notebook_cell")(self._blocks_of_cell())
+        )
 
     def _repr_markdown_(self) -> str:
-        return str(load_name("counterspin.reports.markdown:markdown")(self._blocks_of_cell()))
+        return str(
+            load_name("counterspin.reports.markdown:render_markdown")(self._blocks_of_cell())
+        )
 
     def _blocks_of_cell(self) -> list[Block]:
-        blocks: list[Block] = load_name("counterspin.reports.blocks:text_blocks")(self.blocks())
+        blocks: list[Block] = load_name("counterspin.reports.blocks:remove_pictures")(self.blocks())
         return blocks

@@ -11,7 +11,7 @@ from counterspin.application.plans import PLAN_SLIDERS, READING_PLAN_SLIDERS
 from counterspin.planning.page import plan_blocks
 from counterspin.planning.plan import plan, write_example
 from counterspin.planning.plan_sections import LimitsSettings, ReadingLimitsSettings
-from counterspin.reports.html import html_fragment
+from counterspin.reports.html import render_fragment
 from counterspin.reports.typography import typeset_block
 
 
@@ -33,7 +33,7 @@ def get_plan_page(page, name="PLAN.toml", **moved):
 
 
 def render_plan(result):
-    return html_fragment(list(map(typeset_block, plan_blocks(result))), title=result.title)
+    return render_fragment(list(map(typeset_block, plan_blocks(result))), title=result.title)
 
 
 def test_limits_have_names_of_plan_file(planned):

@@ -15,7 +15,7 @@ from counterspin.reports.blocks import (
     Sphere,
     Table,
 )
-from counterspin.reports.html import html
+from counterspin.reports.html import render_html
 
 NASTY = "</script ></style><script >alert('1')</script>\"&<!--"
 
@@ -42,7 +42,7 @@ def residuals(title="Residuals of Qx, run 1", label="smallest to largest", count
                 (10.25, 10.25, 600.0),
                 (12.0, -13.0, 4000.0),
                 kind="points",
-                stands_out=True,
+                is_highlighted=True,
             ),
         ),
         levels=(0.0,),
@@ -66,7 +66,7 @@ def blocks(name="Qx"):
         Table(
             (Column("Symbol"), Column("Words", wraps=True), Column("Value", "right")),
             (("K_F", name, "1.25"), ("K_I", "scale", "-10.5"), ("K_II", "two\nlines", "3")),
-            quiet=frozenset({1}),
+            quiet_rows=frozenset({1}),
         ),
         Heading("Uncertainty budget", 3),
         Bars(f"Budget {name}", (name, "b"), (2.0, 1.0), ("2 (67 %)", "1 (33 %)")),
@@ -97,4 +97,4 @@ def page(name="Qx", made=None, **changes):
         "date": datetime(2026, 3, 1, tzinfo=UTC),
         "version": "1.2.3",
     }
-    return html(blocks(name) if made is None else made, **given | changes)
+    return render_html(blocks(name) if made is None else made, **given | changes)

@@ -143,7 +143,7 @@ def test_report_shows_verdicts_before_coefficients(found):
         ("Qy", "K_II", "-20 to 20", "ug/g^2", "fail", "< 0.1 %", "< 0.1 %"),
         ("Qy", "K_PO", "-50 to 50", "ug/g^2", "undecided", "-", "-"),
     ]
-    assert table.quiet == {1, 3}
+    assert table.quiet_rows == {1, 3}
     text = joined_text(blocks)
     assert "K_II of Qy does not meet the specification." in text
     assert (

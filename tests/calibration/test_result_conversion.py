@@ -15,7 +15,7 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result, read_result
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CounterspinError
-from counterspin.reports.publication import MAX_LINES
+from counterspin.reports.publication import MAX_CELL_LINES
 from counterspin.simulation.simulate import simulate
 
 mpl.use("Agg")
@@ -116,12 +116,12 @@ def test_si_value_uses_gravity_of_result(result):
 def test_text_of_large_result_is_short(result):
     text = repr(result)
     assert str(result) == text
-    assert len(text.split("\n")) <= MAX_LINES
+    assert len(text.split("\n")) <= MAX_CELL_LINES
     assert "Qx.K_II" in text
     assert str(result.coefficient("Qx.K_II")) in text
     many = {f"a{i}": result.accelerometers["Qx"] for i in range(40)}
     text = repr(result.model_copy(update={"accelerometers": many}))
-    assert len(text.split("\n")) == MAX_LINES
+    assert len(text.split("\n")) == MAX_CELL_LINES
     assert "more coefficients" in text
 
 

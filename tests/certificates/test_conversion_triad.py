@@ -15,7 +15,7 @@ from counterspin.certificates.schema import NAMESPACES, check_schema
 from counterspin.certificates.statements import certificate_statements
 from counterspin.cli import main
 from counterspin.reports.blocks import Paragraph, Table
-from counterspin.reports.numbers import field_unit, format_estimate
+from counterspin.reports.numbers import find_display_unit, format_estimate
 
 G = 9.81
 OWN = LAB + '\n[evidence]\nall = "Type test 4714."\n'
@@ -135,7 +135,7 @@ def test_amendment_lists_changed_parameters(tmp_path, pose_result):
 
 def format_parameter(c):
     """Format a parameter with U as an amendment does."""
-    unit, factor = field_unit(c.unit)
+    unit, factor = find_display_unit(c.unit)
     return format_estimate(c.value * factor, coverage_factor(16.0) * c.u * factor, unit)
 
 

@@ -400,7 +400,7 @@ def test_control_plot_shows_results_mean_and_drift(tmp_path):
     assert results.x == tuple(dates.astype(float))
     assert mean.y == pytest.approx((27.2, 27.2))
     assert drift.y == pytest.approx((27.0, 27.4), abs=1e-3)
-    assert drift.stands_out
+    assert drift.is_highlighted
     assert any(isinstance(block, Plot) for block in history_blocks(histories))
 
 

@@ -22,7 +22,7 @@ from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import plan
 from counterspin.planning.plan_file import read_plan
 from counterspin.planning.search import Search
-from counterspin.reports.text import report_console
+from counterspin.reports.text import make_console
 
 SMALL = ('total_time = "700 s"', 'total_time = "240 s"')
 FORCE = [
@@ -212,7 +212,7 @@ def test_report_and_result_name_undetected_faults(write_starter, capsys):
     assert min(ratios) > 1.0
     k_oo = unseen["K_OO"]
     assert k_oo.shift / told.coefficients["K_II"].u == pytest.approx(k_oo.ratio)
-    console = report_console()
+    console = make_console()
     console.width = 140
     console.print(result)
     printed = " ".join(capsys.readouterr().out.split())

@@ -10,7 +10,7 @@ from counterspin.ingest.starter import init
 from counterspin.planning.faults import fault_sensitivities, path_fault
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import check, plan
-from counterspin.reports.text import report_console
+from counterspin.reports.text import make_console
 from counterspin.toml_text import format_document
 
 SMALL = ('total_time = "700 s"', 'total_time = "240 s"')
@@ -82,7 +82,7 @@ def test_impossible_sizes_have_no_requirement(tmp_path, capsys):
     assert sizes["zero of the angle, varying between runs"] is None
     assert sizes["delay between the clocks of angle and output"] is None
     assert all(size is None or size < 1.0 for size in sizes.values())
-    console = report_console()
+    console = make_console()
     console.width = 120
     console.print(result)
     printed = " ".join(capsys.readouterr().out.split())

@@ -23,7 +23,7 @@ from counterspin.planning.plan import check, plan, write_campaign
 from counterspin.planning.plan_file import read_plan
 from counterspin.planning.result import PlanResult
 from counterspin.planning.search import Search
-from counterspin.reports.text import report_console
+from counterspin.reports.text import make_console
 from counterspin.simulation.simulate import simulate
 from counterspin.toml_text import format_document
 
@@ -383,7 +383,7 @@ def test_forecast_needs_no_truth(plan_starter, tmp_path):
 
 
 def print_report(result, capsys) -> str:
-    console = report_console()
+    console = make_console()
     console.width = 120  # no words of a table fold, whatever COLUMNS says
     console.print(result)
     return " ".join(capsys.readouterr().out.split())

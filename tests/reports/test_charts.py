@@ -23,8 +23,8 @@ from counterspin.reports.chart_layout import (
     thin_series,
     wrap_text,
 )
-from counterspin.reports.charts import save_figure, svg
-from counterspin.reports.drawing import PAPER_COLOURS, draw_pictures, settings
+from counterspin.reports.charts import render_svg, save_figure
+from counterspin.reports.drawing import PAPER_COLOURS, draw_pictures, drawing_parameters
 
 LINE = Plot(
     "Drift <&> $x$",
@@ -33,7 +33,7 @@ LINE = Plot(
     (
         PlotSeries("fitted", (0.0, 1.0, 2.0), (1.0, 3.0, 2.0), (0.0, 2.0, 1.0), (2.0, 4.0, 3.0)),
         PlotSeries("seen", (0.0, 1.0, 2.0), (1.1, None, 2.2), kind="points"),
-        PlotSeries("rejected", (0.5,), (4.0,), kind="points", stands_out=True),
+        PlotSeries("rejected", (0.5,), (4.0,), kind="points", is_highlighted=True),
     ),
     levels=(0.0,),
 )
@@ -81,7 +81,7 @@ def paths(text, colour, *, kind="stroke"):
 @every_picture
 @every_theme
 def test_svg_can_be_embedded_in_page(picture, theme):
-    text = svg(picture, theme=theme)
+    text = render_svg(picture, theme=theme)
     root = ET.fromstring(text)
     assert root.tag == f"{NAMESPACE}svg"
     assert root.get("width") == "100%"
@@ -102,25 +102,25 @@ def test_svg_is_reproducible_across_processes(theme):
     code = f"""
 import sys
 from counterspin.reports.blocks import *
-from counterspin.reports.charts import svg
+from counterspin.reports.charts import render_svg
 for picture in {PICTURES!r}:
-    sys.stdout.buffer.write(svg(picture, theme={theme!r}).encode())
+    sys.stdout.buffer.write(render_svg(picture, theme={theme!r}).encode())
 """
-    first = [svg(picture, theme=theme) for picture in PICTURES]
+    first = [render_svg(picture, theme=theme) for picture in PICTURES]
     run = subprocess.run(
         [sys.executable, "-c", code],
         stdout=subprocess.PIPE,
         env={**os.environ, "PYTHONHASHSEED": "7"},
         check=True,
     )
-    assert [svg(picture, theme=theme) for picture in PICTURES] == first
+    assert [render_svg(picture, theme=theme) for picture in PICTURES] == first
     assert run.stdout.decode() == "".join(first)
 
 
 def test_ids_are_unique_across_plots_and_references_resolve():
     taken = []
     for picture in [*PICTURES, Bars("Another", BARS.labels, BARS.values, BARS.texts)]:
-        text = svg(picture)
+        text = render_svg(picture)
         ids = re.findall(r' id="([^"]+)"', text)
         assert set(re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', text)) <= {
             pair for name in ids for pair in ((name, ""), ("", name))
@@ -132,7 +132,7 @@ def test_ids_are_unique_across_plots_and_references_resolve():
 
 @every_picture
 def test_page_theme_sets_all_colours_and_font(picture):
-    text = svg(picture, theme="page")
+    text = render_svg(picture, theme="page")
     assert "font-family" not in text
     bare = re.sub(r"var\(--([a-z0-9-]+), (currentColor|#[0-9a-f]{6})\)", r"<\1>", text.lower())
     bare = re.sub(r"var\(--ink, currentcolor\)", "<ink>", bare)
@@ -144,7 +144,7 @@ def test_page_theme_sets_all_colours_and_font(picture):
 
 
 def test_paper_theme_has_fixed_colours():
-    text = svg(LINE)
+    text = render_svg(LINE)
     assert "var(" not in text
     assert set(re.findall(r"#[0-9a-f]{6}\b", text)) <= set(PAPER_COLOURS.values()) | set(
         re.findall(r"#(?=p)\w+", text)
@@ -155,14 +155,14 @@ def test_text_is_not_changed():
     odd = {"time / $s^2$", "a_b < c & d", 'x$y$ #0100fe id="m" "z"\u3000d="M 1  2"'}
     x_label, y_label, label = sorted(odd)
     plot = Plot("", x_label, y_label, (PlotSeries(label, (0.0, 1.0), (0.0, 1.0)),))
-    assert odd <= set(svg_texts(svg(plot)))
+    assert odd <= set(svg_texts(render_svg(plot)))
 
 
 def test_symbols_have_subscripts():
     plot = Plot("", "K_II of a_run, ug", "K_I.csv and E_n", (PlotSeries("", (0.0,), (0.0,)),))
     x_label, y_label = (
         node
-        for node in ET.fromstring(svg(plot)).iter(f"{NAMESPACE}text")
+        for node in ET.fromstring(render_svg(plot)).iter(f"{NAMESPACE}text")
         if "of" in "".join(node.itertext()) or "and" in "".join(node.itertext())
     )
     assert "".join(x_label.itertext()) == "KII of a_run, ug"
@@ -175,7 +175,7 @@ def test_symbols_have_subscripts():
 
 def test_missing_glyphs_and_control_characters_in_text():
     name = "加速度計\x01\u202e\n"
-    text = svg(Bars(name, (name,), (1.0,), ("1 %",)))
+    text = render_svg(Bars(name, (name,), (1.0,), ("1 %",)))
     assert not re.search("[\x01\u202e]", text)
     assert r"加速度計\x01\u202e\n" in svg_texts(text)
     assert ET.fromstring(text)[0].text == r"加速度計\x01\u202e\n"
@@ -185,7 +185,7 @@ def test_missing_glyphs_and_control_characters_in_text():
 
 
 def test_line_keeps_proportions():
-    (line,) = paths(svg(LINE), "series-1")
+    (line,) = paths(render_svg(LINE), "series-1")
     (x0, y0), (x1, y1), (x2, y2) = line
     assert x1 - x0 == pytest.approx(x2 - x1, abs=1e-4)
     # Heights 1, 3, 2; the y axis of SVG points down.
@@ -195,7 +195,7 @@ def test_line_keeps_proportions():
 def test_gap_breaks_line_and_isolated_value_is_visible():
     values = (1.0, 2.0, None, 3.0, None, 1.0, 2.0)
     plot = Plot("", "x", "y", (PlotSeries("", tuple(map(float, range(7))), values),))
-    text = svg(plot)
+    text = render_svg(plot)
     strokes = [
         p for p in ET.fromstring(text).iter(f"{NAMESPACE}path") if "0072b2" in str(p.attrib).lower()
     ]
@@ -215,7 +215,7 @@ def test_error_bars_and_level_are_at_their_values():
         levels=(4.0,),
         x_names=("run1", "run2"),
     )
-    text = svg(plot)
+    text = render_svg(plot)
     bars = [bar for bar in paths(text, "series-1") if len(bar) == 2]
     (low1, high1), (low2, high2) = [[y for _, y in bar] for bar in bars]
     assert (low2 - high2) / (low1 - high1) == pytest.approx(3.0, abs=1e-4)
@@ -231,7 +231,7 @@ def test_points_at_same_integer_are_offset():
     plot = Plot(
         "", "harmonic", "ppm", (point_series(5.0, kind="points"), point_series(6.0, kind="points"))
     )
-    text = svg(plot)
+    text = render_svg(plot)
     ticks = [word for word in svg_texts(text) if word in "0123456"]
     assert ticks[:3] == ["1", "2", "3"]
     first, second = (
@@ -256,7 +256,7 @@ def test_logarithmic_axes():
         log_x=True,
         log_y=True,
     )
-    text = svg(plot)
+    text = render_svg(plot)
     assert {"10⁻⁶", "1", "10⁸"} <= set(svg_texts(text))
     # A value that is not positive has no logarithm and becomes a gap.
     (line,) = paths(text, "series-1")
@@ -265,16 +265,16 @@ def test_logarithmic_axes():
 
 def test_empty_data_draws_empty_plot():
     for y in ((None, None), (math.nan, math.inf)):
-        assert svg(Plot("", "x", "y", (PlotSeries("a", (0.0, 1.0), y),), log_y=True))
-    assert svg(Plot("", "x", "y", ()))
-    assert svg(Bars("", (), (), ()))
-    assert svg(HeatMap("", (), ()))
-    assert svg(Sphere("", ("X", "Y", "Z"), (), (), (), ""))
+        assert render_svg(Plot("", "x", "y", (PlotSeries("a", (0.0, 1.0), y),), log_y=True))
+    assert render_svg(Plot("", "x", "y", ()))
+    assert render_svg(Bars("", (), (), ()))
+    assert render_svg(HeatMap("", (), ()))
+    assert render_svg(Sphere("", ("X", "Y", "Z"), (), (), (), ""))
 
 
 def test_many_names_are_vertical():
     names = tuple(f"2024-03-{day:02d} fast" for day in range(1, 25))
-    text = svg(
+    text = render_svg(
         Plot(
             "", "", "y", (PlotSeries("", tuple(map(float, range(24))), (1.0,) * 24),), x_names=names
         )
@@ -285,7 +285,7 @@ def test_many_names_are_vertical():
 
 def test_columns_are_adjacent_with_height_of_values():
     plot = Plot("", "z", "n", (PlotSeries("", (0.5, 1.5, 2.5), (1.0, 3.0, 2.0), kind="columns"),))
-    columns = paths(svg(plot), "series-1", kind="fill")
+    columns = paths(render_svg(plot), "series-1", kind="fill")
     heights = [max(y for _, y in column) - min(y for _, y in column) for column in columns]
     assert heights[1] / heights[0] == pytest.approx(3.0, rel=1e-3)
     assert heights[2] / heights[0] == pytest.approx(2.0, rel=1e-3)
@@ -300,7 +300,7 @@ def test_series_share_assigned_colour():
         PlotSeries("", (0.0, 1.0), (1.0, 1.0)),
         PlotSeries("", (0.0, 1.0), (1.0, 0.0), colour=2),
     )
-    text = svg(Plot("", "x", "y", both))
+    text = render_svg(Plot("", "x", "y", both))
     assert len(paths(text, "series-3")) == 2
     assert len(paths(text, "series-1")) == 1
 
@@ -308,7 +308,7 @@ def test_series_share_assigned_colour():
 def test_axis_limits_are_applied():
     line = PlotSeries("", (0.0, 1.0), (0.0, 1.0))
     wide, narrow = (
-        svg(Plot("", "x", "y", (line,), x_range=(0.0, end), y_range=(0.0, 1.0)))
+        render_svg(Plot("", "x", "y", (line,), x_range=(0.0, end), y_range=(0.0, 1.0)))
         for end in (2.0, 1.0)
     )
     ((a0, _), (a1, _)), ((b0, _), (b1, _)) = (paths(text, "series-1")[0] for text in (wide, narrow))
@@ -350,9 +350,9 @@ def test_last_date_label_is_not_clipped():
     first, last = day_numbers("2025-10-01", "2026-03-01")
     # The axis ends 1 % of its length after the last point.
     line = PlotSeries("", (first, last), (1.0, 2.0), kind="points")
-    with settings(PAPER_COLOURS):
+    with drawing_parameters(PAPER_COLOURS):
         figure = draw_pictures(
-            [Plot("", "date", "", (line,), dates=True)], PAPER_COLOURS, titled=True
+            [Plot("", "date", "", (line,), is_date_axis=True)], PAPER_COLOURS, with_titles=True
         )
         figure.canvas.draw()
     texts = [text for text in figure.findobj(Text) if text.get_text() == "2026-03"]
@@ -471,7 +471,9 @@ def test_thinning_keeps_gaps():
 def test_svg_of_long_record_is_small():
     n = 100_000
     y = tuple(np.random.default_rng(5).normal(size=n))
-    text = svg(Plot("", "t", "y", (PlotSeries("", tuple(map(float, range(n))), y, kind="points"),)))
+    text = render_svg(
+        Plot("", "t", "y", (PlotSeries("", tuple(map(float, range(n))), y, kind="points"),))
+    )
     assert len(text) < 150_000
 
 
@@ -479,7 +481,7 @@ def test_svg_of_long_record_is_small():
 
 
 def test_bar_lengths_match_values_and_labels_fit():
-    text = svg(Bars("", ("first", "second"), (40.0, 10.0), ("0.04 ug/g^2, 80 %", "20 %")))
+    text = render_svg(Bars("", ("first", "second"), (40.0, 10.0), ("0.04 ug/g^2, 80 %", "20 %")))
     first, second = [
         [x for x, _ in bar] for bar in paths(text, "series-1", kind="fill") if len(bar) >= 4
     ]
@@ -493,8 +495,8 @@ def test_bar_lengths_match_values_and_labels_fit():
 
 def test_stacked_bars_are_contiguous():
     bars = Bars("", ("first", "second"), (40.0, 10.0), ("a", "b"), stacked=True, colours=(0, 2))
-    with settings(PAPER_COLOURS):
-        figure = draw_pictures([bars], PAPER_COLOURS, titled=False)
+    with drawing_parameters(PAPER_COLOURS):
+        figure = draw_pictures([bars], PAPER_COLOURS, with_titles=False)
     first, second = figure.axes[0].patches
     assert (first.get_x(), first.get_width()) == (0.0, 40.0)
     assert (second.get_x(), second.get_width()) == (40.0, 10.0)
@@ -525,8 +527,10 @@ def test_long_bar_labels_are_wrapped():
 def test_title_that_fits_is_not_shortened():
     title = "What the square of u of K_II of the first accelerometer consists of, in all"
     bars = Bars(title, ("w" * 30,), (1.0,), ("1",))
-    with settings(PAPER_COLOURS):
-        figure = draw_pictures([bars, replace(bars, title="short")], PAPER_COLOURS, titled=True)
+    with drawing_parameters(PAPER_COLOURS):
+        figure = draw_pictures(
+            [bars, replace(bars, title="short")], PAPER_COLOURS, with_titles=True
+        )
         figure.set_dpi(160)  # as PNG is written
         figure.canvas.draw()
     below = figure.axes[1].get_window_extent()
@@ -547,7 +551,7 @@ def rgb(colour):
 
 @pytest.mark.parametrize(("value", "colour"), [(-0.9999, "negative"), (0.9999, "positive")])
 def test_heat_map_numbers_have_sufficient_contrast(value, colour):
-    text = svg(HeatMap("", ("a", "b"), ((1.0, value), (value, 1.0))))
+    text = render_svg(HeatMap("", ("a", "b"), ((1.0, value), (value, 1.0))))
     assert f"{value:.2f}".replace("-", "−") in svg_texts(text)
     cells = re.findall(rf"fill: {PAPER_COLOURS[colour]}; fill-opacity: ([\d.]+)", text)
     assert len(cells) == 2
@@ -558,11 +562,11 @@ def test_heat_map_numbers_have_sufficient_contrast(value, colour):
 
 
 def test_zero_after_rounding_has_no_sign():
-    text = svg(HeatMap("", ("a", "b"), ((1.0, -0.004), (-0.006, 1.0))))
+    text = render_svg(HeatMap("", ("a", "b"), ((1.0, -0.004), (-0.006, 1.0))))
     assert {"0.00", "−0.01"} <= set(svg_texts(text))
 
 
 def test_heat_map_opacity_is_proportional_to_value():
-    text = svg(HeatMap("", ("a", "b"), ((1.0, 0.25), (0.5, 1.0))))
+    text = render_svg(HeatMap("", ("a", "b"), ((1.0, 0.25), (0.5, 1.0))))
     opacity = [float(o) for o in re.findall(r"fill-opacity: ([\d.]+)", text)]
     assert max(opacity) == pytest.approx(2.0 * min(opacity))

@@ -17,8 +17,13 @@ from counterspin.reports.blocks import (
     PlotSeries,
     Table,
 )
-from counterspin.reports.charts import can_zoom, plot_data, svg
-from counterspin.reports.html import _asset, _set_equation, html_fragment, notebook_cell
+from counterspin.reports.charts import is_zoomable, plot_json, render_svg
+from counterspin.reports.html import (
+    _read_asset,
+    _set_equation,
+    render_fragment,
+    render_notebook_cell,
+)
 
 
 def parse_html(text):
@@ -121,14 +126,14 @@ def test_table_headers_have_scope(tree, name):
 
 def test_answer_with_reservations_has_separate_class():
     made = [Paragraph("a", "answer"), Paragraph("b", "reserved"), Paragraph("c", "reserved")]
-    for text in (page(made=made), html_fragment(made, title="T"), notebook_cell(made)):
+    for text in (page(made=made), render_fragment(made, title="T"), render_notebook_cell(made)):
         boxes = parse_html(text).xpath("//div[starts-with(@class, 'answers')]")
         assert [(box.get("class"), len(box)) for box in boxes] == [
             ("answers", 1),
             ("answers reserved", 2),
         ]
     for style in ("report.css", "cell.css"):
-        assert ".answers.reserved {" in _asset(style)
+        assert ".answers.reserved {" in _read_asset(style)
 
 
 def test_plots_have_caption_and_static_image(tree, name):
@@ -193,7 +198,7 @@ def test_control_characters_in_names_are_escaped():
     ]
     for text in (
         page(made=made, title=hostile, identifier=hostile),
-        html_fragment(made, title=hostile),
+        render_fragment(made, title=hostile),
     ):
         assert not re.search("[\x1b\u202e]|^K_II", text, re.M)
         seen = parse_html(text).text_content()
@@ -243,7 +248,7 @@ def test_ids_are_unique_and_references_resolve(tree, text):
 
 def test_option_names_are_not_broken():
     command = "counterspin calibrate a-b --json x --overwrite"
-    text = html_fragment([Paragraph(command, "command")], title="")
+    text = render_fragment([Paragraph(command, "command")], title="")
     whole = re.findall(r'<span class="whole">(.*?)</span>', text)
     assert whole == ["--json", "--overwrite"]
     (code,) = re.findall(r"<code>(.*?)</code>", text)
@@ -302,24 +307,24 @@ def test_zoom_data_have_screen_resolution(text, name):
 
 def test_logarithmic_zoom_data_keep_relative_precision():
     series = PlotSeries("a", (1e-3, 1.2345678e5), (9.87654e-9, 3.0))
-    data = json.loads(plot_data(Plot("t", "x", "y", (series,), log_x=True, log_y=True)))
+    data = json.loads(plot_json(Plot("t", "x", "y", (series,), log_x=True, log_y=True)))
     assert unpack(data["series"][0]["x"]) == [1e-3, 1.235e5]
     assert unpack(data["series"][0]["y"]) == [9.877e-9, 3.0]
 
 
 def test_non_finite_value_is_a_gap():
     series = PlotSeries("a", (0.0, 1.0, 2.0), (float("nan"), 5.0, float("inf")))
-    data = json.loads(plot_data(Plot("t", "x", "y", (series,))))
+    data = json.loads(plot_json(Plot("t", "x", "y", (series,))))
     assert unpack(data["series"][0]["y"]) == [None, pytest.approx(5.0, rel=1e-4), None]
 
 
 def test_plot_with_names_or_single_x_has_no_zoom():
     series = (PlotSeries("a", (0.0, 0.0), (1.0, 2.0)),)
-    assert not can_zoom(Plot("t", "x", "y", series, zoom=True))
+    assert not is_zoomable(Plot("t", "x", "y", series, zoom=True))
     two = (PlotSeries("a", (0.0, 1.0), (1.0, 2.0)),)
-    assert can_zoom(Plot("t", "x", "y", two, zoom=True))
-    assert not can_zoom(Plot("t", "x", "y", two, zoom=True, x_names=("p", "q")))
-    assert not can_zoom(Plot("t", "x", "y", two))
+    assert is_zoomable(Plot("t", "x", "y", two, zoom=True))
+    assert not is_zoomable(Plot("t", "x", "y", two, zoom=True, x_names=("p", "q")))
+    assert not is_zoomable(Plot("t", "x", "y", two))
 
 
 def test_zoom_script_is_included_only_if_needed():
@@ -338,11 +343,11 @@ def test_zoomed_and_static_plots_have_same_colours(kind):
         (
             PlotSeries("", x, x, (0.0, 0.5, 1.0), (2.0, 3.0, 4.0), kind="band"),
             *(PlotSeries(f"s{index}", x, x, x, x, kind=kind) for index in range(8)),
-            PlotSeries("o", x, x, kind="points", stands_out=True),
+            PlotSeries("o", x, x, kind="points", is_highlighted=True),
         ),
     )
-    used = {series["colour"] for series in json.loads(plot_data(plot))["series"]}
-    drawn = set(re.findall(r"var\((--(?:series-\d|warning))", svg(plot, theme="page")))
+    used = {series["colour"] for series in json.loads(plot_json(plot))["series"]}
+    drawn = set(re.findall(r"var\((--(?:series-\d|warning))", render_svg(plot, theme="page")))
     assert drawn == used - {"--muted"}
 
 
@@ -356,9 +361,9 @@ def test_page_of_long_campaign_is_below_3_mb():
 
 
 def read_palettes():
-    style = _asset("report.css")
+    style = _read_asset("report.css")
     light = style[style.index(":root {") : style.index("}")]
-    return {"light": light, "dark": _asset("dark.css")}
+    return {"light": light, "dark": _read_asset("dark.css")}
 
 
 def luminance(colour):
@@ -406,5 +411,7 @@ def test_palettes_define_same_colours():
         theme: set(re.findall(r"(--[\w-]+):", text)) for theme, text in read_palettes().items()
     }
     assert names["light"] == names["dark"]
-    used = set(re.findall(r"var\((--[\w-]+)", page() + _asset("report.js"))) - {"--${entry.colour}"}
+    used = set(re.findall(r"var\((--[\w-]+)", page() + _read_asset("report.js"))) - {
+        "--${entry.colour}"
+    }
     assert used <= names["light"]

@@ -9,7 +9,7 @@ from markdown_it import MarkdownIt
 
 from counterspin.characters import MultilineText, escape_controls
 from counterspin.reports.blocks import Bars, Column, Heading, Paragraph, Table
-from counterspin.reports.markdown import escape_markdown, markdown
+from counterspin.reports.markdown import escape_markdown, render_markdown
 
 HOSTILE = [
     "K_II and K_IP_ and __init__",
@@ -74,12 +74,12 @@ def table_cells(text):
 
 @every_hostile_text
 def test_text_round_trips_through_parser(text):
-    tokens = parse_markdown(markdown([Paragraph(text)]))
+    tokens = parse_markdown(render_markdown([Paragraph(text)]))
     assert [token.type for token in tokens] == ["paragraph_open", "inline", "paragraph_close"]
     assert inline_text(tokens[1]) == text
-    assert inline_texts(markdown([Heading(text, 3)]), "heading") == [text]
+    assert inline_texts(render_markdown([Heading(text, 3)]), "heading") == [text]
     for style in ("answer", "undetermined", "warning"):
-        quotation = markdown([Paragraph(text, style)])
+        quotation = render_markdown([Paragraph(text, style)])
         assert parse_markdown(quotation)[0].type == "blockquote_open"
         (said,) = inline_texts(quotation.removeprefix("> [!WARNING]\n"), "paragraph")
         assert said == text
@@ -93,7 +93,7 @@ spaced = st.lists(printable, max_size=4).map(lambda words: " ".join(" ".join(wor
 @settings(deadline=None, max_examples=150)
 def test_table_cells_round_trip_through_parser(rows):
     table = Table((Column("a|b"), Column("K_II", "right"), Column("")), tuple(rows))
-    assert table_cells(markdown([table])) == [
+    assert table_cells(render_markdown([table])) == [
         ["a|b", "K_II", ""],
         *(list(map(escape_controls, r)) for r in rows),
     ]
@@ -102,23 +102,25 @@ def test_table_cells_round_trip_through_parser(rows):
 @given(spaced)
 @settings(deadline=None, max_examples=150)
 def test_paragraph_round_trips_through_parser(text):
-    assert inline_texts(markdown([Heading("x"), Paragraph(text)]), "paragraph") == (
+    assert inline_texts(render_markdown([Heading("x"), Paragraph(text)]), "paragraph") == (
         [escape_controls(text)] if text else []
     )
 
 
 def test_line_breaks_are_preserved():
     lines = MultilineText("one", "===", "- two", "", "    three")
-    assert inline_texts(markdown([Paragraph(lines)]), "paragraph") == ["one\n===\n- two\nthree"]
+    assert inline_texts(render_markdown([Paragraph(lines)]), "paragraph") == [
+        "one\n===\n- two\nthree"
+    ]
     table = Table((Column("Ripple"),), ((MultilineText("1: 0.5", "2: 0.1"),),))
-    assert table_cells(markdown([table])) == [["Ripple"], ["1: 0.5\n2: 0.1"]]
+    assert table_cells(render_markdown([table])) == [["Ripple"], ["1: 0.5\n2: 0.1"]]
 
 
 def test_line_breaks_in_names_are_escaped():
     name = "Qx\n\n# Good\n"
     shown = r"Qx\n\n# Good\n"
     table = Table((Column(name),), ((name,),))
-    text = markdown([Heading(name), Paragraph(name), Paragraph(name, "command"), table])
+    text = render_markdown([Heading(name), Paragraph(name), Paragraph(name, "command"), table])
     assert inline_texts(text, "heading") == inline_texts(text, "paragraph") == [shown]
     assert table_cells(text) == [[shown], [shown]]
     assert f"sh\n{shown}\n`" in text
@@ -128,9 +130,9 @@ def test_table_is_aligned_for_parser_and_eye():
     table = Table(
         (Column("Run"), Column("K_II, ug/g^2", "right")),
         (("run1", "27.0416"), ("a | longer name", "-3")),
-        quiet=frozenset({1}),
+        quiet_rows=frozenset({1}),
     )
-    text = markdown([table])
+    text = render_markdown([table])
     styles = [t.attrs.get("style") for t in parse_markdown(text) if t.type == "td_open"]
     assert styles == [None, "text-align:right"] * 2
     lines = text.splitlines()
@@ -139,7 +141,7 @@ def test_table_is_aligned_for_parser_and_eye():
 
 
 def test_paragraph_styles():
-    text = markdown(
+    text = render_markdown(
         [
             Heading("Report", 1),
             Paragraph("K_II of Qx = 1 ± 2", "answer"),
@@ -169,14 +171,14 @@ def test_paragraph_styles():
 
 def test_code_with_fences_stays_code():
     (fence,) = parse_markdown(
-        markdown([Paragraph(MultilineText("```", "rm x", "````"), "command")])
+        render_markdown([Paragraph(MultilineText("```", "rm x", "````"), "command")])
     )
     assert fence.content == "```\nrm x\n````\n"
 
 
 def test_plots_are_omitted():
     bars = Bars("Budget", ("noise",), (1.0,), ("100 %",))
-    assert markdown([Paragraph("before"), bars, Paragraph("after")]) == "before\n\nafter\n"
+    assert render_markdown([Paragraph("before"), bars, Paragraph("after")]) == "before\n\nafter\n"
     assert escape_markdown("") == ""
 
 
@@ -188,7 +190,7 @@ def test_control_characters_are_escaped():
         Paragraph("x\x1b\\y", "command"),
         Table((column,), (("c\x00",),)),
     ]
-    text = markdown(blocks)
+    text = render_markdown(blocks)
     for shown in (r"\\x1b\[31m", r"\\x07\\u2028b", "x\\x1b\\y\n", r"\\x9b\\u202e", r"\\x00"):
         assert shown in text
     assert all(character.isprintable() or character == "\n" for character in text)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from counterspin.campaign.quantity import parse_quantity
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
-    field_unit,
+    find_display_unit,
     format_compact,
     format_count,
     format_estimate,
@@ -237,11 +237,11 @@ def test_probability_is_not_rounded_to_0_or_1(probability, expected):
 
 @pytest.mark.parametrize("unit", ["g", "g/g^2", "g/g^3", "rad", "rad/s", "rad/s/g", "1/s"])
 def test_field_units_are_valid_in_campaign_files(unit):
-    shown, factor = field_unit(unit)
+    shown, factor = find_display_unit(unit)
     assert shown != unit
     assert factor * unit_factor(shown, unit) == pytest.approx(1.0, rel=1e-14)
 
 
 def test_other_units_are_unchanged():
-    assert field_unit("g/g") == ("g/g", 1.0)
-    assert field_unit("m/s^2") == ("m/s^2", 1.0)
+    assert find_display_unit("g/g") == ("g/g", 1.0)
+    assert find_display_unit("m/s^2") == ("m/s^2", 1.0)

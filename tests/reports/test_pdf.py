@@ -23,7 +23,7 @@ from counterspin.reports.blocks import (
     PlotSeries,
     Table,
 )
-from counterspin.reports.pdf import Attachment, pdf
+from counterspin.reports.pdf import Attachment, render_pdf
 
 DATE = datetime(2026, 3, 1, 14, 30, tzinfo=timezone(timedelta(hours=1)))
 
@@ -40,7 +40,9 @@ PICTURES = [
 
 
 def make_pdf(*blocks, title="Campaign", identifier="CS-0123456789ab", date=DATE, attachments=()):
-    return pdf(list(blocks), title=title, identifier=identifier, date=date, attachments=attachments)
+    return render_pdf(
+        list(blocks), title=title, identifier=identifier, date=date, attachments=attachments
+    )
 
 
 def read_pdf(*blocks, **settings):
@@ -184,7 +186,7 @@ def long_table(rows, columns=4):
             *(Column(f"c{i}", "right") for i in range(columns)),
         ),
         tuple((f"run{r}", *(f"{r}.{c}00417" for c in range(columns))) for r in range(rows)),
-        quiet=frozenset({1}),
+        quiet_rows=frozenset({1}),
     )
 
 
@@ -347,7 +349,7 @@ import sys
 from datetime import datetime, timezone
 from counterspin.reports.blocks import *
 from counterspin.reports.pdf import *
-data = pdf({list(blocks)!r}, title="Campaign", identifier="CS-0123456789ab",
+data = render_pdf({list(blocks)!r}, title="Campaign", identifier="CS-0123456789ab",
     date=datetime(2026, 3, 1, 13, 30, tzinfo=timezone.utc), attachments={make_attachments()!r})
 sys.stdout.buffer.write(data)
 """

@@ -8,7 +8,7 @@ from raising import raises
 from results import result
 
 from counterspin.cli import main
-from counterspin.reports.publication import FORMATS, issue_date, report, write_report
+from counterspin.reports.publication import REPORT_SUFFIXES, parse_issue_date, report, write_report
 
 EXAMPLE = ROOT / "docs" / "examples" / "three-rate" / "result.json"
 
@@ -16,7 +16,7 @@ FIXED = datetime(2026, 3, 1, 12, tzinfo=UTC)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("suffix", REPORT_SUFFIXES)
 def test_report_formats_are_reproducible(suffix, tmp_path):
     first, second = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
     write_report(result(), first, issued=FIXED)
@@ -72,23 +72,23 @@ def test_identifier_is_in_report(tmp_path):
     ],
 )
 def test_iso_8601_dates(text, wanted):
-    assert issue_date(text) == wanted
-    assert issue_date(text).utcoffset() == wanted.utcoffset()
+    assert parse_issue_date(text) == wanted
+    assert parse_issue_date(text).utcoffset() == wanted.utcoffset()
 
 
 def test_source_date_epoch_sets_date(monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "86400")
-    assert issue_date() == datetime(1970, 1, 2, tzinfo=UTC)
-    assert issue_date("2026-03-01").year == 2026
+    assert parse_issue_date() == datetime(1970, 1, 2, tzinfo=UTC)
+    assert parse_issue_date("2026-03-01").year == 2026
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "soon")
     with raises("invalid-date", "SOURCE_DATE_EPOCH:", "'soon'"):
-        issue_date()
+        parse_issue_date()
 
 
 def test_current_date_has_whole_seconds(monkeypatch):
     monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
     before = datetime.now(UTC).replace(microsecond=0)
-    made = issue_date()
+    made = parse_issue_date()
     assert made.microsecond == 0
     assert before <= made <= datetime.now(UTC)
 

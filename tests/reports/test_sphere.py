@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from counterspin.reports.blocks import Sphere
-from counterspin.reports.charts import svg
-from counterspin.reports.drawing import PAPER_COLOURS, draw_pictures, settings
+from counterspin.reports.charts import render_svg
+from counterspin.reports.drawing import PAPER_COLOURS, draw_pictures, drawing_parameters
 
 
 def markers(sphere):
     """Return positions, opacities and colours of the markers, those of the legend last."""
     from matplotlib.colors import to_rgba
 
-    with settings(PAPER_COLOURS):
-        (axes,) = draw_pictures([sphere], PAPER_COLOURS, titled=False).axes
+    with drawing_parameters(PAPER_COLOURS):
+        (axes,) = draw_pictures([sphere], PAPER_COLOURS, with_titles=False).axes
     lines = [line for line in axes.lines if line.get_marker() in ("o", "X")]
     places = np.array([[line.get_xdata()[0], line.get_ydata()[0]] for line in lines])
     return places, [to_rgba(line.get_markerfacecolor()) for line in lines], lines
@@ -55,6 +55,6 @@ def test_colours_show_sign_and_magnitude():
     assert colours[1][:3] == to_rgb(PAPER_COLOURS["negative"])
     assert colours[0][3] > colours[1][3] > colours[2][3]
     assert [line.get_marker() for line in lines[:3]] == ["o", "X", "o"]
-    text = svg(sphere)
+    text = render_svg(sphere)
     for word in ("seen from Z", "\u22122", "4", "b"):
         assert f">{word}<" in text

@@ -26,7 +26,7 @@ from counterspin.inference.joint.summary import BudgetLine, Jackknife
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 from counterspin.reports.blocks import Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import NOT_DETERMINED
-from counterspin.reports.text import Report, report_console
+from counterspin.reports.text import Report, make_console
 
 ARCSEC = math.pi / 648000.0
 DEG_H = math.pi / 180.0 / 3600.0
@@ -428,7 +428,7 @@ def test_narrow_terminal_loses_no_text(width):
 def test_plain_output_has_no_escape_codes_or_markup():
     result = make_result(title="[bold]Batch[/bold] [3]", runs={"[red]": run()})
     stream = io.StringIO()
-    print_result(result, report_console(stream), budget=True, details=True)
+    print_result(result, make_console(stream), budget=True, details=True)
     assert "\x1b" not in stream.getvalue()
     assert stream.getvalue().startswith("[bold]Batch[/bold] [3]\n")
     assert "[red]" in stream.getvalue()
@@ -436,16 +436,16 @@ def test_plain_output_has_no_escape_codes_or_markup():
 
 def test_piped_output_has_100_columns(monkeypatch):
     monkeypatch.delenv("COLUMNS", raising=False)
-    assert report_console(io.StringIO()).width == 100
+    assert make_console(io.StringIO()).width == 100
     monkeypatch.setenv("COLUMNS", "72")
-    assert report_console(io.StringIO()).width == 72
+    assert make_console(io.StringIO()).width == 72
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 def test_characters_are_replaced_for_limited_encoding(encoding):
     raw = io.BytesIO()
     stream = io.TextIOWrapper(raw, encoding=encoding)
-    print_result(make_full_result(), report_console(stream), budget=True, details=True)
+    print_result(make_full_result(), make_console(stream), budget=True, details=True)
     stream.flush()
     text = collapse_spaces(raw.getvalue().decode(encoding))
     sign = "±" if encoding == "latin-1" else "+/-"
@@ -477,7 +477,7 @@ def test_control_characters_are_escaped():
         Paragraph("title\x9b31m\nK_II = 1"),
         Table((Column("a\u202e\nb"), Column("e")), (("c\x00\nd", MultilineText("f\x00\ng", "h")),)),
     ]
-    report_console(stream).print(Report(blocks))
+    make_console(stream).print(Report(blocks))
     lines = [line.rstrip() for line in stream.getvalue().splitlines()]
     assert lines[:2] == [r"red\x1b[31m", r"title\x9b31m\nK_II = 1"]
     # A cell may have several lines in its column; a name has one line.
@@ -522,11 +522,11 @@ def test_column_titles_are_wrapped_before_table_is_split():
 def test_terminal_shows_first_200_rows_of_table():
     rows = tuple((f"run {k}",) for k in range(203))
     stream = io.StringIO()
-    report_console(stream).print(Report([Table((Column("name"),), rows)]))
+    make_console(stream).print(Report([Table((Column("name"),), rows)]))
     text = stream.getvalue()
     assert "run 199" in text
     assert "run 200" not in text
     assert "3 of 203 rows are not shown" in text
-    shown = Table((Column("name"),), rows[:200], omitted=7).without_empty_columns()
-    report_console(stream).print(Report([shown]))
+    shown = Table((Column("name"),), rows[:200], n_omitted=7).without_empty_columns()
+    make_console(stream).print(Report([shown]))
     assert "7 of 207 rows are not shown" in stream.getvalue()

@@ -5,7 +5,7 @@ import time
 
 from rich.console import Console
 
-from counterspin.reports.text import progress
+from counterspin.reports.text import show_progress
 
 
 def make_terminal():
@@ -13,21 +13,21 @@ def make_terminal():
 
 
 def test_no_progress_without_terminal(capsys):
-    with progress() as advance:
+    with show_progress() as advance:
         assert advance is None
     assert capsys.readouterr().err == ""
 
 
 def test_short_task_shows_no_progress():
     console = make_terminal()
-    with progress(console, patience=60.0) as advance:
+    with show_progress(console, delay=60.0) as advance:
         advance(1, 1)
     assert console.file.getvalue() == ""
 
 
 def test_long_task_shows_progress_and_erases_it():
     console = make_terminal()
-    with progress(console, patience=0.0) as advance:
+    with show_progress(console, delay=0.0) as advance:
         advance(1, 3)
         give_up = time.monotonic() + 300.0
         while "1/3" not in console.file.getvalue() and time.monotonic() < give_up:
@@ -46,7 +46,7 @@ def test_long_task_shows_progress_and_erases_it():
 
 def test_progress_names_task():
     console = make_terminal()
-    with progress(console, patience=0.0, words=("Searching", "Points", "Done")) as advance:
+    with show_progress(console, delay=0.0, labels=("Searching", "Points", "Done")) as advance:
         for counts, said in (((0, 0), "Searching"), ((0, 3), "Points"), ((3, 3), "Done")):
             advance(*counts)
             give_up = time.monotonic() + 300.0

@@ -9,7 +9,7 @@ from typing import Final
 from counterspin.acceleration_standard.result import AppliedAcceleration, AppliedLevel
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
 from counterspin.reports.numbers import (
-    field_unit,
+    find_display_unit,
     format_estimate,
     format_number,
     format_share,
@@ -93,7 +93,7 @@ def _levels_table(result: AppliedAcceleration) -> Table:
             Column("Applied acceleration", "right"),
             Column("u/a, GUM", "right"),
             Column("u/a, Monte Carlo", "right"),
-            Column("Largest source", wraps=True, narrowest=16),
+            Column("Largest source", wraps=True, min_width=16),
         ),
         rows,
     )
@@ -122,7 +122,7 @@ def validation_sentence(result: AppliedAcceleration) -> str:
 def _sources_table(result: AppliedAcceleration) -> Table:
     rows = []
     for source in result.applied_sources:
-        unit, factor = _DEGREES if source.name == "latitude" else field_unit(source.unit)
+        unit, factor = _DEGREES if source.name == "latitude" else find_display_unit(source.unit)
         shown = "" if unit == "1" else unit
         rows.append(
             (
@@ -134,7 +134,7 @@ def _sources_table(result: AppliedAcceleration) -> Table:
         )
     return Table(
         (
-            Column("Source", wraps=True, narrowest=16),
+            Column("Source", wraps=True, min_width=16),
             Column("Value", "right"),
             Column("Origin", wraps=True),
             Column("Symbol"),
@@ -170,7 +170,7 @@ def budget_table(result: AppliedAcceleration, level: AppliedLevel) -> Table:
     )
     return Table(
         (
-            Column("Source", wraps=True, narrowest=16),
+            Column("Source", wraps=True, min_width=16),
             Column("standard uncertainty of the source", "right"),
             Column("Sensitivity", "right"),
             Column("Unit"),

@@ -20,7 +20,7 @@ from counterspin.application.answers import JobEntry, JobKind, JobState, LiveSta
 from counterspin.application.served_folder import RequestError
 from counterspin.calibration.options import Method
 from counterspin.errors import CounterspinError, CounterspinWarning
-from counterspin.reports.numbers import field_unit
+from counterspin.reports.numbers import find_display_unit
 from counterspin.reports.typography import typeset, typeset_block
 from counterspin.workers import SPAWN_CONTEXT
 
@@ -352,7 +352,7 @@ class LiveViews:
 
 def current_uncertainties(state: WatchState) -> Reached:
     """Return the recorded time in minutes, and the u of each coefficient by then."""
-    units = {c.name: field_unit(c.unit) for c in state.coefficients}
+    units = {c.name: find_display_unit(c.unit) for c in state.coefficients}
     return {
         "minutes": sum(run.seconds or 0.0 for run in state.runs) / 60.0,
         "u": [
@@ -370,7 +370,7 @@ def run_watch(connection: Connection, campaign: Path, goal: str) -> None:
 
     def work(_: Progress) -> None:
         from counterspin.monitoring.watch import watch
-        from counterspin.reports.html import html_fragment
+        from counterspin.reports.html import render_fragment
 
         for state in watch(campaign, goals=[goal] if goal else []):
             # The page keeps a list of what happened, of which the state knows the newest.
@@ -381,6 +381,6 @@ def run_watch(connection: Connection, campaign: Path, goal: str) -> None:
                 "complete": state.complete,
                 "reached": current_uncertainties(state),
             }
-            connection.send(("told", {"html": html_fragment(blocks, title="Live"), **message}))
+            connection.send(("told", {"html": render_fragment(blocks, title="Live"), **message}))
 
     report_progress(connection, work)

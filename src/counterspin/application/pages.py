@@ -236,13 +236,13 @@ def run_forecast(connection: Connection, file: Path) -> None:
 
 
 def _study_page(app: AppState, names: Sequence[str], _: str) -> Page:
-    from counterspin.reports.publication import with_seal_warning
+    from counterspin.reports.publication import add_seal_warning
     from counterspin.studies.page import report_blocks
     from counterspin.studies.result import StudyResult
 
     file = app.file(names[0])
     result = StudyResult.read(file)
-    blocks = _typeset(with_seal_warning(result, report_blocks(result)))
+    blocks = _typeset(add_seal_warning(result, report_blocks(result)))
     return Page(result.title, blocks, study_command(file.parent, result.trials_asked, file))
 
 
@@ -263,7 +263,7 @@ _PAGE_MAKERS: Final[
 
 def page_content(app: AppState, kind: Kind, names: Sequence[str], term: str) -> PageContent:
     """Return a page's title, its blocks as HTML, and its command; or the job that makes it."""
-    from counterspin.reports.html import html_fragment
+    from counterspin.reports.html import render_fragment
 
     page = _page_or_job(app, kind, names, term)
     content: PageContent = {
@@ -284,7 +284,7 @@ def page_content(app: AppState, kind: Kind, names: Sequence[str], term: str) -> 
     text = app.cache.get(
         ("html", kind, *files, term),
         files,
-        lambda: app.folder.relative_paths(html_fragment(page.blocks, title=page.title)),
+        lambda: app.folder.relative_paths(render_fragment(page.blocks, title=page.title)),
     )
     content["title"], content["html"], content["command"] = page.title, text, page.command
     content["empty"] = page.empty
@@ -322,7 +322,7 @@ def _certificate_refusal(result: Result) -> str:
 
 def page_picture(app: AppState, kind: Kind, names: Sequence[str], term: str, index: int) -> str:
     """Return a picture of a page as SVG; `index` counts the pictures of the page."""
-    from counterspin.reports.charts import svg
+    from counterspin.reports.charts import render_svg
 
     page = _page_or_job(app, kind, names, term)
     if isinstance(page, Job):
@@ -335,7 +335,7 @@ def page_picture(app: AppState, kind: Kind, names: Sequence[str], term: str, ind
         return app.cache.get(
             ("svg", kind, *files, term, index),
             files,
-            lambda: str(svg(pictures[index], theme="page")),
+            lambda: str(render_svg(pictures[index], theme="page")),
         )
 
 

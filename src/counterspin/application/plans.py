@@ -34,7 +34,7 @@ from counterspin.planning.plan import (
 from counterspin.planning.plan_file import Plan, is_plan
 from counterspin.planning.stations import ReadingPlan, read_any_plan
 from counterspin.readings.entries import MOST_READINGS
-from counterspin.reports.html import html_fragment
+from counterspin.reports.html import render_fragment
 from counterspin.reports.typography import typeset_block
 from counterspin.units import unit_factor
 
@@ -236,7 +236,7 @@ def planned_page(app: AppState, name: str, moved: dict[str, FiniteFloat] | None 
 
     def store_page(planned: PlannedCampaign) -> None:
         blocks = list(map(typeset_block, plan_blocks(planned.result)))
-        store(app.folder.relative_paths(html_fragment(blocks, title=planned.result.title)))
+        store(app.folder.relative_paths(render_fragment(blocks, title=planned.result.title)))
 
     job = app.jobs.begin(make_job, run_plan, document, file, on_done=store_page)
     return {"job": job.to_dict(), "html": ""}

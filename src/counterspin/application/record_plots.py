@@ -45,7 +45,7 @@ from counterspin.frozen import frozen
 from counterspin.monitoring.check import check
 from counterspin.monitoring.run_state import resolve_goals
 from counterspin.records.formats import read_scaled
-from counterspin.reports.html import html_fragment
+from counterspin.reports.html import render_fragment
 from counterspin.reports.typography import typeset_block
 
 
@@ -194,7 +194,7 @@ def check_run(app: AppState, name: str, run: str) -> RunCheck:
     run_check = check(records[0], campaign, run=run)
     blocks = list(map(typeset_block, run_check.blocks()))
     return {
-        "html": html_fragment(blocks, title=f"Check of {run}"),
+        "html": render_fragment(blocks, title=f"Check of {run}"),
         "good": run_check.good,
         "command": check_command(records[0], campaign.folder, run),
     }

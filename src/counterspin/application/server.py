@@ -347,13 +347,13 @@ def _preload(app: AppState, has_ended: threading.Event) -> None:
             return
         import_module(name)
     from counterspin.reports.blocks import Bars
-    from counterspin.reports.charts import svg
-    from counterspin.reports.html import html_fragment
+    from counterspin.reports.charts import render_svg
+    from counterspin.reports.html import render_fragment
 
     bars = Bars("Title", ("Part",), (1.0,), ("1",))
     with app.drawing:
-        svg(bars, theme="page")
-    html_fragment([bars], title="Title")
+        render_svg(bars, theme="page")
+    render_fragment([bars], title="Title")
 
 
 def make_server(app: AppState, credentials: Credentials) -> uvicorn.Server:

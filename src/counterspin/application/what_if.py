@@ -40,7 +40,7 @@ from counterspin.physics.terms import (
     term,
 )
 from counterspin.planning.recorded import SuggestedRuns
-from counterspin.reports.numbers import field_unit, format_number, format_uncertainty
+from counterspin.reports.numbers import find_display_unit, format_number, format_uncertainty
 from counterspin.reports.typography import typeset
 
 #: Sources that a page has room for.
@@ -78,8 +78,8 @@ def what_if(
                 "name": source,
                 "words": describe_term(source),
                 "u": update.known[source],
-                "factor": field_unit(units[source])[1],
-                "unit": typeset(field_unit(units[source])[0]),
+                "factor": find_display_unit(units[source])[1],
+                "unit": typeset(find_display_unit(units[source])[0]),
                 "share": variances[source] / u**2,
             }
             for source in sources
@@ -301,5 +301,5 @@ def _requested_update(result_part: AccelerometerResult) -> tuple[str, WhatIf]:
 
 def _format_u(u: float, unit: str) -> str:
     """Return an uncertainty in the unit of the field."""
-    shown, factor = field_unit(unit)
+    shown, factor = find_display_unit(unit)
     return typeset(f"{format_uncertainty(u * factor)} {shown}".strip())

@@ -37,7 +37,7 @@ from counterspin.inference.diagnostics import (
 )
 from counterspin.inference.distributions import normal_quantile
 from counterspin.inference.joint.summary import Jackknife
-from counterspin.reports.numbers import field_unit, format_number
+from counterspin.reports.numbers import find_display_unit, format_number
 
 #: Beyond this many standard uncertainties (2e-9 by chance) no uncertainty explains a difference.
 CONTRADICTION_SIGMAS: Final = 6.0
@@ -408,7 +408,7 @@ def _check_jackknife(
     equivalent_z = normal_equivalent(z, worst_line.dof)
     if equivalent_z <= agreement_limit(compared_count * accelerometer_count):
         return
-    unit, factor = field_unit("g/g^2")
+    unit, factor = find_display_unit("g/g^2")
     yield Finding(
         code="run-disagrees",
         subject=f"{name}.K_II",

@@ -15,8 +15,8 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.characters import escape_controls
 from counterspin.errors import MissingPackageError
-from counterspin.reports.numbers import field_unit
-from counterspin.reports.publication import MAX_LINES
+from counterspin.reports.numbers import find_display_unit
+from counterspin.reports.publication import MAX_CELL_LINES
 from counterspin.results import make_frame
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def rows_frame(rows: Iterable[tuple[str, str, Coefficient]], library: str) -> An
         )
     }
     for owner, symbol, coefficient in rows:
-        unit, factor = field_unit(coefficient.unit)
+        unit, factor = find_display_unit(coefficient.unit)
         is_determined = (
             coefficient.estimated and coefficient.value is not None and coefficient.u is not None
         )
@@ -97,7 +97,7 @@ def summarize(result: Result) -> str:
     ]
     if hidden_count := len(findings) - 1:
         remarks += [f"... {hidden_count} more findings"] if hidden_count > 0 else []
-    max_lines = MAX_LINES - 1 - len(remarks)
+    max_lines = MAX_CELL_LINES - 1 - len(remarks)
     if len(lines) > max_lines:
         lines[max_lines - 1 :] = [
             (f"... {len(lines) - max_lines + 1} more coefficients; .table() returns all of them")

@@ -22,7 +22,7 @@ from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.summary import BudgetLine, Jackknife, Kind, WhatIf
 from counterspin.inference.verdicts import Conformity
 from counterspin.loading import load_name
-from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
+from counterspin.reports.numbers import NOT_DETERMINED, find_display_unit, format_compact
 from counterspin.results import NamedParts, ResultPart
 from counterspin.units import unit_factor
 
@@ -76,7 +76,7 @@ class Coefficient(ResultPart):
 
     def __str__(self) -> str:
         """Return such as ``27.04160(72) ug/g^2``, in the unit of the field."""
-        unit, factor = field_unit(self.unit)
+        unit, factor = find_display_unit(self.unit)
         if self.value is None or self.u is None:
             return NOT_DETERMINED
         text = f"{format_compact(self.value * factor, self.u * factor)} {unit}"
@@ -101,7 +101,7 @@ class Coefficient(ResultPart):
         unit: Such as ``ug/g^2`` or ``arcsec``. None: the one in which tables and texts show it.
         """
         value, u = self._stated()
-        shown, factor = field_unit(self.unit)
+        shown, factor = find_display_unit(self.unit)
         if unit is not None:
             shown, factor = unit, unit_factor(self.unit, unit)
         return Quantity(value * factor, u * factor, shown)

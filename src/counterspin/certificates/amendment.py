@@ -21,7 +21,7 @@ from counterspin.certificates.certificate_text import coverage_factor
 from counterspin.certificates.schema import NAMESPACES, Element, parse_xml
 from counterspin.errors import CampaignError, RecordError, UsageError
 from counterspin.frozen import frozen
-from counterspin.reports.numbers import field_unit, format_estimate
+from counterspin.reports.numbers import find_display_unit, format_estimate
 
 #: Hash algorithm of the checksum of a replaced certificate, as stated in the new certificate.
 HASH_ALGORITHM: Final = "SHA-256"
@@ -215,7 +215,7 @@ def _certified_values(numbers: CertificateNumbers) -> dict[str, CertifiedAcceler
 def _format_coefficient(coefficient: Any) -> str:
     if coefficient is None:
         return "not certified"
-    unit, factor = field_unit(coefficient.unit)
+    unit, factor = find_display_unit(coefficient.unit)
     u = coverage_factor(coefficient.dof) * (coefficient.u or 0.0)
     return format_estimate(coefficient.value * factor, u * factor, unit)
 

@@ -215,7 +215,7 @@ def _dcc_version(version: str) -> str:
 
 def _significant_digit(value: float, u: float) -> int | None:
     rounded = round_to_uncertainty(value, u)
-    return None if rounded is None else rounded.place
+    return None if rounded is None else rounded.last_digit
 
 
 def _reading_rates(result: Result) -> list[tuple[str, float]]:

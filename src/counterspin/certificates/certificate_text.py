@@ -25,7 +25,7 @@ from counterspin.physics.grades import GRADES
 from counterspin.physics.terms import TABLE, TERMS, find_symbol
 from counterspin.reports.blocks import Paragraph
 from counterspin.reports.numbers import (
-    field_unit,
+    find_display_unit,
     format_estimate,
     format_number,
     format_probability,
@@ -241,7 +241,7 @@ def prior_lines(name: str, result: Result, settings: CertificateSettings) -> lis
     }
     sentences = []
     for symbol, line in lines.items():
-        unit, scale = field_unit(line.unit)
+        unit, scale = find_display_unit(line.unit)
         uncertainty_text = ""
         if line.u:
             uncertainty_text = f", standard uncertainty {format_uncertainty(line.u * scale)} {unit}"
@@ -266,7 +266,7 @@ def assumption_lines(name: str, result: Result) -> list[str]:
     for line in sorted(budget, key=lambda line: line.share):
         if line.kind == "unstated" and line.u and line.share >= MIN_NAMED_SHARE:
             sentence_by_source.pop(line.source, None)
-            unit, scale = field_unit(line.unit)
+            unit, scale = find_display_unit(line.unit)
             uncertainty_text = f"{format_uncertainty(line.u * scale)} {unit}"
             sentence_by_source[line.source] = (
                 f"Default prior: {describe_source(line.source)}, standard uncertainty "
@@ -368,7 +368,7 @@ def format_in_g_units(coefficient: Coefficient, k: float) -> str:
     """Format a determined coefficient with k u, in the usual unit of the field."""
     assert coefficient.value is not None
     assert coefficient.u is not None
-    unit, scale = field_unit(coefficient.unit)
+    unit, scale = find_display_unit(coefficient.unit)
     return format_estimate(coefficient.value * scale, k * coefficient.u * scale, unit)
 
 
@@ -398,7 +398,7 @@ def decision_rule_sentence(conformity: Conformity) -> str:
     """Return a sentence with the decision rule of a verdict."""
     text = f"Decision rule: {_RULE_DESCRIPTIONS[conformity.rule]}"
     if conformity.guard_band:
-        unit, scale = field_unit(conformity.unit)
+        unit, scale = find_display_unit(conformity.unit)
         text += f"; guard band {format_uncertainty(conformity.guard_band * scale)} {unit}"
     if conformity.needed is not None:
         text += f"; required probability {format_number(conformity.needed)}"

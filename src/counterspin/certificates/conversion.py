@@ -28,7 +28,7 @@ from counterspin.certificates.schema import format_decimal
 from counterspin.physics.terms import COMMON_NAMES, TERMS
 from counterspin.reports.blocks import Column, Table
 from counterspin.reports.numbers import (
-    field_unit,
+    find_display_unit,
     format_estimate,
     format_number,
     format_uncertainty,
@@ -379,7 +379,7 @@ def cmc_lines(result: Result, certified_result: Result, lab: Lab) -> list[str]:
         ]
     for description, coefficient, certified_coefficient in compared_values:
         if coefficient.u and certified_coefficient.u and certified_coefficient.u > coefficient.u:
-            unit, factor = field_unit(coefficient.unit)
+            unit, factor = find_display_unit(coefficient.unit)
             evaluated_text = format_uncertainty(
                 coverage_factor(coefficient.dof) * coefficient.u * factor
             )

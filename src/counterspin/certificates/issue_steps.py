@@ -18,7 +18,7 @@ from counterspin.certificates.signers import Signer
 from counterspin.certificates.statements import Issue
 from counterspin.errors import CampaignError, error_code
 from counterspin.reports.blocks import Block
-from counterspin.reports.publication import issue_date
+from counterspin.reports.publication import parse_issue_date
 
 
 def read_laboratory_logo(lab: Lab, folder: Path, source: str) -> bytes | None:
@@ -34,7 +34,7 @@ def read_laboratory_logo(lab: Lab, folder: Path, source: str) -> bytes | None:
 
 def sign_pages_if_requested(pages: bytes, signer: Signer | None) -> bytes:
     """Sign the pages if there is a signer."""
-    return pages if signer is None else sign_pages(pages, signer, issue_date())
+    return pages if signer is None else sign_pages(pages, signer, parse_issue_date())
 
 
 def ledger_path(lab: Lab, lab_source: Mapping[str, Any] | Path | str) -> Path | None:
@@ -111,7 +111,7 @@ def make_issue(
     return Issue(
         identifier=f"DRAFT-{identifier}" if draft else identifier,
         # Without a time of day, XML and PDF issued one after the other are identical.
-        date=datetime.combine(lab.certificate.issued or issue_date().date(), time(), UTC),
+        date=datetime.combine(lab.certificate.issued or parse_issue_date().date(), time(), UTC),
         draft=draft,
         amended=amended_certificate,
     )
@@ -138,9 +138,9 @@ def render_pages(blocks: Sequence[Block], issue: Issue, *, xml: bytes | None = N
 
 def render_images(blocks: Sequence[Block], issue: Issue) -> list[str]:
     """Render the pages as SVG images."""
-    from counterspin.reports.pdf import page_images
+    from counterspin.reports.pdf import render_page_images
 
-    return page_images(list(blocks), **_page_settings(issue))
+    return render_page_images(list(blocks), **_page_settings(issue))
 
 
 def _page_settings(issue: Issue) -> dict[str, Any]:

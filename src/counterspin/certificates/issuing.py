@@ -63,7 +63,7 @@ from counterspin.input import read_file
 from counterspin.output import check_writable, write_atomically
 from counterspin.reports.blocks import Block, Heading, Paragraph
 from counterspin.reports.numbers import format_number
-from counterspin.reports.publication import issue_date
+from counterspin.reports.publication import parse_issue_date
 
 #: Suffixes of certificate files.
 FILE_SUFFIXES: Final = (".xml", ".pdf")
@@ -197,7 +197,7 @@ class Certificate:
         if ledger_path is None:
             write_atomically(path, lambda partial_path: partial_path.write_bytes(data))
             return
-        details = IssueDetails(self.signed_by, self.reason, issue_date(), self.result)
+        details = IssueDetails(self.signed_by, self.reason, parse_issue_date(), self.result)
         earlier_entry = record_certificate(ledger_path, path, data, entry, details)
         if earlier_entry is not None:
             self.notes.append(

@@ -112,9 +112,9 @@ def applied(
     )
     from counterspin.acceleration_standard.result import AppliedAcceleration
     from counterspin.output import check_writable, marked_file_type
-    from counterspin.reports.charts import check_format, save_figure
-    from counterspin.reports.publication import check_format as check_report
-    from counterspin.reports.text import Report, report_console
+    from counterspin.reports.charts import require_figure_format, save_figure
+    from counterspin.reports.publication import require_report_format as check_report
+    from counterspin.reports.text import Report, make_console
 
     if report is not None:
         check_report(report)
@@ -123,7 +123,7 @@ def applied(
             report, lambda: marked_file_type(document_type), overwrite=save_options.overwrite
         )
     if figure is not None:
-        check_format(figure)
+        require_figure_format(figure)
         check_writable(
             figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
         )
@@ -145,7 +145,7 @@ def applied(
         if report is not None:
             result.write_report(report, overwrite=save_options.overwrite)
         blocks = report_blocks(result) if budget_options.budget else result.blocks()
-        report_console().print(Report(list(blocks)))
+        make_console().print(Report(list(blocks)))
     for path in (report, figure):
         if path is not None:
             print_output(f"Wrote {path}.")

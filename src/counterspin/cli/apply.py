@@ -123,7 +123,7 @@ def apply(
     from counterspin.correction.apply_file import apply_file
     from counterspin.correction.page import correction_report
     from counterspin.records.dialect import Dialect
-    from counterspin.reports.text import report_console
+    from counterspin.reports.text import make_console
 
     dialect_keys = vars(file_options) | {
         "delimiter": "\t" if file_options.delimiter == "tab" else file_options.delimiter
@@ -145,7 +145,7 @@ def apply(
         ),
         overwrite=overwrite,
     )
-    report_console().print(correction_report(correction))
+    make_console().print(correction_report(correction))
 
 
 def parse_others(text: str | None) -> dict[str, str]:

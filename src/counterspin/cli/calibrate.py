@@ -176,7 +176,7 @@ def calibrate(
     """
     from counterspin.calibration.calibrate import calibrate as run_calibration
     from counterspin.calibration.options import TwoStageOptions
-    from counterspin.reports.text import progress
+    from counterspin.reports.text import show_progress
 
     options = TwoStageOptions(
         model=estimation_options.model,
@@ -199,7 +199,7 @@ def calibrate(
         )
         return
     save_options.check_writable(_result_file_type)
-    with progress() as advance:
+    with show_progress() as advance:
         result = run_calibration(
             directory,
             method=estimation_options.method,
@@ -211,11 +211,11 @@ def calibrate(
         )
     # Loaded last, so that reading begins as early as possible.
     from counterspin.calibration.pages.document import print_result
-    from counterspin.reports.text import report_console
+    from counterspin.reports.text import make_console
 
     with save_options.saving(result):
         print_result(
-            result, report_console(), budget=print_options.budget, details=print_options.details
+            result, make_console(), budget=print_options.budget, details=print_options.details
         )
     ledger_options.add_result(save_options.json)
     if result.state == "contradicted" and result.accepted_misfit is None:
@@ -246,11 +246,11 @@ def calibrate_several(
 ) -> None:
     """Calibrate campaigns one by one, print a summary, and raise if any failed."""
     from counterspin.calibration.batch import BatchResult, calibrate_many
-    from counterspin.reports.text import report_console, work_progress
+    from counterspin.reports.text import make_console, show_work_progress
     from counterspin.workers import Workers
 
     save_options.check_writable(BatchResult.file_type)
-    with work_progress("Campaigns") as advance:
+    with show_work_progress("Campaigns") as advance:
         batch = calibrate_many(
             directories,
             method=estimation_options.method,
@@ -261,7 +261,7 @@ def calibrate_several(
             progress=advance,
         )
     with save_options.saving(batch):
-        report_console().print(batch)
+        make_console().print(batch)
     if batch.failed:
         raise CounterspinError(
             f"{len(batch.failed)} of {len(batch.campaigns)} campaigns could not be calibrated",

@@ -182,7 +182,7 @@ def certificate(
         check_certificate,
     )
     from counterspin.certificates.lab import write_example
-    from counterspin.reports.text import Report, report_console
+    from counterspin.reports.text import Report, make_console
 
     if sum(given is not None for given in (result, init, verify)) != 1:
         raise UsageError(
@@ -198,7 +198,7 @@ def certificate(
             signer_certificate=signing_options.cert,
             amended_path=issue_options.amends,
         )
-        report_console().print(Report(list(certificate_blocks(checked.numbers))))
+        make_console().print(Report(list(certificate_blocks(checked.numbers))))
         signature_statements = {
             "none": "The document is not signed.",
             "unchecked": "The document is signed, but the signature was not checked. To check "

@@ -86,10 +86,10 @@ def _import_files(
     from counterspin.ingest.contents import read_files
     from counterspin.ingest.description import make_draft, write_description
     from counterspin.ingest.overview import overview, sensor_question
-    from counterspin.reports.text import work_progress
+    from counterspin.reports.text import show_work_progress
 
     answers = _parse_answers(answer_options)
-    with work_progress("Files") as advance:
+    with show_work_progress("Files") as advance:
         contents = read_files(files, answers, progress=advance)
     print_output("Detected in the files:", *(f"  {line}" for line in overview(contents)))
     is_interactive = is_interactive and sys.stdin is not None and sys.stdin.isatty()

@@ -66,9 +66,9 @@ def operating(
     from counterspin.operating_tests.page import FILE_DESCRIPTION, operating_plot
     from counterspin.operating_tests.result import OperatingTests
     from counterspin.output import check_writable, marked_file_type
-    from counterspin.reports.charts import check_format, save_figure
-    from counterspin.reports.publication import check_format as check_report
-    from counterspin.reports.text import Report, report_console
+    from counterspin.reports.charts import require_figure_format, save_figure
+    from counterspin.reports.publication import require_report_format as check_report
+    from counterspin.reports.text import Report, make_console
 
     if report is not None:
         check_report(report)
@@ -77,7 +77,7 @@ def operating(
             report, lambda: marked_file_type(document_type), overwrite=save_options.overwrite
         )
     if figure is not None:
-        check_format(figure)
+        require_figure_format(figure)
         check_writable(
             figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
         )
@@ -98,7 +98,7 @@ def operating(
             )
         if report is not None:
             result.write_report(report, overwrite=save_options.overwrite)
-        report_console().print(Report(list(result.blocks())))
+        make_console().print(Report(list(result.blocks())))
     for path in (report, figure):
         if path is not None:
             print_output(f"Wrote {path}.")

@@ -84,7 +84,7 @@ def plan(
     from counterspin.planning.plan import plan as make_plan
     from counterspin.planning.plan import require_no_campaign, write_campaign, write_example
     from counterspin.planning.result import PlanResult
-    from counterspin.reports.text import progress, report_console
+    from counterspin.reports.text import make_console, show_progress
 
     if sum(given is not None for given in (file, check, example_options.init)) != 1:
         raise UsageError("plan", ["give a plan file, --check DIR, or --init FILE"])
@@ -107,12 +107,12 @@ def plan(
         result = forecast(check, sampling_rate=rate, revolutions=recording_details.revolutions)
     else:
         assert file is not None  # one of the three is
-        with progress(words=("Searching",) * 3):
+        with show_progress(labels=("Searching",) * 3):
             planned = make_plan(file)
         result = planned.result
     with save_options.saving(result):
         path = None if output is None else write_campaign(planned, output)
-        report_console().print(result)
+        make_console().print(result)
     if output is not None and result.readings:
         print_output("", f"Wrote {path}. Replace each ? with the reading, then calibrate:")
         print_output(f"  counterspin calibrate {quote_path(output)}")

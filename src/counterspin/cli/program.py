@@ -100,8 +100,8 @@ def demo(
     overwrite
         Replace an earlier demonstration.
     """
-    from counterspin.reports.charts import reserve_figures, save_figure
-    from counterspin.reports.text import report_console
+    from counterspin.reports.charts import check_figures_writable, save_figure
+    from counterspin.reports.text import make_console
     from counterspin.reproduction.demo import demo as run_demo
     from counterspin.reproduction.page import (
         FILE_DESCRIPTION,
@@ -110,12 +110,12 @@ def demo(
     )
 
     figure_path = output / f"displacement.{figure}"
-    reserve_figures([figure_path], FILE_DESCRIPTION, overwrite=overwrite)
+    check_figures_writable([figure_path], FILE_DESCRIPTION, overwrite=overwrite)
     demonstration = run_demo(output, overwrite=overwrite)
     save_figure(
         demonstration_plots(demonstration), figure_path, FILE_DESCRIPTION, overwrite=overwrite
     )
-    report_console().print(demonstration_report(demonstration))
+    make_console().print(demonstration_report(demonstration))
     print_output(
         "",
         f"Wrote campaign.toml, {len(demonstration.records)} records and "
@@ -127,14 +127,14 @@ def demo(
 @command
 def reproduce(*, save_options: SaveOptions = NO_RESULT_FILE) -> None:
     """Recompute the paper's numbers and explain the differences."""
-    from counterspin.reports.text import report_console
+    from counterspin.reports.text import make_console
     from counterspin.reproduction.comparison import reproduce as run_reproduction
     from counterspin.reproduction.plan import Reproduction
 
     save_options.check_writable(Reproduction.file_type)
     reproduction = run_reproduction()
     with save_options.saving(reproduction):
-        report_console().print(reproduction)
+        make_console().print(reproduction)
 
 
 @command
@@ -150,15 +150,15 @@ def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: boo
     overwrite
         Replace an earlier validation report; other files are never replaced.
     """
-    from counterspin.reports.text import progress, report_console
+    from counterspin.reports.text import make_console, show_progress
     from counterspin.validation.validate import check_folder, write_dossier
     from counterspin.validation.validate import validate as run_validation
 
     check_folder(output, overwrite=overwrite)
-    with progress(words=("Running cases", "Running cases", "Writing")) as advance:
+    with show_progress(labels=("Running cases", "Running cases", "Writing")) as advance:
         dossier = run_validation(schema=schema, progress=advance)
         write_dossier(dossier, output, overwrite=overwrite)
-    report_console().print(dossier)
+    make_console().print(dossier)
     print_output(f"Wrote {quote_path(output)}")
     if dossier.failed:
         raise CounterspinError(

@@ -41,11 +41,11 @@ def simulate(campaign: Path, /, *, output: OutputFolder, overwrite: bool = False
     """
     from counterspin.campaign.description import read_campaign
     from counterspin.campaign.questions import questions
-    from counterspin.reports.text import progress
+    from counterspin.reports.text import show_progress
     from counterspin.simulation.simulate import simulate as run_simulation
 
     description = read_campaign(campaign)
-    with progress(words=("Simulating", "Files", "Files")) as advance:
+    with show_progress(labels=("Simulating", "Files", "Files")) as advance:
         written_files = run_simulation(description, output, overwrite=overwrite, progress=advance)
     print_output(*(f"Warning: {question.text}" for question in questions(description)))
     files = (
@@ -78,12 +78,12 @@ def check(
     """
     from counterspin.monitoring.check import check as run_check
     from counterspin.monitoring.result import CheckedRun
-    from counterspin.reports.text import report_console
+    from counterspin.reports.text import make_console
 
     save_options.check_writable(CheckedRun.file_type)
     checked_run = run_check(record, campaign, run=run)
     with save_options.saving(checked_run):
-        report_console().print(checked_run)
+        make_console().print(checked_run)
     if not checked_run.good:
         raise CounterspinError(
             "the run failed its checks and should be repeated", code="run-faulty"
@@ -143,9 +143,9 @@ def watch(
 def _show_live_display(states: Iterator[WatchState]) -> None:
     from rich.live import Live
 
-    from counterspin.reports.text import report_console
+    from counterspin.reports.text import make_console
 
-    console = report_console()
+    console = make_console()
     with Live(console=console, auto_refresh=False) as display:
         for state in states:
             display.update(state, refresh=True)
@@ -153,11 +153,11 @@ def _show_live_display(states: Iterator[WatchState]) -> None:
 
 def _print_lines(states: Iterator[WatchState], *, once: bool) -> None:
     from counterspin.monitoring.page import watch_line
-    from counterspin.reports.text import report_console
+    from counterspin.reports.text import make_console
 
     for state in states:
         if once:
-            report_console().print(state)
+            make_console().print(state)
             return
         time_of_day = time.strftime("%H:%M:%S")
         events = [f"{time_of_day} {event}" for event in state.events]
@@ -228,9 +228,9 @@ def noise(
     from counterspin.monitoring.page import FILE_DESCRIPTION, noise_plots
     from counterspin.monitoring.result import NoiseResult
     from counterspin.output import check_writable, marked_file_type
-    from counterspin.reports.charts import check_format, save_figure
-    from counterspin.reports.publication import check_format as check_report
-    from counterspin.reports.text import report_console
+    from counterspin.reports.charts import require_figure_format, save_figure
+    from counterspin.reports.publication import require_report_format as check_report
+    from counterspin.reports.text import make_console
 
     if report is not None:
         check_report(report)
@@ -239,7 +239,7 @@ def noise(
             report, lambda: marked_file_type(document_type), overwrite=save_options.overwrite
         )
     if plot is not None:
-        check_format(plot)
+        require_figure_format(plot)
         check_writable(
             plot, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
         )
@@ -264,7 +264,7 @@ def noise(
             save_figure(pictures, plot, FILE_DESCRIPTION, overwrite=save_options.overwrite)
         if report is not None:
             result.write_report(report, overwrite=save_options.overwrite)
-        report_console().print(result)
+        make_console().print(result)
     for path in (report, plot):
         if path is not None:
             print_output(f"Wrote {path}.")

@@ -67,14 +67,14 @@ def report(
     """
     from counterspin.calibration.result import Result
     from counterspin.output import check_writable, marked_file_type
-    from counterspin.reports.publication import check_format, issue_date
-    from counterspin.reports.text import Report, report_console
+    from counterspin.reports.publication import parse_issue_date, require_report_format
+    from counterspin.reports.text import Report, make_console
 
-    issued = issue_date(date)
+    issued = parse_issue_date(date)
     is_file = source.suffix.lower() == ".json" or (source.is_file() and source.suffix != ".toml")
     result_class = _detect_result_class(source) if is_file else Result
     if output is not None:
-        check_format(output)
+        require_report_format(output)
         check_writable(
             output, lambda: marked_file_type(result_class.report_type()), overwrite=overwrite
         )
@@ -82,12 +82,12 @@ def report(
         result = result_class.read(source)
     else:
         from counterspin.calibration.calibrate import calibrate
-        from counterspin.reports.text import progress
+        from counterspin.reports.text import show_progress
 
-        with progress() as advance:
+        with show_progress() as advance:
             result = calibrate(source, progress=advance)
     if output is None:
-        report_console().print(Report(list(result.publication(identifier).blocks)))
+        make_console().print(Report(list(result.publication(identifier).blocks)))
         return
     result.write_report(output, identifier=identifier, issued=issued, overwrite=overwrite)
     print_output(f"Wrote {output}.")
@@ -134,13 +134,13 @@ def history(
     from counterspin.histories.page import FILE_DESCRIPTION, history_plots
     from counterspin.histories.result import History
     from counterspin.output import check_writable, marked_file_type
-    from counterspin.reports.charts import check_format, save_figure
-    from counterspin.reports.text import report_console
+    from counterspin.reports.charts import require_figure_format, save_figure
+    from counterspin.reports.text import make_console
 
     if not paths:
         raise UsageError("history", ["give result files, or folders that contain them"])
     if figure is not None:
-        check_format(figure)
+        require_figure_format(figure)
         check_writable(
             figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
         )
@@ -151,7 +151,7 @@ def history(
             save_figure(
                 history_plots(result), figure, FILE_DESCRIPTION, overwrite=save_options.overwrite
             )
-        report_console().print(result)
+        make_console().print(result)
     if result.damaged:
         raise CounterspinError(
             f"{len(result.damaged)} of the result files cannot be read, so the history omits them",
@@ -175,11 +175,11 @@ def compare(
     from counterspin.comparisons.compare import compare as compare_results
     from counterspin.comparisons.result import ResultComparison
     from counterspin.output import check_writable, marked_file_type
-    from counterspin.reports.publication import check_format
-    from counterspin.reports.text import report_console
+    from counterspin.reports.publication import require_report_format
+    from counterspin.reports.text import make_console
 
     if report is not None:
-        check_format(report)
+        require_report_format(report)
         check_writable(
             report,
             lambda: marked_file_type(ResultComparison.report_type()),
@@ -190,7 +190,7 @@ def compare(
     with save_options.saving(comparison):
         if report is not None:
             comparison.write_report(report, overwrite=save_options.overwrite)
-        report_console().print(comparison)
+        make_console().print(comparison)
 
 
 @command
@@ -218,14 +218,14 @@ def intercompare(
     from counterspin.comparisons.intercomparison_page import FILE_DESCRIPTION, intercomparison_plots
     from counterspin.comparisons.result import Intercomparison
     from counterspin.output import check_writable, marked_file_type
-    from counterspin.reports.charts import check_format as check_figure
+    from counterspin.reports.charts import require_figure_format as check_figure
     from counterspin.reports.charts import save_figure
-    from counterspin.reports.publication import check_format
-    from counterspin.reports.text import report_console
+    from counterspin.reports.publication import require_report_format
+    from counterspin.reports.text import make_console
 
     overwrite = save_options.overwrite
     if report is not None:
-        check_format(report)
+        require_report_format(report)
         check_writable(
             report, lambda: marked_file_type(Intercomparison.report_type()), overwrite=overwrite
         )
@@ -245,7 +245,7 @@ def intercompare(
                 FILE_DESCRIPTION,
                 overwrite=overwrite,
             )
-        report_console().print(intercomparison)
+        make_console().print(intercomparison)
 
 
 @command
@@ -267,13 +267,13 @@ def rerun(
     """
     from counterspin.comparisons.rerun import rerun as repeat_calibration
     from counterspin.comparisons.result import RepeatedCalibration
-    from counterspin.reports.text import progress, report_console
+    from counterspin.reports.text import make_console, show_progress
 
     save_options.check_writable(RepeatedCalibration.file_type)
-    with progress() as advance:
+    with show_progress() as advance:
         repetition = repeat_calibration(result, folder, progress=advance)
     with save_options.saving(repetition):
-        report_console().print(repetition)
+        make_console().print(repetition)
     if not repetition.same:
         raise CounterspinError(f"{result}: the repeated calibration differs", code="results-differ")
 
@@ -351,7 +351,7 @@ def ledger(
     """
     from counterspin.certificates.ledger import ledger_blocks, verify_ledger
     from counterspin.errors import RecordError
-    from counterspin.reports.text import Report, report_console
+    from counterspin.reports.text import Report, make_console
 
     if action == "add":
         if not results or not who or not why:
@@ -362,7 +362,7 @@ def ledger(
     if results or who or why:
         raise UsageError("ledger", ["verify accepts only the ledger"])
     ledger_state = verify_ledger(ledger)
-    report_console().print(Report(list(ledger_blocks(ledger_state))))
+    make_console().print(Report(list(ledger_blocks(ledger_state))))
     if ledger_state.partial_entry:
         raise RecordError(
             f"{ledger}: entry {len(ledger_state.entries)} is followed by an incomplete line of "
@@ -376,7 +376,7 @@ def ledger(
 def add_to_ledger(ledger: Path, result: Path, *, who: str, why: str) -> None:
     """Enter a result file in a ledger, and print the entry."""
     from counterspin.certificates.ledger import record_result
-    from counterspin.reports.publication import issue_date
+    from counterspin.reports.publication import parse_issue_date
 
-    entry = record_result(ledger, result, who=who, why=why, date=issue_date())
+    entry = record_result(ledger, result, who=who, why=why, date=parse_issue_date())
     print_output(f"{ledger}: entry {entry.number} is result {result}, hash {entry.digest}.")

@@ -75,7 +75,7 @@ def study(
     resume
         Continue the study in the output folder.
     """
-    from counterspin.reports.text import report_console, work_progress
+    from counterspin.reports.text import make_console, show_work_progress
     from counterspin.studies.folder import StudyFolder
     from counterspin.studies.result import StudyResult
     from counterspin.studies.study import study as run_study
@@ -88,7 +88,7 @@ def study(
         )
     save_options.check_writable(StudyResult.file_type)
     folder = output and StudyFolder(output, keep_trials, resume, save_options.overwrite)
-    with work_progress("Trials") as advance:
+    with show_work_progress("Trials") as advance:
         result = run_study(
             campaign,
             trials=trial_options.trials,
@@ -103,7 +103,7 @@ def study(
             from counterspin.studies.page import write_figures
 
             write_figures(result, output, overwrite=resume or save_options.overwrite)
-        report_console().print(result)
+        make_console().print(result)
     if not result.complete:
         advice = "" if output is None else "; to continue, repeat the command with --resume"
         raise KeyboardInterrupt(f"stopped{advice}")

@@ -9,7 +9,7 @@ from counterspin.comparisons.page import short_names
 from counterspin.comparisons.result import Intercomparison, ReferenceValue
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
 from counterspin.reports.numbers import (
-    field_unit,
+    find_display_unit,
     format_estimate,
     format_number,
     round_to_uncertainty,
@@ -58,7 +58,7 @@ def reference_sentence(reference: ReferenceValue) -> str:
     )
     if reference.value is None or reference.u is None or reference.p_members is None:
         return f"No two results are consistent ({test_text}), so there is no reference value."
-    unit, factor = field_unit(reference.unit)
+    unit, factor = find_display_unit(reference.unit)
     value = format_estimate(reference.value * factor, reference.u * factor, unit)
     if reference.consistent:
         return f"Reference value {value}. All results are consistent ({test_text})."
@@ -83,7 +83,7 @@ def _reference_title(reference: ReferenceValue) -> str:
 
 def _degree_tables(reference: ReferenceValue) -> Iterator[Table]:
     """Yield the degrees of equivalence, and the differences of all pairs."""
-    unit, factor = field_unit(reference.unit)
+    unit, factor = find_display_unit(reference.unit)
 
     def rounded(d: float, expanded_u_d: float) -> tuple[str, str]:
         rounded = round_to_uncertainty(d * factor, expanded_u_d * factor) if expanded_u_d else None
@@ -125,7 +125,7 @@ def _degree_tables(reference: ReferenceValue) -> Iterator[Table]:
 
 def _degree_plot(reference: ReferenceValue) -> Plot:
     """Return the plot of the degrees of equivalence; without a reference value, of the values."""
-    unit, factor = field_unit(reference.unit)
+    unit, factor = find_display_unit(reference.unit)
     series = []
     for is_member, label in ((True, "inside the subset"), (False, "outside the subset")):
         points = [
@@ -152,7 +152,7 @@ def _degree_plot(reference: ReferenceValue) -> Plot:
                     low,
                     high,
                     kind="points",
-                    stands_out=not is_member,
+                    is_highlighted=not is_member,
                 )
             )
     has_reference = reference.value is not None

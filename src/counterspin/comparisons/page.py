@@ -25,7 +25,12 @@ from counterspin.reports.blocks import (
     Style,
     Table,
 )
-from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_estimate, format_number
+from counterspin.reports.numbers import (
+    NOT_DETERMINED,
+    find_display_unit,
+    format_estimate,
+    format_number,
+)
 from counterspin.results import unsealed_sentences
 
 _COMPARISON_TITLE: Final = "Comparison of results"
@@ -166,7 +171,7 @@ def _coefficient_table(
 ) -> Table:
     rows, quiet_rows = list[tuple[str, ...]](), set[int]()
     for coefficient in coefficients:
-        unit, factor = field_unit(coefficient.unit)
+        unit, factor = find_display_unit(coefficient.unit)
         label = f"{coefficient.term}, {unit}"
         for result, estimate in zip(comparison.results, coefficient.estimates, strict=True):
             if not result.has(coefficient.accelerometer):
@@ -188,7 +193,7 @@ def _coefficient_table(
             Column("z", "right"),
         ),
         rows=tuple(rows),
-        quiet=frozenset(quiet_rows),
+        quiet_rows=frozenset(quiet_rows),
     )
 
 
@@ -216,7 +221,7 @@ def _k_ii_plots(coefficients: list[ComparedCoefficient], names: tuple[str, ...])
     for coefficient in coefficients:
         if coefficient.term != "K_II":
             continue
-        unit, factor = field_unit(coefficient.unit)
+        unit, factor = find_display_unit(coefficient.unit)
         points = [
             (name, estimate.value * factor, estimate.u * factor)
             for name, estimate in zip(names, coefficient.estimates, strict=True)
@@ -334,7 +339,7 @@ def repeated_calibration_sentence(repeated: RepeatedCalibration) -> str:
 def _difference_table(changed_coefficients: list[RepeatedCoefficient]) -> Table:
     rows = list[tuple[str, ...]]()
     for coefficient in changed_coefficients:
-        unit, factor = field_unit(coefficient.unit)
+        unit, factor = find_display_unit(coefficient.unit)
         in_u = "" if coefficient.in_u is None else f"{coefficient.in_u:.2g}"
         rows.append(
             (

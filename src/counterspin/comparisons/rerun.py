@@ -21,7 +21,7 @@ from counterspin.campaign.model import ALL_TERMS
 from counterspin.comparisons.result import Change, RepeatedCalibration, RepeatedCoefficient
 from counterspin.errors import RecordError
 from counterspin.physics.terms import find_symbol
-from counterspin.reports.numbers import field_unit, format_estimate, format_number
+from counterspin.reports.numbers import find_display_unit, format_estimate, format_number
 from counterspin.temporary_folders import temporary_folder
 
 #: Number of characters shown of a checksum.
@@ -123,7 +123,7 @@ def _default_priors(result: Result) -> list[str]:
 def _format_quantity(value: float | None, u: float | None, unit: str) -> str:
     if value is None:
         return _NO_VALUE
-    display_unit, factor = field_unit(unit)
+    display_unit, factor = find_display_unit(unit)
     if not u:
         return f"{format_number(value * factor, 12)} {display_unit}"
     return format_estimate(value * factor, u * factor, display_unit)

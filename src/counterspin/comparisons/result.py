@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Final, Literal
 
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.loading import load_name
-from counterspin.reports.numbers import field_unit
+from counterspin.reports.numbers import find_display_unit
 from counterspin.results import ReportableResult, ResultPart, draw_pictures, make_frame
 
 
@@ -135,7 +135,7 @@ class ResultComparison(ReportableResult):
         """
         columns: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
         for coefficient in self.coefficients:
-            unit, factor = field_unit(coefficient.unit)
+            unit, factor = find_display_unit(coefficient.unit)
             for result, estimate in zip(self.results, coefficient.estimates, strict=True):
                 numbers = (estimate.value, estimate.u, estimate.difference, estimate.u_difference)
                 row = (

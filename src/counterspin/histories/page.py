@@ -18,7 +18,7 @@ from counterspin.histories.result import (
 from counterspin.inference.distributions import expanded_uncertainty
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
 from counterspin.reports.numbers import (
-    field_unit,
+    find_display_unit,
     format_estimate,
     format_number,
     format_probability,
@@ -69,7 +69,7 @@ def history_blocks(history: History) -> Iterator[Block]:
 
 def verdict_sentences(history: History, instrument: InstrumentHistory) -> str:
     """Return the verdict on the agreement of an instrument's results, in one or two sentences."""
-    name, unit, factor = _quantity_name(history), *field_unit(history.unit)
+    name, unit, factor = _quantity_name(history), *find_display_unit(history.unit)
     points, mean = instrument.points, instrument.mean * factor
     mean_text = format_estimate(mean, instrument.u_mean * factor, unit)
     if instrument.verdict == "single":
@@ -115,7 +115,7 @@ def verdict_sentences(history: History, instrument: InstrumentHistory) -> str:
 
 def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Iterator[str]:
     """Yield sentences on control limits, shared inputs, due date, and pairs of laboratories."""
-    unit, factor = field_unit(history.unit)
+    unit, factor = find_display_unit(history.unit)
 
     def format_range(lower: float, upper: float) -> str:
         return f"{lower * factor:.6g} to {upper * factor:.6g} {unit}"
@@ -174,7 +174,7 @@ _MIN_RELIABLE_DOF: Final = 5
 
 def _repeatability_blocks(history: History, repeatability: Repeatability) -> Iterator[Block]:
     """Yield the table of the variation of results in excess of their u."""
-    unit, factor = field_unit(history.unit)
+    unit, factor = find_display_unit(history.unit)
 
     def format_number_in_unit(value: float) -> str:
         return format_number(value * factor, 2)
@@ -255,14 +255,14 @@ def _limit_series(
             if level is not None:
                 y = (level * factor,) * 2
                 yield PlotSeries(
-                    label, date_range, y, colour=colour, stands_out=legend == "specification"
+                    label, date_range, y, colour=colour, is_highlighted=legend == "specification"
                 )
                 label = ""
 
 
 def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
     """Return the results with their 95 % intervals over time, mean, control limits and drift."""
-    unit, factor = field_unit(history.unit)
+    unit, factor = find_display_unit(history.unit)
     x = tuple(_days_since_epoch(point.date) for point in instrument.points)
     y = tuple(point.value * factor for point in instrument.points)
     half_widths = tuple(
@@ -303,7 +303,7 @@ def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
                     )
                     for date in date_range
                 ),
-                stands_out=instrument.verdict == "drifts",
+                is_highlighted=instrument.verdict == "drifts",
                 colour=3,
             )
         )
@@ -325,7 +325,7 @@ def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
         x_label="date",
         y_label=f"{_quantity_name(history)}, {unit}",
         series=tuple(series),
-        dates=True,
+        is_date_axis=True,
     )
 
 
@@ -352,7 +352,7 @@ def _scatter_sentence(scatter: Scatter) -> str:
 
 
 def _result_table(history: History, instrument: InstrumentHistory) -> Table:
-    unit, factor = field_unit(history.unit)
+    unit, factor = find_display_unit(history.unit)
     return Table(
         columns=(
             Column("Date"),

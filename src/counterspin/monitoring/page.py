@@ -23,7 +23,7 @@ from counterspin.monitoring.result import (
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
-    field_unit,
+    find_display_unit,
     format_estimate,
     format_number,
     format_uncertainty,
@@ -152,7 +152,7 @@ def watch_blocks(state: WatchState) -> Iterator[Block]:
     yield Table(
         tuple(columns),
         tuple(_row(run)[: len(columns)] for run in state.runs),
-        quiet=frozenset(i for i, run in enumerate(state.runs) if run.state == "waiting"),
+        quiet_rows=frozenset(i for i, run in enumerate(state.runs) if run.state == "waiting"),
     )
     for run in state.runs:
         if run.state == "failed" or (run.state == "read" and run.why):
@@ -200,14 +200,14 @@ def _format_progress(run: RunState) -> str:
 
 
 def _format_estimate(c: CurrentEstimate) -> str:
-    unit, factor = field_unit(c.unit)
+    unit, factor = find_display_unit(c.unit)
     if c.value is None or c.u is None:
         return NOT_DETERMINED
     return format_estimate(c.value * factor, c.u * factor, unit)
 
 
 def _format_u(u: float | None, unit: str) -> str:
-    shown, factor = field_unit(unit)
+    shown, factor = find_display_unit(unit)
     if u is None or not math.isfinite(u):
         return NOT_DETERMINED
     return f"{format_uncertainty(u * factor)} {shown}"

@@ -39,8 +39,8 @@ def operating_blocks(result: OperatingTests) -> Iterator[Block]:
             Column("Value", "right"),
             Column("% of full scale", "right"),
             Column("At input", "right"),
-            Column("Definition", wraps=True, narrowest=24),
-            Column("Test in IEEE Std 1293", wraps=True, narrowest=12),
+            Column("Definition", wraps=True, min_width=24),
+            Column("Test in IEEE Std 1293", wraps=True, min_width=12),
         ),
         tuple(_row(result, quantity) for quantity in result.quantities),
     ).without_empty_columns()

@@ -36,7 +36,7 @@ from counterspin.physics.spindle import Spindle, forecast_angle_error
 from counterspin.physics.terms import ACCELEROMETER_TERMS, CONDITION_TERMS
 from counterspin.planning.weights import PlannedInstrument, Setup, expected_record
 from counterspin.records.reduction import block_size
-from counterspin.reports.numbers import field_unit, format_number
+from counterspin.reports.numbers import find_display_unit, format_number
 from counterspin.simulation.simulable import check_size
 from counterspin.triads.groups import all_groups
 
@@ -62,7 +62,7 @@ class Forecast:
         name_width = max((len(unknown.name) for unknown in parameters), default=0)
         lines = []
         for unknown in parameters:
-            unit, factor = field_unit(unknown.unit)
+            unit, factor = find_display_unit(unknown.unit)
             u = format_number(self.u[unknown.name] * factor, 2)
             lines.append(f"{unknown.name.ljust(name_width)}  u = {u} {unit}")
         return "\n".join([f"Forecast of {self.campaign.title}", *lines])

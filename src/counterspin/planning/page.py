@@ -19,7 +19,12 @@ from counterspin.planning.result import (
     PredictedCoefficient,
 )
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
-from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_number, format_share
+from counterspin.reports.numbers import (
+    NOT_DETERMINED,
+    find_display_unit,
+    format_number,
+    format_share,
+)
 
 #: Maximum number of lines of a budget.
 _MAX_BUDGET_LINES: Final = 6
@@ -248,7 +253,7 @@ def _separation_advice(result: PlanResult, terms: Sequence[str]) -> str:
 def _budget_blocks(
     result: PlanResult, name: str, symbol: str, budget_lines: list[BudgetLine]
 ) -> Iterator[Block]:
-    unit, factor = field_unit(result.accelerometers[name].coefficients[symbol].unit)
+    unit, factor = find_display_unit(result.accelerometers[name].coefficients[symbol].unit)
     yield Heading(f"Expected uncertainty budget of {symbol} of {name}")
     lines_by_source: dict[str, list[BudgetLine]] = {}
     runs = {run.name for run in result.runs}
@@ -263,7 +268,7 @@ def _budget_blocks(
         contribution = math.sqrt(sum(line.contribution**2 for line in source_lines))
         u_values = {line.u for line in source_lines}
         u = u_values.pop() if len(u_values) == 1 else None
-        source_unit, source_factor = field_unit(source_lines[0].unit)
+        source_unit, source_factor = find_display_unit(source_lines[0].unit)
         u_text = "" if u is None else f"{format_number(u * source_factor, 3)} {source_unit}"
         description = describe_term(source.removesuffix(", all runs"))
         rows.append((share, (source, description, u_text, format_number(contribution * factor, 2))))
@@ -372,7 +377,7 @@ def _comparison_blocks(result: PlanResult) -> Iterator[Block]:
     rows = []
     for plan in result.others:
         for name, u in plan.u.items():
-            unit, factor = field_unit(_coefficient_unit(name))
+            unit, factor = find_display_unit(_coefficient_unit(name))
             rows.append(
                 (
                     plan.words,
@@ -440,21 +445,21 @@ def _display_name(name: str) -> str:
 
 
 def _format_quantity(size: float, unit: str) -> str:
-    display_unit, factor = field_unit(unit)
+    display_unit, factor = find_display_unit(unit)
     return f"{format_number(size * factor, 2)} {display_unit}"
 
 
 def _format_u(coefficient: PredictedCoefficient) -> str:
     if coefficient.u is None:
         return NOT_DETERMINED
-    unit, factor = field_unit(coefficient.unit)
+    unit, factor = find_display_unit(coefficient.unit)
     return f"{format_number(coefficient.u * factor, 3)} {unit}"
 
 
 def _format_prior(coefficient: PredictedCoefficient) -> str:
     if coefficient.prior is None:
         return "-"
-    unit, factor = field_unit(coefficient.unit)
+    unit, factor = find_display_unit(coefficient.unit)
     return f"{format_number(coefficient.prior * factor, 3)} {unit}"
 
 

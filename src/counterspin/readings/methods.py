@@ -26,7 +26,7 @@ from counterspin.inference.joint.unknowns import unit_of
 from counterspin.inference.least_squares import Solution
 from counterspin.readings.agreement import MethodFit, compare_motions
 from counterspin.readings.reading_groups import groups_of_view
-from counterspin.reports.numbers import field_unit, format_number
+from counterspin.reports.numbers import find_display_unit, format_number
 
 #: What the methods are called, by motion.
 _NAMES: Final[Mapping[str, str]] = {
@@ -188,7 +188,7 @@ def _disagreement_findings(
     )
     text = f"The test methods are not consistent: {method.kind} compared with {other_kinds}"
     if symbol_of_shift:
-        unit, factor = field_unit(unit_of(symbol_of_shift))
+        unit, factor = find_display_unit(unit_of(symbol_of_shift))
         shift = method.without[symbol_of_shift]
         text += (
             f". Omitting {method.kind} shifts {symbol_of_shift} by "

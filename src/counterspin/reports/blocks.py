@@ -3,9 +3,8 @@
 Names and texts come from users' files and can contain anything. Every text of a block passes
 `escape_controls` when the block is made, and so does every other text that a renderer shows.
 
-A renderer draws the blocks that it can: the terminal and Markdown leave pictures out, whose numbers
-are also in tables. Every character of a text is visible once it is in a block
-(`counterspin.reports.blocks`).
+A renderer draws the blocks that it supports: the terminal and Markdown omit pictures, whose numbers
+are also in tables.
 """
 
 from __future__ import annotations
@@ -21,10 +20,10 @@ Style = Literal[
 ]
 
 #: Rows of a table that a terminal shows; JSON, Markdown and HTML have all.
-TERMINAL_ROWS: Final = 200
+MAX_TERMINAL_ROWS: Final = 200
 
 #: Styles of a requested value: unconditional, and with reservations.
-ANSWER_STYLES: Final[tuple[Style, ...]] = ("answer", "reserved")
+VALUE_STYLES: Final[tuple[Style, ...]] = ("answer", "reserved")
 
 
 class _TextBlock:
@@ -69,29 +68,29 @@ class Column(_TextBlock):
     title: str  #: Title above the column.
     align: Literal["left", "right"] = "left"  #: Alignment of title and cells.
     wraps: bool = False  #: Whether text may be wrapped.
-    narrowest: int = 0  #: Smallest width of wrapped text in the terminal, in characters.
+    min_width: int = 0  #: Smallest width of wrapped text in the terminal, in characters.
 
 
 @frozen
 class Table(_TextBlock):
-    """A table; rows with an index in `quiet` contain no value determined by the data.
+    """A table; rows with an index in `quiet_rows` contain no value determined by the data.
 
     Cells may be `MultilineText`, except those of the first column, which label the rows.
     """
 
     columns: tuple[Column, ...]
     rows: tuple[tuple[str, ...], ...]
-    quiet: frozenset[int] = frozenset()
-    omitted: int = 0  #: Number of further rows that a terminal does not show.
+    quiet_rows: frozenset[int] = frozenset()
+    n_omitted: int = 0  #: Number of further rows that a terminal does not show.
 
     def without_empty_columns(self) -> Table:
         """Return the table without empty columns."""
-        full = [k for k in range(len(self.columns)) if any(row[k] for row in self.rows)]
+        columns = [k for k in range(len(self.columns)) if any(row[k] for row in self.rows)]
         return Table(
-            tuple(self.columns[k] for k in full),
-            tuple(tuple(row[k] for k in full) for row in self.rows),
-            self.quiet,
-            self.omitted,
+            tuple(self.columns[k] for k in columns),
+            tuple(tuple(row[k] for k in columns) for row in self.rows),
+            self.quiet_rows,
+            self.n_omitted,
         )
 
 
@@ -108,7 +107,7 @@ class PlotSeries(_TextBlock):
     high: tuple[float | None, ...] | None = None
     #: Type of drawing; "columns": adjoining bars from zero at equally spaced x.
     kind: Literal["line", "points", "band", "columns"] = "line"
-    stands_out: bool = False  #: True: drawn in the colour of warnings.
+    is_highlighted: bool = False  #: True: drawn in the colour of warnings.
     #: Index of colour and marker; None: the next one. Series of the same object, such as points and
     #: the curve through them, or a run in several plots, share a colour. "muted": a reference.
     colour: int | Literal["muted"] | None = None
@@ -129,7 +128,7 @@ class Plot(_TextBlock):
     log_x: bool = False
     log_y: bool = False
     zoom: bool = False  #: Whether to offer zooming: many points over a long axis.
-    dates: bool = False  #: x is a time in days since 1970-01-01, and the axis shows dates.
+    is_date_axis: bool = False  #: x is a time in days since 1970-01-01, and the axis shows dates.
     #: Ranges of the axes, such as a common range of several plots; None: that of the series.
     x_range: tuple[float, float] | None = None
     y_range: tuple[float, float] | None = None
@@ -172,21 +171,22 @@ class Sphere(_TextBlock):
     values: tuple[float, ...]
     names: tuple[str, ...]
     value_label: str  #: Label of the values, with their unit.
-    stands_out: frozenset[int] = frozenset()  #: Indices of points drawn in the colour of warnings.
+    #: Indices of points drawn in the colour of warnings.
+    highlighted_points: frozenset[int] = frozenset()
 
 
 @frozen
 class Share(_TextBlock):
-    """A part of a variance, as a segment of a stacked bar."""
+    """A share of a variance, drawn as a segment of a stacked bar."""
 
     label: str
-    size: float  #: From 0 to 1.
-    typical: bool = False  #: Whether it is from a typical size, as nothing is stated.
+    fraction: float  #: From 0 to 1.
+    is_default: bool = False  #: Whether it is from a default prior.
 
 
 @frozen
 class Check(_TextBlock):
-    """A quality check: what was checked, and what came of it."""
+    """A quality check and its outcome."""
 
     title: str
     outcome: Literal["passed", "failed", "open"]  #: "open": not checked.
@@ -195,19 +195,19 @@ class Check(_TextBlock):
 
 @frozen
 class Card(_TextBlock):
-    """The answer on one instrument at a glance; text has `paragraphs` in its place."""
+    """Summary of the result of one instrument; text renderers show `paragraphs` instead."""
 
     title: str
     detail: str
-    #: State of the result, as a word for styles and in words.
+    #: State of the result, as a name for styles and as text.
     state: str
-    state_words: str
+    state_text: str
     #: Value with its standard uncertainty, and its unit; empty: no value.
     symbol: str
     value: str
     unit: str
     remarks: tuple[str, ...]  #: Lines below the value.
-    shares: tuple[Share, ...]  #: Parts of its variance, the largest first.
+    shares: tuple[Share, ...]  #: Shares of the variance, in descending order.
     note: str
     checks: tuple[Check, ...]
     paragraphs: tuple[Paragraph, ...]
@@ -215,10 +215,10 @@ class Card(_TextBlock):
 
 Picture = Plot | Bars | HeatMap | Sphere
 Block = Heading | Paragraph | Table | Picture | Card
-Words = Heading | Paragraph | Table
+TextBlock = Heading | Paragraph | Table
 
 
-def without_cards(blocks: Iterable[Block]) -> Iterator[Heading | Paragraph | Table | Picture]:
+def expand_cards(blocks: Iterable[Block]) -> Iterator[Heading | Paragraph | Table | Picture]:
     """Yield the blocks, with the paragraphs of a card in its place."""
     for block in blocks:
         if isinstance(block, Card):
@@ -227,19 +227,19 @@ def without_cards(blocks: Iterable[Block]) -> Iterator[Heading | Paragraph | Tab
             yield block
 
 
-def text_blocks(blocks: Iterable[Block]) -> list[Words]:
+def remove_pictures(blocks: Iterable[Block]) -> list[TextBlock]:
     """Return the blocks except pictures, without headings of sections with pictures only."""
-    kept: list[Words] = []
-    drawn = False
-    for block in [*without_cards(blocks), None]:
+    blocks_kept: list[TextBlock] = []
+    follows_picture = False
+    for block in [*expand_cards(blocks), None]:
         if isinstance(block, Picture):
-            drawn = True
+            follows_picture = True
             continue
-        while drawn and kept and isinstance(empty := kept[-1], Heading):
-            if isinstance(block, Heading) and block.level > empty.level:
+        while follows_picture and blocks_kept and isinstance(heading := blocks_kept[-1], Heading):
+            if isinstance(block, Heading) and block.level > heading.level:
                 break
-            kept.pop()
-        drawn = False
+            blocks_kept.pop()
+        follows_picture = False
         if block is not None:
-            kept.append(block)
-    return kept
+            blocks_kept.append(block)
+    return blocks_kept

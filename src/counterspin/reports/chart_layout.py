@@ -22,15 +22,15 @@ from counterspin.reports.blocks import Plot, PlotSeries
 from counterspin.reports.typography import SUPERSCRIPTS
 
 #: Width of drawings, and height of drawings with axes, in points.
-WIDTH: Final = 504.0
-HEIGHT: Final = 172.0
+DRAWING_WIDTH: Final = 504.0
+AXES_HEIGHT: Final = 172.0
 
 _FONT_SIZE: Final = 9.0
 
-#: Number of columns for thinning a series: finer than visible, coarse enough to draw quickly.
-_COLUMNS: Final = 360
+#: Number of columns for thinning a series: finer than visible, but fast to draw.
+_THINNING_COLUMNS: Final = 360
 
-#: Number of points kept in addition to the extremes, which alone would leave a hole in the middle.
+#: Number of points kept in addition to the extremes, which alone would leave a gap in the middle.
 _EXTRA_POINTS: Final = 1200
 
 #: Largest number of dates, and of years, on an axis.
@@ -49,31 +49,33 @@ def text_width(text: str, weight: str = "normal") -> float:
     return float(width)
 
 
-def shorten_text(text: str, room: float) -> str:
+def shorten_text(text: str, max_width: float) -> str:
     """Return a text shortened to a width, in points."""
-    if text_width(text) <= room:
+    if text_width(text) <= max_width:
         return text
-    fitting = bisect(range(len(text)), room, key=lambda length: text_width(f"{text[:length]}…"))
-    return f"{text[: max(fitting - 1, 0)].rstrip()}…"
+    fitting_length = bisect(
+        range(len(text)), max_width, key=lambda length: text_width(f"{text[:length]}…")
+    )
+    return f"{text[: max(fitting_length - 1, 0)].rstrip()}…"
 
 
-def wrap_text(text: str, room: float) -> str:
+def wrap_text(text: str, max_width: float) -> str:
     """Return a text wrapped to a width, in points."""
     lines = [""]
     for word in text.split():
-        longer = f"{lines[-1]} {word}".lstrip()
-        if text_width(longer) <= room or not lines[-1]:
-            lines[-1] = longer
+        extended_line = f"{lines[-1]} {word}".lstrip()
+        if text_width(extended_line) <= max_width or not lines[-1]:
+            lines[-1] = extended_line
         else:
             lines.append(word)
-    return "\n".join(shorten_text(line, room) for line in lines)
+    return "\n".join(shorten_text(line, max_width) for line in lines)
 
 
-def legend_columns(labels: Sequence[str]) -> int:
+def count_legend_columns(labels: Sequence[str]) -> int:
     """Return the number of labels in a row above a drawing, at least one."""
-    room = WIDTH - 60.0
-    widest = max(map(text_width, labels), default=0.0) + 32.0
-    return max(1, min(len(labels), int(room / widest)))
+    available_width = DRAWING_WIDTH - 60.0
+    label_width = max(map(text_width, labels), default=0.0) + 32.0
+    return max(1, min(len(labels), int(available_width / label_width)))
 
 
 @frozen
@@ -89,55 +91,62 @@ class Margins:
     pad: float
 
 
-def margins(
+def compute_margins(
     axes: Any, height: float, *, legend_rows: int = 0, top: float = 4.0, right: float = 6.0
 ) -> Margins:
     """Return the margins for tick labels, axis labels, legend and title."""
     left = _max_label_width(axes.yaxis) + (22.0 if axes.get_ylabel() else 7.0)
-    ticks = axes.xaxis.get_tick_params()
+    tick_parameters = axes.xaxis.get_tick_params()
     bottom = 2.0 if not axes.get_xlabel() and not len(axes.get_xticks()) else 18.0
     bottom += 12.0 if axes.get_xlabel() else 0.0
-    if ticks.get("labeltop"):
+    if tick_parameters.get("labeltop"):
         bottom = 2.0
-    elif not ticks.get("labelbottom", True):
+    elif not tick_parameters.get("labelbottom", True):
         bottom = 6.0
         height -= 24.0
-    elif names := _label_names(axes.xaxis):
-        if _labels_overlap(axes, names, WIDTH - left - right):
+    elif names := _fixed_labels(axes.xaxis):
+        if _labels_overlap(axes, names, DRAWING_WIDTH - left - right):
             axes.tick_params(axis="x", labelrotation=90.0)
             bottom += _max_label_width(axes.xaxis) - 9.0
             height += _max_label_width(axes.xaxis) - 9.0
         else:
             # The last label is centred at its tick, which may be at the end of the axis.
             low, high = axes.get_xlim()
-            beyond = (high - max(axes.get_xticks())) / (high - low) * (WIDTH - left - right)
-            right = max(right, 0.5 * text_width(names[-1]) + 2.0 - beyond)
-    above = 14.0 * legend_rows
+            distance_to_end = (
+                (high - max(axes.get_xticks())) / (high - low) * (DRAWING_WIDTH - left - right)
+            )
+            right = max(right, 0.5 * text_width(names[-1]) + 2.0 - distance_to_end)
+    header_height = 14.0 * legend_rows
     # The common power of ten is above the axis.
-    offset = bool(axes.yaxis.get_major_formatter().get_offset())
-    top += 11.0 if offset and not legend_rows else 0.0
-    pad = above + (16.0 if offset else 5.0)
-    above += 18.0 if axes.get_title(loc="left") else 0.0
-    return Margins(left, right, top + above, bottom, height + above, pad)
+    has_offset = bool(axes.yaxis.get_major_formatter().get_offset())
+    top += 11.0 if has_offset and not legend_rows else 0.0
+    pad = header_height + (16.0 if has_offset else 5.0)
+    header_height += 18.0 if axes.get_title(loc="left") else 0.0
+    return Margins(left, right, top + header_height, bottom, height + header_height, pad)
 
 
 def arrange_axes(figure: Any, panels: Sequence[tuple[Any, Margins]]) -> None:
     """Set the size of a figure and stack its axes, with their left ends aligned."""
-    total = sum(room.height for _, room in panels)
-    figure.set_size_inches(WIDTH / 72.0, total / 72.0)
+    total_height = sum(room.height for _, room in panels)
+    figure.set_size_inches(DRAWING_WIDTH / 72.0, total_height / 72.0)
     left = max(room.left for _, room in panels)
-    below = total
-    for axes, room in panels:
-        below -= room.height
-        width = max(WIDTH - left - room.right, 20.0)
-        height = max(room.height - room.top - room.bottom, 10.0)
+    bottom = total_height
+    for axes, margins in panels:
+        bottom -= margins.height
+        width = max(DRAWING_WIDTH - left - margins.right, 20.0)
+        height = max(margins.height - margins.top - margins.bottom, 10.0)
         axes.set_position(
-            (left / WIDTH, (below + room.bottom) / total, width / WIDTH, height / total)
+            (
+                left / DRAWING_WIDTH,
+                (bottom + margins.bottom) / total_height,
+                width / DRAWING_WIDTH,
+                height / total_height,
+            )
         )
         if title := axes.get_title(loc="left"):
             # A title wider than its axes begins further left.
-            start = min(max(width - 1.02 * text_width(title, "bold"), -left), 0.0)
-            axes.set_title(title, pad=room.pad, x=start / width)
+            title_start = min(max(width - 1.02 * text_width(title, "bold"), -left), 0.0)
+            axes.set_title(title, pad=margins.pad, x=title_start / width)
         if axes.get_ylabel():
             axes.yaxis.set_label_coords((11.0 - left) / width, 0.5)
 
@@ -148,24 +157,24 @@ def date_ticks(low: float, high: float) -> tuple[list[float], list[str]]:
     low, high: Ends of the axis, days since 1970-01-01.
     """
     for unit, step in (*(("D", n) for n in (1, 2, 5, 10)), *(("M", n) for n in (1, 2, 3, 6))):
-        if (ticks := _date_range(low, high, unit, step)).size <= _MAX_DATES:
+        if (ticks := _regular_dates(low, high, unit, step)).size <= _MAX_DATES:
             break
     else:
         step = 1
-        while (ticks := _date_range(low, high, "Y", step)).size > _MAX_YEARS:
+        while (ticks := _regular_dates(low, high, "Y", step)).size > _MAX_YEARS:
             step += 1
     days = ticks.astype("datetime64[D]").astype(float)
     return days.tolist(), [str(tick) for tick in ticks]
 
 
-def _date_range(low: float, high: float, unit: str, step: int) -> NDArray[np.datetime64]:
+def _regular_dates(low: float, high: float, unit: str, step: int) -> NDArray[np.datetime64]:
     first, last = (
         int(np.datetime64(math.floor(end), "D").astype(f"datetime64[{unit}]").astype(int))
         for end in (low, high)
     )
-    every = np.arange(first - first % step, last + 1, step).astype(f"datetime64[{unit}]")
-    days = every.astype("datetime64[D]").astype(float)
-    return every[(days >= low) & (days <= high)]
+    dates = np.arange(first - first % step, last + 1, step).astype(f"datetime64[{unit}]")
+    days = dates.astype("datetime64[D]").astype(float)
+    return dates[(days >= low) & (days <= high)]
 
 
 def set_decade_ticks(axis: Any) -> None:
@@ -174,8 +183,8 @@ def set_decade_ticks(axis: Any) -> None:
 
     low, high = axis.get_view_interval()
     if low > 0.0 and high > low:
-        few = high < 100.0 * low
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=9))
+        is_short = high < 100.0 * low
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if is_short else (1.0,), numticks=9))
         axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: _format_power(value)))
 
@@ -190,8 +199,8 @@ def _format_power(value: float) -> str:
 
 def _tick_labels(axis: Any) -> list[str]:
     low, high = sorted(axis.get_view_interval())
-    places = [place for place in axis.get_majorticklocs() if low <= place <= high]
-    return [str(label) for label in axis.get_major_formatter().format_ticks(places)]
+    positions = [place for place in axis.get_majorticklocs() if low <= place <= high]
+    return [str(label) for label in axis.get_major_formatter().format_ticks(positions)]
 
 
 def _max_label_width(axis: Any) -> float:
@@ -199,18 +208,18 @@ def _max_label_width(axis: Any) -> float:
     return max(map(text_width, lines), default=0.0)
 
 
-def _label_names(axis: Any) -> list[str]:
-    """Return the labels of an axis with names, such as runs, or dates."""
+def _fixed_labels(axis: Any) -> list[str]:
+    """Return the tick labels of an axis with fixed labels, such as runs or dates."""
     from matplotlib.ticker import FixedLocator
 
     return _tick_labels(axis) if isinstance(axis.get_major_locator(), FixedLocator) else []
 
 
-def _labels_overlap(axes: Any, names: Sequence[str], room: float) -> bool:
+def _labels_overlap(axes: Any, labels: Sequence[str], width: float) -> bool:
     """Return whether labels would overlap."""
     low, high = axes.get_xlim()
-    distances = np.diff(axes.get_xticks()) * room / (high - low)
-    pairs = itertools.pairwise(map(text_width, names))
+    distances = np.diff(axes.get_xticks()) * width / (high - low)
+    pairs = itertools.pairwise(map(text_width, labels))
     return any(
         0.5 * (left + right) + 6.0 > distance
         for (left, right), distance in zip(pairs, distances, strict=True)
@@ -233,75 +242,83 @@ def thin_series(
     assert y is not None
     if log_y:
         y[~(y > 0.0)] = np.nan
-    seen = np.flatnonzero(np.isfinite(x) & ((x > 0.0) | (not log_x)))
-    if x[seen].size > (2 * _EXTRA_POINTS if series.kind == "points" else 2 * _COLUMNS):
+    indices = np.flatnonzero(np.isfinite(x) & ((x > 0.0) | (not log_x)))
+    if x[indices].size > (2 * _EXTRA_POINTS if series.kind == "points" else 2 * _THINNING_COLUMNS):
         height = y if low is None or high is None or np.isfinite(y).any() else high - low
-        seen = seen[_extremes(np.log(x[seen]) if log_x else x[seen], height[seen], series.kind)]
+        indices = indices[
+            _find_extremes(
+                np.log(x[indices]) if log_x else x[indices], height[indices], series.kind
+            )
+        ]
     return (
-        x[seen],
-        y[seen],
-        None if low is None else low[seen],
-        None if high is None else high[seen],
+        x[indices],
+        y[indices],
+        None if low is None else low[indices],
+        None if high is None else high[indices],
     )
 
 
-def _extremes(x: Array, y: Array, kind: str) -> NDArray[np.intp]:
+def _find_extremes(x: Array, y: Array, kind: str) -> NDArray[np.intp]:
     """Return the indices to keep, in their order."""
     if kind != "points" and (np.diff(x) < 0.0).any():
         # A curve with non-monotonic x has no columns.
         return np.arange(x.size)
     span = float(np.ptp(x)) or 1.0
-    column = np.minimum((x - x.min()) / span * _COLUMNS, _COLUMNS - 1).astype(int)
-    gap = ~np.isfinite(y)
-    there = np.flatnonzero(~gap)
-    order = there[np.lexsort((y[there], column[there]))]
-    first = np.flatnonzero(np.diff(column[order], prepend=-1))
-    last = np.append(first[1:], order.size) - 1
+    column_index = np.minimum(
+        (x - x.min()) / span * _THINNING_COLUMNS, _THINNING_COLUMNS - 1
+    ).astype(int)
+    is_gap = ~np.isfinite(y)
+    finite = np.flatnonzero(~is_gap)
+    order = finite[np.lexsort((y[finite], column_index[finite]))]
+    column_starts = np.flatnonzero(np.diff(column_index[order], prepend=-1))
+    column_ends = np.append(column_starts[1:], order.size) - 1
     # Keep the first sample of a gap.
-    begins = np.flatnonzero(gap & ~np.concatenate([[False], gap[:-1]]))
-    between = there[:: max(there.size // _EXTRA_POINTS, 1)] if kind == "points" else there[:0]
-    return np.unique(np.concatenate([order[first], order[last], between, begins]))
+    gap_starts = np.flatnonzero(is_gap & ~np.concatenate([[False], is_gap[:-1]]))
+    extra = finite[:: max(finite.size // _EXTRA_POINTS, 1)] if kind == "points" else finite[:0]
+    return np.unique(np.concatenate([order[column_starts], order[column_ends], extra, gap_starts]))
 
 
-def whole_numbers(plot: Plot) -> range:
-    """Return the integers at which a plot has points; empty for other plots.
+def integer_positions(plot: Plot) -> range:
+    """Return the integers from the smallest to the largest x of a plot.
 
-    Up to twenty integers, such as the harmonics of a revolution, and only points.
+    Empty unless the plot has only points, all at integers (such as harmonics) at most 20 apart.
     """
-    places = {x for series in plot.series for x in series.x}
-    if not places or plot.log_x or any(series.kind != "points" for series in plot.series):
+    positions = {x for series in plot.series for x in series.x}
+    if not positions or plot.log_x or any(series.kind != "points" for series in plot.series):
         return range(0)
-    whole = all(float(place).is_integer() for place in places)
-    if not whole or max(places) - min(places) > 20.0:
+    is_whole = all(float(place).is_integer() for place in positions)
+    if not is_whole or max(positions) - min(positions) > 20.0:
         return range(0)
-    return range(int(min(places)), int(max(places)) + 1)
+    return range(int(min(positions)), int(max(positions)) + 1)
 
 
 def spread_points(series: Sequence[PlotSeries]) -> list[PlotSeries]:
-    """Shift rows of points with equal x sideways, so that they do not overlap."""
-    rows = [row for row in series if row.kind == "points"]
-    step = min(0.12, 0.7 / max(len(rows), 1))
-    moves = iter(step * (place - 0.5 * (len(rows) - 1)) for place in range(len(rows)))
+    """Shift series of points with equal x sideways, so that they do not overlap."""
+    point_series = [row for row in series if row.kind == "points"]
+    step = min(0.12, 0.7 / max(len(point_series), 1))
+    shifts = iter(
+        step * (place - 0.5 * (len(point_series) - 1)) for place in range(len(point_series))
+    )
     return [
         replace(row, x=tuple(x + move for x in row.x))
-        if row.kind == "points" and (move := next(moves))
+        if row.kind == "points" and (move := next(shifts))
         else row
         for row in series
     ]
 
 
-def draw_dots(axes: Any, x: Array, y: Array, size: float, **style: Any) -> None:
+def draw_dots(axes: Any, x: Array, y: Array, diameter: float, **style: Any) -> None:
     """Draw many points as one line of round dots, ten times as fast as markers.
 
     x, y: Shape (n,).
     **style: Properties of matplotlib's lines.
     """
-    gap = np.full(x.size, np.nan)
+    gaps = np.full(x.size, np.nan)
     # A line of zero length from each point to itself: its round caps make the dot.
     axes.plot(
-        np.column_stack([x, x, gap]).ravel(),
-        np.column_stack([y, y, gap]).ravel(),
-        linewidth=size,
+        np.column_stack([x, x, gaps]).ravel(),
+        np.column_stack([y, y, gaps]).ravel(),
+        linewidth=diameter,
         solid_capstyle="round",
         **style,
     )

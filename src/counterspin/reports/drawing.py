@@ -15,20 +15,20 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.reports.blocks import Bars, HeatMap, Picture, Plot, PlotSeries, Sphere
 from counterspin.reports.chart_layout import (
-    HEIGHT,
-    WIDTH,
+    AXES_HEIGHT,
+    DRAWING_WIDTH,
     Margins,
     arrange_axes,
+    compute_margins,
+    count_legend_columns,
     date_ticks,
     draw_dots,
-    legend_columns,
-    margins,
+    integer_positions,
     set_decade_ticks,
     shorten_text,
     spread_points,
     text_width,
     thin_series,
-    whole_numbers,
     wrap_text,
 )
 from counterspin.reports.sphere import draw_sphere
@@ -52,10 +52,10 @@ PAPER_COLOURS: Final = {
     "positive": "#b35806",
 }
 
-Palette = Mapping[str, str]
+ColourPalette = Mapping[str, str]
 
 #: Largest opacity of a heat map's cell: text on it keeps a contrast of 4.5 (WCAG 2.1, 1.4.3).
-_MAX_SHADE: Final = 0.6
+_MAX_OPACITY: Final = 0.6
 
 #: Largest number of points drawn with markers; more are drawn as dots.
 _MAX_MARKERS: Final = 150
@@ -64,30 +64,30 @@ _MAX_MARKERS: Final = 150
 _MAX_NUMBERED_CELLS: Final = 16
 
 
-def _matplotlib() -> ModuleType:
-    """Load matplotlib, without the working folder's settings where that may be anybody's.
+def _import_matplotlib() -> ModuleType:
+    """Import matplotlib, ignoring a matplotlibrc in an untrusted working folder.
 
-    It looks for them there first, and nothing but a lie prevents that: they can make it run LaTeX,
-    wait for a pipe, or fail. PYTHONSAFEPATH says that the folder is not to be trusted; the command
-    sets it, for itself and for what it starts.
+    Matplotlib reads it first, and only a patched `os.path.exists` prevents this: such settings can
+    make it run LaTeX, block on a pipe, or fail. PYTHONSAFEPATH marks the folder as untrusted; the
+    command line sets it for itself and its child processes.
     """
-    exists = os.path.exists
+    original_exists = os.path.exists
     if os.environ.get("PYTHONSAFEPATH"):
-        os.path.exists = lambda path: path != "matplotlibrc" and exists(path)
+        os.path.exists = lambda path: path != "matplotlibrc" and original_exists(path)
     try:
         import matplotlib as mpl
     finally:
-        os.path.exists = exists
+        os.path.exists = original_exists
     return mpl
 
 
 @contextmanager
-def settings(palette: Palette) -> Iterator[None]:
-    """Set matplotlib's parameters while figures are made and written, and put them back after.
+def drawing_parameters(palette: ColourPalette) -> Iterator[None]:
+    """Set matplotlib's parameters temporarily, for drawing and writing figures.
 
-    The same picture gives the same file: no random names are in it.
+    The same picture gives the same file, because ids are not random.
     """
-    mpl = _matplotlib()
+    mpl = _import_matplotlib()
     parameters: dict[Any, Any] = {
         "svg.hashsalt": "counterspin",
         "svg.fonttype": "none",
@@ -135,35 +135,37 @@ def settings(palette: Palette) -> Iterator[None]:
         yield
 
 
-def draw_pictures(pictures: Sequence[Picture], palette: Palette, *, titled: bool) -> Figure:
-    """Draw stacked pictures, within `settings`.
+def draw_pictures(
+    pictures: Sequence[Picture], palette: ColourPalette, *, with_titles: bool
+) -> Figure:
+    """Draw stacked pictures, within `drawing_parameters`.
 
-    titled: True to draw each title above its picture, if nothing else shows it.
+    with_titles: True to draw each title above its picture, if nothing else shows it.
     """
     from matplotlib.figure import Figure
 
     figure = Figure()
     panels = []
-    for picture, below in zip_longest(pictures, pictures[1:]):
+    for picture, next_picture in zip_longest(pictures, pictures[1:]):
         axes = figure.add_subplot()
-        title = picture.title if titled else ""
-        panels.append((axes, _draw_picture(axes, picture, palette, title, below)))
+        title = picture.title if with_titles else ""
+        panels.append((axes, _draw_picture(axes, picture, palette, title, next_picture)))
     arrange_axes(figure, panels)
     return figure
 
 
 def draw_on_axes(axes: Any, picture: Picture) -> None:
-    """Draw a picture with its title on given axes, within `settings`."""
-    room = _draw_picture(axes, picture, PAPER_COLOURS, picture.title, None)
-    axes.set_title(picture.title, pad=room.pad)
+    """Draw a picture with its title on given axes, within `drawing_parameters`."""
+    margins = _draw_picture(axes, picture, PAPER_COLOURS, picture.title, None)
+    axes.set_title(picture.title, pad=margins.pad)
 
 
 def _draw_picture(
-    axes: Any, picture: Picture, palette: Palette, title: str, below: Picture | None
+    axes: Any, picture: Picture, palette: ColourPalette, title: str, next_picture: Picture | None
 ) -> Margins:
     match picture:
         case Plot():
-            return _draw_plot(axes, picture, palette, title, below)
+            return _draw_plot(axes, picture, palette, title, next_picture)
         case Bars():
             return _draw_bars(axes, picture, palette, title)
         case HeatMap():
@@ -173,92 +175,100 @@ def _draw_picture(
 
 
 def _draw_plot(
-    axes: Any, plot: Plot, palette: Palette, title: str, below: Picture | None
+    axes: Any, plot: Plot, palette: ColourPalette, title: str, next_picture: Picture | None
 ) -> Margins:
-    counts = whole_numbers(plot)
-    rows = spread_points(plot.series) if counts or plot.x_names else plot.series
-    for series, place_in_row in zip(rows, colour_indices(plot.series), strict=True):
+    integers = integer_positions(plot)
+    drawn_series = spread_points(plot.series) if integers or plot.x_names else plot.series
+    for series, colour_index in zip(drawn_series, colour_indices(plot.series), strict=True):
         colour, marker = palette["muted"], MARKERS[0]
-        if series.stands_out:
+        if series.is_highlighted:
             colour, marker = palette["warning"], "X"
-        elif place_in_row is not None:
-            colour = palette[f"series-{place_in_row + 1}"]
-            marker = MARKERS[place_in_row]
+        elif colour_index is not None:
+            colour = palette[f"series-{colour_index + 1}"]
+            marker = MARKERS[colour_index]
         _draw_series(axes, series, plot, palette["ground"], (colour, marker))
     for level in plot.levels:
         axes.axhline(level, color=palette["muted"], linewidth=0.8, dashes=(4.0, 2.0), zorder=1.5)
-    for axis, name, logarithmic in ((axes.xaxis, "x", plot.log_x), (axes.yaxis, "y", plot.log_y)):
-        if logarithmic:
+    for axis, name, is_logarithmic in (
+        (axes.xaxis, "x", plot.log_x),
+        (axes.yaxis, "y", plot.log_y),
+    ):
+        if is_logarithmic:
             axes.set(**{f"{name}scale": "log"})
             set_decade_ticks(axis)
     axes.margins(x=0.06 if plot.x_names else 0.015, y=0.06)
-    if counts:
-        axes.set_xlim(counts[0] - 0.6, counts[-1] + 0.6)
-        axes.set_xticks(counts)
+    if integers:
+        axes.set_xlim(integers[0] - 0.6, integers[-1] + 0.6)
+        axes.set_xticks(integers)
     axes.set(xlim=plot.x_range, ylim=plot.y_range, title=title, ylabel=plot.y_label)
     if plot.x_names:
-        room = max(90.0, (WIDTH - 80.0) / len(plot.x_names))
+        label_width = max(90.0, (DRAWING_WIDTH - 80.0) / len(plot.x_names))
         axes.set_xticks(
-            range(len(plot.x_names)), [shorten_text(name, room) for name in plot.x_names]
+            range(len(plot.x_names)), [shorten_text(name, label_width) for name in plot.x_names]
         )
         axes.grid(visible=False, axis="x")
-    if plot.dates:
+    if plot.is_date_axis:
         axes.set_xticks(*date_ticks(*axes.get_xlim()))
-    if _shares_axis(plot, below):
+    if _shares_axis(plot, next_picture):
         axes.tick_params(axis="x", labelbottom=False)
     else:
         axes.set_xlabel(plot.x_label)
     labels = [series.label for series in plot.series if series.label]
-    columns = legend_columns(labels)
+    columns = count_legend_columns(labels)
     if labels:
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)
-    return margins(axes, plot.height * HEIGHT, legend_rows=-(-len(labels) // columns))
+    return compute_margins(axes, plot.height * AXES_HEIGHT, legend_rows=-(-len(labels) // columns))
 
 
-def colour_indices(rows: Sequence[PlotSeries]) -> list[int | None]:
+def colour_indices(all_series: Sequence[PlotSeries]) -> list[int | None]:
     """Return the colour index of each series; None for muted series and warnings."""
-    places: list[int | None] = []
-    taken = 0
-    for row in rows:
-        if row.stands_out or row.colour == "muted":
-            places.append(None)
-        elif row.colour is not None:
-            places.append(row.colour % len(COLOURS))
-        elif row.kind == "band" and not row.label:
-            places.append(None)
+    indices: list[int | None] = []
+    n_used = 0
+    for series in all_series:
+        if series.is_highlighted or series.colour == "muted":
+            indices.append(None)
+        elif series.colour is not None:
+            indices.append(series.colour % len(COLOURS))
+        elif series.kind == "band" and not series.label:
+            indices.append(None)
         else:
-            places.append(taken % len(COLOURS))
-            taken += 1
-    return places
+            indices.append(n_used % len(COLOURS))
+            n_used += 1
+    return indices
 
 
-def _shares_axis(plot: Plot, below: Picture | None) -> bool:
+def _shares_axis(plot: Plot, next_picture: Picture | None) -> bool:
     """Return whether the picture below has the same axis, so that labels can be omitted."""
     return (
-        isinstance(below, Plot)
+        isinstance(next_picture, Plot)
         and bool(plot.x_range or plot.x_names)
         and (plot.x_label, plot.x_range, plot.x_names)
-        == (below.x_label, below.x_range, below.x_names)
+        == (next_picture.x_label, next_picture.x_range, next_picture.x_names)
     )
 
 
 def _draw_series(
-    axes: Any, series: PlotSeries, plot: Plot, ground: str, look: tuple[str, str]
+    axes: Any, series: PlotSeries, plot: Plot, background: str, colour_and_marker: tuple[str, str]
 ) -> None:
-    colour, marker = look
+    colour, marker = colour_and_marker
     x, y, low, high = thin_series(series, log_x=plot.log_x, log_y=plot.log_y)
     if series.kind == "points":
         if low is not None:
             axes.vlines(x, low, high, colors=colour, linewidth=0.9)
-        above = 2.6 if series.stands_out else 2.2
-        style = {"linestyle": "none", "marker": marker, "color": colour, "zorder": above}
+        zorder = 2.6 if series.is_highlighted else 2.2
+        style = {"linestyle": "none", "marker": marker, "color": colour, "zorder": zorder}
         if x.size > _MAX_MARKERS:
-            draw_dots(axes, x, y, 1.6, color=colour, zorder=above)
+            draw_dots(axes, x, y, 1.6, color=colour, zorder=zorder)
             axes.plot([], [], label=series.label or None, **style | {"marker": "o"}, markersize=3.0)
         else:
-            filled = colour if series.stands_out else ground
+            face_colour = colour if series.is_highlighted else background
             axes.plot(
-                x, y, label=series.label or None, markersize=4.5, markerfacecolor=filled, **style
+                x,
+                y,
+                label=series.label or None,
+                markersize=4.5,
+                markerfacecolor=face_colour,
+                **style,
             )
         return
     if series.kind == "columns":
@@ -271,24 +281,26 @@ def _draw_series(
             band.set(label=series.label or None, edgecolor=(colour, 0.6), linewidth=0.4)
     if series.kind == "line":
         axes.plot(x, y, color=colour, linewidth=1.1, label=series.label or None, zorder=2.1)
-        seen = np.concatenate([[False], np.isfinite(y), [False]])
-        alone = seen[1:-1] & ~seen[:-2] & ~seen[2:]
-        if alone.any():
-            draw_dots(axes, x[alone], y[alone], 2.5, color=colour, zorder=2.1)
+        is_finite = np.concatenate([[False], np.isfinite(y), [False]])
+        is_isolated = is_finite[1:-1] & ~is_finite[:-2] & ~is_finite[2:]
+        if is_isolated.any():
+            draw_dots(axes, x[is_isolated], y[is_isolated], 2.5, color=colour, zorder=2.1)
 
 
-def _draw_bars(axes: Any, bars: Bars, palette: Palette, title: str) -> Margins:
-    place = range(len(bars.labels))
+def _draw_bars(axes: Any, bars: Bars, palette: ColourPalette, title: str) -> Margins:
+    positions = range(len(bars.labels))
     values = np.asarray(bars.values, dtype=float)
-    chosen = [palette[f"series-{k + 1}"] for k in bars.colours or (0,) * len(bars.labels)]
+    colours = [palette[f"series-{k + 1}"] for k in bars.colours or (0,) * len(bars.labels)]
     starts = np.cumsum(values) - values if bars.stacked else np.zeros(values.size)
-    axes.barh(place, values, 0.62, left=starts, color=chosen)
+    axes.barh(positions, values, 0.62, left=starts, color=colours)
     values = values + starts
-    largest = float(np.max(np.abs(values), initial=0.0)) or 1.0
-    left = 0.45 * WIDTH
-    labels = [wrap_text(label, left) for label in bars.labels]
-    widest = max((text_width(line) for label in labels for line in label.split("\n")), default=0.0)
-    axes.set_yticks(place, labels)
+    max_value = float(np.max(np.abs(values), initial=0.0)) or 1.0
+    max_label_width = 0.45 * DRAWING_WIDTH
+    labels = [wrap_text(label, max_label_width) for label in bars.labels]
+    label_width = max(
+        (text_width(line) for label in labels for line in label.split("\n")), default=0.0
+    )
+    axes.set_yticks(positions, labels)
     axes.tick_params(axis="y", length=0.0)
     axes.grid(visible=False)
     if bars.x_label:
@@ -297,47 +309,51 @@ def _draw_bars(axes: Any, bars: Bars, palette: Palette, title: str) -> Margins:
         axes.set_xticks([])
         axes.spines[["bottom"]].set_visible(False)
     axes.set_ylim(len(labels) - 0.4, -0.6)
-    for at, value, text in zip(place, values, bars.texts, strict=True):
+    for position, value, text in zip(positions, values, bars.texts, strict=True):
         axes.annotate(
             text,
-            (value, at),
+            (value, position),
             xytext=(4.0 if value >= 0.0 else -4.0, 0.0),
             textcoords="offset points",
             horizontalalignment="left" if value >= 0.0 else "right",
             verticalalignment="center",
         )
     # The texts have fixed widths; the bars get the remaining width.
-    words = max(map(text_width, bars.texts), default=0.0) + 6.0
-    room = WIDTH - widest - 12.0
-    both_ways = bool((values < 0.0).any())
-    reach = largest * room / max(room - words * (2.0 if both_ways else 1.0), 0.3 * room)
-    axes.set_xlim(-reach if both_ways else 0.0, reach)
+    text_space = max(map(text_width, bars.texts), default=0.0) + 6.0
+    available_width = DRAWING_WIDTH - label_width - 12.0
+    has_negative = bool((values < 0.0).any())
+    axis_limit = (
+        max_value
+        * available_width
+        / max(available_width - text_space * (2.0 if has_negative else 1.0), 0.3 * available_width)
+    )
+    axes.set_xlim(-axis_limit if has_negative else 0.0, axis_limit)
     if bars.x_label:
-        # None beyond the bars, where their texts are.
-        axes.set_xticks([x for x in axes.get_xticks() if abs(x) < 1.001 * largest])
-    if both_ways:
+        # No ticks beyond the bars, where the texts are.
+        axes.set_xticks([x for x in axes.get_xticks() if abs(x) < 1.001 * max_value])
+    if has_negative:
         axes.axvline(0.0, color=palette["muted"], linewidth=0.7)
         axes.spines[["left"]].set_visible(False)
     axes.set_title(title)
-    row = 17.0 + 11.0 * max((label.count("\n") for label in labels), default=0)
-    return margins(axes, 6.0 + row * max(len(labels), 1), right=2.0)
+    row_height = 17.0 + 11.0 * max((label.count("\n") for label in labels), default=0)
+    return compute_margins(axes, 6.0 + row_height * max(len(labels), 1), right=2.0)
 
 
-def _draw_heat_map(axes: Any, heat_map: HeatMap, palette: Palette, title: str) -> Margins:
+def _draw_heat_map(axes: Any, heat_map: HeatMap, palette: ColourPalette, title: str) -> Margins:
     from matplotlib.collections import PolyCollection
 
-    size = len(heat_map.labels)
-    values = np.asarray(heat_map.values, dtype=float).reshape(size, size)
-    rows, columns = (at.ravel() for at in np.indices((size, size)))
+    n_labels = len(heat_map.labels)
+    values = np.asarray(heat_map.values, dtype=float).reshape(n_labels, n_labels)
+    rows, columns = (at.ravel() for at in np.indices((n_labels, n_labels)))
     corners = np.array([[0.03, 0.04], [0.97, 0.04], [0.97, 0.96], [0.03, 0.96]])
     cells = np.stack([columns, rows], axis=1)[:, None, :] + corners
     axes.add_collection(
         PolyCollection(cells, facecolors=_cell_colours(values, palette), linewidths=0.0)
     )
     labels = [shorten_text(label, 130.0) for label in heat_map.labels]
-    widest = max(map(text_width, labels), default=0.0)
-    wide = min(46.0, (WIDTH - widest - 12.0) / max(size, 1))
-    if size <= _MAX_NUMBERED_CELLS:
+    label_width = max(map(text_width, labels), default=0.0)
+    cell_width = min(46.0, (DRAWING_WIDTH - label_width - 12.0) / max(n_labels, 1))
+    if n_labels <= _MAX_NUMBERED_CELLS:
         for row, column, value in zip(rows, columns, values.ravel(), strict=True):
             text = "1" if row == column else f"{round(value, 2) + 0.0:.2f}".replace("-", "−")
             axes.text(
@@ -346,31 +362,31 @@ def _draw_heat_map(axes: Any, heat_map: HeatMap, palette: Palette, title: str) -
                 text,
                 horizontalalignment="center",
                 verticalalignment="center_baseline",
-                fontsize=min(8.5, 0.36 * wide),
+                fontsize=min(8.5, 0.36 * cell_width),
                 color=palette["muted" if row == column else "ink"],
             )
-    upright = widest > wide - 4.0
-    axes.set_xticks(np.arange(size) + 0.5, labels, rotation=90.0 if upright else 0.0)
-    axes.set_yticks(np.arange(size) + 0.5, labels)
+    is_vertical = label_width > cell_width - 4.0
+    axes.set_xticks(np.arange(n_labels) + 0.5, labels, rotation=90.0 if is_vertical else 0.0)
+    axes.set_yticks(np.arange(n_labels) + 0.5, labels)
     axes.tick_params(length=0.0, labelbottom=False, labeltop=True)
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
-    axes.set(xlim=(0.0, max(size, 1)), ylim=(max(size, 1), 0.0))
-    top = (widest if upright else 9.0) + 8.0
-    height = min(22.0, wide) * size
+    axes.set(xlim=(0.0, max(n_labels, 1)), ylim=(max(n_labels, 1), 0.0))
+    top = (label_width if is_vertical else 9.0) + 8.0
+    height = min(22.0, cell_width) * n_labels
     axes.set_title(title)
-    right = WIDTH - widest - 12.0 - wide * size
-    return margins(axes, top + height + 2.0, top=top, right=right)
+    right = DRAWING_WIDTH - label_width - 12.0 - cell_width * n_labels
+    return compute_margins(axes, top + height + 2.0, top=top, right=right)
 
 
-def _cell_colours(values: Array, palette: Palette) -> Array:
-    """Return a colour and an opacity for every cell, shape (n n, 4); the diagonal is grey."""
+def _cell_colours(values: Array, palette: ColourPalette) -> Array:
+    """Return colour and opacity of each cell, shape (n**2, 4); the diagonal is grey."""
     from matplotlib.colors import to_rgba
 
-    tints = np.array(
+    colours = np.array(
         [to_rgba(palette["positive" if v >= 0.0 else "negative"]) for v in values.flat]
     )
-    tints = tints.reshape(-1, 4)
-    tints[:, 3] = _MAX_SHADE * np.minimum(np.abs(values.ravel()), 1.0)
-    tints[:: len(values) + 1] = to_rgba(palette["grid"])
-    return tints
+    colours = colours.reshape(-1, 4)
+    colours[:, 3] = _MAX_OPACITY * np.minimum(np.abs(values.ravel()), 1.0)
+    colours[:: len(values) + 1] = to_rgba(palette["grid"])
+    return colours

@@ -1,7 +1,7 @@
-"""Reports as one self-contained HTML file without requests, for screen, phone and paper.
+"""Reports as a self-contained HTML file without requests, for screen, phone and paper.
 
-Words, tables and still pictures need no script. With scripts, plots worth zooming become zoomable
-(uPlot, inlined); the file includes their data, rounded to the resolution of a screen.
+Text, tables and static pictures need no script. With scripts, large plots become zoomable (uPlot,
+inlined); the file includes their data, rounded to the resolution of a screen.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from markupsafe import Markup
 from counterspin.characters import escape_controls
 from counterspin.output import file_mark
 from counterspin.reports.blocks import (
-    ANSWER_STYLES,
+    VALUE_STYLES,
     Block,
     Card,
     Heading,
@@ -28,123 +28,125 @@ from counterspin.reports.blocks import (
     Plot,
     Table,
 )
-from counterspin.reports.charts import can_zoom, plot_data, svg
+from counterspin.reports.charts import is_zoomable, plot_json, render_svg
 from counterspin.reports.typography import set_indices
 
 
-def html(
+def render_html(
     blocks: Sequence[Block],
     *,
     title: str,
     identifier: str,
     date: datetime,
     version: str,
-    kind: str = "a page",
+    document_type: str = "a page",
 ) -> str:
     """Return blocks as one self-contained HTML file; the same blocks give the same text.
 
     title: Title of the window; also the heading, if the blocks have none of level 1.
     """
     title, identifier = escape_controls(title), escape_controls(identifier)
-    page = _Page()
+    page = _PageBuilder()
     summary, *chapters = page.chapters(blocks, title)
     has_heading = any(isinstance(block, Heading) and block.level == 1 for block in blocks)
-    moment = date.astimezone(UTC)
+    utc_date = date.astimezone(UTC)
     return (
-        _environment()
+        _template_environment()
         .get_template("report.html.jinja")
         .render(
             title=title,
             heading=None if has_heading else title,
             identifier=identifier,
-            date=moment,
-            day=f"{moment:%Y-%m-%d %H:%M} UTC",
+            date=utc_date,
+            day=f"{utc_date:%Y-%m-%d %H:%M} UTC",
             version=version,
-            mark=file_mark(kind),
-            style=Markup(_style(page.zoomable)),
-            page_mark=Markup(_css_text(identifier)),
+            mark=file_mark(document_type),
+            style=Markup(_report_style(page.zoomable)),
+            page_mark=Markup(_css_string(identifier)),
             summary=summary["content"],
             chapters=chapters,
             tabbed=_is_tabbed(blocks),
-            uplot=Markup(_uplot()) if page.zoomable else None,
-            script=Markup(_asset("report.js")),
+            uplot=Markup(_uplot_script()) if page.zoomable else None,
+            script=Markup(_read_asset("report.js")),
         )
     )
 
 
-def notebook_cell(blocks: Sequence[Block]) -> str:
+def render_notebook_cell(blocks: Sequence[Block]) -> str:
     """Return blocks as HTML for a notebook cell, in the colours and font of its page."""
-    content = _Page().items(blocks, "Result")
-    style = Markup(_asset("cell.css").strip())
-    return _environment().get_template("cell.html.jinja").render(content=content, style=style)
+    content = _PageBuilder().items(blocks, "Result")
+    style = Markup(_read_asset("cell.css").strip())
+    return (
+        _template_environment().get_template("cell.html.jinja").render(content=content, style=style)
+    )
 
 
-def html_fragment(blocks: Sequence[Block], *, title: str) -> str:
+def render_fragment(blocks: Sequence[Block], *, title: str) -> str:
     """Return blocks as an HTML fragment of a page with `page_style` and `page_script`.
 
     Static pictures take long to draw: the fragment has ``data-place`` instead, the index of the
     picture, so that the page can request them one by one.
     """
-    summary, *chapters = _Page(drawn=False).chapters(blocks, title)
-    template = _environment().get_template("part.html.jinja")
+    summary, *chapters = _PageBuilder(draws_pictures=False).chapters(blocks, title)
+    template = _template_environment().get_template("part.html.jinja")
     return template.render(summary=summary["content"], chapters=chapters, tabbed=_is_tabbed(blocks))
 
 
 def page_style() -> str:
-    """Return the style of a report, with that of its plots."""
-    return _style(uplot=True)
+    """Return the CSS of a report, including that of its plots."""
+    return _report_style(with_uplot=True)
 
 
 def page_script() -> str:
-    """Return the script of a report, after that of its plots; it offers `counterspin.draw`."""
-    return f"{_uplot()}\n{_asset('report.js')}"
+    """Return the scripts of the plots and of the report, which define `counterspin.draw`."""
+    return f"{_uplot_script()}\n{_read_asset('report.js')}"
 
 
 def _is_tabbed(blocks: Iterable[Block]) -> bool:
-    """Return whether chapters are tabs on a screen: where cards have the answer."""
+    """Return whether chapters are tabs on a screen: in reports with cards."""
     return any(isinstance(block, Card) for block in blocks)
 
 
-def _environment() -> Environment:
+def _template_environment() -> Environment:
     environment = Environment(
-        autoescape=True, loader=FunctionLoader(_asset), undefined=StrictUndefined
+        autoescape=True, loader=FunctionLoader(_read_asset), undefined=StrictUndefined
     )
     environment.filters["equation"] = _set_equation
     environment.filters["symbols"] = _set_symbols
     return environment
 
 
-def _asset(name: str) -> str:
+def _read_asset(name: str) -> str:
     return (resources.files("counterspin.reports") / "assets" / name).read_text(encoding="utf-8")
 
 
-def _style(uplot: bool) -> str:
-    style = _asset("report.css").replace("/* dark.css */", _asset("dark.css").strip())
-    return _asset("uplot/uPlot.min.css") + style if uplot else style
+def _report_style(with_uplot: bool) -> str:
+    style = _read_asset("report.css").replace("/* dark.css */", _read_asset("dark.css").strip())
+    return _read_asset("uplot/uPlot.min.css") + style if with_uplot else style
 
 
-def _uplot() -> str:
+def _uplot_script() -> str:
     # The licence must accompany every copy.
-    return f"/*\n{_asset('uplot/LICENSE')}\n*/\n{_asset('uplot/uPlot.iife.min.js')}"
+    return f"/*\n{_read_asset('uplot/LICENSE')}\n*/\n{_read_asset('uplot/uPlot.iife.min.js')}"
 
 
-def _css_text(text: str) -> str:
+def _css_string(text: str) -> str:
     """Return a CSS string with all characters except letters and digits escaped."""
-    plain = re.compile(r"[A-Za-z0-9]")
-    return '"' + "".join(c if plain.match(c) else f"\\{ord(c):x} " for c in text) + '"'
+    plain_character = re.compile(r"[A-Za-z0-9]")
+    return '"' + "".join(c if plain_character.match(c) else f"\\{ord(c):x} " for c in text) + '"'
 
 
-class _Page:
+class _PageBuilder:
     """Template data of the blocks of one page."""
 
-    def __init__(self, *, drawn: bool = True) -> None:
-        self.names: set[str] = set()
+    def __init__(self, *, draws_pictures: bool = True) -> None:
+        self.used_ids: set[str] = set()
         self.zoomable = False
-        self.drawn = drawn
-        self.pictures = 0
+        self.draws_pictures = draws_pictures
+        self.n_pictures = 0
 
     def chapters(self, blocks: Iterable[Block], title: str) -> list[dict[str, Any]]:
-        """Return title, id and content of each chapter; first, without these, what precedes."""
+        """Return title, id and content of each chapter, after the content before the first."""
         chapters: list[tuple[dict[str, Any], list[Block]]] = [({"title": title}, [])]
         for block in blocks:
             if isinstance(block, Heading) and block.level == 2:
@@ -157,33 +159,35 @@ class _Page:
 
     def name(self, text: str) -> str:
         """Return an id that is unique in the page."""
-        words = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "part"
+        slug = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "part"
         # The prefix avoids the ids of pictures and of the page.
-        name, count = f"at-{words}", 1
-        while name in self.names:
+        element_id, count = f"at-{slug}", 1
+        while element_id in self.used_ids:
             count += 1
-            name = f"at-{words}-{count}"
-        self.names.add(name)
-        return name
+            element_id = f"at-{slug}-{count}"
+        self.used_ids.add(element_id)
+        return element_id
 
     def items(self, blocks: Iterable[Block], label: str) -> list[dict[str, Any]]:
         """Return the items of a chapter, with related neighbours merged."""
         items: list[dict[str, Any]] = []
-        for kind, group in groupby(blocks, _item_type):
-            members = list(group)
-            if kind == "card":
-                cards = [self.item(block, label) for block in members]
+        for item_type, group in groupby(blocks, _item_type):
+            group_blocks = list(group)
+            if item_type == "card":
+                cards = [self.item(block, label) for block in group_blocks]
                 items.append({"kind": "cards", "cards": cards})
-            elif kind in ANSWER_STYLES:
+            elif item_type in VALUE_STYLES:
                 lines = [
-                    _split_answer(block.text) for block in members if isinstance(block, Paragraph)
+                    _split_value(block.text)
+                    for block in group_blocks
+                    if isinstance(block, Paragraph)
                 ]
-                items.append({"kind": "answers", "style": kind, "lines": lines})
+                items.append({"kind": "answers", "style": item_type, "lines": lines})
             else:
-                for block in members:
+                for block in group_blocks:
                     if isinstance(block, Heading):
                         label = block.text
-                    items.append({"kind": kind, **self.item(block, label)})
+                    items.append({"kind": item_type, **self.item(block, label)})
         return items
 
     def item(self, block: Block, label: str) -> dict[str, Any]:
@@ -207,12 +211,12 @@ class _Page:
             "data": None,
             "place": None,
         }
-        if isinstance(picture, Plot) and can_zoom(picture):
+        if isinstance(picture, Plot) and is_zoomable(picture):
             self.zoomable = True
-            figure["data"] = Markup(plot_data(picture))
-        figure["svg"] = Markup(svg(picture, theme="page")) if self.drawn else ""
-        figure["place"] = None if self.drawn else self.pictures
-        self.pictures += 1
+            figure["data"] = Markup(plot_json(picture))
+        figure["svg"] = Markup(render_svg(picture, theme="page")) if self.draws_pictures else ""
+        figure["place"] = None if self.draws_pictures else self.n_pictures
+        self.n_pictures += 1
         return figure
 
 
@@ -231,27 +235,27 @@ def _item_type(block: Block) -> str:
     return "figure"
 
 
-def _split_answer(text: str) -> dict[str, str]:
+def _split_value(text: str) -> dict[str, str]:
     """Return a value, and in smaller type its other units and remarks."""
-    estimate, *remarks = re.split(r" {2,}", text, maxsplit=1)
-    name, *values = estimate.split(" = ")
-    more = [f"= {value}" for value in values[1:]]
-    return {"value": " = ".join([name, *values[:1]]), "remark": " ".join(more + remarks)}
+    main_text, *remarks = re.split(r" {2,}", text, maxsplit=1)
+    name, *values = main_text.split(" = ")
+    other_units = [f"= {value}" for value in values[1:]]
+    return {"value": " = ".join([name, *values[:1]]), "remark": " ".join(other_units + remarks)}
 
 
 def _set_equation(text: str) -> Markup:
     """Return an equation with symbols such as K_II set as a letter and its index."""
-    return _set_indices(text, r"(delta|[^\W\d_])_([A-Za-z]+)(?![A-Za-z_]|\.\w)")
+    return _set_html_indices(text, r"(delta|[^\W\d_])_([A-Za-z]+)(?![A-Za-z_]|\.\w)")
 
 
 def _set_symbols(text: str) -> Markup:
     """Return prose with the symbols of coefficients set as a letter and its index."""
-    return _set_indices(text)
+    return _set_html_indices(text)
 
 
-def _set_indices(text: str, *symbol: str) -> Markup:
-    def index(letter: str, index: str) -> str:
+def _set_html_indices(text: str, *symbol: str) -> Markup:
+    def index(symbol_letter: str, index: str) -> str:
         # The hidden underscore makes K_II searchable and copyable.
-        return f"{letter}<sub><i>_</i>{index}</sub>"
+        return f"{symbol_letter}<sub><i>_</i>{index}</sub>"
 
     return Markup(set_indices(str(Markup.escape(text)), index, *symbol))

@@ -13,30 +13,30 @@ from typing import Final
 
 from counterspin.characters import escape_controls
 from counterspin.reports.blocks import (
-    ANSWER_STYLES,
+    VALUE_STYLES,
     Block,
     Column,
     Heading,
     Paragraph,
     Table,
-    text_blocks,
+    remove_pictures,
 )
 
 #: Characters that are markup anywhere; $ begins a formula on GitHub.
-_SPECIAL: Final = re.compile(r"[\\`*_\[\]<>|~&$#]")
+_MARKUP_CHARACTER: Final = re.compile(r"[\\`*_\[\]<>|~&$#]")
 
 #: Markup at the beginning of a line: lists, underlined headings, rules.
-_SPECIAL_AT_START: Final = re.compile(r"^(?:[-+=](?=[-+=\s]|$)|\d{1,9}(?=[.)](?:\s|$)))")
+_MARKUP_AT_START: Final = re.compile(r"^(?:[-+=](?=[-+=\s]|$)|\d{1,9}(?=[.)](?:\s|$)))")
 
 
-def markdown(blocks: Sequence[Block]) -> str:
+def render_markdown(blocks: Sequence[Block]) -> str:
     """Return blocks as GitHub-flavoured Markdown, without pictures."""
     parts = []
-    for style, group in groupby(text_blocks(blocks), _quote_style):
+    for style, group in groupby(remove_pictures(blocks), _quote_style):
         if style is None:
             parts += [_format_block(block) for block in group]
         else:
-            parts.append(_quote(style, [b.text for b in group if isinstance(b, Paragraph)]))
+            parts.append(_format_quote(style, [b.text for b in group if isinstance(b, Paragraph)]))
     return "\n\n".join(filter(None, parts)) + "\n"
 
 
@@ -47,13 +47,13 @@ def escape_markdown(text: str, line_break: str = "\\\n") -> str:
 
 
 def _escape_line(line: str) -> str:
-    start = _SPECIAL_AT_START.match(line)
-    line = _SPECIAL.sub(r"\\\g<0>", line)
-    if start is None:
+    match = _MARKUP_AT_START.match(line)
+    line = _MARKUP_CHARACTER.sub(r"\\\g<0>", line)
+    if match is None:
         return line
     # The mark of a list follows its number.
-    place = start.end() if start[0][0].isdigit() else 0
-    return f"{line[:place]}\\{line[place:]}"
+    position = match.end() if match[0][0].isdigit() else 0
+    return f"{line[:position]}\\{line[position:]}"
 
 
 def _format_block(block: Heading | Paragraph | Table) -> str:
@@ -61,52 +61,52 @@ def _format_block(block: Heading | Paragraph | Table) -> str:
         case Heading(text, level):
             return f"{'#' * level} {escape_markdown(text, ' ')}"
         case Paragraph(text, "equation"):
-            return _code_block(text, "text")
+            return _format_code(text, "text")
         case Paragraph(text, "command"):
-            return _code_block(text, "sh")
+            return _format_code(text, "sh")
         case Paragraph(text, _):
             return escape_markdown(text)
-    return "\n".join(_table(block))
+    return "\n".join(_format_table(block))
 
 
 def _quote_style(block: Block) -> str | None:
     """Return the style of a block quote, or None."""
-    apart = isinstance(block, Paragraph) and block.style in {
-        *ANSWER_STYLES,
+    is_quoted = isinstance(block, Paragraph) and block.style in {
+        *VALUE_STYLES,
         "undetermined",
         "warning",
     }
-    return block.style if apart and isinstance(block, Paragraph) else None
+    return block.style if is_quoted and isinstance(block, Paragraph) else None
 
 
-def _quote(style: str, texts: Sequence[str]) -> str:
+def _format_quote(style: str, texts: Sequence[str]) -> str:
     lines = ["[!WARNING]"] if style in ("undetermined", "warning") else []
-    for number, text in enumerate(texts):
-        said = escape_markdown(text)
-        lines += [""] if number else []
-        lines += (f"**{said}**" if style in ANSWER_STYLES else said).split("\n")
+    for index, text in enumerate(texts):
+        escaped_text = escape_markdown(text)
+        lines += [""] if index else []
+        lines += (f"**{escaped_text}**" if style in VALUE_STYLES else escaped_text).split("\n")
     return "\n".join(f"> {line}".rstrip() for line in lines)
 
 
-def _code_block(text: str, language: str) -> str:
-    longest = max((len(ticks) for ticks in re.findall("`+", text)), default=0)
-    fence = "`" * max(3, longest + 1)
+def _format_code(text: str, language: str) -> str:
+    max_ticks = max((len(ticks) for ticks in re.findall("`+", text)), default=0)
+    fence = "`" * max(3, max_ticks + 1)
     return f"{fence}{language}\n{text}\n{fence}"
 
 
-def _table(table: Table) -> Iterator[str]:
+def _format_table(table: Table) -> Iterator[str]:
     titles = [escape_markdown(column.title, " ") for column in table.columns]
     rows = [[escape_markdown(cell, "<br>") for cell in row] for row in table.rows]
     widths = [max(3, *map(len, cells)) for cells in zip(titles, *rows, strict=True)]
-    rules = [
+    separators = [
         "-" * (width - 1) + ":" if column.align == "right" else "-" * width
         for column, width in zip(table.columns, widths, strict=True)
     ]
-    for cells in (titles, rules, *rows):
-        yield _row(table.columns, cells, widths)
+    for cells in (titles, separators, *rows):
+        yield _format_row(table.columns, cells, widths)
 
 
-def _row(columns: Sequence[Column], cells: Sequence[str], widths: Sequence[int]) -> str:
+def _format_row(columns: Sequence[Column], cells: Sequence[str], widths: Sequence[int]) -> str:
     padded = (
         cell.rjust(width) if column.align == "right" else cell.ljust(width)
         for column, cell, width in zip(columns, cells, widths, strict=True)

@@ -1,7 +1,7 @@
-"""Formatting of numbers: rounded to their uncertainty, in the units of the field.
+"""Formatting of numbers, rounded to their uncertainty, in display units.
 
-The one rule is GUM 7.2.6: the uncertainty keeps two significant digits, and the value is rounded to
-the same decimal place. A number without uncertainty keeps a requested number of digits.
+By GUM 7.2.6, the uncertainty keeps two significant digits, and the value is rounded to the same
+decimal place. A number without uncertainty keeps a requested number of digits.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ NOT_DETERMINED: Final = "not determined"
 _MICRO_PER_UNIT: Final = 1e6
 
 #: Unit of a result -> display unit, and conversion factor.
-_FIELD_UNITS: Final = {
+_DISPLAY_UNITS: Final = {
     "g": ("ug", _MICRO_PER_UNIT),
     "g/g^2": ("ug/g^2", _MICRO_PER_UNIT),
     "g/g^3": ("ug/g^3", _MICRO_PER_UNIT),
@@ -38,12 +38,12 @@ _PLAIN_EXPONENTS: Final = range(-3, 6)
 _DOUBLE_DIGITS: Final = 15
 
 
-def field_unit(unit: str) -> tuple[str, float]:
-    """Return the usual unit of the field, and the conversion factor to it.
+def find_display_unit(unit: str) -> tuple[str, float]:
+    """Return the display unit of a quantity, and the conversion factor to it.
 
     unit: Unit in a result: SI or g-units.
     """
-    return _FIELD_UNITS.get(unit, (unit, 1.0))
+    return _DISPLAY_UNITS.get(unit, (unit, 1.0))
 
 
 @frozen
@@ -54,11 +54,11 @@ class RoundedEstimate:
     value: str
     u: str
     exponent: int  #: The common power of ten; 0 where none is needed.
-    place: int  #: Power of ten of the last digit kept.
+    last_digit: int  #: Power of ten of the last digit.
 
     def write(self, number: float) -> str:
         """Return another number with the same last digit and power of ten."""
-        return _digits(_to_decimal(number), self.place, self.exponent)
+        return _format_digits(_to_decimal(number), self.last_digit, self.exponent)
 
 
 def round_to_uncertainty(value: float, u: float) -> RoundedEstimate | None:
@@ -66,20 +66,22 @@ def round_to_uncertainty(value: float, u: float) -> RoundedEstimate | None:
 
     Returns: None if a double does not have enough digits for two digits of u.
     """
-    exact, spread = _to_decimal(value), _to_decimal(u)
-    place = spread.adjusted() - 1
+    value_decimal, u_decimal = _to_decimal(value), _to_decimal(u)
+    last_digit = u_decimal.adjusted() - 1
     # 0.0996 rounds to 0.10: one decimal fewer, or it would have three digits.
-    place += _from_steps(spread, place).adjusted() - spread.adjusted()
-    if exact and exact.adjusted() - place >= _DOUBLE_DIGITS:
+    last_digit += _round_at_digit(u_decimal, last_digit).adjusted() - u_decimal.adjusted()
+    if value_decimal and value_decimal.adjusted() - last_digit >= _DOUBLE_DIGITS:
         return None
-    largest = max(abs(_from_steps(exact, place)), _from_steps(spread, place)).adjusted()
+    largest_exponent = max(
+        abs(_round_at_digit(value_decimal, last_digit)), _round_at_digit(u_decimal, last_digit)
+    ).adjusted()
     # Insignificant zeros before the decimal point would look significant.
-    exponent = 0 if place <= 0 and largest in _PLAIN_EXPONENTS else largest
+    exponent = 0 if last_digit <= 0 and largest_exponent in _PLAIN_EXPONENTS else largest_exponent
     return RoundedEstimate(
-        value=_digits(exact, place, exponent),
-        u=_digits(spread, place, exponent),
+        value=_format_digits(value_decimal, last_digit, exponent),
+        u=_format_digits(u_decimal, last_digit, exponent),
         exponent=exponent,
-        place=place,
+        last_digit=last_digit,
     )
 
 
@@ -96,67 +98,67 @@ def format_estimate(value: float | None, u: float | None, unit: str = "") -> str
     assert value is not None
     if not u:
         text = format_number(value, 12 if u == 0.0 else 6)
-        return _with_unit(text, unit) + (" (exact)" if u == 0.0 else "")
-    both = round_to_uncertainty(value, u)
-    if both is None:
-        return _with_unit(f"{format_number(value, 17)} ± {format_number(u, 2)}", unit)
-    text = f"{both.value} ± {both.u}"
-    if both.exponent:
-        text = f"({text}) x 1e{both.exponent}"
-    return _with_unit(text, unit)
+        return _append_unit(text, unit) + (" (exact)" if u == 0.0 else "")
+    rounded = round_to_uncertainty(value, u)
+    if rounded is None:
+        return _append_unit(f"{format_number(value, 17)} ± {format_number(u, 2)}", unit)
+    text = f"{rounded.value} ± {rounded.u}"
+    if rounded.exponent:
+        text = f"({text}) x 1e{rounded.exponent}"
+    return _append_unit(text, unit)
 
 
 def format_compact(value: float | None, u: float | None) -> str:
     """Format a value with the uncertainty of its last digits in parentheses (GUM 7.2.2).
 
-    Takes and raises what `format_estimate` does. The result is such as ``1.570796301(12)`` or
-    ``2.70445(37)e-5``; an uncertainty that reaches across the point keeps it, as in ``3.1(1.2)``.
+    Parameters and errors are those of `format_estimate`. Examples: ``1.570796301(12)``,
+    ``2.70445(37)e-5``; an uncertainty above 1 keeps its decimal point, as in ``3.1(1.2)``.
     """
     if not _is_determined(value, u):
         return NOT_DETERMINED
     assert value is not None
     if not u:
         return format_number(value, 12 if u == 0.0 else 6)
-    both = round_to_uncertainty(value, u)
-    if both is None:
+    rounded = round_to_uncertainty(value, u)
+    if rounded is None:
         return format_estimate(value, u)
-    last = both.u.removeprefix("0.").lstrip("0") if both.u.startswith("0.") else both.u
-    return f"{both.value}({last})" + (f"e{both.exponent}" if both.exponent else "")
+    u_digits = rounded.u.removeprefix("0.").lstrip("0") if rounded.u.startswith("0.") else rounded.u
+    return f"{rounded.value}({u_digits})" + (f"e{rounded.exponent}" if rounded.exponent else "")
 
 
 def format_interval(value: float, u: float, half_width: float, unit: str = "") -> str:
     """Format the interval value ± half_width, with ends rounded to the last digit of u."""
-    both = round_to_uncertainty(value, u)
+    rounded = round_to_uncertainty(value, u)
     ends = (value - half_width, value + half_width)
-    if both is None:
-        return _with_unit(" to ".join(format_number(end, 17) for end in ends), unit)
-    text = " to ".join(both.write(end) for end in ends)
-    if both.exponent:
-        text = f"({text}) x 1e{both.exponent}"
-    return _with_unit(text, unit)
+    if rounded is None:
+        return _append_unit(" to ".join(format_number(end, 17) for end in ends), unit)
+    text = " to ".join(rounded.write(end) for end in ends)
+    if rounded.exponent:
+        text = f"({text}) x 1e{rounded.exponent}"
+    return _append_unit(text, unit)
 
 
 def format_uncertainty(u: float) -> str:
     """Format an uncertainty alone, to two significant digits (GUM 7.2.6)."""
-    mantissa, mark, exponent = f"{u:#.2g}".partition("e")
-    return mantissa.rstrip(".") + (f"e{int(exponent)}" if mark else "") if u else "0"
+    mantissa, exponent_mark, exponent = f"{u:#.2g}".partition("e")
+    return mantissa.rstrip(".") + (f"e{int(exponent)}" if exponent_mark else "") if u else "0"
 
 
-def format_number(value: float, digits: int = 3) -> str:
+def format_number(value: float, n_digits: int = 3) -> str:
     """Format a number to a number of significant digits, without trailing zeros."""
-    text = f"{value:.{digits}g}"
-    mantissa, mark, exponent = text.partition("e")
-    return f"{mantissa}e{int(exponent)}" if mark else text
+    text = f"{value:.{n_digits}g}"
+    mantissa, exponent_mark, exponent = text.partition("e")
+    return f"{mantissa}e{int(exponent)}" if exponent_mark else text
 
 
 def format_distinct(value: float, other: float) -> str:
     """Return a number with three digits, or with as many as distinguish it from another number."""
-    texts = ((f"{value:.{digits}g}", f"{other:.{digits}g}") for digits in range(3, 18))
-    return next((text for text, there in texts if text != there), f"{value:.3g}")
+    text_pairs = ((f"{value:.{digits}g}", f"{other:.{digits}g}") for digits in range(3, 18))
+    return next((text for text, there in text_pairs if text != there), f"{value:.3g}")
 
 
 def format_count(value: float) -> str:
-    """Format a count or a similar number: whole from a thousand, else four digits."""
+    """Format a count: as an integer from 1000, otherwise with four digits."""
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e9 else format_number(value, 4)
 
 
@@ -185,7 +187,7 @@ def _is_determined(value: float | None, u: float | None) -> bool:
     return u is None or math.isfinite(u)
 
 
-def _with_unit(text: str, unit: str) -> str:
+def _append_unit(text: str, unit: str) -> str:
     return f"{text} {unit}" if unit else text
 
 
@@ -194,15 +196,15 @@ def _to_decimal(number: float) -> Decimal:
     return Decimal(repr(float(number)))
 
 
-def _steps(number: Decimal, place: int) -> Decimal:
+def _round_to_steps(number: Decimal, last_digit: int) -> Decimal:
     """Return the number in steps of 10^place, rounded."""
     # Convert by an integer: a Decimal such as 2E+1 would lack its zeros.
-    return Decimal(int(number.scaleb(-place).to_integral_value(ROUND_HALF_EVEN)))
+    return Decimal(int(number.scaleb(-last_digit).to_integral_value(ROUND_HALF_EVEN)))
 
 
-def _from_steps(number: Decimal, place: int) -> Decimal:
-    return _steps(number, place).scaleb(place)
+def _round_at_digit(number: Decimal, last_digit: int) -> Decimal:
+    return _round_to_steps(number, last_digit).scaleb(last_digit)
 
 
-def _digits(number: Decimal, place: int, exponent: int) -> str:
-    return f"{_steps(number, place).scaleb(place - exponent):f}"
+def _format_digits(number: Decimal, last_digit: int, exponent: int) -> str:
+    return f"{_round_to_steps(number, last_digit).scaleb(last_digit - exponent):f}"

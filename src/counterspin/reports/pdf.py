@@ -1,8 +1,8 @@
 """Reports as PDF/A-3a and PDF/UA-1, set by typst, with attached files.
 
-Only typst's own files are used, neither fonts of the machine nor a network, so the same blocks
-give the same file, byte for byte. ``assets/report.typ`` is the layout; all text reaches it as data
-and is never interpreted as markup.
+Only the fonts included in typst are used, and no network, so the same blocks give the same file,
+byte for byte. ``assets/report.typ`` is the layout; all text is passed as data and is never
+interpreted as markup.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from counterspin.characters import escape_controls
 from counterspin.frozen import frozen
 from counterspin.output import file_mark
 from counterspin.reports.blocks import (
-    ANSWER_STYLES,
+    VALUE_STYLES,
     Block,
     Heading,
     Paragraph,
     Picture,
     Table,
-    without_cards,
+    expand_cards,
 )
-from counterspin.reports.charts import svg
+from counterspin.reports.charts import render_svg
 
-#: PDF/A with attachments: fixed appearance (level b, included in a) and tagged parts for screen
+#: PDF/A with attachments, with fixed appearance (level b, included in a), and with tags for screen
 #: readers (PDF/UA).
-_STANDARDS: Final = ["a-3a", "ua-1"]
+_PDF_STANDARDS: Final = ["a-3a", "ua-1"]
 
 #: Replacement of a character without a glyph in any font.
 _REPLACEMENT: Final = "\N{WHITE SQUARE}"
 
-#: Parts of typst's messages on such a character, and on a private-use one.
+#: Parts of typst's messages on a character without a glyph, and on a private-use character.
 _MISSING_GLYPH: Final = ("could not be displayed", "contains the codepoint")
 
 
@@ -61,18 +61,18 @@ class PageMarks:
 
 
 #: Pages without marks.
-_UNMARKED: Final = PageMarks()
+_NO_MARKS: Final = PageMarks()
 
 
-def pdf(
+def render_pdf(
     blocks: Sequence[Block],
     *,
     title: str,
     identifier: str,
     date: datetime,
-    kind: str = "a page",
+    document_type: str = "a page",
     attachments: Sequence[Attachment] = (),
-    marks: PageMarks = _UNMARKED,
+    marks: PageMarks = _NO_MARKS,
 ) -> bytes:
     """Set blocks as a PDF/A-3a (ISO 19005-3) and PDF/UA-1 (ISO 14289-1).
 
@@ -85,10 +85,10 @@ def pdf(
     names = [attachment.name for attachment in attachments]
     if len(set(names)) < len(names):
         raise ValueError(f"each attachment must have a unique name; got {', '.join(names)}")
-    moment = date.astimezone(UTC).replace(microsecond=0)
-    data = _layout_data(blocks, title, identifier, moment, marks)
+    utc_date = date.astimezone(UTC).replace(microsecond=0)
+    data = _make_layout_data(blocks, title, identifier, utc_date, marks)
     data |= {
-        "mark": file_mark(kind),
+        "mark": file_mark(document_type),
         "attachments": [
             {
                 "name": attachment.name,
@@ -101,55 +101,55 @@ def pdf(
     }
     # The compiler accepts text only, so bytes are passed as a list of numbers.
     files = {
-        f"attachment-{index}.json": _as_numbers(attachment.data)
+        f"attachment-{index}.json": _encode_bytes(attachment.data)
         for index, attachment in enumerate(attachments)
     }
-    return _compile(data, files | _logo_files(marks.logo), moment)
+    return _compile_pdf(data, files | _logo_files(marks.logo), utc_date)
 
 
-def page_images(
+def render_page_images(
     blocks: Sequence[Block],
     *,
     title: str,
     identifier: str,
     date: datetime,
-    marks: PageMarks = _UNMARKED,
+    marks: PageMarks = _NO_MARKS,
 ) -> list[str]:
-    """Return the pages that `pdf` sets as SVG images; parameters as there."""
-    moment = date.astimezone(UTC).replace(microsecond=0)
-    data = _layout_data(blocks, title, identifier, moment, marks)
+    """Return the pages of `render_pdf` as SVG images; parameters as there."""
+    utc_date = date.astimezone(UTC).replace(microsecond=0)
+    data = _make_layout_data(blocks, title, identifier, utc_date, marks)
     files = _layout_files(data) | _logo_files(marks.logo)
-    pages = _typst(files, moment, own_fonts=True, output_format="svg")
+    pages = _run_typst(files, utc_date, only_typst_fonts=True, output_format="svg")
     return [page.decode() for page in (pages if isinstance(pages, list) else [pages])]
 
 
-def is_image(data: bytes) -> bool:
+def is_image(content: bytes) -> bool:
     """Return whether data are a PNG or SVG image that can be set on a page."""
     from typst import TypstError
 
     page = '#set document(title: "x")\n#image(bytes(json("logo.json")), alt: "x")'
-    files = {"main.typ": page.encode()} | _logo_files(data)
+    files = {"main.typ": page.encode()} | _logo_files(content)
     try:
-        _typst(files, datetime(2000, 1, 1, tzinfo=UTC), own_fonts=True)
+        _run_typst(files, datetime(2000, 1, 1, tzinfo=UTC), only_typst_fonts=True)
     except TypstError:
         return False
     return True
 
 
 def _logo_files(logo: bytes | None) -> dict[str, bytes]:
-    return {} if logo is None else {"logo.json": _as_numbers(logo)}
+    return {} if logo is None else {"logo.json": _encode_bytes(logo)}
 
 
-def _as_numbers(data: bytes) -> bytes:
-    return json.dumps(list(data), separators=(",", ":")).encode()
+def _encode_bytes(content: bytes) -> bytes:
+    return json.dumps(list(content), separators=(",", ":")).encode()
 
 
-def _layout_data(
-    blocks: Sequence[Block], title: str, identifier: str, moment: datetime, marks: PageMarks
+def _make_layout_data(
+    blocks: Sequence[Block], title: str, identifier: str, utc_date: datetime, marks: PageMarks
 ) -> dict[str, Any]:
     """Return the data of the layout, without attachments."""
     title, identifier = escape_controls(title), escape_controls(identifier)
-    blocks = list(without_cards(blocks))
+    blocks = list(expand_cards(blocks))
     if not any(isinstance(block, Heading) and block.level == 1 for block in blocks):
         blocks = [Heading(title, 1), *blocks]
     return {
@@ -158,10 +158,10 @@ def _layout_data(
         "watermark": marks.watermark,
         "has_logo": marks.logo is not None,
         "mark": "",
-        "moment": moment.timetuple()[:6],
-        "day": f"{moment:%Y-%m-%d %H:%M} UTC",
+        "moment": utc_date.timetuple()[:6],
+        "day": f"{utc_date:%Y-%m-%d %H:%M} UTC",
         "blocks": list(_layout_items(blocks)),
-        "pictures": [svg(block) for block in blocks if isinstance(block, Picture)],
+        "pictures": [render_svg(block) for block in blocks if isinstance(block, Picture)],
         "attachments": [],
     }
 
@@ -181,7 +181,7 @@ def _layout_items(blocks: Sequence[Block]) -> Iterator[dict[str, Any]]:
                 case Paragraph(text, style):
                     yield {"kind": style, "text": text}
                 case Table():
-                    yield _table(block)
+                    yield _table_item(block)
                 case _:
                     yield {"kind": "picture", "title": block.title, "number": pictures}
                     pictures += 1
@@ -189,10 +189,10 @@ def _layout_items(blocks: Sequence[Block]) -> Iterator[dict[str, Any]]:
 
 def _answer_style(block: Block) -> str | None:
     """Return the style of an answer."""
-    return block.style if isinstance(block, Paragraph) and block.style in ANSWER_STYLES else None
+    return block.style if isinstance(block, Paragraph) and block.style in VALUE_STYLES else None
 
 
-def _table(block: Table) -> dict[str, Any]:
+def _table_item(block: Table) -> dict[str, Any]:
     return {
         "kind": "table",
         "columns": [
@@ -200,18 +200,18 @@ def _table(block: Table) -> dict[str, Any]:
             for column in block.columns
         ],
         "rows": block.rows,
-        "quiet": sorted(block.quiet),
+        "quiet": sorted(block.quiet_rows),
     }
 
 
 # typst
 
 
-def _compile(data: dict[str, Any], files: dict[str, bytes], moment: datetime) -> bytes:
+def _compile_pdf(data: dict[str, Any], files: dict[str, bytes], utc_date: datetime) -> bytes:
     from typst import TypstError
 
-    def compiled(data: Any, *, own_fonts: bool = True) -> bytes:
-        pages = _typst(_layout_files(data) | files, moment, own_fonts=own_fonts)
+    def compiled(data: Any, *, only_typst_fonts: bool = True) -> bytes:
+        pages = _run_typst(_layout_files(data) | files, utc_date, only_typst_fonts=only_typst_fonts)
         assert isinstance(pages, bytes)
         return pages
 
@@ -221,11 +221,18 @@ def _compile(data: dict[str, Any], files: dict[str, bytes], moment: datetime) ->
         # PDF/A requires a glyph for each character (ISO 19005-3, 6.2.11.8).
         if not any(complaint in error.message for complaint in _MISSING_GLYPH):
             raise
-    letters = sorted({letter for text in _texts(data) for letter in text})
-    lacking = [letter for letter in letters if not _has_glyph(letter, own_fonts=True)]
-    nowhere = [letter for letter in lacking if not _has_glyph(letter, own_fonts=False)]
-    squares = str.maketrans(dict.fromkeys(nowhere, _REPLACEMENT))
-    return compiled(_translate(data, squares), own_fonts=nowhere == lacking)
+    characters = sorted({letter for text in _iterate_texts(data) for letter in text})
+    missing_from_typst = [
+        letter for letter in characters if not _has_glyph(letter, only_typst_fonts=True)
+    ]
+    missing_everywhere = [
+        letter for letter in missing_from_typst if not _has_glyph(letter, only_typst_fonts=False)
+    ]
+    replacements = str.maketrans(dict.fromkeys(missing_everywhere, _REPLACEMENT))
+    return compiled(
+        _translate_texts(data, replacements),
+        only_typst_fonts=missing_everywhere == missing_from_typst,
+    )
 
 
 def _layout_files(data: dict[str, Any]) -> dict[str, bytes]:
@@ -233,57 +240,62 @@ def _layout_files(data: dict[str, Any]) -> dict[str, bytes]:
     return {"main.typ": layout, "data.json": json.dumps(data, ensure_ascii=False).encode()}
 
 
-def _typst(
+def _run_typst(
     files: dict[str, bytes],
-    moment: datetime,
+    utc_date: datetime,
     *,
-    own_fonts: bool,
+    only_typst_fonts: bool,
     output_format: Literal["pdf", "svg"] = "pdf",
 ) -> bytes | list[bytes]:
     """Return a PDF, or the pages as SVG: a list if there are several."""
     import typst
 
-    made: bytes | list[bytes] = typst.compile(  # type: ignore[call-overload]
+    document: bytes | list[bytes] = typst.compile(  # type: ignore[call-overload]
         files,
-        ignore_system_fonts=own_fonts,
+        ignore_system_fonts=only_typst_fonts,
         format=output_format,
-        pdf_standards=_STANDARDS if output_format == "pdf" else None,
-        timestamp=moment,
+        pdf_standards=_PDF_STANDARDS if output_format == "pdf" else None,
+        timestamp=utc_date,
     )
-    return made
+    return document
 
 
-def _has_glyph(letter: str, *, own_fonts: bool) -> bool:
+def _has_glyph(character: str, *, only_typst_fonts: bool) -> bool:
     from typst import TypstError
 
     # PDF/UA requires a title.
     page = (
-        f'#set document(title: "x")\n#set text(font: "Libertinus Serif")\n#"\\u{{{ord(letter):x}}}"'
+        '#set document(title: "x")\n#set text(font: "Libertinus Serif")\n'
+        f'#"\\u{{{ord(character):x}}}"'
     )
     try:
-        _typst({"main.typ": page.encode()}, datetime(2000, 1, 1, tzinfo=UTC), own_fonts=own_fonts)
+        _run_typst(
+            {"main.typ": page.encode()},
+            datetime(2000, 1, 1, tzinfo=UTC),
+            only_typst_fonts=only_typst_fonts,
+        )
     except TypstError:
         return False
     return True
 
 
-def _texts(data: Any) -> Iterator[str]:
+def _iterate_texts(data: Any) -> Iterator[str]:
     match data:
         case str():
             yield data
         case dict():
-            yield from _texts(list(data.values()))
+            yield from _iterate_texts(list(data.values()))
         case list() | tuple():
-            for part in data:
-                yield from _texts(part)
+            for item in data:
+                yield from _iterate_texts(item)
 
 
-def _translate(data: Any, table: dict[int, str]) -> Any:
+def _translate_texts(data: Any, table: dict[int, str]) -> Any:
     match data:
         case str():
             return data.translate(table)
         case dict():
-            return {key: _translate(value, table) for key, value in data.items()}
+            return {key: _translate_texts(value, table) for key, value in data.items()}
         case list() | tuple():
-            return [_translate(part, table) for part in data]
+            return [_translate_texts(part, table) for part in data]
     return data

@@ -20,13 +20,13 @@ from counterspin.reports.typography import typeset_block
 from counterspin.results import ReportableResult, ResultFile, unsealed_sentences
 
 #: Suffixes of report files.
-FORMATS: Final = (".html", ".pdf", ".md")
+REPORT_SUFFIXES: Final = (".html", ".pdf", ".md")
 
 
-def check_format(path: Path) -> str:
+def require_report_format(path: Path) -> str:
     """Return the format of a file name; CampaignError if it is not supported."""
     suffix = path.suffix.lower()
-    if suffix not in FORMATS:
+    if suffix not in REPORT_SUFFIXES:
         raise CampaignError(
             "report",
             [f"{path}: the file name must end in .html, .pdf or .md"],
@@ -39,7 +39,7 @@ def check_format(path: Path) -> str:
 class Publication:
     """Blocks of a report with its metadata."""
 
-    kind: str  #: Description in its files, such as "a comparison".
+    document_type: str  #: Type in the mark of its files, such as "a comparison".
     #: Title and identifier.
     title: str
     identifier: str
@@ -49,32 +49,33 @@ class Publication:
     def text(self, suffix: str, issued: datetime) -> str:
         """Return the report as ``.html`` or ``.md``, with a time of issue that has a time zone."""
         if suffix == ".html":
-            from counterspin.reports.html import html
+            from counterspin.reports.html import render_html
 
-            return html(
+            return render_html(
                 self.blocks,
                 title=self.title,
                 identifier=self.identifier,
                 date=issued,
                 version=self.version,
-                kind=self.kind,
+                document_type=self.document_type,
             )
-        from counterspin.reports.markdown import markdown
+        from counterspin.reports.markdown import render_markdown
 
-        made = f"{issued.astimezone(UTC):%Y-%m-%d %H:%M} UTC"
-        end = Paragraph(f"End of {self.identifier}, {made}.", "quiet")
-        return f"{markdown(self.blocks)}\n<!-- {file_mark(self.kind)} -->\n\n{markdown([end])}"
+        issue_time = f"{issued.astimezone(UTC):%Y-%m-%d %H:%M} UTC"
+        end = Paragraph(f"End of {self.identifier}, {issue_time}.", "quiet")
+        remark = f"<!-- {file_mark(self.document_type)} -->"
+        return f"{render_markdown(self.blocks)}\n{remark}\n\n{render_markdown([end])}"
 
     def pdf(self, issued: datetime) -> bytes:
         """Return the report as a PDF, with a time of issue that has a time zone."""
-        from counterspin.reports.pdf import pdf
+        from counterspin.reports.pdf import render_pdf
 
-        return pdf(
+        return render_pdf(
             self.blocks,
             title=self.title,
             identifier=self.identifier,
             date=issued,
-            kind=self.kind,
+            document_type=self.document_type,
         )
 
     def write(self, path: Path, issued: datetime, *, overwrite: bool = False) -> None:
@@ -82,18 +83,23 @@ class Publication:
 
         overwrite: Whether an existing report of this kind may be replaced; other files never are.
         """
-        suffix, kind = check_format(path), partial(marked_file_type, self.kind)
-        check_writable(path, kind, overwrite=overwrite)
-        data = self.pdf(issued) if suffix == ".pdf" else self.text(suffix, issued).encode()
-        write_atomically(path, lambda part: part.write_bytes(data), kind, overwrite=overwrite)
+        suffix, file_type = (
+            require_report_format(path),
+            partial(marked_file_type, self.document_type),
+        )
+        check_writable(path, file_type, overwrite=overwrite)
+        content = self.pdf(issued) if suffix == ".pdf" else self.text(suffix, issued).encode()
+        write_atomically(
+            path, lambda file: file.write_bytes(content), file_type, overwrite=overwrite
+        )
 
 
-def publish(result: ReportableResult, identifier: str | None = None) -> Publication:
+def make_publication(result: ReportableResult, identifier: str | None = None) -> Publication:
     """Return the report of a result, titled with its first heading.
 
     identifier: Identifier of the report; None: that of the result.
     """
-    blocks = with_seal_warning(result, load_name(result.REPORT_BLOCKS or result.BLOCKS)(result))
+    blocks = add_seal_warning(result, load_name(result.REPORT_BLOCKS or result.BLOCKS)(result))
     title = next(
         (block.text for block in blocks if isinstance(block, Heading)), result.DOCUMENT_TYPE
     )
@@ -101,20 +107,20 @@ def publish(result: ReportableResult, identifier: str | None = None) -> Publicat
 
 
 def seal_warnings(result: ResultFile) -> list[Paragraph]:
-    """Return the warning of a result whose file has no seal; nothing for a sealed result."""
+    """Return the warning on a result whose file has no seal; empty for a sealed result."""
     names = [] if result.sealed else [f"this {result.DOCUMENT_TYPE}"]
     return [Paragraph(sentence, "warning") for sentence in unsealed_sentences(names)]
 
 
-def with_seal_warning(result: ResultFile, blocks: Iterable[Block]) -> list[Block]:
-    """Return the blocks of a result, with a warning behind the title if its file has no seal."""
-    whole = list(blocks)
-    missing = [warning for warning in seal_warnings(result) if warning not in whole]
-    after_title = 1 if whole and isinstance(whole[0], Heading) else 0
-    return [*whole[:after_title], *missing, *whole[after_title:]]
+def add_seal_warning(result: ResultFile, blocks: Iterable[Block]) -> list[Block]:
+    """Insert a warning after the title if the file of a result has no seal."""
+    all_blocks = list(blocks)
+    new_warnings = [warning for warning in seal_warnings(result) if warning not in all_blocks]
+    after_title = 1 if all_blocks and isinstance(all_blocks[0], Heading) else 0
+    return [*all_blocks[:after_title], *new_warnings, *all_blocks[after_title:]]
 
 
-def issue_date(text: str | None = None) -> datetime:
+def parse_issue_date(text: str | None = None) -> datetime:
     """Return the date of issue of a document.
 
     text: A date or a date and time by ISO 8601, without a time zone in UTC. None: the seconds in
@@ -125,42 +131,44 @@ def issue_date(text: str | None = None) -> datetime:
         if text is not None:
             if "T" not in text and " " not in text.strip():
                 return datetime.combine(date.fromisoformat(text.strip()), time(), UTC)
-            given = datetime.fromisoformat(text.strip())
-            given = given if given.tzinfo else given.replace(tzinfo=UTC)
+            parsed = datetime.fromisoformat(text.strip())
+            parsed = parsed if parsed.tzinfo else parsed.replace(tzinfo=UTC)
             # In UTC the year may be outside the calendar.
-            given.astimezone(UTC)
-            return given
+            parsed.astimezone(UTC)
+            return parsed
         if epoch:
             return datetime.fromtimestamp(int(epoch), UTC)
     except (ValueError, OverflowError, OSError) as error:
-        source, given_text = ("`date`", text) if text is not None else ("SOURCE_DATE_EPOCH", epoch)
+        source, date_text = ("`date`", text) if text is not None else ("SOURCE_DATE_EPOCH", epoch)
         raise CampaignError(
             source,
-            [f"{given_text!r} is not a date: write 2026-03-01 or 2026-03-01T14:30:00+01:00"],
+            [f"{date_text!r} is not a date: write 2026-03-01 or 2026-03-01T14:30:00+01:00"],
             code="invalid-date",
         ) from error
     return datetime.now(UTC).replace(microsecond=0)
 
 
 #: Largest number of text lines in a cell; `print_result` and the report show all.
-MAX_LINES: Final = 20
+MAX_CELL_LINES: Final = 20
 
-_WIDTH: Final = 100
+_TEXT_WIDTH: Final = 100
 
 
 def short_text(blocks: Sequence[Block]) -> str:
-    """Return blocks as text of at most `MAX_LINES` lines, with the number of omitted lines."""
+    """Return blocks as text of at most `MAX_CELL_LINES` lines, with the number of omitted lines."""
     from rich.console import Console
 
     from counterspin.reports.text import Report
 
-    console = Console(file=io.StringIO(), width=_WIDTH, highlight=False, color_system=None)
+    console = Console(file=io.StringIO(), width=_TEXT_WIDTH, highlight=False, color_system=None)
     with console.capture() as capture:
         console.print(Report(list(blocks)))
     lines = [line.rstrip() for line in capture.get().rstrip().split("\n")]
-    if len(lines) <= MAX_LINES:
+    if len(lines) <= MAX_CELL_LINES:
         return "\n".join(lines)
-    return "\n".join([*lines[: MAX_LINES - 1], f"... {len(lines) - MAX_LINES + 1} more lines"])
+    return "\n".join(
+        [*lines[: MAX_CELL_LINES - 1], f"... {len(lines) - MAX_CELL_LINES + 1} more lines"]
+    )
 
 
 def draw_on_axes(pictures: Sequence[Picture], axes: Any = None) -> list[Any]:
@@ -171,33 +179,33 @@ def draw_on_axes(pictures: Sequence[Picture], axes: Any = None) -> list[Any]:
     """
     import numpy as np
 
-    from counterspin.reports.drawing import PAPER_COLOURS, draw_on_axes, settings
+    from counterspin.reports.drawing import PAPER_COLOURS, draw_on_axes, drawing_parameters
 
     figure = None
     if axes is None:
         import matplotlib.pyplot as plt
 
-        # The first figure loads the notebook's backend, whose settings must remain: so create it
-        # before the temporary settings of the reports.
-        size, ground = (7.0, 2.6 * len(pictures)), PAPER_COLOURS["ground"]
-        figure = plt.figure(figsize=size, facecolor=ground, layout="constrained")
-    with settings(PAPER_COLOURS):
+        # The first figure loads the notebook's backend, which sets parameters permanently, so
+        # create it before the temporary parameters of the reports.
+        size, background = (7.0, 2.6 * len(pictures)), PAPER_COLOURS["ground"]
+        figure = plt.figure(figsize=size, facecolor=background, layout="constrained")
+    with drawing_parameters(PAPER_COLOURS):
         if figure is not None:
             axes = figure.subplots(len(pictures), 1)
-        own = list(np.atleast_1d(np.asarray(axes, dtype=object)).ravel())
-        if len(own) != len(pictures):
-            raise ValueError(f"{len(own)} axes were given for {len(pictures)} plots")
-        for picture, place in zip(pictures, own, strict=True):
-            draw_on_axes(place, cast("Picture", typeset_block(picture)))
-    return own
+        axes_list = list(np.atleast_1d(np.asarray(axes, dtype=object)).ravel())
+        if len(axes_list) != len(pictures):
+            raise ValueError(f"{len(axes_list)} axes were given for {len(pictures)} plots")
+        for picture, axes_item in zip(pictures, axes_list, strict=True):
+            draw_on_axes(axes_item, cast("Picture", typeset_block(picture)))
+    return axes_list
 
 
-def _publication_of(result: ReportableResult, identifier: str | None) -> Publication:
+def _require_publication(result: ReportableResult, identifier: str | None) -> Publication:
     """Return the report of a result; TypeError for anything else."""
     if not isinstance(result, ReportableResult):
         raise TypeError(f"give a counterspin result, not {result!r} ({type(result).__name__})")
-    page: Publication = result.publication(identifier)
-    return page
+    publication: Publication = result.publication(identifier)
+    return publication
 
 
 @overload
@@ -228,8 +236,8 @@ def report(
     Parameters
     ----------
     result
-        What a function of counterspin returned, or what was read from its JSON: a calibration,
-        a plan, a study, a history and so on.
+        Result of a function of counterspin, or read from its JSON file: a calibration, a plan, a
+        study, a history and so on.
     kind
         ``html``, ``md`` or ``pdf``.
     identifier, issued
@@ -238,15 +246,15 @@ def report(
     Raises
     ------
     CampaignError
-        If there is no such kind.
+        If `kind` is unknown.
     """
-    page = _publication_of(result, identifier)
-    made = issued or issue_date()
+    publication = _require_publication(result, identifier)
+    issue_time = issued or parse_issue_date()
     if kind == "pdf":
-        return page.pdf(made)
+        return publication.pdf(issue_time)
     if kind not in ("html", "md"):
         raise UsageError("report", [f"kind: {kind!r} is not html, md or pdf"])
-    return page.text(f".{kind}", made)
+    return publication.text(f".{kind}", issue_time)
 
 
 def write_report(
@@ -262,23 +270,24 @@ def write_report(
     Parameters
     ----------
     result
-        What a function of counterspin returned, or what was read from its JSON: a calibration,
-        a plan, a study, a history and so on.
+        Result of a function of counterspin, or read from its JSON file: a calibration, a plan, a
+        study, a history and so on.
     path
-        The file; its ending says the format: .html, .pdf or .md.
+        Output file; its suffix selects the format: .html, .pdf or .md.
     identifier
-        What the report is known by; None: one that follows from the result.
+        Identifier of the report; None: derived from the result.
     issued
-        When it was made, with its time zone; None: as `issue_date` has it.
+        Time of issue, with its time zone; None: SOURCE_DATE_EPOCH, or now.
     overwrite
-        Whether an earlier report may be replaced; nothing else is.
+        Whether an existing report may be replaced; other files never are.
 
     Raises
     ------
     CampaignError
-        If there is no such format.
+        If the format is unknown.
     CounterspinError
-        If a file is in the way or it cannot be written; nothing is left behind then.
+        If another file exists at the path, or the report cannot be written; no partial file is left
+        behind.
     """
-    page = _publication_of(result, identifier)
-    page.write(Path(path), issued or issue_date(), overwrite=overwrite)
+    publication = _require_publication(result, identifier)
+    publication.write(Path(path), issued or parse_issue_date(), overwrite=overwrite)

@@ -1,7 +1,7 @@
 """Results and progress in the terminal.
 
-Numbers are never broken: columns of words wrap first, then titles. If the terminal is still too
-narrow, the columns are printed in several tables below each other.
+Numbers are never broken: text columns wrap first, then titles. If the terminal is still too narrow,
+the columns are split into several tables.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from rich.text import Text
 
 from counterspin.characters import substitute_unencodable
 from counterspin.reports.blocks import (
-    TERMINAL_ROWS,
+    MAX_TERMINAL_ROWS,
     Block,
     Heading,
     Paragraph,
     Style,
     Table,
-    text_blocks,
+    remove_pictures,
 )
 from counterspin.reports.typography import typeset_block
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 #: Delay before progress is shown, s.
-QUIET_SECONDS: Final = 1.0
+PROGRESS_DELAY: Final = 1.0
 
 
 def _is_terminal() -> bool:
@@ -44,22 +44,22 @@ def _is_terminal() -> bool:
 
 
 @contextmanager
-def progress(
+def show_progress(
     console: Console | None = None,
     *,
-    patience: float = QUIET_SECONDS,
-    words: tuple[str, str, str] = ("Reading runs", "Reading runs", "Estimating"),
+    delay: float = PROGRESS_DELAY,
+    labels: tuple[str, str, str] = ("Reading runs", "Reading runs", "Estimating"),
 ) -> Iterator[Callable[[int, int], None] | None]:
-    """Show the progress of work on standard error, and erase it at the end.
+    """Show a progress bar on standard error, and erase it at the end.
 
     console: Console for the progress bar; None: standard error.
     """
     if console is None and not _is_terminal():
         yield None
         return
-    bar = _ProgressBar(console, words)
+    bar = _ProgressBar(console, labels)
     # A short calibration ends before the timer, so nothing is shown or loaded.
-    timer = threading.Timer(patience, bar.show)
+    timer = threading.Timer(delay, bar.show)
     timer.daemon = True
     timer.start()
     try:
@@ -71,11 +71,11 @@ def progress(
 
 
 class _ProgressBar:
-    def __init__(self, console: Console | None, words: tuple[str, str, str]) -> None:
+    def __init__(self, console: Console | None, labels: tuple[str, str, str]) -> None:
         self.console = console
-        self.before, self.while_counting, self.after = words
-        self.reached = (0, 0)
-        self.shown: Progress | None = None
+        self.start_label, self.counting_label, self.end_label = labels
+        self.latest = (0, 0)
+        self.bar: Progress | None = None
 
     def show(self) -> None:
         from rich import progress as rich
@@ -89,27 +89,27 @@ class _ProgressBar:
             console=self.console or Console(stderr=True),
             transient=True,
         )
-        bar.add_task(self.before, total=None)
+        bar.add_task(self.start_label, total=None)
         bar.start()
-        self.shown = bar
-        self.advance(*self.reached)
+        self.bar = bar
+        self.advance(*self.latest)
 
-    def advance(self, done: int, total: int) -> None:
-        self.reached = (done, total)
-        if self.shown is not None:
-            (task,) = self.shown.task_ids
-            text = self.while_counting if total else self.before
-            text = self.after if 0 < total == done else text
-            self.shown.update(task, description=text, completed=done, total=total or None)
+    def advance(self, n_done: int, n_total: int) -> None:
+        self.latest = (n_done, n_total)
+        if self.bar is not None:
+            (task,) = self.bar.task_ids
+            text = self.counting_label if n_total else self.start_label
+            text = self.end_label if 0 < n_total == n_done else text
+            self.bar.update(task, description=text, completed=n_done, total=n_total or None)
 
     def close(self) -> None:
-        if self.shown is not None:
-            self.shown.stop()
+        if self.bar is not None:
+            self.bar.stop()
 
 
 @contextmanager
-def work_progress(what: str) -> Iterator[Callable[[int, int], None] | None]:
-    """Show the amount done, the speed, and the remaining time, on standard error."""
+def show_work_progress(label: str) -> Iterator[Callable[[int, int], None] | None]:
+    """Show progress, speed and remaining time on standard error."""
     if not _is_terminal():
         yield None
         return
@@ -117,7 +117,7 @@ def work_progress(what: str) -> Iterator[Callable[[int, int], None] | None]:
     from rich.console import Console
 
     bar = rich.Progress(
-        rich.TextColumn(what),
+        rich.TextColumn(label),
         rich.BarColumn(),
         rich.MofNCompleteColumn(),
         rich.TextColumn("{task.fields[rate]}"),
@@ -126,12 +126,12 @@ def work_progress(what: str) -> Iterator[Callable[[int, int], None] | None]:
         transient=True,
     )
     with bar:
-        task = bar.add_task(what, total=None, rate="")
+        task = bar.add_task(label, total=None, rate="")
 
-        def advance(done: int, total: int) -> None:
+        def advance(n_done: int, n_total: int) -> None:
             speed = bar.tasks[0].speed
             rate = f"{speed:.3g}/s" if speed else ""
-            bar.update(task, completed=done, total=total, rate=rate)
+            bar.update(task, completed=n_done, total=n_total, rate=rate)
 
         yield advance
 
@@ -163,15 +163,15 @@ class _Console(Console):
         raise BrokenPipeError
 
 
-def report_console(file: TextIO | None = None) -> Console:
+def make_console(file: TextIO | None = None) -> Console:
     """Return a console for reports.
 
     file: Output file; None: standard output.
     """
-    made = _Console(file=file, highlight=False, emoji=False)
-    if made.width < _MIN_WIDTH or (not made.is_terminal and "COLUMNS" not in os.environ):
-        made.width = _PLAIN_WIDTH
-    return made
+    console = _Console(file=file, highlight=False, emoji=False)
+    if console.width < _MIN_WIDTH or (not console.is_terminal and "COLUMNS" not in os.environ):
+        console.width = _PLAIN_WIDTH
+    return console
 
 
 class Report:
@@ -182,15 +182,15 @@ class Report:
     """
 
     def __init__(self, blocks: list[Block]) -> None:
-        self.blocks = text_blocks(blocks)
+        self.blocks = remove_pictures(blocks)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield each block; called by rich."""
-        before: Block | None = None
-        for plain in self.blocks:
+        previous_block: Block | None = None
+        for original in self.blocks:
             # Piped text stays typable, as in a campaign file.
-            block = typeset_block(plain) if options.is_terminal else plain
-            if before is not None and _needs_blank_line(before, block):
+            block = typeset_block(original) if options.is_terminal else original
+            if previous_block is not None and _needs_blank_line(previous_block, block):
                 yield ""
             match block:
                 case Heading(text, _):
@@ -199,25 +199,27 @@ class Report:
                     text = substitute_unencodable(text, options.encoding)
                     yield Text(text, _STYLES[style], overflow="fold")
                 case Table():
-                    yield from _tables(block, options)
-            before = block
+                    yield from _make_tables(block, options)
+            previous_block = block
 
 
-def _needs_blank_line(before: Block, block: Block) -> bool:
+def _needs_blank_line(previous_block: Block, block: Block) -> bool:
     if isinstance(block, Heading):
         return True
-    return not isinstance(before, Heading) and isinstance(before, Table) | isinstance(block, Table)
+    return not isinstance(previous_block, Heading) and isinstance(
+        previous_block, Table
+    ) | isinstance(block, Table)
 
 
-def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
-    """Yield the table, split into several with repeated names if the columns do not fit.
+def _make_tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
+    """Yield the table, or several tables with repeated row names if the columns do not fit.
 
     Numbers are broken only if a single column next to the names is too wide.
     """
     titles = [substitute_unencodable(column.title, options.encoding) for column in block.columns]
-    shown, count = block.rows[:TERMINAL_ROWS], len(block.rows) + block.omitted
-    rows = [[substitute_unencodable(cell, options.encoding) for cell in row] for row in shown]
-    for number, (chosen, widths) in enumerate(
+    shown_rows, n_rows = block.rows[:MAX_TERMINAL_ROWS], len(block.rows) + block.n_omitted
+    rows = [[substitute_unencodable(cell, options.encoding) for cell in row] for row in shown_rows]
+    for table_index, (column_indices, widths) in enumerate(
         _split_columns(block, [titles, *rows], options.max_width)
     ):
         table = RichTable(
@@ -227,75 +229,96 @@ def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
             show_edge=False,
             header_style="bold",
         )
-        for place, width in zip(chosen, widths, strict=True):
-            justify = block.columns[place].align
-            table.add_column(Text(titles[place]), justify=justify, width=width, overflow="fold")
+        for column_index, width in zip(column_indices, widths, strict=True):
+            justify = block.columns[column_index].align
+            table.add_column(
+                Text(titles[column_index]), justify=justify, width=width, overflow="fold"
+            )
         for index, row in enumerate(rows):
-            style = _STYLES["quiet"] if index in block.quiet else None
-            table.add_row(*(Text(row[place], overflow="fold") for place in chosen), style=style)
-        if number:
+            style = _STYLES["quiet"] if index in block.quiet_rows else None
+            table.add_row(
+                *(Text(row[place], overflow="fold") for place in column_indices), style=style
+            )
+        if table_index:
             yield ""
         yield table
-    if count > len(shown):
+    if n_rows > len(shown_rows):
         yield Text(
-            f"{count - len(shown)} of {count} rows are not shown. The JSON "
+            f"{n_rows - len(shown_rows)} of {n_rows} rows are not shown. The JSON "
             "file and the HTML report contain all rows.",
             _STYLES["quiet"],
         )
 
 
 def _split_columns(
-    block: Table, rows: list[list[str]], available: int
+    block: Table, rows: list[list[str]], available_width: int
 ) -> Iterator[tuple[list[int], Sequence[int | None]]]:
     """Yield the columns of each table that fits the terminal, and their widths."""
-    wanted, whole, least = [], [], []
+    full_widths, wrapped_widths, min_widths = [], [], []
     for index, column in enumerate(block.columns):
         lines = [line for row in rows for line in row[index].split("\n")]
-        words = max((len(word) for line in lines for word in line.split()), default=0)
-        title = max(map(len, rows[0][index].split()), default=0)
-        cells = max((len(line) for row in rows[1:] for line in row[index].split("\n")), default=0)
-        wanted.append(max(map(len, lines)))
+        word_width = max((len(word) for line in lines for word in line.split()), default=0)
+        title_width = max(map(len, rows[0][index].split()), default=0)
+        cell_width = max(
+            (len(line) for row in rows[1:] for line in row[index].split("\n")), default=0
+        )
+        full_widths.append(max(map(len, lines)))
         # Right-aligned numbers stay on one line; only their title is wrapped.
-        words = max(title, cells) if column.align == "right" else words
-        wrapped = max(words, min(column.narrowest, wanted[-1]))
-        whole.append(wrapped if column.wraps else wanted[-1])
-        least.append(wrapped if column.wraps else max(title, cells))
-    everything = list(range(len(block.columns)))
-    for widths in (whole, least):
-        if (spare := _spare_width(widths, everything, available)) >= 0:
-            yield everything, _distribute_width(widths, wanted, everything, spare)
+        word_width = max(title_width, cell_width) if column.align == "right" else word_width
+        wrapped_width = max(word_width, min(column.min_width, full_widths[-1]))
+        wrapped_widths.append(wrapped_width if column.wraps else full_widths[-1])
+        min_widths.append(wrapped_width if column.wraps else max(title_width, cell_width))
+    all_indices = list(range(len(block.columns)))
+    for widths in (wrapped_widths, min_widths):
+        if (spare_width := _spare_width(widths, all_indices, available_width)) >= 0:
+            yield all_indices, _distribute_width(widths, full_widths, all_indices, spare_width)
             return
     # A column without a title belongs to the previous name.
-    names = 1
-    while names < len(everything) and not rows[0][names]:
-        names += 1
-    chosen = everything[:names]
-    for index in everything[names:]:
-        if len(chosen) > names and _spare_width(least, [*chosen, index], available) < 0:
+    n_name_columns = 1
+    while n_name_columns < len(all_indices) and not rows[0][n_name_columns]:
+        n_name_columns += 1
+    indices = all_indices[:n_name_columns]
+    for index in all_indices[n_name_columns:]:
+        if (
+            len(indices) > n_name_columns
+            and _spare_width(min_widths, [*indices, index], available_width) < 0
+        ):
             yield (
-                chosen,
-                _distribute_width(least, wanted, chosen, _spare_width(least, chosen, available)),
+                indices,
+                _distribute_width(
+                    min_widths,
+                    full_widths,
+                    indices,
+                    _spare_width(min_widths, indices, available_width),
+                ),
             )
-            chosen = everything[:names]
-        chosen = [*chosen, index]
-    yield chosen, _distribute_width(least, wanted, chosen, _spare_width(least, chosen, available))
+            indices = all_indices[:n_name_columns]
+        indices = [*indices, index]
+    yield (
+        indices,
+        _distribute_width(
+            min_widths, full_widths, indices, _spare_width(min_widths, indices, available_width)
+        ),
+    )
 
 
-def _spare_width(widths: Sequence[int], chosen: Sequence[int], available: int) -> int:
-    return available - sum(widths[index] for index in chosen) - _COLUMN_GAP * (len(chosen) - 1)
+def _spare_width(widths: Sequence[int], indices: Sequence[int], available_width: int) -> int:
+    return (
+        available_width - sum(widths[index] for index in indices) - _COLUMN_GAP * (len(indices) - 1)
+    )
 
 
 def _distribute_width(
-    least: Sequence[int], wanted: Sequence[int], chosen: Sequence[int], spare: int
+    min_widths: Sequence[int], full_widths: Sequence[int], indices: Sequence[int], spare_width: int
 ) -> Sequence[int | None]:
     """Return the widths of columns; spare width goes to those that lack most."""
-    if spare < 0:
-        return [None] * len(chosen)
-    widths = [least[index] for index in chosen]
-    lacking = [wanted[index] - least[index] for index in chosen]
-    while spare > 0 and any(lacking):
-        neediest = lacking.index(max(lacking))
-        widths[neediest] += 1
-        lacking[neediest] -= 1
-        spare -= 1
+    if spare_width < 0:
+        return [None] * len(indices)
+    widths = [min_widths[index] for index in indices]
+    missing_widths = [full_widths[index] - min_widths[index] for index in indices]
+    while spare_width > 0 and any(missing_widths):
+        index_of_max = missing_widths.index(max(missing_widths))
+        widths[index_of_max] += 1
+        missing_widths[index_of_max] -= 1
+        spare_width -= 1
     return widths

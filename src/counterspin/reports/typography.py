@@ -26,18 +26,18 @@ SYMBOL: Final = (
     r"(K|E|a(?=_[IPO])|delta(?=_[IPO]))_((?:[A-Z]{1,3}|\d|n)(?:_asym)?)(?![^\W²³⁴]|\.\w)"
 )
 #: Names of Greek letters -> printed letters.
-_GREEK: Final = {"delta": "δ"}
+_GREEK_LETTERS: Final = {"delta": "δ"}
 
 SUPERSCRIPTS: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 #: A power of ten alone, before a unit or after a cross.
-_POWER: Final = re.compile(r"(?<![\w.])1e([-+]?\d+)(?!\w)")
+_POWER_OF_TEN: Final = re.compile(r"(?<![\w.])1e([-+]?\d+)(?!\w)")
 #: A number, perhaps with its uncertainty in brackets, times a power of ten.
 _TIMES_POWER: Final = re.compile(r"(?<![\w.])(\d+(?:\.\d+)?(?:\([\d.]+\))?)e([-+]?\d+)(?!\w)")
 _EXPONENT: Final = re.compile(r"(?<=\w)\^(-?\d)(?!\.?\d)")
-#: Micro before a gram-force alone: nothing else in a report is called ug.
-_MICRO: Final = re.compile(r"(?<![\w.])ug(?!\w|\.\w)")
-#: Signs of numbers; a hyphen within a word, a name or a date is none.
+#: The unit ug (micro-g).
+_MICRO_G: Final = re.compile(r"(?<![\w.])ug(?!\w|\.\w)")
+#: Minus signs of numbers, but not hyphens in words, names and dates.
 _SIGN: Final = re.compile(r"(?<![^\s(\[=±×])-(?=\.?\d)|(?<= )-(?= \d)")
 _CROSS: Final = re.compile(r"(?<=[\d)]) x (?=10[⁻⁰-⁹¹²³])")
 
@@ -47,25 +47,25 @@ def typeset(text: str) -> str:
 
     Other text is unchanged.
     """
-    text = _POWER.sub(lambda found: f"10{_superscript(found[1])}", text)
-    text = _TIMES_POWER.sub(lambda found: f"{found[1]} × 10{_superscript(found[2])}", text)
-    text = _EXPONENT.sub(lambda found: found[1].translate(SUPERSCRIPTS), text)
-    return _SIGN.sub("−", _CROSS.sub(" × ", _MICRO.sub("µg", text)))
+    text = _POWER_OF_TEN.sub(lambda match: f"10{_to_superscript(match[1])}", text)
+    text = _TIMES_POWER.sub(lambda match: f"{match[1]} × 10{_to_superscript(match[2])}", text)
+    text = _EXPONENT.sub(lambda match: match[1].translate(SUPERSCRIPTS), text)
+    return _SIGN.sub("−", _CROSS.sub(" × ", _MICRO_G.sub("µg", text)))
 
 
-def set_indices(text: str, index: Callable[[str, str], str], symbol: str = SYMBOL) -> str:
+def set_indices(text: str, format_symbol: Callable[[str, str], str], symbol: str = SYMBOL) -> str:
     """Return prose with symbols formatted by a renderer.
 
-    index: Function of a symbol's letter and its index.
+    format_symbol: Returns a symbol, given its letter and its index.
     """
 
-    def placed(found: re.Match[str]) -> str:
-        return index(_GREEK.get(found[1], found[1]), found[2].replace("_", ","))
+    def replace_symbol(match: re.Match[str]) -> str:
+        return format_symbol(_GREEK_LETTERS.get(match[1], match[1]), match[2].replace("_", ","))
 
-    return re.sub(rf"(?<![\w.]){symbol}", placed, text)
+    return re.sub(rf"(?<![\w.]){symbol}", replace_symbol, text)
 
 
-def _superscript(exponent: str) -> str:
+def _to_superscript(exponent: str) -> str:
     """Return an exponent in superscript; Python writes ``e-09`` and ``e+12``."""
     sign = "-" if exponent.startswith("-") else ""
     return f"{sign}{exponent.lstrip('+-0') or '0'}".translate(SUPERSCRIPTS)

@@ -13,13 +13,13 @@ from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.second_stage import StrobedRun
 from counterspin.physics.terms import term
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
-from counterspin.reports.numbers import field_unit, format_estimate, format_number
+from counterspin.reports.numbers import find_display_unit, format_estimate, format_number
 from counterspin.reports.text import Report
 from counterspin.reproduction.demo import Demonstration
 from counterspin.reproduction.plan import PaperSection, Reproduction, Row
 
 _COMPARISON_COLUMNS = (
-    Column("Quantity", wraps=True, narrowest=30),
+    Column("Quantity", wraps=True, min_width=30),
     Column("Paper", align="right"),
     Column("counterspin", align="right"),
     Column("Unit", wraps=True),
@@ -71,16 +71,16 @@ def demonstration_report(demonstration: Demonstration) -> Report:
         rows=tuple(
             (
                 symbol,
-                format_number(truth * field_unit(term(symbol).unit)[1], 12),
+                format_number(truth * find_display_unit(term(symbol).unit)[1], 12),
                 *(
                     _coefficient_text(result, symbol, symbol in campaign.model.considered)
                     for result in results
                 ),
-                field_unit(term(symbol).unit)[0],
+                find_display_unit(term(symbol).unit)[0],
             )
             for symbol, truth in demonstration.truth.items()
         ),
-        quiet=frozenset(
+        quiet_rows=frozenset(
             row
             for row, symbol in enumerate(demonstration.truth)
             if not any(_is_estimated(result, symbol) for result in results)

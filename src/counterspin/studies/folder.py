@@ -77,10 +77,10 @@ class StudyFolder:
         has_progress = (self.directory / _PROGRESS).exists()
         if (self.directory / _RESULT).exists() or self.resume or (has_progress and self.overwrite):
             if any(figure.exists() for figure in figures):
-                from counterspin.reports.charts import reserve_figures
+                from counterspin.reports.charts import check_figures_writable
                 from counterspin.studies.page import FIGURE
 
-                reserve_figures(figures, FIGURE, overwrite=True)
+                check_figures_writable(figures, FIGURE, overwrite=True)
             return
         if has_progress:
             raise CounterspinError(

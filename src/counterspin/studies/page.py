@@ -19,8 +19,8 @@ from counterspin.reports.blocks import (
     Style,
     Table,
 )
-from counterspin.reports.charts import reserve_figures, save_figure
-from counterspin.reports.numbers import field_unit, format_number
+from counterspin.reports.charts import check_figures_writable, save_figure
+from counterspin.reports.numbers import find_display_unit, format_number
 from counterspin.studies.result import LEVELS, Z_BINS, Z_EDGE, CoefficientResult, StudyResult
 
 #: What every figure of one says that it is.
@@ -102,7 +102,7 @@ def report_blocks(result: StudyResult) -> list[Block]:
 
 
 def _error_row(name: str, coefficient: CoefficientResult) -> tuple[str, ...]:
-    unit, factor = field_unit(coefficient.unit)
+    unit, factor = find_display_unit(coefficient.unit)
     bias, error = (format_number(factor * x, 2) for x in (coefficient.bias, coefficient.se_bias))
     efficiency = coefficient.efficiency
     return (
@@ -184,7 +184,7 @@ def bias_plots(result: StudyResult, covariate: str) -> Iterator[Plot]:
         value, trials, bias, spread = (np.array(column, dtype=float) for column in columns)
         half_bin = 0.5 * (value[1] - value[0])
         has_trials = trials > 1
-        unit, factor = field_unit(coefficient.unit)
+        unit, factor = find_display_unit(coefficient.unit)
         bias_values, expanded_errors = factor * bias[has_trials], 2.0 * factor * spread[has_trials]
         yield Plot(
             title=f"Bias of {name}; error bars: two standard errors",
@@ -219,7 +219,7 @@ def write_figures(result: StudyResult, folder: Path | str, *, overwrite: bool = 
         Path(folder) / "coverage.svg": coverage_plots(result),
         **{Path(folder) / f"bias-{d}.svg": bias_plots(result, d) for d in covariates},
     }
-    reserve_figures(figures, FIGURE, overwrite=overwrite)
+    check_figures_writable(figures, FIGURE, overwrite=overwrite)
     for path, plots in figures.items():
         save_figure(list(plots), path, FIGURE, overwrite=overwrite)
 

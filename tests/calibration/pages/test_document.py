@@ -24,8 +24,8 @@ from counterspin.reports.blocks import (
     Picture,
     Plot,
     Table,
-    text_blocks,
-    without_cards,
+    expand_cards,
+    remove_pictures,
 )
 
 #: Residuals eight times as large as the stated noise.
@@ -34,7 +34,7 @@ MISFIT = {"rms": 0.08, "unit": "m", "dof": 100.0, "chi2": 6400.0, "lack_of_fit_p
 
 def build_document(result):
     """Return the blocks of the report with typeset text."""
-    return list(without_cards(pages_document.document(result)))
+    return list(expand_cards(pages_document.document(result)))
 
 
 def block_texts(blocks):
@@ -202,9 +202,9 @@ def test_degrees_of_freedom_are_integers_and_units_are_typeset():
 def test_text_without_plots_has_no_empty_chapters():
     picture = next(residual_plots("Qx", result().accelerometers["Qx"], result().runs))
     one, two, deep, said = Heading("1"), Heading("2"), Heading("3", 3), Paragraph("words")
-    assert text_blocks([one, deep, picture, two, said]) == [two, said]
-    assert text_blocks([one, picture, deep, said, two, picture]) == [one, deep, said]
-    assert text_blocks([one, said, picture, picture, two]) == [one, said, two]
+    assert remove_pictures([one, deep, picture, two, said]) == [two, said]
+    assert remove_pictures([one, picture, deep, said, two, picture]) == [one, deep, said]
+    assert remove_pictures([one, said, picture, picture, two]) == [one, said, two]
 
 
 def test_identifier_depends_on_result():
@@ -221,7 +221,7 @@ def test_residual_plot_keeps_outliers_and_uses_millimetres():
     band, outliers = first.series
     assert band.low == (-10.0, -20.0, -15.0)
     assert band.high == (10.0, 30.0, 20.0)
-    assert outliers.stands_out
+    assert outliers.is_highlighted
     assert (outliers.x, outliers.y) == ((1.2,), (400.0,))
     assert first.y_label == "residual, mm"
 

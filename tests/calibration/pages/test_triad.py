@@ -9,7 +9,7 @@ import triads
 from counterspin.calibration.pages.document import document
 from counterspin.calibration.pages.triad import pose_pictures
 from counterspin.reports.blocks import Plot, Sphere
-from counterspin.reports.charts import svg
+from counterspin.reports.charts import render_svg
 
 RUN = """
 [records]
@@ -51,7 +51,7 @@ def test_sphere_plot_shows_directions_and_residuals_of_poses(result, truth):
     assert sphere.values == pytest.approx(residuals)
     # Scatter of means of about 300 rows.
     assert np.std(sphere.values) == pytest.approx(1e3 * NOISE / np.sqrt(300.0), rel=0.6)
-    assert sphere.stands_out == frozenset()
+    assert sphere.highlighted_points == frozenset()
 
 
 def test_residuals_before_and_after_calibration(result, truth):
@@ -87,7 +87,7 @@ def test_report_has_all_triad_plots(result):
     assert len(pictures) == 4
     blocks = document(result)
     assert sum(isinstance(block, Sphere) for block in blocks) == 1
-    assert all(svg(picture) for picture in pictures)
+    assert all(render_svg(picture) for picture in pictures)
 
 
 def test_single_readings_have_no_rest_detection_plot(tmp_path):

@@ -21,7 +21,7 @@ from counterspin.physics.terms import (
     is_term,
     term,
 )
-from counterspin.reports.numbers import field_unit, format_estimate, format_number
+from counterspin.reports.numbers import find_display_unit, format_estimate, format_number
 
 #: An estimate may be beyond its largest credible size by so many of its standard uncertainties.
 _MAX_SIGMAS: Final = 3.0
@@ -111,7 +111,7 @@ def check_default_priors(rests_on: Sequence[Knowledge]) -> Iterator[Finding]:
         ratio = abs(row.found - row.value) / row.u
         if ratio <= _MAX_DEFAULT_SDS:
             continue
-        unit, factor = field_unit(row.unit)
+        unit, factor = find_display_unit(row.unit)
         estimate = format_estimate(row.found * factor, row.u_found * factor, unit)
         u_text = f"{format_number(row.u * factor, 2)} {unit}"
         text = (

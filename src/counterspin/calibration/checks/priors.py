@@ -23,7 +23,7 @@ from counterspin.inference.joint.alternatives import (
 from counterspin.inference.joint.fit import JointFit, estimate_considered
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.physics.terms import INPUTS
-from counterspin.reports.numbers import field_unit, format_estimate
+from counterspin.reports.numbers import find_display_unit, format_estimate
 
 #: Sizes of tests that differ by less are one: the first of them is named.
 _TIE_TOLERANCE: Final = 1e-6
@@ -181,7 +181,7 @@ def describe_conflict(
 
 def format_si(value: float, u: float, unit: str) -> str:
     """Return an estimate in the unit of the field."""
-    shown_unit, factor = field_unit(unit)
+    shown_unit, factor = find_display_unit(unit)
     return format_estimate(
         value * factor, u * factor, "" if shown_unit == "1" else shown_unit
     ).strip()

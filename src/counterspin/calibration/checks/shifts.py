@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from counterspin.arrays import Array
 from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.inference.joint.unknowns import unit_of
-from counterspin.reports.numbers import field_unit, format_number
+from counterspin.reports.numbers import find_display_unit, format_number
 
 
 def largest_shift(
@@ -30,7 +30,7 @@ def largest_shift(
 
 def format_size(symbol: str, size: float, digits: int = 2) -> str:
     """Return a size of a term in the unit in which it is shown."""
-    unit, factor = field_unit(unit_of(symbol))
+    unit, factor = find_display_unit(unit_of(symbol))
     if unit == "1":
         unit, factor = "ppm", 1e6
     return f"{format_number(size * factor, digits)} {unit}"

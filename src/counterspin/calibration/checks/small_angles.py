@@ -13,7 +13,7 @@ from counterspin.calibration.result_parts import AccelerometerResult, Coefficien
 from counterspin.campaign.description import Campaign
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.physics.terms import ARCSEC, DEGREE_PER_HOUR, PLATFORM_TERMS, TERMS
-from counterspin.reports.numbers import field_unit, format_number
+from counterspin.reports.numbers import find_display_unit, format_number
 
 #: Drift (deg/h) times time squared (s^2) at which first order in the attitude errs by 0.01 m.
 _FIRST_ORDER_LIMIT: Final = 0.2 * 400.0**2
@@ -108,7 +108,7 @@ def _tilt_finding(
     assert coefficient.u
     ratio = shift / coefficient.u
     tilt = float(np.linalg.norm(size)) / ARCSEC
-    unit, factor = field_unit(coefficient.unit)
+    unit, factor = find_display_unit(coefficient.unit)
     text = (
         f"The tilt in {run} may reach {tilt:.3g} arcsec (estimate plus 2 u). The second-order "
         f"effect of this tilt shifts {subject} by up to {format_number(shift * factor, 2)} "

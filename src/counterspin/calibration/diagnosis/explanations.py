@@ -10,7 +10,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint import mistakes
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.physics.terms import term
-from counterspin.reports.numbers import field_unit, format_estimate, format_number
+from counterspin.reports.numbers import find_display_unit, format_estimate, format_number
 
 
 @frozen
@@ -45,7 +45,7 @@ class Explanation(PriorExplanation):
         )
         label = f"{name}, which the model omits"
         if abs(self.value) > limit:
-            shown_unit, factor = field_unit(unit_of(self.alternative.symbol))
+            shown_unit, factor = find_display_unit(unit_of(self.alternative.symbol))
             largest = f"{format_number(limit * factor, 3)} {shown_unit}"
             text += (
                 f"This value exceeds the largest credible value, {largest}, but no cause of a "

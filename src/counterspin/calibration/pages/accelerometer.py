@@ -21,10 +21,10 @@ from counterspin.inference.joint.summary import Jackknife
 from counterspin.inference.noise.components import COMPONENTS_BY_KEY
 from counterspin.physics.terms import describe_term, is_term, term
 from counterspin.records.record import rejected_count
-from counterspin.reports.blocks import TERMINAL_ROWS, Block, Column, Heading, Paragraph, Table
+from counterspin.reports.blocks import MAX_TERMINAL_ROWS, Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
-    field_unit,
+    find_display_unit,
     format_compact,
     format_count,
     format_estimate,
@@ -93,9 +93,9 @@ def _output_units_text(accelerometer: AccelerometerResult) -> str:
 def _reading_table(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[Block]:
     if not readings:
         return
-    shown_readings = readings if details else readings[:TERMINAL_ROWS]
+    shown_readings = readings if details else readings[:MAX_TERMINAL_ROWS]
     yield Table(
-        omitted=len(readings) - len(shown_readings),
+        n_omitted=len(readings) - len(shown_readings),
         columns=(
             Column("Reading", wraps=True),
             Column("Motion"),
@@ -134,7 +134,7 @@ def _sample_cells(line: ReadingResult) -> tuple[str, str]:
 
 def to_field_units(coefficient: Coefficient) -> tuple[float | None, float | None, str]:
     """Return value, standard uncertainty and unit in the usual unit of the field."""
-    unit, factor = field_unit(coefficient.unit)
+    unit, factor = find_display_unit(coefficient.unit)
     value, u = coefficient.value, coefficient.u
     return None if value is None else value * factor, None if u is None else u * factor, unit
 
@@ -155,7 +155,7 @@ def coefficient_table(coefficients: dict[str, Coefficient]) -> Table:
             Column("Uncertainty contributions", wraps=True),
         ),
         rows=tuple(rows),
-        quiet=frozenset(i for i, c in enumerate(coefficients.values()) if not c.estimated),
+        quiet_rows=frozenset(i for i, c in enumerate(coefficients.values()) if not c.estimated),
     )
 
 
@@ -223,7 +223,7 @@ def _confounded_sentence(confounded_terms: ConfoundedTerms) -> str:
     if confounded_terms.value is None:
         return text + "."
     symbol = confounded_terms.terms[0].partition(" (")[0]
-    unit, factor = field_unit(term(symbol).unit if is_term(symbol) else "")
+    unit, factor = find_display_unit(term(symbol).unit if is_term(symbol) else "")
     u = None if confounded_terms.u is None else confounded_terms.u * factor
     return f"{text} = {format_estimate(confounded_terms.value * factor, u, unit)}."
 
@@ -287,7 +287,7 @@ def _noise_sentence(noise: dict[str, NoiseLine], gravity: float) -> str:
 
 
 def _comparison_sentence(comparison: Comparison, coefficient: Coefficient | None) -> str:
-    unit, factor = field_unit(coefficient.unit if coefficient else "")
+    unit, factor = find_display_unit(coefficient.unit if coefficient else "")
     agreement = "consistent" if methods_agree(comparison) else "not consistent"
     value = format_estimate(comparison.value * factor, comparison.u * factor, unit)
     difference = format_estimate(
@@ -301,7 +301,7 @@ def _comparison_sentence(comparison: Comparison, coefficient: Coefficient | None
 
 def _jackknife_table(lines: Sequence[Jackknife], coefficient: Coefficient) -> Iterator[Block]:
     value, u, unit = to_field_units(coefficient)
-    _, factor = field_unit(coefficient.unit)
+    _, factor = find_display_unit(coefficient.unit)
     # Without one run the estimate is written to the place of the whole one, to be compared.
     rounded_cells = round_to_uncertainty(value, u) if value is not None and u else None
     if rounded_cells is not None and rounded_cells.exponent:

@@ -13,7 +13,7 @@ from counterspin.inference.joint.summary import BudgetLine
 from counterspin.physics.terms import describe_term
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
-    field_unit,
+    find_display_unit,
     format_interval,
     format_number,
     format_share,
@@ -47,7 +47,7 @@ def interval_blocks(name: str, result: Result) -> Iterator[Block]:
         coefficient = accelerometer.coefficients[symbol]
         if coefficient.value is None or coefficient.u is None:
             continue
-        unit, factor = field_unit(coefficient.unit)
+        unit, factor = find_display_unit(coefficient.unit)
         u, trials = coefficient.u * factor, coverage.trials
         intervals = (coefficient.interval(), (coverage.low, coverage.high))
         gum, shortest = (
@@ -123,7 +123,7 @@ def budget_table(
     """
     accelerometer = result.accelerometers[name]
     coefficient = accelerometer.coefficients.get(symbol)
-    unit, factor = field_unit(coefficient.unit if coefficient else "")
+    unit, factor = find_display_unit(coefficient.unit if coefficient else "")
     values = prior_values(name, result)
     rows: list[tuple[str, ...]] = [
         (
@@ -182,7 +182,7 @@ def _prior_cells(line: BudgetLine, value: float | None) -> tuple[str, str]:
     """Return the cells of a source's value and standard uncertainty, with their unit."""
     if line.u is None:
         return "", ""
-    unit, factor = field_unit(line.unit)
+    unit, factor = find_display_unit(line.unit)
     u = f"{format_number(line.u * factor, 2)} {unit}"
     if not value:
         return "" if value is None else f"0 {unit}", u
@@ -195,4 +195,4 @@ def _prior_cells(line: BudgetLine, value: float | None) -> tuple[str, str]:
 def _sensitivity_cell(line: BudgetLine, factor: float) -> str:
     if line.sensitivity is None:
         return ""
-    return format_number(line.sensitivity * factor / field_unit(line.unit)[1])
+    return format_number(line.sensitivity * factor / find_display_unit(line.unit)[1])

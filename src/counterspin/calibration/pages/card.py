@@ -17,7 +17,7 @@ from counterspin.inference.joint.summary import BudgetLine
 from counterspin.physics.terms import describe_term
 from counterspin.reports.blocks import Card, Check, Paragraph, Share
 from counterspin.reports.numbers import (
-    field_unit,
+    find_display_unit,
     format_estimate,
     format_interval,
     format_number,
@@ -62,7 +62,7 @@ def accelerometer_card(
         title=name,
         detail=_orientation(accelerometer),
         state=accelerometer.state,
-        state_words=STATE_WORDS[accelerometer.state],
+        state_text=STATE_WORDS[accelerometer.state],
         symbol=symbol,
         value=format_estimate(value, u) if is_determined else "",
         unit=unit,
@@ -165,7 +165,7 @@ def _compare_methods(accelerometer: AccelerometerResult) -> tuple[str | None, st
     comparison, coefficient = accelerometer.two_stage, accelerometer.coefficients.get("K_II")
     if comparison is None or coefficient is None:
         return None, None
-    unit, factor = field_unit(coefficient.unit)
+    unit, factor = find_display_unit(coefficient.unit)
     value = format_estimate(comparison.value * factor, comparison.u * factor, unit)
     difference = f"z = {format_number(abs(comparison.z), 2)}"
     if methods_agree(comparison):

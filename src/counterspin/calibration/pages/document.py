@@ -46,7 +46,7 @@ from counterspin.inference.distributions import expanded_uncertainty
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Picture, Style, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
-    field_unit,
+    find_display_unit,
     format_compact,
     format_count,
     format_estimate,
@@ -54,7 +54,7 @@ from counterspin.reports.numbers import (
     format_number,
 )
 from counterspin.reports.publication import seal_warnings
-from counterspin.reports.text import Report, report_console
+from counterspin.reports.text import Report, make_console
 from counterspin.reports.typography import typeset_block
 
 if TYPE_CHECKING:
@@ -198,7 +198,7 @@ def platform_blocks(result: Result) -> Iterator[Block]:
     if terms:
         yield Heading("Platform" if result.runs else "Machine")
         table = coefficient_table(terms)
-        yield Table(table.columns[1:], tuple(row[1:] for row in table.rows), table.quiet)
+        yield Table(table.columns[1:], tuple(row[1:] for row in table.rows), table.quiet_rows)
 
 
 def run_blocks(runs: dict[str, RunResult], *, details: bool) -> Iterator[Block]:
@@ -219,8 +219,8 @@ def run_blocks(runs: dict[str, RunResult], *, details: bool) -> Iterator[Block]:
                 name,
                 format_compact(run.rate, run.u_rate),
                 format_compact(
-                    run.drift * field_unit("1/s")[1],
-                    None if run.u_drift is None else run.u_drift * field_unit("1/s")[1],
+                    run.drift * find_display_unit("1/s")[1],
+                    None if run.u_drift is None else run.u_drift * find_display_unit("1/s")[1],
                 ),
                 _ripple_cell(run),
                 str(run.samples),
@@ -244,7 +244,7 @@ def _count_blocks(runs: dict[str, RunResult]) -> Iterator[Block]:
     for name, run in runs.items():
         yield from count_blocks(name, run)
         if run.angle_rms is not None:
-            unit, factor = field_unit("rad")
+            unit, factor = find_display_unit("rad")
             rms = format_number(run.angle_rms * factor)
             yield Paragraph(f"{name}: encoder residual {rms} {unit} rms.")
 
@@ -397,7 +397,7 @@ def print_result(
     result: Result, console: Console | None = None, *, budget: bool = False, details: bool = False
 ) -> None:
     """Print a result, to standard output if to no other console; otherwise as `render`."""
-    console = console or report_console()
+    console = console or make_console()
     console.print(render(result, budget=budget, details=details))
 
 

@@ -27,7 +27,12 @@ from counterspin.physics.terms import (
     affects_readings,
 )
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
-from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact, format_number
+from counterspin.reports.numbers import (
+    NOT_DETERMINED,
+    find_display_unit,
+    format_compact,
+    format_number,
+)
 from counterspin.shell import join_command
 
 _OBSERVED: Final = {
@@ -344,7 +349,7 @@ def method_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
         rows=tuple(
             (
                 symbol,
-                field_unit(accelerometer.coefficients[symbol].unit)[0],
+                find_display_unit(accelerometer.coefficients[symbol].unit)[0],
                 _shift_cell(accelerometer.coefficients[symbol]),
                 *(_shift_cell(method.coefficients.get(symbol)) for method in methods),
             )
@@ -364,7 +369,7 @@ def _has_value(method: MethodAgreement, symbol: str) -> bool:
 def _shift_cell(coefficient: Coefficient | None) -> str:
     if coefficient is None or not coefficient.estimated or coefficient.value is None:
         return NOT_DETERMINED
-    _, factor = field_unit(coefficient.unit)
+    _, factor = find_display_unit(coefficient.unit)
     return format_compact(coefficient.value * factor, (coefficient.u or 0.0) * factor)
 
 

@@ -14,7 +14,7 @@ from counterspin.calibration.pages.uncertainty import (
 from counterspin.calibration.result_parts import AccelerometerResult, RunResult, Trace
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries
-from counterspin.reports.numbers import field_unit, format_share, format_uncertainty
+from counterspin.reports.numbers import find_display_unit, format_share, format_uncertainty
 
 #: More curves than this in one plot cannot be told apart: the runs then take several plots.
 _MAX_CURVES: Final = 6
@@ -46,7 +46,7 @@ def budget_bars(name: str, accelerometer: AccelerometerResult, symbol: str = "K_
     coefficient = accelerometer.coefficients.get(symbol)
     if not lines or coefficient is None:
         return None
-    unit, factor = field_unit(coefficient.unit)
+    unit, factor = find_display_unit(coefficient.unit)
     labels = [
         f"{line.source if line.kind == 'noise' else source_label(line.source)} "
         f"(Type {evaluation_type(line, accelerometer)})"
@@ -80,7 +80,7 @@ def jackknife_plot(name: str, accelerometer: AccelerometerResult) -> Plot | None
     lines = [line for line in accelerometer.jackknife if line.value is not None]
     if k_ii is None or k_ii.value is None or k_ii.u is None or not lines:
         return None
-    unit, factor = field_unit(k_ii.unit)
+    unit, factor = find_display_unit(k_ii.unit)
     value, u = k_ii.value * factor, k_ii.u * factor
     x_values = tuple(float(index) for index in range(len(lines)))
     # The standard uncertainty of the shift is shift / z.
@@ -195,7 +195,7 @@ def _time_plot(name: str, residual_trace: _ResidualTrace, unit: str, factor: flo
         times, values = zip(*trace.left_out, strict=True)
         outliers = _scale(values, factor)
         label = "rejected as outliers"
-        series.append(PlotSeries(label, tuple(times), outliers, kind="points", stands_out=True))
+        series.append(PlotSeries(label, tuple(times), outliers, kind="points", is_highlighted=True))
     return Plot(
         title=f"Residuals of {name}, {residual_trace.run}",
         x_label="time, s",

@@ -127,7 +127,7 @@ def _parameter_table(triad: TriadResult) -> Table:
             Column("Uncertainty contributions", wraps=True),
         ),
         rows=tuple(rows),
-        quiet=frozenset(k for k, c in enumerate(triad.parameters.values()) if not c.estimated),
+        quiet_rows=frozenset(k for k, c in enumerate(triad.parameters.values()) if not c.estimated),
     )
 
 
@@ -225,7 +225,7 @@ def _sphere(triad: TriadResult, gravity: float) -> Sphere:
         values=tuple(pose.residual * gravity * factor for pose in triad.poses),
         names=tuple(str(number) for number in range(1, len(triad.poses) + 1)),
         value_label=f"residual, {unit}",
-        stands_out=frozenset(k for k, pose in enumerate(triad.poses) if _is_outlying(pose)),
+        highlighted_points=frozenset(k for k, pose in enumerate(triad.poses) if _is_outlying(pose)),
     )
 
 

@@ -11,7 +11,7 @@ from counterspin.inference.joint.summary import BudgetLine, WhatIf
 from counterspin.physics.terms import describe_term
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
-    field_unit,
+    find_display_unit,
     format_estimate,
     format_number,
     format_share,
@@ -100,7 +100,7 @@ def default_prior_sentence(accelerometer: HasAnswer, symbol: str = "K_II", label
     if update is None or largest.source not in update.known:
         return text
     improved_u = IMPROVEMENT_FACTOR * update.known[largest.source]
-    unit, factor = field_unit(coefficient.unit)
+    unit, factor = find_display_unit(coefficient.unit)
     remaining_u = format_uncertainty(update.u(symbol, {largest.source: improved_u}) * factor)
     subject = f"u({label})" if label else "u"
     return (
@@ -138,7 +138,7 @@ def _contribution_sentence(line: BudgetLine, symbol: str) -> str:
 
 
 def _format_source_u(line: BudgetLine, factor_of_u: float) -> str:
-    unit, factor = field_unit(line.unit)
+    unit, factor = find_display_unit(line.unit)
     return f"{format_number((line.u or 0.0) * factor * factor_of_u, 2)} {unit}".strip()
 
 
@@ -212,7 +212,7 @@ def _largest_shares(result: Result) -> dict[str, float]:
 
 
 def _prior_row(row: Knowledge, share: float) -> tuple[str, ...]:
-    unit, factor = field_unit(row.unit)
+    unit, factor = find_display_unit(row.unit)
     posterior = "held (considered)"
     if row.found is not None and row.u_found is not None:
         posterior = format_estimate(row.found * factor, row.u_found * factor, unit)

@@ -12,7 +12,7 @@ from counterspin.calibration.result_parts import AccelerometerResult, Coefficien
 from counterspin.inference.verdicts import Conformity
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Style, Table
 from counterspin.reports.numbers import (
-    field_unit,
+    find_display_unit,
     format_estimate,
     format_number,
     format_probability,
@@ -171,14 +171,14 @@ def conformity_blocks(result: Result) -> Iterator[Block]:
                 symbol,
                 _estimate_cell(coefficient),
                 _tolerance_cell(verdict),
-                field_unit(verdict.unit)[0],
+                find_display_unit(verdict.unit)[0],
                 verdict.verdict,
                 "-" if verdict.probability is None else format_probability(verdict.probability),
                 "-" if verdict.risk is None else format_probability(verdict.risk),
             )
             for name, symbol, verdict, coefficient in verdicts
         ),
-        quiet=frozenset(
+        quiet_rows=frozenset(
             i for i, (_, _, verdict, _) in enumerate(verdicts) if verdict.probability is None
         ),
     )
@@ -192,7 +192,7 @@ def conformity_blocks(result: Result) -> Iterator[Block]:
             )
     for name, symbol, verdict, _ in verdicts:
         if (risk := verdict.global_risk) is not None:
-            unit, factor = field_unit(verdict.unit)
+            unit, factor = find_display_unit(verdict.unit)
             process = format_estimate(risk.mean * factor, risk.sigma * factor, unit)
             yield Paragraph(
                 f"Global risks for {symbol} of {name}, for items from a process with "
@@ -245,7 +245,7 @@ def _estimate_cell(coefficient: Coefficient | None) -> str:
 
 def _tolerance_cell(verdict: Conformity) -> str:
     """Return the tolerance limits in the unit in which the estimate is shown."""
-    _, factor = field_unit(verdict.unit)
+    _, factor = find_display_unit(verdict.unit)
     low, high = (
         None if limit is None else format_number(limit * factor, 9)
         for limit in (verdict.low, verdict.high)
@@ -257,5 +257,5 @@ def _tolerance_cell(verdict: Conformity) -> str:
 
 def _guard_band_text(verdict: Conformity) -> str:
     assert verdict.guard_band is not None
-    unit, factor = field_unit(verdict.unit)
+    unit, factor = find_display_unit(verdict.unit)
     return f"{format_uncertainty(verdict.guard_band * factor)} {unit}"

@@ -256,7 +256,7 @@ var counterspin = (() => {
         spanGaps: false,
       });
       if (source.kind === "points") {
-        const mine = { ...one, colour: name, standsOut: source.stands_out };
+        const mine = { ...one, colour: name, standsOut: source.is_highlighted };
         points.push(mine);
         entry.value = (u, at) => nearest(u, mine, at);
       } else if (source.kind === "band") {
