@@ -39,7 +39,7 @@ def test_card_of_good_result():
 
 def test_shares_of_bar_sum_to_one():
     card = make_card()
-    assert sum(share.size for share in card.shares) == pytest.approx(1.0, abs=1e-9)
+    assert sum(share.fraction for share in card.shares) == pytest.approx(1.0, abs=1e-9)
     assert card.shares[0].label == "noise of Qx 64 %"
 
 
