@@ -119,7 +119,7 @@ def make_issue(
 
 def render_pages(blocks: Sequence[Block], issue: Issue, *, xml: bytes | None = None) -> bytes:
     """Render the pages as PDF, with the XML attached if given."""
-    from counterspin.reports.pdf import Attachment, pdf
+    from counterspin.reports.pdf import Attachment, render_pdf
 
     attachments = []
     if xml is not None:
@@ -132,7 +132,7 @@ def render_pages(blocks: Sequence[Block], issue: Issue, *, xml: bytes | None = N
                 relationship="data",
             )
         )
-    pdf_bytes: bytes = pdf(list(blocks), attachments=attachments, **_page_settings(issue))
+    pdf_bytes: bytes = render_pdf(list(blocks), attachments=attachments, **_page_settings(issue))
     return pdf_bytes
 
 
