@@ -49,7 +49,7 @@ from kept_table import RATES
 
 ARCSEC = math.radians(1.0 / 3600.0)
 ENCODER = SHARED_TERMS["encoder.harmonic.1.sin"].typical
-ALARMS = 100.0 * diagnostics.FALSE_ALARMS
+ALARMS = 100.0 * diagnostics.FALSE_ALARM_RATE
 CAUSES = 100.0 * ranking.FALSE_ALARMS
 PLAN = (2.5, 9.8)  #: radius and gravity of the paper's plan
 
@@ -107,7 +107,7 @@ NUMBERS = [
         [limits._MAX_DEFAULT_SDS],
     ),
     ("result", "more than {} default standard uncertainties", [limits._MAX_DEFAULT_SDS]),
-    ("methods", "above {} of the noise of one row", [design_blocks._MIN_EFFECT]),
+    ("methods", "above {} of the noise of one row", [design_blocks._MIN_SINGULAR_VALUE]),
     (
         "methods",
         "With the default of {} ug/g^2 for K_OO of navigation grade",
@@ -151,21 +151,25 @@ NUMBERS = [
         [1 - identifiability.MAX_VARIANCE_RATIO],
     ),
     ("methods", "deviate from their neighbours by more than {} standard", [outliers.LIMIT_SDS]),
-    ("methods", "in at most one of a {} complete records", [1 / outlier_rejection.FALSE_ALARMS]),
+    (
+        "methods",
+        "in at most one of a {} complete records",
+        [1 / outlier_rejection.EXPECTED_FALSE_ALARMS],
+    ),
     ("methods", "the residuals are more than {} the stated noise", [findings.RESIDUAL_RATIO_LIMIT]),
     ("methods", "the accelerometer noise exceeds {} ug/Hz^0.5", [1e6 * findings.LARGEST_WALK]),
     ("methods", "the others by more than {} standard", [findings.CONTRADICTION_SIGMAS]),
-    ("methods", "each shift is below {} times its", [diagnostics.AGREEMENT]),
+    ("methods", "each shift is below {} times its", [diagnostics.AGREEMENT_FACTOR]),
     (
         "methods",
         "the difference is below {} times its",
-        [diagnostics.AGREEMENT],
+        [diagnostics.AGREEMENT_FACTOR],
     ),
     ("diagnosis", "| each record, at {} times, and", [ranking.STEPS]),
     (
         "diagnosis",
         "velocity must be 1 within {} %",
-        [100 * (mistakes._WHOLE_VELOCITY[1] - 1)],
+        [100 * (mistakes._FULL_CORIOLIS_RANGE[1] - 1)],
     ),
     (
         "diagnosis",
@@ -191,7 +195,7 @@ NUMBERS = [
     (
         "diagnosis",
         "(`methods-disagree`): {} % of accelerometers",
-        [200.0 * normal_cdf(-diagnostics.AGREEMENT)],
+        [200.0 * normal_cdf(-diagnostics.AGREEMENT_FACTOR)],
     ),
     ("diagnosis", "causes: {} % of campaigns for priors, {} % for all other", [CAUSES, CAUSES]),
     ("diagnosis", "({} or more, rounded)", [fitted.MIN_DOF]),
@@ -207,12 +211,12 @@ NUMBERS = [
         "result",
         "accelerometers (false alarms in {} % of good campaigns), and by at least {} standard "
         "uncertainties",
-        [ALARMS, diagnostics.AGREEMENT],
+        [ALARMS, diagnostics.AGREEMENT_FACTOR],
     ),
     (
         "result",
         "two-stage K_II differs from the joint K_II by more than {} standard",
-        [diagnostics.AGREEMENT],
+        [diagnostics.AGREEMENT_FACTOR],
     ),
     ("result", "more than {} % of the samples of a run, or", [100 * outcome.MAX_OUTLIER_SHARE]),
     ("result", "shorter than {} % of the run's", [100 * assembly.COMPLETE_FRACTION]),

@@ -12,7 +12,7 @@ from counterspin.inference.identifiability import (
     NEAR_COLLINEAR,
     _Information,
     assess,
-    write_combination,
+    format_combination,
 )
 from counterspin.inference.least_squares import reduce_block, solve
 from counterspin.physics.accelerometer import QX, QY
@@ -431,7 +431,7 @@ class TestRules:
     ],
 )
 def test_weights_have_sufficient_digits(weights, slack, text):
-    assert write_combination(["K_F", "K_I"], weights, slack) == text
+    assert format_combination(["K_F", "K_I"], weights, slack) == text
 
 
 @pytest.mark.slow

@@ -437,7 +437,7 @@ def test_row_noise_changes_uncertainty_and_not_estimate():
     prior_sd, noise = np.array([0.5, np.inf]), rng.uniform(0.2, 3.0, 8)
     rows = Block(a, y, a[:, :1], 0.0, 8, 0)
     even = solve([rows], prior_sd=prior_sd, considered_sd=[0.1])
-    found = even.with_row_noise(noise)
+    found = even.replace_row_noise(noise)
     inverse = np.linalg.inv(a.T @ a + np.diag([4.0, 0.0]))
     gain = inverse @ a.T
     np.testing.assert_array_equal(found.estimate, even.estimate)

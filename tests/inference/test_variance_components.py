@@ -28,7 +28,7 @@ def test_dyestuff_components_match_lme4():
     assert batch.value**2 == pytest.approx(1764.05, rel=1e-5)
     assert sample.value**2 == pytest.approx(2451.25, rel=1e-5)
     assert (found.value, found.u) == pytest.approx((1527.5, 19.383), rel=1e-4)
-    assert (batch.groups, batch.freedom, sample.freedom) == (6, 5, 24)
+    assert (batch.groups, batch.dof, sample.dof) == (6, 5, 24)
 
 
 #: Strength of paste: ten batches of three casks, tested twice. Davies and Goldsmith 1972.
@@ -62,7 +62,7 @@ def test_nested_components_match_anova():
     # The batches may not differ at all (lme4's profile begins at 0 as well); the casks do.
     assert found["batch"].low == 0.0
     assert 2.0 < found["cask"].low < 2.5
-    assert [c.freedom for c in found.values()] == [9, 20, 30]
+    assert [c.dof for c in found.values()] == [9, 20, 30]
 
 
 def test_bcg_trials_match_metafor():
@@ -103,7 +103,7 @@ def test_inseparable_factors_are_merged():
     )
     assert list(found.components) == ["day", "turn"]
     assert found.same_as == {"mounting": "day"}
-    assert [c.freedom for c in found.components.values()] == [2, 3]
+    assert [c.dof for c in found.components.values()] == [2, 3]
 
 
 def test_common_error_does_not_change_variances():

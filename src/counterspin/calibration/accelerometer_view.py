@@ -200,7 +200,7 @@ class AccelerometerView:
             noise_given=noise_given,
             noise_dof=noise_level_dof(self.fit, self.name) if noise_given else math.inf,
             times=times_by_run,
-            fits=accelerometer_count,
+            n_fits=accelerometer_count,
         )
 
 

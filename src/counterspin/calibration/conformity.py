@@ -8,7 +8,12 @@ from typing import Final
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.campaign.specification import Specifications
-from counterspin.inference.conformity import DecisionRule, Specification, decide, undecided
+from counterspin.inference.conformity import (
+    DecisionRule,
+    Specification,
+    decide,
+    undecided_conformity,
+)
 from counterspin.inference.verdicts import Conformity
 
 _AS_PRINTED: Final = (
@@ -78,4 +83,4 @@ def _judge_term(
         reason = general_reason
     else:
         return decide(coefficient.value, coefficient.u, coefficient.dof, specification, rule)
-    return undecided(specification, rule, reason)
+    return undecided_conformity(specification, rule, reason)

@@ -29,7 +29,7 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import (
-    AGREEMENT,
+    AGREEMENT_FACTOR,
     CHI_SQUARE_SIGNIFICANCE,
     SIGNIFICANCE,
     agreement_limit,
@@ -440,7 +440,7 @@ def method_test_level(methods: Sequence[MethodAgreement]) -> float:
 
 def methods_agree(comparison: Comparison, excess: float = 1.0) -> bool:
     """Return whether the two methods agree; `excess`: the residuals' size over the noise's."""
-    return abs(comparison.z) / excess <= AGREEMENT
+    return abs(comparison.z) / excess <= AGREEMENT_FACTOR
 
 
 def supporting_evidence(accelerometer: AccelerometerResult) -> Iterator[tuple[str, str]]:
@@ -451,7 +451,7 @@ def supporting_evidence(accelerometer: AccelerometerResult) -> Iterator[tuple[st
         noise = "the stated noise" if residual.chi2 is not None else "independent noise"
         yield "fit", f"the residuals are consistent with {noise} (p = {format_number(p, 2)})"
     worst_line = _largest_shift(accelerometer.jackknife)
-    if worst_line is not None and _significance(worst_line) <= AGREEMENT:
+    if worst_line is not None and _significance(worst_line) <= AGREEMENT_FACTOR:
         yield "leave-one-run-out", "no single run dominates the result"
     if accelerometer.two_stage is not None and methods_agree(accelerometer.two_stage):
         yield "another method", "the two-stage result agrees with the joint result"

@@ -16,7 +16,7 @@ from counterspin.campaign.description import Campaign
 from counterspin.campaign.settings import NOISE_UNITS, StatedNoise
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import ResidualSeries, TimestampErrors
-from counterspin.inference.joint.time_stamps import find_stamp_errors
+from counterspin.inference.joint.time_stamps import find_timestamp_errors
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.components import BIAS_COMPONENTS
 from counterspin.inference.noise.model import ESTIMATE, Noise
@@ -123,7 +123,7 @@ def _timestamp_errors(
         angle_time_sd = record.angle_sd / abs(rotation.spindle.rate)
         excess_variance = np.nan_to_num(angle_time_sd**2 - record.time_sd**2)
     stated_noise = timing_noise, encoder_noise
-    return find_stamp_errors(rotation, record.time, record.count, stated_noise, excess_variance)
+    return find_timestamp_errors(rotation, record.time, record.count, stated_noise, excess_variance)
 
 
 def make_noise(campaign: Campaign) -> dict[str, Noise]:

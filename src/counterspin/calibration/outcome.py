@@ -140,7 +140,7 @@ def _make_correlation(estimate: Estimate, terms: Mapping[int, str]) -> Correlati
 def confounded_terms(view: AccelerometerView) -> list[ConfoundedTerms]:
     """Return the sets with terms of an accelerometer's own, its name left out."""
     return [
-        item.of(view.name)
+        item.without_owner(view.name)
         for item in view.assessment.confounded
         if any(name.startswith(f"{view.name}.") for name in item.terms)
     ]

@@ -313,7 +313,7 @@ def evaluate_repeatability(
             low=component.low,
             high=component.high if math.isfinite(component.high) else None,
             groups=component.groups,
-            freedom=component.freedom,
+            freedom=component.dof,
             same_as=[alias for alias, main_name in estimate.same_as.items() if main_name == name],
         )
         for name, component in estimate.components.items()

@@ -1,6 +1,6 @@
 """Conformity of a quantity, given its estimate and uncertainty (JCGM 106:2012).
 
-What is known of the quantity is a normal distribution about the estimate, or Student's t where the
+The quantity has a normal distribution about the estimate, or Student's t distribution if the
 uncertainty has few degrees of freedom (JCGM 101:2008, 6.4.9). Only global risks use other items.
 """
 
@@ -15,25 +15,24 @@ from counterspin.inference.distributions import expanded_uncertainty, student_cd
 from counterspin.inference.global_risk import Process, global_risk
 from counterspin.inference.verdicts import Conformity, RuleName, Verdict
 
-#: Widest guard band of a rule by probability at one limit, in standard uncertainties.
-_MAX_BAND: Final = 1e6
+#: Largest guard band of the probability rule at a single limit, in standard uncertainties.
+_MAX_GUARD_BAND: Final = 1e6
 
 _BISECTIONS: Final = 80
 
 
 @frozen
 class DecisionRule:
-    """By which rule conformity is decided."""
+    """Decision rule of a conformity assessment."""
 
     #: ``simple``: by the estimate alone (clause 8.2). ``guarded``: pass inside the acceptance
     #: limits, fail where the estimate is outside the tolerance limits by more than the guard band,
     #: undecided between (clause 8.3; ILAC-G8:09/2019 with w = U). ``probability``: pass where the
-    #: conformance probability is at least `needed`, fail where that of the contrary is.
+    #: conformance probability is at least `needed`, fail where the nonconformance probability is.
     name: RuleName
-    #: Guard band over expanded uncertainty, w = guard_factor x U, U of 95 % coverage; of the
-    #: guarded rule.
+    #: Guard band of the guarded rule over the 95 % expanded uncertainty: w = guard_factor x U.
     guard_factor: float = 1.0
-    #: Probability that must be reached, above 0.5; of the rule by probability.
+    #: Probability that the probability rule requires, above 0.5.
     needed: float = 0.95
 
     def __post_init__(self) -> None:
@@ -50,10 +49,10 @@ class Specification:
     """Tolerance limits of a coefficient."""
 
     text: str  #: Specification as written, such as ``abs <= 5e-5 g/g^2``.
-    #: In `unit`, low < high; None where there is no such limit, never both.
+    #: Limits in `unit`, low < high; None: no such limit. At least one limit is given.
     low: float | None
     high: float | None
-    unit: str  #: That of the coefficient.
+    unit: str  #: Unit of the coefficient and the limits.
     #: Distribution of the coefficient between items of its process; None: not stated.
     process: Process | None = None
 
@@ -67,11 +66,11 @@ def conformance_probability(
     dof: Degrees of freedom of u; None is infinite.
     low, high: Tolerance limits in the unit of `value`, low < high; None where there is none.
     """
-    below, above = _standardised(value, u, dof, low, high)
-    if below > 0.0:
-        # Both limits on one side: the difference of the small tails.
-        return _distribution(-below, dof) - _distribution(-above, dof)
-    return _distribution(above, dof) - _distribution(below, dof)
+    z_low, z_high = _standardise_limits(value, u, dof, low, high)
+    if z_low > 0.0:
+        # Both limits are above the estimate: use the difference of the small tails.
+        return _cdf(-z_low, dof) - _cdf(-z_high, dof)
+    return _cdf(z_high, dof) - _cdf(z_low, dof)
 
 
 def nonconformance_probability(
@@ -79,10 +78,10 @@ def nonconformance_probability(
 ) -> float:
     """Return the probability that the quantity lies outside; see `conformance_probability`.
 
-    The sum of two tails, so that a small one keeps its digits.
+    The sum of two tails keeps the digits of a small probability.
     """
-    below, above = _standardised(value, u, dof, low, high)
-    return _distribution(below, dof) + _distribution(-above, dof)
+    z_low, z_high = _standardise_limits(value, u, dof, low, high)
+    return _cdf(z_low, dof) + _cdf(-z_high, dof)
 
 
 def acceptance_limits(
@@ -90,8 +89,7 @@ def acceptance_limits(
 ) -> tuple[float | None, float | None]:
     """Return the tolerance limits moved inwards by the guard band (JCGM 106:2012, clause 8.3).
 
-    The lower is above the upper where the guard bands leave nothing between them: then nothing
-    can be accepted.
+    If the guard bands overlap, the lower limit is above the upper limit, and no estimate passes.
     """
     return (
         None if low is None else low + guard_band,
@@ -104,35 +102,35 @@ def decide(
 ) -> Conformity:
     """Decide on one item by a decision rule; `value`, `u` and `dof` as for the probability."""
     low, high = specification.low, specification.high
-    inside = conformance_probability(value, u, dof, low, high)
-    outside = nonconformance_probability(value, u, dof, low, high)
+    p_conforming = conformance_probability(value, u, dof, low, high)
+    p_nonconforming = nonconformance_probability(value, u, dof, low, high)
     guard_band = 0.0
     if rule.name == "guarded":
         guard_band = rule.guard_factor * expanded_uncertainty(u, dof)
     verdict: Verdict = "undecided"
     if rule.name == "probability":
-        if max(inside, outside) >= rule.needed:
-            verdict = "pass" if inside >= rule.needed else "fail"
+        if max(p_conforming, p_nonconforming) >= rule.needed:
+            verdict = "pass" if p_conforming >= rule.needed else "fail"
         reason = (
             "neither the probability of conformity nor that of non-conformity reaches "
             f"{rule.needed:g}"
         )
     else:
-        if _between(value, *acceptance_limits(low, high, guard_band)):
+        if _is_within(value, *acceptance_limits(low, high, guard_band)):
             verdict = "pass"
-        elif not _between(value, *acceptance_limits(low, high, -guard_band)):
+        elif not _is_within(value, *acceptance_limits(low, high, -guard_band)):
             verdict = "fail"
         reason = "the distance of the estimate from a tolerance limit is less than the guard band"
     acceptance_interval = _acceptance_interval(u, dof, specification, rule, guard_band)
     return replace(
-        undecided(specification, rule, reason),
+        undecided_conformity(specification, rule, reason),
         global_risk=None
         if specification.process is None
         else global_risk(specification.process, u, dof, (low, high), acceptance_interval),
         guard_band=guard_band,
         verdict=verdict,
-        probability=inside,
-        risk={"pass": outside, "fail": inside, "undecided": None}[verdict],
+        probability=p_conforming,
+        risk={"pass": p_nonconforming, "fail": p_conforming, "undecided": None}[verdict],
         reason=reason if verdict == "undecided" else None,
     )
 
@@ -145,22 +143,26 @@ def _acceptance_interval(
     if rule.name != "probability":
         return acceptance_limits(low, high, guard_band)
 
-    def passes(band: float) -> bool:
-        value = high - band if high is not None else (low or 0.0) + band
+    def passes(margin: float) -> bool:
+        value = high - margin if high is not None else (low or 0.0) + margin
         return conformance_probability(value, u, dof, low, high) >= rule.needed
 
     # With two limits, the probability grows from a limit to the middle between both.
-    reach = 0.5 * (high - low) if low is not None and high is not None else _MAX_BAND * u
-    if not passes(reach):
+    max_margin = 0.5 * (high - low) if low is not None and high is not None else _MAX_GUARD_BAND * u
+    if not passes(max_margin):
         return math.inf, -math.inf
-    outside, inside = 0.0, reach
+    failing_margin, passing_margin = 0.0, max_margin
     for _ in range(_BISECTIONS):
-        middle = 0.5 * (outside + inside)
-        outside, inside = (outside, middle) if passes(middle) else (middle, inside)
-    return acceptance_limits(low, high, inside)
+        middle = 0.5 * (failing_margin + passing_margin)
+        failing_margin, passing_margin = (
+            (failing_margin, middle) if passes(middle) else (middle, passing_margin)
+        )
+    return acceptance_limits(low, high, passing_margin)
 
 
-def undecided(specification: Specification, rule: DecisionRule, reason: str) -> Conformity:
+def undecided_conformity(
+    specification: Specification, rule: DecisionRule, reason: str
+) -> Conformity:
     """Return the verdict on an item without a usable estimate."""
     return Conformity(
         specification=specification.text,
@@ -177,11 +179,11 @@ def undecided(specification: Specification, rule: DecisionRule, reason: str) -> 
     )
 
 
-def _between(value: float, low: float | None, high: float | None) -> bool:
+def _is_within(value: float, low: float | None, high: float | None) -> bool:
     return (low is None or value >= low) and (high is None or value <= high)
 
 
-def _standardised(
+def _standardise_limits(
     value: float, u: float, dof: float | None, low: float | None, high: float | None
 ) -> tuple[float, float]:
     """Return the tolerance limits in standard uncertainties from the estimate."""
@@ -194,7 +196,7 @@ def _standardised(
     if dof is not None and not dof > 0.0:
         raise ValueError(f"degrees of freedom must be positive; got {dof}")
     if u == 0.0:
-        # Exact: at a limit it conforms.
+        # An exact value at a limit conforms.
         return (
             -math.inf if low is None or value >= low else math.inf,
             math.inf if high is None or value <= high else -math.inf,
@@ -205,7 +207,7 @@ def _standardised(
     )
 
 
-def _distribution(x: float, dof: float | None) -> float:
+def _cdf(x: float, dof: float | None) -> float:
     if math.isinf(x):
         return 1.0 if x > 0.0 else 0.0
     return student_cdf(math.inf if dof is None else dof, x)

@@ -1,11 +1,11 @@
-"""Linear least squares that keeps apart what each part of the uncertainty comes from.
+"""Linear least squares with an uncertainty that is split by source.
 
 Given the trajectory, the displacement error is linear in the coefficients, so that one solver
-serves everything: the two stages of the paper, the joint fit of full records, planning and
-Monte-Carlo studies. However long a record is, what it says about p unknowns fits into p rows of
-square-root information (Bierman 1977): a small `Block`, from which the record's own start offset
-and start velocity are projected out. Any set of blocks is solved together with what is known
-beforehand; `fit` is the fit of one set of observations alone.
+serves the two stages of the paper, the joint fit of full records, planning and Monte-Carlo studies.
+The information of a record of any length on p unknowns fits into p rows of square-root information
+(Bierman 1977). This `Block` does not contain the start offset and start velocity of the record,
+which are projected out. `solve` solves any set of blocks together with the prior information; `fit`
+fits a single set of observations.
 
 No Gram matrix is ever formed. Householder QR has a backward error that is small column by column
 (Higham, Accuracy and Stability of Numerical Algorithms, 2nd ed., theorem 19.4), so that columns
@@ -27,8 +27,8 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.priors import whiten_priors
 
-_CHUNK: Final = 32 * QR_BLOCK_ROWS  #: rows copied at a time, which bounds the memory
-_COLUMNS: Final = 256  #: columns projected at a time, which bounds the memory
+_CHUNK_ROWS: Final = 32 * QR_BLOCK_ROWS  #: rows copied at a time, which bounds the memory
+_CHUNK_COLUMNS: Final = 256  #: columns projected at a time, which bounds the memory
 
 
 @frozen
@@ -41,14 +41,12 @@ class Block:
     factor: Array  #: Upper trapezoidal, shape (k, p), k <= p + q.
     target: Array  #: Shape (k,).
     considered: Array  #: The columns of the considered terms in the same rows, shape (k, q).
-    #: Sum of squares that neither unknowns, nor considered terms, nor nuisances can explain.
-    rss: float
-    #: Number of observations and of the record's own unknowns that were projected out.
-    rows: int
-    nuisance: int
+    rss: float  #: Residual sum of squares.
+    rows: int  #: Number of observations.
+    n_nuisance: int  #: Number of nuisance parameters that were projected out.
 
     def scaled(self, ratio: float) -> Block:
-        """Return the block of rows that weigh more by a factor."""
+        """Return the block with its rows multiplied by a factor."""
         return replace(
             self,
             factor=ratio * self.factor,
@@ -76,45 +74,47 @@ def reduce_block(
     """
     y = np.asarray(observations, dtype=np.float64)
     n = y.size
-    groups = [
+    matrices = [
         np.empty((n, 0)) if columns is None else np.asarray(columns, dtype=np.float64)
         for columns in (nuisance, design, considered)
     ]
-    if y.ndim != 1 or any(columns.ndim != 2 or columns.shape[0] != n for columns in groups):
-        shapes = ", ".join(str(columns.shape) for columns in groups)
+    if y.ndim != 1 or any(columns.ndim != 2 or columns.shape[0] != n for columns in matrices):
+        shapes = ", ".join(str(columns.shape) for columns in matrices)
         raise ValueError(
             f"nuisance, design and considered must each have {n} rows, the number of "
             f"observations, but the shapes are {shapes}"
         )
-    return reduce_rows(np.column_stack([*groups, y]), groups[0].shape[1], groups[1].shape[1])
+    return reduce_rows(np.column_stack([*matrices, y]), matrices[0].shape[1], matrices[1].shape[1])
 
 
-def reduce_rows(rows: Array, m: int, p: int) -> Block:
-    """Reduce a record as `reduce_block`, its columns beside each other already.
+def reduce_rows(rows: Array, n_nuisance: int, p: int) -> Block:
+    """Reduce a record as `reduce_block`, with all columns in one array.
 
     rows: [nuisance | design | considered | observations], shape (n, m + p + q + 1).
     """
-    n, q = rows.shape[0], rows.shape[1] - m - p - 1
-    triangle = np.empty((0, m + p + q + 1))
-    for start in range(0, n, _CHUNK):
-        triangle = triangular_factor(np.vstack([triangle, qr_blocks(rows[start : start + _CHUNK])]))
+    n, q = rows.shape[0], rows.shape[1] - n_nuisance - p - 1
+    triangle = np.empty((0, n_nuisance + p + q + 1))
+    for start in range(0, n, _CHUNK_ROWS):
+        triangle = triangular_factor(
+            np.vstack([triangle, qr_blocks(rows[start : start + _CHUNK_ROWS])])
+        )
     if not np.isfinite(triangle).all():
         raise ValueError("the columns or the observations contain numbers that are not finite")
 
-    nuisance_triangle = triangle[:m, :m]
+    nuisance_triangle = triangle[:n_nuisance, :n_nuisance]
     if dependent_columns(nuisance_triangle).size:
         raise NotIdentifiableError(
-            f"{n} samples cannot separate the {m} unknowns of the record itself (such as its "
-            "initial offset and initial velocity); the record is too short"
+            f"{n} samples cannot separate the {n_nuisance} unknowns of the record itself (such as "
+            "its initial offset and initial velocity); the record is too short"
         )
-    kept_rows = triangle[m : m + p + q]
+    shared_rows = triangle[n_nuisance : n_nuisance + p + q]
     return Block(
-        factor=kept_rows[:, m : m + p],
-        target=kept_rows[:, -1],
-        considered=kept_rows[:, m + p : m + p + q],
-        rss=float(np.sum(triangle[m + p + q :, -1] ** 2)),
+        factor=shared_rows[:, n_nuisance : n_nuisance + p],
+        target=shared_rows[:, -1],
+        considered=shared_rows[:, n_nuisance + p : n_nuisance + p + q],
+        rss=float(np.sum(triangle[n_nuisance + p + q :, -1] ** 2)),
         rows=n,
-        nuisance=m,
+        n_nuisance=n_nuisance,
     )
 
 
@@ -128,19 +128,19 @@ def dependent_columns(triangle: Array) -> npt.NDArray[np.intp]:
 
 # Blocks together -------------------------------------------------------------------------------
 
-#: Value and standard uncertainty of what nothing is known of beforehand.
+#: Value and standard uncertainty of an unknown without prior information.
 NO_PRIOR: Final = (0.0, math.inf)
 
 
 #: The numerical regularisation of an unknown without a prior, in units of its credible limit.
-#: At least a factor of 1e4 above what anybody believes, it moves no determined estimate by more
-#: than 1e-8 of its uncertainty, and it keeps every estimate finite.
+#: This large factor keeps every estimate finite, and changes no determined estimate by more than
+#: 1e-8 of its uncertainty.
 REGULARISATION: Final = 1e4
 
 
 @frozen
 class Combination:
-    """A linear combination of the unknowns and where its uncertainty comes from."""
+    """A linear combination of the unknowns, and its uncertainty by source."""
 
     value: float  #: The estimate of the combination.
     noise: float  #: Standard uncertainty from the records' noise.
@@ -150,7 +150,7 @@ class Combination:
     #: priors, of each row of `whiten_priors`.
     prior: Array
     considered: Array  #: Signed contribution of each considered term, shape (q,).
-    #: What only the numerical regularisation holds; negligible for all that is determined.
+    #: From the numerical regularisation; negligible for a determined combination.
     unresolved: float
     undetected: float = 0.0  #: Standard uncertainty from noise that the records do not show.
 
@@ -163,16 +163,16 @@ class Combination:
 
 
 @frozen
-class _Rows:
+class _Factorisation:
     """The factorised problem, rotation @ triangle, kept for `Solution.combine`."""
 
     free: npt.NDArray[np.intp]  # the unknowns that are not exactly known, f of p
     rotation: Array  # (rows, f): first the data's rows, then the priors', then the regularisation's
     triangle: Array  # (f, f)
-    data: int
-    prior_of: npt.NDArray[np.intp]  # the unknown that each prior row holds
+    n_data: int
+    prior_indices: npt.NDArray[np.intp]  # the unknown that each prior row holds
     considered: Array  # (data, q)
-    noise: Array | float = 1.0  # standard deviations of the data's rows, (data,)
+    row_sd: Array | float = 1.0  # standard deviations of the data's rows, (data,)
 
 
 @frozen
@@ -183,13 +183,13 @@ class Solution:
     """
 
     estimate: Array  #: Shape (p,). An unknown known exactly (prior sd 0) has its prior mean.
-    #: What noise, priors and considered terms contribute, each of shape (p, p).
+    #: Contributions of noise, priors and considered terms, each of shape (p, p).
     covariance_noise: Array
     covariance_prior: Array
     covariance_considered: Array
-    #: What only the numerical regularisation holds, shape (p, p): 1e-16 of the variance or less for
-    #: a determined unknown, about (1e4 limits)^2 for one that the data do not determine. Whether an
-    #: unknown is determined is decided by `identifiability.assess`.
+    #: From the numerical regularisation, shape (p, p): 1e-16 of the variance or less for a
+    #: determined unknown, about (1e4 limits)^2 for one that the data do not determine.
+    #: `identifiability.assess` decides which unknowns are determined.
     covariance_unresolved: Array
     #: d estimate / d prior mean, shape (p, p); zero columns for unknowns without a prior.
     sensitivity_prior: Array
@@ -206,7 +206,7 @@ class Solution:
     considered_sd: Array
     limits: Array | None
     prior_correlation: Array | None  #: Shape (p, p); None: independent priors.
-    _rows: _Rows
+    _factors: _Factorisation
     #: From noise that the records do not show, shape (p, p); None without. `solve` knows none.
     covariance_undetected: Array | None = None
 
@@ -220,7 +220,7 @@ class Solution:
     def weighted_covariance(self) -> Array:
         """Covariance that the weights minimise, from noise, priors and regularisation, (p, p).
 
-        Considered terms and noise that does not show have no part in the weights.
+        Considered terms and undetected noise do not affect the weights.
         """
         return self.covariance_noise + self.covariance_prior + self.covariance_unresolved
 
@@ -230,9 +230,9 @@ class Solution:
         return np.sqrt(np.diag(self.covariance))
 
     def whiten_priors(self, columns: Array) -> Array:
-        """Return deviations from prior means in the rows of the priors, shape (p, c).
+        """Return whitened deviations from the prior means, shape (p, c).
 
-        Rows of unknowns without a prior, or that are exactly known, are zero.
+        Rows of unknowns without a prior, and of exactly known unknowns, are zero.
 
         columns: Shape (p, c).
         """
@@ -246,101 +246,102 @@ class Solution:
 
     @property
     def leverages(self) -> Array:
-        """Leverage of each of the blocks' stacked rows: 0 none, 1 full.
+        """Leverage of each of the blocks' stacked rows, from 0 to 1.
 
-        A row's residual has one minus this for its expected square, priors being right.
+        If the priors are right, the expected squared residual of a row is 1 minus its leverage.
         """
-        rotation: Array = self._rows.rotation[: self._rows.data]
+        rotation: Array = self._factors.rotation[: self._factors.n_data]
         leverages: Array = np.sum(rotation**2, axis=1)
         return leverages
 
-    def with_row_noise(self, noise: Array) -> Solution:
-        """Return the same estimates where the data's rows are not of the variance assumed.
+    def replace_row_noise(self, noise: Array) -> Solution:
+        """Return the solution with the same estimates and other standard deviations of the rows.
 
-        noise: Standard deviations of the blocks' stacked rows, shape (n,); 1 as assumed.
+        noise: Standard deviations of the blocks' stacked rows, shape (n,); the solver assumed 1.
         """
-        rows = self._rows
-        gain = np.linalg.solve(rows.triangle, rows.rotation[: rows.data].T) * noise
+        factors = self._factors
+        gain = np.linalg.solve(factors.triangle, factors.rotation[: factors.n_data].T) * noise
         return replace(
             self,
-            covariance_noise=_embed(gain, rows.free, self.estimate.size),
-            _rows=replace(rows, noise=noise),
+            covariance_noise=_embed_covariance(gain, factors.free, self.estimate.size),
+            _factors=replace(factors, row_sd=noise),
         )
 
     def covariance_root(self, rows: Array) -> Array:
         """Return G with G @ G.T the `weighted_covariance` of rows @ unknowns, shape (n, f).
 
-        From the factors, for the reason that `combine` gives.
+        Computed from the factors, for the reason given in `combine`.
 
         rows: Shape (n, p).
         """
-        free = self._rows.free
-        return np.asarray(np.linalg.solve(self._rows.triangle.T, rows[:, free].T).T, np.float64)
+        free = self._factors.free
+        return np.asarray(np.linalg.solve(self._factors.triangle.T, rows[:, free].T).T, np.float64)
 
     def whiten_unknowns(self, unknowns: Array) -> Array:
-        """Return values of the unknowns in rows in which `weighted_covariance` is one, shape (f,).
+        """Return whitened unknowns, whose `weighted_covariance` is the identity, shape (f,).
 
-        unknowns: Shape (p,); those that are exactly known are left out.
+        unknowns: Shape (p,); exactly known unknowns are omitted.
         """
-        return np.asarray(self._rows.triangle @ unknowns[self._rows.free])
+        return np.asarray(self._factors.triangle @ unknowns[self._factors.free])
 
     def project_out(self, data: Array, priors: Array) -> Array:
-        """Return the part of additional columns that no value of the unknowns explains.
+        """Return the part of additional columns that the unknowns cannot explain.
 
         data: In the blocks' stacked rows, shape (n, c).
-        priors: In the rows of the priors as `whiten_priors` returns them, shape (p, c); only rows
-        that have one count, and none that is known exactly.
+        priors: In the rows of `whiten_priors`, shape (p, c); rows of unknowns without a prior, and
+            of exactly known unknowns, are ignored.
         Returns: shape (rows, c), first the blocks' rows; orthogonal to the columns of the problem.
         """
-        stacked, rotation = self._stack_rows(data, priors), self._rows.rotation
-        # Twice: what rounding leaves of the first projection matters where little is left.
-        for start in range(0, stacked.shape[1], _COLUMNS):
-            columns = stacked[:, start : start + _COLUMNS]
+        stacked, rotation = self._stack_rows(data, priors), self._factors.rotation
+        # Twice: the rounding errors of one projection matter if the remainder is small.
+        for start in range(0, stacked.shape[1], _CHUNK_COLUMNS):
+            columns = stacked[:, start : start + _CHUNK_COLUMNS]
             for _ in range(2):
                 columns -= rotation @ (rotation.T @ columns)
         return stacked
 
     def undetected_shifts(self, data: Array, priors: Array) -> Array:
-        """Return by how much the unknowns move, shape (p, c), where columns go unnoticed.
+        """Return the shifts of the unknowns by additional columns that are omitted, shape (p, c).
 
-        The shifts are what `project_out` leaves; the arguments are the same.
+        The parameters are those of `project_out`.
         """
-        rows = self._rows
+        factors = self._factors
         shifts = np.zeros((self.estimate.size, data.shape[1]))
         stacked = self._stack_rows(data, priors)
-        shifts[rows.free] = np.linalg.solve(rows.triangle, rows.rotation.T @ stacked)
+        shifts[factors.free] = np.linalg.solve(factors.triangle, factors.rotation.T @ stacked)
         return shifts
 
     def _stack_rows(self, data: Array, priors: Array) -> Array:
-        """Return columns in all rows: of the blocks, the priors and the unknowns that are held."""
-        rows = self._rows
-        stacked = np.zeros((data.shape[1], rows.rotation.shape[0])).T  # columns in one piece
-        stacked[: rows.data] = data
-        stacked[rows.data : rows.data + rows.prior_of.size] = priors[rows.prior_of]
+        """Return columns in all rows: of the blocks, the priors and the regularisation."""
+        factors = self._factors
+        stacked = np.zeros((data.shape[1], factors.rotation.shape[0])).T  # columns in one piece
+        n, indices = factors.n_data, factors.prior_indices
+        stacked[:n] = data
+        stacked[n : n + indices.size] = priors[indices]
         return stacked
 
     def combine(self, weights: npt.ArrayLike) -> Combination:
-        """Return a linear combination of the unknowns, its uncertainty split by source.
+        """Return a linear combination of the unknowns, with its uncertainty split by source.
 
-        Worked out from the factors: the sum of two unknowns that are undetermined one by one may
-        be known a billion times better than either, and would be lost in the covariance matrix.
+        Computed from the factors: the sum of two undetermined unknowns may be known a billion times
+        better than either, and the covariance matrix would lose its digits.
 
         weights: Shape (p,).
         """
         c = np.asarray(weights, dtype=np.float64)
-        rows = self._rows
-        gain = rows.rotation @ np.linalg.solve(rows.triangle.T, c[rows.free])
-        data = gain[: rows.data]
-        noise = data * rows.noise
-        prior_end = rows.data + rows.prior_of.size
+        factors = self._factors
+        gain = factors.rotation @ np.linalg.solve(factors.triangle.T, c[factors.free])
+        data = gain[: factors.n_data]
+        row_noise = data * factors.row_sd
+        prior_end = factors.n_data + factors.prior_indices.size
         prior = np.zeros(c.size)
-        prior[rows.prior_of] = gain[rows.data : prior_end]
+        prior[factors.prior_indices] = gain[factors.n_data : prior_end]
         return Combination(
             value=float(c @ self.estimate),
-            noise=float(np.linalg.norm(noise)),
-            noise_rows=noise,
+            noise=float(np.linalg.norm(row_noise)),
+            noise_rows=row_noise,
             prior=prior,
-            considered=-(data @ rows.considered) * self.considered_sd,
+            considered=-(data @ factors.considered) * self.considered_sd,
             unresolved=float(np.linalg.norm(gain[prior_end:])),
             undetected=0.0
             if self.covariance_undetected is None
@@ -358,19 +359,18 @@ def solve(
     considered_sd: npt.ArrayLike | None = None,
     limits: npt.ArrayLike | None = None,
 ) -> Solution:
-    """Estimate the shared unknowns from all blocks and from what is known beforehand.
+    """Estimate the shared unknowns from all blocks and the prior information.
 
-    Considered terms (Schmidt) are not estimated: their assumed values are taken, and their
-    uncertainty times the estimate's sensitivity enters the covariance. Leaving one block out is
-    solving without it.
+    Considered terms (Schmidt) are not estimated: the solver uses their assumed values, and adds
+    their uncertainty times the sensitivity of the estimate to the covariance.
 
     prior_mean: Shape (p,), zeros by default. Without a prior, the centre of the regularisation.
     prior_sd: Standard uncertainties, shape (p,). ``inf`` (the default): no prior; 0: exactly known.
-    prior_correlation: Of the priors, positive definite, shape (p, p); None: independent.
+    prior_correlation: Positive definite, shape (p, p); None: independent priors.
     considered_mean, considered_sd: Shape (q,); zeros by default.
-    limits: The unknowns' largest credible sizes, shape (p,). Each unknown without a prior is held
-        numerically at `REGULARISATION` times its limit, so that collinear columns do no harm. None:
-        no regularisation.
+    limits: Largest credible sizes of the unknowns, shape (p,). An unknown without a prior gets one
+        of `REGULARISATION` times its limit, so that collinear columns do no harm. None: no
+        regularisation.
     References: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapters V
         and VIII (square-root information, considered parameters).
     """
@@ -379,76 +379,72 @@ def solve(
     factor = np.vstack([block.factor for block in blocks])
     considered = np.vstack([block.considered for block in blocks])
     p, q = factor.shape[1], considered.shape[1]
-    mean = _vector("prior_mean", prior_mean, p, 0.0)
-    sd = _vector("prior_sd", prior_sd, p, np.inf)
-    c_mean = _vector("considered_mean", considered_mean, q, 0.0)
-    c_sd = _vector("considered_sd", considered_sd, q, 0.0)
+    mean = _checked_vector("prior_mean", prior_mean, p, 0.0)
+    sd = _checked_vector("prior_sd", prior_sd, p, np.inf)
+    considered_values = _checked_vector("considered_mean", considered_mean, q, 0.0)
+    c_sd = _checked_vector("considered_sd", considered_sd, q, 0.0)
     if (sd < 0).any() or (c_sd < 0).any() or not np.isfinite(c_sd).all():
         raise ValueError(
             "prior_sd must not be negative; considered_sd must be finite and not negative"
         )
-    bound = None if limits is None else _vector("limits", limits, p, 0.0)
-    if bound is not None and not ((bound > 0) & np.isfinite(bound)).all():
+    bounds = None if limits is None else _checked_vector("limits", limits, p, 0.0)
+    if bounds is not None and not ((bounds > 0) & np.isfinite(bounds)).all():
         raise ValueError("limits must be positive and finite")
 
     free = np.flatnonzero(sd > 0)
-    known = np.flatnonzero(np.isfinite(sd[free]))  # positions among the free ones
-    unbounded = np.flatnonzero(np.isinf(sd[free])) if bound is not None else np.empty(0, np.intp)
-    priors = free[known]
+    prior_positions = np.flatnonzero(np.isfinite(sd[free]))  # positions among the free ones
+    unbounded = np.flatnonzero(np.isinf(sd[free])) if bounds is not None else np.empty(0, np.intp)
+    priors = free[prior_positions]
     correlation = None if prior_correlation is None else prior_correlation[np.ix_(priors, priors)]
-    weight_prior = whiten_priors(np.eye(known.size), sd[priors], correlation)
-    weight_regularisation = (
-        np.empty(0) if bound is None else 1.0 / (REGULARISATION * bound[free][unbounded])
+    prior_weights = whiten_priors(np.eye(prior_positions.size), sd[priors], correlation)
+    regularisation_weights = (
+        np.empty(0) if bounds is None else 1.0 / (REGULARISATION * bounds[free][unbounded])
     )
-    eye = np.eye(free.size)
-    prior_rows = np.zeros((known.size, free.size))
-    prior_rows[:, known] = weight_prior
+    identity = np.eye(free.size)
+    prior_rows = np.zeros((prior_positions.size, free.size))
+    prior_rows[:, prior_positions] = prior_weights
     stacked = np.vstack(
-        [
-            factor[:, free],
-            prior_rows,
-            weight_regularisation[:, None] * eye[unbounded],
-        ]
+        [factor[:, free], prior_rows, regularisation_weights[:, None] * identity[unbounded]]
     )
-    # All unknowns are counted from their prior means, so that the added rows aim at zero.
+    # Unknowns are relative to their prior means, so the target of the added rows is zero.
     misfit = np.concatenate([block.target for block in blocks])
-    misfit = misfit - considered @ c_mean - factor @ mean
+    misfit = misfit - considered @ considered_values - factor @ mean
     rotation, triangle = _factorise(stacked)
-    weak = dependent_columns(triangle)
-    if bound is None and weak.size:
-        index = int(free[weak[0]])
+    dependent = dependent_columns(triangle)
+    if bounds is None and dependent.size:
+        index = int(free[dependent[0]])
         raise NotIdentifiableError(
             f"column {index + 1} of the design matrix is a linear combination of the preceding "
             "columns, so the data cannot separate these unknowns; omit one of them or give a prior"
         )
-    data, prior_end = factor.shape[0], factor.shape[0] + known.size
-    inverse = np.linalg.solve(triangle, eye)
+    n_data, prior_end = factor.shape[0], factor.shape[0] + prior_positions.size
+    inverse = np.linalg.solve(triangle, identity)
     gain = inverse @ rotation.T
-    step = np.linalg.solve(triangle, rotation[:data].T @ misfit)
+    step = np.linalg.solve(triangle, rotation[:n_data].T @ misfit)
 
     estimate = mean.copy()
     estimate[free] += step
     # An unknown that is exactly known acts like a considered term without uncertainty.
     sensitivity_prior = np.diag((sd == 0).astype(np.float64))
-    sensitivity_prior[np.ix_(free, sd == 0)] = -gain[:, :data] @ factor[:, sd == 0]
-    prior_gain = gain[:, data:prior_end]
+    sensitivity_prior[np.ix_(free, sd == 0)] = -gain[:, :n_data] @ factor[:, sd == 0]
+    prior_gain = gain[:, n_data:prior_end]
     sensitivity_prior[np.ix_(free, priors)] = (
-        prior_gain * np.diag(weight_prior) if correlation is None else prior_gain @ weight_prior
+        prior_gain * np.diag(prior_weights) if correlation is None else prior_gain @ prior_weights
     )
     sensitivity_considered = np.zeros((p, q))
-    sensitivity_considered[free] = -gain[:, :data] @ considered
+    sensitivity_considered[free] = -gain[:, :n_data] @ considered
 
     residual = misfit - factor[:, free] @ step
     chi2 = sum(block.rss for block in blocks) + residual @ residual
     chi2 += np.sum((prior_rows @ step) ** 2)
-    dof = sum(block.rows - block.nuisance for block in blocks) + known.size - free.size
-    spread = sensitivity_considered * c_sd
+    dof = sum(block.rows - block.n_nuisance for block in blocks) + prior_positions.size - free.size
+    considered_effects = sensitivity_considered * c_sd
     return Solution(
         estimate=estimate,
-        covariance_noise=_embed(gain[:, :data], free, p),
-        covariance_prior=_embed(gain[:, data:prior_end], free, p),
-        covariance_considered=spread @ spread.T,
-        covariance_unresolved=_embed(gain[:, prior_end:], free, p),
+        covariance_noise=_embed_covariance(gain[:, :n_data], free, p),
+        covariance_prior=_embed_covariance(gain[:, n_data:prior_end], free, p),
+        covariance_considered=considered_effects @ considered_effects.T,
+        covariance_unresolved=_embed_covariance(gain[:, prior_end:], free, p),
         sensitivity_prior=sensitivity_prior,
         sensitivity_considered=sensitivity_considered,
         chi2=float(chi2),
@@ -457,25 +453,25 @@ def solve(
         prior_mean=mean,
         prior_sd=sd,
         considered_sd=c_sd,
-        limits=bound,
+        limits=bounds,
         prior_correlation=prior_correlation,
-        _rows=_Rows(free, rotation, triangle, data, priors, considered),
+        _factors=_Factorisation(free, rotation, triangle, n_data, priors, considered),
     )
 
 
 def _factorise(rows: Array) -> tuple[Array, Array]:
-    """QR with the heaviest rows first, which Householder needs when rows differ much in size."""
+    """Return Q and R, with the largest rows first: Householder QR requires this order."""
     norms = np.linalg.norm(rows, axis=0)
-    heavy = np.max(np.abs(rows) / np.where(norms > 0, norms, 1.0), axis=1, initial=0.0)
-    order = np.argsort(-heavy, kind="stable")
+    relative_sizes = np.max(np.abs(rows) / np.where(norms > 0, norms, 1.0), axis=1, initial=0.0)
+    order = np.argsort(-relative_sizes, kind="stable")
     sorted_rotation, triangle = np.linalg.qr(rows[order])
     rotation = np.empty_like(sorted_rotation)
     rotation[order] = sorted_rotation
     return rotation, triangle
 
 
-def _vector(name: str, values: npt.ArrayLike | None, size: int, default: float) -> Array:
-    """Return a checked vector of ``size``, or ``default`` throughout where none is given."""
+def _checked_vector(name: str, values: npt.ArrayLike | None, size: int, default: float) -> Array:
+    """Return a validated vector, or a vector of `default` if no values are given."""
     if values is None:
         return np.full(size, default)
     vector = np.asarray(values, dtype=np.float64)
@@ -486,9 +482,9 @@ def _vector(name: str, values: npt.ArrayLike | None, size: int, default: float) 
     return vector
 
 
-def _embed(gain: Array, free: npt.NDArray[np.intp], length: int) -> Array:
-    """Covariance of unit-variance rows under ``gain``, among all ``size`` unknowns."""
-    covariance = np.zeros((length, length))
+def _embed_covariance(gain: Array, free: npt.NDArray[np.intp], n_unknowns: int) -> Array:
+    """Return the covariance of all unknowns from the gain of the free unknowns."""
+    covariance = np.zeros((n_unknowns, n_unknowns))
     covariance[np.ix_(free, free)] = gain @ gain.T
     return covariance
 
@@ -507,8 +503,8 @@ class Fit:
     #: Weighted sum of squared residuals; with sigma from the residuals, plain sum of squares.
     chi2: float
     dof: int  #: n - p.
-    #: The standard deviation of one observation, as given or from the residuals; an array where it
-    #: was given as one.
+    #: Standard deviation of an observation, given or estimated from the residuals; an array if it
+    #: was given as an array.
     sigma: float | Array
     sigma_from_residuals: bool  #: Whether sigma was estimated, so that intervals need Student's t.
 
@@ -527,34 +523,34 @@ def fit(
 
     design: Shape (n, p).
     observations: Shape (n,).
-    sigma: Standard deviation of each observation, one number or shape (n,). None: the same unknown
-        one for all, estimated from the residuals, which the result says.
+    sigma: Standard deviation of each observation, a number or shape (n,). None: a common value is
+        estimated from the residuals.
     """
     columns = np.asarray(design, dtype=np.float64)
     y = np.asarray(observations, dtype=np.float64)
-    given = None if sigma is None else np.asarray(sigma, dtype=np.float64)
-    weight = np.ones(()) if given is None else given
-    if weight.shape not in {(), y.shape} or not ((weight > 0) & np.isfinite(weight)).all():
+    row_sd = None if sigma is None else np.asarray(sigma, dtype=np.float64)
+    scale = np.ones(()) if row_sd is None else row_sd
+    if scale.shape not in {(), y.shape} or not ((scale > 0) & np.isfinite(scale)).all():
         raise ValueError("sigma must be positive: a single number, or one per observation")
-    solution = solve([reduce_block(columns / weight.reshape(-1, 1), y / weight)])
+    solution = solve([reduce_block(columns / scale.reshape(-1, 1), y / scale)])
     covariance, dof = solution.covariance_noise, y.size - columns.shape[1]
-    scale: float | Array
-    if given is None:
+    residual_sd: float | Array
+    if row_sd is None:
         if dof < 1:
             raise NotIdentifiableError(
                 f"{y.size} observations of {columns.shape[1]} unknowns leave no degrees of "
                 "freedom to estimate sigma; give sigma"
             )
-        scale = math.sqrt(solution.chi2 / dof)
+        residual_sd = math.sqrt(solution.chi2 / dof)
         covariance = covariance * (solution.chi2 / dof)
     else:
-        scale = float(given) if given.ndim == 0 else given
+        residual_sd = float(row_sd) if row_sd.ndim == 0 else row_sd
     return Fit(
         estimate=solution.estimate,
         covariance=covariance,
         residuals=y - columns @ solution.estimate,
         chi2=solution.chi2,
         dof=dof,
-        sigma=scale,
-        sigma_from_residuals=given is None,
+        sigma=residual_sd,
+        sigma_from_residuals=row_sd is None,
     )

@@ -16,68 +16,69 @@ from counterspin.inference.distributions import (
 )
 
 #: `mixture_dof` matches the tail beyond an interval of 95 %.
-_TAIL: Final = 0.025
+_TAIL_PROBABILITY: Final = 0.025
 
-#: Satterthwaite's formula holds from so many degrees of freedom on, and below so small a share.
-_MANY_DOF: Final = 50.0
-_LEAST_SHARE: Final = 1e-6
+#: Satterthwaite's formula holds above these degrees of freedom, and below this share.
+_LARGE_DOF: Final = 50.0
+_MIN_SHARE: Final = 1e-6
 
-#: Steps of the integral over the estimated variance.
-_NODES: Final = 80
+#: Number of steps of the integral over the estimated variance.
+_N_NODES: Final = 80
 
-#: Difference of tails, and of logarithms of what they are tails of, that no digit shows.
-_LEAST_EXCESS: Final = 1e-13
+#: Tolerance of root finding: of the function, and of its argument.
+_ROOT_TOLERANCE: Final = 1e-13
 
 
 def mixture_tail(share: float, dof: float, q: float) -> float:
-    """Return the probability that a sum of something estimated and something known exceeds q.
+    """Return the probability that the sum of an estimated and a known part exceeds q.
 
-    The sum, sqrt(1 - share) z + sqrt(share) t, z being normal and t Student's, is over its standard
-    uncertainty. Satterthwaite's formula for its degrees of freedom, dof / share^2, gives as much
-    where `dof` are many; few of them leave tails that it does not see.
+    The standardised sum is sqrt(1 - share) z + sqrt(share) t, with z normal and t Student's.
+    Satterthwaite's formula for its degrees of freedom, dof / share^2, is accurate for large `dof`;
+    for small `dof` it underestimates the tails.
 
-    share: Part that what is estimated has in the variance, from 0 to 1.
-    q: Not below 0.
+    share: Share of the estimated part in the variance, from 0 to 1.
+    dof: Degrees of freedom of the estimated part.
+    q: Quantile, in standard uncertainties of the sum, not negative.
     """
-    if dof > _MANY_DOF or not _LEAST_SHARE < share < 1.0:
+    if dof > _LARGE_DOF or not _MIN_SHARE < share < 1.0:
         return student_cdf(dof / share**2 if share > 0.0 else math.inf, -q)
     return math.fsum(
         weight * normal_cdf(-q / math.sqrt(1.0 - share + share * variance))
-        for weight, variance in _mixture(dof)
+        for weight, variance in _variance_nodes(dof)
     )
 
 
 @lru_cache(maxsize=16)
-def _mixture(dof: float) -> list[tuple[float, float]]:
-    """Return weights, of sum 1, and values of the true variance over the estimated one."""
-    # It is dof / chi-square: over u, the logarithm of chi-square / dof, whose density is
-    # exp(-dof/2 (e^u - 1 - u)) but for a factor.
-    reach = 40.0 / dof
-    low, high = -reach - 1.0, math.log1p(reach + math.sqrt(2.0 * reach))
-    nodes = [low + (high - low) * k / _NODES for k in range(_NODES + 1)]
+def _variance_nodes(dof: float) -> list[tuple[float, float]]:
+    """Return weights, with sum 1, and values of the ratio of true to estimated variance."""
+    # The ratio is dof / chi-square. The density of u = log(chi-square / dof) is proportional to
+    # exp(-dof/2 (e^u - 1 - u)).
+    half_range = 40.0 / dof
+    low, high = -half_range - 1.0, math.log1p(half_range + math.sqrt(2.0 * half_range))
+    nodes = [low + (high - low) * k / _N_NODES for k in range(_N_NODES + 1)]
     weights = [math.exp(-0.5 * dof * (math.expm1(u) - u)) for u in nodes]
     total = sum(weights)
     return [(weight / total, math.exp(-u)) for weight, u in zip(weights, nodes, strict=True)]
 
 
 def mixture_dof(share: float, dof: float) -> float:
-    """Return the degrees of freedom whose Student's interval of 95 % is that of `mixture_tail`."""
+    """Return the degrees of freedom of Student's t with the 95 % interval of the mixture."""
     satterthwaite = dof / share**2 if share > 0.0 else math.inf
-    if dof > _MANY_DOF or not _LEAST_SHARE < share < 1.0:
+    if dof > _LARGE_DOF or not _MIN_SHARE < share < 1.0:
         return satterthwaite
     dof = max(dof, MIN_DOF)
-    # Between the normal quantile and Student's own, both over the logarithm.
-    low, high = -normal_quantile(_TAIL), -student_quantile(dof, _TAIL)
+    # Search between the logarithms of the normal and of Student's quantile.
+    low, high = -normal_quantile(_TAIL_PROBABILITY), -student_quantile(dof, _TAIL_PROBABILITY)
     q = math.exp(
         _find_root(
-            lambda log_q: mixture_tail(share, dof, math.exp(log_q)) - _TAIL,
+            lambda log_q: mixture_tail(share, dof, math.exp(log_q)) - _TAIL_PROBABILITY,
             math.log(low),
             math.log(high),
         )
     )
     matched_dof = math.exp(
         _find_root(
-            lambda log_dof: student_cdf(math.exp(log_dof), -q) - _TAIL,
+            lambda log_dof: student_cdf(math.exp(log_dof), -q) - _TAIL_PROBABILITY,
             math.log(dof),
             30.0,
         )
@@ -88,43 +89,43 @@ def mixture_dof(share: float, dof: float) -> float:
 def estimated_part_dof(share: float, dof: float) -> float:
     """Return the degrees of freedom of the estimated part of a sum; the inverse of `mixture_dof`.
 
-    share: Part that what is estimated has in the variance, from 0 to 1.
-    dof: Of the sum.
+    share: Share of the estimated part in the variance, from 0 to 1.
+    dof: Degrees of freedom of the sum.
     """
     satterthwaite = dof * share**2
-    if satterthwaite > _MANY_DOF or not _LEAST_SHARE < share < 1.0:
+    if satterthwaite > _LARGE_DOF or not _MIN_SHARE < share < 1.0:
         return satterthwaite
-    q = -student_quantile(dof, _TAIL)
+    q = -student_quantile(dof, _TAIL_PROBABILITY)
     return math.exp(
         _find_root(
-            lambda log_dof: mixture_tail(share, math.exp(log_dof), q) - _TAIL,
+            lambda log_dof: mixture_tail(share, math.exp(log_dof), q) - _TAIL_PROBABILITY,
             math.log(MIN_DOF),
-            math.log(_MANY_DOF),
+            math.log(_LARGE_DOF),
         )
     )
 
 
-def _find_root(excess: Callable[[float], float], low: float, high: float) -> float:
-    """Return where a falling function is zero, or the end that is nearest to it.
+def _find_root(function: Callable[[float], float], low: float, high: float) -> float:
+    """Return the root of a decreasing function, or the nearest end of the interval.
 
-    False position; an end that stays has its value halved (the Illinois algorithm).
+    False position with the Illinois modification.
     """
-    excess_low, excess_high = excess(low), excess(high)
-    if excess_low <= 0.0:
+    value_low, value_high = function(low), function(high)
+    if value_low <= 0.0:
         return low
-    if excess_high >= 0.0:
+    if value_high >= 0.0:
         return high
-    middle = previous = 0.0
+    middle = previous_value = 0.0
     for _ in range(60):
-        middle = (low * excess_high - high * excess_low) / (excess_high - excess_low)
-        value = excess(middle)
-        if abs(value) < _LEAST_EXCESS or high - low < _LEAST_EXCESS:
+        middle = (low * value_high - high * value_low) / (value_high - value_low)
+        value = function(middle)
+        if abs(value) < _ROOT_TOLERANCE or high - low < _ROOT_TOLERANCE:
             break
         if value > 0.0:
-            low, excess_low = middle, value
-            excess_high *= 0.5 if previous > 0.0 else 1.0
+            low, value_low = middle, value
+            value_high *= 0.5 if previous_value > 0.0 else 1.0
         else:
-            high, excess_high = middle, value
-            excess_low *= 0.5 if previous < 0.0 else 1.0
-        previous = value
+            high, value_high = middle, value
+            value_low *= 0.5 if previous_value < 0.0 else 1.0
+        previous_value = value
     return middle

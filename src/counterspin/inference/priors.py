@@ -59,34 +59,34 @@ def prior_root(unknowns: Sequence[HasPrior]) -> Array | None:
 
 
 def whiten_priors(columns: Array, sd: Array, correlation: Array | None) -> Array:
-    """Return deviations from prior means in rows in which the priors have covariance one.
+    """Return whitened deviations from the prior means, in which the priors have unit covariance.
 
-    A row depends on its own unknown and on those before it.
+    A row depends on its own unknown and on the preceding unknowns.
 
     columns: Shape (p, ...).
     sd: Standard uncertainties of the priors, above 0, shape (p,).
-    correlation: Of the priors, shape (p, p); None: they are independent.
+    correlation: Correlation of the priors, shape (p, p); None: independent.
     """
     rows: Array = columns / sd.reshape(-1, *[1] * (columns.ndim - 1))
     return rows if correlation is None else np.linalg.solve(np.linalg.cholesky(correlation), rows)
 
 
 def conditional_priors(unknowns: Sequence[HasPrior], owner: str) -> dict[str, tuple[str, float]]:
-    """Return the name of each correlated unknown -> its source in a budget, and the u of that.
+    """Return correlated unknown -> its source in a budget, and the u of the source.
 
-    A correlated prior is conditional on the priors before it. These sources are independent, so
+    A correlated prior is conditional on the preceding priors. These sources are independent, so
     that the squares of their contributions add up.
 
-    owner: An accelerometer, whose own terms are named without it.
+    owner: Accelerometer whose name is omitted from the names of its terms.
     """
     root = prior_root(unknowns)
     if root is None:
         return {}
     names = [unknown.name.removeprefix(f"{owner}.") for unknown in unknowns]
-    conditional = {}
+    sources = {}
     for index, unknown in enumerate(unknowns):
-        conditions = ", ".join(names[k] for k in np.flatnonzero(root[index, :index]).tolist())
-        source = f"{names[index]} given {conditions}" if conditions else names[index]
+        preceding_names = ", ".join(names[k] for k in np.flatnonzero(root[index, :index]).tolist())
+        source = f"{names[index]} given {preceding_names}" if preceding_names else names[index]
         if unknown.correlations:
-            conditional[unknown.name] = source, float(root[index, index]) * unknown.prior[1]
-    return conditional
+            sources[unknown.name] = source, float(root[index, index]) * unknown.prior[1]
+    return sources

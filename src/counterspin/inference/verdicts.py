@@ -1,4 +1,4 @@
-"""The verdict on a coefficient and its specification, as a result states it."""
+"""Verdict of a result on a coefficient and its specification."""
 
 from __future__ import annotations
 

@@ -345,7 +345,7 @@ def assess_blocks(predictor: Predictor, blocks: Array) -> Assessment:
                 block[:, p : p + predictor.common_sds.size],
                 rss=0.0,
                 rows=len(block),
-                nuisance=0,
+                n_nuisance=0,
             )
             for block in blocks
         ],

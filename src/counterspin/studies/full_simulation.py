@@ -19,7 +19,7 @@ from counterspin.campaign.reading import MeasuredRate, Reading
 from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import correct_series, estimate
 from counterspin.inference.joint.series import CLOCK, TIMING, ResidualSeries
-from counterspin.inference.joint.time_stamps import find_stamp_errors
+from counterspin.inference.joint.time_stamps import find_timestamp_errors
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.simulation import add_noise, add_white_noise
 from counterspin.inference.two_stage.first_stage import Strobes, by_angle, strobe_angle
@@ -106,7 +106,7 @@ class TrialRecords:
         if rotation.fit is None:
             return record
         stated_times = self.setup.stated_timing_noise
-        stamp_errors = find_stamp_errors(rotation.fit, record.time, record.count, stated_times)
+        stamp_errors = find_timestamp_errors(rotation.fit, record.time, record.count, stated_times)
         if stamp_errors is None:
             return record
         record = replace(record, angle_error=rotation.fit.error, timestamp_errors=stamp_errors)

@@ -254,7 +254,7 @@ def _record_blocks(setup: SimulationSetup, truth: StudyTruth, model: Unknowns) -
         if name in names
     ]
     prepared = build_design_blocks(series, model, scale_factors(series, model, truth))
-    return [block.block_in(model, noises) for block in prepared]
+    return [block.expand_block(model, noises) for block in prepared]
 
 
 @frozen(eq=False)

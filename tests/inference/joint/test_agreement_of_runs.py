@@ -22,7 +22,7 @@ K_II = 2
 def fitted(seed, request, model=MODEL):
     rng = np.random.default_rng(seed)
     series = [add_noise(one, Noise(WHITE), rng) for one in three_rates(TRUTH)]
-    return estimate(series, model, {"Qx": request}, reject=False)
+    return estimate(series, model, {"Qx": request}, rejects_outliers=False)
 
 
 def shift_gains(fit, run):
@@ -44,7 +44,7 @@ def fit_with_given_noise():
 def test_shift_matches_fit_without_run(fit_with_given_noise):
     *_, shift = jackknife_runs(fit_with_given_noise, K_II)
     without = estimate(
-        fit_with_given_noise.series[:2], MODEL, {"Qx": Noise(WHITE, 0.0)}, reject=False
+        fit_with_given_noise.series[:2], MODEL, {"Qx": Noise(WHITE, 0.0)}, rejects_outliers=False
     )
     assert shift.value == pytest.approx(without.fit.solution.estimate[K_II], rel=1e-9)
     assert shift.shift == pytest.approx(

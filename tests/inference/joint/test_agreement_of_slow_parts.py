@@ -7,7 +7,7 @@ import pytest
 from joint_campaign import add_noise, three_rates, unknowns
 from scipy.stats import f as fisher
 
-from counterspin.inference.joint.agreement import _cosines, compare_slow_residuals
+from counterspin.inference.joint.agreement import _slow_cosines, compare_slow_residuals
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import augment, estimate_considered
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
@@ -23,7 +23,7 @@ def fitted(noise, bend=0.0):
     series = [add_noise(one, noise, rng) for one in three_rates(TRUTH)]
     phase = np.pi * series[2].time / series[2].time[-1]
     series[2] = replace(series[2], error=series[2].error + bend * np.sin(phase))
-    found = estimate(series, MODEL, {"Qx": Noise(ESTIMATE, ESTIMATE)}, reject=False)
+    found = estimate(series, MODEL, {"Qx": Noise(ESTIMATE, ESTIMATE)}, rejects_outliers=False)
     return found.estimated_noise["Qx"], estimate_considered(found.fit)
 
 
@@ -35,7 +35,7 @@ def walking():
 def test_ratio_matches_gain_of_cosine_fits(walking):
     gains, counts = [], []
     for i, part in enumerate(walking.design_blocks):
-        columns = [{i: column} for column in _cosines(walking, part)]
+        columns = [{i: column} for column in _slow_cosines(walking, part)]
         free = [Unknown("", str(k), (0.0, np.inf), 1e3) for k in range(len(columns))]
         whole = augment(walking, free, columns).solution
         gains.append(walking.solution.chi2 - whole.chi2)

@@ -32,7 +32,7 @@ MODEL = Unknowns(
 
 
 def fitted(series, model=MODEL, white=WHITE):
-    return estimate(series, model, {"Qx": Noise(white, 0.0)}, reject=False)
+    return estimate(series, model, {"Qx": Noise(white, 0.0)}, rejects_outliers=False)
 
 
 @pytest.fixture(scope="module")

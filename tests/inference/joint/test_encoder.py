@@ -173,7 +173,7 @@ def test_omitted_and_considered_terms_are_below_limit(observable, encoder_noise,
     every = tuple(
         Considered(run.run, symbol, (0.0, 1.0), 10.0)
         for run in series
-        for symbol in encoder._symbols(run.angle_error)
+        for symbol in encoder._angle_error_symbols(run.angle_error)
     )
     whole = replace(MODEL, considered=every)
     prepared = build_design_blocks(series, whole, {"Qx": TRUTH["K_I"]})
@@ -239,14 +239,16 @@ def test_u_covers_hidden_ripple(observable, encoder_noise, request_):
         size = simulate_hidden_ripple(encoder_noise, 385)
         true = [add_noise(one, noise, rng) for one in make_rippled_series(observable, size, rng)]
         series = fit_encoder_angle(true, encoder_noise, rng)
-        found = estimate(series, MODEL, {"Qx": request_}, reject=False)
+        found = estimate(series, MODEL, {"Qx": request_}, rejects_outliers=False)
         p = TRUE.size
         z = (found.fit.solution.estimate[:p] - TRUE) / found.fit.solution.u[:p]
         inside += np.abs(z) < stdtrit(np.minimum(found.dof[:p], 1e6), 0.975)
         distance += z**2
         if compared:
             ignorant = [replace(one, angle_error=None) for one in series]
-            without = estimate(ignorant, MODEL, {"Qx": Noise(noise.white, 0.0)}, reject=False)
+            without = estimate(
+                ignorant, MODEL, {"Qx": Noise(noise.white, 0.0)}, rejects_outliers=False
+            )
             blind += ((without.fit.solution.estimate - TRUE) / without.fit.solution.u) ** 2
     assert (np.abs(inside / trials - 0.95) < 4 * math.sqrt(0.95 * 0.05 / trials)).all()
     by_chance = 5 * math.sqrt(2 * trials)
@@ -261,7 +263,7 @@ def test_hidden_ripple_does_not_increase_noise():
     rng = np.random.default_rng(6)
     true = make_rippled_series("specific_force", simulate_hidden_ripple(1e-5, 385), rng)
     series = fit_encoder_angle([add_noise(one, Noise(1e-4), rng) for one in true], 1e-5, rng)
-    found = estimate(series, MODEL, {"Qx": Noise(ESTIMATE, 0.0)}, reject=False)
+    found = estimate(series, MODEL, {"Qx": Noise(ESTIMATE, 0.0)}, rejects_outliers=False)
     rows = sum(one.time.size for one in series)
     assert found.fit.noise["Qx"].white == pytest.approx(1e-4, rel=4 / math.sqrt(2 * rows))
 
@@ -270,7 +272,7 @@ def test_budget_has_lines_of_rotation():
     rng = np.random.default_rng(7)
     series = fit_encoder_angle(make_rippled_series("specific_force", 0.0, rng), 1e-5, rng)
     series = [add_noise(one, Noise(1e-4), rng) for one in series]
-    found = estimate(series, MODEL, {"Qx": Noise(1e-4, 0.0)}, reject=False)
+    found = estimate(series, MODEL, {"Qx": Noise(1e-4, 0.0)}, rejects_outliers=False)
     for index, u in enumerate(found.fit.solution.u[:4]):
         lines = budget(found.fit, index)
         assert math.fsum(x.contribution**2 for x in lines) == pytest.approx(u**2, rel=1e-10)
@@ -298,14 +300,14 @@ def test_u_increases_with_encoder_noise():
         add_noise(one, Noise(1e-4), rng) for one in make_rippled_series("specific_force", 0.0, rng)
     ]
     request = {"Qx": Noise(1e-4, 0.0)}
-    exact = estimate(true, MODEL, request, reject=False).fit.solution
+    exact = estimate(true, MODEL, request, rejects_outliers=False).fit.solution
     u = []
     for size in (1e-9, 1e-6, 1e-5, 1e-3):
         series = fit_encoder_angle(true, size, np.random.default_rng(9))
-        u.append(estimate(series, MODEL, request, reject=False).fit.solution.u[2])
+        u.append(estimate(series, MODEL, request, rejects_outliers=False).fit.solution.u[2])
     assert u[0] == pytest.approx(exact.u[2], rel=1e-3)
     assert u == sorted(u)
     assert u[3] < 3 * exact.u[2]
     series = fit_encoder_angle(true, 1e-9, np.random.default_rng(9))
-    found = estimate(series, MODEL, request, reject=False).fit.solution
+    found = estimate(series, MODEL, request, rejects_outliers=False).fit.solution
     np.testing.assert_allclose(found.estimate[:4], exact.estimate, atol=0.05 * exact.u.max())

@@ -81,7 +81,7 @@ def test_estimated_wander_has_coverage():
     held = np.zeros(4)
     for _ in range(10):
         drawn = [add_wander(one, noise, rng) for one in series]
-        found = estimate(drawn, MODEL, request, reject=False)
+        found = estimate(drawn, MODEL, request, rejects_outliers=False)
         solution, dof = found.fit.solution, np.minimum(found.dof, 1e6)
         held += np.abs(solution.estimate - TRUTH) < student.ppf(0.975, dof) * solution.u
     assert held[0] >= 7

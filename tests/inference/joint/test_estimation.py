@@ -67,7 +67,7 @@ def test_estimated_noise_reaches_bound_with_coverage(noise_free_series, noise, r
     error, u, dof = (np.empty((trials, TRUE.size)) for _ in range(3))
     for row in range(trials):
         drawn = [add_noise(one, noise, rng) for one in noise_free_series]
-        found = estimate(drawn, MODEL, {"Qx": request_}, reject=False)
+        found = estimate(drawn, MODEL, {"Qx": request_}, rejects_outliers=False)
         assert found.estimated_noise["Qx"].dropped == ()
         error[row] = found.fit.solution.estimate - TRUE
         u[row], dof[row] = found.fit.solution.u, found.dof
@@ -105,7 +105,7 @@ def test_absent_component_is_dropped_without_cost(noise_free_series):
     (trials, most), kept = (20, 4) if FULL else (10, 3), 0
     for _ in range(trials):
         drawn = [add_noise(one, WHITE, rng) for one in noise_free_series]
-        found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE, ESTIMATE)}, reject=False)
+        found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE, ESTIMATE)}, rejects_outliers=False)
         kept += "random_walk" in found.estimated_noise["Qx"].estimated
         if found.estimated_noise["Qx"].dropped:
             assert found.estimated_noise["Qx"].dropped == ("random_walk",)

@@ -637,7 +637,7 @@ def test_input_with_prior_matches_dense_least_squares(noise):
     inputs = [Unknown("", s, (0.0, u), 0.1, is_of_interest=False) for s, u in sizes.items()]
     model = Unknowns((*unknowns(TRUTH, PRIORS), *inputs))
     request = {"Qx": Noise(noise.white, noise.random_walk)}
-    solution = estimate(series, model, request, reject=False).fit.solution
+    solution = estimate(series, model, request, rejects_outliers=False).fit.solution
     spread = np.sqrt(np.diag(covariance))
     # Derivatives are taken at the estimate here, at the truth there.
     np.testing.assert_allclose(solution.estimate / spread, expected[:p] / spread, atol=2e-3)

@@ -71,7 +71,7 @@ def test_time_jitter_is_estimated_from_slope(noise_free_series):
     trials, z, sizes = 6, [], []
     for _ in range(trials):
         # One row in 400 is taken for an outlier before the weights are known, and 2 % of the size.
-        found = estimate(by_slope(noise_free_series, rng), MODEL, WANT, reject=False)
+        found = estimate(by_slope(noise_free_series, rng), MODEL, WANT, rejects_outliers=False)
         assert {one.variance_ratio for one in found.series} == {1.0}
         (timing,) = {one.timestamp_sd for one in found.series}
         sizes.append(timing / TIMING)
@@ -92,7 +92,7 @@ def test_homoscedastic_noise_is_unchanged(observable):
         drawn = [add_noise(one, Noise(0.01), rng) for one in noise_free_series]
         # A bend of one run, a hundred times its noise.
         bent = replace(drawn[2], error=drawn[2].error + np.sin(drawn[2].time / 3.0))
-        found = estimate([*drawn[:2], bent], MODEL, WANT, reject=False)
+        found = estimate([*drawn[:2], bent], MODEL, WANT, rejects_outliers=False)
         assert {(one.variance_ratio, one.timestamp_sd) for one in found.series} == {(1.0, 0.0)}
 
 
@@ -105,12 +105,12 @@ def test_spindle_harmonics_are_not_noise():
         wave = wave * np.cos(5.0 * one.trajectory.spindle.angle(one.time))
         drawn.append(add_noise(replace(one, error=one.error + wave), Noise(0.01), rng))
     stated, asked = {"Qx": Noise(0.01)}, {"Qx": Noise(ESTIMATE)}
-    fit = estimate(drawn, MODEL, stated, reject=False).fit
+    fit = estimate(drawn, MODEL, stated, rejects_outliers=False).fit
     assert noise_by_run(fit, "Qx") == {}
     assert estimate_heteroscedasticity(fit, drawn, asked) == {}
     # Another noise shows beneath them.
     louder = [*drawn[:2], add_noise(drawn[2], Noise(0.02), rng)]
-    sizes = noise_by_run(estimate(louder, MODEL, stated, reject=False).fit, "Qx")
+    sizes = noise_by_run(estimate(louder, MODEL, stated, rejects_outliers=False).fit, "Qx")
     assert sizes["run3"] == pytest.approx(math.sqrt(5.0), rel=0.15)
     assert sizes["run1"] == pytest.approx(1.0, rel=0.15)
 
@@ -121,5 +121,5 @@ def test_stated_noise_and_short_records_are_unchanged(noise_free_series):
     found = estimate(drawn, MODEL, {"Qx": Noise(0.02)})
     assert {one.variance_ratio for one in found.series} == {1.0}
     few = [one.drop_rows(np.arange(one.time.size) > 40) for one in drawn]
-    fit = estimate(few, MODEL, WANT, reject=False).fit
+    fit = estimate(few, MODEL, WANT, rejects_outliers=False).fit
     assert estimate_heteroscedasticity(fit, few, WANT) == {}

@@ -21,7 +21,9 @@ SIZE = 30e-6  # g
 
 def compare_steps(records):
     """Return the score tests of steps in the records."""
-    fit = estimate_considered(estimate(records, MODEL, {"Qx": Noise(0.01, 0.0)}, reject=False).fit)
+    fit = estimate_considered(
+        estimate(records, MODEL, {"Qx": Noise(0.01, 0.0)}, rejects_outliers=False).fit
+    )
     return run_score_tests(fit, tuple(mistakes.changepoints(fit, 9)), noise_given=True)
 
 
@@ -57,7 +59,9 @@ def test_low_pass_is_found_with_time_constant(observable):
         wave -= wave.mean()
         gain = 1.0 / math.sqrt(1.0 + (rate * tau) ** 2)
         records.append(replace(one, error=one.error + (gain - 1.0) * wave))
-    fit = estimate_considered(estimate(records, MODEL, {"Qx": Noise(1e-4, 0.0)}, reject=False).fit)
+    fit = estimate_considered(
+        estimate(records, MODEL, {"Qx": Noise(1e-4, 0.0)}, rejects_outliers=False).fit
+    )
     others = mistakes.record_mistakes(fit, {"Qx": 1.7e-9}, angle_recorded=True)
     every = run_score_tests(fit, tuple(others), noise_given=True)
     best = int(np.argmax(every.z))

@@ -9,7 +9,11 @@ from joint_campaign import add_noise, three_rates, unknowns
 
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import estimate_considered
-from counterspin.inference.joint.mistakes import ACROSS, rotate_mounting, with_rotated_mounting
+from counterspin.inference.joint.mistakes import (
+    CROSS_AXIS_SYMBOLS,
+    rotate_accelerometer,
+    rotate_mounting,
+)
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.accelerometer import QX, Mounting
@@ -28,7 +32,7 @@ POINTS = {1: "north", 2: "up", 3: "south"}
 
 
 def test_cross_axis_terms():
-    assert set(ACROSS) == {"K_IP", "K_IO", "K_PO", "K_PP", "K_OO", "delta_O", "delta_P"}
+    assert set(CROSS_AXIS_SYMBOLS) == {"K_IP", "K_IO", "K_PO", "K_PP", "K_OO", "delta_O", "delta_P"}
 
 
 @pytest.mark.parametrize("quarters", POINTS)
@@ -49,12 +53,16 @@ def test_rotated_fit_matches_fit_of_other_mounting(observable, quarters):
         add_noise(one, Noise(white), rng) for one in three_rates(truth, observable=observable)
     ]
     request = {"Qx": Noise(white, 0.0)}
-    found = with_rotated_mounting(
-        estimate_considered(estimate(series, MODEL, request, reject=False).fit), "Qx", quarters
+    found = rotate_accelerometer(
+        estimate_considered(estimate(series, MODEL, request, rejects_outliers=False).fit),
+        "Qx",
+        quarters,
     ).solution
     other = Mounting.from_axes("east", POINTS[quarters])
     stated = [replace(one, mounting=other) for one in series]
-    wanted = estimate_considered(estimate(stated, MODEL, request, reject=False).fit).solution
+    wanted = estimate_considered(
+        estimate(stated, MODEL, request, rejects_outliers=False).fit
+    ).solution
     # The rest of the columns knows of the other terms in second order only.
     np.testing.assert_allclose(
         found.estimate, wanted.estimate, atol=1e-6 * float(np.max(wanted.u)), rtol=1e-6
@@ -65,7 +73,9 @@ def test_rotated_fit_matches_fit_of_other_mounting(observable, quarters):
 
 def test_other_accelerometer_is_unchanged():
     series = three_rates({"K_F": 0.005, "K_I": 1.002, "K_OO": 2e-6})
-    fit = estimate_considered(estimate(series, MODEL, {"Qx": Noise(0.01, 0.0)}, reject=False).fit)
+    fit = estimate_considered(
+        estimate(series, MODEL, {"Qx": Noise(0.01, 0.0)}, rejects_outliers=False).fit
+    )
     np.testing.assert_array_equal(
-        with_rotated_mounting(fit, "Qy", 1).solution.estimate, fit.solution.estimate
+        rotate_accelerometer(fit, "Qy", 1).solution.estimate, fit.solution.estimate
     )

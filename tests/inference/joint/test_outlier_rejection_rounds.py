@@ -5,7 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from counterspin.inference.joint.outlier_rejection import FALSE_ALARMS, _pair_median, outlier_mask
+from counterspin.inference.joint.outlier_rejection import (
+    EXPECTED_FALSE_ALARMS,
+    _pair_median,
+    outlier_mask,
+)
 
 
 def reject_all_rounds(residuals, weight=None, floor=0.0, time=None):
@@ -31,7 +35,7 @@ def test_false_rejections_match_stated_rate(size, series):
     rng = np.random.default_rng(1)
     lost = sum(int(reject_all_rounds(rng.standard_normal(size)).sum()) for _ in range(series))
     # The scale is itself estimated, to 3 % in short series: this doubles the rate there.
-    expected = FALSE_ALARMS * series
+    expected = EXPECTED_FALSE_ALARMS * series
     assert lost < 2 * expected + 4 * math.sqrt(2 * expected)
 
 
@@ -104,7 +108,9 @@ def test_random_walk_neither_is_nor_hides_outliers(order):
         missed += (planted & ~found).sum()
         beside += (found & ~planted).sum()
     # At 0.01 a series, and as much again for the scale's own error; none runs away.
-    assert alone <= 2 * series * FALSE_ALARMS + 4 * math.sqrt(2 * series * FALSE_ALARMS)
+    assert alone <= 2 * series * EXPECTED_FALSE_ALARMS + 4 * math.sqrt(
+        2 * series * EXPECTED_FALSE_ALARMS
+    )
     assert missed == 0
     # A spike among the neighbours may cost a good sample.
     assert beside < 0.3 * spikes

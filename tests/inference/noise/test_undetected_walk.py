@@ -169,7 +169,7 @@ def test_coefficient_intervals_have_coverage_at_detection_limit(noise_free_serie
     inside, kept = np.zeros(TRUE.size), 0
     for _ in range(trials):
         drawn = [add_noise(one, Noise(0.01, walk), rng) for one in noise_free_series]
-        found = estimate(drawn, MODEL, BOTH, reject=False)
+        found = estimate(drawn, MODEL, BOTH, rejects_outliers=False)
         kept += "random_walk" in found.estimated_noise["Qx"].estimated
         size = stdtrit(np.minimum(found.dof, 1e6), 0.975) * found.fit.solution.u
         inside += np.abs(found.fit.solution.estimate - TRUE) < size
@@ -187,7 +187,7 @@ def test_coefficient_intervals_have_coverage_at_detection_limit(noise_free_serie
 @pytest.fixture(scope="module")
 def dropped(noise_free_series):
     drawn = [add_noise(one, Noise(0.01), np.random.default_rng(4)) for one in noise_free_series]
-    found = estimate(drawn, MODEL, BOTH, reject=False)
+    found = estimate(drawn, MODEL, BOTH, rejects_outliers=False)
     assert found.estimated_noise["Qx"].dropped == ("random_walk",)
     return drawn, found
 
@@ -195,7 +195,7 @@ def dropped(noise_free_series):
 def test_estimate_matches_white_noise(dropped):
     drawn, found = dropped
     white = found.fit.noise["Qx"].white
-    given = estimate(drawn, MODEL, {"Qx": Noise(white, 0.0)}, reject=False)
+    given = estimate(drawn, MODEL, {"Qx": Noise(white, 0.0)}, rejects_outliers=False)
     np.testing.assert_array_equal(found.fit.solution.estimate, given.fit.solution.estimate)
     assert not given.fit.undetected_walks
     assert given.fit.solution.covariance_undetected is None
@@ -231,7 +231,7 @@ def test_considered_terms_do_not_change_walk_contribution(dropped):
     considered = tuple(
         Considered("Qx", symbol, (0.0, 2e-5), term(symbol).limit) for symbol in ("K_OO", "K_PP")
     )
-    again = estimate(drawn, Unknowns(MODEL.unknowns, considered), BOTH, reject=False)
+    again = estimate(drawn, Unknowns(MODEL.unknowns, considered), BOTH, rejects_outliers=False)
     (one, alone), (other, beside) = (fit.undetected_walks["Qx"] for fit in (found.fit, again.fit))
     # The difference of two covariances, of which rounding leaves seven digits.
     np.testing.assert_allclose(beside / other**2, alone / one**2, rtol=1e-5)
@@ -258,7 +258,9 @@ def random_estimate(seed):
     priors = dict.fromkeys(extra, (0.0, 2e-06)) | {"K_I": (1.0, 5e-4)}
     model = Unknowns(unknowns([*TRUTH, *extra], priors), tuple(considered))
     noise = Noise(0.01, 10 ** rng.uniform(-6, -3.7))
-    return estimate([add_noise(run, noise, rng) for run in runs], model, BOTH, reject=False)
+    return estimate(
+        [add_noise(run, noise, rng) for run in runs], model, BOTH, rejects_outliers=False
+    )
 
 
 def least_eigenvalue(covariance):
@@ -295,7 +297,7 @@ def test_exactly_known_unknown_is_fixed(dropped):
             for unknown in MODEL.unknowns
         )
     )
-    again = estimate(drawn, exact, BOTH, reject=False)
+    again = estimate(drawn, exact, BOTH, rejects_outliers=False)
     place = [unknown.symbol for unknown in exact.unknowns].index("K_I")
     assert again.fit.solution.u[place] == 0.0
     # K_F feels the walk as before.
@@ -320,10 +322,10 @@ def test_budget_names_undetected_walk(dropped):
 
 def test_only_requested_walk_can_be_undetected(noise_free_series):
     drawn = [add_noise(one, Noise(0.01), np.random.default_rng(6)) for one in noise_free_series]
-    found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE, 0.0)}, reject=False)
+    found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE, 0.0)}, rejects_outliers=False)
     assert found.estimated_noise["Qx"].undetected_walk is None
     # White noise of a known size leaves the walk to be looked for all the same.
-    found = estimate(drawn, MODEL, {"Qx": Noise(0.01, ESTIMATE)}, reject=False)
+    found = estimate(drawn, MODEL, {"Qx": Noise(0.01, ESTIMATE)}, rejects_outliers=False)
     assert found.estimated_noise["Qx"].dropped == ("random_walk",)
     assert found.fit.undetected_walks["Qx"][0] > 0.0
     assert found.dof[0] < 50

@@ -264,7 +264,7 @@ def test_strobe_residuals_are_in_row():
     (block,) = found.fit.blocks
     assert block.rss == parabola.chi2
     # Of the strobes two numbers are their own and one is b2.
-    assert (block.rows - block.nuisance, block.factor.shape[0]) == (parabola.dof + 1, 1)
+    assert (block.rows - block.n_nuisance, block.factor.shape[0]) == (parabola.dof + 1, 1)
     assert found.fit.degrees_of_freedom[0] == pytest.approx(parabola.dof, rel=1e-6)
 
 

@@ -10,7 +10,7 @@ from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.findings import equivalent_deviations, lack_of_fit_finding
 from counterspin.calibration.outcome import estimated_timing_noise, summarize_residuals
 from counterspin.calibration.result_parts import Finding
-from counterspin.inference.diagnostics import FALSE_ALARMS
+from counterspin.inference.diagnostics import FALSE_ALARM_RATE
 from counterspin.inference.joint.agreement import compare_slow_residuals
 from counterspin.inference.joint.fit import estimate_considered
 from counterspin.reports.numbers import format_number
@@ -43,7 +43,7 @@ def _compare_run_noise(view: AccelerometerView) -> list[Finding]:
     )
     result = min(run_tests, key=lambda test: test.p, default=None)
     tests = len(run_tests) * len(view.campaign.accelerometers)
-    if result is None or result.p * tests >= FALSE_ALARMS:
+    if result is None or result.p * tests >= FALSE_ALARM_RATE:
         return []
     text = (
         f"The estimated accelerometer noise differs between runs. In {result.run}, it is "

@@ -343,7 +343,7 @@ def _alternative_hypotheses(
     yield from mistakes.input_mistakes(fit, inputs)
     trends = {view.name: campaign.typical_of("K_F.trend", view.name) for view in views}
     yield from mistakes.record_mistakes(fit, trends, angle_recorded=angle)
-    yield from mistakes.coriolis_mistakes(fit, own_velocity=campaign.own_velocity)
+    yield from mistakes.coriolis_mistakes(fit, uses_own_velocity=campaign.own_velocity)
     terms = {
         unknown: campaign.typical_of(unknown.symbol, unknown.owner)
         for view in views

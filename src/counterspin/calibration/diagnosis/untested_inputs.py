@@ -32,7 +32,11 @@ from counterspin.inference.distributions import normal_quantile
 from counterspin.inference.joint.alternatives import prior_alternatives
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, estimate_considered
-from counterspin.inference.joint.mistakes import ACROSS, rotate_mounting, with_rotated_mounting
+from counterspin.inference.joint.mistakes import (
+    CROSS_AXIS_SYMBOLS,
+    rotate_accelerometer,
+    rotate_mounting,
+)
 from counterspin.inference.joint.series import CLOCK
 from counterspin.reports.numbers import format_number
 
@@ -84,7 +88,7 @@ class AlternativeMounting:
             (symbol, shift, abs(shift) / u)
             for symbol, index in self.view.indices.items()
             if self.view.assessment.determined[f"{self.view.name}.{symbol}"]
-            and symbol not in ACROSS
+            and symbol not in CROSS_AXIS_SYMBOLS
             and (u := float(self.view.fit.solution.u[index])) > 0.0
             for shift in [
                 float(self.fit.solution.estimate[index] - self.view.fit.solution.estimate[index])
@@ -124,7 +128,7 @@ def _fit_rotated(
 ) -> tuple[JointFit, tuple[FittedGroup, ...]]:
     """Return a relaxed fit with an accelerometer turned, its readings with the noise they have."""
     fit = (
-        with_rotated_mounting(relaxed.fit, view.name, quarter_turns)
+        rotate_accelerometer(relaxed.fit, view.name, quarter_turns)
         if quarter_turns
         else relaxed.fit
     )
@@ -132,14 +136,14 @@ def _fit_rotated(
     dof = np.full(len(fit.model.unknowns), np.inf)
     estimate = replace(relaxed, fit=fit, dof=dof)
     return view.data.fit_rotated_mounting(
-        estimate, groups, view.name, partial(rotate_mounting, quarters=quarter_turns)
+        estimate, groups, view.name, partial(rotate_mounting, quarter_turns=quarter_turns)
     )
 
 
 def _stated_cross_terms(view: AccelerometerView) -> list[str]:
     """Return the terms with a_P and a_O of which the description says something."""
     stated_terms = {*view.accelerometer.priors, *view.campaign.model.priors}
-    return [symbol for symbol in ACROSS if symbol in stated_terms]
+    return [symbol for symbol in CROSS_AXIS_SYMBOLS if symbol in stated_terms]
 
 
 def find_better_mounting(mountings: Sequence[AlternativeMounting]) -> AlternativeMounting | None:

@@ -22,7 +22,7 @@ from counterspin.inference.diagnostics import (
     CHI_SQUARE_SIGNIFICANCE,
 )
 from counterspin.inference.distributions import chi_square_tail
-from counterspin.inference.identifiability import ConfoundedTerms, write_combination
+from counterspin.inference.identifiability import ConfoundedTerms, format_combination
 from counterspin.inference.two_stage.second_stage import SecondStage
 from counterspin.physics.terms import INPUTS
 from counterspin.reports.numbers import format_number
@@ -71,7 +71,7 @@ def inseparable_sums(
                 terms=list(weights),
                 # Estimates of terms that act the same way work against each other.
                 correlation=-1.0 if next(iter(inseparable.values())) > 0.0 else 1.0,
-                determined=write_combination(
+                determined=format_combination(
                     list(weights), list(weights.values()), [0.1 * u / size for size in sizes]
                 ),
                 weights=list(weights.values()),

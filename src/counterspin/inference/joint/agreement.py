@@ -1,16 +1,14 @@
 """Agreement of each run, and of slow residuals, with the other runs.
 
-Each run is left out in turn. With all runs the estimate is the better one, so that the variance of
-the shift is what the variance grows by (Hausman, Econometrica 46 (1978) 1251). Where the noise was
-estimated, the shift has Student's distribution, and includes noise that the records do not show,
-as u does.
+Each run is omitted in turn. The estimate from all runs is efficient, so that the variance of the
+shift is the increase of the variance of the estimate (Hausman, Econometrica 46 (1978) 1251). With
+estimated noise, the shift has Student's distribution and, like u, includes undetected noise.
 
-Noise of the accelerometer is looked for in the slowest changes of a record, where a bend of the
-record itself stands too: a slow error of one run makes the noise of all runs seem larger, and moves
-what rests on that run by more than this noise allows. Noise acts in every run. So the whitened
-residuals that cosines of a run can follow, up to where the record's own noise is the larger one,
-are compared with those of the other runs: a quotient of chi-squares (Fisher's F), in which the
-size of the noise cancels.
+The noise of an accelerometer is estimated from the slowest changes of its records. A slow error of
+one run therefore increases the estimated noise of all runs, and shifts coefficients that depend on
+this run by more than this noise allows. Noise acts in every run. Therefore the slow whitened
+residuals of a run, projected onto cosines, are compared with those of the other runs in an F test,
+in which the size of the noise cancels.
 """
 
 from __future__ import annotations
@@ -35,62 +33,62 @@ from counterspin.inference.noise.components import COMPONENTS
 from counterspin.inference.noise.search import effective_dof
 from counterspin.inference.noise.undetected_walk import UndetectedWalk, marginal_walk
 
-#: Part of an unknown's u below which a shift's own uncertainty is rounding.
+#: Fraction of the u of an unknown below which the uncertainty of a shift is rounding error.
 _MIN_RELATIVE_U: Final = 1e-6
 
 
 def jackknife_runs(estimate: Estimate, index: int) -> list[Jackknife]:
-    """Leave each run out in turn, where there are several, for one accelerometer's unknown."""
+    """Return the shift of an unknown without each run; empty for a single run."""
     unknown, u = estimate.fit.model.unknowns[index], float(estimate.fit.solution.u[index])
     run_names = list(dict.fromkeys(block.run for block in estimate.fit.design_blocks))
     shifts = {run: Jackknife(run) for run in run_names}
-    # What nobody asks for need not be apart.
+    # Nuisance parameters may be compressed here.
     fit = estimate.compressed_fit or estimate.fit
-    runs = [
+    determined_runs = [
         run
         for run in run_names
         if (reduced_fit := fit.without_run(run)) is not None
         and float(reduced_fit.u[index]) < unknown.limit
     ]
-    variance, dof = _shift_variances(estimate, fit, runs, index)
-    for run, variance_of_shift, dof_of_shift in zip(
-        runs, variance.tolist(), dof.tolist(), strict=True
+    variances, dofs = _shift_variances(estimate, fit, determined_runs, index)
+    for run, shift_variance, shift_dof in zip(
+        determined_runs, variances.tolist(), dofs.tolist(), strict=True
     ):
-        value = float(_solution_without(fit, run).estimate[index])
-        shift = value - float(fit.solution.estimate[index])
-        is_resolved = variance_of_shift > (_MIN_RELATIVE_U * u) ** 2
+        estimate_without_run = float(_solution_without(fit, run).estimate[index])
+        shift = estimate_without_run - float(fit.solution.estimate[index])
+        is_resolved = shift_variance > (_MIN_RELATIVE_U * u) ** 2
         shifts[run] = Jackknife(
             run,
-            value,
+            estimate_without_run,
             shift,
-            shift / math.sqrt(variance_of_shift) if is_resolved else None,
-            finite_dof(dof_of_shift) if is_resolved else None,
+            shift / math.sqrt(shift_variance) if is_resolved else None,
+            finite_dof(shift_dof) if is_resolved else None,
         )
     return list(shifts.values()) if len(run_names) > 1 else []
 
 
 def _shift_variances(
-    estimated: Estimate, fit: JointFit, runs: Sequence[str], index: int
+    estimate: Estimate, fit: JointFit, runs: Sequence[str], index: int
 ) -> tuple[Array, Array]:
     """Return the variance of each run's shift and its degrees of freedom, shapes (runs,)."""
-    variance = _base_variances(fit, runs, index)
-    inverse = np.zeros(len(runs))
+    variances = _known_shift_variances(fit, runs, index)
+    inverse_dofs = np.zeros(len(runs))
     owner = fit.model.unknowns[index].owner
-    estimate = estimated.estimated_noise.get(owner)
-    covariance = noise_covariances(estimated.fit.noise, estimated.estimated_noise).get(owner)
+    noise_estimate = estimate.estimated_noise.get(owner)
+    covariance = noise_covariances(estimate.fit.noise, estimate.estimated_noise).get(owner)
     if covariance is not None and runs:
-        loss = estimated.information_losses.get(owner)
-        slopes = shift_variance_sensitivities(
-            fit, information_losses(fit, owner) if loss is None else loss, runs, index
+        losses = estimate.information_losses.get(owner)
+        sensitivities = shift_variance_sensitivities(
+            fit, information_losses(fit, owner) if losses is None else losses, runs, index
         )
-        inverse = 1.0 / effective_dof(variance, slopes, covariance)
-        if estimate is not None and estimate.undetected_walk is not None:
-            slope = slopes[:, COMPONENTS.index("random_walk")]
-            variance, inverse = _add_undetected_walk(
-                estimate.undetected_walk, variance, slope, inverse
+        inverse_dofs = 1.0 / effective_dof(variances, sensitivities, covariance)
+        if noise_estimate is not None and noise_estimate.undetected_walk is not None:
+            walk_sensitivities = sensitivities[:, COMPONENTS.index("random_walk")]
+            variances, inverse_dofs = _add_undetected_walk(
+                noise_estimate.undetected_walk, variances, walk_sensitivities, inverse_dofs
             )
     with np.errstate(divide="ignore"):
-        return variance, 1.0 / inverse
+        return variances, 1.0 / inverse_dofs
 
 
 def _solution_without(fit: JointFit, run: str) -> Solution:
@@ -100,16 +98,18 @@ def _solution_without(fit: JointFit, run: str) -> Solution:
     return solution
 
 
-def _base_variances(fit: JointFit, runs: Sequence[str], index: int) -> Array:
-    """Return the variance of each run's shift, by noise that shows and by what is considered."""
-    full = fit.solution
+def _known_shift_variances(fit: JointFit, runs: Sequence[str], index: int) -> Array:
+    """Return the variance of each shift due to detected noise, priors and considered terms."""
+    full_solution = fit.solution
     variances = np.zeros(len(runs))
     for k, run in enumerate(runs):
         reduced_solution = _solution_without(fit, run)
-        covariances = [s.covariance_noise + s.covariance_prior for s in (reduced_solution, full)]
-        # What is considered moves both, and the shift by the difference.
-        sensitivities = [s.sensitivity_considered[index] for s in (reduced_solution, full)]
-        considered_shift = (sensitivities[0] - sensitivities[1]) * full.considered_sd
+        covariances = [
+            s.covariance_noise + s.covariance_prior for s in (reduced_solution, full_solution)
+        ]
+        # A considered term shifts both estimates.
+        sensitivities = [s.sensitivity_considered[index] for s in (reduced_solution, full_solution)]
+        considered_shift = (sensitivities[0] - sensitivities[1]) * full_solution.considered_sd
         difference = float(covariances[0][index, index] - covariances[1][index, index])
         variances[k] = max(difference, 0.0) + float(considered_shift @ considered_shift)
     return variances
@@ -120,22 +120,22 @@ def shift_variance_sensitivities(
 ) -> Array:
     """Return the change of each shift's variance per unit of each noise variance, (runs, 4).
 
-    Both estimates keep their weights. With C the covariance, and L what the information loses, the
-    whole estimate's grows by C L C, that without the run by its own, and their covariance by the
-    mixed product; the run itself has no part in the latter two.
+    Both estimates keep their weights. With covariance C and information loss L, the variance of an
+    estimate grows by C L C, and the covariance of both estimates by the mixed product. Only the
+    variance of the estimate from all runs contains the loss of the omitted run.
 
     losses: `estimated_noise.information_losses` of the fit.
     """
-    full = fit.solution
-    unit = np.eye(len(fit.model.unknowns))
-    full_root = full.covariance_root(unit[index : index + 1])[0]
+    full_solution = fit.solution
+    identity = np.eye(len(fit.model.unknowns))
+    full_root = full_solution.covariance_root(identity[index : index + 1])[0]
     sensitivities = np.zeros((len(runs), losses.shape[1]))
     for k, run in enumerate(runs):
         reduced_solution = _solution_without(fit, run)
-        # In the coordinates of the losses, in which the whole's own information is the identity.
-        root_without = full.whiten_unknowns(reduced_solution.weighted_covariance[index])
+        # In the coordinates of the losses, in which the information of all runs is the identity.
+        reduced_root = full_solution.whiten_unknowns(reduced_solution.weighted_covariance[index])
         other_losses = losses[[block.run != run for block in fit.design_blocks]].sum(axis=0)
-        root_change = root_without - full_root
+        root_change = reduced_root - full_root
         sensitivities[k] = (
             root_change @ other_losses @ root_change
             + full_root @ (losses.sum(axis=0) - other_losses) @ full_root
@@ -144,46 +144,48 @@ def shift_variance_sensitivities(
 
 
 def _add_undetected_walk(
-    unseen: UndetectedWalk, variance: Array, slope: Array, inverse: Array
+    walk: UndetectedWalk, variances: Array, sensitivities: Array, inverse_dofs: Array
 ) -> tuple[Array, Array]:
-    """Return variances of shifts and inverse degrees of freedom with a walk that does not show."""
-    active = (variance > 0.0) & (slope > 0.0)
-    if not active.any():
-        return variance, inverse
-    variance, inverse = variance.copy(), inverse.copy()
-    level, inverse[active] = marginal_walk(unseen, variance[active], slope[active], inverse[active])
-    variance[active] += level * slope[active]
-    return variance, inverse
+    """Return variances of shifts and inverse degrees of freedom with an undetected walk."""
+    is_affected = (variances > 0.0) & (sensitivities > 0.0)
+    if not is_affected.any():
+        return variances, inverse_dofs
+    variances, inverse_dofs = variances.copy(), inverse_dofs.copy()
+    walk_variance, inverse_dofs[is_affected] = marginal_walk(
+        walk, variances[is_affected], sensitivities[is_affected], inverse_dofs[is_affected]
+    )
+    variances[is_affected] += walk_variance * sensitivities[is_affected]
+    return variances, inverse_dofs
 
 
 # Slow residuals --------------------------------------------------------------------------------
 
-#: Cosines beyond the last one that the accelerometer's noise dominates; most of all.
-_FURTHER_COSINES: Final = 2
+#: Number of cosines after the last one that the noise of the accelerometer dominates.
+_EXTRA_COSINES: Final = 2
 _MAX_COSINES: Final = 24
 
-#: Singular value of columns of unit size below which the unknowns follow all of one.
+#: Singular value of unit columns below which the unknowns explain a combination completely.
 _RANK_TOLERANCE: Final = 1e-4
 
 
 @frozen
 class SlowResiduals:
-    """The slow part of one run's residuals, against those of the other runs."""
+    """Comparison of the slow residuals of a run with those of the other runs."""
 
-    run: str  #: The run.
-    ratio: float  #: Its mean square over that of the others.
-    p: float  #: Probability of as large a ratio or a larger one by chance, for this run alone.
+    run: str  #: Name of the run.
+    ratio: float  #: Mean square of the run over that of the other runs.
+    p: float  #: Probability of a ratio at least this large by chance, for this run alone.
 
 
 def compare_slow_residuals(fit: JointFit, accelerometer: str) -> list[SlowResiduals]:
-    """Compare the slow residuals of each run of an accelerometer with those of its others."""
+    """Compare the slow residuals of each run of an accelerometer with those of its other runs."""
     indices = [
         i for i, block in enumerate(fit.design_blocks) if block.accelerometer == accelerometer
     ]
     cosines = [
         Alternative("cosine", str(i), "cosine", {i: column})
         for i in indices
-        for column in _cosines(fit, fit.design_blocks[i])
+        for column in _slow_cosines(fit, fit.design_blocks[i])
     ]
     if len(indices) < 2:
         return []
@@ -195,10 +197,12 @@ def compare_slow_residuals(fit: JointFit, accelerometer: str) -> list[SlowResidu
         left_vectors, singular_values, _ = np.linalg.svd(run_columns, full_matrices=False)
         basis = left_vectors[:, singular_values > _RANK_TOLERANCE]
         energies.append((float(np.sum((basis.T @ projection.residual) ** 2)), basis.shape[1]))
-    return [_f_test(fit.design_blocks[i], energies, k) for k, i in enumerate(indices)]
+    return [_compare_energies(fit.design_blocks[i], energies, k) for k, i in enumerate(indices)]
 
 
-def _f_test(block: DesignBlock, energies: list[tuple[float, int]], k: int) -> SlowResiduals:
+def _compare_energies(
+    block: DesignBlock, energies: list[tuple[float, int]], k: int
+) -> SlowResiduals:
     from scipy.special import fdtrc
 
     run_energy, run_dof = energies[k]
@@ -210,19 +214,21 @@ def _f_test(block: DesignBlock, energies: list[tuple[float, int]], k: int) -> Sl
     return SlowResiduals(block.run, ratio, float(fdtrc(run_dof, other_dof, ratio)))
 
 
-def _cosines(fit: JointFit, block: DesignBlock) -> list[Array]:
-    """Return cosines of half periods in a record, up to where its own noise is the larger one."""
+def _slow_cosines(fit: JointFit, block: DesignBlock) -> list[Array]:
+    """Return cosines of half periods of a record, up to the corner frequency of its noise."""
     series = block.series
     noise = series.total_noise(fit.noise[series.accelerometer])
-    length = float(series.time[-1] - series.time[0])
-    per_sample = length / float(np.sum(series.count))
-    white = math.sqrt(noise.sample_variance * per_sample)
-    count = _MAX_COSINES
+    duration = float(series.time[-1] - series.time[0])
+    sample_interval = duration / float(np.sum(series.count))
+    white_density = math.sqrt(noise.sample_variance * sample_interval)
+    n_cosines = _MAX_COSINES
     if (
         series.order
-        and noise.random_walk < white * (math.pi * _MAX_COSINES / length) ** series.order
+        and noise.random_walk < white_density * (math.pi * _MAX_COSINES / duration) ** series.order
     ):
-        corner = (noise.random_walk / white) ** (1.0 / series.order)
-        count = min(_MAX_COSINES, math.ceil(corner * length / math.pi) + _FURTHER_COSINES)
-    phase = math.pi * (series.time - series.time[0]) / length
-    return [np.cos(j * phase) for j in range(1, count + 1)]
+        corner_frequency = (noise.random_walk / white_density) ** (1.0 / series.order)
+        n_cosines = min(
+            _MAX_COSINES, math.ceil(corner_frequency * duration / math.pi) + _EXTRA_COSINES
+        )
+    phase = math.pi * (series.time - series.time[0]) / duration
+    return [np.cos(j * phase) for j in range(1, n_cosines + 1)]

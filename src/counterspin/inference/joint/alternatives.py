@@ -1,14 +1,14 @@
-"""Parameters that would explain the records better than the model, one at a time.
+"""Score tests of single additional parameters.
 
-Each alternative is one parameter that the fit holds at nothing: a prior that may be wrong, an input
-that may be another, a scale, a jump. Its column is held against the whitened residuals of the fit
-(score or Lagrange-multiplier test: Rao, Proc. Cambridge Phil. Soc. 44 (1948) 50). What the unknowns
-can follow of the column is projected out; the rest, c, and the residuals e give the parameter's
-estimate c'e/c'c, its standard deviation 1/|c| and the gain (c'e)^2/c'c in chi-square, exactly what
-a fit with the parameter would give.
+Each alternative is a parameter that the fit fixes at zero, such as the error of a prior or an
+input, a scale or a jump. Its column is tested against the whitened residuals of the fit (score or
+Lagrange-multiplier test: Rao, Proc. Cambridge Phil. Soc. 44 (1948) 50). With the unknowns projected
+out of the column c and the residuals e, the estimate of the parameter is c'e/c'c, its standard
+deviation 1/|c| and the gain in chi-square (c'e)^2/c'c. A fit with the parameter gives the same
+values.
 
-For a prior the column is its own row, so that its parameter is the distance of the prior from what
-everything else says, and the test is that of the prior's misfit (Baarda's w-test).
+For a prior, the parameter is the distance of the prior from the estimate of all other data, and the
+test is Baarda's w-test.
 """
 
 from __future__ import annotations
@@ -30,46 +30,45 @@ from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import Block, Solution
 from counterspin.physics.terms import INPUTS, mounting_name
 
-#: Of the centrifuge, and behind a point each mounting's.
+#: Radius of the centrifuge; for a mounting, a point and its name follow.
 RADIUS: Final = "centrifuge.radius"
 
 
 @frozen
 class Alternative:
-    """Alternative hypothesis: one parameter that a fit fixes at zero."""
+    """Alternative hypothesis: a parameter that a fit fixes at zero."""
 
-    kind: str  #: What kind of thing it is, for words.
+    kind: str  #: Kind of the parameter, such as ``prior``, ``input`` or a kind of mistake.
     owner: str  #: An accelerometer, a run, or empty: the campaign.
-    symbol: str  #: What is otherwise: a term, an input, or a word of its own.
-    #: Place of an observation -> what it shows of one unit, in its own unit, shape (n,).
+    symbol: str  #: A term, an input, or the name of a mistake.
+    #: Index of an observation -> effect of one unit, in the unit of the observation, shape (n,).
     columns: Mapping[int, Array] = field(default_factory=dict, repr=False, compare=False)
-    #: Place of an unknown -> by how much one unit moves its prior.
+    #: Index of an unknown -> shift of its prior per unit.
     prior_shifts: Mapping[int, float] = field(default_factory=dict, compare=False)
-    time: float | None = None  #: Where in a run, s; None where it has no place.
-    #: Between which sizes the parameter is credible.
-    credible_range: tuple[float, float] = (-math.inf, math.inf)
-    #: Between which, within these, it is not; empty unless the second is the larger one.
+    time: float | None = None  #: Time in a run, s; None: not localised.
+    credible_range: tuple[float, float] = (-math.inf, math.inf)  #: Range of credible values.
+    #: Excluded values inside the credible range; empty unless the second limit is larger.
     excluded_range: tuple[float, float] = (0.0, 0.0)
-    #: Sizes about which alone it is likely, and how far from one; empty: any size.
+    #: Values near which the parameter is likely, and the largest distance; empty: any value.
     likely_values: tuple[float, ...] = ()
     likely_tolerance: float = math.inf
-    #: Its typical size; None of a mistake, which is of any size.
+    #: Default standard uncertainty; None for a mistake, which may have any size.
     default_sd: float | None = None
-    stated: bool = False  #: Whether a value of it was written down, perhaps by mistake.
+    stated: bool = False  #: True if the description states a value, which may be mistaken.
 
     def is_credible(self, value: float) -> bool:
-        """Return whether the parameter may be as large as that."""
-        (lowest, highest), (excluded_low, excluded_high) = self.credible_range, self.excluded_range
-        return lowest <= value <= highest and not excluded_low < value < excluded_high
+        """Return whether a value of the parameter is credible."""
+        (low, high), (excluded_low, excluded_high) = self.credible_range, self.excluded_range
+        return low <= value <= high and not excluded_low < value < excluded_high
 
     def is_implausible(self, value: float) -> bool:
-        """Return whether the parameter is credible, but far from every likely size."""
+        """Return whether a value is far from every likely value."""
         distance = min((abs(value - likely) for likely in self.likely_values), default=0.0)
         return distance > self.likely_tolerance
 
     @property
     def name(self) -> str:
-        """Owner and symbol in one word."""
+        """Owner and symbol, separated by a point."""
         return f"{self.owner}.{self.symbol}" if self.owner else self.symbol
 
 
@@ -78,17 +77,16 @@ class ScoreTests:
     """Score tests of m alternatives."""
 
     alternatives: tuple[Alternative, ...]  #: The alternatives.
-    #: Estimate of each parameter and its standard uncertainty, shape (m,); u is infinite where the
-    #: unknowns can follow all of it.
+    #: Estimate of each parameter and its standard uncertainty, shape (m,); u is infinite if the
+    #: unknowns explain its effect completely.
     value: Array
     u: Array
-    #: Distance from nothing in standard deviations, the residuals' own scale being allowed for
-    #: (shape (m,)); 0 where it cannot be told.
+    #: Estimate in standard deviations, scaled by the residuals, shape (m,); 0 if untestable.
     z: Array
-    dof: float  #: Degrees of freedom of that scale.
+    dof: float  #: Degrees of freedom of the scale of the residuals.
 
     def p(self, index: int) -> float:
-        """Probability of as large a size or a larger one by chance, for one test alone."""
+        """Return the probability of a value at least this large by chance, for a single test."""
         return 2.0 * student_cdf(max(self.dof, 1.0), -float(self.z[index]))
 
     @property
@@ -98,28 +96,28 @@ class ScoreTests:
 
 
 def prior_alternatives(fit: JointFit) -> tuple[Alternative, ...]:
-    """Return the alternatives that a relaxed fit has in itself: one prior is wrong, or several.
+    """Return the alternatives of wrong stated priors.
 
-    One for each unknown of which something is stated; one for each term that several runs have
-    anew, one for all its components, and one for the radius of several mountings: they are off
-    alike if one mistake made them so.
+    There is an alternative for each unknown with a stated prior. Terms of several runs, their
+    components, and radii of several mountings have common alternatives too, because a single
+    mistake may affect all of them.
     """
     indexed_unknowns = [
         (index, unknown)
         for index, unknown in _unknowns_with_prior(fit)
         if not unknown.has_default_prior
     ]
-    single = (
+    single_alternatives = (
         Alternative(
             "prior", *_owner_and_symbol(u), prior_shifts={k: 1.0}, credible_range=_credible_range(u)
         )
         for k, u in indexed_unknowns
     )
-    return (*single, *_shared_alternatives(fit, indexed_unknowns))
+    return (*single_alternatives, *_shared_alternatives(fit, indexed_unknowns))
 
 
 def default_prior_alternatives(fit: JointFit) -> tuple[Alternative, ...]:
-    """Return likewise the alternatives that something unstated is far from its typical size."""
+    """Return the alternatives of parameters far outside their default priors."""
     indexed_unknowns = [
         (index, unknown)
         for index, unknown in _unknowns_with_prior(fit)
@@ -138,7 +136,7 @@ def default_prior_alternatives(fit: JointFit) -> tuple[Alternative, ...]:
 
 
 def _unknowns_with_prior(fit: JointFit) -> list[tuple[int, Unknown]]:
-    """Return places and unknowns of which something is known beforehand, but for encoders'."""
+    """Return indices and unknowns with a prior, without encoder terms."""
     return [
         (index, unknown)
         for index, unknown in enumerate(fit.model.unknowns)
@@ -151,37 +149,35 @@ def _owner_and_symbol(unknown: Unknown) -> tuple[str, str]:
 
 
 def _credible_range(unknown: Unknown) -> tuple[float, float]:
-    """Return how far from its prior an unknown may credibly be, below and above."""
+    """Return the credible range of an unknown, relative to its prior."""
     mean, limit = unknown.prior_mean, unknown.limit
-    limit += abs(mean) if abs(mean) > limit else 0.0  # what is stated counts as credible
+    limit += abs(mean) if abs(mean) > limit else 0.0  # the stated value is credible
     return -limit - mean, limit - mean
 
 
 def _shared_alternatives(
     fit: JointFit, indexed_unknowns: Sequence[tuple[int, Unknown]]
 ) -> Iterator[Alternative]:
-    """Yield one alternative for each term, and each family of terms, that several runs have.
+    """Yield an alternative for each term, and family of terms, of several runs.
 
-    And one for the radius that several mountings have by one statement.
+    The radii of several mountings that depend on one statement have an alternative too.
     """
     runs = {block.run for block in fit.design_blocks}
-    groups: dict[str, dict[int, float]] = {}
+    prior_shifts: dict[str, dict[int, float]] = {}
     for index, unknown in indexed_unknowns:
         if unknown.owner in runs:
             family, _, _ = unknown.symbol.rpartition(".")
             for name in (unknown.symbol, family) if family else (unknown.symbol,):
-                groups.setdefault(name, {})[index] = 1.0
+                prior_shifts.setdefault(name, {})[index] = 1.0
         elif unknown.symbol == f"{RADIUS}.{mounting_name(unknown.symbol)}":
-            groups.setdefault(RADIUS, {})[index] = 1.0
-    groups_done: list[Mapping[int, float]] = []
-    for symbol, indices in groups.items():
-        if len(indices) > 1 and indices not in groups_done:
-            groups_done.append(indices)
-            limit = min(fit.model.unknowns[index].limit for index in indices)
+            prior_shifts.setdefault(RADIUS, {})[index] = 1.0
+    unique_shifts: list[Mapping[int, float]] = []
+    for symbol, shifts in prior_shifts.items():
+        if len(shifts) > 1 and shifts not in unique_shifts:
+            unique_shifts.append(shifts)
+            limit = min(fit.model.unknowns[index].limit for index in shifts)
             kind = "prior" if symbol == RADIUS else "priors"  # one statement, or one a run
-            yield Alternative(
-                kind, "", symbol, prior_shifts=indices, credible_range=(-limit, limit)
-            )
+            yield Alternative(kind, "", symbol, prior_shifts=shifts, credible_range=(-limit, limit))
 
 
 def run_score_tests(
@@ -189,32 +185,36 @@ def run_score_tests(
 ) -> ScoreTests:
     """Run a score test of each alternative against a fit.
 
-    The residuals' own scale is that which they would have with the alternative (an F test). It
-    counts where it is larger than the noise, and where the noise was estimated from them.
+    The scale of the residuals is that of a fit with the alternative (F test). With given noise, it
+    is at least 1.
 
     noise_given: Whether the noise was given.
     """
-    # Rows that hold the columns of a single observation are few: those of a group at a time.
-    groups: dict[frozenset[int], list[int]] = {}
+    # Alternatives of the same observations share their augmented rows.
+    indices_by_observations: dict[frozenset[int], list[int]] = {}
     for index, alternative in enumerate(alternatives):
-        groups.setdefault(frozenset(alternative.columns), []).append(index)
+        indices_by_observations.setdefault(frozenset(alternative.columns), []).append(index)
     value, u, z = np.zeros((3, len(alternatives)))
     dof = max(fit.solution.dof - 1.0, 1.0)
-    for group in groups.values():
-        projected_columns = project_columns(fit, [alternatives[index] for index in group])
+    for indices in indices_by_observations.values():
+        projected_columns = project_columns(fit, [alternatives[index] for index in indices])
         columns, residual = projected_columns.columns, projected_columns.residual
-        norms = np.sum(columns**2, axis=0)
-        is_testable = norms > MIN_RESIDUAL_FRACTION * projected_columns.squared_norms
-        norms = np.where(is_testable, norms, np.inf)
-        product = columns.T @ residual
-        gain = product**2 / norms
+        squared_norms = np.sum(columns**2, axis=0)
+        is_testable = squared_norms > MIN_RESIDUAL_FRACTION * projected_columns.squared_norms
+        squared_norms = np.where(is_testable, squared_norms, np.inf)
+        inner_products = columns.T @ residual
+        gain = inner_products**2 / squared_norms
         residual_rss = projected_columns.rss + float(residual @ residual)
-        scale = np.maximum(residual_rss - gain, 0.0) / dof
+        variance_factor = np.maximum(residual_rss - gain, 0.0) / dof
         if noise_given:
-            scale = np.maximum(scale, 1.0)
-        value[group] = product / norms
-        u[group] = np.where(is_testable, np.sqrt(scale / np.where(is_testable, norms, 1.0)), np.inf)
-        z[group] = np.sqrt(gain / np.maximum(scale, np.finfo(float).tiny))
+            variance_factor = np.maximum(variance_factor, 1.0)
+        value[indices] = inner_products / squared_norms
+        u[indices] = np.where(
+            is_testable,
+            np.sqrt(variance_factor / np.where(is_testable, squared_norms, 1.0)),
+            np.inf,
+        )
+        z[indices] = np.sqrt(gain / np.maximum(variance_factor, np.finfo(float).tiny))
     return ScoreTests(tuple(alternatives), value, u, z, dof)
 
 
@@ -222,20 +222,18 @@ def run_score_tests(
 class ProjectedColumns:
     """Columns of alternatives, projected onto the residual space of a fit."""
 
-    columns: Array  #: Of m alternatives in the rows of blocks and priors, shape (rows, m).
-    residual: Array  #: The fit's, in these rows, shape (rows,).
-    rss: float  #: Sum of squares of what these rows do not hold of the residuals.
-    squared_norms: (
-        Array  #: Sums of squares of the columns before anything was taken away, shape (m,).
-    )
+    columns: Array  #: Columns of m alternatives in the rows of blocks and priors, shape (rows, m).
+    residual: Array  #: Residuals of the fit in these rows, shape (rows,).
+    rss: float  #: Sum of squares of the residuals outside these rows.
+    squared_norms: Array  #: Sums of squares of the columns before the projection, shape (m,).
     dof: float  #: Degrees of freedom of the fit.
-    row_slices: tuple[slice, ...]  #: Which rows are those of each observation.
+    row_slices: tuple[slice, ...]  #: Rows of each observation.
 
 
 def project_columns(fit: JointFit, alternatives: Sequence[Alternative]) -> ProjectedColumns:
-    """Project alternatives off a fit; arguments as in `run_score_tests`."""
+    """Project the columns of alternatives onto the residual space of a fit."""
     blocks, solution, augmented_rows = _augment_rows(fit, [a for a in alternatives if a.columns])
-    data, priors = _columns(alternatives, blocks, solution, augmented_rows)
+    data, priors = _alternative_columns(alternatives, blocks, solution, augmented_rows)
     target = np.concatenate([block.target for block in blocks])
     is_fixed = solution.prior_sd == 0.0
     factor = np.vstack([block.factor for block in blocks])
@@ -256,28 +254,28 @@ def project_columns(fit: JointFit, alternatives: Sequence[Alternative]) -> Proje
 def undetected_effects(fit: JointFit, alternatives: Sequence[Alternative]) -> tuple[Array, Array]:
     """Return the effect of one unit of each alternative outside the space of the fit.
 
-    Returns: the size of what it leaves in the residuals, in standard deviations, shape (m,), and by
-        how much it moves the unknowns, shape (p, m).
+    Returns: norms of the effects in the residuals, in standard deviations, shape (m,), and shifts
+        of the unknowns, shape (p, m).
     """
     blocks, solution, augmented_rows = _augment_rows(fit, [a for a in alternatives if a.columns])
-    data, priors = _columns(alternatives, blocks, solution, augmented_rows)
+    data, priors = _alternative_columns(alternatives, blocks, solution, augmented_rows)
     effects = np.linalg.norm(solution.project_out(data, priors), axis=0)
     return effects, solution.undetected_shifts(data, priors)
 
 
 def _row_slices(blocks: Sequence[Block]) -> tuple[slice, ...]:
-    ends = np.cumsum([block.factor.shape[0] for block in blocks]).tolist()
-    return tuple(map(slice, [0, *ends], ends))
+    row_ends = np.cumsum([block.factor.shape[0] for block in blocks]).tolist()
+    return tuple(map(slice, [0, *row_ends], row_ends))
 
 
 def _augment_rows(
-    fit: JointFit, with_columns: Sequence[Alternative]
+    fit: JointFit, alternatives: Sequence[Alternative]
 ) -> tuple[Sequence[Block], Solution, Array]:
-    """Return blocks and solution of a fit in rows that hold further columns, and these columns."""
-    if not with_columns:
+    """Return blocks and solution of a fit in augmented rows, and the additional columns."""
+    if not alternatives:
         return fit.blocks, fit.solution, np.empty((0, 0))
     p = len(fit.model.unknowns)
-    columns = [alternative.columns for alternative in with_columns]
+    columns = [alternative.columns for alternative in alternatives]
     blocks = list(fit.blocks)
     augmented_rows = [np.zeros((block.factor.shape[0], len(columns))) for block in blocks]
     for index in {block_index for column in columns for block_index in column}:
@@ -287,25 +285,25 @@ def _augment_rows(
     return blocks, solve_blocks(blocks, fit.model), np.vstack(augmented_rows)
 
 
-def _columns(
+def _alternative_columns(
     alternatives: Sequence[Alternative],
     blocks: Sequence[Block],
     solution: Solution,
     augmented_rows: Array,
 ) -> tuple[Array, Array]:
-    """Return the columns in the blocks' rows and in those of the priors, (rows, m) and (p, m)."""
+    """Return the columns in the rows of blocks and of priors, shapes (rows, m) and (p, m)."""
     factor = np.vstack([block.factor for block in blocks])
     data = np.zeros((len(alternatives), factor.shape[0])).T  # columns in one piece
     priors = np.zeros((solution.estimate.size, len(alternatives)))
-    remaining = iter(augmented_rows.T)
+    remaining_columns = iter(augmented_rows.T)
     for k, alternative in enumerate(alternatives):
         if alternative.columns:
-            data[:, k] = next(remaining)
+            data[:, k] = next(remaining_columns)
         for unknown_index, shift in alternative.prior_shifts.items():
             if solution.prior_sd[unknown_index] > 0.0:
                 priors[unknown_index, k] = -shift
             else:
-                # What is known exactly is no unknown: the records show how it is otherwise.
+                # An exactly known parameter has no prior row; use its column in the records.
                 data[:, k] += shift * factor[:, unknown_index]
-    # A prior that is too large by 1 has a row whose target is too large by 1/sd.
+    # For a prior that is too large by 1, the target of its row is too large by 1/sd.
     return data, solution.whiten_priors(priors)

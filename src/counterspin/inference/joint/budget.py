@@ -1,4 +1,4 @@
-"""The uncertainty budget: where u of a coefficient comes from."""
+"""Uncertainty budget of a coefficient."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ from counterspin.inference.joint.unknowns import (
 from counterspin.inference.noise.components import NOISE_COMPONENTS
 from counterspin.inference.priors import conditional_priors, prior_root
 
-#: Lines below this share of u^2 say nothing.
-_NEGLIGIBLE: Final = 1e-12
+#: Lines below this share of u^2 are omitted.
+_NEGLIGIBLE_SHARE: Final = 1e-12
 
-#: Units of the parts of a rotation; that of a ripple is rad/s.
+#: Units of the components of a rotation; the unit of a ripple is rad/s.
 _ENCODER_UNITS: Final = {"angle": "rad", "rate": "rad/s", "drift": "1/s"}
 
 
 def budget(fit: JointFit, index: int, name: str = "") -> list[BudgetLine]:
-    """Return the budget of one unknown; as `combination_budget`."""
+    """Return the budget of an unknown; see `combination_budget`."""
     return combination_budget(fit, np.eye(len(fit.model.unknowns))[index], name)
 
 
 def combination_budget(fit: JointFit, weights: Array, name: str = "") -> list[BudgetLine]:
     """Return the budget of a combination of the unknowns, largest contribution first.
 
-    name: An accelerometer, whose own terms are named without it.
+    name: Accelerometer whose name is omitted from the names of its terms.
     """
     solution, model = fit.solution, fit.model
     contributions = solution.combine(weights)
@@ -56,61 +56,61 @@ def combination_budget(fit: JointFit, weights: Array, name: str = "") -> list[Bu
         for source, share in _noise_by_source(fit, contributions.noise_rows, rate_variances).items()
     ]
     lines += _rate_lines(fit, rate_variances)
-    for source, (level, covariance) in fit.undetected_walks.items():
+    for source, (walk, covariance) in fit.undetected_walks.items():
         source_name = f"undetected noise of {source}"
         unit = NOISE_COMPONENTS["random_walk"].unit
         effect = math.sqrt(float(weights @ covariance @ weights))
-        slope = effect / level if level else 0.0
-        lines.append(BudgetLine(source_name, NOISE, level, unit, slope, effect, 0.0))
+        slope = effect / walk if walk else 0.0
+        lines.append(BudgetLine(source_name, NOISE, walk, unit, slope, effect, 0.0))
     terms = (*model.unknowns, *model.considered)
     sensitivity = (solution.sensitivity_prior, solution.sensitivity_considered)
     slopes = np.concatenate([weights @ matrix for matrix in sensitivity])
     effects = (*contributions.prior, *contributions.considered)
-    rotation: dict[tuple[str, str], list[float]] = {}
-    conditional = conditional_priors(model.unknowns, name)
+    encoder_effects: dict[tuple[str, str], list[float]] = {}
+    conditional_sources = conditional_priors(model.unknowns, name)
     for term, slope, effect in zip(terms, map(float, slopes), map(float, effects), strict=True):
         if term.symbol in encoder.SYMBOLS:
             component = term.owner, encoder.rotation_component(term.symbol)
-            rotation.setdefault(component, []).append(effect)
-        elif term.name in conditional:
-            source, u = conditional[term.name]
+            encoder_effects.setdefault(component, []).append(effect)
+        elif term.name in conditional_sources:
+            source, u = conditional_sources[term.name]
             lines.append(BudgetLine(source, STATED, u, term.unit, effect / u, abs(effect), 0.0))
         elif math.isfinite(u := term.prior[1]):
             source = term.name.removeprefix(f"{name}.")
             lines.append(BudgetLine(source, kind_of(term), u, term.unit, slope, abs(effect), 0.0))
-    lines += _encoder_lines(fit, rotation)
+    lines += _encoder_lines(fit, encoder_effects)
     variance = sum(line.contribution**2 for line in lines)
     if variance == 0.0:
         return []
     lines = [replace(line, share=line.contribution**2 / variance) for line in lines]
-    significant_lines = [line for line in lines if line.share > _NEGLIGIBLE]
+    significant_lines = [line for line in lines if line.share > _NEGLIGIBLE_SHARE]
     return sorted(significant_lines, key=lambda line: -line.contribution)
 
 
 def kind_of(term: Unknown) -> Kind:
-    """Return how something is known of a term of a fit."""
+    """Return the category of a term in a budget."""
     if isinstance(term, Considered):
         return CONSIDERED
     return DEFAULT_PRIOR if term.has_default_prior else STATED
 
 
 def _encoder_lines(
-    fit: JointFit, rotation: Mapping[tuple[str, str], Sequence[float]]
+    fit: JointFit, encoder_effects: Mapping[tuple[str, str], Sequence[float]]
 ) -> Iterator[BudgetLine]:
-    """Yield each part of each run's rotation, whose terms, estimated or held, are one line."""
+    """Yield a line for each component of the rotation of each run."""
     errors = {block.run: block.series.angle_error for block in fit.design_blocks}
-    for (run, component), contributions in rotation.items():
+    for (run, component), contributions in encoder_effects.items():
         error = errors[run]
         u = error.u[component] if error else 0.0
-        combined = math.hypot(*contributions) if len(contributions) > 1 else contributions[0]
-        slope, unit = combined / u if u else 0.0, _ENCODER_UNITS.get(component, "rad/s")
-        yield BudgetLine(f"{run}.{component}", NOISE, u, unit, slope, abs(combined), 0.0)
+        effect = math.hypot(*contributions) if len(contributions) > 1 else contributions[0]
+        slope, unit = effect / u if u else 0.0, _ENCODER_UNITS.get(component, "rad/s")
+        yield BudgetLine(f"{run}.{component}", NOISE, u, unit, slope, abs(effect), 0.0)
 
 
 def _rate_lines(
     fit: JointFit, rate_variances: Sequence[tuple[float, float]]
 ) -> Iterator[BudgetLine]:
-    """Yield the random errors of rates that are stated, and those of the default size."""
+    """Yield a line each for stated and default random errors of rates."""
     kinds: tuple[Kind, ...] = (STATED, DEFAULT_PRIOR)
     for i, (kind, variances) in enumerate(
         zip(kinds, zip(*rate_variances, strict=True), strict=True)
@@ -127,7 +127,7 @@ def _rate_lines(
 def _noise_by_source(
     fit: JointFit, rows: Array, rate_variances: Sequence[tuple[float, float]]
 ) -> dict[str, float]:
-    """Sum the rows' contributions over the observations of each source, except those of rates."""
+    """Return the noise contribution of each source, without the errors of rates."""
     variances: dict[str, float] = {}
     start = 0
     for block, observation, rate_variance in zip(
@@ -141,7 +141,7 @@ def _noise_by_source(
 
 
 def u_by_category(fit: JointFit, weights: Array) -> tuple[float, float, float]:
-    """Return u of a combination of the unknowns by category; as `unknown_u_by_category`."""
+    """Return u of a combination by category; see `unknown_u_by_category`."""
     effects = fit.solution.combine(weights)
     variances = _variances_by_category(fit, weights, effects.noise**2 + effects.undetected**2)
     terms = (*fit.model.unknowns, *fit.model.considered)
@@ -158,7 +158,7 @@ def _category(unknown: Unknown) -> Kind:
 
 
 def _variances_by_category(fit: JointFit, weights: Array, noise: float) -> dict[str, float]:
-    """Return a variance of observations by kind: the errors of rates are not noise."""
+    """Split the variance of observations by category: rate errors are not noise."""
     rate_variances = [
         observation.rate_variances(fit.solution, weights) for observation in fit.observations
     ]
@@ -169,7 +169,7 @@ def _variances_by_category(fit: JointFit, weights: Array, noise: float) -> dict[
 
 
 def unknown_u_by_category(fit: JointFit, index: int) -> tuple[float, float, float]:
-    """Return u of an unknown from noise, from what is stated and from what is not."""
+    """Return u of an unknown due to noise, stated priors and default priors."""
     solution, model = fit.solution, fit.model
     weights = np.eye(len(model.unknowns))[index]
     noise = float(solution.covariance_noise[index, index])

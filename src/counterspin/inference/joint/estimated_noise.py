@@ -21,13 +21,13 @@ from counterspin.inference.noise.search import NoiseEstimate, effective_dof, est
 from counterspin.inference.noise.undetected_walk import marginal_walk
 from counterspin.inference.priors import prior_correlation, whiten_priors
 
-#: Least u of a prior in the likelihood, in units of the unknown's credible limit.
+#: Smallest u of a prior in the likelihood, relative to the credible limit of the unknown.
 _MIN_PRIOR_U: Final = 1e-12
 
-#: Part of a variance by which it is varied.
+#: Step of the logarithm of a variance.
 _LOG_STEP: Final = 1e-3
 
-_WALK: Final = COMPONENTS.index("random_walk")
+_WALK_INDEX: Final = COMPONENTS.index("random_walk")
 
 
 def estimate_noise_by_accelerometer(
@@ -35,7 +35,7 @@ def estimate_noise_by_accelerometer(
     model: Unknowns,
     requests: Mapping[str, Noise],
 ) -> tuple[dict[str, Noise], dict[str, NoiseEstimate]]:
-    """Return each accelerometer's noise, given or by restricted maximum likelihood."""
+    """Return the noise of each accelerometer, given or estimated by restricted likelihood."""
     noise: dict[str, Noise] = {}
     estimates: dict[str, NoiseEstimate] = {}
     for name, request in requests.items():
@@ -50,9 +50,9 @@ def estimate_noise_by_accelerometer(
 def _estimate_noise(
     design_blocks: Sequence[DesignBlock], model: Unknowns, request: Noise
 ) -> NoiseEstimate:
-    # These records tell less than all of them of what nobody asks for.
+    # More nuisance parameters are negligible in the records of a single accelerometer.
     design_blocks, model = compress_nuisance(design_blocks, model, {})
-    # What is considered is unknown here, or what it does to the records would be taken for noise.
+    # Considered terms are unknowns here; otherwise their effects would count as noise.
     unknowns, p = (*model.unknowns, *model.considered), len(model.unknowns)
     block_indices = [
         (*block.unknowns, *(p + place for place in block.considered)) for block in design_blocks
@@ -73,24 +73,24 @@ def _estimate_noise(
         )
         for block, indices in zip(design_blocks, block_indices, strict=True)
     ]
-    # Priors are data too; what has none is held as loosely as in the solution.
+    # Priors are data too; unknowns without a prior have the regularisation of the solution.
     used_unknowns = [unknowns[index] for index in used_indices]
     prior_sds = np.array(
         [max(unknown.prior_sd, _MIN_PRIOR_U * unknown.limit) for unknown in used_unknowns]
     )
-    means = np.array([unknown.prior_mean for unknown in used_unknowns])
+    prior_means = np.array([unknown.prior_mean for unknown in used_unknowns])
     correlation = prior_correlation(used_unknowns)
     prior_rows = whiten_priors(np.eye(len(used_unknowns)), prior_sds, correlation)
     return estimate_noise(
-        records, request, prior_rows, whiten_priors(means, prior_sds, correlation)
+        records, request, prior_rows, whiten_priors(prior_means, prior_sds, correlation)
     )
 
 
 def information_losses(fit: JointFit, name: str) -> Array:
-    """Return the loss of each series' information per unit of each noise variance.
+    """Return the information loss of each series per unit of each noise variance.
 
-    In the coordinates in which all information is the identity (`Solution.covariance_root`),
-    shape (series, 4, f, f); zero for other accelerometers' series.
+    Shape (series, 4, f, f), in the coordinates in which the total information is the identity
+    (`Solution.covariance_root`); zero for the series of other accelerometers.
     """
     root = fit.solution.covariance_root(np.eye(len(fit.model.unknowns)))
     losses = np.zeros((len(fit.design_blocks), len(COMPONENTS), root.shape[1], root.shape[1]))
@@ -107,50 +107,57 @@ def information_losses(fit: JointFit, name: str) -> Array:
 def noise_covariances(
     noise: Mapping[str, Noise], estimates: Mapping[str, NoiseEstimate]
 ) -> dict[str, Array]:
-    """Return the covariance of each noise's variances, (4, 4), of those that are not exact."""
+    """Return the covariance of the variances of each noise that is not exact, shape (4, 4)."""
     covariances: dict[str, Array] = {
         name: component.covariance for name, component in estimates.items()
     }
     for name, component in noise.items():
         if component.covariance:
-            # What is found here and what another record said are of different components.
+            # Estimates from these records and from other records are of different components.
             covariances[name] = np.array(component.covariance) + covariances.get(name, 0.0)
     return covariances
 
 
 def noise_level_dof(fit: JointFit, name: str) -> float:
-    """Return how well the level of a noise is known from another record, in degrees of freedom.
+    """Return the degrees of freedom of a noise level that is known from another record.
 
-    Of the whitened residuals' sum of squares each variance makes a share, by which a change of its
-    logarithm changes the log-determinant of their covariance. A wander makes nearly none.
+    Each variance has a share in the sum of squares of the whitened residuals: the derivative of the
+    log-determinant of their covariance with respect to its logarithm. Bias instability has nearly
+    none.
     """
     noise = fit.noise[name]
     if not noise.covariance:
         return math.inf
     series_list = [block.series for block in fit.design_blocks if block.accelerometer == name]
-    shares = sum(_row_equivalents(series, noise) for series in series_list)
-    gradient, variances = np.zeros((1, len(COMPONENTS))), np.array(noise.variances[: _WALK + 1])
-    np.divide(shares, variances, out=gradient[0, : _WALK + 1], where=variances > 0.0)
-    rows = sum(series.differences.rows for series in series_list)
-    return float(effective_dof([rows], gradient, np.array(noise.covariance))[0])
+    row_equivalents = sum(_row_equivalents(series, noise) for series in series_list)
+    gradient, variances = (
+        np.zeros((1, len(COMPONENTS))),
+        np.array(noise.variances[: _WALK_INDEX + 1]),
+    )
+    np.divide(row_equivalents, variances, out=gradient[0, : _WALK_INDEX + 1], where=variances > 0.0)
+    n_rows = sum(series.differences.rows for series in series_list)
+    return float(effective_dof([n_rows], gradient, np.array(noise.covariance))[0])
 
 
 def _row_equivalents(series: ResidualSeries, noise: Noise) -> Array:
-    """Return how many rows' worth of the whitened squares white noise and a walk make, (2,)."""
+    """Return the equivalent numbers of rows of white noise and of a random walk, shape (2,)."""
     upper, lower = math.exp(_LOG_STEP), math.exp(-_LOG_STEP)
 
-    def level(white: float, walk: float) -> float:
-        row_variance = white * noise.sample_variance + series.jitter_variance
-        return series.differences.factor(row_variance, walk * noise.random_walk**2)[1]
+    def log_determinant(white_factor: float, walk_factor: float) -> float:
+        row_variance = white_factor * noise.sample_variance + series.jitter_variance
+        return series.differences.factor(row_variance, walk_factor * noise.random_walk**2)[1]
 
-    by_white, by_walk = level(upper, 1.0) - level(lower, 1.0), level(1.0, upper) - level(1.0, lower)
-    return np.array([by_white, by_walk]) / (2.0 * _LOG_STEP)
+    white_rows, walk_rows = (
+        log_determinant(upper, 1.0) - log_determinant(lower, 1.0),
+        log_determinant(1.0, upper) - log_determinant(1.0, lower),
+    )
+    return np.array([white_rows, walk_rows]) / (2.0 * _LOG_STEP)
 
 
 def covariance_sensitivities(
     fit: JointFit, losses_by_name: Mapping[str, Array]
 ) -> dict[str, Array]:
-    """Return the change of the covariance per unit of each noise variance, (4, p, p).
+    """Return the change of the covariance per unit of each noise variance, shape (4, p, p).
 
     losses_by_name: Accelerometer -> `information_losses`.
     """
@@ -165,47 +172,51 @@ def inflate_covariance(
     estimates: Mapping[str, NoiseEstimate],
     dof: float | Array = math.inf,
 ) -> tuple[JointFit, Array]:
-    """Return a fit with what is left open of the variances of noises, and degrees of freedom, (p,).
+    """Return a fit with the uncertainty of estimated noise, and degrees of freedom, shape (p,).
 
-    The weights are what they are. So the degrees of freedom of a variance are Satterthwaite's,
-    those of several accelerometers adding up as their inverses, and a random walk that the records
-    do not show but allow adds its share. Considered terms have no part in the weights: their part
-    of the covariance stays as it is. Unknowns that are not determined, or known exactly, are left
-    as they are.
+    The weights do not change. The degrees of freedom follow Satterthwaite's formula, in which the
+    inverses of several accelerometers add up. An undetected random walk that the records allow adds
+    to the covariance. Considered terms, undetermined unknowns and exactly known unknowns are
+    unchanged.
 
-    sensitivities: Accelerometer -> what each of `COMPONENTS` adds to the covariance per unit,
-        (4, p, p).
-    noise, estimates: By accelerometer: its noise; how well it is known, where it was estimated.
-    dof: Degrees of freedom from all else.
+    sensitivities: Accelerometer -> change of the covariance per unit of each of `COMPONENTS`,
+        shape (4, p, p).
+    noise, estimates: Accelerometer -> its noise, and the estimate if it was estimated.
+    dof: Degrees of freedom from other sources.
     """
     solution = fit.solution
-    variance, inverse = np.diag(solution.covariance), 1.0 / np.full(len(fit.model.unknowns), dof)
+    variance, inverse_dof = (
+        np.diag(solution.covariance),
+        1.0 / np.full(len(fit.model.unknowns), dof),
+    )
     for name, covariance in noise_covariances(noise, estimates).items():
         gradient = np.diagonal(sensitivities[name], axis1=1, axis2=2).T
-        inverse += 1.0 / effective_dof(variance, gradient, covariance)
+        inverse_dof += 1.0 / effective_dof(variance, gradient, covariance)
     limits = np.array([unknown.limit for unknown in fit.model.unknowns])
     is_determined = (solution.u > 0.0) & (solution.u < limits)
     walks: dict[str, tuple[float, Array]] = {}
     for name, estimate in estimates.items():
         if estimate.undetected_walk is None:
             continue
-        slope = np.where(np.outer(is_determined, is_determined), sensitivities[name][_WALK], 0.0)
-        diagonal = np.diag(slope)
+        walk_sensitivity = np.where(
+            np.outer(is_determined, is_determined), sensitivities[name][_WALK_INDEX], 0.0
+        )
+        diagonal = np.diag(walk_sensitivity)
         if not diagonal.any():
             continue
         determined_variance = np.where(is_determined, variance, 1.0)
-        level, inverse_with_walk = marginal_walk(
-            estimate.undetected_walk, determined_variance, diagonal, inverse
+        walk_variance, updated_inverse_dof = marginal_walk(
+            estimate.undetected_walk, determined_variance, diagonal, inverse_dof
         )
-        walks[name] = math.sqrt(level), level * slope
-        inverse = np.where(is_determined, inverse_with_walk, inverse)
+        walks[name] = math.sqrt(walk_variance), walk_variance * walk_sensitivity
+        inverse_dof = np.where(is_determined, updated_inverse_dof, inverse_dof)
     with np.errstate(divide="ignore"):
-        total_dof = 1.0 / inverse
+        total_dof = 1.0 / inverse_dof
     if not walks:
         return fit, total_dof
     added_covariance = np.sum([covariance for _, covariance in walks.values()], axis=0)
-    wider = replace(solution, covariance_undetected=added_covariance)
-    return replace(fit, solution=wider, undetected_walks=walks), total_dof
+    inflated_solution = replace(solution, covariance_undetected=added_covariance)
+    return replace(fit, solution=inflated_solution, undetected_walks=walks), total_dof
 
 
 def inflate_for_noise(
@@ -213,18 +224,20 @@ def inflate_for_noise(
 ) -> tuple[JointFit, Array, dict[str, Array]]:
     """Return a fit as in `inflate_covariance`, degrees of freedom, and `information_losses`."""
     names = noise_covariances(fit.noise, estimates)
-    lost = {name: information_losses(fit, name) for name in names}
-    wider, dof = inflate_covariance(fit, covariance_sensitivities(fit, lost), fit.noise, estimates)
-    return wider, dof, lost
+    losses = {name: information_losses(fit, name) for name in names}
+    inflated_fit, dof = inflate_covariance(
+        fit, covariance_sensitivities(fit, losses), fit.noise, estimates
+    )
+    return inflated_fit, dof, losses
 
 
 def undetected_walk_covariance(fit: JointFit, estimates: Mapping[str, NoiseEstimate]) -> Array:
-    """Return the covariance that undetected walks may add to a fit, (p, p)."""
-    with_walk = {
+    """Return the covariance that undetected walks may add to a fit, shape (p, p)."""
+    walk_estimates = {
         name: estimate
         for name, estimate in estimates.items()
         if estimate.undetected_walk is not None
     }
-    wider, *_ = inflate_for_noise(fit, with_walk)
-    addition = wider.solution.covariance_undetected
-    return np.zeros_like(fit.solution.covariance) if addition is None else addition
+    inflated_fit, *_ = inflate_for_noise(fit, walk_estimates)
+    covariance = inflated_fit.solution.covariance_undetected
+    return np.zeros_like(fit.solution.covariance) if covariance is None else covariance

@@ -1,8 +1,8 @@
-"""The joint estimate as a list of stages, from the records to degrees of freedom.
+"""Joint estimation in stages, from the records to the degrees of freedom.
 
-Each stage takes the state of the estimate and returns it updated. Between stages, nuisance
-parameters are compressed to a few equivalent columns (`counterspin.inference.joint.design_blocks`);
-the last fit has all of them.
+Each stage takes the state of the estimation and returns an updated state. Between stages, nuisance
+parameters are compressed to a few columns (`counterspin.inference.joint.design_blocks`); the last
+fit contains all of them.
 """
 
 from __future__ import annotations
@@ -43,18 +43,17 @@ from counterspin.inference.noise.search import NoiseEstimate
 #: A change of K_I by less than this changes no platform column noticeably.
 _SCALE_TOLERANCE: Final = 1e-4
 
-#: A change of a coefficient by so many of its standard uncertainties changes no input's column
-#: noticeably: of its effect it changes a part as large as the input's own uncertainty.
-_MAX_SHIFT_SDS: Final = 20.0
+#: Columns of inputs are recomputed if a coefficient moved by more than this, in standard
+#: uncertainties; a smaller move changes them by less than the relative uncertainty of the inputs.
+_MAX_MOVE_SDS: Final = 20.0
 
-#: How often weights of uneven noise are looked for: noise of the time stamps, then that of the
-#: runs beside it, and both once more.
+#: Largest number of fits of heteroscedastic noise: time stamps, then runs, then both again.
 _WEIGHTING_ROUNDS: Final = 3
 
-#: How often the times of the rows are corrected.
+#: Largest number of corrections of the times.
 _TIMESTAMP_ROUNDS: Final = 3
 
-#: How often the rotation is taken from the fit: each time the error that is left is squared.
+#: Largest number of relinearisations of the rotation; the error converges quadratically.
 _ROTATION_ROUNDS: Final = 6
 
 
@@ -67,10 +66,10 @@ class Estimate:
     estimated_noise: Mapping[str, NoiseEstimate]
     #: Effective degrees of freedom of each unknown, shape (p,); infinite where noise is exact.
     dof: Array
-    outliers: RowMasks = ()  #: For each series, which of its rows were left out, bool.
-    #: The data with these rows, about the rotation that was found where none was recorded.
+    outliers: RowMasks = ()  #: For each series, the mask of its rejected rows.
+    #: All rows, including rejected rows, along the estimated rotation if no angle was recorded.
     series: tuple[ResidualSeries, ...] = ()
-    #: The same fit with nuisance parameters compressed; None where there are none.
+    #: The same fit with compressed nuisance parameters; None if there are none.
     compressed_fit: JointFit | None = None
     #: Accelerometer whose noise is not exact -> `estimated_noise.information_losses` of
     #: `compressed_fit`.
@@ -81,18 +80,17 @@ class Estimate:
 class _EstimationState:
     """Intermediate state of an estimate."""
 
-    requests: Mapping[str, Noise]  # noise as it is given or wanted
-    series: tuple[ResidualSeries, ...]  # all rows, about the rotation as far as it is known
-    model: Unknowns  # what is estimated, with what the encoder leaves open as soon as it is known
-    scale_factors: Mapping[str, float]  # K_I of each accelerometer in the platform's columns
-    linearization_point: Mapping[
-        Unknown, float
-    ]  # estimates, less nominal, at which inputs' derivatives are taken
-    design_blocks: tuple[DesignBlock, ...]  # the model's columns of the rows that are not left out
+    requests: Mapping[str, Noise]  # given noise, or noise components to estimate
+    series: tuple[ResidualSeries, ...]  # all rows, along the latest estimate of the rotation
+    model: Unknowns  # with encoder terms once they are known
+    scale_factors: Mapping[str, float]  # K_I of each accelerometer in the columns of the platform
+    # Estimates minus nominal values, at which the columns of inputs were computed.
+    linearization_point: Mapping[Unknown, float]
+    design_blocks: tuple[DesignBlock, ...]  # columns of the accepted rows
     outliers: RowMasks
-    fit: JointFit  # condensed
+    fit: JointFit  # compressed
     noise_estimates: Mapping[str, NoiseEstimate] = field(default_factory=dict)
-    columns_changed: bool = False  # whether the columns are others than when outliers were left out
+    columns_changed: bool = False  # True if the columns changed after the rejection of outliers
 
     @property
     def values(self) -> dict[Unknown, float]:
@@ -100,10 +98,10 @@ class _EstimationState:
         return dict(zip(self.fit.model.unknowns, self.fit.solution.estimate.tolist(), strict=True))
 
     def with_model(self, model: Unknowns, scale_factors: Mapping[str, float]) -> _EstimationState:
-        """Return the state with another model or other scale factors, fitted."""
-        at = self.values
+        """Return the state refitted with another model or other scale factors."""
+        values = self.values
         design_blocks = update_design_blocks(
-            self.design_blocks, self.model, model, scale_factors, at
+            self.design_blocks, self.model, model, scale_factors, values
         )
         noise = self.fit.noise
         fit = solve_joint(*compress_nuisance(design_blocks, model, _white_noise(noise)), noise)
@@ -111,32 +109,32 @@ class _EstimationState:
             self,
             model=model,
             scale_factors=scale_factors,
-            linearization_point=at,
+            linearization_point=values,
             design_blocks=design_blocks,
             fit=fit,
             columns_changed=True,
         )
 
-    def with_variance_models(self, uneven: Mapping[str, VarianceModel]) -> _EstimationState:
+    def with_variance_models(self, models: Mapping[str, VarianceModel]) -> _EstimationState:
         """Return the state with heteroscedastic noise, without a refit."""
         series = tuple(
-            uneven[record.accelerometer].apply_to(record)
-            if record.accelerometer in uneven
+            models[record.accelerometer].apply_to(record)
+            if record.accelerometer in models
             else record
             for record in self.series
         )
 
         def reweight(design_blocks: Sequence[DesignBlock]) -> tuple[DesignBlock, ...]:
             return tuple(
-                replace(block, series=block.series.with_noise_of(record.drop_rows(mask)))
+                replace(block, series=block.series.copy_noise(record.drop_rows(mask)))
                 for block, record, mask in zip(design_blocks, series, self.outliers, strict=True)
             )
 
         fit = replace(self.fit, observations=reweight(self.fit.design_blocks))
         return replace(self, series=series, design_blocks=reweight(self.design_blocks), fit=fit)
 
-    def with_noise(self) -> _EstimationState:
-        """Return the state with noise estimated from the residuals, where it is not given."""
+    def estimate_noise(self) -> _EstimationState:
+        """Return the state with estimates of the noise that is not given."""
         noise, estimates = estimate_noise_by_accelerometer(
             self.fit.design_blocks, self.fit.model, self.requests
         )
@@ -148,15 +146,15 @@ def estimate(
     model: Unknowns,
     requests: Mapping[str, Noise],
     *,
-    reject: bool = True,
+    rejects_outliers: bool = True,
 ) -> Estimate:
     """Estimate a model from all series.
 
-    reject: Whether outliers are looked for.
+    rejects_outliers: Whether outliers are rejected.
     """
     state = first_fit(find_rotation(tuple(series), model, requests), model, requests)
     for stage in STAGES:
-        if reject or stage not in (reject_outliers, reinstate_outliers):
+        if rejects_outliers or stage not in (reject_outliers, reinstate_outliers):
             state = stage(state)
     full_fit = solve_joint(state.design_blocks, state.model, state.fit.noise)
     return _finish(full_fit, state.fit, state.noise_estimates, state.outliers, state.series)
@@ -165,7 +163,7 @@ def estimate(
 def correct_series(
     series: Sequence[ResidualSeries], model: Unknowns, requests: Mapping[str, Noise]
 ) -> tuple[ResidualSeries, ...]:
-    """Return the series at the times that their angles correct; as they are without an angle."""
+    """Return the series with times corrected by the angle; unchanged without a recorded angle."""
     if all(record.timestamp_errors is None for record in series):
         return tuple(series)
     state = first_fit(find_rotation(tuple(series), model, requests), model, requests)
@@ -175,7 +173,7 @@ def correct_series(
 
 
 def reestimate(previous: Estimate, fit: JointFit, requests: Mapping[str, Noise]) -> Estimate:
-    """Return the estimate of another fit to the same rows, with the noise estimated again."""
+    """Return the estimate of another fit to the same rows, with new noise estimates."""
     compressed_fit = solve_joint(
         *compress_nuisance(fit.design_blocks, fit.model, _white_noise(fit.noise)), fit.noise
     )
@@ -194,7 +192,7 @@ def reestimate(previous: Estimate, fit: JointFit, requests: Mapping[str, Noise])
 def find_rotation(
     series: tuple[ResidualSeries, ...], model: Unknowns, requests: Mapping[str, Noise]
 ) -> tuple[ResidualSeries, ...]:
-    """Find how runs turned whose angle nobody recorded: columns are taken along the rotation."""
+    """Estimate the rotation of runs without a recorded angle."""
     if not any(unknown.symbol in ROTATION for unknown in model.unknowns):
         return series
     base_model = model.without_inputs()
@@ -205,12 +203,9 @@ def find_rotation(
 def first_fit(
     series: tuple[ResidualSeries, ...], model: Unknowns, requests: Mapping[str, Noise]
 ) -> _EstimationState:
-    """Fit all rows with equal weights; linearize at estimates of the parameters of interest.
-
-    Nuisance parameters move that point by no more than the uncertainties that they add.
-    """
+    """Fit all rows with equal weights, linearised at estimates of the parameters of interest."""
     scale_factors = _scale_factors(series, model, None)
-    at: dict[Unknown, float] = {}
+    point: dict[Unknown, float] = {}
     if model.has_inputs:
         of_interest = Unknowns(model.of_interest)
         interest_fit = solve_joint(
@@ -219,16 +214,19 @@ def first_fit(
             _unit_noise(requests),
         )
         scale_factors = _scale_factors(series, model, interest_fit)
-        at = dict(zip(of_interest.unknowns, interest_fit.solution.estimate.tolist(), strict=True))
+        estimates = interest_fit.solution.estimate.tolist()
+        point = dict(zip(of_interest.unknowns, estimates, strict=True))
         design_blocks = update_design_blocks(
-            interest_fit.design_blocks, of_interest, model, scale_factors, at
+            interest_fit.design_blocks, of_interest, model, scale_factors, point
         )
     else:
         design_blocks = build_design_blocks(series, model, scale_factors)
-    white = _white_noise({name: request.known for name, request in requests.items()})
-    fit = solve_joint(*compress_nuisance(design_blocks, model, white), _unit_noise(requests))
-    none = outlier_rejection.no_outliers(series)
-    return _EstimationState(requests, series, model, scale_factors, at, design_blocks, none, fit)
+    white_noise = _white_noise({name: request.known for name, request in requests.items()})
+    fit = solve_joint(*compress_nuisance(design_blocks, model, white_noise), _unit_noise(requests))
+    masks = outlier_rejection.empty_masks(series)
+    return _EstimationState(
+        requests, series, model, scale_factors, point, design_blocks, masks, fit
+    )
 
 
 def locate_inputs(
@@ -239,15 +237,15 @@ def locate_inputs(
 ) -> dict[str, float]:
     """Return estimates of inputs, minus nominal, by a first fit with white noise.
 
-    The noise is the stated white noise, or that which the records show from row to row.
+    The noise is the stated white noise, or otherwise estimated from row to row.
     """
     state = first_fit(series, model, requests)
-    levels: dict[str, float] = {}
+    white_noise: dict[str, float] = {}
     for block in state.design_blocks:
         stated_sd = math.sqrt(requests[block.accelerometer].known.sample_variance)
-        level = stated_sd or estimate_white_noise(block) or 1.0
-        levels[block.accelerometer] = max(level, levels.get(block.accelerometer, 0.0))
-    noise = {name: Noise(level) for name, level in levels.items()}
+        sd = stated_sd or estimate_white_noise(block) or 1.0
+        white_noise[block.accelerometer] = max(sd, white_noise.get(block.accelerometer, 0.0))
+    noise = {name: Noise(level) for name, level in white_noise.items()}
     fit = solve_joint(state.design_blocks, state.model, noise)
     estimates = zip(model.unknowns, fit.solution.estimate.tolist(), strict=True)
     return {unknown.name: value for unknown, value in estimates if unknown.name in names}
@@ -267,16 +265,16 @@ def reject_outliers(state: _EstimationState) -> _EstimationState:
 
 
 def correct_time_stamps(state: _EstimationState) -> _EstimationState:
-    """Correct the times of the rows by their angles, where the output shows that the stamps err.
+    """Correct the times of the rows by their angles, if the time stamps have significant errors.
 
-    Twice: the output is a curve, and the first time along slopes at the wrong times.
+    The correction is iterated because the slopes of the output depend on the times.
     """
     for _ in range(_TIMESTAMP_ROUNDS):
-        shares = estimate_timestamp_fractions(state.fit)
-        if not shares:
+        fractions = estimate_timestamp_fractions(state.fit)
+        if not fractions:
             break
         series = tuple(
-            record.correct_times(shares.get(record.run, record.corrected_fraction))
+            record.correct_times(fractions.get(record.run, record.corrected_fraction))
             for record in state.series
         )
         has_outliers = any(mask.any() for mask in state.outliers)
@@ -287,123 +285,118 @@ def correct_time_stamps(state: _EstimationState) -> _EstimationState:
 
 def thin_correlated_rows(state: _EstimationState) -> _EstimationState:
     """Thin rows whose errors are correlated, then refit."""
-    thinned = tuple(
+    accepted_series = tuple(
         record.drop_rows(mask) for record, mask in zip(state.series, state.outliers, strict=True)
     )
-    series = thin_rows(state.fit, thinned)
-    if all(record is thin_record for record, thin_record in zip(series, thinned, strict=True)):
+    thinned_series = thin_rows(state.fit, accepted_series)
+    if all(old is new for old, new in zip(accepted_series, thinned_series, strict=True)):
         return state
-    return first_fit(series, state.model, state.requests)
+    return first_fit(thinned_series, state.model, state.requests)
 
 
 def find_noise(state: _EstimationState) -> _EstimationState:
-    """Estimate the noise, which weights the records."""
-    return state.with_noise()
+    """Estimate the noise of the records."""
+    return state.estimate_noise()
 
 
 def model_heteroscedasticity(state: _EstimationState) -> _EstimationState:
-    """Weight each run by its white noise, and rows by the noise of their time stamps."""
+    """Weight runs by their white noise, and rows by the noise of their time stamps."""
     for _ in range(_WEIGHTING_ROUNDS):
-        uneven = estimate_heteroscedasticity(state.fit, state.series, state.requests)
-        if not uneven:
+        variance_models = estimate_heteroscedasticity(state.fit, state.series, state.requests)
+        if not variance_models:
             break
-        state = state.with_variance_models(uneven).with_noise()
+        state = state.with_variance_models(variance_models).estimate_noise()
     return state
 
 
 def add_encoder_terms(state: _EstimationState) -> _EstimationState:
-    """Add rotation errors due to encoder noise to the model, where they are not negligible."""
+    """Add rotation errors due to encoder noise to the model, if they are not negligible."""
     series = [block.series for block in state.design_blocks]
     model = encoder.add_encoder_terms(state.model, series, state.fit.noise)
     if model is state.model:
         return state
-    # Until now these errors were in the residuals.
+    # These errors were part of the residuals so far.
     return find_noise(state.with_model(model, state.scale_factors))
 
 
 def relinearise_inputs(state: _EstimationState) -> _EstimationState:
-    """Recompute columns of inputs and the platform if the estimate moved far from their point."""
+    """Recompute the columns of inputs and platform if the estimate moved far."""
     scale_factors = _scale_factors(state.series, state.model, state.fit)
     has_changed = any(
         abs(scale_factors[a] - k) > _SCALE_TOLERANCE for a, k in state.scale_factors.items()
     )
-    if not has_changed and not (state.model.has_inputs and _is_far(state)):
+    if not has_changed and not (state.model.has_inputs and _has_moved_far(state)):
         return state
-    return state.with_model(state.model, scale_factors).with_noise()
+    return state.with_model(state.model, scale_factors).estimate_noise()
 
 
-def _is_far(state: _EstimationState) -> bool:
+def _has_moved_far(state: _EstimationState) -> bool:
     """Return whether parameters of interest are far from the linearization point."""
     if any(unknown.symbol in encoder.SYMBOLS for unknown in state.model.unknowns):
-        return True  # they were taken where the estimate was without what the encoder leaves open
-    solution, now = state.fit.solution, state.values
-    moves = [
+        return True  # the columns were computed without encoder terms
+    solution, values = state.fit.solution, state.values
+    shifts_in_sds = [
         abs(value - state.linearization_point.get(unknown, 0.0)) / u
-        for (unknown, value), u in zip(now.items(), solution.u.tolist(), strict=True)
+        for (unknown, value), u in zip(values.items(), solution.u.tolist(), strict=True)
         if unknown.is_of_interest and 0.0 < u < unknown.limit
     ]
-    return max(moves, default=0.0) > _MAX_SHIFT_SDS
+    return max(shifts_in_sds, default=0.0) > _MAX_MOVE_SDS
 
 
 def relinearise_rotation(state: _EstimationState) -> _EstimationState:
-    """Take everything along the rotation that the fit found, where that is not only linear.
-
-    Noise that seemed to be there along the first rotation is looked for again.
-    """
+    """Relinearise at the estimated rotation if its effect is nonlinear; re-estimate the noise."""
     if not rotation.may_be_nonlinear(state.design_blocks, state.model, state.fit.noise):
         return state
-    initial = state
+    initial_state = state
     for _ in range(_ROTATION_ROUNDS):
         noise = state.fit.noise
         full_fit = solve_joint(state.design_blocks, state.model, noise)
-        rotated_series = rotation.rotate_to_estimate(full_fit, state.series)
-        if rotated_series is None:
+        rotated = rotation.rotate_to_estimate(full_fit, state.series)
+        if rotated is None:
             break
-        series, model = rotated_series
+        series, model = rotated
         values = np.where(
             [unknown.symbol in encoder.SYMBOLS for unknown in model.unknowns],
             0.0,
             full_fit.solution.estimate,
         )
-        kept_series = [s.drop_rows(mask) for s, mask in zip(series, state.outliers, strict=True)]
-        design_blocks = build_design_blocks(kept_series, model, state.scale_factors, values)
+        pairs = zip(series, state.outliers, strict=True)
+        accepted_series = [record.drop_rows(mask) for record, mask in pairs]
+        design_blocks = build_design_blocks(accepted_series, model, state.scale_factors, values)
         fit = solve_joint(*compress_nuisance(design_blocks, model, _white_noise(noise)), noise)
-        at = dict(zip(model.unknowns, values.tolist(), strict=True))
+        point = dict(zip(model.unknowns, values.tolist(), strict=True))
         state = replace(
             state,
             series=series,
             model=model,
-            linearization_point=at,
+            linearization_point=point,
             design_blocks=design_blocks,
             fit=fit,
             columns_changed=True,
         )
-    return state if state is initial else model_heteroscedasticity(find_noise(state))
+    return state if state is initial_state else model_heteroscedasticity(find_noise(state))
 
 
 def reinstate_outliers(state: _EstimationState) -> _EstimationState:
-    """Reject outliers of the final model, and reinstate rows that are not outliers of it.
-
-    Only if the columns changed since outliers were rejected.
-    """
+    """Reject and reinstate rows by the final model, if the columns changed."""
     if not state.columns_changed:
         return state
-    fit, outliers, now = state.fit, state.outliers, state.values
-    values = np.array([now.get(unknown, 0.0) for unknown in state.model.unknowns])
+    fit, outliers, estimates = state.fit, state.outliers, state.values
+    values = np.array([estimates.get(unknown, 0.0) for unknown in state.model.unknowns])
 
-    def columns() -> tuple[DesignBlock, ...]:
+    def build_columns() -> tuple[DesignBlock, ...]:
         return build_design_blocks(state.series, state.model, state.scale_factors, values)
 
     if outlier_rejection.has_many_outliers(outliers):
-        everything = compress_nuisance(columns(), state.model, _white_noise(fit.noise))
+        full_problem = compress_nuisance(build_columns(), state.model, _white_noise(fit.noise))
         fit, outliers = outlier_rejection.reinstate_rows(
-            fit, everything, state.series, state.requests, outliers
+            fit, full_problem, state.series, state.requests, outliers
         )
     fit, outliers = outlier_rejection.reject_outliers(fit, state.series, state.requests, outliers)
     if fit is state.fit:
         return state
-    kept_blocks = outlier_rejection.select_rows(columns(), outliers)
-    return replace(state, fit=fit, outliers=outliers, design_blocks=kept_blocks).with_noise()
+    blocks = outlier_rejection.select_rows(build_columns(), outliers)
+    return replace(state, fit=fit, outliers=outliers, design_blocks=blocks).estimate_noise()
 
 
 STAGES: Final = (
@@ -421,20 +414,20 @@ STAGES: Final = (
 
 def _finish(
     fit: JointFit,
-    core: JointFit,
+    compressed_fit: JointFit,
     noise_estimates: Mapping[str, NoiseEstimate],
     outliers: RowMasks,
     series: tuple[ResidualSeries, ...],
 ) -> Estimate:
-    """Add undetected noise to a covariance, and count degrees of freedom.
+    """Add undetected noise to the covariance, and compute degrees of freedom.
 
-    core: The same fit, compressed.
+    compressed_fit: The same fit with compressed nuisance parameters.
     """
     model = fit.model
-    core, dof, losses = inflate_for_noise(core, noise_estimates)
+    compressed_fit, dof, losses = inflate_for_noise(compressed_fit, noise_estimates)
     # Parameters of interest come first in the compressed fit; uncompressed, it has all unknowns.
     indices = [index for index, unknown in enumerate(model.unknowns) if unknown.is_of_interest]
-    if core.model.unknowns == model.unknowns:
+    if compressed_fit.model.unknowns == model.unknowns:
         indices = list(range(len(model.unknowns)))
     full_dof = np.full(len(model.unknowns), math.inf)
     full_dof[indices] = dof[: len(indices)]
@@ -444,15 +437,15 @@ def _finish(
         matrix[np.ix_(indices, indices)] = covariance[: len(indices), : len(indices)]
         return matrix
 
-    added_covariance = core.solution.covariance_undetected
+    added_covariance = compressed_fit.solution.covariance_undetected
     if added_covariance is not None:
         solution = replace(fit.solution, covariance_undetected=embed(added_covariance))
-        unseen = {
+        walks = {
             name: (level, embed(covariance))
-            for name, (level, covariance) in core.undetected_walks.items()
+            for name, (level, covariance) in compressed_fit.undetected_walks.items()
         }
-        fit = replace(fit, solution=solution, undetected_walks=unseen)
-    return Estimate(fit, noise_estimates, full_dof, outliers, series, core, losses)
+        fit = replace(fit, solution=solution, undetected_walks=walks)
+    return Estimate(fit, noise_estimates, full_dof, outliers, series, compressed_fit, losses)
 
 
 def _unit_noise(requests: Mapping[str, Noise]) -> dict[str, Noise]:
@@ -460,21 +453,19 @@ def _unit_noise(requests: Mapping[str, Noise]) -> dict[str, Noise]:
 
 
 def _white_noise(noise: Mapping[str, Noise]) -> dict[str, float | None]:
-    """Return the least white noise of a sample, as far as it is known."""
+    """Return the white noise of a sample; None if it is unknown."""
     return {name: math.sqrt(component.sample_variance) or None for name, component in noise.items()}
 
 
 def _scale_factors(
     series: Sequence[ResidualSeries], model: Unknowns, fit: JointFit | None
 ) -> dict[str, float]:
-    """Return K_I of each accelerometer: estimated, or known beforehand, or 1."""
+    """Return K_I of each accelerometer: its estimate, else its prior value, else 1."""
     factors = {record.accelerometer: 1.0 for record in series}
-    places_of_unknowns = (
-        {} if fit is None else {fitted: k for k, fitted in enumerate(fit.model.unknowns)}
-    )
+    indices = {} if fit is None else {fitted: k for k, fitted in enumerate(fit.model.unknowns)}
     for unknown in model.unknowns:
         if unknown.symbol == "K_I":
-            index = places_of_unknowns.get(unknown)
+            index = indices.get(unknown)
             if fit is not None and index is not None and fit.solution.u[index] < unknown.limit:
                 factors[unknown.owner] = 1.0 + float(fit.solution.estimate[index])
             elif math.isfinite(unknown.prior[1]):

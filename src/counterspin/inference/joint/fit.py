@@ -1,13 +1,13 @@
-"""Joint estimation from all observations, in one fit.
+"""Joint fit of all observations.
 
-Each observation, such as the record of one accelerometer in one run, is whitened and reduced to a
-block of square-root information about the shared unknowns. All blocks are solved together with the
-priors and the considered terms. Whatever is asked next (another noise level, a run left out, one
-more considered input) starts from the prepared columns or the blocks, not from the records.
+Each observation, such as the record of an accelerometer in a run, is whitened and reduced to a
+block of square-root information on the shared unknowns. All blocks are solved together with the
+priors and the considered terms. Variants of the fit (other noise, an omitted run, an additional
+unknown) start from the columns or the blocks, not from the records.
 
-To test an assumption against the data, it must be estimated. Hence a fit in which considered terms
-are estimated, with their priors as observations, and a fit with further columns, such as those of a
-possible mistake.
+To test an assumption against the data, it must be estimated. A variant therefore estimates the
+considered terms, with their priors as observations, and another has additional columns, such as
+those of a possible mistake.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from counterspin.inference.priors import prior_correlation
 class Residuals:
     """Residuals of one series."""
 
-    unweighted: Array  #: In the series' own unit, shape (n,).
-    #: In rows of unit variance, shape (m,), m <= n: differences belong to the later rows.
+    unweighted: Array  #: In the unit of the series, shape (n,).
+    #: With unit variance, shape (m,), m <= n; differences belong to the later rows.
     whitened: Array
 
 
@@ -43,35 +43,35 @@ class Residuals:
 class JointFit:
     """A solved joint problem."""
 
-    model: Unknowns  #: What was solved.
-    solution: Solution  #: Estimates less nominal, covariances by source, sensitivities.
-    #: What was measured, records first, and the square-root information of each.
+    model: Unknowns  #: Unknowns and considered terms.
+    solution: Solution  #: Estimates minus nominal values, covariances by source, sensitivities.
+    #: Observations, records first, and the square-root information of each.
     observations: tuple[Observation, ...]
     blocks: tuple[Block, ...]
-    noise: Mapping[str, Noise]  #: By accelerometer, or group of readings whose noise was found.
-    #: By accelerometer, where there is any: a random walk that the records do not show, N in
-    #: (m/s^2)/Hz^0.5, and what it adds to the covariance, shape (p, p).
+    noise: Mapping[str, Noise]  #: Accelerometer, or group of readings -> its noise.
+    #: Accelerometer -> undetected random walk, N in (m/s^2)/Hz^0.5, and its contribution to the
+    #: covariance, shape (p, p).
     undetected_walks: Mapping[str, tuple[float, Array]] = field(default_factory=dict)
 
     @cached_property
     def design_blocks(self) -> tuple[DesignBlock, ...]:
-        """The records among the observations, which come first."""
+        """Records among the observations; they come first."""
         return tuple(
             observation for observation in self.observations if isinstance(observation, DesignBlock)
         )
 
     def with_noise(self, noise: Mapping[str, Noise]) -> JointFit:
-        """Return the fit with other noise; blocks whose noise does not change are reused."""
-        all_noise = {**self.noise, **noise}
+        """Return the fit with other noise; blocks with unchanged noise are reused."""
+        noises = {**self.noise, **noise}
         blocks = tuple(
-            observation.block_in(self.model, all_noise) if observation.source in noise else block
+            observation.expand_block(self.model, noises) if observation.source in noise else block
             for block, observation in zip(self.blocks, self.observations, strict=True)
         )
         solution = solve_blocks(blocks, self.model)
-        return replace(self, solution=solution, blocks=blocks, noise=all_noise, undetected_walks={})
+        return replace(self, solution=solution, blocks=blocks, noise=noises, undetected_walks={})
 
     def subset(self, is_kept: Sequence[bool]) -> JointFit:
-        """Return the fit of some of the observations."""
+        """Return the fit of the observations that a mask selects."""
         blocks = tuple(compress(self.blocks, is_kept))
         return replace(
             self,
@@ -82,7 +82,7 @@ class JointFit:
         )
 
     def without_run(self, run: str) -> Solution | None:
-        """Return the solution without one run; None if nothing is left."""
+        """Return the solution without a run; None if no observation remains."""
         if run not in self._leave_one_out_cache:
             pairs = zip(self.blocks, self.observations, strict=True)
             is_kept = [block for block, observation in pairs if observation.run != run]
@@ -91,16 +91,15 @@ class JointFit:
 
     @cached_property
     def _leave_one_out_cache(self) -> dict[str, Solution | None]:
-        """Cache: every accelerometer requests the same leave-one-out solutions."""
+        """Solutions by omitted run; all accelerometers use the same ones."""
         return {}
 
     @cached_property
     def solution_with_considered(self) -> Solution:
-        """The solution with considered terms estimated too, each held by its prior.
+        """Solution that also estimates the considered terms, with their priors.
 
-        Its unknowns are those of the model, then the considered ones. It is what the records and
-        everything known beforehand say together, and so what they are compared with: a considered
-        term that is not what was assumed is no lack of fit as long as its uncertainty allows it.
+        The considered terms follow the unknowns of the model. Residuals are computed with this
+        solution, so that an error of a considered term within its uncertainty is no lack of fit.
         """
         if not self.model.considered:
             return self.solution
@@ -108,7 +107,7 @@ class JointFit:
 
     @cached_property
     def assessment(self) -> Assessment:
-        """Mask of the parameters of interest that are determined."""
+        """Identifiability of the parameters of interest."""
         of_interest = self.model.of_interest
         assessment = assess(
             self.solution,
@@ -126,35 +125,33 @@ class JointFit:
         return tuple(self._block_residuals(block) for block in self.design_blocks)
 
     def _block_residuals(self, block: DesignBlock) -> Residuals:
-        series, estimate, p = (
-            block.series,
-            self.solution_with_considered.estimate,
-            len(self.model.unknowns),
-        )
+        series, p = block.series, len(self.model.unknowns)
+        estimate = self.solution_with_considered.estimate
         residuals = series.error - block.design @ estimate[list(block.unknowns)]
         residuals = residuals - block.fixed @ estimate[[p + index for index in block.considered]]
-        whiten = series.whitener(self.noise[series.accelerometer])
-        if whiten.polynomials == 0:
-            # The differences have removed the start errors; the plain residuals need them back.
+        whitener = series.whitener(self.noise[series.accelerometer])
+        if whitener.polynomials == 0:
+            # The whitened differences contain no start errors; the unweighted residuals do.
             polynomials = series.polynomials(series.order)
-            start = np.linalg.lstsq(polynomials, residuals, rcond=None)[0]
-            return Residuals(residuals - polynomials @ start, whiten.apply(residuals))
-        polynomials = series.polynomials(whiten.polynomials)
-        rows = whiten.apply(np.column_stack([polynomials, residuals]))
-        start = np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=None)[0]
-        return Residuals(residuals - polynomials @ start, rows[:, -1] - rows[:, :-1] @ start)
+            start_errors = np.linalg.lstsq(polynomials, residuals, rcond=None)[0]
+            return Residuals(residuals - polynomials @ start_errors, whitener.apply(residuals))
+        polynomials = series.polynomials(whitener.polynomials)
+        whitened = whitener.apply(np.column_stack([polynomials, residuals]))
+        start_errors = np.linalg.lstsq(whitened[:, :-1], whitened[:, -1], rcond=None)[0]
+        unweighted = residuals - polynomials @ start_errors
+        return Residuals(unweighted, whitened[:, -1] - whitened[:, :-1] @ start_errors)
 
     @cached_property
     def degrees_of_freedom(self) -> tuple[float, ...]:
         """Degrees of freedom of each observation's residuals.
 
-        Rows less its own unknowns, less what the fit of all observations and priors follows.
+        Rows minus nuisance parameters minus the leverages of the fit.
         """
-        ends = np.cumsum([block.factor.shape[0] for block in self.blocks])
-        leverages = self.solution_with_considered.leverages[: ends[-1]]
-        fitted_dof = np.add.reduceat(leverages, np.append(0, ends[:-1]))
+        row_ends = np.cumsum([block.factor.shape[0] for block in self.blocks])
+        leverages = self.solution_with_considered.leverages[: row_ends[-1]]
+        fitted_dof = np.add.reduceat(leverages, np.append(0, row_ends[:-1]))
         return tuple(
-            block.rows - block.nuisance - float(dof)
+            block.rows - block.n_nuisance - float(dof)
             for block, dof in zip(self.blocks, fitted_dof, strict=True)
         )
 
@@ -162,8 +159,8 @@ class JointFit:
 def solve_joint(
     observations: Sequence[Observation], model: Unknowns, noise: Mapping[str, Noise]
 ) -> JointFit:
-    """Solve a prepared problem for given noise."""
-    blocks = tuple(observation.block_in(model, noise) for observation in observations)
+    """Solve a joint problem for given noise."""
+    blocks = tuple(observation.expand_block(model, noise) for observation in observations)
     return JointFit(model, solve_blocks(blocks, model), tuple(observations), blocks, noise)
 
 
@@ -181,7 +178,7 @@ def solve_blocks(blocks: Sequence[Block], model: Unknowns) -> Solution:
 
 
 def estimate_considered_in_block(block: Block) -> Block:
-    """Return a block whose considered terms are unknowns, after the others."""
+    """Return a block with its considered terms as unknowns after the others."""
     return replace(
         block,
         factor=np.hstack([block.factor, block.considered]),
@@ -190,7 +187,7 @@ def estimate_considered_in_block(block: Block) -> Block:
 
 
 def solve_with_considered(blocks: Sequence[Block], model: Unknowns) -> Solution:
-    """Solve blocks with considered terms estimated too, as `JointFit.solution_with_considered`."""
+    """Solve blocks and estimate the considered terms; see `JointFit.solution_with_considered`."""
     unknowns = (*model.unknowns, *model.considered)
     return least_squares.solve(
         [estimate_considered_in_block(block) for block in blocks],
@@ -207,8 +204,7 @@ def solve_with_considered(blocks: Sequence[Block], model: Unknowns) -> Solution:
 def estimate_considered(fit: JointFit) -> JointFit:
     """Return the fit with all considered terms as unknowns, each with its prior.
 
-    The unknowns of the model come first, in their order, then the considered ones. Noise that
-    the records do not show is left out.
+    The considered terms follow the unknowns of the model. Undetected noise is omitted.
     """
     model = fit.model
     if not model.considered:
@@ -243,24 +239,24 @@ def augment_block(
 ) -> tuple[Observation, Block]:
     """Append columns to an observation of a fit whose considered terms are estimated.
 
-    columns: Of each: the place of an observation -> what it shows of one unit, shape (n,); one
-        that is not named shows nothing.
+    columns: For each new unknown: index of an observation -> column, shape (n,); an observation
+        without an entry does not depend on the unknown.
     """
-    p, m = len(fit.model.unknowns), len(columns)
-    extra = {p + k: column[index] for k, column in enumerate(columns) if index in column}
-    observation = fit.observations[index].with_columns(tuple(extra), tuple(extra.values()))
-    if not extra:
+    p, n_columns = len(fit.model.unknowns), len(columns)
+    new_columns = {p + k: column[index] for k, column in enumerate(columns) if index in column}
+    observation = fit.observations[index].with_columns([*new_columns], [*new_columns.values()])
+    if not new_columns:
         block = fit.blocks[index]
-        return observation, replace(block, factor=np.pad(block.factor, ((0, 0), (0, m))))
-    free = (Unknown("", str(place), NO_PRIOR, 1.0) for place in range(m))
-    model = replace(fit.model, unknowns=(*fit.model.unknowns, *free))
-    return observation, observation.block_in(model, fit.noise)
+        return observation, replace(block, factor=np.pad(block.factor, ((0, 0), (0, n_columns))))
+    new_unknowns = (Unknown("", str(place), NO_PRIOR, 1.0) for place in range(n_columns))
+    model = replace(fit.model, unknowns=(*fit.model.unknowns, *new_unknowns))
+    return observation, observation.expand_block(model, fit.noise)
 
 
 def augment(
     fit: JointFit, unknowns: Sequence[Unknown], columns: Sequence[Mapping[int, Array]]
 ) -> JointFit:
-    """Add unknowns to a fit with considered terms estimated; columns as in `augment_block`."""
+    """Add unknowns to a fit whose considered terms are estimated; columns as in `augment_block`."""
     augmented_blocks = (augment_block(fit, i, columns) for i in range(len(fit.blocks)))
     observations, blocks = zip(*augmented_blocks, strict=True)
     model = replace(fit.model, unknowns=(*fit.model.unknowns, *unknowns))

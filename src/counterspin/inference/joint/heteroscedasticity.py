@@ -1,14 +1,14 @@
-"""White noise that is found in records and differs from row to row.
+"""Heteroscedastic white noise of records.
 
-The noise of an accelerometer is found as one for all of its records. Two things often make it
-uneven: a run that is noisier than the others, as vibration makes a fast one, and time stamps that
-scatter, whose noise follows the slope of the signal. Weights that do not know of it waste the quiet
-rows, and u of what rests on the noisy ones is too small.
+The noise of an accelerometer is first estimated for all its records together. It is often
+heteroscedastic for two reasons: runs with more vibration are noisier, and errors of time stamps
+cause noise proportional to the slope of the signal. Equal weights would waste the quiet rows, and
+would understate u of coefficients that depend on noisy rows.
 
-Both are looked for in third differences of the whitened residuals, in which nothing slow is left:
-a misfit of the model is not taken for noise. Where the noise is even, their squares have the mean
-1. Of independent rows, a third difference has correlations of -3/4, 3/10 and -1/20 with the next
-ones, so that n of them tell as much as n/2.31 rows.
+Both effects are estimated from third differences of the whitened residuals, which contain no slow
+misfit. For homoscedastic noise, their squares have the mean 1. Third differences of independent
+rows have correlations of -3/4, 3/10 and -1/20 with the following ones, so that n of them are
+equivalent to n/2.31 rows.
 """
 
 from __future__ import annotations
@@ -26,27 +26,26 @@ from counterspin.inference.joint.outlier_rejection import remove_harmonics
 from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.noise.model import Noise
 
-#: Of the differences.
-_ORDER: Final = 3
+#: Order of the differences.
+_DIFFERENCE_ORDER: Final = 3
 
-#: Squared weights of a third difference, over their sum: whose rows' variances it has.
-_WEIGHTS: Final = np.array([1.0, 9.0, 9.0, 1.0]) / 20.0
+#: Squared weights of the rows in a third difference, over their sum.
+_SQUARED_WEIGHTS: Final = np.array([1.0, 9.0, 9.0, 1.0]) / 20.0
 
-#: Sum of the squared correlations of third differences: so many tell as much as one row.
+#: Sum of the squared correlations of third differences: this many are equivalent to a row.
 _CORRELATION_FACTOR: Final = 1.0 + 2.0 * (0.75**2 + 0.3**2 + 0.05**2)
 
-#: Fewest differences of a series from which its noise is taken.
+#: Smallest number of differences of a series.
 _MIN_DIFFERENCES: Final = 40
 
-#: Probability at which even noise is taken for uneven, and the least ratio of two standard
-#: deviations that counts: weights that are off by less cost nothing.
+#: Significance level of heteroscedasticity, and smallest relevant ratio of two standard deviations.
 _SIGNIFICANCE: Final = 1e-6
 _MIN_SD_RATIO: Final = 1.1
 
-#: Least gain in twice the log-likelihood by noise of the encoder where times are corrected by it.
+#: Smallest gain in twice the log-likelihood by encoder noise in corrected times.
 _MIN_GAIN: Final = 1.0
 
-#: Trial sizes of the time stamps' noise: its largest variance in a row over the white one.
+#: Trial values of timing noise: largest variance of a row over the white-noise variance.
 _TRIAL_RATIOS: Final = np.geomspace(0.1, 1e6, 57)
 
 
@@ -54,10 +53,10 @@ _TRIAL_RATIOS: Final = np.geomspace(0.1, 1e6, 57)
 class VarianceModel:
     """Heteroscedasticity of the white noise of an accelerometer's records."""
 
-    #: Run -> its standard deviation over that of the accelerometer; empty: they are alike.
+    #: Run -> standard deviation over that of the accelerometer; empty: equal.
     run_ratios: Mapping[str, float]
-    timestamp_sd: float  #: Standard deviation of a time stamp that would explain it, s; 0: none.
-    #: Standard deviation of a recorded angle, rad, where times are corrected by it; 0: unknown.
+    timestamp_sd: float  #: Estimated standard deviation of a time stamp, s; 0: none.
+    #: Estimated standard deviation of a recorded angle in corrected times, rad; 0: none.
     encoder_sd: float = 0.0
 
     def apply_to(self, series: ResidualSeries) -> ResidualSeries:
@@ -72,12 +71,12 @@ def estimate_heteroscedasticity(
 ) -> dict[str, VarianceModel]:
     """Return the heteroscedasticity of estimated white noise, by accelerometer.
 
-    series: With all rows, for the slopes of their signals.
+    series: Series with all rows, for the slopes of the signals.
     """
     models = {}
     for name, request in requests.items():
-        if encoder := _estimate_encoder_noise(fit, name):
-            models[name] = VarianceModel({}, 0.0, encoder)
+        if encoder_sd := _estimate_encoder_noise(fit, name):
+            models[name] = VarianceModel({}, 0.0, encoder_sd)
             continue
         if "white" not in request.to_estimate or fit.noise[name].sample_variance == 0.0:
             continue
@@ -91,23 +90,23 @@ def estimate_heteroscedasticity(
 
 
 def noise_by_run(fit: JointFit, accelerometer: str) -> Mapping[str, float]:
-    """Return each run's white noise over what the fit takes it for; empty where runs are alike."""
+    """Return the white noise of each run over that of the fit; empty if runs do not differ."""
     squares = _squared_differences(fit, accelerometer)
     variance_fit = _fit_run_variances(fit, squares) if squares else None
     return {} if variance_fit is None else variance_fit[1].run_ratios
 
 
 def _squared_differences(fit: JointFit, accelerometer: str) -> dict[int, Array]:
-    """Return the squares of third differences, of mean 1 where the noise is even, by series.
+    """Return the squared third differences of each series, with mean 1 for homoscedastic noise.
 
-    Where they are uneven, what goes with the spindle is taken away first: of an error of the
-    encoder they leave a high harmonic.
+    If they are heteroscedastic, harmonics of the spindle are removed first, because high harmonics
+    of encoder errors remain in third differences.
     """
     residuals = {
         i: fit.residuals[i].whitened
         for i, block in enumerate(fit.design_blocks)
         if block.accelerometer == accelerometer
-        and fit.residuals[i].whitened.size >= _MIN_DIFFERENCES + _ORDER
+        and fit.residuals[i].whitened.size >= _MIN_DIFFERENCES + _DIFFERENCE_ORDER
     }
     squares = _square_third_differences(residuals)
     if squares and (
@@ -123,34 +122,34 @@ def _squared_differences(fit: JointFit, accelerometer: str) -> dict[int, Array]:
 
 
 def _square_third_differences(residuals: Mapping[int, Array]) -> dict[int, Array]:
-    return {i: np.diff(values, _ORDER) ** 2 / 20.0 for i, values in residuals.items()}
+    return {i: np.diff(values, _DIFFERENCE_ORDER) ** 2 / 20.0 for i, values in residuals.items()}
 
 
 def _best_variance_model(
     fit: JointFit, series: Sequence[ResidualSeries], squares: Mapping[int, Array], noise: Noise
 ) -> VarianceModel | None:
-    """Return the best explanation of the sizes of third differences, if there is one."""
-    by_run = _fit_run_variances(fit, squares)
-    if by_run is None and not _varies_within_run(fit, squares):
+    """Return the variance model with the largest significant gain; None if there is none."""
+    run_model = _fit_run_variances(fit, squares)
+    if run_model is None and not _varies_within_run(fit, squares):
         return None
-    by_slope = _fit_timestamp_noise(fit, series, squares, noise)
-    candidates = [candidate for candidate in (by_run, by_slope) if candidate is not None]
+    slope_model = _fit_timestamp_noise(fit, series, squares, noise)
+    candidates = [candidate for candidate in (run_model, slope_model) if candidate is not None]
     return max(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
 
 
 def _information_per_row(squares: Array) -> float:
-    """Return how many independent rows a third difference tells as much as.
+    """Return the number of independent rows that are equivalent to a third difference.
 
-    Tails longer than a Gaussian's make every sum of squares less certain.
+    Heavy tails make sums of squares less certain.
     """
-    tails = max(1.0, float(np.mean((squares / np.mean(squares) - 1.0) ** 2)) / 2.0)
-    return 1.0 / (_CORRELATION_FACTOR * tails)
+    kurtosis_factor = max(1.0, float(np.mean((squares / np.mean(squares) - 1.0) ** 2)) / 2.0)
+    return 1.0 / (_CORRELATION_FACTOR * kurtosis_factor)
 
 
 def _fit_run_variances(
     fit: JointFit, squares: Mapping[int, Array]
 ) -> tuple[float, VarianceModel] | None:
-    """Return the runs' own sizes and how far their gain is beyond that of chance; None: alike.
+    """Return the gain beyond the significance limit, and the noise of each run; None: equal.
 
     Bartlett's test, Proc. R. Soc. A 160 (1937) 268.
     """
@@ -167,15 +166,17 @@ def _fit_run_variances(
     )
     gain = -_information_per_row(all_squares) * log_ratio_sum
     excess = gain - float(chdtri(len(variances) - 1, _SIGNIFICANCE))
-    runs = {fit.design_blocks[i].run: math.sqrt(variance) for i, variance in variances.items()}
-    return (excess, VarianceModel(runs, 0.0)) if excess > 0.0 else None
+    run_ratios = {
+        fit.design_blocks[i].run: math.sqrt(variance) for i, variance in variances.items()
+    }
+    return (excess, VarianceModel(run_ratios, 0.0)) if excess > 0.0 else None
 
 
 def _varies_within_run(fit: JointFit, squares: Mapping[int, Array]) -> bool:
-    """Return whether squares follow twice the angle or the time, as slopes do, in any run."""
+    """Return whether the squares depend on twice the angle or on time, as slopes do, in any run."""
     from scipy.special import chdtrc
 
-    smallest = 1.0
+    min_p = 1.0
     for i, values in squares.items():
         series = fit.design_blocks[i].series
         time = series.time[-values.size :]
@@ -184,11 +185,11 @@ def _varies_within_run(fit: JointFit, squares: Mapping[int, Array]) -> bool:
             [np.ones(values.size), np.cos(double_angle), np.sin(double_angle), time]
         )
         coefficients = np.linalg.lstsq(regressors, values, rcond=None)[0]
-        r_squared = np.sum((regressors @ coefficients - values.mean()) ** 2) / (
+        relative_sum_of_squares = np.sum((regressors @ coefficients - values.mean()) ** 2) / (
             2.0 * values.mean() ** 2
         )
-        smallest = min(smallest, float(chdtrc(3, _information_per_row(values) * r_squared)))
-    return smallest < _SIGNIFICANCE
+        min_p = min(min_p, float(chdtrc(3, _information_per_row(values) * relative_sum_of_squares)))
+    return min_p < _SIGNIFICANCE
 
 
 def _fit_timestamp_noise(
@@ -197,14 +198,14 @@ def _fit_timestamp_noise(
     squares: Mapping[int, Array],
     noise: Noise,
 ) -> tuple[float, VarianceModel] | None:
-    """Return noise of the time stamps and how far its gain is beyond that of chance; None: none.
+    """Return the gain beyond the significance limit, and the timing noise; None: none.
 
-    The likelihood of the squares where their means go with 1 + (timing x slope)^2/white^2.
+    In the likelihood, the means of the squares are proportional to 1 + (timing x slope)^2/white^2.
     """
     if any(fit.design_blocks[i].series.timing_noise > 0.0 for i in squares):
         return None
     slopes = {
-        i: _mean_squared_slope(fit.design_blocks[i].series, series[i], len(values))
+        i: _mean_squared_slopes(fit.design_blocks[i].series, series[i], len(values))
         for i, values in squares.items()
     }
     from scipy.special import chdtri
@@ -217,53 +218,61 @@ def _fit_timestamp_noise(
 
 
 def _maximize_slope_model(
-    squares: Mapping[int, Array], slopes: Mapping[int, Array]
+    squares: Mapping[int, Array], squared_slopes: Mapping[int, Array]
 ) -> tuple[float, float, float]:
-    """Return the likeliest noise of squares whose means are a constant plus it times the slopes.
+    """Maximise the likelihood of squares with means white variance + timing variance x slope^2.
 
-    slopes: Squared, by series.
-    Returns: Twice its gain in log-likelihood over even noise, the largest ratio of two rows'
-        standard deviations, and the variance of the noise.
+    squared_slopes: Squared slopes of each series.
+    Returns: twice the gain in log-likelihood over homoscedastic noise, the largest ratio of the
+        standard deviations of two rows, and the timing variance.
     """
-    largest = max(float(values.max()) for values in slopes.values())
-    if largest == 0.0:
+    max_slope = max(float(values.max()) for values in squared_slopes.values())
+    if max_slope == 0.0:
         return 0.0, 1.0, 0.0
-    slope = np.concatenate(list(slopes.values())) / largest
+    relative_slopes = np.concatenate(list(squared_slopes.values())) / max_slope
     all_squares = np.concatenate(list(squares.values()))
     information = _information_per_row(all_squares)
 
-    def gained(best_ratio: float) -> float:
-        """Return twice the gain in log-likelihood over even noise."""
-        shape = 1.0 + best_ratio * slope
-        level = math.log(np.mean(all_squares / shape)) - math.log(np.mean(all_squares))
-        return -information * (float(np.sum(np.log(shape))) + all_squares.size * level)
+    def log_likelihood_gain(ratio: float) -> float:
+        """Return twice the gain in log-likelihood over homoscedastic noise."""
+        relative_variances = 1.0 + ratio * relative_slopes
+        log_variance_ratio = math.log(np.mean(all_squares / relative_variances)) - math.log(
+            np.mean(all_squares)
+        )
+        return -information * (
+            float(np.sum(np.log(relative_variances))) + all_squares.size * log_variance_ratio
+        )
 
-    best_ratio = float(max(_TRIAL_RATIOS, key=gained))
+    best_ratio = float(max(_TRIAL_RATIOS, key=log_likelihood_gain))
     refined_ratios = best_ratio * np.geomspace(0.75, 1.33, 21)
-    best_ratio = float(max(refined_ratios, key=gained))
-    level = float(np.mean(all_squares / (1.0 + best_ratio * slope)))
-    return gained(best_ratio), math.sqrt(1.0 + best_ratio), best_ratio * level / largest
+    best_ratio = float(max(refined_ratios, key=log_likelihood_gain))
+    white_variance = float(np.mean(all_squares / (1.0 + best_ratio * relative_slopes)))
+    return (
+        log_likelihood_gain(best_ratio),
+        math.sqrt(1.0 + best_ratio),
+        best_ratio * white_variance / max_slope,
+    )
 
 
 def _estimate_encoder_noise(fit: JointFit, accelerometer: str) -> float:
-    """Return the noise of the encoder that corrected times show, rad; 0: stated, or none.
+    """Estimate the encoder noise from series with corrected times, rad; 0: stated, or none.
 
-    That time stamps err is known by then, so that it needs no test.
+    No test is necessary, because the errors of the time stamps are already significant.
     """
     squares, slopes = {}, {}
     for i, block in enumerate(fit.design_blocks):
-        series, stamps = block.series, block.series.timestamp_errors
-        if block.accelerometer != accelerometer or stamps is None or stamps.fraction == 0.0:
+        series, errors = block.series, block.series.timestamp_errors
+        if block.accelerometer != accelerometer or errors is None or errors.fraction == 0.0:
             continue
         if series.timing_noise > 0.0:
             return 0.0
         weight = np.sqrt(series.count / series.variance_ratio)
         residuals = remove_harmonics(series, fit.residuals[i].unweighted * weight)
-        squares[i] = np.diff(residuals, _ORDER) ** 2 / 20.0
+        squares[i] = np.diff(residuals, _DIFFERENCE_ORDER) ** 2 / 20.0
         slope = np.add(*series.slopes()) / series.trajectory.spindle.rate
-        squared_slope = stamps.fraction * slope**2
+        squared_slope = errors.fraction * slope**2
         slopes[i] = np.asarray(
-            np.convolve(squared_slope / series.variance_ratio, _WEIGHTS, mode="valid")
+            np.convolve(squared_slope / series.variance_ratio, _SQUARED_WEIGHTS, mode="valid")
         )
     if not squares:
         return 0.0
@@ -271,10 +280,14 @@ def _estimate_encoder_noise(fit: JointFit, accelerometer: str) -> float:
     return math.sqrt(variance) if gain > _MIN_GAIN else 0.0
 
 
-def _mean_squared_slope(thinned: ResidualSeries, full: ResidualSeries, count: int) -> Array:
-    """Return the mean square of the slope in the rows of each third difference, (count,)."""
-    ideal, error_slope = full.slopes()
-    squared_slope = ((ideal + error_slope) ** 2)[np.isin(full.time, thinned.time)]
-    mean = np.convolve(squared_slope, _WEIGHTS, mode="valid")
+def _mean_squared_slopes(
+    thinned_series: ResidualSeries, full_series: ResidualSeries, count: int
+) -> Array:
+    """Return the mean squared slope of the rows in each third difference, shape (count,)."""
+    reference_slope, error_slope = full_series.slopes()
+    squared_slope = ((reference_slope + error_slope) ** 2)[
+        np.isin(full_series.time, thinned_series.time)
+    ]
+    mean = np.convolve(squared_slope, _SQUARED_WEIGHTS, mode="valid")
     # Whitened differences belong to the later rows.
     return np.asarray(mean[mean.size - count :])

@@ -1,9 +1,9 @@
-"""Mistakes that are likely in a campaign, as alternatives to be held against its records.
+"""Likely mistakes of a campaign, as alternative hypotheses.
 
-What a mistake does to a record is its column to first order; a mistake that is large is refused
-when the record is read. An accelerometer turned about its input axis, which its records may not
-show, is a fit of its own: half a turn reverses the sign of K_IP, K_IO, delta_O and delta_P, a
-quarter exchanges K_PP and K_OO.
+The column of a mistake is its first-order effect on the records; large mistakes are rejected when
+a record is read. An accelerometer that is rotated about its input axis requires a fit of its own:
+half a turn reverses the sign of K_IP, K_IO, delta_O and delta_P, a quarter turn exchanges K_PP and
+K_OO.
 """
 
 from __future__ import annotations
@@ -34,42 +34,42 @@ from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.own_velocity import AxisError, computer_correction
 from counterspin.physics.terms import SHARED_TERMS, TERMS, term
 
-SCALE: Final = "scale"  #: relative change of an accelerometer's recorded output
-RUN_SCALE: Final = "run scale"  #: the same in one run only
+SCALE: Final = "scale"  #: relative error of the recorded output of an accelerometer
+RUN_SCALE: Final = "run scale"  #: relative error of the recorded output in a single run
 RESPONSE: Final = "response"  #: s^2; a gain of 1 - RESPONSE w^2/2 at the angular frequency w
-ANGLE: Final = "angle"  #: rad, by which a recorded angle is too small
-BIAS: Final = "bias"  #: g, of one accelerometer in one run
-BIAS_DRIFT: Final = "bias drift"  #: g/s, of an accelerometer in one run, or in each from its start
+ANGLE: Final = "angle"  #: offset by which a recorded angle is too small, rad
+BIAS: Final = "bias"  #: change of the bias of an accelerometer in a run, g
+BIAS_DRIFT: Final = "bias drift"  #: drift from the start of a run or of each run, g/s
 JUMP: Final = "jump"  #: step of a record, in its unit
-CORIOLIS: Final = "coriolis"  #: part of the error velocity that is wrongly taken into account
-SLOPE: Final = "slope"  #: change of a record's slope, in its unit and 1/s
-BIAS_STEP: Final = "bias step"  #: g, of one accelerometer within one run
+CORIOLIS: Final = "coriolis"  #: fraction of the error velocity that is wrongly included
+SLOPE: Final = "slope"  #: change of the slope of a record, in its unit per second
+BIAS_STEP: Final = "bias step"  #: step of the bias of an accelerometer during a run, g
 
-#: Estimates of the part of the error velocity, which is all or nothing.
-_WHOLE_VELOCITY: Final = (0.8, 1.2)
+#: Credible estimates of the Coriolis fraction, which is 0 or 1.
+_FULL_CORIOLIS_RANGE: Final = (0.8, 1.2)
 
-#: Up to here a change of scale, and a turn of the angle in rad, is not refused by reading.
+#: Ranges of scale and angle (rad) errors that the reading of records does not reject.
 _SCALE_RANGE: Final = (-0.5, 0.5)
 _ANGLE_RANGE: Final = (-0.5, 0.5)
 
-#: Largest change of the gain at the frequency of the fastest run, and the step of a second
-#: derivative in parts of a radian of that run.
-_LARGEST_RESPONSE: Final = 0.1
+#: Largest change of the gain at the frequency of the fastest run, and step of a second derivative,
+#: in radians of this run.
+_MAX_RESPONSE: Final = 0.1
 _RESPONSE_STEP: Final = 1e-2
 
 #: Terms of accelerometers and platform.
-_ERRORS: Final = frozenset((*TERMS, *SHARED_TERMS))
+_ERROR_TERMS: Final = frozenset((*TERMS, *SHARED_TERMS))
 
-#: Numbers of neighbouring residuals that are added up.
-_WINDOWS: Final = (4, 16, 64, 256)
+#: Numbers of adjacent residuals in a sum.
+_WINDOW_LENGTHS: Final = (4, 16, 64, 256)
 
-#: ln of the decades, about six, that a mistake may be of.
-_DECADES: Final = 6.0 * math.log(10.0)
+#: Logarithm of the range of the size of a mistake, about six decades.
+_LOG_RANGE: Final = 6.0 * math.log(10.0)
 
-#: Part of the stated values that are off which are mistaken, rather than off by what is typical.
+#: Prior probability that the error of a stated value is a mistake, and not of typical size.
 _MISTAKE_PROBABILITY: Final = 0.5
 
-#: How likely a mistake of some kind is beside one of the whole campaign.
+#: Kind of mistake -> prior odds relative to a mistake of the whole campaign.
 _PRIOR_ODDS: Final[Mapping[str, float]] = {
     "priors": 0.3,  # several statements, all off by as much
     RUN_SCALE: 0.1,
@@ -82,13 +82,12 @@ _PRIOR_ODDS: Final[Mapping[str, float]] = {
 
 
 def record_mistakes(
-    fit: JointFit, trends: Mapping[str, float], *, angle_recorded: bool
+    fit: JointFit, drift_sds: Mapping[str, float], *, angle_recorded: bool
 ) -> Iterator[Alternative]:
-    """Yield what may be otherwise in the records of an accelerometer, of a run, or of all.
+    """Yield mistakes in the records of an accelerometer, a run or the campaign.
 
-    trends: Accelerometer -> typical size of a drift of its bias, g/s.
-    angle_recorded: Whether the spindle's angle was; else its zero is found and nothing can be wrong
-        with it.
+    drift_sds: Accelerometer -> typical size of a bias drift, g/s.
+    angle_recorded: Whether the spindle angle was recorded; otherwise its zero is estimated.
     """
     design_blocks = fit.design_blocks
     outputs = {i: _fitted_output(fit, i) for i in range(len(design_blocks))}
@@ -101,7 +100,7 @@ def record_mistakes(
         }
         yield Alternative(SCALE, name, SCALE, columns, credible_range=_SCALE_RANGE)
         if len(columns) > 1:
-            yield _bias_drift(fit, list(columns), name, trends[name])
+            yield _bias_drift_alternative(fit, list(columns), name, drift_sds[name])
     if len(runs) > 1:
         yield from _low_pass_alternatives(fit, accelerometers)
     for run in runs if len(runs) > 1 else ():
@@ -112,10 +111,10 @@ def record_mistakes(
         if len(accelerometers) > 1 and len(runs) > 1:
             column = {i: outputs[i]}
             yield Alternative(RUN_SCALE, owner, SCALE, column, credible_range=_SCALE_RANGE)
-        drift_column = _integrated_bias(fit, i, 0)
+        bias_column = _bias_column(fit, i, 0)
         limit = limits.get((block.accelerometer, "K_F"), TERMS["K_F"].limit)
-        yield Alternative(BIAS, owner, BIAS, {i: drift_column}, credible_range=(-limit, limit))
-        yield _bias_drift(fit, [i], owner, trends[block.accelerometer])
+        yield Alternative(BIAS, owner, BIAS, {i: bias_column}, credible_range=(-limit, limit))
+        yield _bias_drift_alternative(fit, [i], owner, drift_sds[block.accelerometer])
     if angle_recorded:
         angle_columns = {
             i: rotation_column(block.series, ROTATION[0]) for i, block in enumerate(design_blocks)
@@ -129,27 +128,27 @@ def record_mistakes(
 
 
 def _low_pass_alternatives(fit: JointFit, accelerometers: Sequence[str]) -> Iterator[Alternative]:
-    """Yield for each accelerometer that its gain depends on the frequency.
+    """Yield a low-pass response of each accelerometer.
 
-    A first-order low pass of time constant tau has the gain 1 - (w tau)^2/2: it adds tau^2/2 times
-    the second derivative of what is recorded. It also delays by tau, as a late angle does.
+    A first-order low pass with time constant tau has the gain 1 - (w tau)^2/2: it adds tau^2/2
+    times the second derivative of the output. It also delays the output by tau, like a late angle.
     """
     design_blocks = fit.design_blocks
-    fastest = max(abs(block.series.trajectory.spindle.rate) for block in design_blocks)
-    step, limit = _RESPONSE_STEP / fastest, 2.0 * _LARGEST_RESPONSE / fastest**2
+    max_rate = max(abs(block.series.trajectory.spindle.rate) for block in design_blocks)
+    step, limit = _RESPONSE_STEP / max_rate, 2.0 * _MAX_RESPONSE / max_rate**2
     for name in accelerometers:
         columns = {}
         for i, block in enumerate(design_blocks):
             if block.accelerometer == name:
-                before, at_sample, after = (
+                earlier, current, later = (
                     block.series.reference(delay=delay) for delay in (-step, 0.0, step)
                 )
-                columns[i] = 0.5 * (before - 2.0 * at_sample + after) / step**2
+                columns[i] = 0.5 * (earlier - 2.0 * current + later) / step**2
         yield Alternative(RESPONSE, name, RESPONSE, columns, credible_range=(-limit, limit))
 
 
-def _integrated_bias(fit: JointFit, i: int, power: int, start: float | None = None) -> Array:
-    """Return the effect of a bias of t^power on a record, in g and s from a time or its start."""
+def _bias_column(fit: JointFit, i: int, power: int, start: float | None = None) -> Array:
+    """Return the effect of a bias t^power on a record, with t in s from `start` and bias in g."""
     series = fit.design_blocks[i].series
     exponent = power + series.order
     column: Array = (series.time - (series.time[0] if start is None else start)) ** exponent
@@ -158,19 +157,19 @@ def _integrated_bias(fit: JointFit, i: int, power: int, start: float | None = No
     )
 
 
-def _bias_drift(
+def _bias_drift_alternative(
     fit: JointFit, indices: Sequence[int], owner: str, default_sd: float
 ) -> Alternative:
-    """Return the alternative of a bias drift in some records, in each from its start."""
-    columns = {i: _integrated_bias(fit, i, 1) for i in indices}
-    longest = max(float(np.ptp(fit.design_blocks[i].series.time)) for i in indices)
-    steepest = TERMS["K_F"].limit / longest
+    """Return the alternative of a bias drift from the start of some records."""
+    columns = {i: _bias_column(fit, i, 1) for i in indices}
+    max_duration = max(float(np.ptp(fit.design_blocks[i].series.time)) for i in indices)
+    max_drift = TERMS["K_F"].limit / max_duration
     return Alternative(
         BIAS_DRIFT,
         owner,
         BIAS_DRIFT,
         columns,
-        credible_range=(-steepest, steepest),
+        credible_range=(-max_drift, max_drift),
         default_sd=default_sd,
     )
 
@@ -181,10 +180,10 @@ def _fitted_output(fit: JointFit, i: int) -> Array:
     return series.reference() + series.error - fit.residuals[i].unweighted
 
 
-def coriolis_mistakes(fit: JointFit, *, own_velocity: bool) -> Iterator[Alternative]:
-    """Yield that the navigation computers took the other velocity for the Coriolis acceleration.
+def coriolis_mistakes(fit: JointFit, *, uses_own_velocity: bool) -> Iterator[Alternative]:
+    """Yield the mistake that navigation computers use the other velocity for Coriolis terms.
 
-    own_velocity: Whether they are said to take their own; else the platform's.
+    uses_own_velocity: Whether the description states their own velocity; else the platform's.
     """
     columns: dict[int, Array] = {}
     for run in dict.fromkeys(block.run for block in fit.design_blocks):
@@ -201,20 +200,20 @@ def coriolis_mistakes(fit: JointFit, *, own_velocity: bool) -> Iterator[Alternat
             )
         for i, block in zip(block_indices, computer_correction(site, errors), strict=True):
             if block.any():
-                columns[i] = block if own_velocity else -block
+                columns[i] = block if uses_own_velocity else -block
     if columns:
         yield Alternative(
-            CORIOLIS, "", "records.reference", columns, credible_range=_WHOLE_VELOCITY
+            CORIOLIS, "", "records.reference", columns, credible_range=_FULL_CORIOLIS_RANGE
         )
 
 
 def evaluate_alternative(fit: JointFit, alternative: Alternative, value: float) -> Alternative:
-    """Return an alternative with the columns that it has where it is as large as `value`.
+    """Return an alternative with its columns computed at an estimated value.
 
-    A turned angle is no longer a first-order matter from a degree on, and what a record is a
-    multiple of is known only once its scale is.
+    The effect of an angle above a degree is nonlinear, and the column of a scale error depends on
+    the fitted output.
 
-    alternative: One of this module's.
+    alternative: An alternative of this module.
     """
     if alternative.kind in (SCALE, RUN_SCALE):
         return replace(
@@ -236,97 +235,110 @@ def evaluate_alternative(fit: JointFit, alternative: Alternative, value: float) 
 
 
 def changepoints(
-    fit: JointFit, count: int, about: Alternative | None = None, within: float = 0.0
+    fit: JointFit, n_times: int, center: Alternative | None = None, half_width: float = 0.0
 ) -> Iterator[Alternative]:
-    """Yield steps and bends of each record at evenly spaced times, or of one about a time.
+    """Yield steps and changes of slope of records at evenly spaced times.
 
-    A step of the bias is a step of a force and a bend of a velocity; of a displacement it is one
-    more, without which a bias that settles early in a run is told from none.
+    A step of the bias is a step of specific force, a change of slope of velocity, and an additional
+    kind of change for displacement.
 
-    about: One that has been found; None: all records, over their whole length.
-    within: s, how far from it.
+    center: Alternative about whose time a single record is searched; None: all records.
+    half_width: Half-width of this search, s.
     """
     for i, block in enumerate(fit.design_blocks):
         owner, time = f"{block.run}.{block.accelerometer}", block.series.time
         start, end = float(time[0]), float(time[-1])
-        last, output_range = (
+        record_end, max_step = (
             end,
             float(np.ptp(_fitted_output(fit, i))),
-        )  # no step exceeds what is recorded
-        if about is not None:
-            if about.owner != owner or about.time is None:
+        )  # no step exceeds the range of the output
+        if center is not None:
+            if center.owner != owner or center.time is None:
                 continue
-            start, end = max(start, about.time - within), min(end, about.time + within)
-        for at in np.linspace(start, end, count + 2)[1:-1].tolist():
-            step = (time > at).astype(float)
+            start, end = max(start, center.time - half_width), min(end, center.time + half_width)
+        for changepoint in np.linspace(start, end, n_times + 2)[1:-1].tolist():
+            step = (time > changepoint).astype(float)
             if not 0.0 < step.sum() < step.size:
                 continue
-            if about is None or about.kind == JUMP:
+            if center is None or center.kind == JUMP:
                 yield Alternative(
                     JUMP,
                     owner,
                     JUMP,
                     {i: step},
-                    time=at,
-                    credible_range=(-output_range, output_range),
+                    time=changepoint,
+                    credible_range=(-max_step, max_step),
                 )
-            if about is None or about.kind == SLOPE:
-                ramp, steepest = {i: step * (time - at)}, output_range / (last - at)
+            if center is None or center.kind == SLOPE:
+                ramp, max_slope = (
+                    {i: step * (time - changepoint)},
+                    max_step / (record_end - changepoint),
+                )
                 yield Alternative(
-                    SLOPE, owner, SLOPE, ramp, time=at, credible_range=(-steepest, steepest)
+                    SLOPE,
+                    owner,
+                    SLOPE,
+                    ramp,
+                    time=changepoint,
+                    credible_range=(-max_slope, max_slope),
                 )
-            if block.series.order == 2 and (about is None or about.kind == BIAS_STEP):
-                column, limit = {i: step * _integrated_bias(fit, i, 0, at)}, TERMS["K_F"].limit
+            if block.series.order == 2 and (center is None or center.kind == BIAS_STEP):
+                column, limit = {i: step * _bias_column(fit, i, 0, changepoint)}, TERMS["K_F"].limit
                 yield Alternative(
-                    BIAS_STEP, owner, BIAS_STEP, column, time=at, credible_range=(-limit, limit)
+                    BIAS_STEP,
+                    owner,
+                    BIAS_STEP,
+                    column,
+                    time=changepoint,
+                    credible_range=(-limit, limit),
                 )
 
 
-def input_mistakes(fit: JointFit, inputs: Mapping[str, float]) -> Iterator[Alternative]:
-    """Yield inputs that are stated as exact.
+def input_mistakes(fit: JointFit, default_sds: Mapping[str, float]) -> Iterator[Alternative]:
+    """Yield errors of inputs that are stated as exact.
 
-    inputs: Symbol -> typical size.
+    default_sds: Symbol -> typical size of the error.
     """
-    for name, default_sd in inputs.items():
+    for name, default_sd in default_sds.items():
         columns = {}
         for i, block in enumerate(fit.design_blocks):
             if not input_affects(block.series, name, input_owner(block.series, name)):
                 continue
-            # What the errors found so far are of depends on the inputs too.
+            # The effects of estimated coefficients depend on the inputs too.
             table = {
                 symbol: column
                 for index, column in zip(block.unknowns, block.design.T, strict=True)
-                if (symbol := fit.model.unknowns[index].symbol) in _ERRORS
+                if (symbol := fit.model.unknowns[index].symbol) in _ERROR_TERMS
             }
-            known = {
+            coefficients = {
                 symbol: float(fit.solution.estimate[index])
                 for index in block.unknowns
                 if (symbol := fit.model.unknowns[index].symbol) in table
             }
-            now = expected_output(block.series, known, table)
-            columns[i] = input_column(block.series, name, block.scale_factor, known, now)
-        by_owner: dict[str, dict[int, Array]] = {}
+            output = expected_output(block.series, coefficients, table)
+            columns[i] = input_column(block.series, name, block.scale_factor, coefficients, output)
+        columns_by_owner: dict[str, dict[int, Array]] = {}
         for i, column in columns.items():
             owner = input_owner(fit.design_blocks[i].series, name)
-            by_owner.setdefault(owner, {})[i] = column
-        for owner, known_values in by_owner.items():
-            yield Alternative("input", owner, name, known_values, default_sd=default_sd)
+            columns_by_owner.setdefault(owner, {})[i] = column
+        for owner, owner_columns in columns_by_owner.items():
+            yield Alternative("input", owner, name, owner_columns, default_sd=default_sd)
 
 
 def term_mistakes(fit: JointFit, terms: Mapping[Considered, float]) -> Iterator[Alternative]:
-    """Yield terms that the model leaves out; of those that every run has anew, all alike too.
+    """Yield terms that the model omits; for terms of each run, also their common value.
 
     terms: Term -> typical size.
     """
-    grouped_alternatives: dict[str, list[Alternative]] = {}
+    alternatives_by_symbol: dict[str, list[Alternative]] = {}
     columns_by_term: dict[Considered, dict[int, Array]] = {key: {} for key in terms}
     for i, block in enumerate(fit.design_blocks):
         # The terms of a record share its motion and its integrals.
-        acting = [key for key in terms if key.affects(block.series)]
-        symbols = list(dict.fromkeys(key.symbol for key in acting))
+        relevant_terms = [key for key in terms if key.affects(block.series)]
+        symbols = list(dict.fromkeys(key.symbol for key in relevant_terms))
         matrix = block.series.columns(symbols, block.scale_factor)
-        for key in acting:
-            columns_by_term[key][i] = matrix[:, symbols.index(key.symbol)]
+        for considered_term in relevant_terms:
+            columns_by_term[considered_term][i] = matrix[:, symbols.index(considered_term.symbol)]
     for alternative_term, default_sd in terms.items():
         columns = columns_by_term[alternative_term]
         credible_range = -alternative_term.limit, alternative_term.limit
@@ -340,48 +352,49 @@ def term_mistakes(fit: JointFit, terms: Mapping[Considered, float]) -> Iterator[
         )
         yield alternative
         if term(alternative_term.symbol).per_run:
-            grouped_alternatives.setdefault(alternative_term.symbol, []).append(alternative)
-    for same_term in grouped_alternatives.values():
-        if len(same_term) > 1:
-            everywhere = {
-                i: column for alternative in same_term for i, column in alternative.columns.items()
+            alternatives_by_symbol.setdefault(alternative_term.symbol, []).append(alternative)
+    for run_alternatives in alternatives_by_symbol.values():
+        if len(run_alternatives) > 1:
+            all_columns = {
+                i: column
+                for alternative in run_alternatives
+                for i, column in alternative.columns.items()
             }
-            yield replace(same_term[0], owner="", columns=everywhere)
+            yield replace(run_alternatives[0], owner="", columns=all_columns)
 
 
-def window_test_p(values: Array) -> float:
-    """Return the probability that no neighbours would be as far off together by chance.
+def window_test_p(residuals: Array) -> float:
+    """Return the p-value of the largest sum of adjacent residuals.
 
-    The largest sum of neighbouring residuals, over windows of several lengths, against its
-    distribution for independent residuals; all windows count as tests (Bonferroni), which is more
-    than they are.
+    The sums over windows of several lengths are compared with their distribution for independent
+    residuals. All windows count as tests (Bonferroni), which is conservative.
 
-    values: In the order of time, shape (n,).
+    residuals: In time order, shape (n,).
     """
-    cumulative = np.append(0.0, np.cumsum(values))
-    scale = math.sqrt(float(values @ values) / max(values.size, 1)) or 1.0
-    largest, tests = 0.0, 0
-    for length in _WINDOWS:
-        if length < values.size:
+    cumulative = np.append(0.0, np.cumsum(residuals))
+    scale = math.sqrt(float(residuals @ residuals) / max(residuals.size, 1)) or 1.0
+    max_sum, n_tests = 0.0, 0
+    for length in _WINDOW_LENGTHS:
+        if length < residuals.size:
             sums = (cumulative[length:] - cumulative[:-length]) / (scale * math.sqrt(length))
-            largest = max(largest, float(np.max(np.abs(sums))))
-            # Windows that overlap by half or more say nearly the same.
-            tests += 4 * math.ceil(values.size / length)
-    return min(1.0, 2.0 * max(tests, 1) * normal_cdf(-largest))
+            max_sum = max(max_sum, float(np.max(np.abs(sums))))
+            # Windows that overlap by half or more are nearly equivalent.
+            n_tests += 4 * math.ceil(residuals.size / length)
+    return min(1.0, 2.0 * max(n_tests, 1) * normal_cdf(-max_sum))
 
 
 def log_bayes_factor(alternative: Alternative, value: float, u: float) -> float:
-    """Return ln of the evidence for an alternative, but for what all have and for how it fits.
+    """Return the logarithm of the Occam factor of an alternative, up to a common constant.
 
-    For a parameter that fits as v with the standard uncertainty u it goes as u p(v), where p is
-    what was known of it before (Jeffreys, Theory of Probability, 3rd ed., sections 5.0 and 5.2).
-    Of a term p has the width of its typical size, which is an order of magnitude, and Cauchy's wide
-    tails. A mistake, such as a digit, a unit or a place, is of any size: 1/|v| over the decades.
+    For an estimate v with standard uncertainty u, the factor is proportional to u p(v) with the
+    prior density p (Jeffreys, Theory of Probability, 3rd ed., sections 5.0 and 5.2). For a term, p
+    is a Cauchy density with the typical size as its scale. A mistake, such as a wrong digit or
+    unit, may have any size: p is proportional to 1/|v| over the decades.
     """
     if not (math.isfinite(u) and u > 0.0 and value != 0.0):
         return -math.inf
     prior_odds = _PRIOR_ODDS.get(alternative.kind, 1.0)
-    mistake_density = prior_odds / (abs(value) * _DECADES)
+    mistake_density = prior_odds / (abs(value) * _LOG_RANGE)
     if alternative.default_sd is None or not alternative.default_sd > 0.0:
         return math.log(u * mistake_density)
     prior_density = prior_odds / (
@@ -394,27 +407,27 @@ def log_bayes_factor(alternative: Alternative, value: float, u: float) -> float:
     return math.log(u * prior_density)
 
 
-# Turned about the input axis -------------------------------------------------------------------
+# Rotation about the input axis -----------------------------------------------------------------
 
-#: The terms that the turn changes.
-ACROSS: Final = tuple(
+#: Terms that change by a rotation about the input axis.
+CROSS_AXIS_SYMBOLS: Final = tuple(
     symbol for symbol, row in TERMS.items() if not {"P", "O"}.isdisjoint(row.effect.factors)
 )
 
 
-def rotate_mounting(mounting: Mounting, quarters: int) -> Mounting:
+def rotate_mounting(mounting: Mounting, quarter_turns: int) -> Mounting:
     """Return a mounting after quarter turns about its input axis, from P towards O."""
     input_axis, pendulous, output = mounting.matrix
-    for _ in range(quarters % 4):
+    for _ in range(quarter_turns % 4):
         pendulous, output = output, -pendulous
     rotated_mounting = Mounting.from_axes(input_axis.tolist(), pendulous.tolist(), output.tolist())
     return replace(rotated_mounting, response=mounting.response)
 
 
-def with_rotated_mounting(fit: JointFit, accelerometer: str, quarters: int) -> JointFit:
-    """Return a relaxed fit with an accelerometer turned; what was stated is of its axes then."""
+def rotate_accelerometer(fit: JointFit, accelerometer: str, quarter_turns: int) -> JointFit:
+    """Return a relaxed fit with an accelerometer rotated; stated values belong to the new axes."""
     observations = tuple(
-        _recompute_columns(fit, observation, quarters)
+        _recompute_columns(fit, observation, quarter_turns)
         if isinstance(observation, DesignBlock) and observation.accelerometer == accelerometer
         else observation
         for observation in fit.observations
@@ -423,12 +436,12 @@ def with_rotated_mounting(fit: JointFit, accelerometer: str, quarters: int) -> J
     return fit.with_noise({name: fit.noise[name] for name in fit.noise if name == accelerometer})
 
 
-def _recompute_columns(fit: JointFit, block: DesignBlock, quarters: int) -> DesignBlock:
+def _recompute_columns(fit: JointFit, block: DesignBlock, quarter_turns: int) -> DesignBlock:
     symbols = [fit.model.unknowns[index].symbol for index in block.unknowns]
-    places = [k for k, symbol in enumerate(symbols) if symbol in ACROSS]
-    series = replace(block.series, mounting=rotate_mounting(block.series.mounting, quarters))
+    column_indices = [k for k, symbol in enumerate(symbols) if symbol in CROSS_AXIS_SYMBOLS]
+    series = replace(block.series, mounting=rotate_mounting(block.series.mounting, quarter_turns))
     design = block.design.copy()
-    if places:
-        columns = series.columns([symbols[k] for k in places], block.scale_factor)
-        design[:, places] = np.asarray(columns)
+    if column_indices:
+        columns = series.columns([symbols[k] for k in column_indices], block.scale_factor)
+        design[:, column_indices] = np.asarray(columns)
     return replace(block, series=series, design=design)

@@ -1,4 +1,4 @@
-"""One accelerometer's output in one run: columns, what uncertain inputs change, whitening."""
+"""Output of an accelerometer in a run: columns, effects of uncertain inputs, whitening."""
 
 from __future__ import annotations
 
@@ -22,50 +22,48 @@ from counterspin.physics.frequency_response import CUTOFF, RESPONSE_INPUTS
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.terms import TERMS
 
-#: Step of the reference's slope, rad.
+#: Step of the spindle angle for slopes of the reference, rad.
 _ANGLE_STEP: Final = 1e-4
 
-#: Singular values below this part of the largest are those of a constant.
+#: Relative singular value below which a centred harmonic is constant, as at strobes.
 _RANK_TOLERANCE: Final = 1e-6
 
-#: Least variance of a row's jitter, over the mean of what an ideal output has: no row is without
-#: noise where the slope is zero.
+#: Smallest jitter variance of a row over the mean of the reference, so that rows with slope 0 have
+#: noise too.
 MIN_RELATIVE_VARIANCE: Final = 0.02
 
 
 @frozen
 class TimestampErrors:
-    """Errors of the time stamps of a run, as the recorded angle shows them.
+    """Errors of the time stamps of a run, estimated from the recorded angle.
 
     A row is sampled j after its time stamp, so that angle and output are both those of the later
     time. The residual of the angle over the angular rate is j plus the noise of the encoder.
     """
 
-    delay: Array  #: That residual over the rate, s, shape (n,).
-    sd: float  #: Its standard deviation in a row of one sample, s.
-    dof: int  #: Degrees of freedom of that.
-    #: By how much the variance of the times inside each block is larger by the angles than by the
-    #: time stamps, s^2, shape (n,).
+    delay: Array  #: Residual of the angle over the angular rate, s, shape (n,).
+    sd: float  #: Standard deviation of the delay of a single sample, s.
+    dof: int  #: Degrees of freedom of `sd`.
+    #: Variance of the times inside each block from the angles minus that from the time stamps, s^2,
+    #: shape (n,).
     variance_change: Array
-    #: Stated noise of the time stamps, and stated noise of the encoder over the rate, s; 0: not
-    #: stated.
-    timestamp_sd: float = 0.0
-    encoder_sd: float = 0.0
-    fraction: float = 0.0  #: Part of the delays by which the times are corrected.
+    timestamp_sd: float = 0.0  #: Stated noise of the time stamps, s; 0: not stated.
+    encoder_sd: float = 0.0  #: Stated noise of the encoder over the rate, s; 0: not stated.
+    fraction: float = 0.0  #: Fraction of the delays that is corrected.
 
-    def select(self, keep: npt.NDArray[np.bool_]) -> TimestampErrors:
-        """Return those of the rows where `keep` (bool, shape (n,)) is true."""
-        return replace(self, delay=self.delay[keep], variance_change=self.variance_change[keep])
+    def select(self, mask: npt.NDArray[np.bool_]) -> TimestampErrors:
+        """Return the errors of the rows that a mask of shape (n,) selects."""
+        return replace(self, delay=self.delay[mask], variance_change=self.variance_change[mask])
 
     @property
     def prior(self) -> tuple[float, float]:
-        """The time stamps' share in the variance of the delays as stated, and its uncertainty."""
+        """Prior fraction of the delay variance due to the time stamps, and its uncertainty."""
         if self.timestamp_sd == 0.0 or self.sd == 0.0:
             return 0.0, math.inf
         if self.encoder_sd > 0.0:
             return self.timestamp_sd**2 / (self.timestamp_sd**2 + self.encoder_sd**2), 0.0
-        share = min((self.timestamp_sd / self.sd) ** 2, 1.0)
-        return share, share * math.sqrt(2.0 / self.dof)
+        fraction = min((self.timestamp_sd / self.sd) ** 2, 1.0)
+        return fraction, fraction * math.sqrt(2.0 / self.dof)
 
     @property
     def residual_sd(self) -> float:
@@ -77,53 +75,44 @@ class TimestampErrors:
 
 @frozen
 class ResidualSeries:
-    """One accelerometer's output in one run, less what a perfect system records."""
+    """Output of an accelerometer in a run, minus the output of a perfect system."""
 
-    #: Names.
+    #: Names of accelerometer and run.
     accelerometer: str
     run: str
-    #: As for `observation.columns`.
+    #: Parameters of `observation.columns`.
     trajectory: Trajectory
     mounting: Mounting
     observable: str
     attitude: Array
-    #: Mean time of each block, standard deviation of its samples' times (s) and their number, shape
-    #: (n,); for point samples 0 and 1.
+    #: Mean time of each block, standard deviation of the times of its samples (s; 0 for single
+    #: samples) and number of samples, shape (n,).
     time: Array
     time_sd: Array
     count: Array
     spacing: float  #: Time between samples, s.
-    #: S - S_ref, m, m/s or m/s^2, shape (n,), without gaps (missing rows are left out).
-    error: Array
-    #: Whether the record is in g, so that its size depends on the gravity assumed.
-    in_g: bool = False
-    recorder: str = ""  #: The one whose clock its times have, where there are several.
-    timestamp_sd: float = 0.0  #: Standard deviation of its time stamps, s.
-    #: White noise of each sample that comes from it, in the error's unit, its rms; it is added to
-    #: the accelerometer's own.
-    timing_noise: float = 0.0
-    thinning: int = 1  #: One of so many rows of the record, for those between are not independent.
-    #: Variance of its white noise, that of the time stamps apart, over that of the accelerometer's.
+    error: Array  #: S - S_ref, m, m/s or m/s^2, shape (n,), without missing rows.
+    in_g: bool = False  #: True if the record is in g, so that it depends on the assumed gravity.
+    recorder: str = ""  #: Name of the recorder whose clock measures the times; empty: only one.
+    timestamp_sd: float = 0.0  #: Standard deviation of the time stamps, s.
+    timing_noise: float = 0.0  #: Rms noise of a sample due to the time stamps, in the error's unit.
+    thinning: int = 1  #: Ratio of the rows of the record to the rows that are used.
+    #: White-noise variance without time stamps, over that of the accelerometer.
     variance_ratio: float = 1.0
-    #: How far the run may have turned otherwise than `trajectory` says; None where nobody knows.
-    angle_error: AngleError | None = None
-    #: To which the run is integrated, s, if that is beyond its rows; 0: to the last.
-    integration_end: float = 0.0
-    #: Change of the error with the latitude for which it was worked out, in its unit and 1/rad,
-    #: shape (n,); None where it does not depend on it.
+    angle_error: AngleError | None = None  #: Error of the spindle angle; None: unknown.
+    integration_end: float = 0.0  #: End of the integration beyond the last row, s; 0: last row.
+    #: d(error)/d(latitude), 1/rad, shape (n,); None: independent of the latitude.
     latitude_sensitivity: Array | None = None
-    #: How much a standard deviation of a time stamp moves each row, in the error's unit, shape
-    #: (n,); None: not at all.
+    #: Effect of a standard deviation of a time stamp, in the unit of the error, shape (n,).
     jitter_sensitivity: Array | None = None
-    #: What the recorded angle shows of the time stamps' errors; None where it shows nothing.
-    timestamp_errors: TimestampErrors | None = None
+    timestamp_errors: TimestampErrors | None = None  #: None: not detectable.
 
     @property
     def block_spacing(self) -> Array:
         """Time between the samples inside each block, s, shape (n,).
 
-        From the block's own spread of times where it is denser than usual, so that the blocks of
-        an uneven clock never seem to overlap.
+        Dense blocks use the spread of their times, so that blocks of an irregular clock never
+        overlap.
         """
         has_several_samples = self.time_sd > 0.0
         uniform_spacing = np.sqrt(12.0 / (np.maximum(self.count, 2.0) ** 2 - 1.0)) * self.time_sd
@@ -142,7 +131,7 @@ class ResidualSeries:
         motion = trajectory or self.trajectory
 
         def evaluate(t: Array, symbols: Sequence[str] = symbols) -> Array:
-            # A time more, at the run's end: integrals are then those along all of it.
+            # The end of the run is appended so that the integrals extend over the whole run.
             times = np.append(t, self.integration_end) if self.integration_end else t
             return observation.columns(
                 motion,
@@ -171,9 +160,10 @@ class ResidualSeries:
     def _samples_at_sign_changes(self, motion: Trajectory) -> tuple[npt.NDArray[np.intp], Array]:
         """Return the blocks in which a_I changes sign, and the times of all their samples, s."""
         axis = self.mounting.turned(self.attitude).input_axis
-        half = math.sqrt(3.0) * self.time_sd
-        early, late = (motion.specific_force(self.time + s * half) @ axis for s in (-1.0, 1.0))
-        rows = np.flatnonzero((early * late <= 0.0) & (self.time_sd > 0.0))
+        half_width = math.sqrt(3.0) * self.time_sd
+        ends = self.time - half_width, self.time + half_width
+        a_start, a_end = (motion.specific_force(t) @ axis for t in ends)
+        rows = np.flatnonzero((a_start * a_end <= 0.0) & (self.time_sd > 0.0))
         spacing = self.block_spacing
         times = [
             self.time[k] + spacing[k] * (np.arange(count) - 0.5 * (count - 1.0))
@@ -182,7 +172,7 @@ class ResidualSeries:
         return rows, np.concatenate(times) if times else np.empty(0)
 
     def reference(self, trajectory: Trajectory | None = None, delay: float = 0.0) -> Array:
-        """Return the reference averaged over the blocks, shape (n,), at times later by `delay`."""
+        """Return the reference, delayed by `delay` and averaged over the blocks, shape (n,)."""
         motion = trajectory or self.trajectory
         return observation.block_average(
             lambda t: observation.reference(
@@ -193,10 +183,10 @@ class ResidualSeries:
         )
 
     def rescale_clock(self, rate_error: float) -> ResidualSeries:
-        """Return the series at true times, the recorder's clock being fast by a part of itself.
+        """Return the series at true times, for a relative rate error of the recorder's clock.
 
-        What was recorded at t happened at t/(1 + fast); the recorded angle is what it was, so that
-        the spindle turned faster by that.
+        Samples recorded at t were taken at t/(1 + rate_error). The recorded angle is unchanged, so
+        that the spindle turned faster.
         """
         time_scale, spindle = 1.0 / (1.0 + rate_error), self.trajectory.spindle
         rescaled_spindle = replace(
@@ -213,98 +203,99 @@ class ResidualSeries:
             integration_end=self.integration_end * time_scale,
         )
 
-    def drop_rows(self, drop: npt.NDArray[np.bool_]) -> ResidualSeries:
-        """Return the series without the rows where `drop` (bool, shape (n,)) is true."""
-        keep = np.logical_not(drop)
+    def drop_rows(self, mask: npt.NDArray[np.bool_]) -> ResidualSeries:
+        """Return the series without the rows where `mask` (bool, shape (n,)) is true."""
+        is_kept = np.logical_not(mask)
         return replace(
             self,
-            time=self.time[keep],
-            time_sd=self.time_sd[keep],
-            count=self.count[keep],
-            error=self.error[keep],
+            time=self.time[is_kept],
+            time_sd=self.time_sd[is_kept],
+            count=self.count[is_kept],
+            error=self.error[is_kept],
             latitude_sensitivity=None
             if self.latitude_sensitivity is None
-            else self.latitude_sensitivity[keep],
+            else self.latitude_sensitivity[is_kept],
             jitter_sensitivity=None
             if self.jitter_sensitivity is None
-            else self.jitter_sensitivity[keep],
-            timestamp_errors=self.timestamp_errors and self.timestamp_errors.select(keep),
+            else self.jitter_sensitivity[is_kept],
+            timestamp_errors=self.timestamp_errors and self.timestamp_errors.select(is_kept),
         )
 
     @property
     def corrected_fraction(self) -> float:
-        """The part of the angle's delays by which the times are corrected."""
+        """Fraction of the delays that is corrected."""
         return 0.0 if self.timestamp_errors is None else self.timestamp_errors.fraction
 
     @property
     def timestamp_noise(self) -> float:
-        """Standard deviation of the time stamps as it is stated or found, s."""
+        """Stated or estimated standard deviation of the time stamps, s."""
         if self.timestamp_errors is None or self.corrected_fraction == 0.0:
             return self.timestamp_sd
         return self.timestamp_errors.sd * math.sqrt(self.corrected_fraction)
 
     def correct_times(self, fraction: float) -> ResidualSeries:
-        """Return the series at times corrected by a part of the delays that the angle shows.
+        """Return the series at times corrected by a fraction of the delays.
 
-        The expected error of a time stamp, given its angle, is this part of the delay. What an
-        ideal output is then follows at the corrected times, to every order.
+        The expected error of a time stamp, given its angle, is this fraction of the delay. The
+        reference is recomputed at the corrected times.
         """
         if self.timestamp_errors is None or fraction == self.corrected_fraction:
             return self
         time = self.time + (fraction - self.corrected_fraction) * self.timestamp_errors.delay
         if not np.all(np.diff(time) > 0.0):
-            return self  # an encoder this noisy does not tell the order of the rows
-        stamps = replace(self.timestamp_errors, fraction=fraction)
-        added_variance = (
+            return self  # the encoder is too noisy for the order of the rows
+        errors = replace(self.timestamp_errors, fraction=fraction)
+        variance_change = (
             fraction - self.corrected_fraction
         ) * self.timestamp_errors.variance_change
-        spread = np.sqrt(np.maximum(self.time_sd**2 + added_variance, 0.0))
-        corrected_series = replace(self, time=time, time_sd=spread, timestamp_errors=stamps)
+        time_sd = np.sqrt(np.maximum(self.time_sd**2 + variance_change, 0.0))
+        corrected_series = replace(self, time=time, time_sd=time_sd, timestamp_errors=errors)
         error = self.error + self.reference() - corrected_series.reference()
-        return replace(corrected_series, error=error).with_timestamp_noise(stamps.residual_sd)
+        return replace(corrected_series, error=error).with_timestamp_noise(errors.residual_sd)
 
     def add_angle(self, coefficients: Array) -> ResidualSeries | None:
-        """Return the series about a rotation that is ahead by coefficients of its angle's error.
+        """Return the series for a rotation that is advanced by an angle error.
 
-        The recorded angle is what it was, so that the delays and the corrected times change too.
+        The recorded angle is unchanged, so that the delays and the corrected times change too.
 
-        coefficients: Shape (m,), in the units of `AngleError`.
+        coefficients: Coefficients of the functions of `AngleError`, shape (m,).
         Returns: None if the corrected times would not increase.
         """
-        previous, error = self.trajectory.spindle, self.angle_error
-        assert error is not None
-        spindle = previous.add_angle(error, coefficients)
-        error = replace(error, rate=spindle.rate, deviation=error.deviation - coefficients)
-        time, stamps = self.time, self.timestamp_errors
-        if stamps is not None:
-            stamp_times = time - stamps.fraction * stamps.delay
-            sample_times = stamp_times + stamps.delay
-            ahead = observation.block_average(
-                lambda t: spindle.angle(t) - previous.angle(t), sample_times, self.time_sd
+        old_spindle, angle_error = self.trajectory.spindle, self.angle_error
+        assert angle_error is not None
+        spindle = old_spindle.add_angle(angle_error, coefficients)
+        deviation = angle_error.deviation - coefficients
+        angle_error = replace(angle_error, rate=spindle.rate, deviation=deviation)
+        time, errors = self.time, self.timestamp_errors
+        if errors is not None:
+            stamp_times = time - errors.fraction * errors.delay
+            sample_times = stamp_times + errors.delay
+            angle_change = observation.block_average(
+                lambda t: spindle.angle(t) - old_spindle.angle(t), sample_times, self.time_sd
             )
-            stamps = replace(
-                stamps, delay=stamps.delay - ahead / spindle.angular_rate(sample_times)
+            errors = replace(
+                errors, delay=errors.delay - angle_change / spindle.angular_rate(sample_times)
             )
-            time = stamp_times + stamps.fraction * stamps.delay
+            time = stamp_times + errors.fraction * errors.delay
             if not np.all(np.diff(time) > 0.0):
                 return None
         rotated = replace(
             self,
             trajectory=replace(self.trajectory, spindle=spindle),
-            angle_error=error,
+            angle_error=angle_error,
             time=time,
-            timestamp_errors=stamps,
+            timestamp_errors=errors,
         )
         rotated = replace(rotated, error=self.error + self.reference() - rotated.reference())
-        timing = (
-            stamps.residual_sd
-            if stamps is not None and stamps.fraction > 0.0
+        timestamp_sd = (
+            errors.residual_sd
+            if errors is not None and errors.fraction > 0.0
             else self.timestamp_sd
         )
-        return rotated.with_timestamp_noise(0.0).with_timestamp_noise(timing)
+        return rotated.with_timestamp_noise(0.0).with_timestamp_noise(timestamp_sd)
 
     def with_encoder_noise(self, noise: float) -> ResidualSeries:
-        """Return corrected series with what noise of the encoder leaves open of the times.
+        """Return the series with the timing noise that the encoder adds to corrected times.
 
         noise: Standard deviation of a recorded angle, rad.
         """
@@ -321,12 +312,12 @@ class ResidualSeries:
         return np.vander(self.time, count, increasing=True)
 
     def total_noise(self, noise: Noise) -> Noise:
-        """Return the noise of an accelerometer with what the time stamps' noise adds here."""
+        """Return the noise of the accelerometer plus the timing noise of the series."""
         white = math.sqrt(self.variance_ratio) * noise.white
         return replace(noise, white=math.hypot(white, self.timing_noise))
 
     def with_timestamp_noise(self, timestamp_sd: float) -> ResidualSeries:
-        """Return the series with what noise of its time stamps adds: it goes with the slope.
+        """Return the series with timing noise, which is proportional to the slope.
 
         timestamp_sd: Standard deviation of a time stamp, s.
         """
@@ -345,13 +336,13 @@ class ResidualSeries:
         )
 
     def scale_noise(self, run_ratios: Mapping[str, float]) -> ResidualSeries:
-        """Return the series with its white noise as many times as large as is said of its run."""
+        """Return the series with its white noise multiplied by the ratio of its run."""
         return replace(
             self, variance_ratio=self.variance_ratio * run_ratios.get(self.run, 1.0) ** 2
         )
 
-    def with_noise_of(self, source: ResidualSeries) -> ResidualSeries:
-        """Return the series with the noise of another one of the same rows."""
+    def copy_noise(self, source: ResidualSeries) -> ResidualSeries:
+        """Return the series with the noise of another series of the same rows."""
         return replace(
             self,
             variance_ratio=source.variance_ratio,
@@ -360,49 +351,50 @@ class ResidualSeries:
             jitter_sensitivity=source.jitter_sensitivity,
         )
 
-    def slopes(self, known: Mapping[str, float] = MappingProxyType({})) -> tuple[Array, Array]:
+    def slopes(self, deviations: Mapping[str, float] = MappingProxyType({})) -> tuple[Array, Array]:
         """Return d/dt of the reference and of the error, in the error's unit and 1/s, (n,) each.
 
-        The slope of what coefficients explain of the error is exact. That of the rest is the slope
-        of a cubic with a wave through it: a bias of 5 mg has moved the platform at 20 m/s after
-        400 s, five times as fast as the arm does.
+        The slope of the error due to the given coefficients is exact. The slope of the remaining
+        error is that of a fitted cubic with a harmonic of the spindle. A bias of 5 mg causes a
+        velocity of 20 m/s after 400 s, five times the velocity of the arm.
 
-        known: Coefficients of the accelerometer, less nominal.
+        deviations: Coefficients of the accelerometer minus nominal values.
         """
         step = _ANGLE_STEP / abs(self.trajectory.spindle.rate)
-        ideal = (self.reference(delay=step) - self.reference(delay=-step)) / (2.0 * step)
-        length = max(float(self.time[-1]), self.spacing)
-        t = self.time / length
+        reference_slope = (self.reference(delay=step) - self.reference(delay=-step)) / (2.0 * step)
+        duration = max(float(self.time[-1]), self.spacing)
+        t = self.time / duration
         angle = self.trajectory.spindle.angle(self.time)
         angular_rate = self.trajectory.spindle.angular_rate(self.time)
-        wave = [np.cos(angle), np.sin(angle)]
-        # At strobes the wave is a constant, and nothing is left of it.
-        shape = np.column_stack([np.vander(t, 4), *(column - column.mean() for column in wave)])
-        residual, explained = self.error, np.zeros(())
-        if known:
-            values = np.array([*known.values()])
-            residual = residual - self.columns([*known], 1.0) @ values
-            explained = self._column_slopes([*known]) @ values
-        coefficients = np.linalg.lstsq(shape, residual, rcond=_RANK_TOLERANCE)[0]
-        polynomial_slope = np.polyval(np.polyder(coefficients[:4]), t) / length
-        return ideal, explained + polynomial_slope + angular_rate * (
-            coefficients[5] * wave[0] - coefficients[4] * wave[1]
+        harmonic = [np.cos(angle), np.sin(angle)]
+        # At strobes, the harmonic is constant and its centred columns vanish.
+        centered = [column - column.mean() for column in harmonic]
+        regressors = np.column_stack([np.vander(t, 4), *centered])
+        residual, known_slope = self.error, np.zeros(())
+        if deviations:
+            values = np.array([*deviations.values()])
+            residual = residual - self.columns([*deviations], 1.0) @ values
+            known_slope = self._column_slopes([*deviations]) @ values
+        coefficients = np.linalg.lstsq(regressors, residual, rcond=_RANK_TOLERANCE)[0]
+        polynomial_slope = np.polyval(np.polyder(coefficients[:4]), t) / duration
+        return reference_slope, known_slope + polynomial_slope + angular_rate * (
+            coefficients[5] * harmonic[0] - coefficients[4] * harmonic[1]
         )
 
     def _column_slopes(self, symbols: Sequence[str]) -> Array:
         """Return d/dt of columns of the accelerometer's terms, shape (n, m)."""
         if self.order > 0:
-            lower = {order: name for name, order in observation.ORDERS.items()}[self.order - 1]
-            return replace(self, observable=lower).columns(symbols, 1.0)
+            derivative = {order: name for name, order in observation.ORDERS.items()}[self.order - 1]
+            return replace(self, observable=derivative).columns(symbols, 1.0)
         step = _ANGLE_STEP / abs(self.trajectory.spindle.rate)
-        ahead, behind = (
+        later, earlier = (
             replace(self, time=self.time + s).columns(symbols, 1.0) for s in (step, -step)
         )
-        return (ahead - behind) / (2.0 * step)
+        return (later - earlier) / (2.0 * step)
 
     @property
     def jitter_variance(self) -> Array:
-        """Variance of a sample's jitter in each row, (n,), over `relative`; () without any."""
+        """Jitter variance of a sample over `variance_ratio`, (n,); shape () without jitter."""
         return (
             np.zeros(())
             if self.jitter_sensitivity is None
@@ -411,25 +403,24 @@ class ResidualSeries:
 
     @cached_property
     def differences(self) -> Differences:
-        """The differences of the rows in which start offset and velocity do not show."""
+        """Differences of the rows, which do not contain start offset and velocity."""
         return Differences.of(
             self.time, self.order, self.count, self.block_spacing, self.variance_ratio
         )
 
     def whitener(self, noise: Noise) -> Whitener:
-        """Return the whitener of the rows, which gives their noise unit covariance."""
+        """Return the whitener of the rows."""
         start = self.trajectory.conditions.start
         return build_whitener(self.differences, noise, start, self.jitter_variance)
 
 
-# What inputs change -----------------------------------------------------------------------------
+# Effects of inputs ------------------------------------------------------------------------------
 
-#: Steps of derivatives: of times in radians turned, of the clock in parts of itself; of the others
-#: in parts of their size.
+#: Steps of derivatives: rad for times, relative for the clock.
 _RELATIVE_STEP: Final = 1e-5
-_INPUT_STEP: Final = 1e-6
+_INPUT_STEP: Final = 1e-6  #: relative step of other inputs
 
-#: Uncertain inputs: how each changes the trajectory.
+#: Uncertain input -> function that changes it in a trajectory.
 INPUT_PERTURBATIONS: Final[Mapping[str, Callable[[Trajectory, float], Trajectory]]] = {
     "centrifuge.radius": lambda motion, step: replace(motion, radius=motion.radius + step),
     "site.gravity": lambda motion, step: replace(
@@ -439,10 +430,10 @@ INPUT_PERTURBATIONS: Final[Mapping[str, Callable[[Trajectory, float], Trajectory
         motion, site=replace(motion.site, latitude=motion.site.latitude + step)
     ),
 }
-TIMING: Final = "records.timing_offset"  #: s, by which an angle is sampled after its output
-CLOCK: Final = "records.clock"  #: the part of itself by which the recorder's clock runs fast
-RATE: Final = "centrifuge.rate"  #: the random relative error of each rate of readings
-RATE_CLOCK: Final = "centrifuge.clock"  #: the same of the counter that measures rates of readings
+TIMING: Final = "records.timing_offset"  #: delay of the angle samples after the output samples, s
+CLOCK: Final = "records.clock"  #: relative rate error of the recorder's clock
+RATE: Final = "centrifuge.rate"  #: random relative error of each rate of readings
+RATE_CLOCK: Final = "centrifuge.clock"  #: relative error of the counter that measures these rates
 
 
 def rotation_column(series: ResidualSeries, symbol: str) -> Array:
@@ -454,7 +445,7 @@ def rotation_column(series: ResidualSeries, symbol: str) -> Array:
         "spindle.rate": ("rate", _RELATIVE_STEP / duration),
         "spindle.drift": ("drift", _RELATIVE_STEP / (abs(spindle.rate) * duration**2)),
     }[symbol]
-    ahead, behind = (
+    upper, lower = (
         series.reference(
             replace(
                 series.trajectory,
@@ -463,30 +454,30 @@ def rotation_column(series: ResidualSeries, symbol: str) -> Array:
         )
         for change in (step, -step)
     )
-    return (ahead - behind) / (2.0 * step)
+    return (upper - lower) / (2.0 * step)
 
 
 def input_owner(series: ResidualSeries, name: str) -> str:
-    """Return the owner of an input that shows in a series: recorder, accelerometer or nobody."""
+    """Return the owner of an input of a series: recorder, accelerometer or empty."""
     if name == CLOCK:
         return series.recorder
     return series.accelerometer if name in RESPONSE_INPUTS and name != CUTOFF else ""
 
 
 def input_affects(series: ResidualSeries, name: str, owner: str) -> bool:
-    """Return whether an input of an owner shows in a series."""
+    """Return whether an input of an owner affects a series."""
     if name == RATE_CLOCK or (name in RESPONSE_INPUTS and series.mounting.response is None):
         return False
     return owner == input_owner(series, name)
 
 
 def expected_output(
-    series: ResidualSeries, known: Mapping[str, float], table: Mapping[str, Array]
+    series: ResidualSeries, deviations: Mapping[str, float], columns: Mapping[str, Array]
 ) -> Array:
-    """Return the output of a series with known errors, columns from a table, shape (n,)."""
+    """Return the output of a series with known deviations of coefficients, shape (n,)."""
     output = series.reference()
-    for symbol, value in known.items():
-        output = output + value * table[symbol]
+    for symbol, value in deviations.items():
+        output = output + value * columns[symbol]
     return output
 
 
@@ -494,37 +485,36 @@ def input_column(
     series: ResidualSeries,
     name: str,
     scale_factor: float,
-    known: Mapping[str, float],
+    deviations: Mapping[str, float],
     expected: Array,
 ) -> Array:
     """Return d(recorded output)/d(input) at the estimate, by a forward difference, shape (n,).
 
-    scale_factor: K_I, with which the accelerometer sees the platform's errors.
-    known: The errors of the estimate, with which `expected` is what is expected.
+    scale_factor: K_I in the columns of platform errors.
+    deviations: Estimated coefficients minus nominal values, included in `expected`.
     """
-    reference, columns, step = with_input(series, name, list(known), scale_factor)
-    change: Array = (reference + columns @ np.array([*known.values()]) - expected) / step
+    reference, columns, step = evaluate_with_input(series, name, list(deviations), scale_factor)
+    change: Array = (reference + columns @ np.array([*deviations.values()]) - expected) / step
     if name == "site.latitude" and series.latitude_sensitivity is not None:
         change = change - series.latitude_sensitivity
     if name == "site.gravity" and series.in_g:
-        # A record in g was turned into m/s^2 with the gravity assumed. What it should be is what
-        # counts: with its noise in the column, it would explain itself.
+        # A record in g was converted to m/s^2 with the assumed gravity. The expected output is
+        # used here: the noise of the recorded output would correlate with itself.
         change = change - expected / series.trajectory.site.gravity
     return change
 
 
-def with_input(
+def evaluate_with_input(
     series: ResidualSeries, name: str, symbols: Sequence[str], scale_factor: float
 ) -> tuple[Array, Array, float]:
-    """Return reference (n,) and columns (n, q) with an input off by a small step, and the step."""
+    """Return reference (n,) and columns (n, q) with an input changed by a step, and the step."""
     if name == TIMING:
         spindle = series.trajectory.spindle
         step = _RELATIVE_STEP / abs(spindle.rate)
-        # Angles that were taken later were reached later: the spindle was behind by that time, for
-        # what the errors make of the motion too.
-        behind = replace(series.trajectory, spindle=spindle.later(-step))
-        late = series.columns(symbols, scale_factor, behind)
-        return series.reference(delay=-step), late, step
+        # Angles were sampled later than the output, so the spindle was behind by this time.
+        delayed = replace(series.trajectory, spindle=spindle.later(-step))
+        columns = series.columns(symbols, scale_factor, delayed)
+        return series.reference(delay=-step), columns, step
     if name == CLOCK:
         rescaled = series.rescale_clock(_RELATIVE_STEP)
         return rescaled.reference(), rescaled.columns(symbols, scale_factor), _RELATIVE_STEP
@@ -533,13 +523,13 @@ def with_input(
         assert response is not None
         step = response.step(name)
         mounting = replace(series.mounting, response=response.deviate(name, step))
-        changed_series = replace(series, mounting=mounting)
-        return changed_series.reference(), changed_series.columns(symbols, scale_factor), step
-    step_size = {
+        changed = replace(series, mounting=mounting)
+        return changed.reference(), changed.columns(symbols, scale_factor), step
+    scale = {
         "centrifuge.radius": series.trajectory.radius,
         "site.gravity": series.trajectory.site.gravity,
         "site.latitude": 1.0,
     }[name]
-    step = _INPUT_STEP * step_size
+    step = _INPUT_STEP * scale
     trajectory = INPUT_PERTURBATIONS[name](series.trajectory, step)
     return series.reference(trajectory), series.columns(symbols, scale_factor, trajectory), step

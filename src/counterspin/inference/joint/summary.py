@@ -11,8 +11,7 @@ import numpy as np
 
 from counterspin.frozen import frozen
 
-#: Kinds: what was measured, what the description states, what it does not state and is taken at its
-#: typical size, and what is known but not adjusted.
+#: Categories: noise, stated priors, default priors, and considered terms.
 Kind = Literal["noise", "stated", "unstated", "held"]
 NOISE: Final = "noise"
 STATED: Final = "stated"
@@ -45,7 +44,7 @@ class BudgetLine:
 
 @frozen
 class WhatIf:
-    """Inputs of the coefficients' uncertainties, as far as an update needs them."""
+    """Covariances for an update of prior uncertainties."""
 
     names: list[str]  #: Names of the coefficients and sources, as in a budget.
     units: list[str]  #: Unit of each name, an SI unit or a g-unit.
@@ -75,37 +74,41 @@ class WhatIf:
         )
 
     def u(self, name: str, known: Mapping[str, float]) -> float:
-        """Return the standard uncertainty of a coefficient if sources were known so well.
+        """Return the standard uncertainty of a coefficient with other prior uncertainties.
 
-        known: By source its standard uncertainty beforehand, above 0; others stay as they are.
+        known: Source -> prior standard uncertainty, above 0; other sources are unchanged.
         """
         return math.sqrt(sum(self.parts(name, known).values()))
 
     def parts(self, name: str, known: Mapping[str, float]) -> dict[str, float]:
-        """Return the u^2 of a coefficient by source, and the rest, as ``""``; as `u`."""
+        """Return the u^2 of a coefficient by source, and the remainder as ``""``; see `u`."""
         if unknown := [source for source in known if source not in self.known]:
             raise ValueError(f"no prior for {', '.join(unknown)}")
         if not all(u > 0.0 and math.isfinite(u) for u in known.values()):
             raise ValueError("a standard uncertainty must be greater than zero")
         covariance = np.array(self.weighed)
-        constant = np.array(self.beside) if self.beside else np.zeros_like(covariance)
-        changed = {source: u for source, u in known.items() if source not in self.held}
-        indices = [self.names.index(source) for source in changed]
-        change = np.diag([u**-2 - self.known[source] ** -2 for source, u in changed.items()])
-        inner = np.eye(len(indices)) + covariance[np.ix_(indices, indices)] @ change
+        constant_covariance = np.array(self.beside) if self.beside else np.zeros_like(covariance)
+        changed_priors = {source: u for source, u in known.items() if source not in self.held}
+        indices = [self.names.index(source) for source in changed_priors]
+        weight_changes = np.diag(
+            [u**-2 - self.known[source] ** -2 for source, u in changed_priors.items()]
+        )
+        gain_matrix = np.eye(len(indices)) + covariance[np.ix_(indices, indices)] @ weight_changes
         transform = np.eye(len(covariance))
-        transform[:, indices] -= covariance[:, indices] @ change @ np.linalg.inv(inner)
+        transform[:, indices] -= (
+            covariance[:, indices] @ weight_changes @ np.linalg.inv(gain_matrix)
+        )
         row = transform[self.names.index(name)]
         covariances = row @ covariance  # with every name
-        variance = float(covariances[self.names.index(name)] + row @ constant @ row)
+        variance = float(covariances[self.names.index(name)] + row @ constant_covariance @ row)
         parts = {}
         for source, u in (self.known | dict(known)).items():
             if source in self.held:
-                moves = float(row @ self.held[source])
-                parts[source] = (moves * u / self.known[source]) ** 2
-                variance += parts[source] - moves**2
+                shift = float(row @ self.held[source])
+                parts[source] = (shift * u / self.known[source]) ** 2
+                variance += parts[source] - shift**2
             else:
-                # What a prior contributes is its u times the sensitivity to it, A / u^2.
+                # The contribution of a prior is its u times the sensitivity A / u^2.
                 parts[source] = float(covariances[self.names.index(source)] / u) ** 2
         return parts | {"": max(variance - sum(parts.values()), 0.0)}
 

@@ -1,8 +1,7 @@
-"""A linear model: what a fit estimates or holds, and observations whose rows are linear in that.
+"""Linear model: estimated and considered unknowns, and the interface of an observation.
 
 Observations are records (`counterspin.inference.joint.design_blocks`), or readings and poses
-(`counterspin.readings.linear`). Whatever is asked of a fit, such as another noise, a run
-left out or one more column, is asked of its observations alike.
+(`counterspin.readings.linear`).
 """
 
 from __future__ import annotations
@@ -40,41 +39,39 @@ _UNITS: Final = dict(zip((*ROTATION, RIPPLE), ("rad", "rad/s", "1/s", "rad/s"), 
 
 
 def unit_of(symbol: str) -> str:
-    """Return the unit of a term, of an unknown of the rotation or of an uncertain input."""
+    """Return the unit of a term, a rotation parameter or an uncertain input."""
     return _UNITS.get(symbol) or term(symbol).unit
 
 
 @frozen
 class Unknown:
-    """One unknown of the joint fit."""
+    """An unknown of the joint fit."""
 
-    #: Name of the accelerometer, the run, or the recorder of a clock; empty for what all share.
+    #: Name of the accelerometer, the run, or the recorder of a clock; empty: shared by all.
     owner: str
     #: A term of the table, one of `ROTATION` or of `counterspin.inference.joint.encoder.SYMBOLS`.
     symbol: str
-    #: (value, standard uncertainty) of the coefficient; infinite: nothing known. Of an input, its
-    #: deviation from what the description states.
+    #: Value and standard uncertainty (infinite: no prior) of the coefficient; for an input,
+    #: deviation from the stated value.
     prior: tuple[float, float]
     limit: float  #: Largest credible size.
-    #: Whether anybody wants to know it; else it is there because others depend on it.
-    is_of_interest: bool = True
-    #: Whether the description does not state the prior's uncertainty, which then is the typical one
-    #: of the table of terms.
+    is_of_interest: bool = True  #: False for a nuisance parameter.
+    #: True if the prior has the default standard uncertainty of the table of terms.
     has_default_prior: bool = False
-    #: Default standard uncertainty of a requested parameter without a prior, which it gets if the
-    #: directions of a triad's poses do not determine it; infinite: none.
+    #: Default standard uncertainty of a parameter of interest, used if the poses of a triad do not
+    #: determine it; infinite: none.
     default_sd: float = math.inf
     #: Names of other unknowns -> stated correlation of the priors.
     correlations: Mapping[str, float] = field(default_factory=dict, compare=False)
 
     @property
     def uses_fallback_prior(self) -> bool:
-        """True for a requested parameter that is not determined and has its default prior."""
+        """True for a parameter of interest that is not determined and has its default prior."""
         return self.is_of_interest and self.has_default_prior and self.prior[1] == self.default_sd
 
     @property
     def unit(self) -> str:
-        """The coefficient's unit: g-units, or SI for what is no accelerometer's."""
+        """Unit of the coefficient: g-units for accelerometers, SI for other unknowns."""
         return unit_of(self.symbol)
 
     @property
@@ -84,21 +81,21 @@ class Unknown:
 
     @property
     def prior_mean(self) -> float:
-        """The prior's value less nominal; where nothing is known, nominal itself, which is 0."""
+        """Prior value minus nominal value; 0 without a prior."""
         return self.prior[0] - self.nominal if math.isfinite(self.prior[1]) else 0.0
 
     @property
     def prior_sd(self) -> float:
-        """The prior's u; where nothing is known, that of the solver's numerical regularisation."""
+        """Standard uncertainty of the prior, or of the solver's regularisation without a prior."""
         return self.prior[1] if math.isfinite(self.prior[1]) else REGULARISATION * self.limit
 
     @property
     def name(self) -> str:
-        """Owner and symbol in one word."""
+        """Owner and symbol, separated by a point."""
         return f"{self.owner}.{self.symbol}" if self.owner else self.symbol
 
     def affects(self, series: ResidualSeries) -> bool:
-        """Return whether the unknown can show in a series."""
+        """Return whether the unknown affects a series."""
         if self.symbol in ACCELEROMETER_TERMS or self.symbol == LEVER_ARM:
             return self.owner == series.accelerometer
         if self.symbol in INPUTS:
@@ -110,15 +107,14 @@ class Unknown:
 
 @frozen
 class Considered(Unknown):
-    """A term that is held: its prior's value is taken, its uncertainty carried (Schmidt)."""
+    """A considered term (Schmidt): fixed at its prior, with its uncertainty propagated."""
 
 
 @frozen
 class Unknowns:
     """Estimated and considered unknowns."""
 
-    #: In the order of the solution's rows and considered columns; unknowns that are asked for come
-    #: first.
+    #: In the order of the rows of the solution; parameters of interest come first.
     unknowns: tuple[Unknown, ...]
     considered: tuple[Considered, ...] = ()
 
@@ -127,15 +123,15 @@ class Unknowns:
         """Parameters of interest: the first of the unknowns."""
         return tuple(unknown for unknown in self.unknowns if unknown.is_of_interest)
 
-    def with_default_priors(self, selected_unknowns: Collection[Unknown]) -> Unknowns:
-        """Return the model with the default priors of some requested parameters."""
+    def with_default_priors(self, selected: Collection[Unknown]) -> Unknowns:
+        """Return the model with the default priors of some parameters of interest."""
         return replace(
             self,
             unknowns=tuple(
                 replace(
                     unknown, prior=(unknown.nominal, unknown.default_sd), has_default_prior=True
                 )
-                if unknown in selected_unknowns
+                if unknown in selected
                 else unknown
                 for unknown in self.unknowns
             ),
@@ -147,11 +143,11 @@ class Unknowns:
         return any(unknown.symbol in INPUTS for unknown in (*self.unknowns, *self.considered))
 
     def without_inputs(self) -> Unknowns:
-        """Return the model with every input as the description states it."""
+        """Return the model with all inputs fixed at their stated values."""
         return self.without(INPUTS)
 
     def without(self, symbols: Collection[str]) -> Unknowns:
-        """Return the model with terms and inputs of these symbols as they should be."""
+        """Return the model with terms and inputs of these symbols fixed at nominal."""
         return Unknowns(
             tuple(unknown for unknown in self.unknowns if unknown.symbol not in symbols),
             tuple(term for term in self.considered if term.symbol not in symbols),
@@ -159,65 +155,63 @@ class Unknowns:
 
     @property
     def considered_means(self) -> list[float]:
-        """Assumed values of the solution's considered columns, less nominal."""
+        """Assumed values of the considered terms minus nominal values."""
         return [term.prior_mean for term in self.considered]
 
     @property
     def considered_sds(self) -> list[float]:
-        """Standard uncertainties of the solution's considered columns."""
+        """Standard uncertainties of the considered terms."""
         return [term.prior[1] for term in self.considered]
 
 
 @frozen
 class Observation(ABC):
-    """Joint measurement of n rows, and its columns."""
+    """Observation of n rows that are linear in the unknowns."""
 
-    #: Which of the model's unknowns and considered columns the columns below belong to.
-    unknowns: tuple[int, ...]
-    #: Their columns, shapes (n, m) and (n, c).
-    design: Array
-    considered: tuple[int, ...]
-    fixed: Array
+    unknowns: tuple[int, ...]  #: Indices of its unknowns in the model.
+    design: Array  #: Columns of these unknowns, shape (n, m).
+    considered: tuple[int, ...]  #: Indices of its considered terms in the model.
+    fixed: Array  #: Columns of these considered terms, shape (n, c).
 
     @property
     @abstractmethod
     def source(self) -> str:
-        """Name of its noise in a budget and among the noises of a fit."""
+        """Name of the noise in a budget and in `JointFit.noise`."""
 
     @property
     @abstractmethod
     def run(self) -> str:
-        """The run in which it was measured, or what else it is called where that is left out."""
+        """Name of the run, or of the group of readings, for the jackknife."""
 
     @property
     @abstractmethod
     def motion(self) -> str:
-        """The kind of test: counter-rotating for records."""
+        """Kind of test: counter-rotating for records."""
 
     @abstractmethod
     def block(self, noise: Mapping[str, Noise]) -> Block:
-        """Return its information on its columns, by the noise of its source."""
+        """Return the square-root information on the columns for given noise."""
 
     def rate_variances(self, solution: Solution, weights: Array) -> tuple[float, float]:  # noqa: ARG002
-        """Return the variances of a combination by random errors of rates: stated, and default.
+        """Return the variances of a combination due to random rate errors: stated, and default.
 
-        weights: Of the unknowns in the combination, shape (p,).
+        weights: Weights of the unknowns in the combination, shape (p,).
         """
         return 0.0, 0.0
 
     @property
     def rate_uncertainties(self) -> tuple[Array, Array]:
-        """Relative standard uncertainties of its rates: stated, and default; else 0, shape (n,)."""
+        """Relative standard uncertainties of the rates: stated, and default; else 0, shape (n,)."""
         return np.zeros(0), np.zeros(0)
 
     def with_considered_estimated(self, count: int) -> Self:
-        """Return it with what is considered among the unknowns, behind `count` others."""
+        """Return the observation with considered terms as unknowns after `count` others."""
         indices = tuple(count + index for index in self.considered)
         extended_observation = self.with_columns(indices, self.fixed.T)
         return replace(extended_observation, considered=(), fixed=self.fixed[:, :0])
 
     def with_columns(self, indices: Sequence[int], columns: Sequence[Array] | Array) -> Self:
-        """Return it with further unknowns: their places and what each shows, shape (n,)."""
+        """Return the observation with additional unknowns: their indices and columns, (n,) each."""
         if not len(indices):
             return self
         return replace(
@@ -226,8 +220,8 @@ class Observation(ABC):
             design=np.column_stack([self.design, *columns]),
         )
 
-    def block_in(self, model: Unknowns, noise: Mapping[str, Noise]) -> Block:
-        """Return its information, with its columns at their places in a model."""
+    def expand_block(self, model: Unknowns, noise: Mapping[str, Noise]) -> Block:
+        """Return the square-root information on all unknowns of a model."""
         block = self.block(noise)
         factor = np.zeros((block.factor.shape[0], len(model.unknowns)))
         factor[:, list(self.unknowns)] = block.factor

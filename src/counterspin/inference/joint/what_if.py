@@ -1,12 +1,11 @@
-"""The change of u of a coefficient if something were known better or worse: an update, no refit.
+"""Change of u of a coefficient with other prior uncertainties, without a refit.
 
-Let A be the covariance that the weights minimise, and D the changes of 1/u^2 of what is known
-beforehand of the sources J. The estimates then become M times what they were, with
-M = 1 - A_J D (1 + A_JJ D)^-1 e_J^T, and A becomes M A (the information form of a sequential update,
-Bierman 1977, chapter V). Contributions that do not enter the weights (considered terms, undetected
-noise) propagate through the same gain: E becomes M E M^T. If a considered term, which has no
-weight, were known better, only its contribution to E would decrease, by the square. The noise stays
-as it was estimated.
+Let A be the covariance that the weights minimise, and D the changes of 1/u^2 of the priors of the
+sources J. The estimates are then multiplied by M = 1 - A_J D (1 + A_JJ D)^-1 e_J^T, and A becomes
+M A (information form of a sequential update, Bierman 1977, chapter V). Contributions that do not
+enter the weights (considered terms, undetected noise) propagate through the same gain: E becomes
+M E M^T. A change of u of a considered term only changes its contribution to E, by the square. The
+estimated noise does not change.
 """
 
 from __future__ import annotations
@@ -22,26 +21,28 @@ from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.summary import BudgetLine, WhatIf
 from counterspin.inference.joint.unknowns import Considered
 
-#: Sources below this share of any u^2 are not asked about, nor more of them than a page has room
-#: for.
+#: Smallest share of a source in any u^2, and largest number of sources on a page.
 _MIN_SHARE: Final = 1e-3
 _MAX_SOURCES: Final = 12
 
-#: What is beside the weights, below this part of a variance, is rounding.
+#: Fraction of a variance below which the unweighted covariance is rounding error.
 _ROUNDING: Final = 1e-9
 
 
 def what_if(
-    fit: JointFit, places: Mapping[str, int], budget: Mapping[str, Sequence[BudgetLine]], owner: str
+    fit: JointFit,
+    unknown_indices: Mapping[str, int],
+    budgets: Mapping[str, Sequence[BudgetLine]],
+    owner: str,
 ) -> WhatIf | None:
-    """Return the inputs of a coefficient update; None where no relevant value could change.
+    """Return the matrices for an update of priors; None if no relevant prior can change.
 
-    places: Coefficient -> its place among the unknowns.
-    budget: Coefficient -> its budget.
-    owner: Accelerometer, whose own terms are named without it.
+    unknown_indices: Coefficient -> its index among the unknowns.
+    budgets: Coefficient -> its budget.
+    owner: Accelerometer whose name is omitted from the names of its terms.
     """
     shares: dict[str, float] = {}
-    for line in (line for lines in budget.values() for line in lines):
+    for line in (line for lines in budgets.values() for line in lines):
         shares[line.source] = max(shares.get(line.source, 0.0), line.share)
     unknowns, considered_terms = fit.model.unknowns, fit.model.considered
     terms = {
@@ -54,37 +55,41 @@ def what_if(
         for source, share in sorted(shares.items(), key=lambda item: -item[1])
         if share >= _MIN_SHARE
         and source in terms
-        # What is exactly known would have to become uncertain first.
+        # Only finite nonzero uncertainties can change.
         and 0.0 < terms[source][0].prior[1] < math.inf
         # A correlated prior cannot change alone.
         and not terms[source][0].correlations
     ][:_MAX_SOURCES]
     if not sources:
         return None
-    names = list(dict.fromkeys([*(symbol for symbol in places if symbol in budget), *sources]))
-    # A held term has a row of zeros: no weights know of it.
-    rows = np.zeros((len(names), len(unknowns)))
-    considered_places = {}
-    for row, name in zip(rows, names, strict=True):
+    names = list(
+        dict.fromkeys([*(symbol for symbol in unknown_indices if symbol in budgets), *sources])
+    )
+    # The row of a considered term is zero, because it has no weight.
+    selection = np.zeros((len(names), len(unknowns)))
+    considered_indices = {}
+    for row, name in zip(selection, names, strict=True):
         term, index = terms[name]
         if isinstance(term, Considered):
-            considered_places[name] = index
+            considered_indices[name] = index
         else:
             row[index] = 1.0
-    # From the factors: what the weights take the covariance for, whatever the noise turned out.
-    root = fit.solution.covariance_root(rows)
-    weighted = root @ root.T
-    unweighted = rows @ fit.solution.covariance @ rows.T - weighted
-    considered_sensitivities = rows @ fit.solution.sensitivity_considered
+    # From the factors: the covariance that the weights minimise.
+    root = fit.solution.covariance_root(selection)
+    weighted_covariance = root @ root.T
+    unweighted_covariance = selection @ fit.solution.covariance @ selection.T - weighted_covariance
+    considered_sensitivities = selection @ fit.solution.sensitivity_considered
     return WhatIf(
         names=names,
         units=[terms[name][0].unit for name in names],
         known={source: terms[source][0].prior[1] for source in sources},
-        weighed=weighted.tolist(),
-        beside=unweighted.tolist() if _is_significant(unweighted, weighted) else [],
+        weighed=weighted_covariance.tolist(),
+        beside=unweighted_covariance.tolist()
+        if _is_significant(unweighted_covariance, weighted_covariance)
+        else [],
         held={
             name: (considered_terms[k].prior[1] * considered_sensitivities[:, k]).tolist()
-            for name, k in considered_places.items()
+            for name, k in considered_indices.items()
         },
     )
 

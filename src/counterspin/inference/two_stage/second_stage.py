@@ -229,7 +229,7 @@ def resolve(
         equal_weights = [
             block.scaled(ratio) for block, ratio in zip(fit.blocks, ratios, strict=True)
         ]
-        solution = solve_blocks(equal_weights, model).with_row_noise(ratios)
+        solution = solve_blocks(equal_weights, model).replace_row_noise(ratios)
         return replace(fit, solution=replace(solution, information=fit.solution.information))
 
     def columns(fit: JointFit | None, model: Unknowns) -> Sequence[DesignBlock]:
