@@ -276,7 +276,7 @@ def _predict_accelerometer(
         budget=budgets,
         what_if=what_if(prediction.fit, indices, budgets, name),
         confounded=[
-            replace(confounded.of(name), value=None)
+            replace(confounded.without_owner(name), value=None)
             for confounded in prediction.assessment.confounded
             if not any(
                 term.startswith(prefix) for term in confounded.terms for prefix in other_prefixes

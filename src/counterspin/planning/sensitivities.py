@@ -52,7 +52,7 @@ def sensitivities(fit: JointFit, columns: ColumnFunction) -> Sensitivities:
     dof: dict[str, float] = {}
     block_leverages = np.split(solution.leverages, row_ends[:-1])
     for owner, block, leverages in zip(owners, blocks, block_leverages, strict=True):
-        block_dof = block.rows - block.nuisance - float(leverages.sum())
+        block_dof = block.rows - block.n_nuisance - float(leverages.sum())
         dof[owner] = dof.get(owner, 0.0) + block_dof
     shifts = -solution.sensitivity_considered[:, len(model.considered) :]
     return Sensitivities(shifts, residual_products, accelerometer_products, dof)
@@ -74,7 +74,9 @@ def _extended_block(observation: Observation, columns: Array, fit: JointFit) -> 
         fixed=np.column_stack([observation.fixed, columns]),
         considered=(*observation.considered, *range(start, n_considered)),
     )
-    return full_observation.block_in(_add_considered_columns(fit.model, n_considered), fit.noise)
+    return full_observation.expand_block(
+        _add_considered_columns(fit.model, n_considered), fit.noise
+    )
 
 
 def _residual_owner(observation: Observation) -> str:
