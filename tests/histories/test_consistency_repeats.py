@@ -60,7 +60,7 @@ def test_variance_components_of_nested_days_mountings_and_turn_ons():
     for name, variance in expected.items():
         assert repeatability.components[name].value == pytest.approx(math.sqrt(variance), rel=1e-3)
     assert repeatability.total == pytest.approx(math.sqrt(sum(expected.values())), rel=1e-3)
-    assert [own.dof for own in repeatability.components.values()] == [2, 3, 6]
+    assert [own.freedom for own in repeatability.components.values()] == [2, 3, 6]
     assert repeatability.value == pytest.approx(VALUES.mean(), rel=1e-9)
     assert repeatability.u == pytest.approx(math.sqrt(pooled / 12.0), rel=1e-3)
     assert repeatability.about == "mean"
