@@ -99,7 +99,7 @@ def test_unrecorded_axis_of_own_velocity_is_a_question(tmp_path):
     assert [(q.code, q.subject) for q in found] == [("unrecorded-axis", "Qx.K_F")]
     # 2 Omega cos L x 1 mg x 100 s / 2
     assert (
-        "An error of 1 mg in such a direction shifts K_F by 5e-06 g in a run of 100 s"
+        "An error of 1 mg along one of these directions shifts K_F by 5e-06 g in a run of 100 s"
         in found[0].text
     )
     whole = replace_parts(SURE, OWN_VELOCITY, ("[noise]\n", UPRIGHT))

@@ -208,7 +208,7 @@ def test_k_ii_is_undetermined_at_one_g(tmp_path):
     assert abs(difference.value - TRUTH["K_II"]) < 4.0 * difference.u
     assert difference.u == pytest.approx(0.5773503 * SIGMA, rel=1e-3)
     (finding,) = [f for f in result.findings if f.subject == "A.K_II"]
-    assert "separates K_II, K_PP and K_OO together from K_F" in finding.text
+    assert "can determine K_F, K_II, K_PP and K_OO all at once" in finding.text
 
 
 def test_u_of_k_ii_at_one_g_includes_priors_of_squares(tmp_path):
@@ -255,7 +255,7 @@ def test_ten_terms_at_one_g_have_rank_nine(tmp_path):
         assert abs(change) < 1e-6
     texts = [f.text for f in result.findings if f.code == "not-determined"]
     assert len(texts) == 4
-    assert all("separates K_II, K_PP and K_OO together from K_F" in text for text in texts)
+    assert all("can determine K_F, K_II, K_PP and K_OO all at once" in text for text in texts)
 
 
 @pytest.mark.parametrize("u", [SIGMA, None], ids=["noise stated", "noise to be estimated"])

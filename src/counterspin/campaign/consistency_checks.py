@@ -361,7 +361,7 @@ def _explain_missing_effect(effect: AttitudeError | TrajectoryError, is_strapped
     if effect.part == "table" and not is_strapped:
         return (
             "is an error of the counter-rotating table; if the accelerometers are strapped to the "
-            "table, add strapped = true to [centrifuge], otherwise omit this term"
+            "table, add strapped = true to [centrifuge]; otherwise, omit this term"
         )
     if effect.part == "gyros" and is_strapped:
         return (

@@ -97,7 +97,7 @@ def _question_removed_gravity(campaign: Campaign) -> Iterator[Question]:
         yield Question(
             code="removed-gravity",
             subject=f"{name}.K_I",
-            text=f"{name} is upright in {run_text}, so its {accelerometer.observable} contains the "
+            text=f"{name} is upright in {run_text}, so its {accelerometer.observable} contains any "
             "gravity that the navigation computer does not remove. Gravity is known only to "
             f"within {campaign.gravity.u:.2g} m/s^2. counterspin assumes that the computer "
             "removes gravity exactly; if the computer removes a fixed value, state this value "
@@ -143,10 +143,10 @@ def _question_own_velocity(campaign: Campaign) -> Iterator[Question]:
             yield Question(
                 code="unrecorded-axis",
                 subject=f"{name}.K_F",
-                text=f"The computer's velocity along unrecorded directions affects {name} and "
-                "is assumed to be free of errors. An error of 1 mg in such a direction "
-                f"shifts K_F by {bias_shift:.1g} g in a run of 100 s. Record all three axes in "
-                "the same run.",
+                text=f"The computer's velocity along unrecorded directions affects {name}. "
+                "counterspin assumes that this velocity has no errors. An error of 1 mg along one "
+                f"of these directions shifts K_F by {bias_shift:.1g} g in a run of 100 s. Record "
+                "all three axes in the same run.",
             )
 
 

@@ -422,8 +422,8 @@ def _seal_problem(result: Result, accept_unsealed: str | None) -> str | None:
     if not result.sealed and accept_unsealed is None:
         return (
             "the file has no seal, so later changes to it cannot be excluded; give the original "
-            "file, calibrate again, or state in `accept_unsealed` why the result is certified "
-            "nevertheless"
+            "file, calibrate again, or state in `accept_unsealed` why you certify the result "
+            "anyway"
         )
     if result.sealed and accept_unsealed is not None:
         return "the file has a valid seal; omit `accept_unsealed`"

@@ -421,8 +421,8 @@ def relate_results(
         )
     elif not has_same_weights and _estimated_noise(name, first) != _estimated_noise(name, second):
         assumptions.append(
-            "The two results state different noise. The variances were subtracted, but the "
-            "weights also differ, so the uncertainty of the difference is approximate."
+            "The two results state different noise. The comparison subtracts the variances, but "
+            "the weights also differ, so the uncertainty of the difference is approximate."
         )
     return Relation(
         overlap, efficient_index, has_same_weights, _noise_ratio(name, first, second)

@@ -252,7 +252,7 @@ def _statements(common: FileGuess, sense: str | None) -> Iterator[str]:
             (f"{1 / turns:.6g} rows per revolution") if counted else f"{turns:.6g} rev/s"
         )
     if angle is None:
-        yield "angle: no angle column was found, so the nominal rates are used"
+        yield "angle: no angle column was found, so counterspin uses the nominal rates"
     elif angle.pulses:
         yield f"angle: column '{angle.column}' contains pulse times, one pulse per revolution"
     else:

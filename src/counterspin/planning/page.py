@@ -296,8 +296,8 @@ def _fault_blocks(
     detected_faults = [fault for fault in accelerometer.faults if fault.noticed]
     if undetected_faults:
         yield Paragraph(
-            "The plan fixes each of these effects at the nominal value. Each of them, at its "
-            "default size, would by itself shift K_II by more than the standard uncertainty, "
+            "The plan fixes these effects at their nominal values. Any one of them, at the "
+            "default size, would shift K_II by more than the standard uncertainty, "
             "and the residuals would still be consistent with noise."
         )
         yield Table(
@@ -410,7 +410,7 @@ def _requirement_blocks(result: PlanResult) -> Iterator[Block]:
     )
     yield Table((Column("Property", wraps=True), Column("Allowed error", "right")), rows)
     yield Paragraph(
-        "Each of these errors would by itself increase the uncertainty by 5 %, "
+        "Any one of these errors would increase the uncertainty by 5 %, "
         f"{result.requirements_for}.",
         "quiet",
     )

@@ -114,7 +114,7 @@ class ReadingsAndPoses(ReadingData):
         if self.recorded.without_angle:
             yield (
                 f"The records of {', '.join(self.recorded.without_angle)} contain no angle, so "
-                "the mean is taken over whole revolutions at the stated rate."
+                "counterspin averages over whole revolutions at the stated rate."
             )
 
     def advice(self, view: AccelerometerView, symbol: str) -> tuple[str, str]:
@@ -124,7 +124,7 @@ class ReadingsAndPoses(ReadingData):
         if only_at_rest(view.campaign) and symbol in ("K_F", "K_II", *SQUARE_TERMS):
             return "records", (
                 " At 1 g, the squares of the specific force components add up to one, so no "
-                "set of positions separates K_II, K_PP and K_OO together from K_F. State "
+                "set of positions can determine K_F, K_II, K_PP and K_OO all at once. State "
                 "priors for K_PP and K_OO, or test at other specific forces."
             )
         return "records", ""

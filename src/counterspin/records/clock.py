@@ -292,8 +292,7 @@ class Clock:
                 raise self._fail(
                     int(rows[index]),
                     f"no rows were recorded for {length:.6g} s ({revolutions:.4g} revolutions), "
-                    "and the rotation cannot be tracked over such a gap. End the record before "
-                    "the gap.",
+                    "which is too long to track the rotation. End the record before the gap.",
                     "time-gap",
                 )
             self.findings.gap_count += 1

@@ -99,7 +99,7 @@ class AnalysisSettings(SettingsSection):
         absent="the campaign's",
     )
     hold: list[Text] | None = key_field(
-        "terms and inputs fixed at the stated value, instead of `[model]` `hold`",
+        "considered terms and inputs, instead of `[model]` `hold`",
         ["K_PP"],
         None,
         absent="the campaign's",

@@ -409,7 +409,9 @@ def joint_engine_obstacles(
     if any(noise.has_bias_instability for noise in assumed_noise.values()):
         obstacles.append("the noise assumed in the analysis includes drift")
     if any(noise.to_estimate for noise in assumed_noise.values()):
-        obstacles.append("the noise is estimated, so the estimate is not linear")
+        obstacles.append(
+            "the noise is estimated, which makes the estimates of the coefficients nonlinear"
+        )
         return obstacles
     true_noise = {name: setup.true_noise(name) for name in assumed_noise}
     if true_noise == assumed_noise and not truth.varies(WHITE):

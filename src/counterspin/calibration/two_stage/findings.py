@@ -92,7 +92,7 @@ def check_two_stage(
     all_findings, name = [], view.name
     if model == "as-printed":
         text = (
-            "The equations are used as printed in the paper. Their K_II term is twice the "
+            "This result uses the equations as printed in the paper. Their K_II term is twice the "
             "exact one, so the estimate is half the true K_II. Use the exact model for a "
             "calibration."
         )
@@ -139,8 +139,8 @@ def check_strobe_noise(
     text = (
         f"The scatter of the strobes is only {format_number(ratio, 2)} times the stated noise: "
         f"{format_number(ratio * sigma, 2)} m instead of {format_number(sigma, 2)} m. "
-        "Therefore, u is too large. Check the stated noise, or let counterspin estimate the "
-        "noise."
+        "The value of u is therefore too large. Check the stated noise, or let counterspin "
+        "estimate the noise."
     )
     yield Finding(code="wrong-noise", subject=view.name, text=text, size=1.0 / ratio)
 
