@@ -289,7 +289,7 @@ def history_folder(place: Path) -> Format:
 
 def certificate_file(place: Path) -> Format:
     """Return a certificate's XML."""
-    whole = certificates.document(place, results.result())
+    whole = certificates.make_document(place, results.result())
     root = etree.fromstring(whole)
 
     def make(rng: Random) -> bytes:
@@ -341,7 +341,7 @@ def certificate_pdf(place: Path) -> Format:
     """Return a certificate's PDF."""
     writer = pypdf.PdfWriter()
     writer.add_blank_page(100, 100)
-    writer.add_attachment("c.xml", certificates.document(place, results.result()))
+    writer.add_attachment("c.xml", certificates.make_document(place, results.result()))
     file = io.BytesIO()
     writer.write(file)
     small = file.getvalue()

@@ -14,7 +14,7 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.ingest.column_roles import guess_file
 from counterspin.ingest.contents import FileColumn, FileContents, read_files
-from counterspin.ingest.description import draft, write_description
+from counterspin.ingest.description import make_turntable_draft, write_description
 from counterspin.units import is_convertible
 
 RUNS = ("slow", "middle", "fast")
@@ -76,7 +76,7 @@ def reference(plain_folder, tmp_path_factory):
     """Return K_II of the plain records with the same answers."""
     looks = read_files([plain_folder / "slow.csv", plain_folder / "fast.csv"])
     place = tmp_path_factory.mktemp("plain")
-    write_description(draft(looks, ANSWERS | {"sense": "counterclockwise"}), place)
+    write_description(make_turntable_draft(looks, ANSWERS | {"sense": "counterclockwise"}), place)
     return calibrate(place).accelerometers["Qx"].coefficients["K_II"]
 
 

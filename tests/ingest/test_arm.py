@@ -11,10 +11,10 @@ from workbooks import write_workbook
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError
-from counterspin.ingest.arm import arm_draft
+from counterspin.ingest.arm import make_arm_draft
 from counterspin.ingest.contents import read_files
 from counterspin.ingest.description import make_draft, write_description
-from counterspin.ingest.overview import likely_test
+from counterspin.ingest.overview import guess_test
 
 EARTH_RATE, GRAVITY, LATITUDE = 7.292115e-5, 9.8066, math.radians(45.75)
 PLACE = {"gravity": "9.8066", "latitude": "45.75"}
@@ -54,8 +54,8 @@ def write_table(path, rows, head="side,n_rpm,out_mA"):
     return path
 
 
-def make_arm_draft(path, **answers):
-    return arm_draft(read_files([path]), SAID | {"out_mA sensitivity": "1,25"} | answers)
+def draft_arm(path, **answers):
+    return make_arm_draft(read_files([path]), SAID | {"out_mA sensitivity": "1,25"} | answers)
 
 
 def test_german_table_is_understood(tmp_path):
@@ -67,11 +67,11 @@ def test_german_table_is_understood(tmp_path):
     path = tmp_path / "arm.csv"
     path.write_text("\n".join(lines) + "\n", encoding="latin-1")
     looks = read_files([path])
-    assert likely_test(looks) == "arm"
+    assert guess_test(looks) == "arm"
     found = make_draft(looks, SAID | {"Signal sensitivity": "1,25"}, "arm")
     assert found.open_questions == []
     assert "4 readings at rest (rate 0)" in found.statements
-    document = found.document(tmp_path / "camp")
+    document = found.make_document(tmp_path / "camp")
     assert list(document)[2:] == ["site", "centrifuge", "accelerometers", "readings", "model"]
     horizontal, vertical = {"pendulous": "up"}, {"pendulous": "outward"}
     assert document["readings"] == {
@@ -102,11 +102,11 @@ def test_workbook_with_radii_and_names_is_understood(tmp_path):
     rows += [["rest", "up", 0.0, None, simulate_reading(1.0), 2e-6, 23.0]]
     path = write_workbook(tmp_path / "t.xlsx", {"Notes": [["hello"]], "Data": rows})
     looks = read_files([path])
-    assert likely_test(looks) == "arm"
+    assert guess_test(looks) == "arm"
     answers = PLACE | {"sense": "ccw", "inside radius": "1.0002 ± 1e-4 m"}
-    found = arm_draft(looks, answers | {"Output sensitivity": "1.25"})
+    found = make_arm_draft(looks, answers | {"Output sensitivity": "1.25"})
     assert found.open_questions == []
-    document = found.document(tmp_path)
+    document = found.make_document(tmp_path)
     assert document["centrifuge"] == {"radius": "1.0002 ± 1e-4 m"}
     assert document["model"] == {
         "priors": {
@@ -128,7 +128,7 @@ def test_workbook_with_radii_and_names_is_understood(tmp_path):
 def test_readings_determine_axes_of_unnamed_mountings(tmp_path):
     """The mountings read plus and minus the acceleration; the reading at rest is 1 g."""
     path = write_table(tmp_path / "t.csv", [["", *row[1:]] for row in make_rows(inward="")[::2]])
-    found = make_arm_draft(path)
+    found = draft_arm(path)
     guesses = {question.key: question.guess for question in found.questions}
     assert guesses["axis"] == "inward"
     assert guesses["axis at rest"] == "up"
@@ -136,22 +136,22 @@ def test_readings_determine_axes_of_unnamed_mountings(tmp_path):
     assert "The data suggest about 1.251 mA/g." in next(
         question.text for question in found.questions if "sensitivity" in question.key
     )
-    readings = found.document(tmp_path)["readings"]
+    readings = found.make_document(tmp_path)["readings"]
     assert readings["axes"] == {"input": "inward", "pendulous": "up"}
     assert readings["axes_at_rest"] == {"input": "up", "pendulous": "outward"}
     path = write_table(tmp_path / "ab.csv", make_rows(inward="A", outward="B"))
-    guesses = {question.key: question.guess for question in make_arm_draft(path).questions}
+    guesses = {question.key: question.guess for question in draft_arm(path).questions}
     assert (guesses["A axis"], guesses["B axis"]) == ("inward", "outward")
     path = write_table(
         tmp_path / "level.csv", [*make_rows()[4:], ["x", 134.0, simulate_reading(0.0)]]
     )
-    guesses = {question.key: question.guess for question in make_arm_draft(path).questions}
+    guesses = {question.key: question.guess for question in draft_arm(path).questions}
     assert guesses["x axis"] is None
 
 
 def test_forward_and_backward_are_mountings_along_radius(tmp_path):
     path = write_table(tmp_path / "t.csv", make_rows(inward="forward", outward="backward"))
-    found = make_arm_draft(path)
+    found = draft_arm(path)
     guesses = {question.key: question.guess for question in found.questions}
     assert (guesses["forward axis"], guesses["backward axis"]) == ("inward", "outward")
     assert "mounting 'forward': input axis inward, according to the readings" in found.statements
@@ -159,9 +159,7 @@ def test_forward_and_backward_are_mountings_along_radius(tmp_path):
 
 def test_readings_at_rest_determine_axes(tmp_path):
     rows = [*make_rows(up="P1", down="P2"), ["P3", 0.0, simulate_reading(0.0)]]
-    guesses = {
-        q.key: q.guess for q in make_arm_draft(write_table(tmp_path / "t.csv", rows)).questions
-    }
+    guesses = {q.key: q.guess for q in draft_arm(write_table(tmp_path / "t.csv", rows)).questions}
     assert [guesses[f"P{n} axis"] for n in (1, 2, 3)] == ["up", "down", "forward"]
 
 
@@ -172,10 +170,10 @@ def test_sense_column_is_used(tmp_path):
     path = write_table(tmp_path / "b.csv", [*rows, *against], "side,Direction,n_rpm,out_mA")
     answers = {**SAID, "out_mA sensitivity": "1.25"}
     del answers["sense"]
-    found = arm_draft(read_files([path]), answers)
+    found = make_arm_draft(read_files([path]), answers)
     assert found.open_questions == []
-    assert found.document(tmp_path)["readings"]["columns"]["sense"] == "Direction"
-    assert "sense" not in found.document(tmp_path)["readings"]
+    assert found.make_document(tmp_path)["readings"]["columns"]["sense"] == "Direction"
+    assert "sense" not in found.make_document(tmp_path)["readings"]
     campaign = read_campaign(write_description(found, tmp_path / "camp"))
     signs = [math.copysign(1.0, one.rate) for one in campaign.readings if one.rate]
     assert signs == [-1.0] * 24 + [1.0] * 6
@@ -183,15 +181,13 @@ def test_sense_column_is_used(tmp_path):
 
 def test_coarse_rate_is_reported(tmp_path):
     rows = [["in", 30.0, 1.0], ["out", 67.0, -1.0]]
-    told = " ".join(make_arm_draft(write_table(tmp_path / "t.csv", rows)).statements)
+    told = " ".join(draft_arm(write_table(tmp_path / "t.csv", rows)).statements)
     assert (
         "column 'n_rpm' has so few digits that a change in the last digit changes the "
         "acceleration by 7 %" in told
     )
     rows[0][1] = 30.00012
-    assert "few digits" not in " ".join(
-        make_arm_draft(write_table(tmp_path / "f.csv", rows)).statements
-    )
+    assert "few digits" not in " ".join(draft_arm(write_table(tmp_path / "f.csv", rows)).statements)
 
 
 def test_time_column_requires_more_readings_at_rest(tmp_path):
@@ -199,12 +195,12 @@ def test_time_column_requires_more_readings_at_rest(tmp_path):
     rows = [[n, *row] for n, row in enumerate(make_rows())]
     for drift, rest in ((True, rows[:2] + rows[3:]), (False, rows)):
         path = write_table(tmp_path / "t.csv", rest, "time_s,side,n_rpm,out_mA")
-        assert [q.key for q in make_arm_draft(path).open_questions] == (["u"] if drift else [])
+        assert [q.key for q in draft_arm(path).open_questions] == (["u"] if drift else [])
 
 
 def test_output_zero_is_found(tmp_path):
     rows = [[*row[:2], round(2.5 + 0.1 * row[2], 7)] for row in make_rows(up="", down="")[::2]]
-    found = make_arm_draft(write_table(tmp_path / "t.csv", rows, "side,n_rpm,out_V"))
+    found = draft_arm(write_table(tmp_path / "t.csv", rows, "side,n_rpm,out_V"))
     guesses = {question.key: question.guess for question in found.questions}
     assert guesses["axis at rest"] == "up"
     assert guesses["out_V zero"] == "2.5 V"
@@ -217,7 +213,7 @@ def test_mounting_name_contradicting_readings_is_reported(tmp_path):
     path = write_table(tmp_path / "t.csv", make_rows(inward="out", outward="in"))
     said = "mounting 'out': outward according to the name, but inward according to the readings"
     said += " if the sensitivity is positive"
-    assert said in make_arm_draft(path).statements
+    assert said in draft_arm(path).statements
 
 
 @pytest.mark.parametrize(
@@ -233,8 +229,8 @@ def test_pendulous_axis_rotates_with_input_axis(tmp_path, pendulous, along):
     words = ["in", "tangential", "out", "backward"]
     rows = [[word, 30.0, value] for word, value in zip(words, [1.0, 0.0, -1.0, 0.0], strict=True)]
     path = write_table(tmp_path / "t.csv", rows)
-    found = make_arm_draft(path, u="2e-6", **{"pendulous axis": pendulous})
-    mountings = found.document(tmp_path)["readings"]["mountings"]
+    found = draft_arm(path, u="2e-6", **{"pendulous axis": pendulous})
+    mountings = found.make_document(tmp_path)["readings"]["mountings"]
     assert [mountings[word]["pendulous"] for word in words] == along
     # Turned about up, all are the same instrument: the output axes are as the input axes are.
     readings = read_campaign(write_description(found, tmp_path / "camp")).readings
@@ -265,7 +261,7 @@ def test_too_few_readings_require_u(tmp_path, rates, times, sides, rests, shown)
     for rpm in np.repeat(np.linspace(30.0, 130.0, rates), times).tolist():
         rows += [["in", rpm, simulate_reading(centripetal_force(rpm), seed)]]
         rows += [["out", rpm, simulate_reading(-centripetal_force(rpm), seed)]] * (sides - 1)
-    found = make_arm_draft(write_table(tmp_path / "t.csv", rows))
+    found = draft_arm(write_table(tmp_path / "t.csv", rows))
     assert [question.key for question in found.open_questions] == ([] if shown else ["u"])
     if shown:
         write_description(found, tmp_path / "camp")
@@ -274,7 +270,7 @@ def test_too_few_readings_require_u(tmp_path, rates, times, sides, rests, shown)
     assert found.open_questions[0].text.endswith(
         "The noise cannot be estimated from so few readings."
     )
-    found = make_arm_draft(tmp_path / "t.csv", u="2e-6")
+    found = draft_arm(tmp_path / "t.csv", u="2e-6")
     campaign = read_campaign(write_description(found, tmp_path / "camp"))
     assert [one.u for one in campaign.readings] == pytest.approx([2e-6 / 1.25] * len(rows))
 
@@ -290,9 +286,9 @@ def test_too_few_readings_require_u(tmp_path, rates, times, sides, rests, shown)
 def test_rate_formats_return_same_campaign(tmp_path, head, number, unit):
     rows = [[word, number(rpm) if rpm else 0.0, value] for word, rpm, value in make_rows()]
     looks = read_files([write_table(tmp_path / "t.csv", rows, head)])
-    assert likely_test(looks) == "arm"
-    found = arm_draft(looks, SAID | {"out_mA sensitivity": "1.25"})
-    assert found.document(tmp_path)["readings"]["rate_unit"] == unit
+    assert guess_test(looks) == "arm"
+    found = make_arm_draft(looks, SAID | {"out_mA sensitivity": "1.25"})
+    assert found.make_document(tmp_path)["readings"]["rate_unit"] == unit
     assert "The data suggest about 1.25 mA/g." in " ".join(q.text for q in found.questions)
     campaign = read_campaign(write_description(found, tmp_path / "camp"))
     rates = [one.rate for one in campaign.readings if one.rate]
@@ -307,9 +303,9 @@ def test_invalid_arm_table_raises(tmp_path):
     path = write_table(tmp_path / "r.csv", rows, "side,n_rpm,radius_m,out_mA")
     answers = PLACE | {"sense": "cw", "out_mA sensitivity": "1.25", "u": "2e-6"}
     with pytest.raises(CampaignError, match=r"a mounting have 2 different radii \(in\)"):
-        arm_draft(read_files([path]), answers).document(tmp_path)
+        make_arm_draft(read_files([path]), answers).make_document(tmp_path)
     rows = [*make_rows()[:5], ["in", "", simulate_reading(centripetal_force(42.0))]]
-    found = make_arm_draft(write_table(tmp_path / "e.csv", rows), u="2e-6")
+    found = draft_arm(write_table(tmp_path / "e.csv", rows), u="2e-6")
     with raises("missing-value", "line 7", "write 0"):
         write_description(found, tmp_path / "camp")
 
@@ -354,7 +350,7 @@ def test_estimates_scatter_by_u(tmp_path):
                 value = simulate_reading(sign * force + tilt[word], seed, more)
                 rows.append([word, rpm, value, NOISE])
         path = write_table(tmp_path / f"{trial}.csv", rows, "side,n_rpm,out_mA,u_mA")
-        write_description(make_arm_draft(path), tmp_path / f"c{trial}")
+        write_description(draft_arm(path), tmp_path / f"c{trial}")
         found = calibrate(tmp_path / f"c{trial}").accelerometers["A"].coefficients
         z.append([(found[name].value - true) / found[name].u for name, true in TRUE.items()])
     squares = np.sum(np.square(z), axis=0)
@@ -366,8 +362,8 @@ def test_wrong_sense_does_not_fit(tmp_path):
     """The Earth's rate adds 2 w Omega sin(latitude) R: 3e-4 g of difference at 14 rad/s."""
     rows = [[*row, NOISE] for row in make_rows()]
     path = write_table(tmp_path / "t.csv", rows, "side,n_rpm,out_mA,u_mA")
-    write_description(make_arm_draft(path), tmp_path / "right")
-    write_description(make_arm_draft(path, sense="ccw"), tmp_path / "wrong")
+    write_description(draft_arm(path), tmp_path / "right")
+    write_description(draft_arm(path, sense="ccw"), tmp_path / "wrong")
     assert calibrate(tmp_path / "right").accelerometers["A"].residual.rms < 1e-8
     # The radii and the terms with default priors leave nearly half of the noise: 0.496 of it.
     assert calibrate(tmp_path / "wrong").accelerometers["A"].residual.rms > 0.49 * NOISE / 1.25
@@ -381,4 +377,4 @@ def test_accelerations_at_positions_are_tumble(tmp_path):
     lines = [f"{angle},{value:.6f},{value / 8.0:.6f}" for angle, value in rows]
     path = tmp_path / "t.csv"
     path.write_text("\n".join(["Position (deg),acc (m/s^2),Output (V)", *lines]) + "\n")
-    assert likely_test(read_files([path])) == "tumble"
+    assert guess_test(read_files([path])) == "tumble"

@@ -5,11 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from counterspin.ingest.arm import (
-    ArmTable,
-    arm_roles,
-    direction_of,
-)
+from counterspin.ingest.arm_table import ArmTable, assign_arm_roles, parse_direction
 from counterspin.ingest.contents import FileColumn, FileContents
 
 
@@ -19,12 +15,12 @@ def contents_of(numbers, words=None, units=None):
         FileColumn(name, (units or {}).get(name, ""), np.array(values, dtype=float))
         for name, values in numbers.items()
     )
-    return FileContents(None, columns, tuple(words or ()), "", words=words or {})
+    return FileContents(None, columns, tuple(words or ()), "", text_cells=words or {})
 
 
 def make_arm_table(numbers, words=None, units=None):
     found = contents_of(numbers, words, units)
-    return ArmTable.of(found, {})
+    return ArmTable.from_contents(found, {})
 
 
 @pytest.mark.parametrize(
@@ -51,7 +47,7 @@ def make_arm_table(numbers, words=None, units=None):
     ],
 )
 def test_words_are_recognised_as_directions(word, direction):
-    assert direction_of(word) == direction
+    assert parse_direction(word) == direction
 
 
 @pytest.mark.parametrize(
@@ -73,28 +69,32 @@ def test_words_are_recognised_as_directions(word, direction):
 )
 def test_rate_column_and_unit_are_found(name, unit, rate):
     found = make_arm_table({"out_V": [1.0, 2.0], name: [30.0, 40.0]}, units={name: unit})
-    assert found.rate.name == name
-    assert found.unit == rate
+    assert found.rate_column.name == name
+    assert found.rate_unit == rate
 
 
 def test_acceleration_is_rate_only_by_answer():
     numbers = {"accel_g": [1.0, 2.0], "n_rpm": [30.0, 42.0], "out_V": [1.0, 2.0]}
     found = contents_of(numbers)
-    assert arm_roles(found, {}) == {"accel_g": "reading", "n_rpm": "rate", "out_V": "reading"}
-    assert arm_roles(found, {"rate": "accel_g"})["accel_g"] == "rate"
+    assert assign_arm_roles(found, {}) == {
+        "accel_g": "reading",
+        "n_rpm": "rate",
+        "out_V": "reading",
+    }
+    assert assign_arm_roles(found, {"rate": "accel_g"})["accel_g"] == "rate"
 
 
 def test_measured_rate_and_known_unit_are_preferred():
     numbers = {"N": [100.0, 99.0], "set_rpm": [30.0, 40.0], "rpm actual": [30.1, 40.2]}
-    assert make_arm_table({**numbers, "out_V": [1.0, 2.0]}).rate.name == "rpm actual"
+    assert make_arm_table({**numbers, "out_V": [1.0, 2.0]}).rate_column.name == "rpm actual"
     del numbers["rpm actual"]
-    assert make_arm_table({**numbers, "out_V": [1.0, 2.0]}).rate.name == "set_rpm"
+    assert make_arm_table({**numbers, "out_V": [1.0, 2.0]}).rate_column.name == "set_rpm"
 
 
 def test_decreasing_time_is_period():
     found = make_arm_table({"T_s": [0.0, 2.0, 1.5], "out_V": [1.0, 2.0, 3.0]})
-    assert (found.rate.name, found.unit) == ("T_s", "s")
-    assert make_arm_table({"T_s": [0.0, 1.5, 2.0], "out_V": [1.0, 2.0, 3.0]}).rate is None
+    assert (found.rate_column.name, found.rate_unit) == ("T_s", "s")
+    assert make_arm_table({"T_s": [0.0, 1.5, 2.0], "out_V": [1.0, 2.0, 3.0]}).rate_column is None
     clock = make_arm_table({"n_rpm": [0.0, 30.0], "t_s": [9.0, 2.0], "out_V": [1.0, 2.0]})
     assert clock.roles["t_s"] == "time"
 
@@ -102,27 +102,27 @@ def test_decreasing_time_is_period():
 def test_mounting_column_is_found_by_words_or_name():
     numbers = {"n_rpm": [30.0, 30.0, 42.0, 42.0], "out_V": [1.0, -1.0, 2.0, -2.0]}
     words = {"note": ["first", "second", "third", "last"], "where": ["in", "out", "in", "out"]}
-    assert make_arm_table(numbers, words).position == "where"
+    assert make_arm_table(numbers, words).mounting_column == "where"
     remark = {"where": ["in", "out", "in", "out", "by J. D."]}
     below = make_arm_table({name: [*own, math.nan] for name, own in numbers.items()}, remark)
     assert below.mountings == ("in", "out")
     words["where"] = ["A", "B", "A", "B"]
-    assert make_arm_table(numbers, words).position is None
-    assert make_arm_table(numbers, {"side": words["where"]}).position == "side"
+    assert make_arm_table(numbers, words).mounting_column is None
+    assert make_arm_table(numbers, {"side": words["where"]}).mounting_column == "side"
     numbered = make_arm_table({**numbers, "mounting": [math.nan, 1.0, 2.0, 1.0]})
-    assert numbered.words == ("", "1", "2", "1")
+    assert numbered.row_mountings == ("", "1", "2", "1")
 
 
 def test_sense_column_is_found_by_words():
     numbers = {"n_rpm": [0.0, 30.0, 42.0], "out_V": [1.0, 1.0, 2.0]}
     words = {"Direction": ["", "CW", "ccw"], "Position": ["up", "in", "in"]}
     found = contents_of(numbers, words)
-    assert arm_roles(found, {})["Direction"] == "sense"
-    assert arm_roles(found, {})["Position"] == "position"
-    assert arm_roles(found, {"Direction is": "unused"})["Direction"] == "unused"
-    assert arm_roles(found, {"position": "Direction"})["Direction"] == "position"
+    assert assign_arm_roles(found, {})["Direction"] == "sense"
+    assert assign_arm_roles(found, {})["Position"] == "position"
+    assert assign_arm_roles(found, {"Direction is": "unused"})["Direction"] == "unused"
+    assert assign_arm_roles(found, {"position": "Direction"})["Direction"] == "position"
     words["Direction"][0] = "left"
-    assert "sense" not in arm_roles(contents_of(numbers, words), {}).values()
+    assert "sense" not in assign_arm_roles(contents_of(numbers, words), {}).values()
 
 
 @pytest.mark.parametrize(
@@ -142,13 +142,13 @@ def test_rate_step_doubles_relative_resolution(name, values, step):
 def test_rows_are_rotating_or_at_rest():
     numbers = {"n_rpm": [0.0, 30.0, math.nan, -42.0], "out_V": [1.0, 1.2, 0.8, 1.4]}
     found = make_arm_table(numbers, {"side": ["up", "in", "out", "in"]})
-    assert found.rests.tolist() == [True, False, False, False]
-    assert found.turning == ("in",)
+    assert found.is_resting.tolist() == [True, False, False, False]
+    assert found.rotating_mountings == ("in",)
     assert found.mountings == ("up", "in", "out")
-    assert found.turns_in("in").tolist() == [False, True, False, True]
+    assert found.is_rotating_in("in").tolist() == [False, True, False, True]
     # A column that ends before the others has nothing in their last rows.
     short = make_arm_table({"n_rpm": [30.0], "out_V": [1.0, 2.0]})
-    assert short.turning == ("",)
+    assert short.rotating_mountings == ("",)
 
 
 def test_accelerations_and_slopes_match_circular_motion():
@@ -156,13 +156,13 @@ def test_accelerations_and_slopes_match_circular_motion():
     felt = 2.0 * w**2 / 9.80665
     numbers = {"omega_rad_s": [0.0, *w, *w], "out_V": [9.0, *(2.5 + 1.25 * felt), *(2.5 - felt)]}
     found = make_arm_table(numbers, {"side": ["up", "in", "in", "out", "out"]})
-    slopes, zero = found.lines(found.contents.columns[1], 2.0)
+    slopes, zero = found.fit_lines(found.contents.columns[1], 2.0)
     assert slopes == pytest.approx({"in": 1.25, "out": -1.0})
     assert zero == pytest.approx(2.5)
     assert found.acceleration(2.0) == pytest.approx([0.0, 18.0, 72.0, 18.0, 72.0])
     unknown = make_arm_table({"n": [3.0], "out_V": [1.0]})
     assert math.isnan(unknown.acceleration(2.0)[0])
-    assert unknown.lines(unknown.contents.columns[1], 2.0)[0] == {}
+    assert unknown.fit_lines(unknown.contents.columns[1], 2.0)[0] == {}
 
 
 def test_radii_are_from_rotating_rows():

@@ -9,7 +9,7 @@ from workbooks import write_workbook
 from counterspin.calibration.calibrate import calibrate
 from counterspin.ingest.contents import read_files
 from counterspin.ingest.description import make_draft, write_description
-from counterspin.ingest.overview import likely_test
+from counterspin.ingest.overview import guess_test
 
 EARTH_RATE, GRAVITY, LATITUDE, RADIUS = 7.292115e-5, 9.8073, math.radians(48.2), 0.85
 SAID = {"gravity": "9.8073 ± 1e-5", "latitude": "48.2", "radius": "0.85 ± 2e-4 m", "sense": "ccw"}
@@ -134,7 +134,7 @@ def least_squares_u():
 @pytest.mark.parametrize("write", TABLES, ids=lambda write: write.__name__)
 def test_calibration_from_file_needs_only_sensitivity(tmp_path, write):
     looks = read_files([write(tmp_path)])
-    assert likely_test(looks) == "arm"
+    assert guess_test(looks) == "arm"
     asked = make_draft(looks, SAID, "arm").open_questions
     # All but the nominal sensitivity follows from the table.
     assert [question.key.split()[-1] for question in asked] == ["sensitivity"]

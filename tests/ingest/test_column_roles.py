@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from raising import raises
 
-from counterspin.ingest.column_roles import common_guess, guess_file, unit_in_name
+from counterspin.ingest.column_roles import guess_file, merge_guesses, unit_in_name
 from counterspin.ingest.contents import FileColumn, FileContents
 
 TIME = np.arange(1500) * 0.02
@@ -30,10 +30,10 @@ def test_roles_of_unnamed_columns_follow_from_values():
     """Columns a, b, c: a wrapped angle in degrees, a signal, the time by its unit."""
     guess = guess_file(seen(a=np.degrees(-RATE * TIME) % 360, b=signal(), c__s=TIME))
     assert (guess.time.column, guess.time.unit) == ("c", "s")
-    assert (guess.angle.column, guess.angle.unit, guess.angle.known) == ("a", "deg", False)
+    assert (guess.angle.column, guess.angle.unit, guess.angle.has_file_unit) == ("a", "deg", False)
     assert [s.column for s in guess.signals] == ["b"]
     assert guess.signals[0].observable is None
-    assert not guess.rising
+    assert not guess.is_increasing
     assert guess.rate == pytest.approx(RATE, rel=1e-6)
 
 
@@ -65,7 +65,7 @@ def test_pulses_are_times_per_revolution():
     guess = guess_file(seen(t=TIME, index=pulses, temperature=20 + 0 * TIME, east_m=signal()))
     assert (guess.angle.column, guess.angle.pulses, guess.angle.unit) == ("index", True, "s")
     assert guess.signals[0].phase == pytest.approx(0.0, abs=0.01)
-    assert guess.unused == ()
+    assert guess.unused_columns == ()
     assert guess.temperature == ("temperature", "degC")
 
 
@@ -116,7 +116,7 @@ def test_sampling_rate_determines_unit_of_time():
     look = replace(seen(t=1e3 * TIME, east_m=signal()), numbers={"rec.fs": 50.0})
     assert guess_file(look).time.unit == "ms"
     counted = replace(seen(angle=RATE * TIME, east_m=signal()), interval=0.02)
-    assert guess_file(counted).sampling == 50.0
+    assert guess_file(counted).sampling_rate == 50.0
     assert guess_file(counted).rate == pytest.approx(RATE)
 
 
@@ -145,4 +145,4 @@ def test_files_with_different_columns_raise():
     one = guess_file(seen(t=TIME, angle=RATE * TIME, east_m=signal()))
     other = guess_file(seen("b.csv", t=TIME, angle=RATE * TIME, x=signal()))
     with raises("missing-column", "b.csv", "'east_m'", "a.csv"):
-        common_guess([one, other])
+        merge_guesses([one, other])

@@ -21,7 +21,7 @@ def test_columns_have_units_and_time_stamps(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("\n".join(["About", "t;x [mm];note;few", *rows]) + "\n")
     seen = read_contents(path)
-    assert [(c.name, c.unit, c.stamps) for c in seen.columns] == [
+    assert [(c.name, c.unit, c.is_timestamp) for c in seen.columns] == [
         ("t", "", True),
         ("x [mm]", "mm", False),
         ("few", "", False),
@@ -29,7 +29,7 @@ def test_columns_have_units_and_time_stamps(tmp_path):
     np.testing.assert_allclose(seen.columns[0].values, np.arange(8.0), atol=1e-9)
     np.testing.assert_allclose(seen.columns[1].values, np.arange(8) + 0.25)
     assert np.isfinite(seen.columns[2].values).sum() == 1
-    assert seen.others == ("note",)
+    assert seen.text_columns == ("note",)
 
 
 def test_documented_example_is_read_without_description(tmp_path):
@@ -75,7 +75,7 @@ def test_text_column_is_skipped_and_repeated_header_raises(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["time_s"], file["status"] = np.arange(60) * 0.02, np.array([b"ok"] * 60)
     contents = read_contents(tmp_path / "a.h5")
-    assert ([column.name for column in contents.columns], contents.others) == (
+    assert ([column.name for column in contents.columns], contents.text_columns) == (
         ["time_s"],
         ("status",),
     )

@@ -11,7 +11,7 @@ from counterspin.calibration.observed_runs import read_run
 from counterspin.campaign.description import read_campaign
 from counterspin.ingest.contents import read_files
 from counterspin.ingest.description import make_draft, write_description
-from counterspin.ingest.overview import likely_test, overview
+from counterspin.ingest.overview import describe_files, guess_test
 from counterspin.triads.record_poses import campaign_poses
 
 PLACE = {"gravity": "9.81", "latitude": "48"}
@@ -41,11 +41,11 @@ def two_rates(path):
 def test_hdf5_tables_are_read_as_poses(tmp_path, write):
     write(tmp_path / "a.h5")
     contents = read_files([tmp_path / "a.h5"])
-    assert likely_test(contents) == "poses"
+    assert guess_test(contents) == "poses"
     found = make_draft(contents, PLACE, "poses")
     assert found.open_questions == []
     assert found.guesses[0].time.column.rpartition("/")[2] == "time"
-    assert len(found.found.poses.start) == 12
+    assert len(found.triad.poses.start) == 12
     read_campaign(write_description(found, tmp_path / "camp"))
 
 
@@ -80,7 +80,7 @@ def test_structures_and_groups_are_runs(tmp_path, name, write, names, mark):
     write(tmp_path / name)
     contents = read_files([tmp_path / name])
     assert [run.group for run in contents] == names
-    assert any(f"group '{names[1]}': 800 rows" in line for line in overview(contents))
+    assert any(f"group '{names[1]}': 800 rows" in line for line in describe_files(contents))
     answers = PLACE | {"radius": "2.5 m", "sense": "counterclockwise"}
     for n, axis in ((1, "east"), (2, "north")):
         key = f"pos{mark}{n}"
@@ -98,7 +98,7 @@ def test_pose_groups_are_runs(tmp_path):
         for n in range(2):
             file[f"run{n}/time"], file[f"run{n}/acc"] = POSED.time, POSED.values + n
     found = make_draft(read_files([tmp_path / "a.h5"]), PLACE, "poses")
-    document = found.document(tmp_path)
+    document = found.make_document(tmp_path)
     assert [run["records"] for run in document["runs"]] == [{"group": "run0"}, {"group": "run1"}]
     campaign = read_campaign(write_description(found, tmp_path / "c"))
     poses = campaign_poses(campaign)
@@ -130,8 +130,8 @@ def test_sensor_groups_are_not_runs(tmp_path):
 def test_channels_are_truncated_or_aligned_with_note(tmp_path, ends, late, note):
     waveforms(tmp_path / "a.tdms", ends, late)
     contents = read_files([tmp_path / "a.tdms"])
-    assert note in overview(contents)[0]
+    assert note in describe_files(contents)[0]
     start, stop = max(late), len(POSED.time) - max(ends)
     for column, values in zip(contents[0].columns, COLUMNS.values(), strict=True):
         np.testing.assert_array_equal(column.values, values[start:stop])
-    assert likely_test(contents) == "poses"
+    assert guess_test(contents) == "poses"

@@ -10,8 +10,8 @@ from counterspin.calibration.observed_runs import read_run
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CounterspinError
 from counterspin.ingest.contents import read_files
-from counterspin.ingest.description import draft, write_description
-from counterspin.ingest.overview import overview
+from counterspin.ingest.description import make_turntable_draft, write_description
+from counterspin.ingest.overview import describe_files
 
 RATE = 2.0 * np.pi
 #: Cells that have no number.
@@ -35,7 +35,7 @@ def test_recorder_formats_return_same_campaign(tmp_path, recorded_frame, name):
     write, ending = FILES[name]
     path = tmp_path / f"run{ending}"
     write(recorded_frame, path)
-    found = draft(read_files([path]), KNOWN)
+    found = make_turntable_draft(read_files([path]), KNOWN)
     assert [question.key for question in found.open_questions] == []
     write_description(found, tmp_path / "campaign")
     campaign = read_campaign(tmp_path / "campaign")
@@ -62,7 +62,7 @@ def test_sense_is_found_along_west_and_south(tmp_path, recorded_frame):
     }
     path = tmp_path / "run.csv"
     pl.DataFrame(data | {"south_m": -recorded_frame["north_m"]}).write_csv(path)
-    document = draft(read_files([path]), KNOWN).document(tmp_path)
+    document = make_turntable_draft(read_files([path]), KNOWN).make_document(tmp_path)
     assert (
         document["records"]["angle"] | {"zero": "north", "sense": "clockwise"}
         == (document["records"]["angle"])
@@ -91,13 +91,17 @@ def test_unsupported_layout_raises_with_remedy(tmp_path, recorded_frame, head, r
     cells = zip(*(recorded_frame[name] for name in ("time_s", "angle_rad", "east_m")), strict=True)
     rows = [row.format(t=t, a=a, e=e) for t, a, e in cells]
     with pytest.raises(CounterspinError, match=f"(?s){told}"):
-        draft(read_files([lines(tmp_path / "run.csv", head, rows)])).document(tmp_path)
+        make_turntable_draft(read_files([lines(tmp_path / "run.csv", head, rows)])).make_document(
+            tmp_path
+        )
 
 
 def test_single_row_per_quantity_raises(tmp_path, recorded_frame):
     rows = [f"{name};{';'.join(map(str, recorded_frame[name]))}" for name in recorded_frame.columns]
     with pytest.raises(CounterspinError, match=r"has \d rows of .* one row per sample"):
-        draft(read_files([lines(tmp_path / "run.csv", [], rows)])).document(tmp_path)
+        make_turntable_draft(read_files([lines(tmp_path / "run.csv", [], rows)])).make_document(
+            tmp_path
+        )
 
 
 @pytest.mark.parametrize("below", ["End of data", "Mean,1.0,2.0,3.0\nChecked by: J. D."])
@@ -108,11 +112,14 @@ def test_footer_lines_are_ignored_and_reported(tmp_path, recorded_frame, below):
     path.write_text(f"{rows}{below}\n")
     contents = read_files([path])
     count = below.count("\n") + 1
-    assert any(f"the last {count} lines were ignored" in line for line in overview(contents))
-    document = draft(contents, KNOWN).document(tmp_path)
+    assert any(f"the last {count} lines were ignored" in line for line in describe_files(contents))
+    document = make_turntable_draft(contents, KNOWN).make_document(tmp_path)
     assert document["runs"][0]["records"] == {"skip_footer": count}
     path.write_text(rows)
-    assert draft(read_files([path]), KNOWN).document(tmp_path)["records"] == document["records"]
+    assert (
+        make_turntable_draft(read_files([path]), KNOWN).make_document(tmp_path)["records"]
+        == document["records"]
+    )
 
 
 def test_repeated_header_raises_with_line(tmp_path, recorded_frame):
@@ -127,9 +134,11 @@ def test_rows_are_counted_for_clock_of_one_second_resolution(tmp_path, recorded_
     stamps = [f"2026-01-12 10:59:{int(t):02d}" for t in recorded_frame["time_s"]]
     path = tmp_path / "run.csv"
     recorded_frame.with_columns(time_s=pl.Series(stamps)).write_csv(path)
-    (asked,) = (q for q in draft(read_files([path])).questions if q.key == "sampling_rate")
+    (asked,) = (
+        q for q in make_turntable_draft(read_files([path])).questions if q.key == "sampling_rate"
+    )
     assert asked.guess == "20 Hz"
-    statements = " ".join(draft(read_files([path])).statements)
+    statements = " ".join(make_turntable_draft(read_files([path])).statements)
     assert (
         "20 rows per second, calculated from the row count, because several rows have the same "
         "time in "

@@ -11,7 +11,7 @@ from counterspin.calibration.observed_runs import observe
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.ingest.contents import read_files
-from counterspin.ingest.description import draft, write_description
+from counterspin.ingest.description import make_turntable_draft, write_description
 
 TIME = np.arange(1500) * 0.02
 ANSWERS = {"gravity": "9.8066 m/s^2", "latitude": "45.75 deg", "radius": "2.5 m"}
@@ -25,7 +25,7 @@ def write_run(path, rate, columns):
 
 
 def make_record_draft(files, **answers):
-    return draft(read_files(files), ANSWERS | answers)
+    return make_turntable_draft(read_files(files), ANSWERS | answers)
 
 
 def axes(theta):
@@ -40,7 +40,7 @@ def test_two_axes_determine_sense_and_zero_of_encoder(tmp_path, rate, sense):
         return {"azimuth": azimuth, **axes(theta)}
 
     files = [write_run(tmp_path / "a b.csv", rate, columns)]
-    found = draft(read_files(files))
+    found = make_turntable_draft(read_files(files))
     assert [q.key for q in found.open_questions] == ["gravity", "latitude", "radius"]
     write_description(make_record_draft(files), tmp_path)
     campaign = read_campaign(tmp_path)
@@ -57,7 +57,7 @@ def test_oblique_zero_is_stated_in_degrees(tmp_path):
         return {"angle_deg": np.degrees(theta) - 12.5, **axes(theta)}
 
     files = [write_run(tmp_path / "a.csv", np.pi, columns)]
-    angle = make_record_draft(files).document(tmp_path)["records"]["angle"]
+    angle = make_record_draft(files).make_document(tmp_path)["records"]["angle"]
     assert angle == {"column": "angle_deg", "unit": "deg", "zero": "12.5000 deg"}
 
 
@@ -67,7 +67,7 @@ def test_velocity_phase_determines_sense(tmp_path):
         return {"angle_rad": theta, "east [m/s]": east, "north [m/s]": north}
 
     files = [write_run(tmp_path / "a.csv", -np.pi, columns)]
-    document = make_record_draft(files).document(tmp_path)
+    document = make_record_draft(files).make_document(tmp_path)
     assert "zero" not in document["records"]["angle"]
     assert document["runs"][0]["rate"] == "-0.5 rev/s"
     assert document["accelerometers"]["Qx"]["velocity"] == {"column": "east [m/s]", "unit": "m/s"}
@@ -77,15 +77,17 @@ def test_missing_information_is_asked(tmp_path):
     path = write_run(
         tmp_path / "a.csv", np.pi, lambda th: {"p": 2.5 * np.cos(th), "enc": 31415 * th}
     )
-    keys = [question.key for question in draft(read_files([path])).open_questions]
+    keys = [question.key for question in make_turntable_draft(read_files([path])).open_questions]
     asked = ["gravity", "latitude", "radius", "per_revolution", "sense", "p is", "p unit", "p axis"]
     assert keys == asked
     with pytest.raises(CampaignError) as caught:
-        make_record_draft([path], sense="left", nonsense="1").document(tmp_path)
+        make_record_draft([path], sense="left", nonsense="1").make_document(tmp_path)
     told = [line.partition(":")[0] for line in caught.value.problems]
     assert told == ["per_revolution", "p is", "p unit", "p axis", "sense", "nonsense"]
     more = {"per_revolution": "197386,9", "sense": "cw", "p is": "Weg", "p axis": "North"}
-    document = make_record_draft([path], **more, **{"p unit": "m"}).document(tmp_path / "there")
+    document = make_record_draft([path], **more, **{"p unit": "m"}).make_document(
+        tmp_path / "there"
+    )
     assert document["records"]["angle"]["per_revolution"] == 197386.9
     assert document["records"]["angle"]["sense"] == "clockwise"
     assert document["accelerometers"]["Qy"]["input_axis"] == "north"
@@ -97,11 +99,11 @@ def test_answers_override_guesses(tmp_path):
         return {"phi": np.degrees(theta), **axes(theta), "temp_m": np.cos(theta)}
 
     files = [write_run(tmp_path / "a.csv", np.pi, columns)]
-    assert draft(read_files(files)).common.angle.column == "phi"
+    assert make_turntable_draft(read_files(files)).common_guess.angle.column == "phi"
     found = make_record_draft(
         files, **{"temp_m is": "unused", "east_m axis": "W", "north_m is": "ignore"}, sense="ccw"
     )
-    document = found.document(tmp_path)
+    document = found.make_document(tmp_path)
     assert list(document["accelerometers"]) == ["Qx"]
     assert document["accelerometers"]["Qx"]["input_axis"] == "west"
     assert document["records"]["angle"]["zero"] == "west"
@@ -116,11 +118,11 @@ def test_answered_unit_determines_rate_of_runs(tmp_path):
         frame = {"t_s": TIME, "enc": 1e3 * rate * TIME, "p": 0.0 * TIME}
         pl.DataFrame(frame).write_csv(tmp_path / f"{name}.csv")
         paths.append(tmp_path / f"{name}.csv")
-    asked = {question.key for question in draft(read_files(paths)).open_questions}
+    asked = {question.key for question in make_turntable_draft(read_files(paths)).open_questions}
     assert {"angle unit", "rate", "signal"} <= asked
     answers = {"angle unit": "count", "per_revolution": "1000", "sense": "ccw", "signal": "p"}
     more = {"p is": "displacement", "p unit": "m", "p axis": "east"}
-    document = make_record_draft(paths, **answers, **more).document(tmp_path)
+    document = make_record_draft(paths, **answers, **more).make_document(tmp_path)
     assert [run["rate"] for run in document["runs"]] == ["0.5 rev/s", "-1 rev/s"]
 
 
@@ -129,12 +131,12 @@ def test_stated_sampling_rates_are_used(tmp_path):
     pos = np.column_stack([axes(theta)["east_m"], axes(theta)["north_m"]])
     rec = {"phi": theta[:, None], "pos": pos, "fs": 50.0, "rpm": 30.0, "note": "arm"}
     savemat(tmp_path / "a.mat", {"rec": rec})
-    found = draft(read_files([tmp_path / "a.mat"]))
-    assert [signal.column for signal in found.common.signals] == ["pos.1", "pos.2"]
-    assert {"fs", "rpm"} <= set(found.common.unused)
+    found = make_turntable_draft(read_files([tmp_path / "a.mat"]))
+    assert [signal.column for signal in found.common_guess.signals] == ["pos.1", "pos.2"]
+    assert {"fs", "rpm"} <= set(found.common_guess.unused_columns)
     answers = {"angle unit": "rad", "sense": "ccw", "pos.1 unit": "m", "pos.2 unit": "m"}
     more = {"pos.1 axis": "east", "pos.2 axis": "north"}
-    document = make_record_draft([tmp_path / "a.mat"], **answers, **more).document(tmp_path)
+    document = make_record_draft([tmp_path / "a.mat"], **answers, **more).make_document(tmp_path)
     assert document["records"]["time"] == {"sampling_rate": "50 Hz"}
     assert document["runs"][0]["rate"] == "0.5 rev/s"
     write_description(make_record_draft([tmp_path / "a.mat"], **answers, **more), tmp_path)
@@ -150,7 +152,7 @@ def test_existing_file_and_invalid_answer_raise(tmp_path):
         write_description(make_record_draft(files), tmp_path)
     assert (tmp_path / "campaign.toml").read_text() == "mine"
     with pytest.raises(CampaignError, match="give the run files"):
-        draft([])
+        make_turntable_draft([])
 
 
 def test_sheets_of_workbook_may_be_runs(tmp_path):
@@ -162,7 +164,7 @@ def test_sheets_of_workbook_may_be_runs(tmp_path):
     book = {"slow": sheet(np.pi), "fast": sheet(2 * np.pi)}
     path = write_workbook(tmp_path / "runs.xlsx", book)
     answers = ANSWERS | {"sheet": "all"}
-    write_description(draft(read_files([path], answers), answers), tmp_path / "camp")
+    write_description(make_turntable_draft(read_files([path], answers), answers), tmp_path / "camp")
     campaign = read_campaign(tmp_path / "camp")
     assert [run.rate for run in campaign.runs] == pytest.approx([np.pi, 2 * np.pi])
     assert {run.record for run in campaign.runs} == {tmp_path / "camp" / ".." / "runs.xlsx"}
@@ -178,4 +180,4 @@ def test_excluded_angle_is_not_signal(tmp_path):
         [write_run(tmp_path / "a.csv", np.pi, columns)], angle="none", sense="ccw"
     )
     assert found.open_questions == []
-    assert found.common.unused == ("angle_deg",)
+    assert found.common_guess.unused_columns == ("angle_deg",)

@@ -11,7 +11,7 @@ from counterspin.errors import CampaignError
 from counterspin.ingest.column_roles import guess_file
 from counterspin.ingest.contents import FileColumn, FileContents, read_files
 from counterspin.ingest.description import make_draft
-from counterspin.ingest.overview import UndecidedDraft, likely_test, overview
+from counterspin.ingest.overview import UndecidedDraft, describe_files, guess_test
 
 
 def contents_of(columns, units=None, words=None):
@@ -24,7 +24,7 @@ def contents_of(columns, units=None, words=None):
     class Named:
         name = "log.csv"
 
-    return FileContents(Named, made, tuple(words or ()), "", first_words=words or {})
+    return FileContents(Named, made, tuple(words or ()), "", first_text_cells=words or {})
 
 
 def test_overview_shows_range_unit_and_role():
@@ -36,7 +36,7 @@ def test_overview_shows_range_unit_and_role():
         "E": 2.5 * np.cos(angle),
         "k": time * 0 + 3,
     }
-    lines = overview(
+    lines = describe_files(
         [contents_of(columns, {"t": "s", "th": "deg", "E": "m"}, {"mode": ["a", "b"]})]
     )
     assert lines[0] == "log.csv: 400 rows, about 20 rows per second"
@@ -53,9 +53,9 @@ def test_nominal_orientations_are_not_measurements():
     columns = {f"n{axis}": faces[:, k] for k, axis in enumerate("xyz")}
     columns |= {f"a{axis}": read[:, k] for k, axis in enumerate("xyz")}
     contents = contents_of(columns)
-    assert "nominal orientations (values -1, 0 and 1 only)" in overview([contents])[1]
-    assert likely_test([contents]) == "poses"
-    assert likely_test([contents_of(dict(list(columns.items())[:3]))]) is None
+    assert "nominal orientations (values -1, 0 and 1 only)" in describe_files([contents])[1]
+    assert guess_test([contents]) == "poses"
+    assert guess_test([contents_of(dict(list(columns.items())[:3]))]) is None
 
 
 @pytest.mark.parametrize("unit", ["", "rad/s"])
@@ -64,8 +64,8 @@ def test_waves_without_axis_or_angle_have_unknown_test(unit):
     time = np.arange(600) * 0.02
     swing = np.sin(2.0 * math.pi * 0.8 * time)
     contents = contents_of({"time": time, "M33": swing}, {"time": "s", "M33": unit})
-    assert likely_test([contents]) is None
-    draft = UndecidedDraft.of([contents])
+    assert guess_test([contents]) is None
+    draft = UndecidedDraft.from_contents([contents])
     assert [question.key for question in draft.open_questions] == ["test"]
     with raises("missing-answer"):
         draft.complete()
@@ -98,8 +98,8 @@ def test_rate_of_alternating_sensors_counts_all_rows(tmp_path):
     ]
     (tmp_path / "log.csv").write_text("\n".join(["timestamp;sensor;x", *rows]) + "\n")
     contents = read_files([tmp_path / "log.csv"])
-    assert "about 100.1 rows per second from all sensors together" in overview(contents)[0]
-    assert "swings" not in " ".join(overview(contents))
+    assert "about 100.1 rows per second from all sensors together" in describe_files(contents)[0]
+    assert "swings" not in " ".join(describe_files(contents))
 
 
 def test_constant_and_nominal_columns_are_unused(tmp_path):
@@ -113,14 +113,16 @@ def test_constant_and_nominal_columns_are_unused(tmp_path):
         "\n".join(["position_deg,nominal,residual,out_mA", *rows]) + "\n"
     )
     contents = read_files([tmp_path / "t.csv"])
-    assert likely_test(contents) == "tumble"
+    assert guess_test(contents) == "tumble"
     roles = make_draft(contents, {}, "tumble").roles
     assert (roles["nominal"], roles["residual"], roles["out_mA"]) == ("unused", "unused", "reading")
     time = np.arange(400) * 0.05
     east = 2.5 * np.cos(np.pi * time)
     rows = [f"{t:.2f},{e:.6f},0" for t, e in zip(time, east, strict=True)]
     (tmp_path / "r.csv").write_text("\n".join(["time_s,east_m,north residual_m", *rows]) + "\n")
-    (signal,) = make_draft(read_files([tmp_path / "r.csv"]), {}, "double-turntable").common.signals
+    (signal,) = make_draft(
+        read_files([tmp_path / "r.csv"]), {}, "double-turntable"
+    ).common_guess.signals
     assert signal.column == "east_m"
 
 
@@ -129,15 +131,15 @@ def test_lost_samples_and_bursts_are_reported(tmp_path):
     time = np.arange(2000) * 0.01
     keep = np.append(rng.random(1999) > 0.2, True)
     lost = contents_of({"time_s": time[keep], "a": rng.normal(size=int(keep.sum()))})
-    assert f"missing samples: about {2000 - keep.sum()} (" in " ".join(overview([lost]))
+    assert f"missing samples: about {2000 - keep.sum()} (" in " ".join(describe_files([lost]))
     packet = np.arange(2000) // 8
     stamps = 0.01 * (8 * packet + rng.random(250)[packet])
     burst = contents_of({"time_s": stamps, "a": rng.normal(size=2000)})
-    lines = overview([burst])
+    lines = describe_files([burst])
     assert "times or bursts" in lines[1]
     assert "time is calculated from the row count" in lines[-1]
-    assert guess_file(burst).unused[0] == "time_s"
-    assert guess_file(burst).sampling == pytest.approx(100.0, rel=2e-3)
+    assert guess_file(burst).unused_columns[0] == "time_s"
+    assert guess_file(burst).sampling_rate == pytest.approx(100.0, rel=2e-3)
 
 
 def test_rows_with_repeated_times_are_counted(tmp_path):
@@ -145,12 +147,14 @@ def test_rows_with_repeated_times_are_counted(tmp_path):
     time, values = np.arange(2000) * 0.01, rng.normal(size=2000)
     time[2::3] = time[1::3][: time[2::3].size]
     repeated = contents_of({"time_s": time, "a": values})
-    assert "2000 rows of column 'time_s' have 1334 different times" in overview([repeated])[-1]
-    assert guess_file(repeated).sampling == pytest.approx(100.0, rel=1e-3)
+    assert (
+        "2000 rows of column 'time_s' have 1334 different times" in describe_files([repeated])[-1]
+    )
+    assert guess_file(repeated).sampling_rate == pytest.approx(100.0, rel=1e-3)
     keep = rng.random(2000) > 0.2
     lost = guess_file(contents_of({"time_s": time[keep], "a": values[keep]}))
-    assert (lost.time, lost.sampling) == (None, None)
-    assert "samples are missing" in lost.uncounted
+    assert (lost.time, lost.sampling_rate) == (None, None)
+    assert "samples are missing" in lost.uncounted_reason
     twice = np.sort(np.append(np.arange(2000), np.arange(0, 2000, 5)))
     doubled = {"time_s": 0.01 * twice, "a": values[twice], "no": np.arange(2400.0)}
     guess = guess_file(contents_of(doubled))

@@ -14,8 +14,8 @@ from counterspin.campaign.description import read_campaign
 from counterspin.errors import RecordError
 from counterspin.ingest.contents import read_files
 from counterspin.ingest.description import make_draft, write_description
-from counterspin.ingest.overview import likely_test, no_test_reasons
-from counterspin.ingest.poses import poses_draft
+from counterspin.ingest.overview import explain_unknown_test, guess_test
+from counterspin.ingest.poses import make_poses_draft
 from counterspin.toml_text import format_document
 
 REAL = Path(__file__).parents[3] / "shared" / "real" / "imucal"
@@ -39,15 +39,15 @@ def write_log(folder, values):
 
 def test_log_without_header_and_time_is_understood(tmp_path, values):
     looks = read_files([write_log(tmp_path, values)])
-    assert likely_test(looks) == "poses"
+    assert guess_test(looks) == "poses"
     found = make_draft(looks, ANSWERS, "poses")
     assert found.open_questions == []
-    assert found.triad == ("column 1", "column 2", "column 3")
+    assert found.column_names == ("column 1", "column 2", "column 3")
     assert any(
         one.startswith("12 poses in imu.log: rest intervals of at least")
         for one in found.statements
     )
-    document = found.document(tmp_path / "camp")
+    document = found.make_document(tmp_path / "camp")
     assert document["records"] == {"time": {"sampling_rate": "100 Hz"}}
     assert document["triad"] == {"accelerometers": ["X", "Y", "Z"]}
     # A noise of 0.02 m/s^2 at 100 Hz is 0.3 mg/Hz^0.5.
@@ -81,7 +81,7 @@ def test_temperature_column_determines_slopes(tmp_path):
     np.savetxt(tmp_path / "imu.csv", rows, "%.5f", ",", header=names, comments="", encoding="utf-8")
     found = make_draft(read_files([tmp_path / "imu.csv"]), PLACE, "poses")
     assert "temperature: column 'Temp (°C)', in degC" in found.statements
-    document = found.document(tmp_path)
+    document = found.make_document(tmp_path)
     assert document["records"]["temperature"] == {"column": "Temp (°C)", "unit": "degC"}
     campaign = read_campaign(write_description(found, tmp_path / "camp"))
     slopes = campaign.change(
@@ -100,32 +100,32 @@ def test_temperature_in_counts_is_not_used(tmp_path, values):
     counts = np.full(len(values), 3120.0)
     rows = np.column_stack([time, values, counts])
     np.savetxt(tmp_path / "i.csv", rows, "%.5f", ",", header="t_s,ax,ay,az,temp", comments="")
-    document = make_draft(read_files([tmp_path / "i.csv"]), PLACE, "poses").document(tmp_path)
+    document = make_draft(read_files([tmp_path / "i.csv"]), PLACE, "poses").make_document(tmp_path)
     assert set(document["records"]) == {"time"}
 
 
 def test_answers_override_guesses(tmp_path, values):
     looks = read_files([write_log(tmp_path, values)])
     more = {"X": "column 3", "Z": "column 1", "grade": "tactical", "rest": "3", "unit": "m/s^2"}
-    found = poses_draft(looks, ANSWERS | more)
-    document = found.document(tmp_path)
+    found = make_poses_draft(looks, ANSWERS | more)
+    document = found.make_document(tmp_path)
     assert found.problems == ()
     assert document["accelerometers"]["X"]["specific_force"]["column"] == "column 3"
     assert document["accelerometers"]["X"]["grade"] == "tactical"
     assert document["runs"][0]["poses"] == {"rest": "3 s"}
     with raises("duplicate-entry", "axis"):
-        poses_draft(looks, ANSWERS | {"X": "column 2"}).document(tmp_path)
+        make_poses_draft(looks, ANSWERS | {"X": "column 2"}).make_document(tmp_path)
     # The kind itself, too.
     asked = [one.key for one in make_draft(looks, {}, "double-turntable").questions]
     assert "radius" in asked
 
 
 def test_missing_information_is_asked(tmp_path, values):
-    found = poses_draft(read_files([write_log(tmp_path, values)]))
+    found = make_poses_draft(read_files([write_log(tmp_path, values)]))
     asked = [question.key for question in found.open_questions]
     assert asked == ["gravity", "latitude", "sampling_rate"]
     with raises("missing-answer", "sampling_rate:", "no time column"):
-        found.document(tmp_path)
+        found.make_document(tmp_path)
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("g", 1 / 9.81), ("mg", 1000 / 9.81)])
@@ -134,9 +134,9 @@ def test_magnitude_at_rest_determines_unit(tmp_path, values, unit, factor):
     columns = {"t_ms": time} | {f"a{n}": factor * values[:, n] for n in range(3)}
     pl.DataFrame(columns).write_csv(tmp_path / "imu.csv")
     looks = read_files([tmp_path / "imu.csv"])
-    assert likely_test(looks) == "poses"
-    found = poses_draft(looks, {k: v for k, v in ANSWERS.items() if k != "sampling_rate"})
-    document = found.document(tmp_path)
+    assert guess_test(looks) == "poses"
+    found = make_poses_draft(looks, {k: v for k, v in ANSWERS.items() if k != "sampling_rate"})
+    document = found.make_document(tmp_path)
     assert document["records"] == {"time": {"column": "t_ms", "unit": "ms"}}
     assert document["accelerometers"]["X"]["specific_force"] == {"column": "a0", "unit": unit}
 
@@ -147,15 +147,15 @@ def test_counts_require_sensitivity(tmp_path, values):
     columns |= {f"m{n}": field[:, n] for n in range(3)}
     pl.DataFrame(columns).write_csv(tmp_path / "imu.csv")
     looks = read_files([tmp_path / "imu.csv"])
-    found = poses_draft(looks, ANSWERS)
-    assert found.triad == ("a0", "a1", "a2")
+    found = make_poses_draft(looks, ANSWERS)
+    assert found.column_names == ("a0", "a1", "a2")
     assert found.open_questions == []
-    document = found.document(tmp_path)
+    document = found.make_document(tmp_path)
     output = document["accelerometers"]["Z"]["output"]
     assert output["unit"] == "count"
     assert float(output["sensitivity"].split()[0]) == pytest.approx(1670.0 * 9.81, rel=0.02)
     assert "count/g" in format_document(document, {})
-    named = poses_draft(looks, ANSWERS | {"unit": "count", "sensitivity": "16384 count/g"})
+    named = make_poses_draft(looks, ANSWERS | {"unit": "count", "sensitivity": "16384 count/g"})
     write_description(named, tmp_path / "camp")
 
 
@@ -172,10 +172,10 @@ def write_raw(file, values, *, counts=415.0, middle=MIDDLE):
 
 def test_counts_with_offset_have_zero_and_sensitivity(tmp_path):
     looks = write_raw(tmp_path / "imu_acc.txt", simulate_poses(4.0, 1.5, count=24).values + BIAS)
-    assert likely_test(looks) == "poses"
+    assert guess_test(looks) == "poses"
     found = make_draft(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
     assert found.open_questions == []
-    document = found.document(tmp_path / "camp")
+    document = found.make_document(tmp_path / "camp")
     assert document["records"] == {"time": {"column": "column 1", "unit": "s"}}
     for name, middle, bias in zip("XYZ", MIDDLE, BIAS, strict=True):
         output = document["accelerometers"][name]["output"]
@@ -192,7 +192,7 @@ def test_counts_with_offset_have_zero_and_sensitivity(tmp_path):
 def test_few_poses_do_not_determine_offset(tmp_path, values):
     """The four parameters of a sphere need more than a few poses."""
     looks = write_raw(tmp_path / "imu.txt", values[: int(8 * 5.5 * 100)])
-    assert likely_test(looks) is None
+    assert guess_test(looks) is None
 
 
 def test_row_numbers_are_not_time(tmp_path, values):
@@ -200,10 +200,10 @@ def test_row_numbers_are_not_time(tmp_path, values):
     columns |= {f"acc_{n}": values[:, n] for n in range(3)}
     pl.DataFrame(columns).write_csv(tmp_path / "session.csv")
     looks = read_files([tmp_path / "session.csv"])
-    assert likely_test(looks) == "poses"
-    asked = [question.key for question in poses_draft(looks).open_questions]
+    assert guess_test(looks) == "poses"
+    asked = [question.key for question in make_poses_draft(looks).open_questions]
     assert asked == ["gravity", "latitude", "sampling_rate"]
-    document = poses_draft(looks, ANSWERS).document(tmp_path / "camp")
+    document = make_poses_draft(looks, ANSWERS).make_document(tmp_path / "camp")
     assert document["records"] == {"time": {"sampling_rate": "100 Hz"}}
 
 
@@ -218,7 +218,7 @@ def test_separate_files_are_poses(tmp_path):
         columns = {"time_s": np.arange(400) / 100.0, "x": noisy[:, 0], "y": noisy[:, 1]}
         pl.DataFrame(columns | {"z": noisy[:, 2]}).write_csv(files[-1])
     looks = read_files(files)
-    assert likely_test(looks) == "poses"
+    assert guess_test(looks) == "poses"
     found = make_draft(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
     assert any(one.startswith("16 poses in 16 files: rest intervals") for one in found.statements)
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
@@ -227,7 +227,7 @@ def test_separate_files_are_poses(tmp_path):
         c = result.accelerometers[name].coefficients["K_F"]
         assert abs(c.value - bias / 9.81) < 3.0 * c.u < 3e-3
     # One of them alone shows nothing of the kind.
-    assert likely_test(looks[:1]) is None
+    assert guess_test(looks[:1]) is None
 
 
 @pytest.mark.parametrize(("unit", "size"), [("m/s^2", 9.81), ("g", 1.0), ("count", 4096.0)])
@@ -240,7 +240,7 @@ def test_table_rows_are_poses(tmp_path, unit, size):
     columns = {"No": np.arange(1, 25)} | {f"a{n} ({unit})": values[:, n] for n in range(3)}
     pl.DataFrame(columns).write_csv(tmp_path / "poses.csv")
     looks = read_files([tmp_path / "poses.csv"])
-    assert likely_test(looks) == "poses"
+    assert guess_test(looks) == "poses"
     found = make_draft(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
     assert [question.key for question in found.open_questions] == []
     assert "24 poses, one per row; the attitudes are unknown" in found.statements
@@ -258,12 +258,12 @@ def test_single_supply_voltage_has_zero(tmp_path, values):
     columns = {"t_ms": time} | {f"U{n}": 1.65 + 0.0337 * values[:, n] for n in range(3)}
     pl.DataFrame(columns).write_csv(tmp_path / "imu.csv")
     told = {k: v for k, v in ANSWERS.items() if k != "sampling_rate"} | {"unit": "V"}
-    found = poses_draft(read_files([tmp_path / "imu.csv"]), told)
+    found = make_poses_draft(read_files([tmp_path / "imu.csv"]), told)
     asked = {question.key: question.guess for question in found.questions}
     assert float(asked["Y zero"].split()[0]) == pytest.approx(1.65, abs=0.02)
-    document = poses_draft(read_files([tmp_path / "imu.csv"]), told | {"Y zero": "1.5 V"}).document(
-        tmp_path
-    )
+    document = make_poses_draft(
+        read_files([tmp_path / "imu.csv"]), told | {"Y zero": "1.5 V"}
+    ).make_document(tmp_path)
     assert document["accelerometers"]["Y"]["output"]["zero"] == "1.5 V"
 
 
@@ -273,7 +273,7 @@ def test_other_records_are_not_poses(tmp_path, values):
     for name, these in (("still", still), ("few", values[:2000]), ("rates", 0.01 * values)):
         columns = {f"a{n}": these[:, n] for n in range(3)}
         pl.DataFrame(columns).write_csv(tmp_path / f"{name}.csv")
-        assert likely_test(read_files([tmp_path / f"{name}.csv"])) is None
+        assert guess_test(read_files([tmp_path / f"{name}.csv"])) is None
 
 
 # As loggers write them
@@ -332,9 +332,9 @@ def test_logger_layouts_are_understood(tmp_path, name):
     _, head, rows, axes = next(one for one in layouts(truth.time, values) if one[0] == name)
     (tmp_path / "log.csv").write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")
     looks = read_files([tmp_path / "log.csv"])
-    assert likely_test(looks) == "poses"
+    assert guess_test(looks) == "poses"
     found = make_draft(looks, PLACE, "poses")
-    assert found.triad == axes
+    assert found.column_names == axes
     campaign = read_campaign(write_description(found, tmp_path / "camp"))
     assert len(calibrate(campaign).triad.poses) == 12
 
@@ -347,7 +347,7 @@ def write_rows(folder, time, values, head="t,ax,ay,az"):
 
 def test_packet_counter_is_not_time(tmp_path, values):
     looks = write_rows(tmp_path, 12000 + np.arange(len(values)), values, "PacketCounter,x,y,z")
-    assert [one.key for one in poses_draft(looks, PLACE).open_questions] == ["sampling_rate"]
+    assert [one.key for one in make_poses_draft(looks, PLACE).open_questions] == ["sampling_rate"]
 
 
 def test_unnamed_time_after_row_counter_is_found(tmp_path, values):
@@ -355,9 +355,9 @@ def test_unnamed_time_after_row_counter_is_found(tmp_path, values):
     looks = write_rows(
         tmp_path, np.column_stack([count, count / 100.0]), values, "index,v0,v1,v2,v3"
     )
-    draft = poses_draft(looks, PLACE)
+    draft = make_poses_draft(looks, PLACE)
     assert draft.open_questions == []
-    assert draft.document(tmp_path)["records"]["time"]["column"] == "v0"
+    assert draft.make_document(tmp_path)["records"]["time"]["column"] == "v0"
 
 
 def test_one_second_rests_are_found(tmp_path):
@@ -367,7 +367,7 @@ def test_one_second_rests_are_found(tmp_path):
         one.startswith("20 poses in log.csv: rest intervals of at least 0.5 s")
         for one in found.statements
     )
-    assert found.document(tmp_path)["runs"][0]["poses"] == {"rest": "0.5 s"}
+    assert found.make_document(tmp_path)["runs"][0]["poses"] == {"rest": "0.5 s"}
 
 
 def test_short_poses_after_long_rest_are_found(tmp_path):
@@ -383,9 +383,9 @@ def test_short_poses_after_long_rest_are_found(tmp_path):
     values = np.concatenate(parts[:-1])
     values += 0.02 * rng.normal(size=values.shape) + BIAS
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), values)
-    assert poses_draft(looks, {"rest": "1.5 s"}).found.means.shape[0] < 20
+    assert make_poses_draft(looks, {"rest": "1.5 s"}).triad.means.shape[0] < 20
     found = make_draft(looks, PLACE, "poses")
-    assert found.found.means.shape[0] == 30
+    assert found.triad.means.shape[0] == 30
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
     for name, bias in zip("XYZ", BIAS, strict=True):
         one = result.accelerometers[name].coefficients["K_F"]
@@ -401,7 +401,7 @@ def test_axes_are_ordered_by_name(tmp_path, values):
     ]
     (tmp_path / "log.csv").write_text("time,seconds_elapsed,z,y,x\n" + "".join(rows))
     found = make_draft(read_files([tmp_path / "log.csv"]), PLACE, "poses")
-    assert found.triad == ("x", "y", "z")
+    assert found.column_names == ("x", "y", "z")
     assert len(calibrate(write_description(found, tmp_path / "camp").parent).triad.poses) == 12
 
 
@@ -409,25 +409,25 @@ def test_irregular_rows_of_phone_are_read(tmp_path, values):
     kept = np.sort(np.random.default_rng(3).permutation(len(values))[: len(values) * 2 // 3])
     looks = write_rows(tmp_path, kept, values[kept], "timestamp_ms,ax,ay,az")
     told = {"time unit": "s"}  # 1 s for 10 ms
-    assert poses_draft(looks, PLACE | told).guesses[0].time.column == "timestamp_ms"
+    assert make_poses_draft(looks, PLACE | told).guesses[0].time.column == "timestamp_ms"
     looks = write_rows(tmp_path, 0.01 * kept, values[kept], "Time (s),ax,ay,az")
     found = make_draft(looks, PLACE, "poses")
     assert found.open_questions == []
-    assert found.found.means.shape[0] == 12
+    assert found.triad.means.shape[0] == 12
 
 
 def test_stepwise_clock_is_not_time(tmp_path, values):
     time = np.floor(np.arange(len(values)) / 5.0) / 20.0
     looks = write_rows(tmp_path, time, values)
-    assert likely_test(looks) == "poses"
-    assert [one.key for one in poses_draft(looks, PLACE).open_questions] == ["sampling_rate"]
+    assert guess_test(looks) == "poses"
+    assert [one.key for one in make_poses_draft(looks, PLACE).open_questions] == ["sampling_rate"]
 
 
 def test_filtered_gravity_is_not_sensor(tmp_path, values):
     both = np.column_stack([values - BIAS, values])
     head = "t,gravity_x,gravity_y,gravity_z,acc_x,acc_y,acc_z"
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), both, head)
-    assert make_draft(looks, PLACE, "poses").triad == ("acc_x", "acc_y", "acc_z")
+    assert make_draft(looks, PLACE, "poses").column_names == ("acc_x", "acc_y", "acc_z")
 
 
 def test_forces_without_gravity_are_reported(tmp_path):
@@ -437,8 +437,8 @@ def test_forces_without_gravity_are_reported(tmp_path):
     values = np.where(rests[:, None], truth.values - smooth, truth.values - smooth.mean(axis=0))
     axes = [f"Linear Acceleration {axis} (m/s^2)" for axis in "xyz"]
     looks = write_rows(tmp_path, truth.time, values, ",".join(["Time (s)", *axes]))
-    assert likely_test(looks) is None
-    reasons = no_test_reasons(looks)
+    assert guess_test(looks) is None
+    reasons = explain_unknown_test(looks)
     assert any("are nearly zero at rest, so a filter removed gravity" in s for s in reasons)
 
 
@@ -458,7 +458,7 @@ def faces(count, tilt=0.005, seed=6):
 def test_six_faces_set_twice_do_not_determine_angles(tmp_path):
     """Only products of tilts would determine an angle, so it is undetermined."""
     found = make_draft(write_rows(tmp_path, *faces(13)), PLACE, "poses")
-    assert found.document(tmp_path)["model"] == {"terms": ["K_F", "K_I"]}
+    assert found.make_document(tmp_path)["model"] == {"terms": ["K_F", "K_I"]}
     assert any(
         "poses near the six faces do not determine the angles" in s for s in found.statements
     )
@@ -474,8 +474,8 @@ def test_measured_six_faces_match_sums_and_differences(tmp_path):
     """Half the sum and half the difference of opposite faces tell the same, but for their tilts."""
     answers = {"gravity": "9.8066 m/s^2", "latitude": "49.6 deg", "sampling_rate": "204.8 Hz"}
     found = make_draft(read_files([REAL / "session.csv"]), answers, "poses")
-    assert found.triad == ("acc_x", "acc_y", "acc_z")
-    assert found.document(tmp_path)["model"] == {"terms": ["K_F", "K_I"]}
+    assert found.column_names == ("acc_x", "acc_y", "acc_z")
+    assert found.make_document(tmp_path)["model"] == {"terms": ["K_F", "K_I"]}
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
     assert result.state == "good" or {f.code for f in result.findings} == {"unjudged-readings"}
     rows = np.loadtxt(REAL / "session.csv", delimiter=",", skiprows=1)[:, 4:7] / 9.8066
@@ -509,9 +509,9 @@ def test_six_faces_require_stated_uncertainty(tmp_path, in_table):
 
 def test_unit_of_unnamed_volts_is_asked(tmp_path, values):
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), 1.65 + values / 9.81 / 3.0)
-    assert likely_test(looks) == "poses"
-    assert [one.key for one in poses_draft(looks, PLACE).open_questions] == ["unit"]
-    told = poses_draft(looks, PLACE | {"unit": "V"}).document(tmp_path)
+    assert guess_test(looks) == "poses"
+    assert [one.key for one in make_poses_draft(looks, PLACE).open_questions] == ["unit"]
+    told = make_poses_draft(looks, PLACE | {"unit": "V"}).make_document(tmp_path)
     size, unit = told["accelerometers"]["X"]["output"]["sensitivity"].split(" ")
     assert (float(size), unit) == (pytest.approx(1.0 / 3.0, rel=0.01), "V/g")
 
@@ -520,20 +520,20 @@ def test_unsigned_numbers_raise(tmp_path, values):
     counts = np.mod(np.round(values / 9.81 * 16384.0), 65536.0)
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), counts)
     with raises("unsigned-numbers", "16-bit", "65536", "32768"):
-        likely_test(looks)
+        guess_test(looks)
 
 
 def test_second_sensor_in_file_is_reported(tmp_path, values):
     both = np.column_stack([values, 1.02 * values + 0.05])
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), both, "t,a1,a2,a3,b1,b2,b3")
     found = make_draft(looks, PLACE, "poses")
-    assert found.triad == ("a1", "a2", "a3")
+    assert found.column_names == ("a1", "a2", "a3")
     assert (
         "three further axes are at rest at the same times. They belong to a second sensor and "
         "are not used; to calibrate that sensor, answer X=b1, Y=b2, Z=b3"
     ) in found.statements
     other = make_draft(looks, PLACE | {"X": "b1", "Y": "b2", "Z": "b3"}, "poses")
-    assert other.triad == ("b1", "b2", "b3")
+    assert other.column_names == ("b1", "b2", "b3")
 
 
 def test_words_between_numbers_raise(tmp_path):
@@ -548,7 +548,9 @@ def test_nine_poses_have_model_of_bias_and_scale_factor(tmp_path, count):
     looks = write_rows(tmp_path, truth.time, truth.values + BIAS)
     found = make_draft(looks, PLACE | {"grade": "consumer"}, "poses")
     few = count == 9
-    assert found.document(tmp_path).get("model") == ({"terms": ["K_F", "K_I"]} if few else None)
+    assert found.make_document(tmp_path).get("model") == (
+        {"terms": ["K_F", "K_I"]} if few else None
+    )
     assert any("nine poses or fewer" in one for one in found.statements) is few
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
     for name, bias in zip("XYZ", BIAS, strict=True):
@@ -560,7 +562,7 @@ def test_stated_uncertainty_of_poses_is_used(tmp_path):
     """Nine poses have no degree of freedom left beside nine parameters: u is the stated one's."""
     truth = simulate_poses(4.0, 1.0, 9, noise=0.01, seed=8)
     found = make_draft(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")
-    document = found.document(tmp_path / "camp")
+    document = found.make_document(tmp_path / "camp")
     document["model"] = {"terms": ["K_F", "K_I", "delta_O", "delta_P"], "assume": "all"}
     u = {}
     for stated in (0.01, 0.02):

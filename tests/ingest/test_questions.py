@@ -2,7 +2,7 @@
 
 import pytest
 
-from counterspin.ingest.questions import AXES, SENSES, FileQuestion, judged_answers
+from counterspin.ingest.questions import AXES, SENSES, FileQuestion, parse_answers
 
 GRAVITY = FileQuestion("gravity", "?", "9.8066 ± 1e-5 m/s^2", quantity="m/s^2")
 LATITUDE = FileQuestion("latitude", "?", "45.75 deg", quantity="rad")
@@ -30,7 +30,7 @@ COUNTS = FileQuestion("counts", "?", "65536")
     ],
 )
 def test_answer_spellings_are_accepted(question, answer, meaning):
-    assert question.judged(answer) == meaning
+    assert question.parse_answer(answer) == meaning
 
 
 @pytest.mark.parametrize(
@@ -47,10 +47,10 @@ def test_answer_spellings_are_accepted(question, answer, meaning):
 )
 def test_invalid_answers_raise(question, answer, told):
     with pytest.raises(ValueError, match=told):
-        question.judged(answer)
+        question.parse_answer(answer)
 
 
 def test_unknown_question_is_reported():
-    taken, problems = judged_answers([GRAVITY, AXIS], {"axis": "e", "gravty": "9.8"})
+    taken, problems = parse_answers([GRAVITY, AXIS], {"axis": "e", "gravty": "9.8"})
     assert taken == {"axis": "east"}
     assert problems == ["gravty: not one of the questions: gravity, axis"]

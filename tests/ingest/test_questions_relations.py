@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 
 from counterspin.ingest.contents import read_files
-from counterspin.ingest.description import draft
+from counterspin.ingest.description import make_turntable_draft
 
 PLACE = {"gravity": "9.8066 m/s^2", "latitude": "45.75 deg"}
 TIME = np.arange(400) * 0.05
@@ -19,7 +19,7 @@ DIRECTIONS = {"east": 0.0, "north": np.pi / 2, "west": np.pi, "south": -np.pi / 
 def draft_and_questions(path, **answers):
     """Return the draft and the keys of the open questions."""
     said = PLACE | {key.replace("_", " "): answer for key, answer in answers.items()}
-    found = draft(read_files([path]), said)
+    found = make_turntable_draft(read_files([path]), said)
     return found, [question.key for question in found.open_questions]
 
 
@@ -43,7 +43,7 @@ def test_radius_determines_unit_of_displacement(tmp_path, unit, factor):
     assert {"a unit", "b unit"} <= set(needed)
     found, needed = draft_and_questions(path, radius="2.5 m", **told)
     assert {"a unit", "b unit"}.isdisjoint(needed)
-    assert [signal.unit for signal in found.common.signals] == [unit, unit]
+    assert [signal.unit for signal in found.common_guess.signals] == [unit, unit]
     assert (
         f"column 'a': displacement in {unit} (determined from the radius), axis not detected"
         in (found.statements)
@@ -62,7 +62,7 @@ def test_radius_determines_unit_of_displacement(tmp_path, unit, factor):
 def test_radius_and_rate_determine_unit_of_velocity_or_force(tmp_path, what, size, unit):
     path = write_circle(tmp_path / "run.csv", "east", "north", sizes=(size, size))
     found, _ = draft_and_questions(path, radius="2.5 m", **{"a is": what, "b is": what})
-    assert [signal.unit for signal in found.common.signals] == [unit, unit]
+    assert [signal.unit for signal in found.common_guess.signals] == [unit, unit]
 
 
 def test_unit_of_implausible_amplitude_is_asked(tmp_path):
@@ -85,7 +85,7 @@ def test_sense_and_one_axis_determine_other_axis(tmp_path, first, second, sense,
     assert needed == ["a axis", "b axis"]
     found, needed = draft_and_questions(path, **told, sense=word, **{"a axis": first})
     assert needed == []
-    assert [signal.axis for signal in found.common.signals] == [first, second]
+    assert [signal.axis for signal in found.common_guess.signals] == [first, second]
 
 
 def test_sense_contradicting_waves_is_reported(tmp_path):

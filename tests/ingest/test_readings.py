@@ -8,14 +8,14 @@ import pytest
 from counterspin.ingest.contents import FileColumn, FileContents
 from counterspin.ingest.readings import (
     OutputEstimate,
-    output_questions,
+    assign_roles,
+    group_outputs,
+    guess_common_role,
+    make_column_questions,
+    make_columns_question,
+    make_output_questions,
+    make_role_question,
     output_unit,
-    outputs_of,
-    part_question,
-    role_questions,
-    roles_of,
-    several_question,
-    usual_role,
 )
 
 
@@ -49,7 +49,7 @@ LOOK = FileContents(
     ],
 )
 def test_usual_role_of_column(name, unit, role):
-    assert usual_role(make_column(name, unit)) == role
+    assert guess_common_role(make_column(name, unit)) == role
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_usual_role_of_column(name, unit, role):
     ],
 )
 def test_row_counter_is_not_reading(values, unit, role):
-    assert usual_role(make_column("Test", unit, values)) == role
+    assert guess_common_role(make_column("Test", unit, values)) == role
 
 
 @pytest.mark.parametrize(
@@ -80,19 +80,21 @@ def test_repeat_columns_are_found_by_name(names, meant):
     columns = [make_column(name, "V", [-1.0, 0.0, 1.0]) for name in names]
     contents = FileContents(None, tuple(columns), (), "")
     roles = dict.fromkeys(names, "reading")
-    (question,) = several_question(columns)
+    (question,) = make_columns_question(columns)
     assert question.guess == meant
-    (first, *_), *others = outputs_of(contents, roles, {})
+    (first, *_), *others = group_outputs(contents, roles, {})
     assert first.name == names[0]
     assert len(others) == (meant == "accelerometers")
-    assert len(outputs_of(contents, roles, {question.key: "repeats"})) == 1
-    assert len(outputs_of(contents, roles, {question.key: "accelerometers"})) == 2
-    assert list(several_question(columns[:1])) == []
+    assert len(group_outputs(contents, roles, {question.key: "repeats"})) == 1
+    assert len(group_outputs(contents, roles, {question.key: "accelerometers"})) == 2
+    assert list(make_columns_question(columns[:1])) == []
 
 
 def test_single_role_column_is_unique_and_answers_take_precedence():
     def roles(**told):
-        return roles_of(LOOK, told, lambda one: "position" if one.name == "a" else "reading", parts)
+        return assign_roles(
+            LOOK, told, lambda one: "position" if one.name == "a" else "reading", parts
+        )
 
     parts = {"position": "a"}
     words = {"No": "name", "note": "unused"}
@@ -108,20 +110,26 @@ def test_single_role_column_is_unique_and_answers_take_precedence():
 def test_voltage_named_u_is_reading_if_no_other_is():
     volts = FileContents(None, (make_column("angle_deg"), make_column("U_V")), (), "")
     guess = {"angle_deg": "position"}
-    roles = roles_of(volts, {}, lambda c: guess.get(c.name) or usual_role(c), {})
+    roles = assign_roles(volts, {}, lambda c: guess.get(c.name) or guess_common_role(c), {})
     assert roles == {"angle_deg": "position", "U_V": "reading"}
 
 
 def test_columns_are_asked_with_possible_roles():
     roles = {"No": "name", "note": "unused", "a": "position", "b": "reading", "c": "time"}
-    asked = {question.key: question for question in role_questions(LOOK, roles, ["position"])}
+    asked = {
+        question.key: question for question in make_column_questions(LOOK, roles, ["position"])
+    }
     assert list(asked) == ["No is", "note is", "b is", "c is"]
     assert asked["No is"].choices == ("name", "unused")
     assert asked["b is"].choices[:2] == ("position", "reading")
-    assert asked["b is"].judged("position") == "position"
-    needed = part_question("position", "Which?", ["b", "c"], {"b": "reading"}, needed=True)
+    assert asked["b is"].parse_answer("position") == "position"
+    needed = make_role_question(
+        "position", "Which?", ["b", "c"], {"b": "reading"}, is_required=True
+    )
     assert (needed.guess, needed.choices) == (None, ("b", "c"))
-    other = part_question("position", "Which?", ["b", "c"], {"b": "reading"}, needed=False)
+    other = make_role_question(
+        "position", "Which?", ["b", "c"], {"b": "reading"}, is_required=False
+    )
     assert (other.guess, other.choices) == ("none", ("b", "c", "none"))
 
 
@@ -137,7 +145,7 @@ def test_unit_of_output_is_from_answer_file_or_name():
 def test_sensitivity_is_suggested_and_large_zero_is_asked():
     def questions(per_g, zero):
         sensed = OutputEstimate(per_g, zero)
-        return list(output_questions(make_column("A", "V"), {}, sensed))[1:]
+        return list(make_output_questions(make_column("A", "V"), {}, sensed))[1:]
 
     (sensitivity,) = questions(2.0, 0.5)
     assert sensitivity.text.endswith("of column 'A'? The data suggest about 2 V/g.")
@@ -151,7 +159,8 @@ def test_sensitivity_is_suggested_and_large_zero_is_asked():
 def test_acceleration_needs_no_sensitivity():
     def keys(unit):
         return [
-            q.key for q in output_questions(make_column("A", unit), {}, OutputEstimate(1.25, 2.5))
+            q.key
+            for q in make_output_questions(make_column("A", unit), {}, OutputEstimate(1.25, 2.5))
         ]
 
     assert keys("g") == ["A unit"]

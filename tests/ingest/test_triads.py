@@ -3,12 +3,12 @@
 import numpy as np
 
 from counterspin.ingest.contents import FileColumn
-from counterspin.ingest.triads import threes
+from counterspin.ingest.triads import candidate_triples
 
 
 def find_names(*names):
     columns = [FileColumn(name, "", np.zeros(3)) for name in names]
-    return [tuple(one.name for one in three) for three in threes(columns)]
+    return [tuple(one.name for one in three) for three in candidate_triples(columns)]
 
 
 def test_names_differing_in_axis_letter_are_triad():

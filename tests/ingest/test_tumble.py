@@ -8,8 +8,8 @@ from workbooks import write_workbook
 from counterspin.calibration.calibrate import calibrate
 from counterspin.ingest.contents import read_files
 from counterspin.ingest.description import make_draft, write_description
-from counterspin.ingest.overview import likely_test
-from counterspin.ingest.tumble import tumble_draft
+from counterspin.ingest.overview import guess_test
+from counterspin.ingest.tumble import make_tumble_draft
 
 ANGLES = np.arange(0.0, 360.0, 30.0)
 ANSWERS = {"gravity": "9,8066", "latitude": "45.75"}
@@ -34,9 +34,9 @@ def write_table(path, rows, head=("Name", "Winkel", "Signal", "u"), units=("", "
 )
 def test_readings_determine_axis_at_zero(tmp_path, start, axis):
     path = write_table(tmp_path / "t.csv", make_rows(start))
-    found = tumble_draft(read_files([path]), ANSWERS | {"Signal sensitivity": "1,25"})
+    found = make_tumble_draft(read_files([path]), ANSWERS | {"Signal sensitivity": "1,25"})
     assert found.open_questions == []
-    document = found.document(tmp_path / "camp")
+    document = found.make_document(tmp_path / "camp")
     assert document["accelerometers"]["A"]["input_axis"] == axis
     assert document["readings"]["file"] == "../t.csv"
     write_description(found, tmp_path / "camp")
@@ -50,7 +50,7 @@ def test_readings_determine_axis_at_zero(tmp_path, start, axis):
 @pytest.mark.parametrize("start", [0.0, 45.0, 180.0])
 def test_short_table_following_positions_is_tumble(tmp_path, start):
     path = write_table(tmp_path / "t.csv", make_rows(start))
-    assert likely_test(read_files([path])) == "tumble"
+    assert guess_test(read_files([path])) == "tumble"
 
 
 def record_rows(rows):
@@ -77,13 +77,13 @@ def record_rows(rows):
 )
 def test_other_tables_are_not_tumble(tmp_path, rows, head, units):
     path = write_table(tmp_path / "t.csv", rows, head, units)
-    assert likely_test(read_files([path])) != "tumble"
+    assert guess_test(read_files([path])) != "tumble"
 
 
 @pytest.mark.parametrize("start", [0.0, 90.0, 180.0, -90.0])
 def test_directions_follow_from_largest_readings(tmp_path, start):
     path = write_table(tmp_path / "t.csv", make_rows(start))
-    directions = np.array(tumble_draft(read_files([path])).directions)
+    directions = np.array(make_tumble_draft(read_files([path])).directions)
     assert np.cos(np.radians(directions)) == pytest.approx(np.cos(np.radians(ANGLES - start)))
     # Right-handed about north, up goes to the east.
     assert np.sin(np.radians(directions)) == pytest.approx(np.sin(np.radians(ANGLES - start)))
@@ -91,8 +91,8 @@ def test_directions_follow_from_largest_readings(tmp_path, start):
 
 def test_directions_require_axis_at_zero(tmp_path):
     path = write_table(tmp_path / "t.csv", make_rows(45.0))
-    assert tumble_draft(read_files([path])).directions == []
-    assert len(tumble_draft(read_files([path]), {"axis at 0": "up"}).directions) == len(ANGLES)
+    assert make_tumble_draft(read_files([path])).directions == []
+    assert len(make_tumble_draft(read_files([path]), {"axis at 0": "up"}).directions) == len(ANGLES)
 
 
 def test_workbook_with_title_and_units_is_understood(tmp_path):
@@ -100,7 +100,7 @@ def test_workbook_with_title_and_units_is_understood(tmp_path):
     rows.insert(1, ["Name", "Position", "Output 1", "Output 2"])
     path = write_workbook(tmp_path / "t.xlsx", {"Notes": [["hello"]], "Readings": rows})
     more = {"Output 1 sensitivity": "1.25 V/g", "Output 2 is": "uncertainty"}
-    found = tumble_draft(read_files([path]), ANSWERS | more)
+    found = make_tumble_draft(read_files([path]), ANSWERS | more)
     assert found.roles == {
         "Name": "name",
         "Position": "position",
@@ -123,14 +123,14 @@ def test_missing_information_is_asked(tmp_path):
     assert last.key == "b sensitivity"
     assert "The data suggest about 1.25 mA/g." in last.text
     with raises("missing-answer", "b sensitivity:"):
-        found.document(tmp_path)
+        found.make_document(tmp_path)
 
 
 def test_table_without_readings_raises(tmp_path):
     path = write_table(tmp_path / "t.csv", make_rows())
     answers = ANSWERS | {"Signal is": "unused", "axis at 0": "up"}
     with raises("missing-column", "columns: Winkel, Signal, u"):
-        tumble_draft(read_files([path]), answers).document(tmp_path)
+        make_tumble_draft(read_files([path]), answers).make_document(tmp_path)
 
 
 def test_several_tables_raise(tmp_path):

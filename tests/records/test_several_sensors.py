@@ -7,7 +7,7 @@ from raising import raises
 
 from counterspin.errors import CampaignError, RecordError
 from counterspin.ingest.contents import read_contents, read_files
-from counterspin.ingest.overview import UndecidedDraft, sensor_question
+from counterspin.ingest.overview import UndecidedDraft, make_sensor_question
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import read_numbers
 from counterspin.records.several_sensors import (
@@ -74,11 +74,11 @@ def test_several_sensors_require_selection(tmp_path):
 
     path = write_interleaved_sensors(tmp_path / "log.csv")
     contents = read_files([path])
-    assert sensor_question(contents).choices == ("A", "B", "C")
+    assert make_sensor_question(contents).choices == ("A", "B", "C")
     with raises("missing-answer", "select:", "'device'", "log.csv", "3"):
-        UndecidedDraft.of(contents).complete()
+        UndecidedDraft.from_contents(contents).complete()
     (chosen,) = read_files([path], {"select": "C"})
-    assert sensor_question([chosen]) is None
+    assert make_sensor_question([chosen]) is None
     assert chosen.dialect_keys == {"select": {"column": "device", "value": "C"}}
     assert set(chosen.columns[1].values.tolist()) == {3.0}
     with raises("several-sensors", "3 different values", "`select`", '"device=A"'):

@@ -14,7 +14,7 @@ from counterspin.campaign.description import read_campaign
 from counterspin.errors import DamagedFileError
 from counterspin.ingest.contents import read_files
 from counterspin.ingest.description import make_draft, write_description
-from counterspin.ingest.overview import likely_test
+from counterspin.ingest.overview import guess_test
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import read_small_table
 from counterspin.records.isolation import uses_reader_process
@@ -137,7 +137,7 @@ def test_rows_below_table_of_sheet_are_ignored(tmp_path):
     contents = read_files([path])
     assert contents[0].footer == ("Mean; 0.003", "", "Checked by; J. D.")
     assert [len(column.values) for column in contents[0].columns] == [12, 12]
-    assert likely_test(contents) == "tumble"
+    assert guess_test(contents) == "tumble"
     answers = {"gravity": "9.81", "latitude": "48", "out sensitivity": "1.25"}
     found = make_draft(contents, answers, "tumble")
     campaign = read_campaign(write_description(found, tmp_path / "camp"))

@@ -30,7 +30,7 @@ from counterspin.application.served_folder import (
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document
 from counterspin.errors import CounterspinError, ExistingFileError, WriteError
 from counterspin.frozen import frozen
-from counterspin.ingest.description import further_runs
+from counterspin.ingest.description import draft_further_runs
 from counterspin.output import make_folder, move_into_place
 from counterspin.records.format_registry import suffix_problem
 from counterspin.temporary_folders import remove_abandoned_folders, temporary_folder
@@ -213,7 +213,7 @@ def add_records(app: AppState, name: str, files: list[str]) -> AddedRuns:
     new_files = [file for file in map(app.file, files) if file.resolve() not in known_records]
     text, added = (
         description_text.text,
-        further_runs(new_files, document, description.parent) if new_files else [],
+        draft_further_runs(new_files, document, description.parent) if new_files else [],
     )
     for index, run in enumerate(added, len(runs)):
         text = set_value(text, ["runs", index], run)

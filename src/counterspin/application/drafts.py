@@ -23,16 +23,17 @@ from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, tabl
 from counterspin.campaign.quantity import normalize_latitude, parse_quantity
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError, CounterspinError
-from counterspin.ingest.column_roles import FileGuess, counts_rows
+from counterspin.ingest.column_roles import FileGuess
+from counterspin.ingest.column_values import is_row_counter
 from counterspin.ingest.contents import FileColumn, FileContents, read_files
 from counterspin.ingest.description import AnyDraft, Draft, write_description
 from counterspin.ingest.description import make_draft as described_as
 from counterspin.ingest.overview import (
-    TESTS,
+    TEST_LABELS,
     UndecidedDraft,
-    likely_test,
-    overview,
-    sensor_question,
+    describe_files,
+    guess_test,
+    make_sensor_question,
 )
 from counterspin.ingest.starter import Test
 from counterspin.ingest.tumble import TumbleDraft
@@ -74,16 +75,16 @@ def _make_draft(
     all_contents = _CONTENTS.get(
         (*cache_key, *files), files, lambda: read_files(files, filled_answers)
     )
-    statements = overview(all_contents)
+    statements = describe_files(all_contents)
     test_answer = filled_answers.pop("test", None)
-    if sensor_question(all_contents) is not None:
-        return UndecidedDraft.of(all_contents), None, statements
+    if make_sensor_question(all_contents) is not None:
+        return UndecidedDraft.from_contents(all_contents), None, statements
     filled_answers.pop("select", None)
     test = requested_test or next(
-        (test for test in TESTS if test == test_answer), likely_test(all_contents)
+        (test for test in TEST_LABELS if test == test_answer), guess_test(all_contents)
     )
     if test is None:
-        return UndecidedDraft.of(all_contents), None, statements
+        return UndecidedDraft.from_contents(all_contents), None, statements
     return described_as(all_contents, filled_answers, test), test, statements
 
 
@@ -95,7 +96,7 @@ def draft_overview(
 ) -> DraftOverview:
     """Return the contents of files in sentences and columns, the questions and the mistakes."""
     draft, found_test, statements = _make_draft(app, names, answers, test)
-    guess = draft.common if isinstance(draft, Draft) else None
+    guess = draft.common_guess if isinstance(draft, Draft) else None
     questions: list[QuestionEntry] = [
         {
             "key": question.key,
@@ -115,7 +116,7 @@ def draft_overview(
         "file": draft.contents.path.name,
         "runs": len(draft.guesses) if isinstance(draft, Draft) else None,
         "columns": [
-            *(_text_column(draft.contents, name) for name in draft.contents.others),
+            *(_text_column(draft.contents, name) for name in draft.contents.text_columns),
             *(_number_column(column, guess) for column in draft.contents.columns),
         ],
         "directions": draft.directions if isinstance(draft, TumbleDraft) else [],
@@ -125,13 +126,13 @@ def draft_overview(
 
 def _text_column(contents: FileContents, name: str) -> ColumnEntry:
     """Return the first cells of a column without numbers, and why it is unused."""
-    cells = contents.words.get(name) or contents.first_words.get(name, ())
+    cells = contents.text_cells.get(name) or contents.first_text_cells.get(name, ())
     words = list(dict.fromkeys(cell[:_MAX_CELL_LENGTH] for cell in cells if cell))
     reason = "The column is empty in every row."
     if words:
         ellipsis = " ..." if len(words) > _MAX_CELLS else ""
         reason = f"The column contains text, not numbers: {', '.join(words[:_MAX_CELLS])}{ellipsis}"
-    spoilt_reason = next((text for text in contents.spoilt if f"'{name}'" in text), None)
+    spoilt_reason = next((text for text in contents.unread_reasons if f"'{name}'" in text), None)
     return {
         "name": name,
         "first": list(cells[:_PREVIEW_ROWS]),
@@ -153,11 +154,11 @@ def _number_column(column: FileColumn, guess: FileGuess | None) -> ColumnEntry:
 def _unused_reason(column: FileColumn, guess: FileGuess | None) -> str:
     """Return why a column of numbers is unused, if it is."""
     values = column.values[np.isfinite(column.values)]
-    if column.stamps:
+    if column.is_timestamp:
         return "The column contains timestamps, but the time is read from another column."
     if values.min() == values.max():
         return f"The value is {values[0]:.6g} in every row."
-    if counts_rows(column):
+    if is_row_counter(column):
         return "The column contains row numbers."
     if column.unit and not any(is_convertible(column.unit, si) for si in OBSERVABLES.values()):
         return f"The unit {column.unit} does not match a known signal."
@@ -207,7 +208,7 @@ def detrended_curve(column: FileColumn, guess: FileGuess | None) -> Curve:
 
 def _row_count(column: FileColumn, guess: FileGuess) -> int:
     """Return the number of rows in which the centrifuge turns a few times; all if unknown."""
-    rows, step = len(column.values), 1.0 / (guess.sampling or 1.0)
+    rows, step = len(column.values), 1.0 / (guess.sampling_rate or 1.0)
     if guess.time is not None:
         time = next(c for c in guess.contents.columns if c.name == guess.time.column)
         steps = np.diff(time.values[np.isfinite(time.values)])

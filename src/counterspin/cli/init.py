@@ -85,15 +85,15 @@ def _import_files(
     """Write a campaign for data files."""
     from counterspin.ingest.contents import read_files
     from counterspin.ingest.description import make_draft, write_description
-    from counterspin.ingest.overview import overview, sensor_question
+    from counterspin.ingest.overview import describe_files, make_sensor_question
     from counterspin.reports.text import show_work_progress
 
     answers = _parse_answers(answer_options)
     with show_work_progress("Files") as advance:
         contents = read_files(files, answers, progress=advance)
-    print_output("Detected in the files:", *(f"  {line}" for line in overview(contents)))
+    print_output("Detected in the files:", *(f"  {line}" for line in describe_files(contents)))
     is_interactive = is_interactive and sys.stdin is not None and sys.stdin.isatty()
-    if (question := sensor_question(contents)) is not None:
+    if (question := make_sensor_question(contents)) is not None:
         if not is_interactive:
             example = f'"select={question.example}"'
             message = f"{question.text} Set this value with `answer`, for example {example}."
@@ -143,11 +143,15 @@ def _add_option(questions: Mapping[str, FileQuestion], problem: str) -> str:
 
 def _choose_test(contents: Sequence[FileContents], *, is_interactive: bool) -> Test:
     """Return the type of test: chosen by the user, or else detected."""
-    from counterspin.ingest.overview import kind_question, likely_test, no_test_reasons
+    from counterspin.ingest.overview import (
+        explain_unknown_test,
+        guess_test,
+        make_test_question,
+    )
 
-    detected_test = likely_test(contents)
-    question = kind_question(detected_test)
-    reasons = [] if detected_test else list(no_test_reasons(contents))
+    detected_test = guess_test(contents)
+    question = make_test_question(detected_test)
+    reasons = [] if detected_test else list(explain_unknown_test(contents))
     if is_interactive:
         print_output(*reasons)
         return cast("Test", _prompt(question))
@@ -183,6 +187,6 @@ def _prompt(question: FileQuestion) -> str:
                 "no answer was given, so nothing was written", code="missing-answer"
             ) from None
         try:
-            return question.judged(answer)
+            return question.parse_answer(answer)
         except ValueError as error:
             print_output(f"{error}. Try again:")

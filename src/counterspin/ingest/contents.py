@@ -1,4 +1,4 @@
-"""The columns of a recorder's file and their waves, before any meaning is assigned."""
+"""Columns of a recorder's file, and their oscillations, before roles are assigned."""
 
 from __future__ import annotations
 
@@ -29,35 +29,35 @@ from counterspin.records.several_sensors import (
     stacked_sensors,
 )
 
-#: The answer that every sheet of a workbook is a run.
+#: Answer that every sheet of a workbook is a run.
 ALL_SHEETS: Final = "all"
-#: What a table has to be like.
-_WANTED: Final = (
+#: Advice on the format of a table.
+_FORMAT_ADVICE: Final = (
     "Remove words between the numeric cells. Export one column for each quantity, with one "
     "header row followed by numeric cells only. Suitable formats are .csv with semicolons or "
     "tabs, .xlsx, .tdms, .mat and .h5."
 )
-#: What to do where numbers end at words.
-_ANOTHER_RUN: Final = (
+#: Advice if text follows the numbers of a column.
+_SPLIT_ADVICE: Final = (
     "If another run begins at this line, put each run into a separate file. If the line is a "
     "remark, remove it."
 )
-#: Rows that are looked at, at most, and columns.
+#: Largest numbers of rows and columns that are read.
 _MAX_ROWS: Final = 2_000_000
 _MAX_COLUMNS: Final = 200
-#: Cells of a column of words that show whether it repeats.
-_FIRST_CELLS: Final = 60
+#: Number of first cells of a text column, which show repetitions.
+_N_FIRST_CELLS: Final = 60
 
 
 @frozen(eq=False)
 class FileColumn:
     """One column of a file."""
 
-    name: str  #: In the file.
-    unit: str  #: By the file itself, in plain signs; empty text where it states none.
-    #: Numbers, NaN where a cell is empty, shape (n,); of time stamps, s after the first.
+    name: str  #: Name in the file.
+    unit: str  #: Unit in the file, normalised; empty if not stated.
+    #: Numbers, NaN for empty cells, shape (n,); for time stamps, s since the first.
     values: Array
-    stamps: bool = False  #: Whether they are time stamps.
+    is_timestamp: bool = False  #: Whether the values are time stamps.
 
 
 @frozen(eq=False)
@@ -65,51 +65,51 @@ class FileContents:
     """The contents of a file."""
 
     path: Path  #: The file.
-    columns: tuple[FileColumn, ...]  #: Those that hold numbers or time stamps.
-    others: tuple[str, ...]  #: Names of those that hold neither.
-    found: str  #: How it is written, where that is not plain.
-    decimal: str = "."  #: What parts decimals in it.
-    sheet: str | None = None  #: That of a workbook which has several tables.
-    sheets: tuple[str, ...] = ()  #: All of these.
-    group: str | None = None  #: The group that holds the run, of a file with several runs.
-    runs: tuple[str, ...] = ()  #: Groups that hold a run each.
-    interval: float | None = None  #: Time between rows by the file, s.
-    #: Single numbers that stand beside the columns, by name.
+    columns: tuple[FileColumn, ...]  #: Columns of numbers or time stamps.
+    text_columns: tuple[str, ...]  #: Names of the other columns.
+    format_description: str  #: Detected format, if it is not plain.
+    decimal: str = "."  #: Decimal separator.
+    sheet: str | None = None  #: Sheet of a workbook with several tables.
+    sheets: tuple[str, ...] = ()  #: All sheets with tables.
+    group: str | None = None  #: Group of the run in a file with several runs.
+    runs: tuple[str, ...] = ()  #: Groups that contain one run each.
+    interval: float | None = None  #: Sampling interval stated in the file, s.
+    #: Name -> scalar value in addition to the columns.
     numbers: Mapping[str, float] = field(default_factory=dict)
-    #: Column that holds neither numbers nor time stamps -> its first cells.
-    first_words: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    #: Of a small file: column that holds neither numbers nor time stamps -> its cells, row by row.
-    words: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    #: Which columns would hold numbers except for a cell, and where it stands, in words.
-    spoilt: tuple[str, ...] = ()
+    #: Text column -> first cells.
+    first_text_cells: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    #: Text column -> cell of each row; only for small files.
+    text_cells: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    #: Messages about columns of numbers that contain a text cell.
+    unread_reasons: tuple[str, ...] = ()
     footer: tuple[str, ...] = ()  #: Lines at the end that are not rows.
-    #: A column that tells several sensors apart and its values, and the one that is selected.
+    #: Column that distinguishes several sensors, with its values; selected value.
     sensors: tuple[str, tuple[str, ...]] | None = None
-    selected: str | None = None
-    remarks: tuple[str, ...] = ()  #: Faults of the rows, such as repeated values, a sentence each.
+    selected_sensor: str | None = None
+    remarks: tuple[str, ...] = ()  #: Remarks on the rows, such as repeated values.
 
     @property
     def title(self) -> str:
-        """The name of the file without its ending, and the sheet or the group."""
+        """The name of the file without extension, with the sheet or the group."""
         part = self.sheet or self.group
         return f"{self.path.stem} {part}" if part else self.path.stem
 
     @property
     def dialect_keys(self) -> dict[str, Any]:
-        """The keys of a description by which the file is read."""
+        """The keys of a description that select rows and table of the file."""
         keys: dict[str, Any] = {
             "sheet": self.sheet,
             "group": self.group,
             "skip_footer": len(self.footer),
         }
-        if self.sensors and self.selected:
-            keys["select"] = {"column": self.sensors[0], "value": self.selected}
+        if self.sensors and self.selected_sensor:
+            keys["select"] = {"column": self.sensors[0], "value": self.selected_sensor}
         return {key: value for key, value in keys.items() if value}
 
     @property
     def is_mixed(self) -> bool:
-        """True if rows of several sensors are read, because none is selected."""
-        return self.sensors is not None and self.selected is None
+        """True if the rows belong to several sensors, of which none is selected."""
+        return self.sensors is not None and self.selected_sensor is None
 
     @property
     def rows(self) -> int:
@@ -123,25 +123,30 @@ def read_files(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[FileContents, ...]:
-    """Return the contents of the runs' files.
+    """Read the contents of files.
 
-    answers: ``sheet`` selects the table of workbooks with several, or `ALL_SHEETS`; the default is
-        the first.
-    progress: Called with (files looked at, files in all).
+    answers: ``sheet`` selects the table of a workbook, by default the first, or `ALL_SHEETS`.
+    progress: Called with the numbers of read files and of all files.
     """
-    asked, sensor = (answers or {}).get("sheet"), (answers or {}).get("select")
+    sheet_answer, sensor = (answers or {}).get("sheet"), (answers or {}).get("select")
     all_contents: list[FileContents] = []
-    for done, file in enumerate(files, 1):
+    for n_done, file in enumerate(files, 1):
         sheets = sheets_with_tables(file)
         if len(sheets) < 2:
             contents = read_contents(file, sensor=sensor)
             groups = [read_contents(file, sensor=sensor, group=run) for run in contents.runs]
             all_contents += groups or [contents]
         else:
-            taken = sheets if asked == ALL_SHEETS else (asked if asked in sheets else sheets[0],)
-            all_contents += [read_contents(file, sheet, sheets, sensor) for sheet in taken]
+            selected_sheets = (
+                sheets
+                if sheet_answer == ALL_SHEETS
+                else (sheet_answer if sheet_answer in sheets else sheets[0],)
+            )
+            all_contents += [
+                read_contents(file, sheet, sheets, sensor) for sheet in selected_sheets
+            ]
         if progress is not None:
-            progress(done, len(files))
+            progress(n_done, len(files))
     return tuple(all_contents)
 
 
@@ -152,10 +157,10 @@ def read_contents(
     sensor: str | None = None,
     group: str | None = None,
 ) -> FileContents:
-    """Return the contents of a file, or of one of its sheets or groups.
+    """Read the contents of a file, or of one of its sheets or groups.
 
-    sensor: Value of the column that tells several sensors apart, of the rows that are read; or
-        that column and the value, ``device=A``.
+    sensor: Value of the column that distinguishes several sensors, to select rows; or column and
+        value, ``device=A``.
     """
     return run_isolated(_read_contents, path, sheet, sheets, sensor, group)
 
@@ -170,45 +175,52 @@ def _read_contents(
     with open_columns(path, Dialect(sheet=sheet, group=group)) as file:
         footer = file.footer
         cells = file.first_cells([name for name in file.names if name], SHOWING_ROWS)
-        told_apart, kinds = next(sensor_columns(cells), ("", []))
-    stated, _, value = (sensor or "").partition("=")
-    chosen = (told_apart, sensor) if sensor is not None and sensor in kinds else None
-    if chosen is None and value:
-        chosen = told_apart, _ = stated.strip(), value.strip()
-    dialect = Dialect(sheet=sheet, skip_footer=len(footer), select=chosen, group=group)
+        sensor_column, sensors = next(sensor_columns(cells), ("", []))
+    column_name, _, value = (sensor or "").partition("=")
+    selection = (sensor_column, sensor) if sensor is not None and sensor in sensors else None
+    if selection is None and value:
+        selection = sensor_column, _ = column_name.strip(), value.strip()
+    dialect = Dialect(sheet=sheet, skip_footer=len(footer), select=selection, group=group)
     with open_columns(path, dialect) as file:
         names = [name for name in dict.fromkeys(file.names) if name][:_MAX_COLUMNS]
-        columns, others, spoilt, reasons = [], [], [], []
-        first = ""
+        columns, text_columns, unread_reasons, reasons = [], [], [], []
+        first_reason = ""
         for name in names:
-            column, why = _column(file, name)
+            column, reason = _read_column(file, name)
             if column is None:
-                others.append(name)
-                first = first or why
-                if "contains the text" in why and f"{file.locate(0)}:" not in why:
-                    reasons.append(why)
-                    spoilt.append(why.replace(str(path), path.name))
+                text_columns.append(name)
+                first_reason = first_reason or reason
+                if "contains the text" in reason and f"{file.locate(0)}:" not in reason:
+                    reasons.append(reason)
+                    unread_reasons.append(reason.replace(str(path), path.name))
             else:
                 columns.append(column)
-        columns = _with_split_time(file, columns)
-        if not told_apart:
-            told_apart, kinds = _stacked(file, columns, file.first_cells(others, _FIRST_CELLS))
-            if sensor in kinds:
-                return _read_contents(path, sheet, sheets, f"{told_apart}={sensor}", group)
+        columns = _merge_split_time(file, columns)
+        if not sensor_column:
+            sensor_column, sensors = _find_stacked_sensors(
+                file, columns, file.first_cells(text_columns, _N_FIRST_CELLS)
+            )
+            if sensor in sensors:
+                return _read_contents(path, sheet, sheets, f"{sensor_column}={sensor}", group)
         if not columns:
-            seen = file.preview()
-            lines = f"First lines of the file:\n{seen}\n{_WANTED}" if seen else _WANTED
+            preview = file.preview()
+            advice = (
+                f"First lines of the file:\n{preview}\n{_FORMAT_ADVICE}"
+                if preview
+                else _FORMAT_ADVICE
+            )
             if reasons:
-                more = "" if "each run" in reasons[0] else f" {_ANOTHER_RUN}"
-                raise RecordError(f"{reasons[0]}{more}", code="not-numeric")
-            shown = f"no column contains only numbers. {lines}"
+                split_advice = "" if "each run" in reasons[0] else f" {_SPLIT_ADVICE}"
+                raise RecordError(f"{reasons[0]}{split_advice}", code="not-numeric")
+            message = f"no column contains only numbers. {advice}"
             raise RecordError(
-                f"{path}: {shown}" if seen or not first else first, code="not-numeric"
+                f"{path}: {message}" if preview or not first_reason else first_reason,
+                code="not-numeric",
             )
         return FileContents(
             path,
             tuple(columns),
-            tuple(others),
+            tuple(text_columns),
             file.format_description,
             file.decimal,
             sheet,
@@ -217,130 +229,152 @@ def _read_contents(
             file.runs,
             file.interval,
             file.single_numbers(),
-            file.first_cells(others, _FIRST_CELLS),
-            _read_text_columns(file, others, max(len(column.values) for column in columns)),
-            tuple(spoilt),
+            file.first_cells(text_columns, _N_FIRST_CELLS),
+            _read_text_columns(file, text_columns, max(len(column.values) for column in columns)),
+            tuple(unread_reasons),
             footer,
-            sensors=(told_apart, tuple(kinds)) if told_apart else None,
-            selected=chosen and chosen[1],
+            sensors=(sensor_column, tuple(sensors)) if sensor_column else None,
+            selected_sensor=selection and selection[1],
         )
 
 
-def _stacked(
-    file: ColumnFile, columns: Sequence[FileColumn], first: Mapping[str, Sequence[str]]
+def _find_stacked_sensors(
+    file: ColumnFile, columns: Sequence[FileColumn], first_cells: Mapping[str, Sequence[str]]
 ) -> tuple[str, list[str]]:
-    """Return the column that tells apart sensors by the times of their rows, and its values.
+    """Return the column that distinguishes sensors by the times of their rows, and its values.
 
-    first: Column of words -> its first cells.
+    first_cells: Text column -> first cells.
     """
-    numbers = {column.name: column.values for column in columns}
-    named = {name for name in numbers if STACKED_NAME.fullmatch(name)}
-    few = {name for name, values in numbers.items() if len(np.unique(values)) <= MAX_VALUES}
-    words = {name for name, cells in first.items() if len(set(cells)) < len(cells) // 2}
+    values_by_name = {column.name: column.values for column in columns}
+    named_columns = {name for name in values_by_name if STACKED_NAME.fullmatch(name)}
+    repeating_columns = {
+        name for name, values in values_by_name.items() if len(np.unique(values)) <= MAX_VALUES
+    }
+    text_columns = {
+        name for name, cells in first_cells.items() if len(set(cells)) < len(cells) // 2
+    }
     cells = {
         name: [cell.strip() for cell in file.all_cells(name)]
-        for name in (*first, *numbers)
-        if name in named | few | words
+        for name in (*first_cells, *values_by_name)
+        if name in named_columns | repeating_columns | text_columns
     }
-    stacked = {name: column for name, column in cells.items() if name in named | words}
-    found = (*stacked_sensors(stacked, numbers), *interleaved_sensors(cells, numbers))
-    return next(iter(found), ("", []))
+    stacked_cells = {
+        name: column for name, column in cells.items() if name in named_columns | text_columns
+    }
+    sensor_columns = (
+        *stacked_sensors(stacked_cells, values_by_name),
+        *interleaved_sensors(cells, values_by_name),
+    )
+    return next(iter(sensor_columns), ("", []))
 
 
-def _with_split_time(file: ColumnFile, columns: list[FileColumn]) -> list[FileColumn]:
-    """Return columns with one column of time stamps in place of the two of a split time."""
-    if any(column.stamps for column in columns):
+def _merge_split_time(file: ColumnFile, columns: list[FileColumn]) -> list[FileColumn]:
+    """Merge two columns of a split time into one column of time stamps."""
+    if any(column.is_timestamp for column in columns):
         return columns
-    split = find_split_time({column.name: column.values for column in columns})
-    if split is None:
+    split_time = find_split_time({column.name: column.values for column in columns})
+    if split_time is None:
         return columns
-    file.timestamp_columns, file.first_timestamp = frozenset([split.name]), None
-    seconds = np.array(file.read_columns([split.name])[split.name][:_MAX_ROWS], dtype=float)
-    rest = [column for column in columns if column.name not in (split.coarse, split.fine)]
-    return [FileColumn(split.name, "", seconds, stamps=True), *rest]
+    file.timestamp_columns, file.first_timestamp = frozenset([split_time.name]), None
+    seconds = np.array(
+        file.read_columns([split_time.name])[split_time.name][:_MAX_ROWS], dtype=float
+    )
+    other_columns = [
+        column for column in columns if column.name not in (split_time.coarse, split_time.fine)
+    ]
+    return [FileColumn(split_time.name, "", seconds, is_timestamp=True), *other_columns]
 
 
 def _read_text_columns(file: ColumnFile, names: Sequence[str], rows: int) -> dict[str, list[str]]:
-    """Return columns of words of a table that is small enough to be one of readings."""
+    """Read the text columns of a table that is small enough for readings."""
     if not names or rows > MOST_READINGS:
         return {}
     try:
         frame = file.table()
-    except RecordError:  # arrays of words, or of other lengths
+    except RecordError:  # arrays of text, or of different lengths
         return {}
-    known = [name for name in names if name in frame.columns]
-    return {name: ["" if c is None else str(c).strip() for c in frame[name]] for name in known}
+    existing_names = [name for name in names if name in frame.columns]
+    return {
+        name: ["" if cell is None else str(cell).strip() for cell in frame[name]]
+        for name in existing_names
+    }
 
 
-def _column(file: ColumnFile, name: str) -> tuple[FileColumn | None, str]:
-    """Return a column as numbers or time stamps; or None, and why it has no numbers."""
-    why = ""
-    for stamps in (False, True):
-        file.timestamp_columns = frozenset([name] if stamps else [])
+def _read_column(file: ColumnFile, name: str) -> tuple[FileColumn | None, str]:
+    """Read a column of numbers or time stamps; return None and a reason for other columns."""
+    reason = ""
+    for is_timestamp in (False, True):
+        file.timestamp_columns = frozenset([name] if is_timestamp else [])
         file.first_timestamp = None
         try:
             file.require([name])
             values = file.read_columns([name])[name][:_MAX_ROWS]
         except RecordError as error:
-            why = why or str(error)
+            reason = reason or str(error)
             continue
         numbers = np.array(values, dtype=float)
-        numbers[~(np.abs(numbers) < MAX_MAGNITUDE)] = np.nan  # what no instrument measures
+        numbers[~(np.abs(numbers) < MAX_MAGNITUDE)] = np.nan  # not a measurement
         if np.isfinite(numbers).any():
-            return FileColumn(name, file.units.get(name, ""), numbers, stamps), ""
-    return None, why
+            return FileColumn(name, file.units.get(name, ""), numbers, is_timestamp), ""
+    return None, reason
 
 
-# The wave that a revolution makes in a column
+# Oscillation of a column with the revolutions
 
-#: Samples that are looked at.
+#: Largest number of samples that are analysed.
 _MAX_SAMPLES: Final = 1 << 16
-#: Fewest swings that tell a frequency, and how much of the square a wave must have.
-_FEWEST_SWINGS: Final = 2.0
-_WAVE_SHARE: Final = 0.5
+#: Smallest number of periods, and smallest fraction of the sum of squares, of an oscillation.
+_MIN_PERIODS: Final = 2.0
+_MIN_WAVE_FRACTION: Final = 0.5
 
 
-def frequency(time: Array, values: Array) -> float | None:
-    """Return the frequency of a column's wave, Hz; None without a wave.
+def find_frequency(time: Array, values: Array) -> float | None:
+    """Find the frequency of an oscillation, Hz; None without one.
 
-    time, values: Shape (n,), NaN for missing values; time rises, in s.
+    time, values: Shape (n,), NaN for missing values; the time, in s, increases.
     """
-    good = np.isfinite(time) & np.isfinite(values)
-    t, y = time[good][:_MAX_SAMPLES], values[good][:_MAX_SAMPLES]
+    is_valid = np.isfinite(time) & np.isfinite(values)
+    t, y = time[is_valid][:_MAX_SAMPLES], values[is_valid][:_MAX_SAMPLES]
     if t.size < 16 or t[-1] <= t[0]:
         return None
-    even = np.linspace(t[0], t[-1], t.size)
-    y = np.interp(even, t, y)
-    x = (even - even.mean()) / (even[-1] - even[0])
+    even_times = np.linspace(t[0], t[-1], t.size)
+    y = np.interp(even_times, t, y)
+    x = (even_times - even_times.mean()) / (even_times[-1] - even_times[0])
     y = y - np.polynomial.polynomial.polyval(x, np.polynomial.polynomial.polyfit(x, y, 2))
-    total = float(np.sum(y**2))
+    sum_of_squares = float(np.sum(y**2))
     power = np.abs(np.fft.rfft(y * np.hanning(y.size), 4 * y.size)) ** 2
-    place = int(np.argmax(power[8:])) + 8
-    at = place / (4 * y.size * (even[1] - even[0]))
-    if total == 0.0 or at * (even[-1] - even[0]) < _FEWEST_SWINGS:
+    peak_index = int(np.argmax(power[8:])) + 8
+    peak_frequency = peak_index / (4 * y.size * (even_times[1] - even_times[0]))
+    if sum_of_squares == 0.0 or peak_frequency * (even_times[-1] - even_times[0]) < _MIN_PERIODS:
         return None
-    # The peak of a parabola through the three highest, then the wave itself decides.
-    if place + 1 < power.size:
-        low, high, after = np.log(power[place - 1 : place + 2] + 1e-300)
-        bend = low - 2.0 * high + after
-        shift = 0.5 * (low - after) / bend if bend < 0.0 else 0.0
-        at *= (place + shift) / place
-    amplitude, _ = wave(2.0 * np.pi * at * even, y)
-    return float(at) if amplitude**2 / 2.0 * y.size > _WAVE_SHARE * total else None
+    # Refine the peak by a parabola through three points, then fit the oscillation.
+    if peak_index + 1 < power.size:
+        log_before, log_peak, log_after = np.log(power[peak_index - 1 : peak_index + 2] + 1e-300)
+        curvature = log_before - 2.0 * log_peak + log_after
+        shift = 0.5 * (log_before - log_after) / curvature if curvature < 0.0 else 0.0
+        peak_frequency *= (peak_index + shift) / peak_index
+    amplitude, _ = fit_wave(2.0 * np.pi * peak_frequency * even_times, y)
+    return (
+        float(peak_frequency)
+        if amplitude**2 / 2.0 * y.size > _MIN_WAVE_FRACTION * sum_of_squares
+        else None
+    )
 
 
-def wave(angle: Array, values: Array, degree: int = 2) -> tuple[float, float]:
-    """Return amplitude and phase of values = A cos(angle + phase) + a polynomial.
+def fit_wave(angle: Array, values: Array, degree: int = 2) -> tuple[float, float]:
+    """Fit values = A cos(angle + phase) + polynomial; return amplitude and phase, rad.
 
-    angle: Unwrapped, rad.
-    values: Values at the angles, shape (n,), NaN where missing.
-    degree: Of the polynomial in the angle.
+    angle: Unwrapped angles, rad, shape (n,).
+    values: Values at the angles, shape (n,), NaN if missing.
+    degree: Degree of the polynomial in the angle.
     """
-    good = np.isfinite(angle) & np.isfinite(values)
-    th, y = angle[good], values[good]
-    if not th.size:
+    is_valid = np.isfinite(angle) & np.isfinite(values)
+    valid_angle, y = angle[is_valid], values[is_valid]
+    if not valid_angle.size:
         return math.nan, math.nan
-    x = (th - th.mean()) / (np.ptp(th) or 1.0)
-    design = np.column_stack([np.cos(th), np.sin(th), np.vander(x, degree + 1, increasing=True)])
+    x = (valid_angle - valid_angle.mean()) / (np.ptp(valid_angle) or 1.0)
+    design = np.column_stack(
+        [np.cos(valid_angle), np.sin(valid_angle), np.vander(x, degree + 1, increasing=True)]
+    )
     a, b, *_ = np.linalg.lstsq(design, y, rcond=None)[0]
     return float(np.hypot(a, b)), float(np.arctan2(-b, a))

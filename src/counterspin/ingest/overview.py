@@ -1,4 +1,4 @@
-"""Show the contents of recorder files, and the kinds of test that they may belong to."""
+"""Describe the contents of recorder files, and guess the test type."""
 
 from __future__ import annotations
 
@@ -11,28 +11,29 @@ import numpy as np
 
 from counterspin.arrays import median
 from counterspin.frozen import frozen
-from counterspin.ingest.arm import shows_arm
-from counterspin.ingest.column_roles import FileGuess, guess_file, is_nominal
+from counterspin.ingest.arm import looks_like_arm
+from counterspin.ingest.column_roles import FileGuess, guess_file
+from counterspin.ingest.column_values import is_nominal
 from counterspin.ingest.contents import FileColumn, FileContents
-from counterspin.ingest.poses import shows_poses
+from counterspin.ingest.poses import looks_like_poses
 from counterspin.ingest.questions import AnsweredDraft, FileQuestion
 from counterspin.ingest.starter import Test
-from counterspin.ingest.triads import guessed_poses, without_gravity
-from counterspin.ingest.tumble import shows_tumble
+from counterspin.ingest.triads import find_filtered_axes, guess_pose_file
+from counterspin.ingest.tumble import looks_like_tumble
 from counterspin.records.column_file import format_names
 from counterspin.records.sampling import ValueHolding, join_bursts
 
-#: Columns of a file that are shown, and different words of one.
-_SHOWN: Final = 24
-_SHOWN_WORDS: Final = 4
-#: Deviation of a step from a multiple of the usual one, and part of the steps that are multiples
-#: where samples are missing.
-_OFF_STEP: Final = 0.25
-_EVEN_PART: Final = 0.9
-#: Relative difference between the rate of an angle in a known unit and that of the waves.
-_SAME_RATE: Final = 0.02
-#: Kind of test -> what the files then are.
-TESTS: Final[dict[Test, str]] = {
+#: Largest number of columns of a file, and of different texts of a column, that are listed.
+_MAX_COLUMNS: Final = 24
+_MAX_WORDS: Final = 4
+#: Tolerance of multiples of the median step, and smallest fraction of such steps, for missing
+#: samples.
+_STEP_TOLERANCE: Final = 0.25
+_MIN_EVEN_FRACTION: Final = 0.9
+#: Relative tolerance of the rate of an angle compared with that of the signals.
+_RATE_TOLERANCE: Final = 0.02
+#: Test type -> description of its files.
+TEST_LABELS: Final[dict[Test, str]] = {
     "double-turntable": "records of a double turntable",
     "tumble": "a table of readings of a multi-position tumble",
     "arm": "a table of readings on the arm of a centrifuge",
@@ -40,45 +41,45 @@ TESTS: Final[dict[Test, str]] = {
 }
 
 
-def overview(all_contents: Sequence[FileContents]) -> list[str]:
-    """Return an overview of each file: its rows and its columns, a line each."""
-    return [line for contents in all_contents for line in _lines(contents)]
+def describe_files(all_contents: Sequence[FileContents]) -> list[str]:
+    """Return lines that describe the rows and columns of each file."""
+    return [line for contents in all_contents for line in _describe_file(contents)]
 
 
-def _lines(contents: FileContents) -> Iterator[str]:
-    guess = guessed_poses(contents, {}) if contents.is_mixed else guess_file(contents)
-    place = f", sheet '{contents.sheet}'" if contents.sheet else ""
-    place += f", group '{contents.group}'" if contents.group else ""
-    rate = _sampling(guess)
-    said = [f"{contents.rows} rows", *filter(None, [contents.found, rate])]
-    yield f"{contents.path.name}{place}: {', '.join(said)}"
-    for column in contents.columns[:_SHOWN]:
+def _describe_file(contents: FileContents) -> Iterator[str]:
+    guess = guess_pose_file(contents, {}) if contents.is_mixed else guess_file(contents)
+    table_name = f", sheet '{contents.sheet}'" if contents.sheet else ""
+    table_name += f", group '{contents.group}'" if contents.group else ""
+    rate_text = _describe_sampling(guess)
+    summary = [f"{contents.rows} rows", *filter(None, [contents.format_description, rate_text])]
+    yield f"{contents.path.name}{table_name}: {', '.join(summary)}"
+    for column in contents.columns[:_MAX_COLUMNS]:
         unit = f" [{column.unit}]" if column.unit and f"[{column.unit}]" not in column.name else ""
-        yield f"  {column.name}{unit}: {_appearance(column, guess)}"
-    for name in contents.others[:_SHOWN]:
-        yield f"  {name}: {_column_words(contents, name)}"
-    if more := len(contents.columns) + len(contents.others) - 2 * _SHOWN:
-        yield from [f"  and {more} more columns"] if more > 0 else []
+        yield f"  {column.name}{unit}: {_describe_column(column, guess)}"
+    for name in contents.text_columns[:_MAX_COLUMNS]:
+        yield f"  {name}: {_describe_text_column(contents, name)}"
+    if n_more := len(contents.columns) + len(contents.text_columns) - 2 * _MAX_COLUMNS:
+        yield from [f"  and {n_more} more columns"] if n_more > 0 else []
     if contents.numbers:
         numbers = (f"{name} = {value:.9g}" for name, value in contents.numbers.items())
-        yield f"  scalar values: {', '.join(islice(numbers, _SHOWN))}"
-    yield from (f"  {remark}" for remark in _sampling_remarks(guess))
+        yield f"  scalar values: {', '.join(islice(numbers, _MAX_COLUMNS))}"
+    yield from (f"  {remark}" for remark in _find_sampling_remarks(guess))
     if contents.footer:
-        shown = ", ".join(f"'{line.strip()[:40]}'" for line in contents.footer[:_SHOWN_WORDS])
+        footer_text = ", ".join(f"'{line.strip()[:40]}'" for line in contents.footer[:_MAX_WORDS])
         yield (
             f"  the last {len(contents.footer)} lines were ignored because they are not data "
-            f"rows: {shown}"
+            f"rows: {footer_text}"
         )
-    yield from (f"  this part could not be read: {reason}" for reason in contents.spoilt)
+    yield from (f"  this part could not be read: {reason}" for reason in contents.unread_reasons)
     yield from (f"  {remark}" for remark in contents.remarks)
 
 
-def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
-    """Yield remarks on repeated values, repeated times and missing samples."""
-    held: dict[float, list[str]] = {}
+def _find_sampling_remarks(guess: FileGuess) -> Iterator[str]:
+    """Yield remarks on repeated values, repeated times and missing samples of a file."""
+    columns_by_percentage: dict[float, list[str]] = {}
     for column in guess.contents.columns:
-        clocks = [guess.time and guess.time.column, guess.shared and guess.shared.name]
-        if column.stamps or column.name in clocks:
+        clocks = [guess.time and guess.time.column, guess.shared_times and guess.shared_times.name]
+        if column.is_timestamp or column.name in clocks:
             continue
         try:
             holding = ValueHolding.detect(column.values)
@@ -86,43 +87,47 @@ def _sampling_remarks(guess: FileGuess) -> Iterator[str]:
             yield f"column '{column.name}': {error}"
             continue
         if holding is not None:
-            held.setdefault(round(100.0 * (1.0 - 1.0 / holding.rows)), []).append(column.name)
-    for part, names in held.items():
+            columns_by_percentage.setdefault(round(100.0 * (1.0 - 1.0 / holding.rows)), []).append(
+                column.name
+            )
+    for percentage, names in columns_by_percentage.items():
         yield (
-            f"repeated values: {part:g} % of {format_names(names)}, which is typical of a "
+            f"repeated values: {percentage:g} % of {format_names(names)}, which is typical of a "
             "logging rate above the output rate of the sensor; only new values are used"
         )
-    if guess.shared is not None:
-        stamps = int(np.sum(np.diff(join_bursts(guess.shared.values)) > 0.0)) + 1
+    if guess.shared_times is not None:
+        n_times = int(np.sum(np.diff(join_bursts(guess.shared_times.values)) > 0.0)) + 1
         yield (
-            f"repeated times or bursts: the {guess.shared.values.size} rows of column "
-            f"'{guess.shared.name}' have {stamps} different times or bursts; "
-            f"{guess.uncounted or 'time is calculated from the row count'}"
+            f"repeated times or bursts: the {guess.shared_times.values.size} rows of column "
+            f"'{guess.shared_times.name}' have {n_times} different times or bursts; "
+            f"{guess.uncounted_reason or 'time is calculated from the row count'}"
         )
     if guess.time is None or guess.contents.is_mixed:
         return
-    column = next(c for c in guess.contents.columns if c.name == guess.time.column)
+    column = next(column for column in guess.contents.columns if column.name == guess.time.column)
     time = column.values[np.isfinite(column.values)]
     steps = np.diff(time)
-    again = int(np.sum(steps == 0.0))
-    if again and not any(held):
-        yield f"repeated times: {again} of {time.size} rows repeat the time of the previous row"
-    usual = median(steps[steps > 0.0]) if (steps > 0.0).any() else math.nan
-    far = steps[steps > 1.5 * usual] / usual
-    missing = int(np.round(far).sum() - far.size - again)
-    multiples = steps[steps > 0.0] / usual
-    even = np.mean(np.abs(multiples - np.round(multiples)) < _OFF_STEP) > _EVEN_PART
-    if missing > 0 and even:
+    n_repeats = int(np.sum(steps == 0.0))
+    if n_repeats and not any(columns_by_percentage):
+        yield f"repeated times: {n_repeats} of {time.size} rows repeat the time of the previous row"
+    median_step = median(steps[steps > 0.0]) if (steps > 0.0).any() else math.nan
+    long_steps = steps[steps > 1.5 * median_step] / median_step
+    n_missing = int(np.round(long_steps).sum() - long_steps.size - n_repeats)
+    multiples = steps[steps > 0.0] / median_step
+    is_even = (
+        np.mean(np.abs(multiples - np.round(multiples)) < _STEP_TOLERANCE) > _MIN_EVEN_FRACTION
+    )
+    if n_missing > 0 and is_even:
         yield (
-            f"missing samples: about {missing} (the time advances by more than one sampling "
+            f"missing samples: about {n_missing} (the time advances by more than one sampling "
             "interval)"
         )
 
 
-def _sampling(guess: FileGuess) -> str:
-    """Return the number of rows a second; empty text if it is not known."""
+def _describe_sampling(guess: FileGuess) -> str:
+    """Return the number of rows per second as text; empty if unknown."""
     if guess.time is None:
-        return f"{guess.sampling:.8g} rows per second" if guess.sampling else ""
+        return f"{guess.sampling_rate:.8g} rows per second" if guess.sampling_rate else ""
     if guess.time.unit is None:
         return ""
     column = next(c for c in guess.contents.columns if c.name == guess.time.column)
@@ -130,23 +135,23 @@ def _sampling(guess: FileGuess) -> str:
     if guess.contents.is_mixed:  # rows of several sensors have no common step
         return f"about {1.0 / np.mean(steps):.4g} rows per second from all sensors together"
     steps = steps[steps > 0.0]
-    step = median(steps) if steps.size else math.nan
-    return f"about {1.0 / step:.4g} rows per second" if steps.size else ""
+    median_step = median(steps) if steps.size else math.nan
+    return f"about {1.0 / median_step:.4g} rows per second" if steps.size else ""
 
 
-def _appearance(column: FileColumn, guess: FileGuess) -> str:
-    """Return the range of a column, and what it looks like."""
+def _describe_column(column: FileColumn, guess: FileGuess) -> str:
+    """Return the range of a column, and its likely role, as text."""
     values = column.values[np.isfinite(column.values)]
-    low, high = float(values.min()), float(values.max())
-    if column.stamps:
-        return f"time stamps over {high - low:.6g} s"
-    if low == high:
-        return f"always {low:.6g}"
+    minimum, maximum = float(values.min()), float(values.max())
+    if column.is_timestamp:
+        return f"time stamps over {maximum - minimum:.6g} s"
+    if minimum == maximum:
+        return f"always {minimum:.6g}"
     name = column.name
     evidence = [
         (guess.time is not None and guess.time.column == name, "the time"),
         (
-            guess.shared is not None and guess.shared.name == name,
+            guess.shared_times is not None and guess.shared_times.name == name,
             "repeated times or bursts of rows",
         ),
         (is_nominal(values), "nominal orientations (values -1, 0 and 1 only), not measurements"),
@@ -156,54 +161,56 @@ def _appearance(column: FileColumn, guess: FileGuess) -> str:
         ),
         (guess.temperature is not None and guess.temperature[0] == name, "a temperature"),
         (
-            any(s.column == name and s.amplitude for s in guess.signals),
+            any(signal.column == name and signal.amplitude for signal in guess.signals),
             "oscillates at a steady frequency",
         ),
     ]
-    shown = next((f", {words}" for holds, words in evidence if holds), "")
-    return f"{low:.6g} to {high:.6g}{shown}"
+    appearance = next((f", {text}" for applies, text in evidence if applies), "")
+    return f"{minimum:.6g} to {maximum:.6g}{appearance}"
 
 
-def _column_words(contents: FileContents, name: str) -> str:
-    """Return the words of a column."""
-    cells = contents.words.get(name) or contents.first_words.get(name, ())
-    kinds = sorted({cell for cell in cells if cell})
-    if not kinds:
+def _describe_text_column(contents: FileContents, name: str) -> str:
+    """Return the first different texts of a column."""
+    cells = contents.text_cells.get(name) or contents.first_text_cells.get(name, ())
+    distinct_cells = sorted({cell for cell in cells if cell})
+    if not distinct_cells:
         return "empty"
-    more = f" and {len(kinds) - _SHOWN_WORDS} more" if len(kinds) > _SHOWN_WORDS else ""
-    return f"words, {', '.join(word[:40] for word in kinds[:_SHOWN_WORDS])}{more}"
+    suffix = (
+        f" and {len(distinct_cells) - _MAX_WORDS} more" if len(distinct_cells) > _MAX_WORDS else ""
+    )
+    return f"words, {', '.join(word[:40] for word in distinct_cells[:_MAX_WORDS])}{suffix}"
 
 
-def likely_test(all_contents: Sequence[FileContents]) -> Test | None:
-    """Return the kind of test that files look like; None if they look like none."""
-    # A sensor with three axes may have rates beside them.
-    if shows_poses(all_contents):
+def guess_test(all_contents: Sequence[FileContents]) -> Test | None:
+    """Return the test type that the files suggest; or None."""
+    # Files of a three-axis sensor may also contain rates.
+    if looks_like_poses(all_contents):
         return "poses"
-    if shows_arm(all_contents):
+    if looks_like_arm(all_contents):
         return "arm"
-    if shows_tumble(all_contents):
+    if looks_like_tumble(all_contents):
         return "tumble"
-    turning = all(_shows_turntable(guess_file(contents)) for contents in all_contents)
-    return "double-turntable" if turning else None
+    is_turntable = all(_looks_like_turntable(guess_file(contents)) for contents in all_contents)
+    return "double-turntable" if is_turntable else None
 
 
-def _shows_turntable(guess: FileGuess) -> bool:
-    """Return whether a record follows a rotation: columns along known axes, or an angle."""
+def _looks_like_turntable(guess: FileGuess) -> bool:
+    """Return whether a record shows a rotation: signals along known axes, or an angle."""
     if not guess.signals:
         return False
     if any(signal.axis and signal.observable for signal in guess.signals):
         return True
     if any(signal.observable in ("displacement", "velocity") for signal in guess.signals):
         return True
-    if guess.angle is None or guess.turning is None or guess.rate is None:
+    if guess.angle is None or guess.wave_rate is None or guess.rate is None:
         return False
-    known = guess.angle.pulses or guess.angle.unit != "count"
-    same = abs(guess.rate / guess.turning - 1.0) < _SAME_RATE
-    return same and (known or guess.angle.per_revolution is not None)
+    has_known_unit = guess.angle.pulses or guess.angle.unit != "count"
+    is_same_rate = abs(guess.rate / guess.wave_rate - 1.0) < _RATE_TOLERANCE
+    return is_same_rate and (has_known_unit or guess.angle.per_revolution is not None)
 
 
-def sensor_question(all_contents: Sequence[FileContents]) -> FileQuestion | None:
-    """Return the question about the sensor whose rows are read; None if there is only one."""
+def make_sensor_question(all_contents: Sequence[FileContents]) -> FileQuestion | None:
+    """Return the question that selects one of several sensors; or None."""
     for contents in all_contents:
         if contents.is_mixed and contents.sensors is not None:
             column, values = contents.sensors
@@ -216,21 +223,21 @@ def sensor_question(all_contents: Sequence[FileContents]) -> FileQuestion | None
     return None
 
 
-def kind_question(likely: Test | None) -> FileQuestion:
-    """Return the question about the kind of test."""
-    kinds = "; ".join(f"{test}: {words}" for test, words in TESTS.items())
-    text = f"What is the test type? {kinds}."
-    return FileQuestion("test", text, "poses", tuple(TESTS), likely)
+def make_test_question(guess: Test | None) -> FileQuestion:
+    """Return the question about the test type."""
+    descriptions = "; ".join(f"{test}: {label}" for test, label in TEST_LABELS.items())
+    text = f"What is the test type? {descriptions}."
+    return FileQuestion("test", text, "poses", tuple(TEST_LABELS), guess)
 
 
-def no_test_reasons(all_contents: Sequence[FileContents]) -> Iterator[str]:
-    """Yield the reasons why files look like no kind of test."""
+def explain_unknown_test(all_contents: Sequence[FileContents]) -> Iterator[str]:
+    """Yield the reasons why no test type could be guessed."""
     yield (
         "no column varies with a rotation, no set of three columns contains rest periods at "
         "different attitudes, and the readings have no rate or position column"
     )
     for contents in all_contents:
-        if axes := without_gravity(guess_file(contents)):
+        if axes := find_filtered_axes(guess_file(contents)):
             yield (
                 f"columns {format_names(axes)} are nearly zero at rest, so a filter removed "
                 "gravity. Poses require gravity; record the raw output of the sensor"
@@ -239,14 +246,14 @@ def no_test_reasons(all_contents: Sequence[FileContents]) -> Iterator[str]:
 
 @frozen
 class UndecidedDraft(AnsweredDraft):
-    """Files that look like no kind of test; the only question is its kind."""
+    """Draft from files of unknown test type, for which it is the only question."""
 
     contents: FileContents  #: The contents of the first file.
 
     @classmethod
-    def of(cls, all_contents: Sequence[FileContents]) -> UndecidedDraft:
-        """Return a draft that says why the files look like no kind of test."""
-        if (question := sensor_question(all_contents)) is not None:
+    def from_contents(cls, all_contents: Sequence[FileContents]) -> UndecidedDraft:
+        """Return a draft with the reasons why no test type could be guessed."""
+        if (question := make_sensor_question(all_contents)) is not None:
             return cls((), (question,), {}, (), all_contents[0])
-        reasons = tuple(no_test_reasons(all_contents))
-        return cls(reasons, (kind_question(None),), {}, (), all_contents[0])
+        reasons = tuple(explain_unknown_test(all_contents))
+        return cls(reasons, (make_test_question(None),), {}, (), all_contents[0])

@@ -1,8 +1,8 @@
-"""Ask a person about a recorder's files, and combine the answers with the signals.
+"""Questions about a recorder's files, and conclusions from answers and signals.
 
-On a double turntable every signal has a wave of the centrifuge's radius in the signal's direction.
-Therefore the radius shows the unit of a signal, and the phase between two signals shows the sense
-or the axis of the second.
+On a double turntable every signal oscillates with an amplitude that depends on the radius.
+Therefore the radius shows the unit of a signal, and the phase difference between two signals shows
+the sense of rotation, or the axis of the second signal.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import CampaignError, InputError, MissingAnswersError, Problem, error_code
 from counterspin.frozen import frozen
 from counterspin.ingest.column_roles import (
-    NONE,
-    TEMPERATURE,
-    UNUSED,
+    NO_COLUMN,
+    TEMPERATURE_ROLE,
+    UNUSED_ROLE,
     FileGuess,
     SignalGuess,
-    temperature_scale,
-    why_no_time,
+    explain_missing_time,
 )
+from counterspin.ingest.column_values import temperature_scale
 from counterspin.ingest.contents import ALL_SHEETS, FileContents
 from counterspin.readings.cells import SENSE_WORDS
 from counterspin.records.unit_notation import parse_file_unit
@@ -37,19 +37,21 @@ from counterspin.units import STANDARD_GRAVITY, unit_factor
 
 SENSES: Final = ("counterclockwise", "clockwise")
 AXES: Final = ("east", "west", "north", "south", "up", "down")
-#: In the place of a question's key: what is wrong with the files themselves.
-UNFIT: Final = "files"
-#: In the place of a unit: that of any signal.
+#: Prefix, in place of a question's key, of problems with the files themselves.
+FILES_KEY: Final = "files"
+#: Placeholder for the unit of any signal.
 ANY_SIGNAL: Final = "any"
-#: SI unit -> the usual ones that convert to it.
-USUAL_UNITS: Final = {
+#: SI unit -> common units of the same dimension.
+COMMON_UNITS: Final = {
     "s": ("s", "ms", "us", "min", "d"),
     "m": ("m", "mm", "cm", "um", "km"),
     "m/s": ("m/s", "mm/s", "cm/s", "km/h"),
     "m/s^2": ("m/s^2", "g", "mg", "ug"),
 }
-USUAL_UNITS[ANY_SIGNAL] = USUAL_UNITS["m"][:2] + USUAL_UNITS["m/s"][:2] + USUAL_UNITS["m/s^2"][:3]
-#: Other words for answers that are chosen from a list, in lower case.
+COMMON_UNITS[ANY_SIGNAL] = (
+    COMMON_UNITS["m"][:2] + COMMON_UNITS["m/s"][:2] + COMMON_UNITS["m/s^2"][:3]
+)
+#: Synonym, in lower case -> choice.
 _SYNONYMS: Final = dict[str, str](SENSE_WORDS) | {
     word: answer
     for answer, words in {
@@ -69,7 +71,7 @@ _SYNONYMS: Final = dict[str, str](SENSE_WORDS) | {
         "displacement": "position, path, weg",
         "velocity": "speed, geschwindigkeit",
         "specific_force": "specific force, force",
-        UNUSED: "ignore, nothing",
+        UNUSED_ROLE: "ignore, nothing",
     }.items()
     for word in words.split(", ")
 }
@@ -78,52 +80,56 @@ _DECIMAL_COMMA: Final = re.compile(r"(?<![\d.])(\d+),(\d+)(?![\d,])")
 
 @frozen
 class FileQuestion:
-    """A question about facts that files do not state, or about a guess that may be overruled."""
+    """A question about missing information, or about a guess that an answer may replace."""
 
-    key: str  #: By which it is answered.
-    text: str  #: The question.
-    example: str  #: An answer.
-    #: The answers there are, of a unit the usual ones; empty: any.
+    key: str  #: Key of the answer.
+    text: str  #: Text of the question.
+    example: str  #: Example of an answer.
+    #: Possible answers; for a unit, the common ones; empty: any answer.
     choices: tuple[str, ...] = ()
-    guess: str | None = None  #: What is taken without an answer; None: an answer is needed.
-    quantity: str = ""  #: The unit of a quantity that is asked for; empty: none is.
-    unit: str = ""  #: What a unit that is asked for must convert to; empty: none is asked for.
+    guess: str | None = None  #: Value without an answer; None: an answer is required.
+    quantity: str = ""  #: Unit of the requested quantity; empty: not a quantity.
+    unit: str = ""  #: Unit to which the requested unit must convert; empty: not a unit.
 
-    def judged(self, answer: str) -> str:
-        """Return an answer in the words of a description; ValueError if it is not valid."""
-        clean = _DECIMAL_COMMA.sub(r"\1.\2", answer.strip())
+    def parse_answer(self, answer: str) -> str:
+        """Convert an answer to the form of a description; ValueError if it is invalid."""
+        normalized = _DECIMAL_COMMA.sub(r"\1.\2", answer.strip())
         if self.choices and not self.unit:
-            return self._chosen(answer.strip())
+            return self._match_choice(answer.strip())
         if self.quantity:
-            # A bare number is in the unit of the example, which stands beside the question.
-            *_, usual = self.example.split()
-            bare = BARE_NUMBER.fullmatch(clean) and self.key != "rate"
-            text = f"{clean} {usual}" if bare else clean
+            # A number without a unit is in the unit of the example, which is shown to the user.
+            *_, example_unit = self.example.split()
+            is_bare = BARE_NUMBER.fullmatch(normalized) and self.key != "rate"
+            text = f"{normalized} {example_unit}" if is_bare else normalized
             text = str(normalize_latitude(text)) if self.key == "latitude" else text
             parse_quantity(text, self.quantity)
             return text
         if self.unit:
-            unit = parse_file_unit(clean) or clean
-            wanted = OBSERVABLES.values() if self.unit == ANY_SIGNAL else (self.unit,)
-            errors = [error for si in wanted if (error := _unit_error(unit, si))]
-            if len(errors) == len(tuple(wanted)):
+            unit = parse_file_unit(normalized) or normalized
+            target_units = OBSERVABLES.values() if self.unit == ANY_SIGNAL else (self.unit,)
+            errors = [
+                error
+                for target_unit in target_units
+                if (error := _find_unit_error(unit, target_unit))
+            ]
+            if len(errors) == len(tuple(target_units)):
                 raise ValueError(errors[0])
             return unit
-        if not BARE_NUMBER.fullmatch(clean) or not 0.0 < float(clean) < math.inf:
+        if not BARE_NUMBER.fullmatch(normalized) or not 0.0 < float(normalized) < math.inf:
             raise InputError(
                 f"{answer!r} is not a positive number; enter, for example, {self.example}",
                 "not-numeric",
             )
-        return clean
+        return normalized
 
-    def _chosen(self, answer: str) -> str:
-        known = {choice.lower(): choice for choice in self.choices}
+    def _match_choice(self, answer: str) -> str:
+        choice_by_word = {choice.lower(): choice for choice in self.choices}
         word = answer.lower()
-        word = word if word in known else _SYNONYMS.get(word, word).lower()
-        if word in known:
-            return known[word]
-        close = get_close_matches(word, known, n=1)
-        hint = f"; did you mean {known[close[0]]!r}?" if close else ""
+        word = word if word in choice_by_word else _SYNONYMS.get(word, word).lower()
+        if word in choice_by_word:
+            return choice_by_word[word]
+        matches = get_close_matches(word, choice_by_word, n=1)
+        hint = f"; did you mean {choice_by_word[matches[0]]!r}?" if matches else ""
         raise InputError(
             f"{answer!r} is not one of {', '.join(self.choices)}{hint}", "unknown-choice"
         )
@@ -131,16 +137,16 @@ class FileQuestion:
 
 @frozen
 class AnsweredDraft:
-    """Guesses from files, and a person's answers."""
+    """Guesses from files, with questions and answers."""
 
-    statements: tuple[str, ...]  #: What was guessed, in whole sentences.
-    questions: tuple[FileQuestion, ...]  #: What may be answered.
-    answers: Mapping[str, str]  #: What was answered, in the words of a description.
-    problems: tuple[str, ...]  #: What is wrong with other answers.
+    statements: tuple[str, ...]  #: Guesses, in complete sentences.
+    questions: tuple[FileQuestion, ...]  #: All questions.
+    answers: Mapping[str, str]  #: Key -> valid answer, in the form of a description.
+    problems: tuple[str, ...]  #: Errors of the other answers.
 
     @property
     def open_questions(self) -> list[FileQuestion]:
-        """The questions that must be answered before a description can be written."""
+        """The questions that require an answer."""
         return [
             question
             for question in self.questions
@@ -148,119 +154,128 @@ class AnsweredDraft:
         ]
 
     def complete(self) -> dict[str, str]:
-        """Return guesses, overruled by answers; CampaignError if one is missing or wrong."""
-        # Nothing is asked about files that have to be exported anew.
-        if unfit := [line for line in self.problems if line.startswith(f"{UNFIT}: ")]:
-            raise CampaignError("init", unfit, code="wrong-file-type")
-        missing = [
-            f"{q.key}: {q.text} No answer was given."
-            for q in self.open_questions
-            if not any(line.startswith(f"{q.key}: ") for line in self.problems)
+        """Return answers and guesses by key; CampaignError if an answer is missing or invalid."""
+        # Files that must be exported again are reported first.
+        if file_problems := [line for line in self.problems if line.startswith(f"{FILES_KEY}: ")]:
+            raise CampaignError("init", file_problems, code="wrong-file-type")
+        missing_answers = [
+            f"{question.key}: {question.text} No answer was given."
+            for question in self.open_questions
+            if not any(line.startswith(f"{question.key}: ") for line in self.problems)
         ]
-        if missing or self.problems:
-            raise MissingAnswersError("init", [*missing, *self.problems])
-        guessed = {q.key: q.guess for q in self.questions if q.guess is not None}
-        return guessed | dict(self.answers)
+        if missing_answers or self.problems:
+            raise MissingAnswersError("init", [*missing_answers, *self.problems])
+        guesses = {
+            question.key: question.guess
+            for question in self.questions
+            if question.guess is not None
+        }
+        return guesses | dict(self.answers)
 
 
-def relative_name(file: Path, folder: Path) -> str:
-    """Return a file's path relative to a folder; absolute if they share no parent folder."""
+def relative_path(file: Path, folder: Path) -> str:
+    """Return the path of a file relative to a folder; absolute without a common parent."""
     file = file.resolve()
     if file.anchor != folder.anchor or file.parts[1:2] != folder.parts[1:2]:
         return str(file)
     return Path(os.path.relpath(file, folder)).as_posix()
 
 
-def _unit_error(unit: str, wanted: str) -> str:
+def _find_unit_error(unit: str, target_unit: str) -> str:
     try:
-        unit_factor(unit, wanted, gravity=STANDARD_GRAVITY)
+        unit_factor(unit, target_unit, gravity=STANDARD_GRAVITY)
     except ValueError as error:
         return str(error)
     return ""
 
 
-def questions_of(
-    common: FileGuess, sense: str | None, answered: Collection[str] = ()
+def make_turntable_questions(
+    common_guess: FileGuess, sense: str | None, answered_keys: Collection[str] = ()
 ) -> Iterator[FileQuestion]:
-    """Yield the questions that may be answered: open ones, and guesses.
+    """Yield the questions about records of a double turntable.
 
-    answered: Keys that were answered before.
+    answered_keys: Keys that have been answered.
     """
-    names = tuple(column.name for column in common.contents.columns)
-    yield from place_questions(common.contents, ALL_SHEETS)
+    names = tuple(column.name for column in common_guess.contents.columns)
+    yield from make_site_questions(common_guess.contents, ALL_SHEETS)
     text = (
         "What is the distance from the spindle axis to the platform (the "
-        f"radius)?{_size_seen(common)}"
+        f"radius)?{_describe_amplitude(common_guess)}"
     )
     yield FileQuestion("radius", text, "2.5 ± 1e-5 m", quantity="m")
-    yield from time_questions(common, names)
-    yield from _angle_questions(common, names, sense)
-    if common.rate is None:
+    yield from make_time_questions(common_guess, names)
+    yield from _make_angle_questions(common_guess, names, sense)
+    if common_guess.rate is None:
         text = "What is the rate of the centrifuge?"
         yield FileQuestion("rate", text, "0.25 rev/s", quantity="rad/s")
-    if not common.signals or "signal" in answered:
+    if not common_guess.signals or "signal" in answered_keys:
         yield FileQuestion("signal", "Which column contains the signal?", names[-1], names)
-    yield from _signal_questions(common)
+    yield from _make_signal_questions(common_guess)
 
 
-def place_questions(contents: FileContents, *more: str) -> Iterator[FileQuestion]:
-    """Yield the questions of every table: its sheet, and the place of the test.
+def make_site_questions(contents: FileContents, *extra_answers: str) -> Iterator[FileQuestion]:
+    """Yield the questions about the sheet of a workbook, and about the site.
 
-    more: Answers in addition to the names of the sheets.
+    extra_answers: Choices in addition to the names of the sheets.
     """
     if contents.sheets:
         text = "Which sheet contains the table?"
-        if more:
+        if extra_answers:
             text = (
                 f"Which sheet contains the table of a run (enter '{ALL_SHEETS}' to use every "
                 "sheet)?"
             )
-        yield FileQuestion("sheet", text, contents.sheets[0], (*contents.sheets, *more))
+        yield FileQuestion("sheet", text, contents.sheets[0], (*contents.sheets, *extra_answers))
     yield FileQuestion(
         "gravity", "What is the local gravity?", "9.8066 ± 1e-5 m/s^2", quantity="m/s^2"
     )
     yield FileQuestion("latitude", "What is the latitude?", "45.75 deg", quantity="rad")
 
 
-def _size_seen(common: FileGuess) -> str:
-    for signal in common.signals:
+def _describe_amplitude(common_guess: FileGuess) -> str:
+    for signal in common_guess.signals:
         if signal.observable == "displacement" and signal.unit and signal.amplitude > 0.0:
-            about = signal.amplitude * unit_factor(signal.unit, "m")
-            return f" The displacement has an amplitude of {about:.4g} m."
+            amplitude = signal.amplitude * unit_factor(signal.unit, "m")
+            return f" The displacement has an amplitude of {amplitude:.4g} m."
     return ""
 
 
-def time_questions(common: FileGuess, names: tuple[str, ...]) -> Iterator[FileQuestion]:
+def make_time_questions(common_guess: FileGuess, names: tuple[str, ...]) -> Iterator[FileQuestion]:
     """Yield the questions about the time of each row."""
-    time = common.time
+    time = common_guess.time
     text = "Which column contains the time?"
-    yield FileQuestion("time", text, names[0], (*names, NONE), time.column if time else NONE)
+    yield FileQuestion(
+        "time", text, names[0], (*names, NO_COLUMN), time.column if time else NO_COLUMN
+    )
     if time is not None and time.unit != "iso":
         text = f"What is the unit of the time column '{time.column}'?"
-        yield FileQuestion("time unit", text, "s", USUAL_UNITS["s"], time.unit, unit="s")
+        yield FileQuestion("time unit", text, "s", COMMON_UNITS["s"], time.unit, unit="s")
     if time is None:
-        reason = why_no_time(common.contents)
-        if common.shared is not None and common.uncounted:
-            reason = f"Column '{common.shared.name}' is not used as the time: {common.uncounted}"
+        reason = explain_missing_time(common_guess.contents)
+        if common_guess.shared_times is not None and common_guess.uncounted_reason:
+            name = common_guess.shared_times.name
+            reason = f"Column '{name}' is not used as the time: {common_guess.uncounted_reason}"
         text = f"{reason}. What is the sampling rate?"
-        guess = f"{common.sampling:.12g} Hz" if common.sampling else None
+        guess = f"{common_guess.sampling_rate:.12g} Hz" if common_guess.sampling_rate else None
         yield FileQuestion("sampling_rate", text, "50 Hz", guess=guess, quantity="Hz")
 
 
-def _angle_questions(
-    common: FileGuess, names: tuple[str, ...], sense: str | None
+def _make_angle_questions(
+    common_guess: FileGuess, names: tuple[str, ...], sense: str | None
 ) -> Iterator[FileQuestion]:
-    angle = common.angle
+    angle = common_guess.angle
     text = "Which column contains the spindle angle?"
-    yield FileQuestion("angle", text, names[0], (*names, NONE), angle.column if angle else NONE)
+    yield FileQuestion(
+        "angle", text, names[0], (*names, NO_COLUMN), angle.column if angle else NO_COLUMN
+    )
     if angle is not None and not angle.pulses:
         text = f"What is the unit of the angle column '{angle.column}'?"
-        # Counts are no unit of an angle, but a person may say that it is counted.
+        # Counts are not a unit of angle, but the column may contain counts.
         choices = ("deg", "rad", "rev", "mrad", "arcmin", "arcsec", "count")
         yield FileQuestion("angle unit", text, "deg", choices, guess=angle.unit)
     if angle is not None and angle.unit == "count":
-        seen = f" The periodic signals suggest {angle.turn:.6g}." if angle.turn else ""
-        text = f"How many counts of column '{angle.column}' are there per revolution?{seen}"
+        suggestion = f" The periodic signals suggest {angle.period:.6g}." if angle.period else ""
+        text = f"How many counts of column '{angle.column}' are there per revolution?{suggestion}"
         counts = f"{angle.per_revolution:.12g}" if angle.per_revolution else None
         yield FileQuestion("per_revolution", text, "65536", guess=counts)
     text = "In which sense does the angle increase, as seen from above?"
@@ -269,127 +284,134 @@ def _angle_questions(
     yield FileQuestion("sense", text, SENSES[0], SENSES, guess=sense)
 
 
-def _signal_questions(common: FileGuess) -> Iterator[FileQuestion]:
-    signals = {signal.column: signal for signal in common.signals}
-    others = {part.column for part in (common.time, common.angle) if part}
-    for column in common.contents.columns:
+def _make_signal_questions(common_guess: FileGuess) -> Iterator[FileQuestion]:
+    signals = {signal.column: signal for signal in common_guess.signals}
+    other_columns = {part.column for part in (common_guess.time, common_guess.angle) if part}
+    for column in common_guess.contents.columns:
         name = column.name
-        if name in others or column.stamps:
+        if name in other_columns or column.is_timestamp:
             continue
         signal = signals.get(name)
-        guess = signal.observable if signal else UNUSED
-        if common.temperature is not None and common.temperature[0] == name:
-            guess = TEMPERATURE
+        guess = signal.observable if signal else UNUSED_ROLE
+        if common_guess.temperature is not None and common_guess.temperature[0] == name:
+            guess = TEMPERATURE_ROLE
         text = f"What does column '{name}' contain?"
         scale = temperature_scale(column)
-        choices = (*OBSERVABLES, *([] if scale is None else [TEMPERATURE]), UNUSED)
+        choices = (*OBSERVABLES, *([] if scale is None else [TEMPERATURE_ROLE]), UNUSED_ROLE)
         yield FileQuestion(f"{name} is", text, choices[0], choices, guess)
         if signal is None:
             continue
         text = f"What is the unit of column '{name}'?"
-        wanted = OBSERVABLES.get(signal.observable or "", ANY_SIGNAL)
-        units = USUAL_UNITS[wanted]
-        yield FileQuestion(f"{name} unit", text, units[0], units, signal.unit, unit=wanted)
+        si_unit = OBSERVABLES.get(signal.observable or "", ANY_SIGNAL)
+        units = COMMON_UNITS[si_unit]
+        yield FileQuestion(f"{name} unit", text, units[0], units, signal.unit, unit=si_unit)
         text = f"Along which axis was column '{name}' measured?"
         yield FileQuestion(f"{name} axis", text, AXES[0], AXES, guess=signal.axis)
 
 
 def validate_answers(
     answers: Mapping[str, str] | None,
-    asked: Callable[[Mapping[str, str]], Sequence[FileQuestion]],
+    make_questions: Callable[[Mapping[str, str]], Sequence[FileQuestion]],
 ) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Return the valid answers in the words of a description, and the errors of others.
+    """Return the valid answers in the form of a description, and the errors of the others.
 
-    asked: Returns the questions once some answers are known: with its unit, an angle shows the
-        sense and the rates.
+    make_questions: Function of the known answers that returns all questions, because answers
+        such as the unit of the angle lead to further guesses.
     """
-    taken: dict[str, str] = {}
+    known_answers: dict[str, str] = {}
     while True:
-        counting, problems = judged_answers(asked(taken), answers or {})
-        if set(counting) <= set(taken):
-            return counting, tuple(problems)
-        taken |= counting
+        valid_answers, problems = parse_answers(make_questions(known_answers), answers or {})
+        if set(valid_answers) <= set(known_answers):
+            return valid_answers, tuple(problems)
+        known_answers |= valid_answers
 
 
-def judged_answers(
+def parse_answers(
     questions: Sequence[FileQuestion], answers: Mapping[str, str]
 ) -> tuple[dict[str, str], list[str]]:
-    """Return answers in the words of a description, and the errors of the others."""
-    known = {question.key: question for question in questions}
-    taken: dict[str, str] = {}
+    """Return the valid answers in the form of a description, and the errors of the others."""
+    question_by_key = {question.key: question for question in questions}
+    valid_answers: dict[str, str] = {}
     problems: list[str] = []
     for key, answer in answers.items():
-        if key not in known:
-            needed = [question.key for question in questions if question.guess is None]
-            text = f"{key}: not one of the questions: {', '.join(needed) or 'none'}"
+        if key not in question_by_key:
+            required_keys = [question.key for question in questions if question.guess is None]
+            text = f"{key}: not one of the questions: {', '.join(required_keys) or 'none'}"
             problems.append(Problem(text, "unknown-key"))
             continue
         try:
-            taken[key] = known[key].judged(answer)
+            valid_answers[key] = question_by_key[key].parse_answer(answer)
         except ValueError as error:
             problems.append(Problem(f"{key}: {error}", error_code(error)))
-    return taken, problems
+    return valid_answers, problems
 
 
-# What signals show together: the sense, a unit by the radius, an axis by the other
+# Conclusions from several signals
 
-#: Axis -> the one against which it points, and by how much it is turned, rad.
-_OPPOSITE: Final = {"west": ("east", math.pi), "south": ("north", math.pi)}
-#: Relative difference between a radius and what a signal shows of it: of its scale factor.
-_SIZE_TOLERANCE: Final = 0.1
-#: Difference between the phases of waves along two axes from a quarter turn, rad.
+#: Axis -> opposite axis, and phase between them, rad.
+_OPPOSITE_AXES: Final = {"west": ("east", math.pi), "south": ("north", math.pi)}
+#: Relative tolerance of a signal's amplitude, for the error of its scale factor.
+_AMPLITUDE_TOLERANCE: Final = 0.1
+#: Tolerance of the phase difference between signals along two axes, rad.
 _PHASE_TOLERANCE: Final = 0.3
 
 
-def waves_sense(common: FileGuess) -> str | None:
-    """Return the sense in which the angle grows, from the waves along two horizontal axes."""
-    phases: dict[str, dict[str, float]] = {}
-    for signal in common.signals:
+def find_sense(common_guess: FileGuess) -> str | None:
+    """Return the sense in which the angle increases, from two horizontal signals; or None."""
+    phases_by_observable: dict[str, dict[str, float]] = {}
+    for signal in common_guess.signals:
         if signal.phase is not None and signal.axis is not None and signal.observable:
-            axis, turned = _OPPOSITE.get(signal.axis, (signal.axis, 0.0))
-            phases.setdefault(signal.observable, {})[axis] = signal.phase + turned
-    for phase in phases.values():
+            axis, axis_phase = _OPPOSITE_AXES.get(signal.axis, (signal.axis, 0.0))
+            phases_by_observable.setdefault(signal.observable, {})[axis] = signal.phase + axis_phase
+    for phase in phases_by_observable.values():
         if "east" in phase and "north" in phase:
-            ahead = math.remainder(phase["east"] - phase["north"], 2.0 * math.pi)
-            if abs(abs(ahead) - math.pi / 2.0) < _PHASE_TOLERANCE:
-                return SENSES[0] if ahead > 0.0 else SENSES[1]
+            phase_lead = math.remainder(phase["east"] - phase["north"], 2.0 * math.pi)
+            if abs(abs(phase_lead) - math.pi / 2.0) < _PHASE_TOLERANCE:
+                return SENSES[0] if phase_lead > 0.0 else SENSES[1]
     return None
 
 
-def complete_guess(common: FileGuess, answers: Mapping[str, str]) -> FileGuess:
-    """Return a guess with units that follow from the radius and axes that follow from the sense.
+def complete_guess(common_guess: FileGuess, answers: Mapping[str, str]) -> FileGuess:
+    """Return a guess with units inferred from the radius and axes inferred from the sense.
 
-    answers: A person's answers, by the keys of questions.
+    answers: Key of a question -> answer.
     """
-    signals = common.signals
-    if "radius" in answers and common.rate is not None and (common.time or common.sampling):
+    signals = common_guess.signals
+    if (
+        "radius" in answers
+        and common_guess.rate is not None
+        and (common_guess.time or common_guess.sampling_rate)
+    ):
         radius = parse_quantity(answers["radius"], "m").value
-        signals = tuple(_with_unit(signal, radius, common.rate) for signal in signals)
+        signals = tuple(_infer_unit(signal, radius, common_guess.rate) for signal in signals)
     if "sense" in answers:
-        forward = 1.0 if answers["sense"] == SENSES[0] else -1.0
-        signals = tuple(_with_axis(signal, signals, forward) for signal in signals)
-    return replace(common, signals=signals)
+        sense_sign = 1.0 if answers["sense"] == SENSES[0] else -1.0
+        signals = tuple(_infer_axis(signal, signals, sense_sign) for signal in signals)
+    return replace(common_guess, signals=signals)
 
 
-def _with_unit(signal: SignalGuess, radius: float, rate: float) -> SignalGuess:
-    """Return a signal with the unit that fits its wave at a radius, m, and a rate, rad/s."""
+def _infer_unit(signal: SignalGuess, radius: float, rate: float) -> SignalGuess:
+    """Return a signal with the unit that fits its amplitude at a radius, m, and a rate, rad/s."""
     if signal.unit is not None or signal.observable is None:
         return signal
-    derivatives, si = list(OBSERVABLES).index(signal.observable), OBSERVABLES[signal.observable]
-    wanted = radius * rate**derivatives
-    for unit in USUAL_UNITS[si]:
-        size = signal.amplitude * unit_factor(unit, si, gravity=STANDARD_GRAVITY)
-        if abs(size / wanted - 1.0) < _SIZE_TOLERANCE:
-            return replace(signal, unit=unit, by_radius=True)
+    derivatives, si_unit = (
+        list(OBSERVABLES).index(signal.observable),
+        OBSERVABLES[signal.observable],
+    )
+    expected_amplitude = radius * rate**derivatives
+    for unit in COMMON_UNITS[si_unit]:
+        amplitude = signal.amplitude * unit_factor(unit, si_unit, gravity=STANDARD_GRAVITY)
+        if abs(amplitude / expected_amplitude - 1.0) < _AMPLITUDE_TOLERANCE:
+            return replace(signal, unit=unit, is_unit_from_radius=True)
     return signal
 
 
-def _with_axis(
-    signal: SignalGuess, signals: tuple[SignalGuess, ...], forward: float
+def _infer_axis(
+    signal: SignalGuess, signals: tuple[SignalGuess, ...], sense_sign: float
 ) -> SignalGuess:
-    """Return a signal with the axis that its phase shows relative to another of a known axis.
+    """Return a signal with the axis that its phase relative to another signal shows.
 
-    forward: 1 where the angle grows counterclockwise, -1 where it grows clockwise.
+    sense_sign: 1 if the angle increases counterclockwise, -1 if clockwise.
     """
     if signal.axis is not None or signal.phase is None or signal.observable is None:
         return signal
@@ -398,9 +420,9 @@ def _with_axis(
             continue
         if reference.phase is None:
             continue
-        direction = COMPASS_ANGLES[reference.axis] + forward * (reference.phase - signal.phase)
-        for axis, known in COMPASS_ANGLES.items():
-            across = abs(math.remainder(direction - known, 2.0 * math.pi))
-            if axis != reference.axis and across < _PHASE_TOLERANCE:
+        direction = COMPASS_ANGLES[reference.axis] + sense_sign * (reference.phase - signal.phase)
+        for axis, axis_direction in COMPASS_ANGLES.items():
+            difference = abs(math.remainder(direction - axis_direction, 2.0 * math.pi))
+            if axis != reference.axis and difference < _PHASE_TOLERANCE:
                 return replace(signal, axis=axis)
     return signal

@@ -1,4 +1,4 @@
-"""`counterspin init`: a commented campaign to start from, for each kind of test."""
+"""`counterspin init`: a commented example campaign for each test type."""
 
 from __future__ import annotations
 
@@ -10,44 +10,44 @@ from counterspin.errors import CounterspinError, ExistingFileError
 from counterspin.input import to_path
 from counterspin.output import make_folder, write_text
 
-#: The kinds of test; of all but the last there is an example.
+#: Test types; there is an example of each except the last.
 Test = Literal["double-turntable", "tumble", "arm", "poses"]
 
-#: Of each kind its description, and the table of readings beside it.
+#: Test type -> example description and table of readings.
 _EXAMPLES: Final[Mapping[str, tuple[str, str | None]]] = {
     "double-turntable": ("starter.toml", None),
     "tumble": ("starter_tumble.toml", "starter_tumble.csv"),
     "arm": ("starter_arm.toml", "starter_arm.csv"),
 }
 
-#: The schema of descriptions, as their first line names it for editors.
+#: File name of the description schema, which the first line of a description states for editors.
 SCHEMA_NAME: Final = "campaign.schema.json"
 
-#: The table of readings, as the descriptions name it.
-_TABLE: Final = "readings.csv"
+#: File name of the table of readings in the descriptions.
+_TABLE_NAME: Final = "readings.csv"
 
 
 def init(folder: Path | str, test: Test = "double-turntable") -> Path:
-    """Write an example description into a folder, and the table that its readings go into.
+    """Write an example description, and its table of readings, to a folder.
 
     Parameters
     ----------
     folder
-        Made if it is not there.
+        Target folder; created if it does not exist.
     test
-        Which example: records of a double turntable, readings of a multi-position tumble, or
-        readings on the arm of a centrifuge.
+        Test type: records of a double turntable, readings of a multi-position tumble, or readings
+        on the arm of a centrifuge.
 
     Returns
     -------
     Path
-        The description.
+        The description file.
 
     Raises
     ------
     CounterspinError
-        If there is no such test, there is a description or table already, or the folder cannot be
-        written.
+        If the test type is unknown, a description or table already exists, or the folder cannot
+        be written.
     """
     from importlib.resources import files
 
@@ -65,14 +65,14 @@ def init(folder: Path | str, test: Test = "double-turntable") -> Path:
         )
     folder = to_path(folder, "the folder of the new campaign")
     description, table = _EXAMPLES[test]
-    written = {DESCRIPTION_NAME: description} | ({_TABLE: table} if table else {})
-    for name in written:
+    example_by_name = {DESCRIPTION_NAME: description} | ({_TABLE_NAME: table} if table else {})
+    for name in example_by_name:
         if (folder / name).exists():
             raise ExistingFileError(
                 f"{folder / name} already exists; edit it, or choose another folder"
             )
     make_folder(folder)
-    for name, example in written.items():
+    for name, example in example_by_name.items():
         text = (files("counterspin.ingest") / example).read_text("utf-8")
         write_text(folder / name, text)
     return folder / DESCRIPTION_NAME

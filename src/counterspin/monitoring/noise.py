@@ -28,7 +28,7 @@ from counterspin.inference.noise.static_noise import (
     StaticSignal,
     analyse_static_record,
 )
-from counterspin.ingest.column_roles import FileGuess, guess_file, why_no_time
+from counterspin.ingest.column_roles import FileGuess, explain_missing_time, guess_file
 from counterspin.ingest.contents import FileColumn, FileContents, read_contents
 from counterspin.monitoring.result import (
     NoiseResult,
@@ -192,18 +192,24 @@ def _guess_signals(
     if missing:
         available = ", ".join(column.name for column in samples.columns)
         problem = f"`columns`: column {missing[0]!r} does not exist; the columns are {available}"
-        if cell := next(iter(samples.first_words.get(missing[0], ())), ""):
+        if cell := next(iter(samples.first_text_cells.get(missing[0], ())), ""):
             problem = (
                 f"`columns`: column {missing[0]!r} contains the text {cell[:40]!r}, not numbers"
             )
-        problem += f". The file was read as follows: {samples.found}" if samples.found else ""
-        problem += "".join(f". Not read: {reason.removesuffix('.')}" for reason in samples.spoilt)
+        problem += (
+            f". The file was read as follows: {samples.format_description}"
+            if samples.format_description
+            else ""
+        )
+        problem += "".join(
+            f". Not read: {reason.removesuffix('.')}" for reason in samples.unread_reasons
+        )
         raise CampaignError("noise", [problem], code="missing-column")
     time = _row_times(
         source, guess, samples.columns, _parse_quantity("sampling_rate", sampling_rate, "Hz")
     )
     time_column = guess.time.column if guess.time else None
-    rest = [c for c in samples.columns if c.name != time_column and not c.stamps]
+    rest = [c for c in samples.columns if c.name != time_column and not c.is_timestamp]
     used_columns: list[StaticSignal] = []
     unused: list[str] = []
     for column in rest:
@@ -306,21 +312,21 @@ def _row_times(
         deviation = np.abs(places - np.round(places))
         is_even = bool((deviation < _MAX_STEP_DEVIATION).all() and (places >= 0.0).all())
         return seconds if rate is None or (guess.time.unit and is_even) else rows / rate
-    if guess.shared is not None and rate is None:
-        return guess.shared.values
-    if guess.sampling is None:
+    if guess.shared_times is not None and rate is None:
+        return guess.shared_times.values
+    if guess.sampling_rate is None:
         problem = (
-            f"{source}: {why_no_time(guess.contents)}. Give the sampling rate as "
+            f"{source}: {explain_missing_time(guess.contents)}. Give the sampling rate as "
             "`sampling_rate`, such as"
         )
         problem += ' "100 Hz".'
         unread = [
             f"Not read: {reason}"
-            for reason in guess.contents.spoilt
+            for reason in guess.contents.unread_reasons
             if reason.rstrip(".") not in problem
         ]
         raise RecordError(" ".join([problem, *unread]), code="missing-column")
-    return rows / guess.sampling
+    return rows / guess.sampling_rate
 
 
 def _estimate_noise(record: StaticRecord, turning: float | None) -> SignalNoise:

@@ -1,0 +1,97 @@
+"""Properties of the values of a column: steps, wrapping, row numbers and temperatures."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.ingest.contents import FileColumn
+
+#: Names of row number columns.
+COUNTER_NAME: Final = re.compile(
+    r"(?i)(no|nr|num|number|index|idx|scan|samples?|points?|rows?|zeile|lfd\.? ?nr|#)\.?( #\d+)?"
+)
+#: Names of temperature columns.
+_TEMPERATURE_NAME: Final = re.compile(r"(?i)(.*[^a-z])?temp(erature?|eratur)?([^a-z].*|$)")
+#: Temperature scale -> plausible range of an accelerometer's temperature.
+_TEMPERATURE_RANGES: Final = {"degC": (-60.0, 150.0), "K": (210.0, 425.0)}
+#: Tolerance of even time steps, relative to the median step.
+_STEP_TOLERANCE: Final = 0.5
+
+
+def temperature_scale(column: FileColumn) -> str | None:
+    """Return the scale of a temperature column; None for other columns, such as raw counts."""
+    scale = column.unit or ("degC" if _TEMPERATURE_NAME.fullmatch(column.name) else "")
+    min_temperature, max_temperature = _TEMPERATURE_RANGES.get(scale, (math.inf, -math.inf))
+    values = column.values[np.isfinite(column.values)]
+    return (
+        scale
+        if values.size and min_temperature < values.min() and values.max() < max_temperature
+        else None
+    )
+
+
+def is_nondecreasing(values: Array) -> bool:
+    """Return whether values never decrease, and increase between most rows."""
+    steps = np.diff(values[np.isfinite(values)])
+    return bool(len(steps) >= 8 and (steps >= 0.0).all() and has_distinct_times(values))
+
+
+def has_distinct_times(times: Array) -> bool:
+    """Return whether times increase between most rows."""
+    steps = np.diff(times[np.isfinite(times)])
+    return bool(len(steps) and np.mean(steps > 0.0) > 0.5)
+
+
+def is_nominal(values: Array) -> bool:
+    """Return whether all values are -1, 0 or 1: nominal orientations."""
+    return bool(np.isin(values[np.isfinite(values)], (-1.0, 0.0, 1.0)).all())
+
+
+def has_even_steps(values: Array) -> bool:
+    """Return whether values increase in even steps, as time does."""
+    steps = np.diff(values[np.isfinite(values)])
+    if len(steps) < 8 or not (steps >= 0).all():
+        return False
+    median_step = float(np.median(steps))
+    return bool(
+        median_step > 0.0
+        and np.mean(np.abs(steps - median_step) < _STEP_TOLERANCE * median_step) > 0.9
+    )
+
+
+def is_row_counter(column: FileColumn) -> bool:
+    """Return whether a column contains row numbers."""
+    return bool(COUNTER_NAME.fullmatch(column.name)) or bool(
+        column.values[0] in (0.0, 1.0) and (np.diff(column.values) == 1.0).all()
+    )
+
+
+def unwrap_values(values: Array, time: Array) -> tuple[Array, float | None] | None:
+    """Return unwrapped values and their period (None: not wrapped); None if they do not advance."""
+    is_valid = np.isfinite(values) & np.isfinite(time)
+    if is_valid.sum() < max(16, 0.8 * len(values)):
+        return None
+    steps = np.diff(values[is_valid])
+    median_step = float(np.median(steps))
+    scatter = float(np.median(np.abs(steps - median_step)))
+    if median_step == 0.0 or scatter > 0.3 * abs(median_step):
+        return None
+    is_jump = np.abs(steps - median_step) > 0.9 * abs(median_step) + 10.0 * scatter
+    period = None
+    unwrapped = np.full(len(values), np.nan)
+    turn_counts = np.zeros(len(steps))
+    if is_jump.any():
+        jumps = median_step - steps[is_jump]
+        period = abs(float(np.median(jumps)))
+        if is_jump.mean() > 0.4 or not (np.abs(np.abs(jumps) - period) < 0.1 * period).mean() > 0.9:
+            return None
+        turn_counts[is_jump] = np.round(jumps / period)
+    unwrapped[is_valid] = values[is_valid] + (period or 0.0) * np.concatenate(
+        [[0.0], np.cumsum(turn_counts)]
+    )
+    return unwrapped, period
