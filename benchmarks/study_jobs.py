@@ -91,7 +91,7 @@ def plan_of(text: str) -> peers.Plan:
     assert isinstance(request, TwoStageRequest)
     setup, draws = (
         make_setup(study.campaign),
-        StudyTruth.from_campaign(study.campaign, study.varying).mean_draw(),
+        StudyTruth.from_campaign(study.campaign, study.varied_quantities).mean_draw(),
     )
     own = {symbol: value for (owner, symbol), value in draws.values.items() if owner}
     true = np.array([float(v[0, 0]) - term(symbol).nominal for symbol, v in own.items()])

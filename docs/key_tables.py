@@ -29,7 +29,7 @@ from counterspin.monitoring.result import CheckedRun, NoiseResult, WatchState
 from counterspin.operating_tests.result import OperatingTests
 from counterspin.physics.terms import ACCELEROMETER_TERMS
 from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
-from counterspin.studies.description import StudiedDocument, StudyDocument
+from counterspin.studies.description import StudyCampaignDocument, StudyDocument
 from counterspin.toml_text import format_value
 from counterspin.validation.page import Dossier
 
@@ -41,7 +41,7 @@ CODES_HEAD = "| code | mistake |\n|---|---|\n"
 
 #: What has tables of keys.
 DOCUMENTS = (
-    StudiedDocument,
+    StudyCampaignDocument,
     StudyDocument,
     PlanDocument,
     ReadingPlanDocument,

@@ -108,7 +108,10 @@ ROWS = {
     ],
     "study": [
         ("compares {} analyses", len(description._DEFAULT_ANALYSES)),
-        ("coverage of the {}, {} and {} % intervals", *(100.0 * p for p in result.LEVELS)),
+        (
+            "coverage of the {}, {} and {} % intervals",
+            *(100.0 * p for p in result.CONFIDENCE_LEVELS),
+        ),
         (
             "intervals is {} to {} %",
             *(100.0 * p for p in result._ACCEPTED_COVERAGE),
@@ -116,7 +119,7 @@ ROWS = {
         ("its bias does not exceed {} of the stated u", result._MAX_BIAS_RATIO),
         (
             "mean true values and at {} random draws of these values",
-            engine_selection._COMPARED_TRIALS,
+            engine_selection._N_COMPARED_TRIALS,
         ),
         ("an estimate differs by more than {} u", engine_selection._MAX_ESTIMATE_DIFFERENCE),
         ("or u by more than {} %, the study", 100.0 * engine_selection._MAX_U_DIFFERENCE),

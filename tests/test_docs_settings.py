@@ -8,7 +8,7 @@ from counterspin.physics.terms import READING_TERMS
 from counterspin.planning.plan_file import SHORT_KEYS
 from counterspin.readings.section import COLUMNS, ReadingsSettings
 from counterspin.studies import description
-from counterspin.studies.draws import NOISE_LEVELS
+from counterspin.studies.draws import NOISE_LEVEL_UNITS
 from counterspin.studies.engine_selection import EngineName
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -38,7 +38,7 @@ def test_machine_terms_are_listed_with_units():
 
 def test_varying_quantities_of_study_are_listed():
     page = (DOCS / "study.md").read_text("utf-8")
-    assert set(re.findall(r"`(noise\.\w+)`", page)) == set(NOISE_LEVELS)
+    assert set(re.findall(r"`(noise\.\w+)`", page)) == set(NOISE_LEVEL_UNITS)
     (kinds,) = re.findall(r"A distribution is (.*?)\. ", page)
     assert tuple(re.findall(r"`(\w+)`", kinds)) == description._DISTRIBUTIONS
     options = re.search(r"^\| engine \|.*?\n\n", page, re.MULTILINE | re.DOTALL)[0]

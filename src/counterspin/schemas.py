@@ -23,7 +23,7 @@ from counterspin.certificates.lab import Lab
 from counterspin.monitoring.result import NoiseResult
 from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
 from counterspin.results import ResultFile
-from counterspin.studies.description import StudiedDocument, StudyDocument
+from counterspin.studies.description import StudyCampaignDocument, StudyDocument
 
 #: Names of the schemas.
 SchemaName = Literal["campaign", "plan", "study", "lab", "result", "noise"]
@@ -44,7 +44,7 @@ RESULT_CLASSES: Final[Mapping[str, type[ResultFile]]] = {"result": Result, "nois
 #: Section of ``campaign.toml`` -> the class of its table, or the first of each of its tables.
 SECTION_MODELS: Final[Mapping[str, type[BaseModel]]] = {
     key: table
-    for key, written in nested_models(StudiedDocument).items()
+    for key, written in nested_models(StudyCampaignDocument).items()
     if (table := find_model(written)) is not None
 }
 
@@ -153,7 +153,7 @@ def _parse_comments(source: str, fields: set[str]) -> dict[str, str]:
 
 
 _SCHEMAS: Final[Mapping[SchemaName, tuple[str, Callable[[], JsonSchema]]]] = {
-    "campaign": ("campaign.toml: a campaign", partial(_document_schema, StudiedDocument)),
+    "campaign": ("campaign.toml: a campaign", partial(_document_schema, StudyCampaignDocument)),
     "plan": ("PLAN.toml: a plan", _plan_schema),
     "study": ("A study of a campaign", partial(_document_schema, StudyDocument)),
     "lab": ("LAB.toml: laboratory data for certificates", partial(_document_schema, Lab)),

@@ -46,12 +46,12 @@ def made(folder, text, engine):
     description = read_study(write_description(folder, text))
     setup, truth = (
         make_setup(description.campaign),
-        StudyTruth.from_campaign(description.campaign, description.varying),
+        StudyTruth.from_campaign(description.campaign, description.varied_quantities),
     )
     (analysis,) = list_analyses(description)
     part = choose_engine(setup, truth, analysis, engine)
     draws = truth.draw(random_stream(1, 0, 0), 1)
-    draws.white[:] = 0.0
+    draws.white_noise[:] = 0.0
     trials = part.engine.run_trials(draws, random_stream(1, 0, 1))
     names = [one.symbol for one in part.coefficients]
     rows = list(part.rows)
@@ -154,17 +154,19 @@ def test_recorders_may_have_separate_clocks(tmp_path):
     vary = '[study.vary.B]\nrecords.clock = { fixed = "7 ppm" }\n'
     vary += '[study.vary.A]\nrecords.clock = { fixed = "0 ppm" }'
     read = read_study(write_description(tmp_path / "named", f"{text}\n{vary}\n"))
-    clocks = {v.owner: v.first for v in read.varying if v.symbol == "records.clock"}
+    clocks = {
+        v.owner: v.first_parameter for v in read.varied_quantities if v.symbol == "records.clock"
+    }
     assert clocks == {"B": 7e-6, "": 0.0}
     both = '[study.vary]\nrecords.clock = { normal = "0 ± 5 ppm" }'
     read = read_study(write_description(tmp_path / "both", f"{text}\n{both}\n"))
-    assert {v.owner for v in read.varying if v.symbol == "records.clock"} == {"", "B"}
+    assert {v.owner for v in read.varied_quantities if v.symbol == "records.clock"} == {"", "B"}
     true = '[truth.records]\nclock = { B = "7 ppm" }\n'
     read = read_study(write_description(tmp_path / "true", text + true))
-    truth = StudyTruth.from_campaign(read.campaign, read.varying)
-    assert truth.inputs["B", "records.clock"] == 7e-6
-    assert ("", "records.clock") not in truth.inputs
-    assert truth.draw(random_stream(3, 0, 0), 2).inputs["", "records.clock"].any()
+    truth = StudyTruth.from_campaign(read.campaign, read.varied_quantities)
+    assert truth.fixed_inputs["B", "records.clock"] == 7e-6
+    assert ("", "records.clock") not in truth.fixed_inputs
+    assert truth.draw(random_stream(3, 0, 0), 2).input_errors["", "records.clock"].any()
 
 
 def test_response_inputs_vary_by_accelerometer(tmp_path):
@@ -172,7 +174,7 @@ def test_response_inputs_vary_by_accelerometer(tmp_path):
     text = replace_parts(UNCERTAIN, ("[accelerometers.Qx]\n", stated)) + JOINT
     vary = '[study.vary]\n"Qx.sensor.damping" = { fixed = "0.6 1" }\n'
     read = read_study(write_description(tmp_path / "named", f"{text}\n{vary}"))
-    truth = StudyTruth.from_campaign(read.campaign, read.varying)
+    truth = StudyTruth.from_campaign(read.campaign, read.varied_quantities)
     response = make_setup(read.campaign).true_mounting("Qx", truth.mean_draw()).response
     assert (response.natural_frequency, response.damping) == (400.0, pytest.approx(0.6))
     unstated = re.sub(r"(\[truth\.Qx\].*\n)", r"\1damping = 0.6\n", UNCERTAIN) + JOINT

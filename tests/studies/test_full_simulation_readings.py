@@ -128,7 +128,7 @@ def test_estimates_are_unbiased_and_intervals_have_coverage(tmp_path, name):
 def test_default_priors_of_readings_have_coverage(tmp_path):
     text = AT_REST.replace('assume = "all"\n', "").partition("[study.vary]")[0]
     folder = described(tmp_path, text.replace('considered = ["head.zero", "K_PP"]\n', ""), tumble())
-    drawn = {v.symbol for v in read_study(folder).varying}
+    drawn = {v.symbol for v in read_study(folder).varied_quantities}
     assert {"K_OO", "K_IP", "K_IO", "delta_P"} <= drawn
     assert {"head.zero", "K_PP"} <= drawn  # stated
     assert "K_II" not in drawn  # asked for
@@ -187,7 +187,7 @@ def test_varying_noise_applies_to_records_beside_readings(tmp_path):
     trials = [
         prepare_study(
             read_study(describe_records_and_readings(tmp_path / name, varying)), 5
-        ).run_batch(0, 1, keep=True)
+        ).run_batch(0, 1, keep_trials=True)
         for name, varying in (("stated", TILTED), ("varied", noisy))
     ]
     (truth, estimate, u), (_, varied, _) = (values[:, :, 0].T for _, values in trials)
@@ -248,7 +248,7 @@ def test_undetermined_coefficients_are_named(tmp_path):
 def test_trial_does_not_depend_on_worker(tmp_path):
     parts = STUDIES["arm, noise estimated"]
     engine = prepare_study(read_study(described(tmp_path, *parts)), 7)
-    one, again = engine.run_batch(3, 5, keep=True), engine.run_batch(3, 5, keep=True)
+    one, again = engine.run_batch(3, 5, keep_trials=True), engine.run_batch(3, 5, keep_trials=True)
     np.testing.assert_array_equal(one[1], again[1])
 
 

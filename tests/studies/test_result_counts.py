@@ -7,7 +7,7 @@ from scipy import stats
 from counterspin.physics.spindle import Spindle
 from counterspin.studies.draws import DRIFT, StudyTruth, VariedQuantity, random_stream
 from counterspin.studies.result import (
-    LEVELS,
+    CONFIDENCE_LEVELS,
     BiasCovariate,
     TrialAccumulator,
     binomial_interval,
@@ -33,7 +33,7 @@ def test_merged_batches_match_all_trials():
     assert found.sd == pytest.approx(error.std(ddof=1), rel=1e-9)
     assert found.mse == pytest.approx(np.mean(error**2), rel=1e-12)
     assert found.truth == pytest.approx(truth.mean(), rel=1e-12)
-    for level, share in zip(LEVELS, found.covered, strict=True):
+    for level, share in zip(CONFIDENCE_LEVELS, found.covered, strict=True):
         k = stats.norm.ppf(0.5 + level / 2)
         assert share == np.mean(np.abs(error / u) <= k)
     assert sum(found.histogram) == 5000
@@ -50,14 +50,14 @@ def test_coverage_uses_degrees_of_freedom_per_trial():
     z, dof = 3.0 * rng.standard_normal(20_000), rng.uniform(3.0, 60.0, 20_000)
     kept = TrialAccumulator(()).accumulate(z, np.zeros_like(z), np.ones_like(z), dof, [])
     found = summarise(TrialAccumulator(()), kept[None])
-    for level, share in zip(LEVELS, found.covered, strict=True):
+    for level, share in zip(CONFIDENCE_LEVELS, found.covered, strict=True):
         direct = np.mean(np.abs(z) <= stats.t.ppf(0.5 + level / 2, dof))
         # The table's error of 1e-5 may move a trial or two across.
         assert share == pytest.approx(direct, abs=3.0 / z.size)
 
 
 @pytest.mark.parametrize("dof", [3.0, 20.0, 291.0, np.inf])
-@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("level", CONFIDENCE_LEVELS)
 def test_coverage_factor_matches_student_t(dof, level):
     expected = stats.t.ppf(0.5 + level / 2, dof)
     assert coverage_factor(np.array([dof]), level)[0] == pytest.approx(expected, rel=1e-5)
@@ -77,7 +77,7 @@ def truth(*varying):
 def test_draws_follow_stated_distributions():
     varying = (
         VariedQuantity("Qx", "K_II", "normal", 1e-5, 1e-6),
-        VariedQuantity("", DRIFT, "uniform", -1e-7, 3e-7, per_run=True),
+        VariedQuantity("", DRIFT, "uniform", -1e-7, 3e-7, is_per_run=True),
     )
     draws = truth(*varying).draw(random_stream(1, 0, 0), 4000)
     assert draws.drift.shape == (2, 4000)

@@ -110,7 +110,7 @@ def test_paper_plan_is_unbiased_and_as_printed_method_is_half(paper):
 
 def setup_and_truth(description):
     campaign = description.campaign
-    return make_setup(campaign), StudyTruth.from_campaign(campaign, description.varying)
+    return make_setup(campaign), StudyTruth.from_campaign(campaign, description.varied_quantities)
 
 
 def engines(folder, *names):
@@ -129,7 +129,7 @@ def test_linear_trials_match_full_records(tmp_path):
         '[study.analyses.printed]\nmethod = "two-stage"\nmodel = "as-printed"\n'
     )
     truth, made = engines(write(tmp_path / "a", SHORT + analyses), "linear", "full")
-    draws = replace(truth.draw(random_stream(3, 0, 0), 12), white=np.zeros(1))
+    draws = replace(truth.draw(random_stream(3, 0, 0), 12), white_noise=np.zeros(1))
     for fast, slow in zip(*made, strict=True):
         a, b = (one.run_trials(draws, random_stream(3, 0, 1)) for one in (fast, slow))
         # K_II is the first unknown of each; what is printed beside it is not reported.
@@ -369,10 +369,12 @@ sigma = "residuals"
         in part.description
     )
     draws = truth.draw(random_stream(3, 0, 0), 40)
-    assert draws.noise["noise.acceleration"] == pytest.approx(9.8e-5)
-    assert np.all((draws.noise["noise.angle"] >= 1e-6) & (draws.noise["noise.angle"] <= 3e-6))
+    assert draws.noise_levels["noise.acceleration"] == pytest.approx(9.8e-5)
+    assert np.all(
+        (draws.noise_levels["noise.angle"] >= 1e-6) & (draws.noise_levels["noise.angle"] <= 3e-6)
+    )
     found = part.engine.run_trials(draws, random_stream(3, 0, 1))
-    quiet = replace(draws, noise={})
+    quiet = replace(draws, noise_levels={})
     still = part.engine.run_trials(quiet, random_stream(3, 0, 1))
     # Steps of 30 mm add 30/sqrt(12) = 8.7 mm to 10 mm of noise: sigma grows by sqrt(1 + 0.75).
     assert np.median(found.u[0] / still.u[0]) == pytest.approx(np.sqrt(1.75), rel=0.15)
@@ -417,7 +419,7 @@ def test_constant_of_linear_trials_is_mean_truth(tmp_path, assumed):
     truth, part = joint_part(tmp_path / "a", text)
     assert part.cost_class == "linear"
     mean = [truth.mean(c.owner, c.symbol) for c in part.coefficients]
-    assert np.abs((part.engine.constant - mean) / part.engine.u).max() < 1e-4
+    assert np.abs((part.engine.mean_estimate - mean) / part.engine.u).max() < 1e-4
 
 
 # Who does the work
@@ -473,20 +475,23 @@ def test_default_priors_have_coverage(tmp_path):
 
 def test_only_priors_without_true_value_are_drawn(tmp_path):
     def drawn(name, text):
-        return {(v.owner, v.symbol): v for v in read_study(write(tmp_path / name, text)).varying}
+        return {
+            (v.owner, v.symbol): v
+            for v in read_study(write(tmp_path / name, text)).varied_quantities
+        }
 
     assert drawn("assumed", SHORT) == {}
     varying = drawn("unstated", UNSTATED)
     assert {"K_OO", "K_OQ", "K_F.trend"} <= {symbol for owner, symbol in varying if owner == "Qx"}
     k_oo = varying["Qx", "K_OO"]
-    assert (k_oo.distribution, k_oo.first, k_oo.second) == ("normal", 0.0, term("K_OO").typical)
+    assert (k_oo.distribution, k_oo.first_parameter, k_oo.second_parameter) == ("normal", 0.0, term("K_OO").typical)
     radius = varying["", "centrifuge.radius"]
-    assert (radius.first, radius.second) == (2.5, term("centrifuge.radius").typical)
-    assert varying["", "platform.tilt.north"].per_run
+    assert (radius.first_parameter, radius.second_parameter) == (2.5, term("centrifuge.radius").typical)
+    assert varying["", "platform.tilt.north"].is_per_run
     gravity = varying["", "site.gravity"]
-    assert (gravity.first, gravity.second) == (9.8, term("site.gravity").typical)
+    assert (gravity.first_parameter, gravity.second_parameter) == (9.8, term("site.gravity").typical)
     delay, clock = varying["", "records.timing_offset"], varying["", "records.clock"]
-    assert (delay.first, delay.second, clock.first, clock.second) == (0.0, 1e-5, 0.0, 2e-5)
+    assert (delay.first_parameter, delay.second_parameter, clock.first_parameter, clock.second_parameter) == (0.0, 1e-5, 0.0, 2e-5)
     # Asked for, or of a value that is true.
     assert not {"K_F", "K_I", "K_II", "K_III", "K_IP"} & {symbol for _, symbol in varying}
     stated = UNSTATED.replace('K_IP = "6e-6 g/g^2"', 'K_IP = "6e-6 g/g^2"\nK_OO = "0 g/g^2"')
@@ -499,9 +504,9 @@ def test_only_priors_without_true_value_are_drawn(tmp_path):
     true = {"K_OO", "site.latitude", "platform.tilt.north"}
     assert {symbol for _, symbol in set(varying) - set(changed)} == true
     assert changed["Qx", "K_PO"].distribution == "uniform"
-    assert changed["Qx", "K_IO"].second == 1e-7
+    assert changed["Qx", "K_IO"].second_parameter == 1e-7
     k_pp, radius = changed["Qx", "K_PP"], changed["", "centrifuge.radius"]
-    assert (k_pp.first, k_pp.second, radius.second) == (3e-6, 1e-6, 2e-6)
+    assert (k_pp.first_parameter, k_pp.second_parameter, radius.second_parameter) == (3e-6, 1e-6, 2e-6)
 
 
 def test_analysis_may_assume_and_hold_different_terms(tmp_path):

@@ -1,8 +1,7 @@
 """Run the trials of a study in batches, on one core, on many cores or on a cluster.
 
-A task consists of several batches. The result of a batch depends on its number alone, so that
-results do not depend on the distribution of tasks. A task that is lost with its worker is
-submitted again, and counts once.
+A task consists of several batches. The result of a batch depends only on its number, so that
+results do not depend on the distribution of tasks. The tasks of a dead worker are submitted again.
 """
 
 from __future__ import annotations
@@ -35,11 +34,11 @@ from counterspin.studies.draws import (
 from counterspin.studies.result import BiasCovariate, TrialAccumulator
 from counterspin.workers import SINGLE_PROCESS, WorkerPool, Workers, worker_pool
 
-#: Cost of a trial: ``linear``; ``sampled`` where sigma is from the residuals, and with it the
-#: second stage's weights; ``readings``; ``full``.
+#: Cost of a trial: ``linear``; ``sampled``, with sigma and the weights of the second stage from the
+#: residuals; ``readings``; ``full``.
 CostClass = Literal["linear", "sampled", "readings", "full"]
 
-#: Trials of a batch: they fit a cache, and take a fraction of a second with slow engines.
+#: Trials per batch: they fit into a cache, and take a fraction of a second with slow engines.
 _BATCH_SIZES: Final[dict[CostClass, int]] = {
     "linear": 8192,
     "sampled": 8192,
@@ -50,12 +49,11 @@ _BATCH_SIZES: Final[dict[CostClass, int]] = {
 
 @frozen
 class TrialResults:
-    """The results of an analysis in n trials."""
+    """Results of an analysis in n trials."""
 
-    #: Of each coefficient, shape (c, n); u is the combined standard uncertainty.
-    estimate: Array
-    u: Array
-    dof: Array  #: Its effective degrees of freedom, shape (c, n); infinite where noise is given.
+    estimate: Array  #: Estimates of the c coefficients, shape (c, n).
+    u: Array  #: Combined standard uncertainties, shape (c, n).
+    dof: Array  #: Effective degrees of freedom, shape (c, n); infinite for a given noise.
 
 
 class TrialEngine(Protocol):
@@ -71,7 +69,7 @@ class JointRequest:
     """Options of the joint fit."""
 
     model: Unknowns  #: Unknowns, considered terms, uncertain inputs.
-    noise: Mapping[str, Noise]  #: Accelerometer -> its noise, given or to be estimated.
+    noise: Mapping[str, Noise]  #: Noise by accelerometer, given or to be estimated.
 
     @property
     def reported_indices(self) -> list[int]:
@@ -92,16 +90,16 @@ class JointRequest:
 class ReportedCoefficient:
     """A coefficient of an analysis."""
 
-    #: Names; the owner of a platform term is empty.
+    #: Name of the analysis, owner (empty for a platform term) and symbol.
     analysis: str
     owner: str
     symbol: str
-    #: The Cramer-Rao bound of its standard uncertainty; None where it cannot be had.
+    #: Cramer-Rao bound of the standard uncertainty; None if it does not exist.
     bound: float | None
 
     @property
     def name(self) -> str:
-        """Owner and symbol in one word."""
+        """Owner and symbol, separated by a dot."""
         return f"{self.owner}.{self.symbol}" if self.owner else self.symbol
 
 
@@ -121,17 +119,19 @@ class AnalysisEngine:
 
 @frozen
 class StudyEngine:
-    """The true values, engines and sums of a study, as a worker needs them."""
+    """True values, engines and accumulator of a study, for a worker."""
 
-    truth: StudyTruth  #: The true values.
-    seed: int  #: Of the study.
+    truth: StudyTruth  #: True values.
+    seed: int  #: Seed of the study.
     analysis_engines: tuple[AnalysisEngine, ...]  #: An engine for each analysis.
     accumulator: TrialAccumulator  #: The sums over the trials.
 
     @property
     def batch_size(self) -> int:
         """Trials in a batch."""
-        return min(_BATCH_SIZES[part.cost_class] for part in self.analysis_engines)
+        return min(
+            _BATCH_SIZES[analysis_engine.cost_class] for analysis_engine in self.analysis_engines
+        )
 
     @property
     def coefficients(self) -> tuple[ReportedCoefficient, ...]:
@@ -143,30 +143,32 @@ class StudyEngine:
         )
 
     def run_batch(
-        self, number: int, trials: int, *, keep: bool = False
+        self, batch: int, trials: int, *, keep_trials: bool = False
     ) -> tuple[Array, Array | None]:
         """Run the trials of one batch.
 
-        number: Index of the batch, from 0.
-        keep: True: return each trial in addition.
+        batch: Index of the batch, from 0.
+        keep_trials: True: return each trial in addition.
         Returns: sums of each of c reported coefficients, shape (c, width); truth, estimate and u
             of each trial, shape (c, 3, n), or None.
         """
-        draws = self.truth.draw(random_stream(self.seed, number, TRUTH_STREAM), self.batch_size)
+        draws = self.truth.draw(random_stream(self.seed, batch, TRUTH_STREAM), self.batch_size)
         covariate_values = [
             _covariate_values(draws, covariate)[:trials]
             for covariate in self.accumulator.covariates
         ]
         sums, values = [], []
         for analysis_engine in self.analysis_engines:
-            noise = random_stream(self.seed, number, NOISE_STREAM + analysis_engine.noise_stream)
-            # Simulation without shortcut is slow: run only the trials that count.
+            noise_generator = random_stream(
+                self.seed, batch, NOISE_STREAM + analysis_engine.noise_stream
+            )
+            # Full simulation is slow: run only the requested trials.
             simulated_draws = (
                 draws.slice_trials(0, trials)
                 if analysis_engine.cost_class in ("full", "readings")
                 else draws
             )
-            results = analysis_engine.engine.run_trials(simulated_draws, noise)
+            results = analysis_engine.engine.run_trials(simulated_draws, noise_generator)
             for row, coefficient in zip(
                 analysis_engine.rows, analysis_engine.coefficients, strict=True
             ):
@@ -174,29 +176,29 @@ class StudyEngine:
                 estimate = results.estimate[row, :trials]
                 u, dof = results.u[row, :trials], results.dof[row, :trials]
                 sums.append(self.accumulator.accumulate(estimate, truth, u, dof, covariate_values))
-                if keep:
+                if keep_trials:
                     values.append(np.stack([truth, estimate, np.broadcast_to(u, truth.shape)]))
-        return np.array(sums), np.array(values) if keep else None
+        return np.array(sums), np.array(values) if keep_trials else None
 
 
 def _covariate_values(draws: Draws, covariate: BiasCovariate) -> Array:
     if covariate.symbol == DRIFT:
-        return np.broadcast_to(draws.drift.mean(axis=0), draws.trials)
+        return np.broadcast_to(draws.drift.mean(axis=0), draws.n_trials)
     ripple = np.hypot(draws.ripple_cos, draws.ripple_sin).mean(axis=0)
-    return np.broadcast_to(ripple, draws.trials)
+    return np.broadcast_to(ripple, draws.n_trials)
 
 
-#: Duration of a task, s, and number of tasks submitted in advance for each worker.
+#: Duration of a task, s, and maximum number of pending tasks per worker.
 _TASK_DURATION: Final = 0.3
-_TASKS_AHEAD: Final = 3
+_MAX_PENDING_TASKS: Final = 3
 
-#: Time between two copies of the results on disk, s.
+#: Time between saves of the results, s.
 _SAVE_INTERVAL: Final = 10.0
 
 #: Number of consecutive crashes of all workers without progress after which a study stops.
 _MAX_CONSECUTIVE_CRASHES: Final = 5
 
-#: Approximate duration of full records, s, from which a trial is timed.
+#: Approximate total duration of trials with full records, s, above which a trial is timed.
 _MIN_TIMED_DURATION: Final = 10.0
 
 #: Approximate duration of a trial, s.
@@ -214,66 +216,71 @@ class BatchResults:
     keep: True: keep each trial.
     """
 
-    def __init__(self, engine: StudyEngine, trials: int, *, keep: bool = False) -> None:
-        self.trials, self.keep = trials, keep
+    def __init__(self, engine: StudyEngine, trials: int, *, keep_trials: bool = False) -> None:
+        self.trials, self.keep_trials = trials, keep_trials
         self.batch_size, self.coefficients = engine.batch_size, engine.coefficients
-        count = -(-trials // self.batch_size)
-        self.done = np.zeros(count, dtype=bool)
-        self.sums = np.zeros((count, len(self.coefficients), engine.accumulator.width))
+        n_batches = -(-trials // self.batch_size)
+        self.is_done = np.zeros(n_batches, dtype=bool)
+        self.sums = np.zeros((n_batches, len(self.coefficients), engine.accumulator.width))
         self.values: dict[int, Array] = {}
 
     def trial_count(self, batch: int) -> int:
-        """Return the number of trials of a batch that count."""
+        """Return the number of requested trials of a batch."""
         return min(self.batch_size, self.trials - batch * self.batch_size)
 
     @property
     def trials_done(self) -> int:
         """Number of finished trials."""
-        return sum(self.trial_count(int(batch)) for batch in np.flatnonzero(self.done))
+        return sum(self.trial_count(int(batch)) for batch in np.flatnonzero(self.is_done))
 
-    def record(self, first: int, sums: Array, values: list[Array]) -> None:
-        """Record the results of a task from its first batch on; a repetition changes nothing."""
-        for offset, row in enumerate(sums):
-            batch = first + offset
-            if self.done[batch]:
+    def store_task(self, first_batch: int, sums: Array, values: list[Array]) -> None:
+        """Store the results of a task, unless its batches are finished already."""
+        for offset, batch_sums in enumerate(sums):
+            batch = first_batch + offset
+            if self.is_done[batch]:
                 continue
-            self.sums[batch] = row
+            self.sums[batch] = batch_sums
             if values:
                 self.values[batch] = values[offset]
-            self.done[batch] = True
+            self.is_done[batch] = True
 
 
 def expected_duration(engine: StudyEngine, trials: int) -> float:
     """Return the approximate duration of trials on a single worker, s.
 
-    Trials by whole records differ widely: if they matter, one trial is timed.
+    The durations of trials with full records differ widely, so that a trial is timed.
     """
     seconds = 0.0
     for analysis_engine in engine.analysis_engines:
         duration = _TRIAL_DURATIONS[analysis_engine.cost_class]
         if analysis_engine.cost_class == "full" and duration * trials > _MIN_TIMED_DURATION:
             draws = engine.truth.draw(random_stream(engine.seed, 0, TRUTH_STREAM), 1)
-            for _ in range(2):  # the first loads what it needs
-                start = time.perf_counter()
+            for _ in range(2):  # the first one includes imports
+                start_time = time.perf_counter()
                 analysis_engine.engine.run_trials(
                     draws, random_stream(engine.seed, 0, NOISE_STREAM)
                 )
-                duration = time.perf_counter() - start
+                duration = time.perf_counter() - start_time
         seconds += duration * trials
     return seconds
 
 
 @lru_cache(maxsize=2)
-def _unpickle(engine: bytes) -> StudyEngine:
-    study_engine: StudyEngine = pickle.loads(engine)
+def _unpickle(pickled_engine: bytes) -> StudyEngine:
+    study_engine: StudyEngine = pickle.loads(pickled_engine)
     return study_engine
 
 
-def run_task(engine: bytes, first: int, trials: tuple[int, ...], keep: bool) -> tuple[Array, Any]:
+def run_task(
+    pickled_engine: bytes, first_batch: int, trial_counts: tuple[int, ...], keep_trials: bool
+) -> tuple[Array, Any]:
     """Run consecutive batches with the given numbers of trials."""
-    study_engine = _unpickle(engine)
-    batches = [study_engine.run_batch(first + i, n, keep=keep) for i, n in enumerate(trials)]
-    return np.array([sums for sums, _ in batches]), [values for _, values in batches if keep]
+    study_engine = _unpickle(pickled_engine)
+    batches = [
+        study_engine.run_batch(first_batch + i, n, keep_trials=keep_trials)
+        for i, n in enumerate(trial_counts)
+    ]
+    return np.array([sums for sums, _ in batches]), [values for _, values in batches if keep_trials]
 
 
 def run_batches(
@@ -289,61 +296,67 @@ def run_batches(
     """Run all unfinished batches.
 
     workers: Number of processes, or a cluster.
-    pool: Running workers; None: start them. Workers that die are replaced.
-    progress: Called with (trials done, trials in all).
-    save: Called regularly and at the end, to save a copy of the results.
-    batches_per_task: Number of batches in a task; by default about a third of a second's work.
+    pool: Running workers; None: start them. Dead workers are replaced.
+    progress: Function called with (trials done, total trials).
+    save: Function called regularly and at the end, to save the results.
+    batches_per_task: Number of batches in a task; None: about a third of a second of computation.
     """
-    cost = (
+    batch_duration = (
         sum(
             _TRIAL_DURATIONS[analysis_engine.cost_class]
             for analysis_engine in engine.analysis_engines
         )
         * engine.batch_size
     )
-    size = batches_per_task or max(1, min(64, round(_TASK_DURATION / cost)))
-    pickled = pickle.dumps(engine)
+    task_size = batches_per_task or max(1, min(64, round(_TASK_DURATION / batch_duration)))
+    pickled_engine = pickle.dumps(engine)
     try:
         reporter = _ProgressReporter(batch_results, progress, save)
         if workers.alone:
-            _run_inline(pickled, batch_results, size, reporter)
+            _run_inline(pickled_engine, batch_results, task_size, reporter)
         else:
-            _run_in_pool(pickled, batch_results, size, pool, workers, reporter)
+            _run_in_pool(pickled_engine, batch_results, task_size, pool, workers, reporter)
     except KeyboardInterrupt:
         pass
     finally:
         if save is not None:
             save()
-    return bool(batch_results.done.all())
+    return bool(batch_results.is_done.all())
 
 
 def _remaining_tasks(
-    batch_results: BatchResults, size: int
+    batch_results: BatchResults, task_size: int
 ) -> Iterator[tuple[int, tuple[int, ...]]]:
     """Yield the first batch and the trial counts of each remaining task."""
-    remaining = np.flatnonzero(np.logical_not(batch_results.done))
+    remaining_batches = np.flatnonzero(np.logical_not(batch_results.is_done))
     start = 0
-    while start < remaining.size:
+    while start < remaining_batches.size:
         stop = start + 1
         while (
-            stop < min(remaining.size, start + size) and remaining[stop] == remaining[stop - 1] + 1
+            stop < min(remaining_batches.size, start + task_size)
+            and remaining_batches[stop] == remaining_batches[stop - 1] + 1
         ):
             stop += 1
-        trials = tuple(batch_results.trial_count(int(batch)) for batch in remaining[start:stop])
-        yield int(remaining[start]), trials
+        trial_counts = tuple(
+            batch_results.trial_count(int(batch)) for batch in remaining_batches[start:stop]
+        )
+        yield int(remaining_batches[start]), trial_counts
         start = stop
 
 
 def _run_inline(
-    pickled: bytes, batch_results: BatchResults, size: int, report: _ProgressReporter
+    pickled_engine: bytes, batch_results: BatchResults, task_size: int, reporter: _ProgressReporter
 ) -> None:
-    for first, trials in list(_remaining_tasks(batch_results, size)):
-        batch_results.record(first, *run_task(pickled, first, trials, batch_results.keep))
-        report(sum(trials))
+    for first_batch, trial_counts in list(_remaining_tasks(batch_results, task_size)):
+        batch_results.store_task(
+            first_batch,
+            *run_task(pickled_engine, first_batch, trial_counts, batch_results.keep_trials),
+        )
+        reporter(sum(trial_counts))
 
 
 class _ProgressReporter:
-    """Reports of progress, and updates of the copy on disk."""
+    """Reports of progress, and regular saves of the results."""
 
     def __init__(
         self,
@@ -365,26 +378,26 @@ class _ProgressReporter:
 
 
 def _run_in_pool(
-    pickled: bytes,
+    pickled_engine: bytes,
     batch_results: BatchResults,
-    size: int,
+    task_size: int,
     pool: WorkerPool | None,
     workers: Workers,
-    report: _ProgressReporter,
+    reporter: _ProgressReporter,
 ) -> None:
-    crashes = 0
+    n_crashes = 0
     crash_errors: tuple[type[BaseException], ...] = (BrokenProcessPool,)
-    while not batch_results.done.all():
-        done_before = int(batch_results.done.sum())
+    while not batch_results.is_done.all():
+        n_done_before = int(batch_results.is_done.sum())
         try:
             with nullcontext(pool) if pool else worker_pool(workers, __name__) as current_pool:
                 crash_errors = current_pool.death_errors
-                _submit_tasks(current_pool, pickled, batch_results, size, report)
+                _submit_tasks(current_pool, pickled_engine, batch_results, task_size, reporter)
         except crash_errors as error:
             # A worker was killed, or ran out of memory. Its tasks are submitted again.
             pool = None
-            crashes = 0 if int(batch_results.done.sum()) > done_before else crashes + 1
-            if crashes >= _MAX_CONSECUTIVE_CRASHES:
+            n_crashes = 0 if int(batch_results.is_done.sum()) > n_done_before else n_crashes + 1
+            if n_crashes >= _MAX_CONSECUTIVE_CRASHES:
                 raise CounterspinError(
                     "the worker processes end immediately. Use fewer `workers`, or check "
                     "whether enough memory is free",
@@ -394,26 +407,28 @@ def _run_in_pool(
 
 def _submit_tasks(
     pool: WorkerPool,
-    pickled: bytes,
+    pickled_engine: bytes,
     batch_results: BatchResults,
-    size: int,
-    report: _ProgressReporter,
+    task_size: int,
+    reporter: _ProgressReporter,
 ) -> None:
-    # A snapshot: entries made meanwhile must not change the remaining tasks.
-    tasks = iter(list(_remaining_tasks(batch_results, size)))
+    # Finished tasks must not change the iterator.
+    tasks = iter(list(_remaining_tasks(batch_results, task_size)))
     pending: dict[Future[tuple[Array, Any]], tuple[int, tuple[int, ...]]] = {}
     try:
         while True:
-            ahead = _TASKS_AHEAD * pool.size
-            while len(pending) < ahead and (task := next(tasks, None)) is not None:
-                pending[pool.executor.submit(run_task, pickled, *task, batch_results.keep)] = task
+            max_pending = _MAX_PENDING_TASKS * pool.size
+            while len(pending) < max_pending and (task := next(tasks, None)) is not None:
+                pending[
+                    pool.executor.submit(run_task, pickled_engine, *task, batch_results.keep_trials)
+                ] = task
             if not pending:
                 return
-            finished, _ = wait(pending, return_when=FIRST_COMPLETED)
-            for future in finished:
-                first, trials = pending.pop(future)
-                batch_results.record(first, *future.result())
-                report(sum(trials))
+            done_futures, _ = wait(pending, return_when=FIRST_COMPLETED)
+            for future in done_futures:
+                first_batch, trial_counts = pending.pop(future)
+                batch_results.store_task(first_batch, *future.result())
+                reporter(sum(trial_counts))
     finally:
         for future in pending:
             future.cancel()

@@ -51,14 +51,19 @@ from counterspin.simulation.simulable import (
     reading_problems,
     simulation_problems,
 )
-from counterspin.studies.draws import NOISE_LEVELS, OTHER_QUANTITIES, WHITE, VariedQuantity
+from counterspin.studies.draws import (
+    NOISE_LEVEL_UNITS,
+    OTHER_QUANTITY_UNITS,
+    WHITE_NOISE,
+    VariedQuantity,
+)
 from counterspin.studies.simulation_setup import expand_pose_records, set_pose_noise
 
-#: Kinds of distribution, as they are written.
+#: Names of the distributions.
 _DISTRIBUTIONS: Final = ("normal", "uniform", "fixed")
 
 
-def _analysis_name(analysis: str) -> str:
+def _check_analysis_name(analysis: str) -> str:
     if not analysis.replace("-", "").replace("_", "").isalnum():
         raise ValueError("the name of an analysis may contain only letters, digits, - and _")
     return analysis
@@ -142,7 +147,7 @@ class StudySettings(SettingsSection):
         default_factory=dict,
     )
     analyses: Annotated[
-        dict[Annotated[str, AfterValidator(_analysis_name)], Any],
+        dict[Annotated[str, AfterValidator(_check_analysis_name)], Any],
         Section(dict[str, AnalysisSettings]),
     ] = key_field(
         "analyses to compare, by name",
@@ -162,8 +167,8 @@ class StudyDocument(SettingsSection):
     )
 
 
-#: ``campaign.toml`` with the section that studies read.
-StudiedDocument = create_model(
+#: ``campaign.toml`` with the section [study].
+StudyCampaignDocument = create_model(
     "StudiedDocument",
     __base__=CampaignDocument,
     __doc__=CampaignDocument.__doc__,
@@ -178,26 +183,24 @@ StudiedDocument = create_model(
 class AnalysisDescription:
     """One of the competing analyses."""
 
-    name: str  #: As the study calls it.
-    two_stage: TwoStageOptions | None  #: How the two-stage method is applied; None: the joint fit.
-    #: The campaign with the terms that this analysis asks for, assumes and holds.
-    campaign: Campaign
+    name: str  #: Name of the analysis in the study.
+    two_stage: TwoStageOptions | None  #: Options of the two-stage method; None: the joint fit.
+    campaign: Campaign  #: Campaign with the [model] of this analysis.
 
 
 @frozen
 class StudyDescription:
     """A study."""
 
-    campaign: Campaign  #: What is simulated, [truth] included.
-    #: How many, and of the random numbers.
-    trials: int
-    seed: int
-    varying: tuple[VariedQuantity, ...]  #: What varies, in the file's order.
-    analyses: tuple[AnalysisDescription, ...]  #: What competes.
+    campaign: Campaign  #: Simulated campaign with [truth].
+    trials: int  #: Number of trials.
+    seed: int  #: Seed of the random number generator.
+    varied_quantities: tuple[VariedQuantity, ...]  #: Varied quantities, in the order of the file.
+    analyses: tuple[AnalysisDescription, ...]  #: Analyses to compare.
 
 
-#: What competes where the study names nothing: the two methods, and the paper's equations. Of
-#: readings, velocity and force only the first.
+#: Default analyses: the two methods, and the equations of the paper. Only the first applies to
+#: readings and to records of velocity and specific force.
 _DEFAULT_ANALYSES: Final[Mapping[str, Mapping[str, Any]]] = {
     "joint": {"method": "joint"},
     "two-stage": {"method": "two-stage"},
@@ -208,7 +211,7 @@ _DEFAULT_ANALYSES: Final[Mapping[str, Mapping[str, Any]]] = {
 def read_study(path: Path | str | Campaign) -> StudyDescription:
     """Read and check a study.
 
-    path: A campaign's folder or description, a study's own file, or a campaign already read.
+    path: Folder or description of a campaign, file of a study, or a `Campaign`.
     """
     if not isinstance(path, Campaign):
         file = description_file(path)
@@ -221,19 +224,18 @@ def read_study(path: Path | str | Campaign) -> StudyDescription:
 def parse_study(
     raw: dict[str, Any], file: Path, campaign_file: Path | None = None
 ) -> StudyDescription:
-    """Read and check the content of a study's file; raise the errors of `read_study`.
+    """Read and check the document of a study; raise the errors of `read_study`.
 
-    campaign_file: Path of the description of a campaign already read; None: `raw` may name another
-        one.
+    campaign_file: Description of the campaign in `raw`; None: `raw` may name another file.
     """
     problems = Problems(raw)
-    document, source = (
-        (raw, campaign_file) if campaign_file else _campaign_document(raw, file, problems)
+    document, source_file = (
+        (raw, campaign_file) if campaign_file else _load_campaign_document(raw, file, problems)
     )
-    file_names = () if source in (file, campaign_file) else (str(source),)
-    campaign = _campaign(document, source, problems, file_names)
-    section = raw.get("study", {})
-    settings = problems.check(StudySettings, section, ("study",))
+    file_names = () if source_file in (file, campaign_file) else (str(source_file),)
+    campaign = _resolve_campaign(document, source_file, problems, file_names)
+    study_section = raw.get("study", {})
+    settings = problems.check(StudySettings, study_section, ("study",))
     if campaign is None or settings is None:
         raise campaign_error(file, problems.lines)
     if campaign.simulation is None:
@@ -248,77 +250,81 @@ def parse_study(
     records = campaign.triad.records if campaign.triad else ()
     if records and not problems.lines:
         document = expand_pose_records(document, campaign)
-        expanded_campaign = _campaign(document, source, problems, file_names)
+        expanded_campaign = _resolve_campaign(document, source_file, problems, file_names)
         campaign = expanded_campaign and set_pose_noise(expanded_campaign, records)
         if campaign is None:
             raise campaign_error(file, problems.lines)
     recorders = recorders_of(document.get("records", {}), campaign.runs)
-    varying: list[VariedQuantity] = []
+    varied_quantities: list[VariedQuantity] = []
     for key, entry_path, entry in _walk_entries(settings.vary, ("study", "vary")):
-        varying += _varied_quantities(key, entry_path, entry, campaign, recorders, problems)
-    for index, quantity in enumerate(varying):
-        if any(_is_same_quantity(quantity, earlier) for earlier in varying[:index]):
+        varied_quantities += _parse_varied_quantities(
+            key, entry_path, entry, campaign, recorders, problems
+        )
+    for index, quantity in enumerate(varied_quantities):
+        if any(_is_same_quantity(quantity, other) for other in varied_quantities[:index]):
             problems.add(("study", "vary"), f"{quantity.symbol} is listed twice", "duplicate-entry")
     analyses = []
     has_readings = campaign.readings or campaign.posed
-    only_displacement = {a.observable for a in campaign.accelerometers.values()} == {"displacement"}
-    default = (
+    has_only_displacement = {
+        accelerometer.observable for accelerometer in campaign.accelerometers.values()
+    } == {"displacement"}
+    default_analyses = (
         {"joint": _DEFAULT_ANALYSES["joint"]}
-        if has_readings or not only_displacement
+        if has_readings or not has_only_displacement
         else _DEFAULT_ANALYSES
     )
-    for name, table in (settings.analyses or default).items():
-        two_stage = isinstance(table, Mapping) and table.get("method") == "two-stage"
-        if two_stage and (has_readings or not only_displacement):
-            data = "readings" if has_readings else "records of velocity or specific force"
+    for name, table in (settings.analyses or default_analyses).items():
+        is_two_stage = isinstance(table, Mapping) and table.get("method") == "two-stage"
+        if is_two_stage and (has_readings or not has_only_displacement):
+            data_text = "readings" if has_readings else "records of velocity or specific force"
             problems.add(
                 ("study", "analyses", name, "method"),
                 "the two-stage method requires records of displacement on a double turntable; "
-                f"this campaign has {data}, which require the joint method",
+                f"this campaign has {data_text}, which require the joint method",
                 "method-not-applicable",
             )
             continue
-        analysis = _parse_analysis(name, table, document, source, problems)
+        analysis = _parse_analysis(name, table, document, source_file, problems)
         if analysis is not None:
             analyses.append(analysis)
     if problems.lines:
         raise campaign_error(file, problems.lines)
-    varying += _prior_quantities(campaign, varying)
+    varied_quantities += _prior_varied_quantities(campaign, varied_quantities)
     return StudyDescription(
-        campaign, settings.trials, settings.seed, tuple(varying), tuple(analyses)
+        campaign, settings.trials, settings.seed, tuple(varied_quantities), tuple(analyses)
     )
 
 
-def _prior_quantities(
-    campaign: Campaign, varying: Sequence[VariedQuantity]
+def _prior_varied_quantities(
+    campaign: Campaign, varied_quantities: Sequence[VariedQuantity]
 ) -> Iterator[VariedQuantity]:
-    """Yield the nuisance parameters with their stated or default priors.
+    """Yield the nuisance parameters with their stated or default priors as varied quantities.
 
-    Parameters that vary already or have a value in [truth] are left out.
+    Omit parameters that vary already, or have a value in [truth].
     """
     assert campaign.simulation is not None
     truth = campaign.simulation.truth
-    excluded = {(quantity.owner, quantity.symbol) for quantity in varying}
-    excluded |= {
+    excluded_keys = {(quantity.owner, quantity.symbol) for quantity in varied_quantities}
+    excluded_keys |= {
         (name, symbol)
         for name, coefficients in truth.coefficients.items()
         for symbol in coefficients
     }
-    excluded |= {("", symbol) for symbol in truth.machine} | truth.inputs.keys()
-    excluded |= {("", symbol) for run in truth.runs.values() for symbol in run.shared}
-    stated = inputs_by_owner(campaign)
+    excluded_keys |= {("", symbol) for symbol in truth.machine} | truth.inputs.keys()
+    excluded_keys |= {("", symbol) for run in truth.runs.values() for symbol in run.shared}
+    stated_inputs = inputs_by_owner(campaign)
     model = make_unknowns(campaign)
     for parameter in (*model.unknowns, *model.considered):
         owner = parameter.owner if parameter.symbol in {**ACCELEROMETER_TERMS, **INPUTS} else ""
         if (
             parameter.is_of_interest
             or parameter.prior[1] == 0.0
-            or (owner, parameter.symbol) in excluded
+            or (owner, parameter.symbol) in excluded_keys
         ):
             continue
-        excluded.add((owner, parameter.symbol))
+        excluded_keys.add((owner, parameter.symbol))
         value, u = parameter.prior
-        mean = stated[owner, parameter.symbol].value if parameter.symbol in INPUTS else value
+        mean = stated_inputs[owner, parameter.symbol].value if parameter.symbol in INPUTS else value
         yield VariedQuantity(
             owner,
             parameter.symbol,
@@ -330,38 +336,40 @@ def _prior_quantities(
         )
 
 
-def _campaign_document(
+def _load_campaign_document(
     raw: dict[str, Any], file: Path, problems: Problems
 ) -> tuple[Mapping[str, Any], Path]:
-    """Return the campaign's document and file: this one, or the one that a study's file names."""
+    """Return the document and file of the campaign: `raw`, or the file that `raw` names."""
     if not isinstance(raw.get("campaign"), str):
         return raw, file
-    base = description_file(file.parent / raw["campaign"])
-    known = ("schema", "campaign", "study")
+    campaign_file = description_file(file.parent / raw["campaign"])
+    known_keys = ("schema", "campaign", "study")
     for key in raw:
-        if key not in known:
-            problems.add((key,), "unknown key" + suggest_name(key, known), "unknown-key")
+        if key not in known_keys:
+            problems.add((key,), "unknown key" + suggest_name(key, known_keys), "unknown-key")
     if type(raw.get("schema")) is not int or raw["schema"] != 1:
         problems.add(
             ("schema",), "this version of counterspin supports schema = 1", "unknown-choice"
         )
-    return load_document(base, CAMPAIGN_ADVICE, "campaign"), base
+    return load_document(campaign_file, CAMPAIGN_ADVICE, "campaign"), campaign_file
 
 
-def _campaign(
+def _resolve_campaign(
     document: Mapping[str, Any], file: Path, problems: Problems, prefix: KeyPath
 ) -> Campaign | None:
-    """Return the campaign of a document, or None with its mistakes noted."""
-    nested = Problems(document)
-    campaign = resolve_campaign(document, file, nested)
-    start = f"{prefix[0]}: " if prefix else ""
-    problems.lines += [start + line for line in nested.lines if line not in problems.lines]
+    """Return the campaign of a document, or None after reporting its problems."""
+    campaign_problems = Problems(document)
+    campaign = resolve_campaign(document, file, campaign_problems)
+    line_prefix = f"{prefix[0]}: " if prefix else ""
+    problems.lines += [
+        line_prefix + line for line in campaign_problems.lines if line not in problems.lines
+    ]
     return campaign
 
 
 def _is_same_quantity(first: VariedQuantity, second: VariedQuantity) -> bool:
-    ripples = {"spindle.ripple.ratio", "spindle.ripple.amplitude"}
-    if {first.symbol, second.symbol} == ripples:
+    ripple_symbols = {"spindle.ripple.ratio", "spindle.ripple.amplitude"}
+    if {first.symbol, second.symbol} == ripple_symbols:
         return True
     return (first.owner, first.symbol) == (second.owner, second.symbol)
 
@@ -369,16 +377,16 @@ def _is_same_quantity(first: VariedQuantity, second: VariedQuantity) -> bool:
 def _walk_entries(
     table: Mapping[str, Any], path: KeyPath, prefix: str = ""
 ) -> Iterator[tuple[str, KeyPath, Any]]:
-    """Yield name, path and entry; names may be written with quotation marks or without."""
+    """Yield name, path and entry of each quantity; join the keys of nested tables by dots."""
     for key, value in table.items():
-        nested = isinstance(value, Mapping) and not any(name in value for name in _DISTRIBUTIONS)
-        if nested and value and all(isinstance(entry, Mapping) for entry in value.values()):
+        is_nested = isinstance(value, Mapping) and not any(name in value for name in _DISTRIBUTIONS)
+        if is_nested and value and all(isinstance(entry, Mapping) for entry in value.values()):
             yield from _walk_entries(value, (*path, key), f"{prefix}{key}.")
         else:
             yield prefix + key, (*path, key), value
 
 
-def _varied_quantities(
+def _parse_varied_quantities(
     key: str,
     path: KeyPath,
     entry: Any,
@@ -390,13 +398,17 @@ def _varied_quantities(
     names = _resolve_names(key, path, campaign, recorders, problems)
     if settings is None or not names:
         return []
-    distributions = [name for name in _DISTRIBUTIONS if getattr(settings, name) is not None]
+    distributions = [
+        quantity_symbol
+        for quantity_symbol in _DISTRIBUTIONS
+        if getattr(settings, quantity_symbol) is not None
+    ]
     if len(distributions) != 1:
         problems.add(path, "give one of normal, uniform and fixed", "unknown-choice")
         return []
     (distribution,) = distributions
     symbol = names[0][1]
-    unit = OTHER_QUANTITIES.get(symbol) or unit_of(symbol)
+    unit = OTHER_QUANTITY_UNITS.get(symbol) or unit_of(symbol)
     parameters = problems.collect(
         path,
         _parse_distribution,
@@ -405,8 +417,8 @@ def _varied_quantities(
         unit,
         campaign.gravity.value,
     )
-    per_run = settings.per == "run"
-    if per_run and (symbol in (*INPUTS, *NOISE_LEVELS) or not campaign.runs):
+    is_per_run = settings.per == "run"
+    if is_per_run and (symbol in (*INPUTS, *NOISE_LEVEL_UNITS) or not campaign.runs):
         problems.add(
             path,
             "this quantity is the same in all runs and readings of a campaign; remove the key per",
@@ -414,7 +426,7 @@ def _varied_quantities(
     if parameters is None:
         return []
     first, second = parameters
-    if symbol == WHITE and first <= 0.0:
+    if symbol == WHITE_NOISE and first <= 0.0:
         problems.add(path, "must be greater than zero", "value-out-of-range")
     if symbol in INPUTS:
         low, high = term(symbol).effect.bounds
@@ -425,11 +437,11 @@ def _varied_quantities(
             problems.add(
                 path, f"must be between {low:.4g} and {high:.4g} {unit}", "value-out-of-range"
             )
-    if symbol in NOISE_LEVELS and first < 0.0:
+    if symbol in NOISE_LEVEL_UNITS and first < 0.0:
         problems.add(path, "must not be less than zero", "value-out-of-range")
     return [
-        VariedQuantity(owner, name, distribution, first, second, per_run)  # type: ignore[arg-type]
-        for owner, name in names
+        VariedQuantity(owner, quantity_symbol, distribution, first, second, is_per_run)  # type: ignore[arg-type]
+        for owner, quantity_symbol in names
     ]
 
 
@@ -440,7 +452,7 @@ def _resolve_names(
     recorders: Mapping[str, str],
     problems: Problems,
 ) -> list[tuple[str, str]]:
-    """Return owner and symbol of everything that a name stands for."""
+    """Return owner and symbol of each quantity with a name."""
     owner, _, symbol_name = key.partition(".")
     if owner in campaign.accelerometers and symbol_name in ACCELEROMETER_TERMS:
         return [(owner, symbol_name)]
@@ -449,19 +461,19 @@ def _resolve_names(
     observable_symbols = shown_symbols(campaign.readings)
     if key in INPUTS or symbol_name in INPUTS:
         return _resolve_inputs(key, path, campaign, recorders, problems)
-    if key in OTHER_QUANTITIES and not campaign.runs:
+    if key in OTHER_QUANTITY_UNITS and not campaign.runs:
         problems.add(
             path, "this quantity requires double-turntable records, but the campaign contains none"
         )
-    shared = (key,) if key in SHARED_TERMS or key in OTHER_QUANTITIES else ()
-    if symbols := shared or expand_name(key, observable_symbols):
+    shared_symbols = (key,) if key in SHARED_TERMS or key in OTHER_QUANTITY_UNITS else ()
+    if symbols := shared_symbols or expand_name(key, observable_symbols):
         return [("", symbol) for symbol in symbols]
     if key in BARE_NAMES:
-        mountings = [a.mounting for a in campaign.accelerometers.values()]
+        mountings = [accelerometer.mounting for accelerometer in campaign.accelerometers.values()]
         rows = acting_rows(key, mountings, [run.attitude for run in campaign.runs])
         return [("", row.symbol) for row in rows]
     candidates = [
-        *OTHER_QUANTITIES,
+        *OTHER_QUANTITY_UNITS,
         *ACCELEROMETER_TERMS,
         *BARE_NAMES,
         *SHARED_TERMS,
@@ -469,7 +481,7 @@ def _resolve_names(
     ]
     hint = suggest_name(key, candidates)
     if "known:" in hint:
-        hint = f"; known: {', '.join([*OTHER_QUANTITIES, *ACCELEROMETER_TERMS, *BARE_NAMES])}"
+        hint = f"; known: {', '.join([*OTHER_QUANTITY_UNITS, *ACCELEROMETER_TERMS, *BARE_NAMES])}"
     problems.add(path, "cannot be varied in a study" + hint, "unknown-term")
     return []
 
@@ -477,7 +489,7 @@ def _resolve_names(
 def _resolve_inputs(
     key: str, path: KeyPath, campaign: Campaign, recorders: Mapping[str, str], problems: Problems
 ) -> list[tuple[str, str]]:
-    """Return owner and symbol of an input; without an owner's name those of all owners."""
+    """Return owner and symbol of an input; without an owner, return those of all owners."""
     name, _, symbol_name = key.partition(".")
     symbol = key if key in INPUTS else symbol_name
     owner = recorders.get(name) if symbol == CLOCK else name
@@ -494,24 +506,24 @@ def _resolve_inputs(
 def _parse_distribution(
     distribution: str, value: Any, unit: str, gravity: float
 ) -> tuple[float, float]:
-    """Return the two numbers of a distribution."""
+    """Return the two parameters of a distribution."""
     if distribution == "normal":
-        quantity = parse_quantity(_as_quantity(value, unit), unit, gravity=gravity)
+        quantity = parse_quantity(_ratio_to_quantity(value, unit), unit, gravity=gravity)
         if quantity.u <= 0.0:
             raise ValueError('write a normal distribution as "MEAN ± SD UNIT"')
         return quantity.value, quantity.u
     if distribution == "fixed":
-        return parse_exact(_as_quantity(value, unit), unit, gravity), 0.0
+        return parse_exact(_ratio_to_quantity(value, unit), unit, gravity), 0.0
     if not isinstance(value, list) or len(value) != 2:
         raise ValueError('write a uniform distribution as ["LOWEST UNIT", "HIGHEST UNIT"]')
-    low, high = (parse_exact(_as_quantity(bound, unit), unit, gravity) for bound in value)
+    low, high = (parse_exact(_ratio_to_quantity(bound, unit), unit, gravity) for bound in value)
     if not low < high:
         raise OutOfRangeError("the lowest value must be below the highest")
     return low, high
 
 
-def _as_quantity(value: Any, unit: str) -> Any:
-    """Write a plain number where a ratio is wanted as a quantity."""
+def _ratio_to_quantity(value: Any, unit: str) -> Any:
+    """Return a plain number as a quantity in ppm if the unit is a ratio."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return f"{float(value) * 1e6!r} ppm" if is_number and unit == "1" else value
 
@@ -528,7 +540,9 @@ def _parse_analysis(
             if isinstance(table, Mapping) and key in table:
                 problems.add((*path, key), "applies only to the two-stage method")
     error_count = len(problems.lines)
-    campaign = _campaign(_apply_terms(document, settings), file, problems, (".".join(path),))
+    campaign = _resolve_campaign(
+        _apply_terms(document, settings), file, problems, (".".join(path),)
+    )
     if campaign is None or len(problems.lines) > error_count:
         return None
     if settings.method == "joint":
@@ -544,11 +558,11 @@ def _parse_analysis(
 
 
 def _apply_terms(document: Mapping[str, Any], settings: AnalysisSettings) -> dict[str, Any]:
-    """Return the campaign's document with the terms of one analysis."""
+    """Return the document of the campaign with the terms of an analysis."""
     model = dict(document.get("model", {}))
     if not (settings.terms is settings.hold is settings.considered is None):
-        # What was held is so no longer: it may be among the terms.
-        model = {k: v for k, v in model.items() if k not in ("hold", "considered")}
+        # Formerly considered terms may be among the new terms.
+        model = {key: value for key, value in model.items() if key not in ("hold", "considered")}
     for key in ("terms", "assume", "hold", "considered"):
         if (names := getattr(settings, key)) is not None:
             model[key] = names

@@ -1,8 +1,8 @@
 """True values of each trial of a study, fixed or drawn, and draws of the noise.
 
 Trials are drawn in batches of a fixed size. Each batch has its own random streams
-(`random_stream`), derived from the study's seed and the batch's number alone. So a trial does not
-depend on the worker, the order or the number of other trials.
+(`random_stream`), which depend only on the seed of the study and the number of the batch. So a
+trial does not depend on the worker, the order or the number of other trials.
 """
 
 from __future__ import annotations
@@ -23,58 +23,58 @@ from counterspin.inference.priors import correlation_matrix
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS
 
-WHITE: Final = "noise.displacement"  #: of a sample, m
+WHITE_NOISE: Final = "noise.displacement"  #: per sample, m
 
-#: Level that may vary -> its unit.
-NOISE_LEVELS: Final = {
+#: Units of the noise levels that may vary.
+NOISE_LEVEL_UNITS: Final = {
     f"noise.{key}": unit
     for key, unit in NOISE_UNITS.items()
     if key not in ("velocity", "specific_force")
 }
 
-#: Sizes of the noise of records without noise, by key of [noise].
+#: Noise of noise-free records, by key of [noise].
 NOISE_FREE: Final[Mapping[str, float]] = dict.fromkeys(NOISE_UNITS, 0.0)
 
-#: (owner, symbol, run) of a term or an input that is true; run is None where the runs share one.
-Key = tuple[str, str, int | None]
+#: (owner, symbol, run) of a true value; run is None for a value that all runs share.
+TruthKey = tuple[str, str, int | None]
 
-#: Streams of a batch: the truth and the noise are drawn apart.
+#: Separate random streams of a batch for the truth and for the noise.
 TRUTH_STREAM: Final = 0
 NOISE_STREAM: Final = 1
 
 
-def random_stream(seed: int, batch: int, number: int) -> np.random.Generator:
+def random_stream(seed: int, batch: int, stream: int) -> np.random.Generator:
     """Return a random generator for the truth or for the noise of one batch.
 
     batch: Index of the batch, from 0.
-    number: `TRUTH_STREAM`, or `NOISE_STREAM` plus the noise stream of an analysis.
+    stream: `TRUTH_STREAM`, or `NOISE_STREAM` plus the noise stream of an analysis.
     """
-    sequence = np.random.SeedSequence(seed, spawn_key=(batch, number))
+    sequence = np.random.SeedSequence(seed, spawn_key=(batch, stream))
     return np.random.Generator(np.random.SFC64(sequence))
 
 
 def curvature_noise(
-    generator: np.random.Generator, white: Array, curvature_scale: Array, trials: int
+    generator: np.random.Generator, white_noise: Array, curvature_scale: Array, trials: int
 ) -> Array:
     """Return the error of b2 due to white noise, m/s^2, shape (runs, trials).
 
-    white: Standard deviation of a strobe in each trial, m, shape (trials,) or (1,).
+    white_noise: Standard deviation of a strobe in each trial, m, shape (trials,) or (1,).
     curvature_scale: sigma/u(b2) of each run, s^2, shape (runs, trials) or (runs, 1).
     """
     noise = generator.standard_normal((curvature_scale.shape[0], trials))
-    noise *= white / curvature_scale
+    noise *= white_noise / curvature_scale
     return noise
 
 
 def residual_variances(
-    generator: np.random.Generator, white: Array, dof: Array, trials: int
+    generator: np.random.Generator, white_noise: Array, dof: Array, trials: int
 ) -> Array:
-    """Return the variance that the residuals of each run show, m^2, shape (runs, trials).
+    """Return the residual variance of each run, m^2, shape (runs, trials).
 
     dof: Degrees of freedom of each run's residuals, shape (runs,).
     """
     variances = np.stack([generator.standard_gamma(0.5 * run_dof, trials) for run_dof in dof])
-    variances *= 2.0 * white**2 / dof[:, None]
+    variances *= 2.0 * white_noise**2 / dof[:, None]
     return variances
 
 
@@ -93,35 +93,35 @@ def estimate_noise(
 
 DRIFT: Final = "spindle.drift"  #: C, 1/s
 RIPPLE_RATIO: Final = "spindle.ripple.ratio"  #: w_1/w0 of the first harmonic
-RIPPLE_AMPLITUDE: Final = "spindle.ripple.amplitude"  #: or its w_1, rad/s
-RIPPLE_PHASE: Final = "spindle.ripple.phase"  #: its phase, rad
+RIPPLE_AMPLITUDE: Final = "spindle.ripple.amplitude"  #: w_1 of the first harmonic, rad/s
+RIPPLE_PHASE: Final = "spindle.ripple.phase"  #: phase of the first harmonic, rad
 
 #: Quantities that may vary in addition to the terms of the model, with their units.
-OTHER_QUANTITIES: Final[Mapping[str, str]] = {
+OTHER_QUANTITY_UNITS: Final[Mapping[str, str]] = {
     DRIFT: "1/s",
     RIPPLE_RATIO: "1",
     RIPPLE_AMPLITUDE: "rad/s",
     RIPPLE_PHASE: "rad",
     **{symbol: row.unit for symbol, row in INPUTS.items()},
-    **NOISE_LEVELS,
+    **NOISE_LEVEL_UNITS,
 }
 
-#: Half width of the range of a normal distribution for which a study must be valid, in sd.
-_RANGE_IN_SDS: Final = 4.5
+#: Half width of the valid range of a normal distribution, in standard deviations.
+_RANGE_HALF_WIDTH: Final = 4.5
 
 
 @frozen
 class VariedQuantity:
     """A quantity that varies from trial to trial."""
 
-    owner: str  #: The accelerometer of a term of its own, the recorder of a clock; else empty.
+    owner: str  #: Accelerometer of a term, or recorder of a clock; empty for shared quantities.
     symbol: str  #: A term of the tables or a key of `OTHER_QUANTITIES`.
     distribution: Literal["normal", "uniform", "fixed"]
-    #: Mean and standard deviation; least and greatest value; value and 0.
-    first: float
-    second: float
-    per_run: bool = False  #: Whether every run of a trial has a value of its own.
-    #: Full names of other quantities -> correlation with them; of normal ones only.
+    #: Mean and standard deviation; lowest and highest value; value and 0.
+    first_parameter: float
+    second_parameter: float
+    is_per_run: bool = False  #: True if each run has a separate random value.
+    #: Correlations with other quantities by full name; only for normal distributions.
     correlations: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -129,56 +129,58 @@ class VariedQuantity:
         """Owner and symbol in one word."""
         return f"{self.owner}.{self.symbol}" if self.owner else self.symbol
 
-    def draw(self, generator: np.random.Generator, runs: int, trials: int) -> Array:
-        """Return values, shape (runs, trials); an axis whose values are equal has length 1."""
-        rows = runs if self.per_run else 1
+    def draw(self, generator: np.random.Generator, n_runs: int, n_trials: int) -> Array:
+        """Return samples, shape (runs, trials); an axis with equal values has length 1."""
+        n_rows = n_runs if self.is_per_run else 1
         if self.distribution == "normal":
-            drawn: Array = generator.standard_normal((rows, trials))
-            drawn *= self.second
-            drawn += self.first
-            return drawn
+            samples: Array = generator.standard_normal((n_rows, n_trials))
+            samples *= self.second_parameter
+            samples += self.first_parameter
+            return samples
         if self.distribution == "uniform":
-            drawn = generator.random((rows, trials))
-            drawn *= self.second - self.first
-            drawn += self.first
-            return drawn
-        return np.full((1, 1), self.first)
+            samples = generator.random((n_rows, n_trials))
+            samples *= self.second_parameter - self.first_parameter
+            samples += self.first_parameter
+            return samples
+        return np.full((1, 1), self.first_parameter)
 
     @property
     def value_range(self) -> tuple[float, float]:
-        """The lowest and highest value for which the study must be valid."""
+        """Lowest and highest value for which the study must be valid."""
         if self.distribution == "normal":
             return (
-                self.first - _RANGE_IN_SDS * self.second,
-                self.first + _RANGE_IN_SDS * self.second,
+                self.first_parameter - _RANGE_HALF_WIDTH * self.second_parameter,
+                self.first_parameter + _RANGE_HALF_WIDTH * self.second_parameter,
             )
-        return (self.first, self.second if self.distribution == "uniform" else self.first)
+        return (
+            self.first_parameter,
+            self.second_parameter if self.distribution == "uniform" else self.first_parameter,
+        )
 
 
 @frozen
 class Draws:
-    """The truth of a batch of n trials in r runs.
+    """True values of a batch of n trials in r runs.
 
-    Where the runs or the trials have a value in common, their axis has length 1, so that constant
-    values cost nothing.
+    An axis of runs or trials with equal values has length 1.
     """
 
-    trials: int  #: How many there are.
+    n_trials: int  #: Number of trials.
     #: (owner, symbol) -> values, shape (r or 1, n or 1): accelerometer terms in g-units, platform
     #: terms in SI.
     values: Mapping[tuple[str, str], Array]
-    #: Of each run: C in 1/s, and the first harmonic's (w_1/w0) cos phi and (w_1/w0) sin phi, shape
-    #: (r or 1, n or 1).
+    #: C of each run, 1/s, and (w_1/w0) cos phi and (w_1/w0) sin phi of the first harmonic of the
+    #: ripple, shape (r or 1, n or 1).
     drift: Array
     ripple_cos: Array
     ripple_sin: Array
-    #: (recorder of a clock, else empty; symbol) -> input, SI, minus its stated value, shape (n,)
-    #: or (1,).
-    inputs: Mapping[tuple[str, str], Array]
-    white: Array  #: m, shape (n,) or (1,).
-    noise: Mapping[str, Array]  #: Other noise levels that vary, shape (n,) or (1,).
+    #: (recorder of a clock, or empty; symbol) -> true minus stated value of an input, SI, shape
+    #: (n,) or (1,).
+    input_errors: Mapping[tuple[str, str], Array]
+    white_noise: Array  #: White noise of a sample, m, shape (n,) or (1,).
+    noise_levels: Mapping[str, Array]  #: Other varied noise levels, shape (n,) or (1,).
 
-    def take(self, trial: int) -> Draws:
+    def select_trial(self, trial: int) -> Draws:
         """Return the draws of one trial."""
         return self.slice_trials(trial, trial + 1)
 
@@ -194,25 +196,25 @@ class Draws:
             select(self.drift),
             select(self.ripple_cos),
             select(self.ripple_sin),
-            {key: select(value) for key, value in self.inputs.items()},
-            select(self.white),
-            {key: select(value) for key, value in self.noise.items()},
+            {key: select(value) for key, value in self.input_errors.items()},
+            select(self.white_noise),
+            {key: select(value) for key, value in self.noise_levels.items()},
         )
 
     def rotation_parameters(self, run: int) -> list[Array]:
-        """Return a run's drift, and cosine and sine amplitudes of its ripple, (n,) or (1,) each."""
+        """Return the drift of a run, and the cosine and sine of its ripple, (n,) or (1,) each."""
         return [
             run_values(values, run) for values in (self.drift, self.ripple_cos, self.ripple_sin)
         ]
 
     def noise_sizes(self, sizes: Mapping[str, float]) -> dict[str, float]:
-        """Return sizes of the noise, by key of [noise], with the means of those that vary."""
-        levels = {symbol: float(level.mean()) for symbol, level in self.noise.items()}
-        varied = {symbol.removeprefix("noise."): level for symbol, level in levels.items()}
-        return {**sizes, "displacement": float(self.white.mean()), **varied}
+        """Return `sizes`, by key of [noise], with the mean values of varied noise levels."""
+        levels = {symbol: float(level.mean()) for symbol, level in self.noise_levels.items()}
+        sizes_by_key = {symbol.removeprefix("noise."): level for symbol, level in levels.items()}
+        return {**sizes, "displacement": float(self.white_noise.mean()), **sizes_by_key}
 
-    def deviation(self, key: Key) -> Array:
-        """Return a true value minus its nominal or stated one, shape (n,) or (1,)."""
+    def deviation(self, key: TruthKey) -> Array:
+        """Return a true value minus its nominal or stated value, shape (n,) or (1,)."""
         owner, symbol, run = key
         if symbol in INPUTS:
             return self.input_error(symbol, owner)
@@ -221,7 +223,7 @@ class Draws:
     def shift_rotation(self, index: int, shift: Array) -> Draws:
         """Return the draws with one rotation parameter of each run shifted.
 
-        index: 0 for the drift, 1 for the ripple's cosine, 2 for its sine.
+        index: 0 for the drift, 1 for the cosine of the ripple, 2 for its sine.
         shift: Shape (runs,).
         """
         parameters = [self.drift, self.ripple_cos, self.ripple_sin]
@@ -232,45 +234,49 @@ class Draws:
 
     def input_error(self, symbol: str, recorder: str = "") -> Array:
         """Return the deviation of an input from its stated value, shape (n,) or (1,)."""
-        return self.inputs.get((recorder, symbol), np.zeros(1))
+        return self.input_errors.get((recorder, symbol), np.zeros(1))
 
     def mean(self, owner: str, symbol: str) -> Array:
-        """Return a coefficient's mean over the runs in each trial, shape (n,)."""
+        """Return the mean of a coefficient over the runs in each trial, shape (n,)."""
         if (owner, symbol) not in self.values:
-            return np.full(self.trials, nominal_value(owner, symbol))
+            return np.full(self.n_trials, nominal_value(owner, symbol))
         value = self.values[owner, symbol]
-        return np.broadcast_to(value.mean(axis=0), self.trials)
+        return np.broadcast_to(value.mean(axis=0), self.n_trials)
 
     def true_spindle(self, base: Spindle, run: int) -> Spindle:
         """Return the true rotation of one run in the first trial."""
-        cos, sin = (float(run_values(part, run)[0]) for part in (self.ripple_cos, self.ripple_sin))
-        harmonics = tuple(ripple for ripple in base.ripples if ripple.harmonic != 1)
+        cos, sin = (
+            float(run_values(values, run)[0]) for values in (self.ripple_cos, self.ripple_sin)
+        )
+        other_ripples = tuple(ripple for ripple in base.ripples if ripple.harmonic != 1)
         first_harmonic = Ripple(
             1, base.rate * float(np.hypot(cos, sin)), float(np.arctan2(sin, cos))
         )
         drift = float(run_values(self.drift, run)[0])
-        return Spindle(base.rate, drift, (first_harmonic, *harmonics), base.start_angle)
+        return Spindle(base.rate, drift, (first_harmonic, *other_ripples), base.start_angle)
 
 
 @frozen
 class StudyTruth:
-    """The true values of a study."""
+    """True values of a study."""
 
     #: (owner, symbol) -> value of each run, shape (r,) or (1,).
-    fixed: Mapping[tuple[str, str], Array]
-    spindles: tuple[Spindle, ...]  #: Of each run, with the constant values.
-    #: (recorder of a clock, else empty; symbol) -> the stated value of an active input, SI.
-    stated: Mapping[tuple[str, str], float]
-    inputs: Mapping[tuple[str, str], float]  #: True values of the inputs that do not vary.
-    #: Standard deviation of a sample of the first accelerometer, SI, where it does not vary.
-    white: float
-    varying: tuple[VariedQuantity, ...]  #: The quantities that vary.
+    fixed_values: Mapping[tuple[str, str], Array]
+    spindles: tuple[Spindle, ...]  #: Spindle of each run, with the fixed values.
+    #: (recorder of a clock, or empty; symbol) -> stated value of an active input, SI.
+    stated_inputs: Mapping[tuple[str, str], float]
+    fixed_inputs: Mapping[tuple[str, str], float]  #: True values of the inputs that do not vary.
+    #: White noise of a sample of the first accelerometer, SI, if it does not vary.
+    white_noise: float
+    varied_quantities: tuple[VariedQuantity, ...]  #: The quantities that vary.
 
     @classmethod
-    def from_campaign(cls, campaign: Campaign, varying: tuple[VariedQuantity, ...]) -> StudyTruth:
-        """Combine a campaign's [truth] with the quantities that vary."""
+    def from_campaign(
+        cls, campaign: Campaign, varied_quantities: tuple[VariedQuantity, ...]
+    ) -> StudyTruth:
+        """Combine [truth] of a campaign with the varied quantities."""
         assert campaign.simulation is not None
-        fixed: dict[tuple[str, str], Array] = {
+        fixed_values: dict[tuple[str, str], Array] = {
             ("", symbol): np.array([value])
             for symbol, value in campaign.simulation.truth.machine.items()
         } | {
@@ -278,67 +284,81 @@ class StudyTruth:
             for name, coefficients in campaign.simulation.truth.coefficients.items()
             for symbol, value in coefficients.items()
         }
-        platforms = [run.shared for run in campaign.simulation.truth.runs.values()]
-        for symbol in dict.fromkeys(symbol for platform in platforms for symbol in platform):
-            fixed["", symbol] = np.array([platform.get(symbol, 0.0) for platform in platforms])
+        platform_truths = [run.shared for run in campaign.simulation.truth.runs.values()]
+        for symbol in dict.fromkeys(
+            symbol for platform_values in platform_truths for symbol in platform_values
+        ):
+            fixed_values["", symbol] = np.array(
+                [platform_values.get(symbol, 0.0) for platform_values in platform_truths]
+            )
         first_accelerometer = next(iter(campaign.accelerometers.values()))
-        stated = {key: input_value.value for key, input_value in inputs_by_owner(campaign).items()}
+        stated_inputs = {
+            key: input_value.value for key, input_value in inputs_by_owner(campaign).items()
+        }
         true_inputs = campaign.simulation.truth.inputs
-        inputs = {key: true_inputs.get(key, value) for key, value in stated.items()}
-        for quantity in varying:
-            fixed.pop((quantity.owner, quantity.symbol), None)
-            inputs.pop((quantity.owner, quantity.symbol), None)
+        fixed_inputs = {key: true_inputs.get(key, value) for key, value in stated_inputs.items()}
+        for quantity in varied_quantities:
+            fixed_values.pop((quantity.owner, quantity.symbol), None)
+            fixed_inputs.pop((quantity.owner, quantity.symbol), None)
         return cls(
-            fixed=fixed,
+            fixed_values=fixed_values,
             spindles=tuple(run.spindle for run in campaign.simulation.truth.runs.values()),
-            stated=stated,
-            inputs=inputs,
-            white=simulated_noise(campaign)[first_accelerometer.observable],
-            varying=varying,
+            stated_inputs=stated_inputs,
+            fixed_inputs=fixed_inputs,
+            white_noise=simulated_noise(campaign)[first_accelerometer.observable],
+            varied_quantities=varied_quantities,
         )
 
-    def draw(self, generator: np.random.Generator, trials: int) -> Draws:
-        """Draw the truth of some trials, quantity after quantity in the study's order."""
-        runs = len(self.spindles)
-        values = {key: value[:, None] for key, value in self.fixed.items()}
-        drift = np.array([[s.drift] for s in self.spindles])
+    def draw(self, generator: np.random.Generator, n_trials: int) -> Draws:
+        """Draw the true values of trials, in the order of the varied quantities."""
+        n_runs = len(self.spindles)
+        values = {key: value[:, None] for key, value in self.fixed_values.items()}
+        drift = np.array([[spindle.drift] for spindle in self.spindles])
         ratio, phase = (
             np.array(values_by_run)[:, None] for values_by_run in self._first_harmonics()
         )
-        white = np.array([self.white])
-        inputs = {key: np.array([value - self.stated[key]]) for key, value in self.inputs.items()}
-        noise: dict[str, Array] = {}
-        drawn = [quantity.draw(generator, runs, trials) for quantity in self.varying]
-        _correlate(self.varying, drawn)
-        for quantity, drawn_values in zip(self.varying, drawn, strict=True):
+        white_noise = np.array([self.white_noise])
+        input_errors = {
+            key: np.array([value - self.stated_inputs[key]])
+            for key, value in self.fixed_inputs.items()
+        }
+        noise_levels: dict[str, Array] = {}
+        all_samples = [
+            quantity.draw(generator, n_runs, n_trials) for quantity in self.varied_quantities
+        ]
+        _correlate(self.varied_quantities, all_samples)
+        for quantity, samples in zip(self.varied_quantities, all_samples, strict=True):
             if quantity.symbol == DRIFT:
-                drift = drawn_values
+                drift = samples
             elif quantity.symbol == RIPPLE_RATIO:
-                ratio = drawn_values
+                ratio = samples
             elif quantity.symbol == RIPPLE_AMPLITUDE:
-                ratio = drawn_values / np.array([[spindle.rate] for spindle in self.spindles])
+                ratio = samples / np.array([[spindle.rate] for spindle in self.spindles])
             elif quantity.symbol == RIPPLE_PHASE:
-                phase = drawn_values
-            elif (key := (quantity.owner, quantity.symbol)) in self.stated:
-                inputs[key] = drawn_values[0] - self.stated[key]
-            elif quantity.symbol == WHITE:
-                white = np.abs(drawn_values[0])
-            elif quantity.symbol in NOISE_LEVELS:
-                noise[quantity.symbol] = np.abs(drawn_values[0])
+                phase = samples
+            elif (key := (quantity.owner, quantity.symbol)) in self.stated_inputs:
+                input_errors[key] = samples[0] - self.stated_inputs[key]
+            elif quantity.symbol == WHITE_NOISE:
+                white_noise = np.abs(samples[0])
+            elif quantity.symbol in NOISE_LEVEL_UNITS:
+                noise_levels[quantity.symbol] = np.abs(samples[0])
             else:
-                values[quantity.owner, quantity.symbol] = drawn_values
+                values[quantity.owner, quantity.symbol] = samples
         cos, sin = ratio * np.cos(phase), ratio * np.sin(phase)
-        return Draws(trials, values, drift, cos, sin, inputs, white, noise)
+        return Draws(n_trials, values, drift, cos, sin, input_errors, white_noise, noise_levels)
 
     def mean_draw(self) -> Draws:
-        """Return a trial in which every quantity that varies has its mean value."""
-        fixed = tuple(
+        """Return a trial with the mean values of all varied quantities."""
+        fixed_quantities = tuple(
             replace(
-                quantity, distribution="fixed", first=0.5 * sum(quantity.value_range), per_run=False
+                quantity,
+                distribution="fixed",
+                first_parameter=0.5 * sum(quantity.value_range),
+                is_per_run=False,
             )
-            for quantity in self.varying
+            for quantity in self.varied_quantities
         )
-        draws = replace(self, varying=fixed).draw(np.random.default_rng(0), 1)
+        draws = replace(self, varied_quantities=fixed_quantities).draw(np.random.default_rng(0), 1)
         runs = range(len(self.spindles))
         drift, cos, sin = np.array([self.rotation_bounds(run).mean(axis=1) for run in runs]).T
         return replace(
@@ -349,29 +369,29 @@ class StudyTruth:
         """Return the lowest and highest drift, ripple cosine and ripple sine, shape (3, 2)."""
         ratio, phase = self.bounds(RIPPLE_RATIO, run), self.bounds(RIPPLE_PHASE, run)[0]
         if self.varies(RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
-            largest = max(map(abs, ratio))
-            cos, sin = (-largest, largest), (-largest, largest)
+            max_ratio = max(map(abs, ratio))
+            cos, sin = (-max_ratio, max_ratio), (-max_ratio, max_ratio)
         else:
             cos, sin = ((ratio[0] * function(phase),) * 2 for function in (np.cos, np.sin))
         return np.array([self.bounds(DRIFT, run), cos, sin])
 
     def mean(self, owner: str, symbol: str) -> float:
-        """Return the mean true value of a coefficient; one of a run has the platform's truth.
+        """Return the mean true value of a coefficient; minus the stated value for an input.
 
-        For an input, return the mean true value minus the stated value.
+        A platform term of a run has the true value of the platform.
         """
         owner = owner if symbol in ACCELEROMETER_TERMS or symbol in INPUTS else ""
-        stated = self.stated.get((owner, symbol), 0.0)
-        for quantity in self.varying:
+        stated_value = self.stated_inputs.get((owner, symbol), 0.0)
+        for quantity in self.varied_quantities:
             if (quantity.owner, quantity.symbol) == (owner, symbol):
-                return 0.5 * sum(quantity.value_range) - stated
-        if (owner, symbol) in self.inputs:
-            return self.inputs[owner, symbol] - stated
-        value = self.fixed.get((owner, symbol))
+                return 0.5 * sum(quantity.value_range) - stated_value
+        if (owner, symbol) in self.fixed_inputs:
+            return self.fixed_inputs[owner, symbol] - stated_value
+        value = self.fixed_values.get((owner, symbol))
         return nominal_value(owner, symbol) if value is None else float(value.mean())
 
     def _first_harmonics(self) -> tuple[list[float], list[float]]:
-        """Return ratio and phase of every run's first harmonic."""
+        """Return the ratio and the phase of the first ripple harmonic of each run."""
         ratios, phases = [], []
         for spindle in self.spindles:
             first_harmonics = [ripple for ripple in spindle.ripples if ripple.harmonic == 1]
@@ -380,17 +400,20 @@ class StudyTruth:
         return ratios, phases
 
     def varies(self, *symbols: str) -> bool:
-        """Check for variation in any of the given quantities."""
+        """Check that any of the quantities varies."""
         return any(
             quantity.symbol in symbols and quantity.distribution != "fixed"
-            for quantity in self.varying
+            for quantity in self.varied_quantities
         )
 
     @property
     def symbols(self) -> dict[str, tuple[str, ...]]:
-        """Owner -> the terms that are not nominal in every trial; the platform's owner is ''."""
-        keys = [*self.fixed, *((quantity.owner, quantity.symbol) for quantity in self.varying)]
-        keys = [key for key in keys if key[1] not in OTHER_QUANTITIES]
+        """Symbols of the non-nominal terms by owner; the owner of platform terms is ''."""
+        keys = [
+            *self.fixed_values,
+            *((quantity.owner, quantity.symbol) for quantity in self.varied_quantities),
+        ]
+        keys = [key for key in keys if key[1] not in OTHER_QUANTITY_UNITS]
         owners = dict.fromkeys(owner for owner, _ in keys)
         return {
             owner: tuple(dict.fromkeys(symbol for key_owner, symbol in keys if key_owner == owner))
@@ -398,8 +421,8 @@ class StudyTruth:
         }
 
     def bounds(self, symbol: str, run: int) -> tuple[float, float]:
-        """Return the least and greatest value of a spindle quantity in a run."""
-        for quantity in self.varying:
+        """Return the lowest and highest value of a spindle quantity in a run."""
+        for quantity in self.varied_quantities:
             if symbol == RIPPLE_RATIO and quantity.symbol == RIPPLE_AMPLITUDE:
                 low, high = sorted(
                     bound / self.spindles[run].rate for bound in quantity.value_range
@@ -417,29 +440,31 @@ class StudyTruth:
         return value, value
 
 
-def _correlate(quantities: Sequence[VariedQuantity], drawn: Sequence[Array]) -> None:
-    """Correlate values of normal quantities that were drawn independently, in place."""
-    places = [
-        place
-        for place, quantity in enumerate(quantities)
+def _correlate(quantities: Sequence[VariedQuantity], samples: Sequence[Array]) -> None:
+    """Correlate independent samples of normal quantities in place."""
+    indices = [
+        index
+        for index, quantity in enumerate(quantities)
         if quantity.correlations and quantity.distribution == "normal"
     ]
-    if not places:
+    if not indices:
         return
-    names = [quantities[place].name for place in places]
-    correlations = {quantities[place].name: quantities[place].correlations for place in places}
+    names = [quantities[index].name for index in indices]
+    correlations = {quantities[index].name: quantities[index].correlations for index in indices}
     mean, sd = (
-        np.array([getattr(quantities[place], part) for place in places])[:, None]
-        for part in ("first", "second")
+        np.array([getattr(quantities[index], parameter) for index in indices])[:, None]
+        for parameter in ("first_parameter", "second_parameter")
     )
-    standard = (np.vstack([drawn[place] for place in places]) - mean) / sd
-    root = np.linalg.cholesky(correlation_matrix(names, correlations))
-    for place, values in zip(places, mean + sd * (root @ standard), strict=True):
-        drawn[place][:] = values
+    standard_samples = (np.vstack([samples[index] for index in indices]) - mean) / sd
+    cholesky_factor = np.linalg.cholesky(correlation_matrix(names, correlations))
+    for index, values in zip(
+        indices, mean + sd * (cholesky_factor @ standard_samples), strict=True
+    ):
+        samples[index][:] = values
 
 
 def run_values(values: Array, run: int) -> Array:
-    """Return the values of one run, shape (n,) or (1,); a single row applies to all runs."""
+    """Return the values of a run, shape (n,) or (1,); a single row applies to all runs."""
     row: Array = values[min(run, values.shape[0] - 1)]
     return row
 

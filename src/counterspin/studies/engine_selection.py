@@ -1,6 +1,6 @@
 """Competing analyses of a study, and the engine of each analysis.
 
-The linear engine is valid under conditions. Each reason against it is a sentence.
+The linear engine is valid under conditions. Each obstacle is a sentence.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from counterspin.studies.batch_runner import (
 from counterspin.studies.description import StudyDescription
 from counterspin.studies.draws import (
     DRIFT,
-    NOISE_LEVELS,
+    NOISE_LEVEL_UNITS,
     RIPPLE_AMPLITUDE,
     RIPPLE_PHASE,
     RIPPLE_RATIO,
-    WHITE,
+    WHITE_NOISE,
     Draws,
     StudyTruth,
 )
@@ -50,7 +50,7 @@ from counterspin.studies.linear_engines import (
 from counterspin.studies.result import BiasCovariate, TrialAccumulator
 from counterspin.studies.simulation_setup import SimulationSetup, make_setup
 
-#: What the linear engine is called in a result.
+#: Description of the linear engine in a result.
 _LINEAR_DESCRIPTION: Final = "linear"
 
 EngineName = Literal["auto", "linear", "full"]
@@ -60,22 +60,22 @@ EngineName = Literal["auto", "linear", "full"]
 class Analysis:
     """One of the competing analyses."""
 
-    name: str  #: As the study calls it.
-    owner: str  #: The accelerometer of a two-stage analysis; empty for the joint fit of all.
+    name: str  #: Name of the analysis in the study.
+    owner: str  #: Accelerometer of a two-stage analysis; empty for a joint fit.
     request: TwoStageRequest | JointRequest  #: Options of the method.
-    #: The joint fit of the same campaign, which estimates noise that is not stated.
+    #: Joint fit of the same campaign, which estimates unstated noise.
     joint_request: JointRequest
 
 
 def list_analyses(study: StudyDescription) -> tuple[Analysis, ...]:
-    """Return the competing analyses: a two-stage analysis counts once for each accelerometer."""
+    """Return the competing analyses, with a two-stage analysis for each accelerometer."""
     analyses = []
     for description in study.analyses:
         name, options, campaign = description.name, description.two_stage, description.campaign
         problem = JointProblem(campaign)
-        joint = JointRequest(problem.model, problem.noise)
+        joint_request = JointRequest(problem.model, problem.noise)
         if options is None:
-            analyses.append(Analysis(name, "", joint, joint))
+            analyses.append(Analysis(name, "", joint_request, joint_request))
             continue
         if campaign.angle is None:
             raise NotIdentifiableError(
@@ -85,21 +85,21 @@ def list_analyses(study: StudyDescription) -> tuple[Analysis, ...]:
             )
         for owner, accelerometer in campaign.accelerometers.items():
             request = make_request(problem, accelerometer, options)
-            analyses.append(Analysis(name, owner, request, joint))
+            analyses.append(Analysis(name, owner, request, joint_request))
     return tuple(analyses)
 
 
 def prepare_study(study: StudyDescription, seed: int, engine: EngineName = "auto") -> StudyEngine:
     """Choose and prepare an engine for each analysis of a study."""
     campaign = study.campaign
-    truth = StudyTruth.from_campaign(campaign, study.varying)
-    # Readings alone need no records, and so no set-up of records.
+    truth = StudyTruth.from_campaign(campaign, study.varied_quantities)
+    # A campaign with only readings has no setup of records.
     has_readings = campaign.readings or campaign.posed
     setup = make_setup(campaign) if campaign.runs or not has_readings else None
     engines = []
     for analysis in list_analyses(study):
         if has_readings:
-            engines.append(_engine_with_readings(campaign, setup, truth, analysis, engine))
+            engines.append(_reading_engine(campaign, setup, truth, analysis, engine))
         else:
             assert setup is not None
             engines.append(choose_engine(setup, truth, analysis, engine))
@@ -112,13 +112,13 @@ def prepare_study(study: StudyDescription, seed: int, engine: EngineName = "auto
 
 
 def _bias_covariates(truth: StudyTruth) -> tuple[BiasCovariate, ...]:
-    """Return the quantities against which the bias is shown: drift and ripple, if they vary."""
+    """Return the covariates of the bias: drift and ripple, if they vary."""
     covariates = []
     if truth.varies(DRIFT):
         covariates.append(BiasCovariate(DRIFT, *truth.bounds(DRIFT, 0)))
     if truth.varies(RIPPLE_RATIO, RIPPLE_AMPLITUDE):
-        largest = max(map(abs, truth.bounds(RIPPLE_RATIO, 0)))
-        covariates.append(BiasCovariate(RIPPLE_RATIO, 0.0, largest))
+        max_ratio = max(map(abs, truth.bounds(RIPPLE_RATIO, 0)))
+        covariates.append(BiasCovariate(RIPPLE_RATIO, 0.0, max_ratio))
     return tuple(covariates)
 
 
@@ -130,25 +130,25 @@ def choose_engine(
         return _full_engine(setup, truth, analysis, "full records")
     request = analysis.request
     obstacles = (
-        joint_engine_obstacles(setup, truth, request)
+        find_joint_obstacles(setup, truth, request)
         if isinstance(request, JointRequest)
-        else two_stage_engine_obstacles(setup, truth, request)
+        else find_two_stage_obstacles(setup, truth, request)
     )
-    selected = None if obstacles else _linear_engine(setup, truth, analysis)
-    if selected is not None:
-        obstacles = _compare_with_full_records(setup, truth, analysis, selected)
+    linear_engine = None if obstacles else _linear_engine(setup, truth, analysis)
+    if linear_engine is not None:
+        obstacles = _find_nonlinearity(setup, truth, analysis, linear_engine)
     if obstacles and engine == "linear":
         raise NotIdentifiableError(
             f'{analysis.name}: `engine="linear"` cannot be used for this study: '
             f'{"; ".join(obstacles)}; use `engine="full"`, or omit `engine`',
             code="method-not-applicable",
         )
-    if obstacles or selected is None:
+    if obstacles or linear_engine is None:
         return _full_engine(setup, truth, analysis, f"full records ({obstacles[0]})")
-    return selected
+    return linear_engine
 
 
-def _engine_with_readings(
+def _reading_engine(
     campaign: Campaign,
     setup: SimulationSetup | None,
     truth: StudyTruth,
@@ -188,7 +188,10 @@ def _linear_engine(setup: SimulationSetup, truth: StudyTruth, analysis: Analysis
 
 
 def _noise_stream(setup: SimulationSetup, analysis: Analysis) -> int:
-    """Return a stream that two-stage analyses of one accelerometer share, and joint ones too."""
+    """Return the noise stream of an analysis.
+
+    Two-stage analyses of an accelerometer share a stream, and joint analyses share another one.
+    """
     names = list(setup.mountings)
     return names.index(analysis.owner) if analysis.owner else len(names)
 
@@ -199,11 +202,11 @@ def _linear_joint_engine(
     joint_engine, undetermined = JointEngine.prepare(setup, request, truth)
     bounds_by_name = lower_bounds(truth, request.model, setup)
     coefficients = _reported_coefficients(
-        analysis, [request.model.unknowns[place] for place in joint_engine.rows], bounds_by_name
+        analysis, [request.model.unknowns[index] for index in joint_engine.rows], bounds_by_name
     )
-    rows, stream = tuple(range(len(coefficients))), _noise_stream(setup, analysis)
+    rows, noise_stream = tuple(range(len(coefficients))), _noise_stream(setup, analysis)
     return AnalysisEngine(
-        joint_engine, "linear", stream, _LINEAR_DESCRIPTION, rows, coefficients, undetermined
+        joint_engine, "linear", noise_stream, _LINEAR_DESCRIPTION, rows, coefficients, undetermined
     )
 
 
@@ -228,7 +231,7 @@ def _full_joint_engine(
     description: str,
     readings: TrialReadings | None = None,
 ) -> AnalysisEngine:
-    noisy_readings = () if readings is None else readings.with_true_noise
+    noisy_readings = () if readings is None else readings.groups_with_true_noise
     bounds_by_name = lower_bounds(truth, request.model, setup, noisy_readings)
     unknowns = request.model.unknowns
     determined = tuple(
@@ -253,7 +256,7 @@ def _full_joint_engine(
 def _reported_unknowns(
     setup: SimulationSetup, truth: StudyTruth, analysis: Analysis, request: TwoStageRequest
 ) -> tuple[tuple[int, ...], tuple[ReportedCoefficient, ...]]:
-    """Return the reported unknowns of a two-stage analysis: all except the printed ripple."""
+    """Return the rows of the reported unknowns of a two-stage analysis, and their coefficients."""
     symbols = list(request.unknowns)
     rows = tuple(row for row, symbol in enumerate(symbols) if symbol != RIPPLE)
     unknowns = [
@@ -276,58 +279,68 @@ def _reported_coefficients(
     )
 
 
-#: Largest noise of angle and time that is neglected, in parts of the displacement noise.
+#: Largest negligible noise of angle and time, relative to the displacement noise.
 _MAX_NEGLECTED_NOISE: Final = 0.01
 
-#: Largest rms of what is no parabola in the residuals of strobes, in parts of the noise.
+#: Largest rms of non-parabolic residuals of strobes, relative to the noise.
 _MAX_RESIDUAL_RMS: Final = 0.1
 
-#: Trials whose true values are drawn, and compared with whole records.
-_COMPARED_TRIALS: Final = 2
+#: Number of random trials that are compared with full records.
+_N_COMPARED_TRIALS: Final = 2
 
-#: Largest difference that is allowed, in parts of u, and of u itself, relative. Such a bias lowers
-#: a coverage of 95 % by 0.1 %, such a u changes it by 0.2 %.
+#: Largest allowed difference of the estimate, relative to u, and relative difference of u. Such a
+#: bias reduces a coverage of 95 % by 0.1 %; such a difference of u changes it by 0.2 %.
 _MAX_ESTIMATE_DIFFERENCE: Final = 0.1
 _MAX_U_DIFFERENCE: Final = 0.01
 
 
-def _compare_with_full_records(
-    setup: SimulationSetup, truth: StudyTruth, analysis: Analysis, linear: AnalysisEngine
+def _find_nonlinearity(
+    setup: SimulationSetup, truth: StudyTruth, analysis: Analysis, linear_engine: AnalysisEngine
 ) -> list[str]:
-    """Return the reason against linear trials if whole records differ from them.
+    """Return the obstacle to linear trials if full records give different results.
 
     The compared records have noise, which outlier rejection and other checks of residuals need.
     Its effect on the estimate is the same in all trials. For the joint fit, a single fit without
-    rejection finds it at the mean true values.
+    rejection at the mean true values determines it.
     """
-    request, engine = analysis.request, linear.engine
+    request, engine = analysis.request, linear_engine.engine
     rows: tuple[int, ...] = ()
     if isinstance(request, TwoStageRequest):
         assert isinstance(engine, TwoStageEngine)
-        reason = _residual_obstacles(setup, truth, analysis, request)
-        if reason:
-            return reason
-        sigma = request.sigma or truth.white
+        obstacles = _find_residual_obstacles(setup, truth, analysis, request)
+        if obstacles:
+            return obstacles
+        sigma = request.sigma or truth.white_noise
         request, engine = replace(request, sigma=sigma), replace(engine, sigma=sigma)
     else:
         assert isinstance(engine, JointEngine)
         rows = engine.rows
-    full = FullEngine(setup, request, analysis.joint_request, analysis.owner, rows)
+    full_engine = FullEngine(setup, request, analysis.joint_request, analysis.owner, rows)
     mean_draw = truth.mean_draw()
-    estimate_differences, u_differences, noise = [], [], None
+    estimate_differences, u_differences, noise_effect = [], [], None
     for trial_draws in (mean_draw, *_comparison_draws(truth)):
-        draws = replace(trial_draws, white=mean_draw.white, noise=mean_draw.noise)
-        slow = full.run_trials(draws, np.random.default_rng(0))
-        fast = engine.run_trials(replace(draws, white=np.zeros(1)), np.random.default_rng(0))
-        if noise is None:
+        draws = replace(
+            trial_draws, white_noise=mean_draw.white_noise, noise_levels=mean_draw.noise_levels
+        )
+        full_results = full_engine.run_trials(draws, np.random.default_rng(0))
+        linear_results = engine.run_trials(
+            replace(draws, white_noise=np.zeros(1)), np.random.default_rng(0)
+        )
+        if noise_effect is None:
             # The two-stage engine is exact at the mean true values.
-            fitted = slow.estimate
+            fitted_estimate = full_results.estimate
             if isinstance(request, JointRequest):
-                fitted = _fit_estimate(setup, truth, request, draws, rows)
-            noise = fitted - fast.estimate
-        difference = (slow.estimate - noise - fast.estimate) / fast.u
-        estimate_differences.append(float(np.abs(difference[list(linear.rows)]).max()))
-        u_differences.append(float(np.abs(slow.u / fast.u - 1.0)[list(linear.rows)].max()))
+                fitted_estimate = _fit_estimate(setup, truth, request, draws, rows)
+            noise_effect = fitted_estimate - linear_results.estimate
+        relative_difference = (
+            full_results.estimate - noise_effect - linear_results.estimate
+        ) / linear_results.u
+        estimate_differences.append(
+            float(np.abs(relative_difference[list(linear_engine.rows)]).max())
+        )
+        u_differences.append(
+            float(np.abs(full_results.u / linear_results.u - 1.0)[list(linear_engine.rows)].max())
+        )
     if max(estimate_differences) > _MAX_ESTIMATE_DIFFERENCE:
         return [
             "the analysis is not linear: the estimates from full records differ by "
@@ -347,7 +360,7 @@ def _fit_estimate(
     draws: Draws,
     rows: Sequence[int],
 ) -> Array:
-    """Return the estimates of a single fit, nominal values added, shape (c, 1)."""
+    """Return the estimates of a single fit including nominal values, shape (c, 1)."""
     records = TrialRecords.from_draws(setup, draws, np.random.default_rng(0))
     estimate = fit_records(records, request, truth).estimate
     nominal = [request.model.unknowns[row].nominal for row in rows]
@@ -355,54 +368,54 @@ def _fit_estimate(
 
 
 def _comparison_draws(truth: StudyTruth) -> list[Draws]:
-    """Return the drawn trials that are compared with whole records."""
-    drawn = truth.draw(np.random.default_rng(2), _COMPARED_TRIALS)
-    return [drawn.take(trial) for trial in range(_COMPARED_TRIALS)]
+    """Return the random trials that are compared with full records."""
+    draws = truth.draw(np.random.default_rng(2), _N_COMPARED_TRIALS)
+    return [draws.select_trial(trial) for trial in range(_N_COMPARED_TRIALS)]
 
 
-def _residual_obstacles(
+def _find_residual_obstacles(
     setup: SimulationSetup, truth: StudyTruth, analysis: Analysis, request: TwoStageRequest
 ) -> list[str]:
-    """Return the reason against sigma from residuals of strobes that are no parabola."""
+    """Return the obstacle to sigma from residuals if they contain non-parabolic errors."""
     if request.sigma is not None:
         return []
-    largest = max(
+    max_rms = max(
         float(np.std(parabola.residuals))
         for draws in (truth.mean_draw(), *_comparison_draws(truth))
         for parabola in noise_free_second_stage(
             setup, truth, request, analysis.owner, draws
         ).parabolas
     )
-    if largest <= _MAX_RESIDUAL_RMS * _smallest_white_noise(truth):
+    if max_rms <= _MAX_RESIDUAL_RMS * _min_white_noise(truth):
         return []
     return [
         "sigma is estimated from the residuals, and the residuals contain non-parabolic errors "
-        f"of up to {largest:.1e} m"
+        f"of up to {max_rms:.1e} m"
     ]
 
 
-def two_stage_engine_obstacles(
+def find_two_stage_obstacles(
     setup: SimulationSetup, truth: StudyTruth, request: TwoStageRequest
 ) -> list[str]:
-    """Return the reasons against the linear engine for the two-stage method; empty if valid."""
-    obstacles = _common_obstacles(setup, truth)
+    """Return the obstacles to the linear engine for the two-stage method; empty if valid."""
+    obstacles = _find_common_obstacles(setup, truth)
     if setup.noise["acceleration"] > 0.0:
         obstacles.append("the accelerometer's noise is not white in displacement")
     if request.random_walk is None:
         obstacles.append("the noise of the accelerometer must be estimated")
     elif request.random_walk > 0.0:
         obstacles.append("the noise assumed in the analysis is not white in displacement")
-    speed = setup.radius * max(abs(spindle.rate) for spindle in setup.spindles)
-    if request.timing * speed > _MAX_NEGLECTED_NOISE * _smallest_white_noise(truth):
+    max_speed = setup.radius * max(abs(spindle.rate) for spindle in setup.spindles)
+    if request.timing * max_speed > _MAX_NEGLECTED_NOISE * _min_white_noise(truth):
         obstacles.append("the noise of the recorded time assumed in the analysis is not negligible")
     return obstacles
 
 
-def joint_engine_obstacles(
+def find_joint_obstacles(
     setup: SimulationSetup, truth: StudyTruth, request: JointRequest
 ) -> list[str]:
-    """Return the reasons against the linear engine for the joint fit; empty if it is valid."""
-    obstacles = _common_obstacles(setup, truth)
+    """Return the obstacles to the linear engine for the joint fit; empty if it is valid."""
+    obstacles = _find_common_obstacles(setup, truth)
     if truth.varies(DRIFT, RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
         obstacles.append("the rotation varies, so the weights of all samples vary too")
     assumed_noise = {name: replace(noise, covariance=()) for name, noise in request.noise.items()}
@@ -414,55 +427,59 @@ def joint_engine_obstacles(
         )
         return obstacles
     true_noise = {name: setup.true_noise(name) for name in assumed_noise}
-    if true_noise == assumed_noise and not truth.varies(WHITE):
+    if true_noise == assumed_noise and not truth.varies(WHITE_NOISE):
         return obstacles
     if any(noise.random_walk for noise in (*true_noise.values(), *assumed_noise.values())):
         obstacles.append(
             "the true noise is not white, or it differs from the noise assumed in the analysis"
         )
-    displacement = set(setup.observables.values()) == {"displacement"}
-    if len(set(assumed_noise.values())) > 1 or not displacement:
+    is_displacement = set(setup.observables.values()) == {"displacement"}
+    if len(set(assumed_noise.values())) > 1 or not is_displacement:
         obstacles.append("the noise assumed for the accelerometers differs from the true noise")
     return obstacles
 
 
-def _common_obstacles(setup: SimulationSetup, truth: StudyTruth) -> list[str]:
+def _find_common_obstacles(setup: SimulationSetup, truth: StudyTruth) -> list[str]:
     obstacles = (
         ["the bias drifts, and only full records can simulate this drift"]
         if any(setup.noise[key] > 0.0 for key in BIAS_COMPONENTS_BY_KEY)
         else []
     )
-    if not setup.angle_recorded:
+    if not setup.has_angle:
         obstacles.append("no angle is recorded, so the rotation must be estimated")
-    other_levels = NOISE_LEVELS.keys() - {WHITE}
-    varying = [quantity.symbol for quantity in truth.varying if quantity.symbol in other_levels]
-    if varying:
+    other_levels = NOISE_LEVEL_UNITS.keys() - {WHITE_NOISE}
+    varied_levels = [
+        quantity.symbol for quantity in truth.varied_quantities if quantity.symbol in other_levels
+    ]
+    if varied_levels:
         obstacles.append(
-            f"{', '.join(varying)} varies, and only full records can simulate this variation"
+            f"{', '.join(varied_levels)} varies, and only full records can simulate this variation"
         )
     if setup.noise["quantisation"] > 0.0:
         obstacles.append("quantisation noise is not Gaussian")
-    fastest = max(abs(spindle.rate) for spindle in setup.spindles)
+    max_rate = max(abs(spindle.rate) for spindle in setup.spindles)
     for observable in sorted(set(setup.observables.values())):
         is_displacement = observable == "displacement"
-        white = _smallest_white_noise(truth) if is_displacement else setup.noise[observable]
-        if white <= 0.0:
+        white_noise = _min_white_noise(truth) if is_displacement else setup.noise[observable]
+        if white_noise <= 0.0:
             obstacles.append("the description contains no white noise")
-        # A derivative more with each integration less.
-        amplitude = setup.radius * fastest ** (2 - observation.ORDERS[observable])
-        for size, column in (
+        # Each integration fewer is a derivative more.
+        amplitude = setup.radius * max_rate ** (2 - observation.ORDERS[observable])
+        for output_noise, column in (
             (amplitude * setup.noise["angle"], "angle"),
-            (amplitude * fastest * setup.noise["timing"], "time"),
+            (amplitude * max_rate * setup.noise["timing"], "time"),
         ):
-            if size > _MAX_NEGLECTED_NOISE * white:
+            if output_noise > _MAX_NEGLECTED_NOISE * white_noise:
                 obstacles.append(f"the noise of the recorded {column} is not negligible")
     return obstacles
 
 
-def _smallest_white_noise(truth: StudyTruth) -> float:
-    """Return the smallest white noise that matters."""
-    varying = [quantity for quantity in truth.varying if quantity.symbol == WHITE]
-    if not varying:
-        return truth.white
+def _min_white_noise(truth: StudyTruth) -> float:
+    """Return the smallest white noise of the trials."""
+    varied_quantities = [
+        quantity for quantity in truth.varied_quantities if quantity.symbol == WHITE_NOISE
+    ]
+    if not varied_quantities:
+        return truth.white_noise
     draws = truth.draw(np.random.default_rng(0), 256)
-    return float(draws.white.min())
+    return float(draws.white_noise.min())

@@ -1,4 +1,4 @@
-"""Folder of a study: its result, its trials, and the files that a resumption needs."""
+"""Folder of a study: its result, its trials, and the files for a resumption."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from counterspin.output import FileType, check_writable, make_folder, write_atom
 from counterspin.studies.batch_runner import BatchResults
 from counterspin.studies.result import StudyResult
 
-_RESULT: Final = "study.json"
-_TRIALS: Final = "trials.parquet"
-_PROGRESS: Final = "progress.npz"
-_PARTS: Final = "progress"
+_RESULT_FILE: Final = "study.json"
+_TRIALS_FILE: Final = "trials.parquet"
+_PROGRESS_FILE: Final = "progress.npz"
+_BATCHES_FOLDER: Final = "progress"
 
 #: Suffixes of the columns of a coefficient.
 _COLUMN_SUFFIXES: Final = (".truth", ".estimate", ".u")
@@ -31,7 +31,7 @@ _MAX_SUM: Final = 1e100
 
 @frozen
 class StudyFolder:
-    """The folder of a study's result and of the files that a resumption needs.
+    """Folder for the result of a study and the files for a resumption.
 
     Attributes
     ----------
@@ -40,9 +40,9 @@ class StudyFolder:
     keep_trials
         True: write every trial to ``trials.parquet``.
     resume
-        True: continue the study that was begun in the folder.
+        True: continue the unfinished study in the folder.
     overwrite
-        True: replace an earlier study's result, or discard an unfinished study.
+        True: replace the result of an earlier study, or discard an unfinished study.
     """
 
     path: Path | str
@@ -65,22 +65,28 @@ class StudyFolder:
         """
         make_folder(self.directory)
         check_writable(
-            self.directory / _RESULT, StudyResult.file_type, overwrite=self.overwrite or self.resume
+            self.directory / _RESULT_FILE,
+            StudyResult.file_type,
+            overwrite=self.overwrite or self.resume,
         )
         figures = [
             *(self.directory / "z.svg", self.directory / "coverage.svg"),
             *sorted(self.directory.glob("bias-*.svg")),
         ]
-        trials = self.directory / _TRIALS
-        if self.keep_trials and trials.exists() and not _is_trials_file(trials):
-            raise _foreign_file_error(trials)
-        has_progress = (self.directory / _PROGRESS).exists()
-        if (self.directory / _RESULT).exists() or self.resume or (has_progress and self.overwrite):
+        trials_file = self.directory / _TRIALS_FILE
+        if self.keep_trials and trials_file.exists() and not _is_trials_file(trials_file):
+            raise _foreign_file_error(trials_file)
+        has_progress = (self.directory / _PROGRESS_FILE).exists()
+        if (
+            (self.directory / _RESULT_FILE).exists()
+            or self.resume
+            or (has_progress and self.overwrite)
+        ):
             if any(figure.exists() for figure in figures):
                 from counterspin.reports.charts import check_figures_writable
-                from counterspin.studies.page import FIGURE
+                from counterspin.studies.page import FIGURE_TYPE
 
-                check_figures_writable(figures, FIGURE, overwrite=True)
+                check_figures_writable(figures, FIGURE_TYPE, overwrite=True)
             return
         if has_progress:
             raise CounterspinError(
@@ -88,22 +94,22 @@ class StudyFolder:
                 "choose another folder, or discard it with `overwrite=True`",
                 code="study-unfinished",
             )
-        for path in (trials, self.directory / _PARTS, *figures):
+        for path in (trials_file, self.directory / _BATCHES_FOLDER, *figures):
             if path.exists():
                 raise _foreign_file_error(path)
 
     def write(self, result: StudyResult, batch_results: BatchResults) -> None:
-        """Write the result, and the trials where they were kept."""
-        result.write(self.directory / _RESULT, overwrite=self.overwrite or self.resume)
-        if not batch_results.keep:
+        """Write the result, and the trials if they were kept."""
+        result.write(self.directory / _RESULT_FILE, overwrite=self.overwrite or self.resume)
+        if not batch_results.keep_trials:
             return
         names = [
             f"{coefficient.analysis}.{coefficient.name}"
             for coefficient in batch_results.coefficients
         ]
         write_atomically(
-            self.directory / _TRIALS,
-            lambda part: _write_parquet(part, names, batch_results),
+            self.directory / _TRIALS_FILE,
+            lambda temporary_path: _write_parquet(temporary_path, names, batch_results),
             lambda: _TRIALS_FILE_TYPE,
             overwrite=self.overwrite or self.resume,
         )
@@ -133,56 +139,56 @@ _TRIALS_FILE_TYPE: Final = FileType("a file with the trials of a study", _is_tri
 
 def _write_parquet(path: Path, names: list[str], batch_results: BatchResults) -> None:
     """Write a row for each trial: its number, and truth, estimate and u of each coefficient."""
-    batches = np.flatnonzero(batch_results.done)
-    number = np.concatenate(
+    batches = np.flatnonzero(batch_results.is_done)
+    trial_numbers = np.concatenate(
         [
-            int(b) * batch_results.batch_size + np.arange(batch_results.trial_count(int(b)))
-            for b in batches
+            int(batch) * batch_results.batch_size + np.arange(batch_results.trial_count(int(batch)))
+            for batch in batches
         ]
     )
-    columns = {"trial": pl.Series(number)}
+    columns = {"trial": pl.Series(trial_numbers)}
     for index, name in enumerate(names):
-        for offset, suffix in enumerate(_COLUMN_SUFFIXES):
-            values = [batch_results.values[int(b)][index, offset] for b in batches]
+        for column_index, suffix in enumerate(_COLUMN_SUFFIXES):
+            values = [batch_results.values[int(batch)][index, column_index] for batch in batches]
             columns[f"{name}{suffix}"] = pl.Series(np.concatenate(values))
     pl.DataFrame(columns).write_parquet(path)
 
 
 class StudyProgress:
-    """The copy on disk of the finished batches of a study."""
+    """Saved copy of the finished batches of a study."""
 
     def __init__(self, folder: Path, batch_results: BatchResults, fingerprint: str) -> None:
         self.folder, self.batch_results = folder, batch_results
-        self._fingerprint = f"{fingerprint}/{batch_results.batch_size}/{batch_results.keep}"
-        self._written: set[int] = set()
+        self._fingerprint = f"{fingerprint}/{batch_results.batch_size}/{batch_results.keep_trials}"
+        self._saved_batches: set[int] = set()
 
     @property
-    def _file(self) -> Path:
-        return self.folder / _PROGRESS
+    def _sums_file(self) -> Path:
+        return self.folder / _PROGRESS_FILE
 
     def _batch_file(self, batch: int) -> Path:
-        return self.folder / _PARTS / f"{batch:07d}.npz"
+        return self.folder / _BATCHES_FOLDER / f"{batch:07d}.npz"
 
     def save(self) -> None:
-        """Write the copy atomically."""
+        """Save the finished batches atomically."""
         batch_results = self.batch_results
-        if not self._file.exists():
-            # This file marks the folder as a study's before other files are written.
-            self._save_sums(np.zeros_like(batch_results.done))
-        for batch in set(batch_results.values) - self._written:
-            # Trials first, so that batches marked as done are complete.
+        if not self._sums_file.exists():
+            # This file marks the folder as a study before other files exist.
+            self._save_sums(np.zeros_like(batch_results.is_done))
+        for batch in set(batch_results.values) - self._saved_batches:
+            # Write trials first, so that finished batches are complete.
             self._batch_file(batch).parent.mkdir(parents=True, exist_ok=True)
             self._save_arrays(self._batch_file(batch), values=batch_results.values[batch])
-            self._written.add(batch)
-        self._save_sums(batch_results.done)
+            self._saved_batches.add(batch)
+        self._save_sums(batch_results.is_done)
 
-    def _save_sums(self, done: Array) -> None:
+    def _save_sums(self, is_done: Array) -> None:
         batch_results = self.batch_results
         self._save_arrays(
-            self._file,
+            self._sums_file,
             trials=np.array(batch_results.trials),
-            done=done,
-            sums=batch_results.sums[done],
+            done=is_done,
+            sums=batch_results.sums[is_done],
         )
 
     def _save_arrays(self, path: Path, **arrays: Any) -> None:
@@ -191,13 +197,13 @@ class StudyProgress:
 
     def resume(self) -> None:
         """Load the batches of an earlier study; report damaged batches, which run again."""
-        if not self._file.exists():
+        if not self._sums_file.exists():
             raise CounterspinError(
                 f"{self.folder}: contains no study to resume; omit `resume`, or give the folder "
                 "of the study as `output`",
                 code="study-not-found",
             )
-        arrays = _load_arrays(self._file)
+        arrays = _load_arrays(self._sums_file)
         if arrays is not None and str(arrays.get("fingerprint")) != self._fingerprint:
             raise CounterspinError(
                 f"{self.folder}: this folder contains a study with a different description, "
@@ -207,41 +213,45 @@ class StudyProgress:
         try:
             saved_trials, batches, sums = self._check_sums(arrays)
         except (KeyError, TypeError, ValueError):
-            _warn(f"{self._file} is damaged, so the study starts again from the beginning")
+            _warn_of_repeated_trials(
+                f"{self._sums_file} is damaged, so the study starts again from the beginning"
+            )
             return
-        lost_count = 0
+        n_lost = 0
         batch_results = self.batch_results
-        for batch, row in zip(batches, sums, strict=True):
-            # A last batch that another study truncated runs again.
-            complete = min(
+        for batch, batch_sums in zip(batches, sums, strict=True):
+            # A truncated last batch of a shorter study runs again.
+            saved_count = min(
                 batch_results.batch_size, saved_trials - batch * batch_results.batch_size
             )
-            if batch >= batch_results.done.size or complete != batch_results.trial_count(batch):
+            if batch >= batch_results.is_done.size or saved_count != batch_results.trial_count(
+                batch
+            ):
                 continue
-            if batch_results.keep:
+            if batch_results.keep_trials:
                 values = self._load_trials(batch)
                 if values is None:
-                    lost_count += 1
+                    n_lost += 1
                     continue
                 batch_results.values[batch] = values
-                self._written.add(batch)
-            batch_results.sums[batch], batch_results.done[batch] = row, True
-        if lost_count:
-            _warn(
-                f"{self.folder / _PARTS}: {lost_count} of {len(batches)} files are missing, "
+                self._saved_batches.add(batch)
+            batch_results.sums[batch], batch_results.is_done[batch] = batch_sums, True
+        if n_lost:
+            _warn_of_repeated_trials(
+                f"{self.folder / _BATCHES_FOLDER}: {n_lost} of {len(batches)} files are missing, "
                 "damaged or from another study. The study repeats the trials in these files"
             )
 
     def _check_sums(self, arrays: dict[str, Array] | None) -> tuple[int, list[int], Array]:
-        """Return trials, finished batches and their sums; raise ValueError on a mismatch."""
+        """Return the number of trials, the finished batches and their sums; check their shapes."""
         if arrays is None:
             raise ValueError
-        saved_trials, done, sums = int(arrays["trials"]), arrays["done"], arrays["sums"]
-        batches = [int(batch) for batch in np.flatnonzero(done)]
-        matches = done.dtype == bool and done.shape == (
+        saved_trials, is_done, sums = int(arrays["trials"]), arrays["done"], arrays["sums"]
+        batches = [int(batch) for batch in np.flatnonzero(is_done)]
+        is_consistent = is_done.dtype == bool and is_done.shape == (
             -(-saved_trials // self.batch_results.batch_size),
         )
-        if not matches or sums.shape != (len(batches), *self.batch_results.sums.shape[1:]):
+        if not is_consistent or sums.shape != (len(batches), *self.batch_results.sums.shape[1:]):
             raise ValueError
         if sums.dtype != np.float64 or not (np.abs(sums) < _MAX_SUM).all():
             raise ValueError
@@ -259,9 +269,9 @@ class StudyProgress:
         return values
 
     def clear(self) -> None:
-        """Remove the copy of a study that is finished or discarded."""
-        self._file.unlink(missing_ok=True)
-        directory = self.folder / _PARTS
+        """Remove the saved batches of a finished or discarded study."""
+        self._sums_file.unlink(missing_ok=True)
+        directory = self.folder / _BATCHES_FOLDER
         for batch_file in directory.glob("[0-9]" * 7 + ".npz"):
             batch_file.unlink(missing_ok=True)
         if directory.is_dir() and not any(directory.iterdir()):
@@ -269,7 +279,7 @@ class StudyProgress:
 
 
 def _load_arrays(path: Path) -> dict[str, Array] | None:
-    """Return a file's arrays, or None if it is missing or damaged."""
+    """Return the arrays of a file, or None if it is missing or damaged."""
     if not path.is_file():
         return None
     try:
@@ -279,5 +289,5 @@ def _load_arrays(path: Path) -> dict[str, Array] | None:
         return None
 
 
-def _warn(text: str) -> None:
+def _warn_of_repeated_trials(text: str) -> None:
     warnings.warn(CounterspinWarning(text, code="trials-repeated"), stacklevel=4)

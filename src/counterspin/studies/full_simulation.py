@@ -1,7 +1,7 @@
-"""Trials simulated without any shortcut, sample by sample, and analysed as `calibrate` does.
+"""Full simulation of trials, sample by sample, with the analysis of `calibrate`.
 
-The check of the faster engines, and the only one for readings, for noise that is not white or not
-stated, for a rotation that the joint fit has to find, and for terms with a kink.
+It validates the faster engines. It is the only engine for readings, for noise that is not white or
+not stated, for a rotation that the joint fit estimates, and for terms with a kink.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from counterspin.triads.poses import TriadPoses, predict_indications
 
 
 class RunRotation(NamedTuple):
-    """The rotation of a run in one trial, as the analysis assumes it."""
+    """The assumed rotation of a run in the analysis of a trial."""
 
     spindle: Spindle
     fit: SpindleFit | None = None  #: Fit to the recorded angle; None: exact, or no angle recorded.
@@ -62,18 +62,18 @@ class RunRotation(NamedTuple):
 
 @frozen
 class TrialRecords:
-    """The records of all runs in one trial."""
+    """Records of all runs in one trial."""
 
-    setup: SimulationSetup  #: The set-up, with this trial's noise.
-    draws: Draws  #: The true values.
+    setup: SimulationSetup  #: Setup with the noise of this trial.
+    draws: Draws  #: True values.
     generator: np.random.Generator  #: Random generator of the noise.
 
     @classmethod
     def from_draws(
         cls, setup: SimulationSetup, draws: Draws, generator: np.random.Generator
     ) -> TrialRecords:
-        """Return the records of a trial, with the trial's true levels of noise."""
-        noise = draws.take(0).noise_sizes(setup.noise)
+        """Return the records of the first trial, with its true noise levels."""
+        noise = draws.select_trial(0).noise_sizes(setup.noise)
         return cls(replace(setup, noise=noise), draws, generator)
 
     def series(self) -> list[ResidualSeries]:
@@ -83,15 +83,15 @@ class TrialRecords:
         for run in range(len(setup.runs)):
             spindle = self.draws.true_spindle(setup.spindles[run], run)
             times = setup.times(run)
-            indicated = times * self._clock_scale(run)
-            timestamps = add_white_noise(self.generator, indicated, setup.noise["timing"])
+            indicated_times = times * self._clock_scale(run)
+            timestamps = add_white_noise(self.generator, indicated_times, setup.noise["timing"])
             rotation = self._estimate_rotation(run, spindle, timestamps, times)
             assumed_spindle = rotation.spindle
             for name in setup.mountings:
                 signal = self._noisy_output(run, name, spindle, times)
-                assumed = setup.trajectory(run, assumed_spindle)
+                assumed_trajectory = setup.trajectory(run, assumed_spindle)
                 error = signal - observation.reference(
-                    assumed,
+                    assumed_trajectory,
                     setup.mountings[name],
                     timestamps,
                     setup.observables[name],
@@ -102,11 +102,11 @@ class TrialRecords:
         return series
 
     def _correct_timestamps(self, record: ResidualSeries, rotation: RunRotation) -> ResidualSeries:
-        """Correct a record's time stamps by the recorded angle, as `calibrate` does."""
+        """Correct the time stamps of a record by the recorded angle, as in `calibrate`."""
         if rotation.fit is None:
             return record
-        stated_times = self.setup.stated_timing_noise
-        stamp_errors = find_timestamp_errors(rotation.fit, record.time, record.count, stated_times)
+        stated_noise = self.setup.stated_timing_noise
+        stamp_errors = find_timestamp_errors(rotation.fit, record.time, record.count, stated_noise)
         if stamp_errors is None:
             return record
         record = replace(record, angle_error=rotation.fit.error, timestamp_errors=stamp_errors)
@@ -116,7 +116,7 @@ class TrialRecords:
         """Return a run with one reading at each strobe."""
         setup = self.setup
         spindle = self.draws.true_spindle(setup.spindles[run], run)
-        # The row in which the angle passes a strobe began earlier by the angle's delay.
+        # The angle is delayed, so that its row at a strobe began earlier.
         strobe_times = spindle.time_at(setup.strobes(run, name)) - float(
             self.draws.input_error(TIMING)[0]
         )
@@ -124,51 +124,54 @@ class TrialRecords:
         assumed_spindle = self._estimate_rotation(
             run, spindle, row_times * clock_scale, row_times
         ).spindle
-        times, timing_noise = strobe_times * clock_scale, setup.noise["timing"]
+        indicated_times, timing_noise = strobe_times * clock_scale, setup.noise["timing"]
         sample_times = (
             add_white_noise(self.generator, strobe_times, timing_noise)
             if timing_noise > 0.0
             else strobe_times
         )
         signal = self._noisy_output(run, name, spindle, sample_times)
-        assumed = setup.trajectory(run, assumed_spindle)
+        assumed_trajectory = setup.trajectory(run, assumed_spindle)
         error = signal - observation.reference(
-            assumed, setup.mountings[name], times, attitude=setup.attitudes[run]
+            assumed_trajectory,
+            setup.mountings[name],
+            indicated_times,
+            attitude=setup.attitudes[run],
         )
-        readings = Strobes(times, error, np.ones_like(times), 0)
-        parabola = request.first_stage(readings, assumed, request.timing)
-        return StrobedRun(setup.runs[run], assumed, parabola, setup.attitudes[run])
+        readings = Strobes(indicated_times, error, np.ones_like(indicated_times), 0)
+        parabola = request.first_stage(readings, assumed_trajectory, request.timing)
+        return StrobedRun(setup.runs[run], assumed_trajectory, parabola, setup.attitudes[run])
 
     def _clock_scale(self, run: int) -> float:
         """Return the indicated time of a run's recorder over the true time."""
         return 1.0 + float(self.draws.input_error(CLOCK, self.setup.recorders[run])[0])
 
     def _estimate_rotation(
-        self, run: int, true_spindle: Spindle, timestamps: Array, times: Array
+        self, run: int, true_spindle: Spindle, timestamps: Array, true_times: Array
     ) -> RunRotation:
-        """Return the rotation that a run's recorded angle shows.
+        """Return the rotation of a run estimated from its recorded angle.
 
         timestamps: Recorded times of the rows, s.
-        times: Their true times, s.
+        true_times: True times of the rows, s.
         """
         setup, delay = self.setup, float(self.draws.input_error(TIMING)[0])
-        if not setup.angle_recorded:
+        if not setup.has_angle:
             return RunRotation(Spindle(setup.spindles[run].rate))
-        angle = true_spindle.angle(times + delay)
+        angle = true_spindle.angle(true_times + delay)
         angle_error = encoder_error(self._true_values("", run), angle)
-        # Drawn in any case, so that trials of other true values have the same noise of the output.
-        recorded = add_white_noise(self.generator, angle + angle_error, setup.noise["angle"])
+        # Draw in any case, so that trials with other true values have the same output noise.
+        recorded_angle = add_white_noise(self.generator, angle + angle_error, setup.noise["angle"])
         if (
             setup.noise["angle"] == 0.0
             and not angle_error.any()
-            and np.array_equal(timestamps, times + delay)
+            and np.array_equal(timestamps, true_times + delay)
         ):
             return RunRotation(true_spindle)
-        fit = fit_spindle(timestamps, recorded, setup.spindles[run].rate)
+        fit = fit_spindle(timestamps, recorded_angle, setup.spindles[run].rate)
         return RunRotation(fit.spindle, fit)
 
     def _noisy_output(self, run: int, name: str, spindle: Spindle, times: Array) -> Array:
-        """Return the noisy output at the times."""
+        """Return the noisy output of an accelerometer at `times`."""
         setup = self.setup
         signal = simulation.simulate_record(
             setup.true_trajectory(run, spindle, self.draws),
@@ -179,8 +182,8 @@ class TrialRecords:
             setup.observables[name],
             attitude=setup.attitudes[run],
         )
-        if name in setup.outputs_in_g:
-            # In g of the true gravity, and read with the stated one.
+        if name in setup.accelerometers_in_g:
+            # The output is in true g, and is read in stated g.
             stated_gravity = setup.site.gravity
             signal = signal * (
                 stated_gravity / (stated_gravity + float(self.draws.input_error("site.gravity")[0]))
@@ -189,7 +192,7 @@ class TrialRecords:
         return add_noise(self.generator, times, signal, noise, order, setup.conditions[run].start)
 
     def _true_values(self, owner: str, run: int) -> dict[str, float]:
-        """Return the true values of an accelerometer in a run, or of the shared terms."""
+        """Return the true values of an accelerometer in a run; owner '': of the shared terms."""
         return {
             symbol: float(run_values(values, run)[0])
             for (key_owner, symbol), values in self.draws.values.items()
@@ -199,11 +202,11 @@ class TrialRecords:
 
 @frozen
 class DrawnPoses:
-    """Poses of a triad whose attitudes the analysis does not know."""
+    """Poses of a triad at unknown attitudes."""
 
-    group: TriadPoses  #: As the fit takes them, with the noise-free indications.
+    group: TriadPoses  #: Poses for the fit, with noise-free indications.
     directions: Array  #: True directions of the specific force, shape (n, 3).
-    noise: Array  #: True standard deviation of each indication, g, shape (n, 3).
+    noise_sds: Array  #: True standard deviation of each indication, g, shape (n, 3).
 
 
 _NO_NOISE: Final = "the readings have no noise, so the results do not scatter"
@@ -211,16 +214,16 @@ _NO_NOISE: Final = "the readings have no noise, so the results do not scatter"
 
 @frozen
 class TrialReadings:
-    """The readings of a campaign in each trial."""
+    """Readings of a campaign in each trial."""
 
-    readings: tuple[Reading, ...]  #: Of the campaign, m of them, in its order.
+    readings: tuple[Reading, ...]  #: The m readings in the order of the campaign.
     #: Groups of readings for the fit, with the indices of each group's readings.
     numbered_groups: tuple[tuple[Readings, tuple[int, ...]], ...]
-    noise: Array  #: True standard deviation of the mean of each reading's repeats, g, shape (m,).
-    #: Degrees of freedom of an uncertainty that each trial estimates again, as that of a record
-    #: is; infinite where it is stated; shape (m,).
+    noise_sds: Array  #: True standard deviation of the mean of each reading, g, shape (m,).
+    #: Degrees of freedom of the uncertainty, estimated in each trial, as for a record; infinite for
+    #: a stated uncertainty; shape (m,).
     estimated_dof: Array
-    poses: tuple[DrawnPoses, ...]  #: Poses at unknown attitudes, in addition.
+    poses: tuple[DrawnPoses, ...]  #: Poses at unknown attitudes.
     rates: Array  #: True rate of each reading, rad/s, shape (m,).
 
     @classmethod
@@ -228,7 +231,7 @@ class TrialReadings:
         """Return the readings of a campaign; raise ValueError if they have no noise."""
         assert campaign.simulation is not None
         stated_noises, rates = campaign.simulation.truth.reading_noise, true_rates(campaign)
-        readings, noise, estimated_dof = [], [], []
+        readings, true_noises, estimated_dof = [], [], []
         for reading, rate in zip(campaign.readings, rates.tolist(), strict=True):
             stated_noise = stated_noises.get(reading.accelerometer)
             true_noise = (
@@ -236,22 +239,22 @@ class TrialReadings:
                 if stated_noise is None
                 else stated_noise / math.sqrt(reading.repeats)
             )
-            dof = math.inf
+            noise_dof = math.inf
             if reading.record is not None:
-                true_noise, dof = _record_noise(campaign, reading)
+                true_noise, noise_dof = _record_noise(campaign, reading)
             if true_noise <= 0.0 and reading.u is None:
                 raise ValueError(f"{_NO_NOISE}: {reading.name}")
-            # Drawn values are not rounded.
-            reading_u = true_noise if math.isfinite(dof) else reading.u
-            # An angle shows the true rate; of its noise, u of the rate is negligible.
+            # Simulated values are not rounded.
+            reading_u = true_noise if math.isfinite(noise_dof) else reading.u
+            # The recorded angle determines the true rate; its uncertainty is negligible.
             measured_rate = MeasuredRate(rate, 0.0) if reading.uses_recorder_clock else None
             readings.append(
                 replace(
                     reading, value=0.0, u=reading_u, resolution=0.0, measured_rate=measured_rate
                 )
             )
-            noise.append(true_noise)
-            estimated_dof.append(dof)
+            true_noises.append(true_noise)
+            estimated_dof.append(noise_dof)
         noise_free_campaign = replace(campaign, readings=tuple(readings))
         return cls(
             noise_free_campaign.readings,
@@ -261,7 +264,7 @@ class TrialReadings:
                     noise_free_campaign, noise_free_campaign.readings
                 )
             ),
-            np.array(noise),
+            np.array(true_noises),
             np.array(estimated_dof),
             tuple(_make_drawn_poses(campaign)),
             rates,
@@ -270,114 +273,119 @@ class TrialReadings:
     def groups(
         self, draws: Draws, generator: np.random.Generator, model: Unknowns
     ) -> list[Readings | TriadPoses]:
-        """Return the readings of one trial, as the fit takes them."""
+        """Return the groups of readings and poses of one trial, for the fit."""
         return [*self._draw_readings(draws, generator, model), *self._draw_poses(draws, generator)]
 
     @property
-    def with_true_noise(self) -> list[Readings | TriadPoses]:
-        """Readings and poses, each with its true standard deviation as its uncertainty."""
+    def groups_with_true_noise(self) -> list[Readings | TriadPoses]:
+        """Groups of readings and poses, with their true standard deviations as uncertainties."""
         readings = [
-            replace(group, u=np.maximum(self.noise[list(indices)], 1e-15))
+            replace(group, u=np.maximum(self.noise_sds[list(indices)], 1e-15))
             for group, indices in self.numbered_groups
         ]
         poses = [
-            replace(drawn_poses.group, u=np.maximum(drawn_poses.noise, 1e-15))
+            replace(drawn_poses.group, u=np.maximum(drawn_poses.noise_sds, 1e-15))
             for drawn_poses in self.poses
         ]
         return [*readings, *poses]
 
     def _draw_poses(self, draws: Draws, generator: np.random.Generator) -> Iterator[TriadPoses]:
         """Yield the poses of one trial."""
-        true_values = {key: float(value.mean()) for key, value in draws.values.items()}
+        mean_values = {key: float(value.mean()) for key, value in draws.values.items()}
         for drawn_poses in self.poses:
             group = drawn_poses.group
             coefficients = [
-                {symbol: value for (owner, symbol), value in true_values.items() if owner == name}
+                {symbol: value for (owner, symbol), value in mean_values.items() if owner == name}
                 for name in group.accelerometers
             ]
-            value = predict_indications(group, coefficients, drawn_poses.directions)
-            gravity = float(draws.input_error("site.gravity")[0])
-            value = value * (1.0 + group.in_si * gravity / group.gravity)
-            value = value + drawn_poses.noise * generator.standard_normal(value.shape)
+            indications = predict_indications(group, coefficients, drawn_poses.directions)
+            gravity_error = float(draws.input_error("site.gravity")[0])
+            indications = indications * (1.0 + group.in_si * gravity_error / group.gravity)
+            indications = indications + drawn_poses.noise_sds * generator.standard_normal(
+                indications.shape
+            )
             repeats = group.repeats[:, None]
             sums_of_squares = 2.0 * generator.standard_gamma(np.tile(0.5 * (repeats - 1.0), 3))
-            scatter = np.sum(sums_of_squares * drawn_poses.noise**2 * repeats, axis=1)
-            yield replace(group, value=value, scatter=scatter)
+            scatter = np.sum(sums_of_squares * drawn_poses.noise_sds**2 * repeats, axis=1)
+            yield replace(group, value=indications, scatter=scatter)
 
     def _draw_readings(
         self, draws: Draws, generator: np.random.Generator, model: Unknowns
     ) -> Iterator[Readings]:
         """Yield the readings of one trial."""
-        errors = head_errors(self.readings, generator)
-        u_settings = [group.u_rate + group.u_amplitude for group, _ in self.numbered_groups]
-        has_setting_errors = any(np.any(u) for u in u_settings)
+        angle_errors = head_errors(self.readings, generator)
+        setting_sds = [group.u_rate + group.u_amplitude for group, _ in self.numbered_groups]
+        has_setting_errors = any(np.any(setting_sd) for setting_sd in setting_sds)
         setting_errors = (
-            draw_by_run(self.readings, generator) if has_setting_errors else np.zeros_like(errors)
+            draw_by_run(self.readings, generator)
+            if has_setting_errors
+            else np.zeros_like(angle_errors)
         )
-        noise = self.noise * generator.standard_normal(self.noise.size)
-        true_values = {key: float(value.mean()) for key, value in draws.values.items()}
+        noise = self.noise_sds * generator.standard_normal(self.noise_sds.size)
+        mean_values = {key: float(value.mean()) for key, value in draws.values.items()}
         shared_values = {
             symbol: value
-            for (owner, symbol), value in true_values.items()
+            for (owner, symbol), value in mean_values.items()
             if not owner and affects_readings(symbol)
         }
         input_errors = {symbol: float(draws.input_error(symbol)[0]) for symbol in INPUT_STEPS}
-        # A radius with its default prior is a deviation from that of the centrifuge.
+        # A radius with its default prior is a deviation from the radius of the centrifuge.
         parameters = (*model.unknowns, *model.considered)
         known_symbols = {*shared_values, *(parameter.symbol for parameter in parameters)}
         known_symbols -= {
             parameter.symbol for parameter in parameters if parameter.has_default_prior
         }
-        for (group, index_tuple), u in zip(self.numbered_groups, u_settings, strict=True):
+        for (group, index_tuple), setting_sd in zip(self.numbered_groups, setting_sds, strict=True):
             indices = list(index_tuple)
             coefficients = {
-                s: value
-                for (owner, s), value in true_values.items()
+                symbol: value
+                for (owner, symbol), value in mean_values.items()
                 if owner == group.accelerometer
             }
             # The analysis assumes the stated values of the inputs, not the true ones.
-            actual = apply_rates(group, self.rates[indices])
+            true_group = apply_rates(group, self.rates[indices])
             for symbol, input_error in input_errors.items():
-                actual = with_input(actual, symbol, input_error, known_symbols)
+                true_group = with_input(true_group, symbol, input_error, known_symbols)
             for name in dict.fromkeys(filter(None, group.clocks)):
                 symbol = find_symbol(name)
                 clock_error = draws.input_error(
                     symbol, name.removesuffix(symbol).removesuffix(".")
                 )[0]
-                actual = with_input(actual, name, float(clock_error), known_symbols)
-            actual = actual.with_setting_errors(setting_errors[indices] * u)
-            value = indications(actual, coefficients, shared_values, errors[indices])
+                true_group = with_input(true_group, name, float(clock_error), known_symbols)
+            true_group = true_group.with_setting_errors(setting_errors[indices] * setting_sd)
+            value = indications(true_group, coefficients, shared_values, angle_errors[indices])
             value = value * (1.0 + group.in_si * input_errors["site.gravity"] / group.site.gravity)
             value = value + noise[indices]
             result = replace(group, value=value)
             if group.u is None:
-                repeats = group.repeats - 1.0
-                scatter = 2.0 * generator.standard_gamma(0.5 * repeats)
-                variances = self.noise[indices] ** 2 * group.repeats
+                repeat_dof = group.repeats - 1.0
+                scatter = 2.0 * generator.standard_gamma(0.5 * repeat_dof)
+                variances = self.noise_sds[indices] ** 2 * group.repeats
                 result = replace(result, scatter=scatter * variances)
             elif np.isfinite(self.estimated_dof[indices]).any():
                 dof = np.where(
                     np.isfinite(self.estimated_dof[indices]), self.estimated_dof[indices], 1.0
                 )
-                sigma = self.noise[indices] * np.sqrt(
+                estimated_noise = self.noise_sds[indices] * np.sqrt(
                     2.0 * generator.standard_gamma(0.5 * dof) / dof
                 )
                 result = replace(
-                    result, u=np.where(np.isfinite(self.estimated_dof[indices]), sigma, group.u)
+                    result,
+                    u=np.where(np.isfinite(self.estimated_dof[indices]), estimated_noise, group.u),
                 )
             yield result
 
 
 def _make_drawn_poses(campaign: Campaign) -> Iterator[DrawnPoses]:
-    """Yield the poses of a campaign in two groups: those with a stated noise, and the rest."""
+    """Yield the poses of a campaign in two groups: with and without a stated noise."""
     assert campaign.simulation is not None
     poses, directions = true_poses(campaign), true_directions(campaign)
     stated_noises = campaign.simulation.truth.reading_noise
-    for states_noise in (True, False):
+    for has_stated_noise in (True, False):
         indices = [
             index
             for index, pose in enumerate(poses)
-            if all(reading.u is not None for reading in pose) is states_noise
+            if all(reading.u is not None for reading in pose) is has_stated_noise
         ]
         if not indices:
             continue
@@ -392,22 +400,22 @@ def _make_drawn_poses(campaign: Campaign) -> Iterator[DrawnPoses]:
                 for index in indices
             ]
         )
-        if not states_noise and not noise.all():
+        if not has_stated_noise and not noise.all():
             raise ValueError(f"{_NO_NOISE}: {poses[indices[0]][0].name}")
-        # Drawn values are not rounded.
+        # Simulated values are not rounded.
         group = replace(make_group(campaign, [poses[index] for index in indices]), resolution=0.0)
         yield DrawnPoses(group, directions[indices], noise)
 
 
 def _record_noise(campaign: Campaign, reading: Reading) -> tuple[float, float]:
-    """Return the standard deviation of a record's mean, g, and its degrees of freedom."""
+    """Return the standard deviation of the mean of a record, g, and its degrees of freedom."""
     assert campaign.simulation is not None
     duration = reading.duration or 0.0
-    rate = campaign.simulation.sampling_rate
+    sampling_rate = campaign.simulation.sampling_rate
     revolutions = math.floor(duration * abs(reading.rate) / (2.0 * math.pi) + 1e-9)
     if reading.rate and revolutions:
         duration = revolutions * 2.0 * math.pi / abs(reading.rate)
-    dof = max(segment_count(math.floor(duration * rate)) - 1.0, 1.0)
+    dof = max(segment_count(math.floor(duration * sampling_rate)) - 1.0, 1.0)
     return mean_noise(campaign, duration), dof
 
 
@@ -415,16 +423,18 @@ def _record_noise(campaign: Campaign, reading: Reading) -> tuple[float, float]:
 class FullEngine:
     """Full simulation of the trials of any analysis, one by one."""
 
-    setup: SimulationSetup | None  #: Set-up of the records; None: there are none.
+    setup: SimulationSetup | None  #: Setup of the records; None: no records.
     request: TwoStageRequest | JointRequest  #: Options of the analysis.
-    joint_request: JointRequest  #: The joint fit that estimates noise that is not stated.
-    owner: str = ""  #: The accelerometer of a two-stage analysis.
-    rows: tuple[int, ...] = ()  #: Places of the joint model's unknowns that are reported.
-    readings: TrialReadings | None = None  #: Of a joint analysis; None: there are none.
+    joint_request: JointRequest  #: Joint fit, which estimates unstated noise.
+    owner: str = ""  #: Accelerometer of a two-stage analysis.
+    rows: tuple[int, ...] = ()  #: Indices of the reported unknowns of the joint model.
+    readings: TrialReadings | None = None  #: Readings of a joint analysis; None: no readings.
 
     def run_trials(self, draws: Draws, generator: np.random.Generator) -> TrialResults:
         """Return the results of the analysis for n trials; see `TrialEngine`."""
-        results = [self._run_trial(draws.take(index), generator) for index in range(draws.trials)]
+        results = [
+            self._run_trial(draws.select_trial(index), generator) for index in range(draws.n_trials)
+        ]
         return TrialResults(*(np.array(values).T for values in zip(*results, strict=True)))
 
     def _run_trial(
@@ -452,18 +462,18 @@ class FullEngine:
     def _run_two_stage(
         self, request: TwoStageRequest, records: TrialRecords
     ) -> tuple[Array, Array, Array]:
-        setup, components = records.setup, None
+        setup, estimated_noise = records.setup, None
         has_timing_noise = setup.noise["timing"] > 0.0 or setup.stated_timing_noise[0] > 0.0
-        corrects = setup.angle_recorded and has_timing_noise
-        if request.random_walk is None or corrects:
+        corrects_times = setup.has_angle and has_timing_noise
+        if request.random_walk is None or corrects_times:
             series = tuple(records.series())
             if request.random_walk is None:
                 estimation = estimate(series, self.joint_request.model, self.joint_request.noise)
-                components = estimation.estimated_noise[self.owner]
-                request = request.with_noise(components.noise)
-                corrected = estimation.series
+                estimated_noise = estimation.estimated_noise[self.owner]
+                request = request.with_noise(estimated_noise.noise)
+                corrected_series = estimation.series
             else:
-                corrected = correct_series(
+                corrected_series = correct_series(
                     series, self.joint_request.model, self.joint_request.noise
                 )
             runs = [
@@ -473,22 +483,22 @@ class FullEngine:
                     ),
                     request,
                 )
-                for record, corrected_record in zip(series, corrected, strict=True)
+                for record, corrected_record in zip(series, corrected_series, strict=True)
                 if record.accelerometer == self.owner
             ]
         else:
             runs = [records.strobed_run(run, self.owner, request) for run in range(len(setup.runs))]
         second_stage_result = second_stage(runs, setup.mountings[self.owner], request, ignored=())
-        if components is not None:
+        if estimated_noise is not None:
             second_stage_result = with_estimated_noise(
-                second_stage_result, components.noise, components
+                second_stage_result, estimated_noise.noise, estimated_noise
             )
         solution = second_stage_result.fit.solution
         return solution.estimate, solution.u, np.asarray(second_stage_result.dof)
 
 
 def _make_strobed_run(record: ResidualSeries, request: TwoStageRequest) -> StrobedRun:
-    """Return a run whose strobes are read from its whole record, as `calibrate` does."""
+    """Return a run with the strobes of its full record, as in `calibrate`."""
     phase = strobe_angle(record.mounting.turned(record.attitude).input_axis)
     angle = record.trajectory.spindle.angle(record.time)
     strobes = by_angle(record.time, angle, record.error, phase)

@@ -1,4 +1,4 @@
-"""A study as a person reads it: a table for each analysis, the verdict, and figures."""
+"""Report of a study: the verdict, tables for each analysis, and figures."""
 
 from __future__ import annotations
 
@@ -21,12 +21,18 @@ from counterspin.reports.blocks import (
 )
 from counterspin.reports.charts import check_figures_writable, save_figure
 from counterspin.reports.numbers import find_display_unit, format_number
-from counterspin.studies.result import LEVELS, Z_BINS, Z_EDGE, CoefficientResult, StudyResult
+from counterspin.studies.result import (
+    CONFIDENCE_LEVELS,
+    Z_BINS,
+    Z_EDGE,
+    CoefficientResult,
+    StudyResult,
+)
 
-#: What every figure of one says that it is.
-FIGURE: Final = "a figure of a study"
+#: File type in the metadata of every figure.
+FIGURE_TYPE: Final = "a figure of a study"
 
-#: Height of one of many panels, of that of a plot by itself.
+#: Height of one of several panels, relative to a single plot.
 _PANEL_HEIGHT: Final = 0.7
 
 _ERROR_COLUMNS = (
@@ -40,31 +46,41 @@ _ERROR_COLUMNS = (
 
 _COVERAGE_COLUMNS = (
     Column("Coefficient"),
-    *(Column(f"Coverage of the {100 * level:.0f} % intervals", align="right") for level in LEVELS),
+    *(
+        Column(f"Coverage of the {100 * level:.0f} % intervals", align="right")
+        for level in CONFIDENCE_LEVELS
+    ),
 )
 
 
 def study_blocks(result: StudyResult) -> list[Block]:
-    """Return the study's verdict, its tables, and the varied quantities."""
-    state = "" if result.complete else f" of {result.trials_asked} (interrupted)"
+    """Return the verdict of a study, its tables, and the varied quantities."""
+    progress_text = "" if result.complete else f" of {result.trials_asked} (interrupted)"
     blocks: list[Block] = [
-        Heading(f"{result.title}: {result.trials} trials{state}, seed {result.seed}"),
+        Heading(f"{result.title}: {result.trials} trials{progress_text}, seed {result.seed}"),
         *_verdict_blocks(result),
     ]
     for name, analysis in result.analyses.items():
         blocks += [
             Heading(f"{name} ({analysis.engine})"),
             Table(
-                _ERROR_COLUMNS, tuple(_error_row(*item) for item in analysis.coefficients.items())
+                _ERROR_COLUMNS,
+                tuple(
+                    _error_row(*named_coefficient)
+                    for named_coefficient in analysis.coefficients.items()
+                ),
             ),
             Table(
                 _COVERAGE_COLUMNS,
-                tuple(_coverage_row(*item) for item in analysis.coefficients.items()),
+                tuple(
+                    _coverage_row(*named_coefficient)
+                    for named_coefficient in analysis.coefficients.items()
+                ),
             ),
         ]
         if analysis.undetermined:
-            listed = ", ".join(analysis.undetermined)
-            blocks.append(Paragraph(f"The records do not determine {listed}.", "quiet"))
+            names_text = ", ".join(analysis.undetermined)
+            blocks.append(Paragraph(f"The records do not determine {names_text}.", "quiet"))
     blocks.append(
         Paragraph(
             "The number after ± is the standard error of the bias. The coverage columns give "
@@ -79,11 +95,11 @@ def study_blocks(result: StudyResult) -> list[Block]:
 
 def _verdict_blocks(result: StudyResult) -> Iterator[Block]:
     yield Heading("Verdict")
-    trusted = [analysis.trustworthy for analysis in result.analyses.values()]
-    has_verdict = None not in trusted
-    trustworthy_count = trusted.count(True) if has_verdict else 0  # their lines come first
+    verdicts = [analysis.trustworthy for analysis in result.analyses.values()]
+    has_verdict = None not in verdicts
+    n_trustworthy = verdicts.count(True) if has_verdict else 0  # their lines come first
     for index, line in enumerate(result.verdict):
-        style: Style = "answer" if index < trustworthy_count else "warning"
+        style: Style = "answer" if index < n_trustworthy else "warning"
         yield Paragraph(line, style if has_verdict or index == 0 else "quiet")
 
 
@@ -97,13 +113,15 @@ def _varied_quantity_blocks(result: StudyResult) -> Iterator[Block]:
 
 
 def report_blocks(result: StudyResult) -> list[Block]:
-    """Return the tables, the verdict, and how intervals cover."""
+    """Return the verdict, the tables, and the plots of the coverage."""
     return [*study_blocks(result), *coverage_plots(result)]
 
 
 def _error_row(name: str, coefficient: CoefficientResult) -> tuple[str, ...]:
     unit, factor = find_display_unit(coefficient.unit)
-    bias, error = (format_number(factor * x, 2) for x in (coefficient.bias, coefficient.se_bias))
+    bias, error = (
+        format_number(factor * value, 2) for value in (coefficient.bias, coefficient.se_bias)
+    )
     efficiency = coefficient.efficiency
     return (
         name,
@@ -126,11 +144,11 @@ def _coverage_row(name: str, coefficient: CoefficientResult) -> tuple[str, ...]:
 
 
 def z_plots(result: StudyResult) -> Iterator[Plot]:
-    """Yield how each coefficient's error over its stated u is distributed, and the normal curve."""
+    """Yield the distribution of error / stated u of each coefficient with the normal density."""
     edges = np.linspace(-Z_EDGE, Z_EDGE, Z_BINS + 1)
     centres = tuple((0.5 * (edges[1:] + edges[:-1])).tolist())
-    fine = tuple(np.linspace(-Z_EDGE, Z_EDGE, 241).tolist())
-    normal = tuple(math.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi) for z in fine)
+    curve_z = tuple(np.linspace(-Z_EDGE, Z_EDGE, 241).tolist())
+    normal_density = tuple(math.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi) for z in curve_z)
     for name, coefficient in _named_coefficients(result):
         counts = np.array(coefficient.histogram)
         density = counts[1:-1] / (counts.sum() * (edges[1] - edges[0]))
@@ -141,7 +159,7 @@ def z_plots(result: StudyResult) -> Iterator[Plot]:
             y_label="density",
             series=(
                 PlotSeries("", centres, tuple(density.tolist()), kind="columns", colour=0),
-                PlotSeries("", fine, normal, colour=1),
+                PlotSeries("", curve_z, normal_density, colour=1),
             ),
             x_range=(-Z_EDGE, Z_EDGE),
             height=_PANEL_HEIGHT,
@@ -149,11 +167,13 @@ def z_plots(result: StudyResult) -> Iterator[Plot]:
 
 
 def coverage_plots(result: StudyResult) -> Iterator[Plot]:
-    """Yield for each level how often the intervals contained the truth; bars: binomial, 95 %."""
+    """Yield the coverage of the intervals for each level, with binomial 95 % error bars."""
     names, coefficients = zip(*_named_coefficients(result), strict=True)
-    for index, level in enumerate(LEVELS):
-        low, high = zip(*(c.intervals[index] for c in coefficients), strict=True)
-        share = tuple(c.covered[index] for c in coefficients)
+    for index, level in enumerate(CONFIDENCE_LEVELS):
+        low, high = zip(
+            *(coefficient.intervals[index] for coefficient in coefficients), strict=True
+        )
+        shares = tuple(coefficient.covered[index] for coefficient in coefficients)
         yield Plot(
             title=f"Share of trials whose {100 * level:.0f} % interval contains the true "
             "value; error bars: 95 % intervals",
@@ -163,7 +183,7 @@ def coverage_plots(result: StudyResult) -> Iterator[Plot]:
                 PlotSeries(
                     "",
                     tuple(map(float, range(len(names)))),
-                    _to_percent(share),
+                    _to_percent(shares),
                     _to_percent(low),
                     _to_percent(high),
                     "points",
@@ -177,15 +197,20 @@ def coverage_plots(result: StudyResult) -> Iterator[Plot]:
 
 
 def bias_plots(result: StudyResult, covariate: str) -> Iterator[Plot]:
-    """Yield each coefficient's bias against one of the quantities that varied."""
+    """Yield the bias of each coefficient against a varied quantity."""
     for name, coefficient in _named_coefficients(result):
         bias_table = coefficient.against[covariate]
         columns = (bias_table.value, bias_table.trials, bias_table.bias, bias_table.se_bias)
-        value, trials, bias, spread = (np.array(column, dtype=float) for column in columns)
-        half_bin = 0.5 * (value[1] - value[0])
+        bin_centres, trials, bias, standard_errors = (
+            np.array(column, dtype=float) for column in columns
+        )
+        half_bin = 0.5 * (bin_centres[1] - bin_centres[0])
         has_trials = trials > 1
         unit, factor = find_display_unit(coefficient.unit)
-        bias_values, expanded_errors = factor * bias[has_trials], 2.0 * factor * spread[has_trials]
+        bias_values, expanded_errors = (
+            factor * bias[has_trials],
+            2.0 * factor * standard_errors[has_trials],
+        )
         yield Plot(
             title=f"Bias of {name}; error bars: two standard errors",
             x_label=covariate,
@@ -193,7 +218,7 @@ def bias_plots(result: StudyResult, covariate: str) -> Iterator[Plot]:
             series=(
                 PlotSeries(
                     "",
-                    tuple(value[has_trials].tolist()),
+                    tuple(bin_centres[has_trials].tolist()),
                     tuple(bias_values.tolist()),
                     tuple((bias_values - expanded_errors).tolist()),
                     tuple((bias_values + expanded_errors).tolist()),
@@ -201,7 +226,7 @@ def bias_plots(result: StudyResult, covariate: str) -> Iterator[Plot]:
                 ),
             ),
             levels=(0.0,),
-            x_range=(float(value[0] - half_bin), float(value[-1] + half_bin)),
+            x_range=(float(bin_centres[0] - half_bin), float(bin_centres[-1] + half_bin)),
             height=_PANEL_HEIGHT,
         )
 
@@ -209,19 +234,24 @@ def bias_plots(result: StudyResult, covariate: str) -> Iterator[Plot]:
 def write_figures(result: StudyResult, folder: Path | str, *, overwrite: bool = False) -> None:
     """Write all figures of a study to a folder, as SVG.
 
-    overwrite: Whether earlier figures may be replaced; no other file is.
+    overwrite: True: replace earlier figures, but no other files.
     """
     covariates = dict.fromkeys(
-        covariate for _, c in _named_coefficients(result) for covariate in c.against
+        covariate
+        for _, coefficient in _named_coefficients(result)
+        for covariate in coefficient.against
     )
     figures = {
         Path(folder) / "z.svg": z_plots(result),
         Path(folder) / "coverage.svg": coverage_plots(result),
-        **{Path(folder) / f"bias-{d}.svg": bias_plots(result, d) for d in covariates},
+        **{
+            Path(folder) / f"bias-{covariate}.svg": bias_plots(result, covariate)
+            for covariate in covariates
+        },
     }
-    check_figures_writable(figures, FIGURE, overwrite=overwrite)
+    check_figures_writable(figures, FIGURE_TYPE, overwrite=overwrite)
     for path, plots in figures.items():
-        save_figure(list(plots), path, FIGURE, overwrite=overwrite)
+        save_figure(list(plots), path, FIGURE_TYPE, overwrite=overwrite)
 
 
 def _named_coefficients(result: StudyResult) -> list[tuple[str, CoefficientResult]]:

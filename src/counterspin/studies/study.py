@@ -1,4 +1,4 @@
-"""`counterspin study`: whether a campaign, analysed so, gives the uncertainty it claims."""
+"""`counterspin study`: validation of the stated uncertainty of analyses by Monte Carlo."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from counterspin.studies.batch_runner import (
     run_task,
 )
 from counterspin.studies.description import StudyDescription, read_study
-from counterspin.studies.draws import OTHER_QUANTITIES, VariedQuantity
+from counterspin.studies.draws import OTHER_QUANTITY_UNITS, VariedQuantity
 from counterspin.studies.engine_selection import EngineName, prepare_study
 from counterspin.studies.folder import StudyFolder, StudyProgress
 from counterspin.studies.result import (
@@ -38,17 +38,17 @@ from counterspin.studies.result import (
 from counterspin.threads import single_blas_thread
 from counterspin.workers import SINGLE_PROCESS, Workers, worker_pool
 
-#: Duration, s, from which a user is told the duration before the first trial.
+#: Expected duration, s, above which a warning states the duration.
 _WARNING_DURATION: Final = 30.0
 
-#: Trials of a study whose duration is estimated without a number of trials.
-_TYPICAL_TRIALS: Final = 1000
+#: Default number of trials for the estimate of the duration.
+_N_TYPICAL_TRIALS: Final = 1000
 
-#: More trials would take days, and their results much of the memory.
+#: Maximum number of trials; more would take days and too much memory.
 _MAX_TRIALS: Final = 10**9
 
-#: Most bytes for the stored values of each batch of trials.
-_MAX_RESULTS_SIZE: Final = 5 * 10**8
+#: Maximum size of the stored sums, bytes.
+_MAX_RESULT_BYTES: Final = 5 * 10**8
 
 
 @single_blas_thread()
@@ -71,35 +71,34 @@ def study(
     trials, seed
         Values that replace those of the study.
     engine
-        ``auto`` takes the fastest that is valid; ``linear`` and ``full`` are as docs/study.md
-        describes them.
+        ``auto`` selects the fastest valid engine; docs/study.md describes ``linear`` and ``full``.
     workers
         Processes, or the workers of a Dask cluster.
     output
         Folder for ``study.json``, ``trials.parquet`` and the files for a resumption; None: write
         nothing.
     progress
-        Called with (trials done, trials in all).
+        Function called with (trials done, total trials).
 
     Returns
     -------
     StudyResult
         The result does not depend on the number of workers. After an interruption from the
-        keyboard it states this, and has the finished trials.
+        keyboard, it contains the finished trials and states the interruption.
 
     Raises
     ------
     CampaignError
         If the description is wrong.
     NotIdentifiableError
-        If the requested engine is not valid, or nothing can be determined.
+        If the requested engine is not valid, or the data do not determine any coefficient.
     CounterspinError
         If the workers fail, or a file cannot be written or would be lost.
 
     Warns
     -----
     CounterspinWarning
-        If it will take long, or if stored values of an earlier part are damaged.
+        If the study will take long, or saved batches are damaged.
     """
     description = where if isinstance(where, StudyDescription) else read_study(where)
     trials = description.trials if trials is None else trials
@@ -113,41 +112,47 @@ def study(
     if folder is not None:
         folder.reserve()
     workers = workers.capped()
-    # Workers start while the engine is prepared.
+    # Workers start during the preparation of the engine.
     with nullcontext() if workers.alone else worker_pool(workers, run_task.__module__) as pool:
-        prepared = prepare_study(description, description.seed if seed is None else seed, engine)
-        _check_memory(prepared, trials)
+        study_engine = prepare_study(
+            description, description.seed if seed is None else seed, engine
+        )
+        _check_memory(study_engine, trials)
         batch_results = BatchResults(
-            prepared, trials, keep=folder is not None and folder.keep_trials
+            study_engine, trials, keep_trials=folder is not None and folder.keep_trials
         )
         study_progress = None
         if folder is not None:
-            study_progress = StudyProgress(folder.directory, batch_results, _fingerprint(prepared))
+            study_progress = StudyProgress(
+                folder.directory, batch_results, _fingerprint(study_engine)
+            )
             if folder.resume:
                 study_progress.resume()
             else:
                 study_progress.clear()
-        _warn_of_duration(prepared, trials - batch_results.trials_done, pool.size if pool else 1)
-        complete = run_batches(
-            prepared,
+        _warn_of_duration(
+            study_engine, trials - batch_results.trials_done, pool.size if pool else 1
+        )
+        is_complete = run_batches(
+            study_engine,
             batch_results,
             workers=workers,
             pool=pool,
             progress=progress,
             save=study_progress.save if study_progress else None,
         )
-    result = _make_result(description, prepared, batch_results, complete)
+    result = _make_result(description, study_engine, batch_results, is_complete)
     if folder is not None and study_progress is not None:
         folder.write(result, batch_results)
-        if complete:
+        if is_complete:
             study_progress.clear()
     return result
 
 
 def _check_memory(engine: StudyEngine, trials: int) -> None:
-    """Raise CounterspinError if the stored values of all trials would fill the memory."""
+    """Raise CounterspinError if the stored sums of all batches require too much memory."""
     batch_bytes = 8 * engine.accumulator.width * len(engine.coefficients)
-    max_trials = _MAX_RESULTS_SIZE // batch_bytes * engine.batch_size
+    max_trials = _MAX_RESULT_BYTES // batch_bytes * engine.batch_size
     if trials > max_trials:
         raise CounterspinError(
             f"{trials:.3g} `trials` require too much memory; this study may have at most "
@@ -160,7 +165,7 @@ def _warn_of_duration(engine: StudyEngine, trials: int, workers: int) -> None:
     seconds = expected_duration(engine, trials) / workers
     if seconds < _WARNING_DURATION:
         return
-    reason = _slow_analyses(engine)
+    reason = _describe_slow_analyses(engine)
     text = (
         f"{trials} trials will take about {_format_duration(seconds)}"
         + (f" ({reason})" if reason else "")
@@ -170,8 +175,8 @@ def _warn_of_duration(engine: StudyEngine, trials: int, workers: int) -> None:
     warnings.warn(CounterspinWarning(text, code="long-study"), stacklevel=4)
 
 
-def _slow_analyses(engine: StudyEngine) -> str:
-    """Return the analyses that need full records, with the reasons."""
+def _describe_slow_analyses(engine: StudyEngine) -> str:
+    """Return the analyses that require full records, with the reasons."""
     return "; ".join(
         f"{analysis.coefficients[0].analysis}: {analysis.description}"
         for analysis in engine.analysis_engines
@@ -196,13 +201,13 @@ class StudyDuration:
 
 @single_blas_thread()
 def estimate_duration(where: Path) -> StudyDuration:
-    """Return the expected duration of a study; it is prepared, and a slow trial is timed."""
+    """Return the expected duration of a study after its preparation; time a slow trial."""
     start = time.perf_counter()
     description = read_study(where)
-    prepared = prepare_study(description, description.seed)
+    study_engine = prepare_study(description, description.seed)
     preparation = time.perf_counter() - start
-    per_trial = expected_duration(prepared, _TYPICAL_TRIALS) / _TYPICAL_TRIALS
-    return StudyDuration(preparation, per_trial, _slow_analyses(prepared))
+    per_trial = expected_duration(study_engine, _N_TYPICAL_TRIALS) / _N_TYPICAL_TRIALS
+    return StudyDuration(preparation, per_trial, _describe_slow_analyses(study_engine))
 
 
 def _fingerprint(engine: StudyEngine) -> str:
@@ -212,13 +217,16 @@ def _fingerprint(engine: StudyEngine) -> str:
 
 
 def _make_result(
-    description: StudyDescription, engine: StudyEngine, batch_results: BatchResults, complete: bool
+    description: StudyDescription,
+    engine: StudyEngine,
+    batch_results: BatchResults,
+    is_complete: bool,
 ) -> StudyResult:
-    if not batch_results.done.any():
+    if not batch_results.is_done.any():
         raise CounterspinError(
             "the study was stopped before the first batch of trials was complete", code="stopped"
         )
-    sums = batch_results.sums[batch_results.done]
+    sums = batch_results.sums[batch_results.is_done]
     coefficients: dict[str, dict[str, CoefficientResult]] = {}
     undetermined: dict[str, list[str]] = {}
     engine_descriptions: dict[str, str] = {}
@@ -230,15 +238,19 @@ def _make_result(
         undetermined.setdefault(name, []).extend(analysis_engine.undetermined)
         for coefficient in analysis_engine.coefficients:
             unit = unit_of(coefficient.symbol)
-            label = coefficient.symbol + (f" of {coefficient.owner}" if coefficient.owner else "")
+            coefficient_name = coefficient.symbol + (
+                f" of {coefficient.owner}" if coefficient.owner else ""
+            )
             coefficients.setdefault(name, {})[coefficient.name] = summarise(
-                engine.accumulator, sums[:, row], label, unit, coefficient.bound
+                engine.accumulator, sums[:, row], coefficient_name, unit, coefficient.bound
             )
             row += 1
     analyses = {
         name: AnalysisResult(
             engine=engine_descriptions[name],
-            trustworthy=_combine_verdicts([c.trustworthy for c in results.values()]),
+            trustworthy=_combine_verdicts(
+                [coefficient.trustworthy for coefficient in results.values()]
+            ),
             coefficients=results,
             undetermined=undetermined[name],
         )
@@ -246,11 +258,15 @@ def _make_result(
     }
     return StudyResult(
         title=description.campaign.title,
-        trials=next(c.trials for results in coefficients.values() for c in results.values()),
+        trials=next(
+            coefficient.trials
+            for results in coefficients.values()
+            for coefficient in results.values()
+        ),
         trials_asked=batch_results.trials,
-        complete=complete,
+        complete=is_complete,
         seed=engine.seed,
-        varying=[_describe_quantity(varying) for varying in description.varying],
+        varying=[_describe_quantity(quantity) for quantity in description.varied_quantities],
         analyses=analyses,
         verdict=summarise_analyses(analyses),
         provenance={"version": __version__},
@@ -263,12 +279,15 @@ def _combine_verdicts(verdicts: list[bool | None]) -> bool | None:
 
 def _describe_quantity(quantity: VariedQuantity) -> str:
     name = f"{quantity.owner}.{quantity.symbol}" if quantity.owner else quantity.symbol
-    unit = OTHER_QUANTITIES.get(quantity.symbol) or unit_of(quantity.symbol)
+    unit = OTHER_QUANTITY_UNITS.get(quantity.symbol) or unit_of(quantity.symbol)
     unit = "" if unit == "1" else f" {unit}"
-    low, high = f"{quantity.first:.6g}{unit}", f"{quantity.second:.6g}{unit}"
+    first_text, second_text = (
+        f"{quantity.first_parameter:.6g}{unit}",
+        f"{quantity.second_parameter:.6g}{unit}",
+    )
     text = {
-        "normal": f"normal, mean {low}, standard deviation {high}",
-        "uniform": f"uniform from {low} to {high}",
-        "fixed": low,
+        "normal": f"normal, mean {first_text}, standard deviation {second_text}",
+        "uniform": f"uniform from {first_text} to {second_text}",
+        "fixed": first_text,
     }[quantity.distribution]
-    return f"{name}: {text}" + (", drawn separately for each run" if quantity.per_run else "")
+    return f"{name}: {text}" + (", drawn separately for each run" if quantity.is_per_run else "")
