@@ -691,7 +691,7 @@ def test_chosen_terms_replace_terms_of_model(tmp_path):
 
 
 def test_campaign_without_truth_raises(tmp_path):
-    text = PAPER[: PAPER.index("# What the records are made from")]
+    text = PAPER[: PAPER.index("# The remaining sections are only for `counterspin simulate`.")]
     with pytest.raises(CampaignError, match=r"truth: missing; a study requires"):
         read_study(write(tmp_path / "a", text))
 
