@@ -484,14 +484,29 @@ def test_only_priors_without_true_value_are_drawn(tmp_path):
     varying = drawn("unstated", UNSTATED)
     assert {"K_OO", "K_OQ", "K_F.trend"} <= {symbol for owner, symbol in varying if owner == "Qx"}
     k_oo = varying["Qx", "K_OO"]
-    assert (k_oo.distribution, k_oo.first_parameter, k_oo.second_parameter) == ("normal", 0.0, term("K_OO").typical)
+    assert (k_oo.distribution, k_oo.first_parameter, k_oo.second_parameter) == (
+        "normal",
+        0.0,
+        term("K_OO").typical,
+    )
     radius = varying["", "centrifuge.radius"]
-    assert (radius.first_parameter, radius.second_parameter) == (2.5, term("centrifuge.radius").typical)
+    assert (radius.first_parameter, radius.second_parameter) == (
+        2.5,
+        term("centrifuge.radius").typical,
+    )
     assert varying["", "platform.tilt.north"].is_per_run
     gravity = varying["", "site.gravity"]
-    assert (gravity.first_parameter, gravity.second_parameter) == (9.8, term("site.gravity").typical)
+    assert (gravity.first_parameter, gravity.second_parameter) == (
+        9.8,
+        term("site.gravity").typical,
+    )
     delay, clock = varying["", "records.timing_offset"], varying["", "records.clock"]
-    assert (delay.first_parameter, delay.second_parameter, clock.first_parameter, clock.second_parameter) == (0.0, 1e-5, 0.0, 2e-5)
+    assert (
+        delay.first_parameter,
+        delay.second_parameter,
+        clock.first_parameter,
+        clock.second_parameter,
+    ) == (0.0, 1e-5, 0.0, 2e-5)
     # Asked for, or of a value that is true.
     assert not {"K_F", "K_I", "K_II", "K_III", "K_IP"} & {symbol for _, symbol in varying}
     stated = UNSTATED.replace('K_IP = "6e-6 g/g^2"', 'K_IP = "6e-6 g/g^2"\nK_OO = "0 g/g^2"')
@@ -506,7 +521,11 @@ def test_only_priors_without_true_value_are_drawn(tmp_path):
     assert changed["Qx", "K_PO"].distribution == "uniform"
     assert changed["Qx", "K_IO"].second_parameter == 1e-7
     k_pp, radius = changed["Qx", "K_PP"], changed["", "centrifuge.radius"]
-    assert (k_pp.first_parameter, k_pp.second_parameter, radius.second_parameter) == (3e-6, 1e-6, 2e-6)
+    assert (k_pp.first_parameter, k_pp.second_parameter, radius.second_parameter) == (
+        3e-6,
+        1e-6,
+        2e-6,
+    )
 
 
 def test_analysis_may_assume_and_hold_different_terms(tmp_path):
