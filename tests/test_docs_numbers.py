@@ -76,7 +76,7 @@ ROWS = {
         ),
         ("a record that is shorter than {} % of this duration", 100.0 * assembly.COMPLETE_FRACTION),
         ("the Allan deviation is {} B", math.sqrt(2.0 * math.log(2.0) / math.pi)),
-        ("exceeds {} times the largest credible size", simulable.TRUTH_MARGIN),
+        ("exceeds {} times the largest credible size", simulable.MAX_TRUTH_RATIO),
         ("a ripple above harmonic {} -", simulable._MAX_RIPPLE_HARMONIC),
         ("a rate that changes by {} ", simulable._MAX_RATE_CHANGE),
     ],

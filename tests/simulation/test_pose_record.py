@@ -9,7 +9,7 @@ from counterspin.campaign.reading import PoseRecord
 from counterspin.cli import main
 from counterspin.errors import CampaignError
 from counterspin.physics.conditions import STATED_CONDITIONS
-from counterspin.simulation.pose_record import record_seconds, simulate_forces
+from counterspin.simulation.pose_record import record_duration, simulate_forces
 from counterspin.simulation.readings import true_directions
 from counterspin.studies.description import read_study
 from counterspin.studies.study import study
@@ -41,7 +41,7 @@ def describe_pose_record(more="", clock='{ sampling_rate = "100 Hz" }', noise="[
 def test_simulated_sensor_rests_and_rotates(tmp_path):
     record = PoseRecord("all", tmp_path / "a.csv", 1.5, None, **dict.fromkeys(STATED_CONDITIONS))
     time, force, along = simulate_forces(record, 40, 100.0, np.random.default_rng(2))
-    assert time[-1] == pytest.approx(record_seconds(record, 40)) == pytest.approx(40 * 5.5 - 1.5)
+    assert time[-1] == pytest.approx(record_duration(record, 40)) == pytest.approx(40 * 5.5 - 1.5)
     np.testing.assert_allclose(np.linalg.norm(along, axis=1), 1.0)
     for k in range(40):
         at_rest = force[(time > 5.5 * k - 1e-6) & (time < 5.5 * k + 4.0 - 1e-6)]

@@ -14,7 +14,7 @@ from counterspin.campaign.runs import MAX_COMPUTED_ROWS, MAX_SIMULATED_ROWS
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import check
-from counterspin.simulation.simulable import check_size, computed_rows
+from counterspin.simulation.simulable import check_size, count_computed_rows
 from counterspin.simulation.simulate import simulate
 from counterspin.studies.study import study
 
@@ -82,12 +82,12 @@ def test_sampling_rate_does_not_limit_forecast(tmp_path):
 
 def test_computed_rows_match_calibration():
     w = 2.0 * 3.141592653589793
-    assert computed_rows(w, 100.0, 50.0, means=False) == pytest.approx(6400.0)
-    assert computed_rows(w, 100.0, 1000.0, means=False) == 1e5
-    assert computed_rows(w, 100.0, 1000.0, means=True) == pytest.approx(1e5 / 15)
+    assert count_computed_rows(w, 100.0, 50.0, is_averaged=False) == pytest.approx(6400.0)
+    assert count_computed_rows(w, 100.0, 1000.0, is_averaged=False) == 1e5
+    assert count_computed_rows(w, 100.0, 1000.0, is_averaged=True) == pytest.approx(1e5 / 15)
     # A block has 8192 samples at most.
-    assert computed_rows(1e-9, 1e6, 1000.0, means=True) == pytest.approx(1e9 / 8192)
-    assert computed_rows(1e-300, 1e300, 1e300, means=True) == float("inf")
+    assert count_computed_rows(1e-9, 1e6, 1000.0, is_averaged=True) == pytest.approx(1e9 / 8192)
+    assert count_computed_rows(1e-300, 1e300, 1e300, is_averaged=True) == float("inf")
 
 
 def test_forecast_limits_total_rows_of_runs(tmp_path):
@@ -95,7 +95,9 @@ def test_forecast_limits_total_rows_of_runs(tmp_path):
     campaign = read_campaign(
         read_changed_campaign(tmp_path, "revolutions = 20", "revolutions = 8000")
     )
-    alone = [computed_rows(run.rate, run.duration, 20.0, means=True) for run in campaign.runs]
+    alone = [
+        count_computed_rows(run.rate, run.duration, 20.0, is_averaged=True) for run in campaign.runs
+    ]
     assert max(alone) < MAX_COMPUTED_ROWS < sum(alone)
     with pytest.raises(CampaignError, match="of the"):
         forecast(campaign)

@@ -1,4 +1,4 @@
-"""A simulated record of poses: a triad that rests, is turned by hand, and rests again."""
+"""Simulated record of poses: a triad rests, is turned by hand, and rests again."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from counterspin.campaign.runs import sample_count
 from counterspin.physics.conditions import AT_REFERENCE
 from counterspin.triads.poses import TriadPoses, predict_indications
 
-#: How long a hand takes from one pose to the next, s.
-_MOTION: Final = 1.5
+#: Duration of the motion from one pose to the next, s.
+_MOTION_DURATION: Final = 1.5
 
-#: How it trembles meanwhile: size of each axis, g, and frequencies, Hz.
-_TREMOR: Final = 0.1
+#: Tremor of the hand during the motion: amplitude of each axis, g, and frequency range, Hz.
+_TREMOR_AMPLITUDE: Final = 0.1
 _TREMOR_FREQUENCIES: Final = (2.0, 6.0)
 
-#: Rows whose products of all terms are in memory at once.
-_ROWS: Final = 50_000
+#: Number of rows in a chunk, which limits the memory for the products of all terms.
+_CHUNK_ROWS: Final = 50_000
 
-#: Beside so small a sine of the angle between them two directions are opposite, or one.
-_MIN_ANGLE: Final = 1e-6
+#: Sine of an angle below which two directions count as parallel or opposite.
+_MIN_SINE: Final = 1e-6
 
 
-def pose_seconds(record: PoseRecord) -> float:
+def pose_duration(record: PoseRecord) -> float:
     """Return the duration of each pose of a simulated sensor, s.
 
     It is twice the requested duration plus the second that the search for rests needs.
@@ -37,62 +37,71 @@ def pose_seconds(record: PoseRecord) -> float:
     return 2.0 * record.rest + 1.0
 
 
-def record_seconds(record: PoseRecord, poses: int) -> float:
+def record_duration(record: PoseRecord, n_poses: int) -> float:
     """Return the duration of a simulated record with a number of poses, s."""
-    return poses * (pose_seconds(record) + _MOTION) - _MOTION
+    return n_poses * (pose_duration(record) + _MOTION_DURATION) - _MOTION_DURATION
 
 
 def simulate_forces(
-    record: PoseRecord, poses: int, rate: float, generator: np.random.Generator
+    record: PoseRecord, n_poses: int, sampling_rate: float, generator: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """Return times, s, the specific force in the triad's frame, g, and the directions at rest.
+    """Return times, s, the specific force in the frame of the triad, g, and the directions at rest.
 
-    The directions are drawn all over the sphere. From one to the next the triad is turned along the
-    great circle, slowly at both ends, by a hand that trembles.
+    The directions are uniformly distributed over the sphere. Between them, the triad moves along a
+    great circle with smooth ends and the tremor of a hand.
 
-    rate: Samples a second, Hz.
+    sampling_rate: Hz.
 
-    Returns: shapes (n,), (n, 3) and (poses, 3).
+    Returns: shapes (n,), (n, 3) and (n_poses, 3).
     """
-    directions = generator.standard_normal((poses, 3))
+    directions = generator.standard_normal((n_poses, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
-    time = np.arange(sample_count(record_seconds(record, poses), rate)) / rate
-    interval = pose_seconds(record) + _MOTION
-    pose_index = np.minimum((time / interval).astype(int), poses - 1)
-    progress = np.clip((time - pose_index * interval - pose_seconds(record)) / _MOTION, 0.0, 1.0)
-    fraction = 0.5 * (1.0 - np.cos(np.pi * progress))
-    first, last = directions[pose_index], directions[np.minimum(pose_index + 1, poses - 1)]
-    perpendicular = _perpendicular_directions(first, last)
-    angle = fraction * np.arctan2(
-        np.sum(perpendicular * last, axis=1), np.sum(first * last, axis=1)
+    times = np.arange(sample_count(record_duration(record, n_poses), sampling_rate)) / sampling_rate
+    interval = pose_duration(record) + _MOTION_DURATION
+    pose_index = np.minimum((times / interval).astype(int), n_poses - 1)
+    motion_progress = np.clip(
+        (times - pose_index * interval - pose_duration(record)) / _MOTION_DURATION, 0.0, 1.0
     )
-    force = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * perpendicular
+    turn_fraction = 0.5 * (1.0 - np.cos(np.pi * motion_progress))
+    start_directions, end_directions = (
+        directions[pose_index],
+        directions[np.minimum(pose_index + 1, n_poses - 1)],
+    )
+    perpendicular = _perpendicular_directions(start_directions, end_directions)
+    angle = turn_fraction * np.arctan2(
+        np.sum(perpendicular * end_directions, axis=1),
+        np.sum(start_directions * end_directions, axis=1),
+    )
+    force = np.cos(angle)[:, None] * start_directions + np.sin(angle)[:, None] * perpendicular
     frequencies = generator.uniform(*_TREMOR_FREQUENCIES, 3)
     phase = generator.uniform(0.0, 2.0 * math.pi, 3)
-    tremor = _TREMOR * np.sin(2.0 * np.pi * frequencies * time[:, None] + phase)
-    force += np.where((progress > 0.0) & (progress < 1.0), 1.0, 0.0)[:, None] * tremor
-    return time, force, directions
+    tremor = _TREMOR_AMPLITUDE * np.sin(2.0 * np.pi * frequencies * times[:, None] + phase)
+    force += np.where((motion_progress > 0.0) & (motion_progress < 1.0), 1.0, 0.0)[:, None] * tremor
+    return times, force, directions
 
 
-def _perpendicular_directions(first: Array, last: Array) -> Array:
-    """Return unit vectors at right angles to the first ones, towards the last ones, (n, 3)."""
-    projected = last - np.sum(first * last, axis=1)[:, None] * first
-    size = np.linalg.norm(projected, axis=1)
-    fallback = np.cross(first, np.eye(3)[np.argmin(np.abs(first), axis=1)])
+def _perpendicular_directions(start_directions: Array, end_directions: Array) -> Array:
+    """Return unit vectors perpendicular to the start directions, towards the end directions."""
+    projection = (
+        end_directions
+        - np.sum(start_directions * end_directions, axis=1)[:, None] * start_directions
+    )
+    norm = np.linalg.norm(projection, axis=1)
+    fallback = np.cross(start_directions, np.eye(3)[np.argmin(np.abs(start_directions), axis=1)])
     fallback /= np.linalg.norm(fallback, axis=1)[:, None]
-    is_parallel = size < _MIN_ANGLE
+    is_parallel = norm < _MIN_SINE
     perpendicular: Array = np.where(
-        is_parallel[:, None], fallback, projected / np.where(is_parallel, 1.0, size)[:, None]
+        is_parallel[:, None], fallback, projection / np.where(is_parallel, 1.0, norm)[:, None]
     )
     return perpendicular
 
 
 def indicated_forces(
-    campaign: Campaign, record: PoseRecord, time: Array, force: Array
+    campaign: Campaign, record: PoseRecord, times: Array, force: Array
 ) -> dict[str, Array]:
     """Return the noiseless indication of each accelerometer of the triad, m/s^2, shape (n,).
 
-    time, force: As in `simulate_forces`.
+    times, force: As in `simulate_forces`.
     """
     assert campaign.triad is not None
     assert campaign.simulation is not None
@@ -101,28 +110,28 @@ def indicated_forces(
     axes = np.array([campaign.accelerometers[name].mounting.matrix for name in names])
     origin = reference_point(campaign)
     temperature_offsets = np.array(record.temperature or (origin.temperature,)) - origin.temperature
-    knots = np.linspace(time[0], time[-1], len(temperature_offsets))
+    knots = np.linspace(times[0], times[-1], len(temperature_offsets))
     start_time = 0.0 if record.time is None else record.time - origin.time
-    values = []
-    for first in range(0, len(time), _ROWS):
-        chunk = time[first : first + _ROWS]
-        n = len(chunk)
+    chunks = []
+    for start in range(0, len(times), _CHUNK_ROWS):
+        chunk_times = times[start : start + _CHUNK_ROWS]
+        chunk_size = len(chunk_times)
         rows = TriadPoses(
             accelerometers=names,
-            names=("",) * n,
+            names=("",) * chunk_size,
             axes=axes,
             gravity=campaign.site.gravity,
-            value=np.zeros((n, 3)),
+            value=np.zeros((chunk_size, 3)),
             u=None,
             conditions={
-                **AT_REFERENCE.at(chunk, 0.0),
-                "temperature": np.interp(chunk, knots, temperature_offsets),
-                "time": start_time + chunk,
+                **AT_REFERENCE.at(chunk_times, 0.0),
+                "temperature": np.interp(chunk_times, knots, temperature_offsets),
+                "time": start_time + chunk_times,
             },
-            repeats=np.ones(n),
-            scatter=np.zeros(n),
-            in_si=np.zeros((n, 3)),
+            repeats=np.ones(chunk_size),
+            scatter=np.zeros(chunk_size),
+            in_si=np.zeros((chunk_size, 3)),
         )
-        values.append(predict_indications(rows, coefficients, force[first : first + n]))
-    forces = campaign.site.gravity * np.concatenate(values)
+        chunks.append(predict_indications(rows, coefficients, force[start : start + chunk_size]))
+    forces = campaign.site.gravity * np.concatenate(chunks)
     return dict(zip(names, forces.T, strict=True))

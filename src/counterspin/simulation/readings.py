@@ -1,4 +1,4 @@
-"""Simulated readings: what is indicated at each station, and the files with these values in."""
+"""Simulated readings: the indications at each station, and files that contain these values."""
 
 from __future__ import annotations
 
@@ -39,117 +39,131 @@ from counterspin.triads.groups import make_group
 from counterspin.triads.poses import predict_indications
 from counterspin.units import unit_factor
 
-#: Simulated readings are written with so many digits beyond their standard uncertainty.
+#: Number of digits of simulated readings beyond their standard uncertainty.
 _EXTRA_DIGITS: Final = 3
 
 _NUMBER_PATTERN = re.compile(rf"\s*({NUMBER}|{re.escape(BLANK)})\s*(.*)", re.DOTALL)
 
 
-def indications(
+def compute_indications(
     group: Readings,
     coefficients: Mapping[str, float],
-    machine: Mapping[str, float],
+    machine_terms: Mapping[str, float],
     head_error: Array,
 ) -> Array:
-    """Return the noiseless indication at each reading of a group, in g.
+    """Return the noiseless indication at each reading of a group, in g, without linearisation.
 
-    Nothing is linearised: the stations are moved by what the machine does.
-
-    coefficients: True values of the accelerometer in g-units, slopes included; those not named are
-        nominal.
-    head_error: Error of the dividing head's angle at each reading, rad, shape (n,).
+    coefficients: True values of the accelerometer in g-units, including slopes; others are nominal.
+    machine_terms: True values of the terms of the machine, which move the stations.
+    head_error: Angle error of the dividing head at each reading, rad, shape (n,).
     """
-    stations = group.rotate_head(group.stations_with(machine), head_error)
+    stations = group.rotate_head(group.stations_with(machine_terms), head_error)
     products = mean_products(stations, group.site)
     indicated: Array = np.sum(products * _effective_coefficients(group, coefficients), axis=1)
     return indicated
 
 
 def _effective_coefficients(group: Readings, coefficients: Mapping[str, float]) -> Array:
-    """Return the coefficients at each reading, under its conditions, shape (n, terms)."""
+    """Return the coefficients under the conditions of each reading, shape (n, terms)."""
     nominal = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
     effective = np.tile(nominal, (group.size, 1))
     for symbol, value in coefficients.items():
         if condition_of(symbol):
-            place = list(TERMS).index(coefficient_of(symbol))
-            effective[:, place] += value * group.design_factor(symbol)
+            index = list(TERMS).index(coefficient_of(symbol))
+            effective[:, index] += value * group.design_factor(symbol)
     return effective
 
 
 def head_errors(readings: Sequence[Reading], generator: np.random.Generator) -> Array:
-    """Return errors of the dividing head's angle, rad: one for all accelerometers of a run."""
+    """Return angle errors of the dividing head, rad, shape (n,).
+
+    The accelerometers of a run have the same error.
+    """
     return draw_by_run(readings, generator) * [reading.u_head for reading in readings]
 
 
 def setting_errors(campaign: Campaign) -> Array:
-    """Return relative errors of rates and amplitudes: one for all accelerometers of a run."""
+    """Return relative errors of rates and amplitudes, shape (n,).
+
+    The accelerometers of a run have the same error.
+    """
     readings = campaign.readings
-    u = [(r.u_rate or 0.0) / abs(r.rate) if r.rate else r.u_amplitude for r in readings]
+    u = [
+        (reading.u_rate or 0.0) / abs(reading.rate) if reading.rate else reading.u_amplitude
+        for reading in readings
+    ]
     return draw_by_run(readings, reading_generator(campaign, 1, 1)) * u
 
 
 def draw_by_run(readings: Sequence[Reading], generator: np.random.Generator) -> Array:
-    """Return standard normal numbers: one for all accelerometers of a run, shape (n,)."""
-    drawn: dict[tuple[str, int], float] = {}
+    """Return standard normal numbers, shape (n,), equal for all accelerometers of a run."""
+    draws: dict[tuple[str, int], float] = {}
     numbers = np.zeros(len(readings))
     first_indices: Counter[tuple[str, str]] = Counter()
     for index, reading in enumerate(readings):
-        # A table may name several readings alike; each is a position of its own.
+        # Several readings of a table may have the same name; each is a separate position.
         key = (reading.accelerometer, reading.name)
         position = (reading.name, first_indices[key])
         first_indices[key] += 1
-        if position not in drawn:
-            drawn[position] = float(generator.standard_normal())
-        numbers[index] = drawn[position]
+        if position not in draws:
+            draws[position] = float(generator.standard_normal())
+        numbers[index] = draws[position]
     return numbers
 
 
-def setting_spread(campaign: Campaign) -> dict[str, float]:
-    """Return the standard uncertainty of setting each position, rad, by symbol."""
+def setting_uncertainties(campaign: Campaign) -> dict[str, float]:
+    """Return the standard uncertainties of position settings, rad, by symbol."""
     priors = campaign.model.priors.items()
     return {symbol: prior.u for symbol, prior in priors if symbol.startswith(f"{POSITION}.")}
 
 
 def true_machine(campaign: Campaign) -> dict[str, float]:
-    """Return the true machine terms, including drawn errors of setting positions."""
+    """Return the true machine terms, including random errors of position settings."""
     assert campaign.simulation is not None
-    generator, spread = reading_generator(campaign, 0, 1), setting_spread(campaign)
-    errors = {symbol: u * float(generator.standard_normal()) for symbol, u in spread.items()}
+    generator, uncertainties = reading_generator(campaign, 0, 1), setting_uncertainties(campaign)
+    errors = {symbol: u * float(generator.standard_normal()) for symbol, u in uncertainties.items()}
     return errors | dict(campaign.simulation.truth.machine)
 
 
 def true_readings(campaign: Campaign) -> tuple[tuple[Reading, ...], Array]:
-    """Return a campaign's readings with what would be read without noise, and the head's errors.
+    """Return the readings of a campaign with noiseless values, and the errors of the dividing head.
 
-    Returns: the readings in the campaign's order, those of records as they were; rad, shape (n,).
+    Returns: the readings in the order of the campaign, with unchanged readings of records; the
+        errors, rad, shape (n,).
     """
     assert campaign.simulation is not None
     truth, readings = campaign.simulation.truth, campaign.readings
-    errors = head_errors(readings, reading_generator(campaign, 0))
-    values, machine = np.zeros(len(readings)), true_machine(campaign)
-    rates, errors_of_settings = true_rates(campaign), setting_errors(campaign)
+    angle_errors = head_errors(readings, reading_generator(campaign, 0))
+    values, machine_terms = np.zeros(len(readings)), true_machine(campaign)
+    rates, relative_errors = true_rates(campaign), setting_errors(campaign)
     for group, indices in numbered_groups(campaign, campaign.readings):
         coefficients = truth.coefficients.get(group.accelerometer, {})
-        stated_reading = apply_rates(apply_inputs_to_readings(campaign, group), rates[indices])
-        stated_reading = stated_reading.with_setting_errors(errors_of_settings[indices])
-        values[indices] = indications(stated_reading, coefficients, machine, errors[indices])
+        true_group = apply_rates(apply_inputs_to_readings(campaign, group), rates[indices])
+        true_group = true_group.with_setting_errors(relative_errors[indices])
+        values[indices] = compute_indications(
+            true_group, coefficients, machine_terms, angle_errors[indices]
+        )
     return tuple(
         reading if reading.record else replace(reading, value=value)
         for reading, value in zip(readings, values.tolist(), strict=True)
-    ), errors
+    ), angle_errors
 
 
 def true_rates(campaign: Campaign) -> Array:
     """Return the root mean square of the true rate in each reading, rad/s, shape (n,).
 
-    It is that over the revolutions of the reading, with the sign of the sense; 0 at rest.
+    The mean is over the revolutions of the reading. The sign is the sense; 0 at rest.
     """
     assert campaign.simulation is not None
-    read = campaign.simulation.truth.reading_runs
+    truth_by_reading = campaign.simulation.truth.reading_runs
     return np.array(
         [
-            _mean_rate(read[r.name, r.rate].spindle, r.duration or 0.0) if r.rate else 0.0
-            for r in campaign.readings
+            _mean_rate(
+                truth_by_reading[reading.name, reading.rate].spindle, reading.duration or 0.0
+            )
+            if reading.rate
+            else 0.0
+            for reading in campaign.readings
         ]
     )
 
@@ -159,32 +173,37 @@ def _mean_rate(spindle: Spindle, duration: float) -> float:
 
     The phase of the ripple has no effect on whole revolutions at constant rate.
     """
-    drift = spindle.drift * duration
-    slow = spindle.rate**2 * (1.0 + drift + drift**2 / 3.0)
-    ripple = sum(0.5 * harmonic.amplitude**2 for harmonic in spindle.ripples)
-    return math.copysign(math.sqrt(slow + ripple), spindle.rate)
+    relative_drift = spindle.drift * duration
+    mean_square = spindle.rate**2 * (1.0 + relative_drift + relative_drift**2 / 3.0)
+    ripple_mean_square = sum(0.5 * harmonic.amplitude**2 for harmonic in spindle.ripples)
+    return math.copysign(math.sqrt(mean_square + ripple_mean_square), spindle.rate)
 
 
 def apply_rates(group: Readings, rates: Array) -> Readings:
-    """Return readings that were taken at these rates than the stated ones, rad/s, shape (n,)."""
-    stated = np.array(group.stated_rates)
-    errors = np.divide(rates, stated, out=np.ones_like(rates), where=stated != 0.0) - 1.0
-    return group.with_setting_errors(errors)
+    """Return the readings at true rates that differ from the stated rates.
+
+    rates: True rates, rad/s, shape (n,).
+    """
+    stated_rates = np.array(group.stated_rates)
+    relative_errors = (
+        np.divide(rates, stated_rates, out=np.ones_like(rates), where=stated_rates != 0.0) - 1.0
+    )
+    return group.with_setting_errors(relative_errors)
 
 
 def true_poses(campaign: Campaign) -> tuple[tuple[Reading, ...], ...]:
-    """Return the poses at unknown attitudes with what would be read without noise.
+    """Return the poses at unknown attitudes with noiseless values.
 
-    Their directions are drawn from the seed, all over the sphere.
+    The directions are uniformly distributed over the sphere and depend on the seed.
     """
     assert campaign.simulation is not None
     if campaign.triad is None or not campaign.triad.poses:
         return ()
     poses, truth = campaign.triad.poses, campaign.simulation.truth.coefficients
     group = make_group(campaign, poses)
-    along = true_directions(campaign)
+    directions = true_directions(campaign)
     values = predict_indications(
-        group, [truth.get(name, {}) for name in group.accelerometers], along
+        group, [truth.get(name, {}) for name in group.accelerometers], directions
     )
     return tuple(
         tuple(
@@ -196,22 +215,20 @@ def true_poses(campaign: Campaign) -> tuple[tuple[Reading, ...], ...]:
 
 def true_directions(campaign: Campaign) -> Array:
     """Return the directions of the specific force in the poses, unit vectors, shape (n, 3)."""
-    count = len(campaign.triad.poses) if campaign.triad else 0
-    along = reading_generator(campaign, 0, 2).standard_normal((count, 3))
-    return np.asarray(along / np.linalg.norm(along, axis=1)[:, None], np.float64)
+    n_poses = len(campaign.triad.poses) if campaign.triad else 0
+    directions = reading_generator(campaign, 0, 2).standard_normal((n_poses, 3))
+    return np.asarray(directions / np.linalg.norm(directions, axis=1)[:, None], np.float64)
 
 
-def reading_generator(campaign: Campaign, *which: int) -> np.random.Generator:
-    """Return random numbers that no run of the double turntable has.
+def reading_generator(campaign: Campaign, *stream: int) -> np.random.Generator:
+    """Return a random generator that is independent of the runs of the double turntable.
 
-    So a run that is added changes no reading, and the other way round.
-
-    which: 0 of the head, 0 and 1 of positions, 0 and 2 of unknown attitudes, 0 and from 3 on of
-        records of poses, 1 of the readings' noise, 1 and 1 of rates, from 2 on of records.
+    stream: 0: dividing head; (0, 1): positions; (0, 2): unknown attitudes; (0, 3 + i): record i of
+        poses; 1: noise of the readings; (1, 1): rates; 2 + i: record i.
     """
     assert campaign.simulation is not None
     return np.random.default_rng(
-        np.random.SeedSequence(campaign.simulation.seed, spawn_key=(0, *which))
+        np.random.SeedSequence(campaign.simulation.seed, spawn_key=(0, *stream))
     )
 
 
@@ -220,54 +237,60 @@ def simulate_mean_record(
 ) -> tuple[Array, Array, Array]:
     """Return time (s), recorded angle (rad) and indicated force (m/s^2), each shape (n,).
 
-    The angle is that of the encoder without noise.
+    The angle is the noiseless angle of the encoder.
 
-    head_error: Error of the dividing head's angle, rad.
+    head_error: Angle error of the dividing head, rad.
     """
     assert campaign.simulation is not None
-    truth, rate = campaign.simulation.truth, campaign.simulation.sampling_rate
+    truth, sampling_rate = campaign.simulation.truth, campaign.simulation.sampling_rate
     if reading.duration is None:
         raise ValueError(f'the run "{reading.name}" has no duration')
-    time = np.arange(sample_count(reading.duration, rate)) / rate
+    times = np.arange(sample_count(reading.duration, sampling_rate)) / sampling_rate
     (group,) = (
         apply_inputs_to_readings(campaign, reading_group)
         for reading_group in group_readings(campaign, [reading])
     )
     stations = group.stations_with(true_machine(campaign))
     stations = group.rotate_head(stations, np.array([head_error]))
-    (effective,) = _effective_coefficients(group, truth.coefficients.get(reading.accelerometer, {}))
+    (effective_coefficients,) = _effective_coefficients(
+        group, truth.coefficients.get(reading.accelerometer, {})
+    )
     if not reading.rate:
-        still = np.zeros_like(time)
+        zeros = np.zeros_like(times)
         return (
-            time,
-            still,
-            _instantaneous_force(group, effective, stations, stations.forces(group.site, still)),
+            times,
+            zeros,
+            _instantaneous_force(
+                group, effective_coefficients, stations, stations.forces(group.site, zeros)
+            ),
         )
-    of_run = truth.reading_runs[reading.name, reading.rate]
-    spindle = of_run.spindle
+    run_truth = truth.reading_runs[reading.name, reading.rate]
+    spindle = run_truth.spindle
     stations = replace(stations, rate=np.array([_mean_rate(spindle, reading.duration)]))
     forces = stations.forces(
         group.site,
-        spindle.angle(time),
-        spindle.angular_rate(time),
-        spindle.angular_acceleration(time),
+        spindle.angle(times),
+        spindle.angular_rate(times),
+        spindle.angular_acceleration(times),
     )
-    late = apply_true_inputs(campaign).timing_offset
-    angle = spindle.angle(time + (late.value if late else 0.0))
-    angle = angle + encoder_error(of_run.shared, angle)
-    return time, angle, _instantaneous_force(group, effective, stations, forces)
+    timing_offset = apply_true_inputs(campaign).timing_offset
+    angle = spindle.angle(times + (timing_offset.value if timing_offset else 0.0))
+    angle = angle + encoder_error(run_truth.shared, angle)
+    return times, angle, _instantaneous_force(group, effective_coefficients, stations, forces)
 
 
 def _instantaneous_force(
-    group: Readings, effective: Array, stations: Stations, forces: Array
+    group: Readings, effective_coefficients: Array, stations: Stations, forces: Array
 ) -> Array:
     """Return the indicated specific force, m/s^2, shape (n,).
 
-    stations: The station of the reading.
-    forces: In its frame, m/s^2, shape (1, n, 3).
+    stations: Station of the reading.
+    forces: Specific force in the frame of the station, m/s^2, shape (1, n, 3).
     """
-    found: Array = group.site.gravity * (effective @ stations.products(group.site, forces)[:, 0])
-    return found
+    indicated: Array = group.site.gravity * (
+        effective_coefficients @ stations.products(group.site, forces)[:, 0]
+    )
+    return indicated
 
 
 # Files: the description and the table of readings
@@ -277,135 +300,143 @@ def _instantaneous_force(
 class NoiselessReadings:
     """Noiseless readings."""
 
-    readings: tuple[Reading, ...]  #: At known attitudes, in the campaign's order.
-    poses: tuple[tuple[Reading, ...], ...]  #: At unknown ones.
+    readings: tuple[Reading, ...]  #: Readings at known attitudes, in the order of the campaign.
+    poses: tuple[tuple[Reading, ...], ...]  #: Poses at unknown attitudes.
 
 
 def fill_description(
-    campaign: Campaign, exact: NoiselessReadings, generator: np.random.Generator
+    campaign: Campaign, noiseless: NoiselessReadings, generator: np.random.Generator
 ) -> str | None:
-    """Return a campaign's description with values in place of those of its runs.
+    """Return the description of a campaign with simulated values of the readings of its runs.
 
-    Comments stay where they are, as long as the text is of the usual form.
+    Comments are kept if each value is a string on one line.
 
-    Returns: none if no run has a reading, so that nothing is to be changed.
+    Returns: None if no run has a reading.
     """
     text = _description_text(campaign)
     document = parse_toml(text)
     runs = [run for run in document.get("runs", []) if is_reading(run)]
     if not any("reading" in run for run in runs):
         return None
-    readings, poses = iter(exact.readings), iter(exact.poses)
-    index, edited = 0, text
+    readings, poses = iter(noiseless.readings), iter(noiseless.poses)
+    search_start, edited_text = 0, text
     for run in runs:
         if "reading" not in run:
-            # A record, of all accelerometers; that of poses is none of a reading.
+            # A record has a reading of each accelerometer; a record of poses has none.
             for _ in () if is_pose(run) else campaign.accelerometers:
                 next(readings)
             continue
-        old = _repeat_texts(run["reading"])
-        new = []
-        filled = _pose_readings(next(poses), run["reading"]) if is_pose(run) else readings
-        for texts in old:
-            reading = next(filled)
-            new.append([_replace_value(text, campaign, reading, generator) for text in texts])
-        run["reading"] = _format_like(run["reading"], new)
-        for before, after in zip(chain(*old), chain(*new), strict=True):
-            where = edited.find(f'"{before}"', index)
-            if where >= 0:
-                edited = f'{edited[:where]}"{after}"{edited[where + len(before) + 2 :]}'
-                index = where + len(after)
-    return edited if _parses_to(edited, document) else format_document(document)
+        old_texts = _repeat_texts(run["reading"])
+        new_texts = []
+        run_readings = _pose_readings(next(poses), run["reading"]) if is_pose(run) else readings
+        for repeat_texts in old_texts:
+            reading = next(run_readings)
+            new_texts.append(
+                [
+                    _simulated_reading_text(text, campaign, reading, generator)
+                    for text in repeat_texts
+                ]
+            )
+        run["reading"] = _format_like(run["reading"], new_texts)
+        for old_text, new_text in zip(chain(*old_texts), chain(*new_texts), strict=True):
+            position = edited_text.find(f'"{old_text}"', search_start)
+            if position >= 0:
+                end = position + len(old_text) + 2
+                edited_text = f'{edited_text[:position]}"{new_text}"{edited_text[end:]}'
+                search_start = position + len(new_text)
+    return edited_text if _is_toml_of(edited_text, document) else format_document(document)
 
 
 def _pose_readings(pose: Sequence[Reading], names: Iterable[str]) -> Iterator[Reading]:
-    """Return the readings of a pose in the order in which accelerometers are named."""
-    by_name = {reading.accelerometer: reading for reading in pose}
-    return iter([by_name[name] for name in names])
+    """Return the readings of a pose in the order of accelerometer names."""
+    readings_by_name = {reading.accelerometer: reading for reading in pose}
+    return iter([readings_by_name[name] for name in names])
 
 
 def _description_text(campaign: Campaign) -> str:
-    """Return a campaign's description as it is written."""
+    """Return the text of the description of a campaign."""
     if campaign.source is not None and campaign.source.in_memory:
         return campaign.source.text
     return read_file(campaign.path).decode("utf-8-sig")
 
 
 def _repeat_texts(reading: Any) -> list[list[str]]:
-    """Return the repeats of each accelerometer's reading as they are written."""
+    """Return the texts of the repeats for each accelerometer of a reading."""
     cells = list(reading.values()) if isinstance(reading, dict) else [reading]
     return [[cell] if isinstance(cell, str) else cell for cell in cells]
 
 
-def _format_like(reading: Any, new: list[list[str]]) -> Any:
-    """Return new texts in the form of the old ones."""
+def _format_like(reading: Any, new_texts: list[list[str]]) -> Any:
+    """Return new texts with the structure of `reading`."""
     cells = list(reading.values()) if isinstance(reading, dict) else [reading]
-    written: list[Any] = [
-        texts[0] if isinstance(cell, str) else texts for cell, texts in zip(cells, new, strict=True)
+    formatted: list[Any] = [
+        repeat_texts[0] if isinstance(cell, str) else repeat_texts
+        for cell, repeat_texts in zip(cells, new_texts, strict=True)
     ]
-    return dict(zip(reading, written, strict=True)) if isinstance(reading, dict) else written[0]
+    return dict(zip(reading, formatted, strict=True)) if isinstance(reading, dict) else formatted[0]
 
 
-def _parses_to(text: str, document: Mapping[str, Any]) -> bool:
+def _is_toml_of(text: str, document: Mapping[str, Any]) -> bool:
     try:
         return parse_toml(text) == document
     except ValueError:
         return False
 
 
-def _replace_value(
-    old: str, campaign: Campaign, reading: Reading, generator: np.random.Generator
+def _simulated_reading_text(
+    old_text: str, campaign: Campaign, reading: Reading, generator: np.random.Generator
 ) -> str:
-    """Return the text of a reading with another value, in the unit and with the ± that it has."""
+    """Return the text of a reading with its simulated value, keeping the unit and the ±."""
     output, zero = campaign.accelerometers[reading.accelerometer].output, 0.0
-    match = _NUMBER_PATTERN.fullmatch(old)
+    match = _NUMBER_PATTERN.fullmatch(old_text)
     assert match is not None
-    rest = match[2] or (output.unit if output else "g")
-    unit = re.sub(rf"^{PLUS_MINUS}{NUMBER}\s*", "", rest)
+    unit_text = match[2] or (output.unit if output else "g")
+    unit = re.sub(rf"^{PLUS_MINUS}{NUMBER}\s*", "", unit_text)
     if output is None:
         per_g = unit_factor("g", unit, gravity=apply_true_inputs(campaign).gravity.value)
     else:
-        size = unit_factor(output.unit, unit)
-        per_g, zero = size * output.sensitivity, size * output.zero
-    stated = parse_quantity(f"0 {rest}", unit).u
-    return f"{_noisy_reading(campaign, reading, (per_g, zero), stated, generator)!r} {rest}"
+        unit_scale = unit_factor(output.unit, unit)
+        per_g, zero = unit_scale * output.sensitivity, unit_scale * output.zero
+    stated_u = parse_quantity(f"0 {unit_text}", unit).u
+    return f"{_noisy_reading(campaign, reading, (per_g, zero), stated_u, generator)!r} {unit_text}"
 
 
 def _noisy_reading(
     campaign: Campaign,
     reading: Reading,
     scale: tuple[float, float],
-    stated: float,
+    stated_u: float,
     generator: np.random.Generator,
 ) -> float:
-    """Return a reading with noise, with some digits more than its noise leaves it.
+    """Return a reading with noise, rounded to a few digits beyond its uncertainty.
 
-    scale: How much of the unit a g is, and what is read where there is none.
+    scale: Output per g, and output at 0 g, in the unit of the reading.
+    stated_u: Stated standard uncertainty, in the unit of the reading.
     """
     per_g, zero = scale
     assert campaign.simulation is not None
-    uncertainty = campaign.simulation.truth.reading_noise.get(reading.accelerometer)
-    u = stated if uncertainty is None else uncertainty * abs(per_g)
+    true_noise = campaign.simulation.truth.reading_noise.get(reading.accelerometer)
+    u = stated_u if true_noise is None else true_noise * abs(per_g)
     value = zero + reading.value * per_g + u * float(generator.standard_normal())
     return round(value, _EXTRA_DIGITS - math.floor(math.log10(u))) if u > 0.0 else value
 
 
 def fill_table(
-    campaign: Campaign, exact: NoiselessReadings, generator: np.random.Generator
+    campaign: Campaign, noiseless: NoiselessReadings, generator: np.random.Generator
 ) -> tuple[Path, Any] | None:
-    """Return the file that [readings] names, and the table, a polars frame, with values in it.
+    """Return the file of [readings], and its table as a polars frame with simulated values.
 
-    Returns: none if there is no such section.
+    Returns: None without this section.
     """
     import polars as pl
 
-    raw = campaign.source.document if campaign.source else load_document(campaign.path)
-    if "readings" not in raw:
+    document = campaign.source.document if campaign.source else load_document(campaign.path)
+    if "readings" not in document:
         return None
-    settings = ReadingsSettings.model_validate(raw["readings"])
+    settings = ReadingsSettings.model_validate(document["readings"])
     path = campaign.folder / settings.file
-    is_plain = settings.model_copy(update={"decimal": None, "sheet": None}).dialect
-    stated_names = [key for key, value in vars(is_plain).items() if value is not None]
+    required_dialect = settings.model_copy(update={"decimal": None, "sheet": None}).dialect
+    stated_names = [key for key, value in vars(required_dialect).items() if value is not None]
     if stated_names:
         raise CampaignError(
             str(campaign.path),
@@ -416,8 +447,10 @@ def fill_table(
             code="conflicting-keys",
         )
     frame = load_table(path, settings.dialect)[0].frame
-    outputs = {name: a.output for name, a in campaign.accelerometers.items()}
-    table = ReadingsTable(settings, outputs, Problems(raw), raw)
+    outputs = {
+        name: accelerometer.output for name, accelerometer in campaign.accelerometers.items()
+    }
+    table = ReadingsTable(settings, outputs, Problems(document), document)
     rows = [
         (index, row)
         for index, row in enumerate(frame.iter_rows(named=True))
@@ -426,31 +459,36 @@ def fill_table(
     values = {
         column: [None if is_empty(cell) else cell for cell in frame[column].to_list()]
         for view in table.mounting_views({})
-        for accelerometer_rows in view.value_columns("reading").values()
-        for column in accelerometer_rows
+        for columns in view.value_columns("reading").values()
+        for column in columns
     }
-    unknown = [is_pose(table.make_run(row, index, ())) for index, row in rows]
-    # The rows of the table come last.
-    start = len(exact.readings) - sum(
+    posed_flags = [is_pose(table.make_run(row, index, ())) for index, row in rows]
+    # The readings of the table are last.
+    first_reading = len(noiseless.readings) - sum(
         len(view.value_columns("reading"))
-        for (_, row), is_posed in zip(rows, unknown, strict=True)
+        for (_, row), is_posed in zip(rows, posed_flags, strict=True)
         for view in ([] if is_posed else table.mounting_views(row))
     )
-    readings, poses = iter(exact.readings[start:]), iter(exact.poses[-sum(unknown) or None :])
-    for (index, row), is_posed in zip(rows, unknown, strict=True):
-        used_rows = (
+    readings, poses = (
+        iter(noiseless.readings[first_reading:]),
+        iter(noiseless.poses[-sum(posed_flags) or None :]),
+    )
+    for (index, row), is_posed in zip(rows, posed_flags, strict=True):
+        row_readings = (
             _pose_readings(next(poses), table.value_columns("reading")) if is_posed else readings
         )
-        views = table.mounting_views(row)
-        for view, name, accelerometer_rows in [
-            (v, n, c) for v in views for n, c in v.value_columns("reading").items()
-        ]:
-            reading = next(used_rows)
+        row_columns = [
+            (view, name, columns)
+            for view in table.mounting_views(row)
+            for name, columns in view.value_columns("reading").items()
+        ]
+        for view, name, columns in row_columns:
+            reading = next(row_readings)
             output = outputs[name]
-            stated = view.u(row, name, ()) or 0.0
-            for column in [
-                c for c in accelerometer_rows if not is_empty(row[c])
-            ] or accelerometer_rows:
+            stated_u = view.u(row, name, ()) or 0.0
+            for column in [column for column in columns if not is_empty(row[column])] or columns:
                 scale = (output.sensitivity, output.zero) if output else (1.0, 0.0)
-                values[column][index] = _noisy_reading(campaign, reading, scale, stated, generator)
-    return path, frame.with_columns([pl.Series(c, cells) for c, cells in values.items()])
+                values[column][index] = _noisy_reading(
+                    campaign, reading, scale, stated_u, generator
+                )
+    return path, frame.with_columns([pl.Series(column, cells) for column, cells in values.items()])

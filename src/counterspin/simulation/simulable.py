@@ -1,4 +1,4 @@
-"""Checks that a campaign can be simulated, and the campaign with its true inputs."""
+"""Checks of campaigns before a simulation, and the campaign with its true inputs."""
 
 from __future__ import annotations
 
@@ -22,82 +22,78 @@ from counterspin.physics.terms import term
 from counterspin.readings.entries import MOST_RECORDS
 from counterspin.readings.known_attitudes import Readings, with_input
 from counterspin.records.record import ColumnSpec
-from counterspin.simulation.pose_record import record_seconds
+from counterspin.simulation.pose_record import record_duration
 
-#: A true value may be this many times its largest credible size.
-TRUTH_MARGIN: Final = 5.0
-#: Relative change of the rate by ripple and drift together stays below this.
+#: Maximum ratio of a true value to its largest credible size.
+MAX_TRUTH_RATIO: Final = 5.0
+#: Maximum relative change of the rate by ripple and drift together.
 _MAX_RATE_CHANGE: Final = 0.5
-#: Highest ripple harmonic that is simulated.
+#: Highest simulated ripple harmonic.
 _MAX_RIPPLE_HARMONIC: Final = 1000
-#: Why a record at rest cannot be simulated.
+#: Problem of a record at rest without duration.
 _MISSING_DURATION: Final = "simulating a record at rest requires a duration"
 
 
 def simulation_problems(campaign: Campaign) -> list[str]:
-    """Return why a campaign's truth cannot be simulated: noise without a size, incredible sizes.
+    """Return the problems of [truth] in a simulation: noise without value, implausible values.
 
-    Calibration does not ask. The largest credible sizes are those of the term table or of
-    [model.limits].
+    The largest credible sizes come from the term table or from [model.limits].
     """
     if campaign.simulation is None:
         return []
     truth = campaign.simulation.truth
-    stated = truth.noise is campaign.noise
+    is_stated = truth.noise is campaign.noise
     problems = [
-        f"{'noise' if stated else 'truth.noise'}.{key}: a simulation requires the true value"
-        + ("; write it in [truth.noise]" if stated else "")
+        f"{'noise' if is_stated else 'truth.noise'}.{key}: a simulation requires the true value"
+        + ("; write it in [truth.noise]" if is_stated else "")
         for key in StatedNoise.model_fields
         if getattr(truth.noise, key) == ESTIMATE
     ]
     for name, coefficients in truth.coefficients.items():
         for symbol, value in coefficients.items():
             limit = campaign.limit_of(symbol, name)
-            problems += _implausible_size(f"truth.{name}.{symbol}", symbol, value, limit)
+            problems += _check_plausible_value(f"truth.{name}.{symbol}", symbol, value, limit)
     for index, run in enumerate(campaign.runs):
         if (run_truth := truth.runs.get(run.name)) is None:
             continue
         location = f'truth of runs[{index}] ("{run.name}")'
         for symbol, value in run_truth.shared.items():
             limit = campaign.limit_of(symbol)
-            problems += _implausible_size(f"{location}, {symbol}", symbol, value, limit)
+            problems += _check_plausible_value(f"{location}, {symbol}", symbol, value, limit)
         problems += [
-            f"{location}: {text}" for text in _unsteady_rate(run_truth.spindle, run.duration)
+            f"{location}: {text}" for text in _check_steady_rate(run_truth.spindle, run.duration)
         ]
     return problems
 
 
-def _implausible_size(location: str, symbol: str, value: float, limit: float) -> Iterator[str]:
+def _check_plausible_value(location: str, symbol: str, value: float, limit: float) -> Iterator[str]:
     row = term(symbol)
-    if abs(value - row.nominal) > TRUTH_MARGIN * limit:
+    if abs(value - row.nominal) > MAX_TRUTH_RATIO * limit:
         yield (
-            f"{location}: {value:.6g} {row.unit} is more than {TRUTH_MARGIN:g} times the largest "
-            f"credible size, {limit:.6g} {row.unit}"
+            f"{location}: {value:.6g} {row.unit} is more than {MAX_TRUTH_RATIO:g} times the "
+            f"largest credible size, {limit:.6g} {row.unit}"
             + (f" about {row.nominal:g}" if row.nominal else "")
             + f'; check its unit, or raise "{symbol}" in [model.limits]'
         )
 
 
-def _unsteady_rate(spindle: Spindle, duration: float | None) -> Iterator[str]:
+def _check_steady_rate(spindle: Spindle, duration: float | None) -> Iterator[str]:
     if spindle.highest_harmonic > _MAX_RIPPLE_HARMONIC:
         yield (
             f"harmonic {spindle.highest_harmonic} of the ripple is above "
             f"{_MAX_RIPPLE_HARMONIC}, the highest harmonic that can be simulated"
         )
-    ripple = sum(abs(ripple.amplitude / spindle.rate) for ripple in spindle.ripples)
-    change = ripple + abs(spindle.drift) * (duration or 0.0)
-    if not change < _MAX_RATE_CHANGE:
+    ripple_sum = sum(abs(ripple_sum.amplitude / spindle.rate) for ripple_sum in spindle.ripples)
+    rate_change = ripple_sum + abs(spindle.drift) * (duration or 0.0)
+    if not rate_change < _MAX_RATE_CHANGE:
         yield (
-            f"ripple and drift change the rate by {100.0 * change:.3g} % within the run; "
+            f"ripple and drift change the rate by {100.0 * rate_change:.3g} % within the run; "
             f"less than {100.0 * _MAX_RATE_CHANGE:g} % can be simulated"
         )
 
 
 def reading_problems(campaign: Campaign) -> list[str]:
-    """Return why a campaign's readings cannot be simulated: no noise or length, incredible sizes.
-
-    Calibration does not ask.
-    """
+    """Return the problems of readings in a simulation: missing noise, implausible values."""
     if campaign.simulation is None:
         return []
     truth = campaign.simulation.truth
@@ -109,10 +105,12 @@ def reading_problems(campaign: Campaign) -> list[str]:
         )
     for (name, _), run_truth in truth.reading_runs.items():
         duration = max(
-            (r.duration or 0.0 for r in campaign.readings if r.name == name), default=0.0
+            (reading.duration or 0.0 for reading in campaign.readings if reading.name == name),
+            default=0.0,
         )
         problems += [
-            f'truth of run "{name}": {text}' for text in _unsteady_rate(run_truth.spindle, duration)
+            f'truth of run "{name}": {text}'
+            for text in _check_steady_rate(run_truth.spindle, duration)
         ]
     for reading in campaign.all_readings:
         if reading.record is not None:
@@ -126,9 +124,9 @@ def reading_problems(campaign: Campaign) -> list[str]:
             break
     for symbol, value in truth.machine.items():
         row = term(symbol)
-        if not math.fabs(value) <= TRUTH_MARGIN * row.limit:
+        if not math.fabs(value) <= MAX_TRUTH_RATIO * row.limit:
             problems.append(
-                f"truth.machine, {symbol}: {value:.6g} {row.unit} is more than {TRUTH_MARGIN:g} "
+                f"truth.machine, {symbol}: {value:.6g} {row.unit} is more than {MAX_TRUTH_RATIO:g} "
                 f"times the largest credible size, {row.limit:.6g} {row.unit}; check its unit"
             )
     return problems
@@ -140,30 +138,33 @@ def _is_noiseless(noise: StatedNoise) -> bool:
 
 
 def refuse_unsupported(campaign: Campaign) -> None:
-    """Raise CampaignError if records are read in a way in which none are simulated."""
+    """Raise CampaignError if the format of the records is not supported in simulations."""
     problems = []
     campaign_recording = Recording(
         campaign.time, campaign.angle, campaign.dialect, campaign.temperature
     )
-    run_recordings = {f'run "{r.name}", records': r.recording for r in campaign.runs if r.recording}
-    for where, recording in ({"records": campaign_recording} | run_recordings).items():
+    run_recordings = {
+        f'run "{run.name}", records': run.recording for run in campaign.runs if run.recording
+    }
+    for location, recording in ({"records": campaign_recording} | run_recordings).items():
         stated_keys = [key for key, value in vars(recording.dialect).items() if value is not None]
         problems += [
-            f"{where}.{key}: simulated records cannot have this key; omit it" for key in stated_keys
+            f"{location}.{key}: simulated records cannot have this key; omit it"
+            for key in stated_keys
         ]
         for key, channel in (("time", recording.time), ("angle", recording.angle)):
             if channel is not None and channel.name and (channel.kind != "numbers"):
-                problems.append(f"{where}.{key}: simulated records contain numbers in every row")
+                problems.append(f"{location}.{key}: simulated records contain numbers in every row")
             elif channel is not None and channel.name and not channel.unit:
-                problems.append(f"{where}.{key}.unit: missing; required to simulate records")
+                problems.append(f"{location}.{key}.unit: missing; required to simulate records")
         if recording.time.kind == "rows" and campaign.runs:
-            problems.append(f"{where}.time: simulated records contain a time column")
+            problems.append(f"{location}.time: simulated records contain a time column")
     for name, accelerometer in campaign.accelerometers.items():
         if accelerometer.channel.name and not accelerometer.channel.unit:
             key = f"accelerometers.{name}.{accelerometer.observable}.unit"
             problems.append(f"{key}: missing; required to simulate records")
-    problems += _clock_problems(campaign)
-    problems += _missing_temperatures(campaign)
+    problems += _check_clock(campaign)
+    problems += _check_temperatures(campaign)
     records = [run.record for run in campaign.runs]
     for run in campaign.runs:
         if records.count(run.record) > 1:
@@ -174,21 +175,27 @@ def refuse_unsupported(campaign: Campaign) -> None:
         raise CampaignError(str(campaign.path), problems, code="not-simulable")
 
 
-def _missing_temperatures(campaign: Campaign) -> Iterator[str]:
-    """Yield the runs whose record has a column of a temperature that nothing states."""
+def _check_temperatures(campaign: Campaign) -> Iterator[str]:
+    """Yield a problem for each record with a temperature column but no stated temperature."""
     runs = [run for run in campaign.runs if campaign.recording_of(run).temperature]
-    read = [item for item in campaign.readings if item.record is not None and campaign.temperature]
-    posed = campaign.triad.records if campaign.triad and campaign.temperature else ()
-    stated = {item.name: item.temperature for some in (runs, read, posed) for item in some}
-    for name in (name for name, temperature in stated.items() if not temperature):
+    recorded_readings = [
+        record for record in campaign.readings if record.record is not None and campaign.temperature
+    ]
+    pose_records = campaign.triad.records if campaign.triad and campaign.temperature else ()
+    temperatures = {
+        record.name: record.temperature
+        for records in (runs, recorded_readings, pose_records)
+        for record in records
+    }
+    for name in (name for name, temperature in temperatures.items() if not temperature):
         yield (
             f'run "{name}": temperature is missing; the record has a temperature column, so the '
             "true temperature is required"
         )
 
 
-def _clock_problems(campaign: Campaign) -> Iterator[str]:
-    """Yield why records of poses whose rows are counted are not simulated as they are read."""
+def _check_clock(campaign: Campaign) -> Iterator[str]:
+    """Yield a problem if the simulated sampling rate of pose records is not the stated rate."""
     if campaign.time.kind != "rows" or campaign.runs or campaign.simulation is None:
         return
     if campaign.triad and campaign.triad.records:
@@ -200,59 +207,63 @@ def _clock_problems(campaign: Campaign) -> Iterator[str]:
             )
 
 
-def computed_rows(rate: float, duration: float, sampling_rate: float, *, means: bool) -> float:
+def count_computed_rows(
+    rate: float, duration: float, sampling_rate: float, *, is_averaged: bool
+) -> float:
     """Return the number of rows of a computed record.
 
     rate, duration, sampling_rate: rad/s, s, Hz.
-    means: Whether the samples are averaged as `calibrate` does it.
+    is_averaged: True if the samples are averaged in blocks, as in `calibrate`.
     """
     from counterspin.records.reduction import BLOCKS_PER_REVOLUTION, block_size
 
-    samples = duration * sampling_rate
-    if means and rate:
-        samples /= block_size(1.0 / sampling_rate, rate)
-    # The integrals need about as many places in a revolution, however few samples it has.
-    return max(samples, BLOCKS_PER_REVOLUTION * abs(rate) * duration / (2.0 * math.pi))
+    n_rows = duration * sampling_rate
+    if is_averaged and rate:
+        n_rows /= block_size(1.0 / sampling_rate, rate)
+    # The integrals need a minimum number of points per revolution.
+    return max(n_rows, BLOCKS_PER_REVOLUTION * abs(rate) * duration / (2.0 * math.pi))
 
 
 def check_size(
     campaign: Campaign, sampling_rate: float, purpose: Literal["forecast", "study", "simulation"]
 ) -> None:
-    """Raise CampaignError if the records of a campaign would be too much to compute.
+    """Raise CampaignError if the records of a campaign are too large to compute.
 
-    What is written piece by piece (a simulation) may have any number of runs.
+    A simulation processes one record at a time, so that it may have any number of runs.
 
     sampling_rate: Hz.
     """
-    lengths = [
+    record_lengths = [
         (f"runs[{index}]", run.rate, run.duration, len(campaign.accelerometers))
         for index, run in enumerate(campaign.runs)
     ]
-    if purpose == "simulation":  # the others need only how uncertain a mean is
-        lengths += [
+    if purpose == "simulation":  # other purposes need only the noise of means
+        record_lengths += [
             (f'run "{reading.name}"', reading.rate, reading.duration, 1)
             for reading in campaign.readings
             if reading.record is not None
         ]
         assert campaign.simulation is not None
-        lengths += [
-            (f'run "{record.name}"', 0.0, record_seconds(record, campaign.simulation.poses), 1)
+        record_lengths += [
+            (f'run "{record.name}"', 0.0, record_duration(record, campaign.simulation.poses), 1)
             for record in (campaign.triad.records if campaign.triad else ())
         ]
     sizes = [
         (
-            (1 if purpose == "simulation" else count)
-            * computed_rows(rate, duration, sampling_rate, means=purpose == "forecast"),
-            f"{where}: {duration:.4g} s at {abs(rate) / (2.0 * math.pi):.3g} rev/s, sampled at "
+            (1 if purpose == "simulation" else n_accelerometers)
+            * count_computed_rows(rate, duration, sampling_rate, is_averaged=purpose == "forecast"),
+            f"{location}: {duration:.4g} s at {abs(rate) / (2.0 * math.pi):.3g} rev/s, sampled at "
             f"{sampling_rate:.4g} Hz,",
         )
-        for where, rate, duration, count in lengths
+        for location, rate, duration, n_accelerometers in record_lengths
         if duration is not None
     ]
-    total = sum(rows for rows, _ in sizes)
-    records = len(campaign.runs) * len(campaign.accelerometers)
-    if purpose != "simulation" and records > MOST_RECORDS:
-        text = f"runs: {records} records are too many; a {purpose} can have at most {MOST_RECORDS}"
+    total_rows = sum(rows for rows, _ in sizes)
+    n_records = len(campaign.runs) * len(campaign.accelerometers)
+    if purpose != "simulation" and n_records > MOST_RECORDS:
+        text = (
+            f"runs: {n_records} records are too many; a {purpose} can have at most {MOST_RECORDS}"
+        )
         raise CampaignError(str(campaign.path), [text], code="too-many-rows")
     max_rows = MAX_SIMULATED_ROWS if purpose == "simulation" else MAX_COMPUTED_ROWS
     advice = (
@@ -260,10 +271,14 @@ def check_size(
         "shorter duration or a lower sampling rate"
     )
     if purpose == "simulation":
-        problems = [f"{w} makes {rows:.3g} {advice}" for rows, w in sizes if rows > max_rows]
-    elif total > max_rows:
+        problems = [
+            f"{record_text} makes {rows:.3g} {advice}"
+            for rows, record_text in sizes
+            if rows > max_rows
+        ]
+    elif total_rows > max_rows:
         rows, text = max(sizes)
-        problems = [f"{text} makes {rows:.3g} of the {total:.3g} {advice}"]
+        problems = [f"{text} makes {rows:.3g} of the {total_rows:.3g} {advice}"]
     else:
         problems = []
     if problems:
@@ -273,22 +288,22 @@ def check_size(
 def apply_true_inputs(campaign: Campaign) -> Campaign:
     """Return the campaign with the true radius, gravity, latitude, angle delay and responses.
 
-    Its columns and clocks stay as the description has them: with these its records are read.
+    Its columns and clocks keep the stated values, which apply to reading its records.
     """
     assert campaign.simulation is not None
-    true = campaign.simulation.truth.inputs
+    true_values = campaign.simulation.truth.inputs
     gravity, latitude, radius = (
-        replace(stated, value=true.get(("", symbol), stated.value))
-        for symbol, stated in (
+        replace(stated_value, value=true_values.get(("", symbol), stated_value.value))
+        for symbol, stated_value in (
             ("site.gravity", campaign.gravity),
             ("site.latitude", campaign.latitude),
             ("centrifuge.radius", campaign.radius),
         )
     )
-    angle_delay = true.get(("", TIMING))
+    angle_delay = true_values.get(("", TIMING))
     return replace(
         campaign,
-        accelerometers=update_responses(campaign.accelerometers, true),
+        accelerometers=update_responses(campaign.accelerometers, true_values),
         site=replace(campaign.site, gravity=gravity.value, latitude=latitude.value),
         gravity=gravity,
         latitude=latitude,
@@ -300,38 +315,40 @@ def apply_true_inputs(campaign: Campaign) -> Campaign:
 
 
 def apply_inputs_to_readings(campaign: Campaign, group: Readings) -> Readings:
-    """Return readings where radius, gravity, latitude and clocks are what they truly are.
+    """Return readings with the true radius, gravity, latitude and clocks.
 
-    The radius of a mounting that is a term of its own is no matter of the centrifuge's.
+    A mounting with its own radius term does not depend on the radius of the centrifuge.
     """
     assert campaign.simulation is not None
-    true, model = apply_true_inputs(campaign), campaign.model
+    true_campaign, model = apply_true_inputs(campaign), campaign.model
     symbols = {*model.terms, *model.considered, *model.priors}
     symbols |= campaign.simulation.truth.machine.keys()
-    for symbol, (stated_value, stated) in {
-        "centrifuge.radius": (true.radius, campaign.radius),
-        "site.gravity": (true.gravity, campaign.gravity),
-        "site.latitude": (true.latitude, campaign.latitude),
+    for symbol, (true_value, stated_value) in {
+        "centrifuge.radius": (true_campaign.radius, campaign.radius),
+        "site.gravity": (true_campaign.gravity, campaign.gravity),
+        "site.latitude": (true_campaign.latitude, campaign.latitude),
     }.items():
-        group = with_input(group, symbol, stated_value.value - stated.value, symbols)
+        group = with_input(group, symbol, true_value.value - stated_value.value, symbols)
     inputs = campaign.simulation.truth.inputs
-    for owner, symbol in dict.fromkeys(rate_clock_input(campaign, r) for r in campaign.readings):
-        stated_symbols = campaign.rate_clock if symbol == RATE_CLOCK else campaign.clock
-        assumed = stated_symbols.value if stated_symbols else 0.0
+    for owner, symbol in dict.fromkeys(
+        rate_clock_input(campaign, reading) for reading in campaign.readings
+    ):
+        stated_clock = campaign.rate_clock if symbol == RATE_CLOCK else campaign.clock
+        assumed = stated_clock.value if stated_clock else 0.0
         name = f"{owner}.{symbol}" if owner else symbol
         group = with_input(group, name, inputs.get((owner, symbol), assumed) - assumed, symbols)
     return group
 
 
 def clock_ratio(campaign: Campaign, recording: Recording) -> float:
-    """Return recorded over true time, with the stated clock error removed."""
+    """Return recorded over true time, corrected by the stated clock error."""
     assert campaign.simulation is not None
-    stated = recording.clock.value if recording.clock else 0.0
-    true = campaign.simulation.truth.inputs.get((recording.recorder, CLOCK), stated)
-    return (1.0 + true) / (1.0 + stated)
+    stated_error = recording.clock.value if recording.clock else 0.0
+    true_error = campaign.simulation.truth.inputs.get((recording.recorder, CLOCK), stated_error)
+    return (1.0 + true_error) / (1.0 + stated_error)
 
 
 def gravity_ratio(campaign: Campaign, channel: ColumnSpec) -> float:
-    """Return the gravity that a column is read with over the true one, in whose g an output is."""
-    true = apply_true_inputs(campaign).gravity.value
-    return campaign.gravity.value / true if channel.in_g else 1.0
+    """Return stated over true gravity for an output in g; 1 for other outputs."""
+    true_gravity = apply_true_inputs(campaign).gravity.value
+    return campaign.gravity.value / true_gravity if channel.in_g else 1.0

@@ -1,4 +1,4 @@
-"""`counterspin simulate`: records and readings of a campaign whose coefficients are known."""
+"""`counterspin simulate`: records and readings of a campaign with known coefficients."""
 
 from __future__ import annotations
 
@@ -71,37 +71,35 @@ def simulate(
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Path, ...] | Campaign:
-    """Make the records of every run and the readings, in memory or as files.
+    """Simulate the records of every run and the readings, in memory or as files.
 
-    Each run draws from a random stream of its own, so that adding a run at the end, or changing
-    one, changes no other.
+    Each run has a separate random stream, so that adding or changing a run does not change the
+    other runs.
 
     Parameters
     ----------
     where
-        A campaign's description file or its folder, or a campaign already read; with [truth].
+        The campaign's folder, its ``campaign.toml``, or a `Campaign`; with [truth].
     folder
-        Where to write the records, and the description beside them; made if it is not there.
-        None: nothing is written.
+        Folder for the records and the description; created if missing. None: write nothing.
     overwrite
-        Whether the files of an earlier simulation may be replaced; others never are.
+        True: replace the files of an earlier simulation, but no other files.
     progress
-        Called after each file with the number of those that are written, and of all.
+        Function called after each file with (written files, total files).
 
     Returns
     -------
     tuple of Path, or Campaign
-        The record files, in the order of the runs; the table of readings, if there is one.
+        The record files, in the order of the runs, and the table of readings, if there is one.
         Without a folder: the campaign with its records in memory, and its truth.
 
     Raises
     ------
     CampaignError
-        If the description is wrong, the truth is missing or not credible, a run is too long to
-        be made, or a record's format cannot be written; a table of readings is made only as a
-        file.
+        If the description is invalid, [truth] is missing or not credible, a run is too long, or
+        the format of a record is not supported. A table of readings requires a folder.
     CounterspinError
-        If a file is in the way or cannot be written.
+        If a file exists already or cannot be written.
     """
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
     _check_simulable(campaign)
@@ -111,52 +109,59 @@ def simulate(
     folder = Path(folder)
     targets = _record_targets(campaign, folder)
     readings, head_errors = true_readings(campaign)
-    noise, exact = reading_generator(campaign, 1), NoiselessReadings(readings, true_poses(campaign))
-    read = bool(readings or exact.poses)
-    text = fill_description(campaign, exact, noise) if read else None
-    if (table := fill_table(campaign, exact, noise) if read else None) is not None:
+    noise, noiseless = (
+        reading_generator(campaign, 1),
+        NoiselessReadings(readings, true_poses(campaign)),
+    )
+    has_readings = bool(readings or noiseless.poses)
+    text = fill_description(campaign, noiseless, noise) if has_readings else None
+    if (table := fill_table(campaign, noiseless, noise) if has_readings else None) is not None:
         targets = (*targets, *_targets_in_folder(campaign, folder, {"readings.file": table[0]}))
     if text is None and campaign.source is not None and campaign.source.in_memory:
         text = campaign.source.text
     description = folder / DESCRIPTION_NAME
-    read_from = campaign.source.file if campaign.source else campaign.path
-    own = description.exists() and read_from is not None and description.samefile(read_from)
-    if description.exists() and not own and not _is_simulated(description):
+    source_file = campaign.source.file if campaign.source else campaign.path
+    is_source = (
+        description.exists() and source_file is not None and description.samefile(source_file)
+    )
+    if description.exists() and not is_source and not _is_simulated(description):
         raise ExistingFileError(
             f"{description} does not belong to a simulated campaign, so its files were not "
             "overwritten. Choose another output folder"
         )
-    replaced = [description] if text is not None or not own else []
-    taken_along = _static_record_copy(campaign, folder)
-    _check_targets((*targets, *taken_along, *replaced), description, overwrite=overwrite)
-    for place in (folder, *(target.parent for target in (*targets, *taken_along))):
-        make_folder(place)
+    replaced_descriptions = [description] if text is not None or not is_source else []
+    static_records = _static_record_copy(campaign, folder)
+    _check_targets(
+        (*targets, *static_records, *replaced_descriptions), description, overwrite=overwrite
+    )
+    for target_folder in (folder, *(target.parent for target in (*targets, *static_records))):
+        make_folder(target_folder)
 
-    # Each is made when its turn comes, so that never two of them are in memory.
+    # Generators keep only one record in memory at a time.
     frames = chain(
         _simulate_run_records(campaign),
         _simulate_mean_records(campaign, head_errors),
         _simulate_pose_records(campaign),
         [table[1]] if table else [],
     )
-    # The description comes first: by it the records of a simulation that was interrupted are known.
+    # Write the description first: it identifies the records of an interrupted simulation.
     if text is not None:
         write_text(description, text, overwrite=overwrite)
-    elif not own:
+    elif not is_source:
         write_atomically(description, partial(shutil.copyfile, campaign.path), overwrite=overwrite)
-    for target, rest in taken_along.items():
-        copy_record(rest, target, overwrite=overwrite)
-    for done, (frame, target) in enumerate(zip(frames, targets, strict=True), start=1):
+    for target, static_record in static_records.items():
+        copy_record(static_record, target, overwrite=overwrite)
+    for n_written, (frame, target) in enumerate(zip(frames, targets, strict=True), start=1):
         write_atomically(
             target, partial(WRITERS[target.suffix.lower()], frame), overwrite=overwrite
         )
         if progress is not None:
-            progress(done, len(targets))
+            progress(n_written, len(targets))
     return targets
 
 
 def _check_targets(paths: Sequence[Path], description: Path, *, overwrite: bool) -> None:
-    """Raise CounterspinError for files that would be replaced, if they may not be."""
+    """Raise CounterspinError for existing files that must not be replaced."""
     existing = [path for path in paths if path.exists()]
     if existing and not description.exists():
         raise ExistingFileError(
@@ -190,13 +195,18 @@ def _simulate_in_memory(campaign: Campaign) -> Campaign:
             str(campaign.path), ["readings: a readings table can only be simulated into a folder"]
         )
     readings, head_errors = true_readings(campaign)
-    noise, exact = reading_generator(campaign, 1), NoiselessReadings(readings, true_poses(campaign))
-    read = bool(readings or exact.poses)
-    text = fill_description(campaign, exact, noise) if read else None
+    noise, noiseless = (
+        reading_generator(campaign, 1),
+        NoiselessReadings(readings, true_poses(campaign)),
+    )
+    has_readings = bool(readings or noiseless.poses)
+    text = fill_description(campaign, noiseless, noise) if has_readings else None
     if text is not None:
         source = replace(source, document=parse_toml(text))
     files: dict[Path, None] = dict.fromkeys(run.record for run in campaign.runs)
-    files |= dict.fromkeys(r.record for r in campaign.readings if r.record is not None)
+    files |= dict.fromkeys(
+        reading.record for reading in campaign.readings if reading.record is not None
+    )
     pose_records = campaign.triad.records if campaign.triad else ()
     files |= dict.fromkeys(record.record for record in pose_records)
     frames = [
@@ -205,50 +215,54 @@ def _simulate_in_memory(campaign: Campaign) -> Campaign:
         *_simulate_pose_records(campaign),
     ]
     names = {run.record: run.name for run in campaign.runs}
-    names |= {r.record: r.name for r in campaign.readings if r.record is not None}
+    names |= {
+        reading.record: reading.name for reading in campaign.readings if reading.record is not None
+    }
     names |= {record.record: record.name for record in pose_records}
     tables = {
         file: memory_table(f"{names[file]} in memory", frame)
         for file, frame in zip(files, frames, strict=True)
     }
-    # A record at rest is not simulated; it goes along.
+    # A record at rest is not simulated; keep the existing frame.
     return Campaign.of(source, campaign.folder, {**campaign.frames, **tables})
 
 
 def _simulate_run_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
-    """Yield the records of the double turntable's runs."""
+    """Yield the records of the runs of a double turntable."""
     assert campaign.simulation is not None
     streams = np.random.SeedSequence(campaign.simulation.seed).spawn(len(campaign.runs))
-    for run, run_streams in zip(campaign.runs, streams, strict=True):
-        yield pl.DataFrame(simulate_run(campaign, run, np.random.default_rng(run_streams)))
+    for run, stream in zip(campaign.runs, streams, strict=True):
+        yield pl.DataFrame(simulate_run(campaign, run, np.random.default_rng(stream)))
 
 
 def _simulate_mean_records(campaign: Campaign, head_errors: Array) -> Iterator[pl.DataFrame]:
     """Yield the records whose means are readings, with a column for each accelerometer."""
     assert campaign.simulation is not None
     noise = simulated_noise(campaign)
-    recorded = [(reading, float(head_errors[i])) for i, reading in enumerate(campaign.readings)]
-    by_file: dict[Path, list[tuple[Reading, float]]] = {}
-    for reading, error in recorded:
+    readings_with_errors = [
+        (reading, float(head_errors[i])) for i, reading in enumerate(campaign.readings)
+    ]
+    readings_by_file: dict[Path, list[tuple[Reading, float]]] = {}
+    for reading, angle_error in readings_with_errors:
         if reading.record is not None:
-            by_file.setdefault(reading.record, []).append((reading, error))
-    for index, file_readings in enumerate(by_file.values()):
+            readings_by_file.setdefault(reading.record, []).append((reading, angle_error))
+    for index, file_readings in enumerate(readings_by_file.values()):
         generator = reading_generator(campaign, 2 + index)
         columns: dict[str, Array] = {}
-        for reading, error in file_readings:
+        for reading, angle_error in file_readings:
             accelerometer = campaign.accelerometers[reading.accelerometer]
-            time, angle, signal = simulate_mean_record(campaign, reading, error)
+            times, angle, signal = simulate_mean_record(campaign, reading, angle_error)
             if not columns:
-                shown = clock_ratio(campaign, campaign.recording)
-                stamps = add_white_noise(generator, time * shown, noise["timing"])
-                columns[campaign.time.name] = stamps / campaign.time.factor
+                clock_scale = clock_ratio(campaign, campaign.recording)
+                timestamps = add_white_noise(generator, times * clock_scale, noise["timing"])
+                columns[campaign.time.name] = timestamps / campaign.time.factor
                 if campaign.angle is not None:
                     angle = add_white_noise(generator, angle, noise["angle"])
                     columns[campaign.angle.name] = campaign.angle.to_file_units(angle)
-                columns |= _temperature_column(campaign.temperature, reading.temperature, time)
+                columns |= _temperature_column(campaign.temperature, reading.temperature, times)
             observable = accelerometer.observable
             model = Noise.from_sizes(noise, observable).without_bias_instability
-            signal = add_noise(generator, time, signal, model, observation.ORDERS[observable])
+            signal = add_noise(generator, times, signal, model, observation.ORDERS[observable])
             channel = accelerometer.channel
             columns[channel.name] = channel.to_file_units(signal * gravity_ratio(campaign, channel))
         yield pl.DataFrame(columns)
@@ -257,34 +271,38 @@ def _simulate_mean_records(campaign: Campaign, head_errors: Array) -> Iterator[p
 def _simulate_pose_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
     """Yield the records of poses."""
     assert campaign.simulation is not None
-    noise, rate = simulated_noise(campaign), campaign.simulation.sampling_rate
+    noise, sampling_rate = simulated_noise(campaign), campaign.simulation.sampling_rate
     for index, record in enumerate(campaign.triad.records if campaign.triad else ()):
         generator = reading_generator(campaign, 0, 3 + index)
-        time, force, _ = simulate_forces(record, campaign.simulation.poses, rate, generator)
+        times, force, _ = simulate_forces(
+            record, campaign.simulation.poses, sampling_rate, generator
+        )
         columns: dict[str, Array] = {}
         if campaign.time.kind != "rows":
-            stamps = add_white_noise(generator, time, noise["timing"])
-            columns[campaign.time.name] = stamps / campaign.time.factor
-        columns |= _temperature_column(campaign.temperature, record.temperature, time)
-        indicated = indicated_forces(apply_true_inputs(campaign), record, time, force)
+            timestamps = add_white_noise(generator, times, noise["timing"])
+            columns[campaign.time.name] = timestamps / campaign.time.factor
+        columns |= _temperature_column(campaign.temperature, record.temperature, times)
+        indicated = indicated_forces(apply_true_inputs(campaign), record, times, force)
         model = Noise.from_sizes(noise, "specific_force").without_bias_instability
         for name, signal in indicated.items():
             channel = campaign.accelerometers[name].force
             assert channel is not None
-            noisy = add_noise(generator, time, signal, model, SPECIFIC_FORCE)
-            columns[channel.name] = channel.to_file_units(noisy * gravity_ratio(campaign, channel))
+            noisy_signal = add_noise(generator, times, signal, model, SPECIFIC_FORCE)
+            columns[channel.name] = channel.to_file_units(
+                noisy_signal * gravity_ratio(campaign, channel)
+            )
         yield pl.DataFrame(columns)
 
 
 def _temperature_column(
-    column: ColumnSpec | None, course: Sequence[float] | None, times: Array
+    column: ColumnSpec | None, temperatures: Sequence[float] | None, times: Array
 ) -> dict[str, Array]:
-    """Return the column of a temperature that went as was stated, in K; empty without."""
-    if column is None or not course:
+    """Return the temperature column for temperatures at equal intervals, K; empty without them."""
+    if column is None or not temperatures:
         return {}
     scale = replace(column, offset=TEMPERATURE_SCALES[column.unit or "degC"])
-    knots = np.linspace(times[0], times[-1], len(course))
-    return {column.name: scale.to_file_units(np.interp(times, knots, course))}
+    knots = np.linspace(times[0], times[-1], len(temperatures))
+    return {column.name: scale.to_file_units(np.interp(times, knots, temperatures))}
 
 
 def _is_simulated(description: Path) -> bool:
@@ -295,35 +313,37 @@ def _is_simulated(description: Path) -> bool:
 
 
 def _record_targets(campaign: Campaign, folder: Path) -> tuple[Path, ...]:
-    """Return the target path of each record, relative as in the campaign's own folder."""
+    """Return the target path of each record, with its path relative to the campaign's folder."""
     records = {f"runs[{index}].record": run.record for index, run in enumerate(campaign.runs)}
-    of_readings = dict.fromkeys(r.record for r in campaign.readings if r.record is not None)
-    names = {r.record: r.name for r in campaign.readings}
-    records |= {f'record of the run "{names[path]}"': path for path in of_readings}
+    reading_records = dict.fromkeys(
+        reading.record for reading in campaign.readings if reading.record is not None
+    )
+    names = {reading.record: reading.name for reading in campaign.readings}
+    records |= {f'record of the run "{names[path]}"': path for path in reading_records}
     for record in campaign.triad.records if campaign.triad else ():
         records[f'record of the run "{record.name}"'] = record.record
     return _targets_in_folder(campaign, folder, records)
 
 
 def _static_record_copy(campaign: Campaign, folder: Path) -> dict[Path, Path | MemoryTable]:
-    """Return target -> record at rest; empty if there is none or it is not copied."""
-    named, place = campaign.noise and campaign.noise.rest, campaign.rest
-    if not named or place is None or Path(named).is_absolute():
+    """Return the record at rest by its target path; empty if it is not copied."""
+    stated_path, resolved_path = campaign.noise and campaign.noise.rest, campaign.rest
+    if not stated_path or resolved_path is None or Path(stated_path).is_absolute():
         return {}
-    if ".." in place.parts:
-        words = "is outside the campaign folder; choose a file in the folder of the description"
+    if ".." in resolved_path.parts:
+        text = "is outside the campaign folder; choose a file in the folder of the description"
         raise CampaignError(
-            str(campaign.path), [f"noise.from: {named} {words}"], code="path-outside-folder"
+            str(campaign.path), [f"noise.from: {stated_path} {text}"], code="path-outside-folder"
         )
-    target, rest = folder / named, campaign.record_at(place)
-    same_file = isinstance(rest, Path) and target.exists() and target.samefile(rest)
-    return {} if same_file else {target: rest}
+    target, record = folder / stated_path, campaign.record_at(resolved_path)
+    same_file = isinstance(record, Path) and target.exists() and target.samefile(record)
+    return {} if same_file else {target: record}
 
 
 def _targets_in_folder(
     campaign: Campaign, folder: Path, files: Mapping[str, Path]
 ) -> tuple[Path, ...]:
-    """Return the target paths of files, relative as in the campaign's own folder."""
+    """Return the target paths of files, with their paths relative to the campaign's folder."""
     targets, problems = [], []
     for key, file in files.items():
         if file.suffix.lower() not in WRITERS:
@@ -343,42 +363,44 @@ def _targets_in_folder(
 def simulate_run(
     campaign: Campaign, run: Run, generator: np.random.Generator
 ) -> Mapping[str, Array]:
-    """Return the columns of one run's record, in the units of the campaign's channels.
+    """Return the columns of the record of a run, in the units of its channels.
 
-    Returns: column name -> values, shape (n,): time, angle (if the campaign has one), and one
-        column for each accelerometer.
+    Returns: column name -> values, shape (n,): time, angle (if recorded), temperature (if
+        recorded), and one column for each accelerometer.
     """
     if campaign.simulation is None or run.duration is None:
         raise ValueError("this campaign has no data for a simulation")
     run_truth = campaign.simulation.truth.runs[run.name]
-    rate = campaign.simulation.sampling_rate
-    true, recording = apply_true_inputs(campaign), campaign.recording_of(run)
+    sampling_rate = campaign.simulation.sampling_rate
+    true_campaign, recording = apply_true_inputs(campaign), campaign.recording_of(run)
     trajectory = Trajectory(
         run_truth.spindle,
-        true.radius.value,
-        true.site,
+        true_campaign.radius.value,
+        true_campaign.site,
         conditions=run_conditions(campaign)[run.name],
         table_ratio=run.table_ratio,
     )
-    times = np.arange(sample_count(run.duration, rate)) / rate
+    times = np.arange(sample_count(run.duration, sampling_rate)) / sampling_rate
     noise = simulated_noise(campaign)
-    stamps = add_white_noise(generator, times * clock_ratio(campaign, recording), noise["timing"])
-    columns = {recording.time.name: stamps / recording.time.factor}
+    timestamps = add_white_noise(
+        generator, times * clock_ratio(campaign, recording), noise["timing"]
+    )
+    columns = {recording.time.name: timestamps / recording.time.factor}
     if recording.angle is not None:
-        angle_delay = true.timing_offset.value if true.timing_offset else 0.0
+        angle_delay = true_campaign.timing_offset.value if true_campaign.timing_offset else 0.0
         angle = run_truth.spindle.angle(times + angle_delay)
         angle = add_white_noise(
             generator, angle + encoder_error(run_truth.shared, angle), noise["angle"]
         )
         columns[recording.angle.name] = recording.angle.to_file_units(angle)
     columns |= _temperature_column(recording.temperature, run.temperature, times)
-    indicated = _indicated_output(true, run, trajectory, times)
+    signals = _simulate_outputs(true_campaign, run, trajectory, times)
     for name, accelerometer in campaign.accelerometers.items():
         observable = accelerometer.observable
         signal = add_noise(
             generator,
             times,
-            indicated[name],
+            signals[name],
             Noise.from_sizes(noise, observable),
             observation.ORDERS[observable],
             trajectory.conditions.start,
@@ -388,10 +410,10 @@ def simulate_run(
     return columns
 
 
-def _indicated_output(
+def _simulate_outputs(
     campaign: Campaign, run: Run, trajectory: Trajectory, times: Array
 ) -> dict[str, Array]:
-    """Return the noiseless output of the navigation computer along each input axis."""
+    """Return the noiseless output of the navigation computer for each accelerometer."""
     assert campaign.simulation is not None
     truth = campaign.simulation.truth
     shared = truth.runs[run.name].shared
@@ -409,23 +431,29 @@ def _indicated_output(
         signals[name] = signal + _start_error(truth, name, times, accelerometer.observable)
     if not campaign.own_velocity:
         return signals
-    site = replace(campaign.site, removed_gravity=None)  # its velocity is off by what is left too
-    moved = perturb_trajectory(replace(trajectory, site=site), shared)
+    site = replace(
+        campaign.site, removed_gravity=None
+    )  # the residual gravity also affects its velocity
+    perturbed_trajectory = perturb_trajectory(replace(trajectory, site=site), shared)
     errors = []
     for name, accelerometer in campaign.accelerometers.items():
         observable = accelerometer.observable
         axis = accelerometer.mounting.turned(run.attitude).input_axis
-        true = observation.reference(moved, accelerometer.mounting, times, observable, run.attitude)
-        errors.append(AxisError(axis, observable, times, signals[name] - true))
-    felt = own_velocity_errors(site, errors)
+        reference_signal = observation.reference(
+            perturbed_trajectory, accelerometer.mounting, times, observable, run.attitude
+        )
+        errors.append(AxisError(axis, observable, times, signals[name] - reference_signal))
+    corrected_errors = own_velocity_errors(site, errors)
     return {
-        name: signal + new - error.error
-        for (name, signal), new, error in zip(signals.items(), felt, errors, strict=True)
+        name: signal + corrected_error - error.error
+        for (name, signal), corrected_error, error in zip(
+            signals.items(), corrected_errors, errors, strict=True
+        )
     }
 
 
 def _start_error(truth: SimulatedTruth, name: str, times: Array, observable: str) -> Array | float:
-    """Return the contribution of the start errors to the output; zero in a force."""
+    """Return the contribution of the start errors to the output; zero for a specific force."""
     offset, velocity = truth.start_offset.get(name, 0.0), truth.start_velocity.get(name, 0.0)
     if observable == "displacement":
         return offset + velocity * times

@@ -39,9 +39,9 @@ from counterspin.readings.known_attitudes import INPUT_STEPS, Readings, with_inp
 from counterspin.readings.means import segment_count
 from counterspin.simulation.readings import (
     apply_rates,
+    compute_indications,
     draw_by_run,
     head_errors,
-    indications,
     true_directions,
     true_poses,
     true_rates,
@@ -353,7 +353,9 @@ class TrialReadings:
                 )[0]
                 true_group = with_input(true_group, name, float(clock_error), known_symbols)
             true_group = true_group.with_setting_errors(setting_errors[indices] * setting_sd)
-            value = indications(true_group, coefficients, shared_values, angle_errors[indices])
+            value = compute_indications(
+                true_group, coefficients, shared_values, angle_errors[indices]
+            )
             value = value * (1.0 + group.in_si * input_errors["site.gravity"] / group.site.gravity)
             value = value + noise[indices]
             result = replace(group, value=value)

@@ -30,7 +30,7 @@ from counterspin.physics.conditions import RunConditions
 from counterspin.physics.frequency_response import RESPONSE_INPUTS
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import TURN, Spindle
-from counterspin.simulation.pose_record import record_seconds
+from counterspin.simulation.pose_record import record_duration
 from counterspin.studies.draws import Draws
 
 #: Tolerance for strobes at the ends of a record, turns.
@@ -219,7 +219,7 @@ def _pose_runs(record: PoseRecord, campaign: Campaign) -> Iterator[dict[str, Any
     assert campaign.simulation is not None
     assert campaign.triad is not None
     n_poses = campaign.simulation.poses
-    interval = record_seconds(record, 2) - record_seconds(record, 1)
+    interval = record_duration(record, 2) - record_duration(record, 1)
     reading_texts = {}
     for name in campaign.triad.accelerometers:
         output = campaign.accelerometers[name].output
