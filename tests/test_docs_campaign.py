@@ -55,7 +55,7 @@ def test_every_section_has_key_table():
     # The true radius is one of the keys of [truth.centrifuge].
     # A dialect is part of the keys of records and readings; all columns but that of a force have
     # the same keys. The tables of [truth] are told one by one, its noise by that of [noise].
-    parts = {"SettingsSection", "TableDialect", "VelocityChannel", "TrueRadius"}
+    parts = {"SettingsSection", "TableDialect", "VelocityChannel", "CentrifugeDimensions"}
     parts |= {"TruthSettings", "TrueNoise"}
     assert sections - parts <= {name.partition(" of ")[0] for name in TABLES}
 

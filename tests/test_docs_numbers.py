@@ -57,7 +57,7 @@ ROWS = {
         ("/g$, for example {} for a gravity difference of {} m/s²", 1e-4 / 9.80665, 1e-4),
         ("at any height between {} and {} m", *gravity.HEIGHTS),
         (
-            "latitude of {} deg, an accelerometer error of 1 mg thus changes the perpendicular "
+            "latitude of {} deg, an accelerometer error of 1 mg changes the perpendicular "
             "displacement by {} m in {} s",
             45.0,
             round(motion.EARTH_RATE * math.sqrt(0.5) * 9.80665e-3 * 400.0**3 / 3.0),
@@ -92,7 +92,7 @@ ROWS = {
         ),
         ("allows a settling time of {} s", float(PLAN["limits"]["settling"].split()[0])),
         ("for each of at most {} runs", PLAN["limits"]["runs"]),
-        ("on K_II is therefore smaller by a factor of {}", 2.0**4),
+        ("on K_II by a factor of {}", 2.0**4),
         ("higher harmonics ({} arcsec)", MOTION["encoder.harmonic.3.cos"].typical / ARCSEC),
         ("imbalance ({} µm)", 1e6 * MOTION["centrifuge.imbalance.1.cos"].typical),
         ("stretch of the arm ({} per m/s²)", MOTION["centrifuge.stretch"].typical),
@@ -131,7 +131,7 @@ ROWS = {
     "history": [
         ("the expanded uncertainty ({} %) of the change", 100.0 * distributions.COVERAGE),
         ("per year of {} days", page._DAYS_PER_YEAR),
-        ("is calculated for {} or more results. Its limits", consistency.MIN_RESULTS),
+        ("requires {} or more results. Its limits", consistency.MIN_RESULTS),
         ("moving range divided by {}. The warning", consistency._D2),
         (
             "warning limits are {} standard deviations and the action limits {} standard "
