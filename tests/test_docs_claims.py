@@ -544,7 +544,7 @@ def test_integral_accuracy_matches_text():
     (of_jumps,) = find_numbers("trust", "and to {} for the displacement of K_0_asym")
     for beginning, count, limit in (
         ("integrals, ", 8, number),
-        ("integrals of a jump, ", 4, of_jumps),
+        ("integrals with a discontinuity, ", 4, of_jumps),
     ):
         checked = [check_case(case) for case in cases() if case.name.startswith(beginning)]
         assert len(checked) == count
