@@ -47,7 +47,7 @@ class MonteCarloInterval(ResultPart):
     gum_validated: bool | None = None
     #: Largest difference between the linear prediction and full fits with a source at ±2 u.
     linear_difference: float | None = None
-    #: Sources whose difference exceeds `tolerance`, drawn with a second-order response.
+    #: Sources whose difference exceeds `tolerance`; trials use a second-order response for them.
     second_order: list[str] = []
     #: Largest difference with all sources shifted together; null for fewer than two sources.
     joint_difference: float | None = None
@@ -221,7 +221,7 @@ class Finding(ResultPart):
     #: Size of the effect, in standard uncertainties or relative to the expected size; null if the
     #: finding has no size.
     size: float | None = None
-    #: Whether the records contradict the result; a contradicted result must not be used.
+    #: Whether the records contradict the result; do not use a contradicted result.
     contradicts: bool = False
     #: Whether this finding sets the state ``not-determined``. This happens only for a coefficient
     #: that is the purpose of the campaign or that ``[model] terms`` requests.
@@ -265,10 +265,10 @@ class Trace(ResultPart):
     """The residuals of one accelerometer in one run, thinned for pictures."""
 
     rows: int | None = None  #: Number of residuals.
-    rms: float | None = None  #: Root mean square of the residuals, in the observable's unit.
+    rms: float | None = None  #: Root mean square of the residuals, in SI units.
     time: list[float]  #: Time at the centre of each interval, in s from the start of the run.
-    low: list[float]  #: Smallest residual in each interval, in the observable's unit.
-    high: list[float]  #: Largest residual in each interval, in the observable's unit.
+    low: list[float]  #: Smallest residual in each interval, in SI units.
+    high: list[float]  #: Largest residual in each interval, in SI units.
     #: Times and residuals of rejected outliers; if there are many, only the largest ones.
     left_out: list[tuple[float, float]] = []
     by_angle: Fold | None = None  #: Residuals against the spindle angle.
@@ -434,7 +434,7 @@ class MethodAgreement(ResultPart):
     #: Coefficients from this method alone with all priors, without `dof`; null for a coefficient
     #: that this method does not determine.
     coefficients: dict[str, Coefficient]
-    #: Shift of each coefficient that other methods also determine, if this method is omitted.
+    #: Shift caused by omitting this method, for each coefficient that other methods determine too.
     without: dict[str, Shift] = {}
     chi2: float  #: Chi-square of the differences between this method and the other methods.
     dof: int  #: Number of combinations that this method and the other methods determine.
@@ -462,7 +462,7 @@ class AccelerometerResult(ResultPart):
     #: Directions of the input, pendulous and output axes (one row for each axis) in east-north-up
     #: coordinates, for a level platform.
     axes: list[tuple[float, float, float]] | None = None
-    #: Recorded observable: ``displacement``, ``velocity`` or ``specific_force``.
+    #: Recorded quantity: ``displacement``, ``velocity`` or ``specific_force``.
     observable: str | None = None
     correlation: Correlation | None  #: Correlation matrix of the estimates, if there are any.
     confounded: list[ConfoundedTerms] = []  #: Sets of terms that cannot be separated.

@@ -143,8 +143,8 @@ class CentrifugeSettings(SettingsSection):
         kind="number ±, or in ppm",
     )
     strapped: bool = key_field(
-        "whether the recorded accelerometers are strapped to the counter-rotating table, so that "
-        "table errors rotate the accelerometers; if false, a platform maintains their attitude",
+        "whether the recorded accelerometers are strapped to the counter-rotating table. If true, "
+        "table errors rotate them; if false, a platform maintains their attitude",
         True,
         False,
     )

@@ -179,7 +179,7 @@ class SignalNoise(ResultPart):
 
     name: str  #: Name of the accelerometer or of the column.
     column: str  #: Column in the file.
-    observable: Literal["displacement", "velocity", "specific_force"]  #: Recorded observable.
+    observable: Literal["displacement", "velocity", "specific_force"]  #: Recorded quantity.
     in_g: bool  #: Whether the column is in g, or in an output unit that is converted with gravity.
     rows: int  #: Number of rows in the record.
     sampling_rate: float  #: Sampling rate, Hz.

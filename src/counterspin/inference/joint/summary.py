@@ -50,8 +50,8 @@ class WhatIf:
     units: list[str]  #: Unit of each name, an SI unit or a g-unit.
     #: Prior standard uncertainty of each source; a source without an entry cannot be changed.
     known: dict[str, float]
-    #: Covariance matrix of the estimates for which the fit weights are optimal; rows and columns
-    #: are in the order of `names`.
+    #: Covariance matrix of the estimates that the fit weights assume; rows and columns are in the
+    #: order of `names`.
     weighed: list[list[float]]
     #: Additional covariance from held terms and undetected noise; empty if there are none.
     beside: list[list[float]] = field(default_factory=list)
