@@ -29,8 +29,8 @@ from counterspin.units import unit_factor
 if TYPE_CHECKING:
     import polars as pl
 
-#: Whether what a calibration says may be relied on: fully, with what its findings say in mind, or
-#: not, for its records contradict it.
+#: State of a result: usable, usable with reservations (see the findings), not fully determined, or
+#: contradicted by the records.
 State = Literal["good", "reservations", "not-determined", "contradicted"]
 
 
@@ -63,7 +63,7 @@ class Coefficient(ResultPart):
     #: Contribution to u from the noise of the records and the encoder, including noise that the
     #: records may not reveal.
     u_noise: float | None = None
-    #: Contribution to u from stated uncertainties: priors, inputs and fixed (held) terms.
+    #: Contribution to u from stated uncertainties: priors, inputs and considered (held) terms.
     u_stated: float | None = None
     #: Contribution to u from the default standard uncertainties of unstated terms and inputs.
     u_unstated: float | None = None
@@ -176,7 +176,7 @@ class Knowledge(ResultPart):
     """Prior information on a nuisance parameter: a term or an input."""
 
     name: str  #: Name of the term or input, such as ``Qx.K_OO`` or ``run1.platform.tilt.north``.
-    kind: Kind  #: Kind of the prior: stated, unstated (default) or held (fixed).
+    kind: Kind  #: Kind of the prior: stated, unstated (default) or held (considered).
     unit: str  #: Unit of the numbers, an SI unit or a g-unit.
     value: float  #: Prior value, which is the stated value or otherwise the ideal value.
     u: float  #: Prior standard uncertainty, which is the stated u or otherwise the default.
