@@ -9,7 +9,7 @@ from results import result
 
 from certificates import LAB, find
 from counterspin.certificates.certificate_text import FIXED_TERMS_HEADING
-from counterspin.certificates.evidence import names_known_terms, terms_without_evidence
+from counterspin.certificates.evidence import is_known_key, terms_without_evidence
 from counterspin.certificates.issuing import certificate
 from counterspin.errors import CampaignError
 
@@ -59,7 +59,7 @@ def test_terms_without_evidence(assumed, keys, lacking):
     ],
 )
 def test_evidence_key_names_term(key, known):
-    assert names_known_terms(key, ["Qx"]) == known
+    assert is_known_key(key, ["Qx"]) == known
 
 
 STATEMENT = f"//dcc:statement[dcc:name/dcc:content = '{FIXED_TERMS_HEADING}']"

@@ -308,7 +308,7 @@ def _read_values(quantities: Sequence[Element], gravity: float) -> CertifiedAcce
 
 
 def _read_coefficient(quantity: Element, real_element: Element, gravity: float) -> Coefficient:
-    unit = _unit_of_label(_single_text(real_element, "si:label"))
+    unit = _label_unit(_single_text(real_element, "si:label"))
     u = None
     if _select_elements(real_element, _EXPANDED_PATH):
         expanded_u = _parse_number(
@@ -340,7 +340,7 @@ def _read_covariance(
             for column in _select_elements(covariance_element, _COLUMN_PATH)
         ]
     ).T
-    unit_factors = np.array([from_si(1.0, _unit_of_label(symbol), gravity) for symbol in terms])
+    unit_factors = np.array([from_si(1.0, _label_unit(symbol), gravity) for symbol in terms])
     if si_covariance.shape != (len(terms), len(terms)):
         raise ValueError("the size of the covariance matrix does not match the length of the list")
     with np.errstate(over="ignore", invalid="ignore"):
@@ -350,7 +350,7 @@ def _read_covariance(
     return covariance
 
 
-def _unit_of_label(label: str) -> str:
+def _label_unit(label: str) -> str:
     """Return the unit of a term, of a parameter of a triad, or of a term of a sensor."""
     parameter_type, _, symbol = label.partition(".")
     if parameter_type in _PARAMETER_UNITS and symbol:

@@ -140,12 +140,16 @@ def displayed_parameters(
     result: Result, triad: TriadResult
 ) -> tuple[dict[str, Coefficient], dict[str, SiEstimate]]:
     """Return the displayed parameters by description, in g-units and in SI."""
-    displayed = {name: shown_parameter(name, triad.parameters[name]) for name in triad.parameters}
+    parameters_by_name = {
+        name: shown_parameter(name, triad.parameters[name]) for name in triad.parameters
+    }
     si_estimates = _parameters_in_si(
-        result, triad, {name: parameter for name, (description, parameter) in displayed.items()}
+        result,
+        triad,
+        {name: parameter for name, (description, parameter) in parameters_by_name.items()},
     )
-    return dict(displayed.values()), {
-        displayed[name][0]: estimate for name, estimate in si_estimates.items()
+    return dict(parameters_by_name.values()), {
+        parameters_by_name[name][0]: estimate for name, estimate in si_estimates.items()
     }
 
 
@@ -434,7 +438,10 @@ def _rescale_correlation(
         return None
     row_factors = [factors.get(term, 1.0) for term in correlation.terms]
     matrix = [
-        [r if i == j else r / (row_factors[i] * row_factors[j]) for j, r in enumerate(row)]
+        [
+            coefficient if i == j else coefficient / (row_factors[i] * row_factors[j])
+            for j, coefficient in enumerate(row)
+        ]
         for i, row in enumerate(correlation.matrix)
     ]
     return correlation.model_copy(update={"matrix": matrix})

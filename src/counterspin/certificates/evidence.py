@@ -17,9 +17,9 @@ from counterspin.physics.terms import TABLE, describe_term, find_symbol, is_term
 ALL_TERMS: Final = "all"
 
 
-def terms_without_evidence(assumed: Sequence[str], evidence: Mapping[str, str]) -> list[str]:
+def terms_without_evidence(fixed_terms: Sequence[str], evidence: Mapping[str, str]) -> list[str]:
     """Return the fixed terms without an entry in [evidence]."""
-    return [name for name in assumed if not any(_covers_term(key, name) for key in evidence)]
+    return [name for name in fixed_terms if not any(_covers_term(key, name) for key in evidence)]
 
 
 def _covers_term(key: str, name: str) -> bool:
@@ -37,20 +37,20 @@ def _is_pattern(name: str) -> bool:
     return any(character in name for character in "*?[")
 
 
-def names_known_terms(key: str, accelerometers: Collection[str]) -> bool:
+def is_known_key(key: str, accelerometers: Collection[str]) -> bool:
     """Return whether a key names terms of these accelerometers or of the machine."""
     prefix, _, suffix = key.partition(".")
     if prefix in accelerometers and suffix and not is_term(key):
-        return names_known_terms(suffix, ())
+        return is_known_key(suffix, ())
     return key == ALL_TERMS or is_term(key) or any(_covers_term(key, symbol) for symbol in TABLE)
 
 
-def require_evidence(assumed: Sequence[str], evidence: Mapping[str, str], source: str) -> None:
+def require_evidence(fixed_terms: Sequence[str], evidence: Mapping[str, str], source: str) -> None:
     """Raise CampaignError if a fixed term has no entry in [evidence].
 
     source: Name of the laboratory data in the message.
     """
-    missing_terms = terms_without_evidence(assumed, evidence)
+    missing_terms = terms_without_evidence(fixed_terms, evidence)
     if not missing_terms:
         return
     # A common prefix represents several terms.
@@ -65,11 +65,11 @@ def require_evidence(assumed: Sequence[str], evidence: Mapping[str, str], source
     raise CampaignError(source, [problem], code="certificate-incomplete")
 
 
-def evidence_lines(assumed: Sequence[str], evidence: Mapping[str, str]) -> Iterator[str]:
+def evidence_lines(fixed_terms: Sequence[str], evidence: Mapping[str, str]) -> Iterator[str]:
     """Yield the evidence for fixed terms, each with its terms."""
     for key, text in evidence.items():
-        if any(_covers_term(key, name) for name in assumed):
-            yield f"{', '.join(assumed) if key == ALL_TERMS else describe_source(key)}: {text}"
+        if any(_covers_term(key, name) for name in fixed_terms):
+            yield f"{', '.join(fixed_terms) if key == ALL_TERMS else describe_source(key)}: {text}"
 
 
 def describe_source(source: str) -> str:

@@ -135,8 +135,8 @@ class Certificate:
         """
         path = Path(path)
         check_output_path(path)
-        data = self.pdf() if path.suffix.lower() == ".pdf" else self.xml
-        self._write(path, data, ledger, self.entry)
+        content = self.pdf() if path.suffix.lower() == ".pdf" else self.xml
+        self._write(path, content, ledger, self.entry)
         return path
 
     def write_both(self, path: Path | str, *, ledger: Path | None = None) -> list[Path]:
@@ -163,10 +163,12 @@ class Certificate:
         check_output_paths(path)
         xml, pdf = _xml_and_pdf_paths(path)
         if not xml.is_file():
-            data = self.pdf()
+            pdf_content = self.pdf()
             staged_pdf = self._staged_pdf_path(pdf, self.xml)
             write_atomically(
-                staged_pdf, lambda partial_path: partial_path.write_bytes(data), overwrite=True
+                staged_pdf,
+                lambda partial_path: partial_path.write_bytes(pdf_content),
+                overwrite=True,
             )
             self.write(xml, ledger=ledger)
         published_xml = read_document(xml)
@@ -176,8 +178,8 @@ class Certificate:
                 f"{xml} already exists, and no interrupted command left a PDF that belongs to it. "
                 "A certificate never overwrites a file; choose another name"
             )
-        data = read_file(staged_pdf)
-        self._write(pdf, data, ledger, {**self.entry, "sha256": sha256_hex(published_xml)})
+        pdf_content = read_file(staged_pdf)
+        self._write(pdf, pdf_content, ledger, {**self.entry, "sha256": sha256_hex(published_xml)})
         for partial_path in staged_pdf.parent.glob(self._staged_pdf_path(pdf, None).name):
             partial_path.unlink(missing_ok=True)
         return [path, paired_path(path)]
@@ -190,15 +192,15 @@ class Certificate:
         )
 
     def _write(
-        self, path: Path, data: bytes, ledger: Path | None, entry: Mapping[str, str]
+        self, path: Path, content: bytes, ledger: Path | None, entry: Mapping[str, str]
     ) -> None:
         """Write bytes to a file, after the entry in the ledger, if any."""
         ledger_path = None if self.draft else ledger or self.ledger
         if ledger_path is None:
-            write_atomically(path, lambda partial_path: partial_path.write_bytes(data))
+            write_atomically(path, lambda partial_path: partial_path.write_bytes(content))
             return
         details = IssueDetails(self.signed_by, self.reason, parse_issue_date(), self.result)
-        earlier_entry = record_certificate(ledger_path, path, data, entry, details)
+        earlier_entry = record_certificate(ledger_path, path, content, entry, details)
         if earlier_entry is not None:
             self.notes.append(
                 f"An earlier command entered certificate {self.identifier} on "

@@ -35,7 +35,7 @@ from counterspin.campaign.specification import (
 )
 from counterspin.campaign.validation import Problems, Section, suggest_name
 from counterspin.certificates.codes import check_code
-from counterspin.certificates.evidence import ALL_TERMS, names_known_terms
+from counterspin.certificates.evidence import ALL_TERMS, is_known_key
 from counterspin.certificates.schema import clean_text
 from counterspin.errors import ExistingFileError, InputError, OutOfRangeError, Problem
 from counterspin.input import to_path
@@ -444,7 +444,7 @@ def _check_terms(
     for symbol in lab.cmc:
         problems.collect(("cmc", symbol), lab.capability, symbol, gravity)
     for key in lab.evidence:
-        if not names_known_terms(key, accelerometers):
+        if not is_known_key(key, accelerometers):
             hint = suggest_name(key, [ALL_TERMS, *TABLE])
             problems.add(("evidence", key), f'unknown term "{key}"{hint}', "unknown-term")
 

@@ -100,9 +100,9 @@ def append_entry(
         return ledger.append(entry_type, subject, who=who, why=why, when=when)
 
 
-def sha256_hex(data: bytes) -> str:
+def sha256_hex(content: bytes) -> str:
     """Return the SHA-256 checksum of bytes, hexadecimal."""
-    return hashlib.sha256(data).hexdigest()
+    return hashlib.sha256(content).hexdigest()
 
 
 class OpenLedger:
@@ -232,32 +232,32 @@ def _write_error(path: Path, error: OSError) -> CounterspinError:
 # Lines
 
 
-def _verify_content(content_bytes: bytes, source: str) -> VerifiedLedger:
-    *lines, partial_entry = content_bytes.split(b"\n")
+def _verify_content(ledger_content: bytes, source: str) -> VerifiedLedger:
+    *lines, partial_entry = ledger_content.split(b"\n")
     entries: list[Entry] = []
     previous_hash = _INITIAL_HASH
     for number, line in enumerate(lines, 1):
-        content = _parse_line(line)
+        entry_content = _parse_line(line)
         problem, entry_number = None, number
-        if content is None or _format_line(content) != line + b"\n":
+        if entry_content is None or _format_line(entry_content) != line + b"\n":
             problem = "was changed after it was written"
-        elif content["hash"] != _content_hash(content):
+        elif entry_content["hash"] != _content_hash(entry_content):
             problem = "was altered: its hash does not match its content"
-        elif content["number"] != number:
-            problem = f"has the number {content['number']}: entries are missing or were moved"
-        elif content["previous"] != previous_hash:
+        elif entry_content["number"] != number:
+            problem = f"has the number {entry_content['number']}: entries are missing or were moved"
+        elif entry_content["previous"] != previous_hash:
             # The hash chain shows it only in the following entry.
             problem, entry_number = "was altered after it was written, or removed", number - 1
-        if problem is not None or content is None:
-            if content is None and number == 1:
+        if problem is not None or entry_content is None:
+            if entry_content is None and number == 1:
                 raise RecordError(f"{source}: {_NOT_A_LEDGER}", code="wrong-document")
             entry_text = f"entry {entry_number}" if entry_number else "the beginning"
             raise RecordError(
                 f"{source}: {entry_text} {problem}; do not rely on this entry or on later entries",
                 code="ledger-altered",
             )
-        entries.append(_make_entry(content))
-        previous_hash = content["hash"]
+        entries.append(_make_entry(entry_content))
+        previous_hash = entry_content["hash"]
     if partial_entry and not entries and not _begins_entry(partial_entry):
         # Bytes that do not begin an entry show that the file is not a ledger.
         raise RecordError(f"{source}: {_NOT_A_LEDGER}", code="wrong-document")
@@ -339,7 +339,11 @@ def record_result(ledger: Path, file: Path, *, who: str, why: str, date: datetim
 
 
 def record_certificate(
-    ledger_path: Path, path: Path, data: bytes, subject: Mapping[str, str], details: IssueDetails
+    ledger_path: Path,
+    path: Path,
+    file_content: bytes,
+    subject: Mapping[str, str],
+    details: IssueDetails,
 ) -> Entry | None:
     """Append the entry of a certificate or amendment, then publish its file.
 
@@ -348,9 +352,9 @@ def record_certificate(
     checksum. If the process is interrupted after the entry, the same command publishes the file.
 
     Returns: Entry of an interrupted command, whose staged certificate is published instead of
-        `data`; otherwise None.
+        `file_content`; otherwise None.
     """
-    checksum = sha256_hex(data)
+    checksum = sha256_hex(file_content)
     with open_ledger(ledger_path) as ledger:
         check_writable(path)
         earlier_entries = [
@@ -371,7 +375,9 @@ def record_certificate(
             )
         _check_amended(ledger, ledger_path, subject)
         staging_path = _staging_path(path, checksum)
-        write_atomically(staging_path, lambda path: _write_to_disk(path, data), overwrite=True)
+        write_atomically(
+            staging_path, lambda path: _write_to_disk(path, file_content), overwrite=True
+        )
         recorded_files = {
             (entry.subject.get("file"), entry.subject.get("file_sha256"))
             for entry in earlier_entries
@@ -428,10 +434,10 @@ def _is_staged(path: Path, entry: Entry) -> bool:
         return False
 
 
-def _write_to_disk(path: Path, data: bytes) -> None:
+def _write_to_disk(path: Path, content: bytes) -> None:
     # The entry precedes the rename, so the bytes of the file must be on the disk too.
     with path.open("wb") as file:
-        file.write(data)
+        file.write(content)
         file.flush()
         os.fsync(file.fileno())
 

@@ -59,9 +59,11 @@ def check_schema(document: bytes, schema: Path, source: str) -> None:
     lines = [
         f"line {error.line}: {_replace_namespaces(error.message)}" for error in errors[:_MAX_ERRORS]
     ]
-    remainder = f"\n  and {len(errors) - _MAX_ERRORS} more" if len(errors) > _MAX_ERRORS else ""
+    omitted_text = f"\n  and {len(errors) - _MAX_ERRORS} more" if len(errors) > _MAX_ERRORS else ""
     raise RecordError(
-        f"{source} does not conform to the schema in {schema}\n  " + "\n  ".join(lines) + remainder,
+        f"{source} does not conform to the schema in {schema}\n  "
+        + "\n  ".join(lines)
+        + omitted_text,
         code="wrong-document",
     )
 

@@ -21,10 +21,10 @@ from counterspin.comparisons.estimates import (
 )
 from counterspin.comparisons.rerun import find_changes
 from counterspin.comparisons.result import (
-    AgreementOfTwo,
     ComparedCoefficient,
     ComparedEstimate,
     ComparedResult,
+    PairAgreement,
     ResultComparison,
 )
 from counterspin.errors import CampaignError, UsageError
@@ -151,7 +151,7 @@ def is_determined(coefficient: Coefficient | None) -> bool:
 
 def _compare_accelerometer(
     name: str, results: Sequence[Result], result_names: Sequence[str]
-) -> tuple[list[ComparedCoefficient], list[AgreementOfTwo]]:
+) -> tuple[list[ComparedCoefficient], list[PairAgreement]]:
     """Compare the coefficients of an accelerometer in all results with those in the first."""
     indices = [index for index, result in enumerate(results) if name in result.accelerometers]
     first_index, *later_indices = indices
@@ -219,7 +219,7 @@ def _compare_pair(
     indices: tuple[int, int],
     terms: Sequence[str],
     result_names: Sequence[str],
-) -> tuple[AgreementOfTwo, dict[str, tuple[float, float, float | None]]]:
+) -> tuple[PairAgreement, dict[str, tuple[float, float, float | None]]]:
     gravity = results[0].inputs.gravity
     first_estimates, second_estimates = (
         extract_estimates(results[index], name, terms, _target_gravity(results, index, gravity))
@@ -246,7 +246,7 @@ def _compare_pair(
         u = variance**0.5 if variance > _NEGLIGIBLE_VARIANCE * uncertainties[i] ** 2 else 0.0
         z = float(difference[i]) / u if u else None
         differences[symbol] = (float(difference[i]), u, z)
-    agreement = AgreementOfTwo(
+    agreement = PairAgreement(
         result=result_names[indices[1]],
         accelerometer=name,
         records=relation.overlap,

@@ -63,14 +63,14 @@ def covariance_of_difference(
 def _independent_covariance(first: Estimates, second: Estimates) -> tuple[Array, list[str]]:
     covariance = first.covariance + second.covariance
     shared_names = []
-    for name, source in first.sources.items():
-        counterpart = second.sources.get(name)
+    for name, first_source in first.sources.items():
+        second_source = second.sources.get(name)
         if (
-            counterpart is not None
-            and not source.is_run_specific
-            and source.has_same_statement(counterpart)
+            second_source is not None
+            and not first_source.is_run_specific
+            and first_source.has_same_statement(second_source)
         ):
-            cross_covariance = np.outer(source.shifts, counterpart.shifts)
+            cross_covariance = np.outer(first_source.shifts, second_source.shifts)
             covariance = covariance - cross_covariance - cross_covariance.T
             if np.any(np.abs(np.diag(cross_covariance)) > _MIN_SHARE * np.diag(first.covariance)):
                 shared_names.append(name)
@@ -100,27 +100,31 @@ def _common_record_covariance(
     common_sources, efficient_only_shifts = list[tuple[SharedSource, SharedSource]](), list[Array]()
     remeasured_shifts = list[tuple[Array, Array]]()
     shared_names = []
-    for name, source in efficient_estimates.sources.items():
-        counterpart = inefficient_estimates.sources.get(name)
-        if source.estimated:
+    for name, efficient_source in efficient_estimates.sources.items():
+        inefficient_source = inefficient_estimates.sources.get(name)
+        if efficient_source.estimated:
             # A new measurement does not belong to the common data.
             if (
-                counterpart is not None
-                and counterpart.estimated
-                and source.is_remeasured(counterpart)
+                inefficient_source is not None
+                and inefficient_source.estimated
+                and efficient_source.is_remeasured(inefficient_source)
             ):
-                remeasured_shifts.append((source.shifts, counterpart.shifts))
-        elif counterpart is not None and source.has_same_statement(counterpart):
-            common_sources.append((source, counterpart))
+                remeasured_shifts.append((efficient_source.shifts, inefficient_source.shifts))
+        elif inefficient_source is not None and efficient_source.has_same_statement(
+            inefficient_source
+        ):
+            common_sources.append((efficient_source, inefficient_source))
             shared_names.append(name)
         else:
-            efficient_only_shifts.append(source.shifts)
+            efficient_only_shifts.append(efficient_source.shifts)
     # Sources that the efficient result states differently or omits.
     inefficient_only_shifts = [
-        source.shifts
-        for name, source in inefficient_estimates.sources.items()
+        inefficient_source.shifts
+        for name, inefficient_source in inefficient_estimates.sources.items()
         if not (
-            source.estimated or name in shared_names or _is_estimated(efficient_estimates, name)
+            inefficient_source.estimated
+            or name in shared_names
+            or _is_estimated(efficient_estimates, name)
         )
     ]
     efficient_remeasured_covariance, inefficient_remeasured_covariance = (
@@ -128,7 +132,10 @@ def _common_record_covariance(
     )
     inefficient_covariance = inefficient_estimates.covariance - inefficient_remeasured_covariance
     inefficient_covariance = inefficient_covariance - covariance_of_shifts(
-        [*(counterpart.shifts for _, counterpart in common_sources), *inefficient_only_shifts],
+        [
+            *(inefficient_source.shifts for _, inefficient_source in common_sources),
+            *inefficient_only_shifts,
+        ],
         n_terms,
     )
     efficient_covariance = (
@@ -153,7 +160,11 @@ def _common_record_covariance(
             (inefficient_covariance - efficient_covariance) / np.outer(uncertainties, uncertainties)
         ) * np.outer(uncertainties, uncertainties)
     common_covariance = covariance_of_shifts(
-        [counterpart.shifts - source.shifts for source, counterpart in common_sources], n_terms
+        [
+            inefficient_source.shifts - efficient_source.shifts
+            for efficient_source, inefficient_source in common_sources
+        ],
+        n_terms,
     )
     return excess_covariance + common_covariance + covariance_of_shifts(
         [*efficient_only_shifts, *inefficient_only_shifts], n_terms
@@ -203,19 +214,21 @@ class SharedSource:
     shifts: Array  #: Signed shift of each estimate by its standard uncertainty, shape (p,).
     is_run_specific: bool  #: Whether the source belongs to one run or mounting, such as a tilt.
 
-    def has_same_statement(self, other: SharedSource) -> bool:
+    def has_same_statement(self, other_source: SharedSource) -> bool:
         """Return whether another source has the same u and not a different value."""
-        return self.has_same_u(other) and not self.is_remeasured(other)
+        return self.has_same_u(other_source) and not self.is_remeasured(other_source)
 
-    def has_same_u(self, other: SharedSource) -> bool:
+    def has_same_u(self, other_source: SharedSource) -> bool:
         """Return whether another source has the same standard uncertainty."""
-        return bool(np.isclose(self.value_and_u[1], other.value_and_u[1], rtol=1e-9, atol=0.0))
+        return bool(
+            np.isclose(self.value_and_u[1], other_source.value_and_u[1], rtol=1e-9, atol=0.0)
+        )
 
-    def is_remeasured(self, other: SharedSource) -> bool:
+    def is_remeasured(self, other_source: SharedSource) -> bool:
         """Return whether another source has a different value and so is a new measurement."""
         return (
-            None not in (self.value_and_u[0], other.value_and_u[0])
-            and self.value_and_u[0] != other.value_and_u[0]
+            None not in (self.value_and_u[0], other_source.value_and_u[0])
+            and self.value_and_u[0] != other_source.value_and_u[0]
         )
 
 
@@ -288,8 +301,8 @@ def extract_estimates(
         indices = [stated_correlation.terms.index(symbol) for symbol in symbols]
         correlation_matrix = np.array(stated_correlation.matrix)[np.ix_(indices, indices)]
     sources = {
-        source: _scale_source(shared, factors)
-        for source, shared in _extract_sources(result, name, symbols).items()
+        source: _scale_source(unscaled_source, factors)
+        for source, unscaled_source in _extract_sources(result, name, symbols).items()
     }
     return Estimates(
         symbols=tuple(symbols),
@@ -443,17 +456,18 @@ def _efficient_result_index(
         return None
     if first.method != second.method:
         return (0 if first.method == "joint" else 1) if records[0] == records[1] else None
-    first_sources, second_sources = (e.sources for e in estimates)
+    first_sources, second_sources = (result_estimates.sources for result_estimates in estimates)
     if any(
-        s.estimated
-        and n in second_sources
-        and not _has_same_prior(n, first_sources, second_sources)
-        for n, s in first_sources.items()
+        source.estimated
+        and source_name in second_sources
+        and not _has_same_prior(source_name, first_sources, second_sources)
+        for source_name, source in first_sources.items()
     ):
         return None
     unshared_runs = set(first.runs) ^ set(second.runs)
     terms = [
-        {term for term in term_names(r) if term.split(".")[0] not in unshared_runs} for r in results
+        {term for term in term_names(result) if term.split(".")[0] not in unshared_runs}
+        for result in results
     ]
     if records[0] >= records[1] and terms[0] <= terms[1]:
         return 0

@@ -184,15 +184,17 @@ def _determining_laboratories(
 
 
 def _compared_symbols(
-    accelerometer: str, laboratories: Mapping[str, Result], requested: Sequence[str] | None
+    accelerometer: str, laboratories: Mapping[str, Result], requested_symbols: Sequence[str] | None
 ) -> Iterator[str]:
     """Yield the requested coefficients; by default, those that every result determines."""
     accelerometer_result = next(iter(laboratories.values())).accelerometers[accelerometer]
-    for symbol in accelerometer_result.coefficients if requested is None else requested:
+    for symbol in (
+        accelerometer_result.coefficients if requested_symbols is None else requested_symbols
+    ):
         n_laboratories = len(_determining_laboratories(accelerometer, symbol, laboratories))
-        if requested is not None and n_laboratories < 2:
+        if requested_symbols is not None and n_laboratories < 2:
             raise _comparison_error(f"fewer than two results determine {symbol} of {accelerometer}")
-        if requested is not None or n_laboratories == len(laboratories):
+        if requested_symbols is not None or n_laboratories == len(laboratories):
             yield symbol
 
 

@@ -7,10 +7,10 @@ from typing import Final
 
 from counterspin.comparisons.estimates import g_units_ratio
 from counterspin.comparisons.result import (
-    AgreementOfTwo,
     ComparedCoefficient,
     ComparedEstimate,
     ComparedResult,
+    PairAgreement,
     RepeatedCalibration,
     RepeatedCoefficient,
     ResultComparison,
@@ -90,7 +90,7 @@ def _unsealed_warnings(names: Sequence[str]) -> list[Paragraph]:
     return [Paragraph(sentence, "warning") for sentence in unsealed_sentences(names)]
 
 
-def _agreement_style(agreement: AgreementOfTwo) -> Style:
+def _agreement_style(agreement: PairAgreement) -> Style:
     if agreement.p is None:
         return "plain"
     return "answer" if agreement.agrees else "warning"
@@ -132,7 +132,7 @@ def _conversion_note(comparison: ResultComparison, result: ComparedResult, gravi
     )
 
 
-def agreement_sentence(comparison: ResultComparison, agreement: AgreementOfTwo) -> str:
+def agreement_sentence(comparison: ResultComparison, agreement: PairAgreement) -> str:
     """Return a sentence on the agreement of two results."""
     first_name = comparison.reference(agreement.accelerometer).name
     subject = f"{agreement.accelerometer}: {agreement.result} and {first_name}"
@@ -155,7 +155,7 @@ def agreement_sentence(comparison: ResultComparison, agreement: AgreementOfTwo) 
     return f"{subject} {verdict} ({test_text}; {overlap_text})."
 
 
-def _is_identical(comparison: ResultComparison, agreement: AgreementOfTwo) -> bool:
+def _is_identical(comparison: ResultComparison, agreement: PairAgreement) -> bool:
     """Check that all coefficients determined by both results are equal."""
     result_index = [result.name for result in comparison.results].index(agreement.result)
     return not any(

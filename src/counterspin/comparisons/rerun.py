@@ -32,11 +32,11 @@ _NO_VALUE: Final = "-"
 
 def find_changes(results: Sequence[Result]) -> list[Change]:
     """Return the differences between results: method and options, terms, noise, inputs, files."""
-    rows = [dict(_describe_result(result)) for result in results]
-    subjects = dict.fromkeys(subject for row in rows for subject in row)
+    descriptions = [dict(_describe_result(result)) for result in results]
+    subjects = dict.fromkeys(subject for description in descriptions for subject in description)
     differences = []
     for subject in subjects:
-        values = [row.get(subject, _NO_VALUE) for row in rows]
+        values = [description.get(subject, _NO_VALUE) for description in descriptions]
         if len(set(values)) > 1:
             differences.append(Change(subject=subject, values=values))
     return differences
@@ -83,8 +83,8 @@ def _describe_model(result: Result) -> Iterator[tuple[str, str]]:
                     known_coefficient.value, known_coefficient.u, known_coefficient.unit
                 ),
             )
-        considered, priors = _prior_information(result, name)
-        yield f"considered terms of {name}", ", ".join(considered) or _NO_VALUE
+        considered_terms, priors = _prior_information(result, name)
+        yield f"considered terms of {name}", ", ".join(considered_terms) or _NO_VALUE
         for source, text in priors.items():
             yield f"{name}: {source}", text
         for component, line in accelerometer.noise.items():
@@ -100,14 +100,14 @@ def _describe_model(result: Result) -> Iterator[tuple[str, str]]:
 
 def _prior_information(result: Result, name: str) -> tuple[list[str], Mapping[str, str]]:
     """Return the considered terms, and the stated priors of the unknowns as text."""
-    considered, priors = dict[str, None](), dict[str, str]()
+    considered_terms, priors = dict[str, None](), dict[str, str]()
     for lines in result.accelerometers[name].budget.values():
         for line in lines:
             if line.kind == "held":
-                considered[line.source] = None
+                considered_terms[line.source] = None
             elif line.kind == "stated" and line.u is not None:
                 priors[f"prior u of {line.source}"] = _format_quantity(line.u, 0.0, line.unit)
-    return sorted(considered), priors
+    return sorted(considered_terms), priors
 
 
 def _default_priors(result: Result) -> list[str]:
@@ -272,12 +272,14 @@ def _compare_coefficients(
         dict(_all_coefficients(original)),
         dict(_all_coefficients(repeated)),
     )
-    rows = [
+    coefficients = [
         _compare_coefficient(name, original_coefficients.get(name), repeated_coefficients.get(name))
         for name in dict.fromkeys([*original_coefficients, *repeated_coefficients])
     ]
-    relative_differences = [row.relative for row in rows]
-    normalized_differences = [abs(row.in_u) for row in rows if row.in_u is not None]
+    relative_differences = [coefficient.relative for coefficient in coefficients]
+    normalized_differences = [
+        abs(coefficient.in_u) for coefficient in coefficients if coefficient.in_u is not None
+    ]
     known_differences = [
         difference for difference in relative_differences if difference is not None
     ]
@@ -291,7 +293,7 @@ def _compare_coefficients(
         limit=RELATIVE_TOLERANCE,
         largest=largest,
         largest_in_u=max(normalized_differences, default=None),
-        coefficients=rows,
+        coefficients=coefficients,
         state_before=original.state,
         state_now=repeated.state,
         changes=find_changes([original, repeated]),

@@ -57,7 +57,7 @@ class ComparedCoefficient(ResultPart):
     estimates: list[ComparedEstimate]  #: Estimates of the results.
 
 
-class AgreementOfTwo(ResultPart):
+class PairAgreement(ResultPart):
     """The agreement of an accelerometer's coefficients with the first result that has them."""
 
     result: str  #: Label of the result.
@@ -106,7 +106,7 @@ class ResultComparison(ReportableResult):
     #: Coefficients of all results, for accelerometers that occur in more than one result.
     coefficients: list[ComparedCoefficient]
     #: Agreement of each later result with the first result that contains the accelerometer.
-    agreements: list[AgreementOfTwo]
+    agreements: list[PairAgreement]
     #: Differences between the results in files, terms, noise, options and versions.
     changes: list[Change]
     unsealed: list[str] = []  #: Labels of results whose files have no seal.

@@ -17,7 +17,12 @@ import numpy.typing as npt
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.histories.files import DatedResult
-from counterspin.histories.result import ControlLimits, Repeatability, RepeatComponent, Scatter
+from counterspin.histories.result import (
+    ControlLimits,
+    Repeatability,
+    RepeatabilityComponent,
+    Scatter,
+)
 from counterspin.inference.distributions import chi_square_tail, expanded_uncertainty, normal_cdf
 from counterspin.inference.least_squares import Fit, fit
 from counterspin.inference.variance_components import variance_components
@@ -175,8 +180,8 @@ def _leave_one_out_scores(values: Array, u: Array) -> Array:
     return z
 
 
-def _evaluate_scatter(fitted: Fit) -> Scatter:
-    chi2, dof = fitted.chi2, fitted.dof
+def _evaluate_scatter(fit_result: Fit) -> Scatter:
+    chi2, dof = fit_result.chi2, fit_result.dof
     if dof < 1:
         return Scatter(chi2=chi2, dof=dof, p=None, birge=None)
     return Scatter(chi2=chi2, dof=dof, p=chi_square_tail(dof, chi2), birge=math.sqrt(chi2 / dof))
@@ -239,7 +244,7 @@ def probability_within(drift: Drift, time: float, low: float | None, high: float
 
     low, high: Specification limits; None: no limit.
     """
-    value, u = (float(number) for number in drift.evaluate(time))
+    value, u = (float(estimate) for estimate in drift.evaluate(time))
     u *= max(1.0, drift.scatter.birge or 1.0)
     p_below_high = 1.0 if high is None else normal_cdf((high - value) / u)
     return p_below_high - (0.0 if low is None else normal_cdf((low - value) / u))
@@ -294,8 +299,8 @@ def evaluate_repeatability(
     covariance: Covariance of the results, shape (n, n); None: independent results.
     has_drift: True: variation about a straight line over time; False: about the mean.
     """
-    start = records[0].date
-    years = np.array([(record.date - start) / YEAR for record in records])
+    first_date = records[0].date
+    years = np.array([(record.date - first_date) / YEAR for record in records])
     columns = [np.ones(len(records)), *([years - years.mean()] if has_drift else [])]
     if len(records) < len(columns) + _MIN_EXTRA_RESULTS:
         return None
@@ -308,7 +313,7 @@ def evaluate_repeatability(
     values = np.array([record.value for record in records])
     estimate = variance_components(values, known_covariance, groups, np.stack(columns, axis=1))
     components = {
-        name: RepeatComponent(
+        name: RepeatabilityComponent(
             value=component.value,
             low=component.low,
             high=component.high if math.isfinite(component.high) else None,

@@ -37,7 +37,7 @@ from counterspin.histories.files import (
     equivalent_term,
 )
 from counterspin.histories.result import (
-    Due,
+    DueDate,
     History,
     InstrumentHistory,
     LaboratoryPair,
@@ -246,8 +246,10 @@ def _make_instrument_history(
     shared_inputs = find_shared_inputs(u, [record.source_shifts for record in records])
     covariance = None if shared_inputs is None else shared_inputs.covariance
     mean = weighted_mean(values, u, covariance)
-    start = records[0].date
-    drift = fit_drift([(record.date - start) / YEAR for record in records], values, u, covariance)
+    first_date = records[0].date
+    drift = fit_drift(
+        [(record.date - first_date) / YEAR for record in records], values, u, covariance
+    )
     verdict = _judge_agreement(mean, drift)
     return InstrumentHistory(
         serial_number=records[0].serial_number,
@@ -257,7 +259,7 @@ def _make_instrument_history(
         mean=mean.value,
         u_mean=mean.u,
         scatter=mean.scatter,
-        drift=None if drift is None else _make_trend(drift, start),
+        drift=None if drift is None else _make_trend(drift, first_date),
         verdict=verdict,
         shared=[] if shared_inputs is None else list(shared_inputs.names),
         correlation=None if shared_inputs is None else shared_inputs.largest_correlation,
@@ -280,7 +282,7 @@ def _latest_specification(records: Sequence[DatedResult]) -> SpecificationLimits
 
 def _make_due(
     records: Sequence[DatedResult], drift: Drift | None, verdict: Verdict, reliability: float
-) -> Due:
+) -> DueDate:
     specification_limits = _latest_specification(records)
     if specification_limits is None:
         reason = "none of the results states a specification"
@@ -291,15 +293,15 @@ def _make_due(
             "the results are not consistent with a straight line, so they cannot be extrapolated"
         )
     else:
-        specification = (specification_limits.low, specification_limits.high)
-        date = next_due_date(drift, records[0].date, records[-1].date, specification, reliability)
+        limits = (specification_limits.low, specification_limits.high)
+        date = next_due_date(drift, records[0].date, records[-1].date, limits, reliability)
         if date is not None:
-            return Due(date=date.date().isoformat(), reliability=reliability)
+            return DueDate(date=date.date().isoformat(), reliability=reliability)
         reason = (
             f"the straight line stays within the specification for {MAX_YEARS:g} years; set a "
             "recalibration interval"
         )
-    return Due(date=None, reliability=reliability, reason=reason)
+    return DueDate(date=None, reliability=reliability, reason=reason)
 
 
 def _compare_laboratories(
@@ -377,12 +379,12 @@ def _format_date(date: datetime) -> str:
     return (date.date() if date.time() == datetime.min.time() else date).isoformat()
 
 
-def _make_trend(drift: Drift, start: datetime) -> Trend:
+def _make_trend(drift: Drift, first_date: datetime) -> Trend:
     return Trend(
         value=drift.slope,
         u=drift.u,
         p=drift.p,
-        date=(start + drift.time * YEAR).date().isoformat(),
+        date=(first_date + drift.time * YEAR).date().isoformat(),
         level=drift.value,
         u_level=drift.u_value,
         scatter=drift.scatter,
@@ -392,9 +394,9 @@ def _make_trend(drift: Drift, start: datetime) -> Trend:
 def _judge_agreement(mean: Mean, drift: Drift | None) -> Verdict:
     if mean.scatter.p is None:
         return "single"
-    is_constant = mean.scatter.p >= SIGNIFICANCE
+    agrees_with_mean = mean.scatter.p >= SIGNIFICANCE
     if drift is None or drift.p >= SIGNIFICANCE:
-        return "constant" if is_constant else "disagree"
+        return "constant" if agrees_with_mean else "disagree"
     if drift.scatter.p is None:
         return "differ"
     return "drifts" if drift.scatter.p >= SIGNIFICANCE else "disagree"

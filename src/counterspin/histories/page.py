@@ -12,7 +12,7 @@ from counterspin.histories.result import (
     InstrumentHistory,
     Point,
     Repeatability,
-    RepeatComponent,
+    RepeatabilityComponent,
     Scatter,
 )
 from counterspin.inference.distributions import expanded_uncertainty
@@ -179,16 +179,16 @@ def _repeatability_blocks(history: History, repeatability: Repeatability) -> Ite
     def format_number_in_unit(value: float) -> str:
         return format_number(value * factor, 2)
 
-    def component_row(name: str, component: RepeatComponent) -> tuple[str, ...]:
+    def component_row(name: str, component: RepeatabilityComponent) -> tuple[str, ...]:
         condition = " or ".join(_CONDITION_NAMES[alias][0] for alias in (name, *component.same_as))
         upper_text = "any" if component.high is None else format_number_in_unit(component.high)
         interval = f"{format_number_in_unit(component.low) if component.low else 0} to {upper_text}"
-        group_count = f"{component.groups} {_CONDITION_NAMES[name][1]}"
+        groups_text = f"{component.groups} {_CONDITION_NAMES[name][1]}"
         return (
             f"another {condition}",
             format_number_in_unit(component.value),
             interval,
-            group_count,
+            groups_text,
             str(component.freedom),
         )
 
@@ -240,16 +240,16 @@ def _limit_series(
     instrument: InstrumentHistory, date_range: tuple[float, float], factor: float
 ) -> Iterator[PlotSeries]:
     """Yield control and specification limits; each type has one legend entry."""
-    lines: list[tuple[str, tuple[float | None, ...], int]] = []
+    limit_lines: list[tuple[str, tuple[float | None, ...], int]] = []
     if (chart := instrument.control) is not None:
-        lines += [
+        limit_lines += [
             ("centre (mean of the results)", (chart.centre,), 4),
             ("warning limits", (chart.warning_low, chart.warning_high), 5),
             ("action limits (moving range)", (chart.action_low, chart.action_high), 1),
         ]
     if (limits := instrument.specification) is not None:
-        lines.append(("specification", (limits.low, limits.high), 6))
-    for legend, levels, colour in lines:
+        limit_lines.append(("specification", (limits.low, limits.high), 6))
+    for legend, levels, colour in limit_lines:
         label = legend
         for level in levels:
             if level is not None:

@@ -77,7 +77,7 @@ class SpecificationLimits(ResultPart):
     words: str  #: Specification as written in the campaign.
 
 
-class Due(ResultPart):
+class DueDate(ResultPart):
     """The date when the next calibration of the instrument is due."""
 
     #: Last day on which the straight line is within specification with the probability
@@ -102,7 +102,7 @@ class LaboratoryPair(ResultPart):
         return abs(self.e_n) <= 1.0
 
 
-class RepeatComponent(ResultPart):
+class RepeatabilityComponent(ResultPart):
     """The variation of results from one turn-on, mounting or day to another."""
 
     #: Standard deviation in excess of the u of the results; 0 if no excess is detected.
@@ -119,7 +119,7 @@ class Repeatability(ResultPart):
     """The repeatability of results, by restricted likelihood: turn-on, remount and day."""
 
     #: Components for `day`, `mounting` and `turn_on`, if the results determine them.
-    components: dict[str, RepeatComponent]
+    components: dict[str, RepeatabilityComponent]
     #: Total standard deviation between results (root sum of squares of the components).
     total: float
     #: Reference of the scatter: the mean, or the straight line if the results drift.
@@ -159,7 +159,7 @@ class InstrumentHistory(ResultPart):
     specification: SpecificationLimits | None = None
     #: Date of the next calibration, or the reason why there is none; null in files of earlier
     #: versions.
-    due: Due | None = None
+    due: DueDate | None = None
     #: Repeatability in excess of the u of the results; null if there are too few results, and in
     #: files of earlier versions.
     repeatability: Repeatability | None = None

@@ -193,8 +193,8 @@ def ripple_rows() -> tuple[Row, ...]:
 
     def fit_k_ii(design: Array) -> tuple[float, float]:
         """Return K_II and its standard uncertainty from a weighted fit of these columns."""
-        curvature = np.array([run.parabola.b2 for run in runs]) - TABLE_1["K_F"] * GRAVITY / 2
-        fit = least_squares.fit(design, curvature, [run.parabola.u_b2 for run in runs])
+        curvatures = np.array([run.parabola.b2 for run in runs]) - TABLE_1["K_F"] * GRAVITY / 2
+        fit = least_squares.fit(design, curvatures, [run.parabola.u_b2 for run in runs])
         return float(fit.estimate[0]), float(fit.u[0])
 
     without_ripple, with_ripple = (

@@ -58,7 +58,11 @@ FILE_DESCRIPTION: Final = "a figure of the demonstration"
 def demonstration_report(demonstration: Demonstration) -> Report:
     """Return the table of the coefficients by each method, with an explanation."""
     campaign = demonstration.campaign
-    results = (demonstration.joint, demonstration.two_stage.result, demonstration.as_printed.result)
+    method_results = (
+        demonstration.joint,
+        demonstration.two_stage.result,
+        demonstration.as_printed.result,
+    )
     table = Table(
         columns=(
             Column("Term"),
@@ -74,7 +78,7 @@ def demonstration_report(demonstration: Demonstration) -> Report:
                 format_number(truth * find_display_unit(term(symbol).unit)[1], 12),
                 *(
                     _coefficient_text(result, symbol, symbol in campaign.model.considered)
-                    for result in results
+                    for result in method_results
                 ),
                 find_display_unit(term(symbol).unit)[0],
             )
@@ -83,7 +87,7 @@ def demonstration_report(demonstration: Demonstration) -> Report:
         quiet_rows=frozenset(
             row
             for row, symbol in enumerate(demonstration.truth)
-            if not any(_is_estimated(result, symbol) for result in results)
+            if not any(_is_estimated(result, symbol) for result in method_results)
         ),
     )
     n_runs = len(campaign.runs)
@@ -141,7 +145,7 @@ def demonstration_plots(demonstration: Demonstration) -> list[Plot]:
     runs = demonstration.two_stage.second.runs
     time_limit = 1.01 * max(float(run.parabola.strobes.time[-1]) for run in runs)
     residual_limit = 1.15e3 * max(_residual_limit(run.parabola) for run in runs)
-    for index, run in enumerate(runs):
+    for run_index, run in enumerate(runs):
         time, error = run.parabola.strobes.time, run.parabola.strobes.error
         b0, b1, b2 = run.parabola.coefficients
         fine_time = np.linspace(0.0, time[-1], 100)
@@ -150,7 +154,7 @@ def demonstration_plots(demonstration: Demonstration) -> list[Plot]:
                 "",
                 _to_tuple(fine_time),
                 _to_tuple((b2 - bias_curvature) * fine_time**2),
-                colour=index,
+                colour=run_index,
             )
         )
         # All strobes would hide the curve; the plot of residuals shows them.
@@ -165,10 +169,10 @@ def demonstration_plots(demonstration: Demonstration) -> list[Plot]:
                 None,
                 None,
                 "points",
-                colour=index,
+                colour=run_index,
             )
         )
-        residual_plots.append(_residual_plot(run, index, (0.0, time_limit), residual_limit))
+        residual_plots.append(_residual_plot(run, run_index, (0.0, time_limit), residual_limit))
     return [
         Plot(
             title=f"{demonstration.campaign.title}: {name}, "
@@ -185,7 +189,7 @@ def demonstration_plots(demonstration: Demonstration) -> list[Plot]:
 
 
 def _residual_plot(
-    run: StrobedRun, index: int, x_range: tuple[float, float], residual_limit: float
+    run: StrobedRun, run_index: int, x_range: tuple[float, float], residual_limit: float
 ) -> Plot:
     parabola = run.parabola
     time = _to_tuple(parabola.strobes.time)
@@ -203,10 +207,16 @@ def _residual_plot(
                 (-band_half_width, -band_half_width),
                 (band_half_width, band_half_width),
                 "band",
-                colour=index,
+                colour=run_index,
             ),
             PlotSeries(
-                "", time, _to_tuple(1e3 * parabola.residuals), None, None, "points", colour=index
+                "",
+                time,
+                _to_tuple(1e3 * parabola.residuals),
+                None,
+                None,
+                "points",
+                colour=run_index,
             ),
         ),
         levels=(0.0,),

@@ -184,26 +184,32 @@ def check_case(case: Case) -> CheckedCase:
         return _case_without_values(case, "not run", str(error))
     except Exception as error:  # report any error to the assessor
         return _case_without_values(case, "failed", f"{type(error).__name__}: {error}")
-    worst_value: tuple[float, str, float, float, float] | None = None
+    worst_comparison: tuple[float, str, float, float, float] | None = None
     n_values = 0
-    for name, expected in expected_outputs.items():
-        computed = np.asarray(outputs.get(name, np.nan), np.float64)
-        if computed.shape != expected.shape:
+    for name, expected_values in expected_outputs.items():
+        computed_values = np.asarray(outputs.get(name, np.nan), np.float64)
+        if computed_values.shape != expected_values.shape:
             return _case_without_values(
                 case, "failed", f"{name} is missing, or has a different shape"
             )
-        tolerance = np.broadcast_to(case.tolerance(name), expected.shape)
-        for index in np.ndindex(expected.shape):
+        tolerances = np.broadcast_to(case.tolerance(name), expected_values.shape)
+        for index in np.ndindex(expected_values.shape):
             n_values += 1
             tolerance_ratio = _tolerance_ratio(
-                float(computed[index]), float(expected[index]), float(tolerance[index])
+                float(computed_values[index]),
+                float(expected_values[index]),
+                float(tolerances[index]),
             )
-            if worst_value is None or tolerance_ratio > worst_value[0]:
+            if worst_comparison is None or tolerance_ratio > worst_comparison[0]:
                 label = name + "".join(f"[{i + 1}]" for i in index)
-                triple = (float(expected[index]), float(computed[index]), float(tolerance[index]))
-                worst_value = (tolerance_ratio, label, *triple)
-    assert worst_value is not None
-    tolerance_ratio, quantity, expected_value, computed_value, limit = worst_value
+                compared_values = (
+                    float(expected_values[index]),
+                    float(computed_values[index]),
+                    float(tolerances[index]),
+                )
+                worst_comparison = (tolerance_ratio, label, *compared_values)
+    assert worst_comparison is not None
+    tolerance_ratio, quantity, expected_value, computed_value, limit = worst_comparison
     return CheckedCase(
         **_case_fields(case),
         state="passed" if tolerance_ratio <= 1.0 else "failed",
