@@ -36,34 +36,34 @@ def test_appended_chunks_are_read_once(file):
         step = int(random.integers(1, 400))
         append(file, content[done : done + step])
         done += step
-        followed.follow()
-        assert followed.rows <= content[:done].count(b",ok\n")
+        followed.read_new_rows()
+        assert followed.n_rows <= content[:done].count(b",ok\n")
     whole = read_numbers(file, NAMES)
-    assert followed.rows == 300
+    assert followed.n_rows == 300
     for name in NAMES:
         assert np.array_equal(followed.table.columns[name], whole[name])
-    assert followed.follow() == (False, None)
+    assert followed.read_new_rows() == (False, None)
 
 
 def test_incomplete_line_is_not_read(file):
     followed = GrowingTable(file, NAMES)
     append(file, HEAD + make_lines(0, 30) + b"0.300,0.1")
-    assert followed.follow() == (True, None)
-    assert followed.rows == 30
+    assert followed.read_new_rows() == (True, None)
+    assert followed.n_rows == 30
     append(file, b"4112,ok\n")
-    assert followed.follow() == (True, None)
+    assert followed.read_new_rows() == (True, None)
     assert followed.table.columns["x"][30] == 0.14112
 
 
 def test_header_without_rows_has_no_data(file):
     followed = GrowingTable(file, NAMES)
     append(file, HEAD)
-    assert followed.follow() == (False, None)
+    assert followed.read_new_rows() == (False, None)
     append(file, make_lines(0, 5))
-    assert followed.follow() == (False, None)
+    assert followed.read_new_rows() == (False, None)
     append(file, make_lines(5, 25))
-    assert followed.follow() == (True, None)
-    assert followed.rows == 25
+    assert followed.read_new_rows() == (True, None)
+    assert followed.n_rows == 25
 
 
 def test_delimiter_and_decimal_comma_are_detected(file):
@@ -72,8 +72,8 @@ def test_delimiter_and_decimal_comma_are_detected(file):
     whole, followed = head + rows, GrowingTable(file, NAMES)
     for begin in range(0, len(whole), 700):
         append(file, whole[begin : begin + 700])
-        followed.follow()
-    assert followed.rows == 400
+        followed.read_new_rows()
+    assert followed.n_rows == 400
     assert np.array_equal(followed.table.columns["t"], np.arange(400) + 0.5)
     assert np.array_equal(followed.table.columns["x"], -np.arange(400) - 0.25)
 
@@ -87,11 +87,11 @@ def test_previous_bytes_are_not_read_again(file, monkeypatch):
     )
     followed = GrowingTable(file, NAMES)
     append(file, HEAD + make_lines(0, 5000))
-    followed.follow()
+    followed.read_new_rows()
     before = len(read)
     append(file, make_lines(5000, 5010))
-    followed.follow()
-    assert followed.rows == 5010
+    followed.read_new_rows()
+    assert followed.n_rows == 5010
     assert max(read[before:]) < 2000
 
 
@@ -102,7 +102,7 @@ def test_previous_bytes_are_not_read_again(file, monkeypatch):
 def test_replaced_file_is_reported_and_read_from_start(happens, words, file):
     followed = GrowingTable(file, NAMES)
     append(file, HEAD + make_lines(0, 100))
-    followed.follow()
+    followed.read_new_rows()
     if happens == "replaced":
         (file.parent / "other").write_bytes(HEAD + make_lines(7, 60))
         (file.parent / "other").replace(file)
@@ -110,7 +110,7 @@ def test_replaced_file_is_reported_and_read_from_start(happens, words, file):
         file.write_bytes(HEAD + make_lines(7, 60))
     else:
         file.write_bytes(HEAD + make_lines(7, 200))
-    changed, event = followed.follow()
+    changed, event = followed.read_new_rows()
     assert changed
     assert words in event
     assert followed.table.columns["t"][0] == 0.07
@@ -119,13 +119,13 @@ def test_replaced_file_is_reported_and_read_from_start(happens, words, file):
 def test_invalid_row_raises_and_keeps_previous_rows(file):
     followed = GrowingTable(file, NAMES)
     append(file, HEAD + make_lines(0, 600))
-    followed.follow()
+    followed.read_new_rows()
     append(file, b"0.1,word,ok\n")
     with pytest.raises(
         RecordError, match=r"run\.csv, line 603: column 't'|'x' contains the text 'word'"
     ):
-        followed.follow()
-    assert followed.rows == 600
+        followed.read_new_rows()
+    assert followed.n_rows == 600
     file.write_bytes(HEAD + make_lines(0, 602))
-    followed.follow()
-    assert followed.rows == 602
+    followed.read_new_rows()
+    assert followed.n_rows == 602

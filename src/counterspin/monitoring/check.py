@@ -1,4 +1,4 @@
-"""`counterspin check`: one record, checked while there is still time to make it again."""
+"""`counterspin check`: check a record while the run can still be repeated."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from counterspin.campaign.runs import Run
 from counterspin.campaign.validation import suggest_name
 from counterspin.errors import CampaignError, CounterspinError, RecordError, UsageError
 from counterspin.frozen import frozen
-from counterspin.monitoring.mean_run import MeanRun, check_mean, mean_runs
-from counterspin.monitoring.observer import Observer, Recorded, recordings
+from counterspin.monitoring.mean_run import MeanRun, check_mean, collect_mean_runs
+from counterspin.monitoring.observer import Observer, RecordedRun, recorded_runs
 from counterspin.monitoring.result import CheckedRun, CurrentEstimate, RunState
 from counterspin.monitoring.run_state import (
     CurrentFit,
     current_estimates,
     displayed_names,
     fit_runs,
+    make_poses_state,
+    make_run_state,
     pose_remarks,
-    poses_state,
     run_remarks,
-    run_state,
     undetermined_estimates,
 )
 from counterspin.planning.forecast import forecast
@@ -40,16 +40,16 @@ def check(
     *,
     run: str | None = None,
 ) -> CheckedRun:
-    """Check the record of one run: clock, angle, rate, residuals, resulting uncertainty.
+    """Check the record of a run: clock, angle, rate, residuals and expected uncertainty.
 
     Parameters
     ----------
     record
-        The file, or a frame as `make_campaign` takes it.
+        Record file, or a data frame as in `make_campaign`.
     campaign
-        The campaign, its folder or its description; not all its records need be there.
+        Campaign, its folder or its description; other records may be missing.
     run
-        Which of its runs this is; None: the one whose record the file is, or that has its name.
+        Name of the run; None: the run with this record file, or with the name of the file.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def check(
     Raises
     ------
     CampaignError
-        If the description is wrong, or it is not clear which run this is.
+        If the description is wrong, or the run cannot be identified.
     RecordError
         If the file is not found.
     """
@@ -67,23 +67,21 @@ def check(
         return _check_record(record, full_campaign, run)
 
 
-def _check_record(record: object, campaign: Campaign, name: str | None) -> CheckedRun:
+def _check_record(record: object, campaign: Campaign, run_name: str | None) -> CheckedRun:
     file = Path(record).absolute() if isinstance(record, Path | str) else None
     if file is not None:
         if not file.exists():
             raise RecordError(f"{record}: file not found", code="file-not-found")
         find_opener(file)  # checked first: it does not depend on the run
-    selected_run = _select_run(campaign, file, name)
+    selected_run = _select_run(campaign, file, run_name)
     if file is None:
         table: MemoryTable = memory_table(f"{selected_run.name} in memory", record)
         campaign = replace(campaign, frames={**campaign.frames, selected_run.record: table})
     if isinstance(selected_run, MeanRun):
         return check_mean(campaign, selected_run, file or selected_run.record)
-    campaign_with_file = selected_run if file is None else _replace_file(selected_run, file)
-    campaign = _map_records(
-        campaign, lambda run: campaign_with_file if run is selected_run else run
-    )
-    single_check = _check_single(campaign, campaign_with_file)
+    checked_run = selected_run if file is None else _replace_file(selected_run, file)
+    campaign = _map_records(campaign, lambda run: checked_run if run is selected_run else run)
+    single_check = _check_single(campaign, checked_run)
     if single_check.fit is None and single_check.state.poses is None:
         return CheckedRun(
             run=single_check.state,
@@ -94,29 +92,31 @@ def _check_record(record: object, campaign: Campaign, name: str | None) -> Check
             expected=[],
             why_not="the record cannot be used in its present form",
         )
-    others, reached = _check_with_others(campaign, campaign_with_file, single_check.fit)
-    expected, reason = _expected_estimates(campaign, campaign_with_file, single_check)
+    other_names, current = _check_with_others(campaign, checked_run, single_check.fit)
+    expected, reason = _forecast_estimates(campaign, checked_run, single_check)
     return CheckedRun(
         run=single_check.state,
         remarks=single_check.remarks,
-        # Poses that are too few alone may suffice with those of other records.
+        # Too few poses in this record may suffice together with those of other records.
         good=single_check.good
-        or (single_check.fit is None and any(c.u is not None for c in reached)),
-        others=others,
-        reached=reached,
+        or (single_check.fit is None and any(c.u is not None for c in current)),
+        others=other_names,
+        reached=current,
         expected=expected,
         why_not=reason,
     )
 
 
-def _replace_file(run: Recorded, file: Path) -> Recorded:
+def _replace_file(run: RecordedRun, file: Path) -> RecordedRun:
     """Return a run, or a record of poses, with its record replaced by a file."""
     if isinstance(run, Run):
         return run.model_copy(update={"file": file})
     return replace(run, record=file)
 
 
-def _map_records(campaign: Campaign, function: Callable[[Recorded], Recorded | None]) -> Campaign:
+def _map_records(
+    campaign: Campaign, function: Callable[[RecordedRun], RecordedRun | None]
+) -> Campaign:
     """Return a campaign with a function applied to its runs and pose records; None removes one."""
     runs = tuple(run for run in map(function, campaign.runs) if isinstance(run, Run))
     triad = campaign.triad
@@ -128,30 +128,32 @@ def _map_records(campaign: Campaign, function: Callable[[Recorded], Recorded | N
     return replace(campaign, runs=runs, triad=triad)
 
 
-def _select_run(campaign: Campaign, file: Path | None, name: str | None) -> Recorded | MeanRun:
-    """Return the run of a record."""
-    recorded = (*recordings(campaign), *mean_runs(campaign))
-    by_name = {run.name: run for run in recorded}
-    if name is not None:
-        if name not in by_name:
+def _select_run(
+    campaign: Campaign, file: Path | None, run_name: str | None
+) -> RecordedRun | MeanRun:
+    """Return the run with a name or a record file."""
+    candidates = (*recorded_runs(campaign), *collect_mean_runs(campaign))
+    runs_by_name = {run.name: run for run in candidates}
+    if run_name is not None:
+        if run_name not in runs_by_name:
             raise CampaignError(
                 "`run`",
-                [f'no run is named "{name}"{suggest_name(name, list(by_name))}'],
+                [f'no run is named "{run_name}"{suggest_name(run_name, list(runs_by_name))}'],
                 code="unknown-run",
             )
-        return by_name[name]
+        return runs_by_name[run_name]
     if file is not None:
-        for run in recorded:
+        for run in candidates:
             if run.record == file or (run.record.exists() and run.record.samefile(file)):
                 return run
-        if file.stem in by_name:
-            return by_name[file.stem]
-        for run in recorded:
+        if file.stem in runs_by_name:
+            return runs_by_name[file.stem]
+        for run in candidates:
             if run.record.name == file.name:
                 return run
-    if len(recorded) == 1:
-        return recorded[0]
-    raise UsageError("`run`", [f"name a run: {', '.join(by_name) or 'no run has a record'}"])
+    if len(candidates) == 1:
+        return candidates[0]
+    raise UsageError("`run`", [f"name a run: {', '.join(runs_by_name) or 'no run has a record'}"])
 
 
 @frozen
@@ -165,7 +167,7 @@ class _SingleCheck:
     observed: ObservedRun | None = None  # None for poses
 
 
-def _check_single(campaign: Campaign, run: Recorded) -> _SingleCheck:
+def _check_single(campaign: Campaign, run: RecordedRun) -> _SingleCheck:
     """Return the check of a single record."""
     single_campaign = _map_records(
         replace(campaign, readings=()), lambda candidate: run if candidate is run else None
@@ -174,89 +176,94 @@ def _check_single(campaign: Campaign, run: Recorded) -> _SingleCheck:
         single_campaign = replace(single_campaign, triad=replace(single_campaign.triad, poses=()))
     observer = Observer(single_campaign)
     observer.poll()
-    part, observed = observer.usable_runs()
-    poses = observer.poses_of(run.name)
-    if not observed and not poses:
+    usable_campaign, observed_runs = observer.read_usable_runs()
+    poses = observer.find_poses(run.name)
+    if not observed_runs and not poses:
         state = observer.unread_state(run.name)
         reason = state.why if state.state == "failed" else f"the record is too short: {state.why}"
         state = state.model_copy(update={"state": "failed", "why": reason})
         return _SingleCheck(state, [reason or ""], good=False, fit=None)
-    fit, refusal = None, ""
+    fit, fit_error = None, ""
     try:
-        fit = fit_runs(part, observed)
+        fit = fit_runs(usable_campaign, observed_runs)
     except CounterspinError as error:
-        refusal = str(error)
+        fit_error = str(error)
     if isinstance(run, PoseRecord):
-        state = poses_state(part, run, poses, fit)
-        remarks, good = pose_remarks(poses, fit)
+        state = make_poses_state(usable_campaign, run, poses, fit)
+        remarks, is_good = pose_remarks(poses, fit)
         observed_run = None
     else:
-        (observed_run,) = observed
-        state = run_state(part, observed_run, fit.views if fit else ())
-        remarks, good = (
+        (observed_run,) = observed_runs
+        state = make_run_state(usable_campaign, observed_run, fit.views if fit else ())
+        remarks, is_good = (
             run_remarks(state, observed_run.record.report.notes(), fit.views)
             if fit
             else ([], False)
         )
     if fit is None:
-        remarks, good = [refusal, *remarks], False
-    return _SingleCheck(state, remarks, good, fit, observed_run)
+        remarks, is_good = [fit_error, *remarks], False
+    return _SingleCheck(state, remarks, is_good, fit, observed_run)
 
 
 def _check_with_others(
-    campaign: Campaign, run: Recorded, fit: CurrentFit | None
+    campaign: Campaign, run: RecordedRun, fit: CurrentFit | None
 ) -> tuple[list[str], list[CurrentEstimate]]:
-    """Return the other existing records, and the coefficients from all records together.
+    """Return the names of other existing records, and the coefficients from all records.
 
-    fit: Fit of this record alone; None if it does not determine enough.
+    fit: Fit of this record alone; None if the record cannot be fitted alone.
     """
 
-    def existing_record(recorded: Recorded) -> Recorded | None:
-        in_memory = recorded.record in campaign.frames
-        return recorded if recorded is run or in_memory or recorded.record.exists() else None
+    def existing_record(candidate: RecordedRun) -> RecordedRun | None:
+        in_memory = candidate.record in campaign.frames
+        return candidate if candidate is run or in_memory or candidate.record.exists() else None
 
     observer = Observer(_map_records(campaign, existing_record))
     observer.poll()
-    usable_campaign, observed = observer.usable_runs()
-    others = [item.run.name for item in observed]
-    others += [
-        item.name for item in (usable_campaign.triad.records if usable_campaign.triad else ())
+    recorded_campaign, observed_runs = observer.read_usable_runs()
+    other_names = [item.run.name for item in observed_runs]
+    other_names += [
+        item.name for item in (recorded_campaign.triad.records if recorded_campaign.triad else ())
     ]
-    others.remove(run.name)
-    if others or usable_campaign.readings or usable_campaign.posed:
+    other_names.remove(run.name)
+    if other_names or recorded_campaign.readings or recorded_campaign.posed:
         try:
-            fit = fit_runs(usable_campaign, observed)
+            fit = fit_runs(recorded_campaign, observed_runs)
         except CounterspinError:
-            others = []
+            other_names = []
     names = displayed_names(campaign)
-    return others, current_estimates(fit, names) if fit else undetermined_estimates(campaign, names)
+    return other_names, current_estimates(fit, names) if fit else undetermined_estimates(
+        campaign, names
+    )
 
 
-def _expected_estimates(
-    campaign: Campaign, run: Recorded, single_check: _SingleCheck
+def _forecast_estimates(
+    campaign: Campaign, run: RecordedRun, single_check: _SingleCheck
 ) -> tuple[list[CurrentEstimate], str | None]:
-    """Return the expected coefficients of the whole campaign with its other runs as described."""
+    """Return the expected uncertainties of the complete campaign, or the reason for none."""
     if not campaign.runs:
         return [], None
-    completed, rate = campaign, None
+    completed_campaign, sampling_rate = campaign, None
     if single_check.observed is not None and single_check.fit is not None:
-        seconds = float(single_check.observed.record.time[-1])
-        rate = 1.0 / single_check.observed.record.report.step
+        duration = float(single_check.observed.record.time[-1])
+        sampling_rate = 1.0 / single_check.observed.record.report.step
         runs = (
-            r.model_copy(update={"duration": seconds}) if r is run else r for r in campaign.runs
+            r.model_copy(update={"duration": duration}) if r is run else r for r in campaign.runs
         )
         noise = fitted_noise(single_check.fit.estimate.fit)
-        completed = apply_observations(
+        completed_campaign = apply_observations(
             replace(campaign, runs=tuple(runs)), [single_check.observed], noise
         )
-    unknown = [r.name for r in completed.runs if r.duration is None]
-    if unknown:
-        return [], f"the description does not state the duration of {', '.join(unknown)}"
+    runs_without_duration = [r.name for r in completed_campaign.runs if r.duration is None]
+    if runs_without_duration:
+        return (
+            [],
+            f"the description does not state the duration of {', '.join(runs_without_duration)}",
+        )
     try:
-        completed = add_pose_noise(completed)
-        predicted = forecast(completed, sampling_rate=rate)
+        completed_campaign = add_pose_noise(completed_campaign)
+        prediction = forecast(completed_campaign, sampling_rate=sampling_rate)
     except CounterspinError as error:
         return [], str(error)
     names = displayed_names(campaign)
-    lines = current_estimates(CurrentFit(completed, predicted.estimate), names)
-    return [line.model_copy(update={"value": None}) for line in lines], None
+    estimates = current_estimates(CurrentFit(completed_campaign, prediction.estimate), names)
+    return [line.model_copy(update={"value": None}) for line in estimates], None

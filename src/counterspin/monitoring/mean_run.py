@@ -1,4 +1,4 @@
-"""A record on an arm or at rest, whose mean is a reading: rotation, mean, contribution."""
+"""Check of a record whose mean is a reading: on an arm, or at rest."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from counterspin.readings.mean_records import AveragedRecord, average_record
 
 @frozen(eq=False)
 class MeanRun:
-    """A run whose record has a mean for each accelerometer, which is its reading."""
+    """A run whose record provides one mean reading for each accelerometer."""
 
     readings: tuple[Reading, ...]  #: At least one.
 
@@ -44,13 +44,13 @@ class MeanRun:
         return record
 
 
-def mean_runs(campaign: Campaign) -> list[MeanRun]:
+def collect_mean_runs(campaign: Campaign) -> list[MeanRun]:
     """Return the runs whose means are readings."""
-    by_name: dict[str, list[Reading]] = {}
+    readings_by_name: dict[str, list[Reading]] = {}
     for reading in campaign.readings:
         if reading.record is not None:
-            by_name.setdefault(reading.name, []).append(reading)
-    return [MeanRun(tuple(readings)) for readings in by_name.values()]
+            readings_by_name.setdefault(reading.name, []).append(reading)
+    return [MeanRun(tuple(readings)) for readings in readings_by_name.values()]
 
 
 def check_mean(campaign: Campaign, run: MeanRun, file: Path) -> CheckedRun:
@@ -63,14 +63,14 @@ def check_mean(campaign: Campaign, run: MeanRun, file: Path) -> CheckedRun:
         lambda reading: replace(reading, record=file) if reading.name == run.name else reading,
     )
     try:
-        averaged = [
+        averaged_records = [
             average_record(campaign, reading)
             for reading in campaign.readings
             if reading.record == file
         ]
     except CounterspinError as error:
         return CheckedRun(
-            run=_unread_state(campaign, run, file, str(error)),
+            run=_make_failed_state(campaign, run, file, str(error)),
             remarks=[str(error)],
             good=False,
             others=[],
@@ -78,12 +78,14 @@ def check_mean(campaign: Campaign, run: MeanRun, file: Path) -> CheckedRun:
             expected=[],
             why_not="the record cannot be used in its present form",
         )
-    state = _read_state(campaign, averaged)
-    notes = list(dict.fromkeys(note for record in averaged for note in record.mean.report.notes()))
-    remarks, good = run_remarks(state, notes, ())
-    others, estimates = _fit_with_others(campaign, run.name)
+    state = _make_read_state(campaign, averaged_records)
+    notes = list(
+        dict.fromkeys(note for record in averaged_records for note in record.mean.report.notes())
+    )
+    remarks, is_good = run_remarks(state, notes, ())
+    other_names, estimates = _fit_with_others(campaign, run.name)
     return CheckedRun(
-        run=state, remarks=remarks, good=good, others=others, reached=estimates, expected=[]
+        run=state, remarks=remarks, good=is_good, others=other_names, reached=estimates, expected=[]
     )
 
 
@@ -97,8 +99,8 @@ def _map_readings(campaign: Campaign, function: Callable[[Reading], Reading | No
     )
 
 
-def _unread_state(campaign: Campaign, run: MeanRun, file: Path, reason: str) -> RunState:
-    """Return the state of a record that cannot be used."""
+def _make_failed_state(campaign: Campaign, run: MeanRun, file: Path, reason: str) -> RunState:
+    """Return the state of an unusable record."""
     return RunState(
         run=run.name,
         record=record_name(file, campaign.folder),
@@ -110,35 +112,39 @@ def _unread_state(campaign: Campaign, run: MeanRun, file: Path, reason: str) -> 
     )
 
 
-def _read_state(campaign: Campaign, averaged: Sequence[AveragedRecord]) -> RunState:
-    """Return the contents of a record: one mean for each accelerometer, and the rotation."""
-    first = averaged[0]
-    reading, measured = first.reading, first.reading.measured_rate
+def _make_read_state(campaign: Campaign, averaged_records: Sequence[AveragedRecord]) -> RunState:
+    """Return the state of a record: means of the accelerometers, and rotation."""
+    first_record = averaged_records[0]
+    reading, measured_rate = first_record.reading, first_record.reading.measured_rate
     assert reading.record is not None
-    facts = report_fields(first.mean.report, first.record.time) | rotation_fields(first.rotation)
-    facts["outliers"] = max(sum(record.mean.report.outliers.values()) for record in averaged)
-    if measured is not None:
-        facts |= {"rate": measured.value, "u_rate": measured.u}
+    fields = report_fields(first_record.mean.report, first_record.record.time) | rotation_fields(
+        first_record.rotation
+    )
+    fields["outliers"] = max(
+        sum(record.mean.report.outliers.values()) for record in averaged_records
+    )
+    if measured_rate is not None:
+        fields |= {"rate": measured_rate.value, "u_rate": measured_rate.u}
     return RunState(
         run=reading.name,
         record=record_name(reading.record, campaign.folder),
         state="read",
         stated_seconds=reading.duration,
         nominal_rate=reading.rate,
-        **facts,
+        **fields,
         means={
             record.reading.accelerometer: MeanState(
                 value=record.reading.value,
                 u=record.reading.u or 0.0,
                 revolutions=record.mean.revolutions,
             )
-            for record in averaged
+            for record in averaged_records
         },
     )
 
 
-def _fit_with_others(campaign: Campaign, name: str) -> tuple[list[str], list[CurrentEstimate]]:
-    """Return the other existing records, and the coefficients from all of them together."""
+def _fit_with_others(campaign: Campaign, run_name: str) -> tuple[list[str], list[CurrentEstimate]]:
+    """Return the names of other existing records, and the coefficients from all records."""
 
     def has_record(record: Path) -> bool:
         return record in campaign.frames or record.exists()
@@ -150,12 +156,12 @@ def _fit_with_others(campaign: Campaign, name: str) -> tuple[list[str], list[Cur
     )
     observer = Observer(usable_campaign)
     observer.poll()
-    usable_campaign, observed = observer.usable_runs()
-    others = [observed_run.run.name for observed_run in observed]
-    others += [run.name for run in mean_runs(usable_campaign) if run.name != name]
+    usable_campaign, observed_runs = observer.read_usable_runs()
+    other_names = [observed_run.run.name for observed_run in observed_runs]
+    other_names += [run.name for run in collect_mean_runs(usable_campaign) if run.name != run_name]
     names = displayed_names(campaign)
     try:
         usable_campaign = add_recorded_conditions(usable_campaign)
-        return others, current_estimates(fit_runs(usable_campaign, observed), names)
+        return other_names, current_estimates(fit_runs(usable_campaign, observed_runs), names)
     except CounterspinError:
-        return others, undetermined_estimates(campaign, names)
+        return other_names, undetermined_estimates(campaign, names)

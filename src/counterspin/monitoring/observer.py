@@ -1,4 +1,4 @@
-"""Incremental reading of growing records: changed files only, and new rows only for tables.
+"""Incremental reading of growing records: only changed files, and only new rows of text tables.
 
 Each appended row is read once. An incomplete last line is read when it is complete. The columns
 stay in memory, and are read from the file again if the program restarts.
@@ -45,11 +45,11 @@ from counterspin.triads.record_poses import LocatedPose, extract_poses, pose_col
 #: Suffixes of files to which rows are appended.
 GROWING_SUFFIXES: Final = tuple(e for e, form in RECORD_FORMATS.items() if form.can_grow)
 
-#: Number of first rows that show the format; they precede new rows when these are parsed.
-_FIRST_ROWS: Final = 20
+#: Number of first rows from which the format is detected; they are prepended to new rows.
+_CONTEXT_ROWS: Final = 20
 
-#: Number of lines from which an unreadable file is an error, not a beginning.
-_MIN_LINES: Final = HEAD_LINES + _FIRST_ROWS
+#: Number of lines from which an unreadable file is an error instead of an incomplete beginning.
+_MIN_FAILED_LINES: Final = HEAD_LINES + _CONTEXT_ROWS
 
 #: Number of bytes before the new ones that must be unchanged.
 _TAIL_BYTES: Final = 256
@@ -68,110 +68,110 @@ class GrowingTable:
     _identity: FileIdentity | None = None
     _head: bytes = b""
     _tail: bytes = b""
-    _done: int = 0
-    _rows: int = 0
-    _context: int = 0
+    _bytes_read: int = 0
+    _n_rows: int = 0
+    _n_context_rows: int = 0
     _columns: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
-    def rows(self) -> int:
-        """Rows read so far."""
-        return self._rows
+    def n_rows(self) -> int:
+        """Number of rows read so far."""
+        return self._n_rows
 
     @property
     def table(self) -> MemoryTable:
-        """The rows read so far; at least one."""
+        """Rows read so far; at least one."""
         columns = {}
         for name, values in self._columns.items():
-            columns[name] = values[: self._rows]
+            columns[name] = values[: self._n_rows]
             columns[name].flags.writeable = False
         return MemoryTable(str(self.path), columns)
 
-    def follow(self) -> tuple[bool, str | None]:
-        """Read the new data; return whether they changed, and the events."""
+    def read_new_rows(self) -> tuple[bool, str | None]:
+        """Read new rows; return whether the table changed, and a description of file changes."""
         with open_file(self.path) as file:
-            now = FileIdentity.from_file(file.fileno())
-            if now == self._identity:
+            identity = FileIdentity.from_file(file.fileno())
+            if identity == self._identity:
                 return False, None
-            event = self._change_event(now, file)
+            event = self._describe_change(identity, file)
             if event is not None:
                 self._reset()
-            self._identity = now
+            self._identity = identity
             changed = event is not None
-            file.seek(self._done)
+            file.seek(self._bytes_read)
             # Read only up to the size at the start: a fast writer would never end.
-            remaining = now.size - self._done
-            rest = b""
-            while remaining > 0 and (part := file.read(min(remaining, _CHUNK_BYTES))):
-                remaining -= len(part)
-                complete, _, rest = (rest + part).rpartition(b"\n")
-                if complete:
-                    changed |= self._read_lines(complete + b"\n")
+            remaining = identity.size - self._bytes_read
+            incomplete_line = b""
+            while remaining > 0 and (chunk := file.read(min(remaining, _CHUNK_BYTES))):
+                remaining -= len(chunk)
+                complete_lines, _, incomplete_line = (incomplete_line + chunk).rpartition(b"\n")
+                if complete_lines:
+                    changed |= self._read_lines(complete_lines + b"\n")
             return changed, event
 
-    def _change_event(self, now: FileIdentity, file: FileIO) -> str | None:
-        before = self._identity
-        if before is None:
+    def _describe_change(self, identity: FileIdentity, file: FileIO) -> str | None:
+        previous = self._identity
+        if previous is None:
             return None
-        if (now.device, now.inode) != (before.device, before.inode):
+        if (identity.device, identity.inode) != (previous.device, previous.inode):
             return "was replaced by another file; counterspin now reads the new file from the start"
-        if now.size < self._done:
+        if identity.size < self._bytes_read:
             return "became shorter; counterspin now reads the file again from the start"
-        file.seek(self._done - len(self._tail))
+        file.seek(self._bytes_read - len(self._tail))
         if file.read(len(self._tail)) != self._tail:
             return "was rewritten; counterspin now reads the file again from the start"
         return None
 
     def _reset(self) -> None:
         self._head = self._tail = b""
-        self._done = self._rows = self._context = 0
+        self._bytes_read = self._n_rows = self._n_context_rows = 0
         self._columns = {}
 
     def _read_lines(self, lines: bytes) -> bool:
         """Read complete new lines; return whether they contain rows."""
         text = self._head + lines
         with temporary_folder("counterspin-rows-") as folder:
-            part = folder / f"rows{self.path.suffix.lower()}"
-            part.write_bytes(text)
+            rows_file = folder / f"rows{self.path.suffix.lower()}"
+            rows_file.write_bytes(text)
             try:
-                new, first = self._read(part)
+                new_columns, header_lines = self._read_columns(rows_file)
             except RecordError:
-                if not self._head and text.count(b"\n") < _MIN_LINES:
+                if not self._head and text.count(b"\n") < _MIN_FAILED_LINES:
                     return False  # wait for more lines
                 # Reading the file itself gives the right name and line in the error.
-                self._read(self.path)
+                self._read_columns(self.path)
                 raise
-        before = self._context
+        n_context_rows = self._n_context_rows
         if not self._head:
-            if len(new[self.names[0]]) < _FIRST_ROWS:
+            if len(new_columns[self.names[0]]) < _CONTEXT_ROWS:
                 return False
-            self._context = _FIRST_ROWS
-            self._head = b"".join(text.splitlines(keepends=True)[:first])
-        self._append({name: values[before:] for name, values in new.items()})
-        self._done += len(lines)
+            self._n_context_rows = _CONTEXT_ROWS
+            self._head = b"".join(text.splitlines(keepends=True)[:header_lines])
+        self._append({name: values[n_context_rows:] for name, values in new_columns.items()})
+        self._bytes_read += len(lines)
         self._tail = (self._tail + lines)[-_TAIL_BYTES:]
         return True
 
-    def _read(self, path: Path) -> tuple[Columns, int]:
-        """Return the columns of a file, and the line number of the last of its first rows."""
+    def _read_columns(self, path: Path) -> tuple[Columns, int]:
+        """Return the columns of a file, and the line number of its last context row."""
         with open_columns(path, self.dialect) as file:
             file.require(list(self.names))
             columns = file.read_columns(list(self.names))
-            number = re.search(r"\d+", file.locate(_FIRST_ROWS - 1))
+            number = re.search(r"\d+", file.locate(_CONTEXT_ROWS - 1))
             return columns, int(number[0]) if number else 0
 
-    def _append(self, new: dict[str, np.ndarray]) -> None:
+    def _append(self, new_columns: dict[str, np.ndarray]) -> None:
         """Append rows; the buffer doubles when it is full."""
-        more = len(new[self.names[0]])
-        for name, values in new.items():
+        n_new = len(new_columns[self.names[0]])
+        for name, values in new_columns.items():
             column = self._columns.get(name)
-            if column is None or len(column) < self._rows + more:
-                wider = np.empty(max(2 * (self._rows + more), 4096))
+            if column is None or len(column) < self._n_rows + n_new:
+                buffer = np.empty(max(2 * (self._n_rows + n_new), 4096))
                 if column is not None:
-                    wider[: self._rows] = column[: self._rows]
-                self._columns[name] = column = wider
-            column[self._rows : self._rows + more] = values
-        self._rows += more
+                    buffer[: self._n_rows] = column[: self._n_rows]
+                self._columns[name] = column = buffer
+            column[self._n_rows : self._n_rows + n_new] = values
+        self._n_rows += n_new
 
 
 #: Smallest number of revolutions of a usable record.
@@ -180,16 +180,16 @@ MIN_REVOLUTIONS: Final = 3.5
 
 _NO_FILE: Final = "no file yet"
 
-#: Parts of a campaign with a record.
-Recorded = Run | PoseRecord
+#: A run or a record of poses.
+RecordedRun = Run | PoseRecord
 
 
-def copy_record(run: Recorded, **values: Any) -> Recorded:
+def copy_record(run: RecordedRun, **values: Any) -> RecordedRun:
     """Return a run, or a record of poses, with changed fields."""
     return run.model_copy(update=values) if isinstance(run, Run) else replace(run, **values)
 
 
-def recordings(campaign: Campaign) -> tuple[Recorded, ...]:
+def recorded_runs(campaign: Campaign) -> tuple[RecordedRun, ...]:
     """Return the runs of a campaign, then its records of poses."""
     return (*campaign.runs, *(campaign.triad.records if campaign.triad else ()))
 
@@ -198,19 +198,19 @@ def recordings(campaign: Campaign) -> tuple[Recorded, ...]:
 class _WatchedRun:
     """A run, its file, and the outcome of its last reading."""
 
-    run: Recorded
+    run: RecordedRun
     columns: RecordColumns
     table: GrowingTable | None
     identity: tuple[FileIdentity, ...] | None = None
     record: Record | None = None
     observed: ObservedRun | None = None
-    found: tuple[LocatedPose, ...] = ()
+    poses: tuple[LocatedPose, ...] = ()
     temperature: tuple[float, ...] | None = None
     conditions: RunConditions | None = None
-    stale: bool = True
-    fault: str | None = None  # error of the file
-    trouble: str | None = None  # error of the record
-    waits: str | None = None
+    is_stale: bool = True
+    file_error: str | None = None  # error of the file
+    record_error: str | None = None  # error of the record
+    wait_reason: str | None = None
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -218,117 +218,121 @@ class _WatchedRun:
 
     def reset(self) -> None:
         self.record = self.observed = None
-        self.found = ()
+        self.poses = ()
 
 
 class Observer:
-    """Poller of a campaign's records.
+    """Polls the records of a campaign.
 
-    grow: Whether text tables grow, so that only new rows are read.
+    is_growing: Whether text tables grow, so that only new rows are read.
     """
 
-    def __init__(self, campaign: Campaign, *, grow: bool = False) -> None:
+    def __init__(self, campaign: Campaign, *, is_growing: bool = False) -> None:
         self._campaign = campaign
         self._watched = []
-        for run in recordings(campaign):
+        for run in recorded_runs(campaign):
             if isinstance(run, Run):
                 columns = record_columns(campaign, run)
             else:
                 columns = pose_columns(campaign, run)
-            warm = temperature_columns(campaign, run)
-            table = _growing_table(run, columns, warm) if grow else None
+            temperature_spec = temperature_columns(campaign, run)
+            table = _make_growing_table(run, columns, temperature_spec) if is_growing else None
             self._watched.append(_WatchedRun(run, columns, table))
 
     def poll(self) -> tuple[bool, list[str]]:
-        """Read the new data; return whether they changed, and the events."""
+        """Poll all records; return whether any changed, and sentences on file changes."""
         changed, events = False, []
         for watched in self._watched:
             if watched.run.record in self._campaign.frames:
                 continue  # in memory: it does not change
-            different, event = _poll_file(watched)
-            changed |= different
+            file_changed, event = _poll_file(watched)
+            changed |= file_changed
             if event is not None:
                 events.append(f"{watched.run.record.name} {event}.")
         return changed, events
 
-    def usable_runs(self) -> tuple[Campaign, list[ObservedRun]]:
-        """Return the campaign with the usable runs and pose records only, and the observed runs."""
-        lengths: dict[str, float] = {}
+    def read_usable_runs(self) -> tuple[Campaign, list[ObservedRun]]:
+        """Read changed records; return the campaign with usable records only, and the runs."""
+        durations: dict[str, float] = {}
         frames = dict(self._campaign.frames)
         for watched in self._watched:
-            self._read(watched)
+            self._read_record(watched)
             if watched.record is not None:
-                lengths[watched.run.name] = float(watched.record.time[-1])
-            if watched.found and watched.table is not None:
+                durations[watched.run.name] = float(watched.record.time[-1])
+            if watched.poses and watched.table is not None:
                 frames[watched.run.record] = watched.table.table
-        warm = {watched.run.name: watched.temperature for watched in self._watched}
+        temperatures = {watched.run.name: watched.temperature for watched in self._watched}
         runs = tuple(
-            r.model_copy(update={"temperature": warm[r.name]})
+            r.model_copy(update={"temperature": temperatures[r.name]})
             for r in self._campaign.runs
-            if r.name in lengths
+            if r.name in durations
         )
-        part = replace(self._campaign, runs=runs, frames=frames)
-        if part.triad is not None:
-            usable = tuple(
-                replace(record, temperature=warm[record.name])
-                for record in part.triad.records
-                if self.poses_of(record.name)
+        usable_campaign = replace(self._campaign, runs=runs, frames=frames)
+        if usable_campaign.triad is not None:
+            usable_records = tuple(
+                replace(record, temperature=temperatures[record.name])
+                for record in usable_campaign.triad.records
+                if self.find_poses(record.name)
             )
-            part = replace(part, triad=replace(part.triad, records=usable))
-        conditions = run_conditions(part, lengths) if runs else {}
-        observed = []
+            usable_campaign = replace(
+                usable_campaign, triad=replace(usable_campaign.triad, records=usable_records)
+            )
+        conditions = run_conditions(usable_campaign, durations) if runs else {}
+        observed_runs = []
         for watched in self._watched:
             if watched.record is None or not isinstance(watched.run, Run):
                 continue
-            under = conditions[watched.run.name]
-            if watched.observed is None or watched.conditions != under:
-                watched.observed = observe_run(part, watched.run, watched.record, under)
-                watched.conditions = under
-            observed.append(watched.observed)
-        return part, observed
+            current_conditions = conditions[watched.run.name]
+            if watched.observed is None or watched.conditions != current_conditions:
+                watched.observed = observe_run(
+                    usable_campaign, watched.run, watched.record, current_conditions
+                )
+                watched.conditions = current_conditions
+            observed_runs.append(watched.observed)
+        return usable_campaign, observed_runs
 
-    def poses_of(self, name: str) -> tuple[LocatedPose, ...]:
+    def find_poses(self, name: str) -> tuple[LocatedPose, ...]:
         """Return the poses of a record; none if it is unusable."""
-        return next(w for w in self._watched if w.run.name == name).found
+        return next(w for w in self._watched if w.run.name == name).poses
 
-    def of(self, name: str) -> tuple[str | None, str | None, int]:
-        """Return why a run waits, its error, and its number of rows."""
+    def read_status(self, name: str) -> tuple[str | None, str | None, int]:
+        """Return the reason why a run waits, its error, and its number of rows."""
         watched = next(w for w in self._watched if w.run.name == name)
-        rows = watched.table.rows if watched.table else 0
+        rows = watched.table.n_rows if watched.table else 0
         if watched.record is not None:
             rows = max(rows, watched.record.report.rows)
-        if watched.found and (record := watched.found[0].record) is not None:
+        if watched.poses and (record := watched.poses[0].record) is not None:
             rows = max(rows, record.report.rows)
-        return watched.waits, watched.fault or watched.trouble, rows
+        return watched.wait_reason, watched.file_error or watched.record_error, rows
 
     def unread_state(self, name: str) -> RunState:
         """Return the state of a run that is too short or unusable."""
         run = next(w.run for w in self._watched if w.run.name == name)
-        waits, trouble, rows = self.of(name)
+        wait_reason, error, rows = self.read_status(name)
         return RunState(
             run=name,
             record=record_name(run.record, self._campaign.folder),
-            state="failed" if trouble else "waiting",
-            why=trouble or waits,
+            state="failed" if error else "waiting",
+            why=error or wait_reason,
             rows=rows,
             stated_seconds=run.duration if isinstance(run, Run) else None,
             nominal_rate=run.rate if isinstance(run, Run) else 0.0,
         )
 
-    def _read(self, watched: _WatchedRun) -> None:
-        """Read the record of the existing rows if they have changed."""
-        if not watched.stale:
+    def _read_record(self, watched: _WatchedRun) -> None:
+        """Read the record if its rows have changed."""
+        if not watched.is_stale:
             return
         watched.reset()
-        watched.trouble = watched.waits = None
-        watched.stale = False
+        watched.record_error = watched.wait_reason = None
+        watched.is_stale = False
         source = self._campaign
         if watched.table is not None:
-            if not watched.table.rows:
-                watched.waits = "no rows yet"
+            if not watched.table.n_rows:
+                watched.wait_reason = "no rows yet"
                 return
-            watched.waits = _wait_reason(watched.run, watched.columns, watched.table.table)
-            if watched.waits is not None:
+            watched.wait_reason = _wait_reason(watched.run, watched.columns, watched.table.table)
+            if watched.wait_reason is not None:
                 return
             frames = {**source.frames, watched.run.record: watched.table.table}
             source = replace(source, frames=frames)
@@ -338,16 +342,16 @@ class Observer:
             if isinstance(run, Run):
                 watched.record = read_run(source, run)
             else:
-                watched.found = tuple(extract_poses(source, run))
+                watched.poses = tuple(extract_poses(source, run))
         except RecordError as error:
-            watched.trouble = str(error)
+            watched.record_error = str(error)
 
 
-def _wait_reason(run: Recorded, columns: RecordColumns, table: MemoryTable) -> str | None:
+def _wait_reason(run: RecordedRun, columns: RecordColumns, table: MemoryTable) -> str | None:
     """Return the reason why a growing record is too short to read, or None."""
-    clock, rows = columns.time, len(next(iter(table.columns.values())))
+    clock, n_rows = columns.time, len(next(iter(table.columns.values())))
     first, last = (
-        (0.0, rows - 1.0) if clock.is_derived_column else table.columns[clock.name][[0, -1]]
+        (0.0, n_rows - 1.0) if clock.is_derived_column else table.columns[clock.name][[0, -1]]
     )
     seconds = float(last - first) * clock.factor
     if isinstance(run, PoseRecord):
@@ -356,69 +360,71 @@ def _wait_reason(run: Recorded, columns: RecordColumns, table: MemoryTable) -> s
             if seconds >= run.rest
             else (f"only {seconds:.1f} of {run.rest:g} s at rest so far")
         )
-    turned = abs(run.rate) * seconds / (2.0 * math.pi)
-    if turned >= MIN_REVOLUTIONS:
+    revolutions = abs(run.rate) * seconds / (2.0 * math.pi)
+    if revolutions >= MIN_REVOLUTIONS:
         return None
-    return f"only {turned:.1f} of at least {MIN_REVOLUTIONS} revolutions so far"
+    return f"only {revolutions:.1f} of at least {MIN_REVOLUTIONS} revolutions so far"
 
 
 def _poll_file(watched: _WatchedRun) -> tuple[bool, str | None]:
     path = watched.run.record
     try:
         if watched.table is not None:
-            changed, event = watched.table.follow()
+            changed, event = watched.table.read_new_rows()
             watched.identity = (FileIdentity.from_file(path),)
         else:
-            now = tuple(FileIdentity.from_file(file) for file in watched.files)
-            changed, event = now != watched.identity, None
-            watched.identity = now
+            identities = tuple(FileIdentity.from_file(file) for file in watched.files)
+            changed, event = identities != watched.identity, None
+            watched.identity = identities
     except FileNotFoundError:
-        gone = watched.identity is not None
+        has_disappeared = watched.identity is not None
         watched.identity = None
         watched.reset()
-        watched.stale, watched.waits = False, _NO_FILE
-        watched.fault = watched.trouble = None
+        watched.is_stale, watched.wait_reason = False, _NO_FILE
+        watched.file_error = watched.record_error = None
         if watched.table is not None:
             watched.table = GrowingTable(path, watched.table.names, watched.table.dialect)
-        return gone, "has disappeared" if gone else None
+        return has_disappeared, "has disappeared" if has_disappeared else None
     except (OSError, RecordError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
-        trouble = f"{path} cannot be read: {reason}." if reason else str(error)
-        changed, watched.fault = trouble != watched.fault, trouble
+        message = f"{path} cannot be read: {reason}." if reason else str(error)
+        changed, watched.file_error = message != watched.file_error, message
         return changed, None
-    watched.fault = None
-    watched.stale |= changed
+    watched.file_error = None
+    watched.is_stale |= changed
     if changed:
-        watched.waits = None
+        watched.wait_reason = None
     return changed, event
 
 
-def _growing_table(
-    run: Recorded, columns: RecordColumns, warm: RecordColumns | None
+def _make_growing_table(
+    run: RecordedRun, columns: RecordColumns, temperature_spec: RecordColumns | None
 ) -> GrowingTable | None:
-    """Return the growing table of a run's record; None if it must be read completely.
+    """Return the growing table of a run's record; None if the file must be read completely.
 
-    Time stamps, pulses, units stated by the file, and the start of a run with counted rows need the
+    Time stamps, pulses, units stated in the file, and runs that begin at a row number require the
     complete file.
 
-    warm: Its time and temperature, if recorded.
+    temperature_spec: Columns of the recorded temperature; None: not recorded.
     """
-    more = list(warm.signals.values()) if warm else []
+    temperature_signals = list(temperature_spec.signals.values()) if temperature_spec else []
     specs = [columns.time, *([columns.angle] if columns.angle else []), *columns.signals.values()]
-    specs += more
-    kinds = ("numbers", "temperature", *(() if isinstance(run, Run) else ("rows",)))
-    plain = all(spec.kind in kinds and (spec.unit or not spec.target_unit) for spec in specs)
+    specs += temperature_signals
+    accepted_types = ("numbers", "temperature", *(() if isinstance(run, Run) else ("rows",)))
+    is_plain = all(
+        spec.kind in accepted_types and (spec.unit or not spec.target_unit) for spec in specs
+    )
     if (
         run.record.suffix.lower() not in GROWING_SUFFIXES
-        or not plain
+        or not is_plain
         or columns.continuation_files
         or columns.pulses
     ):
         return None
-    names = [*columns.file_columns, *(spec.name for spec in more)]
+    names = [*columns.file_columns, *(spec.name for spec in temperature_signals)]
     return GrowingTable(run.record, names, columns.dialect)
 
 
 def record_name(path: Path, folder: Path) -> str:
-    """Return a record's displayed path, relative to its campaign's folder if inside."""
+    """Return the displayed path of a record, relative to the campaign folder if inside."""
     return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)

@@ -1,4 +1,4 @@
-"""Printed reports of checked records, of a campaign while it is recorded, and of noise at rest."""
+"""Reports of checked records, of a campaign during recording, and of noise analyses."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from counterspin.monitoring.result import (
     SignalNoise,
     WatchState,
     component_name,
-    shown_unit,
+    noise_display_unit,
 )
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
 from counterspin.reports.numbers import (
@@ -34,8 +34,8 @@ def watch_line(state: WatchState) -> str:
     """Return a state in one line."""
     runs = ", ".join(f"{run.run} {_format_progress(run)}" for run in state.runs)
     uncertainties = ", ".join(f"u({c.name}) {_format_u(c.u, c.unit)}" for c in state.coefficients)
-    worst = [r.ratio for run in state.runs for r in run.residuals.values()]
-    residual = f"; residuals {max(worst):.2f} times the noise" if worst else ""
+    residual_ratios = [r.ratio for run in state.runs for r in run.residuals.values()]
+    residual = f"; residuals {max(residual_ratios):.2f} times the noise" if residual_ratios else ""
     goals = "; goal met" if state.met else ""
     return f"{runs}; {uncertainties}{residual}{goals}"
 
@@ -45,25 +45,27 @@ def check_blocks(checked: CheckedRun) -> Iterator[Block]:
     run = checked.run
     yield Heading(f"{run.run}: {run.record}", 1)
     if checked.good:
-        words = (
+        verdict = (
             "The run is usable."
             if not checked.remarks
             else ("The run is usable, with these remarks:")
         )
     else:
-        words = "The run failed its checks and should be repeated."
-    yield Paragraph(words, "answer" if checked.good else "warning")
+        verdict = "The run failed its checks and should be repeated."
+    yield Paragraph(verdict, "answer" if checked.good else "warning")
     for remark in checked.remarks:
         yield Paragraph(remark, "plain" if checked.good else "warning")
     if run.state == "read":
         rows = tuple(_run_rows(run))
         yield Table((Column("What"), Column("Found", wraps=True)), rows)
     if checked.reached:
-        others = ", ".join(checked.others)
+        other_names = ", ".join(checked.others)
         yield Heading("Expected uncertainty")
-        yield _coefficients(
+        yield _coefficient_table(
             checked,
-            f"with {others}" if others else ("uncertainty from this record and the priors alone"),
+            f"with {other_names}"
+            if other_names
+            else ("uncertainty from this record and the priors alone"),
         )
     if checked.why_not and run.state == "read":
         yield Paragraph(
@@ -72,23 +74,37 @@ def check_blocks(checked: CheckedRun) -> Iterator[Block]:
         )
 
 
-def _coefficients(checked: CheckedRun, now: str) -> Table:
+def _coefficient_table(checked: CheckedRun, current_title: str) -> Table:
     expected = {c.name: c for c in checked.expected}
     rows = []
     for c in checked.reached:
-        later = expected.get(c.name)
-        rows.append((c.name, _format_estimate(c), _format_u(later.u, later.unit) if later else "-"))
-    titles = ("Coefficient", now.capitalize(), "uncertainty of the whole campaign")
-    of = len(titles) if expected else len(titles) - 1
-    return Table(tuple(Column(t, wraps=True) for t in titles[:of]), tuple(row[:of] for row in rows))
+        expected_estimate = expected.get(c.name)
+        rows.append(
+            (
+                c.name,
+                _format_estimate(c),
+                _format_u(expected_estimate.u, expected_estimate.unit)
+                if expected_estimate
+                else "-",
+            )
+        )
+    titles = ("Coefficient", current_title.capitalize(), "uncertainty of the whole campaign")
+    n_columns = len(titles) if expected else len(titles) - 1
+    return Table(
+        tuple(Column(t, wraps=True) for t in titles[:n_columns]),
+        tuple(row[:n_columns] for row in rows),
+    )
 
 
 def _run_rows(run: RunState) -> Iterator[tuple[str, str]]:
-    hz = f"{format_number(run.sampling_rate, 5)} Hz" if run.sampling_rate else "-"
+    sampling_rate = f"{format_number(run.sampling_rate, 5)} Hz" if run.sampling_rate else "-"
     repeated = f", {run.repeated} repeated rows" if run.repeated else ""
     gaps = f", {run.gaps} gaps, the longest {run.longest_gap:.3g} s" if run.gaps else ", no gaps"
-    of = f" out of {run.stated_seconds:.5g} s" if run.stated_seconds else ""
-    yield "Clock", f"{run.rows} rows at {hz}, {run.seconds:.5g} s{of}{gaps}{repeated}"
+    stated_duration = f" out of {run.stated_seconds:.5g} s" if run.stated_seconds else ""
+    yield (
+        "Clock",
+        f"{run.rows} rows at {sampling_rate}, {run.seconds:.5g} s{stated_duration}{gaps}{repeated}",
+    )
     if run.poses is not None:
         yield from _pose_rows(run, run.poses)
         return
@@ -96,11 +112,11 @@ def _run_rows(run: RunState) -> Iterator[tuple[str, str]]:
         if run.nominal_rate:
             yield "Angle", "not recorded; the nominal rate is used"
     else:
-        part = run.rate / run.nominal_rate - 1.0
+        rate_deviation = run.rate / run.nominal_rate - 1.0
         yield (
             "Rate",
             f"{format_estimate(run.rate, run.u_rate, 'rad/s')}, nominal {run.nominal_rate:.7g} "
-            f"({'+' if part >= 0.0 else ''}{format_number(part, 2)})",
+            f"({'+' if rate_deviation >= 0.0 else ''}{format_number(rate_deviation, 2)})",
         )
         yield "Rate drift", f"{format_number(run.drift or 0.0)} 1/s"
         yield "Ripple", _format_ripple(run)
@@ -108,15 +124,15 @@ def _run_rows(run: RunState) -> Iterator[tuple[str, str]]:
         yield "Angle residuals", f"rms {rms}"
     yield "Rejected or empty", f"{run.outliers} outliers, {run.empty} empty cells"
     for name, mean in run.means.items():
-        over = f" over {mean.revolutions} revolutions" if mean.revolutions else ""
-        yield f"Mean of {name}", f"{format_estimate(mean.value, mean.u, 'g')}{over}"
+        averaging = f" over {mean.revolutions} revolutions" if mean.revolutions else ""
+        yield f"Mean of {name}", f"{format_estimate(mean.value, mean.u, 'g')}{averaging}"
     for name, residual in run.residuals.items():
-        stated = f", stated {format_number(residual.stated)}" if residual.stated else ""
-        p = "" if residual.p is None else f", p = {format_number(residual.p, 2)}"
+        stated_noise = f", stated {format_number(residual.stated)}" if residual.stated else ""
+        p_value = "" if residual.p is None else f", p = {format_number(residual.p, 2)}"
         yield (
             f"Residuals of {name}",
-            f"rms {format_number(residual.rms)} {residual.unit}{stated}; "
-            f"{residual.ratio:.3f} times the noise{p}",
+            f"rms {format_number(residual.rms)} {residual.unit}{stated_noise}; "
+            f"{residual.ratio:.3f} times the noise{p_value}",
         )
 
 
@@ -136,12 +152,12 @@ def _pose_rows(run: RunState, poses: PosesState) -> Iterator[tuple[str, str]]:
 def _format_ripple(run: RunState) -> str:
     if run.ripple is None:
         return "none detected"
-    part = run.ripple / abs(run.rate or run.nominal_rate)
-    return f"{format_number(part, 2)} of the rate at harmonic {run.harmonic}"
+    relative_ripple = run.ripple / abs(run.rate or run.nominal_rate)
+    return f"{format_number(relative_ripple, 2)} of the rate at harmonic {run.harmonic}"
 
 
 def watch_blocks(state: WatchState) -> Iterator[Block]:
-    """Yield the state of a campaign whose records grow."""
+    """Yield the report of a campaign during recording."""
     yield Heading(state.title or "Campaign", 1)
     for event in state.events:
         yield Paragraph(event, "warning")
@@ -151,7 +167,7 @@ def watch_blocks(state: WatchState) -> Iterator[Block]:
         columns += [Column(title, "right") for title in titles]
     yield Table(
         tuple(columns),
-        tuple(_row(run)[: len(columns)] for run in state.runs),
+        tuple(_watch_row(run)[: len(columns)] for run in state.runs),
         quiet_rows=frozenset(i for i, run in enumerate(state.runs) if run.state == "waiting"),
     )
     for run in state.runs:
@@ -178,7 +194,7 @@ def watch_blocks(state: WatchState) -> Iterator[Block]:
         yield Paragraph("Every run has reached the duration stated in the campaign.", "answer")
 
 
-def _row(run: RunState) -> tuple[str, ...]:
+def _watch_row(run: RunState) -> tuple[str, ...]:
     ratio = ", ".join(f"{r.ratio:.3f}" for r in run.residuals.values())
     rate = "" if run.rate is None else f"{run.rate:.7g}"
     ripple = ""
@@ -194,9 +210,9 @@ def _format_progress(run: RunState) -> str:
         return f"waits: {run.why}" if run.why else "waits"
     if run.state == "failed":
         return f"{run.rows} rows, not usable"
-    of = f" of {run.stated_seconds:.4g}" if run.stated_seconds else ""
+    stated_duration = f" of {run.stated_seconds:.4g}" if run.stated_seconds else ""
     poses = f", poses: {run.poses.count}" if run.poses else ""
-    return f"{run.seconds:.4g}{of} s, {run.rows} rows{poses}"
+    return f"{run.seconds:.4g}{stated_duration} s, {run.rows} rows{poses}"
 
 
 def _format_estimate(c: CurrentEstimate) -> str:
@@ -207,10 +223,10 @@ def _format_estimate(c: CurrentEstimate) -> str:
 
 
 def _format_u(u: float | None, unit: str) -> str:
-    shown, factor = find_display_unit(unit)
+    display_unit, factor = find_display_unit(unit)
     if u is None or not math.isfinite(u):
         return NOT_DETERMINED
-    return f"{format_uncertainty(u * factor)} {shown}"
+    return f"{format_uncertainty(u * factor)} {display_unit}"
 
 
 def _format_goal(goal: GoalState | None) -> str:
@@ -222,7 +238,7 @@ def _format_goal(goal: GoalState | None) -> str:
 #: Description in the file of the plots.
 FILE_DESCRIPTION: Final = "plots of noise"
 
-#: Stride of averaging times in the table: every other one, an octave apart.
+#: Stride of the averaging times in the table, which are then an octave apart.
 _TABLE_STRIDE: Final = 2
 
 
@@ -257,30 +273,34 @@ def noise_blocks(result: NoiseResult) -> Iterator[Block]:
 
 def _display_unit(unit: str, signal: SignalNoise, gravity: float) -> tuple[str, float]:
     """Return the display unit of a quantity, and the conversion factor to it."""
-    return shown_unit(unit, signal.in_g, gravity)
+    return noise_display_unit(unit, signal.in_g, gravity)
 
 
 def _summary_sentence(signal: SignalNoise, gravity: float) -> str:
     size = signal.components["acceleration"]
     unit, factor = _display_unit(size.unit, signal, gravity)
-    white = (
+    white_noise = (
         f"N = {format_number(size.value * factor)} {unit}"
         if size.value is not None
-        else f"N is below {_number(size.high, factor)} {unit}"
+        else f"N is below {_format_scaled(size.high, factor)} {unit}"
     )
-    slow = []
+    bias_components = []
     for key in BIAS_COMPONENTS_BY_KEY:
         component = signal.components[key]
         unit, factor = _display_unit(component.unit, signal, gravity)
         if component.value is not None:
             symbol = COMPONENTS_BY_KEY[key].symbol
-            slow.append(f"{symbol} = {format_number(component.value * factor)} {unit}")
-    others = f", {' and '.join(slow)}" if slow else "; no noise at lower frequencies detected"
+            bias_components.append(f"{symbol} = {format_number(component.value * factor)} {unit}")
+    bias_text = (
+        f", {' and '.join(bias_components)}"
+        if bias_components
+        else "; no noise at lower frequencies detected"
+    )
     rate = format_number(signal.sampling_rate, 5)
-    return f"{white}{others}, in {signal.seconds:.5g} s at {rate} Hz."
+    return f"{white_noise}{bias_text}, in {signal.seconds:.5g} s at {rate} Hz."
 
 
-def _number(value: float | None, factor: float) -> str:
+def _format_scaled(value: float | None, factor: float) -> str:
     return "-" if value is None else format_number(value * factor)
 
 
@@ -302,16 +322,16 @@ def _component_table(signal: SignalNoise, gravity: float) -> Table:
         Column("95 % interval", "right"),
         Column("Unit"),
     )
-    quiet = [i for i, size in enumerate(signal.components.values()) if size.value is None]
-    return Table(columns, tuple(rows), frozenset(quiet))
+    quiet_rows = [i for i, size in enumerate(signal.components.values()) if size.value is None]
+    return Table(columns, tuple(rows), frozenset(quiet_rows))
 
 
 def _format_interval(size: NoiseSize, factor: float) -> str:
     if size.high is None:
-        return f"above {_number(size.low, factor)}" if size.low > 0.0 else "any"
+        return f"above {_format_scaled(size.low, factor)}" if size.low > 0.0 else "any"
     if size.low == 0.0:
-        return f"below {_number(size.high, factor)}"
-    return f"{_number(size.low, factor)} to {_number(size.high, factor)}"
+        return f"below {_format_scaled(size.high, factor)}"
+    return f"{_format_scaled(size.low, factor)} to {_format_scaled(size.high, factor)}"
 
 
 def _line_table(signal: SignalNoise, gravity: float) -> Table:
@@ -338,7 +358,7 @@ def _allan_table(signal: SignalNoise, gravity: float) -> Table:
         (
             format_number(point.tau),
             format_number(point.deviation * factor),
-            f"{_number(point.low, factor)} to {_number(point.high, factor)}",
+            f"{_format_scaled(point.low, factor)} to {_format_scaled(point.high, factor)}",
             format_number(point.dof),
             format_number(point.expected * factor),
         )
@@ -350,10 +370,10 @@ def _allan_table(signal: SignalNoise, gravity: float) -> Table:
 
 
 def noise_plots(signal: SignalNoise, gravity: float) -> list[Plot]:
-    """Return plots of a column's Allan deviation and spectrum, with those of the components."""
+    """Return plots of the Allan deviation and the spectrum of a column and its components."""
     unit, factor = _display_unit("m/s^2", signal, gravity)
     tau = tuple(point.tau for point in signal.allan)
-    allan = Plot(
+    allan_plot = Plot(
         f"{signal.name}: overlapping Allan deviation",
         "averaging time, s",
         f"Allan deviation, {unit}",
@@ -378,15 +398,15 @@ def noise_plots(signal: SignalNoise, gravity: float) -> list[Plot]:
         log_y=True,
     )
     unit, factor = _display_unit("m/s^2/Hz^0.5", signal, gravity)
-    at = tuple(point.frequency for point in signal.spectrum)
-    density = Plot(
+    frequencies = tuple(point.frequency for point in signal.spectrum)
+    spectrum_plot = Plot(
         f"{signal.name}: spectral density",
         "frequency, Hz",
         f"square root of two-sided density, {unit}",
         (
             PlotSeries(
                 "record, 95 %",
-                at,
+                frequencies,
                 tuple(math.sqrt(point.density) * factor for point in signal.spectrum),
                 tuple(math.sqrt(point.low) * factor for point in signal.spectrum),
                 tuple(math.sqrt(point.high) * factor for point in signal.spectrum),
@@ -395,7 +415,7 @@ def noise_plots(signal: SignalNoise, gravity: float) -> list[Plot]:
             ),
             PlotSeries(
                 "components",
-                at,
+                frequencies,
                 tuple(math.sqrt(point.expected) * factor for point in signal.spectrum),
                 colour=1,
             ),
@@ -403,4 +423,4 @@ def noise_plots(signal: SignalNoise, gravity: float) -> list[Plot]:
         log_x=True,
         log_y=True,
     )
-    return [allan, density]
+    return [allan_plot, spectrum_plot]

@@ -1,6 +1,6 @@
-"""State of a campaign while it is recorded, and noise at rest: the JSON of both.
+"""Results of checks, monitoring and noise analyses, with their JSON.
 
-SI units, coefficients in g-units.
+Values are in SI units, coefficients in g-units.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from counterspin.results import ReportableResult, ResultPart
 
 
 class ResidualState(ResultPart):
-    """Residuals of one accelerometer in one run."""
+    """Residuals of an accelerometer in a run."""
 
     rms: float  #: Root mean square per sample, in `unit`.
     stated: float | None  #: White noise stated in the campaign; None if the fit estimates it.
@@ -25,7 +25,7 @@ class ResidualState(ResultPart):
 
 
 class PosesState(ResultPart):
-    """The poses of a triad that one record has so far."""
+    """Poses of a triad detected so far in a record."""
 
     count: int  #: Number of poses.
     threshold: float  #: Scatter below which the sensor counts as at rest, m/s^2.
@@ -46,7 +46,7 @@ class MeanState(ResultPart):
 
 
 class RunState(ResultPart):
-    """The state of a run so far."""
+    """Current state of a run."""
 
     run: str  #: Name of the run.
     record: str  #: Record file.
@@ -85,7 +85,7 @@ class CurrentEstimate(ResultPart):
 
 
 class GoalState(ResultPart):
-    """A goal: the u that is wanted of a coefficient, the u reached, and whether that is enough."""
+    """A goal for the uncertainty of a coefficient, and its current state."""
 
     name: str  #: Name of the coefficient.
     wanted: float  #: Target value of u.
@@ -95,7 +95,7 @@ class GoalState(ResultPart):
 
 
 class WatchState(ReportableResult):
-    """A campaign whose records grow, at one moment."""
+    """State of a campaign during recording."""
 
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:watch_blocks"
     DOCUMENT_TYPE: ClassVar[str] = "watch"
@@ -134,8 +134,8 @@ class CheckedRun(ReportableResult):
     why_not: str | None = None  #: Reason why `expected` is missing; None if `expected` is present.
 
 
-#: SI unit -> the unit of a record in g, and its number per 1 g of the SI quantity.
-_IN_G: Final = {
+#: SI unit -> display unit for records in g, and factor after division by gravity.
+_G_UNITS: Final = {
     "m/s^2/Hz^0.5": ("ug/Hz^0.5", 1e6),
     "m/s^2": ("ug", 1e6),
     "m/s^2/s^0.5": ("ug/h^0.5", 60e6),
@@ -143,19 +143,19 @@ _IN_G: Final = {
 }
 
 
-def shown_unit(unit: str, in_g: bool, gravity: float) -> tuple[str, float]:
+def noise_display_unit(unit: str, is_in_g: bool, gravity: float) -> tuple[str, float]:
     """Return the display unit of a quantity, and the conversion factor to it.
 
-    in_g: Whether it was recorded in g.
+    is_in_g: Whether the signal was recorded in g.
     """
-    if in_g and unit in _IN_G:
-        name, factor = _IN_G[unit]
+    if is_in_g and unit in _G_UNITS:
+        name, factor = _G_UNITS[unit]
         return name, factor / gravity
     return unit, 1.0
 
 
 def component_name(key: str) -> str:
-    """Return the name of a noise component by its key in `SignalNoise.components`."""
+    """Return the name of a noise component, given its key in `SignalNoise.components`."""
     if key in COMPONENTS_BY_KEY:
         return COMPONENTS_BY_KEY[key].description
     if key == "quantisation":
@@ -203,7 +203,7 @@ class SignalNoise(ResultPart):
 
 
 class NoiseResult(ReportableResult):
-    """The noise of a record at rest."""
+    """The noise of a static record."""
 
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:noise_blocks"
     DOCUMENT_TYPE: ClassVar[str] = "noise"
@@ -217,22 +217,21 @@ class NoiseResult(ReportableResult):
     table: str  #: ``[noise]`` table that you can paste into ``campaign.toml``.
 
     def largest_densities(self) -> tuple[float, float]:
-        """Return the largest noise density and random walk of the bias of all specific forces.
+        """Return the largest noise density and bias random walk of all specific forces.
 
-        In m/s^2/Hz^0.5 and m/s^2/s^0.5. If the record does not show a component, its upper limit
-        counts.
+        In m/s^2/Hz^0.5 and m/s^2/s^0.5. For an undetected component, the upper limit is used.
         """
-        found = []
+        max_values = []
         for name in ("acceleration", "bias_walk"):
             sizes = [
                 s.components.get(name) for s in self.signals if s.observable == "specific_force"
             ]
             values = [s.high if s.value is None else s.value for s in sizes if s is not None]
-            known = [value for value in values if value is not None]
-            if not known or len(known) < len(sizes):
+            known_values = [value for value in values if value is not None]
+            if not known_values or len(known_values) < len(sizes):
                 raise RecordError(
                     f"{self.record}: the record gives no upper limit of {name} for every column",
                     code="missing-in-result",
                 )
-            found.append(max(known))
-        return found[0], found[1]
+            max_values.append(max(known_values))
+        return max_values[0], max_values[1]

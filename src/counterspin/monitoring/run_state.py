@@ -1,4 +1,4 @@
-"""States of a run, of a record of poses and of all records, and their verdicts."""
+"""States of runs and pose records, with remarks and current estimates."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ from counterspin.triads.poses import TriadPoses
 from counterspin.triads.record_poses import LocatedPose
 
 
-def run_state(
+def make_run_state(
     campaign: Campaign, observed: ObservedRun, views: Sequence[AccelerometerView]
 ) -> RunState:
     """Return the state of a run.
@@ -73,13 +73,13 @@ def run_state(
         residuals={
             view.name: state
             for view in views
-            if (state := _residuals(campaign, view, run.name)) is not None
+            if (state := _make_residual_state(campaign, view, run.name)) is not None
         },
     )
 
 
 def report_fields(report: RecordReport, time: Array) -> dict[str, Any]:
-    """Return the fields of `RunState` that the rows of a record determine.
+    """Return the fields of `RunState` that follow from the rows of a record.
 
     time: Time of the rows, s, shape (n,).
     """
@@ -96,10 +96,10 @@ def report_fields(report: RecordReport, time: Array) -> dict[str, Any]:
 
 
 def rotation_fields(rotation: SpindleFit | None) -> dict[str, Any]:
-    """Return the fields of `RunState` that the recorded angle determines."""
+    """Return the fields of `RunState` that follow from the recorded angle."""
     if rotation is None:
         return {}
-    ripple = max(rotation.spindle.ripples, key=lambda wave: wave.amplitude, default=None)
+    ripple = max(rotation.spindle.ripples, key=lambda component: component.amplitude, default=None)
     return {
         "rate": rotation.spindle.rate,
         "u_rate": rotation.u_rate,
@@ -110,20 +110,22 @@ def rotation_fields(rotation: SpindleFit | None) -> dict[str, Any]:
     }
 
 
-def _residuals(campaign: Campaign, view: AccelerometerView, run: str) -> ResidualState | None:
-    tests = view.diagnostics.runs.get(run)
+def _make_residual_state(
+    campaign: Campaign, view: AccelerometerView, run_name: str
+) -> ResidualState | None:
+    tests = view.diagnostics.runs.get(run_name)
     if tests is None:
         return None
-    squares = rows = 0.0
-    for _, prepared, residuals in view.records():
-        if prepared.run == run:
-            squares += float((residuals.unweighted**2 * prepared.series.count).sum())
-            rows += residuals.unweighted.size
+    sum_of_squares = n_residuals = 0.0
+    for _, record, residuals in view.records():
+        if record.run == run_name:
+            sum_of_squares += float((residuals.unweighted**2 * record.series.count).sum())
+            n_residuals += residuals.unweighted.size
     observable = view.accelerometer.observable
-    stated = getattr(resolve_noise(campaign)[view.name].sizes, observable, None)
+    stated_noise = getattr(resolve_noise(campaign)[view.name].sizes, observable, None)
     return ResidualState(
-        rms=math.sqrt(squares / rows),
-        stated=stated if isinstance(stated, float) and stated > 0.0 else None,
+        rms=math.sqrt(sum_of_squares / n_residuals),
+        stated=stated_noise if isinstance(stated_noise, float) and stated_noise > 0.0 else None,
         ratio=math.sqrt(tests.chi2 / tests.dof),
         p=tests.chi2_p if view.diagnostics.noise_given else None,
         unit=OBSERVABLES[observable],
@@ -133,14 +135,14 @@ def _residuals(campaign: Campaign, view: AccelerometerView, run: str) -> Residua
 def run_remarks(
     state: RunState, notes: Sequence[str], views: Sequence[AccelerometerView]
 ) -> tuple[list[str], bool]:
-    """Return remarks on a run, in sentences, and True if the run may be kept as it is."""
-    faults, unusual = list[str](), list[str]()
+    """Return remarks on a run, in sentences, and True if the run has no faults."""
+    faults, warnings = list[str](), list[str]()
     if state.rate is not None:
-        part = state.rate / state.nominal_rate - 1.0
-        if abs(part) > MAX_RATE_DIFFERENCE:
+        rate_deviation = state.rate / state.nominal_rate - 1.0
+        if abs(rate_deviation) > MAX_RATE_DIFFERENCE:
             faults.append(
                 f"The spindle turned at {state.rate:.6f} rad/s instead of the nominal "
-                f"{state.nominal_rate:.6f} rad/s ({part:+.2%})."
+                f"{state.nominal_rate:.6f} rad/s ({rate_deviation:+.2%})."
             )
     if state.stated_seconds and state.seconds < COMPLETE_FRACTION * state.stated_seconds:
         faults.append(
@@ -152,8 +154,8 @@ def run_remarks(
     for view in views:
         findings = [f"{view.name}: {text}" for text in view.diagnostics.findings]
         p = view.diagnostics.lack_of_fit_p if view.diagnostics.noise_given else None
-        (faults if p is not None and p < CHI_SQUARE_SIGNIFICANCE else unusual).extend(findings)
-    return [*faults, *unusual, *notes], not faults
+        (faults if p is not None and p < CHI_SQUARE_SIGNIFICANCE else warnings).extend(findings)
+    return [*faults, *warnings, *notes], not faults
 
 
 @frozen(eq=False)
@@ -167,8 +169,8 @@ class CurrentFit:
     @property
     def posed(self) -> tuple[FittedReadings, ...]:
         """Fitted poses of its triad."""
-        fitted = (part for part in self.data.groups if isinstance(part, FittedReadings))
-        return tuple(part for part in fitted if part.readings.triad)
+        groups = (part for part in self.data.groups if isinstance(part, FittedReadings))
+        return tuple(part for part in groups if part.readings.triad)
 
     @cached_property
     def views(self) -> tuple[AccelerometerView, ...]:
@@ -181,75 +183,77 @@ class CurrentFit:
         return tuple(view for view in views if view.has_records)
 
 
-def fit_runs(campaign: Campaign, observed: Sequence[ObservedRun]) -> CurrentFit:
-    """Fit runs jointly, as a calibration of only these runs does."""
-    return CurrentFit(campaign, *estimate_campaign(JointProblem(campaign, observed)))
+def fit_runs(campaign: Campaign, observed_runs: Sequence[ObservedRun]) -> CurrentFit:
+    """Fit runs jointly, as in a calibration of only these runs."""
+    return CurrentFit(campaign, *estimate_campaign(JointProblem(campaign, observed_runs)))
 
 
 def resolve_goals(
-    campaign: Campaign, wanted: Sequence[str] | Mapping[str, float | str] | Path
+    campaign: Campaign, goals: Sequence[str] | Mapping[str, float | str] | Path
 ) -> dict[str, float]:
-    """Return checked goals: full name of each coefficient -> its target u.
+    """Return full name of each coefficient -> its target u.
 
-    wanted: Text such as ``K_II 1e-8 g/g^2`` or ``Qx.K_II 0.01 ug/g^2``, by default in the unit of
+    goals: Text such as ``K_II 1e-8 g/g^2`` or ``Qx.K_II 0.01 ug/g^2``, by default in the unit of
         the coefficient; a mapping from names to values; or a plan with a ``target``. A term without
-        an accelerometer applies to all of them.
+        an accelerometer applies to all accelerometers.
     """
-    if isinstance(wanted, Path):
-        goal = read_plan(wanted).goal
+    if isinstance(goals, Path):
+        goal = read_plan(goals).goal
         if goal.kind != "target":
             raise CampaignError(
-                str(wanted),
+                str(goals),
                 ["goal.target: missing; the plan does not state the required u"],
                 code="missing-key",
             )
-        target: dict[str, float | str] = dict(goal.sizes)
-    elif isinstance(wanted, Mapping):
-        target = dict(wanted)
+        targets: dict[str, float | str] = dict(goal.sizes)
+    elif isinstance(goals, Mapping):
+        targets = dict(goals)
     else:
-        parts = (goal.strip().partition(" ") for goal in wanted)
-        target = {name: u.strip() for name, _, u in parts}
-    if not target:
+        name_value_pairs = (goal.strip().partition(" ") for goal in goals)
+        targets = {name: u.strip() for name, _, u in name_value_pairs}
+    if not targets:
         return {}
     problems = Problems({})
-    requested = GoalSettings(target={n: _parse_target(campaign, n, u) for n, u in target.items()})
-    resolved = resolve_goal(requested, campaign, problems)
-    if resolved is None:
+    goal_settings = GoalSettings(
+        target={n: _parse_target(campaign, n, u) for n, u in targets.items()}
+    )
+    resolved_goal = resolve_goal(goal_settings, campaign, problems)
+    if resolved_goal is None:
         raise CampaignError("goal", problems.lines)
-    return dict(resolved.sizes)
+    return dict(resolved_goal.sizes)
 
 
-def _parse_target(campaign: Campaign, name: str, u: float | str) -> str:
-    """Return the target u with its unit, by default the unit of the coefficient."""
+def _parse_target(campaign: Campaign, name: str, target_u: float | str) -> str:
+    """Return the target u with its unit, which defaults to that of the coefficient."""
     try:
-        number = float(u)
+        number = float(target_u)
     except ValueError:
-        return str(u)
+        return str(target_u)
     symbols = [u.symbol for u in make_unknowns(campaign).of_interest if name in (u.name, u.symbol)]
-    return f"{number!r} {unit_of(symbols[0])}" if symbols else str(u)
+    return f"{number!r} {unit_of(symbols[0])}" if symbols else str(target_u)
 
 
 def current_estimates(fit: CurrentFit, names: Sequence[str]) -> list[CurrentEstimate]:
-    """Return the estimates of unknowns from a fit, None where it does not determine them."""
+    """Return the estimates of named coefficients; value and u are None if not determined."""
     indices = {u.name: i for i, u in enumerate(fit.estimate.fit.model.of_interest)}
     estimates = []
     for name in names:
         if name not in indices:
             continue
-        c = make_coefficient(fit.estimate, fit.estimate.fit.assessment, indices[name])
+        estimate = make_coefficient(fit.estimate, fit.estimate.fit.assessment, indices[name])
         estimates.append(
             CurrentEstimate(
                 name=name,
-                value=c.value if c.estimated else None,
-                u=c.u if c.estimated else None,
-                unit=c.unit,
+                value=estimate.value if estimate.estimated else None,
+                u=estimate.u if estimate.estimated else None,
+                unit=estimate.unit,
             )
         )
     return estimates
 
 
 def undetermined_estimates(campaign: Campaign, names: Sequence[str]) -> list[CurrentEstimate]:
-    """Return the named parameters of interest as not determined."""
+    """Return undetermined estimates of named coefficients."""
     symbols = {unknown.name: unknown.symbol for unknown in make_unknowns(campaign).of_interest}
     return [
         CurrentEstimate(name=name, value=None, u=None, unit=unit_of(symbols[name]))
@@ -259,55 +263,59 @@ def undetermined_estimates(campaign: Campaign, names: Sequence[str]) -> list[Cur
 
 
 def displayed_names(campaign: Campaign, goals: Iterable[str] = ()) -> list[str]:
-    """Return the displayed names: K_II of each, parameters of interest of a triad, and goals."""
-    of_triad = campaign.triad.accelerometers if campaign.triad and campaign.posed else ()
-    requested = [
-        unknown.name for unknown in make_unknowns(campaign).of_interest if unknown.owner in of_triad
+    """Return the displayed names: each K_II, the parameters of a triad in poses, and goals."""
+    triad_accelerometers = (
+        campaign.triad.accelerometers if campaign.triad and campaign.posed else ()
+    )
+    triad_names = [
+        unknown.name
+        for unknown in make_unknowns(campaign).of_interest
+        if unknown.owner in triad_accelerometers
     ]
-    squares = (f"{name}.K_II" for name in campaign.accelerometers)
-    return list(dict.fromkeys([*squares, *requested, *goals]))
+    second_order_names = (f"{name}.K_II" for name in campaign.accelerometers)
+    return list(dict.fromkeys([*second_order_names, *triad_names, *goals]))
 
 
 def goal_states(
     goals: Mapping[str, float], estimates: Sequence[CurrentEstimate]
 ) -> list[GoalState]:
     """Return the state of each goal."""
-    by_name = {c.name: c for c in estimates}
+    estimates_by_name = {c.name: c for c in estimates}
     return [
         GoalState(
             name=name,
             wanted=wanted,
-            u=(estimate := by_name[name]).u,
+            u=(estimate := estimates_by_name[name]).u,
             unit=estimate.unit,
             met=estimate.u is not None and estimate.u <= wanted,
         )
         for name, wanted in goals.items()
-        if name in by_name
+        if name in estimates_by_name
     ]
 
 
-#: Negligible prior information, in poses, on combinations that no pose determines.
+#: Negligible prior information, in poses, that makes the information matrix regular.
 _NEGLIGIBLE_PRIOR: Final = 1e-9
 
 #: Largest number of named directions; a triad without prior information needs nine.
 _MAX_DIRECTIONS: Final = 12
 
 
-def poses_state(
+def make_poses_state(
     campaign: Campaign,
     record: PoseRecord,
-    found_poses: Sequence[LocatedPose],
+    located_poses: Sequence[LocatedPose],
     fit: CurrentFit | None,
 ) -> RunState:
     """Return the state of a record of poses.
 
-    found_poses: Poses of the record, at least one.
+    located_poses: Poses of the record, at least one.
     fit: Fit with the record; None without a fit.
     """
-    pose_record = found_poses[0].record
+    pose_record = located_poses[0].record
     assert pose_record is not None
     poses, report = pose_record.poses, pose_record.report
-    names = {found_pose.pose[0].name for found_pose in found_poses}
+    names = {found_pose.pose[0].name for found_pose in located_poses}
     residuals = [size for name, size in _pose_residuals(fit) if name in names] if fit else []
     return RunState(
         run=record.name,
@@ -316,7 +324,7 @@ def poses_state(
         **report_fields(report, poses.time),
         nominal_rate=0.0,
         poses=PosesState(
-            count=len(found_poses),
+            count=len(located_poses),
             threshold=poses.threshold,
             rms=campaign.gravity.value * float(np.sqrt(np.mean(np.square(residuals))))
             if residuals
@@ -327,40 +335,40 @@ def poses_state(
                 for far_off in part.outliers()
                 if far_off.name in names
             ],
-            missing=missing_directions(campaign, found_poses, fit),
+            missing=find_missing_directions(campaign, located_poses, fit),
         ),
     )
 
 
 def pose_remarks(
-    found_poses: Sequence[LocatedPose], fit: CurrentFit | None
+    located_poses: Sequence[LocatedPose], fit: CurrentFit | None
 ) -> tuple[list[str], bool]:
-    """Return remarks on a record of poses, in sentences, and True if it may be kept."""
-    pose_record = found_poses[0].record
+    """Return remarks on a record of poses, in sentences, and True if it is consistent."""
+    pose_record = located_poses[0].record
     assert pose_record is not None
     findings = pose_findings(fit.estimate.fit, fit.posed) if fit else []
-    is_unusual = [
+    warnings = [
         *pose_record.poses.warnings,
         *pose_record.poses.rejected,
         *pose_record.report.notes(),
     ]
-    may_be_kept = not any(finding.contradicts for finding in findings)
-    return [*(finding.text for finding in findings), *is_unusual], may_be_kept
+    is_good = not any(finding.contradicts for finding in findings)
+    return [*(finding.text for finding in findings), *warnings], is_good
 
 
-def missing_directions(
-    campaign: Campaign, found_poses: Sequence[LocatedPose], fit: CurrentFit | None
+def find_missing_directions(
+    campaign: Campaign, located_poses: Sequence[LocatedPose], fit: CurrentFit | None
 ) -> list[str]:
     """Return the directions in which one pose would be more informative than all existing poses.
 
-    The most informative direction comes first, each further one given those before it. Nine optimal
-    poses leave no direction: the variance of |f| nowhere exceeds that of a single pose (Kiefer and
-    Wolfowitz, Canadian J. Math. 12 (1960) 363).
+    Directions are selected greedily, the most informative first. Nine optimal poses leave no
+    direction: the variance of |f| nowhere exceeds that of a single pose (Kiefer and Wolfowitz,
+    Canadian J. Math. 12 (1960) 363).
     """
     model = fit.estimate.fit.model if fit else make_unknowns(campaign)
     point = fit.estimate.fit.solution.estimate if fit else np.zeros(len(model.unknowns))
-    group = make_group(campaign, [found_pose.pose for found_pose in found_poses])
-    ups = upward_directions(group.accelerometers)
+    group = make_group(campaign, [found_pose.pose for found_pose in located_poses])
+    directions = upward_directions(group.accelerometers)
     priors = [
         {
             u.symbol: u.nominal + float(value)
@@ -369,30 +377,34 @@ def missing_directions(
         }
         for name in group.accelerometers
     ]
-    further = set_pose_values(make_group(campaign, [found_poses[0].pose] * len(ups)), ups, priors)
-    requested = [
+    candidate_poses = set_pose_values(
+        make_group(campaign, [located_poses[0].pose] * len(directions)), directions, priors
+    )
+    columns = [
         index for index, u in enumerate(model.of_interest) if u.owner in group.accelerometers
     ]
-    rows = group.linearize(model, point).design[:, requested]
-    possible = further.linearize(model, point).design[:, requested]
-    information = rows.T @ rows + _NEGLIGIBLE_PRIOR * np.eye(len(requested))
+    pose_rows = group.linearize(model, point).design[:, columns]
+    candidate_rows = candidate_poses.linearize(model, point).design[:, columns]
+    information = pose_rows.T @ pose_rows + _NEGLIGIBLE_PRIOR * np.eye(len(columns))
     missing: list[str] = []
     while len(missing) < _MAX_DIRECTIONS:
-        # u^2 of |f| in each direction, relative to that of one pose.
-        unknown = np.einsum("np,pn->n", possible, np.linalg.solve(information, possible.T))
-        max_count = int(np.argmax(unknown))
-        if unknown[max_count] <= 1.0:
+        # Variance of |f| in each direction, relative to that of a single pose.
+        relative_variances = np.einsum(
+            "np,pn->n", candidate_rows, np.linalg.solve(information, candidate_rows.T)
+        )
+        index_of_max = int(np.argmax(relative_variances))
+        if relative_variances[index_of_max] <= 1.0:
             break
-        missing.append(describe_upward_direction(ups[max_count]))
-        information += np.outer(possible[max_count], possible[max_count])
+        missing.append(describe_upward_direction(directions[index_of_max]))
+        information += np.outer(candidate_rows[index_of_max], candidate_rows[index_of_max])
     return missing
 
 
 def _pose_residuals(fit: CurrentFit) -> Iterator[tuple[str, float]]:
-    """Yield the name of each pose, and the residual of the magnitude of its specific force, g."""
+    """Yield the name of each pose, and its residual of |f|, g."""
     model, point = fit.estimate.fit.model, fit.estimate.fit.solution.estimate
-    for part in fit.posed:
-        poses = part.readings
+    for group in fit.posed:
+        poses = group.readings
         assert isinstance(poses, TriadPoses)
-        growth = poses.at(model, point).gain
-        yield from zip(poses.names, (part.residuals / growth).tolist(), strict=True)
+        gain = poses.at(model, point).gain
+        yield from zip(poses.names, (group.residuals / gain).tolist(), strict=True)

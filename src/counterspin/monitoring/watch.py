@@ -1,4 +1,4 @@
-"""`counterspin watch`: the state of a campaign while its records grow."""
+"""`counterspin watch`: monitoring of a campaign during recording."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.runs import Run
 from counterspin.errors import CampaignError, CounterspinError, UsageError
 from counterspin.frozen import frozen
-from counterspin.monitoring.observer import Observer, recordings
+from counterspin.monitoring.observer import Observer, recorded_runs
 from counterspin.monitoring.result import CurrentEstimate, RunState, WatchState
 from counterspin.monitoring.run_state import (
     CurrentFit,
@@ -22,9 +22,9 @@ from counterspin.monitoring.run_state import (
     displayed_names,
     fit_runs,
     goal_states,
-    poses_state,
+    make_poses_state,
+    make_run_state,
     resolve_goals,
-    run_state,
     undetermined_estimates,
 )
 from counterspin.threads import single_blas_thread
@@ -35,10 +35,10 @@ _COMPLETE_FRACTION: Final = 1.0 - 1e-3
 
 @frozen
 class Pace:
-    """The interval between looks at the files, and the share of the processor."""
+    """Polling interval, and share of the processor used by fits."""
 
-    interval: float = 1.0  #: Seconds between two looks.
-    #: Part of one core that fits may take: the longer one takes, the later the next one.
+    interval: float = 1.0  #: Polling interval, s.
+    #: Fraction of one processor core that fits may use; long fits are repeated less often.
     share: float = 0.02
 
     def __post_init__(self) -> None:
@@ -64,47 +64,46 @@ def watch(
     pace: Pace = _DEFAULT_PACE,
     once: bool = False,
 ) -> Iterator[WatchState]:
-    """Follow the records of a campaign while they grow.
+    """Monitor the records of a campaign during recording.
 
-    The watch stores nothing except in memory: a restarted watch has the same states from then on.
-    Of text tables only new rows are read; other files are read completely when they change.
+    All data are kept in memory only; after a restart, the states continue unchanged. Only new rows
+    of text tables are read; other files are read completely when they change.
 
     Parameters
     ----------
     where
-        The campaign's folder, its description, or a campaign already read.
+        Campaign, its folder or its description.
     goals
-        Such as ``K_II 1e-8 g/g^2``, or name -> u, or the file of a plan, whose ``target`` counts.
+        Goals such as ``K_II 1e-8 g/g^2``, a mapping name -> u, or a plan file with a ``target``.
     pace
-        Interval between looks, and share of the processor.
+        Polling interval, and share of the processor.
     once
-        True: stop after one state; False: the iterator ends only when every run is as long as
-        the description states.
+        True: stop after one state; False: stop when every run has its stated duration.
 
     Yields
     ------
     WatchState
-        The first one at once, then whenever there is something new.
+        The first state immediately, then a state after each change.
 
     Raises
     ------
     CampaignError
-        If the description is wrong, has no runs with records, or a goal names no term of it.
+        If the description is wrong or has no runs with records, or a goal names an unknown term.
     """
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
-    if not recordings(campaign):
+    if not recorded_runs(campaign):
         raise CampaignError(
             "watch",
             ["the campaign has no run whose record can be monitored"],
             code="method-not-applicable",
         )
     targets = resolve_goals(campaign, goals)
-    return _iter_states(campaign, targets, pace, once=once)
+    return _iterate_states(campaign, targets, pace, once=once)
 
 
 @dataclass
 class _Schedule:
-    """The times of the next look and the next fit."""
+    """Times of the next poll and the next fit."""
 
     pace: Pace
     fit_due: float = 0.0
@@ -116,41 +115,41 @@ class _Schedule:
         time.sleep(self.pace.interval)
 
 
-def _iter_states(
+def _iterate_states(
     campaign: Campaign, goals: Mapping[str, float], pace: Pace, *, once: bool
 ) -> Iterator[WatchState]:
-    observer, clock = Observer(campaign, grow=True), _Schedule(pace)
+    observer, schedule = Observer(campaign, is_growing=True), _Schedule(pace)
     events: list[str] = []
-    due = True
+    is_due = True
     while True:
         changed, new_events = observer.poll()
         events += new_events
-        due |= changed
-        if due and time.monotonic() >= clock.fit_due:
-            begin = time.process_time()
-            state = _watch_state(campaign, observer, goals, tuple(events))
-            clock.after_fit(time.process_time() - begin)
-            events, due = [], False
+        is_due |= changed
+        if is_due and time.monotonic() >= schedule.fit_due:
+            fit_start = time.process_time()
+            state = _make_watch_state(campaign, observer, goals, tuple(events))
+            schedule.after_fit(time.process_time() - fit_start)
+            events, is_due = [], False
             yield state
             if once or state.complete:
                 return
-        clock.wait()
+        schedule.wait()
 
 
-def _watch_state(
+def _make_watch_state(
     campaign: Campaign, observer: Observer, goals: Mapping[str, float], events: Sequence[str]
 ) -> WatchState:
     with single_blas_thread():
-        usable_campaign, observed = observer.usable_runs()
-        fit, trouble = None, None
+        usable_campaign, observed_runs = observer.read_usable_runs()
+        fit, fit_error = None, None
         estimates: list[CurrentEstimate] = []
-        if observed or usable_campaign.readings or usable_campaign.posed:
+        if observed_runs or usable_campaign.readings or usable_campaign.posed:
             try:
-                fit = fit_runs(usable_campaign, observed)
+                fit = fit_runs(usable_campaign, observed_runs)
                 estimates = current_estimates(fit, displayed_names(campaign, goals))
             except CounterspinError as error:
-                trouble = str(error)
-        runs = _run_states(campaign, observer, observed, fit)
+                fit_error = str(error)
+        runs = _make_run_states(campaign, observer, observed_runs, fit)
     if not estimates:
         estimates = undetermined_estimates(campaign, displayed_names(campaign, goals))
     return WatchState(
@@ -159,33 +158,36 @@ def _watch_state(
         coefficients=estimates,
         goals=goal_states(goals, estimates),
         events=list(events),
-        trouble=trouble,
+        trouble=fit_error,
         complete=all(map(_is_complete, runs)),
     )
 
 
-def _run_states(
-    campaign: Campaign, observer: Observer, observed: Sequence[ObservedRun], fit: CurrentFit | None
+def _make_run_states(
+    campaign: Campaign,
+    observer: Observer,
+    observed_runs: Sequence[ObservedRun],
+    fit: CurrentFit | None,
 ) -> list[RunState]:
-    by_name = {observed_run.run.name: observed_run for observed_run in observed}
+    observed_by_name = {observed_run.run.name: observed_run for observed_run in observed_runs}
     states = []
-    for run in recordings(campaign):
-        trouble = observer.of(run.name)[1]
-        if isinstance(run, PoseRecord) and (poses := observer.poses_of(run.name)):
-            state = poses_state(campaign, run, poses, fit)
-        elif isinstance(run, Run) and run.name in by_name:
-            state = run_state(campaign, by_name[run.name], fit.views if fit else ())
+    for run in recorded_runs(campaign):
+        error = observer.read_status(run.name)[1]
+        if isinstance(run, PoseRecord) and (poses := observer.find_poses(run.name)):
+            state = make_poses_state(campaign, run, poses, fit)
+        elif isinstance(run, Run) and run.name in observed_by_name:
+            state = make_run_state(campaign, observed_by_name[run.name], fit.views if fit else ())
         else:
             states.append(observer.unread_state(run.name))
             continue
-        states.append(state.model_copy(update={"why": trouble}))
+        states.append(state.model_copy(update={"why": error}))
     return states
 
 
 def _is_complete(state: RunState) -> bool:
-    stated = state.stated_seconds
+    stated_duration = state.stated_seconds
     return (
         state.state == "read"
-        and stated is not None
-        and state.seconds >= _COMPLETE_FRACTION * stated
+        and stated_duration is not None
+        and state.seconds >= _COMPLETE_FRACTION * stated_duration
     )
