@@ -318,8 +318,8 @@ EXACT_PATHS = [
     ("0.25 rev/s", "0.25 m", "runs[0].rate: 'm' is not a unit of angular rate"),
     ('"0.25 rev/s"', "0.25", 'runs[0].rate: has no unit; write "0.25 rad/s"'),
     ("0.25 rev/s", "0 ± 1 rpm", "runs[0].rate: is zero, but the centrifuge must rotate"),
-    ('"run2"', '"run1"', 'runs[1].name: "run1" is already used by runs[0]'),
-    ("run2.parquet", "run1.csv", 'runs[1].record: "run1.csv" is already used by runs[0]'),
+    ('"run2"', '"run1"', 'runs[1].name: runs[0] already uses "run1"'),
+    ("run2.parquet", "run1.csv", 'runs[1].record: runs[0] already uses "run1.csv"'),
     (
         "run2.parquet",
         "run2.doc",

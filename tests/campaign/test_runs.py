@@ -76,7 +76,7 @@ def test_file_may_contain_consecutive_runs(tmp_path):
     assert [run.time_range for run in read.runs[:2]] == [(-math.inf, 40.0), (40.0, math.inf)]
     for second in ('start = "39 s"', "", 'start = "x"'):
         problems = list_problems(tmp_path, *two_parts('stop = "40 s"', second))
-        assert any("is already used by runs[0]" in line or "start" in line for line in problems)
+        assert any("runs[0] already uses" in line or "start" in line for line in problems)
     with raises("not-simulable"):
         simulate(read, tmp_path / "out")
 
@@ -95,7 +95,7 @@ def test_file_may_contain_run_per_table(tmp_path, key):
     # One table, or a possibly identical one, belongs to one run.
     for first, second in (("two", own), ("one", "")):
         problems = list_problems(tmp_path, *two_tables(first, second))
-        assert any("is already used by runs[0]" in line for line in problems)
+        assert any("runs[0] already uses" in line for line in problems)
 
 
 @pytest.mark.parametrize(

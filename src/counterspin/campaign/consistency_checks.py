@@ -111,7 +111,7 @@ def _check_unique(value: Any, index_by_value: dict[str, int], path: KeyPath) -> 
     index = path[1]
     assert isinstance(index, int)
     if isinstance(value, str) and index_by_value.setdefault(value, index) != index:
-        message = f'"{value}" is already used by runs[{index_by_value[value]}]'
+        message = f'runs[{index_by_value[value]}] already uses "{value}"'
         yield path, Problem(message, "duplicate-entry")
 
 

@@ -464,7 +464,7 @@ def test_clock_error_is_named_with_equivalent_causes(observable, unit, fast, alo
     named = [first.subject, *first.as_well]
     if alone:
         assert {"records.clock", "centrifuge.radius", "Qx.K_I", "Qx"} <= {*named[:4]}
-        assert "Alternatively, " in first.text
+        assert "would explain the records equally well: " in first.text
         assert "recorder clock error" in first.text
     else:
         assert named == ["records.clock", "centrifuge.radius"]

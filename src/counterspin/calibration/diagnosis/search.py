@@ -445,7 +445,8 @@ def _make_cause(
         names += (
             [f"{unnamed_count} more" if unnamed_count > 1 else "one more"] if unnamed_count else []
         )
-        text += f" Alternatively, {' or '.join(names)} would fit the records equally well."
+        these = "These causes" if len(rivals) > 1 else "This cause"
+        text += f" {these} would explain the records equally well: {'; '.join(names)}."
     is_decisive = normal_equivalent(explanation.size, explanation.dof) > CONTRADICTION_SIGMAS
     contradicts = is_decisive and (max_shift > 1.0 or explanation.alternative.kind == "prior")
     return Cause(
