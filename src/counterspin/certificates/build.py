@@ -71,8 +71,8 @@ def check_certifiable(result: Result, names: Sequence[str]) -> None:
             "the true K_II; calibrate again with the exact model",
             code="as-printed",
         )
-    if (refusal := refusal_reason(judge_result(result), names)) is not None:
-        raise RecordError(refusal, code="contradicted")
+    if (refusal_text := refusal_reason(judge_result(result), names)) is not None:
+        raise RecordError(refusal_text, code="contradicted")
     coefficients_by_accelerometer = (
         result.accelerometers[name].coefficients.values() for name in names
     )

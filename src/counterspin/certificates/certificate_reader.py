@@ -121,18 +121,22 @@ _GRAVITY_PATH: Final = (
     "dcc:measurementResults//dcc:influenceConditions/dcc:influenceCondition"
     "[dcc:name/dcc:content='Local gravity']/dcc:data/dcc:quantity/si:real/si:value"
 )
-_REPLACED_PATH: Final = (
+_REPLACED_IDENTIFIER_PATH: Final = (
     "dcc:administrativeData/dcc:coreData/dcc:reportAmendedSubstituted/dcc:replacedUniqueIdentifier"
 )
-_REASON_PATH: Final = (
+_AMENDMENT_REASON_PATH: Final = (
     "dcc:administrativeData/dcc:coreData/dcc:previousReport/dcc:description/dcc:content"
 )
 #: Prefix of a line that names a certificate replaced before the amended one.
 EARLIER_PREFIX: Final = "Earlier certificate: "
 _QUANTITY_PATH: Final = "dcc:results/dcc:result/dcc:data/dcc:quantity"
-_EXPANDED_PATH: Final = "si:measurementUncertaintyUnivariate/si:expandedMU"
-_REGION_PATH: Final = "si:measurementUncertaintyMultivariateXMLList/si:ellipsoidalRegionMUXMLList"
-_COLUMN_PATH: Final = f"{_REGION_PATH}/si:covarianceMatrixXMLList/si:columnXMLList"
+_EXPANDED_U_PATH: Final = "si:measurementUncertaintyUnivariate/si:expandedMU"
+_COVERAGE_REGION_PATH: Final = (
+    "si:measurementUncertaintyMultivariateXMLList/si:ellipsoidalRegionMUXMLList"
+)
+_COVARIANCE_COLUMN_PATH: Final = (
+    f"{_COVERAGE_REGION_PATH}/si:covarianceMatrixXMLList/si:columnXMLList"
+)
 _DOF_PATH: Final = "dcc:measurementMetaData/dcc:metaData/dcc:data/dcc:quantity/si:real/si:value"
 
 #: XPaths of the result of a triad, the corrected output and the parameters.
@@ -143,7 +147,7 @@ _TRIAD_PATH: Final = (
 _OUTPUT_FILTER: Final = f"[{_NAME_PATH}='Corrected output']"
 _PARAMETER_FILTER: Final = f"[not({_NAME_PATH}='Corrected output')]"
 _DATA_PATH: Final = "dcc:data/dcc:quantity"
-_EXPANDED_LIST_PATH: Final = "si:measurementUncertaintyUnivariateXMLList/si:expandedMUXMLList"
+_EXPANDED_U_LIST_PATH: Final = "si:measurementUncertaintyUnivariateXMLList/si:expandedMUXMLList"
 
 #: Type of a triad's parameter -> unit.
 _PARAMETER_UNITS: Final = {"offset": "g", "sensitivity": "g/g", "angle": "rad"}
@@ -209,7 +213,11 @@ def read_certificate(document: bytes, source: str) -> CertificateNumbers:
                 if element.get("refId")
             },
             amended_identifier=next(
-                (_element_text(element) for element in _select_elements(root, _REPLACED_PATH)), None
+                (
+                    _element_text(element)
+                    for element in _select_elements(root, _REPLACED_IDENTIFIER_PATH)
+                ),
+                None,
             ),
             triad=next(
                 (_read_triad(element, gravity) for element in _select_elements(root, _TRIAD_PATH)),
@@ -226,8 +234,10 @@ def read_certificate(document: bytes, source: str) -> CertificateNumbers:
 
 def _replaced_identifiers(root: Element) -> Iterator[str]:
     """Yield the identifiers of the replaced certificate and of earlier ones, newest first."""
-    yield from (_element_text(element) for element in _select_elements(root, _REPLACED_PATH))
-    for element in _select_elements(root, _REASON_PATH):
+    yield from (
+        _element_text(element) for element in _select_elements(root, _REPLACED_IDENTIFIER_PATH)
+    )
+    for element in _select_elements(root, _AMENDMENT_REASON_PATH):
         lines = _element_text(element).splitlines()
         yield from (
             line.removeprefix(EARLIER_PREFIX) for line in lines if line.startswith(EARLIER_PREFIX)
@@ -264,11 +274,11 @@ def _read_triad(element: Element, gravity: float) -> CertifiedTriad:
         parameters,
         matrix,
         np.reshape(
-            _parse_numbers(matrix_element, f"{_EXPANDED_LIST_PATH}/si:valueExpandedMUXMLList"),
+            _parse_numbers(matrix_element, f"{_EXPANDED_U_LIST_PATH}/si:valueExpandedMUXMLList"),
             (3, 3),
         ),
         _parse_number(
-            _single_text(matrix_element, f"{_EXPANDED_LIST_PATH}/si:coverageFactorXMLList")
+            _single_text(matrix_element, f"{_EXPANDED_U_LIST_PATH}/si:coverageFactorXMLList")
         ),
         bias,
     )
@@ -310,11 +320,11 @@ def _read_values(quantities: Sequence[Element], gravity: float) -> CertifiedAcce
 def _read_coefficient(quantity: Element, real_element: Element, gravity: float) -> Coefficient:
     unit = _label_unit(_single_text(real_element, "si:label"))
     u = None
-    if _select_elements(real_element, _EXPANDED_PATH):
+    if _select_elements(real_element, _EXPANDED_U_PATH):
         expanded_u = _parse_number(
-            _single_text(real_element, f"{_EXPANDED_PATH}/si:valueExpandedMU")
+            _single_text(real_element, f"{_EXPANDED_U_PATH}/si:valueExpandedMU")
         )
-        k = _parse_number(_single_text(real_element, f"{_EXPANDED_PATH}/si:coverageFactor"))
+        k = _parse_number(_single_text(real_element, f"{_EXPANDED_U_PATH}/si:coverageFactor"))
         if expanded_u < 0.0 or k <= 0.0:
             raise ValueError("an expanded uncertainty or its coverage factor is negative")
         u = from_si(expanded_u / k, unit, gravity)
@@ -337,7 +347,7 @@ def _read_covariance(
                 _parse_number(_element_text(value))
                 for value in _select_elements(column, "si:covarianceXMLList/si:valueXMLList")
             ]
-            for column in _select_elements(covariance_element, _COLUMN_PATH)
+            for column in _select_elements(covariance_element, _COVARIANCE_COLUMN_PATH)
         ]
     ).T
     unit_factors = np.array([from_si(1.0, _label_unit(symbol), gravity) for symbol in terms])

@@ -124,9 +124,9 @@ def _missing_evidence(lab: Lab, result: Result) -> Iterator[MissingEntry]:
 
 
 def _default_shares(lab: Lab, result: Result) -> Iterator[tuple[str, str, float, str]]:
-    """Yield accelerometer, source, share and coefficient of default uncertainties that carry u.
+    """Yield accelerometer, source, share and coefficient of important default uncertainties.
 
-    Only certified coefficients count, and shares of at least `EVIDENCE_SHARE`.
+    Only certified coefficients and shares of at least `MIN_EVIDENCE_SHARE` are included.
     """
     for name in lab.certified_names(result):
         accelerometer = result.accelerometers[name]

@@ -529,7 +529,7 @@ def _template_values() -> frozenset[tuple[str, str]]:
     """
     text = example_text()
     active_values = _iter_leaves(parse_toml(text), ())
-    commented_values = _iter_leaves(parse_toml(_COMMENTED_LINE.sub("", text)), ())
+    commented_values = _iter_leaves(parse_toml(_COMMENT_PREFIX.sub("", text)), ())
     return frozenset(
         [_template_entry(path, value) for path, value in active_values]
         + [
@@ -541,7 +541,7 @@ def _template_values() -> frozenset[tuple[str, str]]:
 
 
 #: Start of a commented line of the template with a key or a heading.
-_COMMENTED_LINE: Final = re.compile(r"^# (?=\[?\[[\w.]+\]|[\w.\"*]+ = )", re.MULTILINE)
+_COMMENT_PREFIX: Final = re.compile(r"^# (?=\[?\[[\w.]+\]|[\w.\"*]+ = )", re.MULTILINE)
 
 
 def add_required_keys(document: Mapping[str, Any]) -> dict[str, Any]:

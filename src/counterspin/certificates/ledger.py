@@ -40,7 +40,7 @@ _LOCKED_BYTE: Final = 0x7FFF_0000
 #: Time between two attempts to lock a ledger on Windows, s.
 _LOCK_PAUSE: Final = 0.05
 
-_NOT_A_LEDGER: Final = (
+_NOT_A_LEDGER_MESSAGE: Final = (
     "entry 1 was altered, or this file is not a ledger; do not rely on this file. Give the "
     "ledger, or the name of a new file"
 )
@@ -59,7 +59,7 @@ class Entry:
     number: int  #: Number of the entry, from 1.
     when: str  #: Time, ISO 8601, UTC.
     who: str  #: Person.
-    entry_type: str  #: One of `KINDS`.
+    entry_type: str  #: One of `ENTRY_TYPES`.
     why: str  #: Reason.
     subject: Mapping[str, str]  #: Names, identifiers and checksums.
     digest: str  #: SHA-256 of the entry and of the previous hash, hexadecimal.
@@ -250,7 +250,7 @@ def _verify_content(ledger_content: bytes, source: str) -> VerifiedLedger:
             problem, entry_number = "was altered after it was written, or removed", number - 1
         if problem is not None or entry_content is None:
             if entry_content is None and number == 1:
-                raise RecordError(f"{source}: {_NOT_A_LEDGER}", code="wrong-document")
+                raise RecordError(f"{source}: {_NOT_A_LEDGER_MESSAGE}", code="wrong-document")
             entry_text = f"entry {entry_number}" if entry_number else "the beginning"
             raise RecordError(
                 f"{source}: {entry_text} {problem}; do not rely on this entry or on later entries",
@@ -260,7 +260,7 @@ def _verify_content(ledger_content: bytes, source: str) -> VerifiedLedger:
         previous_hash = entry_content["hash"]
     if partial_entry and not entries and not _begins_entry(partial_entry):
         # Bytes that do not begin an entry show that the file is not a ledger.
-        raise RecordError(f"{source}: {_NOT_A_LEDGER}", code="wrong-document")
+        raise RecordError(f"{source}: {_NOT_A_LEDGER_MESSAGE}", code="wrong-document")
     return VerifiedLedger(tuple(entries), partial_entry)
 
 

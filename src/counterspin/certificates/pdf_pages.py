@@ -244,7 +244,7 @@ def administrative_rows(lab: Lab, issue: Issue) -> Iterator[tuple[str, str]]:
     yield "Calibrated", f"{' to '.join(days)}, place: {settings.place}"
     if lab.conditions.temperature is not None:
         temperature = lab.conditions.temperature
-        yield "Ambient temperature", _format_expanded(temperature.value, temperature.u, "°C")
+        yield "Ambient temperature", _format_with_expanded_u(temperature.value, temperature.u, "°C")
     yield "Issued", issue.date.date().isoformat()
     for index, person in enumerate(lab.persons):
         suffix = ", signs" if index == 0 else ""
@@ -263,13 +263,13 @@ def _method_rows(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
         rates = (f"{name}: {run.rate:.7g} rad/s" for name, run in result.runs.items())
         yield "Rates", ", ".join(rates)
     if inputs.radius:
-        yield "Radius", _format_expanded(inputs.radius, inputs.u_radius, "m")
-    yield "Local gravity", _format_expanded(inputs.gravity, inputs.u_gravity, "m/s^2")
+        yield "Radius", _format_with_expanded_u(inputs.radius, inputs.u_radius, "m")
+    yield "Local gravity", _format_with_expanded_u(inputs.gravity, inputs.u_gravity, "m/s^2")
     latitude, u = math.degrees(inputs.latitude), math.degrees(inputs.u_latitude)
-    yield "Latitude", _format_expanded(latitude, u, "deg")
+    yield "Latitude", _format_with_expanded_u(latitude, u, "deg")
 
 
-def _format_expanded(value: float, u: float, unit: str) -> str:
+def _format_with_expanded_u(value: float, u: float, unit: str) -> str:
     if not u:
         return f"{format_number(value, 9)} {unit}"
     k = coverage_factor(None)

@@ -41,8 +41,8 @@ class Relation:
 
     #: Overlap of the records.
     overlap: Literal["same", "part", "independent"]
-    #: Index of the result whose estimate is efficient for the common data; None: unknown, and the
-    #: one with the smaller variance is assumed efficient.
+    #: Index of the result with the efficient estimate from the common data; None: unknown. The
+    #: result with the smaller variance is then assumed to be efficient.
     efficient_index: Literal[0, 1] | None = None
     #: Whether both results weight the same records equally, so that noise shifts them equally.
     has_same_weights: bool = False

@@ -305,9 +305,11 @@ def repeated_calibration_sentence(repeated: RepeatedCalibration) -> str:
     """Return a sentence on the validity of a repeated result."""
     limit = format_number(repeated.limit)
     if repeated.same:
-        largest = repeated.largest or 0.0
+        largest_difference = repeated.largest or 0.0
         largest_text = (
-            f"largest relative difference {largest:.1e}" if largest else "all numbers are equal"
+            f"largest relative difference {largest_difference:.1e}"
+            if largest_difference
+            else "all numbers are equal"
         )
         return (
             f"{repeated.result}: the repeated result equals the original within {limit} "

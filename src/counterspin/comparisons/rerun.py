@@ -284,14 +284,14 @@ def _compare_coefficients(
         difference for difference in relative_differences if difference is not None
     ]
     is_complete = len(known_differences) == len(relative_differences)
-    largest = max(known_differences, default=0.0) if is_complete else None
+    largest_difference = max(known_differences, default=0.0) if is_complete else None
     return RepeatedCalibration(
         result=result_name,
-        same=largest is not None
-        and largest <= RELATIVE_TOLERANCE
+        same=largest_difference is not None
+        and largest_difference <= RELATIVE_TOLERANCE
         and original.state == repeated.state,
         limit=RELATIVE_TOLERANCE,
-        largest=largest,
+        largest=largest_difference,
         largest_in_u=max(normalized_differences, default=None),
         coefficients=coefficients,
         state_before=original.state,

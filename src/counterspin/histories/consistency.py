@@ -270,21 +270,21 @@ def next_due_date(
         return last_date
     # The probability may increase first, if the line approaches the centre: find the first failure.
     n_steps = int(MAX_YEARS * 52)
-    time_inside = last_time
+    time_within_limits = last_time
     for step in range(1, n_steps + 1):
-        time_outside = last_time + MAX_YEARS * step / n_steps
-        if probability_within(drift, time_outside, *limits) < reliability:
+        time_beyond_limits = last_time + MAX_YEARS * step / n_steps
+        if probability_within(drift, time_beyond_limits, *limits) < reliability:
             break
-        time_inside = time_outside
+        time_within_limits = time_beyond_limits
     else:
         return None
-    while time_outside - time_inside > 1e-4:
-        middle_time = 0.5 * (time_inside + time_outside)
+    while time_beyond_limits - time_within_limits > 1e-4:
+        middle_time = 0.5 * (time_within_limits + time_beyond_limits)
         if probability_within(drift, middle_time, *limits) < reliability:
-            time_outside = middle_time
+            time_beyond_limits = middle_time
         else:
-            time_inside = middle_time
-    return first_date + time_inside * YEAR
+            time_within_limits = middle_time
+    return first_date + time_within_limits * YEAR
 
 
 #: Smallest excess of results over other parameters that determines a variance.

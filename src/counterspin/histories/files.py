@@ -90,9 +90,9 @@ def tracked_values(result: Result, quantity: str) -> Iterator[TrackedValue]:
 #: Keys of every result of any schema; JSON files without them are not results.
 _RESULT_KEYS: Final = {"method", "accelerometers", "provenance"}
 
-_HIDDEN_REASON: Final = "this hidden file was left by an interrupted command; delete it"
+_HIDDEN_FILE_REASON: Final = "this hidden file was left by an interrupted command; delete it"
 
-_SUMMARY_REASON: Final = (
+_SUMMARY_FILE_REASON: Final = (
     "this file is a summary of several campaigns; write a separate result file for each campaign"
 )
 
@@ -149,7 +149,9 @@ def collect_results(inputs: Sequence[Path | Result], term: str) -> ResultSet:
     result_set, path_by_checksum = ResultSet(), dict[str, str]()
     for file, is_named in _iter_files(paths):
         if not is_named and file.name.startswith("."):
-            result_set.omitted_results.append(UnusedResult(file=str(file), reason=_HIDDEN_REASON))
+            result_set.omitted_results.append(
+                UnusedResult(file=str(file), reason=_HIDDEN_FILE_REASON)
+            )
             continue
         try:
             content = read_file(file)
@@ -159,7 +161,7 @@ def collect_results(inputs: Sequence[Path | Result], term: str) -> ResultSet:
             )
             continue
         if not is_named and (reason := _non_result_reason(content)):
-            if reason == _SUMMARY_REASON:
+            if reason == _SUMMARY_FILE_REASON:
                 result_set.omitted_results.append(UnusedResult(file=str(file), reason=reason))
             else:
                 result_set.ignored_files.append(str(file))
@@ -208,7 +210,7 @@ def _non_result_reason(content: bytes) -> str | None:
     if not isinstance(document, dict):
         return "other"
     if "campaigns" in document:
-        return _SUMMARY_REASON
+        return _SUMMARY_FILE_REASON
     return None if set(document) >= _RESULT_KEYS else "other"
 
 

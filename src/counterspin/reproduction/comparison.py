@@ -197,7 +197,7 @@ def ripple_rows() -> tuple[Row, ...]:
         fit = least_squares.fit(design, curvatures, [run.parabola.u_b2 for run in runs])
         return float(fit.estimate[0]), float(fit.u[0])
 
-    without_ripple, with_ripple = (
+    fit_without_ripple, fit_with_ripple = (
         fit_k_ii(exact_column[:, None]),
         fit_k_ii(np.column_stack([exact_column, printed_columns[:, 1]])),
     )
@@ -208,7 +208,7 @@ def ripple_rows() -> tuple[Row, ...]:
             "separation.without",
             "with ripple: K_II with the factor 1/4, ripple not separated",
             true_k_ii,
-            without_ripple[0],
+            fit_without_ripple[0],
             "g/g^2",
             "the ripple has no effect on K_II",
         ),
@@ -216,10 +216,10 @@ def ripple_rows() -> tuple[Row, ...]:
             "separation.with",
             "with ripple: K_II with the factor 1/4 and a ripple column",
             true_k_ii,
-            with_ripple[0],
+            fit_with_ripple[0],
             "g/g^2",
             "separating the ripple does not change K_II, but increases the uncertainty by "
-            f"{with_ripple[1] / without_ripple[1] - 1:.0%}",
+            f"{fit_with_ripple[1] / fit_without_ripple[1] - 1:.0%}",
         ),
         Row(
             "separation.printed_without",

@@ -1,4 +1,4 @@
-"""Equations 5 to 19: printed coefficients and those of the simulation of Eq. 7."""
+"""Equations 5 to 19: coefficients as printed and from simulations by Eq. 7."""
 
 from __future__ import annotations
 
@@ -112,11 +112,11 @@ def _expansion_rows() -> tuple[Row, ...]:
 
 def _ripple_and_drift_rows() -> tuple[Row, ...]:
     """Return the rows of ripple and drift in Eq. 15 (nominal angle), and of b2 in Eq. 19."""
-    steady_fit, ripple_fit, drift_fit = (
+    steady_coefficients, ripple_coefficients, drift_coefficients = (
         _fit_simulated_strobes(ripple, drift)
         for ripple, drift in ((0.0, 0.0), (RIPPLE_AMPLITUDE, 0.0), (0.0, DRIFT_RATE))
     )
-    printed_steady_fit, printed_ripple_fit, printed_drift_fit = (
+    printed_steady_coefficients, printed_ripple_coefficients, printed_drift_coefficients = (
         _fit_printed_strobes(ripple, drift, phase)
         for ripple, drift, phase in (
             (0.0, 0.0, 0.0),
@@ -140,8 +140,8 @@ def _ripple_and_drift_rows() -> tuple[Row, ...]:
         Row(
             "eq15.ripple_parabola",
             "Eq. 15, 19: t^2 coefficient of ripple",
-            float(printed_ripple_fit[2] - printed_steady_fit[2]) / ripple_unit,
-            float(ripple_fit[2] - steady_fit[2]) / ripple_unit,
+            float(printed_ripple_coefficients[2] - printed_steady_coefficients[2]) / ripple_unit,
+            float(ripple_coefficients[2] - steady_coefficients[2]) / ripple_unit,
             "K_I R w0 w_p sin(phi)",
             "half the mean of Eq. 5 above; with the exact kinematics it vanishes",
             "z.3f",
@@ -149,8 +149,8 @@ def _ripple_and_drift_rows() -> tuple[Row, ...]:
         Row(
             "eq15.ripple_constant",
             "Eq. 15: ripple constant",
-            float(printed_ripple_fit[0] - printed_steady_fit[0]),
-            float(ripple_fit[0] - steady_fit[0]),
+            float(printed_ripple_coefficients[0] - printed_steady_coefficients[0]),
+            float(ripple_coefficients[0] - steady_coefficients[0]),
             "m",
             "the factor w_p/w0 is missing; the error affects only b0",
             ".3e",
@@ -158,8 +158,8 @@ def _ripple_and_drift_rows() -> tuple[Row, ...]:
         Row(
             "eq15.drift_slope",
             "Eq. 15: slope due to drift, nominal angle as reference",
-            float(printed_drift_fit[1] - printed_steady_fit[1]) / drift_unit,
-            float(drift_fit[1] - steady_fit[1]) / drift_unit,
+            float(printed_drift_coefficients[1] - printed_steady_coefficients[1]) / drift_unit,
+            float(drift_coefficients[1] - steady_coefficients[1]) / drift_unit,
             "K_I R C",
             "the drift makes the platform lead the nominal angle in proportion to t^2, not to t",
             "z.2f",
@@ -167,8 +167,10 @@ def _ripple_and_drift_rows() -> tuple[Row, ...]:
         Row(
             "eq15.drift_parabola",
             "Eq. 15: t^2 coefficient of drift, nominal angle as reference",
-            float(printed_drift_fit[2] - printed_steady_fit[2]) / drift_unit / RATE,
-            float(drift_fit[2] - steady_fit[2]) / drift_unit / RATE,
+            float(printed_drift_coefficients[2] - printed_steady_coefficients[2])
+            / drift_unit
+            / RATE,
+            float(drift_coefficients[2] - steady_coefficients[2]) / drift_unit / RATE,
             "K_I R C w0",
             (
                 "a column proportional to w0 must absorb this coefficient, which is zero with a "
@@ -197,11 +199,11 @@ def _constant_rows() -> tuple[Row, ...]:
         ).coefficients[0]
         for symbol in _EXPANDED_TERMS
     )
-    steady_fit = _fit_simulated_strobes(0.0, 0.0)
+    steady_coefficients = _fit_simulated_strobes(0.0, 0.0)
     # The cube of the angle error stays below the constant at this drift.
     drift_rate = 0.1 * DRIFT_RATE
-    drift_effect = _fit_simulated_strobes(0.0, drift_rate) - steady_fit
-    radius_effect = _fit_simulated_strobes(0.0, 0.0, RADIUS_ERROR) - steady_fit
+    drift_effect = _fit_simulated_strobes(0.0, drift_rate) - steady_coefficients
+    radius_effect = _fit_simulated_strobes(0.0, 0.0, RADIUS_ERROR) - steady_coefficients
     drift_unit = scale_factor * RADIUS * drift_rate / RATE
     return (
         Row(

@@ -35,7 +35,7 @@ def inspect_installation() -> Installation:
     except metadata.PackageNotFoundError:
         distribution = None
     if distribution is not None:
-        # An editable installation runs other files than those next to its RECORD.
+        # An editable installation runs files that are not listed in its RECORD.
         location = Path(str(distribution.locate_file(_PACKAGE_NAME)))
         if location.resolve() == folder.resolve():
             record = distribution.read_text("RECORD")
@@ -153,10 +153,9 @@ def validate(
         if progress is not None:
             progress(len(checked_cases), len(selected_cases))
     installation = inspect_installation()
-    is_complete = not (installation.altered or installation.missing)
+    is_intact = not (installation.altered or installation.missing)
     return Dossier(
-        passed=is_complete
-        and all(checked_case.state != "failed" for checked_case in checked_cases),
+        passed=is_intact and all(checked_case.state != "failed" for checked_case in checked_cases),
         installation=installation,
         cases=checked_cases,
         not_covered=[
