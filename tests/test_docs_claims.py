@@ -157,7 +157,7 @@ NUMBERS = [
         [1 / outlier_rejection.EXPECTED_FALSE_ALARMS],
     ),
     ("methods", "the residuals are more than {} the stated noise", [findings.RESIDUAL_RATIO_LIMIT]),
-    ("methods", "the accelerometer noise exceeds {} ug/Hz^0.5", [1e6 * findings.LARGEST_WALK]),
+    ("methods", "the accelerometer noise exceeds {} ug/Hz^0.5", [1e6 * findings.MAX_RANDOM_WALK]),
     ("methods", "the others by more than {} standard", [findings.CONTRADICTION_SIGMAS]),
     ("methods", "each shift is below {} times its", [diagnostics.AGREEMENT_FACTOR]),
     (
@@ -165,7 +165,7 @@ NUMBERS = [
         "the difference is below {} times its",
         [diagnostics.AGREEMENT_FACTOR],
     ),
-    ("diagnosis", "| each record, at {} times, and", [ranking.STEPS]),
+    ("diagnosis", "| each record, at {} times, and", [ranking.STEP_COUNT]),
     (
         "diagnosis",
         "velocity must be 1 within {} %",
@@ -190,7 +190,7 @@ NUMBERS = [
     (
         "diagnosis",
         "(`lack-of-fit`): {} % of accelerometers; by the two-stage method alone {} %",
-        [100 * diagnostics.SIGNIFICANCE, 100 * two_stage_findings._SMALLEST_P],
+        [100 * diagnostics.SIGNIFICANCE, 100 * two_stage_findings._MIN_P],
     ),
     (
         "diagnosis",
@@ -206,7 +206,7 @@ NUMBERS = [
         "explanation whose chi-square is within {} of the best one",
         [patterns._DECISIVE_CHI2],
     ),
-    ("result", "accelerometer is above {} ug/Hz^0.5", [1e6 * findings.LARGEST_WALK]),
+    ("result", "accelerometer is above {} ug/Hz^0.5", [1e6 * findings.MAX_RANDOM_WALK]),
     (
         "result",
         "accelerometers (false alarms in {} % of good campaigns), and by at least {} standard "

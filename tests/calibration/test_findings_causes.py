@@ -2,7 +2,12 @@
 
 from results import result
 
-from counterspin.calibration.findings import Cause, group_by_cause, judge_result, merge_shared
+from counterspin.calibration.findings import (
+    Cause,
+    group_by_cause,
+    judge_result,
+    merge_shared_findings,
+)
 from counterspin.calibration.result_parts import Finding
 
 MISFIT = Finding(code="lack-of-fit", subject="Qx", text="Large.", size=8.0, contradicts=True)
@@ -54,7 +59,7 @@ def test_cause_has_severity_of_explained_findings():
 
 def test_common_cause_of_two_accelerometers_is_single_finding():
     own = group_by_cause("Qx", [MISFIT], [make_cause()])
-    (both,) = merge_shared([*own, HEAD.model_copy(update={"explains": [RUN]})])
+    (both,) = merge_shared_findings([*own, HEAD.model_copy(update={"explains": [RUN]})])
     assert [finding.code for finding in both.explains] == ["lack-of-fit", "run-disagrees"]
 
 

@@ -9,9 +9,9 @@ from scipy import stats
 
 import counterspin as cs
 from counterspin.calibration.monte_carlo import (
-    _by_source,
+    _distributions_by_source,
     draw_errors,
-    interval_of,
+    make_interval,
     shortest_interval,
 )
 from counterspin.calibration.result_parts import Coefficient
@@ -38,7 +38,7 @@ def draw_coefficient(lines, shapes=None, dof=None, trials=TRIALS):
     u = math.sqrt(sum(item.contribution**2 for item in lines))
     of = make_coefficient(u, dof)
     errors = draw_errors(lines, of, shapes or {}, trials, np.random.default_rng(1), {})
-    return errors, interval_of(errors, of)
+    return errors, make_interval(errors, of)
 
 
 @pytest.mark.parametrize(
@@ -221,8 +221,13 @@ def test_run_and_common_terms_are_drawn_by_symbol():
     limited = InputDistribution("rectangular")
     stated = {"platform.tilt.east": limited, "Qx.K_PP": limited}
     sources = [item.source for item in lines]
-    assert list(_by_source(stated, sources, "Qx", {"run1"})) == ["run1.platform.tilt.east", "K_PP"]
-    assert list(_by_source(stated, sources, "Qy", {"run1"})) == ["run1.platform.tilt.east"]
+    assert list(_distributions_by_source(stated, sources, "Qx", {"run1"})) == [
+        "run1.platform.tilt.east",
+        "K_PP",
+    ]
+    assert list(_distributions_by_source(stated, sources, "Qy", {"run1"})) == [
+        "run1.platform.tilt.east"
+    ]
 
 
 ARM = """schema = 1

@@ -104,7 +104,7 @@ def test_si_value_uses_gravity_of_result(result):
     c = result.coefficient("Qx.K_F")
     si = c.to_si()
     assert si.value == pytest.approx(c.value * 9.8066, rel=1e-15)
-    assert si.unit.words == "m s^-2"
+    assert si.unit.plain_text == "m s^-2"
     # An uncertain g affects K_F in g but not in m/s^2.
     assert si.u < 0.9 * c.u * 9.8066
     assert c.to_si(9.8066).u == pytest.approx(c.u * 9.8066, rel=1e-15)

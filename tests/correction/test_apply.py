@@ -397,7 +397,9 @@ def test_rejects_result_with_undetermined_coefficient():
     terms = make_accelerometer({"K_I": 1.0}).coefficients | {"K_III": nothing}
 
     def make_undetermined(symbol):
-        finding = not_determined_finding(f"Qx.{symbol}", symbol, more=" Add a run.", requested=True)
+        finding = not_determined_finding(
+            f"Qx.{symbol}", symbol, advice=" Add a run.", requested=True
+        )
         return make_result({"Qx": make_accelerometer({}, coefficients=terms, findings=[finding])})
 
     with raises("not-determined", "K_III", "Add a run."):

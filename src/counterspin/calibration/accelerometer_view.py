@@ -1,7 +1,6 @@
-"""A joint fit as each accelerometer sees it, and the readings and poses in it.
+"""View of a joint fit for one accelerometer, and interface of readings and poses.
 
-Records of a double turntable need no more than this. An extension adds readings and poses
-(`counterspin.calibration.extensions`).
+Readings and poses are implemented by an extension (`counterspin.calibration.extensions`).
 """
 
 from __future__ import annotations
@@ -29,12 +28,12 @@ from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.summary import Jackknife
 from counterspin.physics.accelerometer import Mounting
 
-#: Degrees of freedom of a very short record, whose every row the fit may follow.
+#: Smallest degrees of freedom, for a short record that the fit follows exactly.
 _MIN_DOF: Final = 0.5
 
 
 class FittedGroup(Protocol):
-    """Readings or poses with noise of one kind, and their fit."""
+    """Readings or poses with a common noise, and their fit."""
 
     @property
     def residuals(self) -> Array:
@@ -77,9 +76,9 @@ class FittedGroup(Protocol):
 
 
 class ReadingData:
-    """Readings and poses of a campaign in a joint fit; this class: none."""
+    """Readings and poses of a campaign in a joint fit; this base class contains none."""
 
-    groups: tuple[FittedGroup, ...] = ()  #: Groups with noise of one kind.
+    groups: tuple[FittedGroup, ...] = ()  #: Groups with a common noise.
 
     def fields(self, estimate: Estimate) -> Mapping[str, Any]:  # noqa: ARG002
         """Return fields of `Outcome` that these data determine."""
@@ -108,25 +107,25 @@ class ReadingData:
         name: str,  # noqa: ARG002
         rotate: Callable[[Mounting], Mounting],  # noqa: ARG002
     ) -> tuple[JointFit, tuple[FittedGroup, ...]]:
-        """Return the fit of groups with an accelerometer mounted otherwise, beside records.
+        """Return the fit of records and groups with another mounting of an accelerometer.
 
-        estimate: Of the records with the accelerometer mounted otherwise.
-        groups: The groups as they are stated.
+        estimate: Estimate from the records with this mounting.
+        groups: Groups with the stated mounting.
         """
         return estimate.fit, ()
 
 
 @frozen
 class AccelerometerView:
-    """A joint fit as one accelerometer sees it."""
+    """View of a joint fit for one accelerometer."""
 
-    problem: JointProblem  #: The campaign, and what was recorded.
-    estimate: Estimate  #: Of all accelerometers together.
-    assessment: Assessment  #: Which unknowns the records determine.
-    name: str  #: The accelerometer's.
-    #: Of all accelerometers together.
+    problem: JointProblem  #: Campaign and observed runs.
+    estimate: Estimate  #: Estimate for all accelerometers.
+    assessment: Assessment  #: Identifiability of the unknowns.
+    name: str  #: Name of the accelerometer.
+    #: Readings and poses of all accelerometers.
     data: ReadingData = field(default_factory=ReadingData)
-    groups: tuple[FittedGroup, ...] = ()  #: Its groups of readings or poses.
+    groups: tuple[FittedGroup, ...] = ()  #: Groups of readings or poses of this accelerometer.
 
     @property
     def campaign(self) -> Campaign:
@@ -135,12 +134,12 @@ class AccelerometerView:
 
     @property
     def fit(self) -> JointFit:
-        """The solved problem."""
+        """The joint fit."""
         return self.estimate.fit
 
     @property
     def accelerometer(self) -> Accelerometer:
-        """Its description."""
+        """Description of the accelerometer."""
         return self.campaign.accelerometers[self.name]
 
     @cached_property
@@ -154,42 +153,42 @@ class AccelerometerView:
 
     @property
     def k_ii_index(self) -> int | None:
-        """Place of its K_II; None where the model has none."""
+        """Index of K_II among the unknowns; None if K_II is not a parameter of interest."""
         return self.indices.get("K_II")
 
     def jackknife(self) -> list[Jackknife]:
-        """Return the jackknife of its K_II: the shift without each run."""
+        """Return the jackknife of K_II: the shift with each run omitted in turn."""
         return [] if self.k_ii_index is None else jackknife_runs(self.estimate, self.k_ii_index)
 
     def select_groups(self, groups: Sequence[FittedGroup]) -> AccelerometerView:
-        """Return the view with those of some groups that are the accelerometer's."""
+        """Return the view with the groups that contain the accelerometer."""
         selection = [group for group in groups if self.name in group.accelerometers]
         return replace(self, groups=tuple(selection))
 
     @property
     def has_records(self) -> bool:
-        """Whether it was recorded, and not only read."""
+        """Whether the fit contains records of the accelerometer, not only readings."""
         return any(block.accelerometer == self.name for block in self.fit.design_blocks)
 
     def records(self) -> Iterator[tuple[int, DesignBlock, Residuals]]:
-        """Yield its records: place among those of the fit, columns, residuals."""
+        """Yield index, design block and residuals of each record of the accelerometer."""
         for index, block in enumerate(self.fit.design_blocks):
             if block.accelerometer == self.name:
                 yield index, block, self.fit.residuals[index]
 
     @property
     def series(self) -> list[ResidualSeries]:
-        """Its records as the fit has them."""
+        """Series of the accelerometer in the fit."""
         return [prepared.series for _, prepared, _ in self.records()]
 
     @cached_property
     def diagnostics(self) -> Diagnostics:
-        """Tests of its whitened residuals, run by run."""
+        """Tests of the whitened residuals, run by run."""
         whitened_by_run, times_by_run, dof_by_run = {}, {}, {}
         for index, block, residuals in self.records():
             whitened_residuals = residuals.whitened
             whitened_by_run[block.run] = whitened_residuals
-            # Differences belong to the later of the rows they are made from.
+            # A difference is assigned to the later of its rows.
             times_by_run[block.run] = block.series.time[-whitened_residuals.size :]
             dof_by_run[block.run] = max(self.fit.degrees_of_freedom[index], _MIN_DOF)
         noise_given = self.name not in self.estimate.estimated_noise
@@ -208,9 +207,9 @@ class AccelerometerView:
 class Contribution:
     """Contribution of readings and poses to the result of an accelerometer."""
 
-    #: The view whose residuals are tested. If test methods disagree, each method has a fit alone,
-    #: because the disagreement is a finding already.
+    #: View for the tests of residuals. If test methods disagree, it contains a separate fit of each
+    #: method, because the disagreement is already a finding.
     residual_view: AccelerometerView
     findings: Sequence[Finding] = ()
     remarks: Sequence[str] = ()
-    fields: Mapping[str, Any] = field(default_factory=dict)  #: Of `AccelerometerResult`.
+    fields: Mapping[str, Any] = field(default_factory=dict)  #: Fields of `AccelerometerResult`.

@@ -1,4 +1,4 @@
-"""From observed runs to a `Result`, by either method."""
+"""Assembly of a `Result` from observed runs, by the joint or the two-stage method."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from counterspin.campaign.questions import questions
 from counterspin.records.signals import WORDS as REMOVED
 from counterspin.results import environment
 
-#: A record that lasts less than this part of what the campaign states is asked about.
+#: Fraction of the stated duration below which a record counts as incomplete.
 COMPLETE_FRACTION: Final = 0.9
 
-#: A rate that differs by more than this part from the nominal one is another rate.
+#: Largest relative difference between identified and nominal rate.
 MAX_RATE_DIFFERENCE: Final = 1e-3
 
-#: Rates are off alike if their parts differ by less than this part of them.
+#: Relative spread below which rate differences count as equal in all runs.
 _MAX_COMMON_SPREAD: Final = 0.1
 
 
@@ -42,9 +42,10 @@ def assemble_result(
     collect_inputs: Callable[[], tuple[Mapping[str, str], Mapping[str, str]]],
     accepted_misfit: str | None = None,
 ) -> Result:
-    """Estimate every coefficient, and bring together what the result says.
+    """Estimate all coefficients and return the result.
 
-    accepted_misfit: The reason for which the result is to be used though the records contradict it.
+    collect_inputs: Returns checksums of the inputs, and origins of inputs in memory.
+    accepted_misfit: Reason for using the result although the records contradict it.
     """
     problem = locate_nonlinear_inputs(JointProblem(campaign, observed_runs))
     observed_runs = problem.observed_runs
@@ -109,7 +110,7 @@ def assemble_result(
 
 
 def _measured_rates(observed_runs: Sequence[ObservedRun]) -> dict[str, tuple[float, float]]:
-    """Return run -> its rate by the recorded angle, and the stated rate, rad/s."""
+    """Return run -> rate identified from the angle, and stated rate, rad/s."""
     return {
         run.run.name: (run.rotation.spindle.rate, run.run.rate)
         for run in observed_runs
@@ -118,11 +119,11 @@ def _measured_rates(observed_runs: Sequence[ObservedRun]) -> dict[str, tuple[flo
 
 
 def _rate_findings(rates: Mapping[str, tuple[float, float]]) -> list[Finding]:
-    """Return the runs whose spindle turned at another rate than the description says.
+    """Return the findings on runs whose rate differs from the nominal rate.
 
-    Where all runs did, by the same part, it is the time that they share.
+    If all runs differ by the same ratio, the time base is the likely cause.
 
-    rates: Run -> its rate by the recorded angle, and the stated rate, rad/s.
+    rates: Run -> rate identified from the angle, and stated rate, rad/s.
     """
     findings, differences = [], []
     for name, (rate, stated_rate) in rates.items():
@@ -154,12 +155,12 @@ def _rate_findings(rates: Mapping[str, tuple[float, float]]) -> list[Finding]:
 
 
 def _record_end_findings(observed_runs: Sequence[ObservedRun]) -> list[Finding]:
-    """Return the runs whose record ends early, or with rows that stand alone."""
+    """Return the findings on records that end early or have isolated rows at an end."""
     findings = []
     for run in observed_runs:
         name, nominal_duration = run.run.name, run.run.duration
         if any(map(math.isfinite, run.run.time_range)):
-            nominal_duration = None  # it is cut on purpose
+            nominal_duration = None  # only a part of the record is used
         duration = float(run.record.time[-1] - run.record.time[0])
         if nominal_duration is not None and duration < COMPLETE_FRACTION * nominal_duration:
             text = (
@@ -190,7 +191,7 @@ def _question_findings(campaign: Campaign) -> list[Finding]:
 
 
 def _detrending_remarks(campaign: Campaign, observed_runs: Sequence[ObservedRun]) -> list[str]:
-    """Return remarks on parts that recorders removed and start values replace."""
+    """Return remarks on trends that recorders removed and that the start values absorb."""
     remarks = []
     for name, accelerometer in campaign.accelerometers.items():
         count, runs = detect_detrending(
@@ -207,12 +208,14 @@ def _detrending_remarks(campaign: Campaign, observed_runs: Sequence[ObservedRun]
 
 
 def _campaign_remarks(campaign: Campaign) -> list[str]:
-    """Return remarks on the campaign that do not count against the result."""
+    """Return remarks on the campaign that do not affect the state of the result."""
     remarks = list[str]()
     if campaign.skipped:
         names = ", ".join(campaign.skipped)
         remarks.append(f"Omitted on request: {names}.")
-    if campaign.model.setting_error is not None and not any(r.position for r in campaign.readings):
+    if campaign.model.setting_error is not None and not any(
+        reading.position for reading in campaign.readings
+    ):
         remarks.append(
             "[fixture] position was not used. It describes the positioning error of known "
             "attitudes, but this campaign estimates all attitudes."

@@ -1,4 +1,4 @@
-"""`counterspin calibrate DIR1 DIR2 ...`: many campaigns, one failure stopping no other."""
+"""`counterspin calibrate DIR1 DIR2 ...`: calibrate campaigns independently of each other."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from counterspin.workers import SINGLE_PROCESS, Workers, worker_pool
 
 
 class FailedCampaign(ResultPart):
-    """Why a campaign has no result."""
+    """Error of a campaign without a result."""
 
     error: str
 
@@ -37,7 +37,7 @@ class BatchResult(ReportableResult):
     def _serialize_campaigns(
         self, campaigns: dict[str, Result | FailedCampaign]
     ) -> dict[str, Result | FailedCampaign]:
-        """Seal each result too: whoever takes one out has the file that it would have had."""
+        """Seal each result, so that it equals a separately written file."""
         return {
             folder: outcome.with_seal() if isinstance(outcome, Result) else outcome
             for folder, outcome in campaigns.items()
@@ -54,7 +54,7 @@ class BatchResult(ReportableResult):
 
     @property
     def contradicted(self) -> list[str]:
-        """The folders of results that their records contradict, no reason being given."""
+        """The folders of contradicted results without an accepted misfit."""
         return [
             folder
             for folder, outcome in self.campaigns.items()
@@ -99,7 +99,7 @@ def calibrate_many(
     indices = range(len(directories))
     if workers.alone:
         for index in indices:
-            record_outcome(index, attempt(directories[index], *arguments))
+            record_outcome(index, try_to_calibrate(directories[index], *arguments))
     else:
 
         def run_pool(jobs_to_run: Sequence[int], count: int) -> list[int]:
@@ -107,14 +107,13 @@ def calibrate_many(
             return _run_pool(jobs, replace(workers, processes=count), record_outcome)
 
         try:
-            # Those whose worker died, and those that were in hand beside them, are tried again,
-            # each by itself: who kills its worker then harms nobody else.
+            # Retry interrupted campaigns one by one, so that a crash affects no other campaign.
             for index in run_pool(indices, workers.capped().processes):
                 if run_pool([index], 1):
                     reason = "its process crashed twice, possibly because it ran out of memory"
                     record_outcome(index, FailedCampaign(error=reason))
         except CounterspinError as error:
-            # The cluster is gone. What it has done before is not thrown away.
+            # The cluster is lost. Keep the finished outcomes.
             if not outcomes:
                 raise
             for index in indices:
@@ -128,42 +127,44 @@ def _run_pool(
     workers: Workers,
     record_outcome: Callable[[int, Result | FailedCampaign], None],
 ) -> list[int]:
-    """Do jobs side by side, and return those that were in hand when a worker died."""
-    suspects: list[int] = []
-    remaining = list(jobs)
+    """Run jobs in parallel, and return the indices of the jobs that a crash interrupted."""
+    interrupted_jobs: list[int] = []
+    remaining_jobs = list(jobs)
     crash_errors: tuple[type[BaseException], ...] = (BrokenProcessPool,)
-    while remaining:
-        pending: dict[Future[Result | FailedCampaign], int] = {}
-        pool_workers = replace(workers, processes=min(workers.processes, len(remaining)))
+    while remaining_jobs:
+        pending_jobs: dict[Future[Result | FailedCampaign], int] = {}
+        pool_workers = replace(workers, processes=min(workers.processes, len(remaining_jobs)))
         try:
             with worker_pool(pool_workers, __name__) as pool:
                 crash_errors = pool.death_errors
-                while remaining or pending:
-                    # No more than there are workers, so that few are suspects when one dies.
-                    while remaining and len(pending) < pool.size:
-                        pending[pool.executor.submit(attempt, *jobs[remaining[0]])] = remaining[0]
-                        del remaining[0]
-                    finished_jobs, _ = wait(pending, return_when=FIRST_COMPLETED)
+                while remaining_jobs or pending_jobs:
+                    # At most one job per worker, so that a crash interrupts few jobs.
+                    while remaining_jobs and len(pending_jobs) < pool.size:
+                        pending_jobs[
+                            pool.executor.submit(try_to_calibrate, *jobs[remaining_jobs[0]])
+                        ] = remaining_jobs[0]
+                        del remaining_jobs[0]
+                    finished_jobs, _ = wait(pending_jobs, return_when=FIRST_COMPLETED)
                     for future in finished_jobs:
-                        index = pending.pop(future)
+                        index = pending_jobs.pop(future)
                         try:
                             record_outcome(index, future.result())
                         except crash_errors:
-                            suspects.append(index)
+                            interrupted_jobs.append(index)
         except crash_errors:
-            # All processes went with the one; a cluster's others work on.
-            suspects += pending.values()
-    return suspects
+            # A crash stops all processes of a pool; other workers of a cluster continue.
+            interrupted_jobs += pending_jobs.values()
+    return interrupted_jobs
 
 
-def attempt(
+def try_to_calibrate(
     directory: Path,
     method: Method,
     options: TwoStageOptions,
     accept_misfit: str | None,
     without: tuple[str, ...],
 ) -> Result | FailedCampaign:
-    """Calibrate one campaign; whatever goes wrong is returned as text and not raised."""
+    """Calibrate one campaign; return errors as text instead of raising them."""
     try:
         return calibrate(
             directory,
@@ -175,5 +176,5 @@ def attempt(
     except CounterspinError as error:
         return FailedCampaign(error=str(error))
     except Exception as error:
-        # One campaign's fault must not stop the others.
+        # An internal error must not stop the other campaigns.
         return FailedCampaign(error=f"internal error ({type(error).__name__}: {error})")

@@ -16,10 +16,10 @@ from counterspin.inference.conformity import (
 )
 from counterspin.inference.verdicts import Conformity
 
-_AS_PRINTED: Final = (
+_AS_PRINTED_REASON: Final = (
     "the equations as printed yield half the true K_II, so conformity cannot be decided"
 )
-_REJECTED: Final = "the records contradict the result, so conformity cannot be decided"
+_CONTRADICTED_REASON: Final = "the records contradict the result, so conformity cannot be decided"
 
 
 def judge_conformity(result: Result, specifications: Specifications) -> Result:
@@ -36,7 +36,7 @@ def judge_conformity(result: Result, specifications: Specifications) -> Result:
                     specifications.terms.get(name, {}),
                     specifications.rule,
                     model=result.model,
-                    rejected=accelerometer.state == "contradicted"
+                    is_contradicted=accelerometer.state == "contradicted"
                     and result.accepted_misfit is None,
                 )
             }
@@ -52,14 +52,20 @@ def judge_accelerometer(
     rule: DecisionRule,
     *,
     model: str,
-    rejected: bool = False,
+    is_contradicted: bool = False,
 ) -> dict[str, Conformity]:
-    """Return the verdicts by term; undecided, with the reason, where there is no estimate.
+    """Return the verdicts by term; undecided, with the reason, if there is no estimate.
 
-    model: The result's observation model, ``exact`` or ``as-printed``.
-    rejected: True if the records contradict the result and the misfit was not accepted.
+    model: Observation model of the result, ``exact`` or ``as-printed``.
+    is_contradicted: True if the records contradict the result and the misfit was not accepted.
     """
-    general_reason = _AS_PRINTED if model == "as-printed" else _REJECTED if rejected else None
+    general_reason = (
+        _AS_PRINTED_REASON
+        if model == "as-printed"
+        else _CONTRADICTED_REASON
+        if is_contradicted
+        else None
+    )
     return {
         symbol: _judge_term(accelerometer, symbol, specification, rule, general_reason)
         for symbol, specification in specifications.items()

@@ -1,8 +1,8 @@
-"""Extensions of a calibration: functions that it calls by name and does not import.
+"""Extensions of a calibration: functions that it loads by name.
 
-Without them a calibration has its coefficients, uncertainties, tests and states. The diagnosis
-adds the causes of a misfit. The two-stage method is the paper's, and a check of the joint K_II.
-Readings, and poses of a triad, are data of the joint fit beside the records.
+Coefficients, uncertainties, tests and states do not depend on them. The diagnosis adds the causes
+of a misfit. The two-stage method is that of the paper, and checks the joint K_II. Readings and
+poses of a triad are further data of the joint fit.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ TRACES: Final = "counterspin.calibration.pages.traces:thin_residuals"
 
 @frozen
 class Diagnosis:
-    """The causes of the findings on a campaign, and remarks on claims that it cannot check."""
+    """The causes of the findings on a campaign, and remarks on unverifiable inputs."""
 
     causes: tuple[Cause, ...] = ()  #: The main cause first.
     remarks: tuple[str, ...] = ()
 
 
-#: Its signature: the accelerometers as the joint fit sees them, and their results by name.
+#: Arguments: views of the joint fit, and results by accelerometer.
 Diagnose = Callable[
     [Sequence[AccelerometerView], Mapping[str, AccelerometerResult]],
     Diagnosis,
@@ -49,12 +49,12 @@ Diagnose = Callable[
 
 
 def find_diagnosis() -> Diagnose | None:
-    """Return the function that searches for causes; None where it is not installed."""
+    """Return the function that searches for causes; None if it is not installed."""
     return cast("Diagnose | None", _load_optional(DIAGNOSIS))
 
 
 def apply_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outcome:
-    """Return the outcome of the two-stage method; CampaignError where it is not installed."""
+    """Return the outcome of the two-stage method; CampaignError if it is not installed."""
     method = _load_optional(TWO_STAGE)
     if method is None:
         raise CampaignError(
@@ -75,19 +75,19 @@ def apply_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outcome:
 
 
 def compare_two_stage(view: AccelerometerView) -> Comparison | None:
-    """Return the two-stage K_II beside the joint one; None where the method does not apply."""
+    """Return the comparison with the two-stage K_II; None if the method does not apply."""
     compare = _load_optional(TWO_STAGE_COMPARISON)
     return None if compare is None else cast("Comparison | None", compare(view))
 
 
 def thin_residuals(view: AccelerometerView) -> dict[str, Trace]:
-    """Return the residuals that pictures show, by run; none where no pages are installed."""
+    """Return the thinned residuals for plots, by run; empty if pages are not installed."""
     make_traces = _load_optional(TRACES)
     return {} if make_traces is None else cast("dict[str, Trace]", make_traces(view))
 
 
 def join_readings(problem: JointProblem) -> tuple[Estimate, ReadingData]:
-    """Return the estimate from records, readings and poses, and the last two in it."""
+    """Return the estimate from records, readings and poses, and its readings and poses."""
     if (join := _load_optional(READINGS)) is None:
         raise CampaignError(
             "calibrate",

@@ -15,7 +15,7 @@ from counterspin.calibration.checks.limits import (
     check_credibility,
     check_default_priors,
     check_shared_credibility,
-    widest_limit,
+    max_limit,
 )
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import (
@@ -42,17 +42,22 @@ from counterspin.reports.numbers import find_display_unit, format_number
 #: Beyond this many standard uncertainties (2e-9 by chance) no uncertainty explains a difference.
 CONTRADICTION_SIGMAS: Final = 6.0
 
-#: Residuals so many times as large as the noise: the uncertainty is not of these records.
+#: Ratio of residuals to noise above which the uncertainty does not apply to these records.
 RESIDUAL_RATIO_LIMIT: Final = 2.0
 
 #: From the best to the worst.
-_STATES: Final[tuple[State, ...]] = ("good", "reservations", "not-determined", "contradicted")
+_RANKED_STATES: Final[tuple[State, ...]] = (
+    "good",
+    "reservations",
+    "not-determined",
+    "contradicted",
+)
 
 #: Largest credible white noise of an inertial accelerometer, g/Hz^0.5.
-LARGEST_WALK: Final = 5e-4
+MAX_RANDOM_WALK: Final = 5e-4
 
-#: Codes of findings that say that something is wrong, but not what.
-ACCOUNTABLE: Final = frozenset(
+#: Codes of findings that report a symptom, which a cause may explain.
+EXPLAINABLE_CODES: Final = frozenset(
     (
         "lack-of-fit",
         "noise-implausible",
@@ -65,8 +70,8 @@ ACCOUNTABLE: Final = frozenset(
     )
 )
 
-#: Part of what a size exceeds 1 by that may remain of a finding which a cause accounts for.
-_REMAINING_FRACTION: Final = 0.2
+#: Largest fraction of (size - 1) that may remain of a finding after its cause is removed.
+_MAX_REMAINING_FRACTION: Final = 0.2
 
 
 def judge_result(
@@ -74,11 +79,10 @@ def judge_result(
 ) -> Result:
     """Return the result with its findings ranked and its states set.
 
-    accepted_misfit: The reason for which a contradicted result is to be used all the same; it is
-        kept where the result is contradicted.
+    accepted_misfit: Reason for using a contradicted result; stored only if it is contradicted.
     """
     if result.state is not None:
-        return result if result.sealed and not result.assumes_all else _with_worst_state(result)
+        return result if result.sealed and not result.assumes_all else _update_state(result)
     accelerometers = {
         name: _judge_accelerometer(name, accelerometer, result, causes)
         for name, accelerometer in result.accelerometers.items()
@@ -88,16 +92,18 @@ def judge_result(
         for judged_accelerometer in accelerometers.values()
         for finding in judged_accelerometer.findings
     ]
-    # What has just been calibrated was held to what its campaign says is credible.
+    # A new calibration has already been checked against the limits of its campaign.
     shared_findings = [
         *result.findings,
         *(_check_shared_terms(result) if result.assumes_all else ()),
     ]
     all_findings = rank_findings(
-        merge_shared([*group_by_cause("", shared_findings, causes), *accelerometer_findings]),
+        merge_shared_findings(
+            [*group_by_cause("", shared_findings, causes), *accelerometer_findings]
+        ),
         causes,
     )
-    state = state_of(all_findings)
+    state = determine_state(all_findings)
     return result.model_copy(
         update={
             "accelerometers": accelerometers,
@@ -109,44 +115,52 @@ def judge_result(
     )
 
 
-def _with_worst_state(result: Result) -> Result:
-    """Return a result with the worst state of what speaks against it.
+def _update_state(result: Result) -> Result:
+    """Return a stored result with the worst state among its findings and new checks.
 
-    Its own state nobody vouches for, or it is of a version that knew of no credible sizes.
+    The result has no valid seal, or is from a version without credibility limits.
     """
     accelerometers = {}
-    for name, stated in result.accelerometers.items():
-        known_findings = {(f.code, f.subject) for f in _flatten_explained(stated.findings)}
-        candidates = list(check_credibility(widest_limit, name, stated.coefficients))
+    for name, accelerometer in result.accelerometers.items():
+        known_keys = {
+            (finding.code, finding.subject)
+            for finding in _flatten_explained(accelerometer.findings)
+        }
+        candidates = list(check_credibility(max_limit, name, accelerometer.coefficients))
         if not result.sealed:
             gravity, accelerometer_count = result.inputs.gravity, len(result.accelerometers)
-            candidates += _check_model(name, stated, result)
-            candidates += check_statistics(name, stated, gravity, accelerometer_count)
-        new = [
-            finding
-            for finding in candidates
-            if (finding.code, finding.subject) not in known_findings
+            candidates += _check_model(name, accelerometer, result)
+            candidates += check_statistics(name, accelerometer, gravity, accelerometer_count)
+        new_findings = [
+            finding for finding in candidates if (finding.code, finding.subject) not in known_keys
         ]
-        findings = rank_findings([*stated.findings, *new])
-        accelerometers[name] = stated.model_copy(
+        findings = rank_findings([*accelerometer.findings, *new_findings])
+        accelerometers[name] = accelerometer.model_copy(
             update={
                 "findings": findings,
-                "state": _worst_state(stated.state, state_of(findings)),
-                "warnings": [*stated.warnings, *(f"{name}: {finding.text}" for finding in new)],
+                "state": _worst_state(accelerometer.state, determine_state(findings)),
+                "warnings": [
+                    *accelerometer.warnings,
+                    *(f"{name}: {finding.text}" for finding in new_findings),
+                ],
             }
         )
     accelerometer_findings = [
         finding for accelerometer in accelerometers.values() for finding in accelerometer.findings
     ]
-    known_findings = {(f.code, f.subject) for f in _flatten_explained(result.findings)}
+    known_keys = {
+        (finding.code, finding.subject) for finding in _flatten_explained(result.findings)
+    }
     shared_findings = [
-        f for f in _check_shared_terms(result) if (f.code, f.subject) not in known_findings
+        finding
+        for finding in _check_shared_terms(result)
+        if (finding.code, finding.subject) not in known_keys
     ]
     all_findings = rank_findings(
-        merge_shared([*result.findings, *shared_findings, *accelerometer_findings])
+        merge_shared_findings([*result.findings, *shared_findings, *accelerometer_findings])
     )
     states = (accelerometer.state for accelerometer in accelerometers.values())
-    state = _worst_state(result.state, state_of(all_findings), *states)
+    state = _worst_state(result.state, determine_state(all_findings), *states)
     return result.model_copy(
         update={"accelerometers": accelerometers, "findings": all_findings, "state": state}
     )
@@ -159,30 +173,30 @@ def _flatten_explained(findings: Iterable[Finding]) -> Iterator[Finding]:
 
 
 def _worst_state(*states: State | None) -> State:
-    return max((state for state in states if state is not None), key=_STATES.index)
+    return max((state for state in states if state is not None), key=_RANKED_STATES.index)
 
 
 def _judge_accelerometer(
     name: str, accelerometer: AccelerometerResult, result: Result, causes: Sequence[Cause]
 ) -> AccelerometerResult:
-    # An earlier version has sentences only.
-    sentences = [] if accelerometer.findings else accelerometer.warnings
+    # Earlier versions wrote warnings instead of findings.
+    old_warnings = [] if accelerometer.findings else accelerometer.warnings
     candidates = [
         *accelerometer.findings,
         *(
             Finding(code="warning", subject=name, text=text.removeprefix(f"{name}: "))
-            for text in sentences
+            for text in old_warnings
         ),
         *_check_model(name, accelerometer, result),
         *check_statistics(name, accelerometer, result.inputs.gravity, len(result.accelerometers)),
     ]
     if result.assumes_all:
-        candidates += check_credibility(widest_limit, name, accelerometer.coefficients)
+        candidates += check_credibility(max_limit, name, accelerometer.coefficients)
     findings = rank_findings(group_by_cause(name, candidates, causes), causes)
     return accelerometer.model_copy(
         update={
             "findings": findings,
-            "state": state_of(findings),
+            "state": determine_state(findings),
             "warnings": accelerometer.warnings
             or [f"{name}: {finding.text}" for finding in findings],
         }
@@ -192,11 +206,10 @@ def _judge_accelerometer(
 def rank_findings(findings: Iterable[Finding], causes: Sequence[Cause] = ()) -> list[Finding]:
     """Return findings: contradictions, undetermined terms, wrong equations, causes, others by size.
 
-    causes: In the order in which they were found, the one that explains most first.
+    causes: In the order of detection, the best explanation first.
     """
-    order = {
-        (cause.finding.code, cause.finding.subject): position
-        for position, cause in enumerate(causes)
+    cause_ranks = {
+        (cause.finding.code, cause.finding.subject): rank for rank, cause in enumerate(causes)
     }
     return sorted(
         findings,
@@ -204,14 +217,14 @@ def rank_findings(findings: Iterable[Finding], causes: Sequence[Cause] = ()) -> 
             not finding.contradicts,
             not finding.undetermined,
             finding.code != "as-printed",
-            order.get((finding.code, finding.subject), len(order)),
+            cause_ranks.get((finding.code, finding.subject), len(cause_ranks)),
             not finding.explains,
             -(finding.size or 0.0),
         ),
     )
 
 
-def state_of(findings: Sequence[Finding]) -> State:
+def determine_state(findings: Sequence[Finding]) -> State:
     """Return the state that follows from findings."""
     if any(finding.contradicts for finding in findings):
         return "contradicted"
@@ -227,9 +240,9 @@ def refusal_reason(result: Result, names: Iterable[str]) -> str | None:
     for name in names:
         accelerometer = result.accelerometers[name]
         if accelerometer.state == "contradicted":
-            why = "".join(f"{finding.text} " for finding in accelerometer.findings[:1])
+            finding_text = "".join(f"{finding.text} " for finding in accelerometer.findings[:1])
             return (
-                f"the records contradict the result for {name}: {why}Find the cause and "
+                f"the records contradict the result for {name}: {finding_text}Find the cause and "
                 "calibrate again, or accept the misfit and state the reason (accept_misfit of "
                 "calibrate)"
             )
@@ -242,19 +255,15 @@ def refusal_reason(result: Result, names: Iterable[str]) -> str | None:
 def _check_model(
     name: str, accelerometer: AccelerometerResult, result: Result
 ) -> Iterator[Finding]:
-    known_findings = {(finding.code, finding.subject) for finding in accelerometer.findings}
-    if result.model == "as-printed" and ("as-printed", name) not in known_findings:
+    known_keys = {(finding.code, finding.subject) for finding in accelerometer.findings}
+    if result.model == "as-printed" and ("as-printed", name) not in known_keys:
         yield Finding(
             code="as-printed",
             subject=name,
             text="The equations as printed in the paper yield half the true K_II.",
         )
     k_ii, subject = accelerometer.coefficients.get("K_II"), f"{name}.K_II"
-    if (
-        k_ii is not None
-        and not k_ii.estimated
-        and ("not-determined", subject) not in known_findings
-    ):
+    if k_ii is not None and not k_ii.estimated and ("not-determined", subject) not in known_keys:
         yield Finding(
             code="not-determined", subject=subject, text="The records do not determine K_II."
         )
@@ -263,23 +272,23 @@ def _check_model(
 def _check_shared_terms(result: Result) -> Iterator[Finding]:
     """Yield findings on platform, machine, runs and default priors."""
     run_terms = (
-        (symbol, f"{run}.{symbol}", c)
+        (symbol, f"{run}.{symbol}", coefficient)
         for run, run_result in result.runs.items()
-        for symbol, c in run_result.terms.items()
+        for symbol, coefficient in run_result.terms.items()
     )
     platform_terms = (
-        (symbol, symbol, _deviation(c, result.inputs.radius))
+        (symbol, symbol, _subtract_nominal(coefficient, result.inputs.radius))
         if symbol.startswith("centrifuge.radius.")
-        else (symbol, symbol, c)
-        for symbol, c in result.platform.items()
+        else (symbol, symbol, coefficient)
+        for symbol, coefficient in result.platform.items()
     )
-    yield from check_shared_credibility(widest_limit, (*platform_terms, *run_terms))
+    yield from check_shared_credibility(max_limit, (*platform_terms, *run_terms))
     yield from check_default_priors(result.rests_on)
 
 
-def _deviation(c: Coefficient, nominal: float) -> Coefficient:
-    value = None if c.value is None else c.value - nominal
-    return c.model_copy(update={"value": value})
+def _subtract_nominal(coefficient: Coefficient, nominal: float) -> Coefficient:
+    value = None if coefficient.value is None else coefficient.value - nominal
+    return coefficient.model_copy(update={"value": value})
 
 
 def check_statistics(
@@ -289,17 +298,19 @@ def check_statistics(
 
     gravity: m/s^2.
     """
-    known_findings = {(finding.code, finding.subject) for finding in accelerometer.findings}
-    if ("lack-of-fit", name) not in known_findings:
+    known_keys = {(finding.code, finding.subject) for finding in accelerometer.findings}
+    if ("lack-of-fit", name) not in known_keys:
         yield from _check_fit(name, accelerometer.residual, accelerometer_count)
     yield from _check_noise(name, accelerometer, gravity)
-    # Where the residuals are far beyond the noise, uncertainties are too small by as much, and what
-    # exceeds them for that reason alone is no finding of its own.
-    excess = _noise_ratio(accelerometer.residual) or 1.0
-    excess = excess if excess > RESIDUAL_RATIO_LIMIT else 1.0
-    yield from _check_jackknife(name, accelerometer.jackknife, excess, accelerometer_count)
-    if (two_stage := accelerometer.two_stage) is not None and not methods_agree(two_stage, excess):
-        z = abs(two_stage.z) / excess
+    # If the residuals are much larger than the noise, all uncertainties are too small by this
+    # ratio, which must not cause further findings.
+    noise_ratio = _noise_ratio(accelerometer.residual) or 1.0
+    noise_ratio = noise_ratio if noise_ratio > RESIDUAL_RATIO_LIMIT else 1.0
+    yield from _check_jackknife(name, accelerometer.jackknife, noise_ratio, accelerometer_count)
+    if (two_stage := accelerometer.two_stage) is not None and not methods_agree(
+        two_stage, noise_ratio
+    ):
+        z = abs(two_stage.z) / noise_ratio
         yield Finding(
             code="methods-disagree",
             subject=f"{name}.K_II",
@@ -324,54 +335,60 @@ def _check_fit(name: str, residual: Residual, accelerometer_count: int) -> Itera
 
 
 def not_determined_finding(
-    subject: str, symbol: str, data: str = "records", more: str = "", *, requested: bool = False
+    subject: str,
+    symbol: str,
+    data_name: str = "records",
+    advice: str = "",
+    *,
+    requested: bool = False,
 ) -> Finding:
-    """Return the finding that data do not determine a coefficient; `more` is what to do.
+    """Return the finding that the data do not determine a coefficient.
 
-    requested: Whether the state follows from it; see `counterspin.calibration.model.is_requested`.
+    data_name: Name of the data in the text.
+    advice: Sentence on the action to take, with a leading space.
+    requested: Whether the finding sets the state; see `counterspin.calibration.model.is_requested`.
     """
-    text = f"The {data} do not determine {symbol}, and no prior is stated for {symbol}.{more}"
+    text = (
+        f"The {data_name} do not determine {symbol}, and no prior is stated for {symbol}.{advice}"
+    )
     return Finding(code="not-determined", subject=subject, text=text, undetermined=requested)
 
 
 def lack_of_fit_finding(name: str, sentences: Sequence[str], residual: Residual) -> Finding:
-    """Return the finding that the residuals of an accelerometer are not its noise."""
-    further_count = len(sentences) - 1
+    """Return the finding that the residuals of an accelerometer do not agree with its noise."""
+    remaining_count = len(sentences) - 1
     text = sentences[0] + (
-        f" ({further_count} more findings of this type concern other runs.)"
-        if further_count > 1
+        f" ({remaining_count} more findings of this type concern other runs.)"
+        if remaining_count > 1
         else ""
     )
     p, ratio = residual.lack_of_fit_p, _noise_ratio(residual)
-    # A few residuals, such as two readings, are as large by chance now and then.
-    significant = p is not None and equivalent_deviations(p) > CONTRADICTION_SIGMAS
+    # With few residuals, such as two readings, a large ratio may occur by chance.
+    is_significant = p is not None and two_sided_z(p) > CONTRADICTION_SIGMAS
     return Finding(
         code="lack-of-fit",
         subject=name,
         text=text,
-        size=ratio if ratio is not None or p is None else equivalent_deviations(p),
-        contradicts=significant and ratio is not None and ratio > RESIDUAL_RATIO_LIMIT,
+        size=ratio if ratio is not None or p is None else two_sided_z(p),
+        contradicts=is_significant and ratio is not None and ratio > RESIDUAL_RATIO_LIMIT,
     )
 
 
-def equivalent_deviations(p: float) -> float:
-    """Return the distance, in standard deviations, that a normal variable exceeds with p."""
+def two_sided_z(p: float) -> float:
+    """Return the number of standard deviations with the two-sided normal tail probability p."""
     return -normal_quantile(0.5 * max(p, 1e-300))
 
 
 def _is_acceptable_fit(residual: Residual, accelerometer_count: int = 1) -> bool:
-    """Return whether the probability of a worse fit is no reason for a finding.
-
-    All accelerometers of a campaign share the significance.
-    """
-    # With stated noise it is chi-square's own, which shares the significance with other tests.
+    """Return whether p is above the significance level, which all accelerometers share."""
+    # With stated noise, chi-square shares the significance level with other tests.
     limit = SIGNIFICANCE if residual.chi2 is None else CHI_SQUARE_SIGNIFICANCE
     p = residual.lack_of_fit_p
     return p is None or p >= limit / accelerometer_count
 
 
 def _noise_ratio(residual: Residual) -> float | None:
-    """Return the size of the residuals relative to the stated noise."""
+    """Return the ratio of the residuals to the stated noise; None if the noise was estimated."""
     if residual.chi2 is None or not residual.dof > 0.0:
         return None
     return math.sqrt(residual.chi2 / residual.dof)
@@ -380,31 +397,31 @@ def _noise_ratio(residual: Residual) -> float | None:
 def _check_noise(
     name: str, accelerometer: AccelerometerResult, gravity: float
 ) -> Iterator[Finding]:
-    walk = accelerometer.noise.get("acceleration")
-    if walk is None or not walk.estimated:
+    random_walk = accelerometer.noise.get("acceleration")
+    if random_walk is None or not random_walk.estimated:
         return
-    relative_walk = walk.value / gravity / LARGEST_WALK
-    if relative_walk > 1.0:
+    ratio = random_walk.value / gravity / MAX_RANDOM_WALK
+    if ratio > 1.0:
         yield Finding(
             code="noise-implausible",
             subject=name,
-            text=f"The estimated accelerometer noise, {1e6 * relative_walk * LARGEST_WALK:.0f} "
-            f"ug/Hz^0.5, exceeds the largest credible value, {1e6 * LARGEST_WALK:.0f} "
+            text=f"The estimated accelerometer noise, {1e6 * ratio * MAX_RANDOM_WALK:.0f} "
+            f"ug/Hz^0.5, exceeds the largest credible value, {1e6 * MAX_RANDOM_WALK:.0f} "
             "ug/Hz^0.5. Such an estimate conceals a misfit, for example from a mistake in "
             "the description or from a few outliers.",
-            size=relative_walk,
+            size=ratio,
             contradicts=True,
         )
 
 
 def _check_jackknife(
-    name: str, lines: Sequence[Jackknife], excess: float, accelerometer_count: int
+    name: str, lines: Sequence[Jackknife], noise_ratio: float, accelerometer_count: int
 ) -> Iterator[Finding]:
     compared_count = sum(1 for line in lines if line.z is not None)
     worst_line = _largest_shift(lines)
     if worst_line is None or worst_line.z is None or worst_line.shift is None:
         return
-    z = abs(worst_line.z) / excess
+    z = abs(worst_line.z) / noise_ratio
     equivalent_z = normal_equivalent(z, worst_line.dof)
     if equivalent_z <= agreement_limit(compared_count * accelerometer_count):
         return
@@ -430,17 +447,17 @@ def _significance(line: Jackknife) -> float:
     return normal_equivalent(line.z or 0.0, line.dof)
 
 
-# What speaks for a result
+# Supporting evidence
 
 
 def method_test_level(methods: Sequence[MethodAgreement]) -> float:
-    """Return the probability below which test methods disagree: all tests share a level."""
+    """Return the significance level of each test of the methods; all tests share one level."""
     return SIGNIFICANCE / sum(1 + len(method.without) for method in methods)
 
 
-def methods_agree(comparison: Comparison, excess: float = 1.0) -> bool:
-    """Return whether the two methods agree; `excess`: the residuals' size over the noise's."""
-    return abs(comparison.z) / excess <= AGREEMENT_FACTOR
+def methods_agree(comparison: Comparison, noise_ratio: float = 1.0) -> bool:
+    """Return whether the two methods agree; noise_ratio: ratio of residuals to noise."""
+    return abs(comparison.z) / noise_ratio <= AGREEMENT_FACTOR
 
 
 def supporting_evidence(accelerometer: AccelerometerResult) -> Iterator[tuple[str, str]]:
@@ -457,64 +474,72 @@ def supporting_evidence(accelerometer: AccelerometerResult) -> Iterator[tuple[st
         yield "another method", "the two-stage result agrees with the joint result"
 
 
-# Causes, and what they account for
+# Causes and the findings that they explain
 
 
 @frozen
 class Cause:
-    """A cause that was found."""
+    """A cause of a misfit."""
 
-    finding: Finding  #: What is said of it.
-    accelerometers: tuple[str, ...]  #: Whose results it concerns.
-    #: Code and subject of what the checks would still find if it were put right, and its size. The
-    #: two-stage method is not tried again: its disagreement remains where a lack of fit does.
-    remaining: Mapping[tuple[str, str], float]
+    finding: Finding  #: Its finding.
+    accelerometers: tuple[str, ...]  #: Names of the affected accelerometers.
+    #: (code, subject) -> size of the findings that remain without this cause. The two-stage method
+    #: is not repeated: its disagreement remains if a lack of fit does.
+    remaining_sizes: Mapping[tuple[str, str], float]
 
     def accounts_for(self, name: str, finding: Finding) -> bool:
-        """Return whether a finding of an accelerometer would be gone if this were put right."""
+        """Return whether a finding of an accelerometer disappears without this cause."""
         is_method_check = finding.code == "methods-disagree"
         code, subject = (
             ("lack-of-fit", name) if is_method_check else (finding.code, finding.subject)
         )
-        remaining_size = self.remaining.get((code, subject))
-        if finding.code not in ACCOUNTABLE:
+        remaining_size = self.remaining_sizes.get((code, subject))
+        if finding.code not in EXPLAINABLE_CODES:
             return False
         return remaining_size is None or (
             finding.code != "methods-disagree"
-            and remaining_size - 1.0 < _REMAINING_FRACTION * ((finding.size or 0.0) - 1.0)
+            and remaining_size - 1.0 < _MAX_REMAINING_FRACTION * ((finding.size or 0.0) - 1.0)
         )
 
 
 def group_by_cause(
     name: str, findings: Iterable[Finding], causes: Sequence[Cause]
 ) -> list[Finding]:
-    """Return the causes of an accelerometer's findings, then what they do not account for.
+    """Return the causes of an accelerometer's findings, then the unexplained findings.
 
-    name: The accelerometer's; empty: what is found of platform, machine and inputs.
+    name: Name of the accelerometer; empty: findings on platform, machine and inputs.
     """
-    unexplained, grouped_findings = list(findings), []
+    unexplained_findings, grouped_findings = list(findings), []
     for cause in causes:
         if name and name not in cause.accelerometers:
             continue
-        explained = [finding for finding in unexplained if cause.accounts_for(name, finding)]
-        unexplained = [finding for finding in unexplained if finding not in explained]
-        grouped_findings.append(_attach_explained(cause.finding, explained))
-    return [*grouped_findings, *unexplained]
+        explained_findings = [
+            finding for finding in unexplained_findings if cause.accounts_for(name, finding)
+        ]
+        unexplained_findings = [
+            finding for finding in unexplained_findings if finding not in explained_findings
+        ]
+        grouped_findings.append(_attach_explained(cause.finding, explained_findings))
+    return [*grouped_findings, *unexplained_findings]
 
 
-def merge_shared(findings: Iterable[Finding]) -> list[Finding]:
-    """Return findings with those that several accelerometers share once."""
-    known: dict[tuple[str, str, str], Finding] = {}
+def merge_shared_findings(findings: Iterable[Finding]) -> list[Finding]:
+    """Return findings without duplicates among accelerometers."""
+    findings_by_key: dict[tuple[str, str, str], Finding] = {}
     for finding in findings:
         key = finding.code, finding.subject, finding.text
-        known[key] = _attach_explained(known[key], finding.explains) if key in known else finding
-    return list(known.values())
+        findings_by_key[key] = (
+            _attach_explained(findings_by_key[key], finding.explains)
+            if key in findings_by_key
+            else finding
+        )
+    return list(findings_by_key.values())
 
 
-def _attach_explained(head: Finding, explained: Sequence[Finding]) -> Finding:
-    attached_findings = [
-        *head.explains,
-        *(finding for finding in explained if finding not in head.explains),
+def _attach_explained(cause: Finding, findings: Sequence[Finding]) -> Finding:
+    explained_findings = [
+        *cause.explains,
+        *(finding for finding in findings if finding not in cause.explains),
     ]
-    grave = head.contradicts or any(finding.contradicts for finding in attached_findings)
-    return head.model_copy(update={"explains": attached_findings, "contradicts": grave})
+    contradicts = cause.contradicts or any(finding.contradicts for finding in explained_findings)
+    return cause.model_copy(update={"explains": explained_findings, "contradicts": contradicts})

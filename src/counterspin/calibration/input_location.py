@@ -1,8 +1,8 @@
-"""The values of inputs at which a fit takes derivatives: timing offset and frequency response.
+"""Values of inputs at which a fit evaluates derivatives: timing offset and frequency response.
 
-A delay of 0.5 ms turns the arm by 3 mrad at one revolution a second. The square of that is larger
-than what a record of specific force shows. So estimated inputs that delay the output are found
-first, and all references and columns are taken at the values found.
+A delay of 0.5 ms rotates the arm by 3 mrad at one revolution per second, and the second-order
+effect is significant in a record of specific force. Therefore, inputs that delay the output are
+estimated first, and all references and design columns are evaluated at these estimates.
 """
 
 from __future__ import annotations
@@ -23,24 +23,22 @@ from counterspin.inference.joint.series import TIMING
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.physics.frequency_response import RESPONSE_INPUTS
 
-#: A first-order model is exact enough for inputs that turn the output by less, rad.
+#: Phase change of the output up to which a first-order model is sufficient, rad.
 _MAX_LINEAR_ANGLE: Final = 3e-4
 
-#: An input is located if its prior allows more than `_MAX_LINEAR_ANGLE` within so many standard
-#: deviations.
+#: Standard deviations of the prior within which the phase change must stay below the limit.
 _PRIOR_SIGMAS: Final = 4.0
 
-#: Located: the inputs turn the output by less than this, rad.
+#: Convergence: largest phase change in the last iteration, rad.
 _ANGLE_TOLERANCE: Final = 1e-5
 
 _MAX_ITERATIONS: Final = 8
 
 
 def locate_nonlinear_inputs(problem: JointProblem) -> JointProblem:
-    """Return the problem with the derivatives taken at the inputs that the records show.
+    """Return the problem with derivatives evaluated at the estimated inputs.
 
-    A problem whose inputs are not estimated, or are known to a small turn of the output, is
-    returned as it is.
+    A problem without inputs that change the phase significantly is returned unchanged.
     """
     max_rate = max((abs(run.run.rate) for run in problem.observed_runs), default=0.0)
     unknowns = [
@@ -63,7 +61,7 @@ def locate_nonlinear_inputs(problem: JointProblem) -> JointProblem:
 
 
 def _phase_change(problem: JointProblem, unknown: Unknown, change: float, rate: float) -> float:
-    """Return the change of the complex gain at a rate with an input, rad; 0 for other unknowns."""
+    """Return the change of the complex gain with an input, rad; 0 for other unknowns."""
     if unknown.symbol == TIMING:
         return abs(change) * rate
     if unknown.symbol not in RESPONSE_INPUTS or math.isinf(change):
@@ -79,7 +77,7 @@ def _phase_change(problem: JointProblem, unknown: Unknown, change: float, rate: 
 
 
 def _apply_changes(problem: JointProblem, changes: Mapping[tuple[str, str], float]) -> JointProblem:
-    """Return the problem with further deviations of inputs from their stated values."""
+    """Return the problem with additional shifts of inputs from their stated values."""
     campaign = problem.campaign
     shifts = {
         key: problem.shifts.get(key, 0.0) + changes.get(key, 0.0)

@@ -129,7 +129,7 @@ def fit_jointly(problem: JointProblem) -> Outcome:
         findings=[
             *(
                 not_determined_finding(
-                    u.name, u.name, more=_PRIOR_ADVICE, requested=is_requested(campaign, u.symbol)
+                    u.name, u.name, advice=_PRIOR_ADVICE, requested=is_requested(campaign, u.symbol)
                 )
                 for u, c in shared.items()
                 if c.value is None

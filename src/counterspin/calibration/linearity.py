@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from counterspin.calibration.result import Result
     from counterspin.campaign.description import Campaign
 
-U = TypeVar("U", bound=Unknown)
+UnknownType = TypeVar("UnknownType", bound=Unknown)
 
 #: Inputs at whose stated values the fit evaluates its model.
 _RADIUS: Final = "centrifuge.radius"
@@ -54,25 +54,28 @@ _SEED: Final = 102
 
 @frozen
 class Response:
-    """Response of a coefficient to one source, beyond the linear one."""
+    """Non-linear response of a coefficient to one source."""
 
-    #: Change at -2 u and at +2 u minus the linear prediction, in the coefficient's unit.
-    below: float
-    above: float
+    #: Shift at -2 u and at +2 u minus the linear prediction, in the unit of the coefficient.
+    lower_difference: float
+    upper_difference: float
 
     @property
     def size(self) -> float:
         """Larger absolute difference from the linear prediction."""
-        return max(abs(self.below), abs(self.above))
+        return max(abs(self.lower_difference), abs(self.upper_difference))
 
     def excess(self, deviations: Array) -> Array:
         """Return the parabola through both differences and zero, shape as given.
 
-        deviations: Of the source, in its standard uncertainty.
+        deviations: Deviations of the source, in standard uncertainties.
         """
         x = deviations / _SHIFT
-        odd, even = 0.5 * (self.above - self.below), 0.5 * (self.above + self.below)
-        return np.asarray(odd * x + even * x**2)
+        odd_part, even_part = (
+            0.5 * (self.upper_difference - self.lower_difference),
+            0.5 * (self.upper_difference + self.lower_difference),
+        )
+        return np.asarray(odd_part * x + even_part * x**2)
 
 
 @frozen
@@ -87,7 +90,7 @@ class Linearity:
     joint_differences: Mapping[tuple[str, str], float]
 
     def second_order(self, owner: str, symbol: str, u: float) -> dict[str, Response]:
-        """Return the responses that matter for the u of a coefficient, by names of its budget."""
+        """Return the responses that exceed the tolerance of u, by source as in the budget."""
         return {
             source.removeprefix(f"{owner}."): response
             for source, response in self.responses.get((owner, symbol), {}).items()
@@ -95,10 +98,12 @@ class Linearity:
         }
 
     def describe(self, owner: str, symbol: str, u: float) -> dict[str, object]:
-        """Return the fields of a coefficient's interval on the linearity of the fit."""
+        """Return the fields of `MonteCarloInterval` about linearity."""
         responses = self.responses.get((owner, symbol), {})
         return {
-            "linear_difference": max((r.size for r in responses.values()), default=None),
+            "linear_difference": max(
+                (response.size for response in responses.values()), default=None
+            ),
             "second_order": list(self.second_order(owner, symbol, u)),
             "joint_difference": self.joint_differences.get((owner, symbol)),
         }
@@ -109,12 +114,12 @@ def assess_linearity(
 ) -> Linearity:
     """Compare the linear sensitivities of a result with full fits.
 
-    result: Of the joint method, with its budgets.
+    result: Result of the joint method, with its budgets.
     """
     model = JointProblem(campaign, observed_runs).model
     unknowns = {unknown.name: unknown for unknown in (*model.unknowns, *model.considered)}
     sources = _choose_sources(result, campaign, unknowns)
-    estimated_symbols = {
+    estimates = {
         (name, symbol): (f"{name}.{symbol}", coefficient.value)
         for name, accelerometer in result.accelerometers.items()
         for symbol, coefficient in accelerometer.coefficients.items()
@@ -122,42 +127,47 @@ def assess_linearity(
         and coefficient.value is not None
         and f"{name}.{symbol}" in unknowns
     }
-    slopes = _slopes(result, unknowns)
-    responses: dict[tuple[str, str], dict[str, Response]] = {key: {} for key in estimated_symbols}
+    sensitivities = _sensitivities(result, unknowns)
+    responses: dict[tuple[str, str], dict[str, Response]] = {key: {} for key in estimates}
     tested_sources = []
     for source in sources:
         u = unknowns[source].prior[1]
         with suppress(CounterspinError):
             fits = [
-                _fit_values(campaign, observed_runs, {source: sign * _SHIFT * u})
+                _fit_shifted_campaign(campaign, observed_runs, {source: sign * _SHIFT * u})
                 for sign in (-1.0, 1.0)
             ]
             tested_sources.append(source)
-            for key, (name, value) in estimated_symbols.items():
-                linear = slopes[key].get(source, 0.0) * _SHIFT * u
-                below, above = (fit[name] - value for fit in fits)
-                responses[key][source] = Response(below + linear, above - linear)
-    joint: dict[tuple[str, str], float] = {}
+            for key, (name, value) in estimates.items():
+                linear_shift = sensitivities[key].get(source, 0.0) * _SHIFT * u
+                lower_shift, upper_shift = (fitted_values[name] - value for fitted_values in fits)
+                responses[key][source] = Response(
+                    lower_shift + linear_shift, upper_shift - linear_shift
+                )
+    joint_differences: dict[tuple[str, str], float] = {}
     generator = np.random.default_rng(_SEED)
     for _ in range(_JOINT_FITS if len(tested_sources) > 1 else 0):
         draws = generator.uniform(-_SHIFT, _SHIFT, len(tested_sources))
         shifts = {
-            s: float(x) * unknowns[s].prior[1] for s, x in zip(tested_sources, draws, strict=True)
+            source: float(x) * unknowns[source].prior[1]
+            for source, x in zip(tested_sources, draws, strict=True)
         }
         with suppress(CounterspinError):
-            fit = _fit_values(campaign, observed_runs, shifts)
-            for key, (name, value) in estimated_symbols.items():
+            fitted_values = _fit_shifted_campaign(campaign, observed_runs, shifts)
+            for key, (name, value) in estimates.items():
                 prediction = value + sum(
-                    slopes[key].get(source, 0.0) * shifts[source]
+                    sensitivities[key].get(source, 0.0) * shifts[source]
                     + float(responses[key][source].excess(x))
                     for source, x in zip(tested_sources, draws, strict=True)
                 )
-                joint[key] = max(joint.get(key, 0.0), abs(fit[name] - prediction))
-    return Linearity(tuple(tested_sources), responses, joint)
+                joint_differences[key] = max(
+                    joint_differences.get(key, 0.0), abs(fitted_values[name] - prediction)
+                )
+    return Linearity(tuple(tested_sources), responses, joint_differences)
 
 
 def _full_name(source: str, owner: str, unknowns: Mapping[str, object]) -> str:
-    """Return the name of the unknown that a budget names without its accelerometer."""
+    """Return the full name of an unknown that a budget names without its accelerometer."""
     name = f"{owner}.{source}"
     return name if name in unknowns else source
 
@@ -185,7 +195,7 @@ def _choose_sources(
     return [name for name in ranked_sources if shares[name] >= _MIN_SHARE][:_MAX_SOURCES]
 
 
-def _slopes(
+def _sensitivities(
     result: Result, unknowns: Mapping[str, Unknown]
 ) -> dict[tuple[str, str], dict[str, float]]:
     """Return the sensitivity of each coefficient to each source, by the source's full name."""
@@ -200,30 +210,30 @@ def _slopes(
     }
 
 
-def _fit_values(
+def _fit_shifted_campaign(
     campaign: Campaign, observed_runs: Sequence[ObservedRun], shifts: Mapping[str, float]
 ) -> dict[str, float]:
     """Return the estimates of a full fit with stated values and prior means shifted, by name.
 
     shifts: Full name of an input or term -> shift, SI or g-units.
     """
-    changed_campaign = _with_inputs(campaign, shifts)
-    if changed_campaign is not campaign:
+    shifted_campaign = _shift_inputs(campaign, shifts)
+    if shifted_campaign is not campaign:
         observed_runs = [
-            observe_run(changed_campaign, run.run, run.record, run.trajectory.conditions)
+            observe_run(shifted_campaign, run.run, run.record, run.trajectory.conditions)
             for run in observed_runs
         ]
-    problem = locate_nonlinear_inputs(JointProblem(changed_campaign, observed_runs))
-    shifted_symbols = shifts.keys() - {_RADIUS, _LATITUDE, TIMING}
+    problem = locate_nonlinear_inputs(JointProblem(shifted_campaign, observed_runs))
+    shifted_names = shifts.keys() - {_RADIUS, _LATITUDE, TIMING}
     model = problem.model
-    if shifted_symbols:
+    if shifted_names:
         model = replace(
             model,
             unknowns=tuple(
-                _shift_prior(unknown, shifts, shifted_symbols) for unknown in model.unknowns
+                _shift_prior(unknown, shifts, shifted_names) for unknown in model.unknowns
             ),
             considered=tuple(
-                _shift_prior(term, shifts, shifted_symbols) for term in model.considered
+                _shift_prior(term, shifts, shifted_names) for term in model.considered
             ),
         )
         vars(problem)["model"] = model
@@ -232,27 +242,29 @@ def _fit_values(
     return {unknown.name: float(value) + unknown.nominal for unknown, value in values}
 
 
-def _shift_prior(unknown: U, shifts: Mapping[str, float], shifted_symbols: set[str]) -> U:
-    """Return an unknown whose prior mean is shifted, if it is one of those moved."""
-    if unknown.name not in shifted_symbols:
+def _shift_prior(
+    unknown: UnknownType, shifts: Mapping[str, float], shifted_names: set[str]
+) -> UnknownType:
+    """Return an unknown with a shifted prior mean, or the unknown itself if not in the names."""
+    if unknown.name not in shifted_names:
         return unknown
     value, u = unknown.prior
     return replace(unknown, prior=(value + shifts[unknown.name], u))
 
 
-def _with_inputs(campaign: Campaign, shifts: Mapping[str, float]) -> Campaign:
-    """Return a campaign whose stated inputs are shifted; the same one without any."""
+def _shift_inputs(campaign: Campaign, shifts: Mapping[str, float]) -> Campaign:
+    """Return a campaign with shifted inputs; the same campaign if no input is shifted."""
 
-    def shifted(quantity: Quantity, name: str) -> Quantity:
+    def shift_quantity(quantity: Quantity, name: str) -> Quantity:
         return replace(quantity, value=quantity.value + shifts[name])
 
     if _RADIUS in shifts:
-        campaign = replace(campaign, radius=shifted(campaign.radius, _RADIUS))
+        campaign = replace(campaign, radius=shift_quantity(campaign.radius, _RADIUS))
     if _LATITUDE in shifts:
-        latitude = shifted(campaign.latitude, _LATITUDE)
+        latitude = shift_quantity(campaign.latitude, _LATITUDE)
         site = replace(campaign.site, latitude=latitude.value)
         campaign = replace(campaign, latitude=latitude, site=site)
     if TIMING in shifts:
-        offset = shifted(campaign.timing_offset or Quantity(0.0, 0.0, "s"), TIMING)
+        offset = shift_quantity(campaign.timing_offset or Quantity(0.0, 0.0, "s"), TIMING)
         campaign = replace(campaign, timing_offset=offset)
     return campaign

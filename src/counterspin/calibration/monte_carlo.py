@@ -1,9 +1,9 @@
-"""Coverage intervals by Monte Carlo (JCGM 101), beside those of the GUM.
+"""Coverage intervals by Monte Carlo (JCGM 101).
 
-Each trial adds to a coefficient the errors of all lines of its budget, each drawn from its
-distribution: noise whose size is estimated from Student's t, priors and inputs from the
-distributions that the description states, all others from the normal one. The sensitivities are
-those at the estimate, except where a test finds that the fit is not linear (`linearity`).
+Each trial adds the errors of all lines of the budget to a coefficient. Estimated noise is drawn
+from Student's t, priors and inputs from their stated distributions, all others from the normal
+distribution. The sensitivities are those at the estimate, unless a test detects a non-linear fit
+(`linearity`).
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ if TYPE_CHECKING:
     from counterspin.calibration.result import Result
     from counterspin.campaign.description import Campaign
 
-#: Fewest and most trials: JCGM 101, 7.2 wants 10^4 times 1 / (1 - p) as a rule of thumb.
+#: Limits of the number of trials: JCGM 101, 7.2 recommends 10^4 times 1 / (1 - p).
 MIN_TRIALS: Final = 10_000
 MAX_TRIALS: Final = 10_000_000
 
 _SEED: Final = 101
 
-#: A smaller share of noise in u^2 is drawn as normal: its tails do not show in the interval.
+#: Share of noise in u^2 below which it is drawn from the normal distribution.
 _MIN_NOISE_SHARE: Final = 1e-3
 
-#: Parts of the trials that are compared with each other (JCGM 101, 7.9).
-_BATCHES: Final = 10
+#: Number of batches of trials for the scatter of the interval (JCGM 101, 7.9).
+_BATCH_COUNT: Final = 10
 
-#: Intervals whose lengths are within this ratio count as equally short.
-_SAME_LENGTH: Final = 1.01
+#: Ratio of lengths up to which intervals count as equally short.
+_MAX_LENGTH_RATIO: Final = 1.01
 
 
 def check_trials(trials: int, method: str) -> None:
-    """Refuse a number of trials that is too small for an interval, or too large for the memory."""
+    """Raise UsageError if the number of trials is too small or too large."""
     if method != "joint":
         raise UsageError("calibrate", ["`monte_carlo`: requires the joint method"])
     if not MIN_TRIALS <= trials <= MAX_TRIALS:
@@ -65,11 +65,11 @@ def add_intervals(
     Parameters
     ----------
     result
-        Of the joint method.
+        Result of the joint method.
     campaign
-        The distributions of its priors and inputs.
-    observed
-        The runs of the campaign.
+        Campaign with the distributions of priors and inputs.
+    observed_runs
+        Runs of the campaign.
     trials
         Number of trials.
     """
@@ -84,17 +84,19 @@ def add_intervals(
                 generator = np.random.default_rng((_SEED, accelerometer_index, index))
                 responses = linearity.second_order(name, symbol, coefficient.u)
                 sources = [*(line.source for line in lines), *responses]
-                shapes = _by_source(distributions, sources, name, runs)
-                errors = draw_errors(lines, coefficient, shapes, trials, generator, responses)
-                fields = linearity.describe(name, symbol, coefficient.u)
-                interval = interval_of(errors, coefficient)
-                intervals[symbol] = interval.model_copy(update=fields)
+                source_distributions = _distributions_by_source(distributions, sources, name, runs)
+                errors = draw_errors(
+                    lines, coefficient, source_distributions, trials, generator, responses
+                )
+                linearity_fields = linearity.describe(name, symbol, coefficient.u)
+                interval = make_interval(errors, coefficient)
+                intervals[symbol] = interval.model_copy(update=linearity_fields)
         accelerometers[name] = accelerometer.model_copy(update={"monte_carlo": intervals})
     return result.model_copy(update={"accelerometers": accelerometers})
 
 
 def stated_distributions(campaign: Campaign) -> dict[str, InputDistribution]:
-    """Return name of a term or input -> its stated distribution, where that is not normal."""
+    """Return name of a term or input -> its stated distribution, if not normal."""
     stated_quantities = stated_inputs(campaign) | dict(campaign.model.priors)
     for name, accelerometer in campaign.accelerometers.items():
         stated_quantities |= {
@@ -107,7 +109,7 @@ def stated_distributions(campaign: Campaign) -> dict[str, InputDistribution]:
     }
 
 
-def _by_source(
+def _distributions_by_source(
     distributions: Mapping[str, InputDistribution],
     sources: Sequence[str],
     owner: str,
@@ -115,15 +117,15 @@ def _by_source(
 ) -> dict[str, InputDistribution]:
     """Return the distributions of the sources of a budget.
 
-    A budget names the terms of its owner without it, and those of a run with the run.
+    A budget omits the name of its owner, and includes the names of runs.
     """
-    shapes: dict[str, InputDistribution] = {}
+    source_distributions: dict[str, InputDistribution] = {}
     for source in sources:
         run, _, symbol = source.partition(".")
         for name in (f"{owner}.{source}", source, symbol if run in runs else source):
             if name in distributions:
-                shapes[source] = distributions[name]
-    return shapes
+                source_distributions[source] = distributions[name]
+    return source_distributions
 
 
 def draw_errors(
@@ -138,7 +140,7 @@ def draw_errors(
 
     Lines with a normal distribution are drawn together.
 
-    responses: Source -> response beyond the linear one, where that matters.
+    responses: Source -> significant non-linear response.
     """
     errors = np.zeros(trials)
     normal_variance = 0.0
@@ -163,30 +165,31 @@ def draw_errors(
 
 
 def _noise_dof(coefficient: Coefficient, noise_variance: float) -> float:
-    """Return the degrees of freedom of the noise, of which those of u come (GUM G.4)."""
+    """Return the degrees of freedom of the noise from those of u (GUM G.4)."""
     if coefficient.dof is None or coefficient.u is None or noise_variance <= 0.0:
         return math.inf
     share = min(noise_variance / coefficient.u**2, 1.0)
     return estimated_part_dof(share, coefficient.dof) if share > _MIN_NOISE_SHARE else math.inf
 
 
-def interval_of(errors: Array, coefficient: Coefficient) -> MonteCarloInterval:
-    """Return the shortest coverage interval of drawn errors, and whether it validates the GUM's.
+def make_interval(errors: Array, coefficient: Coefficient) -> MonteCarloInterval:
+    """Return the shortest coverage interval of drawn errors, and validate the GUM interval.
 
-    The symmetric interval is compared with the GUM's: its ends scatter less than the shortest's.
+    The GUM interval is compared with the probabilistically symmetric interval, whose ends scatter
+    less than those of the shortest one.
 
-    errors: About the estimate, in the coefficient's unit, shape (trials,).
+    errors: Errors of the estimate, in the unit of the coefficient, shape (trials,).
     References: JCGM 101, 7.7 (intervals), 7.9 (scatter of their ends), 8 (validation).
     """
     assert coefficient.value is not None
     assert coefficient.u is not None
     low, high = shortest_interval(errors)
-    tails = (0.5 * (1.0 - COVERAGE), 0.5 * (1.0 + COVERAGE))
-    batches = [np.quantile(batch, tails) for batch in np.array_split(errors, _BATCHES)]
-    scatter = 2.0 * np.std(batches, axis=0, ddof=1) / math.sqrt(_BATCHES)
+    levels = (0.5 * (1.0 - COVERAGE), 0.5 * (1.0 + COVERAGE))
+    batches = [np.quantile(batch, levels) for batch in np.array_split(errors, _BATCH_COUNT)]
+    scatter = 2.0 * np.std(batches, axis=0, ddof=1) / math.sqrt(_BATCH_COUNT)
     tolerance = numerical_tolerance(coefficient.u)
-    gum = np.array(coefficient.interval(COVERAGE)) - coefficient.value
-    difference = np.abs(np.quantile(errors, tails) - gum)
+    gum_interval = np.array(coefficient.interval(COVERAGE)) - coefficient.value
+    difference = np.abs(np.quantile(errors, levels) - gum_interval)
     is_validated: bool | None = None
     if (difference + scatter <= tolerance).all():
         is_validated = True
@@ -205,14 +208,14 @@ def interval_of(errors: Array, coefficient: Coefficient) -> MonteCarloInterval:
 def shortest_interval(errors: Array) -> tuple[float, float]:
     """Return the ends of the shortest interval that covers 95 % of draws (JCGM 101, 7.7.2).
 
-    Where the symmetric interval is longer by less than 1 %, it is returned: the place of the
-    shortest is then a matter of chance, and of a rectangular distribution it is not unique.
+    If the symmetric interval is less than 1 % longer, it is returned, because the position of the
+    shortest interval is then random.
     """
     sorted_errors = np.sort(errors)
     covered_count = math.ceil(COVERAGE * errors.size)
     lengths = sorted_errors[covered_count:] - sorted_errors[: errors.size - covered_count]
     start = int(np.argmin(lengths))
-    symmetric = (errors.size - covered_count) // 2
-    if lengths[symmetric] < _SAME_LENGTH * lengths[start]:
-        start = symmetric
+    symmetric_start = (errors.size - covered_count) // 2
+    if lengths[symmetric_start] < _MAX_LENGTH_RATIO * lengths[start]:
+        start = symmetric_start
     return float(sorted_errors[start]), float(sorted_errors[start + covered_count])

@@ -1,4 +1,4 @@
-"""How a calibration is made; nothing here takes time to load."""
+"""Options of a calibration, without imports that take time to load."""
 
 from __future__ import annotations
 
@@ -16,39 +16,38 @@ Method = Literal["joint", "two-stage"]
 
 @frozen
 class TwoStageOptions:
-    """How the paper's method is applied."""
+    """Options of the two-stage method."""
 
     model: Literal["exact", "as-printed"] = "exact"  #: ``exact`` or ``as-printed``.
     #: Whether the second stage weights runs by sigma(b2); the paper does not.
     weighted: bool = True
-    #: As printed: the ripple's ``amplitude`` or its ``ratio`` to the rate is common to the
-    #: runs.
+    #: With the printed equations: whether all runs have the same ripple ``amplitude``, or the
+    #: same ``ratio`` of ripple to rate.
     ripple: RippleModel = "amplitude"
-    fit_bias: bool = True  #: Whether K_F is estimated, with its prior, or taken as known.
-    #: Whether sigma is taken from the residuals even where the campaign states it.
+    fit_bias: bool = True  #: Whether K_F is estimated with its prior; if false, it is fixed.
+    #: Whether sigma is estimated from the residuals even if the campaign states it.
     from_residuals: bool = False
 
 
 def acceptance_arguments(accepted_misfit: str | None) -> list[str]:
-    """Return the words by which a command line accepts a misfit, if it was accepted."""
+    """Return the command-line arguments that accept a misfit; empty if none was accepted."""
     return [] if accepted_misfit is None else [f"--accept-misfit={accepted_misfit}"]
 
 
-#: The module of intervals by Monte Carlo, loaded where they are asked for.
+#: Module of the Monte Carlo intervals, loaded on demand.
 MONTE_CARLO: Final = "counterspin.calibration.monte_carlo"
 
 
 def further_arguments(without: Sequence[str], monte_carlo: int) -> list[str]:
-    """Return the words by which a command line leaves runs out and draws inputs."""
+    """Return the command-line arguments that omit runs and request Monte Carlo intervals."""
     trial_arguments = [f"--monte-carlo={monte_carlo}"] if monte_carlo else []
     return [*(f"--without={name}" for name in without), *trial_arguments]
 
 
 def command_arguments(method: str, options: TwoStageOptions) -> list[str]:
-    """Return the words of a command line that asks for a calibration, where it is not the usual.
+    """Return the command-line arguments of a calibration that differ from the defaults.
 
-    A result keeps them, so that whoever reads it can repeat it: the one place below the command
-    line that knows its options, and a test has the command line read them back.
+    The result stores them so that the calibration can be repeated.
     """
     if method == "joint":
         return []
@@ -70,7 +69,7 @@ def command_arguments(method: str, options: TwoStageOptions) -> list[str]:
     ]
 
 
-#: Words without a value, and the option that each sets.
+#: Argument without a value -> option that it sets.
 _FLAGS: Final[dict[str, dict[str, Any]]] = {
     "--no-weighted": {"weighted": False},
     "--no-fit-bias": {"fit_bias": False},
@@ -79,7 +78,7 @@ _FLAGS: Final[dict[str, dict[str, Any]]] = {
 
 
 def parse_options(arguments: Sequence[str]) -> tuple[Method, TwoStageOptions, tuple[str, ...]]:
-    """Return the method, its options and the runs left out that a result's words ask for."""
+    """Return method, options and omitted runs from the arguments that a result stores."""
     method: Method = "joint"
     keywords: dict[str, Any] = {}
     without = []

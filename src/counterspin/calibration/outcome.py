@@ -1,4 +1,4 @@
-"""The outcome of a method, as the result states it: coefficients, noise, residuals, runs."""
+"""Conversion of an estimate to parts of a result: coefficients, noise, residuals, runs."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ from counterspin.inference.noise.search import NoiseEstimate
 from counterspin.physics.terms import SHARED_TERMS, TERMS, find_symbol
 from counterspin.records.record import rejected_count
 
-#: More outliers than this part of a record's samples are worth a warning.
+#: Largest fraction of outliers in a record without a finding.
 MAX_OUTLIER_SHARE: Final = 0.05
 
 
 def make_coefficient(estimate: Estimate, assessment: Assessment, index: int) -> Coefficient:
-    """Return one unknown as the result shows it: estimated, or its prior, or nothing."""
+    """Return an unknown as a coefficient: its estimate, else its prior, else no value."""
     unknown, solution = estimate.fit.model.unknowns[index], estimate.fit.solution
     unit = unknown.unit
     if not assessment.determined[unknown.name]:
@@ -83,7 +83,7 @@ def prior_information(estimate: Estimate, stated_inputs: Mapping[str, Quantity])
         if parameter.is_of_interest or parameter.symbol in encoder.SYMBOLS:
             continue
         stated_input = stated_inputs.get(parameter.name)
-        # The prior of an input is a deviation from the value at which derivatives are taken.
+        # The prior of an input is relative to the value at which derivatives are evaluated.
         offset = stated_input.value - parameter.prior[0] if stated_input else 0.0
         posterior = u_posterior = None
         if index < len(model.unknowns):
@@ -104,7 +104,7 @@ def prior_information(estimate: Estimate, stated_inputs: Mapping[str, Quantity])
 
 
 def accelerometer_correlation(view: AccelerometerView) -> Correlation | None:
-    """Return the correlations of an accelerometer's own and the platform's coefficients."""
+    """Return the correlations of the coefficients of an accelerometer and the platform."""
     prefix = f"{view.name}."
     return _make_correlation(
         view.estimate,
@@ -118,7 +118,7 @@ def accelerometer_correlation(view: AccelerometerView) -> Correlation | None:
 
 
 def full_correlation(estimate: Estimate, assessment: Assessment) -> Correlation | None:
-    """Return the correlations of everything determined, but for the runs' own rotations."""
+    """Return the correlations of all determined terms except the rotations of runs."""
     return _make_correlation(
         estimate,
         {
@@ -138,25 +138,25 @@ def _make_correlation(estimate: Estimate, terms: Mapping[int, str]) -> Correlati
 
 
 def confounded_terms(view: AccelerometerView) -> list[ConfoundedTerms]:
-    """Return the sets with terms of an accelerometer's own, its name left out."""
+    """Return the confounded sets with terms of an accelerometer, without its name."""
     return [
-        item.without_owner(view.name)
-        for item in view.assessment.confounded
-        if any(name.startswith(f"{view.name}.") for name in item.terms)
+        confounded_set.without_owner(view.name)
+        for confounded_set in view.assessment.confounded
+        if any(name.startswith(f"{view.name}.") for name in confounded_set.terms)
     ]
 
 
 def confounded_platform_terms(assessment: Assessment) -> list[ConfoundedTerms]:
-    """Return the sets of shared terms alone, those of a run's own rotation left out."""
+    """Return the confounded sets that contain only shared terms."""
     return [
-        item
-        for item in assessment.confounded
-        if all(find_symbol(name) in SHARED_TERMS for name in item.terms)
+        confounded_set
+        for confounded_set in assessment.confounded
+        if all(find_symbol(name) in SHARED_TERMS for name in confounded_set.terms)
     ]
 
 
 def summarize_residuals(view: AccelerometerView) -> Residual:
-    """Return the size of an accelerometer's residuals, a sample, and how well the model fits."""
+    """Return rms and goodness of fit of the residuals of an accelerometer."""
     if not view.has_records:
         return summarize_group_residuals(view.groups)
     square_sum, sample_count, diagnostics = 0.0, 0.0, view.diagnostics
@@ -173,7 +173,7 @@ def summarize_residuals(view: AccelerometerView) -> Residual:
 
 
 def summarize_group_residuals(groups: Sequence[FittedGroup]) -> Residual:
-    """Return the size of the residuals of readings, and how well the model fits them."""
+    """Return rms and goodness of fit of the residuals of readings."""
     residuals = np.concatenate([group.residuals for group in groups])
     stated_groups = [group for group in groups if math.isinf(group.noise_dof)]
     chi2 = sum(group.chi2 for group in stated_groups)
@@ -184,14 +184,14 @@ def summarize_group_residuals(groups: Sequence[FittedGroup]) -> Residual:
         unit="g",
         dof=round(
             sum(group.residual_dof for group in groups), 9
-        ),  # of as many readings as unknowns: 0
+        ),  # 0 for as many unknowns as readings
         chi2=chi2 if is_testable else None,
         lack_of_fit_p=chi_square_tail(dof, chi2) if is_testable else None,
     )
 
 
 def reading_noise_lines(groups: Sequence[FittedGroup]) -> dict[str, NoiseLine]:
-    """Return the noise of readings, motion by motion."""
+    """Return the noise of readings by label of their group."""
     return {
         group.label: NoiseLine(
             value=median(group.sigma),
@@ -206,7 +206,7 @@ def reading_noise_lines(groups: Sequence[FittedGroup]) -> dict[str, NoiseLine]:
 
 
 def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
-    """Return the noise used, component by component, given or estimated."""
+    """Return the noise of an accelerometer, by component of records and label of readings."""
     reading_lines = reading_noise_lines(view.groups)
     if not view.has_records:
         return reading_lines
@@ -226,7 +226,7 @@ def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
 
 
 def estimated_timing_noise(view: AccelerometerView) -> float:
-    """Return the noise of the time stamps that the residuals of the records show, s; 0: none."""
+    """Return the time-stamp noise estimated from the residuals, s; 0: none."""
     is_stated = view.campaign.noise is not None and view.campaign.noise.timing
     return (
         0.0 if is_stated else max((series.timestamp_noise for series in view.series), default=0.0)
@@ -236,7 +236,7 @@ def estimated_timing_noise(view: AccelerometerView) -> float:
 def add_static_uncertainty(
     lines: dict[str, NoiseLine], campaign: Campaign, noise: Noise, observable: str
 ) -> dict[str, NoiseLine]:
-    """Return lines of noise that say which are from the record at rest, and how well it knows."""
+    """Return noise lines with the uncertainties of components from the static record."""
     updated_lines = dict(lines)
     keys = size_keys(observable) if noise.covariance else {}
     for index, key in enumerate(keys.values()):
@@ -250,7 +250,7 @@ def add_static_uncertainty(
 def record_noise_lines(
     noise: Noise, components: NoiseEstimate | None, observable: str
 ) -> dict[str, NoiseLine]:
-    """Return noise of records, component by component, given or estimated."""
+    """Return the stated or estimated noise of records, by component."""
     lines = {}
     for index, (component, key) in enumerate(size_keys(observable).items()):
         value = float(getattr(noise, component))
@@ -260,7 +260,7 @@ def record_noise_lines(
             continue
         u = None
         if components is not None and is_estimated and value > 0.0:
-            # From the variance of a variance to that of its root.
+            # Standard uncertainty of the square root of an estimated variance.
             u = 0.5 * math.sqrt(float(components.covariance[index, index])) / value
         lines[key] = NoiseLine(
             value=value, u=u, unit=NOISE_UNITS[key], estimated=is_estimated or is_dropped
@@ -273,15 +273,15 @@ def record_noise_lines(
 
 
 def residual_tables(fit: JointFit, units: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Return the columns of `Result.residuals`, a table for each record.
+    """Return the columns of `Result.residuals`, one table for each record.
 
-    units: Of each accelerometer's records.
+    units: Accelerometer -> unit of its records.
     """
     tables: list[dict[str, Any]] = []
     for block, residuals in zip(fit.design_blocks, fit.residuals, strict=True):
         series, unweighted = block.series, residuals.unweighted
         whitened = np.full(unweighted.size, np.nan)
-        # Differences belong to the later rows.
+        # A difference is assigned to the later of its rows.
         whitened[unweighted.size - residuals.whitened.size :] = residuals.whitened
         tables.append(
             {
@@ -302,18 +302,18 @@ def residual_tables(fit: JointFit, units: Mapping[str, str]) -> list[dict[str, A
 def mounting_radii(
     campaign: Campaign, shared_coefficients: Mapping[Unknown, Coefficient]
 ) -> dict[Unknown, Coefficient]:
-    """Return the radii of mountings as such; the fit has their deviations from the machine's."""
+    """Return the radii of mountings; the fit estimates deviations from the stated radius."""
     return {
-        unknown: c.model_copy(update={"value": c.value + campaign.radius.value})
-        for unknown, c in shared_coefficients.items()
-        if unknown.symbol.startswith("centrifuge.radius.") and c.value is not None
+        unknown: coefficient.model_copy(update={"value": coefficient.value + campaign.radius.value})
+        for unknown, coefficient in shared_coefficients.items()
+        if unknown.symbol.startswith("centrifuge.radius.") and coefficient.value is not None
     }
 
 
 def convert_to_output_units(
     campaign: Campaign, name: str, coefficients: dict[str, Coefficient]
 ) -> dict[str, Coefficient]:
-    """Return bias and scale factor in what the readings are in; empty where that is g."""
+    """Return bias and scale factor in the unit of the readings; empty if this unit is g."""
     output = campaign.accelerometers[name].output
     if output is None:
         return {}
@@ -334,7 +334,7 @@ def convert_to_output_units(
 
 @frozen
 class Outcome:
-    """The findings of a method; attributes are those of `Result`, except the last four."""
+    """Outcome of a method; the fields are those of `Result`, except the last four."""
 
     model: str
     accelerometers: dict[str, AccelerometerResult]
@@ -345,11 +345,11 @@ class Outcome:
     correlation: Correlation | None = None
     rests_on: list[Knowledge] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
-    causes: tuple[Cause, ...] = ()  #: What may be behind a misfit, the likeliest first.
-    remarks: tuple[str, ...] = ()  #: What the result warns of, beside the campaign's own remarks.
-    #: By `residual_columns`; files do not contain them.
+    causes: tuple[Cause, ...] = ()  #: Causes of a misfit, the likeliest first.
+    remarks: tuple[str, ...] = ()  #: Warnings in addition to those on the campaign.
+    #: From `residual_tables`; not stored in files.
     residuals: Sequence[Mapping[str, Any]] = ()
-    #: Run on the arm -> its rate by the recorded angle, and the stated rate, rad/s.
+    #: Run on the arm -> rate identified from the angle, and stated rate, rad/s.
     arm_rates: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
@@ -364,7 +364,7 @@ def make_run_result(
     """Return the rotation and the counts of samples of a run."""
     rotation, report = run.rotation, run.record.report
     spindle, run_terms = run.trajectory.spindle, dict(terms or {})
-    # Where no angle was recorded the joint fit has found the rotation.
+    # Without a recorded angle, the joint fit estimates the rotation.
     rotation_terms = {symbol: run_terms.pop(symbol) for symbol in ROTATION if symbol in run_terms}
     _, rate, drift = (rotation_terms.get(symbol) for symbol in ROTATION)
     counts = report.counts(outliers)
@@ -400,7 +400,7 @@ def make_run_result(
 def check_outlier_share(
     subject: str, counts: Mapping[str, int], accelerometer_count: int = 1
 ) -> list[Finding]:
-    """Return a finding where outliers are more than `OUTLIER_SHARE` of a record's samples."""
+    """Return a finding if the fraction of outliers exceeds `MAX_OUTLIER_SHARE`."""
     samples = counts["rows"] * accelerometer_count
     share = counts["outliers"] / samples
     if share <= MAX_OUTLIER_SHARE:
@@ -413,11 +413,11 @@ def check_outlier_share(
 
 
 def prior_correlations(campaign: Campaign, name: str) -> dict[str, dict[str, float]]:
-    """Return the stated correlations of an accelerometer's priors, its terms by their symbols."""
+    """Return the stated prior correlations of an accelerometer's terms, by symbol."""
     prefix = f"{name}."
     return {
         term.removeprefix(prefix): {
-            partner.removeprefix(prefix): r for partner, r in correlations.items()
+            other_term.removeprefix(prefix): r for other_term, r in correlations.items()
         }
         for term, correlations in campaign.model.correlations.items()
         if term.startswith(prefix)
@@ -427,7 +427,7 @@ def prior_correlations(campaign: Campaign, name: str) -> dict[str, dict[str, flo
 def describe_instrument(
     accelerometer: Accelerometer, estimated_symbols: Collection[str]
 ) -> dict[str, Any]:
-    """Return the parts of an accelerometer's description that applying its result needs."""
+    """Return the fields of a result that describe an accelerometer."""
     output = accelerometer.output
     return {
         "serial_number": accelerometer.serial_number,

@@ -1,8 +1,8 @@
-"""The result of a calibration: one object, its JSON, and reading it back.
+"""The result of a calibration, and its JSON file.
 
-The JSON is a contract with users' own programs: keys keep their names and meaning within one
-`SCHEMA`, new keys may be added. Coefficients are in g-units of the stated gravity; everything
-else is SI unless its unit stands beside it.
+The JSON is a contract with programs of users: within one schema version, keys keep their names and
+meanings, and new keys may be added. Coefficients are in g-units of the stated gravity; all other
+numbers are in SI units unless a unit is given.
 """
 
 from __future__ import annotations
@@ -49,13 +49,12 @@ if TYPE_CHECKING:
     from counterspin.reports.blocks import Picture
     from counterspin.reports.publication import Publication
 
-#: Where its pictures are made, and its forms for other programs.
-_PICTURES: Final = "counterspin.calibration.pages.pictures"
-#: Earlier schemas and faults of a file that is read.
-_FILE: Final = "counterspin.calibration.result_file"
-_CONVERSION: Final = "counterspin.calibration.result_conversion"
+#: Modules of the plots, of the validation of files, and of conversions, loaded on demand.
+_PICTURES_MODULE: Final = "counterspin.calibration.pages.pictures"
+_FILE_MODULE: Final = "counterspin.calibration.result_file"
+_CONVERSION_MODULE: Final = "counterspin.calibration.result_conversion"
 
-#: Why a result has no frame of residuals: its file holds those that the pictures show.
+#: Error message if a result has no residuals, which files do not store.
 _NO_RESIDUALS = (
     "the result contains no residuals of records, because result files do not store them; to "
     "obtain residuals, calibrate a campaign with records again by the joint method"
@@ -117,32 +116,36 @@ class Result(ReportableResult):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _of_schema_1(cls, document: Any, read: ModelWrapValidatorHandler[Self]) -> Self:
-        """Read what earlier versions have written."""
-        earlier = isinstance(document, dict) and document.get("schema") == 1
-        result = read(load_name(f"{_FILE}:upgrade")(document) if earlier else document)
-        if earlier:
+    def _of_schema_1(cls, document: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Upgrade the document of an earlier version."""
+        is_schema_1 = isinstance(document, dict) and document.get("schema") == 1
+        result = handler(
+            load_name(f"{_FILE_MODULE}:upgrade")(document) if is_schema_1 else document
+        )
+        if is_schema_1:
             result._assumes_all = True
         return result
 
     @property
     def assumes_all(self) -> bool:
-        """Whether it was read from a file of schema 1, which took what is not stated as perfect."""
+        """Whether the file had schema 1, in which unstated terms were assumed perfect."""
         return self._assumes_all
 
     def model_post_init(self, context: Any, /) -> None:  # noqa: ARG002 -- pydantic's signature
-        """Tell each coefficient the gravity in whose units it is."""
+        """Set the gravity that defines the unit of each coefficient."""
         if not 0.0 < self.inputs.gravity < math.inf:
             return  # `validation_errors` reports it
         for name, accelerometer in self.accelerometers.items():
-            for symbol, c in accelerometer.coefficients.items():
-                c._gravity = self.gravity_of(name, symbol)
-        run_terms = (c for run in self.runs.values() for c in run.terms.values())
-        for c in (*self.platform.values(), *run_terms):
-            c._gravity = StatedGravity(self.inputs.gravity, self.inputs.u_gravity)
+            for symbol, coefficient in accelerometer.coefficients.items():
+                coefficient._gravity = self.gravity_of(name, symbol)
+        run_terms = (
+            coefficient for run in self.runs.values() for coefficient in run.terms.values()
+        )
+        for coefficient in (*self.platform.values(), *run_terms):
+            coefficient._gravity = StatedGravity(self.inputs.gravity, self.inputs.u_gravity)
 
     def gravity_of(self, name: str, symbol: str) -> StatedGravity:
-        """Return the g in whose units an accelerometer's coefficient is, and what it does to it."""
+        """Return the g that defines the unit of a coefficient, with the sensitivity to it."""
         inputs = self.inputs
         sensitivity = _gravity_sensitivity(self, self.accelerometers[name], symbol)
         return StatedGravity(inputs.gravity, inputs.u_gravity, sensitivity)
@@ -150,8 +153,8 @@ class Result(ReportableResult):
     def __getstate__(self) -> dict[Any, Any]:
         """Return the pickled state: the numbers, without the full residuals."""
         state = super().__getstate__()
-        private = dict(state["__pydantic_private__"] or {})
-        return state | {"__pydantic_private__": private | {"_residuals": ()}}
+        private_attributes = dict(state["__pydantic_private__"] or {})
+        return state | {"__pydantic_private__": private_attributes | {"_residuals": ()}}
 
     def coefficient(self, name: str) -> Coefficient:
         """Return a coefficient by its whole name.
@@ -168,8 +171,11 @@ class Result(ReportableResult):
         """
         if name in self.platform:
             return self.platform[name]
-        owners = {n: a.coefficients for n, a in self.accelerometers.items()}
-        owners |= {n: run.terms for n, run in self.runs.items()}
+        owners = {
+            owner: accelerometer.coefficients
+            for owner, accelerometer in self.accelerometers.items()
+        }
+        owners |= {owner: run.terms for owner, run in self.runs.items()}
         for owner, coefficients in owners.items():
             symbol = name.removeprefix(f"{owner}.")
             if symbol != name and symbol in coefficients:
@@ -190,13 +196,13 @@ class Result(ReportableResult):
     def rows(self) -> Iterator[tuple[str, str, Coefficient]]:
         """Yield owner, symbol and coefficient: accelerometers, platform (no owner), runs."""
         for name, accelerometer in self.accelerometers.items():
-            for symbol, c in accelerometer.coefficients.items():
-                yield name, symbol, c
-        for symbol, c in self.platform.items():
-            yield "", symbol, c
+            for symbol, coefficient in accelerometer.coefficients.items():
+                yield name, symbol, coefficient
+        for symbol, coefficient in self.platform.items():
+            yield "", symbol, coefficient
         for name, run in self.runs.items():
-            for symbol, c in run.terms.items():
-                yield name, symbol, c
+            for symbol, coefficient in run.terms.items():
+                yield name, symbol, coefficient
 
     def predict(
         self,
@@ -239,38 +245,48 @@ class Result(ReportableResult):
 
     @property
     def covariance(self) -> Covariance | None:
-        """Covariances of everything determined; None where the result states no correlations."""
+        """Covariances of all determined coefficients; None if the result has no correlations."""
         correlation = self.correlation
         if correlation is None and len(self.accelerometers) == 1:
-            # Results of versions that had no joint matrix.
+            # Results of versions without a joint matrix.
             ((name, accelerometer),) = self.accelerometers.items()
             correlation = accelerometer.correlation
             if correlation is not None:
                 coefficients = accelerometer.coefficients
-                terms = [f"{name}.{s}" if s in coefficients else s for s in correlation.terms]
+                terms = [
+                    f"{name}.{symbol}" if symbol in coefficients else symbol
+                    for symbol in correlation.terms
+                ]
                 correlation = correlation.model_copy(update={"terms": terms})
         if correlation is None:
             return None
-        determined = {
-            index: c for index, c in enumerate(map(self._determined, correlation.terms)) if c
+        coefficients_by_index = {
+            index: coefficient
+            for index, coefficient in enumerate(map(self._determined, correlation.terms))
+            if coefficient
         }
-        indices, u = list(determined), np.array([c.u for c in determined.values()], dtype=float)
+        indices, u = (
+            list(coefficients_by_index),
+            np.array(
+                [coefficient.u for coefficient in coefficients_by_index.values()], dtype=float
+            ),
+        )
         return Covariance(
             tuple(correlation.terms[index] for index in indices),
             np.outer(u, u) * np.array(correlation.matrix)[np.ix_(indices, indices)],
-            tuple(c.unit for c in determined.values()),
+            tuple(coefficient.unit for coefficient in coefficients_by_index.values()),
         )
 
     def _determined(self, name: str) -> Coefficient | None:
-        """Return a coefficient with its u; None where somebody has taken it out of the result."""
+        """Return a coefficient with u; None if it was removed from the result."""
         try:
-            c = self.coefficient(name)
+            coefficient = self.coefficient(name)
         except KeyError:
             return None
-        return c if c.u is not None else None
+        return coefficient if coefficient.u is not None else None
 
     def stated_covariance(self) -> Covariance:
-        """Return `covariance`; CounterspinError with the reason where there is none."""
+        """Return `covariance`; CounterspinError if the result has no correlations."""
         covariance = self.covariance
         if covariance is None:
             raise CounterspinError(
@@ -283,16 +299,16 @@ class Result(ReportableResult):
 
     def table(self, library: str = "polars") -> Any:
         """Return the coefficients as a frame of ``polars`` or ``pandas``, in units of the field."""
-        return load_name(f"{_CONVERSION}:coefficient_frame")(self, library)
+        return load_name(f"{_CONVERSION_MODULE}:coefficient_frame")(self, library)
 
     def to_uncertainties(self) -> dict[str, Any]:
         """Return the coefficients for the package uncertainties, with their correlations."""
-        coefficients: dict[str, Any] = load_name(f"{_CONVERSION}:to_uncertainties")(self)
+        coefficients: dict[str, Any] = load_name(f"{_CONVERSION_MODULE}:to_uncertainties")(self)
         return coefficients
 
     def to_gtc(self) -> dict[str, Any]:
         """Return the coefficients for the package GTC, with their correlations."""
-        coefficients: dict[str, Any] = load_name(f"{_CONVERSION}:to_gtc")(self)
+        coefficients: dict[str, Any] = load_name(f"{_CONVERSION_MODULE}:to_gtc")(self)
         return coefficients
 
     def residuals(self, accelerometer: str | None = None, run: str | None = None) -> pl.DataFrame:
@@ -317,17 +333,17 @@ class Result(ReportableResult):
         """
         if not self._residuals:
             raise CounterspinError(_NO_RESIDUALS, code="missing-in-result")
-        frame: pl.DataFrame = load_name(f"{_CONVERSION}:residual_frame")(self._residuals)
+        frame: pl.DataFrame = load_name(f"{_CONVERSION_MODULE}:residual_frame")(self._residuals)
         criteria = {"accelerometer": accelerometer, "run": run}
         filters = {column: name for column, name in criteria.items() if name is not None}
-        selected = frame.filter(**filters) if filters else frame
-        if selected.is_empty():
-            available = frame.select(*criteria).unique(maintain_order=True).rows()
-            names = ", ".join(f"{owner} in {name}" for owner, name in available)
+        selection = frame.filter(**filters) if filters else frame
+        if selection.is_empty():
+            available_pairs = frame.select(*criteria).unique(maintain_order=True).rows()
+            names = ", ".join(f"{owner} in {name}" for owner, name in available_pairs)
             raise KeyError(
                 f"the result has no residuals of {accelerometer} in {run}; it has those of {names}"
             )
-        return selected
+        return selection
 
     def plot(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
         """Draw the residuals over time, a picture a run.
@@ -349,18 +365,20 @@ class Result(ReportableResult):
     ) -> list[Any]:
         """Draw the uncertainty budget of a coefficient."""
         name = self._accelerometer_name(accelerometer)
-        bars = load_name(f"{_PICTURES}:budget_bars")(name, self.accelerometers[name], coefficient)
+        bars = load_name(f"{_PICTURES_MODULE}:budget_bars")(
+            name, self.accelerometers[name], coefficient
+        )
         return self._draw([] if bars is None else [bars], axes)
 
     def _plot_pictures(self, function_name: str, accelerometer: str | None, axes: Any) -> list[Any]:
         name = self._accelerometer_name(accelerometer)
-        pictures = load_name(f"{_PICTURES}:{function_name}")(
+        pictures = load_name(f"{_PICTURES_MODULE}:{function_name}")(
             name, self.accelerometers[name], self.runs
         )
         return self._draw([*pictures], axes)
 
     def _accelerometer_name(self, accelerometer: str | None) -> str:
-        """Return the accelerometer meant: the first one where none is named."""
+        """Return the name of an accelerometer; None: the first one."""
         name = accelerometer or next(iter(self.accelerometers))
         if name not in self.accelerometers:
             raise KeyError(f"{name}; there are {', '.join(self.accelerometers)}")
@@ -374,24 +392,24 @@ class Result(ReportableResult):
         return draw_pictures(pictures, axes)
 
     def __repr__(self) -> str:
-        """Return state, coefficients and the gravest finding, at most 20 lines."""
-        text: str = load_name(f"{_CONVERSION}:summarize")(self)
+        """Return state, coefficients and the most severe finding, at most 20 lines."""
+        text: str = load_name(f"{_CONVERSION_MODULE}:summarize")(self)
         return text
 
     __str__ = __repr__
 
     def publication(self, identifier: str | None = None) -> Publication:
         """Return its report, to be written as HTML, PDF or Markdown."""
-        page: Publication = super().publication(identifier)
+        publication: Publication = super().publication(identifier)
         return replace(
-            page,
+            publication,
             title=self.title or "Calibration",
             version=self.provenance.version,
         )
 
     def validation_errors(self) -> Iterator[str]:
         """Yield the contradictions between the parts of a result."""
-        yield from load_name(f"{_FILE}:find_faults")(self)
+        yield from load_name(f"{_FILE_MODULE}:find_faults")(self)
 
 
 read_result = Result.read
@@ -400,11 +418,11 @@ write_result = Result.write
 
 def _gravity_sensitivity(result: Result, accelerometer: AccelerometerResult, symbol: str) -> float:
     """Return the sensitivity of a coefficient to the assumed g, per m/s^2."""
-    c = accelerometer.coefficients[symbol]
+    coefficient = accelerometer.coefficients[symbol]
     is_early_version = result.method == "two-stage" and not accelerometer.budget
-    if is_early_version and symbol in TERMS and c.value is not None:
-        # Without a budget: b2 of a coefficient of degree n goes with g^(1-n).
-        return (len(TERMS[symbol].effect.factors) - 1) * c.value / result.inputs.gravity
+    if is_early_version and symbol in TERMS and coefficient.value is not None:
+        # Without a budget: a coefficient of degree n from b2 is proportional to g^(n-1).
+        return (len(TERMS[symbol].effect.factors) - 1) * coefficient.value / result.inputs.gravity
     for line in accelerometer.budget.get(symbol, ()):
         if line.source == "site.gravity" and line.sensitivity is not None:
             return line.sensitivity

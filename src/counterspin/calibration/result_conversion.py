@@ -1,6 +1,6 @@
-"""Coefficients of a result for other programs: frames, uncertainties, GTC; and as short text.
+"""Conversion of the coefficients of a result: frames, uncertainties, GTC, and short text.
 
-The packages are no requirements; each function says so where its own is missing.
+The packages are optional; a function raises MissingPackageError if its package is missing.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from counterspin.calibration.result_parts import Coefficient
 
 
-#: Characters of a finding that a line of text shows.
+#: Largest number of characters of a finding in a line.
 _LINE_CHARACTERS: Final = 100
 
 
@@ -80,12 +80,13 @@ def rows_frame(rows: Iterable[tuple[str, str, Coefficient]], library: str) -> An
 
 
 def summarize(result: Result) -> str:
-    """Return title, state, coefficients and the gravest finding as text of at most 20 lines."""
+    """Return title, state, coefficients and the most severe finding in at most 20 lines."""
     heading = (
         f"{result.title or 'Calibration'}: {result.method} method, {result.state or 'not judged'}"
     )
     named_coefficients = [
-        (f"{owner}.{symbol}" if owner else symbol, str(c)) for owner, symbol, c in result.rows()
+        (f"{owner}.{symbol}" if owner else symbol, str(coefficient))
+        for owner, symbol, coefficient in result.rows()
     ]
     width = max((len(name) for name, _ in named_coefficients), default=0)
     lines = [f"{name.ljust(width)}  {text}" for name, text in named_coefficients]
@@ -126,13 +127,13 @@ def to_uncertainties(result: Result) -> dict[str, Any]:
 def to_gtc(result: Result) -> dict[str, Any]:
     """Return the determined coefficients as GTC's uncertain numbers, by name (``Qx.K_II``).
 
-    GTC gives numbers that are correlated and have finite degrees of freedom one number of these
-    together. So each coefficient is a sum of independent parts that the coefficients share, and
-    each part of two: one of an ensemble with one degree of freedom, one with infinitely many. Their
-    sizes are such that the Welch-Satterthwaite formula, by which GTC computes, returns each
-    coefficient's own degrees of freedom. Where correlations leave no such sizes, GTC returns fewer
-    than the coefficient has, never more; it knows no fewer than 1. Degrees of freedom of what is
-    computed from several coefficients follow from the same parts, and are an approximation.
+    In GTC, correlated numbers with finite degrees of freedom must have the same number of them.
+    Therefore, each coefficient is a sum of independent components, which the coefficients share.
+    Each component is the sum of two: one with one degree of freedom, and one with infinitely many.
+    Their shares are such that the Welch-Satterthwaite formula of GTC returns the degrees of freedom
+    of each coefficient. If the correlations do not allow this, GTC returns fewer degrees of
+    freedom, never more, and at least 1. The degrees of freedom of a function of several
+    coefficients are an approximation.
     """
     package = _import_package("GTC", "GTC")
     covariance = result.stated_covariance()
@@ -166,10 +167,10 @@ def to_gtc(result: Result) -> dict[str, Any]:
 
 
 def _correlation_root(correlation: Array, dof: Array) -> Array:
-    """Return independent parts, a row of L for each coefficient: L L^T is the correlation.
+    """Return a square root L of the correlation, L L^T, with a row for each coefficient.
 
-    Each part belongs to one coefficient, and those with fewer degrees of freedom have it too: these
-    get them by a part that the others lack.
+    L is triangular if the coefficients are in descending order of degrees of freedom, so that a
+    coefficient with few degrees of freedom has a component that the others do not have.
     """
     order = np.argsort(-dof)
     values, vectors = np.linalg.eigh(correlation[np.ix_(order, order)])
@@ -177,16 +178,16 @@ def _correlation_root(correlation: Array, dof: Array) -> Array:
     root = np.empty_like(half_matrix)
     _, upper = np.linalg.qr(half_matrix.T)
     root[order] = upper.T
-    # Rounding, and what an eigenvalue below zero had added.
+    # Normalise the rows, because of rounding and clipped negative eigenvalues.
     rows: Array = root / np.linalg.norm(root, axis=1)[:, None]
     return rows
 
 
 def _finite_dof_shares(root: Array, dof: Array) -> Array:
-    """Return the share of each part's variance that has one degree of freedom, from 0 to 1.
+    """Return the variance share of each component with one degree of freedom, from 0 to 1.
 
-    A coefficient of which the share s has one degree of freedom, and the rest infinitely many, has
-    1/s^2 by the Welch-Satterthwaite formula; s is linear in the shares of the parts.
+    If the share s of the variance of a coefficient has one degree of freedom and the remainder
+    infinitely many, it has 1/s^2 by the Welch-Satterthwaite formula. s is linear in the shares.
     """
     from scipy.optimize import linprog
 

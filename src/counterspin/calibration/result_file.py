@@ -1,7 +1,6 @@
 """Validation of result files: migration of earlier schemas, and plausibility of numbers.
 
-In results of schema 1 what was not stated was no part of u. Such a result took as perfect what its
-model left out; so it says that it assumed it.
+Results of schema 1 did not include unstated terms in u. The upgraded result lists them as assumed.
 """
 
 from __future__ import annotations
@@ -18,57 +17,61 @@ from counterspin.physics.terms import TERMS
 if TYPE_CHECKING:
     from counterspin.calibration.result import Result
 
-_LINE: Final = re.compile(r"(?P<name>.+) \((?P<kind>prior|considered|input|encoder)\)")
+_SOURCE_PATTERN: Final = re.compile(r"(?P<name>.+) \((?P<kind>prior|considered|input|encoder)\)")
 
-#: What was considered, inputs among it, was not adjusted by the data.
+#: Kind in a budget of schema 1 -> kind in schema 2.
 _KINDS: Final = {"prior": "stated", "considered": "held", "input": "held", "encoder": "noise"}
 
-#: No coefficient is larger in g-units; its powers would be beyond all numbers.
-_LARGEST_COEFFICIENT: Final = 1e30
-#: No quantile of the normal distribution lies farther out, however many samples there are.
-_FARTHEST_QUANTILE: Final = 30.0
-#: No estimate has fewer degrees of freedom.
-_FEWEST_DOF: Final = 0.1
+#: Largest valid coefficient in g-units; its powers must not overflow.
+_MAX_COEFFICIENT: Final = 1e30
+#: Largest valid quantile of the normal distribution.
+_MAX_QUANTILE: Final = 30.0
+#: Smallest valid degrees of freedom.
+_MIN_DOF: Final = 0.1
 
 
 def upgrade(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the document of a result of schema 1 as one of schema 2, with what it assumed.
+    """Return the document of a result of schema 1 in schema 2.
 
-    document: As it was read; what is not as schema 1 has it is left for the checks to find.
+    document: Document as read; invalid entries stay for the validation.
     """
-    new = _migrate_coefficients(dict(document))
-    assumed: dict[str, None] = {}
-    accelerometers = new.get("accelerometers")
+    upgraded_document = _migrate_coefficients(dict(document))
+    assumed_terms: dict[str, None] = {}
+    accelerometers = upgraded_document.get("accelerometers")
     for accelerometer in accelerometers.values() if isinstance(accelerometers, dict) else ():
         if isinstance(accelerometer, dict):
             left_out = accelerometer.pop("left_out", None)
-            assumed |= dict.fromkeys(left_out if isinstance(left_out, dict) else ())
+            assumed_terms |= dict.fromkeys(left_out if isinstance(left_out, dict) else ())
             if isinstance(accelerometer.get("budget"), dict):
                 accelerometer["budget"] = {
                     symbol: _migrate_budget(lines)
                     for symbol, lines in accelerometer["budget"].items()
                 }
-    return {**new, "schema": 2, "assumed": list(assumed)}
+    return {**upgraded_document, "schema": 2, "assumed": list(assumed_terms)}
 
 
 def _migrate_coefficients(value: Any) -> Any:
-    """Return a document with the parts of every coefficient's u under their new names."""
+    """Return a document with the contributions to the u of coefficients under their new names."""
     if isinstance(value, list):
-        return [_migrate_coefficients(item) for item in value] if _holds_tables(value) else value
+        return (
+            [_migrate_coefficients(element) for element in value]
+            if _contains_tables(value)
+            else value
+        )
     if not isinstance(value, dict):
         return value
-    migrated = {key: _migrate_coefficients(item) for key, item in value.items()}
-    if "u_prior" in migrated or "u_considered" in migrated or "u_typical" in migrated:
-        migrated.pop("u_typical", None)
-        parts = [migrated.pop("u_prior", None), migrated.pop("u_considered", None)]
-        sizes = [part for part in parts if isinstance(part, int | float)]
-        migrated["u_stated"] = math.hypot(*sizes) if sizes else None
-        migrated["u_unstated"] = 0.0 if sizes else None
-    return migrated
+    table = {key: _migrate_coefficients(element) for key, element in value.items()}
+    if "u_prior" in table or "u_considered" in table or "u_typical" in table:
+        table.pop("u_typical", None)
+        components = [table.pop("u_prior", None), table.pop("u_considered", None)]
+        numbers = [component for component in components if isinstance(component, int | float)]
+        table["u_stated"] = math.hypot(*numbers) if numbers else None
+        table["u_unstated"] = 0.0 if numbers else None
+    return table
 
 
-def _holds_tables(values: list[Any]) -> bool:
-    # Rows of numbers, which are most of a document, have nothing to rename.
+def _contains_tables(values: list[Any]) -> bool:
+    # Rows of numbers, which make up most of a document, contain no keys.
     return bool(values) and isinstance(values[0], dict)
 
 
@@ -80,13 +83,13 @@ def _migrate_budget(lines: Any) -> Any:
 
 def _migrate_line(line: dict[str, Any]) -> dict[str, Any]:
     source = line.get("source")
-    match = _LINE.fullmatch(source) if isinstance(source, str) else None
+    match = _SOURCE_PATTERN.fullmatch(source) if isinstance(source, str) else None
     if match is None:
         return {**line, "kind": "noise"}
     return {**line, "source": match["name"], "kind": _KINDS[match["kind"]]}
 
 
-# Numbers that would be applied or shown wrongly
+# Validation
 
 
 def find_faults(result: Result) -> Iterator[str]:
@@ -98,7 +101,7 @@ def find_faults(result: Result) -> Iterator[str]:
     confounded_sets = [*result.confounded]
     for accelerometer in result.accelerometers.values():
         confounded_sets += accelerometer.confounded
-    if any(len(confounded.terms) < 2 for confounded in confounded_sets):
+    if any(len(confounded_set.terms) < 2 for confounded_set in confounded_sets):
         yield "a list of inseparable terms has fewer than two entries"
     for name, run in result.runs.items():
         if not 0.0 < abs(run.rate) < math.inf:
@@ -110,7 +113,7 @@ def find_faults(result: Result) -> Iterator[str]:
 
 
 def find_accelerometer_faults(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
-    """Yield numbers of an accelerometer that no calibration can have found."""
+    """Yield the contradictions in the result of one accelerometer."""
     if not accelerometer.coefficients:
         yield f"{name} has no coefficients"
     for symbol, coefficient in {
@@ -120,14 +123,12 @@ def find_accelerometer_faults(name: str, accelerometer: AccelerometerResult) -> 
     }.items():
         if symbol in TERMS and coefficient.unit != TERMS[symbol].unit:
             yield f"{symbol} of {name} is in {coefficient.unit}, not in {TERMS[symbol].unit}"
-        if not (
-            abs(coefficient.value or 0.0) < _LARGEST_COEFFICIENT > (coefficient.u or 0.0) >= 0.0
-        ):
+        if not (abs(coefficient.value or 0.0) < _MAX_COEFFICIENT > (coefficient.u or 0.0) >= 0.0):
             yield f"{symbol} of {name} is {coefficient.value} ± {coefficient.u}"
-        if coefficient.dof is not None and not _FEWEST_DOF <= coefficient.dof < math.inf:
+        if coefficient.dof is not None and not _MIN_DOF <= coefficient.dof < math.inf:
             yield f"{symbol} of {name} has {coefficient.dof} degrees of freedom"
     for jackknife_line in accelerometer.jackknife:
-        if jackknife_line.dof is not None and not _FEWEST_DOF <= jackknife_line.dof < math.inf:
+        if jackknife_line.dof is not None and not _MIN_DOF <= jackknife_line.dof < math.inf:
             yield f"{name} without {jackknife_line.run} has {jackknife_line.dof} degrees of freedom"
     if accelerometer.correlation:
         yield from matrix_faults(f"the correlation matrix of {name}", accelerometer.correlation)
@@ -142,19 +143,19 @@ def find_accelerometer_faults(name: str, accelerometer: AccelerometerResult) -> 
         yield f"a size of the residuals of {name} is negative"
 
 
-def matrix_faults(words: str, correlation: Correlation) -> Iterator[str]:
-    """Yield that a matrix is not as large as its terms are many."""
+def matrix_faults(description: str, correlation: Correlation) -> Iterator[str]:
+    """Yield a message if the size of a matrix does not match the number of its terms."""
     size = len(correlation.terms)
     if [len(row) for row in correlation.matrix] != [size] * size:
-        yield f"{words} is not one of {size} terms"
+        yield f"{description} is not one of {size} terms"
 
 
-def _trace_faults(words: str, trace: Trace) -> Iterator[str]:
+def _trace_faults(description: str, trace: Trace) -> Iterator[str]:
     quantiles = trace.quantiles.normal if trace.quantiles else []
-    if (trace.rows or 1) < 1 or any(abs(z) > _FARTHEST_QUANTILE for z in quantiles):
-        yield f"rows or quantiles in the trace of {words} are not valid"
+    if (trace.rows or 1) < 1 or any(abs(z) > _MAX_QUANTILE for z in quantiles):
+        yield f"rows or quantiles in the trace of {description} are not valid"
     if any(len(set(map(len, lists))) > 1 for lists in _paired_lists(trace)):
-        yield f"lists in the trace of {words} are of unequal length"
+        yield f"lists in the trace of {description} are of unequal length"
 
 
 def _paired_lists(trace: Trace) -> Iterator[tuple[Sized, ...]]:

@@ -1,7 +1,7 @@
-"""The parts that a result is made of; `counterspin.calibration.result` puts them together.
+"""The parts of a result; see `counterspin.calibration.result`.
 
-Coefficients are in g-units of the stated gravity; everything else is SI unless its unit stands
-beside it.
+Coefficients are in g-units of the stated gravity; all other numbers are in SI units unless a unit
+is given.
 """
 
 from __future__ import annotations
@@ -87,37 +87,36 @@ class Coefficient(ResultPart):
     def interval(self, coverage: float = 0.95) -> tuple[float, float]:
         """Return the coverage interval by Student's t, in `unit` (GUM G.3).
 
-        coverage: Its probability, between 0 and 1.
+        coverage: Coverage probability, between 0 and 1.
         """
         if not 0.0 < coverage < 1.0:
             raise ValueError(f"a coverage probability lies between 0 and 1; got {coverage}")
         value, u = self._stated()
-        half = expanded_uncertainty(u, self.dof, coverage)
-        return value - half, value + half
+        half_width = expanded_uncertainty(u, self.dof, coverage)
+        return value - half_width, value + half_width
 
     def in_units(self, unit: str | None = None) -> Quantity:
-        """Return value and uncertainty in another unit of the same kind; `to_si` leads to SI.
+        """Return value and uncertainty in another unit of the same dimension; see also `to_si`.
 
-        unit: Such as ``ug/g^2`` or ``arcsec``. None: the one in which tables and texts show it.
+        unit: Unit such as ``ug/g^2`` or ``arcsec``. None: the unit of tables and texts.
         """
         value, u = self._stated()
-        shown, factor = find_display_unit(self.unit)
+        target_unit, factor = find_display_unit(self.unit)
         if unit is not None:
-            shown, factor = unit, unit_factor(self.unit, unit)
-        return Quantity(value * factor, u * factor, shown)
+            target_unit, factor = unit, unit_factor(self.unit, unit)
+        return Quantity(value * factor, u * factor, target_unit)
 
     def to_si(self, gravity: float | None = None) -> SiEstimate:
-        """Return the coefficient in SI, where much of what an uncertain g does to it cancels.
+        """Return the coefficient in SI units, in which the effects of an uncertain g partly cancel.
 
-        gravity: An exact g of the unit, m/s^2. None: that of the result which the coefficient is
-            of.
+        gravity: Exact g of the unit, m/s^2. None: g of the result.
         """
-        stated = self._gravity if gravity is None else StatedGravity(gravity)
-        if stated is None:
+        stated_gravity = self._gravity if gravity is None else StatedGravity(gravity)
+        if stated_gravity is None:
             raise ValueError(
                 "this coefficient does not belong to a result; give the `gravity` of its unit"
             )
-        return convert_to_si(*self._stated(), self.unit, self.dof, stated)
+        return convert_to_si(*self._stated(), self.unit, self.dof, stated_gravity)
 
     def _stated(self) -> tuple[float, float]:
         if self.value is None or self.u is None:
@@ -157,10 +156,9 @@ def matrix_frame(terms: Sequence[str], matrix: Array) -> pl.DataFrame:
 
 
 class Residual(ResultPart):
-    """Size of the residuals and how well the model fits.
+    """Size of the residuals and goodness of fit.
 
-    `chi2` and `lack_of_fit_p` need a noise that was given; they are None where it was estimated
-    from these residuals.
+    `chi2` requires a stated noise; it is None if the noise was estimated from these residuals.
     """
 
     rms: float  #: Root mean square of the residuals.
@@ -211,7 +209,7 @@ class Comparison(ResultPart):
 
 
 class Finding(ResultPart):
-    """One thing that speaks against a result, whatever its checks saw of it."""
+    """A finding of a check that reduces the reliability of a result."""
 
     code: str  #: Stable code that identifies the kind of finding, such as ``lack-of-fit``.
     #: Subject of the finding: an accelerometer, a coefficient (``Qx.K_II``), a run or a platform
@@ -233,9 +231,9 @@ class Finding(ResultPart):
 
 
 class Fold(ResultPart):
-    """Residuals against the spindle's angle: equal parts of a revolution from angle 0 on.
+    """Residuals against the spindle angle, in equal intervals of a revolution from angle 0.
 
-    A part without a sample has None.
+    An interval without samples contains None.
     """
 
     low: list[float | None]  #: Smallest residual.
@@ -255,7 +253,7 @@ class Spectrum(ResultPart):
 
 
 class Quantiles(ResultPart):
-    """Ordered whitened residuals beside what a standard normal distribution would show."""
+    """Ordered whitened residuals and quantiles of a standard normal distribution."""
 
     normal: list[float]  #: Quantiles of the standard normal distribution.
     found: list[float]  #: Ordered whitened residuals.
@@ -277,7 +275,7 @@ class Trace(ResultPart):
 
 
 class NominalOutput(ResultPart):
-    """By which an output is taken for a specific force, g: (output - zero) / sensitivity."""
+    """Nominal conversion of an output to a specific force, g: (output - zero) / sensitivity."""
 
     unit: str  #: Unit of the output.
     sensitivity: float  #: Nominal output per g; K_I is the true sensitivity divided by this value.
@@ -286,16 +284,16 @@ class NominalOutput(ResultPart):
 
     @property
     def words(self) -> str:
-        """Such as ``1.25 mA/g from 4 mA``."""
+        """Text such as ``1.25 mA/g from 4 mA``."""
         start = f" from {self.zero:.9g} {self.unit}" if self.zero else ""
         return f"{self.sensitivity:.9g} {self.unit}/g{start}"
 
 
 class ReadingResult(ResultPart):
-    """One reading: value, standard uncertainty and residual in g; `z` is None where it fits wholly.
+    """One reading: value, standard uncertainty and residual in g.
 
-    `rate` in rad/s; `z` over the residual's own standard deviation. Axes: east, north, up; outward,
-    forward, up on an arm. `samples` used, `counts`, `notes` of a record's mean: as in `RunResult`.
+    Axes are in east-north-up coordinates, or outward-forward-up on an arm. For the mean of a
+    record, `samples`, `counts` and `notes` are as in `RunResult`.
     """
 
     name: str  #: Name of the run or of the table row.
@@ -322,7 +320,7 @@ class ReadingResult(ResultPart):
 class PoseResult(ResultPart):
     """One pose of a triad at an unknown attitude, in g.
 
-    `z` is the residual over its own standard deviation, None where the fit follows it wholly.
+    `z` is the residual divided by its standard deviation; None if the fit follows it exactly.
     """
 
     name: str  #: Name of the run or table row; for a pose in a record, with its start time.
@@ -338,7 +336,7 @@ class PoseResult(ResultPart):
 
 
 class PosesInRecord(ResultPart):
-    """Poses found in a record."""
+    """Poses detected in a record."""
 
     poses: int  #: Number of poses.
     threshold: float  #: Scatter below which counterspin treats the triad as at rest, m/s^2.
@@ -357,8 +355,8 @@ class TriadResult(ResultPart):
     """Three accelerometers of one sensor in one frame.
 
     The parameters are those of NIST: ``offset.X`` (g), ``sensitivity.X`` (g/g) and ``angle.X.Y``
-    (rad) between the axes along which two of them feel; beside them second-order terms of the
-    accelerometers that were asked for, such as ``X.K_II``.
+    (rad) between the input axes of two accelerometers, and requested second-order terms of the
+    accelerometers, such as ``X.K_II``.
     """
 
     accelerometers: list[str]  #: Names of the accelerometers, in the order of the other fields.
@@ -398,17 +396,20 @@ class TriadResult(ResultPart):
         Returns
         -------
         polars.DataFrame or pandas.DataFrame
-            The owner is ``triad``, the term such as ``angle.X.Y``; in the units of the field.
+            Frame with the owner ``triad`` and terms such as ``angle.X.Y``, in units of the field.
         """
-        made = load_name("counterspin.calibration.result_conversion:rows_frame")
-        return made((("triad", n, c) for n, c in self.parameters.items()), library)
+        make_frame = load_name("counterspin.calibration.result_conversion:rows_frame")
+        return make_frame(
+            (("triad", name, coefficient) for name, coefficient in self.parameters.items()), library
+        )
 
     def __repr__(self) -> str:
-        """Return the parameters, a line each, and what the poses were off before and are now."""
+        """Return the parameters, one per line, and the rms of the poses before and after."""
         lines = [f"Triad {', '.join(self.accelerometers)}: {len(self.poses)} poses"]
         width = max(map(len, self.parameters), default=0)
         lines += [
-            f"  {escape_controls(name):<{width}}  {c!r}" for name, c in self.parameters.items()
+            f"  {escape_controls(name):<{width}}  {coefficient!r}"
+            for name, coefficient in self.parameters.items()
         ]
         if self.rms_before is not None and self.rms_after is not None:
             rms = f"{self.rms_before:.3g} m/s^2 before, {self.rms_after:.3g} m/s^2 after"
@@ -419,7 +420,7 @@ class TriadResult(ResultPart):
 
 
 class Shift(ResultPart):
-    """How far a coefficient moves when something is left out; `z` is the shift over its u."""
+    """Shift of a coefficient without one test method; `z` is the shift over its u."""
 
     shift: float  #: Estimate without the omitted method minus the estimate from all methods.
     u: float  #: Standard uncertainty of the shift; common contributions count once.
@@ -444,7 +445,7 @@ class MethodAgreement(ResultPart):
 
 
 class AccelerometerResult(ResultPart):
-    """All that was found out about one accelerometer."""
+    """Result of one accelerometer."""
 
     #: State of the result: ``good``, ``reservations``, ``not-determined`` or ``contradicted``.
     state: State | None = None
@@ -497,7 +498,10 @@ class AccelerometerResult(ResultPart):
     def __repr__(self) -> str:
         """Return state and coefficients, a line each."""
         width = max(map(len, self.coefficients), default=0)
-        lines = [f"{symbol.ljust(width)}  {c}" for symbol, c in self.coefficients.items()]
+        lines = [
+            f"{symbol.ljust(width)}  {coefficient}"
+            for symbol, coefficient in self.coefficients.items()
+        ]
         return "\n".join([f"Accelerometer, {self.state or 'not judged'}", *lines])
 
     __str__ = __repr__
@@ -529,8 +533,8 @@ class ParabolaResult(ResultPart):
 class RunResult(ResultPart):
     """Results of a run: its rotation, its samples and its terms.
 
-    `rejected` counts every sample, of any accelerometer, that was recorded but not used: repeated
-    rows, empty cells and outliers; `counts` says how many of each.
+    `rejected` is the number of recorded samples that were not used: repeated rows, empty cells and
+    outliers of all accelerometers; `counts` is the number of each kind.
     """
 
     rate: float  #: Identified rate w0, in `rate_unit`.
@@ -587,7 +591,7 @@ class Provenance(ResultPart):
 
     @property
     def shown(self) -> list[tuple[str, str]]:
-        """The inputs as a report lists them, each with its checksum."""
+        """Names of the inputs in a report, each with its checksum."""
         return [
             (f"{name} (in memory)" if name in self.in_memory else name, checksum)
             for name, checksum in self.inputs.items()

@@ -1,4 +1,4 @@
-"""Coefficients in SI units, with the part of u that an uncertain gravity leaves."""
+"""Coefficients in SI units, with the contribution of an uncertain gravity to u."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from counterspin.units import SiUnit, instrument_unit_in_si, si_unit
 
 @frozen
 class StatedGravity:
-    """The gravity in whose units a coefficient is."""
+    """The gravity that defines the unit of a coefficient."""
 
-    #: m/s^2, and its standard uncertainty.
+    #: Value and standard uncertainty, m/s^2.
     value: float
     u: float = 0.0
-    #: What the coefficient moves by per m/s^2 of the g assumed, in its own unit.
+    #: Sensitivity of the coefficient to the assumed g, in its unit per m/s^2.
     sensitivity: float = 0.0
 
 
@@ -30,9 +30,9 @@ class SiEstimate:
     unit: SiUnit
     dof: float | None  #: Effective degrees of freedom of u; None is infinite.
     u_without_g: float  #: u if g were exact.
-    #: What one standard uncertainty of g moves the estimate by, signed: nothing where it cancels.
+    #: Signed shift of the estimate for one standard uncertainty of g; 0 if the effects cancel.
     shift: float
-    shift_kept: float  #: The same for the number in g-units, converted with an exact g.
+    shift_kept: float  #: The same shift without the effect of g on the conversion.
 
     def __str__(self) -> str:
         """Return such as ``2.75772(37)e-6 m^-1 s^2``."""
@@ -44,10 +44,10 @@ def convert_to_si(
 ) -> SiEstimate:
     """Return a coefficient in SI units.
 
-    The SI value is K g^n. If an error of the g assumed moves K by s per m/s^2, it moves the SI
-    value by g^n (s + n K/g), which takes the place of g^n s in the uncertainty.
+    The SI value is K g^n. If K has the sensitivity s to the assumed g, the SI value has the
+    sensitivity g^n (s + n K/g), which replaces g^n s in the uncertainty.
 
-    value, u, unit, dof: Of the coefficient, in g-units.
+    value, u, unit, dof: Coefficient in g-units, with its effective degrees of freedom.
     gravity: The g of the unit.
     """
     return _convert_estimate(value, u, (1.0, *si_unit(unit)), dof, gravity)
@@ -56,7 +56,7 @@ def convert_to_si(
 def convert_instrument_unit(
     value: float, u: float, unit: str, dof: float | None, gravity: StatedGravity
 ) -> SiEstimate:
-    """Return in SI units what is in an instrument's own unit, or in that over g.
+    """Convert a value in the unit of an instrument, or in this unit per g, to SI units.
 
     Arguments as in `convert_to_si`; ValueError if the unit has no expression in SI.
     """
@@ -80,6 +80,6 @@ def _convert_estimate(
     shift = shift_kept + power * si_value / g * gravity.u
     u_without_g = math.sqrt(max(si_u**2 - shift_kept**2, 0.0))
     combined_u = math.hypot(u_without_g, shift)
-    # What g adds or takes away has no degrees of freedom (GUM G.4.1).
+    # The contribution of g has infinite degrees of freedom (GUM G.4.1).
     effective_dof = None if dof is None else dof * (combined_u / si_u) ** 4
     return SiEstimate(si_value, combined_u, symbol, effective_dof, u_without_g, shift, shift_kept)

@@ -12,8 +12,8 @@ from counterspin.arrays import median
 from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.findings import (
     CONTRADICTION_SIGMAS,
-    equivalent_deviations,
     lack_of_fit_finding,
+    two_sided_z,
 )
 from counterspin.calibration.outcome import check_outlier_share, summarize_group_residuals
 from counterspin.calibration.result_parts import Finding
@@ -260,7 +260,7 @@ def _pattern_finding(
 ) -> Finding:
     """Return the finding that residuals follow something, the best explanation first."""
     first = pattern.alternatives[0]
-    deviations = equivalent_deviations(pattern.p)
+    deviations = two_sided_z(pattern.p)
     text = f"The residuals of the {group.label} {pattern_clause(first)} (p = {pattern.p:.2g})."
     terms = [alternative.symbol for alternative in pattern.alternatives if alternative.kind == TERM]
     if first.kind == TERM:

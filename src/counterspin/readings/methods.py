@@ -13,8 +13,8 @@ from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.findings import (
     CONTRADICTION_SIGMAS,
     RESIDUAL_RATIO_LIMIT,
-    equivalent_deviations,
     method_test_level,
+    two_sided_z,
 )
 from counterspin.calibration.model import SQUARE_TERMS
 from counterspin.calibration.outcome import summarize_group_residuals
@@ -171,7 +171,7 @@ def _disagreement_findings(
     """
     sizes = [abs(shift.z) / excess for method in methods for shift in method.without.values()]
     sizes += [
-        equivalent_deviations(chi_square_tail(method.dof, method.chi2 / excess**2))
+        two_sided_z(chi_square_tail(method.dof, method.chi2 / excess**2))
         for method in methods
         if method.p is not None
     ]

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from counterspin.calibration.accelerometer_view import AccelerometerView
-from counterspin.calibration.checks.shifts import format_size, largest_shift
+from counterspin.calibration.checks.shifts import format_magnitude, largest_shift
 from counterspin.campaign.conditions import DEFAULT_WARMING
 from counterspin.campaign.description import Campaign
 from counterspin.inference.diagnostics import SIGNIFICANCE
@@ -101,7 +101,7 @@ def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list
                     column, typical, float(tests.value[column_index]), float(tests.u[column_index])
                 )
                 clause = f"{_describe_fault(column, size)} shifts {symbol} by "
-                clause += f"{format_size(symbol, abs(shift), 3)} ({ratio:.2g} u({symbol}))"
+                clause += f"{format_magnitude(symbol, abs(shift), 3)} ({ratio:.2g} u({symbol}))"
                 fault = _UndetectedFault(ratio * expected_size / size, ratio, clause)
                 kinds = faults_by_name[view.name]
                 kinds[column.kind] = fault.merge(kinds.get(column.kind, fault))
@@ -189,11 +189,11 @@ def _describe_fault(fault: Alternative, size: float) -> str:
     if fault.kind == REVERSED:
         return "a rotation opposite to the stated sense"
     if fault.kind == STEP:
-        return f'a bias step of {format_size("K_F", size, 3)} starting at "{fault.symbol}"'
+        return f'a bias step of {format_magnitude("K_F", size, 3)} starting at "{fault.symbol}"'
     if fault.kind == RANGE:
         return f"{_METER_GAIN} of {1e6 * size:.2g} ppm above {fault.symbol}"
     if fault.kind == TURN:
         return (
             f"a head error that grows by {2.0 * math.pi * size / ARCSEC:.2g} arcsec per revolution"
         )
-    return f"a bias drift of {format_size('K_F', size, 3)} during the series"
+    return f"a bias drift of {format_magnitude('K_F', size, 3)} during the series"

@@ -142,7 +142,7 @@ def demonstration_plots(demonstration: Demonstration) -> list[Plot]:
     bias_curvature = 0.5 * bias * demonstration.campaign.gravity.value
     displacement_series: list[PlotSeries] = []
     residual_plots: list[Plot] = []
-    runs = demonstration.two_stage.second.runs
+    runs = demonstration.two_stage.second_stage.runs
     time_limit = 1.01 * max(float(run.parabola.strobes.time[-1]) for run in runs)
     residual_limit = 1.15e3 * max(_residual_limit(run.parabola) for run in runs)
     for run_index, run in enumerate(runs):

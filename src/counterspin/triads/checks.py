@@ -7,8 +7,8 @@ from typing import Final
 
 from counterspin.calibration.findings import (
     CONTRADICTION_SIGMAS,
-    equivalent_deviations,
     lack_of_fit_finding,
+    two_sided_z,
 )
 from counterspin.calibration.outcome import summarize_group_residuals
 from counterspin.calibration.result_parts import Finding
@@ -60,7 +60,7 @@ def pose_findings(fit: JointFit, groups: Sequence[FittedReadings]) -> list[Findi
 def _pattern_finding(group: FittedReadings, pattern: Pattern) -> Finding:
     """Return the finding that the residuals of poses follow something."""
     first = pattern.alternatives[0]
-    deviations = equivalent_deviations(pattern.p)
+    deviations = two_sided_z(pattern.p)
     clause = pattern_clause(first)
     if first.kind == TERM:
         clause = clause.replace(first.symbol, first.name, 1)

@@ -123,7 +123,7 @@ def test_alternatives_have_credible_range(tmp_path):
         for name in given.campaign.accelerometers
     ]
     others = [*prior_alternatives(now.fit), *search._alternative_hypotheses(views, now)]
-    every = search._with_input_ranges(given.campaign, others)
+    every = search._add_input_ranges(given.campaign, others)
     assert len(every) > 100
     assert all(math.isfinite(end) for other in every for end in other.credible_range)
     latitude, gravity = (

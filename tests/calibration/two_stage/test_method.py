@@ -164,7 +164,7 @@ def test_tilt_is_held_per_run(tmp_path):
     outcome = calibrate_accelerometer(
         problem, campaign.accelerometers["Qx"], TwoStageOptions(), {}, problem.series
     )
-    gain = outcome.second.gain[0]
+    gain = outcome.second_stage.gain[0]
     size = 0.5 * math.pi / 648000 * 1.002 * 9.8066 / 2
     c = outcome.result.coefficients["K_II"]
     assert c.u_stated == pytest.approx(size * math.hypot(*gain), rel=1e-4)
@@ -390,8 +390,10 @@ def test_k_ii_alone_equals_full_result(tmp_path, asked):
         view, second = two_stage_view(problem, accelerometer, TwoStageOptions(), {}, problem.series)
         expected = whole.result.coefficients["K_II"]
         assert view.assessment.determined[f"{accelerometer.name}.K_II"] == expected.estimated
-        assert second.estimate("K_II") == pytest.approx(whole.second.estimate("K_II"), rel=1e-9)
-        assert len(second.fit.model.considered) == len(whole.second.fit.model.considered)
+        assert second.estimate("K_II") == pytest.approx(
+            whole.second_stage.estimate("K_II"), rel=1e-9
+        )
+        assert len(second.fit.model.considered) == len(whole.second_stage.fit.model.considered)
 
 
 # --- confounded terms -----------------------------------------------------------------------------

@@ -1,8 +1,8 @@
 """Checks that estimates are credible for an instrument and small enough for first order.
 
-With the sign of all readings reversed a fit is as good as before; only its K_I says that something
-is wrong, near -1. So each estimate is compared with its largest credible size about what it ideally
-is, three of its standard uncertainties allowed.
+Some mistakes leave no residuals: with the sign of all readings reversed, only K_I near -1 reveals
+the mistake. Therefore, the deviation of each estimate from its nominal value is compared with a
+credible limit plus three standard uncertainties.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from counterspin.physics.terms import (
 )
 from counterspin.reports.numbers import find_display_unit, format_estimate, format_number
 
-#: An estimate may be beyond its largest credible size by so many of its standard uncertainties.
+#: Excess over the credible limit, in standard uncertainties, above which a finding is reported.
 _MAX_SIGMAS: Final = 3.0
 
-#: What is unstated may be so many times its typical size.
+#: Largest estimate of an unstated term, in default standard uncertainties.
 _MAX_DEFAULT_SDS: Final = 4.0
 
-#: A scale factor is off by a unit that it is this near to, of its size; 9.8 is not 10.
+#: Relative tolerance for recognising a wrong unit from a scale factor.
 _RATIO_TOLERANCE: Final = 0.01
 
-_GRAVITY: Final = 9.80665  #: m/s^2
+_STANDARD_GRAVITY: Final = 9.80665  #: m/s^2
 
-#: Powers of ten that a unit may be off by.
-_POWERS: Final = (-9, -6, -4, -3, -2, -1, 1, 2, 3, 4, 6, 9)
+#: Powers of ten by which a unit may be wrong.
+_UNIT_POWERS: Final = (-9, -6, -4, -3, -2, -1, 1, 2, 3, 4, 6, 9)
 
-#: The first of these that a symbol begins with says what is likely.
+#: Prefix of a symbol -> likely cause of an incredible value; the first match applies.
 _LIKELY_CAUSES: Final = {
     "K_F.temperature": "the unit of the temperatures and their assignment to positions",
     "K_I.temperature": "the unit of the temperatures and their assignment to positions",
@@ -56,55 +56,57 @@ _LIKELY_CAUSES: Final = {
 }
 
 
-#: Symbol of a term and its accelerometer, empty of others' -> the largest credible size.
+#: (symbol, accelerometer) -> credible limit; the accelerometer is empty for shared terms.
 LimitFunction = Callable[[str, str], float]
 
 
-def widest_limit(symbol: str, owner: str) -> float:  # noqa: ARG001 -- as campaigns answer
-    """Return the largest credible size at any grade, for a result that does not say its own."""
+def max_limit(symbol: str, owner: str) -> float:  # noqa: ARG001 -- a LimitFunction
+    """Return the largest credible limit of any grade, for a result without a stated grade."""
     return max(term(symbol).sizes(grade).limit for grade in GRADES)
 
 
 def check_credibility(
     limit_of: LimitFunction, name: str, coefficients: Mapping[str, Coefficient]
 ) -> Iterator[Finding]:
-    """Yield a finding if coefficients of an accelerometer are beyond what is credible.
+    """Yield the findings on coefficients of an accelerometer beyond their credible limits.
 
-    A wrong scale factor makes the others wrong by as much: they stand below it.
+    A finding on the scale factor explains the others, because it scales all of them.
 
-    coefficients: Symbol -> estimate, in g-units.
+    coefficients: Symbol -> coefficient, in g-units.
     """
     findings = {
         symbol: finding
-        for symbol, c in coefficients.items()
+        for symbol, coefficient in coefficients.items()
         if symbol in ACCELEROMETER_TERMS
-        and (finding := _credibility_finding(limit_of, name, symbol, f"{name}.{symbol}", c))
+        and (
+            finding := _credibility_finding(limit_of, name, symbol, f"{name}.{symbol}", coefficient)
+        )
         is not None
     }
-    scale = findings.pop("K_I", None)
-    if scale is None:
+    scale_finding = findings.pop("K_I", None)
+    if scale_finding is None:
         yield from findings.values()
     else:
-        yield scale.model_copy(update={"explains": list(findings.values())})
+        yield scale_finding.model_copy(update={"explains": list(findings.values())})
 
 
 def check_shared_credibility(
     limit_of: LimitFunction, coefficients: Iterable[tuple[str, str, Coefficient]]
 ) -> Iterator[Finding]:
-    """Yield the findings on what platform, machine and runs have; deviations from nominal, SI.
+    """Yield the findings on terms of platform, machine and runs beyond their credible limits.
 
-    coefficients: Symbol, whole name and estimate; radii of mountings as deviations from the
-        centrifuge's.
+    coefficients: Symbol, full name and coefficient in SI; radii of mountings as deviations from
+        the radius of the centrifuge.
     """
-    for symbol, name, c in coefficients:
+    for symbol, name, coefficient in coefficients:
         if is_term(symbol):
-            finding = _credibility_finding(limit_of, "", symbol, name, c)
+            finding = _credibility_finding(limit_of, "", symbol, name, coefficient)
             if finding is not None:
                 yield finding
 
 
 def check_default_priors(rests_on: Sequence[Knowledge]) -> Iterator[Finding]:
-    """Yield a finding for each thing unstated that comes out far from nothing."""
+    """Yield a finding for each unstated term whose estimate is far outside its default prior."""
     for row in rests_on:
         if row.kind != "unstated" or row.found is None or row.u_found is None:
             continue
@@ -124,29 +126,31 @@ def check_default_priors(rests_on: Sequence[Knowledge]) -> Iterator[Finding]:
 
 
 def _credibility_finding(
-    limit_of: LimitFunction, owner: str, symbol: str, subject: str, c: Coefficient
+    limit_of: LimitFunction, owner: str, symbol: str, subject: str, coefficient: Coefficient
 ) -> Finding | None:
     """Return the finding on one estimate; None if it is credible or there is none."""
-    if not c.estimated or c.value is None or c.u is None:
+    if not coefficient.estimated or coefficient.value is None or coefficient.u is None:
         return None
     row, limit = term(symbol), limit_of(symbol, owner)
-    excess = abs(c.value - row.nominal) - limit
-    if excess <= _MAX_SIGMAS * c.u:
+    excess = abs(coefficient.value - row.nominal) - limit
+    if excess <= _MAX_SIGMAS * coefficient.u:
         return None
     deviation = f"deviation from {row.nominal:g}" if row.nominal else "magnitude"
-    excess_text = f"its {deviation} exceeds {format_number(limit)} {c.unit}"
-    cause = _scale_factor_cause(c.value, limit) if symbol == "K_I" else _likely_cause(symbol)
+    excess_text = f"its {deviation} exceeds {format_number(limit)} {coefficient.unit}"
+    cause = (
+        _scale_factor_cause(coefficient.value, limit) if symbol == "K_I" else _likely_cause(symbol)
+    )
     grade = f" state the grade of the instrument in accelerometers.{owner}, or" if owner else ""
     text = (
-        f"{symbol} = {format_number(c.value, 5)} {c.unit} is not credible, because "
-        f"{excess_text}. The records cannot reveal the cause. Check {cause}. If the value is "
-        f"real,{grade} raise {symbol} in [model.limits]."
+        f"{symbol} = {format_number(coefficient.value, 5)} {coefficient.unit} is not credible, "
+        f"because {excess_text}. The records cannot reveal the cause. Check {cause}. If the value "
+        f"is real,{grade} raise {symbol} in [model.limits]."
     )
     return Finding(
         code="incredible",
         subject=subject,
         text=text,
-        size=excess / c.u if c.u > 0.0 else None,
+        size=excess / coefficient.u if coefficient.u > 0.0 else None,
         contradicts=True,
     )
 
@@ -158,22 +162,26 @@ def _likely_cause(symbol: str) -> str:
 def _scale_factor_cause(value: float, limit: float) -> str:
     """Return the likely cause of an incredible scale factor: a sign, a unit, a column."""
     factors = dict.fromkeys(
-        (_GRAVITY, 1.0 / _GRAVITY), "the unit: the values may be in m/s^2 instead of g"
+        (_STANDARD_GRAVITY, 1.0 / _STANDARD_GRAVITY),
+        "the unit: the values may be in m/s^2 instead of g",
     )
     factors |= {
-        10.0**power: f"the unit, which may be wrong by a factor of 1e{power}" for power in _POWERS
+        10.0**power: f"the unit, which may be wrong by a factor of 1e{power}"
+        for power in _UNIT_POWERS
     }
-    # The true one may be as far from 1 as instruments of its grade are.
+    # The true scale factor may deviate from 1 by the limit of the grade.
     tolerance = max(_RATIO_TOLERANCE, 0.1 * limit)
-    matches = [factor for factor in (1.0, *factors) if abs(abs(value) / factor - 1.0) <= tolerance]
+    matching_factors = [
+        factor for factor in (1.0, *factors) if abs(abs(value) / factor - 1.0) <= tolerance
+    ]
     causes = []
-    if value < -limit or (value < 0.0 and matches):
+    if value < -limit or (value < 0.0 and matching_factors):
         causes.append(
             "the sign of the output, and the senses of the input axis and of the attitudes"
         )
-    if 1.0 not in matches and matches:
-        causes.append(", or ".join(factors[factor] for factor in matches))
-    elif not matches and abs(value) <= limit:
+    if 1.0 not in matching_factors and matching_factors:
+        causes.append(", or ".join(factors[factor] for factor in matching_factors))
+    elif not matching_factors and abs(value) <= limit:
         causes.append("whether columns or accelerometers are swapped")
     return ", and ".join(causes) or (
         "the sensitivity, the unit of the sensitivity, and the range of the readout"

@@ -25,10 +25,10 @@ from counterspin.inference.joint.unknowns import unit_of
 from counterspin.physics.terms import INPUTS
 from counterspin.reports.numbers import find_display_unit, format_estimate
 
-#: Sizes of tests that differ by less are one: the first of them is named.
+#: Relative difference below which scores are equal; the first of them is reported.
 _TIE_TOLERANCE: Final = 1e-6
 
-#: What a quantity is off by where its unit was mistaken, and the words.
+#: Ratio of the stated to the true value -> description of the usual mistake.
 _RATIO_MISTAKES: Final[Sequence[tuple[float, str]]] = (
     (-1.0, "the sign may be reversed"),
     (1e3, "the unit may be wrong by a factor of 1000"),
@@ -36,16 +36,16 @@ _RATIO_MISTAKES: Final[Sequence[tuple[float, str]]] = (
     (9.80665, "g and m/s^2 may be confused"),
 )
 
-#: The same of what is measured in angles, or in times.
+#: Further mistakes with angles and times.
 _ANGLE_MISTAKES: Final[Sequence[tuple[float, str]]] = (
     (3600.0, "degrees and arcsec, or hours and seconds, may be confused"),
     (60.0, "minutes and seconds may be confused"),
     (206264.806, "rad and arcsec may be confused"),
     (57.29578, "rad and deg may be confused"),
 )
-_ANGLE_UNITS: Final = ("rad", "s")  # begin or end the units of these
+_ANGLE_UNITS: Final = ("rad", "s")  # prefixes of their units
 
-#: Relative distance up to which a ratio is one of these.
+#: Relative tolerance for recognising one of these ratios.
 _RATIO_TOLERANCE: Final = 0.02
 
 
@@ -56,16 +56,16 @@ def find_prior_conflict(view: AccelerometerView) -> Iterator[Finding]:
     priors = [
         alternative
         for alternative in prior_alternatives(relaxed_fit)
-        # What is stated as exact is no prior that could give way.
-        if all(unknowns[best_index].prior[1] > 0.0 for best_index in alternative.prior_shifts)
+        # A value stated as exact has no prior to relax.
+        if all(unknowns[index].prior[1] > 0.0 for index in alternative.prior_shifts)
     ]
     if not priors:
         return
-    noise_known = not view.estimate.estimated_noise and bool(np.isinf(view.estimate.dof).all())
-    tests = run_score_tests(relaxed_fit, priors, noise_given=noise_known)
+    is_noise_known = not view.estimate.estimated_noise and bool(np.isinf(view.estimate.dof).all())
+    tests = run_score_tests(relaxed_fit, priors, noise_given=is_noise_known)
     scores = tests.z
     best_index = int(np.flatnonzero(scores >= (1.0 - _TIE_TOLERANCE) * scores.max())[0])
-    z = normal_equivalent(float(scores[best_index]), None if noise_known else tests.dof)
+    z = normal_equivalent(float(scores[best_index]), None if is_noise_known else tests.dof)
     if z <= agreement_limit(tests.test_count):
         return
     value, u = float(tests.value[best_index]), float(tests.u[best_index])
@@ -83,28 +83,28 @@ def find_prior_conflict(view: AccelerometerView) -> Iterator[Finding]:
 
 @frozen
 class FindingText:
-    """The words of an explanation."""
+    """Text of an explanation."""
 
     #: As in `Finding`.
     code: str
     subject: str
     text: str
-    name: str  #: What it is called in the list of those that explain the records as well.
+    name: str  #: Label in the list of explanations that fit equally well.
 
 
 @frozen
 class PriorExplanation:
-    """A prior or an input that explains the data with another value."""
+    """A prior or an input that would explain the data with another value."""
 
     campaign: Campaign  #: The description.
-    fit: JointFit  #: The relaxed fit that it was held against.
-    alternative: Alternative  #: The alternative.
-    #: The estimate of its parameter and its standard uncertainty, in SI or g-units.
+    fit: JointFit  #: The relaxed fit in which the alternative was tested.
+    alternative: Alternative
+    #: Estimate of the parameter and its standard uncertainty, in SI or g-units.
     value: float
     u: float
 
     def describe(self) -> FindingText:
-        """Return the explanation in words."""
+        """Return the explanation as text."""
         return {
             "prior": self._describe_prior,
             "priors": self._describe_common_prior,
@@ -121,7 +121,7 @@ class PriorExplanation:
         prior_mean, prior_sd = self.fit.model.unknowns[index].prior
         name, unit = self.alternative.name, unit_of(self.alternative.symbol)
         estimate = prior_mean + self.value
-        # The difference has the uncertainty of both.
+        # self.u is the uncertainty of the difference.
         u_estimate = math.sqrt(max(self.u**2 - prior_sd**2, 0.0)) or self.u
         text = describe_conflict(
             name, (prior_mean, prior_sd), (estimate, u_estimate), abs(self.value) / self.u, unit
@@ -147,34 +147,33 @@ class PriorExplanation:
         term_row = INPUTS[self.alternative.symbol]
         stated_value = stated_inputs(self.campaign)[self.alternative.name].value
         owner = f" {self.alternative.owner}" if self.alternative.owner else ""
-        estimate, as_stated = (
+        estimate_text, stated_text = (
             _format_degrees(value, u)
             if term_row.unit == "rad"
             else format_si(value, u, term_row.unit)
             for value, u in ((stated_value + self.value, self.u), (stated_value, 0.0))
         )
-        article, stated_text = (
-            ("an" if term_row.words[0] in "aeiou" else "a"),
-            as_stated.split(" (exact)")[0],
-        )
+        article = "an" if term_row.words[0] in "aeiou" else "a"
+        stated_text = stated_text.split(" (exact)")[0]
         text = (
-            f"The records would fit with {article} {term_row.words}{owner} of {estimate} instead "
-            f"of the {'stated' if stated_value else 'assumed'} {stated_text}. Check the value."
+            f"The records would fit with {article} {term_row.words}{owner} of {estimate_text} "
+            f"instead of the {'stated' if stated_value else 'assumed'} {stated_text}. Check the "
+            "value."
         )
         name = f"{term_row.words}{owner}"
         return FindingText(code="wrong-input", subject=self.alternative.name, text=text, name=name)
 
 
 def describe_conflict(
-    name: str, stated: tuple[float, float], estimate: tuple[float, float], size: float, unit: str
+    name: str, prior: tuple[float, float], posterior: tuple[float, float], sigmas: float, unit: str
 ) -> str:
-    """Return the sentence on a prior that the records contradict."""
+    """Return the text on a prior that the records contradict; sigmas: size of the difference."""
     text = (
-        f"{name} is stated as {format_si(*stated, unit)}, but the records and all other priors "
-        f"give {format_si(*estimate, unit)}. The difference is {size:.1f} standard "
+        f"{name} is stated as {format_si(*prior, unit)}, but the records and all other priors "
+        f"give {format_si(*posterior, unit)}. The difference is {sigmas:.1f} standard "
         "uncertainties of the difference"
     )
-    if hint := _usual_mistake(estimate[0], stated[0], unit):
+    if hint := _usual_mistake(posterior[0], prior[0], unit):
         text += f" ({hint})"
     return f"{text}. Check the stated value."
 
@@ -191,13 +190,13 @@ def _format_degrees(value: float, u: float) -> str:
     return format_estimate(math.degrees(value), math.degrees(u), "deg")
 
 
-def _usual_mistake(estimate: float, stated: float, unit: str) -> str:
-    """Name the usual mistake that would make a number this far off; empty if there is none."""
-    if estimate == 0.0 or stated == 0.0:
+def _usual_mistake(estimate: float, stated_value: float, unit: str) -> str:
+    """Return the usual mistake that explains the ratio of two values; empty if there is none."""
+    if estimate == 0.0 or stated_value == 0.0:
         return ""
-    angles = unit.startswith(_ANGLE_UNITS) or unit.endswith("/s")
-    for factor, description in (*_RATIO_MISTAKES, *(_ANGLE_MISTAKES if angles else ())):
+    is_angle = unit.startswith(_ANGLE_UNITS) or unit.endswith("/s")
+    for factor, description in (*_RATIO_MISTAKES, *(_ANGLE_MISTAKES if is_angle else ())):
         for ratio in (factor, 1.0 / factor):
-            if abs(stated / estimate / ratio - 1.0) < _RATIO_TOLERANCE:
+            if abs(stated_value / estimate / ratio - 1.0) < _RATIO_TOLERANCE:
                 return description
     return ""

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from typing import Final
 
 from counterspin.calibration.accelerometer_view import AccelerometerView
-from counterspin.calibration.findings import equivalent_deviations, lack_of_fit_finding
+from counterspin.calibration.findings import lack_of_fit_finding, two_sided_z
 from counterspin.calibration.outcome import estimated_timing_noise, summarize_residuals
 from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import FALSE_ALARM_RATE
@@ -15,12 +15,12 @@ from counterspin.inference.joint.agreement import compare_slow_residuals
 from counterspin.inference.joint.fit import estimate_considered
 from counterspin.reports.numbers import format_number
 
-#: Share of u^2 above which noise that the records do not show is mentioned.
+#: Share of u^2 above which a remark reports noise that the records cannot confirm.
 _MAX_UNDETECTED_SHARE: Final = 0.5
 
 
 def residual_findings(view: AccelerometerView) -> list[Finding]:
-    """Return the finding of the tests of an accelerometer's residuals, over all records."""
+    """Return the findings of the tests of an accelerometer's residuals."""
     findings = view.data.findings(view)
     if not view.has_records:
         return findings
@@ -33,31 +33,31 @@ def residual_findings(view: AccelerometerView) -> list[Finding]:
 
 
 def _compare_run_noise(view: AccelerometerView) -> list[Finding]:
-    """Return a finding where one run shows more of the noise that was found than the others."""
+    """Return a finding if the estimated noise is larger in one run than in the others."""
     components = view.estimate.estimated_noise.get(view.name)
     if components is None or "random_walk" not in components.estimated:
         return []
-    # What nobody asks for need not be apart.
+    # The tests do not need the nuisance parameters separately.
     run_tests = compare_slow_residuals(
         estimate_considered(view.estimate.compressed_fit or view.fit), view.name
     )
-    result = min(run_tests, key=lambda test: test.p, default=None)
-    tests = len(run_tests) * len(view.campaign.accelerometers)
-    if result is None or result.p * tests >= FALSE_ALARM_RATE:
+    worst_test = min(run_tests, key=lambda test: test.p, default=None)
+    test_count = len(run_tests) * len(view.campaign.accelerometers)
+    if worst_test is None or worst_test.p * test_count >= FALSE_ALARM_RATE:
         return []
     text = (
-        f"The estimated accelerometer noise differs between runs. In {result.run}, it is "
-        f"{format_number(math.sqrt(result.ratio), 2)} times as large as in the other runs (p = "
-        f"{result.p:.2g}). The fit may have attributed a slow error of this record, or of a "
+        f"The estimated accelerometer noise differs between runs. In {worst_test.run}, it is "
+        f"{format_number(math.sqrt(worst_test.ratio), 2)} times as large as in the other runs (p = "
+        f"{worst_test.p:.2g}). The fit may have attributed a slow error of this record, or of a "
         "record used for comparison, to noise. Such an error may shift the coefficients by more "
         "than their uncertainty. Inspect the records."
     )
     return [
         Finding(
             code="noise-differs",
-            subject=f"{result.run}.{view.name}",
+            subject=f"{worst_test.run}.{view.name}",
             text=text,
-            size=equivalent_deviations(result.p),
+            size=two_sided_z(worst_test.p),
         )
     ]
 
@@ -66,22 +66,23 @@ def _compare_run_noise(view: AccelerometerView) -> list[Finding]:
 
 
 def noise_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
-    """Yield remarks on noise that is not independent, or uneven: rows and weights follow it."""
+    """Yield remarks on correlated or heteroscedastic noise, to which the fit adapts."""
     for view in views:
-        if thinned_runs := {
+        if strides_by_run := {
             series.run: series.thinning for series in view.series if series.thinning > 1
         }:
-            strides = ", ".join(
-                f"one row in {stride} of {run}" for run, stride in thinned_runs.items()
+            stride_text = ", ".join(
+                f"one row in {stride} of {run}" for run, stride in strides_by_run.items()
             )
             yield (
                 f"{view.name}: adjacent rows have nearly the same error, as if the recorder "
                 "had a low-pass filter or a coarse resolution. The fit uses only rows "
-                f"with independent errors: {strides}."
+                f"with independent errors: {stride_text}."
             )
         noise_ratios = {series.run: math.sqrt(series.variance_ratio) for series in view.series}
         quietest, noisiest = (
-            select(noise_ratios, key=noise_ratios.__getitem__, default="") for select in (min, max)
+            function(noise_ratios, key=noise_ratios.__getitem__, default="")
+            for function in (min, max)
         )
         if noise_ratios and noise_ratios[noisiest] > noise_ratios[quietest]:
             ratio = noise_ratios[noisiest] / noise_ratios[quietest]
@@ -90,7 +91,7 @@ def noise_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
                 f"{quietest}. The fit weights each run by its noise. Find the cause, and check "
                 "whether the runs also differ in other respects."
             )
-        if timing := estimated_timing_noise(view):
+        if timing_noise := estimated_timing_noise(view):
             symptom, action = (
                 "the noise is proportional to the slope of the signal",
                 "the fit weights the rows accordingly",
@@ -102,16 +103,13 @@ def noise_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
                 )
             yield (
                 f"{view.name}: {symptom}. This pattern suggests time-stamp jitter of "
-                f"{timing * 1e6:.2g} us, and {action}. If the time stamps do have jitter, "
+                f"{timing_noise * 1e6:.2g} us, and {action}. If the time stamps do have jitter, "
                 "enter the jitter as timing in [noise]."
             )
 
 
 def undetected_walk_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
-    """Yield a remark where most of u^2 of K_II is noise that the records do not show.
-
-    u holds it, so nothing speaks against the result.
-    """
+    """Yield a remark if most of u^2 of K_II comes from noise that the records cannot confirm."""
     for view in views:
         index, name = view.k_ii_index, view.name
         if index is None or name not in view.fit.undetected_walks:

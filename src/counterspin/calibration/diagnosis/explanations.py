@@ -1,4 +1,4 @@
-"""Text about the cause of a misfit."""
+"""Text on the cause of a misfit."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Explanation(PriorExplanation):
     """An alternative that explains the records."""
 
     def describe(self) -> FindingText:
-        """Return it in words."""
+        """Return the explanation as text."""
         describe_kind = {
             "term": self._describe_term,
             mistakes.SCALE: self._describe_scale,
@@ -46,9 +46,9 @@ class Explanation(PriorExplanation):
         label = f"{name}, which the model omits"
         if abs(self.value) > limit:
             shown_unit, factor = find_display_unit(unit_of(self.alternative.symbol))
-            largest = f"{format_number(limit * factor, 3)} {shown_unit}"
+            limit_text = f"{format_number(limit * factor, 3)} {shown_unit}"
             text += (
-                f"This value exceeds the largest credible value, {largest}, but no cause of a "
+                f"This value exceeds the largest credible value, {limit_text}, but no cause of a "
                 "credible size explains the misfit equally well. If the true value can be this "
                 "large, add the term to the model and state a limit. Otherwise, look for a "
                 "mistake with the same effect."
@@ -62,8 +62,8 @@ class Explanation(PriorExplanation):
 
     @property
     def _record_names(self) -> str:
-        """Records to which the alternative applies."""
-        blocks = [self.fit.design_blocks[i] for i in self.alternative.columns]
+        """Name of the record, or of the owner of the records, to which the alternative applies."""
+        blocks = [self.fit.design_blocks[index] for index in self.alternative.columns]
         if len(blocks) == 1:
             return f"{blocks[0].accelerometer} in {blocks[0].run}"
         return self.alternative.owner
@@ -83,8 +83,8 @@ class Explanation(PriorExplanation):
             abs(self.fit.design_blocks[index].series.trajectory.spindle.rate)
             for index in self.alternative.columns
         )
-        fastest = max(rates)
-        change, u = (0.5e6 * change_rate * fastest**2 for change_rate in (abs(self.value), self.u))
+        max_rate = max(rates)
+        change, u = (0.5e6 * coefficient * max_rate**2 for coefficient in (abs(self.value), self.u))
         direction, cause = (
             ("fell", "a low-pass filter in the recorder, or averaging over the sampling interval")
             if self.value > 0.0
@@ -93,7 +93,7 @@ class Explanation(PriorExplanation):
         text = (
             f"The records of {self.alternative.owner} would fit if the gain {direction} with "
             "the square of the frequency, reaching a change of "
-            f"{format_estimate(change, u, 'ppm')} at {fastest / (2.0 * math.pi):.3g} Hz. A "
+            f"{format_estimate(change, u, 'ppm')} at {max_rate / (2.0 * math.pi):.3g} Hz. A "
             f"likely cause is {cause}. Check the frequency response of the accelerometer and "
             "of the recorder."
         )
@@ -106,32 +106,32 @@ class Explanation(PriorExplanation):
 
     def _describe_angle(self) -> FindingText:
         run = self.alternative.owner
-        of_run = f" of {run}" if run else ""
+        run_clause = f" of {run}" if run else ""
         angle_text = f"{math.degrees(abs(self.value)):.4g} deg (u {math.degrees(self.u):.1g} deg)"
         direction = "larger" if self.value > 0.0 else "smaller"
         text = (
-            f"The records would fit if the angle{of_run} were {angle_text} {direction}. Check the "
-            "zero of the angle and the time at which the angle is sampled."
+            f"The records would fit if the angle{run_clause} were {angle_text} {direction}. Check "
+            "the zero of the angle and the time at which the angle is sampled."
         )
         return FindingText(
             code="wrong-angle",
             subject=run or self.alternative.symbol,
             text=text,
-            name=f"zero of the angle{of_run}",
+            name=f"zero of the angle{run_clause}",
         )
 
     def _describe_coriolis(self) -> FindingText:
         uses_platform = self.campaign.own_velocity
-        owner, stated = (
+        owner_text, reference = (
             ("the platform's", "platform") if uses_platform else ("its own", "own velocity")
         )
         text = (
-            f"The records fit best if the computer uses {owner} velocity for the Coriolis "
+            f"The records fit best if the computer uses {owner_text} velocity for the Coriolis "
             f"acceleration (estimated fraction of this effect {format_number(self.value, 4)}, "
             f"u {format_number(self.u, 2)}). If the computer does so, enter reference = "
-            f'"{stated}" in [records].'
+            f'"{reference}" in [records].'
         )
-        name = f"velocity used for the Coriolis acceleration: {owner}"
+        name = f"velocity used for the Coriolis acceleration: {owner_text}"
         return FindingText(
             code="own-velocity", subject=self.alternative.symbol, text=text, name=name
         )
@@ -151,10 +151,10 @@ class Explanation(PriorExplanation):
 
     def _describe_drift(self) -> FindingText:
         is_single = len(self.alternative.columns) == 1
-        when = "" if is_single else " from the start of every run"
+        start_clause = "" if is_single else " from the start of every run"
         text = (
             f"{self._record_names} would fit with a bias that drifts by "
-            f"{self._format_estimate('g/s')}{when}. Possible causes are warm-up, creep or "
+            f"{self._format_estimate('g/s')}{start_clause}. Possible causes are warm-up, creep or "
             "another slow error. Inspect the records."
         )
         return FindingText(
@@ -179,14 +179,17 @@ class Explanation(PriorExplanation):
         )
 
     def _describe_step(self) -> FindingText:
-        (i,) = self.alternative.columns
-        unit = OBSERVABLES[self.fit.design_blocks[i].series.observable]
-        at = f"about {self.alternative.time:.4g} s"
+        (index,) = self.alternative.columns
+        unit = OBSERVABLES[self.fit.design_blocks[index].series.observable]
+        time_text = f"about {self.alternative.time:.4g} s"
         if self.alternative.kind == mistakes.JUMP:
-            quantity, change_text = "level", f"jumps by {self._format_estimate(unit)} at {at}"
+            quantity, change_text = (
+                "level",
+                f"jumps by {self._format_estimate(unit)} at {time_text}",
+            )
         else:
             change = format_estimate(self.value, self.u, f"{unit} per second")
-            quantity, change_text = "slope", f"changes slope at {at}, by {change}"
+            quantity, change_text = "slope", f"changes slope at {time_text}, by {change}"
         return FindingText(
             code="jump",
             subject=self.alternative.owner,

@@ -16,21 +16,21 @@ from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.heteroscedasticity import noise_by_run
 from counterspin.reports.numbers import format_number
 
-#: Noise of a run that is so many times the stated one, or less by as much, is another one.
+#: Ratio of estimated to stated noise, or its inverse, above which the noise deviates.
 _MAX_NOISE_RATIO: Final = 1.1
 
 
-#: Runs that a finding names.
+#: Largest number of runs that a finding names.
 _MAX_NAMED: Final = 3
 
 
 def reweight_runs(
     views: Sequence[AccelerometerView], estimate: Estimate
 ) -> tuple[Estimate, list[Finding]]:
-    """Weigh each run with its own noise where the stated one is that of some runs only.
+    """Weight each run by its estimated noise if this noise deviates from the stated one.
 
-    What a noisy run does by chance is no jump of its record. Its noise is taken from third
-    differences, in which nothing else shows.
+    Otherwise, a noisy run could be mistaken for a jump. The noise is estimated from third
+    differences, which contain no other effects.
     """
     stated_names = [
         view.name
@@ -54,35 +54,42 @@ def reweight_runs(
     ]
 
 
-def _deviating_runs(runs: Mapping[str, float]) -> list[str]:
-    """Return the runs whose noise is another one than stated, the furthest off first."""
-    deviating = [
-        run for run, ratio in runs.items() if not 1.0 / _MAX_NOISE_RATIO < ratio < _MAX_NOISE_RATIO
+def _deviating_runs(noise_ratios: Mapping[str, float]) -> list[str]:
+    """Return the runs whose noise deviates from the stated one, largest deviation first."""
+    deviating_runs = [
+        run
+        for run, ratio in noise_ratios.items()
+        if not 1.0 / _MAX_NOISE_RATIO < ratio < _MAX_NOISE_RATIO
     ]
-    return sorted(deviating, key=lambda run: -abs(math.log(runs[run])))
+    return sorted(deviating_runs, key=lambda run: -abs(math.log(noise_ratios[run])))
 
 
-def _noise_finding(name: str, runs: Mapping[str, float]) -> Finding:
-    deviating = _deviating_runs(runs)
-    ratios = [f"{format_number(runs[run], 2)} times" for run in deviating[:_MAX_NAMED]]
-    ratios[0] += " the stated noise"
+def _noise_finding(name: str, noise_ratios: Mapping[str, float]) -> Finding:
+    deviating_runs = _deviating_runs(noise_ratios)
+    ratio_texts = [
+        f"{format_number(noise_ratios[run], 2)} times" for run in deviating_runs[:_MAX_NAMED]
+    ]
+    ratio_texts[0] += " the stated noise"
     listing = ", ".join(
-        f"{max_ratio} in {run}" for max_ratio, run in zip(ratios, deviating, strict=False)
+        f"{ratio_text} in {run}"
+        for ratio_text, run in zip(ratio_texts, deviating_runs, strict=False)
     )
-    contrast = ", and as stated in the other runs" if len(deviating) < len(runs) else ""
+    contrast = (
+        ", and as stated in the other runs" if len(deviating_runs) < len(noise_ratios) else ""
+    )
     text = (
         f"The differences between adjacent rows show that the noise of {name} is "
         f"{listing}{contrast}. Find the cause. Alternatively, remove the value from [noise], so "
         "that counterspin estimates the noise of each run."
     )
-    max_ratio = max(max(ratio, 1.0 / ratio) for ratio in runs.values())
+    max_ratio = max(max(ratio, 1.0 / ratio) for ratio in noise_ratios.values())
     return Finding(code="wrong-noise", subject=name, text=text, size=max_ratio)
 
 
 def check_stated_noise(view: AccelerometerView) -> Iterator[Finding]:
-    """Yield that the noise is stated wrongly, where nothing else is wrong with it.
+    """Yield a finding if the stated noise is wrong and the fit shows no other misfit.
 
-    Residuals of another size than the noise, alike in every run and independent of each other.
+    In this case the residuals are independent, and their ratio to the noise is equal in all runs.
     """
     tests, name, accelerometer_count = (
         view.diagnostics,
@@ -102,8 +109,8 @@ def check_stated_noise(view: AccelerometerView) -> Iterator[Finding]:
         if min(run.sign_p, run.peak_p, math.erfc(abs(deviation) / math.sqrt(2.0))) < threshold:
             return
     factor = math.sqrt(ratio)
-    white, unit = view.fit.noise[name].white, OBSERVABLES[view.accelerometer.observable]
-    noise_text = f", {format_number(factor * white, 3)} {unit}," if white > 0.0 else ""
+    white_noise, unit = view.fit.noise[name].white, OBSERVABLES[view.accelerometer.observable]
+    noise_text = f", {format_number(factor * white_noise, 3)} {unit}," if white_noise > 0.0 else ""
     text = (
         "The residuals are independent of each other. In every run, they are "
         f"{format_number(factor, 4)} times as large as expected from the stated noise. Noise of "

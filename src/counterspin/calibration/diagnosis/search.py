@@ -1,9 +1,8 @@
-"""Search for the likely causes of a misfit, each tried on the records.
+"""Search for the likely causes of a misfit.
 
-Priors are always held to the records, for that is algebra on the solved equations. The other
-mistakes that are likely are tried only where something is suspicious: residuals, runs or priors.
-The best explanation is taken into the fit, with noise estimated again where it was estimated, and
-the search goes on beside it until nothing explains anything better.
+Tests of priors need only the solved equations, so they are always made. Other likely mistakes are
+tested only if residuals, runs or priors are suspicious. The search adds the best explanation to the
+fit, estimates the noise again, and repeats until no further explanation is significant.
 """
 
 from __future__ import annotations
@@ -24,10 +23,10 @@ from counterspin.calibration.diagnosis.explanations import Explanation
 from counterspin.calibration.diagnosis.noise import check_stated_noise, reweight_runs
 from counterspin.calibration.diagnosis.ranking import (
     FALSE_ALARMS,
-    STEPS,
+    STEP_COUNT,
     BestExplanation,
     find_best,
-    min_equal_gain,
+    min_equivalent_gain,
 )
 from counterspin.calibration.diagnosis.untested_inputs import (
     AlternativeMounting,
@@ -39,8 +38,8 @@ from counterspin.calibration.diagnosis.untested_inputs import (
 )
 from counterspin.calibration.extensions import Diagnosis
 from counterspin.calibration.findings import (
-    ACCOUNTABLE,
     CONTRADICTION_SIGMAS,
+    EXPLAINABLE_CODES,
     Cause,
     check_statistics,
 )
@@ -74,37 +73,36 @@ from counterspin.inference.noise.model import Noise
 from counterspin.physics.gravity import gravity_range, latitudes_with
 from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS
 
-#: Probability by chance below which the alternatives are tried.
+#: p-value below which the alternatives are tested.
 _SUSPICION_P: Final = 0.01
 
-#: Probability of a shift by chance below which they are tried, for a run that is left out or the
-#: two-stage method; with many records, all shifts share `_SUSPICION_P`. That of 3 sigma.
+#: p-value of a shift (omitted run, or two-stage method) below which they are tested: 3 sigma. With
+#: many records, all shifts share `_SUSPICION_P`.
 _SUSPICION_SHIFT_P: Final = math.erfc(3.0 / math.sqrt(2.0))
 
-#: Causes that are looked for, one after the other.
+#: Largest number of causes.
 _MAX_CAUSES: Final = 3
 
-#: Part of the first cause's size below which a further cause may only show that the first is
-#: known to first order.
+#: Smallest z of a further cause relative to the first one, whose effect is known to first order.
 _MIN_RELATIVE_SIZE: Final = 0.03
 
-#: How often a cause's columns are worked out again for its size.
-_REFINEMENTS: Final = 4
+#: Largest number of relinearisations of a cause.
+_MAX_REFINEMENTS: Final = 4
 
-#: How many of the explanations that are as good are named.
+#: Largest number of rivals in a text.
 _MAX_RIVALS: Final = 3
 
-#: Anomalies of the ground's gravity are mostly smaller, m/s^2.
-_ANOMALY: Final = 1e-3
+#: Typical upper limit of gravity anomalies, m/s^2.
+_GRAVITY_ANOMALY: Final = 1e-3
 
-#: A latitude is likely as stated, or with the other sign, within so much, rad.
-_LATITUDE: Final = math.radians(1.0)
+#: Tolerance about a likely latitude: the stated one, or the one with the opposite sign; rad.
+_LATITUDE_TOLERANCE: Final = math.radians(1.0)
 
 
 def diagnose(
     views: Sequence[AccelerometerView], results: Mapping[str, AccelerometerResult]
 ) -> Diagnosis:
-    """Return the causes of the findings on a joint fit, and remarks on claims it cannot check."""
+    """Return the causes of the findings on a joint fit, and remarks on unverifiable inputs."""
     mountings = fit_alternative_mountings(views)
     return Diagnosis(
         find_causes(views, results, mountings),
@@ -117,20 +115,22 @@ def find_causes(
     results: Mapping[str, AccelerometerResult],
     mountings: Sequence[AlternativeMounting] = (),
 ) -> tuple[Cause, ...]:
-    """Return the causes of what is found against a joint fit, the main one first.
+    """Return the causes of the findings on a joint fit, the main one first.
 
-    mountings: The other mountings of accelerometers whose stated terms rest on them.
+    mountings: Alternative mountings of accelerometers with stated cross-axis terms.
     """
     estimate = views[0].estimate
     groups = [group for view in views for group in view.groups]
-    noise_known = not estimate.estimated_noise and all(group.has_external_noise for group in groups)
+    is_noise_known = not estimate.estimated_noise and all(
+        group.has_external_noise for group in groups
+    )
     relaxed_estimate = replace(
         estimate, fit=estimate_considered(estimate.fit), compressed_fit=None, information_losses={}
     )
     priors = prior_alternatives(relaxed_estimate.fit)
     mounting = find_better_mounting(mountings)
-    # Beside readings alone, what nothing states is held to them at no cost too.
-    tested = (
+    # Without records, default priors are also tested from the solved equations.
+    tested_alternatives = (
         priors
         if relaxed_estimate.fit.design_blocks
         else (*priors, *default_prior_alternatives(relaxed_estimate.fit))
@@ -139,8 +139,12 @@ def find_causes(
         not _is_suspicious(views, results)
         and mounting is None
         and (
-            not tested
-            or _smallest_p(run_score_tests(relaxed_estimate.fit, tested, noise_given=noise_known))
+            not tested_alternatives
+            or _smallest_p(
+                run_score_tests(
+                    relaxed_estimate.fit, tested_alternatives, noise_given=is_noise_known
+                )
+            )
             > _SUSPICION_P
         )
     ):
@@ -151,10 +155,10 @@ def find_causes(
         else default_prior_alternatives(relaxed_estimate.fit)
     )
     priors, alternatives = (
-        _with_input_ranges(views[0].campaign, candidates) for candidates in (priors, alternatives)
+        _add_input_ranges(views[0].campaign, candidates) for candidates in (priors, alternatives)
     )
     return (
-        _search_causes(views, relaxed_estimate, priors, alternatives, noise_known, mounting)
+        _search_causes(views, relaxed_estimate, priors, alternatives, is_noise_known, mounting)
         if priors or alternatives
         else ()
     )
@@ -165,12 +169,12 @@ def _search_causes(
     estimate: Estimate,
     priors: Sequence[Alternative],
     alternatives: Sequence[Alternative],
-    noise_known: bool,
+    is_noise_known: bool,
     mounting: AlternativeMounting | None,
 ) -> tuple[Cause, ...]:
-    """Return the causes among some alternatives, one beside the other.
+    """Return the causes among some alternatives, found one after the other.
 
-    mounting: A mounting that fits better than the stated one; it has no parameter that could fit.
+    mounting: A mounting that fits better than the stated one; it has no adjustable parameter.
     """
     campaign = views[0].campaign
     estimate, noise_findings = reweight_runs(views, estimate)
@@ -178,59 +182,63 @@ def _search_causes(
         Cause(finding, (finding.subject,), _remaining_findings(views, estimate))
         for finding in noise_findings
     ]
-    first_size = 0.0
+    first_z = 0.0
     if mounting is not None:
-        explanation = find_best(estimate, priors, alternatives, noise_known)
-        if explanation is None or mounting.gain >= min_equal_gain(explanation.size**2):
+        explanation = find_best(estimate, priors, alternatives, is_noise_known)
+        if explanation is None or mounting.gain >= min_equivalent_gain(explanation.z**2):
             estimate = replace(estimate, fit=mounting.fit)
             views = [mounting.apply_to(view) for view in views]
             names = (mounting.view.name,)
             causes.append(
                 Cause(mounting_finding(mounting), names, _remaining_findings(views, estimate))
             )
-            first_size = math.sqrt(mounting.gain)
+            first_z = math.sqrt(mounting.gain)
     for _ in range(_MAX_CAUSES):
-        explanation = find_best(estimate, priors, alternatives, noise_known)
-        if explanation is None or (causes and explanation.size < _MIN_RELATIVE_SIZE * first_size):
+        explanation = find_best(estimate, priors, alternatives, is_noise_known)
+        if explanation is None or (causes and explanation.z < _MIN_RELATIVE_SIZE * first_z):
             break
-        first_size = first_size or explanation.size
+        first_z = first_z or explanation.z
         corrected_estimate, explanation = _correct_cause(estimate, explanation, views)
-        if not noise_known:
-            # Beside the noise that is left without it, other causes may be wording from it.
-            quieter = replace(estimate, fit=estimate.fit.with_noise(corrected_estimate.fit.noise))
-            other_explanation = find_best(quieter, priors, alternatives, noise_known)
+        if not is_noise_known:
+            # With the lower noise that remains, another cause may be the best explanation.
+            quieter_estimate = replace(
+                estimate, fit=estimate.fit.with_noise(corrected_estimate.fit.noise)
+            )
+            other_explanation = find_best(quieter_estimate, priors, alternatives, is_noise_known)
             if other_explanation is not None:
                 corrected_estimate, explanation = _correct_cause(estimate, other_explanation, views)
             if not _is_robust(estimate, explanation):
                 break
-        if not explanation.outsized and not explanation.alternative.is_credible(explanation.value):
-            # At its own size, beyond first order, it is not what it seemed to be.
+        if not explanation.is_too_large and not explanation.alternative.is_credible(
+            explanation.value
+        ):
+            # Beyond first order, the estimate is not credible.
             alternatives = [
                 alternative
                 for alternative in alternatives
                 if alternative != explanation.alternative
             ]
             continue
-        wording = Explanation(
+        finding_text = Explanation(
             campaign, estimate.fit, explanation.alternative, explanation.value, explanation.u
         ).describe()
-        causes.append(_make_cause(wording, explanation, views, estimate, corrected_estimate))
+        causes.append(_make_cause(finding_text, explanation, views, estimate, corrected_estimate))
         estimate = corrected_estimate
-    if noise_known:
+    if is_noise_known:
         recorded_views = (replace(view, estimate=estimate) for view in views if view.has_records)
         wrong_noise_findings = (
             finding for view in recorded_views for finding in check_stated_noise(view)
         )
-        by_size = sorted(wrong_noise_findings, key=lambda finding: -(finding.size or 0.0))
-        causes += [Cause(finding, (finding.subject,), {}) for finding in by_size]
+        sorted_findings = sorted(wrong_noise_findings, key=lambda finding: -(finding.size or 0.0))
+        causes += [Cause(finding, (finding.subject,), {}) for finding in sorted_findings]
     return tuple(causes)
 
 
-# Whether to look for causes at all
+# Suspicion
 
 
 def _smallest_p(tests: ScoreTests) -> float:
-    """Return the smallest probability of the tests, all of them counted."""
+    """Return the smallest p-value, with the Bonferroni correction for all tests."""
     if not tests.test_count:
         return 1.0
     return min(1.0, tests.test_count * tests.p(int(np.argmax(tests.z))))
@@ -239,43 +247,43 @@ def _smallest_p(tests: ScoreTests) -> float:
 def _is_suspicious(
     views: Sequence[AccelerometerView], results: Mapping[str, AccelerometerResult]
 ) -> bool:
-    records = sum(1 for view in views for _ in view.records())
+    record_count = sum(1 for view in views for _ in view.records())
     for view in views:
         result = results[view.name]
         codes = {
             finding.code for finding in (*result.findings, *_check_view_statistics(view, result))
         }
-        if codes & ACCOUNTABLE:
+        if codes & EXPLAINABLE_CODES:
             return True
         shifts = [normal_equivalent(line.z, line.dof) for line in result.jackknife if line.z]
         shifts += [abs(result.two_stage.z)] if result.two_stage else []
-        shift_p = min(_SUSPICION_SHIFT_P, _SUSPICION_P / max(records, 1))
+        shift_p = min(_SUSPICION_SHIFT_P, _SUSPICION_P / max(record_count, 1))
         if any(math.erfc(z / math.sqrt(2.0)) < shift_p for z in shifts):
             return True
-        if view.has_records and any(p < _SUSPICION_P / records for p in _run_p_values(view)):
+        if view.has_records and any(p < _SUSPICION_P / record_count for p in _run_p_values(view)):
             return True
     return False
 
 
 def _run_p_values(view: AccelerometerView) -> Iterator[float]:
-    """Yield probabilities of what an accelerometer's whitened residuals show of each run."""
+    """Yield p-values of tests of an accelerometer's whitened residuals, run by run."""
     tests = view.diagnostics.runs
-    for _, prepared, residuals in view.records():
-        test = tests[prepared.run]
+    for _, block, residuals in view.records():
+        test = tests[block.run]
         yield 3.0 * mistakes.window_test_p(residuals.whitened)
         deviation = (test.chi2 - test.dof) / math.sqrt(2.0 * test.dof)
         yield 3.0 * math.erfc(abs(deviation) / math.sqrt(2.0))
         yield 3.0 * _harmonic_p(
             test.periodogram,
             test.rows,
-            prepared.series.trajectory.spindle.rate,
-            median(np.diff(prepared.series.time)),
+            block.series.trajectory.spindle.rate,
+            median(np.diff(block.series.time)),
             test.chi2 / test.dof,
         )
 
 
 def _harmonic_p(power: np.ndarray, rows: int, rate: float, interval: float, scale: float) -> float:
-    """Return the probability of a wave as strong at the spindle's own frequency."""
+    """Return the p-value of the periodogram at the rotation frequency."""
     index = round(abs(rate) * interval * rows / (2.0 * math.pi)) - 1
     neighbours = power[max(index - 1, 0) : index + 2]
     if not neighbours.size or not scale > 0.0:
@@ -286,10 +294,10 @@ def _harmonic_p(power: np.ndarray, rows: int, rate: float, interval: float, scal
 # The alternatives
 
 
-def _with_input_ranges(
+def _add_input_ranges(
     campaign: Campaign, alternatives: Sequence[Alternative]
 ) -> tuple[Alternative, ...]:
-    """Return alternatives with what an input may be, which hangs on what is stated of it."""
+    """Return the alternatives with credible ranges of inputs, relative to their stated values."""
     inputs = stated_inputs(campaign)
     ranges = {
         name: row.effect.bounds
@@ -299,16 +307,16 @@ def _with_input_ranges(
     }
     gravity, latitude = campaign.gravity.value, campaign.latitude.value
     low, high = gravity_range(latitude)
-    gravity_limits, excluded_range = (low - _ANOMALY, high + _ANOMALY), (0.0, 0.0)
-    if gravity_limits[0] <= gravity <= gravity_limits[1]:  # else either may be the wrong one
+    gravity_limits, excluded_range = (low - _GRAVITY_ANOMALY, high + _GRAVITY_ANOMALY), (0.0, 0.0)
+    if gravity_limits[0] <= gravity <= gravity_limits[1]:  # otherwise either may be wrong
         ranges["site.gravity"] = gravity_limits
-        min_latitude, max_latitude = latitudes_with(gravity, _ANOMALY)
-        # On either side of the equator, for its sign may be wrong.
+        min_latitude, max_latitude = latitudes_with(gravity, _GRAVITY_ANOMALY)
+        # On both hemispheres, because the sign may be wrong.
         ranges["site.latitude"] = -max_latitude, max_latitude
         excluded_range = -min_latitude - latitude, min_latitude - latitude
     deviation_ranges = {
-        name: (min_latitude - inputs[name].value, max_latitude - inputs[name].value)
-        for name, (min_latitude, max_latitude) in ranges.items()
+        name: (lower - inputs[name].value, upper - inputs[name].value)
+        for name, (lower, upper) in ranges.items()
     }
     return tuple(
         replace(
@@ -318,7 +326,7 @@ def _with_input_ranges(
             if alternative.name == "site.latitude"
             else alternative.excluded_range,
             likely_values=(0.0, -2.0 * latitude) if alternative.name == "site.latitude" else (),
-            likely_tolerance=_LATITUDE,
+            likely_tolerance=_LATITUDE_TOLERANCE,
             stated=inputs[alternative.name].value != 0.0,
         )
         if alternative.name in deviation_ranges
@@ -332,17 +340,17 @@ def _alternative_hypotheses(
 ) -> Iterator[Alternative]:
     campaign, fit = views[0].campaign, estimate.fit
     model = views[0].problem.model
-    angle = campaign.angle is not None
+    has_angle = campaign.angle is not None
     yield from default_prior_alternatives(fit)
-    # Of what acts on readings too, the records alone tell half of it.
+    # Inputs that also affect readings cannot be tested on the records alone.
     inputs = {
-        s: campaign.typical_of(s)
-        for s in exact_inputs(campaign)
-        if s == TIMING or not campaign.readings
+        symbol: campaign.typical_of(symbol)
+        for symbol in exact_inputs(campaign)
+        if symbol == TIMING or not campaign.readings
     }
     yield from mistakes.input_mistakes(fit, inputs)
-    trends = {view.name: campaign.typical_of("K_F.trend", view.name) for view in views}
-    yield from mistakes.record_mistakes(fit, trends, angle_recorded=angle)
+    default_trends = {view.name: campaign.typical_of("K_F.trend", view.name) for view in views}
+    yield from mistakes.record_mistakes(fit, default_trends, angle_recorded=has_angle)
     yield from mistakes.coriolis_mistakes(fit, uses_own_velocity=campaign.own_velocity)
     terms = {
         unknown: campaign.typical_of(unknown.symbol, unknown.owner)
@@ -351,15 +359,15 @@ def _alternative_hypotheses(
         if not (campaign.readings and unknown.symbol in ACCELEROMETER_TERMS)
     }
     yield from mistakes.term_mistakes(fit, terms)
-    yield from mistakes.changepoints(fit, STEPS)
+    yield from mistakes.changepoints(fit, STEP_COUNT)
 
 
 def _is_robust(estimate: Estimate, explanation: BestExplanation) -> bool:
-    """Return whether a cause is more than chance with noise that the records do not show."""
+    """Return whether a cause remains significant with noise that the records cannot confirm."""
     variance = explanation.u**2
     if not explanation.alternative.columns:
-        # Of a column the fit with it has said so already. The shift of priors is the sum of their
-        # distances from the estimates, each weighted with the inverse of its own variance.
+        # For a column, the corrected fit includes this noise. The shift of priors is the weighted
+        # sum of their distances from the estimates, with inverse variances as weights.
         gain = np.zeros(len(estimate.fit.model.unknowns))
         for index, step in explanation.alternative.prior_shifts.items():
             prior_sd = estimate.fit.model.unknowns[index].prior[1]
@@ -368,14 +376,14 @@ def _is_robust(estimate: Estimate, explanation: BestExplanation) -> bool:
             gain @ undetected_walk_covariance(estimate.fit, estimate.estimated_noise) @ gain
         )
     z = abs(explanation.value) / math.sqrt(variance)
-    return math.erfc(z / math.sqrt(2.0)) * explanation.tests < FALSE_ALARMS
+    return math.erfc(z / math.sqrt(2.0)) * explanation.test_count < FALSE_ALARMS
 
 
 def _correct_cause(
     estimate: Estimate, explanation: BestExplanation, views: Sequence[AccelerometerView]
 ) -> tuple[Estimate, BestExplanation]:
-    """Return the estimate with a cause allowed for, and the cause as it is then."""
-    requests = views[0].problem.noise
+    """Return the estimate corrected for a cause, and the cause with its final parameter."""
+    noise_models = views[0].problem.noise
     alternative = explanation.alternative
     if not alternative.columns:
         unknowns = list(estimate.fit.model.unknowns)
@@ -384,59 +392,62 @@ def _correct_cause(
             unknowns[index] = replace(unknowns[index], prior=(value + step * explanation.value, u))
         model = replace(estimate.fit.model, unknowns=tuple(unknowns))
         return _reestimate(
-            estimate, replace(estimate.fit, model=model).with_noise({}), requests
+            estimate, replace(estimate.fit, model=model).with_noise({}), noise_models
         ), explanation
-    value, corrected = explanation.value, estimate
-    for _ in range(_REFINEMENTS):
+    value, corrected_estimate = explanation.value, estimate
+    for _ in range(_MAX_REFINEMENTS):
         limit = 10.0 * math.hypot(value, explanation.u)
         added_unknown = Unknown("", alternative.name, NO_PRIOR, limit)
-        corrected = replace(
+        corrected_estimate = replace(
             estimate, fit=augment(estimate.fit, [added_unknown], [alternative.columns])
         )
-        value = float(corrected.fit.solution.estimate[-1])
-        refined = mistakes.evaluate_alternative(corrected.fit, alternative, value)
-        if refined is alternative:
+        value = float(corrected_estimate.fit.solution.estimate[-1])
+        refined_alternative = mistakes.evaluate_alternative(
+            corrected_estimate.fit, alternative, value
+        )
+        if refined_alternative is alternative:
             break
-        alternative = refined
-    corrected = _reestimate(estimate, corrected.fit, requests)
-    solution = corrected.fit.solution
+        alternative = refined_alternative
+    corrected_estimate = _reestimate(estimate, corrected_estimate.fit, noise_models)
+    solution = corrected_estimate.fit.solution
     u = float(solution.u[-1])
-    return corrected, replace(
+    return corrected_estimate, replace(
         explanation, alternative=alternative, value=float(solution.estimate[-1]), u=u
     )
 
 
-def _reestimate(estimate: Estimate, fit: JointFit, requests: Mapping[str, Noise]) -> Estimate:
+def _reestimate(estimate: Estimate, fit: JointFit, noise_models: Mapping[str, Noise]) -> Estimate:
     if not estimate.estimated_noise:
         dof = np.full(len(fit.model.unknowns), math.inf)
         return replace(estimate, fit=fit, dof=dof, compressed_fit=None, information_losses={})
-    return reestimate(estimate, fit, requests)
+    return reestimate(estimate, fit, noise_models)
 
 
-# What is said
+# Findings on causes
 
 
 def _make_cause(
-    wording: FindingText,
+    finding_text: FindingText,
     explanation: BestExplanation,
     views: Sequence[AccelerometerView],
-    previous: Estimate,
-    corrected: Estimate,
+    previous_estimate: Estimate,
+    corrected_estimate: Estimate,
 ) -> Cause:
     campaign = views[0].campaign
-    affected_views = _affected_accelerometers(explanation.alternative, views, previous)
-    text = wording.text
+    affected_names = _affected_accelerometers(explanation.alternative, views, previous_estimate)
+    text = finding_text.text
     max_shift = 0.0
     for view in views:
         for symbol, index in view.indices.items():
             if not view.assessment.determined[f"{view.name}.{symbol}"]:
                 continue
             shift = float(
-                corrected.fit.solution.estimate[index] - previous.fit.solution.estimate[index]
+                corrected_estimate.fit.solution.estimate[index]
+                - previous_estimate.fit.solution.estimate[index]
             )
             max_shift = max(max_shift, abs(shift) / float(view.fit.solution.u[index]))
     rivals = [
-        Explanation(campaign, previous.fit, alternative, value, 1.0).describe()
+        Explanation(campaign, previous_estimate.fit, alternative, value, 1.0).describe()
         for alternative, value in explanation.rivals
     ]
     if rivals:
@@ -445,28 +456,28 @@ def _make_cause(
         names += (
             [f"{unnamed_count} more" if unnamed_count > 1 else "one more"] if unnamed_count else []
         )
-        these = "These causes" if len(rivals) > 1 else "This cause"
-        text += f" {these} would explain the records equally well: {'; '.join(names)}."
-    is_decisive = normal_equivalent(explanation.size, explanation.dof) > CONTRADICTION_SIGMAS
+        subject = "These causes" if len(rivals) > 1 else "This cause"
+        text += f" {subject} would explain the records equally well: {'; '.join(names)}."
+    is_decisive = normal_equivalent(explanation.z, explanation.dof) > CONTRADICTION_SIGMAS
     contradicts = is_decisive and (max_shift > 1.0 or explanation.alternative.kind == "prior")
     return Cause(
         Finding(
-            code=wording.code,
-            subject=wording.subject,
+            code=finding_text.code,
+            subject=finding_text.subject,
             text=text,
-            size=explanation.size,
+            size=explanation.z,
             contradicts=contradicts,
             as_well=list(dict.fromkeys(rival.subject for rival in rivals)),
         ),
-        affected_views,
-        _remaining_findings(views, corrected),
+        affected_names,
+        _remaining_findings(views, corrected_estimate),
     )
 
 
 def _remaining_findings(
     views: Sequence[AccelerometerView], estimate: Estimate
 ) -> Mapping[tuple[str, str], float]:
-    """Return code, subject and size of what the checks still find in another fit."""
+    """Return (code, subject) -> size of the findings on a corrected fit."""
     findings = [
         finding for view in views for finding in _check_view(_evaluate_view(view, estimate))
     ]
@@ -479,17 +490,17 @@ def _affected_accelerometers(
 ) -> tuple[str, ...]:
     names = [view.name for view in views]
     if alternative.columns:
-        affected = {
+        affected_names = {
             estimate.fit.design_blocks[index].accelerometer
             for index, column in alternative.columns.items()
             if column.any()
         }
-        return tuple(name for name in names if name in affected)
+        return tuple(name for name in names if name in affected_names)
     return (alternative.owner,) if alternative.owner in names else tuple(names)
 
 
 def _evaluate_view(view: AccelerometerView, estimate: Estimate) -> AccelerometerView:
-    """Return a view of a relaxed fit, with the readings as they fit that."""
+    """Return a view of another estimate, with the residuals of the readings updated."""
     groups = [group.evaluate(estimate.fit) for group in view.groups]
     return replace(view, estimate=estimate).select_groups(groups)
 
@@ -500,7 +511,7 @@ def _check_view(view: AccelerometerView) -> Iterator[Finding]:
     coefficients = {
         symbol: make_coefficient(view.estimate, view.assessment, index)
         for symbol, index in view.indices.items()
-        if f"{view.name}.{symbol}" in view.assessment.determined  # not what was considered before
+        if f"{view.name}.{symbol}" in view.assessment.determined  # without former considered terms
     }
     for finding in check_credibility(view.campaign.limit_of, view.name, coefficients):
         yield from (finding, *finding.explains)
@@ -509,7 +520,7 @@ def _check_view(view: AccelerometerView) -> Iterator[Finding]:
 def _check_view_statistics(
     view: AccelerometerView, result: AccelerometerResult | None
 ) -> Iterator[Finding]:
-    """Yield findings from the numbers of a fit for one accelerometer."""
+    """Yield the statistical findings on one accelerometer; result: None: computed from the view."""
     judged_result = result or AccelerometerResult(
         coefficients={},
         correlation=None,

@@ -10,7 +10,7 @@ from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.outcome import make_coefficient
 from counterspin.calibration.result_parts import Comparison
-from counterspin.calibration.two_stage.method import two_stage_view, walk_is_stated
+from counterspin.calibration.two_stage.method import is_walk_stated, two_stage_view
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.fit import JointFit
@@ -18,16 +18,16 @@ from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS, affects_readi
 
 
 def compare_k_ii(view: AccelerometerView) -> Comparison | None:
-    """Return the two-stage K_II beside the joint one; None where that method does not apply.
+    """Return the comparison of the two-stage K_II with the joint one; None if not applicable.
 
-    Of what two stages do not estimate they are given what the joint fit found: else a drift, say,
-    that was asked for and is there would make them disagree.
+    Requested terms that the two-stage method does not estimate, such as a drift, get their values
+    from the joint fit.
     """
     index = view.k_ii_index
     if index is None or view.problem.campaign.model.correlations:
-        return None  # the second stage takes its considered terms as independent
-    components = {} if walk_is_stated(view.problem.noise) else view.estimate.estimated_noise
-    determined = _determined_values(view.fit)
+        return None  # the second stage requires independent considered terms
+    components = {} if is_walk_stated(view.problem.noise) else view.estimate.estimated_noise
+    joint_values = _determined_values(view.fit)
     try:
         stage_view, _ = two_stage_view(
             view.problem,
@@ -35,21 +35,21 @@ def compare_k_ii(view: AccelerometerView) -> Comparison | None:
             TwoStageOptions(),
             components,
             view.estimate.series,
-            determined,
+            joint_values,
         )
     except (NotIdentifiableError, RecordError):
         return None
-    position = stage_view.indices["K_II"]
-    parameter = make_coefficient(stage_view.estimate, stage_view.assessment, position)
-    if not parameter.estimated or parameter.value is None or parameter.u is None:
+    stage_index = stage_view.indices["K_II"]
+    stage_k_ii = make_coefficient(stage_view.estimate, stage_view.assessment, stage_index)
+    if not stage_k_ii.estimated or stage_k_ii.value is None or stage_k_ii.u is None:
         return None
     solution, stage_solution = view.fit.solution, stage_view.fit.solution
     covariance = solution.covariance_noise + solution.covariance_prior
     stage_variance = (stage_solution.covariance_noise + stage_solution.covariance_prior)[
-        position, position
+        stage_index, stage_index
     ]
-    # What the joint fit found moves each estimate by its own sensitivity: that of the joint one is
-    # its regression on it, and the rest of its variance would remain if all of it were known.
+    # Terms from the joint fit affect both estimates. The sensitivity of the joint K_II to them is
+    # the regression coefficient, and the residual variance is independent of them.
     considered_indices = {
         (parameter.owner, parameter.symbol): k
         for k, parameter in enumerate(stage_view.fit.model.considered)
@@ -58,44 +58,44 @@ def compare_k_ii(view: AccelerometerView) -> Comparison | None:
     joint_indices = [
         k
         for k, unknown in enumerate(unknowns)
-        if (unknown.owner, unknown.symbol) in {*considered_indices} & {*determined}
+        if (unknown.owner, unknown.symbol) in {*considered_indices} & {*joint_values}
     ]
     stage_indices = [
         considered_indices[unknowns[k].owner, unknowns[k].symbol] for k in joint_indices
     ]
     sd = np.sqrt(np.diag(covariance)[joint_indices])
-    scaled = covariance[np.ix_(joint_indices, joint_indices)] / np.outer(sd, sd)
-    regression = np.linalg.lstsq(scaled, covariance[joint_indices, index] / sd, rcond=None)[0]
-    joint_variance = covariance[index, index] - float(regression @ scaled @ regression)
+    correlation = covariance[np.ix_(joint_indices, joint_indices)] / np.outer(sd, sd)
+    regression = np.linalg.lstsq(correlation, covariance[joint_indices, index] / sd, rcond=None)[0]
+    joint_variance = covariance[index, index] - float(regression @ correlation @ regression)
     effect_difference = (
-        stage_solution.sensitivity_considered[position, stage_indices] * sd - regression
+        stage_solution.sensitivity_considered[stage_index, stage_indices] * sd - regression
     )
-    common_variance = float(effect_difference @ scaled @ effect_difference)
-    # A term that only the two-stage method holds counts in its own variance; one that both hold
-    # moves each estimate by its own sensitivity.
-    considered = _considered_effects(view.fit, index)
-    known = {unknowns[k].name for k in joint_indices}
-    for name, (effect, sd_considered) in _considered_effects(stage_view.fit, position).items():
-        if name in considered:
-            joint_effect, _ = considered.pop(name)
-            common_variance += ((effect - joint_effect) * sd_considered) ** 2
-        elif name not in known:
-            stage_variance += (effect * sd_considered) ** 2
+    common_variance = float(effect_difference @ correlation @ effect_difference)
+    # A term considered only in the two-stage method adds to its variance; a term considered in both
+    # adds the difference of its effects.
+    joint_effects = _considered_effects(view.fit, index)
+    joint_names = {unknowns[k].name for k in joint_indices}
+    for name, (effect, considered_sd) in _considered_effects(stage_view.fit, stage_index).items():
+        if name in joint_effects:
+            joint_effect, _ = joint_effects.pop(name)
+            common_variance += ((effect - joint_effect) * considered_sd) ** 2
+        elif name not in joint_names:
+            stage_variance += (effect * considered_sd) ** 2
     common_variance += sum(
-        (effect * sd_considered) ** 2 for effect, sd_considered in considered.values()
+        (effect * considered_sd) ** 2 for effect, considered_sd in joint_effects.values()
     )
-    # What the encoder leaves open of the rotation is in the joint variance where it is estimated.
+    # The joint variance includes the encoder errors, which the joint fit estimates.
     rotation_names = {
         parameter.name for parameter in unknowns if parameter.symbol in encoder.SYMBOLS
     }
-    effects = stage_solution.sensitivity_considered[position]
+    effects = stage_solution.sensitivity_considered[stage_index]
     stage_variance += sum(
         float(effects[k] * parameter.prior[1]) ** 2
         for k, parameter in enumerate(stage_view.fit.model.considered)
         if parameter.name in rotation_names
     )
-    # Both rest on the same records, and the joint estimate is the better one: variances subtract
-    # (Hausman). Where the two-stage method leaves more out it can seem better; then they add.
+    # Both methods use the same records, and the joint estimate is efficient, so the variances
+    # subtract (Hausman). With fewer terms, the two-stage variance may be smaller; then they add.
     u_difference = math.sqrt(
         (
             stage_variance - joint_variance
@@ -104,10 +104,10 @@ def compare_k_ii(view: AccelerometerView) -> Comparison | None:
         )
         + common_variance
     )
-    difference = parameter.value - float(solution.estimate[index])
+    difference = stage_k_ii.value - float(solution.estimate[index])
     return Comparison(
-        value=parameter.value,
-        u=parameter.u,
+        value=stage_k_ii.value,
+        u=stage_k_ii.u,
         difference=difference,
         u_difference=u_difference,
         z=difference / u_difference,
@@ -115,7 +115,7 @@ def compare_k_ii(view: AccelerometerView) -> Comparison | None:
 
 
 def _determined_values(fit: JointFit) -> dict[tuple[str, str], tuple[float, float]]:
-    """Return value and u of what was asked for, not stated, and determined."""
+    """Return value and u of the requested terms that are determined without a stated prior."""
     return {
         (unknown.owner, unknown.symbol): (float(value) + unknown.nominal, float(u))
         for unknown, value, u in zip(
@@ -126,9 +126,9 @@ def _determined_values(fit: JointFit) -> dict[tuple[str, str], tuple[float, floa
 
 
 def _considered_effects(fit: JointFit, index: int) -> dict[str, tuple[float, float]]:
-    """Return the considered terms: name -> sensitivity of an unknown and standard uncertainty.
+    """Return name of a considered term -> sensitivity of an unknown, and standard uncertainty.
 
-    Uncertain inputs and errors of the encoder are left out: they move both methods alike.
+    Inputs and encoder errors are excluded because they affect both methods equally.
     """
     solution = fit.solution
     return {

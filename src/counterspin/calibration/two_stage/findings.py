@@ -1,4 +1,4 @@
-"""Findings of a two-stage result: the meaning of its numbers and their omissions."""
+"""Findings on a two-stage result."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.checks.priors import find_prior_conflict
 from counterspin.calibration.findings import (
     CONTRADICTION_SIGMAS,
-    equivalent_deviations,
     not_determined_finding,
+    two_sided_z,
 )
 from counterspin.calibration.model import is_requested
 from counterspin.calibration.result_parts import Coefficient, Finding, Residual
@@ -27,20 +27,22 @@ from counterspin.inference.two_stage.second_stage import SecondStage
 from counterspin.physics.terms import INPUTS
 from counterspin.reports.numbers import format_number
 
-#: Below this probability a misfit is no accident.
-_SMALLEST_P: Final = 0.001
+#: p-value below which the runs are not consistent.
+_MIN_P: Final = 0.001
 
-#: Chi-square of strobes without any noise.
-_LEAST_SQUARES: Final = 1e-12
+#: Lower limit of chi-square, for strobes without noise.
+_MIN_CHI2: Final = 1e-12
 
 
-def unstated_considered(campaign: Campaign, name: str, second: SecondStage) -> tuple[str, ...]:
-    """Return the held terms, asked for or assumed to be perfect, of which nothing is stated."""
-    stated = {*campaign.accelerometers[name].priors, *campaign.model.priors}
+def unstated_considered(
+    campaign: Campaign, name: str, second_stage: SecondStage
+) -> tuple[str, ...]:
+    """Return the considered terms without stated priors that are requested or assumed perfect."""
+    stated_symbols = {*campaign.accelerometers[name].priors, *campaign.model.priors}
     symbols = [
         considered.symbol
-        for considered in second.fit.model.considered
-        if considered.symbol not in stated
+        for considered in second_stage.fit.model.considered
+        if considered.symbol not in stated_symbols
         and considered.symbol not in INPUTS
         and (considered.prior[1] == 0.0 or considered.symbol in campaign.model.terms)
     ]
@@ -48,29 +50,31 @@ def unstated_considered(campaign: Campaign, name: str, second: SecondStage) -> t
 
 
 def inseparable_sums(
-    view: AccelerometerView, second: SecondStage, coefficients: Mapping[str, Coefficient]
+    view: AccelerometerView, second_stage: SecondStage, coefficients: Mapping[str, Coefficient]
 ) -> list[ConfoundedTerms]:
-    """Return the sums of collinear terms that the estimates really determine."""
-    sets = []
-    for symbol in second.symbols:
-        inseparable = second.alike(symbol, unstated_considered(view.campaign, view.name, second))
-        if not inseparable:
+    """Return the combinations of collinear terms that the estimates determine."""
+    confounded_sets = []
+    for symbol in second_stage.symbols:
+        inseparable_weights = second_stage.alike(
+            symbol, unstated_considered(view.campaign, view.name, second_stage)
+        )
+        if not inseparable_weights:
             continue
         coefficient = coefficients[symbol]
-        value, u = second.estimate(symbol)
+        value, u = second_stage.estimate(symbol)
         if coefficient.estimated and coefficient.value is not None and coefficient.u is not None:
             value, u = coefficient.value, coefficient.u
-        weights = {symbol: 1.0, **inseparable}
-        model = second.fit.model
+        weights = {symbol: 1.0, **inseparable_weights}
+        model = second_stage.fit.model
         parameters = {
             parameter.symbol: parameter for parameter in (*model.considered, *model.unknowns)
         }
         sizes = [parameters[name].limit + parameters[name].nominal for name in weights]
-        sets.append(
+        confounded_sets.append(
             ConfoundedTerms(
                 terms=list(weights),
-                # Estimates of terms that act the same way work against each other.
-                correlation=-1.0 if next(iter(inseparable.values())) > 0.0 else 1.0,
+                # Terms with the same effect have negatively correlated estimates.
+                correlation=-1.0 if next(iter(inseparable_weights.values())) > 0.0 else 1.0,
                 determined=format_combination(
                     list(weights), list(weights.values()), [0.1 * u / size for size in sizes]
                 ),
@@ -79,63 +83,63 @@ def inseparable_sums(
                 u=u,
             )
         )
-    return sets
+    return confounded_sets
 
 
 def check_two_stage(
     view: AccelerometerView,
-    second: SecondStage,
+    second_stage: SecondStage,
     coefficients: Mapping[str, Coefficient],
     model: str,
 ) -> list[Finding]:
-    """Return the findings against one accelerometer's coefficients by one of the models."""
-    all_findings, name = [], view.name
+    """Return the findings on one accelerometer's coefficients."""
+    findings, name = [], view.name
     if model == "as-printed":
         text = (
             "This result uses the equations as printed in the paper. Their K_II term is twice the "
             "exact one, so the estimate is half the true K_II. Use the exact model for a "
             "calibration."
         )
-        all_findings.append(Finding(code="as-printed", subject=name, text=text))
+        findings.append(Finding(code="as-printed", subject=name, text=text))
     else:
-        all_findings += [
+        findings += [
             not_determined_finding(
                 f"{name}.{symbol}",
                 symbol,
                 "runs",
                 requested=is_requested(view.campaign, symbol, name),
             )
-            for symbol in second.symbols
+            for symbol in second_stage.symbols
             if coefficients[symbol].value is None
         ]
-    for a, b, r in second.near_collinear:
+    for a, b, r in second_stage.near_collinear:
         text = f"The columns of {a} and {b} are nearly collinear at these rates"
         text += f" (correlation {r:.4f})."
-        all_findings.append(
-            Finding(code="collinear", subject=f"{name}.{a}", text=text, size=abs(r))
-        )
-    misfit = _check_run_agreement(name, second)
+        findings.append(Finding(code="collinear", subject=f"{name}.{a}", text=text, size=abs(r)))
+    misfit_findings = _check_run_agreement(name, second_stage)
     if model == "exact":
         conflicts = list(find_prior_conflict(view))
-        # The misfit is what a wrong prior makes, unless there is more than one mistake.
-        all_findings += [finding.model_copy(update={"explains": misfit}) for finding in conflicts]
-        misfit = [] if conflicts else misfit
-    all_findings += misfit
-    lost_strobes = sum(parabola.strobes.lost for parabola in second.parabolas)
+        # A wrong prior causes the misfit, unless there is more than one mistake.
+        findings += [
+            finding.model_copy(update={"explains": misfit_findings}) for finding in conflicts
+        ]
+        misfit_findings = [] if conflicts else misfit_findings
+    findings += misfit_findings
+    lost_strobes = sum(parabola.strobes.lost for parabola in second_stage.parabolas)
     if lost_strobes:
         text = f"{lost_strobes} strobes coincided with gaps in the record and were omitted."
-        all_findings.append(Finding(code="strobes-lost", subject=name, text=text))
-    return all_findings
+        findings.append(Finding(code="strobes-lost", subject=name, text=text))
+    return findings
 
 
 def check_strobe_noise(
     view: AccelerometerView, residual: Residual, sigma: float
 ) -> Iterator[Finding]:
-    """Yield the finding that strobes scatter by less than the stated noise of a sample, in m."""
+    """Yield a finding if the scatter of the strobes is below the stated noise; sigma: m."""
     p, level = residual.lack_of_fit_p, CHI_SQUARE_SIGNIFICANCE / len(view.campaign.accelerometers)
     if p is None or residual.chi2 is None or p <= 1.0 - level:
         return
-    ratio = math.sqrt(max(residual.chi2, _LEAST_SQUARES) / residual.dof)
+    ratio = math.sqrt(max(residual.chi2, _MIN_CHI2) / residual.dof)
     text = (
         f"The scatter of the strobes is only {format_number(ratio, 2)} times the stated noise: "
         f"{format_number(ratio * sigma, 2)} m instead of {format_number(sigma, 2)} m. "
@@ -145,22 +149,22 @@ def check_strobe_noise(
     yield Finding(code="wrong-noise", subject=view.name, text=text, size=1.0 / ratio)
 
 
-def _check_run_agreement(name: str, second: SecondStage) -> list[Finding]:
-    fit = second.fit
+def _check_run_agreement(name: str, second_stage: SecondStage) -> list[Finding]:
+    fit = second_stage.fit
     dof = len(fit.blocks) - int(np.sum(np.isinf(fit.solution.prior_sd)))
-    # What is held may be off by as much as is stated of it, or is typical.
+    # Considered terms may deviate by their prior uncertainty.
     chi2 = fit.solution_with_considered.chi2 - sum(block.rss for block in fit.blocks)
-    # Without weights the sum of squares is not distributed like chi-square.
-    if dof < 1 or not second.weighted or chi2 <= 0.0:
+    # An unweighted sum of squares does not have a chi-square distribution.
+    if dof < 1 or not second_stage.weighted or chi2 <= 0.0:
         return []
-    probability = chi_square_tail(dof, chi2)
-    if probability > _SMALLEST_P:
+    p = chi_square_tail(dof, chi2)
+    if p > _MIN_P:
         return []
-    worst = fit.design_blocks[int(np.argmax(np.abs(second.misfit)))].run
-    size = equivalent_deviations(probability)
+    worst_run = fit.design_blocks[int(np.argmax(np.abs(second_stage.misfit)))].run
+    z = two_sided_z(p)
     text = (
         f"The runs are not consistent with the model (chi-square {chi2:.1f} with {dof} degrees "
-        f"of freedom, p = {probability:.1g}; {worst} deviates most). Either a term is missing, "
+        f"of freedom, p = {p:.1g}; {worst_run} deviates most). Either a term is missing, "
         "a prior is wrong, or the noise is larger than stated."
     )
     return [
@@ -168,7 +172,7 @@ def _check_run_agreement(name: str, second: SecondStage) -> list[Finding]:
             code="lack-of-fit",
             subject=name,
             text=text,
-            size=size,
-            contradicts=size > CONTRADICTION_SIGMAS,
+            size=z,
+            contradicts=z > CONTRADICTION_SIGMAS,
         )
     ]

@@ -65,17 +65,17 @@ from counterspin.inference.two_stage.second_stage import SecondStage, resolve, w
 from counterspin.loading import load_name
 from counterspin.physics.terms import ACCELEROMETER_TERMS, SHARED_TERMS, TERMS
 
-#: What the second stage estimates of an accelerometer.
-_ESTIMATED: Final = ("K_II", "K_F")
+#: Terms that the second stage estimates.
+_ESTIMATED_TERMS: Final = ("K_II", "K_F")
 
 
 @frozen
 class TwoStageOutcome:
-    """Both stages of one accelerometer: what the result says, and what it says it from."""
+    """Result of one accelerometer by the two-stage method, with both stages."""
 
     result: AccelerometerResult
     parabolas: Mapping[str, ParabolaResult]
-    second: SecondStage
+    second_stage: SecondStage
     view: AccelerometerView
 
 
@@ -87,57 +87,78 @@ def calibrate_accelerometer(
     corrected_series: Sequence[ResidualSeries],
 ) -> TwoStageOutcome:
     """Apply the two-stage method to one accelerometer; arguments as in `two_stage_view`."""
-    view, second = two_stage_view(
+    view, second_stage = two_stage_view(
         problem, accelerometer, options, noise_components, corrected_series
     )
-    campaign, name, model = problem.campaign, accelerometer.name, second.fit.model
-    records = problem.accelerometer_series(name)
-    unknowns = {
+    campaign, name, model = problem.campaign, accelerometer.name, second_stage.fit.model
+    series = problem.accelerometer_series(name)
+    estimated_coefficients = {
         unknown.symbol: make_coefficient(view.estimate, view.assessment, index)
         for index, unknown in enumerate(model.unknowns)
     }
-    if RIPPLE in unknowns and options.ripple == "ratio":
-        unknowns[RIPPLE] = unknowns[RIPPLE].model_copy(update={"unit": "1"})
-    others = [s for s in campaign.model.terms if s in ACCELEROMETER_TERMS and s not in unknowns]
-    known = {symbol: _prior_coefficient(accelerometer, symbol) for symbol in others}
-    coefficients = {**unknowns, **known}
+    if RIPPLE in estimated_coefficients and options.ripple == "ratio":
+        estimated_coefficients[RIPPLE] = estimated_coefficients[RIPPLE].model_copy(
+            update={"unit": "1"}
+        )
+    known_symbols = [
+        symbol
+        for symbol in campaign.model.terms
+        if symbol in ACCELEROMETER_TERMS and symbol not in estimated_coefficients
+    ]
+    known_coefficients = {
+        symbol: _prior_coefficient(accelerometer, symbol) for symbol in known_symbols
+    }
+    coefficients = {**estimated_coefficients, **known_coefficients}
     indices = {
         unknown.symbol: index
         for index, unknown in enumerate(model.unknowns)
         if coefficients[unknown.symbol].estimated
     }
-    budgets = {symbol: budget(second.fit, index, name) for symbol, index in indices.items()}
-    residual_size = _residual(second.parabolas, view.estimate.estimated_noise.get(name))
+    budgets = {symbol: budget(second_stage.fit, index, name) for symbol, index in indices.items()}
+    residual = _summarize_residuals(second_stage.parabolas, view.estimate.estimated_noise.get(name))
     result = AccelerometerResult(
-        coefficients={k: v for k, v in coefficients.items() if k not in (DRIFT, RIPPLE)},
-        second_unknown={k: v for k, v in coefficients.items() if k in (DRIFT, RIPPLE)},
+        coefficients={
+            symbol: coefficient
+            for symbol, coefficient in coefficients.items()
+            if symbol not in (DRIFT, RIPPLE)
+        },
+        second_unknown={
+            symbol: coefficient
+            for symbol, coefficient in coefficients.items()
+            if symbol in (DRIFT, RIPPLE)
+        },
         correlation=accelerometer_correlation(view),
-        confounded=[*confounded_terms(view), *inseparable_sums(view, second, coefficients)],
-        residual=residual_size,
+        confounded=[*confounded_terms(view), *inseparable_sums(view, second_stage, coefficients)],
+        residual=residual,
         noise=add_static_uncertainty(
-            _noise_lines(second.parabolas, view), campaign, problem.noise[name], "displacement"
+            _noise_lines(second_stage.parabolas, view),
+            campaign,
+            problem.noise[name],
+            "displacement",
         ),
         budget=budgets,
-        what_if=what_if(second.fit, indices, budgets, name),
+        what_if=what_if(second_stage.fit, indices, budgets, name),
         findings=[
-            *check_two_stage(view, second, coefficients, options.model),
-            *check_strobe_noise(view, residual_size, second.parabolas[0].sigma),
+            *check_two_stage(view, second_stage, coefficients, options.model),
+            *check_strobe_noise(view, residual, second_stage.parabolas[0].sigma),
             *check_credibility(
-                campaign.limit_of, name, {**coefficients, "K_I": _harmonic_scale_factor(records)}
+                campaign.limit_of, name, {**coefficients, "K_I": _harmonic_scale_factor(series)}
             ),
         ],
         **describe_instrument(accelerometer, coefficients),
     )
     parabolas = {
-        prepared.run: _parabola(parabola)
-        for prepared, parabola in zip(second.fit.design_blocks, second.parabolas, strict=True)
+        prepared.run: _make_parabola_result(parabola)
+        for prepared, parabola in zip(
+            second_stage.fit.design_blocks, second_stage.parabolas, strict=True
+        )
     }
-    return TwoStageOutcome(result, parabolas, second, view)
+    return TwoStageOutcome(result, parabolas, second_stage, view)
 
 
 def calibrate_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outcome:
     """Apply the two-stage method to each accelerometer of a campaign."""
-    campaign, observed = problem.campaign, problem.observed_runs
+    campaign, observed_runs = problem.campaign, problem.observed_runs
     campaign.require_records("the two-stage method")
     noise, series = estimate_noise(problem)
     outcomes = {
@@ -151,11 +172,10 @@ def calibrate_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outc
             run.run.name: make_run_result(
                 run,
                 parabolas={
-                    name: stage_result.parabolas[run.run.name]
-                    for name, stage_result in outcomes.items()
+                    name: outcome.parabolas[run.run.name] for name, outcome in outcomes.items()
                 },
             )
-            for run in observed
+            for run in observed_runs
         },
         remarks=tuple(undetected_walk_remarks(outcome.view for outcome in outcomes.values())),
     )
@@ -172,13 +192,13 @@ def two_stage_view(
     """Return the estimate as a joint fit of one accelerometer, and the stages of the method.
 
     noise_components: Estimated noise, by accelerometer.
-    corrected_series: The records at corrected times, in the order of the problem's.
-    known_values: Owner and symbol -> value and u, of requested terms without a stated prior,
-        from another fit of the records. Default: their typical sizes.
+    corrected_series: Series with corrected times, in the order of the problem.
+    known_values: (owner, symbol) -> value and u of requested terms without a stated prior, from
+        another fit of the records. None: default priors.
     """
     name, components = accelerometer.name, noise_components.get(accelerometer.name)
     request = make_request(problem, accelerometer, options, components)
-    # Rows that the joint fit leaves out are not correlated a revolution apart.
+    # All rows are used: noise one revolution apart is not correlated.
     records = [
         record.correct_times(corrected.corrected_fraction).with_timestamp_noise(
             corrected.timestamp_sd
@@ -186,75 +206,79 @@ def two_stage_view(
         for record, corrected in zip(problem.series, corrected_series, strict=True)
         if record.accelerometer == name
     ]
-    series, strobes = zip(*map(select_strobes, records), strict=True)
+    selected_series, strobes = zip(*map(select_strobes, records), strict=True)
     parabolas = [
         request.first_stage(record_strobes, record.trajectory, record.timestamp_sd)
-        for record_strobes, record in zip(strobes, series, strict=True)
+        for record_strobes, record in zip(strobes, selected_series, strict=True)
     ]
-    joint_model = _with_priors(problem.campaign, problem.model, name, known_values)
-    # Time stamps that scatter leave the rotation less certain than the strobes' noise tells.
+    joint_model = _add_priors(problem.campaign, problem.model, name, known_values)
+    # Time-stamp jitter adds uncertainty to the rotation.
     rotation = encoder.considered_terms(
-        [record for record in series if record.corrected_fraction > 0.0]
+        [record for record in selected_series if record.corrected_fraction > 0.0]
     )
     joint_model = replace(joint_model, considered=(*joint_model.considered, *rotation))
-    model = two_stage_model(joint_model, request, series)
-    second = resolve(series, parabolas, model, request)
-    second = with_estimated_noise(second, problem.noise[name], components)
-    assessment = assess(second.fit.solution, [unstated.name for unstated in model.unknowns])
-    # Asked to tell it from a term that acts exactly alike, the records say nothing.
-    unstated = unstated_considered(problem.campaign, name, second)
-    requested = [symbol for symbol in problem.campaign.model.terms if symbol in unstated]
+    model = two_stage_model(joint_model, request, selected_series)
+    second_stage = resolve(selected_series, parabolas, model, request)
+    second_stage = with_estimated_noise(second_stage, problem.noise[name], components)
+    assessment = assess(second_stage.fit.solution, [unknown.name for unknown in model.unknowns])
+    # A term is not determined if a requested term has the same effect.
+    unstated_symbols = unstated_considered(problem.campaign, name, second_stage)
+    requested_symbols = [
+        symbol for symbol in problem.campaign.model.terms if symbol in unstated_symbols
+    ]
     determined = {
         parameter.name: assessment.determined[parameter.name]
-        and not second.alike(parameter.symbol, requested)
+        and not second_stage.alike(parameter.symbol, requested_symbols)
         for parameter in model.unknowns
     }
-    estimated = Estimate(
-        second.fit, {} if components is None else {name: components}, second.dof, series=series
+    estimate = Estimate(
+        second_stage.fit,
+        {} if components is None else {name: components},
+        second_stage.dof,
+        series=selected_series,
     )
     assessment = replace(assessment, determined=determined)
-    return AccelerometerView(problem, estimated, assessment, name), second
+    return AccelerometerView(problem, estimate, assessment, name), second_stage
 
 
-def _with_priors(
+def _add_priors(
     campaign: Campaign,
     model: Unknowns,
     name: str,
     known_values: Mapping[tuple[str, str], tuple[float, float]] | None,
 ) -> Unknowns:
-    """Return the joint model with something known of all that two stages do not estimate.
+    """Return the joint model with priors for all terms that the two stages do not estimate.
 
-    A requested term without a stated value has its typical size, if nothing is known of it. The
-    size also counts where all terms are assumed to be perfect. What is assumed to be perfect is
-    held as exactly that, for what it may be like: beside another fit only what is asked for.
+    A requested term without a known value gets its default prior. Fixed terms become considered
+    terms with u = 0; with known values, only the requested ones.
     """
     unknowns = []
     for parameter in model.unknowns:
         if not math.isfinite(parameter.prior[1]) and parameter.symbol not in (
-            *_ESTIMATED,
+            *_ESTIMATED_TERMS,
             *ROTATION,
         ):
-            typical = campaign.typical_of(parameter.symbol, parameter.owner)
+            default_sd = campaign.typical_of(parameter.symbol, parameter.owner)
             prior = (known_values or {}).get(
-                (parameter.owner, parameter.symbol), (parameter.nominal, typical)
+                (parameter.owner, parameter.symbol), (parameter.nominal, default_sd)
             )
             unknowns.append(replace(parameter, prior=prior, has_default_prior=True))
         else:
             unknowns.append(parameter)
-    present = {
+    keys = {
         (parameter.owner, parameter.symbol) for parameter in (*model.unknowns, *model.considered)
     }
-    fixed = [
+    fixed_parameters = [
         parameter
         for parameter in fixed_terms(campaign, model, name)
-        if (parameter.owner, parameter.symbol) not in present
+        if (parameter.owner, parameter.symbol) not in keys
         and (known_values is None or parameter.symbol in campaign.model.terms)
     ]
-    return Unknowns(tuple(unknowns), (*model.considered, *fixed))
+    return Unknowns(tuple(unknowns), (*model.considered, *fixed_parameters))
 
 
 def _prior_coefficient(accelerometer: Accelerometer, symbol: str) -> Coefficient:
-    """Return a coefficient that is not estimated: its prior, or nothing."""
+    """Return a coefficient that is not estimated, with its prior if stated."""
     prior = accelerometer.priors.get(symbol)
     return Coefficient(
         value=prior.value if prior else None,
@@ -264,57 +288,63 @@ def _prior_coefficient(accelerometer: Accelerometer, symbol: str) -> Coefficient
     )
 
 
-def _harmonic_scale_factor(records: Iterable[ResidualSeries]) -> Coefficient:
-    """Return the K_I of the records' waves, which strobes at whole revolutions do not see.
+def _harmonic_scale_factor(all_series: Iterable[ResidualSeries]) -> Coefficient:
+    """Return K_I from the rotation harmonic, which strobes at whole revolutions do not contain.
 
-    Other terms add some 1e-5 to a wave: it is near enough to tell whether it is credible.
+    Other terms change it by about 1e-5, which is accurate enough for a credibility check.
     """
     columns = []
-    for record in records:
-        slow = np.vander(record.time / record.time[-1], 4)
-        pair = np.column_stack([record.columns(["K_I"], 1.0)[:, 0], record.error])
-        columns.append(pair - slow @ np.linalg.lstsq(slow, pair, rcond=None)[0])
-    columns_of_scale, error = np.concatenate(columns).T
-    strength = float(columns_of_scale @ columns_of_scale)
-    step = float(columns_of_scale @ error) / strength
-    u = float(np.std(error - step * columns_of_scale)) / math.sqrt(strength)
+    for series in all_series:
+        drift_columns = np.vander(series.time / series.time[-1], 4)
+        signals = np.column_stack([series.columns(["K_I"], 1.0)[:, 0], series.error])
+        columns.append(
+            signals - drift_columns @ np.linalg.lstsq(drift_columns, signals, rcond=None)[0]
+        )
+    scale_column, error = np.concatenate(columns).T
+    squared_norm = float(scale_column @ scale_column)
+    step = float(scale_column @ error) / squared_norm
+    u = float(np.std(error - step * scale_column)) / math.sqrt(squared_norm)
     value = TERMS["K_I"].nominal + step
     return Coefficient(value=value, u=u, unit=unit_of("K_I"), estimated=True)
 
 
-def _residual(parabolas: Sequence[Parabola], components: NoiseEstimate | None) -> Residual:
-    weighted = [p.residuals / p.strobes.noise_factor for p in parabolas]
-    dof = sum(p.dof for p in parabolas)
-    rms = math.sqrt(sum(float(np.sum(w**2)) for w in weighted) / dof)
-    if components is not None or any(p.sigma_from_residuals for p in parabolas):
+def _summarize_residuals(
+    parabolas: Sequence[Parabola], components: NoiseEstimate | None
+) -> Residual:
+    weighted_residuals = [
+        parabola.residuals / parabola.strobes.noise_factor for parabola in parabolas
+    ]
+    dof = sum(parabola.dof for parabola in parabolas)
+    rms = math.sqrt(sum(float(np.sum(w**2)) for w in weighted_residuals) / dof)
+    if components is not None or any(parabola.sigma_from_residuals for parabola in parabolas):
         return Residual(rms=rms, unit="m", dof=dof)
-    chi2 = sum(p.chi2 for p in parabolas)
+    chi2 = sum(parabola.chi2 for parabola in parabolas)
     return Residual(rms=rms, unit="m", dof=dof, chi2=chi2, lack_of_fit_p=chi_square_tail(dof, chi2))
 
 
 def _noise_lines(parabolas: Sequence[Parabola], view: AccelerometerView) -> dict[str, NoiseLine]:
-    estimated = parabolas[0].sigma_from_residuals
+    is_estimated = parabolas[0].sigma_from_residuals
     components = view.estimate.estimated_noise.get(view.name)
-    if components is not None and not estimated:
+    if components is not None and not is_estimated:
         return record_noise_lines(components.noise, components, "displacement")
-    dof = sum(p.dof for p in parabolas)
-    sigma = math.sqrt(sum(p.sigma**2 * p.dof for p in parabolas) / dof)
-    white = NoiseLine(
+    dof = sum(parabola.dof for parabola in parabolas)
+    sigma = math.sqrt(sum(parabola.sigma**2 * parabola.dof for parabola in parabolas) / dof)
+    white_line = NoiseLine(
         value=sigma,
-        u=sigma / math.sqrt(2.0 * dof) if estimated else None,
+        u=sigma / math.sqrt(2.0 * dof) if is_estimated else None,
         unit="m",
-        estimated=estimated,
+        estimated=is_estimated,
     )
     if components is not None:
         return {
             **record_noise_lines(components.noise, components, "displacement"),
-            "displacement": white,
+            "displacement": white_line,
         }
-    walk = Noise(0.0, view.fit.noise[view.name].random_walk)
-    return {"displacement": white, **record_noise_lines(walk, None, "displacement")}
+    walk_noise = Noise(0.0, view.fit.noise[view.name].random_walk)
+    return {"displacement": white_line, **record_noise_lines(walk_noise, None, "displacement")}
 
 
-def _parabola(parabola: Parabola) -> ParabolaResult:
+def _make_parabola_result(parabola: Parabola) -> ParabolaResult:
     b0, b1, b2 = (float(b) for b in parabola.coefficients)
     return ParabolaResult(
         b0=b0,
@@ -327,7 +357,7 @@ def _parabola(parabola: Parabola) -> ParabolaResult:
     )
 
 
-# What a campaign asks of the method
+# Requests
 
 
 def make_request(
@@ -338,9 +368,10 @@ def make_request(
 ) -> TwoStageRequest:
     """Return the request of a campaign to the two-stage method for one accelerometer.
 
-    `components` is noise that was found, where the campaign states none. It raises
-    NotIdentifiableError if the record is not a displacement along a horizontal axis, or the bias
-    wanders.
+    components: Estimated noise, if the campaign states none.
+
+    NotIdentifiableError: the record is not a displacement along a horizontal axis, or the bias
+    drifts.
     """
     campaign, model = problem.campaign, problem.model
     if accelerometer.observable != "displacement":
@@ -350,10 +381,10 @@ def make_request(
             "joint method",
             code="method-not-applicable",
         )
-    stated = campaign.noise
+    stated_noise = campaign.noise
     if campaign.rest is not None:
-        stated = load_name(STATIC_NOISE)(campaign)[accelerometer.name].sizes
-    if stated is not None and stated.wanders:
+        stated_noise = load_name(STATIC_NOISE)(campaign)[accelerometer.name].sizes
+    if stated_noise is not None and stated_noise.wanders:
         keys = ", ".join(f"noise.{key}" for key in BIAS_COMPONENTS_BY_KEY)
         raise NotIdentifiableError(
             f"{accelerometer.name}: the two-stage method cannot model a drifting bias ({keys}); "
@@ -377,10 +408,10 @@ def make_request(
         nominal_angle=campaign.angle is None,
         ripple=options.ripple,
         weighted=options.weighted,
-        sigma=None if options.from_residuals else _sigma(stated),
+        sigma=None if options.from_residuals else _displacement_noise(stated_noise),
         from_residuals=options.from_residuals,
         random_walk=None if "random_walk" in noise.to_estimate else noise.random_walk,
-        timing=_stated_size(stated, "timing") or 0.0,
+        timing=_stated_size(stated_noise, "timing") or 0.0,
         u_radius=campaign.radius.u / campaign.radius.value,
         u_gravity=campaign.gravity.u / campaign.gravity.value,
         limits={
@@ -391,7 +422,7 @@ def make_request(
     return request if components is None else request.with_noise(components.noise)
 
 
-def _sigma(noise: StatedNoise | None) -> float | None:
+def _displacement_noise(noise: StatedNoise | None) -> float | None:
     """Return the displacement noise of a sample, m; None where it is not stated."""
     white = _stated_size(noise, "displacement")
     step = _stated_size(noise, "quantisation") or 0.0
@@ -404,24 +435,20 @@ def _stated_size(noise: StatedNoise | None, component: str) -> float | None:
     return size if isinstance(size, float) else None
 
 
-def walk_is_stated(noises: Mapping[str, Noise]) -> bool:
-    """Return whether the accelerometers' own noise is known, as the joint method has it.
-
-    It is where [noise] states it, zero included; a [noise] that states no noise at all leaves
-    all of it to be found.
-    """
+def is_walk_stated(noises: Mapping[str, Noise]) -> bool:
+    """Return whether [noise] states the random walk of all accelerometers, zero included."""
     return not any("random_walk" in noise.to_estimate for noise in noises.values())
 
 
 def estimate_noise(
     problem: JointProblem,
 ) -> tuple[Mapping[str, NoiseEstimate], Sequence[ResidualSeries]]:
-    """Return each accelerometer's noise where the random walk is not stated, and all records.
+    """Return the estimated noise of each accelerometer, and all series with corrected times.
 
-    One sample a revolution tells little of the noise: it is that of the joint fit, from all
-    samples. The records are at the times that their angles correct.
+    The noise is estimated by the joint fit, because one sample per revolution contains little
+    information on it. It is empty if the random walk is stated.
     """
-    if walk_is_stated(problem.noise):
+    if is_walk_stated(problem.noise):
         return {}, correct_series(problem.series, problem.model, problem.noise)
-    estimated = estimation.estimate(problem.series, problem.model, problem.noise)
-    return estimated.estimated_noise, estimated.series
+    estimate = estimation.estimate(problem.series, problem.model, problem.noise)
+    return estimate.estimated_noise, estimate.series
