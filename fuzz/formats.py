@@ -35,7 +35,7 @@ from reading_descriptions import ACCELEROMETER, format_arm_run, format_rest_run,
 
 import certificates
 from counterspin.calibration.findings import judge_result
-from counterspin.calibration.pages.document import document
+from counterspin.calibration.pages.document import full_report_blocks
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import read_campaign
 from counterspin.certificates.build import build_document, serialize_document
@@ -244,7 +244,7 @@ def result_file(place: Path) -> Format:
 
     def use(path: Path) -> None:
         found = judge_result(Result.read(path))
-        document(found)
+        full_report_blocks(found)
         found.to_json()
         for name in list(found.accelerometers)[:1]:
             with contextlib.suppress(RecordError):

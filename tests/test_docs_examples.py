@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from counterspin.calibration.pages.document import document
+from counterspin.calibration.pages.document import full_report_blocks
 from counterspin.calibration.result import Result
 from counterspin.certificates.certificate_reader import read_certificate
 from counterspin.reports.blocks import Paragraph, expand_cards
@@ -16,7 +16,7 @@ RESULT = Result.read(EXAMPLES / "result.json")
 def test_report_contains_identifier_and_answers():
     page = (EXAMPLES / "report.html").read_text(encoding="utf-8")
     assert RESULT.identifier in page
-    blocks = expand_cards(document(RESULT))
+    blocks = expand_cards(full_report_blocks(RESULT))
     answers = [b.text for b in blocks if isinstance(b, Paragraph) and b.style == "answer"]
     assert len(answers) == 2
     for answer in answers:

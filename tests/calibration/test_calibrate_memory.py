@@ -11,7 +11,7 @@ from raising import raises
 
 from counterspin import cli
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.pages.document import document
+from counterspin.calibration.pages.document import full_report_blocks
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.memory import make_campaign
@@ -40,7 +40,7 @@ def written_folder(memory_campaign, tmp_path_factory):
 
 
 def block_texts(result):
-    return [block.text for block in document(result) if hasattr(block, "text")]
+    return [block.text for block in full_report_blocks(result) if hasattr(block, "text")]
 
 
 def test_folder_has_identical_result(found, written_folder):
@@ -104,7 +104,7 @@ def test_command_in_report_reproduces_result(written_folder, tmp_path, monkeypat
     read_campaign(written_folder).write(folder)
     (folder / "campaign.toml").rename(folder / name)
     first = calibrate(folder / name)
-    (command,) = (b.text for b in document(first) if getattr(b, "style", "") == "command")
+    (command,) = (b.text for b in full_report_blocks(first) if getattr(b, "style", "") == "command")
     monkeypatch.chdir(folder)
     assert cli.main([*shlex.split(command)[1:], "--json=again.json"]) == 0
     assert Result.read(folder / "again.json") == first

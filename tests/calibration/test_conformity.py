@@ -7,7 +7,7 @@ from results import accelerometer
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.conformity import judge_accelerometer, judge_conformity
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.calibration.pages.document import sections
+from counterspin.calibration.pages.document import result_blocks
 from counterspin.calibration.pages.verdict import conformity_blocks
 from counterspin.calibration.result import Result
 from counterspin.campaign.specification import resolve_specifications
@@ -132,7 +132,7 @@ def joined_text(blocks):
 
 
 def test_report_shows_verdicts_before_coefficients(found):
-    blocks = sections(found)
+    blocks = result_blocks(found)
     places = {getattr(block, "text", None): i for i, block in enumerate(blocks)}
     assert places["Conformity"] < places["Accelerometer Qx"]
     table = blocks[places["Conformity"] + 1]

@@ -15,7 +15,7 @@ from scipy.stats import f as fisher
 import counterspin as cs
 from counterspin.calibration.joint_problem import make_noise
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.calibration.pages.document import document
+from counterspin.calibration.pages.document import full_report_blocks
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError
 from counterspin.inference.joint.estimated_noise import noise_level_dof
@@ -33,7 +33,7 @@ def folder(tmp_path_factory):
 
 
 def block_texts(result):
-    return [block.text for block in document(result) if hasattr(block, "text")]
+    return [block.text for block in full_report_blocks(result) if hasattr(block, "text")]
 
 
 def describe_noise(folder, **noise):

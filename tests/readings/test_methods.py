@@ -4,7 +4,7 @@ import pytest
 from mixed_campaign import KINDS, MixedCampaign, read_arm
 from reading_campaigns import TRUTH
 
-from counterspin.calibration.pages.document import document
+from counterspin.calibration.pages.document import full_report_blocks
 from counterspin.calibration.result import Result
 from counterspin.cli import main
 
@@ -109,4 +109,4 @@ def test_inconsistent_kind_is_named(tmp_path, capsys, monkeypatch, kind, moved):
     out = " ".join(capsys.readouterr().out.split())
     assert f"{kind}, not consistent" in out
     assert "only at rest (12)" in out
-    assert any("not consistent" in str(block) for block in document(result))
+    assert any("not consistent" in str(block) for block in full_report_blocks(result))

@@ -10,7 +10,7 @@ import pytest
 from results import accelerometer, bare_result, run
 from rich.console import Console
 
-from counterspin.calibration.pages.document import print_result, render, sections
+from counterspin.calibration.pages.document import print_result, render, result_blocks
 from counterspin.calibration.result_parts import (
     Coefficient,
     Comparison,
@@ -397,7 +397,7 @@ def test_text_is_not_cut_at_usual_widths(width):
     assert max(map(len, text.splitlines())) <= width
     tokens = set(text.split())
     numbers = 0
-    for block in sections(result, budget=True, details=True):
+    for block in result_blocks(result, budget=True, details=True):
         for row in getattr(block, "rows", ()):
             for column, cell in zip(block.columns, row, strict=True):
                 if not column.wraps:
@@ -412,7 +412,7 @@ def test_narrow_terminal_loses_no_text(width):
     text = render_text(result, width, budget=True, details=True)
     assert "…" not in text
     assert max(map(len, text.splitlines())) <= width
-    for block in sections(result, budget=True, details=True):
+    for block in result_blocks(result, budget=True, details=True):
         if not hasattr(block, "rows"):
             assert "".join(block.text.split()) in "".join(text.split())
     wide = render_text(result, 200, budget=True, details=True)

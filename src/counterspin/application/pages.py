@@ -187,11 +187,11 @@ class Page:
 
 
 def _result_page(app: AppState, names: Sequence[str], _: str) -> Page:
-    from counterspin.calibration.pages.document import document
+    from counterspin.calibration.pages.document import full_report_blocks
 
     result = app.result(names[0])
     command = report_command(app.file(names[0]))
-    return Page(result.title or "Calibration", document(result), command)
+    return Page(result.title or "Calibration", full_report_blocks(result), command)
 
 
 def _comparison_page(app: AppState, names: Sequence[str], _: str) -> Page:

@@ -19,8 +19,8 @@ from markupsafe import Markup
 
 from counterspin._version import __version__
 from counterspin.calibration.findings import judge_result, refusal_reason
-from counterspin.calibration.pages.methods import readings_of
-from counterspin.calibration.pages.triad import parameter_words
+from counterspin.calibration.pages.methods import group_readings
+from counterspin.calibration.pages.triad import parameter_description
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Correlation
 from counterspin.calibration.si_estimates import SiEstimate
@@ -200,7 +200,7 @@ def _load_template() -> Template:
         "triad_output": triad_output_lines,
         "matrix_dof": matrix_dof,
         "parameter_line": parameter_line,
-        "parameter_words": parameter_words,
+        "parameter_words": parameter_description,
         "item_id": accelerometer_item_id,
     }
     assets = resources.files("counterspin.certificates") / "assets"
@@ -221,7 +221,9 @@ def _significant_digit(value: float, u: float) -> int | None:
 def _reading_rates(result: Result) -> list[tuple[str, float]]:
     """Return name and rate, rad/s, of each reading during rotation."""
     all_readings = (
-        motion_readings for readings in readings_of(result).values() for motion_readings in readings
+        motion_readings
+        for readings in group_readings(result).values()
+        for motion_readings in readings
     )
     return list(
         dict.fromkeys((reading.name, reading.rate) for reading in all_readings if reading.rate)

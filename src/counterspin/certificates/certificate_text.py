@@ -10,9 +10,9 @@ from typing import Final
 from counterspin.calibration.pages.accelerometer import confounded_sentences
 from counterspin.calibration.pages.methods import (
     describe_tests,
+    group_readings,
     model_blocks,
-    poses_of,
-    readings_of,
+    unknown_poses,
 )
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
@@ -189,7 +189,7 @@ def method_name(result: Result) -> str:
 
 def test_lines(result: Result) -> list[str]:
     """Return a sentence for each type of test of the item."""
-    if readings_of(result) or poses_of(result):
+    if group_readings(result) or unknown_poses(result):
         return list(describe_tests(result))
     return [
         "The item was mounted on a double-turntable centrifuge and rotated at the stated rates."

@@ -12,7 +12,11 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Final
 
-from counterspin.calibration.pages.triad import nominal_outputs, parameter_words, shown_parameter
+from counterspin.calibration.pages.triad import (
+    describe_parameter,
+    nominal_outputs,
+    parameter_description,
+)
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, Correlation, TriadResult
 from counterspin.calibration.si_estimates import (
@@ -141,7 +145,7 @@ def displayed_parameters(
 ) -> tuple[dict[str, Coefficient], dict[str, SiEstimate]]:
     """Return the displayed parameters by description, in g-units and in SI."""
     parameters_by_name = {
-        name: shown_parameter(name, triad.parameters[name]) for name in triad.parameters
+        name: describe_parameter(name, triad.parameters[name]) for name in triad.parameters
     }
     si_estimates = _parameters_in_si(
         result,
@@ -207,7 +211,7 @@ def triad_lines(triad: TriadResult) -> list[str]:
             f"magnitude of the specific force, the local gravity, was known.{rms_text}"
         )
     lines += [
-        f'The parameter "{parameter_words(name)}" is not certified: '
+        f'The parameter "{parameter_description(name)}" is not certified: '
         f"{certificate_text.undetermined_reason(parameter)}."
         for name, parameter in triad.parameters.items()
         if not certificate_text.is_determined(parameter)
@@ -239,7 +243,7 @@ def _format_element(value: float, expanded_u: float) -> str:
 
 def parameter_line(name: str, parameter: Coefficient) -> str:
     """Return a line on a determined parameter with U and k in g-units, and the SI unit."""
-    description, displayed_parameter = shown_parameter(name, parameter)
+    description, displayed_parameter = describe_parameter(name, parameter)
     k = coverage_factor(displayed_parameter.dof)
     quantity = "value" if displayed_parameter.value == parameter.value else "angle"
     remark = certificate_text.unit_remark(si_unit(displayed_parameter.unit)[0], quantity)
@@ -378,7 +382,7 @@ def cmc_lines(result: Result, certified_result: Result, lab: Lab) -> list[str]:
     )
     if evaluated_triad is not None and certified_triad_result is not None:
         compared_values += [
-            (parameter_words(name), coefficient, certified_triad_result.parameters[name])
+            (parameter_description(name), coefficient, certified_triad_result.parameters[name])
             for name, coefficient in evaluated_triad.parameters.items()
         ]
     for description, coefficient, certified_coefficient in compared_values:

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 
 from counterspin.calibration.conformity import judge_conformity
 from counterspin.calibration.findings import judge_result
-from counterspin.calibration.pages.triad import shown_parameter
+from counterspin.calibration.pages.triad import describe_parameter
 from counterspin.calibration.result import Result
 from counterspin.certificates.amendment import (
     Amendment,
@@ -525,7 +525,7 @@ def certificate_blocks(numbers: CertificateNumbers) -> Iterator[Block]:
     if (triad := numbers.triad) is not None:
         parameters = triad.parameters.coefficients
         displayed_parameters = dict(
-            shown_parameter(name, parameter) for name, parameter in parameters.items()
+            describe_parameter(name, parameter) for name, parameter in parameters.items()
         )
         yield results_table(
             "Parameter",

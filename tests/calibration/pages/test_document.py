@@ -34,7 +34,7 @@ MISFIT = {"rms": 0.08, "unit": "m", "dof": 100.0, "chi2": 6400.0, "lack_of_fit_p
 
 def build_document(result):
     """Return the blocks of the report with typeset text."""
-    return list(expand_cards(pages_document.document(result)))
+    return list(expand_cards(pages_document.full_report_blocks(result)))
 
 
 def block_texts(blocks):

@@ -6,7 +6,7 @@ from posed_records import NOISE, STEP, simulate_poses
 
 import counterspin as cs
 import triads
-from counterspin.calibration.pages.document import document
+from counterspin.calibration.pages.document import full_report_blocks
 from counterspin.calibration.pages.triad import pose_pictures
 from counterspin.reports.blocks import Plot, Sphere
 from counterspin.reports.charts import render_svg
@@ -85,7 +85,7 @@ def test_rest_detection_plot_has_threshold_and_poses(result, truth):
 def test_report_has_all_triad_plots(result):
     pictures = list(pose_pictures(result))
     assert len(pictures) == 4
-    blocks = document(result)
+    blocks = full_report_blocks(result)
     assert sum(isinstance(block, Sphere) for block in blocks) == 1
     assert all(render_svg(picture) for picture in pictures)
 

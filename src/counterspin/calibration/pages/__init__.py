@@ -1,7 +1,7 @@
-"""A calibration's result as a person reads it: blocks of a report.
+"""Pages of a calibration result, as blocks of a report.
 
-- `document`: the whole of it, in a terminal, in a notebook, as a report; many campaigns in a table
-- `card`: the answer on one accelerometer at a glance
-- `verdict`, `accelerometer`, `budget`, `triad`, `uncertainty`, `methods`, `pictures`: its chapters
-- `traces`: thinned residuals for its pictures
+- `document`: whole result for a terminal, a notebook and a report; table of several campaigns
+- `card`: main estimate of one accelerometer
+- `verdict`, `accelerometer`, `budget`, `triad`, `uncertainty`, `methods`, `pictures`: chapters
+- `traces`: thinned residuals for plots
 """

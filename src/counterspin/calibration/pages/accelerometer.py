@@ -1,4 +1,4 @@
-"""The results of one accelerometer, as blocks of a report."""
+"""Results of one accelerometer, as blocks of a report."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ from counterspin.reports.numbers import (
     round_to_uncertainty,
 )
 
-#: Above this correlation, estimates are named as moving together.
+#: Magnitude of a correlation above which it is listed.
 _STRONG_CORRELATION: Final = 0.9
 
-#: Unknowns of the two-stage method that are the spindle's, and so in neither table of terms:
-#: symbol and words.
-_SPINDLE: Final = {
+#: Unknowns of the two-stage method that are not in the tables of terms:
+#: symbol -> symbol in the paper, and description.
+_SPINDLE_TERMS: Final = {
     "spindle.drift": ("C", "rate drift common to all runs"),
     "spindle.ripple": ("w_p", "rate ripple (Eq. 26) common to all runs"),
 }
 
-#: Key of the counts of a record -> words after the number 1, and after other numbers.
-_COUNTED: Final = {
+#: Key of the counts of a record -> noun in the singular and in the plural.
+_COUNT_NOUNS: Final = {
     "rows": ("row", "rows"),
     "repeated": ("repeated row", "repeated rows"),
     "empty": ("empty cell", "empty cells"),
@@ -57,7 +57,7 @@ _COUNTED: Final = {
 def accelerometer_blocks(
     name: str, accelerometer: AccelerometerResult, gravity: float, *, details: bool
 ) -> Iterator[Block]:
-    """Yield the results; gravity in m/s^2 is for noise in micro-g, `details` as in a report."""
+    """Yield the results of an accelerometer; gravity: m/s^2; details: as in a report."""
     yield Heading(f"Accelerometer {name}")
     yield coefficient_table({**accelerometer.coefficients, **accelerometer.second_unknown})
     for sentence in confounded_sentences(accelerometer):
@@ -70,7 +70,7 @@ def accelerometer_blocks(
     yield from method_blocks(accelerometer)
     if accelerometer.readings:
         yield tabulate_tests(accelerometer.readings)
-    yield from _reading_table(accelerometer.readings, details=details)
+    yield from _reading_blocks(accelerometer.readings, details=details)
     if accelerometer.two_stage is not None:
         yield Paragraph(
             _comparison_sentence(accelerometer.two_stage, accelerometer.coefficients.get("K_II"))
@@ -82,15 +82,16 @@ def accelerometer_blocks(
 
 
 def _output_units_text(accelerometer: AccelerometerResult) -> str:
-    coefficients = (
-        f"{key.replace('_', ' ')} {format_estimate(c.value, c.u, c.unit)}"
-        for key, c in accelerometer.output.items()
+    estimates = (
+        f"{key.replace('_', ' ')} "
+        f"{format_estimate(coefficient.value, coefficient.u, coefficient.unit)}"
+        for key, coefficient in accelerometer.output.items()
     )
     nominal = f" (nominal {accelerometer.nominal.words})" if accelerometer.nominal else ""
-    return f"Coefficients in the unit of the readings: {', '.join(coefficients)}{nominal}."
+    return f"Coefficients in the unit of the readings: {', '.join(estimates)}{nominal}."
 
 
-def _reading_table(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[Block]:
+def _reading_blocks(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[Block]:
     if not readings:
         return
     shown_readings = readings if details else readings[:MAX_TERMINAL_ROWS]
@@ -108,27 +109,29 @@ def _reading_table(readings: Sequence[ReadingResult], *, details: bool) -> Itera
         ),
         rows=tuple(
             (
-                line.name,
-                line.motion,
-                format_number(line.rate, 6) if line.rate else "",
-                format_compact(line.value, line.u),
-                f"{line.residual * 1e6:.2f}",
-                "-" if line.z is None else f"{line.z:.2f}",
-                *_sample_cells(line),
+                reading.name,
+                reading.motion,
+                format_number(reading.rate, 6) if reading.rate else "",
+                format_compact(reading.value, reading.u),
+                f"{reading.residual * 1e6:.2f}",
+                "-" if reading.z is None else f"{reading.z:.2f}",
+                *_sample_cells(reading),
             )
-            for line in shown_readings
+            for reading in shown_readings
         ),
     ).without_empty_columns()
-    for line in (line for line in readings if line.samples is not None):
-        yield from note_blocks(line.name, line)
+    for reading in (reading for reading in readings if reading.samples is not None):
+        yield from note_blocks(reading.name, reading)
         if details:
-            yield from count_blocks(line.name, line)
+            yield from count_blocks(reading.name, reading)
 
 
-def _sample_cells(line: ReadingResult) -> tuple[str, str]:
-    """Return the cells of samples used and rejected; a value that was read has none."""
+def _sample_cells(reading: ReadingResult) -> tuple[str, str]:
+    """Return the cells of used and rejected samples; empty unless the reading is a mean."""
     return (
-        ("", "") if line.samples is None else (str(line.samples), str(rejected_count(line.counts)))
+        ("", "")
+        if reading.samples is None
+        else (str(reading.samples), str(rejected_count(reading.counts)))
     )
 
 
@@ -140,7 +143,7 @@ def to_field_units(coefficient: Coefficient) -> tuple[float | None, float | None
 
 
 def coefficient_table(coefficients: dict[str, Coefficient]) -> Table:
-    """Return a row for each coefficient, which starts with its symbol and description."""
+    """Return a table with a row for each coefficient."""
     rows = [
         (*_symbol_and_description(symbol), *coefficient_cells(coefficient))
         for symbol, coefficient in coefficients.items()
@@ -155,15 +158,17 @@ def coefficient_table(coefficients: dict[str, Coefficient]) -> Table:
             Column("Uncertainty contributions", wraps=True),
         ),
         rows=tuple(rows),
-        quiet_rows=frozenset(i for i, c in enumerate(coefficients.values()) if not c.estimated),
+        quiet_rows=frozenset(
+            i for i, coefficient in enumerate(coefficients.values()) if not coefficient.estimated
+        ),
     )
 
 
 def _symbol_and_description(symbol: str) -> tuple[str, str]:
-    """Return symbol and description of a term; a run's name in brackets is kept."""
+    """Return symbol and description of a term, with the name of its run in brackets."""
     base_symbol, bracket, run = symbol.partition(" (")
     if not is_term(base_symbol):
-        return _SPINDLE.get(base_symbol, (symbol, ""))
+        return _SPINDLE_TERMS.get(base_symbol, (symbol, ""))
     return symbol, describe_term(base_symbol) + bracket + run
 
 
@@ -250,25 +255,25 @@ def _residual_sentence(accelerometer: AccelerometerResult) -> str:
     if residual.chi2 is not None and residual.dof > 0.0:
         text += f"; chi-square/dof {format_number(residual.chi2 / residual.dof, 4)}"
     if residual.lack_of_fit_p is not None:
-        # Noise that was estimated fits by its size; only the pattern of the residuals can tell.
+        # Estimated noise agrees in size, so only the pattern of the residuals is tested.
         statistic = "p" if residual.chi2 is not None else "p (pattern)"
         text += f"; {statistic} = {format_number(residual.lack_of_fit_p, 2)}"
     return text + "."
 
 
 def _noise_sentence(noise: dict[str, NoiseLine], gravity: float) -> str:
-    lines = []
+    clauses = []
     for name, line in noise.items():
         value, u, unit = line.value, line.u, line.unit
         if name in COMPONENTS_BY_KEY:
-            # The campaign file, and every data sheet, says it in micro-g.
+            # In micro-g, as in the campaign file and in data sheets.
             scale = 1e6 / gravity
             value, u, unit = value * scale, None if u is None else u * scale, f"ug{unit[5:]}"
         elif name == "timing":
             value, unit = value * 1e6, "us"
         label = {"timing": "time stamps"}.get(name, name.replace("_", " "))
         if line.estimated and value == 0.0:
-            lines.append(f"{label} none detected")
+            clauses.append(f"{label} none detected")
             continue
         source = f"from {line.record}" if line.record else "as given"
         evaluation = "estimated from the residuals" if line.estimated else source
@@ -281,9 +286,9 @@ def _noise_sentence(noise: dict[str, NoiseLine], gravity: float) -> str:
         run_values = [
             f"{format_number(run_value, 2)} in {run}" for run, run_value in line.runs.items()
         ]
-        by_run = f", by run {', '.join(run_values)}" if run_values else ""
-        lines.append(f"{label} {noise_text} ({evaluation}){by_run}")
-    return f"Noise: {'; '.join(lines)}."
+        run_clause = f", by run {', '.join(run_values)}" if run_values else ""
+        clauses.append(f"{label} {noise_text} ({evaluation}){run_clause}")
+    return f"Noise: {'; '.join(clauses)}."
 
 
 def _comparison_sentence(comparison: Comparison, coefficient: Coefficient | None) -> str:
@@ -302,12 +307,12 @@ def _comparison_sentence(comparison: Comparison, coefficient: Coefficient | None
 def _jackknife_table(lines: Sequence[Jackknife], coefficient: Coefficient) -> Iterator[Block]:
     value, u, unit = to_field_units(coefficient)
     _, factor = find_display_unit(coefficient.unit)
-    # Without one run the estimate is written to the place of the whole one, to be compared.
+    # All estimates have the decimal places of the result, for comparison.
     rounded_cells = round_to_uncertainty(value, u) if value is not None and u else None
     if rounded_cells is not None and rounded_cells.exponent:
         unit = f"1e{rounded_cells.exponent} {unit}"
 
-    def write(number: float | None) -> str:
+    def format_value(number: float | None) -> str:
         if number is None:
             return NOT_DETERMINED
         scaled_number = number * factor
@@ -327,8 +332,8 @@ def _jackknife_table(lines: Sequence[Jackknife], coefficient: Coefficient) -> It
         rows=tuple(
             (
                 line.run,
-                write(line.value),
-                write(line.shift),
+                format_value(line.value),
+                format_value(line.shift),
                 "-" if line.z is None else f"{line.z:.2f}",
             )
             for line in lines
@@ -357,18 +362,21 @@ def _correlation_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
             Column("and", wraps=True),
             Column("Correlation", "right"),
         ),
-        tuple((source_label(b), source_label(a), _format_correlation(r)) for a, b, r in pairs),
+        tuple(
+            (source_label(second_term), source_label(first_term), _format_correlation(r))
+            for first_term, second_term, r in pairs
+        ),
     )
 
 
-def note_blocks(name: str, item: RunResult | ReadingResult) -> Iterator[Block]:
-    """Yield a paragraph for each note on reading."""
-    for note in item.notes:
+def note_blocks(name: str, result: RunResult | ReadingResult) -> Iterator[Block]:
+    """Yield a paragraph for each note on reading the record."""
+    for note in result.notes:
         yield Paragraph(note if note.startswith(name) else f"{name}: {note}")
 
 
-def count_blocks(name: str, item: RunResult | ReadingResult) -> Iterator[Block]:
+def count_blocks(name: str, result: RunResult | ReadingResult) -> Iterator[Block]:
     """Yield the number of rows of each kind."""
-    counts = [f"{count} {_COUNTED[key][count != 1]}" for key, count in item.counts.items()]
+    counts = [f"{count} {_COUNT_NOUNS[key][count != 1]}" for key, count in result.counts.items()]
     if counts:
         yield Paragraph(f"{name}: {', '.join(counts)}.")

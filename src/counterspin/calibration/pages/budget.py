@@ -1,4 +1,4 @@
-"""The uncertainty budget of a coefficient as a table, with the columns of GUM table H.1."""
+"""Uncertainty budget of a coefficient, with the columns of GUM table H.1."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from counterspin.reports.numbers import (
 
 #: Kind of a source -> type of its evaluation (GUM 3.3.4). Noise is of type A if it is estimated
 #: from the records, else of type B.
-_EVALUATIONS: Final = {"stated": "B", "unstated": "B, default", "held": "B, considered"}
+_EVALUATION_TYPES: Final = {"stated": "B", "unstated": "B, default", "held": "B, considered"}
 
 
-#: Differences below this part of the tolerance are not stated as a number.
+#: Ratio to the tolerance below which a difference is not given as a number.
 _NEGLIGIBLE_RATIO: Final = 0.01
 
 
@@ -39,22 +39,24 @@ def budget_blocks(name: str, result: Result) -> Iterator[Block]:
 
 
 def interval_blocks(name: str, result: Result) -> Iterator[Block]:
-    """Yield the coverage intervals of an accelerometer by the GUM and by Monte Carlo, if drawn."""
+    """Yield the GUM and Monte Carlo coverage intervals of an accelerometer, if available."""
     outcome_texts = {True: "validated", False: "not validated", None: "too few trials"}
     rows, trials = [], 0
     accelerometer = result.accelerometers[name]
-    for symbol, coverage in accelerometer.monte_carlo.items():
+    for symbol, monte_carlo in accelerometer.monte_carlo.items():
         coefficient = accelerometer.coefficients[symbol]
         if coefficient.value is None or coefficient.u is None:
             continue
         unit, factor = find_display_unit(coefficient.unit)
-        u, trials = coefficient.u * factor, coverage.trials
-        intervals = (coefficient.interval(), (coverage.low, coverage.high))
-        gum, shortest = (
+        u, trials = coefficient.u * factor, monte_carlo.trials
+        intervals = (coefficient.interval(), (monte_carlo.low, monte_carlo.high))
+        gum_text, shortest_text = (
             format_interval(0.5 * (low + high) * factor, u, 0.5 * (high - low) * factor)
             for low, high in intervals
         )
-        rows.append((symbol, gum, shortest, unit, outcome_texts[coverage.gum_validated]))
+        rows.append(
+            (symbol, gum_text, shortest_text, unit, outcome_texts[monte_carlo.gum_validated])
+        )
     if rows:
         yield Heading(f"95 % coverage intervals of {name}, {trials} trials (JCGM 101)", 3)
         yield Table(
@@ -82,19 +84,24 @@ def _linearity_sentence(accelerometer: AccelerometerResult) -> str:
         return ""
     worst_symbol = max(ratios, key=lambda symbol: ratios[symbol])
     largest = format_number(ratios[worst_symbol], 2)
-    amount = f"at most {largest} times the numerical tolerance ({worst_symbol})"
+    amount_text = f"at most {largest} times the numerical tolerance ({worst_symbol})"
     if ratios[worst_symbol] < _NEGLIGIBLE_RATIO:
-        amount = f"less than {_NEGLIGIBLE_RATIO:g} times the numerical tolerance"
+        amount_text = f"less than {_NEGLIGIBLE_RATIO:g} times the numerical tolerance"
     text = (
-        f"Full fits with each source shifted by ±2 u differ from the linear prediction by {amount}."
+        f"Full fits with each source shifted by ±2 u differ from the linear prediction by "
+        f"{amount_text}."
     )
-    second_order = [
+    second_order_texts = [
         f"{symbol} ({', '.join(interval.second_order)})"
         for symbol, interval in accelerometer.monte_carlo.items()
         if interval.second_order
     ]
-    sentence = f"Monte Carlo trials use second-order sensitivities for {', '.join(second_order)}."
-    text += f" {sentence}" if second_order else " Monte Carlo trials use linear sensitivities."
+    sentence = (
+        f"Monte Carlo trials use second-order sensitivities for {', '.join(second_order_texts)}."
+    )
+    text += (
+        f" {sentence}" if second_order_texts else " Monte Carlo trials use linear sensitivities."
+    )
     failed_symbols = [
         symbol
         for symbol, interval in accelerometer.monte_carlo.items()
@@ -116,10 +123,10 @@ def budget_table(
     shown_lines: Sequence[BudgetLine],
     small_lines: Sequence[BudgetLine],
 ) -> Table:
-    """Return the budget of a coefficient as a table; empty columns are left out.
+    """Return the budget of a coefficient as a table without empty columns.
 
     name: Name of the accelerometer.
-    shown_lines, small_lines: Lines with a row each, and lines that share a row.
+    shown_lines, small_lines: Lines with separate rows, and lines in a common row.
     """
     accelerometer = result.accelerometers[name]
     coefficient = accelerometer.coefficients.get(symbol)
@@ -161,20 +168,24 @@ def budget_table(
 
 
 def prior_values(name: str, result: Result) -> Mapping[str, float]:
-    """Return the values of terms and inputs before the data, by source as in a budget of `name`.
+    """Return the prior values of terms and inputs, by source as in a budget of `name`.
 
-    A result does not contain the prior of a coefficient that the records improve.
+    A result does not contain the priors of estimated coefficients.
     """
     priors = {row.name.removeprefix(f"{name}."): row.value for row in result.rests_on}
     coefficients = result.accelerometers[name].coefficients.items()
-    prior_only = {s: c.value for s, c in coefficients if not c.estimated and c.value is not None}
+    prior_only = {
+        symbol: coefficient.value
+        for symbol, coefficient in coefficients
+        if not coefficient.estimated and coefficient.value is not None
+    }
     return prior_only | priors
 
 
 def evaluation_type(line: BudgetLine, accelerometer: AccelerometerResult) -> str:
     """Return the type of evaluation of a source (GUM 3.3.4), A or B."""
     if line.kind != "noise":
-        return _EVALUATIONS[line.kind]
+        return _EVALUATION_TYPES[line.kind]
     return "A" if any(line.estimated for line in accelerometer.noise.values()) else "B"
 
 

@@ -1,4 +1,4 @@
-"""The answer on one accelerometer at a glance: value, interval, parts of u, quality checks."""
+"""Card of one accelerometer: value, interval, shares of the variance, quality checks."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from counterspin.reports.numbers import (
 )
 from counterspin.reports.typography import SYMBOL
 
-#: States of a result in words.
+#: State of a result -> text.
 STATE_WORDS: Final[dict[State, str]] = {
     "good": "Good",
     "reservations": "With reservations",
@@ -34,10 +34,10 @@ STATE_WORDS: Final[dict[State, str]] = {
     "contradicted": "Contradicted",
 }
 
-#: East-north-up, and the opposite directions.
+#: Positive and negative directions of the east-north-up axes.
 _DIRECTIONS: Final = (("east", "west"), ("north", "south"), ("up", "down"))
 
-#: Parts of u^2 that a bar shows by name; smaller ones are shown together.
+#: Largest number of named shares of u^2 in a bar, and the smallest named share.
 _MAX_SHARES: Final = 4
 _MIN_SHARE: Final = 0.005
 
@@ -49,7 +49,7 @@ def accelerometer_card(
 
     None without a coefficient.
 
-    paragraphs: The same in text.
+    paragraphs: The same content as text.
     """
     coefficients = accelerometer.coefficients
     if not coefficients or accelerometer.state is None:
@@ -60,38 +60,40 @@ def accelerometer_card(
     is_determined = coefficient.estimated and value is not None and u is not None
     return Card(
         title=name,
-        detail=_orientation(accelerometer),
+        detail=_describe_orientation(accelerometer),
         state=accelerometer.state,
         state_text=STATE_WORDS[accelerometer.state],
         symbol=symbol,
         value=format_estimate(value, u) if is_determined else "",
         unit=unit,
-        remarks=tuple(_remarks(coefficient, accelerometer.state)) if is_determined else (),
-        shares=tuple(_shares(accelerometer.budget.get(symbol, ()))) if is_determined else (),
-        note=_note(accelerometer, symbol),
-        checks=tuple(_checks(accelerometer)),
+        remarks=tuple(_interval_remarks(coefficient, accelerometer.state)) if is_determined else (),
+        shares=tuple(_variance_shares(accelerometer.budget.get(symbol, ())))
+        if is_determined
+        else (),
+        note=_card_note(accelerometer, symbol),
+        checks=tuple(_quality_checks(accelerometer)),
         paragraphs=tuple(paragraphs),
     )
 
 
-def _orientation(accelerometer: AccelerometerResult) -> str:
-    """Return serial number and directions of the input and pendulous axes, as far as stated."""
+def _describe_orientation(accelerometer: AccelerometerResult) -> str:
+    """Return the stated serial number and directions of the input and pendulous axes."""
     texts = [f"serial number {accelerometer.serial_number}"] if accelerometer.serial_number else []
     for axis, vector in zip(("input", "pendulous"), accelerometer.axes or (), strict=False):
-        if direction := _direction(vector):
+        if direction := _describe_direction(vector):
             texts.append(f"{axis} axis {direction}")
     return ", ".join(texts)
 
 
-def _direction(vector: tuple[float, float, float]) -> str:
-    """Return the name of a main direction; empty for any other."""
-    largest = max(range(3), key=lambda k: abs(vector[k]))
-    if abs(vector[largest]) < 1.0 - 1e-9:
+def _describe_direction(vector: tuple[float, float, float]) -> str:
+    """Return the name of a direction along an axis; empty for other directions."""
+    index = max(range(3), key=lambda k: abs(vector[k]))
+    if abs(vector[index]) < 1.0 - 1e-9:
         return ""
-    return _DIRECTIONS[largest][vector[largest] < 0.0]
+    return _DIRECTIONS[index][vector[index] < 0.0]
 
 
-def _remarks(coefficient: Coefficient, state: State) -> Iterator[str]:
+def _interval_remarks(coefficient: Coefficient, state: State) -> Iterator[str]:
     """Yield interval and expanded uncertainty; a contradicted value has neither."""
     value, u, unit = to_field_units(coefficient)
     if state == "contradicted" or value is None or not u:
@@ -103,7 +105,7 @@ def _remarks(coefficient: Coefficient, state: State) -> Iterator[str]:
     yield f"U = {format_uncertainty(expanded_u)} {unit}, k = {format_number(expanded_u / u, 3)}"
 
 
-def _shares(budget: Sequence[BudgetLine]) -> Iterator[Share]:
+def _variance_shares(budget: Sequence[BudgetLine]) -> Iterator[Share]:
     lines = sorted(budget, key=lambda line: -line.share)
     shown_lines = [line for line in lines[:_MAX_SHARES] if line.share >= _MIN_SHARE]
     for line in shown_lines:
@@ -115,11 +117,11 @@ def _shares(budget: Sequence[BudgetLine]) -> Iterator[Share]:
 
 
 def _short_name(source: str) -> str:
-    """Return the printed symbol of a source, or else its meaning."""
+    """Return the symbol of a source if it is printable, else its description."""
     return source if re.fullmatch(SYMBOL, source) else describe_term(source) or source
 
 
-def _note(accelerometer: AccelerometerResult, symbol: str) -> str:
+def _card_note(accelerometer: AccelerometerResult, symbol: str) -> str:
     if accelerometer.findings:
         remaining_count = len(accelerometer.findings) - 1
         text = finding_text(accelerometer.findings[0])
@@ -129,7 +131,7 @@ def _note(accelerometer: AccelerometerResult, symbol: str) -> str:
     )
 
 
-def _checks(accelerometer: AccelerometerResult) -> Iterator[Check]:
+def _quality_checks(accelerometer: AccelerometerResult) -> Iterator[Check]:
     """Yield the checks of the fit, of the runs and of the two-stage method."""
     evidence = dict(supporting_evidence(accelerometer))
     p = accelerometer.residual.lack_of_fit_p
@@ -140,24 +142,28 @@ def _checks(accelerometer: AccelerometerResult) -> Iterator[Check]:
         if p is None
         else f"the residuals are not consistent with noise (p = {format_number(p, 2)})",
     )
-    tested_runs = [line for line in accelerometer.jackknife if line.z is not None]
-    largest = max(tested_runs, key=lambda line: abs(line.z or 0.0), default=None)
+    tested_lines = [line for line in accelerometer.jackknife if line.z is not None]
+    largest_shift = max(tested_lines, key=lambda line: abs(line.z or 0.0), default=None)
     shift = None
-    if largest is not None:
-        shift_text = format_number(abs(largest.z or 0.0), 2)
+    if largest_shift is not None:
+        shift_text = format_number(abs(largest_shift.z or 0.0), 2)
         shift = (
             f"the largest shift, {shift_text} times its standard uncertainty, results from "
-            f"omitting {largest.run}"
+            f"omitting {largest_shift.run}"
         )
     clause = evidence.get("leave-one-run-out")
     yield _make_check("Runs", f"{clause}; {shift}" if clause else None, shift)
     yield _make_check("Method", *_compare_methods(accelerometer))
 
 
-def _make_check(title: str, passed: str | None, failed: str | None) -> Check:
-    if passed is not None:
-        return Check(title, "passed", passed)
-    return Check(title, "open", "not checked") if failed is None else Check(title, "failed", failed)
+def _make_check(title: str, passed_text: str | None, failed_text: str | None) -> Check:
+    if passed_text is not None:
+        return Check(title, "passed", passed_text)
+    return (
+        Check(title, "open", "not checked")
+        if failed_text is None
+        else Check(title, "failed", failed_text)
+    )
 
 
 def _compare_methods(accelerometer: AccelerometerResult) -> tuple[str | None, str | None]:

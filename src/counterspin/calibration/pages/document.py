@@ -1,4 +1,4 @@
-"""The whole of a result, the answer first: in a terminal, in a notebook, as a report."""
+"""Pages of a whole result: for a terminal, for a notebook, and as a report."""
 
 from __future__ import annotations
 
@@ -60,11 +60,11 @@ from counterspin.reports.typography import typeset_block
 if TYPE_CHECKING:
     from counterspin.calibration.batch import BatchResult
 
-#: From so many degrees of freedom on an interval is that of a normal distribution within 0.2 %.
-_MANY_DOF: Final = 1e3
+#: Degrees of freedom above which an interval equals that of a normal distribution within 0.2 %.
+_MIN_NORMAL_DOF: Final = 1e3
 
-#: Titles of what a fit is judged by; other keys are their own.
-_TESTS: Final = {
+#: Key of a test of a fit -> title; other keys are their own titles.
+_TEST_TITLES: Final = {
     "chi2": "chi-square",
     "chi2_p": "p (chi-square)",
     "sign_p": "p (sign test)",
@@ -72,7 +72,7 @@ _TESTS: Final = {
     "peak_p": "p (peak)",
 }
 
-_COLUMNS = (
+_BATCH_COLUMNS = (
     Column("Campaign"),
     Column("Accelerometer"),
     Column("K_II", align="right"),
@@ -81,8 +81,8 @@ _COLUMNS = (
 )
 
 
-def sections(result: Result, *, budget: bool = False, details: bool = False) -> list[Block]:
-    """Return a result as blocks, the answer first.
+def result_blocks(result: Result, *, budget: bool = False, details: bool = False) -> list[Block]:
+    """Return the blocks of a result, the main estimates first.
 
     budget: Whether the uncertainty budgets are written.
     details: Whether strong correlations, run counts, input files and their checksums are written.
@@ -110,7 +110,7 @@ def sections(result: Result, *, budget: bool = False, details: bool = False) -> 
 
 
 def notebook_blocks(result: Result) -> list[Block]:
-    """Return the blocks of a notebook cell: the answer, whether it is good, the coefficients."""
+    """Return the blocks of a notebook cell: main estimates, verdict, coefficients."""
     result = judge_result(result)
     blocks: list[Block] = [*answer_blocks(result), *verdict_blocks(result)]
     for name, accelerometer in result.accelerometers.items():
@@ -118,21 +118,21 @@ def notebook_blocks(result: Result) -> list[Block]:
     return blocks
 
 
-# The answer
+# Main estimates
 
 
 def answer_blocks(result: Result, *, report: bool = False) -> Iterator[Block]:
-    """Yield title, K_II of each accelerometer, warnings about the whole and conventions.
+    """Yield title, K_II of each accelerometer, warnings on the result, and conventions.
 
-    Where the records contradict the result, that is said before any number.
+    A contradiction by the records precedes all numbers.
 
-    report: Whether K_II is given in g/g^2 beside ug/g^2, on a card for each accelerometer.
+    report: Whether K_II is also given in g/g^2, on a card for each accelerometer.
     """
     yield Heading(result.title or "Calibration", 1)
     yield from misfit_blocks(result)
     yield from seal_warnings(result)
     for name, accelerometer in result.accelerometers.items():
-        paragraphs = list(_answer_paragraphs(name, accelerometer, in_g=report))
+        paragraphs = list(_answer_paragraphs(name, accelerometer, shows_g_units=report))
         card = accelerometer_card(name, accelerometer, paragraphs) if report else None
         yield from paragraphs if card is None else [card]
     yield from triad_summary(result)
@@ -141,8 +141,8 @@ def answer_blocks(result: Result, *, report: bool = False) -> Iterator[Block]:
     for warning in result.warnings:
         yield Paragraph(f"Warning: {warning}", "warning")
     detail_texts = (f"{key.replace('_', ' ')} {text}" for key, text in result.details.items())
-    if line := "; ".join(detail_texts):
-        yield Paragraph(f"{line[:1].upper()}{line[1:]}.", "quiet")
+    if detail_line := "; ".join(detail_texts):
+        yield Paragraph(f"{detail_line[:1].upper()}{detail_line[1:]}.", "quiet")
     gravity = format_number(result.inputs.gravity, 9)
     yield Paragraph(
         f"{result.method.capitalize()} method, {result.model} model. The number after ± is the "
@@ -154,34 +154,36 @@ def answer_blocks(result: Result, *, report: bool = False) -> Iterator[Block]:
 
 
 def _answer_paragraphs(
-    name: str, accelerometer: AccelerometerResult, *, in_g: bool
+    name: str, accelerometer: AccelerometerResult, *, shows_g_units: bool
 ) -> Iterator[Paragraph]:
     """Yield K_II of an accelerometer and the origin of its uncertainty."""
     if (coefficient := accelerometer.coefficients.get("K_II")) is not None:
         state = accelerometer.state
-        yield _answer_line(f"K_II of {name}", coefficient, in_g=in_g, state=state)
+        yield _answer_paragraph(
+            f"K_II of {name}", coefficient, shows_g_units=shows_g_units, state=state
+        )
         if sentence := default_prior_sentence(accelerometer) or main_source_sentence(accelerometer):
             yield Paragraph(sentence)
 
 
-def _answer_line(
-    name: str, coefficient: Coefficient, *, in_g: bool, state: State | None
+def _answer_paragraph(
+    name: str, coefficient: Coefficient, *, shows_g_units: bool, state: State | None
 ) -> Paragraph:
-    """Return K_II in one line; a contradicted value has neither interval nor colour."""
+    """Return a paragraph on K_II; a contradicted value has neither interval nor colour."""
     value, u, unit = to_field_units(coefficient)
     if not coefficient.estimated or value is None or u is None:
         prior = f"; prior: {format_estimate(value, u, unit)}" if value is not None else ""
         style: Style = "undetermined" if state == "not-determined" else "warning"
         return Paragraph(f"{name}: {NOT_DETERMINED} by these records{prior}", style)
     text = f"{name} = {format_estimate(value, u, unit)}"
-    if in_g:
+    if shows_g_units:
         text += f" = {format_estimate(coefficient.value, coefficient.u, coefficient.unit)}"
     if state == "contradicted":
         return Paragraph(text)
     if u > 0.0:
         expanded_u = expanded_uncertainty(u, coefficient.dof)
-        interval = format_interval(value, u, expanded_u, unit if in_g else "")
-        has_few_dof = coefficient.dof is not None and coefficient.dof < _MANY_DOF
+        interval = format_interval(value, u, expanded_u, unit if shows_g_units else "")
+        has_few_dof = coefficient.dof is not None and coefficient.dof < _MIN_NORMAL_DOF
         dof = f", {format_count(coefficient.dof or 0.0)} dof" if has_few_dof else ""
         text += f"   (95 %: {interval}{dof})"
     return Paragraph(text, "answer" if state in ("good", None) else "reserved")
@@ -191,7 +193,7 @@ def _answer_line(
 
 
 def platform_blocks(result: Result) -> Iterator[Block]:
-    """Yield a table of the platform's terms, those of single runs among them, if there are any."""
+    """Yield a table of the terms of the platform and of the runs, if there are any."""
     terms = dict(result.platform)
     for name, run in result.runs.items():
         terms |= {f"{symbol} ({name})": coefficient for symbol, coefficient in run.terms.items()}
@@ -252,12 +254,13 @@ def _count_blocks(runs: dict[str, RunResult]) -> Iterator[Block]:
 def _ripple_cell(run: RunResult) -> str:
     if not run.ripples:
         return "-"
-    # parts per million of the rate, whichever way it turns
+    # parts per million of the absolute rate
     scale = 1e6 / abs(run.rate)
     return MultilineText(
         *(
-            f"{r.harmonic}: {format_compact(r.amplitude * scale, r.u_amplitude * scale)}"
-            for r in run.ripples
+            f"{ripple.harmonic}: "
+            f"{format_compact(ripple.amplitude * scale, ripple.u_amplitude * scale)}"
+            for ripple in run.ripples
         )
     )
 
@@ -289,14 +292,14 @@ def _parabola_table(runs: dict[str, RunResult]) -> Iterator[Block]:
 
 
 def _fit_table(runs: dict[str, RunResult]) -> Iterator[Block]:
-    """Yield a table of the tests of each run's fit, a column for each key."""
+    """Yield a table of the tests of each run's fit, with a column for each test."""
     fits = [
         (name, accelerometer, fit)
         for name, run in runs.items()
         for accelerometer, fit in run.fit.items()
     ]
     keys = tuple(dict.fromkeys(key for _, _, fit in fits for key in fit))
-    titles = [_TESTS.get(key, key.replace("_", " ")) for key in keys]
+    titles = [_TEST_TITLES.get(key, key.replace("_", " ")) for key in keys]
     if keys:
         yield Table(
             columns=(
@@ -305,13 +308,13 @@ def _fit_table(runs: dict[str, RunResult]) -> Iterator[Block]:
                 *(Column(title, "right", wraps=True) for title in titles),
             ),
             rows=tuple(
-                (name, accelerometer, *(_format_measure(key, fit.get(key)) for key in keys))
+                (name, accelerometer, *(_format_test_value(key, fit.get(key)) for key in keys))
                 for name, accelerometer, fit in fits
             ),
         )
 
 
-def _format_measure(key: str, value: float | str | None) -> str:
+def _format_test_value(key: str, value: float | str | None) -> str:
     if value is None or isinstance(value, str):
         return value or "-"
     if key.endswith("_p"):
@@ -330,37 +333,37 @@ def _detail_blocks(result: Result) -> Iterator[Block]:
     yield Paragraph(f"counterspin {result.provenance.version}", "quiet")
 
 
-def document(result: Result) -> list[Block]:
+def full_report_blocks(result: Result) -> list[Block]:
     """Return the full report of a result."""
     result = judge_result(result)
     chapters = {
-        "Coefficients": _coefficients(result),
-        "Uncertainty budget": _budgets(result),
-        "Residuals": _residuals(result),
-        "Runs": _runs(result),
+        "Coefficients": _coefficient_chapter(result),
+        "Uncertainty budget": _budget_chapter(result),
+        "Residuals": _residual_chapter(result),
+        "Runs": _run_chapter(result),
     }
     blocks: list[Block] = list(answer_blocks(result, report=True))
     for title, chapter in chapters.items():
-        if content := _sections(chapter):
+        if content := _lower_headings(chapter):
             blocks += [Heading(title), *content]
-    # Names of files and checksums are left as they are.
-    heading, inputs, *origin = _sections(origin_blocks(result))
-    blocks += [Heading("Inputs"), *_sections(model_blocks(result)), heading, inputs]
-    return [*map(typeset_block, blocks), *origin]
+    # Names of files and checksums are not typeset.
+    heading, inputs, *origin_tables = _lower_headings(origin_blocks(result))
+    blocks += [Heading("Inputs"), *_lower_headings(model_blocks(result)), heading, inputs]
+    return [*map(typeset_block, blocks), *origin_tables]
 
 
-def _sections(blocks: Iterable[Block]) -> list[Block]:
-    """Return blocks with headings of chapters as those of sections."""
-    return [Heading(b.text, 3) if isinstance(b, Heading) else b for b in blocks]
+def _lower_headings(blocks: Iterable[Block]) -> list[Block]:
+    """Return blocks with all headings lowered to level 3."""
+    return [Heading(block.text, 3) if isinstance(block, Heading) else block for block in blocks]
 
 
-def _coefficients(result: Result) -> Iterator[Block]:
+def _coefficient_chapter(result: Result) -> Iterator[Block]:
     yield Heading("Quality checks")
     yield from verdict_tables(result)
     yield from conformity_blocks(result)
     for name, accelerometer in result.accelerometers.items():
         yield from accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=True)
-        yield from _drawable(
+        yield from _existing_pictures(
             jackknife_plot(name, accelerometer), correlation_map(name, accelerometer)
         )
     yield from triad_blocks(result, details=True)
@@ -368,15 +371,15 @@ def _coefficients(result: Result) -> Iterator[Block]:
     yield from platform_blocks(result)
 
 
-def _budgets(result: Result) -> Iterator[Block]:
+def _budget_chapter(result: Result) -> Iterator[Block]:
     for name, accelerometer in result.accelerometers.items():
         yield from interval_blocks(name, result)
         yield from budget_blocks(name, result)
-        yield from _drawable(budget_bars(name, accelerometer))
+        yield from _existing_pictures(budget_bars(name, accelerometer))
     yield from prior_blocks(result)
 
 
-def _residuals(result: Result) -> Iterator[Block]:
+def _residual_chapter(result: Result) -> Iterator[Block]:
     for name, accelerometer in result.accelerometers.items():
         plots = list(residual_plots(name, accelerometer, result.runs))
         if plots:
@@ -384,19 +387,19 @@ def _residuals(result: Result) -> Iterator[Block]:
             yield from plots
 
 
-def _runs(result: Result) -> Iterator[Block]:
+def _run_chapter(result: Result) -> Iterator[Block]:
     yield from run_blocks(result.runs, details=True)
-    yield from _drawable(ripple_plot(result.runs))
+    yield from _existing_pictures(ripple_plot(result.runs))
 
 
-def _drawable(*pictures: Picture | None) -> Iterator[Picture]:
+def _existing_pictures(*pictures: Picture | None) -> Iterator[Picture]:
     yield from (picture for picture in pictures if picture is not None)
 
 
 def print_result(
     result: Result, console: Console | None = None, *, budget: bool = False, details: bool = False
 ) -> None:
-    """Print a result, to standard output if to no other console; otherwise as `render`."""
+    """Print a result to a console, by default to standard output; options as for `render`."""
     console = console or make_console()
     console.print(render(result, budget=budget, details=details))
 
@@ -407,18 +410,18 @@ def render(result: Result, *, budget: bool = False, details: bool = False) -> Re
     budget: Whether to show the uncertainty budgets.
     details: Whether to show correlations, counts, input files and their checksums.
     """
-    return Report(sections(result, budget=budget, details=details))
+    return Report(result_blocks(result, budget=budget, details=details))
 
 
 def batch_blocks(batch: BatchResult) -> list[Block]:
-    """Return the summary of a batch, failures below it."""
+    """Return the summary of a batch, followed by its failures."""
     rows = tuple(
         row
         for folder, outcome in batch.campaigns.items()
         if isinstance(outcome, Result)
         for row in _batch_rows(folder, outcome)
     )
-    blocks: list[Block] = [Table(_COLUMNS, rows)] if rows else []
+    blocks: list[Block] = [Table(_BATCH_COLUMNS, rows)] if rows else []
     blocks += [Paragraph(f"{folder}: {error}", "warning") for folder, error in batch.failed.items()]
     blocks += [
         Paragraph(

@@ -1,4 +1,4 @@
-"""How a result came about: its tests, how far they agree, the equations, and how to repeat it."""
+"""Methods of a result: tests and their agreement, equations, and command to repeat it."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ from counterspin.reports.numbers import (
 )
 from counterspin.shell import join_command
 
-_OBSERVED: Final = {
+_SIGNAL_EQUATIONS: Final = {
     "displacement": "S(t) = S₀ + V₀ t + ∬ (g a_ind − a_h) dt dt",
     "velocity": "V(t) = V₀ + ∫ (g a_ind − a_h) dt",
     "specific_force": "f(t) = g a_ind",
 }
 
-#: What each kind of test is called; the standard that describes it.
-_TESTS: Final = {
+#: Motion of a test -> name and standard of the test.
+_TEST_NAMES: Final = {
     "static": "multi-position, at rest (IEEE Std 1293)",
     "vibration": "vibration (IEEE Std 1293)",
     "arm": "arm centrifuge (IEEE Std 836)",
     "counter-rotating": "double turntable",
 }
 
-#: The specific force of each motion, along the axes of its frame.
-_FORCES: Final = {
+#: Motion of a test -> specific force along the axes of its frame.
+_FORCE_EQUATIONS: Final = {
     "static": "At rest, along east, north and up: f = (0, 0, g)",
     "vibration": "During vibration: f = (0, 0, g) + (b + A sin φ) i, along the input axis i",
     "arm": "On the arm, outward, forward and up: f = (−R (w² + 2 w Ω sin L), 0, "
@@ -61,34 +61,36 @@ _FORCES: Final = {
 
 
 def model_blocks(result: Result) -> Iterator[Block]:
-    """Yield the equations of the fit with the terms that it had."""
+    """Yield the equations of the fit with its terms."""
     yield Heading("Model")
     yield Paragraph(
         "The indication of an accelerometer, in g, is the following function of the components "
         "a_I, a_P and a_O of the specific force along the input, pendulous and output axes:"
     )
     for name, accelerometer in result.accelerometers.items():
-        # A term without a value was not in the fit.
-        known_values = {**accelerometer.known, **accelerometer.coefficients}
-        symbols = {symbol for symbol, c in known_values.items() if c.value is not None}
-        used_terms = [TERMS[symbol] for symbol in TERMS if symbol in symbols]
-        yield Paragraph(f"{name}: a_ind = {_equation_sum(used_terms)}", "equation")
-    platform = dict.fromkeys(
+        # The fit does not contain terms without values.
+        coefficients = {**accelerometer.known, **accelerometer.coefficients}
+        symbols = {
+            symbol for symbol, coefficient in coefficients.items() if coefficient.value is not None
+        }
+        terms = [TERMS[symbol] for symbol in TERMS if symbol in symbols]
+        yield Paragraph(f"{name}: a_ind = {_equation_sum(terms)}", "equation")
+    shared_symbols = dict.fromkeys(
         [*result.platform, *(symbol for run in result.runs.values() for symbol in run.terms)]
     )
-    if platform_symbols := [symbol for symbol in platform if symbol in PLATFORM_TERMS]:
+    if platform_symbols := [symbol for symbol in shared_symbols if symbol in PLATFORM_TERMS]:
         yield Paragraph(
             "The small attitude error ψ of the platform rotates the sensed specific force to f "
             "− ψ × f, where ψ = tilt + ∫ (drift + D f/g + E |f|²/g²) dt + C f/g. The fit "
-            f"includes these attitude terms: {_join(platform_symbols)}."
+            f"includes these attitude terms: {_join_symbols(platform_symbols)}."
         )
-    if paths := [symbol for symbol in platform if symbol in MOTION_TERMS]:
+    if path_symbols := [symbol for symbol in shared_symbols if symbol in MOTION_TERMS]:
         yield Paragraph(
             "These path errors displace the platform from the position calculated from the "
-            f"radius and the recorded angle: {_join(paths)}."
+            f"radius and the recorded angle: {_join_symbols(path_symbols)}."
         )
     yield from reading_blocks(result)
-    if result.runs or not (readings_of(result) or poses_of(result)):
+    if result.runs or not (group_readings(result) or unknown_poses(result)):
         yield from _recorded_signal_blocks(result)
     yield Paragraph(_method_sentence(result))
 
@@ -104,7 +106,7 @@ def _recorded_signal_blocks(result: Result) -> Iterator[Block]:
         "the sum of the gravitational, Coriolis and centrifugal accelerations:"
     )
     for observable in sorted(observables):
-        yield Paragraph(_OBSERVED[observable], "equation")
+        yield Paragraph(_SIGNAL_EQUATIONS[observable], "equation")
     yield Paragraph(
         "θ(t) = θ₀ + ω (t + C t²/2) + rate ripple (harmonics of the rotation)", "equation"
     )
@@ -122,8 +124,8 @@ def _method_sentence(result: Result) -> str:
             "revolution, taken at zero reference displacement. It then fits a function of the "
             "rate to the curvatures."
         )
-    readings = ["all readings of all test methods"] if readings_of(result) else []
-    poses = ["all poses (two unknown angles each)"] if poses_of(result) else []
+    readings = ["all readings of all test methods"] if group_readings(result) else []
+    poses = ["all poses (two unknown angles each)"] if unknown_poses(result) else []
     if readings or poses:
         records = ["all samples of the records"] if result.runs else []
         observations = " and ".join([*records, *readings, *poses])
@@ -149,8 +151,8 @@ def _equation_sum(terms: Iterable[Term[SpecificForceProduct]]) -> str:
     return " ".join(summands).removeprefix("+ ")
 
 
-def _join(items: Iterable[str]) -> str:
-    return ", ".join(items)
+def _join_symbols(symbols: Iterable[str]) -> str:
+    return ", ".join(symbols)
 
 
 def origin_blocks(result: Result) -> Iterator[Block]:
@@ -185,31 +187,31 @@ def origin_blocks(result: Result) -> Iterator[Block]:
     )
     options = list(result.provenance.options)
     method_arguments = command_arguments(result.method, TwoStageOptions())
-    # Once the two-stage method was the default, and did not have to be asked for.
-    options = [*(word for word in method_arguments if word not in options), *options]
+    # In earlier versions, the two-stage method was the default and had no argument.
+    options = [*(argument for argument in method_arguments if argument not in options), *options]
     options += acceptance_arguments(result.accepted_misfit)
-    description = next(iter(result.provenance.inputs), DESCRIPTION_NAME)
-    path = "." if description == DESCRIPTION_NAME else description
+    description_name = next(iter(result.provenance.inputs), DESCRIPTION_NAME)
+    path = "." if description_name == DESCRIPTION_NAME else description_name
     yield Paragraph(join_command(("counterspin", "calibrate", path, *options)), "command")
 
 
-def readings_of(result: Result) -> dict[str, list[ReadingResult]]:
+def group_readings(result: Result) -> dict[str, list[ReadingResult]]:
     """Return the readings of all accelerometers by motion."""
-    by_motion: dict[str, list[ReadingResult]] = {}
+    readings_by_motion: dict[str, list[ReadingResult]] = {}
     for accelerometer in result.accelerometers.values():
         for reading in accelerometer.readings:
-            by_motion.setdefault(reading.motion, []).append(reading)
-    return by_motion
+            readings_by_motion.setdefault(reading.motion, []).append(reading)
+    return readings_by_motion
 
 
-def poses_of(result: Result) -> list[PoseResult]:
+def unknown_poses(result: Result) -> list[PoseResult]:
     """Return the poses of unknown attitude."""
     return [] if result.triad is None else result.triad.poses
 
 
 def describe_tests(result: Result) -> Iterator[str]:
-    """Yield a sentence for each kind of test that a campaign with readings or poses had."""
-    for motion, readings in readings_of(result).items():
+    """Yield a sentence on each test of a campaign with readings or poses."""
+    for motion, readings in group_readings(result).items():
         count = _format_count(len(readings), "reading")
         if motion == "static":
             position_text = _format_count(len(_distinct_positions(readings)), "position")
@@ -228,12 +230,14 @@ def describe_tests(result: Result) -> Iterator[str]:
             continue
         rates = sorted({abs(reading.rate) for reading in readings})
         rate_text = f"{_format_count(len(rates), 'rate')}, {_format_range(rates)} rad/s"
-        senses = (
+        sense_text = (
             "both senses of rotation"
-            if len({r.rate > 0.0 for r in readings}) > 1
+            if len({reading.rate > 0.0 for reading in readings}) > 1
             else "one sense of rotation"
         )
-        mountings = list(dict.fromkeys(r.mounting for r in readings if r.mounting))
+        mountings = list(
+            dict.fromkeys(reading.mounting for reading in readings if reading.mounting)
+        )
         mounting_names = ", ".join(mountings)
         mounting_text = (
             f", {_format_count(len(mountings), 'mounting')} ({mounting_names})" if mountings else ""
@@ -244,10 +248,10 @@ def describe_tests(result: Result) -> Iterator[str]:
             else "Readings on a double turntable"
         )
         yield (
-            f"{test_text} at {rate_text}, {senses}{mounting_text}: {count}. Each reading is "
+            f"{test_text} at {rate_text}, {sense_text}{mounting_text}: {count}. Each reading is "
             "the mean over whole revolutions."
         )
-    if poses := poses_of(result):
+    if poses := unknown_poses(result):
         yield f"Readings at rest in {_format_count(len(poses), 'pose')} of unknown attitude."
     if result.runs:
         runs = _format_count(len(result.runs), "record")
@@ -255,7 +259,7 @@ def describe_tests(result: Result) -> Iterator[str]:
 
 
 def tabulate_tests(readings: Sequence[ReadingResult]) -> Table:
-    """Return positions, rates and readings of an accelerometer by kind of test and mounting."""
+    """Return a table of positions, rates and readings by type of test and mounting."""
     groups: dict[tuple[str, str], list[ReadingResult]] = {}
     for reading in readings:
         groups.setdefault((reading.motion, reading.mounting), []).append(reading)
@@ -271,12 +275,14 @@ def tabulate_tests(readings: Sequence[ReadingResult]) -> Table:
         ),
         rows=tuple(
             (
-                _TESTS[motion],
+                _TEST_NAMES[motion],
                 mounting,
                 str(len(_distinct_positions(group))),
-                _format_range(rates) if any(rates := sorted({r.rate for r in group})) else "",
+                _format_range(rates)
+                if any(rates := sorted({reading.rate for reading in group}))
+                else "",
                 _format_range(amplitudes) if (amplitudes := _amplitudes(group)) else "",
-                _format_range(sorted(r.value for r in group)),
+                _format_range(sorted(reading.value for reading in group)),
                 str(len(group)),
             )
             for (motion, mounting), group in groups.items()
@@ -285,17 +291,17 @@ def tabulate_tests(readings: Sequence[ReadingResult]) -> Table:
 
 
 def _amplitudes(readings: Sequence[ReadingResult]) -> list[float]:
-    return sorted({r.amplitude for r in readings if r.amplitude is not None})
+    return sorted({reading.amplitude for reading in readings if reading.amplitude is not None})
 
 
 def reading_blocks(result: Result) -> Iterator[Block]:
     """Yield the definition of a reading, and the forces at its position."""
-    if poses_of(result):
+    if unknown_poses(result):
         yield Paragraph(
             "In a pose of unknown attitude, |f| = g. The direction of f is estimated together "
             "with the coefficients."
         )
-    motions = readings_of(result)
+    motions = group_readings(result)
     if not motions:
         return
     yield Paragraph(
@@ -303,18 +309,28 @@ def reading_blocks(result: Result) -> Iterator[Block]:
         "The specific force depends on radius R, rate w, Earth rate Ω and latitude L:"
     )
     for motion in motions:
-        yield Paragraph(_FORCES[motion], "equation")
-    machine_terms = [s for s in result.platform if s not in SHARED_TERMS and affects_readings(s)]
-    if machine_terms:
+        yield Paragraph(_FORCE_EQUATIONS[motion], "equation")
+    machine_symbols = [
+        symbol
+        for symbol in result.platform
+        if symbol not in SHARED_TERMS and affects_readings(symbol)
+    ]
+    if machine_symbols:
         yield Paragraph(
             "The fit estimates these machine error terms together with the coefficients: "
-            f"{', '.join(machine_terms)}."
+            f"{', '.join(machine_symbols)}."
         )
 
 
 def _distinct_positions(readings: Sequence[ReadingResult]) -> set[tuple[float, ...]]:
-    # Directions are known to rounding only; 0.0 and -0.0 are one.
-    return {tuple(round(c, 6) + 0.0 for c in (*r.input_axis, *r.pendulous_axis)) for r in readings}
+    # Directions contain rounding errors; + 0.0 turns -0.0 into 0.0.
+    return {
+        tuple(
+            round(component, 6) + 0.0
+            for component in (*reading.input_axis, *reading.pendulous_axis)
+        )
+        for reading in readings
+    }
 
 
 def _format_range(values: Sequence[float]) -> str:
@@ -327,14 +343,14 @@ def _format_count(count: int, noun: str) -> str:
 
 
 def method_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
-    """Yield each coefficient by all tests and by each method, and their agreement."""
+    """Yield the coefficients by all tests and by each method, and their agreement."""
     methods = accelerometer.kinds
     if not methods:
         return
     symbols = [
         symbol
-        for symbol, c in accelerometer.coefficients.items()
-        if c.estimated or any(_has_value(method, symbol) for method in methods)
+        for symbol, coefficient in accelerometer.coefficients.items()
+        if coefficient.estimated or any(_has_value(method, symbol) for method in methods)
     ]
     yield Table(
         columns=(

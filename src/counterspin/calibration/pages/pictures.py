@@ -1,4 +1,4 @@
-"""Pictures of a report: parts of a result as plots, bars and heat maps, still without a pen."""
+"""Pictures of a report: descriptions of plots, bars and heat maps."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from counterspin.frozen import frozen
 from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries
 from counterspin.reports.numbers import find_display_unit, format_share, format_uncertainty
 
-#: More curves than this in one plot cannot be told apart: the runs then take several plots.
+#: Largest number of curves in a plot; more runs are divided into several plots.
 _MAX_CURVES: Final = 6
 
-#: Residuals are drawn in the unit in which they are mostly small numbers.
+#: Unit of residuals -> unit of plots and its factor.
 _SMALL_UNITS: Final = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "m/s^2": ("mm/s^2", 1e3)}
 
 _COVERAGE_FACTOR: Final = 1.96
 
-#: Places in the row of colours.
+#: Kind of a source -> index of its colour.
 _KIND_COLOURS: Final = {"noise": 0, "unstated": 1, "stated": 2, "held": 3}
 _REMAINDER_COLOUR: Final = 5
 
 
 def correlation_map(name: str, accelerometer: AccelerometerResult) -> HeatMap | None:
-    """Return the correlations of the estimates; None where there are fewer than two."""
+    """Return a map of the correlations of the estimates; None for fewer than two estimates."""
     if accelerometer.correlation is None or len(accelerometer.correlation.terms) < 2:
         return None
     return HeatMap(
@@ -58,7 +58,10 @@ def budget_bars(name: str, accelerometer: AccelerometerResult, symbol: str = "K_
         labels.append(f"{len(small_lines)} more")
         colours.append(_REMAINDER_COLOUR)
         contributions.append(
-            (math.hypot(*(r.contribution for r in small_lines)), sum(r.share for r in small_lines))
+            (
+                math.hypot(*(line.contribution for line in small_lines)),
+                sum(line.share for line in small_lines),
+            )
         )
     return Bars(
         title=f"Uncertainty contributions to {symbol} of {name}, in {unit} (share of u^2 in %)",
@@ -75,7 +78,7 @@ def budget_bars(name: str, accelerometer: AccelerometerResult, symbol: str = "K_
 
 
 def jackknife_plot(name: str, accelerometer: AccelerometerResult) -> Plot | None:
-    """Return K_II without each run beside K_II of all; None where no run could be left out."""
+    """Return a plot of K_II with each run omitted in turn; None without a jackknife."""
     k_ii = accelerometer.coefficients.get("K_II")
     lines = [line for line in accelerometer.jackknife if line.value is not None]
     if k_ii is None or k_ii.value is None or k_ii.u is None or not lines:
@@ -84,7 +87,7 @@ def jackknife_plot(name: str, accelerometer: AccelerometerResult) -> Plot | None
     value, u = k_ii.value * factor, k_ii.u * factor
     x_values = tuple(float(index) for index in range(len(lines)))
     # The standard uncertainty of the shift is shift / z.
-    shift_us = [
+    shift_uncertainties = [
         abs(line.shift / line.z) * factor if line.shift is not None and line.z else 0.0
         for line in lines
     ]
@@ -107,8 +110,8 @@ def jackknife_plot(name: str, accelerometer: AccelerometerResult) -> Plot | None
                 "with this run omitted (error bar: standard uncertainty of the shift)",
                 x_values,
                 tuple(y_values),
-                low=tuple(y - s for y, s in zip(y_values, shift_us, strict=True)),
-                high=tuple(y + s for y, s in zip(y_values, shift_us, strict=True)),
+                low=tuple(y - u for y, u in zip(y_values, shift_uncertainties, strict=True)),
+                high=tuple(y + u for y, u in zip(y_values, shift_uncertainties, strict=True)),
                 kind="points",
             ),
         ),
@@ -119,7 +122,7 @@ def jackknife_plot(name: str, accelerometer: AccelerometerResult) -> Plot | None
 def residual_plots(
     name: str, accelerometer: AccelerometerResult, runs: Mapping[str, RunResult]
 ) -> Iterator[Plot]:
-    """Yield the pictures of an accelerometer's residuals; none where none were kept."""
+    """Yield the plots of an accelerometer's residuals."""
     yield from residuals_over_time(name, accelerometer, runs)
     unit, factor = _residual_unit(accelerometer)
     traces = _residual_traces(accelerometer, runs)
@@ -133,7 +136,7 @@ def residual_plots(
 def residuals_over_time(
     name: str, accelerometer: AccelerometerResult, runs: Mapping[str, RunResult]
 ) -> Iterator[Plot]:
-    """Yield a picture of the residuals of each run; parameters as for `residual_plots`."""
+    """Yield a plot of the residuals of each run; parameters as for `residual_plots`."""
     for trace in _residual_traces(accelerometer, runs):
         yield _time_plot(name, trace, *_residual_unit(accelerometer))
 
@@ -141,7 +144,7 @@ def residuals_over_time(
 def residual_spectra(
     name: str, accelerometer: AccelerometerResult, runs: Mapping[str, RunResult]
 ) -> Iterator[Plot]:
-    """Yield spectra of the whitened residuals, several runs in a picture."""
+    """Yield plots of the spectra of the whitened residuals, with several runs in a plot."""
     traces = _residual_traces(accelerometer, runs)
     for start in range(0, len(traces), _MAX_CURVES):
         yield from _spectrum_plot(name, traces[start : start + _MAX_CURVES])
@@ -167,7 +170,7 @@ def _residual_traces(
 
 @frozen
 class _ResidualTrace:
-    """The residuals of a run, its colour and the samples in each mean that was fitted."""
+    """Residuals of a run, its colour, and the number of samples in a block mean."""
 
     run: str
     colour: int
@@ -178,7 +181,7 @@ class _ResidualTrace:
 def _time_plot(name: str, residual_trace: _ResidualTrace, unit: str, factor: float) -> Plot:
     trace = residual_trace.trace
     time = tuple(trace.time)
-    low, high = _scale(trace.low, factor), _scale(trace.high, factor)
+    low, high = _scale_values(trace.low, factor), _scale_values(trace.high, factor)
     centre = tuple(0.5 * (a + b) for a, b in zip(low, high, strict=True))
     sample_text = (
         f"means of {residual_trace.block} samples" if residual_trace.block > 1 else "samples"
@@ -193,7 +196,7 @@ def _time_plot(name: str, residual_trace: _ResidualTrace, unit: str, factor: flo
             line_label = ""
     if trace.left_out:
         times, values = zip(*trace.left_out, strict=True)
-        outliers = _scale(values, factor)
+        outliers = _scale_values(values, factor)
         label = "rejected as outliers"
         series.append(PlotSeries(label, tuple(times), outliers, kind="points", is_highlighted=True))
     return Plot(
@@ -275,7 +278,7 @@ def _spectrum_plot(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot
 
 
 def _white_noise_band(lines: Sequence[int]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the 95 % band of the mean power of white noise over numbers of lines."""
+    """Return the 95 % band of the mean power of white noise for numbers of averaged lines."""
     from scipy.special import gammaincinv
 
     # The power of a line is chi-square with two degrees of freedom, over two.
@@ -293,18 +296,18 @@ def _quantile_plot(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot
     if not traces_with_quantiles:
         return
     series = []
-    rows, shortest = min(
+    rows, shortest_trace = min(
         (
             (residual_trace.trace.rows or math.inf, residual_trace)
             for residual_trace, _ in traces_with_quantiles
         ),
         key=lambda pair: pair[0],
     )
-    if math.isfinite(rows) and shortest.trace.quantiles is not None:
-        normal = tuple(shortest.trace.quantiles.normal)
+    if math.isfinite(rows) and shortest_trace.trace.quantiles is not None:
+        normal = tuple(shortest_trace.trace.quantiles.normal)
         half_width = tuple(_quantile_half_width(z, rows) for z in normal)
-        label = f"normal distribution, 95 % ({shortest.run})"
-        low = tuple(-h for h in half_width)
+        label = f"normal distribution, 95 % ({shortest_trace.run})"
+        low = tuple(-half for half in half_width)
         series.append(
             PlotSeries(label, normal, (0.0,) * len(normal), low, half_width, "band", colour="muted")
         )
@@ -328,31 +331,43 @@ def _quantile_plot(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot
 
 
 def _quantile_half_width(z: float, rows: float) -> float:
-    """Return the half width, 95 %, of the quantile z of many normal samples."""
+    """Return the half width of the 95 % interval of the quantile z of normal samples."""
     probability = 0.5 * math.erfc(-z / math.sqrt(2.0))
     density = math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
     return _COVERAGE_FACTOR * math.sqrt(probability * (1.0 - probability) / rows) / density
 
 
-def _scale(values: Sequence[float], factor: float) -> tuple[float, ...]:
+def _scale_values(values: Sequence[float], factor: float) -> tuple[float, ...]:
     return tuple(value * factor for value in values)
 
 
 def ripple_plot(runs: Mapping[str, RunResult]) -> Plot | None:
-    """Return the ripples found in the runs, in parts per million of the rate; None without any."""
+    """Return a plot of the ripples of the runs, in ppm of the rate; None without ripples."""
     series = []
     for index, (name, run) in enumerate(runs.items()):
         if run.ripples:
             scale = 1e6 / abs(run.rate)
             amplitudes = [ripple.amplitude * scale for ripple in run.ripples]
-            expanded_us = [_COVERAGE_FACTOR * ripple.u_amplitude * scale for ripple in run.ripples]
+            expanded_uncertainties = [
+                _COVERAGE_FACTOR * ripple.u_amplitude * scale for ripple in run.ripples
+            ]
             series.append(
                 PlotSeries(
                     name,
                     tuple(float(ripple.harmonic) for ripple in run.ripples),
                     tuple(amplitudes),
-                    low=tuple(a - w for a, w in zip(amplitudes, expanded_us, strict=True)),
-                    high=tuple(a + w for a, w in zip(amplitudes, expanded_us, strict=True)),
+                    low=tuple(
+                        amplitude - expanded_u
+                        for amplitude, expanded_u in zip(
+                            amplitudes, expanded_uncertainties, strict=True
+                        )
+                    ),
+                    high=tuple(
+                        amplitude + expanded_u
+                        for amplitude, expanded_u in zip(
+                            amplitudes, expanded_uncertainties, strict=True
+                        )
+                    ),
                     kind="points",
                     colour=index,
                 )

@@ -1,4 +1,4 @@
-"""Residuals of a fit, thinned so that the file of a result holds what its pictures show."""
+"""Residuals of a fit, thinned for the plots of a result."""
 
 from __future__ import annotations
 
@@ -16,55 +16,52 @@ from counterspin.inference.distributions import normal_cdf, normal_quantile
 from counterspin.physics import observation
 from counterspin.physics.spindle import TURN
 
-#: Stretches of all traces of a result together, and the most and the fewest of one.
+#: Number of segments in all traces of a result, and its limits for one trace.
 _TOTAL_SEGMENTS: Final = 12000
 _MAX_SEGMENTS: Final = 1500
 _MIN_SEGMENTS: Final = 100
 
-#: Parts of a revolution: as many as all have samples, for a record in step with the spindle
-#: shows the same few angles again and again.
+#: Numbers of bins of a revolution: the first one without empty bins applies, because a record in
+#: phase with the rotation contains only a few different angles.
 _REVOLUTION_BINS: Final = (60, 30, 15)
 
-_BANDS: Final = 100
-_QUANTILES: Final = 120
+_BAND_COUNT: Final = 100
+_QUANTILE_COUNT: Final = 120
 _MAX_OUTLIERS: Final = 100
 
-#: Significant digits: a picture shows three.
+#: Significant digits; a plot shows three.
 _DIGITS: Final = 4
 
-#: Residuals below this size are zero or the rounding of data without noise.
-_ROUNDING: Final = 1e-15
+#: Residuals below this magnitude are rounding errors of data without noise.
+_MIN_MAGNITUDE: Final = 1e-15
 
 
 def thin_residuals(view: AccelerometerView) -> dict[str, Trace]:
     """Return the residuals of one accelerometer by run, thinned."""
     runs = {run.run.name: run for run in view.problem.observed_runs}
     return {
-        prepared.run: _thin_run(view, index, runs[prepared.run])
-        for index, prepared, _ in view.records()
+        block.run: _thin_run(view, index, runs[block.run]) for index, block, _ in view.records()
     }
 
 
 def _thin_run(view: AccelerometerView, index: int, run: ObservedRun) -> Trace:
     series = view.fit.design_blocks[index].series
-    residual, whitened_residuals = (
+    residual, whitened = (
         view.fit.residuals[index].unweighted,
         view.fit.residuals[index].whitened,
     )
     periodogram = view.diagnostics.runs[series.run].periodogram
-    share = _TOTAL_SEGMENTS // len(view.fit.design_blocks)
-    count = min(max(share, _MIN_SEGMENTS), _MAX_SEGMENTS)
-    time, low, high = envelope(series.time, residual, count)
+    segment_share = _TOTAL_SEGMENTS // len(view.fit.design_blocks)
+    segment_count = min(max(segment_share, _MIN_SEGMENTS), _MAX_SEGMENTS)
+    time, low, high = envelope(series.time, residual, segment_count)
     angle = series.trajectory.spindle.angle(series.time)
-    for bins in _REVOLUTION_BINS:
-        folded_residuals = fold_over_revolution(angle, residual, bins)
+    for bin_count in _REVOLUTION_BINS:
+        folded_residuals = fold_over_revolution(angle, residual, bin_count)
         if np.isfinite(folded_residuals[1]).all():
             break
     interval = median(np.diff(series.time))
-    normal, ordered_residuals = normal_quantiles(whitened_residuals, _QUANTILES)
-    frequency, power, lines = smoothed_spectrum(
-        periodogram, whitened_residuals.size * interval, _BANDS
-    )
+    normal, ordered_residuals = normal_quantiles(whitened, _QUANTILE_COUNT)
+    frequency, power, lines = smoothed_spectrum(periodogram, whitened.size * interval, _BAND_COUNT)
     (rms,) = _round_digits(np.sqrt([np.mean(residual**2)]))
     return Trace(
         rows=residual.size,
@@ -86,9 +83,9 @@ def _thin_run(view: AccelerometerView, index: int, run: ObservedRun) -> Trace:
 def _outlier_residuals(
     view: AccelerometerView, index: int, run: ObservedRun
 ) -> list[tuple[float, float]]:
-    """Return times and residuals of the outliers that reading and the fit have rejected.
+    """Return times and residuals of the outliers that the reader and the fit rejected.
 
-    The model at an outlier is interpolated: with the reference removed, it is smooth.
+    The model at an outlier is interpolated; without the reference output, it is smooth.
     """
     series, outliers = view.estimate.series[index], view.estimate.outliers[index]
     fitted_series, residual = (
@@ -96,22 +93,28 @@ def _outlier_residuals(
         view.fit.residuals[index].unweighted,
     )
     column = view.accelerometer.channel.name
-    read_outliers = [outlier for outlier in run.record.report.listed if outlier.column == column]
-    read_times = np.array([outlier.time - run.record.start_time for outlier in read_outliers])
-    values = np.array([outlier.value for outlier in read_outliers])
+    reader_outliers = [outlier for outlier in run.record.report.listed if outlier.column == column]
+    reader_times = np.array([outlier.time - run.record.start_time for outlier in reader_outliers])
+    values = np.array([outlier.value for outlier in reader_outliers])
     reference = observation.reference(
         fitted_series.trajectory,
         fitted_series.mounting,
-        read_times,
+        reader_times,
         fitted_series.observable,
         fitted_series.attitude,
     )
-    time = np.concatenate([series.time[outliers], read_times])
+    time = np.concatenate([series.time[outliers], reader_times])
     error = np.concatenate([series.error[outliers], values - reference])
-    deviation = error - np.interp(time, fitted_series.time, fitted_series.error - residual)
-    largest = np.sort(np.argsort(-np.abs(deviation), kind="stable")[:_MAX_OUTLIERS])
-    order = largest[np.argsort(time[largest], kind="stable")]
-    return list(zip(_round_digits(time[order], 6), _round_digits(deviation[order]), strict=True))
+    residual_at_outlier = error - np.interp(
+        time, fitted_series.time, fitted_series.error - residual
+    )
+    largest_indices = np.sort(
+        np.argsort(-np.abs(residual_at_outlier), kind="stable")[:_MAX_OUTLIERS]
+    )
+    order = largest_indices[np.argsort(time[largest_indices], kind="stable")]
+    return list(
+        zip(_round_digits(time[order], 6), _round_digits(residual_at_outlier[order]), strict=True)
+    )
 
 
 def _null_if_nan(values: Array) -> list[float | None]:
@@ -119,19 +122,19 @@ def _null_if_nan(values: Array) -> list[float | None]:
 
 
 def _round_digits(values: Array, digits: int = _DIGITS) -> list[float]:
-    """Round values to significant digits; NaN stays."""
+    """Round values to significant digits, except NaN."""
     magnitude = np.abs(values)
-    is_ordinary = (magnitude > _ROUNDING) & (magnitude < 1.0 / _ROUNDING)
+    is_ordinary = (magnitude > _MIN_MAGNITUDE) & (magnitude < 1.0 / _MIN_MAGNITUDE)
     decimals = (
         digits
         - 1.0
         - np.floor(np.log10(magnitude, where=is_ordinary, out=np.zeros_like(magnitude)))
     )
-    # Whole numbers and these powers of ten are exact, so that one division rounds correctly.
-    up, down = 10.0 ** np.maximum(decimals, 0.0), 10.0 ** np.maximum(-decimals, 0.0)
-    rounded_values = np.rint(values * up / down) / up * down
-    exceptions = [float(f"{value:.{digits}g}") for value in values[~is_ordinary].tolist()]
-    rounded_values[~is_ordinary] = exceptions
+    # Integers and these powers of ten are exact, so that a single division rounds correctly.
+    multiplier, divisor = 10.0 ** np.maximum(decimals, 0.0), 10.0 ** np.maximum(-decimals, 0.0)
+    rounded_values = np.rint(values * multiplier / divisor) / multiplier * divisor
+    extreme_values = [float(f"{value:.{digits}g}") for value in values[~is_ordinary].tolist()]
+    rounded_values[~is_ordinary] = extreme_values
     value_list: list[float] = rounded_values.tolist()
     return value_list
 
@@ -157,21 +160,23 @@ def envelope(time: Array, values: Array, count: int) -> tuple[Array, Array, Arra
     )
 
 
-def fold_over_revolution(angle: Array, values: Array, bins: int) -> tuple[Array, Array, Array]:
-    """Return smallest, mean and largest values in equal parts of a revolution, shape (parts,).
+def fold_over_revolution(angle: Array, values: Array, bin_count: int) -> tuple[Array, Array, Array]:
+    """Return smallest, mean and largest values in equal bins of a revolution, shape (bin_count,).
 
-    angle: Of the spindle, rad, any revolution, shape (n,).
+    angle: Spindle angle, rad, not reduced to one revolution, shape (n,).
     values: Shape (n,).
     """
-    bin_index = np.minimum((np.mod(angle, TURN) * (bins / TURN)).astype(np.intp), bins - 1)
-    count = np.bincount(bin_index, minlength=bins)
-    low, high = np.full(bins, np.inf), np.full(bins, -np.inf)
+    bin_index = np.minimum(
+        (np.mod(angle, TURN) * (bin_count / TURN)).astype(np.intp), bin_count - 1
+    )
+    count = np.bincount(bin_index, minlength=bin_count)
+    low, high = np.full(bin_count, np.inf), np.full(bin_count, -np.inf)
     np.minimum.at(low, bin_index, values)
     np.maximum.at(high, bin_index, values)
     with np.errstate(invalid="ignore"):
-        mean = np.bincount(bin_index, values, minlength=bins) / count
-    empty = count == 0
-    low[empty], high[empty] = np.nan, np.nan
+        mean = np.bincount(bin_index, values, minlength=bin_count) / count
+    is_empty = count == 0
+    low[is_empty], high[is_empty] = np.nan, np.nan
     return low, mean, high
 
 
@@ -184,7 +189,7 @@ def smoothed_spectrum(
 
     power: The periodogram of whitened residuals, from `counterspin.inference.diagnostics`, shape
         (m,).
-    length: Of the record, s: the inverse of the first line's frequency.
+    length: Length of the record, s: inverse of the frequency of the first line.
     count: At least 1.
     """
     edges = _unique(np.geomspace(1.0, power.size + 1.0, count + 1).astype(np.intp))
@@ -196,23 +201,23 @@ def smoothed_spectrum(
 def normal_quantiles(whitened_residuals: Array, count: int) -> tuple[Array, Array]:
     """Return at most `count` ordered residuals with their normal scores.
 
-    Blom's scores, those of ranks (i - 3/8) / (n + 1/4); the ranks are chosen evenly along them,
-    so that the tails are whole where the middle is thinned.
+    Blom's scores are the quantiles at (i - 3/8) / (n + 1/4). The ranks i are evenly spaced in the
+    scores, so that the tails are complete and the centre is thinned.
 
     whitened_residuals: Shape (n,), n >= 1.
     count: At least 2.
     Returns: shape (m,), m <= count.
     """
     n = whitened_residuals.size
-    lowest = normal_quantile(0.625 / (n + 0.25))
-    levels = np.linspace(lowest, -lowest, min(count, n)).tolist()
-    wanted_ranks = np.array([normal_cdf(level) for level in levels]) * (n + 0.25) + 0.375
-    ranks = _unique(np.clip(np.rint(wanted_ranks), 1, n).astype(np.intp))
+    min_level = normal_quantile(0.625 / (n + 0.25))
+    levels = np.linspace(min_level, -min_level, min(count, n)).tolist()
+    exact_ranks = np.array([normal_cdf(level) for level in levels]) * (n + 0.25) + 0.375
+    ranks = _unique(np.clip(np.rint(exact_ranks), 1, n).astype(np.intp))
     normal = [normal_quantile(p) for p in ((ranks - 0.375) / (n + 0.25)).tolist()]
     return np.array(normal), np.sort(whitened_residuals)[ranks - 1]
 
 
-def _unique(ascending: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return each value once; `np.unique` would load the masked arrays at its first call."""
-    distinct: NDArray[np.intp] = ascending[np.append(True, np.diff(ascending) > 0)]
-    return distinct
+def _unique(sorted_values: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return unique values of a sorted array; `np.unique` would import the masked arrays."""
+    unique_values: NDArray[np.intp] = sorted_values[np.append(True, np.diff(sorted_values) > 0)]
+    return unique_values

@@ -1,4 +1,4 @@
-"""Three accelerometers as one sensor, as blocks of a report: parameters, poses, pictures."""
+"""Triad of accelerometers, as blocks of a report: parameters, poses, plots."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ from counterspin.reports.blocks import (
 )
 from counterspin.reports.numbers import format_number
 
-#: What the parameters are called.
-_WORDS: Final = {
+#: Kind of a parameter -> name.
+_PARAMETER_NAMES: Final = {
     "offset": "offset of {}",
     "sensitivity": "sensitivity of {}",
     "angle": "angle between {} and {}",
 }
 
-#: So many poses are listed where not all are asked for: those that fit least.
-_FEW_POSES: Final = 5
+#: Number of poses with the largest residuals that a short table lists.
+_MAX_LISTED_POSES: Final = 5
 
-#: An angle is shown as what it differs by from a right one, if that is less, rad.
+#: An angle is shown as its deviation from a right angle if this is below the tolerance, rad.
 _RIGHT_ANGLE: Final = 0.5 * math.pi
 _ANGLE_TOLERANCE: Final = 0.2
 
 #: Names of the axes of a triad's frame.
-FRAME: Final = ("x", "y", "z")
+FRAME_AXES: Final = ("x", "y", "z")
 
-#: A pose is marked whose residual is this many of its own standard deviations.
+#: Residual over its standard deviation above which a pose is marked.
 _OUTLIER_Z: Final = 4.0
 
-#: As many poses have their numbers on an axis.
+#: Largest number of labels on an axis of poses.
 _MAX_LABELS: Final = 30
 
-#: From m/s^2.
+#: Unit of residuals in plots, and factor from m/s^2.
 _RESIDUAL_UNIT: Final = ("mm/s^2", 1e3)
 
 
@@ -61,13 +61,13 @@ def triad_summary(result: Result) -> Iterator[Block]:
         return
     names = ", ".join(triad.accelerometers)
     text = f"Triad {names} in {len(triad.poses)} poses of unknown attitude"
-    before = f"{format_number(triad.rms_before, 3)} m/s^2"
+    rms_before = f"{format_number(triad.rms_before, 3)} m/s^2"
     if triad.rms_after is None:
-        yield Paragraph(f"{text}. Uncorrected, |f| - g has an rms of {before}.")
+        yield Paragraph(f"{text}. Uncorrected, |f| - g has an rms of {rms_before}.")
     else:
-        after = f"{format_number(triad.rms_after, 3)} m/s^2"
+        rms_after = f"{format_number(triad.rms_after, 3)} m/s^2"
         yield Paragraph(
-            f"{text}. The rms of |f| - g is {before} before and {after} after correction."
+            f"{text}. The rms of |f| - g is {rms_before} before and {rms_after} after correction."
         )
     for name in triad.accelerometers:
         if sentence := default_prior_sentence(result.accelerometers[name], "K_F"):
@@ -81,7 +81,7 @@ def nominal_outputs(result: Result, triad: TriadResult) -> str:
 
 
 def triad_blocks(result: Result, *, details: bool) -> Iterator[Block]:
-    """Yield the triad's parameters, the corrected output and the poses, all with `details`."""
+    """Yield parameters, corrected output and poses of a triad; details: all poses."""
     triad = result.triad
     if triad is None:
         return
@@ -113,11 +113,11 @@ def triad_blocks(result: Result, *, details: bool) -> Iterator[Block]:
         )
         for note in record.notes:
             yield Paragraph(f"{name}: {note}", "warning")
-    yield from _pose_table(triad, details=details)
+    yield from _pose_blocks(triad, details=details)
 
 
 def _parameter_table(triad: TriadResult) -> Table:
-    rows = [_parameter_row(name, c) for name, c in triad.parameters.items()]
+    rows = [_parameter_row(name, coefficient) for name, coefficient in triad.parameters.items()]
     return Table(
         columns=(
             Column("Parameter", wraps=True),
@@ -127,39 +127,47 @@ def _parameter_table(triad: TriadResult) -> Table:
             Column("Uncertainty contributions", wraps=True),
         ),
         rows=tuple(rows),
-        quiet_rows=frozenset(k for k, c in enumerate(triad.parameters.values()) if not c.estimated),
+        quiet_rows=frozenset(
+            k
+            for k, coefficient in enumerate(triad.parameters.values())
+            if not coefficient.estimated
+        ),
     )
 
 
-def _parameter_row(name: str, c: Coefficient) -> tuple[str, ...]:
-    words, c = shown_parameter(name, c)
-    return (words, *coefficient_cells(c))
+def _parameter_row(name: str, coefficient: Coefficient) -> tuple[str, ...]:
+    description, coefficient = describe_parameter(name, coefficient)
+    return (description, *coefficient_cells(coefficient))
 
 
-def shown_parameter(name: str, c: Coefficient) -> tuple[str, Coefficient]:
+def describe_parameter(name: str, coefficient: Coefficient) -> tuple[str, Coefficient]:
     """Return description and value of a parameter; an angle near 90 deg as its deviation."""
-    words = parameter_words(name)
-    if name.startswith("angle.") and c.value is not None:
-        is_near_right = abs(c.value - _RIGHT_ANGLE) < _ANGLE_TOLERANCE
-        c = c.model_copy(update={"value": c.value - _RIGHT_ANGLE}) if is_near_right else c
-        words += " minus 90 deg" if is_near_right else ""
-    return words, c
+    description = parameter_description(name)
+    if name.startswith("angle.") and coefficient.value is not None:
+        is_near_right = abs(coefficient.value - _RIGHT_ANGLE) < _ANGLE_TOLERANCE
+        coefficient = (
+            coefficient.model_copy(update={"value": coefficient.value - _RIGHT_ANGLE})
+            if is_near_right
+            else coefficient
+        )
+        description += " minus 90 deg" if is_near_right else ""
+    return description, coefficient
 
 
-def parameter_words(name: str) -> str:
+def parameter_description(name: str) -> str:
     """Return the name of a parameter."""
     kind, *names = name.split(".")
-    if kind in _WORDS and not is_term(".".join(names)):
-        return _WORDS[kind].format(*names)
+    if kind in _PARAMETER_NAMES and not is_term(".".join(names)):
+        return _PARAMETER_NAMES[kind].format(*names)
     owner, _, symbol = name.partition(".")
     return f"{symbol} of {owner}, {term(symbol).words}"
 
 
-def _pose_table(triad: TriadResult, *, details: bool) -> Iterator[Block]:
+def _pose_blocks(triad: TriadResult, *, details: bool) -> Iterator[Block]:
     poses = triad.poses
     if not details:
-        worst = sorted(poses, key=lambda pose: -abs(pose.z or 0.0))[:_FEW_POSES]
-        poses = [pose for pose in triad.poses if pose in worst]
+        worst_poses = sorted(poses, key=lambda pose: -abs(pose.z or 0.0))[:_MAX_LISTED_POSES]
+        poses = [pose for pose in triad.poses if pose in worst_poses]
     if not poses:
         return
     yield Table(
@@ -193,11 +201,11 @@ def _pose_table(triad: TriadResult, *, details: bool) -> Iterator[Block]:
 
 
 def pose_pictures(result: Result) -> Iterator[Picture]:
-    """Yield the pictures of a triad's poses; none where there are none."""
+    """Yield the pictures of the poses of a triad."""
     triad = result.triad
     if triad is None or not triad.poses:
         return
-    yield _sphere(triad, result.inputs.gravity)
+    yield _direction_sphere(triad, result.inputs.gravity)
     yield from _residual_plots(result, triad)
     for name, record in triad.records.items():
         if record.time:
@@ -215,13 +223,15 @@ def _is_outlying(pose: PoseResult) -> bool:
     return pose.z is not None and abs(pose.z) > _OUTLIER_Z
 
 
-def _sphere(triad: TriadResult, gravity: float) -> Sphere:
+def _direction_sphere(triad: TriadResult, gravity: float) -> Sphere:
     unit, factor = _RESIDUAL_UNIT
-    x, y, z = FRAME
+    x, y, z = FRAME_AXES
     return Sphere(
         title="Direction of the specific force in the triad frame, by pose",
         axes=(x, y, z),
-        points=tuple((p.direction[0], p.direction[1], p.direction[2]) for p in triad.poses),
+        points=tuple(
+            (pose.direction[0], pose.direction[1], pose.direction[2]) for pose in triad.poses
+        ),
         values=tuple(pose.residual * gravity * factor for pose in triad.poses),
         names=tuple(str(number) for number in range(1, len(triad.poses) + 1)),
         value_label=f"residual, {unit}",
@@ -230,7 +240,7 @@ def _sphere(triad: TriadResult, gravity: float) -> Sphere:
 
 
 def _residual_plots(result: Result, triad: TriadResult) -> Iterator[Plot]:
-    """Yield |f| - g of each pose by the nominal sensitivities, and the residual after the fit."""
+    """Yield plots by pose: |f| - g with nominal sensitivities, and residuals of the fit."""
     unit, factor = _RESIDUAL_UNIT
     scale = result.inputs.gravity * factor
     x_values = tuple(float(index) for index in range(len(triad.poses)))
@@ -238,20 +248,22 @@ def _residual_plots(result: Result, triad: TriadResult) -> Iterator[Plot]:
     labels = tuple("" if index % label_step else str(index + 1) for index in range(len(x_values)))
     axes = [result.accelerometers[name].axes for name in triad.accelerometers]
     if all(axes):
-        rows = np.array([axis_rows[0] for axis_rows in axes if axis_rows])
+        input_axes = np.array([axis_rows[0] for axis_rows in axes if axis_rows])
         values = np.array([pose.values for pose in triad.poses])
-        before = scale * (np.linalg.norm(np.linalg.solve(rows, values.T), axis=0) - 1.0)
+        uncorrected = scale * (np.linalg.norm(np.linalg.solve(input_axes, values.T), axis=0) - 1.0)
         yield Plot(
             title="Uncorrected |f| - g by pose",
             x_label="pose",
             y_label=f"|f| - g, {unit}",
-            series=(PlotSeries("", x_values, tuple(before.tolist()), kind="points", colour=0),),
+            series=(
+                PlotSeries("", x_values, tuple(uncorrected.tolist()), kind="points", colour=0),
+            ),
             levels=(0.0,),
             x_names=labels,
             height=0.7,
         )
-    after = [pose.residual * scale for pose in triad.poses]
-    us = [pose.u * scale for pose in triad.poses]
+    residuals = [pose.residual * scale for pose in triad.poses]
+    uncertainties = [pose.u * scale for pose in triad.poses]
     yield Plot(
         title="Residual along the specific force by pose",
         x_label="pose",
@@ -260,9 +272,9 @@ def _residual_plots(result: Result, triad: TriadResult) -> Iterator[Plot]:
             PlotSeries(
                 "error bar: standard uncertainty of the indication",
                 x_values,
-                tuple(after),
-                low=tuple(value - u for value, u in zip(after, us, strict=True)),
-                high=tuple(value + u for value, u in zip(after, us, strict=True)),
+                tuple(residuals),
+                low=tuple(value - u for value, u in zip(residuals, uncertainties, strict=True)),
+                high=tuple(value + u for value, u in zip(residuals, uncertainties, strict=True)),
                 kind="points",
                 colour=0,
             ),
@@ -274,22 +286,22 @@ def _residual_plots(result: Result, triad: TriadResult) -> Iterator[Plot]:
 
 
 def _detection_plot(name: str, record: PosesInRecord, poses: Sequence[PoseResult]) -> Plot:
-    """Return a plot of the level over time with the threshold and the poses."""
+    """Return a plot of the scatter over time with the threshold and the poses."""
     floor = 0.7 * min((level for level in record.level if level > 0.0), default=record.threshold)
     spans = [(pose.start, pose.end) for pose in poses if pose.start is not None and pose.end]
     # A gap after each pose, so that they are not joined.
     times = tuple(chain.from_iterable((start, end, end) for start, end in spans))
-    count = len(spans)
+    pose_count = len(spans)
     pose_band = PlotSeries(
         "poses (scatter below the threshold)",
         times,
-        (record.threshold, record.threshold, None) * count,
-        low=(floor, floor, None) * count,
-        high=(record.threshold, record.threshold, None) * count,
+        (record.threshold, record.threshold, None) * pose_count,
+        low=(floor, floor, None) * pose_count,
+        high=(record.threshold, record.threshold, None) * pose_count,
         kind="band",
         colour=2,
     )
-    # Where nothing moves to the last digit the level is nothing, and its logarithm none.
+    # A constant output has the scatter 0, which has no logarithm.
     level = PlotSeries(
         "largest scatter over one second",
         tuple(record.time),

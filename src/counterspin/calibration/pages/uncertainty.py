@@ -1,4 +1,4 @@
-"""The one uncertainty in words: what dominates it, what would reduce it, what it rests on."""
+"""Text on the uncertainty: main source, possible reduction, prior information."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from counterspin.reports.numbers import (
     format_uncertainty,
 )
 
-#: Unstated sources that make up more than this part of u^2 decide it.
+#: Share of u^2 above which default priors dominate.
 _DOMINANT_SHARE: Final = 0.5
 
-#: How much better than its typical size something is taken to be known once it is stated.
+#: Assumed ratio of a stated uncertainty to the default one.
 IMPROVEMENT_FACTOR: Final = 0.1
 
-#: Sources below this part of any u^2 are not in the table.
+#: Smallest share of any u^2 of a source in the table.
 _MIN_SHARE: Final = 1e-3
 
-#: Lines of a budget below this share are said together, where they are more than a few.
+#: Share below which lines of a budget are combined, and the largest number of separate small lines.
 _MIN_LINE_SHARE: Final = 1e-4
 _MAX_SMALL_LINES: Final = 3
 
-#: So many names of what is assumed are listed.
+#: Largest number of assumed terms in a list.
 _MAX_NAMES: Final = 8
 
 
 class HasUncertainty(Protocol):
-    """A coefficient's uncertainty, found or forecast."""
+    """Uncertainty of a coefficient, estimated or forecast."""
 
     @property
     def u(self) -> float | None:
@@ -44,10 +44,10 @@ class HasUncertainty(Protocol):
 
     @property
     def unit(self) -> str:
-        """Of `u`."""
+        """Unit of `u`."""
 
 
-class HasAnswer(Protocol):
+class HasCoefficients(Protocol):
     """Uncertainties of an accelerometer, estimated or forecast."""
 
     @property
@@ -74,66 +74,72 @@ class HasAssumptions(Protocol):
 def split_small_lines(
     lines: Sequence[BudgetLine],
 ) -> tuple[Sequence[BudgetLine], Sequence[BudgetLine]]:
-    """Split a budget into the lines that make up u and the small lines."""
+    """Return the main lines and the small lines of a budget."""
     count = next((k for k, line in enumerate(lines) if line.share < _MIN_LINE_SHARE), len(lines))
     return (lines, ()) if len(lines) - count <= _MAX_SMALL_LINES else (lines[:count], lines[count:])
 
 
-def default_prior_sentence(accelerometer: HasAnswer, symbol: str = "K_II", label: str = "") -> str:
+def default_prior_sentence(
+    accelerometer: HasCoefficients, symbol: str = "K_II", label: str = ""
+) -> str:
     """Return a sentence on the default prior that dominates the u of a coefficient, or "".
 
     label: Name of the coefficient in the sentence, if the symbol alone is ambiguous.
     """
     coefficient = accelerometer.coefficients.get(symbol)
     lines = accelerometer.budget.get(symbol, [])
-    unstated = [line for line in lines if line.kind == "unstated"]
-    if coefficient is None or not coefficient.u or not unstated:
+    default_lines = [line for line in lines if line.kind == "unstated"]
+    if coefficient is None or not coefficient.u or not default_lines:
         return ""
-    if sum(line.share for line in unstated) < _DOMINANT_SHARE:
+    if sum(line.share for line in default_lines) < _DOMINANT_SHARE:
         return ""
-    largest = max(unstated, key=lambda line: line.share)
+    largest_line = max(default_lines, key=lambda line: line.share)
     text = (
-        f"{_contribution_sentence(largest, label or symbol)} No uncertainty was stated for this "
-        f"term, so the default of {_format_source_u(largest, 1.0)} was used."
+        f"{_contribution_sentence(largest_line, label or symbol)} No uncertainty was stated for "
+        f"this term, so the default of {_format_source_u(largest_line, 1.0)} was used."
     )
-    update = accelerometer.what_if
-    if update is None or largest.source not in update.known:
+    what_if = accelerometer.what_if
+    if what_if is None or largest_line.source not in what_if.known:
         return text
-    improved_u = IMPROVEMENT_FACTOR * update.known[largest.source]
+    improved_u = IMPROVEMENT_FACTOR * what_if.known[largest_line.source]
     unit, factor = find_display_unit(coefficient.unit)
-    remaining_u = format_uncertainty(update.u(symbol, {largest.source: improved_u}) * factor)
+    remaining_u = format_uncertainty(what_if.u(symbol, {largest_line.source: improved_u}) * factor)
     subject = f"u({label})" if label else "u"
     return (
-        f"{text} If {largest.source} were known to "
-        f"{_format_source_u(largest, IMPROVEMENT_FACTOR)}, {subject} would fall to {remaining_u} "
-        f"{unit}."
+        f"{text} If {largest_line.source} were known to "
+        f"{_format_source_u(largest_line, IMPROVEMENT_FACTOR)}, {subject} would fall to "
+        f"{remaining_u} {unit}."
     )
 
 
-def kind_words(kind: str) -> str:
-    """Return the kind of a source of uncertainty in words."""
+def describe_kind(kind: str) -> str:
+    """Return the name of a kind of source of uncertainty."""
     return {"unstated": "default", "held": "considered"}.get(kind, kind)
 
 
 def source_label(source: str) -> str:
     """Return description and symbol of a term or source of uncertainty, for a table."""
-    words = describe_term(source)
-    return f"{words}, {source}" if words else source
+    description = describe_term(source)
+    return f"{description}, {source}" if description else source
 
 
-def main_source_sentence(accelerometer: HasAnswer, symbol: str = "K_II") -> str:
+def main_source_sentence(accelerometer: HasCoefficients, symbol: str = "K_II") -> str:
     """Return a sentence on the main source of the u of a coefficient; empty if not known."""
     lines = accelerometer.budget.get(symbol, [])
     if not lines:
         return ""
-    largest = max(lines, key=lambda line: line.share)
-    return _contribution_sentence(largest, symbol)
+    largest_line = max(lines, key=lambda line: line.share)
+    return _contribution_sentence(largest_line, symbol)
 
 
 def _contribution_sentence(line: BudgetLine, symbol: str) -> str:
     """Return a sentence on the share of a source in the variance of a coefficient."""
-    words = describe_term(line.source)
-    source = f"{line.source} ({words})" if words else line.source[:1].upper() + line.source[1:]
+    description = describe_term(line.source)
+    source = (
+        f"{line.source} ({description})"
+        if description
+        else line.source[:1].upper() + line.source[1:]
+    )
     return f"{source} contributes {format_share(line.share)} of the variance of {symbol}."
 
 
@@ -157,7 +163,7 @@ def assumption_sentence(result: HasAssumptions) -> str:
 
 
 def prior_blocks(result: Result) -> Iterator[Block]:
-    """Yield the prior information of a result, as far as it counts in any budget."""
+    """Yield the prior information that contributes to any budget of a result."""
     shares = _largest_shares(result)
     rows = [row for row in result.rests_on if shares.get(row.name, 0.0) >= _MIN_SHARE]
     if not rows and not result.assumed:
@@ -194,8 +200,8 @@ def _correlation_sentence(result: Result) -> str:
     for name, accelerometer in result.accelerometers.items():
         all_correlations = accelerometer.prior_correlations
         for term, correlations in all_correlations.items():
-            for partner, r in correlations.items():
-                full_name = f"{name}.{partner}" if partner in all_correlations else partner
+            for other_term, r in correlations.items():
+                full_name = f"{name}.{other_term}" if other_term in all_correlations else other_term
                 pairs[frozenset({f"{name}.{term}", full_name})] = r
     texts = [f"{' and '.join(sorted(pair))} {r:g}" for pair, r in pairs.items()]
     return f"Stated correlations between priors: {', '.join(texts)}." if texts else ""
@@ -219,7 +225,7 @@ def _prior_row(row: Knowledge, share: float) -> tuple[str, ...]:
     return (
         row.name,
         describe_term(row.name),
-        kind_words(row.kind),
+        describe_kind(row.kind),
         format_estimate(row.value * factor, row.u * factor, unit),
         posterior,
         format_share(share),

@@ -1,4 +1,4 @@
-"""Whether a result is good and meets its specifications, in words and tables."""
+"""Verdict on a result and its conformity with specifications, as text and tables."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from counterspin.reports.numbers import (
     format_uncertainty,
 )
 
-_OPENINGS: Final = {
+_STATE_DESCRIPTIONS: Final = {
     "good": "passed all checks",
     "reservations": "is usable with reservations",
     "not-determined": "is not fully determined by the data",
     "contradicted": "is contradicted by the records and must not be used",
 }
 
-#: States in which what supports a result is said.
-_USABLE: Final = ("good", "reservations")
+#: States in which a page lists the supporting evidence.
+_USABLE_STATES: Final = ("good", "reservations")
 
-#: Styles of the sentence on a state.
-_STYLES: Final[dict[State, Style]] = {
+#: State -> style of the sentence on it.
+_STATE_STYLES: Final[dict[State, Style]] = {
     "good": "plain",
     "reservations": "warning",
     "not-determined": "undetermined",
@@ -52,17 +52,17 @@ _COLUMNS = (
 def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
     """Return a sentence on the state of an accelerometer's result, with the reason."""
     assert accelerometer.state is not None
-    opening = f"The result for {name} {_opening(accelerometer)}"
+    opening = f"The result for {name} {_describe_state(accelerometer)}"
     evidence = "; ".join(clause for _, clause in supporting_evidence(accelerometer))
     if accelerometer.findings:
         sentences = [f"{opening}: {finding_text(accelerometer.findings[0])}"]
-        if remaining := len(accelerometer.findings) - 1:
+        if remaining_count := len(accelerometer.findings) - 1:
             sentences.append(
                 "One more finding is listed below."
-                if remaining == 1
-                else f"{remaining} more findings are listed below."
+                if remaining_count == 1
+                else f"{remaining_count} more findings are listed below."
             )
-        if evidence and accelerometer.state in _USABLE:
+        if evidence and accelerometer.state in _USABLE_STATES:
             sentences.append(f"Passed checks: {evidence}.")
     elif evidence and accelerometer.unseen_faults:
         sentences = [f"{opening}.", f"Passed checks: {evidence}."]
@@ -71,15 +71,15 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
     return " ".join(sentences)
 
 
-def _opening(accelerometer: AccelerometerResult) -> str:
+def _describe_state(accelerometer: AccelerometerResult) -> str:
     assert accelerometer.state is not None
     if accelerometer.state == "good" and accelerometer.unseen_faults:
         return "passed all checks, but the readings test only part of the model"
-    return _OPENINGS[accelerometer.state]
+    return _STATE_DESCRIPTIONS[accelerometer.state]
 
 
 def finding_text(finding: Finding) -> str:
-    """Return the text of a finding, and the part of the misfit that a cause accounts for."""
+    """Return the text of a finding and of the findings that it explains."""
     if not finding.explains:
         return finding.text
     explained_text = " ".join(explained.text for explained in finding.explains)
@@ -92,9 +92,9 @@ def verdict_blocks(result: Result) -> Iterator[Block]:
         assert accelerometer.state is not None
         yield Paragraph(
             verdict_sentence(name, accelerometer),
-            _STYLES[accelerometer.state],
+            _STATE_STYLES[accelerometer.state],
         )
-        # The first of them stands in the sentence.
+        # The sentence contains the first finding.
         for finding in accelerometer.findings[1:]:
             yield Paragraph(f"Warning for {name}: {finding_text(finding)}", "warning")
 
@@ -106,14 +106,14 @@ def verdict_tables(result: Result) -> Iterator[Block]:
         findings, count = accelerometer.findings, len(accelerometer.findings)
         summary = "1 finding" if count == 1 else f"{count} findings, most serious first"
         yield Paragraph(
-            f"The result for {name} {_opening(accelerometer)}"
+            f"The result for {name} {_describe_state(accelerometer)}"
             + (f" ({summary})." if findings else "."),
-            _STYLES[accelerometer.state],
+            _STATE_STYLES[accelerometer.state],
         )
         rows = [(_check_title(name, finding), finding_text(finding)) for finding in findings]
-        if accelerometer.state in _USABLE:
+        if accelerometer.state in _USABLE_STATES:
             rows += [
-                (_capital(check), f"{_capital(clause)}.")
+                (_capitalize(check), f"{_capitalize(clause)}.")
                 for check, clause in supporting_evidence(accelerometer)
             ]
         if rows:
@@ -121,29 +121,30 @@ def verdict_tables(result: Result) -> Iterator[Block]:
 
 
 def _check_title(name: str, finding: Finding) -> str:
-    """Return the subject of a finding in a word or two, and its owner."""
+    """Return a short title of a finding, with its subject."""
     title, subject = finding.code.replace("-", " "), finding.subject.removeprefix(f"{name}.")
-    return _capital(title) if subject in ("", name) else f"{_capital(title)}: {subject}"
+    return _capitalize(title) if subject in ("", name) else f"{_capitalize(title)}: {subject}"
 
 
-def _capital(text: str) -> str:
+def _capitalize(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
 def misfit_blocks(result: Result) -> Iterator[Block]:
-    """Yield the first lines of a result that is contradicted or not determined, else nothing."""
+    """Yield a warning if a result is contradicted or not determined."""
     if result.state not in ("not-determined", "contradicted"):
         return
-    first = result.findings[0]
+    first_finding = result.findings[0]
     if result.state == "not-determined":
         yield Paragraph(
-            f"The data do not fully determine this result ({first.subject}). {first.text}",
+            f"The data do not fully determine this result ({first_finding.subject}). "
+            f"{first_finding.text}",
             "undetermined",
         )
         return
     yield Paragraph(
-        f"The records contradict this result ({first.subject}). {first.text} Do not use the "
-        "estimates below, because their uncertainties are not valid.",
+        f"The records contradict this result ({first_finding.subject}). {first_finding.text} Do "
+        "not use the estimates below, because their uncertainties are not valid.",
         "warning",
     )
     if result.accepted_misfit is not None:
@@ -193,26 +194,26 @@ def conformity_blocks(result: Result) -> Iterator[Block]:
     for name, symbol, verdict, _ in verdicts:
         if (risk := verdict.global_risk) is not None:
             unit, factor = find_display_unit(verdict.unit)
-            process = format_estimate(risk.mean * factor, risk.sigma * factor, unit)
+            process_text = format_estimate(risk.mean * factor, risk.sigma * factor, unit)
             yield Paragraph(
                 f"Global risks for {symbol} of {name}, for items from a process with "
-                f"{process}: consumer's risk {format_probability(risk.consumer)} (an item "
+                f"{process_text}: consumer's risk {format_probability(risk.consumer)} (an item "
                 "passes but does not conform); producer's risk "
                 f"{format_probability(risk.producer)} (an item conforms but does not pass).",
                 "quiet",
             )
-    for rule in dict.fromkeys(rule_in_words(verdict) for _, _, verdict, _ in verdicts):
+    for rule in dict.fromkeys(describe_rule(verdict) for _, _, verdict, _ in verdicts):
         yield Paragraph(rule, "quiet")
-    bands = [
+    guard_band_texts = [
         f"{symbol} of {name} {_guard_band_text(verdict)}"
         for name, symbol, verdict, _ in verdicts
         if verdict.guard_band
     ]
-    if bands:
-        yield Paragraph(f"Widths w of the guard bands: {'; '.join(bands)}.", "quiet")
+    if guard_band_texts:
+        yield Paragraph(f"Widths w of the guard bands: {'; '.join(guard_band_texts)}.", "quiet")
 
 
-def rule_in_words(verdict: Conformity) -> str:
+def describe_rule(verdict: Conformity) -> str:
     """Return the decision rule of a verdict, as a certificate must state it."""
     risk = (
         "For a pass, the specific risk is the probability of false acceptance (specific "
@@ -228,10 +229,10 @@ def rule_in_words(verdict: Conformity) -> str:
             f"and undecided otherwise. {risk}"
         )
     assert verdict.needed is not None
-    needed = format_number(100.0 * verdict.needed, 6)
+    needed_percent = format_number(100.0 * verdict.needed, 6)
     return (
         "Decision rule: probability of conformity. The verdict is pass if the coefficient "
-        f"conforms with a probability of at least {needed} %, fail if the probability of "
+        f"conforms with a probability of at least {needed_percent} %, fail if the probability of "
         f"non-conformity is at least as high, and undecided otherwise. {risk}"
     )
 
