@@ -9,7 +9,7 @@ from raising import raises
 import counterspin as cs
 from counterspin.calibration.pages.uncertainty import prior_blocks
 from counterspin.campaign.description import read_campaign
-from counterspin.correction.instrument import covariance_of, determined_terms
+from counterspin.correction.instrument import determined_terms, term_covariance
 from counterspin.errors import CampaignError
 from counterspin.inference.identifiability import assess
 from counterspin.inference.least_squares import reduce_block, solve
@@ -156,7 +156,7 @@ def test_result_states_prior_correlation(tmp_path):
     terms = determined_terms(read)
     symbols = list(terms)
     i, j = symbols.index("K_OO"), symbols.index("K_PP")
-    assert covariance_of(read, terms)[i, j] == pytest.approx(0.4 * 3e-6 * 2e-6)
+    assert term_covariance(read, terms)[i, j] == pytest.approx(0.4 * 3e-6 * 2e-6)
     text = "".join(map(str, prior_blocks(result)))
     assert "A.K_OO and A.K_PP 0.4" in text
     # A correlated prior cannot be improved separately.

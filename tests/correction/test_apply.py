@@ -31,7 +31,7 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.correction.apply import ApplyOptions, apply
 from counterspin.correction.apply_file import apply_file
-from counterspin.correction.instrument import instrument_of
+from counterspin.correction.instrument import make_instrument
 from counterspin.errors import CampaignError, ConvergenceError
 from counterspin.inference.joint.summary import BudgetLine, Jackknife
 from counterspin.physics.accelerometer import QX, QY, QZ, indicated
@@ -513,7 +513,7 @@ def test_uncertainty_matches_trials():
     result = make_result(
         {"Qx": make_accelerometer({}, coefficients=terms, correlation=correlation)}
     )
-    covariance = instrument_of(result, "Qx").covariance
+    covariance = make_instrument(result, "Qx").covariance
     sd = np.array(list(u.values()))
     np.testing.assert_allclose(covariance, r * np.outer(sd, sd), rtol=1e-14)
     y = np.array([-30.0, -1.0, 0.0, 1.0, 30.0])

@@ -70,13 +70,13 @@ def test_u_covers_errors_of_noisy_ramps():
 
 def test_u_of_hysteresis_loop_follows_from_two_means():
     """Three repeats upwards and three downwards: u = sigma sqrt(2 / 3) / slope; z of 200 loops."""
-    from counterspin.operating_tests.model import fit_line, hysteresis
+    from counterspin.operating_tests.model import fit_line, hysteresis_error
 
     rng, z = np.random.default_rng(7), []
     inputs = np.tile([0.0, 5.0, 10.0, 5.0], 3)
     line = fit_line(np.tile(RAMP, 3), np.tile(1.25 * RAMP, 3) + rng.normal(0.0, 1e-3, 63))
     for _ in range(200):
-        loop = hysteresis(line, inputs, 1.25 * inputs + rng.normal(0.0, 1e-3, inputs.size))
+        loop = hysteresis_error(line, inputs, 1.25 * inputs + rng.normal(0.0, 1e-3, inputs.size))
         z.append(loop.value / (1e-3 * (2.0 / 3.0) ** 0.5 / 1.25))
     assert loop.u == pytest.approx(line.noise * (2.0 / 3.0) ** 0.5 / line.slope, rel=1e-12)
     assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.2)
@@ -155,13 +155,13 @@ def test_result_round_trip(tmp_path):
 
 def test_many_settings_are_evaluated():
     """Each input is reached once upwards and once downwards, and the loop is 4e-4 wide."""
-    from counterspin.operating_tests.model import fit_line, hysteresis
+    from counterspin.operating_tests.model import fit_line, hysteresis_error
 
     rise = np.linspace(0.0, 10.0, 100_000)
     inputs = np.append(rise, rise[-2::-1])
     outputs = 1.25 * inputs
     outputs[: rise.size] += 5e-4
-    loop = hysteresis(fit_line(inputs, outputs), inputs, outputs)
+    loop = hysteresis_error(fit_line(inputs, outputs), inputs, outputs)
     assert loop.value == pytest.approx(4e-4, rel=1e-4)
 
 
@@ -201,6 +201,8 @@ def test_u_of_linearity_error_matches_hat_matrix():
     design = np.column_stack([np.ones(7), inputs])
     residual = np.eye(7) - design @ np.linalg.inv(design.T @ design) @ design.T
     linearity = linearity_error(line, inputs)
-    mean = np.where(inputs == linearity.at, 1.0 / np.sum(inputs == linearity.at), 0.0)
+    mean = np.where(
+        inputs == linearity.input_value, 1.0 / np.sum(inputs == linearity.input_value), 0.0
+    )
     u = line.noise * np.sqrt(mean @ residual @ mean) / line.slope
     assert linearity.u == pytest.approx(u, rel=1e-12)

@@ -1,4 +1,4 @@
-"""`counterspin applied`: the uncertainty budget of the applied acceleration by level."""
+"""`counterspin applied`: uncertainty budget of the applied acceleration by level."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.quantity import BARE_NUMBER, NUMBER, Quantity, parse_quantity
 from counterspin.errors import CampaignError, UsageError
 
-#: Levels without `levels` and without stated rates, g.
+#: Default levels of a campaign without stated rates, g.
 DEFAULT_LEVELS: Final = (1.0, 10.0, 50.0, 100.0)
 
-#: Fewest draws: 1e4 / (1 - p) for an interval of p = 95 % (JCGM 101, clause 7.2.2).
+#: Smallest number of draws: 1e4 / (1 - p) for p = 95 % (JCGM 101, clause 7.2.2).
 DRAWS: Final = 200_000
 _MAX_DRAWS: Final = 20_000_000
 
 #: Largest level, g.
 _MAX_LEVEL: Final = 1e5
 
-#: Source of the model -> symbol in the table of terms. MOUNTING stands for the mounting's name.
+#: Source of the model -> symbol in the table of terms. MOUNTING: name of the mounting.
 _SYMBOLS: Final = {
     "radius": "centrifuge.radius",
     "stretch": "centrifuge.stretch",
@@ -53,7 +53,7 @@ _SYMBOLS: Final = {
 
 
 #: Source of the model -> description.
-_WORDS: Final = {
+_DESCRIPTIONS: Final = {
     "radius": "radius",
     "stretch": "stretch of the radius",
     "elevation": "elevation, static",
@@ -85,7 +85,7 @@ def applied(
     campaign
         The campaign, its folder or its description.
     levels
-        Nominal accelerations in g, or text such as "1,10,50,100g"; None: those of the stated
+        Nominal accelerations in g, or text such as "1,10,50,100g"; None: levels of the stated
         rates.
     mounting
         Mounting whose stated alignment counts; None if the campaign states only one.
@@ -97,7 +97,7 @@ def applied(
     Returns
     -------
     AppliedAcceleration
-        By the GUM and by Monte Carlo (JCGM 101) for each level.
+        Budget by the GUM and by Monte Carlo (JCGM 101) for each level.
 
     Raises
     ------
@@ -108,57 +108,57 @@ def applied(
         raise UsageError("applied", [f"`draws`: must be from {DRAWS} to {_MAX_DRAWS}, not {draws}"])
     if seed < 0:
         raise UsageError("applied", [f"`seed`: must not be negative, not {seed}"])
-    described = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
-    if not described.radius.value > 0.0:
+    description = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
+    if not description.radius.value > 0.0:
         raise CampaignError(
-            str(described.path),
+            str(description.path),
             ["centrifuge.radius: missing; the applied acceleration requires [centrifuge]"],
             code="missing-key",
         )
-    chosen = _choose_mounting(described, mounting)
-    sources = _resolve_sources(described, chosen)
-    radius, gravity = described.radius.value, described.site.gravity
-    rates = [] if levels is not None else _stated_rates(described)
+    mounting_name = _choose_mounting(description, mounting)
+    sources = _resolve_sources(description, mounting_name)
+    radius, gravity = description.radius.value, description.site.gravity
+    rates = [] if levels is not None else _stated_rates(description)
     if not rates:
-        nominal = DEFAULT_LEVELS if levels is None else _parse_levels(levels, gravity)
-        rates = [math.sqrt(level * gravity / radius) for level in nominal]
+        nominal_levels = DEFAULT_LEVELS if levels is None else _parse_levels(levels, gravity)
+        rates = [math.sqrt(level * gravity / radius) for level in nominal_levels]
     values = {source.name: source.value for source in sources}
     u = {source.name: source.u for source in sources}
     distributions = {
         name: quantity.distribution
-        for name, quantity in _stated_quantities(described, chosen).items()
+        for name, quantity in _stated_quantities(description, mounting_name).items()
         if quantity is not None and quantity.distribution.shape != "normal"
     }
-    drawn = draw_distributions(values, u, rates, draws, seed, distributions)
+    checks = draw_distributions(values, u, rates, draws, seed, distributions)
     return AppliedAcceleration(
-        title=described.title,
+        title=description.title,
         version=__version__,
         gravity=gravity,
-        mounting=chosen,
+        mounting=mounting_name,
         draws=draws,
         seed=seed,
         applied_sources=sources,
         levels=[
-            _level(values, u, rate, distribution)
-            for rate, distribution in zip(rates, drawn, strict=True)
+            _make_level(values, u, rate, distribution)
+            for rate, distribution in zip(rates, checks, strict=True)
         ],
     )
 
 
-def _level(
-    values: Mapping[str, float], u: Mapping[str, float], rate: float, drawn: MonteCarloCheck
+def _make_level(
+    values: Mapping[str, float], u: Mapping[str, float], rate: float, check: MonteCarloCheck
 ) -> AppliedLevel:
     """Return acceleration, budget and Monte Carlo check at a rate."""
-    slopes = sensitivities(values, rate)
+    derivatives = sensitivities(values, rate)
     acceleration = float(applied_acceleration(values, rate))
-    contributions = {name: abs(slopes[name]) * u[name] for name in UNITS}
-    total = math.hypot(*contributions.values())
+    contributions = {name: abs(derivatives[name]) * u[name] for name in UNITS}
+    combined_u = math.hypot(*contributions.values())
     budget = [
         AppliedContribution(
             source=name,
-            sensitivity=slopes[name],
+            sensitivity=derivatives[name],
             u=contribution,
-            share=(contribution / total) ** 2 if total else 0.0,
+            share=(contribution / combined_u) ** 2 if combined_u else 0.0,
         )
         for name, contribution in sorted(contributions.items(), key=lambda item: -item[1])
     ]
@@ -166,11 +166,11 @@ def _level(
         level=values["radius"] * rate**2 / values["gravity"],
         rate=rate,
         acceleration=acceleration,
-        u=total,
-        u_relative=total / abs(acceleration),
-        dominant=budget[0].source if total else None,
+        u=combined_u,
+        u_relative=combined_u / abs(acceleration),
+        dominant=budget[0].source if combined_u else None,
         budget=budget,
-        monte_carlo=drawn,
+        monte_carlo=check,
     )
 
 
@@ -180,9 +180,9 @@ def _parse_levels(levels: str | Sequence[float], gravity: float) -> list[float]:
     unit = re.sub(rf"^\s*{NUMBER}\s*", "", texts[-1]) if texts else ""
     numbers, problems = [], []
     for text in map(str.strip, texts):
-        written = f"{text} {unit.strip() or 'g'}" if BARE_NUMBER.fullmatch(text) else text
+        text_with_unit = f"{text} {unit.strip() or 'g'}" if BARE_NUMBER.fullmatch(text) else text
         try:
-            quantity = parse_quantity(written, "g", gravity=gravity)
+            quantity = parse_quantity(text_with_unit, "g", gravity=gravity)
         except ValueError as error:
             problems.append(f'`levels`: "{text}": {error}')
             continue
@@ -199,32 +199,35 @@ def _parse_levels(levels: str | Sequence[float], gravity: float) -> list[float]:
 
 
 def _stated_rates(campaign: Campaign) -> list[float]:
-    """Return the different rates of runs and readings, in the order of their size, rad/s."""
+    """Return the distinct rates of runs and readings by increasing magnitude, rad/s."""
     rates = {run.rate for run in campaign.runs} | {reading.rate for reading in campaign.readings}
     return sorted({rate for rate in rates if rate}, key=lambda rate: (abs(rate), rate))
 
 
 def _choose_mounting(campaign: Campaign, mounting: str | None) -> str | None:
     """Return the mounting whose alignment counts; None if no alignment is stated."""
-    stated = [
+    aligned_mountings = [
         symbol.split(".")[2]
         for symbol in campaign.model.priors
         if symbol.startswith("fixture.misalignment.") and symbol.endswith((".forward", ".up"))
     ]
-    names = list(dict.fromkeys(stated))
-    known = list(dict.fromkeys([*names, *(reading.mounting for reading in campaign.readings)]))
+    names = list(dict.fromkeys(aligned_mountings))
+    known_names = list(
+        dict.fromkeys([*names, *(reading.mounting for reading in campaign.readings)])
+    )
     if mounting is not None:
-        if mounting not in known:
-            listed = ", ".join(filter(None, known)) or "none"
+        if mounting not in known_names:
+            known_text = ", ".join(filter(None, known_names)) or "none"
             raise CampaignError(
                 str(campaign.path),
-                [f'`mounting`: unknown mounting "{mounting}"; known: {listed}'],
+                [f'`mounting`: unknown mounting "{mounting}"; known: {known_text}'],
                 code="unknown-mounting",
             )
         return mounting
     alignments = {
         tuple(
-            campaign.model.priors.get(_symbol(source, name)) for source in ("elevation", "azimuth")
+            campaign.model.priors.get(_source_symbol(source, name))
+            for source in ("elevation", "azimuth")
         )
         for name in names
     }
@@ -241,35 +244,35 @@ def _choose_mounting(campaign: Campaign, mounting: str | None) -> str | None:
     return names[0] if names else None
 
 
-def _symbol(source: str, mounting: str | None) -> str:
+def _source_symbol(source: str, mounting: str | None) -> str:
     return _SYMBOLS[source].replace("MOUNTING", mounting or "MOUNTING")
 
 
 def _stated_quantities(campaign: Campaign, mounting: str | None) -> dict[str, Quantity | None]:
     """Return the sources as the campaign states them; None: not stated."""
     priors = campaign.model.priors
-    known: dict[str, Quantity | None] = {
+    inputs: dict[str, Quantity | None] = {
         "radius": campaign.radius,
         "gravity": campaign.gravity,
         "latitude": campaign.latitude,
         "clock": campaign.rate_clock or campaign.clock,
         "rate": _stated_rate_error(campaign),
     }
-    return {name: known.get(name, priors.get(_symbol(name, mounting))) for name in UNITS}
+    return {name: inputs.get(name, priors.get(_source_symbol(name, mounting))) for name in UNITS}
 
 
 def _resolve_sources(campaign: Campaign, mounting: str | None) -> list[AppliedSource]:
     """Return all sources with values and uncertainties, as stated or by default."""
-    stated, sources = _stated_quantities(campaign, mounting), []
+    quantities, sources = _stated_quantities(campaign, mounting), []
     for name, unit in UNITS.items():
-        symbol, quantity = _symbol(name, mounting), stated[name]
-        (value, u), by_default = resolve_prior(campaign, "", symbol, quantity)
-        origin: Origin = "default" if by_default else "stated" if u else "assumed"
+        symbol, quantity = _source_symbol(name, mounting), quantities[name]
+        (value, u), is_default = resolve_prior(campaign, "", symbol, quantity)
+        origin: Origin = "default" if is_default else "stated" if u else "assumed"
         sources.append(
             AppliedSource(
                 name=name,
                 symbol=symbol,
-                words=_WORDS[name],
+                words=_DESCRIPTIONS[name],
                 value=value,
                 u=u,
                 unit=unit,
@@ -281,9 +284,9 @@ def _resolve_sources(campaign: Campaign, mounting: str | None) -> list[AppliedSo
 
 def _stated_rate_error(campaign: Campaign) -> Quantity | None:
     """Return the largest stated random uncertainty of a rate, relative; None without any."""
-    stated = [
+    relative_uncertainties = [
         reading.u_rate / abs(reading.rate)
         for reading in campaign.readings
         if reading.rate and reading.u_rate is not None
     ]
-    return Quantity(0.0, max(stated), "1") if stated else None
+    return Quantity(0.0, max(relative_uncertainties), "1") if relative_uncertainties else None

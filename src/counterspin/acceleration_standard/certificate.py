@@ -1,4 +1,4 @@
-"""Certificate of a centrifuge: the applied acceleration of each level as a DCC."""
+"""Certificate of a centrifuge: a DCC of the applied acceleration at each level."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.acceleration_standard.page import budget_table, level_words, validation_sentence
+from counterspin.acceleration_standard.page import budget_table, format_level, validation_sentence
 from counterspin.acceleration_standard.result import AppliedAcceleration, AppliedLevel
 from counterspin.certificates import certificate_text
 from counterspin.certificates.build import render_extension, serialize_document
@@ -68,7 +68,7 @@ _METHOD: Final = (
     "one revolution along an input axis that points inward."
 )
 
-#: Statements of a certificate: name, sentences, standards.
+#: Statement of a certificate: name, sentences, standards.
 _Section = tuple[str, list[str], tuple[str, ...]]
 
 
@@ -84,9 +84,9 @@ def certify_applied(
     Parameters
     ----------
     result
-        The budget of the applied acceleration.
+        Budget of the applied acceleration.
     lab
-        Contents of ``LAB.toml`` as nested mappings with the same keys; or the file. Its [item]
+        Contents of ``LAB.toml`` as nested mappings with the same keys, or the file. Its [item]
         is the centrifuge.
     schema
         Folder or file of the DCC schema, against which the certificate is validated.
@@ -96,113 +96,136 @@ def certify_applied(
     Raises
     ------
     CampaignError
-        If the laboratory's data have missing keys or mistakes, if [evidence] lacks an assumed
+        If the laboratory data have missing keys or mistakes, if [evidence] lacks an assumed
         term, or if a draft is to be signed.
     CounterspinError
-        If key or schema cannot be used.
+        If key or schema is not valid.
     """
-    data = read_machine_lab(lab, result.gravity)
+    laboratory = read_machine_lab(lab, result.gravity)
     source = "the laboratory data" if isinstance(lab, Mapping) else str(lab)
     folder = Path() if isinstance(lab, Mapping) else Path(lab).parent
-    assumed = [s.symbol for s in result.applied_sources if s.origin == "assumed"]
-    require_evidence(assumed, data.evidence, source)
-    missing = [*missing_administrative_data(data), *_missing_evidence(data, result)]
-    if missing and signer is not None:
-        raise CampaignError(source, missing_lines(missing), code="certificate-incomplete")
+    assumed_symbols = [
+        applied_source.symbol
+        for applied_source in result.applied_sources
+        if applied_source.origin == "assumed"
+    ]
+    require_evidence(assumed_symbols, laboratory.evidence, source)
+    missing_entries = [
+        *missing_administrative_data(laboratory),
+        *_missing_evidence(laboratory, result),
+    ]
+    if missing_entries and signer is not None:
+        raise CampaignError(source, missing_lines(missing_entries), code="certificate-incomplete")
     issue = replace(
-        make_issue(data, result.content, None, (), draft=bool(missing)),
+        make_issue(laboratory, result.content, None, (), draft=bool(missing_entries)),
         signed=signer is not None,
-        logo=read_laboratory_logo(data, folder, source),
+        logo=read_laboratory_logo(laboratory, folder, source),
     )
     if callable(signer):
         signer = signer()
-    stated = [(level, _stated_u(data, level)) for level in result.levels]
-    blocks = list(_page_blocks(data, result, issue, stated))
-    root = _build_document(data, result, issue, stated, render_pages(blocks, issue))
+    stated_levels = [(level, _stated_u(laboratory, level)) for level in result.levels]
+    blocks = list(_page_blocks(laboratory, result, issue, stated_levels))
+    root = _build_document(laboratory, result, issue, stated_levels, render_pages(blocks, issue))
     xml = serialize_document(root if signer is None else sign_document(root, signer))
     if schema is not None:
         check_schema(xml, schema, f"certificate {issue.identifier}")
     return Certificate(
         identifier=issue.identifier,
         accelerometers=[],
-        notes=[*issue_notes(data, issue, missing), *signer_notes(signer, issue)],
+        notes=[*issue_notes(laboratory, issue, missing_entries), *signer_notes(signer, issue)],
         xml=xml,
         pages=lambda: sign_pages_if_requested(render_pages(blocks, issue, xml=xml), signer),
         page_images=lambda: render_images(blocks, issue),
-        ledger=ledger_path(data, lab),
+        ledger=ledger_path(laboratory, lab),
         entry={"identifier": issue.identifier, "sha256": sha256_hex(xml)},
-        signed_by=data.persons[0].name,
+        signed_by=laboratory.persons[0].name,
         reason="issued",
         draft=issue.draft,
     )
 
 
 def _stated_u(lab: Lab, level: AppliedLevel) -> float:
-    """Return u of a level, m/s^2: U = k u is not below the laboratory's capability."""
+    """Return u of a level, m/s^2, such that U = k u is not below the capability."""
     capability = lab.capability(APPLIED_ACCELERATION, 1.0) or 0.0
     return max(_evaluated_u(level), capability * abs(level.acceleration) / coverage_factor(None))
 
 
 def _evaluated_u(level: AppliedLevel) -> float:
-    """Return u of a level; if its interval is not validated, U covers that by Monte Carlo."""
-    drawn, value = level.monte_carlo, level.acceleration
-    if drawn.validated:
+    """Return u of a level, m/s^2; without validation, U covers the Monte Carlo interval."""
+    check, value = level.monte_carlo, level.acceleration
+    if check.validated:
         return level.u
-    return max(level.u, max(value - drawn.low, drawn.high - value) / coverage_factor(None))
+    return max(level.u, max(value - check.low, check.high - value) / coverage_factor(None))
 
 
 def _missing_evidence(lab: Lab, result: AppliedAcceleration) -> Iterator[MissingEntry]:
     """Yield default uncertainties with a large share of a variance and without evidence."""
     for symbol, (share, level) in _default_shares(result).items():
         if terms_without_evidence([symbol], lab.evidence):
-            yield missing_evidence(symbol, share, f"the acceleration at {level_words(level)}")
+            yield missing_evidence(symbol, share, f"the acceleration at {format_level(level)}")
 
 
 def _default_shares(result: AppliedAcceleration) -> dict[str, tuple[float, AppliedLevel]]:
-    """Return the largest share of each default uncertainty that needs evidence, by symbol."""
-    largest: dict[str, tuple[float, AppliedLevel]] = {}
+    """Return the largest share of each default uncertainty that requires evidence, by symbol."""
+    largest_shares: dict[str, tuple[float, AppliedLevel]] = {}
     for level in result.levels:
         for line in level.budget:
             source = result.source(line.source)
-            known = largest.get(source.symbol, (MIN_EVIDENCE_SHARE, level))
-            if source.origin == "default" and line.share >= known[0]:
-                largest[source.symbol] = line.share, level
-    return largest
+            previous = largest_shares.get(source.symbol, (MIN_EVIDENCE_SHARE, level))
+            if source.origin == "default" and line.share >= previous[0]:
+                largest_shares[source.symbol] = line.share, level
+    return largest_shares
 
 
 def _sections(
-    lab: Lab, result: AppliedAcceleration, stated: Sequence[tuple[AppliedLevel, float]]
+    lab: Lab, result: AppliedAcceleration, stated_levels: Sequence[tuple[AppliedLevel, float]]
 ) -> list[_Section]:
     """Return the statements of XML and pages, in the order of reading."""
-    settings, quality = lab.certificate, ("ISO/IEC 17025:2017",)
-    raised = [
-        f"At {level_words(level)}, the evaluated uncertainty is U = "
+    settings, quality_standards = lab.certificate, ("ISO/IEC 17025:2017",)
+    capability_lines = [
+        f"At {format_level(level)}, the evaluated uncertainty is U = "
         f"{format_uncertainty(coverage_factor(None) * _evaluated_u(level))} m/s^2. The "
         "certificate states the calibration and measurement capability instead, because this "
         "is the smallest uncertainty that the laboratory may state."
-        for level, u in stated
+        for level, u in stated_levels
         if u > _evaluated_u(level)
     ]
-    assumed = [s.symbol for s in result.applied_sources if s.origin == "assumed"]
-    defaults = list(_default_shares(result))
+    assumed_symbols = [
+        applied_source.symbol
+        for applied_source in result.applied_sources
+        if applied_source.origin == "assumed"
+    ]
+    default_symbols = list(_default_shares(result))
     return [
         (certificate_text.UNCERTAINTY_HEADING, _uncertainty_lines(result), ("JCGM 100:2008",)),
-        (certificate_text.CAPABILITY_HEADING, raised, ("ILAC-P14:09/2020",)),
-        (certificate_text.FIXED_TERMS_HEADING, [*evidence_lines(assumed, lab.evidence)], ()),
-        (certificate_text.DEFAULT_EVIDENCE_HEADING, [*evidence_lines(defaults, lab.evidence)], ()),
+        (certificate_text.CAPABILITY_HEADING, capability_lines, ("ILAC-P14:09/2020",)),
+        (
+            certificate_text.FIXED_TERMS_HEADING,
+            [*evidence_lines(assumed_symbols, lab.evidence)],
+            (),
+        ),
+        (
+            certificate_text.DEFAULT_EVIDENCE_HEADING,
+            [*evidence_lines(default_symbols, lab.evidence)],
+            (),
+        ),
         (
             certificate_text.CUSTOMER_DATA_HEADING,
             [*certificate_text.customer_lines(settings)],
-            quality,
+            quality_standards,
         ),
-        (certificate_text.SCOPE_HEADING, [certificate_text.scope_statement()], quality),
+        (certificate_text.SCOPE_HEADING, [certificate_text.scope_statement()], quality_standards),
         (certificate_text.REMARKS_HEADING, [*settings.remarks], ()),
     ]
 
 
 def _uncertainty_lines(result: AppliedAcceleration) -> list[str]:
     k = coverage_factor(None)
-    defaults = [s.symbol for s in result.applied_sources if s.origin == "default"]
+    default_symbols = [
+        applied_source.symbol
+        for applied_source in result.applied_sources
+        if applied_source.origin == "default"
+    ]
     lines = [
         "The number after ± is the expanded uncertainty U. U is the combined standard "
         "uncertainty according to the GUM (JCGM 100), multiplied by the coverage factor k = "
@@ -215,10 +238,10 @@ def _uncertainty_lines(result: AppliedAcceleration) -> list[str]:
             "If the Monte Carlo method does not validate the GUM interval, U covers "
             "the Monte Carlo interval."
         )
-    if defaults:
+    if default_symbols:
         lines.append(
             "The budgets contain the default standard uncertainty of each source without a stated "
-            f"uncertainty: {', '.join(defaults)}."
+            f"uncertainty: {', '.join(default_symbols)}."
         )
     return lines
 
@@ -227,12 +250,12 @@ def _build_document(
     lab: Lab,
     result: AppliedAcceleration,
     issue: Issue,
-    stated: Sequence[tuple[AppliedLevel, float]],
+    stated_levels: Sequence[tuple[AppliedLevel, float]],
     pages: bytes,
 ) -> Element:
     """Return the root element of the certificate."""
     settings = lab.certificate
-    traceable = Statement(
+    traceability = Statement(
         certificate_text.TRACEABILITY_HEADING,
         [settings.traceability],
         language=settings.language,
@@ -241,14 +264,14 @@ def _build_document(
     draft = Statement(
         "Draft", [certificate_text.DRAFT_STATEMENT] if issue.draft else [], valid=False
     )
-    own = {
+    laboratory_texts = {
         certificate_text.FIXED_TERMS_HEADING,
         certificate_text.DEFAULT_EVIDENCE_HEADING,
         certificate_text.REMARKS_HEADING,
     }
     sections = [
-        Statement(name, lines, norms, settings.language if name in own else "en")
-        for name, lines, norms in _sections(lab, result, stated)
+        Statement(name, lines, norms, settings.language if name in laboratory_texts else "en")
+        for name, lines, norms in _sections(lab, result, stated_levels)
     ]
     assets = files("counterspin.acceleration_standard") / "assets"
     return render_extension(
@@ -258,12 +281,12 @@ def _build_document(
         issue=issue,
         result=result,
         names=[],
-        statements=[s for s in (draft, traceable, *sections) if s.lines],
+        statements=[statement for statement in (draft, traceability, *sections) if statement.lines],
         file=result.content,
-        stated=stated,
+        stated=stated_levels,
         method=[_METHOD, *certificate_text.deviation_lines(settings)],
         uncertainty=_uncertainty_lines(result),
-        level_words=level_words,
+        level_words=format_level,
         pages=pages,
     )
 
@@ -272,7 +295,7 @@ def _page_blocks(
     lab: Lab,
     result: AppliedAcceleration,
     issue: Issue,
-    stated: Sequence[tuple[AppliedLevel, float]],
+    stated_levels: Sequence[tuple[AppliedLevel, float]],
 ) -> Iterator[Block]:
     """Yield the pages of the certificate."""
     yield Heading(page_title(issue), 1)
@@ -291,27 +314,27 @@ def _page_blocks(
         yield Paragraph(typeset(line))
     yield from equipment_blocks(lab.equipment)
     yield Heading("Results")
-    yield typeset_block(_results_table(stated))
+    yield typeset_block(_results_table(stated_levels))
     for level in result.levels:
-        yield Heading(f"Uncertainty budget at {level_words(level)}", 3)
+        yield Heading(f"Uncertainty budget at {format_level(level)}", 3)
         yield typeset_block(budget_table(result, level))
     yield Heading("Statements")
     yield from section_blocks(certificate_text.TRACEABILITY_HEADING, lab.certificate.traceability)
-    for name, lines, _ in _sections(lab, result, stated):
+    for name, lines, _ in _sections(lab, result, stated_levels):
         yield from section_blocks(name, *map(typeset, lines))
 
 
-def _results_table(stated: Sequence[tuple[AppliedLevel, float]]) -> Table:
+def _results_table(stated_levels: Sequence[tuple[AppliedLevel, float]]) -> Table:
     k = coverage_factor(None)
     rows = tuple(
         (
-            level_words(level),
+            format_level(level),
             format_number(level.rate, 9),
             format_estimate(level.acceleration, k * u, "m/s^2"),
             format_uncertainty(k * u / abs(level.acceleration)),
             format_decimal(k),
         )
-        for level, u in stated
+        for level, u in stated_levels
     )
     return Table(
         (

@@ -1,4 +1,4 @@
-"""The acceleration that an arm centrifuge applies, its sensitivities and its distribution.
+"""Acceleration applied by an arm centrifuge, its sensitivities and its distribution.
 
 a = R (1 + s c) w^2 cos(beta) cos(lambda) + g sin(lambda) + 2 w Omega R sin(L), with c = R w^2 and
 lambda = lambda_0 + d w^2 (IEEE Std 836, Annex B; Ling et al., Opt. Precis. Eng. 23 (2015) 2306).
@@ -44,9 +44,9 @@ def applied_acceleration(sources: Mapping[str, Array | float], rate: float) -> A
     """
     radius, gravity = sources["radius"], sources["gravity"]
     true_rate = rate * (1.0 + sources["rate"] + sources["clock"])
-    square = true_rate * true_rate
-    centripetal = radius * square
-    elevation = sources["elevation"] + sources["droop"] * square
+    squared_rate = true_rate * true_rate
+    centripetal = radius * squared_rate
+    elevation = sources["elevation"] + sources["droop"] * squared_rate
     acceleration: Array | float = (
         centripetal
         * (1.0 + sources["stretch"] * centripetal)
@@ -62,31 +62,32 @@ def sensitivities(sources: Mapping[str, float], rate: float) -> dict[str, float]
     """Return the partial derivative of the applied acceleration with respect to each source."""
     radius, gravity, stretch = sources["radius"], sources["gravity"], sources["stretch"]
     true_rate = rate * (1.0 + sources["rate"] + sources["clock"])
-    square = true_rate * true_rate
-    centripetal = radius * square
-    stretched = centripetal * (1.0 + stretch * centripetal)
-    elevation, azimuth = sources["elevation"] + sources["droop"] * square, sources["azimuth"]
-    along = math.cos(azimuth) * math.cos(elevation)
-    earth = 2.0 * true_rate * EARTH_RATE * radius
-    by_centripetal = (1.0 + 2.0 * stretch * centripetal) * along
-    by_elevation = gravity * math.cos(elevation) - stretched * math.cos(azimuth) * math.sin(
-        elevation
-    )
-    by_rate = (
-        2.0 * centripetal * by_centripetal
-        + 2.0 * sources["droop"] * square * by_elevation
-        + earth * math.sin(sources["latitude"])
+    squared_rate = true_rate * true_rate
+    centripetal = radius * squared_rate
+    stretched_centripetal = centripetal * (1.0 + stretch * centripetal)
+    elevation, azimuth = sources["elevation"] + sources["droop"] * squared_rate, sources["azimuth"]
+    alignment_factor = math.cos(azimuth) * math.cos(elevation)
+    earth_rate_term = 2.0 * true_rate * EARTH_RATE * radius
+    centripetal_derivative = (1.0 + 2.0 * stretch * centripetal) * alignment_factor
+    elevation_derivative = gravity * math.cos(elevation) - stretched_centripetal * math.cos(
+        azimuth
+    ) * math.sin(elevation)
+    rate_derivative = (
+        2.0 * centripetal * centripetal_derivative
+        + 2.0 * sources["droop"] * squared_rate * elevation_derivative
+        + earth_rate_term * math.sin(sources["latitude"])
     ) * (rate / true_rate)
     return {
-        "radius": square * by_centripetal + earth * math.sin(sources["latitude"]) / radius,
-        "stretch": centripetal**2 * along,
-        "elevation": by_elevation,
-        "azimuth": 0.0 - stretched * math.sin(azimuth) * math.cos(elevation),
-        "droop": square * by_elevation,
-        "rate": by_rate,
-        "clock": by_rate,
+        "radius": squared_rate * centripetal_derivative
+        + earth_rate_term * math.sin(sources["latitude"]) / radius,
+        "stretch": centripetal**2 * alignment_factor,
+        "elevation": elevation_derivative,
+        "azimuth": 0.0 - stretched_centripetal * math.sin(azimuth) * math.cos(elevation),
+        "droop": squared_rate * elevation_derivative,
+        "rate": rate_derivative,
+        "clock": rate_derivative,
         "gravity": math.sin(elevation),
-        "latitude": earth * math.cos(sources["latitude"]),
+        "latitude": earth_rate_term * math.cos(sources["latitude"]),
     }
 
 
@@ -104,7 +105,7 @@ def draw_distributions(
     quantiles are known, so the difference of the quantiles of both models has a much smaller
     sampling error than either.
 
-    distributions: Source -> distribution, where it is not normal.
+    distributions: Source -> distribution that is not normal.
     """
     rng = np.random.default_rng(seed)
     errors = {
@@ -113,27 +114,30 @@ def draw_distributions(
         else np.zeros(1)
         for name in UNITS
     }
-    drawn = {name: values[name] + error for name, error in errors.items()}
-    found = []
+    drawn_values = {name: values[name] + error for name, error in errors.items()}
+    checks = []
     for rate in rates:
-        slopes = sensitivities(values, rate)
+        derivatives = sensitivities(values, rate)
         estimate = float(applied_acceleration(values, rate))
-        linear = sum(
-            (slopes[name] * error for name, error in errors.items() if u[name]), np.zeros(draws)
+        linear_errors = sum(
+            (derivatives[name] * error for name, error in errors.items() if u[name]),
+            np.zeros(draws),
         )
-        exact = np.broadcast_to(applied_acceleration(drawn, rate), draws) - estimate
-        u_linear = math.sqrt(sum((slopes[name] * u[name]) ** 2 for name in UNITS))
+        exact_errors = np.broadcast_to(applied_acceleration(drawn_values, rate), draws) - estimate
+        u_linear = math.sqrt(sum((derivatives[name] * u[name]) ** 2 for name in UNITS))
         half_width = expanded_uncertainty(u_linear, None, COVERAGE)
-        tail = 0.5 * (1.0 - COVERAGE)
-        ends = np.array([-half_width, half_width])
+        tail_probability = 0.5 * (1.0 - COVERAGE)
+        interval_ends = np.array([-half_width, half_width])
         if not distributions:
-            ends = np.quantile(linear, (tail, 1.0 - tail))
-        shifts = np.quantile(exact, (tail, 1.0 - tail)) - ends
+            interval_ends = np.quantile(linear_errors, (tail_probability, 1.0 - tail_probability))
+        shifts = (
+            np.quantile(exact_errors, (tail_probability, 1.0 - tail_probability)) - interval_ends
+        )
         distance, tolerance = float(np.max(np.abs(shifts))), numerical_tolerance(u_linear)
-        found.append(
+        checks.append(
             MonteCarloCheck(
-                mean=estimate + float(np.mean(exact)),
-                u=float(np.std(exact, ddof=1)),
+                mean=estimate + float(np.mean(exact_errors)),
+                u=float(np.std(exact_errors, ddof=1)),
                 low=estimate - half_width + float(shifts[0]),
                 high=estimate + half_width + float(shifts[1]),
                 distance=distance,
@@ -141,4 +145,4 @@ def draw_distributions(
                 validated=distance <= tolerance,
             )
         )
-    return found
+    return checks

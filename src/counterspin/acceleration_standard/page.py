@@ -1,4 +1,4 @@
-"""Report of the uncertainty budget of the applied acceleration."""
+"""Report on the uncertainty budget of the applied acceleration."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from counterspin.reports.numbers import (
 #: Description in the file of a figure.
 FILE_DESCRIPTION: Final = "a figure of applied acceleration"
 
-_ORIGINS: Final = {"stated": "stated", "default": "default uncertainty", "assumed": "exact"}
+_ORIGIN_NAMES: Final = {"stated": "stated", "default": "default uncertainty", "assumed": "exact"}
 
 #: Unit of the latitude, and its conversion factor.
 _DEGREES: Final = ("deg", math.degrees(1.0))
 
-#: Smallest share of a variance whose source is drawn.
-_DRAWN: Final = 0.01
+#: Smallest share of a variance of a source with a curve in the figure.
+_MIN_DRAWN_SHARE: Final = 0.01
 
 
 def applied_blocks(result: AppliedAcceleration) -> Iterator[Block]:
@@ -37,19 +37,19 @@ def applied_blocks(result: AppliedAcceleration) -> Iterator[Block]:
         if not level.monte_carlo.validated:
             low, high = level.monte_carlo.low, level.monte_carlo.high
             yield Paragraph(
-                f"At {level_words(level)}, use the 95 % Monte Carlo interval, "
+                f"At {format_level(level)}, use the 95 % Monte Carlo interval, "
                 f"{format_number(low, 9)} to {format_number(high, 9)} m/s^2.",
                 "warning",
             )
     yield relative_plot(result)
     yield Heading("Uncertainty sources")
     yield _sources_table(result)
-    defaults = [source for source in result.applied_sources if source.origin == "default"]
-    if defaults:
-        named = ", ".join(source.symbol for source in defaults)
+    default_sources = [source for source in result.applied_sources if source.origin == "default"]
+    if default_sources:
+        symbols = ", ".join(source.symbol for source in default_sources)
         yield Paragraph(
             "The budgets contain the default standard uncertainty of each source without a stated "
-            f"uncertainty: {named}.",
+            f"uncertainty: {symbols}.",
             "warning",
         )
     yield Paragraph(
@@ -61,28 +61,28 @@ def applied_blocks(result: AppliedAcceleration) -> Iterator[Block]:
 
 
 def report_blocks(result: AppliedAcceleration) -> Iterator[Block]:
-    """Yield the blocks of the screen, and the full budget of each level."""
+    """Yield the blocks of `applied_blocks`, and the full budget of each level."""
     yield from applied_blocks(result)
     yield Heading("Uncertainty budgets")
     for level in result.levels:
-        yield Heading(f"{level_words(level)}, {format_number(level.rate, 6)} rad/s", 3)
+        yield Heading(f"{format_level(level)}, {format_number(level.rate, 6)} rad/s", 3)
         yield budget_table(result, level)
 
 
-def level_words(level: AppliedLevel) -> str:
-    """Return the nominal level in words."""
+def format_level(level: AppliedLevel) -> str:
+    """Return the nominal level as text."""
     return f"{format_number(level.level, 6)} g"
 
 
 def _levels_table(result: AppliedAcceleration) -> Table:
     rows = tuple(
         (
-            level_words(level),
+            format_level(level),
             format_number(level.rate, 7),
             format_estimate(level.acceleration, level.u, "m/s^2"),
             format_number(level.u_relative),
             format_number(level.monte_carlo.u / abs(level.acceleration)),
-            "" if level.dominant is None else _dominant_words(result, level),
+            "" if level.dominant is None else _describe_dominant_source(result, level),
         )
         for level in result.levels
     )
@@ -99,23 +99,25 @@ def _levels_table(result: AppliedAcceleration) -> Table:
     )
 
 
-def _dominant_words(result: AppliedAcceleration, level: AppliedLevel) -> str:
-    largest = level.budget[0]
-    return f"{result.source(largest.source).words}, {format_share(largest.share)}"
+def _describe_dominant_source(result: AppliedAcceleration, level: AppliedLevel) -> str:
+    contribution = level.budget[0]
+    return f"{result.source(contribution.source).words}, {format_share(contribution.share)}"
 
 
 def validation_sentence(result: AppliedAcceleration) -> str:
-    """Return a sentence on the validation of the GUM's intervals."""
+    """Return a sentence on the validation of the GUM intervals."""
     draws = f"{result.draws} draws, seed {result.seed}"
-    failed = [level_words(level) for level in result.levels if not level.monte_carlo.validated]
-    if not failed:
+    failed_levels = [
+        format_level(level) for level in result.levels if not level.monte_carlo.validated
+    ]
+    if not failed_levels:
         return (
             f"Monte Carlo (JCGM 101, {draws}) validates the 95 % GUM interval at all levels to "
             "two digits of u."
         )
     return (
         f"Monte Carlo (JCGM 101, {draws}) does not validate the 95 % GUM interval to two digits "
-        f"of u at {', '.join(failed)}."
+        f"of u at {', '.join(failed_levels)}."
     )
 
 
@@ -123,12 +125,12 @@ def _sources_table(result: AppliedAcceleration) -> Table:
     rows = []
     for source in result.applied_sources:
         unit, factor = _DEGREES if source.name == "latitude" else find_display_unit(source.unit)
-        shown = "" if unit == "1" else unit
+        unit_text = "" if unit == "1" else unit
         rows.append(
             (
                 source.words,
-                format_estimate(source.value * factor, source.u * factor, shown),
-                _ORIGINS[source.origin],
+                format_estimate(source.value * factor, source.u * factor, unit_text),
+                _ORIGIN_NAMES[source.origin],
                 source.symbol,
             )
         )
@@ -144,7 +146,7 @@ def _sources_table(result: AppliedAcceleration) -> Table:
 
 
 def budget_table(result: AppliedAcceleration, level: AppliedLevel) -> Table:
-    """Return the contributions at a level, the largest first, and their sum."""
+    """Return a table of the contributions at a level, largest first, and their sum."""
     rows = [
         (
             result.source(line.source).words,
@@ -194,28 +196,33 @@ def _sensitivity_unit(unit: str) -> str:
 
 def relative_plot(result: AppliedAcceleration) -> Plot:
     """Return the relative standard uncertainty against the level, with its largest sources."""
-    ordered = sorted(result.levels, key=lambda level: level.level)
-    levels = tuple(level.level for level in ordered)
-    combined = tuple(level.u_relative for level in ordered)
+    sorted_levels = sorted(result.levels, key=lambda level: level.level)
+    levels = tuple(level.level for level in sorted_levels)
+    combined_us = tuple(level.u_relative for level in sorted_levels)
     curves: dict[str, list[float | None]] = {}
-    for index, level in enumerate(ordered):
+    for index, level in enumerate(sorted_levels):
         for line in level.budget:
-            curve = curves.setdefault(line.source, [None] * len(ordered))
+            curve = curves.setdefault(line.source, [None] * len(sorted_levels))
             curve[index] = line.u / abs(level.acceleration) or None
-    drawn = {line.source for level in ordered for line in level.budget if line.share >= _DRAWN}
+    drawn_sources = {
+        line.source
+        for level in sorted_levels
+        for line in level.budget
+        if line.share >= _MIN_DRAWN_SHARE
+    }
     lines = [
         PlotSeries(result.source(name).words, levels, tuple(curves[name]), colour=index)
-        for index, name in enumerate((name for name in curves if name in drawn), 1)
+        for index, name in enumerate((name for name in curves if name in drawn_sources), 1)
     ]
     return Plot(
         title="Relative standard uncertainty of the applied acceleration",
         x_label="level, g",
         y_label="u/a",
         series=(
-            PlotSeries("combined", levels, combined, colour=0),
-            PlotSeries("", levels, combined, kind="points", colour=0),
+            PlotSeries("combined", levels, combined_us, colour=0),
+            PlotSeries("", levels, combined_us, kind="points", colour=0),
             *lines,
         ),
         log_x=levels[-1] > levels[0],
-        log_y=min(combined) > 0.0,
+        log_y=min(combined_us) > 0.0,
     )

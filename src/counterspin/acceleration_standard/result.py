@@ -1,4 +1,4 @@
-"""The uncertainty budget of the applied acceleration, and its JSON."""
+"""Uncertainty budget of the applied acceleration, and its JSON."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class AppliedContribution(ResultPart):
 
 
 class MonteCarloCheck(ResultPart):
-    """The distribution of the acceleration by Monte Carlo, compared with the GUM's interval."""
+    """Distribution of the acceleration by Monte Carlo, compared with the GUM interval."""
 
     mean: float  #: Mean of the draws, m/s^2.
     u: float  #: Standard deviation of the draws, m/s^2.

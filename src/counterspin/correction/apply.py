@@ -1,4 +1,4 @@
-"""Correct indicated specific force for a calibrated error model, in memory."""
+"""Correct arrays of indicated specific force by a calibrated error model."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.campaign.quantity import parse_quantity
 from counterspin.correction.instrument import (
     HYSTERESIS,
-    acts,
-    covariance_of,
+    add_unstated_terms,
+    applicable_terms,
     determined_terms,
-    instrument_of,
-    is_possible,
-    terms_of,
-    with_unstated,
+    is_applicable,
+    is_valid_covariance,
+    make_instrument,
+    term_covariance,
 )
 from counterspin.correction.related import (
     cross_covariances,
@@ -49,8 +49,8 @@ _SOURCE: Final = "apply"  #: source named in error messages
 #: Axis -> name, and the argument for the specific force along it.
 _AXES: Final = {"P": ("pendulous", "pendulous"), "O": ("output", "output_axis")}
 
-#: Largest indication without a warning, over the calibration's largest specific force: allows for
-#: bias and scale factor.
+#: Largest indication without a warning, relative to the largest specific force of the calibration;
+#: allows for bias and scale factor.
 _RANGE_FACTOR: Final = 1.05
 
 #: Specific force along an axis: numbers in the unit of the indication, or text with a unit.
@@ -61,54 +61,53 @@ Force = npt.ArrayLike | str
 class Correction:
     """Corrected specific force along an accelerometer's input axis."""
 
-    corrected: Array  #: Specific force, shape (n,); NaN where something was missing.
-    #: Its standard uncertainty (k = 1) from coefficients and constants, shape (n,). The noise
-    #: of the indication itself is no part of it.
+    corrected: Array  #: Specific force, shape (n,); NaN if an input is missing.
+    #: Standard uncertainty (k = 1) from coefficients and constants, without the noise of the
+    #: indication, shape (n,).
     u: Array
     indicated: Array  #: Indicated specific force by the nominal sensitivity and zero, shape (n,).
-    #: Of all three: that of the indication, or g where that is no unit of a specific force.
+    #: Unit of the three arrays: unit of the indication, or g if that is not a unit of specific
+    #: force.
     unit: str
-    #: The fewest effective degrees of freedom of a coefficient that was applied; infinite
-    #: where the noise was given.
+    #: Smallest effective degrees of freedom of an applied coefficient; infinite for stated noise.
     dof: float
-    notes: tuple[str, ...]  #: What was applied, in sentences.
-    warnings: tuple[str, ...]  #: What was not, and where the model is stretched.
-    #: The same of each accelerometer of `ApplyOptions.others`, by name.
+    notes: tuple[str, ...]  #: Sentences on the applied terms.
+    warnings: tuple[str, ...]  #: Sentences on terms not applied, and on extrapolation.
+    #: Corrections of the accelerometers of `ApplyOptions.others`, by name.
     others: Mapping[str, Correction] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Return a text with the number of samples and the largest u."""
-        largest = float(np.nanmax(self.u)) if np.isfinite(self.u).any() else math.nan
-        warned = f", {len(self.warnings)} warnings" if self.warnings else ""
+        max_u = float(np.nanmax(self.u)) if np.isfinite(self.u).any() else math.nan
+        warning_text = f", {len(self.warnings)} warnings" if self.warnings else ""
         unit = self.unit
-        return (
-            f"<{self.corrected.size} corrected in {unit}, u at most {largest:.2g} {unit}{warned}>"
-        )
+        size = self.corrected.size
+        return f"<{size} corrected in {unit}, u at most {max_u:.2g} {unit}{warning_text}>"
 
 
 @frozen(eq=False)
 class ApplyOptions:
-    """How a result is applied.
+    """Options for applying a result.
 
     Attributes
     ----------
     unit
-        Unit of the indication: g (that of the calibration's site), m/s^2, mg, ... Also that of
-        every other array, and of what is returned. Or that of the accelerometers' outputs, such as
-        ``count`` or ``mA``, as the result states them: then all else is in g.
+        Unit of the indication, of all other arrays and of the correction: g (of the calibration
+        site), m/s^2, mg, ... Or a unit of the outputs that the result states, such as ``count`` or
+        ``mA``; all other arrays are then in g.
     pendulous, output_axis
         Specific force along the pendulous and the output axis: shape (n,), one number, or text
-        such as ``"-1 g"`` or ``"-1 ± 1e-4 g"``; in a file, a column or such a text.
+        such as ``"-1 g"`` or ``"-1 ± 1e-4 g"``; for a file, the name of a column or such a text.
     temperature
-        Of each row in degC, shape (n,) or one number, or text such as ``"23 ± 1 degC"``; in a file,
-        a column or such a text. Slopes with temperature need it.
+        Temperature in degC, shape (n,) or one number, or text such as ``"23 ± 1 degC"``; for a
+        file, the name of a column or such a text. Temperature slopes require it.
     others
-        Indications of other accelerometers of the result on the same platform, shape (n,), or
-        their columns, by name; a_P and a_O then follow from all of them, corrected as well.
+        Indications of other accelerometers of the result on the same platform by name, shape (n,),
+        or names of columns. They determine a_P and a_O, and are corrected too.
     force
-        Whether a result of the equations as printed, with half the K_II, may be applied.
+        Whether a result of the printed equations, with half the K_II, may be applied.
     dialect
-        How a file is written, as far as it does not show: as [records] of a campaign says it.
+        Format of a file if it cannot be detected, as in [records] of a campaign.
     """
 
     unit: str = "g"
@@ -131,13 +130,13 @@ def apply(
     Parameters
     ----------
     result
-        A calibration's result.
+        Result of a calibration.
     accelerometer
-        Its name there.
+        Name of the accelerometer in the result.
     indicated
         Indicated specific force, shape (n,).
     options
-        Its unit, and what is known of the force along the other axes.
+        Unit, temperature, and force along the other axes.
 
     Returns
     -------
@@ -146,14 +145,13 @@ def apply(
     Raises
     ------
     CampaignError
-        If the result or what is given does not fit: an unknown accelerometer, a force or a
-        temperature that the model needs and that is not known, a force that is given twice,
-        equations as printed.
+        If the accelerometer is unknown, if a required force or temperature is missing or given
+        twice, or if the result uses the printed equations.
     ConvergenceError
-        If a sample lies outside of what the model can indicate.
+        If a sample is outside the range of the model.
     RecordError
-        If the records contradict the result, and no reason is stated for accepting that. If they
-        do not determine a requested term that the correction needs.
+        If the records contradict the result and the misfit was not accepted, or if they do not
+        determine a required coefficient.
     """
     options = options or ApplyOptions()
     if result.model == "as-printed" and not options.force:
@@ -173,45 +171,46 @@ def apply(
         )
     unit, scales = _column_scales(result, indications, options.unit)
     factor = unit_factor(unit, "g", gravity=result.inputs.gravity)
-    given = {"I", "|I|", "sign_I"}
-    given |= {"P"} if options.pendulous is not None else set()
-    given |= {"O"} if options.output_axis is not None else set()
+    available_factors = {"I", "|I|", "sign_I"}
+    available_factors |= {"P"} if options.pendulous is not None else set()
+    available_factors |= {"O"} if options.output_axis is not None else set()
     # Three accelerometers measure all components of the force.
-    given |= {"P", "O"} if len(options.others) > 1 else set()
+    available_factors |= {"P", "O"} if len(options.others) > 1 else set()
     reference = result.inputs.reference_temperature
     if reference is not None and options.temperature is not None:
-        given |= {"temperature"}
-    completed, omitted = with_unstated(result, given)
+        available_factors |= {"temperature"}
+    completed_result, omitted_symbols = add_unstated_terms(result, available_factors)
     instruments = [
-        instrument_of(completed, name, placed=bool(options.others)) for name in indications
+        make_instrument(completed_result, name, needs_mounting=bool(options.others))
+        for name in indications
     ]
     judged_result = judge_result(result)
-    if (refused := refusal_reason(judged_result, indications)) is not None:
-        raise RecordError(refused, code="contradicted")
+    if (refusal := refusal_reason(judged_result, indications)) is not None:
+        raise RecordError(refusal, code="contradicted")
     _require_determined(judged_result, indications)
     mounting = instruments[0].mounting
-    known = [
-        _make_known_force(given, mounting.matrix[row], factor, result.inputs.gravity, option)
-        for row, (given, (_, option)) in enumerate(
+    known_forces = [
+        _make_known_force(force, mounting.matrix[row], factor, result.inputs.gravity, option)
+        for row, (force, (_, option)) in enumerate(
             zip((options.pendulous, options.output_axis), _AXES.values(), strict=True), start=1
         )
-        if given is not None
+        if force is not None
     ]
     try:
-        missing = missing_axes(instruments, known)
+        missing_forces = missing_axes(instruments, known_forces)
     except ValueError as error:
         raise CampaignError(_SOURCE, [str(error)], code=error_code(error)) from error
-    if missing:
+    if missing_forces:
         raise CampaignError(
-            _SOURCE, _missing_force_errors(accelerometer, missing), code="missing-input"
+            _SOURCE, _missing_force_errors(accelerometer, missing_forces), code="missing-input"
         )
-    warmth = temperature_offset(result, instruments, options.temperature)
+    offset = temperature_offset(result, instruments, options.temperature)
     columns = [
         np.asarray(values, dtype=np.float64) * scales[name].factor - scales[name].zero
         for name, values in indications.items()
     ]
-    covariances = cross_covariances(completed, instruments)
-    forces = correct(instruments, np.stack(columns, axis=1), known, covariances, warmth)
+    covariances = cross_covariances(completed_result, instruments)
+    forces = correct(instruments, np.stack(columns, axis=1), known_forces, covariances, offset)
     calibrations = [result.accelerometers[name] for name in indications]
     correction = Correction(
         corrected=forces.force[:, 0] / factor,
@@ -220,32 +219,34 @@ def apply(
         unit=unit,
         dof=min(
             (
-                c.dof
-                for calibrated in calibrations
-                for c in terms_of(calibrated).values()
-                if c.dof is not None
+                coefficient.dof
+                for calibration in calibrations
+                for coefficient in applicable_terms(calibration).values()
+                if coefficient.dof is not None
             ),
             default=math.inf,
         ),
         notes=(
             *(
-                _applied_note(name, calibrated)
-                for name, calibrated in zip(indications, calibrations, strict=True)
+                _applied_note(name, calibration)
+                for name, calibration in zip(indications, calibrations, strict=True)
             ),
             *temperature_notes(result, instruments, options.temperature),
         ),
         warnings=(
             *unsealed_sentences([] if judged_result.sealed else ["the result"]),
             *_misfit_warnings(judged_result),
-            *temperature_warnings(result, warmth, options.temperature),
+            *temperature_warnings(result, offset, options.temperature),
             *(
                 warning
-                for name, calibrated, column in zip(indications, calibrations, columns, strict=True)
+                for name, calibration, column in zip(
+                    indications, calibrations, columns, strict=True
+                )
                 for warning in (
-                    *_omitted_term_warnings(name, calibrated),
-                    *_missing_input_warnings(name, omitted.get(name, ())),
-                    *_unapplied_warnings(name, calibrated),
-                    *_covariance_warnings(name, calibrated),
+                    *_omitted_term_warnings(name, calibration),
+                    *_missing_input_warnings(name, omitted_symbols.get(name, ())),
+                    *_unapplied_warnings(name, calibration),
+                    *_covariance_warnings(name, calibration),
                     *_range_warnings(result, name, column),
                 )
             ),
@@ -271,10 +272,10 @@ def _require_determined(result: Result, names: Iterable[str]) -> None:
             for finding in result.accelerometers[name].findings
             if finding.undetermined
         }
-        if needed := [symbol for symbol in findings if acts(symbol)]:
+        if needed_symbols := [symbol for symbol in findings if is_applicable(symbol)]:
             raise RecordError(
-                f"{name}: the correction requires {', '.join(needed)}, but the result does not "
-                f"determine these coefficients. {findings[needed[0]]}",
+                f"{name}: the correction requires {', '.join(needed_symbols)}, but the result does "
+                f"not determine these coefficients. {findings[needed_symbols[0]]}",
                 code="not-determined",
             )
 
@@ -299,8 +300,8 @@ def _column_scales(
         return unit, dict.fromkeys(names, _ColumnScale(factor))
     scales = {}
     for name in names:
-        calibrated = result.accelerometers.get(name)
-        nominal = calibrated.nominal if calibrated else None
+        accelerometer = result.accelerometers.get(name)
+        nominal = accelerometer.nominal if accelerometer else None
         try:
             if nominal is None:
                 raise unit_error
@@ -319,7 +320,7 @@ def _column_scales(
 def _missing_input_warnings(name: str, symbols: Sequence[str]) -> Iterator[str]:
     slopes = [symbol for symbol in symbols if symbol not in TERMS]
     products = [symbol for symbol in symbols if symbol in TERMS]
-    for omitted, missing_input in (
+    for group, reason in (
         (
             products,
             "the specific force along the other axes is not given (`pendulous`, `output_axis`)",
@@ -332,26 +333,29 @@ def _missing_input_warnings(name: str, symbols: Sequence[str]) -> Iterator[str]:
             ),
         ),
     ):
-        if omitted:
+        if group:
             yield (
-                f"{name}: {', '.join(omitted)} are not stated, and {missing_input}, so u does "
+                f"{name}: {', '.join(group)} are not stated, and {reason}, so u does "
                 "not include the uncertainty of these terms."
             )
 
 
 def _unapplied_warnings(name: str, accelerometer: AccelerometerResult) -> list[str]:
-    """Return a warning about terms that depend on a quantity that a record does not have."""
-    known = {**accelerometer.known, **accelerometer.coefficients}
-    unapplied = [
+    """Return a warning on terms that depend on a quantity that records do not contain."""
+    coefficients = {**accelerometer.known, **accelerometer.coefficients}
+    unapplied_symbols = [
         symbol
-        for symbol, c in known.items()
-        if condition_of(symbol) and symbol != HYSTERESIS and not acts(symbol) and (c.value or c.u)
+        for symbol, coefficient in coefficients.items()
+        if condition_of(symbol)
+        and symbol != HYSTERESIS
+        and not is_applicable(symbol)
+        and (coefficient.value or coefficient.u)
     ]
-    if not unapplied:
+    if not unapplied_symbols:
         return []
     return [
-        f"{name}: the correction does not apply {', '.join(unapplied)}. It is valid for the "
-        "start of the calibration, before the specific force heated the accelerometer."
+        f"{name}: the correction does not apply {', '.join(unapplied_symbols)}. It is valid for "
+        "the start of the calibration, before the specific force heated the accelerometer."
     ]
 
 
@@ -366,7 +370,7 @@ def _misfit_warnings(result: Result) -> list[str]:
 
 def _covariance_warnings(name: str, accelerometer: AccelerometerResult) -> list[str]:
     """Return a warning if the covariance in the result is not positive semidefinite."""
-    if is_possible(covariance_of(accelerometer, determined_terms(accelerometer))):
+    if is_valid_covariance(term_covariance(accelerometer, determined_terms(accelerometer))):
         return []
     return [
         f"{name}: the correlations in the result are inconsistent because of a fault in "
@@ -389,10 +393,11 @@ def _make_known_force(
 
 
 def _missing_force_errors(
-    accelerometer: str, missing: Sequence[tuple[CalibratedAccelerometer, str, tuple[str, ...]]]
+    accelerometer: str,
+    missing_forces: Sequence[tuple[CalibratedAccelerometer, str, tuple[str, ...]]],
 ) -> list[str]:
     problems = []
-    for instrument, axis, symbols in missing:
+    for instrument, axis, symbols in missing_forces:
         axis_name, option = _AXES[axis]
         verb = "needs" if len(symbols) == 1 else "need"
         if instrument.name == accelerometer:
@@ -409,24 +414,30 @@ def _missing_force_errors(
 
 def _applied_note(name: str, accelerometer: AccelerometerResult) -> str:
     terms = determined_terms(accelerometer)
-    estimated = ", ".join(s for s, c in terms.items() if c.estimated)
-    from_priors = ", ".join(s for s, c in terms.items() if not c.estimated)
-    parts = [f"as estimated: {estimated}"] if estimated else []
-    parts += [f"from priors: {from_priors}"] if from_priors else []
-    return f"{name}: coefficients applied {'; '.join(parts) or 'none'}."
+    estimated_symbols = ", ".join(
+        symbol for symbol, coefficient in terms.items() if coefficient.estimated
+    )
+    prior_symbols = ", ".join(
+        symbol for symbol, coefficient in terms.items() if not coefficient.estimated
+    )
+    clauses = [f"as estimated: {estimated_symbols}"] if estimated_symbols else []
+    clauses += [f"from priors: {prior_symbols}"] if prior_symbols else []
+    return f"{name}: coefficients applied {'; '.join(clauses) or 'none'}."
 
 
 def _omitted_term_warnings(name: str, accelerometer: AccelerometerResult) -> list[str]:
-    terms = terms_of(accelerometer)
+    terms = applicable_terms(accelerometer)
     warnings = []
-    unknown = [symbol for symbol, c in terms.items() if c.value is None]
-    if unknown:
+    undetermined_symbols = [
+        symbol for symbol, coefficient in terms.items() if coefficient.value is None
+    ]
+    if undetermined_symbols:
         warnings.append(
-            f"{name}: the result does not determine {', '.join(unknown)}, so the correction "
-            "does not apply these terms, and u does not include their uncertainty."
+            f"{name}: the result does not determine {', '.join(undetermined_symbols)}, so the "
+            "correction does not apply these terms, and u does not include their uncertainty."
         )
     for symbol, row in TERMS.items():
-        if row.nominal and (symbol not in terms or symbol in unknown):
+        if row.nominal and (symbol not in terms or symbol in undetermined_symbols):
             warnings.append(
                 f"{name}: the result has no value for {symbol} ({row.words}). The correction "
                 f"uses {row.nominal:g} {row.unit} as an exact value."
@@ -438,17 +449,17 @@ def _range_warnings(result: Result, name: str, indicated: Array) -> list[str]:
     """Return a warning if the indication exceeds the range of the calibration."""
     max_rate = max((abs(run.rate) for run in result.runs.values()), default=0.0)
     readings = result.accelerometers[name].readings
-    # At rest on its side, an accelerometer measures 1 g, whatever the rates of the centrifuge.
+    # An accelerometer at rest measures up to 1 g, whatever the rates of the centrifuge.
     calibrated_range = max(
         1.0,
         result.inputs.radius * max_rate**2 / result.inputs.gravity,
         *(abs(reading.value) for reading in readings),
     )
-    valid = np.abs(indicated[np.isfinite(indicated)])
-    largest = float(valid.max()) if valid.size else 0.0
-    if largest <= _RANGE_FACTOR * calibrated_range:
+    magnitudes = np.abs(indicated[np.isfinite(indicated)])
+    max_indication = float(magnitudes.max()) if magnitudes.size else 0.0
+    if max_indication <= _RANGE_FACTOR * calibrated_range:
         return []
     return [
-        f"{name}: the indication reaches {largest:.3g} g, but the calibration reached only "
+        f"{name}: the indication reaches {max_indication:.3g} g, but the calibration reached only "
         f"{calibrated_range:.3g} g. Above this value, u includes only the terms of the model."
     ]

@@ -1,4 +1,4 @@
-"""`counterspin apply`: a file's column of indicated specific force, corrected in a new file."""
+"""`counterspin apply`: write a corrected column of a file to a new file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import polars as pl
 from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.correction.apply import ApplyOptions, Correction, apply
-from counterspin.correction.instrument import instrument_of
+from counterspin.correction.instrument import make_instrument
 from counterspin.errors import CampaignError, CounterspinError, RecordError, UsageError
 from counterspin.frozen import frozen
 from counterspin.output import (
@@ -29,8 +29,8 @@ from counterspin.records.formats import locate, read_numbers, read_table
 from counterspin.records.unit_notation import TEMPERATURES
 from counterspin.units import ZERO_CELSIUS, is_same_unit, unit_factor
 
-#: Examples of a constant in place of a column.
-_EXAMPLES: Final = {"pendulous": "-1 g", "output_axis": "-1 g", "temperature": "23 degC"}
+#: Option -> example of a constant.
+_CONSTANT_EXAMPLES: Final = {"pendulous": "-1 g", "output_axis": "-1 g", "temperature": "23 degC"}
 
 #: Suffix of the output -> delimiter of its cells; None for Parquet.
 _SEPARATORS: Final[Mapping[str, str | None]] = {
@@ -41,12 +41,12 @@ _SEPARATORS: Final[Mapping[str, str | None]] = {
 }
 
 #: Files written by this command, recognised by the names of the new columns.
-_CORRECTED: Final = FileType("a file that counterspin corrected", contains_bytes(b"_corrected_u"))
+_FILE_TYPE: Final = FileType("a file that counterspin corrected", contains_bytes(b"_corrected_u"))
 
 
 @frozen
 class CorrectedRow:
-    """One row: indicated specific force, correction and its u, in the correction's unit."""
+    """One row: indicated specific force, correction and its u, in the unit of the correction."""
 
     indicated: float
     correction: float
@@ -68,7 +68,7 @@ class CorrectedFile:
     most: CorrectedRow  #: The row with the largest correction.
     at_one_g: CorrectedRow  #: The row nearest to 1 g or -1 g.
     at_largest: CorrectedRow  #: The row with the largest absolute indication.
-    correction: Correction  #: The corrected values themselves.
+    correction: Correction  #: The corrected values.
     found: str = ""  #: Format of the file, unless it is plain CSV.
     more: tuple[CorrectedFile, ...] = ()  #: Summaries of the other corrected columns.
 
@@ -83,26 +83,26 @@ def apply_file(
     options: ApplyOptions | None = None,
     overwrite: bool = False,
 ) -> CorrectedFile:
-    """Correct a column of a file and write the file's columns and two more.
+    """Correct a column of a file and write a file with two additional columns.
 
     Parameters
     ----------
     result
         As `apply`.
     accelerometer
-        As `apply`. None: all that `options.others` names, or the accelerometers of the result's
-        triad where it names none and the columns have their names, each with two more columns.
+        As `apply`. None: all accelerometers of `options.others`, or of the triad of the result if
+        none is named and the columns have their names; each with two more columns.
     source
-        A record file of any format.
+        Record file of any format.
     output
-        The file to write, .csv or .parquet; not the source.
+        File to write, .csv or .parquet; not the source.
     column
-        The column with the indication. None: the one that is named as the accelerometer, or the
-        only one that is named nowhere else.
+        Column with the indication. None: the column with the name of the accelerometer, or the
+        only column that is not named elsewhere.
     options
-        As `apply`, with columns in the place of arrays.
+        As `apply`, with columns instead of arrays.
     overwrite
-        Whether an earlier corrected file may be replaced; nothing else is.
+        Whether to replace an earlier corrected file; other files are never replaced.
 
     Returns
     -------
@@ -111,11 +111,11 @@ def apply_file(
     Raises
     ------
     CampaignError
-        If what is asked does not fit the file or the result.
+        If arguments do not match the file or the result.
     RecordError
-        If the file cannot be used.
+        If the file is not valid.
     ConvergenceError
-        If a row lies outside of what the model can indicate; the row is named.
+        If a row is outside the range of the model; the message names the row.
     CounterspinError
         If the output cannot be written.
     """
@@ -131,7 +131,7 @@ def apply_file(
             ["this file is the input file, which is never overwritten"],
             code="file-exists",
         )
-    check_writable(output, lambda: _CORRECTED, overwrite=overwrite)
+    check_writable(output, lambda: _FILE_TYPE, overwrite=overwrite)
     options = options or ApplyOptions()
     others: dict[str, Any] = dict(options.others)
     corrects_all = accelerometer is None
@@ -145,29 +145,31 @@ def apply_file(
             )
         column = others.pop(accelerometer)
     for name in (accelerometer, *others):
-        instrument_of(result, name)  # refuse a wrong name before reading the file
+        make_instrument(result, name)  # refuse a wrong name before reading the file
     table = read_table(source, options.dialect)
     frame = table.frame
-    given: dict[str, Any] = {
+    inputs: dict[str, Any] = {
         name: text
         for name in ("pendulous", "output_axis", "temperature")
         if (text := getattr(options, name)) is not None
     }
-    used = [text for text in (*given.values(), *others.values()) if text in frame.columns]
-    column = column or _guess_column(source, frame, accelerometer, used)
-    corrected = {accelerometer: column, **(others if corrects_all else {})}
-    names = sorted({column, *used, *others.values()})
+    used_columns = [text for text in (*inputs.values(), *others.values()) if text in frame.columns]
+    column = column or _guess_column(source, frame, accelerometer, used_columns)
+    corrected_columns = {accelerometer: column, **(others if corrects_all else {})}
+    names = sorted({column, *used_columns, *others.values()})
     values = read_numbers(source, names, options.dialect)
     units = {name: table.units.get(name, "") for name in names}
-    temperature_column = given.get("temperature")
-    _check_units(source, {n: u for n, u in units.items() if n != temperature_column}, options.unit)
+    temperature_column = inputs.get("temperature")
+    _check_units(
+        source, {name: u for name, u in units.items() if name != temperature_column}, options.unit
+    )
     if temperature_column in values:
-        values[temperature_column] = _in_celsius(
+        values[temperature_column] = _convert_to_celsius(
             source, temperature_column, values[temperature_column], units[temperature_column]
         )
     for name in (
         f"{corrected_column}_corrected{u}"
-        for corrected_column in corrected.values()
+        for corrected_column in corrected_columns.values()
         for u in ("", "_u")
     ):
         if name in frame.columns:
@@ -178,7 +180,7 @@ def apply_file(
             )
     forces: dict[str, Any] = {
         name: values[text] if text in values else _check_constant(name, text, frame.columns)
-        for name, text in given.items()
+        for name, text in inputs.items()
     }
     columns = {name: values[text] for name, text in others.items()}
     try:
@@ -190,40 +192,40 @@ def apply_file(
         raise CounterspinError(
             f"{source}, {location}: the indication {error.reason}", code="not-invertible"
         ) from error
-    added, reports = [], []
-    for name, corrected_column in corrected.items():
+    new_columns, summaries = [], []
+    for name, corrected_column in corrected_columns.items():
         column_correction = correction.others.get(name, correction)
-        reports.append(
+        summaries.append(
             _summarise(output, corrected_column, column_correction, result.inputs.gravity)
         )
-        for new, array in (
+        for new_name, new_values in (
             (f"{corrected_column}_corrected", column_correction.corrected),
             (f"{corrected_column}_corrected_u", column_correction.u),
         ):
-            added.append(pl.Series(new, array).fill_nan(None))
-    report = replace(reports[0], found=table.format_description, more=tuple(reports[1:]))
+            new_columns.append(pl.Series(new_name, new_values).fill_nan(None))
+    summary = replace(summaries[0], found=table.format_description, more=tuple(summaries[1:]))
     write_atomically(
         output,
-        _writer(frame.with_columns(added), suffix, table.decimal),
-        lambda: _CORRECTED,
+        _make_writer(frame.with_columns(new_columns), suffix, table.decimal),
+        lambda: _FILE_TYPE,
         overwrite=overwrite,
     )
-    return report
+    return summary
 
 
-def _check_units(source: Path, units: Mapping[str, str], stated: str) -> None:
+def _check_units(source: Path, units: Mapping[str, str], stated_unit: str) -> None:
     """Raise RecordError if a unit in the file's row of units differs from the stated unit."""
     for name, file_unit in units.items():
-        if file_unit and not is_same_unit(file_unit, stated):
+        if file_unit and not is_same_unit(file_unit, stated_unit):
             raise RecordError(
                 f"{source}: column '{name}' is in '{file_unit}' according to the units row of "
-                f"the file, but in '{stated}' according to `unit`; all forces must be in the "
+                f"the file, but in '{stated_unit}' according to `unit`; all forces must be in the "
                 "same unit, which is stated with `unit`.",
                 code="unit-mismatch",
             )
 
 
-def _in_celsius(source: Path, column: str, values: Array, unit: str) -> Array:
+def _convert_to_celsius(source: Path, column: str, values: Array, unit: str) -> Array:
     """Return a column of temperatures in degC, the default unit."""
     if unit == "K":
         return values - ZERO_CELSIUS
@@ -236,8 +238,10 @@ def _in_celsius(source: Path, column: str, values: Array, unit: str) -> Array:
     )
 
 
-def _guess_column(source: Path, table: pl.DataFrame, accelerometer: str, used: list[str]) -> str:
-    candidates = [name for name in table.columns if name not in used]
+def _guess_column(
+    source: Path, table: pl.DataFrame, accelerometer: str, used_columns: list[str]
+) -> str:
+    candidates = [name for name in table.columns if name not in used_columns]
     if accelerometer in candidates:
         return accelerometer
     if len(candidates) == 1:
@@ -254,12 +258,12 @@ def _guess_column(source: Path, table: pl.DataFrame, accelerometer: str, used: l
 
 def _check_constant(name: str, text: str, columns: list[str]) -> str:
     """Return a text; CampaignError unless it contains a digit, like a quantity."""
-    if not any(mark.isdigit() for mark in text):
+    if not any(character.isdigit() for character in text):
         raise CampaignError(
             "apply",
             [
                 f"`{name}`: {text!r} is neither a column of the file ({', '.join(columns)}) nor a "
-                f'constant with its unit such as "{_EXAMPLES[name]}"'
+                f'constant with its unit such as "{_CONSTANT_EXAMPLES[name]}"'
             ],
             code="missing-column",
         )
@@ -268,41 +272,43 @@ def _check_constant(name: str, text: str, columns: list[str]) -> str:
 
 def _summarise(output: Path, column: str, correction: Correction, gravity: float) -> CorrectedFile:
     indicated = correction.indicated
-    valid = np.flatnonzero(np.isfinite(correction.corrected))
-    if valid.size == 0:
+    valid_rows = np.flatnonzero(np.isfinite(correction.corrected))
+    if valid_rows.size == 0:
         raise RecordError(
             f"{output} was not written: no row has all required numbers.", code="no-rows"
         )
-    values, corrected = indicated[valid], correction.corrected[valid]
+    values, corrected = indicated[valid_rows], correction.corrected[valid_rows]
     one_g = 1.0 / unit_factor(correction.unit, "g", gravity=gravity)
 
-    def row_at(index: int) -> CorrectedRow:
+    def make_row(index: int) -> CorrectedRow:
         change = float(corrected[index] - values[index])
-        return CorrectedRow(float(values[index]), change, float(correction.u[valid[index]]))
+        return CorrectedRow(float(values[index]), change, float(correction.u[valid_rows[index]]))
 
     return CorrectedFile(
         path=output,
         column=column,
         rows=indicated.size,
-        missing=indicated.size - valid.size,
+        missing=indicated.size - valid_rows.size,
         low=float(values.min()),
         high=float(values.max()),
-        most=row_at(int(np.argmax(np.abs(corrected - values)))),
-        at_one_g=row_at(int(np.argmin(np.abs(np.abs(values) - one_g)))),
-        at_largest=row_at(int(np.argmax(np.abs(values)))),
+        most=make_row(int(np.argmax(np.abs(corrected - values)))),
+        at_one_g=make_row(int(np.argmin(np.abs(np.abs(values) - one_g)))),
+        at_largest=make_row(int(np.argmax(np.abs(values)))),
         correction=correction,
     )
 
 
-def _writer(frame: pl.DataFrame, suffix: str, decimal: str) -> Callable[[Path], object]:
+def _make_writer(frame: pl.DataFrame, suffix: str, decimal: str) -> Callable[[Path], object]:
     """Return a function that writes a table; new numbers in text have the format of the file."""
     separator = _SEPARATORS[suffix]
     if separator is None:
-        typed = pl.DataFrame([_parse_column(column, decimal) for column in frame.get_columns()])
-        return lambda path: write_binary(path, typed.write_parquet)
-    comma = decimal == ","
-    separator = ";" if comma and separator == "," else separator
-    write = partial(frame.write_csv, separator=separator, decimal_comma=comma)
+        typed_frame = pl.DataFrame(
+            [_parse_column(column, decimal) for column in frame.get_columns()]
+        )
+        return lambda path: write_binary(path, typed_frame.write_parquet)
+    uses_comma = decimal == ","
+    separator = ";" if uses_comma and separator == "," else separator
+    write = partial(frame.write_csv, separator=separator, decimal_comma=uses_comma)
     return lambda path: write_binary(path, write)
 
 
@@ -310,8 +316,8 @@ def _parse_column(column: pl.Series, decimal: str) -> pl.Series:
     """Return a text column as numbers if all its cells are numbers."""
     if column.dtype != pl.String:
         return column
-    clean = column.str.strip_chars().replace("", None)
+    cleaned = column.str.strip_chars().replace("", None)
     if decimal == ",":
-        clean = clean.str.replace(",", ".", literal=True)
-    numbers = clean.cast(pl.Float64, strict=False)
-    return numbers if numbers.null_count() == clean.null_count() else column
+        cleaned = cleaned.str.replace(",", ".", literal=True)
+    numbers = cleaned.cast(pl.Float64, strict=False)
+    return numbers if numbers.null_count() == cleaned.null_count() else column

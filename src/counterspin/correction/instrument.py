@@ -1,4 +1,4 @@
-"""The accelerometer that a result describes: its coefficients, and what it will indicate."""
+"""The accelerometer that a result describes: its coefficients and its indication."""
 
 from __future__ import annotations
 
@@ -23,43 +23,45 @@ from counterspin.physics.terms import TERMS, condition_of
 if TYPE_CHECKING:
     from counterspin.calibration.result import Result
 
-#: Axes of an accelerometer on its own, whose place on the platform then does not matter.
-_ALONE: Final = Mounting.from_axes("east", "north")
+#: Mounting of a single accelerometer, for which the orientation does not matter.
+_DEFAULT_MOUNTING: Final = Mounting.from_axes("east", "north")
 
-#: Bias up in temperature less down, of which nobody who applies a result knows the sign.
+#: Bias at rising minus falling temperature, of unknown sign when a result is applied.
 HYSTERESIS: Final = "K_F.hysteresis"
 
-#: Relative growth of a variance by which a covariance may miss being one: rounding.
-_ROUNDING: Final = 1e-6
+#: Relative tolerance of variances in the test of a covariance, for rounding errors.
+_VARIANCE_TOLERANCE: Final = 1e-6
 
 
-def with_unstated(
-    result: Result, given: Collection[str]
+def add_unstated_terms(
+    result: Result, available_factors: Collection[str]
 ) -> tuple[Result, dict[str, tuple[str, ...]]]:
-    r"""Return a result that knows its unstated terms, and of each accelerometer which it cannot.
+    r"""Return a result with its unstated terms as known terms, and the omitted symbols by name.
 
-    What nothing states is taken as it was for the result: ideal, with its typical size. A product
-    with the force along another axis counts where that is given.
+    An unstated term has its default prior. A product is omitted if one of its factors is not
+    available.
 
-    given: Factors of products that are known, of I, \|I\|, sign_I, P and O; and ``temperature``,
-        of slopes.
+    available_factors: Known factors of products (I, \|I\|, sign_I, P and O) and of slopes
+        (``temperature``).
     """
-    accelerometers, lost = dict(result.accelerometers), dict[str, tuple[str, ...]]()
+    accelerometers, omitted_symbols = dict(result.accelerometers), dict[str, tuple[str, ...]]()
     for row in result.rests_on:
         name, _, symbol = row.name.partition(".")
         if row.kind != "unstated" or name not in accelerometers:
             continue
-        if not (acts(symbol) or symbol == HYSTERESIS):
+        if not (is_applicable(symbol) or symbol == HYSTERESIS):
             continue
-        needed = {*product_of_symbol(symbol).factors}
-        needed |= {"temperature"} & {condition_of(symbol)}
-        if needed <= set(given):
-            own = accelerometers[name]
-            c = Coefficient(value=row.value, u=row.u, unit=row.unit, estimated=False)
-            accelerometers[name] = own.model_copy(update={"known": {**own.known, symbol: c}})
+        needed_factors = {*product_of_symbol(symbol).factors}
+        needed_factors |= {"temperature"} & {condition_of(symbol)}
+        if needed_factors <= set(available_factors):
+            accelerometer = accelerometers[name]
+            coefficient = Coefficient(value=row.value, u=row.u, unit=row.unit, estimated=False)
+            accelerometers[name] = accelerometer.model_copy(
+                update={"known": {**accelerometer.known, symbol: coefficient}}
+            )
         else:
-            lost[name] = (*lost.get(name, ()), symbol)
-    return result.model_copy(update={"accelerometers": accelerometers}), lost
+            omitted_symbols[name] = (*omitted_symbols.get(name, ()), symbol)
+    return result.model_copy(update={"accelerometers": accelerometers}), omitted_symbols
 
 
 def predict(
@@ -70,34 +72,36 @@ def predict(
     output_axis: npt.ArrayLike,
 ) -> Prediction:
     """Return the indications of an accelerometer of a result; see `Result.predict`."""
-    given = (np.atleast_1d(np.asarray(part, float)) for part in (force, pendulous, output_axis))
-    axes = np.stack(np.broadcast_arrays(*given))
-    if axes.ndim != 2 or not axes.size or not np.isfinite(axes).all():
+    components = (np.atleast_1d(np.asarray(f, float)) for f in (force, pendulous, output_axis))
+    forces = np.stack(np.broadcast_arrays(*components))
+    if forces.ndim != 2 or not forces.size or not np.isfinite(forces).all():
         raise ValueError("specific forces must be finite numbers, or arrays of equal length")
-    whole, _ = with_unstated(result, ("I", "|I|", "sign_I", "P", "O"))
-    return Prediction(*indication(instrument_of(whole, accelerometer), axes))
+    completed_result, _ = add_unstated_terms(result, ("I", "|I|", "sign_I", "P", "O"))
+    return Prediction(*indication(make_instrument(completed_result, accelerometer), forces))
 
 
-def instrument_of(result: Result, name: str, *, placed: bool = False) -> CalibratedAccelerometer:
+def make_instrument(
+    result: Result, name: str, *, needs_mounting: bool = False
+) -> CalibratedAccelerometer:
     """Return a calibrated accelerometer with the covariance of its coefficients.
 
-    What is not estimated but known beforehand is applied too. Where the result holds a budget,
-    its sensitivities say how such a prior has moved the estimates, so that errors which cancel
-    are seen to cancel; else it is taken as uncorrelated.
+    Known terms are included. Their correlations with the estimates follow from the sensitivities of
+    the budget; without a budget, they count as uncorrelated.
 
-    result: A calibration's result.
-    name: The accelerometer's name there.
-    placed: Whether its place on the platform is needed; else its axes are taken as the frame.
+    result: Result of a calibration.
+    name: Name of the accelerometer in the result.
+    needs_mounting: Whether the orientation on the platform is required; otherwise, the axes of the
+        accelerometer are the frame.
     """
     if name not in result.accelerometers:
-        there = ", ".join(result.accelerometers)
+        names = ", ".join(result.accelerometers)
         raise CampaignError(
             "apply",
-            [f"the result has no accelerometer {name!r}; it has {there}"],
+            [f"the result has no accelerometer {name!r}; it has {names}"],
             code="unknown-accelerometer",
         )
     accelerometer = result.accelerometers[name]
-    if placed and accelerometer.axes is None:
+    if needs_mounting and accelerometer.axes is None:
         raise CampaignError(
             "apply",
             [
@@ -106,73 +110,97 @@ def instrument_of(result: Result, name: str, *, placed: bool = False) -> Calibra
             ],
             code="missing-in-result",
         )
-    mounting = Mounting(tuple(accelerometer.axes)) if placed and accelerometer.axes else _ALONE
+    mounting = (
+        Mounting(tuple(accelerometer.axes))
+        if needs_mounting and accelerometer.axes
+        else _DEFAULT_MOUNTING
+    )
     terms = determined_terms(accelerometer)
-    values = {s: float(c.value) for s, c in terms.items() if c.value is not None}
+    values = {
+        symbol: float(coefficient.value)
+        for symbol, coefficient in terms.items()
+        if coefficient.value is not None
+    }
     if not values:
         raise CampaignError(
             "apply",
             [f"the result has no value for any coefficient of {name}"],
             code="not-determined",
         )
-    covariance = covariance_of(accelerometer, terms)
-    way = {**accelerometer.known, **accelerometer.coefficients}.get(HYSTERESIS)
-    if way is not None and "K_F" in values:
-        # Half of it is there with either sign: on which way it was is not known.
-        place = list(values).index("K_F")
-        covariance[place, place] += ((way.value or 0.0) ** 2 + (way.u or 0.0) ** 2) / 4.0
-    if not is_possible(covariance):
-        # However the errors are related, (sum of n parts)^2 is at most n times their squares' sum.
+    covariance = term_covariance(accelerometer, terms)
+    hysteresis = {**accelerometer.known, **accelerometer.coefficients}.get(HYSTERESIS)
+    if hysteresis is not None and "K_F" in values:
+        # The bias differs by half of the hysteresis, with an unknown sign.
+        index = list(values).index("K_F")
+        covariance[index, index] += (
+            (hysteresis.value or 0.0) ** 2 + (hysteresis.u or 0.0) ** 2
+        ) / 4.0
+    if not is_valid_covariance(covariance):
+        # For any correlation, (sum of n errors)^2 is at most n times the sum of squares.
         covariance = len(terms) * np.diag(np.diag(covariance))
     return CalibratedAccelerometer(name, mounting, values, covariance)
 
 
-def terms_of(accelerometer: AccelerometerResult) -> dict[str, Coefficient]:
-    """Return the estimates and priors of an accelerometer's products and their slopes."""
-    known = {**accelerometer.known, **accelerometer.coefficients}
-    return {symbol: c for symbol, c in known.items() if acts(symbol)}
+def applicable_terms(accelerometer: AccelerometerResult) -> dict[str, Coefficient]:
+    """Return the coefficients of an accelerometer that a correction can apply."""
+    coefficients = {**accelerometer.known, **accelerometer.coefficients}
+    return {
+        symbol: coefficient for symbol, coefficient in coefficients.items() if is_applicable(symbol)
+    }
 
 
-def acts(symbol: str) -> bool:
-    """Return whether a term is a product of an accelerometer, or its slope with temperature."""
+def is_applicable(symbol: str) -> bool:
+    """Return whether a correction can apply a term: a product, or a temperature slope of one."""
     return symbol in TERMS or condition_of(symbol) == "temperature"
 
 
 def determined_terms(accelerometer: AccelerometerResult) -> dict[str, Coefficient]:
-    """Return those that have a value."""
-    return {symbol: c for symbol, c in terms_of(accelerometer).items() if c.value is not None}
+    """Return the applicable terms that have a value."""
+    return {
+        symbol: coefficient
+        for symbol, coefficient in applicable_terms(accelerometer).items()
+        if coefficient.value is not None
+    }
 
 
-def covariance_of(accelerometer: AccelerometerResult, terms: Mapping[str, Coefficient]) -> Array:
-    """Return the covariance of terms in their order, shape (t, t), as far as the result has it."""
+def term_covariance(accelerometer: AccelerometerResult, terms: Mapping[str, Coefficient]) -> Array:
+    """Return the covariance of terms from correlations and budgets of a result, shape (t, t)."""
     symbols = list(terms)
-    u = np.array([c.u or 0.0 for c in terms.values()])
+    u = np.array([coefficient.u or 0.0 for coefficient in terms.values()])
     covariance = np.diag(u**2)
-    stated = accelerometer.correlation
-    related = stated.terms if stated else []
-    estimated = [s for s in symbols if terms[s].estimated]
+    correlation = accelerometer.correlation
+    correlated_terms = correlation.terms if correlation else []
+    estimated_symbols = [symbol for symbol in symbols if terms[symbol].estimated]
     for symbol, correlations in accelerometer.prior_correlations.items():
-        for partner, r in correlations.items():
-            if {symbol, partner} <= terms.keys() - {*estimated}:
-                i, j = symbols.index(symbol), symbols.index(partner)
+        for other_term, r in correlations.items():
+            if {symbol, other_term} <= terms.keys() - {*estimated_symbols}:
+                i, j = symbols.index(symbol), symbols.index(other_term)
                 covariance[i, j] += r * u[i] * u[j]
-    for symbol in estimated:
+    for symbol in estimated_symbols:
         i = symbols.index(symbol)
-        for other in estimated:
-            if stated and symbol != other and {symbol, other} <= {*related}:
-                j = symbols.index(other)
-                r = stated.matrix[related.index(symbol)][related.index(other)]
+        for other_symbol in estimated_symbols:
+            if (
+                correlation
+                and symbol != other_symbol
+                and {symbol, other_symbol} <= {*correlated_terms}
+            ):
+                j = symbols.index(other_symbol)
+                r = correlation.matrix[correlated_terms.index(symbol)][
+                    correlated_terms.index(other_symbol)
+                ]
                 covariance[i, j] = r * u[i] * u[j]
         for line in accelerometer.budget.get(symbol, []):
-            # An estimate and the prior that moved it: sensitivity x u^2.
+            # Covariance of an estimate and a prior: sensitivity x u^2.
             source = line.source
-            if source in terms and source not in estimated and line.sensitivity is not None:
+            if source in terms and source not in estimated_symbols and line.sensitivity is not None:
                 j = symbols.index(source)
                 covariance[i, j] = covariance[j, i] = line.sensitivity * u[j] ** 2
     return covariance
 
 
-def is_possible(covariance: Array) -> bool:
-    """Return whether some coefficients could have a covariance, to rounding."""
+def is_valid_covariance(covariance: Array) -> bool:
+    """Return whether a matrix is positive semidefinite within rounding errors."""
     root = semidefinite_root(covariance)
-    return bool(np.all(np.sum(root**2, axis=1) <= np.diag(covariance) * (1.0 + _ROUNDING)))
+    return bool(
+        np.all(np.sum(root**2, axis=1) <= np.diag(covariance) * (1.0 + _VARIANCE_TOLERANCE))
+    )

@@ -10,12 +10,12 @@ from counterspin.reports.numbers import format_number
 from counterspin.reports.text import Report
 
 
-def correction_report(corrected: CorrectedFile) -> Report:
+def correction_report(file: CorrectedFile) -> Report:
     """Return the corrected values, the size of the correction, and its uncertainty."""
-    blocks: list[Block] = [Heading(f"Wrote {corrected.path}")]
-    for column_file in (corrected, *corrected.more):
+    blocks: list[Block] = [Heading(f"Wrote {file.path}")]
+    for column_file in (file, *file.more):
         blocks += _column_blocks(column_file)
-    correction = corrected.correction
+    correction = file.correction
     if math.isfinite(correction.dof):
         blocks.append(
             Paragraph(
@@ -28,31 +28,29 @@ def correction_report(corrected: CorrectedFile) -> Report:
     return Report(blocks)
 
 
-def _column_blocks(corrected: CorrectedFile) -> list[Block]:
-    unit = corrected.correction.unit
+def _column_blocks(file: CorrectedFile) -> list[Block]:
+    unit = file.correction.unit
 
-    def at(level: CorrectedRow) -> str:
-        return f"{format_number(level.u, 2)} {unit} at {format_number(level.indicated, 6)} {unit}"
+    def describe_row(row: CorrectedRow) -> str:
+        return f"{format_number(row.u, 2)} {unit} at {format_number(row.indicated, 6)} {unit}"
 
-    read = f" File format: {corrected.found}." if corrected.found else ""
-    missing = (
-        f"; {corrected.missing} of these rows lack a number and remain empty"
-        if corrected.missing
-        else ""
+    format_text = f" File format: {file.found}." if file.found else ""
+    missing_text = (
+        f"; {file.missing} of these rows lack a number and remain empty" if file.missing else ""
     )
     return [
         Paragraph(
-            f"{corrected.rows} rows of {corrected.column}, from "
-            f"{format_number(corrected.low, 6)} to {format_number(corrected.high, 6)} "
-            f"{unit}{missing}.{read}"
+            f"{file.rows} rows of {file.column}, from "
+            f"{format_number(file.low, 6)} to {format_number(file.high, 6)} "
+            f"{unit}{missing_text}.{format_text}"
         ),
         Paragraph(
-            f"The largest correction is {format_number(corrected.most.correction, 6)} {unit}, "
-            f"at {format_number(corrected.most.indicated, 6)} {unit}."
+            f"The largest correction is {format_number(file.most.correction, 6)} {unit}, "
+            f"at {format_number(file.most.indicated, 6)} {unit}."
         ),
         Paragraph(
-            f"The standard uncertainty of the correction (k = 1) is {at(corrected.at_one_g)} "
-            f"(row nearest to 1 g) and {at(corrected.at_largest)} (largest value). It does not "
-            "include the noise of the indication."
+            f"The standard uncertainty of the correction (k = 1) is {describe_row(file.at_one_g)} "
+            f"(row nearest to 1 g) and {describe_row(file.at_largest)} (largest value). It does "
+            "not include the noise of the indication."
         ),
     ]

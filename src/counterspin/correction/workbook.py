@@ -10,65 +10,67 @@ from xml.sax.saxutils import escape, quoteattr
 
 Cell = str | float | None
 
-_MAIN: Final = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
-_RELATIONS: Final = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
-_PACKAGE: Final = "http://schemas.openxmlformats.org/package/2006"
-_TYPE: Final = "application/vnd.openxmlformats-officedocument.spreadsheetml"
+_MAIN_NS: Final = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+_RELATIONS_NS: Final = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
+_PACKAGE_NS: Final = "http://schemas.openxmlformats.org/package/2006"
+_MIME_TYPE: Final = "application/vnd.openxmlformats-officedocument.spreadsheetml"
 
 #: Date of the files in the archive, so that equal tables give equal files.
-_DATE: Final = (1980, 1, 1, 0, 0, 0)
+_ARCHIVE_DATE: Final = (1980, 1, 1, 0, 0, 0)
 
 
-def workbook(sheets: Mapping[str, Sequence[Sequence[Cell]]], remark: str) -> bytes:
+def make_workbook(sheets: Mapping[str, Sequence[Sequence[Cell]]], remark: str) -> bytes:
     """Return a workbook.
 
     sheets: Rows of cells by name of the sheet.
     remark: Comment of the archive.
     """
     numbers = range(1, len(sheets) + 1)
-    types = "".join(
-        f'<Override PartName="/xl/worksheets/sheet{n}.xml" ContentType="{_TYPE}.worksheet+xml"/>'
+    overrides = "".join(
+        f'<Override PartName="/xl/worksheets/sheet{n}.xml" '
+        f'ContentType="{_MIME_TYPE}.worksheet+xml"/>'
         for n in numbers
     )
-    listed = "".join(
+    sheet_list = "".join(
         f'<sheet name={quoteattr(name)} sheetId="{n}" r:id="r{n}"/>'
         for n, name in zip(numbers, sheets, strict=True)
     )
-    parts = {
-        "[Content_Types].xml": f'<Types xmlns="{_PACKAGE}/content-types"><Default Extension="rels" '
+    documents = {
+        "[Content_Types].xml": f'<Types xmlns="{_PACKAGE_NS}/content-types">'
+        '<Default Extension="rels" '
         'ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
-        f'<Override PartName="/xl/workbook.xml" ContentType="{_TYPE}.sheet.main+xml"/>{types}'
-        "</Types>",
-        "_rels/.rels": _relations({"r1": ("officeDocument", "xl/workbook.xml")}),
-        "xl/workbook.xml": f'<workbook xmlns="{_MAIN}" xmlns:r="{_RELATIONS}"><sheets>{listed}'
-        "</sheets></workbook>",
-        "xl/_rels/workbook.xml.rels": _relations(
+        f'<Override PartName="/xl/workbook.xml" ContentType="{_MIME_TYPE}.sheet.main+xml"/>'
+        f"{overrides}</Types>",
+        "_rels/.rels": _relationships_xml({"r1": ("officeDocument", "xl/workbook.xml")}),
+        "xl/workbook.xml": f'<workbook xmlns="{_MAIN_NS}" xmlns:r="{_RELATIONS_NS}">'
+        f"<sheets>{sheet_list}</sheets></workbook>",
+        "xl/_rels/workbook.xml.rels": _relationships_xml(
             {f"r{n}": ("worksheet", f"worksheets/sheet{n}.xml") for n in numbers}
         ),
     }
     for n, rows in zip(numbers, sheets.values(), strict=True):
-        body = "".join(f"<row>{''.join(map(_cell, row))}</row>" for row in rows)
-        parts[f"xl/worksheets/sheet{n}.xml"] = (
-            f'<worksheet xmlns="{_MAIN}"><sheetData>{body}</sheetData></worksheet>'
+        rows_xml = "".join(f"<row>{''.join(map(_cell_xml, row))}</row>" for row in rows)
+        documents[f"xl/worksheets/sheet{n}.xml"] = (
+            f'<worksheet xmlns="{_MAIN_NS}"><sheetData>{rows_xml}</sheetData></worksheet>'
         )
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, text in parts.items():
+        for name, text in documents.items():
             document = f'<?xml version="1.0" encoding="UTF-8" standalone="yes"?>\n{text}'
-            archive.writestr(zipfile.ZipInfo(name, _DATE), document)
+            archive.writestr(zipfile.ZipInfo(name, _ARCHIVE_DATE), document)
         archive.comment = remark.encode()
     return stream.getvalue()
 
 
-def _relations(targets: Mapping[str, tuple[str, str]]) -> str:
+def _relationships_xml(targets: Mapping[str, tuple[str, str]]) -> str:
     lines = "".join(
-        f'<Relationship Id="{key}" Type="{_RELATIONS}/{kind}" Target="{target}"/>'
+        f'<Relationship Id="{key}" Type="{_RELATIONS_NS}/{kind}" Target="{target}"/>'
         for key, (kind, target) in targets.items()
     )
-    return f'<Relationships xmlns="{_PACKAGE}/relationships">{lines}</Relationships>'
+    return f'<Relationships xmlns="{_PACKAGE_NS}/relationships">{lines}</Relationships>'
 
 
-def _cell(value: Cell) -> str:
+def _cell_xml(value: Cell) -> str:
     if value is None:
         return "<c/>"
     if isinstance(value, str):

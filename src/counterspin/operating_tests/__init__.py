@@ -1,4 +1,4 @@
-"""Operating tests of IEEE Std 1293: how an accelerometer responds to known inputs.
+"""Operating tests of IEEE Std 1293: response of an accelerometer to known inputs.
 
 - `model`: linearity, hysteresis, threshold, resolution, dead band and warm-up from a table
 - `result`: the results of the tests, and their JSON

@@ -1,4 +1,4 @@
-"""Operating tests of an accelerometer, from a table of inputs and outputs or of a warm-up."""
+"""Evaluate operating tests of an accelerometer from a table of inputs, or of a warm-up."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from counterspin.operating_tests.model import Line, OperatingEstimate
 from counterspin.operating_tests.result import OperatingQuantity, OperatingTests
 from counterspin.records.formats import read_numbers
 
-#: Most rows of a table.
+#: Largest number of rows of a table.
 _MAX_ROWS: Final = 1_000_000
 
-#: Rows that a result keeps for its figure.
-_KEPT_ROWS: Final = 2_000
+#: Largest number of rows that a result stores for its figure.
+_MAX_FIGURE_ROWS: Final = 2_000
 
 
 def operating(
@@ -38,13 +38,12 @@ def operating(
 ) -> OperatingTests:
     """Evaluate the operating tests of IEEE Std 1293 from a table.
 
-    With a column of inputs: linearity, hysteresis, threshold, resolution and dead band. With a
-    column of times alone: the warm-up.
+    With `input`: linearity, hysteresis, threshold, resolution and dead band. With `time`: warm-up.
 
     Parameters
     ----------
     file
-        Table in any record format, its rows in the order in which they were recorded.
+        Table in any record format, with rows in the order of recording.
     output
         Column of the outputs.
     input
@@ -76,24 +75,28 @@ def operating(
         raise UsageError("operating", [problem])
     if full_scale is not None and not 0.0 < full_scale < math.inf:
         raise UsageError("operating", ["full_scale: must be greater than zero"])
-    first, outputs, digest = _read_columns(path, str(input or time), output)
+    x_values, outputs, digest = _read_columns(path, str(input or time), output)
     try:
         if input is not None:
-            scale = full_scale or float(np.max(np.abs(first)))
-            line = model.fit_line(first, outputs)
-            quantities = list(_static_tests(line, first, outputs, scale, input_unit, output_unit))
+            scale = full_scale or float(np.max(np.abs(x_values)))
+            line = model.fit_line(x_values, outputs)
+            quantities = list(
+                _static_quantities(line, x_values, outputs, scale, input_unit, output_unit)
+            )
             noise = line.noise, line.dof, line.from_repeats
         else:
             scale = full_scale or 0.0
-            warm_up = model.fit_warm_up(first, outputs)
-            quantities = list(_warm_up(warm_up, output_unit))
-            residuals = outputs - _warm_up_curve(warm_up, first)
+            warm_up = model.fit_warm_up(x_values, outputs)
+            quantities = list(_warm_up_quantities(warm_up, output_unit))
+            residuals = outputs - _warm_up_curve(warm_up, x_values)
             dof = float(outputs.size - 3)
             noise = math.sqrt(float(residuals @ residuals) / dof), dof, False
     except ValueError as error:
         raise CampaignError(path.name, [str(error)], code="not-evaluable") from error
-    kept = np.unique(np.linspace(0, first.size - 1, min(first.size, _KEPT_ROWS)).astype(int))
-    columns = first[kept].tolist()
+    kept_rows = np.unique(
+        np.linspace(0, x_values.size - 1, min(x_values.size, _MAX_FIGURE_ROWS)).astype(int)
+    )
+    kept_x_values = x_values[kept_rows].tolist()
     return OperatingTests(
         file=path.name,
         sha256=digest,
@@ -105,53 +108,57 @@ def operating(
         noise_dof=noise[1],
         noise_from_repeats=noise[2],
         quantities=quantities,
-        time=[] if input is not None else columns,
-        inputs=columns if input is not None else [],
-        outputs=outputs[kept].tolist(),
+        time=[] if input is not None else kept_x_values,
+        inputs=kept_x_values if input is not None else [],
+        outputs=outputs[kept_rows].tolist(),
     )
 
 
-def _read_columns(path: Path, first: str, output: str) -> tuple[Array, Array, str]:
-    """Return two columns without rows in which either is empty, and the SHA-256 of the file."""
+def _read_columns(path: Path, x_column: str, output: str) -> tuple[Array, Array, str]:
+    """Return two columns without incomplete rows, and the SHA-256 of the file."""
     content = read_file(path)
-    columns = read_numbers(path, [first, output])
-    pair = np.column_stack(
-        [np.asarray(columns[name], dtype=np.float64) for name in (first, output)]
+    columns = read_numbers(path, [x_column, output])
+    table = np.column_stack(
+        [np.asarray(columns[name], dtype=np.float64) for name in (x_column, output)]
     )
-    pair = pair[np.isfinite(pair).all(axis=1)]
-    if not 0 < len(pair) <= _MAX_ROWS:
+    table = table[np.isfinite(table).all(axis=1)]
+    if not 0 < len(table) <= _MAX_ROWS:
         raise RecordError(
-            f"{path}: {len(pair)} rows contain numbers; 1 to {_MAX_ROWS} are allowed",
+            f"{path}: {len(table)} rows contain numbers; 1 to {_MAX_ROWS} are allowed",
             code="no-rows",
         )
-    return pair[:, 0].copy(), pair[:, 1].copy(), hashlib.sha256(content).hexdigest()
+    return table[:, 0].copy(), table[:, 1].copy(), hashlib.sha256(content).hexdigest()
 
 
-def _static_tests(
-    line: Line, inputs: Array, outputs: Array, scale: float, input_unit: str, output_unit: str
+def _static_quantities(
+    line: Line, inputs: Array, outputs: Array, full_scale: float, input_unit: str, output_unit: str
 ) -> Iterator[OperatingQuantity]:
     """Yield the results of the tests with inputs."""
-    per_input = f"{output_unit or '1'}/{input_unit}"
-    yield _quantity(
+    slope_unit = f"{output_unit or '1'}/{input_unit}"
+    yield _make_quantity(
         "scale-factor",
         OperatingEstimate(line.slope, line.u_slope),
-        per_input,
+        slope_unit,
         "slope of the fitted line",
     )
-    yield _quantity(
+    yield _make_quantity(
         "bias",
         OperatingEstimate(line.intercept / line.slope, line.u_intercept / abs(line.slope)),
         input_unit,
         "intercept of the fitted line divided by the slope",
     )
-    of_line = "largest deviation of a setting from the least-squares line"
-    yield _quantity(
-        "linearity-error", model.linearity_error(line, inputs), input_unit, of_line, scale
+    linearity_definition = "largest deviation of a setting from the least-squares line"
+    yield _make_quantity(
+        "linearity-error",
+        model.linearity_error(line, inputs),
+        input_unit,
+        linearity_definition,
+        full_scale,
     )
     tests: tuple[tuple[str, Callable[[], OperatingEstimate | None], str, str], ...] = (
         (
             "hysteresis-error",
-            lambda: model.hysteresis(line, inputs, outputs),
+            lambda: model.hysteresis_error(line, inputs, outputs),
             (
                 "largest difference between the outputs at the same input, approached from below "
                 "and from above"
@@ -187,37 +194,49 @@ def _static_tests(
             "the zero input, or an input outside the dead band on each side, is missing",
         ),
     )
-    for name, test, definition, missing in tests:
-        found = test()
-        yield _quantity(name, found, input_unit, missing if found is None else definition, scale)
+    for name, test, definition, missing_reason in tests:
+        estimate = test()
+        yield _make_quantity(
+            name,
+            estimate,
+            input_unit,
+            missing_reason if estimate is None else definition,
+            full_scale,
+        )
 
 
-def _warm_up(fitted: model.WarmUp, output_unit: str) -> Iterator[OperatingQuantity]:
+def _warm_up_quantities(warm_up: model.WarmUp, output_unit: str) -> Iterator[OperatingQuantity]:
     """Yield the results of a warm-up."""
-    approach = "output = final + change exp(-t/tau) after switching on"
-    yield _quantity("time-constant", fitted.time_constant, "s", approach)
-    yield _quantity("final-output", fitted.final, output_unit, "output after the warm-up")
-    yield _quantity("change", fitted.change, output_unit, "output at switch-on minus final output")
-    size, u = abs(fitted.change.value), fitted.final.u or 0.0
-    if size > u > 0.0:
-        tau = fitted.time_constant
-        factor = math.log(size / u)
+    definition = "output = final + change exp(-t/tau) after switching on"
+    yield _make_quantity("time-constant", warm_up.time_constant, "s", definition)
+    yield _make_quantity("final-output", warm_up.final, output_unit, "output after the warm-up")
+    yield _make_quantity(
+        "change", warm_up.change, output_unit, "output at switch-on minus final output"
+    )
+    change_size, u = abs(warm_up.change.value), warm_up.final.u or 0.0
+    if change_size > u > 0.0:
+        tau = warm_up.time_constant
+        factor = math.log(change_size / u)
         time = OperatingEstimate(tau.value * factor, (tau.u or 0.0) * factor)
         note = "time until the remaining change is less than u of the final output"
-        yield _quantity("warm-up-time", time, "s", note)
+        yield _make_quantity("warm-up-time", time, "s", note)
 
 
-def _warm_up_curve(fitted: model.WarmUp, time: Array) -> Array:
-    decay = np.exp(-time / fitted.time_constant.value)
-    return np.asarray(fitted.final.value + fitted.change.value * decay)
+def _warm_up_curve(warm_up: model.WarmUp, time: Array) -> Array:
+    decay = np.exp(-time / warm_up.time_constant.value)
+    return np.asarray(warm_up.final.value + warm_up.change.value * decay)
 
 
-def _quantity(
-    name: str, estimate: OperatingEstimate | None, unit: str, note: str, scale: float | None = None
+def _make_quantity(
+    name: str,
+    estimate: OperatingEstimate | None,
+    unit: str,
+    note: str,
+    full_scale: float | None = None,
 ) -> OperatingQuantity:
-    """Return a result; scale: full scale of the input, where a percentage has a meaning."""
+    """Return a result; full_scale: of the input, if a percentage is meaningful."""
     value, u = (None, None) if estimate is None else (estimate.value, estimate.u)
-    factor = 100.0 / scale if scale else None
+    factor = 100.0 / full_scale if full_scale else None
     return OperatingQuantity(
         name=name,
         value=value,
@@ -225,6 +244,6 @@ def _quantity(
         unit=unit,
         percent=None if value is None or factor is None else value * factor,
         u_percent=None if u is None or factor is None else u * factor,
-        at=None if estimate is None else estimate.at,
+        at=None if estimate is None else estimate.input_value,
         note=note,
     )

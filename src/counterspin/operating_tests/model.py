@@ -1,4 +1,4 @@
-"""Operating tests: estimates from inputs and outputs in the order in which they were recorded."""
+"""Estimates of operating tests from inputs and outputs in the order of recording."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ import numpy.typing as npt
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 
-#: Part of the expected change of the output that shows a step of the input (IEEE Std 528).
+#: Ratio of observed to expected change from which a step is visible (IEEE Std 528).
 THRESHOLD_RATIO: Final = 0.5
 
-#: Part of the expected change below which an input lies in the dead band.
+#: Ratio of observed to expected change below which an input is in the dead band.
 DEAD_BAND_RATIO: Final = 0.1
 
-#: Inputs that differ by less, relative to the largest, are the same.
-_SAME_INPUT: Final = 1e-12
+#: Difference relative to the largest input below which inputs are equal.
+_INPUT_TOLERANCE: Final = 1e-12
 
-#: Fewest degrees of freedom of repeats by which they determine the noise of a point.
+#: Smallest degrees of freedom of repeats for estimating the noise of a point from them.
 _MIN_DOF: Final = 3
 
-#: A slope that is not this many times its standard uncertainty shows no response to the input.
+#: Smallest ratio of a slope to its standard uncertainty that proves a response to the input.
 _MIN_SLOPE_RATIO: Final = 3.0
 
-#: Largest size of a number in a table, so that its square is finite.
-_MAX_SIZE: Final = 1e150
+#: Largest magnitude of a number in a table, so that its square is finite.
+_MAX_MAGNITUDE: Final = 1e150
 
 _SQRT_12: Final = math.sqrt(12.0)
 
@@ -41,10 +41,10 @@ class Line:
     intercept: float
     u_intercept: float
     residuals: Array  #: Output minus line, shape (n,).
-    leverages: Array  #: Of the points, shape (n,).
+    leverages: Array  #: Leverages of the points, shape (n,).
     noise: float  #: Standard deviation of a point.
     dof: float  #: Degrees of freedom of `noise`.
-    from_repeats: bool  #: Whether repeats at the same input determine it.
+    from_repeats: bool  #: Whether `noise` was estimated from repeats at the same input.
 
 
 @frozen
@@ -53,151 +53,161 @@ class OperatingEstimate:
 
     value: float
     u: float | None
-    at: float | None = None  #: Input at which it was found.
+    input_value: float | None = None  #: Input at which the value was found.
 
 
 def group_inputs(inputs: Array) -> npt.NDArray[np.intp]:
-    """Return the number of the setting of each input, equal inputs alike, shape (n,)."""
-    size = float(np.max(np.abs(inputs), initial=0.0)) or 1.0
-    rounded = np.round(inputs / (size * _SAME_INPUT))
-    return np.asarray(np.unique(rounded, return_inverse=True)[1].reshape(-1), dtype=np.intp)
+    """Return the index of the setting of each input, shape (n,); equal inputs share an index."""
+    max_magnitude = float(np.max(np.abs(inputs), initial=0.0)) or 1.0
+    rounded_inputs = np.round(inputs / (max_magnitude * _INPUT_TOLERANCE))
+    return np.asarray(np.unique(rounded_inputs, return_inverse=True)[1].reshape(-1), dtype=np.intp)
 
 
 def _require_finite_squares(*columns: Array) -> None:
-    if any(np.max(np.abs(column), initial=0.0) > _MAX_SIZE for column in columns):
-        raise ValueError(f"a number is larger than {_MAX_SIZE:g}")
+    if any(np.max(np.abs(column), initial=0.0) > _MAX_MAGNITUDE for column in columns):
+        raise ValueError(f"a number is larger than {_MAX_MAGNITUDE:g}")
 
 
-def directions(inputs: Array) -> npt.NDArray[np.intp]:
-    """Return 1 where an input was reached upwards, -1 downwards, 0 where it did not change."""
+def input_directions(inputs: Array) -> npt.NDArray[np.intp]:
+    """Return 1 for an increased input, -1 for a decreased one, 0 for an unchanged one."""
     settings = group_inputs(inputs)
     return np.asarray(np.sign(np.diff(settings, prepend=settings[:1])), dtype=np.intp)
 
 
 def fit_line(inputs: Array, outputs: Array) -> Line:
-    """Fit a line; the noise is that of repeats at an input reached alike, else of the residuals.
+    """Fit a line and estimate the noise from repeats in the same direction, or from residuals.
 
     Raises ValueError if there are fewer than three points or two inputs, or if the output does not
     depend on the input.
     """
     _require_finite_squares(inputs, outputs)
     settings = group_inputs(inputs)
-    count = int(settings.max(initial=-1)) + 1
-    if inputs.size < 3 or count < 2:
+    setting_count = int(settings.max(initial=-1)) + 1
+    if inputs.size < 3 or setting_count < 2:
         raise ValueError("a straight line requires at least three points at two or more inputs")
-    centred = inputs - inputs.mean()
-    square = float(centred @ centred)
-    slope = float(centred @ outputs) / square
+    centred_inputs = inputs - inputs.mean()
+    square_sum = float(centred_inputs @ centred_inputs)
+    slope = float(centred_inputs @ outputs) / square_sum
     intercept = float(outputs.mean()) - slope * float(inputs.mean())
     residuals = outputs - intercept - slope * inputs
-    repeated = np.unique(3 * settings + directions(inputs), return_inverse=True)[1].reshape(-1)
-    means = np.bincount(repeated, outputs) / np.bincount(repeated)
+    repeat_groups = np.unique(3 * settings + input_directions(inputs), return_inverse=True)[
+        1
+    ].reshape(-1)
+    means = np.bincount(repeat_groups, outputs) / np.bincount(repeat_groups)
     repeat_dof = inputs.size - means.size
     from_repeats = repeat_dof >= _MIN_DOF
-    deviations = outputs - means[repeated] if from_repeats else residuals
+    deviations = outputs - means[repeat_groups] if from_repeats else residuals
     dof = float(repeat_dof if from_repeats else inputs.size - 2)
     noise = math.sqrt(float(deviations @ deviations) / dof)
-    u_slope = noise / math.sqrt(square)
+    u_slope = noise / math.sqrt(square_sum)
     if not abs(slope) > _MIN_SLOPE_RATIO * u_slope:
         raise ValueError("the output does not depend on the input; check the two columns")
-    u_intercept = noise * math.sqrt(1.0 / inputs.size + float(inputs.mean()) ** 2 / square)
-    leverages = 1.0 / inputs.size + centred**2 / square
+    u_intercept = noise * math.sqrt(1.0 / inputs.size + float(inputs.mean()) ** 2 / square_sum)
+    leverages = 1.0 / inputs.size + centred_inputs**2 / square_sum
     return Line(
         slope, u_slope, intercept, u_intercept, residuals, leverages, noise, dof, from_repeats
     )
 
 
 def linearity_error(line: Line, inputs: Array) -> OperatingEstimate:
-    """Return the largest deviation of a setting's mean from the line, in the input's unit."""
+    """Return the largest deviation of the mean at a setting from the line, in input units."""
     settings = group_inputs(inputs)
     counts = np.bincount(settings)
     means = np.bincount(settings, line.residuals) / counts
-    worst = int(np.argmax(np.abs(means)))
-    leverage = float(line.leverages[settings == worst][0])
-    u = line.noise * math.sqrt(max(1.0 / counts[worst] - leverage, 0.0)) / abs(line.slope)
-    at = float(inputs[settings == worst][0])
-    return OperatingEstimate(float(means[worst]) / line.slope, u, at)
+    worst_setting = int(np.argmax(np.abs(means)))
+    leverage = float(line.leverages[settings == worst_setting][0])
+    u = line.noise * math.sqrt(max(1.0 / counts[worst_setting] - leverage, 0.0)) / abs(line.slope)
+    worst_input = float(inputs[settings == worst_setting][0])
+    return OperatingEstimate(float(means[worst_setting]) / line.slope, u, worst_input)
 
 
-def hysteresis(line: Line, inputs: Array, outputs: Array) -> OperatingEstimate | None:
-    """Return the largest difference of outputs at an input reached upwards and downwards.
+def hysteresis_error(line: Line, inputs: Array, outputs: Array) -> OperatingEstimate | None:
+    """Return the largest difference of outputs at an input approached from both directions.
 
-    In the input's unit, upwards minus downwards. None: no input was reached both ways.
+    In input units, upwards minus downwards. None: no input was approached from both directions.
     """
-    settings, direction = group_inputs(inputs), directions(inputs)
-    count = int(settings.max()) + 1
-    up, down = (
-        np.bincount(settings[chosen], minlength=count) for chosen in (direction > 0, direction < 0)
+    settings, direction = group_inputs(inputs), input_directions(inputs)
+    setting_count = int(settings.max()) + 1
+    up_counts, down_counts = (
+        np.bincount(settings[mask], minlength=setting_count)
+        for mask in (direction > 0, direction < 0)
     )
-    both = np.flatnonzero((up > 0) & (down > 0))
-    if not both.size:
+    common_settings = np.flatnonzero((up_counts > 0) & (down_counts > 0))
+    if not common_settings.size:
         return None
     up_mean, down_mean = (
-        np.bincount(settings[chosen], outputs[chosen], minlength=count)[both] / size[both]
-        for chosen, size in ((direction > 0, up), (direction < 0, down))
+        np.bincount(settings[mask], outputs[mask], minlength=setting_count)[common_settings]
+        / counts[common_settings]
+        for mask, counts in ((direction > 0, up_counts), (direction < 0, down_counts))
     )
     differences = (up_mean - down_mean) / line.slope
     worst = int(np.argmax(np.abs(differences)))
-    setting = both[worst]
-    u = line.noise * math.sqrt(1.0 / up[setting] + 1.0 / down[setting]) / abs(line.slope)
-    at = float(inputs[np.argmax(settings == setting)])
-    return OperatingEstimate(float(differences[worst]), u, at)
+    setting = common_settings[worst]
+    u = (
+        line.noise
+        * math.sqrt(1.0 / up_counts[setting] + 1.0 / down_counts[setting])
+        / abs(line.slope)
+    )
+    worst_input = float(inputs[np.argmax(settings == setting)])
+    return OperatingEstimate(float(differences[worst]), u, worst_input)
 
 
 def smallest_step(
     line: Line, inputs: Array, outputs: Array, *, from_zero: bool
 ) -> OperatingEstimate | None:
-    """Return the smallest step of the input that the output shows: threshold, or resolution.
+    """Return the smallest visible step of the input: threshold or resolution.
 
-    A step shows if the output changes by at least half of what the slope predicts, and so do all
-    larger steps. The limit lies between this step and the next smaller one that was tried; it is
-    their mean, with the uncertainty of a rectangular distribution between them.
+    A step is visible if the output changes by at least half of the predicted change, also for all
+    larger steps. The limit lies between this step and the next smaller tested step. The estimate is
+    their mean, with the uncertainty of a rectangular distribution.
 
-    from_zero: Steps from zero input (threshold), else from inputs larger than the step.
+    from_zero: True: steps from zero input (threshold); false: from inputs larger than the step.
     """
-    step, start = np.diff(inputs), np.abs(inputs[:-1])
-    same = _SAME_INPUT * float(np.max(np.abs(inputs), initial=0.0))
-    at_start = start <= same if from_zero else start > np.abs(step) + same
-    tried = at_start & (step != 0.0)
-    size = np.abs(step[tried])
-    if not size.size:
+    steps, starts = np.diff(inputs), np.abs(inputs[:-1])
+    tolerance = _INPUT_TOLERANCE * float(np.max(np.abs(inputs), initial=0.0))
+    is_valid_start = starts <= tolerance if from_zero else starts > np.abs(steps) + tolerance
+    is_tested = is_valid_start & (steps != 0.0)
+    sizes = np.abs(steps[is_tested])
+    if not sizes.size:
         return None
-    shown = np.diff(outputs)[tried] / (line.slope * step[tried]) >= THRESHOLD_RATIO
-    order = np.argsort(size, kind="stable")
-    size, shown = size[order], shown[order]
-    hidden = np.flatnonzero(~shown)
-    if hidden.size and hidden[-1] == size.size - 1:
+    is_visible = np.diff(outputs)[is_tested] / (line.slope * steps[is_tested]) >= THRESHOLD_RATIO
+    order = np.argsort(sizes, kind="stable")
+    sizes, is_visible = sizes[order], is_visible[order]
+    hidden_indices = np.flatnonzero(~is_visible)
+    if hidden_indices.size and hidden_indices[-1] == sizes.size - 1:
         return None
-    largest_hidden = float(size[hidden[-1]]) if hidden.size else 0.0
-    smallest_shown = float(size[size > largest_hidden][0])
-    middle = 0.5 * (largest_hidden + smallest_shown)
-    return OperatingEstimate(middle, (smallest_shown - largest_hidden) / _SQRT_12)
+    max_hidden = float(sizes[hidden_indices[-1]]) if hidden_indices.size else 0.0
+    min_visible = float(sizes[sizes > max_hidden][0])
+    midpoint = 0.5 * (max_hidden + min_visible)
+    return OperatingEstimate(midpoint, (min_visible - max_hidden) / _SQRT_12)
 
 
 def dead_band(line: Line, inputs: Array, outputs: Array) -> OperatingEstimate | None:
-    """Return the width of the inputs about zero that change the output by less than 10 %.
+    """Return the width of the input range about zero with less than 10 % of the expected change.
 
-    Of what the slope predicts from the output at zero. None: no zero input was recorded, or no
-    input on one of its sides is outside the band.
+    The change is relative to the output at zero. None: no zero input was recorded, or no
+    input on one side is outside the dead band.
     """
-    size = float(np.max(np.abs(inputs), initial=0.0))
-    zero = np.abs(inputs) <= _SAME_INPUT * size
-    if not zero.any():
+    max_magnitude = float(np.max(np.abs(inputs), initial=0.0))
+    is_zero = np.abs(inputs) <= _INPUT_TOLERANCE * max_magnitude
+    if not is_zero.any():
         return None
-    change = (outputs - outputs[zero].mean()) / line.slope
+    changes = (outputs - outputs[is_zero].mean()) / line.slope
     limits, variance = [], 0.0
-    for side in (-1.0, 1.0):
-        on_side = side * inputs > _SAME_INPUT * size
-        tried, seen = side * inputs[on_side], side * change[on_side]
-        order = np.argsort(tried, kind="stable")
-        tried, seen = tried[order], seen[order] >= DEAD_BAND_RATIO * tried[order]
-        hidden = np.flatnonzero(~seen)
-        if not seen.size or (hidden.size and hidden[-1] == seen.size - 1):
+    for sign in (-1.0, 1.0):
+        mask = sign * inputs > _INPUT_TOLERANCE * max_magnitude
+        order = np.argsort(sign * inputs[mask], kind="stable")
+        side_inputs = (sign * inputs[mask])[order]
+        is_visible = (sign * changes[mask])[order] >= DEAD_BAND_RATIO * side_inputs
+        hidden_indices = np.flatnonzero(~is_visible)
+        if not is_visible.size or (
+            hidden_indices.size and hidden_indices[-1] == is_visible.size - 1
+        ):
             return None
-        inner = float(tried[hidden[-1]]) if hidden.size else 0.0
-        outer = float(tried[tried > inner][0])
-        limits.append(0.5 * (inner + outer))
-        variance += ((outer - inner) / _SQRT_12) ** 2
+        inner_limit = float(side_inputs[hidden_indices[-1]]) if hidden_indices.size else 0.0
+        outer_limit = float(side_inputs[side_inputs > inner_limit][0])
+        limits.append(0.5 * (inner_limit + outer_limit))
+        variance += ((outer_limit - inner_limit) / _SQRT_12) ** 2
     return OperatingEstimate(sum(limits), math.sqrt(variance))
 
 
@@ -213,7 +223,7 @@ class WarmUp:
 def fit_warm_up(time: Array, outputs: Array) -> WarmUp:
     """Fit an exponential by least squares.
 
-    time: s from switching on, shape (n,).
+    time: Time since switching on, s, shape (n,).
 
     Raises ValueError if the data do not determine a time constant.
     """
@@ -224,25 +234,25 @@ def fit_warm_up(time: Array, outputs: Array) -> WarmUp:
     _require_finite_squares(time, outputs)
     if np.ptp(outputs) == 0.0:
         raise ValueError("the output does not change, so no warm-up can be determined")
-    span = float(time[-1] - time[0])
+    duration = float(time[-1] - time[0])
 
-    def approach(t: Array, final: float, change: float, rate: float) -> Array:
-        return np.asarray(final + change * np.exp(-(t - time[0]) * rate / span))
+    def exponential(t: Array, final: float, change: float, rate: float) -> Array:
+        return np.asarray(final + change * np.exp(-(t - time[0]) * rate / duration))
 
-    start = (float(outputs[-1]), float(outputs[0] - outputs[-1]), 4.0)
+    initial_guess = (float(outputs[-1]), float(outputs[0] - outputs[-1]), 4.0)
     try:
-        estimate, covariance = curve_fit(approach, time, outputs, start, maxfev=2000)
+        estimate, covariance = curve_fit(exponential, time, outputs, initial_guess, maxfev=2000)
     except RuntimeError as error:
         raise ValueError("no exponential function fits this warm-up") from error
     final, change, rate = (float(value) for value in estimate)
     u_final, u_change, u_rate = (float(u) for u in np.sqrt(np.diag(covariance)))
     if not math.isfinite(u_rate) or rate <= 2.0 * u_rate:
         raise ValueError("the record is too short or too noisy to determine a time constant")
-    tau = span / rate
-    # At the first row; the change at switching on is that extrapolated to t = 0.
-    at_start = math.exp(float(time[0]) / tau)
+    tau = duration / rate
+    # The change refers to the first row; extrapolate it to t = 0.
+    extrapolation_factor = math.exp(float(time[0]) / tau)
     return WarmUp(
         OperatingEstimate(tau, tau * u_rate / rate),
         OperatingEstimate(final, u_final),
-        OperatingEstimate(change * at_start, u_change * at_start),
+        OperatingEstimate(change * extrapolation_factor, u_change * extrapolation_factor),
     )
