@@ -50,7 +50,7 @@ from kept_table import RATES
 ARCSEC = math.radians(1.0 / 3600.0)
 ENCODER = SHARED_TERMS["encoder.harmonic.1.sin"].typical
 ALARMS = 100.0 * diagnostics.FALSE_ALARM_RATE
-CAUSES = 100.0 * ranking.FALSE_ALARMS
+CAUSES = 100.0 * ranking.FALSE_ALARM_RATE
 PLAN = (2.5, 9.8)  #: radius and gravity of the paper's plan
 
 

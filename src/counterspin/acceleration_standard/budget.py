@@ -32,7 +32,7 @@ from counterspin.errors import CampaignError, UsageError
 DEFAULT_LEVELS: Final = (1.0, 10.0, 50.0, 100.0)
 
 #: Smallest number of draws: 1e4 / (1 - p) for p = 95 % (JCGM 101, clause 7.2.2).
-DRAWS: Final = 200_000
+MIN_DRAWS: Final = 200_000
 _MAX_DRAWS: Final = 20_000_000
 
 #: Largest level, g.
@@ -71,7 +71,7 @@ def applied(
     levels: str | Sequence[float] | None = None,
     *,
     mounting: str | None = None,
-    draws: int = DRAWS,
+    draws: int = MIN_DRAWS,
     seed: int = 1,
 ) -> AppliedAcceleration:
     """Return the uncertainty budget of the acceleration that an arm centrifuge applies.
@@ -104,8 +104,10 @@ def applied(
     CampaignError
         If the campaign has mistakes or no centrifuge, or if an argument is out of range.
     """
-    if not DRAWS <= draws <= _MAX_DRAWS:
-        raise UsageError("applied", [f"`draws`: must be from {DRAWS} to {_MAX_DRAWS}, not {draws}"])
+    if not MIN_DRAWS <= draws <= _MAX_DRAWS:
+        raise UsageError(
+            "applied", [f"`draws`: must be from {MIN_DRAWS} to {_MAX_DRAWS}, not {draws}"]
+        )
     if seed < 0:
         raise UsageError("applied", [f"`seed`: must not be negative, not {seed}"])
     description = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)

@@ -177,7 +177,7 @@ def _default_shares(result: AppliedAcceleration) -> dict[str, tuple[float, Appli
     return largest_shares
 
 
-def _sections(
+def _certificate_statements(
     lab: Lab, result: AppliedAcceleration, stated_levels: Sequence[tuple[AppliedLevel, float]]
 ) -> list[_Section]:
     """Return the statements of XML and pages, in the order of reading."""
@@ -261,7 +261,7 @@ def _build_document(
         language=settings.language,
         traceable=True,
     )
-    draft = Statement(
+    draft_statement = Statement(
         "Draft", [certificate_text.DRAFT_STATEMENT] if issue.draft else [], valid=False
     )
     laboratory_texts = {
@@ -271,7 +271,7 @@ def _build_document(
     }
     sections = [
         Statement(name, lines, norms, settings.language if name in laboratory_texts else "en")
-        for name, lines, norms in _sections(lab, result, stated_levels)
+        for name, lines, norms in _certificate_statements(lab, result, stated_levels)
     ]
     assets = files("counterspin.acceleration_standard") / "assets"
     return render_extension(
@@ -281,7 +281,9 @@ def _build_document(
         issue=issue,
         result=result,
         names=[],
-        statements=[statement for statement in (draft, traceability, *sections) if statement.lines],
+        statements=[
+            statement for statement in (draft_statement, traceability, *sections) if statement.lines
+        ],
         file=result.content,
         stated=stated_levels,
         method=[_METHOD, *certificate_text.deviation_lines(settings)],
@@ -320,7 +322,7 @@ def _page_blocks(
         yield typeset_block(budget_table(result, level))
     yield Heading("Statements")
     yield from section_blocks(certificate_text.TRACEABILITY_HEADING, lab.certificate.traceability)
-    for name, lines, _ in _sections(lab, result, stated_levels):
+    for name, lines, _ in _certificate_statements(lab, result, stated_levels):
         yield from section_blocks(name, *map(typeset, lines))
 
 

@@ -31,7 +31,7 @@ from counterspin.application.record_plots import STUDY_NAME
 from counterspin.application.served_folder import RequestError
 from counterspin.calibration.options import Method
 from counterspin.calibration.pages.accelerometer import to_field_units
-from counterspin.calibration.pages.card import STATE_WORDS
+from counterspin.calibration.pages.card import STATE_NAMES
 from counterspin.calibration.result import Result
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, table_of
 from counterspin.errors import CampaignError, CounterspinError, RecordError
@@ -52,7 +52,7 @@ _STATE_LABELS: Final[Mapping[str, str]] = {
     "records missing": "Records missing",
     "not calibrated": "Not calibrated yet",
     "changed": "Changed since the last calibration",
-    **{str(state): words for state, words in STATE_WORDS.items()},
+    **{str(state): words for state, words in STATE_NAMES.items()},
 }
 
 

@@ -290,12 +290,12 @@ def page_content(app: AppState, kind: Kind, names: Sequence[str], term: str) -> 
     content["empty"] = page.empty
     if kind == "result":
         from counterspin.calibration.findings import judge_result
-        from counterspin.calibration.pages.card import STATE_WORDS
+        from counterspin.calibration.pages.card import STATE_NAMES
 
         result = judge_result(app.result(names[0]))
         content["accelerometers"] = list(result.accelerometers)
         content["state"] = result.state or ""
-        content["words"] = STATE_WORDS[result.state] if result.state else "Not assessed"
+        content["words"] = STATE_NAMES[result.state] if result.state else "Not assessed"
         content["refusal"] = _certificate_refusal(result)
     return content
 

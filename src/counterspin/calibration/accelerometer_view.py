@@ -179,7 +179,7 @@ class AccelerometerView:
     @property
     def series(self) -> list[ResidualSeries]:
         """Series of the accelerometer in the fit."""
-        return [prepared.series for _, prepared, _ in self.records()]
+        return [block.series for _, block, _ in self.records()]
 
     @cached_property
     def diagnostics(self) -> Diagnostics:
@@ -191,13 +191,13 @@ class AccelerometerView:
             # A difference is assigned to the later of its rows.
             times_by_run[block.run] = block.series.time[-whitened_residuals.size :]
             dof_by_run[block.run] = max(self.fit.degrees_of_freedom[index], _MIN_DOF)
-        noise_given = self.name not in self.estimate.estimated_noise
+        is_noise_stated = self.name not in self.estimate.estimated_noise
         accelerometer_count = len(self.campaign.accelerometers)
         return diagnose(
             whitened_by_run,
             dof_by_run,
-            noise_given=noise_given,
-            noise_dof=noise_level_dof(self.fit, self.name) if noise_given else math.inf,
+            noise_given=is_noise_stated,
+            noise_dof=noise_level_dof(self.fit, self.name) if is_noise_stated else math.inf,
             times=times_by_run,
             n_fits=accelerometer_count,
         )

@@ -417,13 +417,13 @@ def _check_noise(
 def _check_jackknife(
     name: str, lines: Sequence[Jackknife], noise_ratio: float, accelerometer_count: int
 ) -> Iterator[Finding]:
-    compared_count = sum(1 for line in lines if line.z is not None)
+    tested_count = sum(1 for line in lines if line.z is not None)
     worst_line = _largest_shift(lines)
     if worst_line is None or worst_line.z is None or worst_line.shift is None:
         return
     z = abs(worst_line.z) / noise_ratio
     equivalent_z = normal_equivalent(z, worst_line.dof)
-    if equivalent_z <= agreement_limit(compared_count * accelerometer_count):
+    if equivalent_z <= agreement_limit(tested_count * accelerometer_count):
         return
     unit, factor = find_display_unit("g/g^2")
     yield Finding(
@@ -439,8 +439,8 @@ def _check_jackknife(
 
 
 def _largest_shift(lines: Sequence[Jackknife]) -> Jackknife | None:
-    compared_lines = [line for line in lines if line.z is not None]
-    return max(compared_lines, key=_significance, default=None)
+    tested_lines = [line for line in lines if line.z is not None]
+    return max(tested_lines, key=_significance, default=None)
 
 
 def _significance(line: Jackknife) -> float:

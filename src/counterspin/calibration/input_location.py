@@ -88,9 +88,9 @@ def _apply_changes(problem: JointProblem, changes: Mapping[tuple[str, str], floa
         delay = stated_offset.value + shifts["", TIMING]
         campaign = replace(campaign, timing_offset=replace(stated_offset, value=delay))
     response_values = {
-        (owner, symbol): known.value + shifts[owner, symbol]
+        (owner, symbol): quantity.value + shifts[owner, symbol]
         for name, accelerometer in campaign.accelerometers.items()
-        for symbol, known in accelerometer.response_inputs.items()
+        for symbol, quantity in accelerometer.response_inputs.items()
         for owner in ("", name)
         if (owner, symbol) in shifts
     }

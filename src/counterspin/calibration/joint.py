@@ -76,24 +76,26 @@ def _subtract_prior_mean(unknown: Unknown, coefficient: Coefficient) -> Coeffici
 def fit_jointly(problem: JointProblem) -> Outcome:
     """Fit all records of a campaign together."""
     campaign, observed_runs, model = problem.campaign, problem.observed_runs, problem.model
-    estimate, data = estimate_campaign(problem)
+    estimate, reading_data = estimate_campaign(problem)
     assessment = estimate.fit.assessment
     views = [
-        AccelerometerView(problem, estimate, assessment, name, data).select_groups(data.groups)
+        AccelerometerView(problem, estimate, assessment, name, reading_data).select_groups(
+            reading_data.groups
+        )
         for name in campaign.accelerometers
     ]
-    contributions = data.contributions(views)
-    shared = {
+    contributions = reading_data.contributions(views)
+    shared_coefficients = {
         unknown: make_coefficient(estimate, assessment, index)
         for index, unknown in enumerate(model.of_interest)
         if unknown.symbol not in TERMS and unknown.owner not in campaign.accelerometers
     } | _rotation_coefficients(estimate, assessment)
     deviations = (
-        (unknown.symbol, unknown.name, _subtract_prior_mean(unknown, c))
-        for unknown, c in shared.items()
+        (unknown.symbol, unknown.name, _subtract_prior_mean(unknown, coefficient))
+        for unknown, coefficient in shared_coefficients.items()
     )
-    incredible_findings = list(check_shared_credibility(campaign.limit_of, deviations))
-    shared |= mounting_radii(campaign, shared)
+    credibility_findings = list(check_shared_credibility(campaign.limit_of, deviations))
+    shared_coefficients |= mounting_radii(campaign, shared_coefficients)
     outliers: dict[str, int] = {run.run.name: 0 for run in observed_runs}
     for series, mask in zip(estimate.series, estimate.outliers, strict=True):
         outliers[series.run] += int(series.count[mask].sum())
@@ -101,13 +103,17 @@ def fit_jointly(problem: JointProblem) -> Outcome:
     accelerometers = {
         view.name: _make_accelerometer_result(view, contributions[view.name]) for view in views
     }
-    terms = {
-        run.run.name: {u.symbol: c for u, c in shared.items() if u.owner == run.run.name}
+    terms_by_run = {
+        run.run.name: {
+            unknown.symbol: coefficient
+            for unknown, coefficient in shared_coefficients.items()
+            if unknown.owner == run.run.name
+        }
         for run in observed_runs
     }
     diagnose = find_diagnosis()
     diagnosis = diagnose(views, accelerometers) if diagnose else Diagnosis()
-    rests_on = prior_information(estimate, stated_inputs(campaign))
+    prior_knowledge = prior_information(estimate, stated_inputs(campaign))
     units = {
         name: OBSERVABLES[accelerometer.observable]
         for name, accelerometer in campaign.accelerometers.items()
@@ -117,39 +123,49 @@ def fit_jointly(problem: JointProblem) -> Outcome:
         accelerometers=accelerometers,
         runs={
             name: make_run_result(
-                run, terms=terms[name], fit=run_fit_tests(views, name), outliers=outliers[name]
+                run,
+                terms=terms_by_run[name],
+                fit=run_fit_tests(views, name),
+                outliers=outliers[name],
             )
             for run in observed_runs
             for name in [run.run.name]
         },
-        platform={u.symbol: c for u, c in shared.items() if not u.owner},
+        platform={
+            unknown.symbol: coefficient
+            for unknown, coefficient in shared_coefficients.items()
+            if not unknown.owner
+        },
         confounded=confounded_platform_terms(assessment),
         correlation=full_correlation(estimate, assessment),
-        rests_on=rests_on,
+        rests_on=prior_knowledge,
         findings=[
             *(
                 not_determined_finding(
-                    u.name, u.name, advice=_PRIOR_ADVICE, requested=is_requested(campaign, u.symbol)
+                    unknown.name,
+                    unknown.name,
+                    advice=_PRIOR_ADVICE,
+                    requested=is_requested(campaign, unknown.symbol),
                 )
-                for u, c in shared.items()
-                if c.value is None
+                for unknown, coefficient in shared_coefficients.items()
+                if coefficient.value is None
             ),
-            *check_drifts(shared, duration),
-            *check_tilts(campaign, terms, accelerometers),
-            *incredible_findings,
-            *check_default_priors(rests_on),
+            *check_drifts(shared_coefficients, duration),
+            *check_tilts(campaign, terms_by_run, accelerometers),
+            *credibility_findings,
+            *check_default_priors(prior_knowledge),
             *(() if diagnose else find_prior_conflict(views[0])),
         ],
         causes=diagnosis.causes,
         remarks=(
             *(remark for contribution in contributions.values() for remark in contribution.remarks),
             *diagnosis.remarks,
-            *data.remarks(views),
+            *reading_data.remarks(views),
             *undetected_walk_remarks(views),
             *noise_remarks(views),
         ),
         residuals=residual_tables(estimate.fit, units),
-        **data.fields(estimate),
+        **reading_data.fields(estimate),
     )
 
 
@@ -221,8 +237,8 @@ def _make_accelerometer_result(
 def _undetermined_findings(
     view: AccelerometerView, coefficients: Mapping[str, Coefficient]
 ) -> Iterator[Finding]:
-    for symbol, c in coefficients.items():
-        if c.value is None:
+    for symbol, coefficient in coefficients.items():
+        if coefficient.value is None:
             data_name, advice = view.data.advice(view, symbol)
             yield not_determined_finding(
                 f"{view.name}.{symbol}",

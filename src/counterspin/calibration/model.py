@@ -52,9 +52,9 @@ SQUARE_TERMS: Final = ("K_PP", "K_OO")
 
 def make_unknowns(campaign: Campaign) -> Unknowns:
     """Return the requested, the considered and the nuisance terms of a campaign."""
-    requested: list[Unknown] = []
-    nuisance: list[Unknown] = []
-    considered: list[Considered] = []
+    requested_unknowns: list[Unknown] = []
+    nuisance_unknowns: list[Unknown] = []
+    considered_terms: list[Considered] = []
     requested_symbols, considered_symbols = campaign.model.terms, campaign.model.considered
     for owner, symbol in _acting_terms(campaign):
         stated_value = _stated_prior(campaign, owner, symbol)
@@ -63,23 +63,23 @@ def make_unknowns(campaign: Campaign) -> Unknowns:
         if symbol in requested_symbols:
             sd = math.inf if stated_value else campaign.typical_of(symbol, owner)
             prior, is_default = (prior, is_default) if stated_value else (NO_PRIOR, False)
-            requested.append(
+            requested_unknowns.append(
                 Unknown(owner, symbol, prior, limit, has_default_prior=is_default, default_sd=sd)
             )
         elif symbol in considered_symbols:
-            considered.append(
+            considered_terms.append(
                 Considered(
                     owner, symbol, prior, limit, is_of_interest=False, has_default_prior=is_default
                 )
             )
         elif stated_value or prior[1] > 0.0:
-            nuisance.append(
+            nuisance_unknowns.append(
                 Unknown(
                     owner, symbol, prior, limit, is_of_interest=False, has_default_prior=is_default
                 )
             )
     if campaign.angle is None:
-        requested += [
+        requested_unknowns += [
             Unknown(run.name, symbol, NO_PRIOR, limit)
             for run in campaign.runs
             for symbol, limit in zip(ROTATION, _ROTATION_LIMITS, strict=True)
@@ -90,10 +90,16 @@ def make_unknowns(campaign: Campaign) -> Unknowns:
         if u > 0.0:
             limit = campaign.limit_of(symbol)
             if symbol in considered_symbols:
-                considered.append(Considered(owner, symbol, (0.0, u), limit, False, is_default))
+                considered_terms.append(
+                    Considered(owner, symbol, (0.0, u), limit, False, is_default)
+                )
             else:
-                nuisance.append(Unknown(owner, symbol, (0.0, u), limit, False, is_default))
-    unknowns = (*requested, *_inseparable_squares(campaign, nuisance), *nuisance)
+                nuisance_unknowns.append(Unknown(owner, symbol, (0.0, u), limit, False, is_default))
+    unknowns = (
+        *requested_unknowns,
+        *_inseparable_squares(campaign, nuisance_unknowns),
+        *nuisance_unknowns,
+    )
     correlations = campaign.model.correlations
     return Unknowns(
         tuple(
@@ -102,7 +108,7 @@ def make_unknowns(campaign: Campaign) -> Unknowns:
             else unknown
             for unknown in unknowns
         ),
-        tuple(considered),
+        tuple(considered_terms),
     )
 
 
@@ -306,7 +312,9 @@ def _is_observable(symbol: str, observable: str, mounting: Mounting, attitude_by
     return is_sensitive(mounting.turned(matrix).input_axis, matrix)
 
 
-def _inseparable_squares(campaign: Campaign, nuisance: Sequence[Unknown]) -> Iterator[Unknown]:
+def _inseparable_squares(
+    campaign: Campaign, nuisance_unknowns: Sequence[Unknown]
+) -> Iterator[Unknown]:
     """Yield K_PP and K_OO if they are inseparable from K_II, although assumed perfect.
 
     At 1 g, the data determine only K_II - K_PP or K_II - K_OO.
@@ -318,7 +326,7 @@ def _inseparable_squares(campaign: Campaign, nuisance: Sequence[Unknown]) -> Ite
     if ALL_TERMS not in campaign.model.assume:
         return
     named_symbols = {*campaign.model.terms, *campaign.model.considered}
-    nuisance_keys = {(parameter.owner, parameter.symbol) for parameter in nuisance}
+    nuisance_keys = {(parameter.owner, parameter.symbol) for parameter in nuisance_unknowns}
     for name in campaign.accelerometers:
         for symbol in SQUARE_TERMS:
             if symbol not in named_symbols and (name, symbol) not in nuisance_keys:

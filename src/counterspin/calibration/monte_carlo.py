@@ -73,7 +73,7 @@ def add_intervals(
     trials
         Number of trials.
     """
-    accelerometers, runs = {}, set(result.runs)
+    accelerometers, run_names = {}, set(result.runs)
     distributions = stated_distributions(campaign)
     linearity = assess_linearity(result, campaign, observed_runs)
     for accelerometer_index, (name, accelerometer) in enumerate(result.accelerometers.items()):
@@ -84,7 +84,9 @@ def add_intervals(
                 generator = np.random.default_rng((_SEED, accelerometer_index, index))
                 responses = linearity.second_order(name, symbol, coefficient.u)
                 sources = [*(line.source for line in lines), *responses]
-                source_distributions = _distributions_by_source(distributions, sources, name, runs)
+                source_distributions = _distributions_by_source(
+                    distributions, sources, name, run_names
+                )
                 errors = draw_errors(
                     lines, coefficient, source_distributions, trials, generator, responses
                 )
@@ -113,7 +115,7 @@ def _distributions_by_source(
     distributions: Mapping[str, InputDistribution],
     sources: Sequence[str],
     owner: str,
-    runs: Collection[str],
+    run_names: Collection[str],
 ) -> dict[str, InputDistribution]:
     """Return the distributions of the sources of a budget.
 
@@ -122,7 +124,7 @@ def _distributions_by_source(
     source_distributions: dict[str, InputDistribution] = {}
     for source in sources:
         run, _, symbol = source.partition(".")
-        for name in (f"{owner}.{source}", source, symbol if run in runs else source):
+        for name in (f"{owner}.{source}", source, symbol if run in run_names else source):
             if name in distributions:
                 source_distributions[source] = distributions[name]
     return source_distributions
@@ -146,10 +148,10 @@ def draw_errors(
     normal_variance = 0.0
     noise_variance = sum(line.contribution**2 for line in lines if line.kind == "noise")
     noise_dof = _noise_dof(coefficient, noise_variance)
-    slopes = {line.source: (line.sensitivity or 0.0) * (line.u or 0.0) for line in lines}
+    contributions = {line.source: (line.sensitivity or 0.0) * (line.u or 0.0) for line in lines}
     for source, response in responses.items():
         draws = draw_standardized(distributions.get(source, NORMAL), trials, generator)
-        errors += slopes.get(source, 0.0) * draws + response.excess(draws)
+        errors += contributions.get(source, 0.0) * draws + response.excess(draws)
     for line in lines:
         distribution = distributions.get(line.source)
         if line.source in responses:

@@ -42,10 +42,10 @@ _MIN_HORIZONTAL: Final = 0.05
 _STRAIGHT_LINE: Final = 2
 
 #: Largest difference between stated and recorded temperature, K: chamber and instrument differ.
-_MAX_DIFFERENCE: Final = 5.0
+_MAX_TEMPERATURE_DIFFERENCE: Final = 5.0
 
 #: (record, time range) -> temperatures.
-_Profiles = dict[tuple[Path, tuple[float, float]], tuple[float, ...]]
+_TemperatureProfiles = dict[tuple[Path, tuple[float, float]], tuple[float, ...]]
 
 #: Step of the finite difference with respect to the latitude, rad.
 _LATITUDE_STEP: Final = 1e-5
@@ -277,9 +277,11 @@ def _apply_platform_velocity(
     shifted_corrections = computer_correction(shifted_site, axis_errors)
     return {
         name: Signal(
-            signal.accelerometer, signal.error + correction, (shifted - correction) / _LATITUDE_STEP
+            signal.accelerometer,
+            signal.error + correction,
+            (shifted_correction - correction) / _LATITUDE_STEP,
         )
-        for (name, signal), correction, shifted in zip(
+        for (name, signal), correction, shifted_correction in zip(
             signals.items(), corrections, shifted_corrections, strict=True
         )
     }
@@ -293,7 +295,7 @@ def add_recorded_conditions(campaign: Campaign) -> Campaign:
 
     RecordError: a column is invalid, or contradicts a stated temperature.
     """
-    profiles: _Profiles = {}
+    profiles: _TemperatureProfiles = {}
     runs = tuple(
         run.model_copy(update={"temperature": recorded_temperatures(campaign, run, profiles)})
         for run in campaign.runs
@@ -334,7 +336,7 @@ def _has_angle(campaign: Campaign, reading: Reading) -> bool:
 
 
 def recorded_temperatures(
-    campaign: Campaign, entry: Run | Reading | PoseRecord, profiles: _Profiles
+    campaign: Campaign, entry: Run | Reading | PoseRecord, profiles: _TemperatureProfiles
 ) -> tuple[float, ...] | None:
     """Return the temperatures of a run, reading or record of poses, K, from its record if possible.
 
@@ -353,7 +355,7 @@ def recorded_temperatures(
         (max(min(profile) - value, value - max(profile)) for value in entry.temperature or ()),
         default=0.0,
     )
-    if difference > _MAX_DIFFERENCE:
+    if difference > _MAX_TEMPERATURE_DIFFERENCE:
         low, high = (f"{value - ZERO_CELSIUS:.4g}" for value in (min(profile), max(profile)))
         (column,) = columns.signals.values()
         raise RecordError(
@@ -370,8 +372,8 @@ def temperature_columns(
     campaign: Campaign, entry: Run | Reading | PoseRecord
 ) -> RecordColumns | None:
     """Return the time and temperature columns of a record; None if it has no temperature."""
-    own_dialect = entry.dialect if isinstance(entry, PoseRecord) else None
-    dialect = own_dialect or campaign.dialect
+    stated_dialect = entry.dialect if isinstance(entry, PoseRecord) else None
+    dialect = stated_dialect or campaign.dialect
     recording = Recording(campaign.time, None, dialect, campaign.temperature)
     columns = RecordColumns(campaign.time, None, {})
     if isinstance(entry, Run):

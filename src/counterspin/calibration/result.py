@@ -55,7 +55,7 @@ _FILE_MODULE: Final = "counterspin.calibration.result_file"
 _CONVERSION_MODULE: Final = "counterspin.calibration.result_conversion"
 
 #: Error message if a result has no residuals, which files do not store.
-_NO_RESIDUALS = (
+_NO_RESIDUALS_MESSAGE = (
     "the result contains no residuals of records, because result files do not store them; to "
     "obtain residuals, calibrate a campaign with records again by the joint method"
 )
@@ -116,7 +116,7 @@ class Result(ReportableResult):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _of_schema_1(cls, document: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+    def _upgrade_schema_1(cls, document: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
         """Upgrade the document of an earlier version."""
         is_schema_1 = isinstance(document, dict) and document.get("schema") == 1
         result = handler(
@@ -262,7 +262,7 @@ class Result(ReportableResult):
             return None
         coefficients_by_index = {
             index: coefficient
-            for index, coefficient in enumerate(map(self._determined, correlation.terms))
+            for index, coefficient in enumerate(map(self._find_determined, correlation.terms))
             if coefficient
         }
         indices, u = (
@@ -277,7 +277,7 @@ class Result(ReportableResult):
             tuple(coefficient.unit for coefficient in coefficients_by_index.values()),
         )
 
-    def _determined(self, name: str) -> Coefficient | None:
+    def _find_determined(self, name: str) -> Coefficient | None:
         """Return a coefficient with u; None if it was removed from the result."""
         try:
             coefficient = self.coefficient(name)
@@ -332,7 +332,7 @@ class Result(ReportableResult):
             If there are none of that name.
         """
         if not self._residuals:
-            raise CounterspinError(_NO_RESIDUALS, code="missing-in-result")
+            raise CounterspinError(_NO_RESIDUALS_MESSAGE, code="missing-in-result")
         frame: pl.DataFrame = load_name(f"{_CONVERSION_MODULE}:residual_frame")(self._residuals)
         criteria = {"accelerometer": accelerometer, "run": run}
         filters = {column: name for column, name in criteria.items() if name is not None}

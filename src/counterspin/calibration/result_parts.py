@@ -91,7 +91,7 @@ class Coefficient(ResultPart):
         """
         if not 0.0 < coverage < 1.0:
             raise ValueError(f"a coverage probability lies between 0 and 1; got {coverage}")
-        value, u = self._stated()
+        value, u = self._require_value()
         half_width = expanded_uncertainty(u, self.dof, coverage)
         return value - half_width, value + half_width
 
@@ -100,7 +100,7 @@ class Coefficient(ResultPart):
 
         unit: Unit such as ``ug/g^2`` or ``arcsec``. None: the unit of tables and texts.
         """
-        value, u = self._stated()
+        value, u = self._require_value()
         target_unit, factor = find_display_unit(self.unit)
         if unit is not None:
             target_unit, factor = unit, unit_factor(self.unit, unit)
@@ -116,9 +116,9 @@ class Coefficient(ResultPart):
             raise ValueError(
                 "this coefficient does not belong to a result; give the `gravity` of its unit"
             )
-        return convert_to_si(*self._stated(), self.unit, self.dof, stated_gravity)
+        return convert_to_si(*self._require_value(), self.unit, self.dof, stated_gravity)
 
-    def _stated(self) -> tuple[float, float]:
+    def _require_value(self) -> tuple[float, float]:
         if self.value is None or self.u is None:
             raise ValueError("the records do not determine this coefficient")
         return self.value, self.u

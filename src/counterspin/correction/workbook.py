@@ -64,8 +64,8 @@ def make_workbook(sheets: Mapping[str, Sequence[Sequence[Cell]]], remark: str) -
 
 def _relationships_xml(targets: Mapping[str, tuple[str, str]]) -> str:
     lines = "".join(
-        f'<Relationship Id="{key}" Type="{_RELATIONS_NS}/{kind}" Target="{target}"/>'
-        for key, (kind, target) in targets.items()
+        f'<Relationship Id="{key}" Type="{_RELATIONS_NS}/{relation_type}" Target="{target}"/>'
+        for key, (relation_type, target) in targets.items()
     )
     return f'<Relationships xmlns="{_PACKAGE_NS}/relationships">{lines}</Relationships>'
 

@@ -105,9 +105,9 @@ def check_shared_credibility(
                 yield finding
 
 
-def check_default_priors(rests_on: Sequence[Knowledge]) -> Iterator[Finding]:
+def check_default_priors(prior_knowledge: Sequence[Knowledge]) -> Iterator[Finding]:
     """Yield a finding for each unstated term whose estimate is far outside its default prior."""
-    for row in rests_on:
+    for row in prior_knowledge:
         if row.kind != "unstated" or row.found is None or row.u_found is None:
             continue
         ratio = abs(row.found - row.value) / row.u
@@ -135,8 +135,8 @@ def _credibility_finding(
     excess = abs(coefficient.value - row.nominal) - limit
     if excess <= _MAX_SIGMAS * coefficient.u:
         return None
-    deviation = f"deviation from {row.nominal:g}" if row.nominal else "magnitude"
-    excess_text = f"its {deviation} exceeds {format_number(limit)} {coefficient.unit}"
+    deviation_name = f"deviation from {row.nominal:g}" if row.nominal else "magnitude"
+    excess_text = f"its {deviation_name} exceeds {format_number(limit)} {coefficient.unit}"
     cause = (
         _scale_factor_cause(coefficient.value, limit) if symbol == "K_I" else _likely_cause(symbol)
     )

@@ -114,12 +114,12 @@ def _tilt_finding(
 ) -> Finding:
     assert coefficient.u
     ratio = shift / coefficient.u
-    tilt = float(np.linalg.norm(tilt_vector)) / ARCSEC
+    arcsec = float(np.linalg.norm(tilt_vector)) / ARCSEC
     unit, factor = find_display_unit(coefficient.unit)
     text = (
-        f"The tilt in {run} may reach {tilt:.3g} arcsec (estimate plus 2 u). The second-order "
+        f"The tilt in {run} may reach {arcsec:.3g} arcsec (estimate plus 2 u). The second-order "
         f"effect of this tilt shifts {subject} by up to {format_number(shift * factor, 2)} "
         f"{unit}, or {format_number(ratio, 2)} u({subject}). The first-order model is valid "
-        f"only for tilts up to about {tilt / math.sqrt(ratio):.2g} arcsec."
+        f"only for tilts up to about {arcsec / math.sqrt(ratio):.2g} arcsec."
     )
     return Finding(code="large-tilt", subject=subject, text=text, size=ratio)

@@ -21,7 +21,7 @@ _MAX_NOISE_RATIO: Final = 1.1
 
 
 #: Largest number of runs that a finding names.
-_MAX_NAMED: Final = 3
+_MAX_NAMED_RUNS: Final = 3
 
 
 def reweight_runs(
@@ -67,7 +67,7 @@ def _deviating_runs(noise_ratios: Mapping[str, float]) -> list[str]:
 def _noise_finding(name: str, noise_ratios: Mapping[str, float]) -> Finding:
     deviating_runs = _deviating_runs(noise_ratios)
     ratio_texts = [
-        f"{format_number(noise_ratios[run], 2)} times" for run in deviating_runs[:_MAX_NAMED]
+        f"{format_number(noise_ratios[run], 2)} times" for run in deviating_runs[:_MAX_NAMED_RUNS]
     ]
     ratio_texts[0] += " the stated noise"
     listing = ", ".join(

@@ -15,7 +15,7 @@ from counterspin.inference.joint.alternatives import Alternative, ScoreTests, ru
 from counterspin.inference.joint.estimation import Estimate
 
 #: False-alarm probability of the priors, and of the other alternatives.
-FALSE_ALARMS: Final = 0.5 * SIGNIFICANCE
+FALSE_ALARM_RATE: Final = 0.5 * SIGNIFICANCE
 
 #: Difference in chi-square from which the better explanation excludes the other one.
 _DECISIVE_CHI2: Final = 6.0
@@ -120,7 +120,7 @@ def _best_index(tests: ScoreTests, kinds: Sequence[str] = ()) -> int:
 
 
 def _is_significant(tests: ScoreTests, index: int) -> bool:
-    return tests.p(index) * _test_count(tests, index) < FALSE_ALARMS
+    return tests.p(index) * _test_count(tests, index) < FALSE_ALARM_RATE
 
 
 def _test_count(score_tests: ScoreTests, index: int) -> int:

@@ -22,7 +22,7 @@ from counterspin.calibration.checks.residuals import residual_findings
 from counterspin.calibration.diagnosis.explanations import Explanation
 from counterspin.calibration.diagnosis.noise import check_stated_noise, reweight_runs
 from counterspin.calibration.diagnosis.ranking import (
-    FALSE_ALARMS,
+    FALSE_ALARM_RATE,
     STEP_COUNT,
     BestExplanation,
     find_best,
@@ -376,7 +376,7 @@ def _is_robust(estimate: Estimate, explanation: BestExplanation) -> bool:
             gain @ undetected_walk_covariance(estimate.fit, estimate.estimated_noise) @ gain
         )
     z = abs(explanation.value) / math.sqrt(variance)
-    return math.erfc(z / math.sqrt(2.0)) * explanation.test_count < FALSE_ALARMS
+    return math.erfc(z / math.sqrt(2.0)) * explanation.test_count < FALSE_ALARM_RATE
 
 
 def _correct_cause(

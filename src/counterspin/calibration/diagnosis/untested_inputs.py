@@ -54,7 +54,7 @@ _DETECTABLE_SIGMAS: Final = 4.0
 _MIN_INPUT_SHIFT: Final = 2.0
 
 #: Largest number of untested inputs in a remark.
-_MAX_NAMED: Final = 3
+_MAX_NAMED_INPUTS: Final = 3
 
 
 @frozen
@@ -114,12 +114,12 @@ def fit_alternative_mountings(
             _fit_rotated_mounting(view, relaxed_estimate, groups, quarter_turns)
             for quarter_turns in range(4)
         )
-        for quarters, (fit, fitted_groups) in enumerate(rotated_fits, 1):
-            scale = fit.solution.chi2 / max(fit.solution.dof, 1.0)
-            scale = max(scale, 1.0) if is_noise_known else scale
-            gain = (stated_fit.solution.chi2 - fit.solution.chi2) / scale
+        for turn_count, (fit, fitted_groups) in enumerate(rotated_fits, 1):
+            residual_variance = fit.solution.chi2 / max(fit.solution.dof, 1.0)
+            residual_variance = max(residual_variance, 1.0) if is_noise_known else residual_variance
+            gain = (stated_fit.solution.chi2 - fit.solution.chi2) / residual_variance
             dof = None if is_noise_known else max(fit.solution.dof, 1.0)
-            mountings.append(AlternativeMounting(view, quarters, fit, gain, dof, fitted_groups))
+            mountings.append(AlternativeMounting(view, turn_count, fit, gain, dof, fitted_groups))
     return tuple(mountings)
 
 
@@ -166,15 +166,15 @@ def find_better_mounting(mountings: Sequence[AlternativeMounting]) -> Alternativ
 
 def mounting_finding(mounting: AlternativeMounting) -> Finding:
     """Return the finding that the mounting of an accelerometer is not as stated."""
-    name, (stated, fitted) = mounting.view.name, mounting.pendulous_directions
+    name, (stated_axis, fitted_axis) = mounting.view.name, mounting.pendulous_directions
     symbol, shift, z = mounting.largest_shift()
-    data, sense = "records", ""
+    data_name, sense_clause = "records", ""
     if any(group.motion != "poses" for group in mounting.view.groups):
-        data, sense = "readings", ", the sense of rotation of the attitudes"
+        data_name, sense_clause = "readings", ", the sense of rotation of the attitudes"
     text = (
-        f"The {data} of {name} would fit if the pendulous axis pointed {fitted} instead of the "
-        f"stated {stated}. Check pendulous_axis{sense}, and the axes of the stated "
-        f"{_join_symbols(_stated_cross_terms(mounting.view))}."
+        f"The {data_name} of {name} would fit if the pendulous axis pointed {fitted_axis} instead "
+        f"of the stated {stated_axis}. Check pendulous_axis{sense_clause}, and the axes of the "
+        f"stated {_join_symbols(_stated_cross_terms(mounting.view))}."
     )
     if symbol:
         ratio = format_number(z, 2)
@@ -209,15 +209,15 @@ def undetermined_axis_remarks(mountings: Sequence[AlternativeMounting]) -> Itera
         if worst_mounting is None or worst_mounting.largest_shift()[2] < _MIN_MOUNTING_SHIFT:
             continue
         symbol, shift, z = worst_mounting.largest_shift()
-        stated, fitted = worst_mounting.pendulous_directions
+        stated_axis, fitted_axis = worst_mounting.pendulous_directions
         direction = "larger" if shift > 0.0 else "smaller"
         symbols = _stated_cross_terms(worst_mounting.view)
         values, verb = ("values", "depend") if symbols[1:] else ("value", "depends")
         yield (
             f"{name}: the records do not determine the direction of the pendulous axis, and the "
             f"stated {values} of {_join_symbols(symbols)} {verb} on this direction. With "
-            f"{fitted} instead of {stated}, the records would fit equally well, but {symbol} "
-            f"would be {format_magnitude(symbol, abs(shift))} {direction}, a change of "
+            f"{fitted_axis} instead of {stated_axis}, the records would fit equally well, but "
+            f"{symbol} would be {format_magnitude(symbol, abs(shift))} {direction}, a change of "
             f"{format_number(z, 2)} times the u of {symbol}."
         )
 
@@ -253,7 +253,7 @@ class _UntestedInput:
 def untested_input_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
     """Yield a remark for each accelerometer whose result depends on unverifiable inputs."""
     fit = estimate_considered(views[0].fit)
-    inputs = [*_stated_priors(views[0].campaign, fit), *_run_clocks(fit)]
+    inputs = [*_stated_prior_inputs(views[0].campaign, fit), *_run_clock_inputs(fit)]
     if not inputs:
         return
     data, priors = (
@@ -279,21 +279,21 @@ def untested_input_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
                     f"{untested_input.description} has an error of "
                     f"{format_magnitude(untested_input.symbol, float(sizes[index]))}"
                 )
-                amount = (
+                shift_text = (
                     f"{format_magnitude(symbol, abs(shift))}, or "
                     f"{format_number(ratio, 2)} u({symbol})"
                 )
-                remarks.append((ratio, f"if {clause}, the error of {symbol} is {amount}"))
+                remarks.append((ratio, f"if {clause}, the error of {symbol} is {shift_text}"))
         remarks.sort(reverse=True)
         if remarks:
             yield (
                 f"The result for {view.name} depends on values that the data cannot verify: "
-                f"{'; '.join(sentence for _, sentence in remarks[:_MAX_NAMED])}. The residuals "
-                "would not reveal an error in these values."
+                f"{'; '.join(sentence for _, sentence in remarks[:_MAX_NAMED_INPUTS])}. The "
+                "residuals would not reveal an error in these values."
             )
 
 
-def _stated_priors(campaign: Campaign, fit: JointFit) -> Iterator[_UntestedInput]:
+def _stated_prior_inputs(campaign: Campaign, fit: JointFit) -> Iterator[_UntestedInput]:
     """Yield the stated values with an uncertainty; values common to all runs count once."""
     prior_sd = fit.solution.prior_sd
     rows = sum(block.factor.shape[0] for block in fit.blocks)
@@ -313,7 +313,7 @@ def _stated_priors(campaign: Campaign, fit: JointFit) -> Iterator[_UntestedInput
         )
 
 
-def _run_clocks(fit: JointFit) -> Iterator[_UntestedInput]:
+def _run_clock_inputs(fit: JointFit) -> Iterator[_UntestedInput]:
     """Yield the clock of each run whose recorder also recorded other runs."""
     for index, unknown in enumerate(fit.model.unknowns):
         if unknown.symbol != CLOCK:

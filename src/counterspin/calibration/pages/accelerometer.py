@@ -184,13 +184,13 @@ def _value_cells(coefficient: Coefficient) -> tuple[str, str, str]:
         return "-", "", unit
     if u is None or u == 0.0:
         return format_number(value, 12), "exact" if u == 0.0 else "", unit
-    rounded_cells = round_to_uncertainty(value, u)
-    if rounded_cells is None:
+    rounded_estimate = round_to_uncertainty(value, u)
+    if rounded_estimate is None:
         return format_number(value, 17), f"± {format_number(u, 2)}", unit
     return (
-        rounded_cells.value,
-        f"± {rounded_cells.u}",
-        f"1e{rounded_cells.exponent} {unit}" if rounded_cells.exponent else unit,
+        rounded_estimate.value,
+        f"± {rounded_estimate.u}",
+        f"1e{rounded_estimate.exponent} {unit}" if rounded_estimate.exponent else unit,
     )
 
 
@@ -308,17 +308,17 @@ def _jackknife_table(lines: Sequence[Jackknife], coefficient: Coefficient) -> It
     value, u, unit = to_field_units(coefficient)
     _, factor = find_display_unit(coefficient.unit)
     # All estimates have the decimal places of the result, for comparison.
-    rounded_cells = round_to_uncertainty(value, u) if value is not None and u else None
-    if rounded_cells is not None and rounded_cells.exponent:
-        unit = f"1e{rounded_cells.exponent} {unit}"
+    rounded_estimate = round_to_uncertainty(value, u) if value is not None and u else None
+    if rounded_estimate is not None and rounded_estimate.exponent:
+        unit = f"1e{rounded_estimate.exponent} {unit}"
 
     def format_value(number: float | None) -> str:
         if number is None:
             return NOT_DETERMINED
         scaled_number = number * factor
         return (
-            rounded_cells.write(scaled_number)
-            if rounded_cells is not None
+            rounded_estimate.write(scaled_number)
+            if rounded_estimate is not None
             else format_number(scaled_number, 6)
         )
 

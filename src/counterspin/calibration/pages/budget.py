@@ -145,13 +145,13 @@ def budget_table(
         for line in shown_lines
     ]
     if small_lines:
-        remainder = math.hypot(*(line.contribution for line in small_lines))
+        remaining_u = math.hypot(*(line.contribution for line in small_lines))
         share = format_share(sum(line.share for line in small_lines))
         rows.append(
-            (f"{len(small_lines)} more", *[""] * 5, format_uncertainty(remainder * factor), share)
+            (f"{len(small_lines)} more", *[""] * 5, format_uncertainty(remaining_u * factor), share)
         )
-    total = math.hypot(*(line.contribution for line in (*shown_lines, *small_lines)))
-    rows.append(("combined", *[""] * 5, format_uncertainty(total * factor), ""))
+    combined_u = math.hypot(*(line.contribution for line in (*shown_lines, *small_lines)))
+    rows.append(("combined", *[""] * 5, format_uncertainty(combined_u * factor), ""))
     return Table(
         columns=(
             Column("Source", wraps=True),
@@ -174,12 +174,12 @@ def prior_values(name: str, result: Result) -> Mapping[str, float]:
     """
     priors = {row.name.removeprefix(f"{name}."): row.value for row in result.rests_on}
     coefficients = result.accelerometers[name].coefficients.items()
-    prior_only = {
+    fixed_values = {
         symbol: coefficient.value
         for symbol, coefficient in coefficients
         if not coefficient.estimated and coefficient.value is not None
     }
-    return prior_only | priors
+    return fixed_values | priors
 
 
 def evaluation_type(line: BudgetLine, accelerometer: AccelerometerResult) -> str:
@@ -197,10 +197,10 @@ def _prior_cells(line: BudgetLine, value: float | None) -> tuple[str, str]:
     u = f"{format_number(line.u * factor, 2)} {unit}"
     if not value:
         return "" if value is None else f"0 {unit}", u
-    rounded_cells = round_to_uncertainty(value * factor, line.u * factor)
-    if rounded_cells is None or rounded_cells.exponent:
+    rounded_estimate = round_to_uncertainty(value * factor, line.u * factor)
+    if rounded_estimate is None or rounded_estimate.exponent:
         return f"{format_number(value * factor, 9)} {unit}", u
-    return f"{rounded_cells.value} {unit}", u
+    return f"{rounded_estimate.value} {unit}", u
 
 
 def _sensitivity_cell(line: BudgetLine, factor: float) -> str:

@@ -27,7 +27,7 @@ from counterspin.reports.numbers import (
 from counterspin.reports.typography import SYMBOL
 
 #: State of a result -> text.
-STATE_WORDS: Final[dict[State, str]] = {
+STATE_NAMES: Final[dict[State, str]] = {
     "good": "Good",
     "reservations": "With reservations",
     "not-determined": "Not determined",
@@ -62,7 +62,7 @@ def accelerometer_card(
         title=name,
         detail=_describe_orientation(accelerometer),
         state=accelerometer.state,
-        state_text=STATE_WORDS[accelerometer.state],
+        state_text=STATE_NAMES[accelerometer.state],
         symbol=symbol,
         value=format_estimate(value, u) if is_determined else "",
         unit=unit,

@@ -74,7 +74,7 @@ def model_blocks(result: Result) -> Iterator[Block]:
             symbol for symbol, coefficient in coefficients.items() if coefficient.value is not None
         }
         terms = [TERMS[symbol] for symbol in TERMS if symbol in symbols]
-        yield Paragraph(f"{name}: a_ind = {_equation_sum(terms)}", "equation")
+        yield Paragraph(f"{name}: a_ind = {_format_equation(terms)}", "equation")
     shared_symbols = dict.fromkeys(
         [*result.platform, *(symbol for run in result.runs.values() for symbol in run.terms)]
     )
@@ -142,7 +142,7 @@ def _method_sentence(result: Result) -> str:
     )
 
 
-def _equation_sum(terms: Iterable[Term[SpecificForceProduct]]) -> str:
+def _format_equation(terms: Iterable[Term[SpecificForceProduct]]) -> str:
     summands = []
     for term in terms:
         product = term.effect.text.replace("*", " ")
@@ -221,7 +221,7 @@ def describe_tests(result: Result) -> Iterator[str]:
             )
             continue
         if motion == "vibration":
-            amplitudes = _amplitudes(readings)
+            amplitudes = _list_amplitudes(readings)
             yield (
                 f"Readings during vibration at {_format_count(len(amplitudes), 'amplitude')}, "
                 f"{_format_range(amplitudes)} m/s^2 (peak): {count}. Each reading is the mean "
@@ -281,7 +281,7 @@ def tabulate_tests(readings: Sequence[ReadingResult]) -> Table:
                 _format_range(rates)
                 if any(rates := sorted({reading.rate for reading in group}))
                 else "",
-                _format_range(amplitudes) if (amplitudes := _amplitudes(group)) else "",
+                _format_range(amplitudes) if (amplitudes := _list_amplitudes(group)) else "",
                 _format_range(sorted(reading.value for reading in group)),
                 str(len(group)),
             )
@@ -290,7 +290,7 @@ def tabulate_tests(readings: Sequence[ReadingResult]) -> Table:
     ).without_empty_columns()
 
 
-def _amplitudes(readings: Sequence[ReadingResult]) -> list[float]:
+def _list_amplitudes(readings: Sequence[ReadingResult]) -> list[float]:
     return sorted({reading.amplitude for reading in readings if reading.amplitude is not None})
 
 
@@ -366,8 +366,8 @@ def method_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
             (
                 symbol,
                 find_display_unit(accelerometer.coefficients[symbol].unit)[0],
-                _shift_cell(accelerometer.coefficients[symbol]),
-                *(_shift_cell(method.coefficients.get(symbol)) for method in methods),
+                _estimate_cell(accelerometer.coefficients[symbol]),
+                *(_estimate_cell(method.coefficients.get(symbol)) for method in methods),
             )
             for symbol in symbols
             if symbol in accelerometer.coefficients
@@ -382,7 +382,7 @@ def _has_value(method: MethodAgreement, symbol: str) -> bool:
     return symbol in method.coefficients and method.coefficients[symbol].estimated
 
 
-def _shift_cell(coefficient: Coefficient | None) -> str:
+def _estimate_cell(coefficient: Coefficient | None) -> str:
     if coefficient is None or not coefficient.estimated or coefficient.value is None:
         return NOT_DETERMINED
     _, factor = find_display_unit(coefficient.unit)

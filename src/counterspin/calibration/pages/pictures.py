@@ -182,7 +182,7 @@ def _time_plot(name: str, residual_trace: _ResidualTrace, unit: str, factor: flo
     trace = residual_trace.trace
     time = tuple(trace.time)
     low, high = _scale_values(trace.low, factor), _scale_values(trace.high, factor)
-    centre = tuple(0.5 * (a + b) for a, b in zip(low, high, strict=True))
+    centre = tuple(0.5 * (lower + upper) for lower, upper in zip(low, high, strict=True))
     sample_text = (
         f"means of {residual_trace.block} samples" if residual_trace.block > 1 else "samples"
     )
@@ -250,7 +250,7 @@ def _spectrum_plot(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot
             PlotSeries(
                 f"white noise, 95 % ({residual_trace.run})",
                 tuple(spectrum.frequency),
-                tuple(0.5 * (a + b) for a, b in zip(low, high, strict=True)),
+                tuple(0.5 * (lower + upper) for lower, upper in zip(low, high, strict=True)),
                 low,
                 high,
                 kind="band",
@@ -316,7 +316,10 @@ def _quantile_plot(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot
         PlotSeries(
             residual_trace.run,
             tuple(quantiles.normal),
-            tuple(a - b for a, b in zip(quantiles.found, quantiles.normal, strict=True)),
+            tuple(
+                found - normal_quantile
+                for found, normal_quantile in zip(quantiles.found, quantiles.normal, strict=True)
+            ),
             colour=residual_trace.colour,
         )
         for residual_trace, quantiles in traces_with_quantiles

@@ -46,25 +46,25 @@ def thin_residuals(view: AccelerometerView) -> dict[str, Trace]:
 
 def _thin_run(view: AccelerometerView, index: int, run: ObservedRun) -> Trace:
     series = view.fit.design_blocks[index].series
-    residual, whitened = (
+    residuals, whitened = (
         view.fit.residuals[index].unweighted,
         view.fit.residuals[index].whitened,
     )
     periodogram = view.diagnostics.runs[series.run].periodogram
     segment_share = _TOTAL_SEGMENTS // len(view.fit.design_blocks)
     segment_count = min(max(segment_share, _MIN_SEGMENTS), _MAX_SEGMENTS)
-    time, low, high = envelope(series.time, residual, segment_count)
+    time, low, high = envelope(series.time, residuals, segment_count)
     angle = series.trajectory.spindle.angle(series.time)
     for bin_count in _REVOLUTION_BINS:
-        folded_residuals = fold_over_revolution(angle, residual, bin_count)
+        folded_residuals = fold_over_revolution(angle, residuals, bin_count)
         if np.isfinite(folded_residuals[1]).all():
             break
     interval = median(np.diff(series.time))
     normal, ordered_residuals = normal_quantiles(whitened, _QUANTILE_COUNT)
     frequency, power, lines = smoothed_spectrum(periodogram, whitened.size * interval, _BAND_COUNT)
-    (rms,) = _round_digits(np.sqrt([np.mean(residual**2)]))
+    (rms,) = _round_digits(np.sqrt([np.mean(residuals**2)]))
     return Trace(
-        rows=residual.size,
+        rows=residuals.size,
         rms=rms,
         time=_round_digits(time, 6),
         low=_round_digits(low),
@@ -88,7 +88,7 @@ def _outlier_residuals(
     The model at an outlier is interpolated; without the reference output, it is smooth.
     """
     series, outliers = view.estimate.series[index], view.estimate.outliers[index]
-    fitted_series, residual = (
+    fitted_series, residuals = (
         view.fit.design_blocks[index].series,
         view.fit.residuals[index].unweighted,
     )
@@ -106,14 +106,18 @@ def _outlier_residuals(
     time = np.concatenate([series.time[outliers], reader_times])
     error = np.concatenate([series.error[outliers], values - reference])
     residual_at_outlier = error - np.interp(
-        time, fitted_series.time, fitted_series.error - residual
+        time, fitted_series.time, fitted_series.error - residuals
     )
     largest_indices = np.sort(
         np.argsort(-np.abs(residual_at_outlier), kind="stable")[:_MAX_OUTLIERS]
     )
-    order = largest_indices[np.argsort(time[largest_indices], kind="stable")]
+    sorted_indices = largest_indices[np.argsort(time[largest_indices], kind="stable")]
     return list(
-        zip(_round_digits(time[order], 6), _round_digits(residual_at_outlier[order]), strict=True)
+        zip(
+            _round_digits(time[sorted_indices], 6),
+            _round_digits(residual_at_outlier[sorted_indices]),
+            strict=True,
+        )
     )
 
 

@@ -148,8 +148,8 @@ def calibrate_accelerometer(
         **describe_instrument(accelerometer, coefficients),
     )
     parabolas = {
-        prepared.run: _make_parabola_result(parabola)
-        for prepared, parabola in zip(
+        block.run: _make_parabola_result(parabola)
+        for block, parabola in zip(
             second_stage.fit.design_blocks, second_stage.parabolas, strict=True
         )
     }
@@ -199,14 +199,14 @@ def two_stage_view(
     name, components = accelerometer.name, noise_components.get(accelerometer.name)
     request = make_request(problem, accelerometer, options, components)
     # All rows are used: noise one revolution apart is not correlated.
-    records = [
+    all_series = [
         record.correct_times(corrected.corrected_fraction).with_timestamp_noise(
             corrected.timestamp_sd
         )
         for record, corrected in zip(problem.series, corrected_series, strict=True)
         if record.accelerometer == name
     ]
-    selected_series, strobes = zip(*map(select_strobes, records), strict=True)
+    selected_series, strobes = zip(*map(select_strobes, all_series), strict=True)
     parabolas = [
         request.first_stage(record_strobes, record.trajectory, record.timestamp_sd)
         for record_strobes, record in zip(strobes, selected_series, strict=True)
@@ -315,7 +315,7 @@ def _summarize_residuals(
         parabola.residuals / parabola.strobes.noise_factor for parabola in parabolas
     ]
     dof = sum(parabola.dof for parabola in parabolas)
-    rms = math.sqrt(sum(float(np.sum(w**2)) for w in weighted_residuals) / dof)
+    rms = math.sqrt(sum(float(np.sum(residuals**2)) for residuals in weighted_residuals) / dof)
     if components is not None or any(parabola.sigma_from_residuals for parabola in parabolas):
         return Residual(rms=rms, unit="m", dof=dof)
     chi2 = sum(parabola.chi2 for parabola in parabolas)
