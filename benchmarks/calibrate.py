@@ -74,7 +74,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     found = [_column(suffix, int(size), repeats or 5) for suffix, size in sizes.items()]
     remark = (
         "The records contain time, angle and displacement for 400 s at each of three rates, "
-        "with 0.01 m of noise. Each time is the time of a whole process, with the files in the "
+        "with 0.01 m of noise. Times are for a whole process, with the files in the "
         "system cache. Repetitions of different processes alternate, and the table gives "
         "the fastest repetition. The peer, `benchmarks/peer.py`, is a script based on NumPy and "
         "pandas that runs only once. The parser in C++, `benchmarks/csv_limit.cpp`, together "

@@ -138,7 +138,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     ]
     remark = (
         "The campaign has three rates of 100 revolutions each at 50 Hz, and two "
-        "accelerometers. Each time is the time of a whole process, including the start of "
+        "accelerometers. Times are for a whole process, including the start of "
         "Python. Repetitions of different processes alternate. The first row gives the "
         "start-up time alone. The two ratios are the fastest time and the processor time, "
         "divided by the values in the first row. For the row with estimated noise, the "

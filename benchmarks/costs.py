@@ -45,7 +45,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
             )
         rows += [[way, size, measured.fastest] for way, measured in found.items()]
     remark = (
-        "Each time is the time of a whole process that reads Parquet files, including the start "
+        "Times are for a whole process that reads Parquet files, including the start "
         "of Python. The table gives the fastest of three repetitions."
     )
     return [Table(SAMPLES, remark, ["process", "samples", "seconds"], rows)]

@@ -39,7 +39,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
         Table(
             "A plan of eight runs",
             "The plan optimises rates, durations and senses of rotation, with all disturbances "
-            "enabled. Each time is the time of a whole process, including the start of Python. "
+            "enabled. Times are for a whole process, including the start of Python. "
             "The output includes the limits of the plan and alternative plans.",
             ["process", "median (s)", "fastest (s)", "target (s)", "peak MB"],
             [["counterspin plan", found.median, found.fastest, 3.0, found.peak]],

@@ -115,7 +115,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
             rows.append([f"{size} {kind}", measured.fastest, measured.cpu, measured.peak, order])
             before = (size, growth) if growth > 0.0 else None
     remark = (
-        "Each time is the time of a whole process, the fastest of three repetitions. The process "
+        "Times are for a whole process, and are the fastest of three repetitions. The process "
         "reads and fits the data, performs the checks, prints the result and writes the JSON "
         "file. The order describes the growth of the processor time in excess of that for the "
         "smallest campaign."

@@ -39,7 +39,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
         _examples(found["examples"]),
         Table(
             "Cost against trials",
-            "Each time is the time of one method within a single process, the fastest of three "
+            "Times are for one method within a single process, and are the fastest of three "
             "repetitions.",
             ["method", "trials", "seconds"],
             [[row["way"], row["trials"], row["seconds"]] for row in found["against trials"]],

@@ -54,7 +54,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     return [
         Table(
             "Whole studies",
-            "Each time is the time of a whole process, which starts Python and the workers, "
+            "Times are for a whole process, which starts Python and the workers, "
             "prepares and performs the trials, and writes the report. Repetitions of different "
             "processes alternate. The processor time is the sum over all processes. Two workers "
             "cannot be faster than two cores at once (see the limits of the machine), and other "

@@ -65,7 +65,7 @@ NUMBERS = [
     ("README", "report agreement to within {} or", [rerun.RELATIVE_TOLERANCE]),
     (
         "README",
-        "{} m after 100 s at one revolution a second, {} m after 400 s at a quarter of that rate",
+        "{} m after 100 s at one revolution a second, and {} m after 400 s at a quarter of that",
         [
             round(paper.TABLE_1["K_II"] * parabola("K_II", QX, rate, *PLAN) * time**2)
             for rate, time in ((2.0 * math.pi, 100.0), (0.5 * math.pi, 400.0))
