@@ -79,7 +79,7 @@ def zoomed(tab) -> float:
 
 
 def main(keep: bool) -> None:
-    from chromium import chromium
+    from chromium import launch_chromium
 
     with tempfile.TemporaryDirectory() as place, open_listener(0) as listener:
         folder = Path(place)
@@ -90,7 +90,7 @@ def main(keep: bool) -> None:
         server = make_server(AppState(ServedFolder(folder)), credentials)
         thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
         thread.start()
-        with chromium() as browser:
+        with launch_chromium() as browser:
             tab = browser.new_page(viewport={"width": 1280, "height": 1000})
             tab.goto(credentials.link)
             found: dict[int, list[float]] = {}

@@ -128,7 +128,10 @@ def command(*words: str | Path) -> None:
 
 def campaign(place: Path) -> Format:
     """Return the description of a campaign."""
-    shutil.copy(record_files.write(place / "slow.csv", record_files.table()), place / "r.csv")
+    shutil.copy(
+        record_files.write_record(place / "slow.csv", record_files.simulate_columns()),
+        place / "r.csv",
+    )
     texts = [SMALL, resource_text("ingest"), resource_text("reproduction", "paper.toml")]
     texts += [text for page in ("campaign.md", "readings.md") for text in _tables_of(page)]
     texts += [(ROOT / "docs/examples/three-rate/campaign.toml").read_text(encoding="utf-8")]
@@ -219,7 +222,7 @@ def sizes(place: Path) -> Format:
 
 def lab(place: Path) -> Format:
     """Return a laboratory's file."""
-    given = results.result()
+    given = results.make_qx_result()
     texts = [certificates.LAB, resource_text("certificates")]
     return Format(".toml", _toml_maker(texts), lambda path: read_lab(path, given))
 
@@ -255,7 +258,10 @@ def result_file(place: Path) -> Format:
 
 
 def _result_texts() -> list[str]:
-    made = [results.result().to_json(), results.result(serial_number=None).to_json()]
+    made = [
+        results.make_qx_result().to_json(),
+        results.make_qx_result(serial_number=None).to_json(),
+    ]
     dated = json.loads(made[0])
     dated["details"] = {"date": "2026-03-01", "serial_number": "C-7"}
     frozen = [
@@ -271,7 +277,7 @@ def history_folder(place: Path) -> Format:
     """Return a file of a folder with results, for the command."""
     inside = place / "results"
     inside.mkdir()
-    results.result().write(inside / "good.json")
+    results.make_qx_result().write(inside / "good.json")
     made = result_file(place).make
     names = ["b.json", ".b.json", "c.JSON", "n\x1b[31m.json", "sub.json", "\u202egood.json"]
 
@@ -289,7 +295,7 @@ def history_folder(place: Path) -> Format:
 
 def certificate_file(place: Path) -> Format:
     """Return a certificate's XML."""
-    whole = certificates.make_document(place, results.result())
+    whole = certificates.make_document(place, results.make_qx_result())
     root = etree.fromstring(whole)
 
     def make(rng: Random) -> bytes:
@@ -306,7 +312,7 @@ def certificate_file(place: Path) -> Format:
 def signed_certificate(place: Path) -> Format:
     """Return a signed certificate's XML, verified."""
     key, cert = signing_keys.write_pair(place / "k", ec.generate_private_key(ec.SECP256R1()))
-    given = results.result()
+    given = results.make_qx_result()
     lab_read = certificates.read_lab_for(place, given)
     plain = build_document(given, lab_read, certificates.ISSUE, {}, b"%PDF-1.7")
     whole = serialize_document(sign_document(plain, read_signer(key, cert)))
@@ -341,7 +347,7 @@ def certificate_pdf(place: Path) -> Format:
     """Return a certificate's PDF."""
     writer = pypdf.PdfWriter()
     writer.add_blank_page(100, 100)
-    writer.add_attachment("c.xml", certificates.make_document(place, results.result()))
+    writer.add_attachment("c.xml", certificates.make_document(place, results.make_qx_result()))
     file = io.BytesIO()
     writer.write(file)
     small = file.getvalue()
@@ -359,7 +365,7 @@ def certificate_pdf(place: Path) -> Format:
 def signed_pdf(place: Path) -> Format:
     """Return a certificate's PDF whose XML and pages are signed, verified."""
     key, cert = signing_keys.write_pair(place / "k", ec.generate_private_key(ec.SECP256R1()))
-    signer, given = read_signer(key, cert), results.result()
+    signer, given = read_signer(key, cert), results.make_qx_result()
     lab_read = certificates.read_lab_for(place, given)
     xml = serialize_document(
         sign_document(build_document(given, lab_read, certificates.ISSUE, {}, b"%PDF-1.7"), signer)
@@ -474,13 +480,17 @@ def readings_excel(place: Path) -> Format:
 
 def record_csv(place: Path) -> Format:
     """Return a record as CSV."""
-    rows = [line.split(",") for line in record_files.lines(record_files.table(n=330))]
+    rows = [
+        line.split(",") for line in record_files.format_lines(record_files.simulate_columns(n=330))
+    ]
     return Format(".csv", lambda rng: mutate_table(rng, rows), read_record)
 
 
 def record_export(place: Path) -> Format:
     """Return a record as a recorder exports it: lines before the names, commas in numbers."""
-    rows = [line.split(",") for line in record_files.lines(record_files.table(n=330))]
+    rows = [
+        line.split(",") for line in record_files.format_lines(record_files.simulate_columns(n=330))
+    ]
     commas = bytes.maketrans(b",.", b";,")
 
     def make(rng: Random) -> bytes:
@@ -499,7 +509,7 @@ def read_record(path: Path) -> None:
     """Read a record as a calibration does, and as a table."""
     failed = None
     try:
-        record_files.read(path)
+        record_files.read_written_record(path)
     except RecordError as error:
         failed = error
     if len(path.read_bytes()) % 4 == 0:  # some of them, in the two other ways
@@ -511,7 +521,9 @@ def read_record(path: Path) -> None:
 
 def record_excel(place: Path) -> Format:
     """Return a record as Excel writes it."""
-    rows = [line.split(",") for line in record_files.lines(record_files.table(n=330))]
+    rows = [
+        line.split(",") for line in record_files.format_lines(record_files.simulate_columns(n=330))
+    ]
     return Format(".xlsx", lambda rng: native.workbook(rng, rows), read_record)
 
 

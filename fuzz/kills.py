@@ -108,7 +108,7 @@ def _write_records(path: Path) -> None:
 
 def _write_result(path: Path) -> None:
     details = {"date": "2026-03-01", "serial_number": "C-7"}
-    results.result().model_copy(update={"details": details}).write(path)
+    results.make_qx_result().model_copy(update={"details": details}).write(path)
 
 
 def _write_forces(path: Path) -> None:

@@ -36,7 +36,7 @@ _ROWS = 330
 
 def _columns(rng: Random) -> dict[str, Any]:
     """Return a record's columns, some of them odd."""
-    columns: dict[str, Any] = dict(record_files.table(n=_ROWS))
+    columns: dict[str, Any] = dict(record_files.simulate_columns(n=_ROWS))
     while rng.random() < 0.5:
         name = rng.choice(list(columns))
         values = np.asarray(columns[name])

@@ -1,7 +1,7 @@
-"""What every test runs under, `--quick` and `--write-slow`.
+"""Settings of all tests, and the options `--quick` and `--write-slow`.
 
-`slow.txt` beside this file lists the tests that `--quick` leaves out. `make slow` runs all tests
-and writes it anew.
+`slow.txt` in this folder lists the tests that `--quick` leaves out. `make slow` runs all tests and
+writes it again.
 """
 
 import gc
@@ -17,30 +17,29 @@ from statistics import mean
 import pytest
 from hypothesis import HealthCheck, settings
 
-# The matrices are small: a second thread of linear algebra costs more than it brings, and eight
-# times as much while tests run side by side. It counts only before NumPy is loaded.
+# The matrices are small: a second thread of linear algebra slows the tests down, eight times with
+# parallel tests. The setting has no effect after NumPy is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# Results consist of many objects and few cycles: frequent collections of garbage free little.
+# Results consist of many objects with few cycles, so that frequent garbage collections free little.
 gc.set_threshold(100_000, 20, 100)
 
-# The same examples each time: a test that draws others may fail where nothing has changed. New
-# ones are drawn by `make fuzz`, and here with COUNTERSPIN_FULL=1. Their time has no limit, because
-# a busy machine would exceed it.
+# Use the same examples each time, so that results are reproducible. `make fuzz` and
+# COUNTERSPIN_FULL=1 draw new ones. They have no deadline, because a busy machine would exceed it.
 settings.register_profile(
     "same", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )
 if not os.environ.get("COUNTERSPIN_FULL"):
     settings.load_profile("same")
 
-#: The tests that `--quick` leaves out, one a line, whatever their parameters.
+#: File with the tests that `--quick` leaves out, one per line, without parameters.
 SLOW_TESTS = "slow.txt"
-#: A test that lasts longer is slow, s.
-SLOW = 0.15
+#: Duration above which a test is slow, s.
+SLOW_DURATION = 0.15
 
-START = time.monotonic()
+START_TIME = time.monotonic()
 
-#: Limits of processes that Windows does not have.
+#: Tests of process limits, which Windows does not have.
 collect_ignore = ["test_fuzz.py", "simulation/test_simulable.py"] if sys.platform == "win32" else []
 
 
@@ -64,13 +63,13 @@ def pytest_configure(config):
 
 
 def pytest_collection_finish():
-    # All that is loaded by now stays: no collection of garbage need go through it again.
+    # Loaded objects are permanent, so that garbage collections can skip them.
     gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
 def no_network():
-    """Reject connections beyond this machine and its local networks."""
+    """Reject connections outside local networks."""
     connect = socket.socket.connect
 
     def connect_inside(self, address):
@@ -88,7 +87,7 @@ def no_network():
         yield
 
 
-def without_parameters(nodeid):
+def remove_parameters(nodeid):
     return nodeid.partition("[")[0]
 
 
@@ -97,37 +96,37 @@ class Quick:
 
     def __init__(self, seconds):
         self.seconds = seconds
-        self.listed = 0
-        self.too_late = 0
+        self.n_deselected = 0
+        self.n_skipped = 0
 
     def pytest_collection_modifyitems(self, config, items):
-        slow = set(Path(__file__).with_name(SLOW_TESTS).read_text("utf-8").split())
-        left_out = [item for item in items if without_parameters(item.nodeid) in slow]
-        self.listed = len(left_out)
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if without_parameters(item.nodeid) not in slow]
+        slow_names = set(Path(__file__).with_name(SLOW_TESTS).read_text("utf-8").split())
+        deselected = [item for item in items if remove_parameters(item.nodeid) in slow_names]
+        self.n_deselected = len(deselected)
+        config.hook.pytest_deselected(items=deselected)
+        items[:] = [item for item in items if remove_parameters(item.nodeid) not in slow_names]
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self):
-        if time.monotonic() - START > self.seconds:
-            self.too_late += 1
+        if time.monotonic() - START_TIME > self.seconds:
+            self.n_skipped += 1
             return True
         return None
 
     def pytest_sessionfinish(self, session):
         if hasattr(session.config, "workeroutput"):
-            session.config.workeroutput["quick"] = (self.listed, self.too_late)
+            session.config.workeroutput["quick"] = (self.n_deselected, self.n_skipped)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node):
-        listed, too_late = getattr(node, "workeroutput", {}).get("quick", (0, 0))
-        self.listed = listed
-        self.too_late += too_late
+        n_deselected, n_skipped = getattr(node, "workeroutput", {}).get("quick", (0, 0))
+        self.n_deselected = n_deselected
+        self.n_skipped += n_skipped
 
     def pytest_terminal_summary(self, terminalreporter):
         terminalreporter.write_line(
-            f"Left out: {self.listed} tests that are listed as slow, and {self.too_late} for which "
-            f"{self.seconds:g} s were not enough."
+            f"Left out: {self.n_deselected} tests that are listed as slow, and {self.n_skipped} "
+            f"for which {self.seconds:g} s were not enough."
         )
 
 
@@ -138,10 +137,10 @@ class Timing:
     """
 
     def __init__(self):
-        self.own = Counter()
-        self.shared = Counter()
-        self.users = defaultdict(set)
-        self.just_shared = 0.0
+        self.durations = Counter()
+        self.fixture_durations = Counter()
+        self.fixture_users = defaultdict(set)
+        self.last_fixture_duration = 0.0
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(self, fixturedef):
@@ -151,29 +150,31 @@ class Timing:
         finally:
             if fixturedef.scope != "function":
                 seconds = time.monotonic() - start
-                self.shared[fixture_name(fixturedef)] += seconds
-                self.just_shared += seconds
+                self.fixture_durations[get_fixture_name(fixturedef)] += seconds
+                self.last_fixture_duration += seconds
 
     def pytest_runtest_setup(self, item):
         for name in item.fixturenames:
             for fixturedef in item.session._fixturemanager.getfixturedefs(name, item) or ():
-                self.users[fixture_name(fixturedef)].add(item.nodeid)
+                self.fixture_users[get_fixture_name(fixturedef)].add(item.nodeid)
 
     def pytest_runtest_logreport(self, report):
-        self.own[report.nodeid] += report.duration - self.just_shared
-        self.just_shared = 0.0
+        self.durations[report.nodeid] += report.duration - self.last_fixture_duration
+        self.last_fixture_duration = 0.0
 
     def pytest_sessionfinish(self):
-        seconds = self.own.copy()
-        for name, users in self.users.items():
+        seconds = self.durations.copy()
+        for name, users in self.fixture_users.items():
             for user in users:
-                seconds[user] += self.shared[name] / len(users)
+                seconds[user] += self.fixture_durations[name] / len(users)
         cases = defaultdict(list)
-        for nodeid, lasted in seconds.items():
-            cases[without_parameters(nodeid)].append(lasted)
-        slow = sorted(name for name, lasted in cases.items() if mean(lasted) > SLOW)
-        Path(__file__).with_name(SLOW_TESTS).write_text("".join(f"{name}\n" for name in slow))
+        for nodeid, duration in seconds.items():
+            cases[remove_parameters(nodeid)].append(duration)
+        slow_names = sorted(
+            name for name, duration in cases.items() if mean(duration) > SLOW_DURATION
+        )
+        Path(__file__).with_name(SLOW_TESTS).write_text("".join(f"{name}\n" for name in slow_names))
 
 
-def fixture_name(fixturedef):
+def get_fixture_name(fixturedef):
     return f"{fixturedef.baseid}::{fixturedef.argname}"

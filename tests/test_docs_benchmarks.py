@@ -4,7 +4,7 @@ import runpy
 from pathlib import Path
 
 import pytest
-from prose import find_numbers, value_of
+from prose import find_numbers, parse_number
 
 ROOT = Path(__file__).parent.parent
 
@@ -69,7 +69,7 @@ def test_watch_page_states_stored_results(rows):
         *find_numbers("monitoring", "a second process writes {} rows per second"),
         *find_numbers("monitoring", "The last state appeared {} s after the last row"),
     )
-    assert [value_of(number) for number in (a_second, used, lasted, share, late)] == [
+    assert [parse_number(number) for number in (a_second, used, lasted, share, late)] == [
         kept["rows a second"],
         kept["processor time, s"],
         kept["time, s"],
@@ -82,4 +82,4 @@ def test_watch_page_states_stored_results(rows):
 def test_application_page_states_stored_results(rows):
     for count, seconds in rows["Records in the application"].items():
         shown = find_numbers("application", f"| {count} | {{}} s | {{}} s | {{}} s |")
-        assert [value_of(number) for number in shown] == seconds
+        assert [parse_number(number) for number in shown] == seconds

@@ -9,7 +9,7 @@ from urllib.parse import unquote, urlsplit
 
 import lxml.html
 import pytest
-from chromium import chromium, needs_chromium, open_context
+from chromium import launch_chromium, needs_chromium, open_context
 
 SITE = Path(os.environ.get("COUNTERSPIN_SITE", "no-site")).resolve()
 PAGES = sorted(path for path in SITE.rglob("*.html") if "_" not in path.relative_to(SITE).parts[0])
@@ -56,7 +56,7 @@ def test_pictures_have_alternative_text(trees):
 @needs_chromium
 def test_site_sends_no_external_request_and_fits_phone():
     asked, wrong, wide = [], [], []
-    with chromium() as browser:
+    with launch_chromium() as browser:
         context = open_context(browser, viewport=PHONE, color_scheme="dark")
 
         def decide(route):

@@ -11,7 +11,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 from campaigns import WITHOUT_QY
-from prose import ROOT, agrees, find_numbers, sentences, value_of
+from prose import ROOT, agrees_to_last_digit, find_numbers, parse_number, read_text
 from scipy.special import stdtrit
 
 import counterspin as cs
@@ -299,18 +299,18 @@ def test_number_in_text_matches_code(page, words, computed):
     numbers = find_numbers(page, words)
     assert len(numbers) == len(computed)
     for number, size in zip(numbers, computed, strict=True):
-        assert agrees(number, size), (number, size)
+        assert agrees_to_last_digit(number, size), (number, size)
 
 
 def test_number_comparison_detects_wrong_number():
-    assert agrees("2.5", 2.549)
-    assert not agrees("2.5", 2.56)
-    assert agrees("1e-7", 1.1e-7)
-    assert not agrees("1e-7", 1.2e-7)
-    assert not agrees("50", 49.7)
-    assert agrees("three", 3.0)
-    assert not agrees("three", 3.1)
-    assert value_of("1/64") == 0.015625
+    assert agrees_to_last_digit("2.5", 2.549)
+    assert not agrees_to_last_digit("2.5", 2.56)
+    assert agrees_to_last_digit("1e-7", 1.1e-7)
+    assert not agrees_to_last_digit("1e-7", 1.2e-7)
+    assert not agrees_to_last_digit("50", 49.7)
+    assert agrees_to_last_digit("three", 3.0)
+    assert not agrees_to_last_digit("three", 3.1)
+    assert parse_number("1/64") == 0.015625
     with pytest.raises(AssertionError, match="0 times"):
         find_numbers("README", "no such words, {}")
 
@@ -329,7 +329,7 @@ def test_estimating_is_better_than_considering():
     )
     for number, held in zip(numbers, ([*known.model.considered], ["K_IP"]), strict=True):
         found = cs.forecast(known.change({"model": {"hold": held}})).u["Qx.K_II"]
-        assert agrees(number, found)
+        assert agrees_to_last_digit(number, found)
 
 
 def test_approximate_ratio_matches_terms():
@@ -338,7 +338,7 @@ def test_approximate_ratio_matches_terms():
     )
     k_yy = 0.5 * PLAN[0] * 0.5 * math.pi
     k_zx = abs(parabola("platform.g_sensitivity.zx", QX, 0.5 * math.pi, *PLAN))
-    assert k_yy / k_zx == pytest.approx(value_of(times), rel=0.1)
+    assert k_yy / k_zx == pytest.approx(parse_number(times), rel=0.1)
 
 
 @pytest.mark.parametrize("angles", [(0.0, 0.0), (90.0, 0.0), (0.0, 90.0), (20.0, 30.0)])
@@ -373,7 +373,7 @@ def test_displacement_does_not_reveal_named_violations(violations):
         assert largest_shift(row) > 100
         assert (row["state"], row["codes"]) == ("good", [])
     (held,) = find_numbers("violations", "a K_OO of typical size shifts K_II by {} u")
-    assert agrees(held, abs(violations["K_OO", "displacement"]["weighed"]["K_II"]))
+    assert agrees_to_last_digit(held, abs(violations["K_OO", "displacement"]["weighed"]["K_II"]))
     assert violations["delta_O", "displacement"]["codes"] == ["prior-conflict"]
     for name in ("platform.drift.north", "platform.g2_sensitivity.north"):
         assert violations[name, "displacement"]["codes"] == ["term-missing"]
@@ -389,7 +389,7 @@ def test_encoder_and_imbalance_effects_match_text(violations):
         if observable == "specific_force":
             assert row["codes"] or largest_shift(row) < 0.1
         else:
-            assert largest_shift(row) < value_of(most)
+            assert largest_shift(row) < parse_number(most)
     # methods.md, of 1e-7 of the rate, and physics.md
     arcsec = abs(violations["encoder.harmonic.1.sin", "specific_force"]["shifts"]["K_II"])
     ripple, times = find_numbers(
@@ -397,7 +397,7 @@ def test_encoder_and_imbalance_effects_match_text(violations):
         "with a relative amplitude of {}, and that an encoder error masks this variation. The "
         "variation would shift K_II by {}",
     )
-    assert value_of(times) == round(arcsec * value_of(ripple) / ARCSEC)
+    assert parse_number(times) == round(arcsec * parse_number(ripple) / ARCSEC)
     assert arcsec > 200
     for name in ("platform.compliance.zy", "K_F.heating"):
         assert abs(violations[name, "displacement"]["shifts"]["K_II"]) > 200
@@ -410,15 +410,15 @@ def test_violation_campaign_matches_description():
         find_numbers("violations", "by {} of its u"),
     )
     (most,), (least,) = limits
-    assert agrees(most, study["SILENT_UP_TO"])
-    assert agrees(least, study["SHOWN_FROM"])
+    assert agrees_to_last_digit(most, study["SILENT_UP_TO"])
+    assert agrees_to_last_digit(least, study["SHOWN_FROM"])
     campaign = tomllib.loads(study["description"]("velocity", study["FULL"]))
     words = "three runs at {}, {} and {} rev/s, with {} revolutions each, sampled at {} Hz on "
     words += "a radius of {} m. "
     words += "The noise per sample is {} m, {} mm/s or {} m/s^2. "
     words += "The standard uncertainties are {} µg for the bias and {} ppm for the scale factor"
     *rates, turns, sampling, radius, place, speed, force, bias, scale = map(
-        value_of, find_numbers("violations", words)
+        parse_number, find_numbers("violations", words)
     )
     assert tuple(rates) == tuple(map(float, RATES))
     assert (sampling, turns) == (study["FULL"].sampling_rate, study["FULL"].revolutions)
@@ -442,7 +442,7 @@ def test_intervals_with_estimated_noise_are_conservative():
     for row in rows:
         if row["words"] == "white noise, not stated":
             length = 1.0 / row["normal_rms"]["K_F"]
-            assert "about twice as long as necessary" in sentences("methods")
+            assert "about twice as long as necessary" in read_text("methods")
             assert length == pytest.approx(2.0, abs=0.35)
 
 
@@ -452,7 +452,7 @@ def test_u_matches_scatter_if_noise_is_stated_or_visible():
     rows = [row for row in study["TABLE"].load() if not row.hidden]
     assert len(rows) > 10
     for row in rows:
-        assert abs(row.normal - 1.0) < row.normal_band + value_of(near), row
+        assert abs(row.normal - 1.0) < row.normal_band + parse_number(near), row
 
 
 def test_false_alarm_rates_do_not_exceed_stated_rates():
@@ -466,9 +466,9 @@ def test_false_alarm_rates_do_not_exceed_stated_rates():
         "`run-disagrees`": find_numbers("diagnosis", "(`run-disagrees`): {} % of campaigns")[0],
         "`noise-differs`": find_numbers("diagnosis", "(`noise-differs`): {} % of campaigns, by")[0],
         "`methods-disagree`": 2
-        * value_of(find_numbers("diagnosis", "(`methods-disagree`): {} % of")[0]),
-        "`lack-of-fit`": 2 * value_of(residuals),
-        "a cause": sum(map(value_of, causes)),
+        * parse_number(find_numbers("diagnosis", "(`methods-disagree`): {} % of")[0]),
+        "`lack-of-fit`": 2 * parse_number(residuals),
+        "a cause": sum(map(parse_number, causes)),
     }
     for row in load_results("docs/false_alarms.json"):
         for what, share in shares.items():
@@ -487,7 +487,7 @@ def benchmark_results():
 
 
 def test_start_up_takes_most_of_calibration_time(benchmark_results):
-    text = sentences("benchmarks")
+    text = read_text("benchmarks")
     usual = benchmark_results["A usual campaign"]
     start, whole = (usual[name] for name in list(usual)[:4:3])
     assert list(usual)[3] == "counterspin calibrate"
@@ -509,7 +509,7 @@ def test_overhead_of_two_workers_matches_text(benchmark_results):
     one, two = (
         row["processor (s)"] for row in list(benchmark_results["Whole studies"].values())[1:]
     )
-    assert agrees(number, 0.5 * (two - one))
+    assert agrees_to_last_digit(number, 0.5 * (two - one))
 
 
 # What examples, cases and tables of the pages themselves hold -------------------------------------
@@ -522,17 +522,17 @@ def test_gain_of_joint_fit_matches_readme():
     (row,) = re.findall(
         r"^K_II +\S+ +\S+ ± (\S+) +\S+ ± (\S+)", (ROOT / "README.md").read_text("utf-8"), re.M
     )
-    assert float(row[0]) / float(row[1]) == pytest.approx(value_of(share), rel=0.1)
+    assert float(row[0]) / float(row[1]) == pytest.approx(parse_number(share), rel=0.1)
 
 
 def test_certificate_schema_version_matches_readme():
-    assert f"(DCC {build.SCHEMA_VERSION})" in sentences("README")
+    assert f"(DCC {build.SCHEMA_VERSION})" in read_text("README")
 
 
 def test_quickstart_truth_matches_starter():
     starter = tomllib.loads((files("counterspin.ingest") / "starter.toml").read_text("utf-8"))
     ((truth, micro),) = re.findall(
-        r"value in `\[truth\]` is `(\S+) g/g\^2`, which is (\d+) ug", sentences("quickstart")
+        r"value in `\[truth\]` is `(\S+) g/g\^2`, which is (\d+) ug", read_text("quickstart")
     )
     assert starter["truth"]["Qx"]["K_II"] == f"{truth} g/g^2"
     assert float(micro) == pytest.approx(1e6 * float(truth))
@@ -549,7 +549,7 @@ def test_integral_accuracy_matches_text():
         checked = [check_case(case) for case in cases() if case.name.startswith(beginning)]
         assert len(checked) == count
         for case in checked:
-            allowed = value_of(limit) * abs(case.expected) + 1e-12
+            allowed = parse_number(limit) * abs(case.expected) + 1e-12
             assert abs(case.found - case.expected) <= allowed, case.name
 
 
@@ -563,14 +563,14 @@ def test_reference_value_digits_match_text():
         for name in ("make_double_integrals.py", "make_arm_forces.py")
     ]
     assert (
-        list(map(value_of, find_numbers("validation", "in {}-digit and {}-digit arithmetic")))
+        list(map(parse_number, find_numbers("validation", "in {}-digit and {}-digit arithmetic")))
         == digits
     )
     told_of_trust = [
         *find_numbers("trust", "integrals in {}-digit"),
         *find_numbers("trust", "twice with {} digits"),
     ]
-    assert list(map(value_of, told_of_trust)) == digits
+    assert list(map(parse_number, told_of_trust)) == digits
 
 
 @pytest.mark.parametrize(
@@ -581,7 +581,7 @@ def test_reference_value_digits_match_text():
     ],
 )
 def test_case_counts_match_page(words, begins):
-    assert value_of(find_numbers("validation", words)[0]) == sum(
+    assert parse_number(find_numbers("validation", words)[0]) == sum(
         c.name.startswith(begins) for c in cases()
     )
 
@@ -596,7 +596,7 @@ def test_validation_page_lists_all_requirements():
 
 def test_rates_of_arm_example():
     *sizes, last = re.search(
-        r"readings at ([\d, ]+) and (\d+) g in both mountings", sentences("arm")
+        r"readings at ([\d, ]+) and (\d+) g in both mountings", read_text("arm")
     ).groups()
     sizes = [*sizes[0].split(", "), last]
     text = (files("counterspin.ingest") / "starter_arm.csv").read_text("utf-8")
@@ -612,7 +612,7 @@ def test_rates_of_arm_example():
 def test_tumble_example_matches_table():
     (count,) = find_numbers("tumble", "a table of {} positions")
     text = (files("counterspin.ingest") / "starter_tumble.csv").read_text("utf-8")
-    assert len(list(csv.DictReader(text.splitlines()))) == value_of(count)
+    assert len(list(csv.DictReader(text.splitlines()))) == parse_number(count)
     # The closed form: one over the length of what is left of a column beside the others.
     page = (ROOT / "docs" / "tumble.md").read_text("utf-8")
     for row, cubic in zip(
@@ -628,7 +628,7 @@ def test_tumble_example_matches_table():
         u = np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
         assert [float(cell) for cell in cells if cell] == pytest.approx(list(u), abs=6e-7)
     assert u[1] * math.sqrt(12.0) == pytest.approx(
-        value_of(find_numbers("tumble", "u(K_I) is about {} times as large")[0]), rel=0.1
+        parse_number(find_numbers("tumble", "u(K_I) is about {} times as large")[0]), rel=0.1
     )
 
 
@@ -654,7 +654,7 @@ def test_detectable_effect_with_few_degrees_of_freedom():
     for freedom, text in zip((5, 4, 3, 2), (seen, *larger), strict=True):
         # Of the residuals' freedom the column itself takes one.
         limit = float(stdtrit(freedom - 1, 1.0 - 0.5 * level))
-        assert float(f"{limit:.2g}") == value_of(text)
+        assert float(f"{limit:.2g}") == parse_number(text)
 
 
 def test_residual_of_settling_bias_matches_text():

@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
-from prose import agrees, find_numbers, value_of
+from prose import agrees_to_last_digit, find_numbers, parse_number
 
 from counterspin.physics.accelerometer import QX
 from counterspin.physics.closed_forms import parabola
@@ -49,10 +49,10 @@ def test_plan_is_about_fifty_times_better(reproduction):
 def test_missing_drift_and_small_product_match_text(reproduction):
     (missing,) = find_numbers("paper", "(The estimate is {} % smaller than")
     drift = reproduction["separation.drift_as_ripple"].ours
-    assert agrees(missing, 100.0 * (1.0 - drift / (2.0 / 3.0 * plan.DRIFT_RATE)))
+    assert agrees_to_last_digit(missing, 100.0 * (1.0 - drift / (2.0 / 3.0 * plan.DRIFT_RATE)))
     (most,) = find_numbers("paper", "this parabola is at most {} millionths of the $K_{II}$ term")
     rate, table = max(plan.RATES), plan.TABLE_1
     product = 0.75 * table["K_III"] * plan.RADIUS**3 * rate**6 / plan.GRAVITY**2
     product *= plan.RIPPLE_RATIO * math.sin(plan.RIPPLE_PHASE)
     term = table["K_II"] * parabola("K_II", QX, rate, plan.RADIUS, plan.GRAVITY)
-    assert 0.5e-6 * value_of(most) < product / term < 1e-6 * value_of(most)
+    assert 0.5e-6 * parse_number(most) < product / term < 1e-6 * parse_number(most)

@@ -17,7 +17,7 @@ from fuzz.hunt import BYTES, SECONDS, content, hunt, judge
 from fuzz.kills import COMMANDS, Command, Trial, kill_all
 from fuzz.requests import request_of, valid_requests
 from fuzz.tracing import Runner, possible
-from prose import find_numbers, sentences, value_of
+from prose import find_numbers, parse_number, read_text
 
 from counterspin.application.endpoints import ENDPOINTS
 from counterspin.errors import CounterspinError
@@ -262,7 +262,7 @@ def test_page_states_fuzzing_limits():
         "reads all of these and {} new cases, and sends {} cases to the application",
     )
     (commands,) = find_numbers("harmful-files", "{} commands were killed")
-    assert [value_of(number) for number in (seconds, gigabytes, new, asked, commands)] == [
+    assert [parse_number(number) for number in (seconds, gigabytes, new, asked, commands)] == [
         SECONDS,
         BYTES / 1e9,
         DOCUMENTS + RECORDS,
@@ -276,7 +276,7 @@ _OF_APPLICATION = ("requests to the application", "connections to its server")
 
 
 def test_page_states_number_of_tried_cases():
-    page = sentences("harmful-files")
+    page = read_text("harmful-files")
     asked = dict.fromkeys(("DOCUMENTS", "RECORDS", "KILLS", "requests"), 0)
     command = (
         r"make fuzz (?:ONLY=(\S+) )?(SEED=\d+ DOCUMENTS=\d+ RECORDS=\d+ KILLS=\d+)"
@@ -292,14 +292,14 @@ def test_page_states_number_of_tried_cases():
     (records,) = find_numbers("harmful-files", "Excel and PDF | {} |")
     (kills,) = find_numbers("harmful-files", "| commands killed | {} |")
     # A hunt that is stopped has tried fewer.
-    assert 0.999 * asked["DOCUMENTS"] < value_of(documents) <= asked["DOCUMENTS"]
-    assert value_of(refused) < value_of(documents)
-    assert [value_of(records), value_of(kills)] == [asked["RECORDS"], asked["KILLS"]]
+    assert 0.999 * asked["DOCUMENTS"] < parse_number(documents) <= asked["DOCUMENTS"]
+    assert parse_number(refused) < parse_number(documents)
+    assert [parse_number(records), parse_number(kills)] == [asked["RECORDS"], asked["KILLS"]]
     asked_of = [
         find_numbers("harmful-files", f"| {kind} | {{}} | {{}} |") for kind in _OF_APPLICATION
     ]
-    assert sum(value_of(tried) for tried, _ in asked_of) == asked["requests"]
-    assert all(value_of(refused) < value_of(tried) for tried, refused in asked_of)
+    assert sum(parse_number(tried) for tried, _ in asked_of) == asked["requests"]
+    assert all(parse_number(refused) < parse_number(tried) for tried, refused in asked_of)
     # A case of requests has 1 to 3 of them, 1.6 in the mean.
     (sent,) = find_numbers("harmful-files", "The `requests` cases sent {} requests")
-    assert value_of(sent) == pytest.approx(1.6 * value_of(asked_of[0][0]), rel=0.01)
+    assert parse_number(sent) == pytest.approx(1.6 * parse_number(asked_of[0][0]), rel=0.01)

@@ -10,7 +10,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from json_schema import mistakes
+from json_schema import find_violations
 
 import counterspin as cs
 from counterspin.calibration.result import Result
@@ -81,8 +81,8 @@ def keys(schema, path=""):
     ],
 )
 def test_validator_accepts_valid_and_rejects_invalid(schema, right, wrong):
-    assert list(mistakes(schema, right)) == []
-    assert list(mistakes(schema, wrong))
+    assert list(find_violations(schema, right)) == []
+    assert list(find_violations(schema, wrong))
 
 
 @every_schema
@@ -113,7 +113,7 @@ def test_every_key_has_valid_example(name):
     for path, schema in keys(made(name)):
         for example in schema.get("examples", ()):
             shown += 1
-            assert list(mistakes(schema, example, path, made(name))) == []
+            assert list(find_violations(schema, example, path, made(name))) == []
     assert shown > 3
 
 
@@ -135,13 +135,13 @@ def test_documentation_examples_match_schema(document):
         branch = "then" if "stations" in document else "else"
         schema = {**schema, **schema.get(branch, {}), "required": []}
         schema = {word: said for word, said in schema.items() if word not in ("if", "then", "else")}
-    assert list(mistakes(schema, document)) == []
+    assert list(find_violations(schema, document)) == []
 
 
 @pytest.mark.parametrize(("name", "file"), STARTERS)
 def test_starters_match_schema(name, file):
     text = (files("counterspin") / file).read_text("utf-8")
-    assert list(mistakes(made(name), tomllib.loads(text))) == []
+    assert list(find_violations(made(name), tomllib.loads(text))) == []
 
 
 SLIPS = [
@@ -159,22 +159,22 @@ SLIPS = [
 def test_invalid_entry_is_detected(old, new):
     text = (files("counterspin") / "ingest/starter.toml").read_text("utf-8")
     assert old in text
-    assert list(mistakes(made("campaign"), tomllib.loads(text.replace(old, new, 1))))
+    assert list(find_violations(made("campaign"), tomllib.loads(text.replace(old, new, 1))))
 
 
 def test_result_matches_schema():
     file = ROOT / "docs" / "examples" / "three-rate" / "result.json"
     document = json.loads(Result.read(file).to_json())
-    assert list(mistakes(made("result"), document)) == []
-    assert list(mistakes(made("result"), document | {"method": 1}))
+    assert list(find_violations(made("result"), document)) == []
+    assert list(find_violations(made("result"), document | {"method": 1}))
 
 
 def test_noise_result_matches_schema():
     force = np.random.default_rng(7).normal(0.0, 1e-4, 2000)
     found = cs.noise({"time_s": np.arange(2000) / 50.0, "f": force}, columns=["f"], unit="m/s^2")
     document = json.loads(found.to_json())
-    assert list(mistakes(made("noise"), document)) == []
-    assert list(mistakes(made("noise"), document | {"signals": [{"name": "f"}]}))
+    assert list(find_violations(made("noise"), document)) == []
+    assert list(find_violations(made("noise"), document | {"signals": [{"name": "f"}]}))
 
 
 def test_init_writes_schema_of_description(tmp_path):

@@ -5,7 +5,7 @@ import logging
 import frames
 import numpy as np  # noqa: F401 -- whose library takes the threads
 import pytest
-from clusters import cluster_of_the_page
+from clusters import start_documented_cluster
 
 from counterspin import workers
 from counterspin.calibration import assembly
@@ -44,7 +44,7 @@ def test_local_cluster_is_loopback_only_and_ignores_folder_modules(tmp_path):
     psutil = pytest.importorskip("psutil", reason="comes with Dask")
     for name in ("json", "signal", "multiprocessing"):
         (tmp_path / f"{name}.py").write_text("open(__file__ + '.ran', 'w')\nraise ImportError\n")
-    with cluster_of_the_page(tmp_path) as (address, *processes):
+    with start_documented_cluster(tmp_path) as (address, *processes):
         assert address.startswith("tcp://127.0.0.1:")
         with pytest.importorskip("distributed").Client(address, set_as_default=False) as client:
             client.wait_for_workers(1, timeout=120)

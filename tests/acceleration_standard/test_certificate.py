@@ -4,7 +4,7 @@ import pytest
 from arm_centrifuge import DESCRIPTION, STATED
 
 import counterspin as cs
-from certificates import LAB, SCHEMA, find, needs_schema, write_lab
+from certificates import LAB, SCHEMA, find_elements, needs_schema, write_lab
 from counterspin.acceleration_standard.certificate import certify_applied
 from counterspin.certificates.schema import check_schema
 from counterspin.cli import main
@@ -30,7 +30,7 @@ def calculate_budget(tmp_path_factory):
 
 
 def read_numbers(certificate, path):
-    return [float(element.text) for element in find(certificate.xml, path)]
+    return [float(element.text) for element in find_elements(certificate.xml, path)]
 
 
 def test_values_and_expanded_uncertainties_match_budget(calculate_budget, tmp_path):

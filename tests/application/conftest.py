@@ -4,8 +4,8 @@ import shutil
 import warnings
 
 import pytest
-from chromium import chromium, open_context
-from served import InlineJobs, run_server, token_of, write_folder
+from chromium import launch_chromium, open_context
+from served import InlineJobs, read_token, run_server, write_folder
 
 from counterspin.application.access_control import Credentials
 from counterspin.application.app_state import AppState
@@ -63,14 +63,14 @@ def anonymous(app, credentials):
 @pytest.fixture
 def page(anonymous, credentials):
     """Return a client with a session key, as the page has after following the link."""
-    response = anonymous.post("/api/session", json={"token": token_of(credentials)})
+    response = anonymous.post("/api/session", json={"token": read_token(credentials)})
     anonymous.headers["Authorization"] = f"Bearer {response.json()['key']}"
     return anonymous
 
 
 @pytest.fixture(scope="module")
 def browser():
-    with chromium() as started:
+    with launch_chromium() as started:
         yield started
 
 
@@ -109,7 +109,7 @@ def open_window(browser, server_credentials):
         link = credentials.link
         if place is not None:
             # As a window that followed the link before.
-            key = credentials.exchange_token(token_of(credentials))
+            key = credentials.exchange_token(read_token(credentials))
             context.add_init_script(f"sessionStorage.setItem('counterspin-key', '{key}')")
             link = f"{link.partition('#')[0]}#{place}"
         windows.append(Window(context, link))

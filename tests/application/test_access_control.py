@@ -3,7 +3,7 @@
 import asyncio
 
 import pytest
-from served import token_of
+from served import read_token
 
 from counterspin.application import access_control
 from counterspin.application.access_control import Credentials
@@ -73,13 +73,13 @@ def test_request_without_key_is_unauthorized(anonymous, credentials):
         assert anonymous.post("/api/session", content=odd.encode()).status_code == 403
     assert anonymous.get(FOLDER).status_code == 401
     other = Credentials(1234)
-    for said in (token_of(credentials), other.exchange_token(token_of(other)), ""):
+    for said in (read_token(credentials), other.exchange_token(read_token(other)), ""):
         anonymous.headers["Authorization"] = f"Bearer {said}"
         assert anonymous.get(FOLDER).status_code == 401
 
 
 def test_session_key_is_not_set_as_cookie(anonymous, credentials):
-    response = anonymous.post("/api/session", json={"token": token_of(credentials)})
+    response = anonymous.post("/api/session", json={"token": read_token(credentials)})
     assert "set-cookie" not in response.headers
     key = response.json()["key"]
     anonymous.cookies.set("counterspin-8765", key)
@@ -92,11 +92,13 @@ def test_session_key_is_not_set_as_cookie(anonymous, credentials):
 def test_link_is_valid_once_and_next_link_is_printed(anonymous, credentials):
     told = []
     credentials.on_token_used = told.append
-    first = {"token": token_of(credentials)}
+    first = {"token": read_token(credentials)}
     assert anonymous.post("/api/session", json=first).status_code == 200
     assert anonymous.post("/api/session", json=first).status_code == 403
     assert told == [credentials.link]
-    assert anonymous.post("/api/session", json={"token": token_of(credentials)}).status_code == 200
+    assert (
+        anonymous.post("/api/session", json={"token": read_token(credentials)}).status_code == 200
+    )
     assert told[1] == credentials.link
     assert len({*told, f"http://127.0.0.1:8765/#token={first['token']}"}) == 3
 
@@ -105,7 +107,7 @@ def test_servers_do_not_share_credentials():
     one, other = Credentials(1), Credentials(1)
     # Browsers do not send fragments.
     assert one.link.startswith("http://127.0.0.1:1/#token=")
-    tokens = token_of(one), token_of(other)
+    tokens = read_token(one), read_token(other)
     found = {
         *tokens,
         *(
@@ -209,7 +211,7 @@ def test_number_of_large_forms_in_memory_is_limited(credentials):
     async def send(_):
         pass
 
-    key = credentials.exchange_token(token_of(credentials))
+    key = credentials.exchange_token(read_token(credentials))
     headers = {"host": "127.0.0.1:8765", "origin": "http://127.0.0.1:8765"}
     headers["authorization"] = f"Bearer {key}"
     sent = [(name.encode(), value.encode()) for name, value in headers.items()]

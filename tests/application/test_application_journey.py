@@ -12,10 +12,10 @@ import polars as pl
 import pytest
 from chromium import needs_chromium
 from cryptography.hazmat.primitives.asymmetric import ec
-from exports import RUNS, campaign_folder
+from exports import RUNS, simulate_campaign
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
-from served import answer_field
+from served import find_answer_field
 from signing_keys import write_pkcs12
 from workbooks import write_workbook
 
@@ -206,7 +206,7 @@ def fill_laboratory_form(tab):
 
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory):
-    plain = campaign_folder(tmp_path_factory.mktemp("plain"))
+    plain = simulate_campaign(tmp_path_factory.mktemp("plain"))
     return {name: pl.read_csv(plain / f"{name}.csv") for name in RUNS}
 
 
@@ -224,14 +224,14 @@ def test_files_to_certificate_within_effort_limits(open_window, frames, folder, 
     hand = UserEffort(tab)
     hand.read(tab.locator(".drop"))
     hand.choose_files(tab.get_by_label("Recorder files"), sorted(files.iterdir()))
-    answer_field(tab, "Local gravity").wait_for()
+    find_answer_field(tab, "Local gravity").wait_for()
     hand.read(*tab.locator(".site, .columns, .unused, .checklist").all())
     for question, answer in KNOWN.items():
-        for field in answer_field(tab, question).all():
+        for field in find_answer_field(tab, question).all():
             if field.input_value() == "":
                 hand.fill(field, answer)
     for question, answer in WRONG.get(write, {}).items():
-        wrong = answer_field(tab, question)
+        wrong = find_answer_field(tab, question)
         assert wrong.input_value() == "north"
         hand.fill(wrong, answer)
     hand.click(tab.get_by_role("button", name="Calibrate"))

@@ -10,7 +10,7 @@ from campaigns import SMALL, write_description
 from results import seal_document
 
 from counterspin.application.campaigns import to_json
-from triads import directions, indications, table
+from triads import compute_indications, draw_directions, write_pose_campaign
 
 
 def campaign_state(page, name="three"):
@@ -32,7 +32,9 @@ def test_campaign_is_listed_with_its_result(page):
 
 
 def test_poses_count_as_runs(page, folder):
-    table(folder / "triad", indications(directions(15, np.random.default_rng(1))))
+    write_pose_campaign(
+        folder / "triad", compute_indications(draw_directions(15, np.random.default_rng(1)))
+    )
     found = {c["name"]: c["runs"] for c in page.get("/api/folder").json()["campaigns"]}
     assert found == {"three": 3, "triad": 15}
 

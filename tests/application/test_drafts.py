@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exports import EXPORTS, campaign_folder, write_records
-from posed_files import compound, waveforms
+from exports import EXPORTS, simulate_campaign, write_records
+from posed_files import write_compound_file, write_waveform_file
 from served import ANSWERS
 
 from counterspin.application.drafts import UNIT_CHOICES, detrended_curve
@@ -55,7 +55,7 @@ def test_uploaded_files_become_campaign(page, folder, uploaded):
 
 @pytest.fixture(scope="module")
 def plain_folder(tmp_path_factory):
-    return campaign_folder(tmp_path_factory.mktemp("exports"))
+    return simulate_campaign(tmp_path_factory.mktemp("exports"))
 
 
 def calibrate_from_page(page, folder, files, sense="counterclockwise"):
@@ -190,13 +190,13 @@ def test_text_columns_are_shown_where_required(page):
 @pytest.mark.parametrize(
     ("name", "write", "note"),
     [
-        ("a.h5", compound, "three-axis sensor: columns 'ax', 'ay', 'az'"),
+        ("a.h5", write_compound_file, "three-axis sensor: columns 'ax', 'ay', 'az'"),
         (
             "a.tdms",
-            partial(waveforms, ends=(0, 1, 2)),
+            partial(write_waveform_file, ends=(0, 1, 2)),
             "channels truncated to the length of the shortest",
         ),
-        ("b.tdms", partial(waveforms, late=(0, 0, 200)), "channels aligned by start"),
+        ("b.tdms", partial(write_waveform_file, skipped=(0, 0, 200)), "channels aligned by start"),
     ],
 )
 def test_page_imports_tables_inside_containers(page, tmp_path, name, write, note):

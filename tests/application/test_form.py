@@ -3,7 +3,7 @@
 import re
 from itertools import chain
 
-from prose import sentences
+from prose import read_text
 
 from counterspin.application.form import SECTIONS, campaign_form, lab_form, plan_form, run_kinds
 from counterspin.campaign.accelerometers import TRUTH_TABLES
@@ -33,7 +33,7 @@ def find_field(form, *path):
 def test_form_has_all_sections():
     keys = {f.alias or name for name, f in CampaignDocument.model_fields.items()}
     (laboratory,) = re.findall(
-        r"In the laboratory file, edit (.*?) as text", sentences("application")
+        r"In the laboratory file, edit (.*?) as text", read_text("application")
     )
     of_laboratory = set(re.findall(r"\[(\w+)\]", laboratory))
     assert keys - {"schema"} == set(SECTIONS)

@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 from campaigns import replace_parts
-from served import wait
+from served import wait_for_job
 
 from counterspin.calibration.calibrate import calibrate
 
@@ -84,7 +84,7 @@ def test_campaign_without_records_shows_forecast(page, folder):
     # A second request finds the running job.
     jobs = [page.get("/api/page", params=request).json()["job"] for _ in range(2)]
     assert {(job["number"], job["kind"]) for job in jobs} == {(1, "forecast")}
-    assert wait(page, 1)["state"] == "done"
+    assert wait_for_job(page, 1)["state"] == "done"
     body = page.get("/api/page", params=request).json()
     assert "u(K<sub>" in body["html"]
     assert body["command"].startswith("counterspin plan --check ")
@@ -98,6 +98,6 @@ def test_forecast_exceeding_memory_fails_with_message(page, folder):
     (folder / "endless" / "campaign.toml").write_text(text)
     request = {"kind": "forecast", "names": "endless/campaign.toml"}
     number = page.get("/api/page", params=request).json()["job"]["number"]
-    job = wait(page, number)
+    job = wait_for_job(page, number)
     assert job["state"] == "failed"
     assert "at 1e-09 rev/s" in job["error"]

@@ -5,7 +5,7 @@ import tomllib
 import pytest
 from campaigns import replace_parts
 from planning_setups import PERFECT
-from served import wait
+from served import wait_for_job
 
 from counterspin.application.plans import PLAN_SLIDERS, READING_PLAN_SLIDERS
 from counterspin.planning.page import plan_blocks
@@ -28,7 +28,7 @@ def get_plan_page(page, name="PLAN.toml", **moved):
     request = {"name": name, "moved": moved}
     job = page.post("/api/plan-page", json=request).json()["job"]
     assert (job["kind"], job["output"]) == ("plan", "")
-    assert wait(page, job["number"])["state"] == "done"
+    assert wait_for_job(page, job["number"])["state"] == "done"
     return page.post("/api/plan-page", json=request).json()["html"]
 
 
@@ -70,7 +70,9 @@ def test_failed_plan_search_states_cause(planned, folder):
     file = folder / "PLAN.toml"
     walk = 'displacement = "0.01 m"\nacceleration = "3e-6 g/Hz^0.5"'
     file.write_text(file.read_text().replace('displacement = "0.01 m"', walk))
-    job = wait(planned, planned.post("/api/plan-page", json=request).json()["job"]["number"])
+    job = wait_for_job(
+        planned, planned.post("/api/plan-page", json=request).json()["job"]["number"]
+    )
     assert job["state"] == "failed"
     assert "the search covers only" in job["error"]
 
@@ -81,7 +83,7 @@ def test_plan_search_can_be_stopped(planned):
     # Another request finds the same job while it runs.
     assert planned.post("/api/plan-page", json=request).json()["job"]["number"] == number
     planned.request("DELETE", "/api/jobs", json={"number": number})
-    assert wait(planned, number)["state"] == "stopped"
+    assert wait_for_job(planned, number)["state"] == "stopped"
 
 
 @pytest.mark.slow
@@ -99,7 +101,7 @@ def test_limits_are_in_units_of_plan_file(planned, folder):
     moved = {"highest_rate": 45.0 * rate["factor"], "settling": 15.0, "runs": 3.0}
     request = {"name": "PLAN.toml", "moved": moved, "folder": "planned"}
     number = planned.post("/api/planned", json=request).json()["number"]
-    assert wait(planned, number)["state"] == "done"
+    assert wait_for_job(planned, number)["state"] == "done"
     written = tomllib.loads(file.read_text())["limits"]
     assert (written["highest_rate"], written["settling"]) == ("45 rpm", "0.25 min")
     assert written["runs"] == 3
@@ -120,7 +122,7 @@ def test_plan_page_of_poses_matches_command(page, folder):
     text = file.read_text()
     request = {"name": "POSES.toml", "moved": {"readings": 12.0}, "folder": "poses"}
     number = page.post("/api/planned", json=request).json()["number"]
-    assert wait(page, number)["state"] == "done"
+    assert wait_for_job(page, number)["state"] == "done"
     assert file.read_text() == text.replace("readings = 18", "readings = 12")
     assert render_plan(plan(file).result) == shown
     runs = tomllib.loads((folder / "poses" / "campaign.toml").read_text())["runs"]
@@ -158,7 +160,7 @@ def test_limits_and_planned_campaign_are_written(planned, folder):
     body = planned.post("/api/planned", json=request).json()
     assert body["command"].startswith("counterspin plan ")
     assert body["output"] == "planned"
-    assert wait(planned, body["number"])["state"] == "done"
+    assert wait_for_job(planned, body["number"])["state"] == "done"
     text = (folder / "PLAN.toml").read_text()
     assert tomllib.loads(text)["limits"]["total_time"] == "600 s"
     assert "# includes records, spin-up, settling and changes of attitude" in text
@@ -186,7 +188,7 @@ def test_failed_plan_changes_no_file(planned, folder):
     other = request | {"moved": {"total_time": 600.0}, "folder": "three/slow.csv"}
     for asked in (request, other):
         number = planned.post("/api/planned", json=asked).json()["number"]
-        assert wait(planned, number)["state"] == "failed"
+        assert wait_for_job(planned, number)["state"] == "failed"
         assert file.read_text() == before
     assert not (folder / "planned").exists()
 
@@ -196,6 +198,6 @@ def test_stopped_plan_changes_no_file(planned, folder):
     request = {"name": "PLAN.toml", "moved": {"total_time": 600.0}, "folder": "planned"}
     number = planned.post("/api/planned", json=request).json()["number"]
     planned.request("DELETE", "/api/jobs", json={"number": number})
-    assert wait(planned, number)["state"] == "stopped"
+    assert wait_for_job(planned, number)["state"] == "stopped"
     assert (folder / "PLAN.toml").read_text() == before
     assert not (folder / "planned").exists()

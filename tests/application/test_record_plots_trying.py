@@ -1,7 +1,7 @@
 """Jobs for studies and simulated records."""
 
 import pytest
-from served import wait
+from served import wait_for_job
 
 from counterspin.studies.study import study
 
@@ -9,7 +9,7 @@ from counterspin.studies.study import study
 def run_job(page, asked, **said):
     begun = page.post(f"/api/{asked}", json={"name": "three"} | said)
     assert begun.status_code == 200, begun.text
-    return wait(page, begun.json()["number"])
+    return wait_for_job(page, begun.json()["number"])
 
 
 def test_study_job_reports_progress_and_writes_result(page, folder):
@@ -71,7 +71,7 @@ def test_simulation_does_not_overwrite_files_or_leave_folder(page, folder, where
     answered = page.post("/api/simulation", json=request)
     assert answered.status_code == status
     if status == 200:
-        assert wait(page, answered.json()["number"])["state"] == "failed"
+        assert wait_for_job(page, answered.json()["number"])["state"] == "failed"
     assert (folder / "slow.csv").read_text() == "mine"
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import pypdf
 import pytest
 from campaigns import replace_parts
-from chromium import LONGEST_WAIT, needs_chromium, wait_until
+from chromium import MAX_WAIT, needs_chromium, wait_until
 from cryptography.hazmat.primitives.asymmetric import ec
 from planning_setups import PERFECT
 from posed_records import simulate_poses
-from served import PLACES, answer_field, token_of
+from served import PLACES, find_answer_field, read_token
 from signing_keys import write_pair, write_pkcs12
 
 from certificates import write_filled_template
@@ -48,10 +48,10 @@ def wait_for_plots(tab):
 
 def leave_and_return(tab):
     """Reload the Confirm step, discard its files and undo: files and answers remain."""
-    answer_field(tab, "Radius").blur()
+    find_answer_field(tab, "Radius").blur()
     tab.reload()
-    answer_field(tab, "Radius").wait_for()
-    assert answer_field(tab, "Radius").input_value() == "2.5"
+    find_answer_field(tab, "Radius").wait_for()
+    assert find_answer_field(tab, "Radius").input_value() == "2.5"
     tab.get_by_role("button", name="Discard").click()
     tab.get_by_role("button", name="Undo").click()
 
@@ -64,7 +64,7 @@ def test_exports_to_certificate_workflow(open_window, app, folder):
     records = [folder / "three" / f"{run}.csv" for run in ("slow", "middle", "fast")]
     tab.get_by_label("Recorder files").set_input_files(records)
     for question, said in PLACE:
-        answer_field(tab, question).fill(said)
+        find_answer_field(tab, question).fill(said)
     leave_and_return(tab)
     # The drawing shows the requested axes and angle.
     tab.get_by_role("img", name="Double turntable").wait_for()
@@ -86,7 +86,7 @@ def test_exports_to_certificate_workflow(open_window, app, folder):
         tab.get_by_label("Recorder files").set_input_files(records[::-1])
     tab.get_by_label("Latitude", exact=True).wait_for()
     for question, said in PLACE:
-        answer_field(tab, question).fill(said)
+        find_answer_field(tab, question).fill(said)
     # A reloaded page finds the running calibration; another job is simulated,
     # so that the calibration does not end first.
     with app.jobs._run_lock:
@@ -202,14 +202,14 @@ def test_answers_persist_after_change_of_test_type(open_window, folder):
     records = [folder / "three" / f"{run}.csv" for run in ("slow", "middle", "fast")]
     tab.get_by_label("Recorder files").set_input_files(records)
     for question, said in PLACE:
-        answer_field(tab, question).fill(said)
+        find_answer_field(tab, question).fill(said)
     kind = tab.get_by_label("Test type")
     kind.select_option("tumble")
     tab.locator(".panel").get_by_role("alert").wait_for()
     kind.select_option("double-turntable")
     for question, said in PLACE:
-        answer_field(tab, question).wait_for()
-        assert answer_field(tab, question).input_value().startswith(said.split()[0])
+        find_answer_field(tab, question).wait_for()
+        assert find_answer_field(tab, question).input_value().startswith(said.split()[0])
 
 
 def test_table_of_readings_to_result_workflow(open_window, folder, tmp_path):
@@ -227,7 +227,7 @@ def test_table_of_readings_to_result_workflow(open_window, folder, tmp_path):
     held, holding = [], [True]
     tab.route("**/api/draft", lambda route: held.append(route) if holding else route.continue_())
     for question, said in (*PLACE[:2], ("What is the nominal sensitivity", "1.25 mA/g")):
-        answer_field(tab, question).fill(said)
+        find_answer_field(tab, question).fill(said)
     assert tab.get_by_label("In which direction does the input axis point").input_value() == "up"
     # Detected values of a file do not apply to another.
     kind = tab.get_by_label("Test type")
@@ -264,7 +264,7 @@ def test_pasted_arm_table_to_result_workflow(open_window, folder):
     tab.get_by_label("Sense of rotation").select_option("clockwise")
     known = (*PLACE[:2], ("Radius", "1.0 ± 1e-3 m"))
     for question, said in (*known, ("What is the nominal sensitivity", "1.25 mA/g")):
-        answer_field(tab, question).fill(said)
+        find_answer_field(tab, question).fill(said)
     # Detected values are shown, also of text columns.
     assert tab.get_by_label("Test type").input_value() == "arm"
     assert tab.get_by_label("Role of column side").input_value() == "position"
@@ -282,7 +282,7 @@ def test_pose_log_to_triad_workflow(open_window, folder, tmp_path):
     tab.get_by_label("Recorder files").set_input_files(tmp_path / "imu.log")
     answers = (*PLACE[:2], ("What is the sampling rate", "100 Hz"))
     for question, said in answers:
-        answer_field(tab, question).fill(said)
+        find_answer_field(tab, question).fill(said)
     # Detected values are shown.
     kind = tab.get_by_label("Test type")
     assert kind.input_value() == "poses"
@@ -367,7 +367,7 @@ def test_pasted_readings_become_campaign(open_window, folder):
     circle.wait_for()
     assert circle.locator("path").count() == 12
     for words, answer in (*PLACE[:2], ("What is the nominal sensitivity", "1.25 mA/g")):
-        answer_field(tab, words).fill(answer)
+        find_answer_field(tab, words).fill(answer)
     tab.get_by_role("button", name="Save without calibrating").click()
     tab.wait_for_url("**#/campaign/pasted")
     assert (folder / "pasted" / "readings.txt").is_file()
@@ -465,10 +465,10 @@ def test_browser_starts_from_private_redirect_file(browser, server_credentials, 
     address = _write_redirect(tmp_path, server_credentials.link)
     (file,) = tmp_path.glob("*.html")
     assert file.stat().st_mode & 0o777 == 0o600
-    assert token_of(server_credentials) not in address
+    assert read_token(server_credentials) not in address
     tab = browser.new_page()
     tab.goto(address)
-    tab.get_by_role("link", name="three").wait_for(timeout=LONGEST_WAIT)
+    tab.get_by_role("link", name="three").wait_for(timeout=MAX_WAIT)
     assert "token" not in tab.url
     tab.close()
 

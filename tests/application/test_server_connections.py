@@ -11,7 +11,7 @@ import time
 from contextlib import suppress
 
 import pytest
-from served import run_server, token_of
+from served import read_token, run_server
 
 from counterspin.application import access_control, server
 from counterspin.application.server import Connection
@@ -134,7 +134,7 @@ def test_unauthenticated_request_is_read_in_part(server_credentials):
 
 def test_idle_authenticated_connection_stays_open(server_credentials, monkeypatch):
     monkeypatch.setattr(server, "_MAX_CONNECTIONS", 3)
-    key = server_credentials.exchange_token(token_of(server_credentials))
+    key = server_credentials.exchange_token(read_token(server_credentials))
     page = http.client.HTTPConnection("127.0.0.1", server_credentials.port, timeout=BOUND)
     connections = []
     for _ in range(3):

@@ -56,8 +56,8 @@ temperature = "20.5 ± 0.25 degC"
 """
 
 #: The published schema of DCC, where there is one: it is not part of the project.
-BESIDE = Path(__file__).parents[3] / "shared" / "dcc"
-SCHEMA = Path(os.environ.get("COUNTERSPIN_DCC_SCHEMA") or BESIDE)
+DEFAULT_SCHEMA = Path(__file__).parents[3] / "shared" / "dcc"
+SCHEMA = Path(os.environ.get("COUNTERSPIN_DCC_SCHEMA") or DEFAULT_SCHEMA)
 
 needs_schema = pytest.mark.skipif(
     not SCHEMA.exists(),
@@ -79,13 +79,13 @@ def read_lab_for(folder, result, text=LAB):
     return read_lab(write_lab(folder, text), result)[0]
 
 
-def document(folder, result, *, text=LAB, verdicts=None, issue=ISSUE, pages=b"%PDF-1.7"):
+def make_document(folder, result, *, text=LAB, verdicts=None, issue=ISSUE, pages=b"%PDF-1.7"):
     """Return a certificate as bytes."""
     lab = read_lab_for(folder, result, text)
     return serialize_document(build_document(result, lab, issue, verdicts or {}, pages))
 
 
-def find(document_bytes, path):
+def find_elements(document_bytes, path):
     """Return the elements that match an XPath."""
     return etree.fromstring(document_bytes).xpath(path, namespaces=NAMESPACES)
 
@@ -98,22 +98,22 @@ def write_filled_template(path, keep=()):
     keep: Words of the template; a line with one of them stays.
     """
     text = write_example(path).read_text(encoding="utf-8")
-    filled = {
+    replacements = {
         "(?i)xample": "wn",
         "2000-01-0": "2026-01-1",
         "AQ": "DE",
         "EX-1": "IP-3",
         "00000": "12345",
     }
-    filled |= {'"0"': '"12"'}
+    replacements |= {'"0"': '"12"'}
 
-    def filled_in(line):
-        for word, own in filled.items():
-            line = re.sub(word, own, line)
+    def fill_line(line):
+        for old, new in replacements.items():
+            line = re.sub(old, new, line)
         return line
 
     lines = [
-        line if any(word in line for word in keep) else filled_in(line)
+        line if any(word in line for word in keep) else fill_line(line)
         for line in text.splitlines()
     ]
     text = "\n".join(lines).replace("# temperature", "temperature")

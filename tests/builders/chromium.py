@@ -19,37 +19,37 @@ needs_chromium = pytest.mark.skipif(
 
 
 #: The longest wait for the browser, ms: a wait that succeeds ends earlier.
-LONGEST_WAIT = 300_000
+MAX_WAIT = 300_000
 
 
 @contextmanager
-def chromium():
+def launch_chromium():
     """Start Chromium and close it at the end of the context."""
     from playwright.sync_api import sync_playwright
 
     # Chromium refuses to sandbox itself for root, as whom continuous integration often runs.
     root = hasattr(os, "geteuid") and os.geteuid() == 0
     with sync_playwright() as playwright:
-        started = playwright.chromium.launch(
+        browser = playwright.chromium.launch(
             executable_path=EXECUTABLE,
             args=["--no-sandbox"] if root else [],
-            timeout=LONGEST_WAIT,
+            timeout=MAX_WAIT,
         )
-        yield started
-        started.close()
+        yield browser
+        browser.close()
 
 
 def open_context(browser, **settings):
     """Return a browser context with timeouts that suit a busy machine."""
     context = browser.new_context(**settings)
-    context.set_default_timeout(LONGEST_WAIT)
+    context.set_default_timeout(MAX_WAIT)
     return context
 
 
-def wait_until(tab, holds):
+def wait_until(tab, condition):
     """Wait until something holds; the page's policy lets no text be evaluated while it waits."""
-    for _ in range(LONGEST_WAIT // 50):
-        if holds():
+    for _ in range(MAX_WAIT // 50):
+        if condition():
             return
         tab.wait_for_timeout(50)
-    assert holds()
+    assert condition()

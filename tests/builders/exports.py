@@ -48,7 +48,7 @@ drift = "1e-6 1/s"
 """
 
 
-def campaign_folder(folder: Path) -> Path:
+def simulate_campaign(folder: Path) -> Path:
     text = f"{PLACE}{INSTRUMENT}{format_runs(*RUNS, rates=list(RUNS.values()))}{TRUTH}"
     simulate(write_description(folder, text, "plan.toml"), folder / "plain")
     return folder / "plain"
@@ -89,14 +89,14 @@ def _counts(frame: pl.DataFrame, path: Path) -> None:
     frame.with_columns(angle_rad=pl.Series(counts)).write_csv(path)
 
 
-def pulse_times(frame: pl.DataFrame) -> np.ndarray:
+def compute_pulse_times(frame: pl.DataFrame) -> np.ndarray:
     angle, time = frame["angle_rad"].to_numpy(), frame["time_s"].to_numpy()
     turns = np.arange(np.ceil(angle[0] / (2 * np.pi)), angle[-1] / (2 * np.pi) + 1e-9)
     return np.interp(2 * np.pi * turns, angle, time)
 
 
 def _pulses(frame: pl.DataFrame, path: Path) -> None:
-    pulses = pulse_times(frame)
+    pulses = compute_pulse_times(frame)
     column = [*pulses, *[None] * (frame.height - len(pulses))]
     frame.drop("angle_rad").with_columns(index=pl.Series(column)).write_csv(path)
 
@@ -176,10 +176,10 @@ def write_records(plain: Path, folder: Path, export: Export) -> list[Path]:
 
 def write_export(plain: Path, folder: Path, export: Export) -> Path:
     write_records(plain, folder, export)
-    place = replace_parts(
+    records_section = replace_parts(
         PLACE,
         ('time = { column = "time_s", unit = "s" }', f"time = {export.time}\n{export.other}"),
         ('angle = { column = "angle_rad", unit = "rad" }', f"angle = {export.angle}"),
     )
-    named = format_runs(*RUNS, rates=list(RUNS.values())).replace(".csv", export.ending)
-    return write_description(folder, f"{place}{INSTRUMENT}{named}", "campaign.toml")
+    runs = format_runs(*RUNS, rates=list(RUNS.values())).replace(".csv", export.ending)
+    return write_description(folder, f"{records_section}{INSTRUMENT}{runs}", "campaign.toml")

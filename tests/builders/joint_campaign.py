@@ -20,7 +20,7 @@ RATES = (math.pi / 2, math.pi, 2 * math.pi)
 ARCSEC = math.radians(1.0) / 3600.0
 DEG_H = DEGREE_PER_HOUR
 MOUNTINGS = {"Qx": QX, "Qy": QY}
-NOTHING = (0.0, math.inf)
+NO_PRIOR = (0.0, math.inf)
 
 
 def simulate_series(
@@ -44,11 +44,11 @@ def simulate_series(
     times = np.linspace(0.0, duration, revolutions * per_revolution + 1)
     trajectory = Trajectory(spindle or Spindle(rate), radius, site)
     axes = mounting or MOUNTINGS[accelerometer]
-    recorded = simulation.simulate_record(
+    signal = simulation.simulate_record(
         trajectory, axes, coefficients, platform or {}, times, observable, attitude=attitude
     )
-    start = (0.02 - 3e-3 * times, np.full(times.size, -3e-3), np.zeros(times.size))
-    error = recorded - reference(trajectory, axes, times, observable, attitude)
+    start_errors = (0.02 - 3e-3 * times, np.full(times.size, -3e-3), np.zeros(times.size))
+    error = signal - reference(trajectory, axes, times, observable, attitude)
     return ResidualSeries(
         accelerometer=accelerometer,
         run=run,
@@ -60,41 +60,45 @@ def simulate_series(
         time_sd=np.zeros(times.size),
         count=np.ones(times.size),
         spacing=float(times[1]),
-        error=error + start[2 - ORDERS[observable]],
+        error=error + start_errors[2 - ORDERS[observable]],
     )
 
 
-def three_rates(coefficients, platform=None, **more):
+def simulate_three_rates(coefficients, platform=None, **options):
     """Return runs at the three rates of the paper."""
     return [
-        simulate_series(f"run{i}", rate, coefficients, platform, **more)
+        simulate_series(f"run{i}", rate, coefficients, platform, **options)
         for i, rate in enumerate(RATES, start=1)
     ]
 
 
-def unknowns(symbols, priors=None, owner="Qx"):
+def make_unknowns(symbols, priors=None, owner="Qx"):
     """Return the unknowns of an accelerometer with the limits of the table."""
-    known = priors or {}
+    priors_by_symbol = priors or {}
     return tuple(
-        Unknown(owner, symbol, known.get(symbol, NOTHING), term(symbol).limit) for symbol in symbols
+        Unknown(owner, symbol, priors_by_symbol.get(symbol, NO_PRIOR), term(symbol).limit)
+        for symbol in symbols
     )
 
 
 def make_considered_inputs(sizes):
     """Return considered inputs with the limits of the table; sizes are standard uncertainties."""
     return tuple(
-        Considered("", s, (0.0, u), term(s).limit, is_of_interest=False) for s, u in sizes.items()
+        Considered("", symbol, (0.0, u), term(symbol).limit, is_of_interest=False)
+        for symbol, u in sizes.items()
     )
 
 
 def add_noise(series, noise, rng):
     """Return the series with simulated noise added."""
-    drawn = noise.white * rng.standard_normal(series.time.size)
+    samples = noise.white * rng.standard_normal(series.time.size)
     if noise.random_walk:
-        drawn = drawn + draw_accelerometer_noise(rng, series.time, noise.random_walk, series.order)
-    return replace(series, error=series.error + drawn)
+        samples = samples + draw_accelerometer_noise(
+            rng, series.time, noise.random_walk, series.order
+        )
+    return replace(series, error=series.error + samples)
 
 
-def redraw_noise(prepared, noise, rng):
+def redraw_noise(blocks, noise, rng):
     """Return design blocks with simulated noise added and unchanged columns."""
-    return tuple(replace(one, series=add_noise(one.series, noise, rng)) for one in prepared)
+    return tuple(replace(block, series=add_noise(block.series, noise, rng)) for block in blocks)

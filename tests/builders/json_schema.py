@@ -19,67 +19,69 @@ TYPES = {
 }
 
 
-def mistakes(schema, value, path="", root=None):
+def find_violations(schema, value, path="", root=None):
     """Yield the violations of a schema by a value."""
     root = schema if root is None else root
     if schema is True or schema is False:
         if not schema:
             yield f"{path}: may not stand here"
         return
-    for word, said in schema.items():
-        if word not in ANNOTATIONS:
-            yield from WORDS[word](said, value, path, root, schema)
+    for keyword, constraint in schema.items():
+        if keyword not in ANNOTATIONS:
+            yield from KEYWORDS[keyword](constraint, value, path, root, schema)
 
 
-def _reference(said, value, path, root, _):
-    inside = root
-    for part in said.removeprefix("#/").split("/"):
-        inside = inside[part]
-    yield from mistakes(inside, value, path, root)
+def _reference(reference, value, path, root, _):
+    subschema = root
+    for part in reference.removeprefix("#/").split("/"):
+        subschema = subschema[part]
+    yield from find_violations(subschema, value, path, root)
 
 
-def _type(said, value, path, *_):
-    fits = isinstance(value, TYPES[said]) and (said == "boolean" or not isinstance(value, bool))
-    if not fits:
-        yield f"{path}: {value!r} is no {said}"
+def _type(type_name, value, path, *_):
+    is_valid = isinstance(value, TYPES[type_name]) and (
+        type_name == "boolean" or not isinstance(value, bool)
+    )
+    if not is_valid:
+        yield f"{path}: {value!r} is no {type_name}"
 
 
-def _properties(said, value, path, root, _):
-    for key in said.keys() & value.keys() if isinstance(value, dict) else ():
-        yield from mistakes(said[key], value[key], f"{path}.{key}", root)
+def _properties(schemas, value, path, root, _):
+    for key in schemas.keys() & value.keys() if isinstance(value, dict) else ():
+        yield from find_violations(schemas[key], value[key], f"{path}.{key}", root)
 
 
-def _others(said, value, path, root, schema):
-    others = value.keys() - schema.get("properties", {}).keys() if isinstance(value, dict) else ()
-    for key in others:
-        yield from mistakes(said, value[key], f"{path}.{key}", root)
+def _additional_properties(subschema, value, path, root, schema):
+    keys = value.keys() - schema.get("properties", {}).keys() if isinstance(value, dict) else ()
+    for key in keys:
+        yield from find_violations(subschema, value[key], f"{path}.{key}", root)
 
 
-def _items(said, value, path, root, _):
-    for place, inner in enumerate(value if isinstance(value, list) else ()):
-        yield from mistakes(said, inner, f"{path}[{place}]", root)
+def _items(subschema, value, path, root, _):
+    for index, item in enumerate(value if isinstance(value, list) else ()):
+        yield from find_violations(subschema, item, f"{path}[{index}]", root)
 
 
-def _prefix(said, value, path, root, _):
-    for place, (one, inner) in enumerate(zip(said, value, strict=False)):
-        yield from mistakes(one, inner, f"{path}[{place}]", root)
+def _prefix(schemas, value, path, root, _):
+    for index, (subschema, item) in enumerate(zip(schemas, value, strict=False)):
+        yield from find_violations(subschema, item, f"{path}[{index}]", root)
 
 
-def _any_of(said, value, path, root, _):
-    found = [list(mistakes(one, value, path, root)) for one in said]
-    if all(found):
-        yield f"{path}: is nothing of what may stand here: {min(found, key=len)[0]}"
+def _any_of(schemas, value, path, root, _):
+    violations = [list(find_violations(subschema, value, path, root)) for subschema in schemas]
+    if all(violations):
+        yield f"{path}: is nothing of what may stand here: {min(violations, key=len)[0]}"
 
 
-def _if(said, value, path, root, schema):
-    branch = "else" if any(mistakes(said, value, path, root)) else "then"
-    yield from mistakes(schema.get(branch, True), value, path, root)
+def _if(condition, value, path, root, schema):
+    branch = "else" if any(find_violations(condition, value, path, root)) else "then"
+    yield from find_violations(schema.get(branch, True), value, path, root)
 
 
-def _check(test, kind):
-    def check(said, value, path, *_):
-        if isinstance(value, kind) and not test(value, said):
-            yield f"{path}: {value!r} against {said!r}"
+def _check(test, value_type):
+    def check(constraint, value, path, *_):
+        if isinstance(value, value_type) and not test(value, constraint):
+            yield f"{path}: {value!r} against {constraint!r}"
 
     return check
 
@@ -88,11 +90,11 @@ def _always(test):
     return _check(test, object)
 
 
-WORDS = {
+KEYWORDS = {
     "$ref": _reference,
     "type": _type,
     "properties": _properties,
-    "additionalProperties": _others,
+    "additionalProperties": _additional_properties,
     "items": _items,
     "prefixItems": _prefix,
     "anyOf": _any_of,

@@ -33,18 +33,18 @@ def fail(_path: Path) -> None:
     raise ZeroDivisionError("by nothing")
 
 
-def process(_path: Path) -> int:
+def get_process(_path: Path) -> int:
     return os.getpid()
 
 
-def limits(_path: Path) -> tuple[int, int]:
+def get_limits(_path: Path) -> tuple[int, int]:
     """Return the remaining processor time and memory, in s and bytes."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     seconds = resource.getrlimit(resource.RLIMIT_CPU)[0] - used.ru_utime - used.ru_stime
     return seconds, resource.getrlimit(resource.RLIMIT_DATA)[0]
 
 
-def parent(_path: Path) -> int:
+def get_parent(_path: Path) -> int:
     return os.getppid()
 
 

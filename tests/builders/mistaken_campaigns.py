@@ -10,7 +10,7 @@ from campaigns import PLACE, format_runs, replace_parts, write_description
 from counterspin.simulation.simulate import simulate
 
 NOISE = '\n[noise]\ndisplacement = "0.01 m"\n'
-SOUND = f"""{PLACE}
+CORRECT_DESCRIPTION = f"""{PLACE}
 [accelerometers.Qx]
 input_axis = "east"
 pendulous_axis = "down"
@@ -95,22 +95,25 @@ class Mistake:
 
 def make_records(folder: Path, *truth: tuple[str, str]) -> Records:
     """Simulate the correct campaign or a campaign with another truth; return its records."""
-    simulate(write_description(folder, replace_parts(SOUND, *truth), "plan.toml"), folder / "made")
+    simulate(
+        write_description(folder, replace_parts(CORRECT_DESCRIPTION, *truth), "plan.toml"),
+        folder / "made",
+    )
     return {
         run: np.loadtxt(folder / "made" / f"{run}.csv", delimiter=",", skiprows=1) for run in RUNS
     }
 
 
-def make_mistaken_campaign(folder: Path, mistake: Mistake, sound: Records) -> Path:
+def make_mistaken_campaign(folder: Path, mistake: Mistake, correct_records: Records) -> Path:
     """Write the campaign with its mistake and return its folder."""
-    own = {run: rows.copy() for run, rows in sound.items()}
+    mistaken_records = {run: rows.copy() for run, rows in correct_records.items()}
     if mistake.records is not None:
-        mistake.records(own)
-    text = replace_parts(SOUND, *mistake.description)
+        mistake.records(mistaken_records)
+    text = replace_parts(CORRECT_DESCRIPTION, *mistake.description)
     if mistake.estimated:
         text = replace_parts(text, (NOISE, ""))
     path = write_description(folder, text)
-    for run, rows in own.items():
+    for run, rows in mistaken_records.items():
         np.savetxt(
             folder / f"{run}.csv",
             rows,
@@ -126,14 +129,14 @@ def make_mistaken_campaign(folder: Path, mistake: Mistake, sound: Records) -> Pa
 
 
 def add_values(
-    run: str | None, column: int, what: Callable[[np.ndarray], np.ndarray | float]
+    run: str | None, column: int, function: Callable[[np.ndarray], np.ndarray | float]
 ) -> Callable[[Records], None]:
     """Return a function that adds a function of time to a column of a run or of all runs."""
 
     def apply(records: Records) -> None:
         for name in RUNS if run is None else (run,):
             rows = records[name]
-            rows[:, column] += what(rows[:, TIME])
+            rows[:, column] += function(rows[:, TIME])
 
     return apply
 

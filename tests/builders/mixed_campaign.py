@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from reading_campaigns import SITE, TRUTH, arm, simulate_readings
+from reading_campaigns import SITE, TRUTH, make_arm_test, simulate_readings
 from reading_descriptions import format_arm_run, format_rest_run
 from stations import Station
 
@@ -13,7 +13,7 @@ from counterspin.simulation.simulate import simulate
 
 RATES = (3.0, 6.0, 9.9)
 KINDS = ("double turntable", "at rest", "arm")
-HEAD = """schema = 1
+DESCRIPTION_HEAD = """schema = 1
 site = { gravity = "9.80665 m/s^2", latitude = "0.8 rad" }
 [centrifuge]
 radius = "1.0 ± 1e-6 m"
@@ -38,7 +38,7 @@ RUNS = "".join(
     f'[[runs]]\nname = "turntable {i}"\nrate = "{rate} rad/s"\nrecord = "run{i}.csv"\n'
     for i, rate in enumerate(RATES)
 )
-TRUE = """[simulation]
+SIMULATION = """[simulation]
 sampling_rate = "10 Hz"
 seed = 5
 revolutions = 20
@@ -52,7 +52,7 @@ displacement = "1e-3 m"
 """
 
 
-def tumble(count=12):
+def make_tumble(count=12):
     """Return stations at rest, rotated about north from the axes of the campaign."""
     stations = []
     for angle in np.arange(count) * 2.0 * np.pi / count:
@@ -70,15 +70,17 @@ class MixedCampaign:
     def __init__(self, folder, seed=1, u_rest=2e-6, u_arm=4e-5):
         self.folder, self.u_rest, self.u_arm = folder, u_rest, u_arm
         (folder / "plan").mkdir()
-        (folder / "plan" / "campaign.toml").write_text(HEAD + RUNS + TRUE, encoding="utf-8")
+        (folder / "plan" / "campaign.toml").write_text(
+            DESCRIPTION_HEAD + RUNS + SIMULATION, encoding="utf-8"
+        )
         simulate(folder / "plan", folder / "all")
         self.draw(seed)
 
     def draw(self, seed):
         """Draw the readings again."""
         rng = np.random.default_rng(seed)
-        self.at_rest = simulate_readings(tumble(), rng, self.u_rest, truth=TRUTH)
-        self.on_arm = simulate_readings(arm(), rng, self.u_arm, truth=TRUTH)
+        self.at_rest = simulate_readings(make_tumble(), rng, self.u_rest, truth=TRUTH)
+        self.on_arm = simulate_readings(make_arm_test(), rng, self.u_arm, truth=TRUTH)
 
     def _rest(self):
         return "".join(
@@ -91,7 +93,7 @@ class MixedCampaign:
         )
 
     def _arm(self):
-        stations, sides, _ = arm()
+        stations, sides, _ = make_arm_test()
         return "".join(
             format_arm_run(
                 f"{side} {i}",
@@ -106,10 +108,14 @@ class MixedCampaign:
 
     def description(self, kinds=KINDS, model=MODEL):
         """Return the description of a campaign with these types of test."""
-        text = HEAD + model
+        text = DESCRIPTION_HEAD + model
         if "double turntable" not in kinds:
-            cut = HEAD.index("displacement ="), HEAD.index("[noise]")
-            text = HEAD[: cut[0]] + HEAD[cut[1] :].split("[noise]", maxsplit=1)[0] + model
+            cut = DESCRIPTION_HEAD.index("displacement ="), DESCRIPTION_HEAD.index("[noise]")
+            text = (
+                DESCRIPTION_HEAD[: cut[0]]
+                + DESCRIPTION_HEAD[cut[1] :].split("[noise]", maxsplit=1)[0]
+                + model
+            )
             text = text.replace(', "platform.tilt"]', "]").split("[model.priors]")[0]
         parts = {"double turntable": RUNS, "at rest": self._rest(), "arm": self._arm()}
         return text + "".join(parts[kind] for kind in kinds)
@@ -121,6 +127,8 @@ class MixedCampaign:
         return calibrate(self.folder / "all")
 
 
-def read_arm(coefficients):
+def compute_arm_indications(coefficients):
     """Return noise-free arm readings with other coefficients."""
-    return np.array([s.indicated(SITE, TRUTH | coefficients) for s in arm()[0]])
+    return np.array(
+        [station.indicated(SITE, TRUTH | coefficients) for station in make_arm_test()[0]]
+    )

@@ -20,23 +20,23 @@ from counterspin.reports.html import render_html
 NASTY = "</script ></style><script >alert('1')</script>\"&<!--"
 
 
-def residuals(title="Residuals of Qx, run 1", label="smallest to largest", count=1500):
+def make_residual_plot(title="Residuals of Qx, run 1", label="smallest to largest", count=1500):
     """Return a residual plot of a run: a band with a gap, outliers and a line."""
-    draw = random.Random(3)
+    rng = random.Random(3)
     time = tuple(0.5 * index for index in range(count))
-    high = [5.0 + draw.random() for _ in time]
-    low = [-5.0 - draw.random() for _ in time]
+    high = [5.0 + rng.random() for _ in time]
+    low = [-5.0 - rng.random() for _ in time]
     for index in range(count // 3, count // 3 + 20):
         high[index] = low[index] = None
     middle = tuple(None if a is None else 0.5 * (a + b) for a, b in zip(low, high, strict=True))
-    coarse = time[::50]
+    sparse_time = time[::50]
     return Plot(
         title,
         "time, s",
         "residual, mm",
         (
             PlotSeries(label, time, middle, tuple(low), tuple(high), kind="band"),
-            PlotSeries("mean", coarse, tuple(math.sin(0.02 * t) for t in coarse)),
+            PlotSeries("mean", sparse_time, tuple(math.sin(0.02 * t) for t in sparse_time)),
             PlotSeries(
                 "left out",
                 (10.25, 10.25, 600.0),
@@ -50,9 +50,9 @@ def residuals(title="Residuals of Qx, run 1", label="smallest to largest", count
     )
 
 
-def blocks(name="Qx"):
+def make_blocks(name="Qx"):
     """Return a report with every type of block; `name` fills every text of the user."""
-    bare = Plot("Spectrum", "Hz", name, (PlotSeries(name, (1.0, 2.0), (3.0, 4.0)),), log_x=True)
+    spectrum = Plot("Spectrum", "Hz", name, (PlotSeries(name, (1.0, 2.0), (3.0, 4.0)),), log_x=True)
     return [
         Heading(f"Calibration of {name}", 1),
         Paragraph(
@@ -80,21 +80,23 @@ def blocks(name="Qx"):
             name,
             frozenset({1}),
         ),
-        bare,
-        residuals(f"Residuals of {name}", label=name),
-        residuals(f"Residuals of {name}", label=name, count=1400),
+        spectrum,
+        make_residual_plot(f"Residuals of {name}", label=name),
+        make_residual_plot(f"Residuals of {name}", label=name, count=1400),
         Heading("Model"),
         Paragraph("a_ind = K_F + K_II a_I² + platform.g_sensitivity.zx", "equation"),
         Paragraph(f"counterspin calibrate {name}", "command"),
     ]
 
 
-def page(name="Qx", made=None, **changes):
+def render_page(name="Qx", page_blocks=None, **changes):
     """Return a page of the blocks."""
-    given = {
+    metadata = {
         "title": f"Calibration of {name}",
         "identifier": f"LAB 7/26 {name}",
         "date": datetime(2026, 3, 1, tzinfo=UTC),
         "version": "1.2.3",
     }
-    return render_html(blocks(name) if made is None else made, **given | changes)
+    return render_html(
+        make_blocks(name) if page_blocks is None else page_blocks, **metadata | changes
+    )

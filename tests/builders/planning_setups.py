@@ -44,7 +44,7 @@ PRIORS = {
 }
 
 
-def unknown(symbol, owner, kind=Unknown, priors=PRIORS):
+def make_unknown(symbol, owner, kind=Unknown, priors=PRIORS):
     row = term(symbol)
     return kind(owner, symbol, (row.nominal, priors.get(symbol, math.inf)), row.limit)
 
@@ -72,8 +72,8 @@ def make_setup(
         return list(attitudes) if term(symbol).per_run else [""]
 
     model = Unknowns(
-        tuple(unknown(s, o, priors=priors) for s in (*symbols, *platform) for o in owners(s)),
-        tuple(unknown(s, o, Considered, priors) for s in considered for o in owners(s)),
+        tuple(make_unknown(s, o, priors=priors) for s in (*symbols, *platform) for o in owners(s)),
+        tuple(make_unknown(s, o, Considered, priors) for s in considered for o in owners(s)),
     )
     return Setup(
         instruments=tuple(
@@ -90,79 +90,89 @@ def make_setup(
     )
 
 
-def blocks_of(samples, step, rate):
+def average_blocks(n_samples, step, rate):
     """Return mean times, spreads and counts of the blocks of a record; the last may be shorter."""
-    first = np.arange(0, samples, block_size(step, rate))
-    count = np.diff(np.append(first, samples))
+    block_starts = np.arange(0, n_samples, block_size(step, rate))
+    count = np.diff(np.append(block_starts, n_samples))
     # Of n times in even steps: mean and standard deviation.
-    return (first + 0.5 * (count - 1)) * step, step * np.sqrt((count**2 - 1) / 12.0), count
+    return (block_starts + 0.5 * (count - 1)) * step, step * np.sqrt((count**2 - 1) / 12.0), count
 
 
-def remove_input_effects(part, model, estimate):
+def remove_input_effects(block, model, estimate):
     """Return a record whose error contains the terms but not the inputs."""
-    terms = [k for k, i in enumerate(part.unknowns) if model.unknowns[i].symbol not in INPUTS]
-    values = estimate[[part.unknowns[k] for k in terms]]
-    return replace(part.series, error=part.design[:, terms] @ values)
+    term_indices = [
+        k for k, i in enumerate(block.unknowns) if model.unknowns[i].symbol not in INPUTS
+    ]
+    values = estimate[[block.unknowns[k] for k in term_indices]]
+    return replace(block.series, error=block.design[:, term_indices] @ values)
 
 
-def u_by_joint_fit(setup, design):
+def fit_u(setup, design):
     """Return u of the shared unknowns from every sample of every run, by `solve_joint`."""
-    series, owners = [], {}
-    for index, kind in enumerate(design.types):
+    series, attitudes = [], {}
+    for index, run_type in enumerate(design.types):
         run = f"run {index}"
-        owners[run] = kind.attitude
-        samples = math.floor(float(design.duration[index]) * setup.sampling_rate * (1 + 1e-12)) + 1
-        spindle = Spindle(kind.sense * float(design.rate[index]))
-        time, spread, count = blocks_of(samples, 1.0 / setup.sampling_rate, spindle.rate)
-        for one in setup.instruments:
+        attitudes[run] = run_type.attitude
+        n_samples = (
+            math.floor(float(design.duration[index]) * setup.sampling_rate * (1 + 1e-12)) + 1
+        )
+        spindle = Spindle(run_type.sense * float(design.rate[index]))
+        time, time_sd, count = average_blocks(n_samples, 1.0 / setup.sampling_rate, spindle.rate)
+        for instrument in setup.instruments:
             series.append(
                 ResidualSeries(
-                    one.name,
+                    instrument.name,
                     run,
                     Trajectory(spindle, setup.radius, setup.site),
-                    one.mounting,
-                    one.observable,
-                    setup.attitudes[kind.attitude],
+                    instrument.mounting,
+                    instrument.observable,
+                    setup.attitudes[run_type.attitude],
                     time,
-                    spread,
+                    time_sd,
                     count,
                     1.0 / setup.sampling_rate,
                     np.zeros_like(time),
                 )
             )
 
-    def of_runs(terms):
+    def repeat_for_runs(terms):
         """Return the terms that belong to a run, for every run of their attitude."""
-        found = []
-        for one in terms:
-            if one.owner in setup.attitudes:
-                found += [replace(one, owner=run) for run, at in owners.items() if at == one.owner]
+        run_terms = []
+        for unknown in terms:
+            if unknown.owner in setup.attitudes:
+                run_terms += [
+                    replace(unknown, owner=run)
+                    for run, at in attitudes.items()
+                    if at == unknown.owner
+                ]
             else:
-                found.append(one)
-        return tuple(found)
+                run_terms.append(unknown)
+        return tuple(run_terms)
 
-    model = Unknowns(of_runs(setup.model.unknowns), of_runs(setup.model.considered))
+    model = Unknowns(repeat_for_runs(setup.model.unknowns), repeat_for_runs(setup.model.considered))
     expected = {u.name: v for u, v in zip(setup.model.unknowns, setup.expected, strict=True)}
     estimate = np.array(
         [
-            expected.get(u.name, expected.get(f"{owners.get(u.owner)}.{u.symbol}"))
+            expected.get(u.name, expected.get(f"{attitudes.get(u.owner)}.{u.symbol}"))
             for u in model.unknowns
         ]
     )
-    prepared = build_design_blocks(series, model, setup.scale_factors, estimate)
-    timing = {one.name: one.timing_noise for one in setup.instruments}
-    prepared = [
+    blocks = build_design_blocks(series, model, setup.scale_factors, estimate)
+    timing = {instrument.name: instrument.timing_noise for instrument in setup.instruments}
+    blocks = [
         replace(
-            part,
-            series=remove_input_effects(part, model, estimate).with_timestamp_noise(
-                timing[part.accelerometer]
+            block,
+            series=remove_input_effects(block, model, estimate).with_timestamp_noise(
+                timing[block.accelerometer]
             ),
         )
-        for part in prepared
+        for block in blocks
     ]
-    fit = solve_joint(prepared, model, {one.name: one.noise for one in setup.instruments})
-    shared = [i for i, u in enumerate(model.unknowns) if u.owner not in owners]
+    fit = solve_joint(
+        blocks, model, {instrument.name: instrument.noise for instrument in setup.instruments}
+    )
+    shared = [i for i, u in enumerate(model.unknowns) if u.owner not in attitudes]
     return fit.solution.u[shared]
 
 
-TWO = {"Qx": QX, "Qy": QY}
+TWO_MOUNTINGS = {"Qx": QX, "Qy": QY}

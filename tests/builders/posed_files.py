@@ -14,7 +14,7 @@ AXES = ("ax", "ay", "az")
 COLUMNS = dict(zip(AXES, POSED.values.T, strict=True))
 
 
-def compound(path: Path) -> None:
+def write_compound_file(path: Path) -> None:
     """Write a structured array with h5py."""
     rows = np.empty(len(POSED.time), dtype=[(name, float) for name in ("time", *AXES)])
     for name, values in zip(rows.dtype.names, [POSED.time, *POSED.values.T], strict=True):
@@ -23,12 +23,12 @@ def compound(path: Path) -> None:
         file["log"] = rows
 
 
-def waveforms(
-    path: Path, ends: tuple[int, ...] = (0, 0, 0), late: tuple[int, ...] = (0, 0, 0)
+def write_waveform_file(
+    path: Path, ends: tuple[int, ...] = (0, 0, 0), skipped: tuple[int, ...] = (0, 0, 0)
 ) -> None:
     """Write channels of a TDMS file that end or begin some samples earlier or later."""
     with TdmsWriter(path) as file:
-        begin = np.datetime64("2026-03-01T12:00:00", "us")
+        start_time = np.datetime64("2026-03-01T12:00:00", "us")
         file.write_segment(
             [
                 ChannelObject(
@@ -37,10 +37,10 @@ def waveforms(
                     values[skip : len(values) - end],
                     {
                         "wf_increment": 0.01,
-                        "wf_start_time": begin + np.timedelta64(10 * skip, "ms"),
+                        "wf_start_time": start_time + np.timedelta64(10 * skip, "ms"),
                         "unit_string": "m/s^2",
                     },
                 )
-                for (name, values), end, skip in zip(COLUMNS.items(), ends, late, strict=True)
+                for (name, values), end, skip in zip(COLUMNS.items(), ends, skipped, strict=True)
             ]
         )

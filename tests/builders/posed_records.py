@@ -30,34 +30,36 @@ def simulate_poses(
     rng = np.random.default_rng(seed)
     force = rng.normal(size=(count, 3))
     force *= 9.81 / np.linalg.norm(force, axis=1)[:, None]
-    still, moved = round(rest / STEP), round(motion / STEP)
-    parts = []
-    for place in range(count):
-        parts.append(np.tile(force[place], (still, 1)))
-        if place + 1 < count:
-            way = (1.0 - np.cos(np.pi * np.arange(1, moved + 1) / (moved + 1.0))) / 2.0
-            path = force[place] + way[:, None] * (force[place + 1] - force[place])
+    n_rest, n_motion = round(rest / STEP), round(motion / STEP)
+    segments = []
+    for index in range(count):
+        segments.append(np.tile(force[index], (n_rest, 1)))
+        if index + 1 < count:
+            fraction = (1.0 - np.cos(np.pi * np.arange(1, n_motion + 1) / (n_motion + 1.0))) / 2.0
+            path = force[index] + fraction[:, None] * (force[index + 1] - force[index])
             # A hand trembles at some hertz, and is not straight.
-            angle = 2.0 * np.pi * 4.0 * STEP * np.arange(moved)[:, None] + rng.uniform(0, 6, 3)
-            parts.append(path + 2.0 * np.sin(angle))
-    values = np.concatenate(parts)
-    start = np.arange(count) * (still + moved) * STEP
+            angle = 2.0 * np.pi * 4.0 * STEP * np.arange(n_motion)[:, None] + rng.uniform(0, 6, 3)
+            segments.append(path + 2.0 * np.sin(angle))
+    values = np.concatenate(segments)
+    start = np.arange(count) * (n_rest + n_motion) * STEP
     return PosedRecord(
         time=np.arange(len(values)) * STEP,
         values=values + noise * rng.normal(size=values.shape),
         start=start,
-        end=start + (still - 1) * STEP,
+        end=start + (n_rest - 1) * STEP,
         force=force,
     )
 
 
-def campaign(folder, records, more=""):
+def write_campaign(folder, records, more=""):
     """Write a campaign of records of poses, name -> `Posed`, with the truth of `triads`; in g."""
     folder.mkdir(parents=True, exist_ok=True)
-    text = triads.head('records = { time = { sampling_rate = "100 Hz" } }\n')
-    for place, name in enumerate(triads.NAMES, 1):
-        column = f'specific_force = {{ column = "column {place}", unit = "g" }}\n'
-        text = text.replace(triads.accelerometer(name), triads.accelerometer(name, column))
+    text = triads.format_description('records = { time = { sampling_rate = "100 Hz" } }\n')
+    for index, name in enumerate(triads.NAMES, 1):
+        column = f'specific_force = {{ column = "column {index}", unit = "g" }}\n'
+        text = text.replace(
+            triads.format_accelerometer(name), triads.format_accelerometer(name, column)
+        )
     for name, record in records.items():
         text += f'[[runs]]\nname = "{name}"\nmotion = "static"\nattitude = "unknown"\n'
         text += f'record = "{name}.log"\n'
@@ -68,6 +70,6 @@ def campaign(folder, records, more=""):
 
 
 def make_log(record):
-    """Return the lines of a logger, by `triads.indications` of its forces in g."""
-    rows = triads.indications(record.values / 9.81)
+    """Return the lines of a logger, by `triads.compute_indications` of its forces in g."""
+    rows = triads.compute_indications(record.values / 9.81)
     return "".join(f"{x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in rows.tolist())

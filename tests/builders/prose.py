@@ -5,21 +5,27 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 
-_SPELT = {
+_NUMBER_WORDS = {
     word: float(size)
     for size, word in enumerate(
         ["zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"]
     )
 } | {"eleven": 11.0, "twelve": 12.0, "sixteen": 16.0, "twenty": 20.0, "fifty": 50.0}
-_SPELT |= {"twice": 2.0, "fourth": 4.0, "hundred": 100.0, "thousand": 1000.0}
-_SPELT |= {"half": 0.5, "nine tenths": 0.9, "a fifth": 0.2, "a tenth": 0.1, "a twentieth": 0.05}
+_NUMBER_WORDS |= {"twice": 2.0, "fourth": 4.0, "hundred": 100.0, "thousand": 1000.0}
+_NUMBER_WORDS |= {
+    "half": 0.5,
+    "nine tenths": 0.9,
+    "a fifth": 0.2,
+    "a tenth": 0.1,
+    "a twentieth": 0.05,
+}
 
 _NUMBER = "|".join(
-    [*sorted(_SPELT, key=len, reverse=True), r"-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?(?:/\d+)?"]
+    [*sorted(_NUMBER_WORDS, key=len, reverse=True), r"-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?(?:/\d+)?"]
 )
 
 
-def sentences(page: str) -> str:
+def read_text(page: str) -> str:
     """Return the text of `README` or a page of docs/, with line breaks as spaces.
 
     A power of ten in a formula is written as 1e-3 is.
@@ -32,25 +38,29 @@ def sentences(page: str) -> str:
 def find_numbers(page: str, sentence: str) -> list[str]:
     """Return the numbers in place of ``{}`` in a part of a sentence."""
     pattern = f"({_NUMBER})".join(map(re.escape, sentence.split("{}")))
-    found = list(re.finditer(pattern, sentences(page)))
-    assert len(found) == 1, f"{page}.md has it {len(found)} times: {sentence}"
-    return list(found[0].groups())
+    matches = list(re.finditer(pattern, read_text(page)))
+    assert len(matches) == 1, f"{page}.md has it {len(matches)} times: {sentence}"
+    return list(matches[0].groups())
 
 
-def value_of(number: str) -> float:
+def parse_number(number: str) -> float:
     """Return the value of a number as it is written."""
-    above, _, below = number.replace(",", "").partition("/")
-    return _SPELT[number] if number in _SPELT else float(above) / float(below or 1.0)
+    numerator, _, denominator = number.replace(",", "").partition("/")
+    return (
+        _NUMBER_WORDS[number]
+        if number in _NUMBER_WORDS
+        else float(numerator) / float(denominator or 1.0)
+    )
 
 
-def agrees(number: str, computed: float) -> bool:
+def agrees_to_last_digit(number: str, computed: float) -> bool:
     """Return whether a number equals the computed value to its last digit.
 
     Words, fractions and whole numbers are exact; none is off by more than an eighth.
     """
     mantissa, _, power = number.partition("e")
-    rounding = 1e-9
-    if number not in _SPELT and "/" not in number and (power or "." in number):
-        rounding = 0.501 * 10.0 ** (int(power or 0) - len(mantissa.partition(".")[2]))
-    off = abs(value_of(number) - computed)
-    return off <= max(min(rounding, 0.125 * abs(computed)), 1e-12 * abs(computed))
+    tolerance = 1e-9
+    if number not in _NUMBER_WORDS and "/" not in number and (power or "." in number):
+        tolerance = 0.501 * 10.0 ** (int(power or 0) - len(mantissa.partition(".")[2]))
+    difference = abs(parse_number(number) - computed)
+    return difference <= max(min(tolerance, 0.125 * abs(computed)), 1e-12 * abs(computed))

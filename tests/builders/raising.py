@@ -22,7 +22,7 @@ def raises(code: str, *parts: str) -> Iterator[pytest.ExceptionInfo]:
 def assert_states(error: CounterspinError | InputError, code: str, *parts: str) -> None:
     """Assert that an error has a code, and that its message contains these parts in this order."""
     assert code in getattr(error, "codes", (error.code,)), (error.code, str(error))
-    rest = str(error)
+    remaining_text = str(error)
     for part in parts:
-        assert part in rest, f"{part!r} is missing from {error}"
-        rest = rest.partition(part)[2]
+        assert part in remaining_text, f"{part!r} is missing from {error}"
+        remaining_text = remaining_text.partition(part)[2]

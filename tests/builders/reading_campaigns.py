@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from stations import Station, from_stations
+from stations import Station, combine_stations
 
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.physics.accelerometer import Mounting
@@ -16,19 +16,19 @@ from counterspin.readings.known_attitudes import Readings
 
 SITE = Site(9.80665, 0.8)
 TRUTH = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6, "K_III": 2e-6}
-ARM = FRAMES["arm"]
+ARM_FRAME = FRAMES["arm"]
 
 
-def unknown(symbol, prior=(0.0, math.inf), owner="A", kind=Unknown):
+def make_unknown(symbol, prior=(0.0, math.inf), owner="A", kind=Unknown):
     row = term(symbol)
     return kind(owner, symbol, prior, row.limit)
 
 
-def considered(symbol, u, owner=""):
-    return unknown(symbol, (0.0, u), owner, Considered)
+def make_considered(symbol, u, owner=""):
+    return make_unknown(symbol, (0.0, u), owner, Considered)
 
 
-def tumble(count=12):
+def make_tumble(count=12):
     """Return stations of an equal-angle tumble about north from input axis up, and the axis."""
     stations = []
     for angle in np.arange(count) * 2.0 * np.pi / count:
@@ -37,20 +37,20 @@ def tumble(count=12):
     return stations, [""] * count, np.tile([0.0, 1.0, 0.0], (count, 1))
 
 
-def arm(sizes=(1.0, 2.0, 5.0, 10.0, 15.0, 20.0), radius=1.0):
+def make_arm_test(forces=(1.0, 2.0, 5.0, 10.0, 15.0, 20.0), radius=1.0):
     """Return stations on an arm in both senses and two mountings."""
     stations, mountings = [], []
     for side in ("inward", "outward"):
-        mounting = Mounting.from_axes(ARM[side], ARM["forward"])
-        for size in sizes:
+        mounting = Mounting.from_axes(ARM_FRAME[side], ARM_FRAME["forward"])
+        for force in forces:
             for sense in (1.0, -1.0):
-                rate = sense * math.sqrt(size * SITE.gravity / radius)
+                rate = sense * math.sqrt(force * SITE.gravity / radius)
                 stations.append(Station("arm", mounting, rate=rate, radius=radius))
                 mountings.append(side)
     return stations, mountings, np.zeros((len(stations), 3))
 
 
-def readings(test, value, u, u_head=0.0, temperature=None):
+def make_readings(test, value, u, u_head=0.0, temperature=None):
     """Return a group of readings; the noise is estimated if u is None."""
     stations, mountings, head = test
     n = len(stations)
@@ -59,7 +59,7 @@ def readings(test, value, u, u_head=0.0, temperature=None):
         motion=stations[0].motion,
         names=tuple(f"position {i}" for i in range(n)),
         site=SITE,
-        stations=from_stations(stations),
+        stations=combine_stations(stations),
         mountings=tuple(mountings),
         head=np.asarray(head, dtype=float),
         u_head=np.full(n, u_head),
@@ -80,21 +80,23 @@ def simulate_readings(test, rng, sigma, machine=(), u_head=0.0, truth=TRUTH, tem
 
     Slopes of coefficients, with temperature or time, are among the truth.
     """
-    count = len(test[0])
-    blank = readings(test, np.zeros(count), 1.0, temperature=temperature)
-    errors = rng.normal(0.0, u_head, count) if u_head else np.zeros(count)
-    actual = blank.rotate_head(blank.stations_with(dict(machine)), errors)
+    n = len(test[0])
+    group = make_readings(test, np.zeros(n), 1.0, temperature=temperature)
+    angle_errors = rng.normal(0.0, u_head, n) if u_head else np.zeros(n)
+    true_stations = group.rotate_head(group.stations_with(dict(machine)), angle_errors)
     coefficients = []
-    for index in range(count):
-        lever = RunConditions(
-            float(blank.time[index]), float(blank.conditions["temperature"][index])
+    for index in range(n):
+        conditions = RunConditions(
+            float(group.time[index]), float(group.conditions["temperature"][index])
         )
-        own = run_coefficients(truth, lever, 0.0)
-        coefficients.append([own.get(symbol, row.nominal) for symbol, row in TERMS.items()])
-    values = np.sum(mean_products(actual, SITE) * coefficients, axis=1)
-    return values + rng.normal(0.0, sigma, count)
+        values_at_run = run_coefficients(truth, conditions, 0.0)
+        coefficients.append(
+            [values_at_run.get(symbol, row.nominal) for symbol, row in TERMS.items()]
+        )
+    values = np.sum(mean_products(true_stations, SITE) * coefficients, axis=1)
+    return values + rng.normal(0.0, sigma, n)
 
 
-def model(terms=tuple(TRUTH), others=(), considered=()):
+def make_model(terms=tuple(TRUTH), others=(), considered=()):
     """Return the estimated and considered unknowns."""
-    return Unknowns((*map(unknown, terms), *others), tuple(considered))
+    return Unknowns((*map(make_unknown, terms), *others), tuple(considered))

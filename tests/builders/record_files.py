@@ -19,7 +19,7 @@ RADIUS = 2.5
 TIME, ANGLE, SIGNAL = "time_s", "angle_rad", "east_m"
 
 
-def table(
+def simulate_columns(
     n: int = 1000, step: float = 0.02, rate: float = RATE, seed: int = 1, noise: float = 0.01
 ) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(seed)
@@ -29,12 +29,12 @@ def table(
     return {TIME: time, ANGLE: angle, SIGNAL: signal}
 
 
-def lines(columns: dict[str, np.ndarray], separator: str = ",") -> list[str]:
+def format_lines(columns: dict[str, np.ndarray], separator: str = ",") -> list[str]:
     rows = zip(*columns.values(), strict=True)
-    return [separator.join(columns)] + [separator.join(repr(float(x)) for x in r) for r in rows]
+    return [separator.join(columns)] + [separator.join(repr(float(x)) for x in row) for row in rows]
 
 
-def write(path: Path, columns: dict[str, np.ndarray] | list[str]) -> Path:
+def write_record(path: Path, columns: dict[str, np.ndarray] | list[str]) -> Path:
     if path.suffix == ".parquet":
         pl.DataFrame(columns).write_parquet(path)
     elif path.suffix == ".mat":
@@ -44,29 +44,29 @@ def write(path: Path, columns: dict[str, np.ndarray] | list[str]) -> Path:
             for name, values in columns.items():
                 file[name] = values
     else:
-        text = columns if isinstance(columns, list) else lines(columns)
+        text = columns if isinstance(columns, list) else format_lines(columns)
         path.write_text("\n".join(text) + "\n", encoding="utf-8")
     return path
 
 
-def read(path: Path, rate: float = RATE, block="auto", **changed) -> Record:
+def read_written_record(path: Path, rate: float = RATE, block="auto", **changed) -> Record:
     columns = {
         "time": ColumnSpec(TIME),
         "angle": ColumnSpec(ANGLE),
         "signals": {"Qx": ColumnSpec(SIGNAL)},
     }
-    swings = changed.pop("swings", {"Qx": FirstHarmonic(RADIUS, "m")})
-    motion = NominalMotion(rate, swings)
+    signals = changed.pop("swings", {"Qx": FirstHarmonic(RADIUS, "m")})
+    motion = NominalMotion(rate, signals)
     return read_record(path, RecordColumns(**columns | changed), motion, block=block)
 
 
-def read_error(path: Path, **options) -> str:
+def read_error_message(path: Path, **options) -> str:
     with pytest.raises(RecordError) as caught:
-        read(path, **options)
+        read_written_record(path, **options)
     # A long name is shortened.
     assert path.name[:50] in str(caught.value)
     return str(caught.value)
 
 
 def make_dense_columns(n: int = 300_000) -> dict[str, np.ndarray]:
-    return table(n=n, step=2 / (64 * 50.5))  # 50 samples to a block
+    return simulate_columns(n=n, step=2 / (64 * 50.5))  # 50 samples to a block

@@ -9,7 +9,7 @@ from counterspin.simulation.simulate import simulate
 from counterspin.toml_text import format_document
 
 #: True noise of a sample of the two columns of a record at rest, m.
-WHITE = {"east_m": 0.01, "north_m": 0.0101}
+WHITE_NOISE = {"east_m": 0.01, "north_m": 0.0101}
 
 
 def simulate_measured_campaign(folder, plan, text, *without):
@@ -37,13 +37,13 @@ def simulate_measured_campaign(folder, plan, text, *without):
     return folder
 
 
-def at_rest(folder, rows=4000, **columns):
+def write_static_record(folder, rows=4000, **columns):
     """Write a record at rest at 20 Hz: white noise and, over an offset, a constant force."""
     rng = np.random.default_rng(5)
     time = np.arange(rows) / 20.0
-    made = {
+    signals = {
         name: 3.0 + 1e-3 * time**2 + white * rng.standard_normal(rows)
-        for name, white in WHITE.items()
+        for name, white in WHITE_NOISE.items()
     }
-    pl.DataFrame({"time_s": time, **made, **columns}).write_csv(folder / "rest.csv")
+    pl.DataFrame({"time_s": time, **signals, **columns}).write_csv(folder / "rest.csv")
     return folder

@@ -15,11 +15,11 @@ FILES = {}
 
 
 def _file(name, ending=".csv"):
-    def kept(write):
+    def register(write):
         FILES[name] = (write, ending)
         return write
 
-    return kept
+    return register
 
 
 def _put(path, head, rows, mark, *, encoding="utf-8", end="\n"):
@@ -43,9 +43,12 @@ def _cells(frame, *, time=None, angle=None, mark=".", scale=1.0):
     ]
 
 
-def _stamps(frame, form):
+def _stamps(frame, time_format):
     moments = [_BEGUN + timedelta(seconds=t) for t in frame["time_s"]]
-    return [m.strftime(form).replace("%L", f"{m.microsecond // 1000:03d}") for m in moments]
+    return [
+        moment.strftime(time_format).replace("%L", f"{moment.microsecond // 1000:03d}")
+        for moment in moments
+    ]
 
 
 def _plain(time="Time [s]", angle="Angle [deg]", mark=","):

@@ -20,12 +20,12 @@ CONFORMITY = {
 }
 
 
-def coefficient(value, u, unit, **more):
+def make_coefficient(value, u, unit, **more):
     """Return a coefficient whose uncertainty is all noise."""
     return {"value": value, "u": u, "u_noise": u, "unit": unit, "estimated": True, **more}
 
 
-def trace(**more):
+def make_trace(**more):
     """Return a trace of three stretches."""
     return {
         "time": [0.5, 1.5, 2.5],
@@ -39,38 +39,38 @@ def trace(**more):
     }
 
 
-def accelerometer(**parts):
+def make_accelerometer_result(**parts):
     """Return an accelerometer result with these parts and a residual."""
     residual = {"rms": 0.01, "unit": "m", "dof": 1000.0}
-    bare = {"coefficients": {}, "correlation": None, "residual": residual}
-    return AccelerometerResult.model_validate(bare | parts)
+    defaults = {"coefficients": {}, "correlation": None, "residual": residual}
+    return AccelerometerResult.model_validate(defaults | parts)
 
 
-def run(**changes):
+def make_run(**changes):
     """Return a run without findings."""
     return {"rate": 3.0, "drift": 0.0, "samples": 1000, "rejected": 0} | changes
 
 
-def bare_result(**parts):
+def make_bare_result(**parts):
     """Return a result with these parts and a single run."""
-    bare = {
+    defaults = {
         "method": "joint",
         "model": "exact",
         "accelerometers": {},
-        "runs": {"run1": run()},
+        "runs": {"run1": make_run()},
         "inputs": {"gravity": 9.8066, "latitude": 0.8, "radius": 2.5},
         "provenance": {"version": "9.9", "inputs": {"campaign.toml": "sha256:" + "0f" * 32}},
     }
-    return Result.model_validate(bare | parts)
+    return Result.model_validate(defaults | parts)
 
 
-def result(**changes):
+def make_qx_result(**changes):
     """Return a result of accelerometer Qx and two runs; `changes` apply to Qx."""
     qx = {
         "serial_number": "Q-104",
         "coefficients": {
-            "K_F": coefficient(0.005, 1e-6, "g"),
-            "K_II": coefficient(2.7e-5, 1e-9, "g/g^2", dof=50.0),
+            "K_F": make_coefficient(0.005, 1e-6, "g"),
+            "K_II": make_coefficient(2.7e-5, 1e-9, "g/g^2", dof=50.0),
         },
         "known": {"K_I": {"value": 1.002, "u": 0.0, "unit": "g/g", "estimated": False}},
         "axes": [(1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)],
@@ -111,26 +111,26 @@ def result(**changes):
             "z": 1.0,
         },
         "conformity": {"K_II": CONFORMITY},
-        "traces": {"slow": trace(), "fast": trace(left_out=[])},
+        "traces": {"slow": make_trace(), "fast": make_trace(left_out=[])},
         **changes,
     }
     ripple = {"harmonic": 1, "amplitude": 3e-6, "u_amplitude": 3e-7, "phase": 0.1, "u_phase": 0.01}
-    found = {"u_rate": 1e-9, "drift": 1e-9, "u_drift": 1e-10, "rejected": 2}
-    found |= {"counts": {"outliers": 2}}
-    return bare_result(
+    run_values = {"u_rate": 1e-9, "drift": 1e-9, "u_drift": 1e-10, "rejected": 2}
+    run_values |= {"counts": {"outliers": 2}}
+    return make_bare_result(
         title="By hand",
         accelerometers={"Qx": qx},
-        platform={"platform.drift.north": coefficient(1e-8, 1e-9, "rad/s")},
+        platform={"platform.drift.north": make_coefficient(1e-8, 1e-9, "rad/s")},
         runs={
-            "slow": run(rate=-3.0, ripples=[ripple], **found),
-            "fast": run(rate=6.0, ripples=[], **found),
+            "slow": make_run(rate=-3.0, ripples=[ripple], **run_values),
+            "fast": make_run(rate=6.0, ripples=[], **run_values),
         },
         inputs={"gravity": 9.8, "latitude": 0.7, "radius": 2.5},
     )
 
 
 #: A result of a real calibration, as an earlier version wrote it.
-FROZEN = json.loads(
+FROZEN_DOCUMENT = json.loads(
     (Path(__file__).parents[1] / "frozen" / "schema-1-joint.json").read_text(encoding="utf-8")
 )
 
@@ -139,18 +139,18 @@ def make_dated_document(
     value=2.7e-5, date="2024-03-05", serial="Q-104", *, u=5e-8, run=None, **changes
 ):
     """Return the frozen result's document, only with Qx, with changed K_II, date and records."""
-    made = copy.deepcopy(FROZEN) | changes
-    qx = made["accelerometers"]["Qx"]
+    document = copy.deepcopy(FROZEN_DOCUMENT) | changes
+    qx = document["accelerometers"]["Qx"]
     qx["coefficients"]["K_II"] |= {"value": value, "u": u}
     if serial is not None:
         qx["serial_number"] = serial
-    made["accelerometers"] = {"Qx": qx}
-    made["details"] = {} if date is None else {"date": date}
-    made["provenance"]["inputs"] = {
+    document["accelerometers"] = {"Qx": qx}
+    document["details"] = {} if date is None else {"date": date}
+    document["provenance"]["inputs"] = {
         "campaign.toml": "sha256:00",
         "run1.csv": f"sha256:{run or f'{value}{date}'}",
     }
-    return made
+    return document
 
 
 def seal_document(document):
@@ -165,8 +165,8 @@ def remove_seal(path):
     path.write_text(json.dumps(document), encoding="utf-8")
 
 
-def two_accelerometers(given, terms, matrix):
+def make_two_accelerometers(result, terms, matrix):
     """Return a result whose Qy has the values of Qx, with correlations between both."""
-    both = dict.fromkeys(("Qx", "Qy"), given.accelerometers["Qx"])
+    accelerometers = dict.fromkeys(("Qx", "Qy"), result.accelerometers["Qx"])
     correlation = Correlation(terms=terms, matrix=matrix)
-    return given.model_copy(update={"accelerometers": both, "correlation": correlation})
+    return result.model_copy(update={"accelerometers": accelerometers, "correlation": correlation})

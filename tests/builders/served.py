@@ -72,17 +72,17 @@ def run_server(app):
         thread.join()
 
 
-def answer_field(tab, words):
+def find_answer_field(tab, words):
     """Return the field of an answer whose label begins with `words`."""
     return tab.get_by_label(re.compile(f"{words}(?!.*, (standard uncertainty|unit)$)"))
 
 
-def token_of(credentials):
+def read_token(credentials):
     """Return the single-use token of the page of a server."""
     return credentials.link.partition("#token=")[2]
 
 
-def wait(page, number):
+def wait_for_job(page, number):
     """Wait for a job and return it."""
     deadline = time.monotonic() + 300.0
     while time.monotonic() < deadline:
@@ -97,23 +97,23 @@ class InlineJobs(Jobs):
     """Run jobs immediately in this process."""
 
     def _start_thread(self, job, work, words, then):
-        *_, told = run_inline(work, *words)
-        self._handle_message(job, told, then)
+        *_, last_message = run_inline(work, *words)
+        self._handle_message(job, last_message, then)
         assert job.state in ("done", "failed")
         assert "internal error" not in job.error, job.error
 
 
 def run_inline(work, *words, questions=()):
     """Return all messages that a process would send in response to these questions."""
-    sent, left = [], iter(questions)
+    messages, remaining_questions = [], iter(questions)
 
     def recv():
         try:
-            return next(left)
+            return next(remaining_questions)
         except StopIteration:
             raise EOFError from None
 
     # The server's own process keeps its Ctrl-C.
     with patch("counterspin.application.jobs.signal.signal"):
-        work(SimpleNamespace(send=sent.append, recv=recv), *words)
-    return sent
+        work(SimpleNamespace(send=messages.append, recv=recv), *words)
+    return messages

@@ -36,7 +36,7 @@ def write_pair(folder, key, password=None, *, days=(-1, 365), usage=None, common
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name or "Example laboratory")])
     now = datetime.now(UTC)
     algorithm = None if isinstance(key, ed25519.Ed25519PrivateKey) else hashes.SHA256()
-    made = (
+    certificate = (
         x509.CertificateBuilder()
         .subject_name(name)
         .issuer_name(name)
@@ -46,14 +46,14 @@ def write_pair(folder, key, password=None, *, days=(-1, 365), usage=None, common
         .not_valid_after(now + timedelta(days=days[1]))
     )
     if usage is not None:
-        stated = dict.fromkeys(_USAGES, False) | {usage: True}
-        made = made.add_extension(x509.KeyUsage(**stated), critical=True)
-    made = made.sign(key, algorithm)
+        key_usage = dict.fromkeys(_USAGES, False) | {usage: True}
+        certificate = certificate.add_extension(x509.KeyUsage(**key_usage), critical=True)
+    certificate = certificate.sign(key, algorithm)
     folder.mkdir(exist_ok=True)
     encryption = BestAvailableEncryption(password) if password else NoEncryption()
     private = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, encryption)
     (folder / "key.pem").write_bytes(private)
-    (folder / "cert.pem").write_bytes(made.public_bytes(Encoding.PEM))
+    (folder / "cert.pem").write_bytes(certificate.public_bytes(Encoding.PEM))
     return folder / "key.pem", folder / "cert.pem"
 
 
@@ -62,6 +62,6 @@ def write_pkcs12(folder, key, password=None):
     _, cert = write_pair(folder, key)
     certificate = x509.load_pem_x509_certificate(cert.read_bytes())
     encryption = BestAvailableEncryption(password) if password else NoEncryption()
-    made = serialize_key_and_certificates(b"laboratory", key, certificate, None, encryption)
-    (folder / "key.p12").write_bytes(made)
+    container = serialize_key_and_certificates(b"laboratory", key, certificate, None, encryption)
+    (folder / "key.p12").write_bytes(container)
     return folder / "key.p12", cert

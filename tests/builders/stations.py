@@ -29,23 +29,23 @@ class Station:
 
     def force(self, site, angle, rate=None, acceleration=0.0):
         """Return the specific force in the station's frame, m/s^2, shape (n, 3)."""
-        return from_stations([self]).forces(site, angle, rate, acceleration)[0]
+        return combine_stations([self]).forces(site, angle, rate, acceleration)[0]
 
     def products(self, site, force):
         """Return the signed products of specific forces, shape (number of `TERMS`, n)."""
-        return from_stations([self]).products(site, force[None])[:, 0]
+        return combine_stations([self]).products(site, force[None])[:, 0]
 
     def axes_under_load(self):
         """Return the axes I, P, O as rows, with droop and rotation, shape (3, 3)."""
-        return from_stations([self]).axes_under_load()[0]
+        return combine_stations([self]).axes_under_load()[0]
 
     def indicated(self, site, coefficients):
         """Return the mean indication in g; coefficients without a given value are nominal."""
         values = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
-        return float(mean_products(from_stations([self]), site)[0] @ values)
+        return float(mean_products(combine_stations([self]), site)[0] @ values)
 
 
-def from_stations(stations):
+def combine_stations(stations):
     """Return stations of the same motion as arrays."""
     (motion,) = {station.motion for station in stations}
     names = ("rate", "radius", "stretch", "droop", "axis_tilt", "turn", "amplitude")
@@ -53,11 +53,16 @@ def from_stations(stations):
         name: np.array([getattr(station, name) for station in stations])
         for name in (*names, "bias_acceleration")
     }
-    made = Stations.at(motion, np.array([s.mounting.axes for s in stations]), **settings)
+    combined = Stations.at(
+        motion, np.array([station.mounting.axes for station in stations]), **settings
+    )
     for harmonic in {n for station in stations for n, _, _ in station.table}:
         waves = [
-            np.sum([(c, s) for n, c, s in station.table if n == harmonic] or [(0.0, 0.0)], axis=0)
+            np.sum(
+                [(c, station) for n, c, station in station.table if n == harmonic] or [(0.0, 0.0)],
+                axis=0,
+            )
             for station in stations
         ]
-        made.table[harmonic] = np.array(waves)
-    return made
+        combined.table[harmonic] = np.array(waves)
+    return combined

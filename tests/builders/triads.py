@@ -2,58 +2,66 @@
 
 import numpy as np
 
-#: What is indicated along each input axis by a force along each axis of the frame, g/g, and
-#: biases, g. The frame: X along the first axis, Y in the plane of the first two.
+#: Response of each input axis to a force along each axis of the frame, g/g, and biases, g. In the
+#: frame, X is along the first input axis, and Y is in the plane of the first two.
 ROWS = np.array([[1.004, 0.0, 0.0], [0.003, 0.997, 0.0], [-0.006, 0.002, 1.0061]])
 BIAS = np.array([0.0102, -0.0098, 0.0351])
 
-#: Where input and pendulous axes point while the sensor is level.
+#: Directions of input and pendulous axes of the level sensor.
 DIRECTIONS = {"X": ("east", "north"), "Y": ("north", "up"), "Z": ("up", "east")}
 
 NAMES = tuple(DIRECTIONS)
 
 
-def directions(count, generator):
+def draw_directions(count, generator):
     """Return random unit vectors, shape (count, 3)."""
-    found = generator.standard_normal((count, 3))
-    return found / np.linalg.norm(found, axis=1)[:, None]
+    vectors = generator.standard_normal((count, 3))
+    return vectors / np.linalg.norm(vectors, axis=1)[:, None]
 
 
-def indications(along, rows=ROWS, bias=BIAS, squares=(0.0, 0.0, 0.0)):
+def compute_indications(directions, rows=ROWS, bias=BIAS, squares=(0.0, 0.0, 0.0)):
     """Return the indications of three accelerometers for 1 g along directions, g, shape (n, 3).
 
-    squares: Their second-order coefficients, g/g^2.
+    squares: Second-order coefficients, g/g^2.
     """
-    return along @ np.transpose(rows) + bias + np.asarray(squares) * along**2
+    return directions @ np.transpose(rows) + bias + np.asarray(squares) * directions**2
 
 
-def accelerometer(name, more=""):
+def format_accelerometer(name, more=""):
     """Return the table of an accelerometer."""
-    one, other = DIRECTIONS[name]
+    input_axis, pendulous_axis = DIRECTIONS[name]
     return (
-        f'[accelerometers.{name}]\ninput_axis = "{one}"\npendulous_axis = "{other}"\n'
+        f'[accelerometers.{name}]\ninput_axis = "{input_axis}"\n'
+        f'pendulous_axis = "{pendulous_axis}"\n'
         f'grade = "consumer"\n{more}'
     )
 
 
-def head(more="", model='terms = ["K_F", "K_I", "delta_O", "delta_P"]\nassume = ["all"]'):
+def format_description(
+    more="", model='terms = ["K_F", "K_I", "delta_O", "delta_P"]\nassume = ["all"]'
+):
     """Return a description of a triad without its runs."""
     return (
         'schema = 1\nsite = { gravity = "9.81 m/s^2", latitude = "50 deg" }\n'
         f"{more}\n[model]\n{model}\n"
-        + "".join(map(accelerometer, NAMES))
+        + "".join(map(format_accelerometer, NAMES))
         + '[triad]\naccelerometers = ["X", "Y", "Z"]\n'
     )
 
 
-def table(folder, values, u=None, description=None, **columns):
-    """Write a campaign of a table of poses, indications in g of shape (n, 3); return its folder."""
+def write_pose_campaign(folder, values, u=None, description=None, **columns):
+    """Write a campaign with a table of poses and return its folder.
+
+    values: Indications, g, shape (n, 3).
+    columns: Further columns of the table.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    spread = 'u = { X = "u", Y = "u", Z = "u" }, ' if u is not None else ""
-    own = "".join(f'{key} = "{key}", ' for key in columns)
+    u_columns = 'u = { X = "u", Y = "u", Z = "u" }, ' if u is not None else ""
+    further_columns = "".join(f'{key} = "{key}", ' for key in columns)
     (folder / "campaign.toml").write_text(
-        (description or head()) + '[readings]\nfile = "poses.csv"\nattitude = "unknown"\n'
-        f'columns = {{ {own}{spread}reading = {{ X = "x", Y = "y", Z = "z" }} }}\n'
+        (description or format_description())
+        + '[readings]\nfile = "poses.csv"\nattitude = "unknown"\n'
+        f'columns = {{ {further_columns}{u_columns}reading = {{ X = "x", Y = "y", Z = "z" }} }}\n'
     )
     lines = [",".join(["x", "y", "z", *(["u"] if u is not None else []), *columns])]
     for k, row in enumerate(np.asarray(values)):
@@ -63,8 +71,8 @@ def table(folder, values, u=None, description=None, **columns):
     return folder
 
 
-def group(values, u=None, names=NAMES):
-    """Return poses in the form that the fit accepts."""
+def make_poses(values, u=None, names=NAMES):
+    """Return poses for the fit."""
     from counterspin.physics.accelerometer import Mounting
     from counterspin.physics.conditions import AT_REFERENCE
     from counterspin.triads.poses import TriadPoses
@@ -85,7 +93,7 @@ def group(values, u=None, names=NAMES):
     )
 
 
-#: The unknowns of a triad of which nothing else is known, in the order of its biases and rows.
+#: Unknowns of a triad without priors, in the order of its biases and rows.
 PARAMETERS = (
     ("X", "K_F"),
     ("Y", "K_F"),
@@ -97,21 +105,21 @@ PARAMETERS = (
     ("Z", "delta_P"),
     ("Z", "K_I"),
 )
-#: Of these the sign with which each makes an element of the rows: Y's output axis is east, and
-#: Z's pendulous axis is.
+#: Signs of these parameters in the elements of the rows: the output axis of Y and the pendulous
+#: axis of Z point east.
 SIGNS = np.array([1.0, 1.0, 1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
 
 
-def truth(rows=ROWS, bias=BIAS):
-    """Return the true parameters of rows and biases, those of K_I unchanged, shape (9,)."""
+def true_parameters(rows=ROWS, bias=BIAS):
+    """Return the true parameters for rows and biases, shape (9,)."""
     lower = [rows[0, 0], rows[1, 0], rows[1, 1], *rows[2]]
     return SIGNS * np.array([*bias, *lower])
 
 
-def unknowns(extra=(), *, defaults=False):
+def make_unknowns(extra=(), *, defaults=False):
     """Return the unknowns of a fit, followed by further pairs of owner and symbol.
 
-    defaults: Whether they have the default priors of consumer grade, for where they are needed.
+    defaults: True: with the default priors of consumer grade.
     """
     from counterspin.inference.joint.unknowns import Unknown, Unknowns
     from counterspin.physics.terms import term

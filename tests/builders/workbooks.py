@@ -13,25 +13,30 @@ _TYPES = (
 )
 
 
-def write_workbook(path, sheets, moved=()):
-    """Write sheets, name -> rows of text, numbers or None; `moved`: a cell's name -> another."""
-    numbered = list(enumerate(sheets.items(), 1))
+def write_workbook(path, sheets, renamed_cells=()):
+    """Write sheets, name -> rows of text, numbers or None.
+
+    renamed_cells: New cell names by old cell names.
+    """
+    numbered_sheets = list(enumerate(sheets.items(), 1))
     with zipfile.ZipFile(path, "w") as file:
         file.writestr("[Content_Types].xml", _TYPES)
         file.writestr("_rels/.rels", _relations([("officeDocument", "xl/workbook.xml")]))
-        listed = "".join(
-            f'<sheet name="{escape(name)}" sheetId="{i}" r:id="r{i}"/>' for i, (name, _) in numbered
+        sheet_elements = "".join(
+            f'<sheet name="{escape(name)}" sheetId="{i}" r:id="r{i}"/>'
+            for i, (name, _) in numbered_sheets
         )
         file.writestr(
             "xl/workbook.xml",
-            f'<workbook xmlns="{_MAIN}" xmlns:r="{_OFFICE}"><sheets>{listed}</sheets></workbook>',
+            f'<workbook xmlns="{_MAIN}" xmlns:r="{_OFFICE}"><sheets>{sheet_elements}</sheets>'
+            "</workbook>",
         )
-        parts = [("worksheet", f"worksheets/sheet{i}.xml") for i, _ in numbered]
-        file.writestr("xl/_rels/workbook.xml.rels", _relations(parts))
-        for i, (_, rows) in numbered:
+        relations = [("worksheet", f"worksheets/sheet{i}.xml") for i, _ in numbered_sheets]
+        file.writestr("xl/_rels/workbook.xml.rels", _relations(relations))
+        for i, (_, rows) in numbered_sheets:
             body = "".join(_row(k, row) for k, row in enumerate(rows, 1))
-            for cell in moved:
-                body = body.replace(f'"{cell}"', f'"{moved[cell]}"')
+            for cell in renamed_cells:
+                body = body.replace(f'"{cell}"', f'"{renamed_cells[cell]}"')
             text = f'<worksheet xmlns="{_MAIN}"><sheetData>{body}</sheetData></worksheet>'
             file.writestr(f"xl/worksheets/sheet{i}.xml", text)
     return path
@@ -47,8 +52,8 @@ def _relations(parts):
 
 def _row(number, row):
     cells = ""
-    for place, cell in enumerate(row):
-        name = f"{chr(65 + place)}{number}"
+    for column, cell in enumerate(row):
+        name = f"{chr(65 + column)}{number}"
         if isinstance(cell, str):
             cells += f'<c r="{name}" t="inlineStr"><is><t>{escape(cell)}</t></is></c>'
         elif cell is not None:

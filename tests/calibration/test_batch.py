@@ -14,7 +14,7 @@ from pathlib import Path
 
 import clusters
 import pytest
-from clusters import cluster_of_the_page, dask_cluster
+from clusters import start_dask_cluster, start_documented_cluster
 
 from counterspin import workers
 from counterspin.calibration.batch import BatchResult, calibrate_many
@@ -166,7 +166,7 @@ def cluster(gated_workers):
     # A task fails after the death of one worker, not only after four.
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
-        dask_cluster(workers=1) as cluster,
+        start_dask_cluster(workers=1) as cluster,
     ):
         yield cluster
 
@@ -200,7 +200,7 @@ def test_dead_dask_worker_loses_no_campaign(folders, cluster, tmp_path):
 @pytest.fixture
 def scheduler(tmp_path):
     """Start a scheduler with a worker as in docs/study.md; yield (address, process)."""
-    with cluster_of_the_page(tmp_path) as (address, process, _):
+    with start_documented_cluster(tmp_path) as (address, process, _):
         yield address, process
 
 

@@ -1,7 +1,7 @@
 """The result is independent of the export format of the recorder."""
 
 import pytest
-from exports import EXPORTS, campaign_folder, write_export
+from exports import EXPORTS, simulate_campaign, write_export
 
 from counterspin.calibration.result import Result
 from counterspin.cli import main
@@ -9,7 +9,7 @@ from counterspin.cli import main
 
 @pytest.fixture(scope="module")
 def plain_folder(tmp_path_factory):
-    return campaign_folder(tmp_path_factory.mktemp("exports"))
+    return simulate_campaign(tmp_path_factory.mktemp("exports"))
 
 
 def read_result(folder):

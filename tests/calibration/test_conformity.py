@@ -2,7 +2,7 @@
 
 import pytest
 from campaigns import SMALL, write_description
-from results import accelerometer
+from results import make_accelerometer_result
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.conformity import judge_accelerometer, judge_conformity
@@ -83,7 +83,7 @@ def test_campaign_without_specification_has_no_verdict(records, tmp_path):
 
 
 def make_accelerometer(**k_ii):
-    return accelerometer(coefficients={"K_II": {"unit": "g/g^2", **k_ii}})
+    return make_accelerometer_result(coefficients={"K_II": {"unit": "g/g^2", **k_ii}})
 
 
 def make_specifications(**table):

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from results import result
+from results import make_qx_result
 
 import counterspin as cs
 from certificates import write_lab
@@ -24,7 +24,7 @@ from counterspin.results import _compute_seal
 
 
 def judge_changed(**changes):
-    return judge_result(result(**changes))
+    return judge_result(make_qx_result(**changes))
 
 
 def finding_codes(found):
@@ -130,7 +130,7 @@ def test_undetermined_usual_term_is_information():
 
 
 def test_as_printed_model_is_never_good():
-    printed = judge_result(result().model_copy(update={"model": "as-printed"}))
+    printed = judge_result(make_qx_result().model_copy(update={"model": "as-printed"}))
     assert finding_codes(printed) == ["as-printed"]
     assert printed.state == "reservations"
 
@@ -170,7 +170,7 @@ def test_wrong_noise_is_single_finding():
 def test_findings_of_checks_are_also_warnings():
     odd = Finding(code="odd", subject="Qx.K_II", text="It is odd.", size=4.0)
     drift = Finding(code="large-drift", subject="platform.drift.north", text="It is large.")
-    found = judge_result(result(findings=[odd]).model_copy(update={"findings": [drift]}))
+    found = judge_result(make_qx_result(findings=[odd]).model_copy(update={"findings": [drift]}))
     assert finding_codes(found) == ["odd", "large-drift"]
     assert finding_codes(found.accelerometers["Qx"]) == ["odd"]
     assert found.accelerometers["Qx"].warnings == ["Qx: It is odd."]
@@ -179,10 +179,10 @@ def test_findings_of_checks_are_also_warnings():
 
 def test_state_of_result_is_worst_of_accelerometers():
     one, two = (
-        result(**change).accelerometers["Qx"]
+        make_qx_result(**change).accelerometers["Qx"]
         for change in ({}, {"jackknife": make_jackknife(-6.1)})
     )
-    both = result().model_copy(update={"accelerometers": {"Qx": one, "Qy": two}})
+    both = make_qx_result().model_copy(update={"accelerometers": {"Qx": one, "Qy": two}})
     calibration = judge_result(both)
     assert calibration.accelerometers["Qx"].state == "good"
     assert calibration.accelerometers["Qy"].state == "contradicted"
@@ -194,8 +194,8 @@ def test_state_of_result_is_worst_of_accelerometers():
 
 
 def test_reason_is_stored_only_for_contradicted_result():
-    assert judge_result(result(), "it is fine").accepted_misfit is None
-    calibration = judge_result(result(jackknife=make_jackknife(-6.1)), "it is fine")
+    assert judge_result(make_qx_result(), "it is fine").accepted_misfit is None
+    calibration = judge_result(make_qx_result(jackknife=make_jackknife(-6.1)), "it is fine")
     assert calibration.state == "contradicted"
     assert calibration.accepted_misfit == "it is fine"
     assert refusal_reason(calibration, ["Qx"]) is None

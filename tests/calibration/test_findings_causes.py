@@ -1,6 +1,6 @@
 """Grouping of findings under their cause."""
 
-from results import result
+from results import make_qx_result
 
 from counterspin.calibration.findings import (
     Cause,
@@ -67,6 +67,6 @@ def test_cause_precedes_unexplained_findings():
     great = RUN.model_copy(update={"size": 5e3})
     changes = {"findings": [MISFIT, great]}
     causes = [make_cause(("run-disagrees", "Qx.K_II", 5e3))]
-    judged = judge_result(result(**changes), causes=causes)
+    judged = judge_result(make_qx_result(**changes), causes=causes)
     assert [finding.code for finding in judged.findings][:2] == ["wrong-input", "run-disagrees"]
     assert judged.state == "contradicted"

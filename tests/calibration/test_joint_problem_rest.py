@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 from campaigns import SMALL, WITHOUT_QY, find_runs, replace_parts, write_description
 from raising import raises
-from recorded_campaigns import WHITE, at_rest, simulate_measured_campaign
+from recorded_campaigns import WHITE_NOISE, simulate_measured_campaign, write_static_record
 from scipy.stats import f as fisher
 
 import counterspin as cs
@@ -29,7 +29,9 @@ FROM = '[noise]\nfrom = "rest.csv"'
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     made = tmp_path_factory.mktemp("rest")
-    return at_rest(simulate_measured_campaign(made, tmp_path_factory.mktemp("plan"), SMALL))
+    return write_static_record(
+        simulate_measured_campaign(made, tmp_path_factory.mktemp("plan"), SMALL)
+    )
 
 
 def block_texts(result):
@@ -50,7 +52,7 @@ def test_accelerometers_have_noise_of_record_at_rest(folder):
     for signal in estimate.signals:
         one = noise[signal.name]
         assert one.white == pytest.approx(signal.components["displacement"].value, rel=1e-12)
-        assert one.white == pytest.approx(WHITE[signal.column], rel=0.04)
+        assert one.white == pytest.approx(WHITE_NOISE[signal.column], rel=0.04)
         # The variance of v from n independent samples is 2 v^2/n, slightly increased by a drift.
         assert one.covariance[0][0] == pytest.approx(2 * one.white**4 / 4000, rel=0.1)
         # Noise undetected in the record is left to the campaign.
@@ -212,7 +214,7 @@ def test_written_campaign_includes_record_at_rest(folder, tmp_path):
     campaign = describe_noise(folder, **{"from": "rest.csv"})
     campaign.write(tmp_path / "inside")
     assert (tmp_path / "inside" / "rest.csv").read_bytes() == (folder / "rest.csv").read_bytes()
-    far = at_rest(tmp_path) / "rest.csv"
+    far = write_static_record(tmp_path) / "rest.csv"
     describe_noise(folder, **{"from": str(far)}).write(tmp_path / "outside")
     again = read_campaign(tmp_path / "outside")
     assert again.rest == tmp_path / "outside" / "rest.csv"

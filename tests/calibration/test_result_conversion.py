@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 from campaigns import SMALL, replace_parts, write_description
 from raising import raises
-from results import result as made_by_hand
+from results import make_qx_result as made_by_hand
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result, read_result

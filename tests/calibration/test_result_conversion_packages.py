@@ -11,7 +11,7 @@ from counterspin.calibration.result_parts import Correlation
 
 def make_result(correlation, dof):
     """Return a result of K_F, K_I... with this correlation and these degrees of freedom."""
-    made = by_hand.result()
+    made = by_hand.make_qx_result()
     (name, accelerometer), *_ = made.accelerometers.items()
     like = next(iter(accelerometer.coefficients.values()))
     symbols = ("K_F", "K_I", "K_II", "K_III")[: len(dof)]

@@ -165,7 +165,7 @@ def test_rejects_deeply_nested_key_with_file_and_line(tmp_path, name):
         read_campaign,
         read_plan,
         read_study,
-        lambda path: read_lab(path, results.result()),
+        lambda path: read_lab(path, results.make_qx_result()),
     ):
         with pytest.raises(CampaignError) as raised:
             read(file)

@@ -5,8 +5,8 @@ import polars as pl
 import pytest
 from campaigns import SMALL, find_runs, replace_parts, write_description
 from raising import raises
-from recorded_campaigns import WHITE, at_rest
-from static_noise_sizes import without_intervals
+from recorded_campaigns import WHITE_NOISE, write_static_record
+from static_noise_sizes import disable_intervals
 
 import counterspin as cs
 from counterspin.calibration.joint_problem import make_noise
@@ -25,14 +25,14 @@ FROM = '[noise]\nfrom = "rest.csv"\nangle = "1e-6 rad"'
 @pytest.fixture(scope="module", autouse=True)
 def skip_intervals():
     """Estimate noise without intervals, which these tests do not use."""
-    with without_intervals():
+    with disable_intervals():
         yield
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Return a folder with the description of a simulation, and a record at rest."""
-    made = at_rest(tmp_path_factory.mktemp("described"), rows=2000)
+    made = write_static_record(tmp_path_factory.mktemp("described"), rows=2000)
     write_description(made, replace_parts(SMALL, (STATED, FROM), (TRUE_NOISE, "")))
     return made
 
@@ -43,7 +43,7 @@ def largest_white_noise(folder):
     estimate = cs.noise(folder / "rest.csv", campaign=folder).signals
     sizes = [signal.components["displacement"].value for signal in estimate]
     # The standard deviation of 2000 samples has a relative error of 1.6 %.
-    assert sizes == pytest.approx(list(WHITE.values()), rel=0.06)
+    assert sizes == pytest.approx(list(WHITE_NOISE.values()), rel=0.06)
     assert sizes[0] != sizes[1]
     return max(sizes)
 
@@ -66,7 +66,7 @@ def test_largest_estimated_noise_is_simulated(folder, largest_white_noise):
 
 
 def test_stated_true_noise_overrides_estimate(folder, tmp_path):
-    at_rest(tmp_path, rows=2000)
+    write_static_record(tmp_path, rows=2000)
     own = read_campaign(write_description(tmp_path, replace_parts(SMALL, (STATED, FROM))))
     assert simulated_noise(own)["displacement"] == 0.01
     wanted = read_campaign(folder).change({"noise": {"acceleration": "estimate"}})
@@ -140,7 +140,7 @@ minimise = ["K_II"]
 
 @pytest.mark.slow
 def test_plan_uses_and_states_estimated_noise(tmp_path):
-    at_rest(tmp_path, rows=2000)
+    write_static_record(tmp_path, rows=2000)
     file = tmp_path / "PLAN.toml"
     file.write_text(PLAN, encoding="utf-8")
     (signal,) = cs.noise(

@@ -4,9 +4,9 @@ import hashlib
 
 import pytest
 from raising import raises
-from results import coefficient, result
+from results import make_coefficient, make_qx_result
 
-from certificates import LAB, find, write_lab
+from certificates import LAB, find_elements, write_lab
 from counterspin import cli
 from counterspin.certificates.amendment import AmendedCertificate, Amendment, describe_changes
 from counterspin.certificates.certificate_reader import read_certificate
@@ -20,7 +20,7 @@ CORE = "//dcc:coreData"
 def certificate_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")
-    result().write("r.json")
+    make_qx_result().write("r.json")
     write_lab(tmp_path)
     assert cli.main(["certificate", "r.json", "LAB.toml", "-o", "old.xml"]) == 0
     return tmp_path
@@ -35,10 +35,12 @@ def test_amended_certificate_round_trip(certificate_folder, capsys):
     name, digest = read_certificate(old, "").identifier, hashlib.sha256(old).hexdigest()
     assert read_certificate(new, "").identifier == f"{name}-A1"
     replaced = f"{CORE}/dcc:reportAmendedSubstituted"
-    assert [e.text for e in find(new, f"{replaced}/*")] == ["amended", name]
+    assert [e.text for e in find_elements(new, f"{replaced}/*")] == ["amended", name]
     previous = f"{CORE}/dcc:previousReport"
-    assert [e.text for e in find(new, f"{previous}/*")[1:4]] == [name, "SHA-256", digest]
-    text = find(new, "//dcc:statement[dcc:name/dcc:content='Amendment']//dcc:content")[-1].text
+    assert [e.text for e in find_elements(new, f"{previous}/*")[1:4]] == [name, "SHA-256", digest]
+    text = find_elements(new, "//dcc:statement[dcc:name/dcc:content='Amendment']//dcc:content")[
+        -1
+    ].text
     _, reason, changed = text.splitlines()
     assert reason == "Reason: The serial number was misread."
     assert changed == 'Changed: calibrated item, from "0815" to "0816".'
@@ -60,14 +62,14 @@ def test_amended_certificate_round_trip(certificate_folder, capsys):
 
 
 def test_changed_numbers_are_listed(certificate_folder):
-    calibration = result(
+    calibration = make_qx_result(
         coefficients={
-            "K_F": coefficient(0.005, 1e-6, "g") | {"estimated": False},
-            "K_II": coefficient(2.71e-5, 1e-9, "g/g^2", dof=50.0),
+            "K_F": make_coefficient(0.005, 1e-6, "g") | {"estimated": False},
+            "K_II": make_coefficient(2.71e-5, 1e-9, "g/g^2", dof=50.0),
         },
         correlation=None,
     )
-    made = [certificate(given, "LAB.toml").xml for given in (result(), calibration)]
+    made = [certificate(given, "LAB.toml").xml for given in (make_qx_result(), calibration)]
     told = describe_changes(*made)
     assert told[:2] == [
         "K_F of Qx was 5000.0 ± 2.0 ug and is now not certified.",
@@ -80,11 +82,11 @@ def test_changed_numbers_are_listed(certificate_folder):
 
 
 def test_added_and_removed_statements_are_listed(certificate_folder):
-    old = certificate(result(), "LAB.toml").xml
+    old = certificate(make_qx_result(), "LAB.toml").xml
     write_lab(
         certificate_folder, LAB.replace('remarks = ["Bemerkung."]', 'customer_data = ["K_I"]')
     )
-    assert describe_changes(old, certificate(result(), "LAB.toml").xml) == [
+    assert describe_changes(old, certificate(make_qx_result(), "LAB.toml").xml) == [
         'the statement "Prior information" has changed.',
         'the statement "Remarks" has been removed.',
         'the statement "Data supplied by the customer" is new.',

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from prose import ROOT
 from raising import raises
-from results import coefficient, result, two_accelerometers
+from results import make_coefficient, make_qx_result, make_two_accelerometers
 
-from certificates import ISSUE, LAB, document, find
+from certificates import ISSUE, LAB, find_elements, make_document
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates.build import SCHEMA_VERSION, check_certifiable
@@ -105,64 +105,70 @@ def test_numbers_match_schema_format():
 
 
 def test_output_units_known_to_si_are_certified(tmp_path):
-    plain = result()
+    plain = make_qx_result()
     one = plain.accelerometers["Qx"]
     output = {
-        "bias": Coefficient(**coefficient(6.25, 1e-3, "mA")),
-        "scale_factor": Coefficient(**coefficient(1.25, 1e-6, "mA/g")),
+        "bias": Coefficient(**make_coefficient(6.25, 1e-3, "mA")),
+        "scale_factor": Coefficient(**make_coefficient(1.25, 1e-6, "mA/g")),
     }
     coefficients = one.coefficients | {
-        symbol: Coefficient(**coefficient(1.0, 1e-6, TERMS[symbol].unit))
+        symbol: Coefficient(**make_coefficient(1.0, 1e-6, TERMS[symbol].unit))
         for symbol in ("K_F", "K_I")
     }
     one = one.model_copy(update={"coefficients": coefficients})
     plain = plain.model_copy(update={"accelerometers": {"Qx": one}})
     own = one.model_copy(update={"output": output})
-    xml = document(tmp_path, plain.model_copy(update={"accelerometers": {"Qx": own}}))
+    xml = make_document(tmp_path, plain.model_copy(update={"accelerometers": {"Qx": own}}))
     values = {"Bias": (6.25e-3, r"\ampere"), "Scale factor": (1.25e-3 / 9.8, "")}
     for name, (value, unit) in values.items():
         real = f"{QUANTITY}[dcc:name/dcc:content='{name}']/si:real"
-        assert float(find(xml, f"{real}/si:value")[0].text) == pytest.approx(value, rel=1e-15)
-        assert unit in find(xml, f"{real}/si:unit")[0].text
+        assert float(find_elements(xml, f"{real}/si:value")[0].text) == pytest.approx(
+            value, rel=1e-15
+        )
+        assert unit in find_elements(xml, f"{real}/si:unit")[0].text
     assert list(read_certificate(xml, "c").accelerometers["Qx"].coefficients) == list(
-        read_certificate(document(tmp_path, plain), "c").accelerometers["Qx"].coefficients
+        read_certificate(make_document(tmp_path, plain), "c").accelerometers["Qx"].coefficients
     )
     odd = own.model_copy(
-        update={"output": {"bias": Coefficient(**coefficient(6.25, 1e-3, "V/Hz^0.5"))}}
+        update={"output": {"bias": Coefficient(**make_coefficient(6.25, 1e-3, "V/Hz^0.5"))}}
     )
-    xml = document(tmp_path, plain.model_copy(update={"accelerometers": {"Qx": odd}}))
-    assert not find(xml, f"{QUANTITY}[dcc:name/dcc:content='Bias']")
+    xml = make_document(tmp_path, plain.model_copy(update={"accelerometers": {"Qx": odd}}))
+    assert not find_elements(xml, f"{QUANTITY}[dcc:name/dcc:content='Bias']")
     assert b"In the unit of the readings, the bias" in xml
 
 
 def test_coefficient_in_si(tmp_path):
-    xml = document(tmp_path, result())
+    xml = make_document(tmp_path, make_qx_result())
     real = f"{QUANTITY}[dcc:name/dcc:content='K_II']/si:real"
-    assert float(find(xml, f"{real}/si:value")[0].text) == pytest.approx(2.7e-5 / 9.8, rel=1e-15)
-    assert find(xml, f"{real}/si:unit")[0].text == r"\metre\tothe{-1}\second\tothe{2}"
+    assert float(find_elements(xml, f"{real}/si:value")[0].text) == pytest.approx(
+        2.7e-5 / 9.8, rel=1e-15
+    )
+    assert find_elements(xml, f"{real}/si:unit")[0].text == r"\metre\tothe{-1}\second\tothe{2}"
     mu = f"{real}/si:measurementUncertaintyUnivariate/si:expandedMU"
-    k = float(find(xml, f"{mu}/si:coverageFactor")[0].text)
+    k = float(find_elements(xml, f"{mu}/si:coverageFactor")[0].text)
     assert k == pytest.approx(2.0086, abs=1e-4)  # t for 50 degrees of freedom
-    expanded = float(find(xml, f"{mu}/si:valueExpandedMU")[0].text)
+    expanded = float(find_elements(xml, f"{mu}/si:valueExpandedMU")[0].text)
     assert expanded == pytest.approx(k * 1e-9 / 9.8, rel=1e-15)
-    assert find(xml, f"{mu}/si:coverageProbability")[0].text == "0.95"
-    assert find(xml, f"{mu}/si:distribution")[0].text == "t"
+    assert find_elements(xml, f"{mu}/si:coverageProbability")[0].text == "0.95"
+    assert find_elements(xml, f"{mu}/si:distribution")[0].text == "t"
     # u is 1.02e-10 s^2/m: its second digit is 1e-11.
-    assert find(xml, f"{real}/si:significantDigit")[0].text == "-11"
-    said = find(xml, f"{QUANTITY}[dcc:name/dcc:content='K_II']/dcc:description/dcc:content")[0]
+    assert find_elements(xml, f"{real}/si:significantDigit")[0].text == "-11"
+    said = find_elements(
+        xml, f"{QUANTITY}[dcc:name/dcc:content='K_II']/dcc:description/dcc:content"
+    )[0]
     assert "27.0000 ± 0.0020 ug/g^2 (U, k = 2.0086)" in said.text
-    gravity = find(xml, "//dcc:statement/dcc:nonSIDefinition")[0].text
+    gravity = find_elements(xml, "//dcc:statement/dcc:nonSIDefinition")[0].text
     assert gravity == "1 g = 9.8 m/s^2, the local gravity at the site"
 
 
 def test_certificate_round_trip(tmp_path):
-    given = result(
+    given = make_qx_result(
         coefficients={
-            "K_F": coefficient(0.005028816, 1.2e-9, "g"),
-            "K_I": coefficient(1.0019743, 4.9e-6, "g/g", dof=7.25),
-            "K_II": coefficient(-2.70416e-5, 7.21e-10, "g/g^2", dof=50.0),
-            "K_III": coefficient(3.4e-6, 1.05e-6, "g/g^3"),
-            "delta_O": coefficient(1e-4, 3e-6, "rad"),
+            "K_F": make_coefficient(0.005028816, 1.2e-9, "g"),
+            "K_I": make_coefficient(1.0019743, 4.9e-6, "g/g", dof=7.25),
+            "K_II": make_coefficient(-2.70416e-5, 7.21e-10, "g/g^2", dof=50.0),
+            "K_III": make_coefficient(3.4e-6, 1.05e-6, "g/g^3"),
+            "delta_O": make_coefficient(1e-4, 3e-6, "rad"),
         },
         correlation={
             "terms": ["K_I", "K_II", "K_III", "K_F", "delta_O"],
@@ -175,7 +181,7 @@ def test_certificate_round_trip(tmp_path):
             ],
         },
     )
-    found = read_certificate(document(tmp_path, given), "x.xml")
+    found = read_certificate(make_document(tmp_path, given), "x.xml")
     assert (found.identifier, found.gravity) == ("CS-42", 9.8)
     ours, theirs = given.accelerometers["Qx"], found.accelerometers["Qx"]
     assert list(theirs.coefficients) == list(ours.coefficients)
@@ -192,47 +198,47 @@ def test_certificate_round_trip(tmp_path):
 
 
 def test_region_factor_uses_fewest_degrees_of_freedom(tmp_path):
-    given = result(
+    given = make_qx_result(
         coefficients={
-            "K_F": coefficient(0.005, 1e-6, "g", dof=200.0),
-            "K_I": coefficient(1.0, 1e-6, "g/g"),
-            "K_II": coefficient(2.7e-5, 1e-9, "g/g^2", dof=50.0),
+            "K_F": make_coefficient(0.005, 1e-6, "g", dof=200.0),
+            "K_I": make_coefficient(1.0, 1e-6, "g/g"),
+            "K_II": make_coefficient(2.7e-5, 1e-9, "g/g^2", dof=50.0),
         }
     )
-    xml = document(tmp_path, given)  # K_F and K_II are correlated
+    xml = make_document(tmp_path, given)  # K_F and K_II are correlated
     region = "//si:ellipsoidalRegionMUXMLList"
-    k = float(find(xml, f"{region}/si:coverageFactorXMLList")[0].text)
+    k = float(find_elements(xml, f"{region}/si:coverageFactorXMLList")[0].text)
     assert k == region_factor(2, 50.0)
-    units = [e.text for e in find(xml, f"{region}//si:unitXMLList")]
+    units = [e.text for e in find_elements(xml, f"{region}//si:unitXMLList")]
     assert units[0] == r"\metre\tothe{2}\second\tothe{-4}"
     assert units[1] == units[2] == r"\one"
     assert units[3] == r"\metre\tothe{-2}\second\tothe{4}"
 
 
 def test_undetermined_coefficient_is_omitted_with_statement(tmp_path):
-    given = result(
+    given = make_qx_result(
         coefficients={
-            "K_II": coefficient(2.7e-5, 1e-9, "g/g^2"),
+            "K_II": make_coefficient(2.7e-5, 1e-9, "g/g^2"),
             "K_I": {"value": 1.002, "u": 5e-6, "unit": "g/g", "estimated": False},
             "K_III": {"value": None, "u": None, "unit": "g/g^3", "estimated": False},
         },
         correlation={"terms": ["K_II"], "matrix": [[1.0]]},
     )
-    xml = document(tmp_path, given)
-    assert [e.text for e in find(xml, f"{QUANTITY}/dcc:name/dcc:content")] == ["K_II"]
-    statements = find(xml, "//dcc:statement/dcc:declaration/dcc:content")
+    xml = make_document(tmp_path, given)
+    assert [e.text for e in find_elements(xml, f"{QUANTITY}/dcc:name/dcc:content")] == ["K_II"]
+    statements = find_elements(xml, "//dcc:statement/dcc:declaration/dcc:content")
     said = [line for e in statements for line in e.text.splitlines()]
     assert "K_III of Qx is not certified: the records do not determine this coefficient." in said
     (known,) = [line for line in said if line.startswith("K_I of Qx")]
     assert "used the prior 1.0020000 ± 0.0000098 g/g (U, k = 1.96)" in known
-    assert not find(xml, "//si:realListXMLList")  # one coefficient has no covariance
+    assert not find_elements(xml, "//si:realListXMLList")  # one coefficient has no covariance
 
 
 def test_prior_information_is_stated(tmp_path):
     together = {"terms": ["K_II", "K_OO"], "correlation": -1.0, "determined": "K_II + K_OO"}
     unstated = {"source": "K_OO", "kind": "unstated", "unit": "g/g^2", "u": 2e-6}
     small = {**unstated, "source": "K_PP", "sensitivity": 1e-5, "contribution": 2e-11}
-    given = result(
+    given = make_qx_result(
         confounded=[{**together, "value": 2.7e-5, "u": 1e-9}],
         budget={
             "K_II": [
@@ -241,8 +247,8 @@ def test_prior_information_is_stated(tmp_path):
             ]
         },
     )
-    (statement,) = find(
-        document(tmp_path, given),
+    (statement,) = find_elements(
+        make_document(tmp_path, given),
         "//dcc:statement[starts-with(dcc:name/dcc:content, 'Basis of the result')]",
     )
     assert statement.get("refId") == "item-1"
@@ -260,50 +266,54 @@ def test_prior_information_is_stated(tmp_path):
 
 def test_rejects_as_printed_and_undetermined_results():
     with pytest.raises(RecordError, match="half the true K_II"):
-        check_certifiable(result().model_copy(update={"model": "as-printed"}), ["Qx"])
+        check_certifiable(make_qx_result().model_copy(update={"model": "as-printed"}), ["Qx"])
     unknown = {"value": None, "u": None, "unit": "g/g^2", "estimated": False}
     with raises("not-determined", "Qx"):
-        check_certifiable(result(coefficients={"K_II": unknown}), ["Qx"])
-    check_certifiable(result(), ["Qx"])
+        check_certifiable(make_qx_result(coefficients={"K_II": unknown}), ["Qx"])
+    check_certifiable(make_qx_result(), ["Qx"])
 
 
 # Further content
 
 
 def test_administrative_data_of_laboratory(tmp_path):
-    xml = document(tmp_path, result())
+    xml = make_document(tmp_path, make_qx_result())
     core = "//dcc:coreData"
-    assert [e.text for e in find(xml, f"{core}/dcc:usedLangCodeISO639_1")] == ["en", "de"]
-    assert find(xml, f"{core}/dcc:countryCodeISO3166_1")[0].text == "DE"
-    assert find(xml, f"{core}/dcc:endPerformanceDate")[0].text == "2026-01-14"
-    assert find(xml, f"{core}/dcc:issueDate")[0].text == "2026-01-20"
-    content = find(xml, "//dcc:items/dcc:item/dcc:name/dcc:content")[0]
+    assert [e.text for e in find_elements(xml, f"{core}/dcc:usedLangCodeISO639_1")] == ["en", "de"]
+    assert find_elements(xml, f"{core}/dcc:countryCodeISO3166_1")[0].text == "DE"
+    assert find_elements(xml, f"{core}/dcc:endPerformanceDate")[0].text == "2026-01-14"
+    assert find_elements(xml, f"{core}/dcc:issueDate")[0].text == "2026-01-20"
+    content = find_elements(xml, "//dcc:items/dcc:item/dcc:name/dcc:content")[0]
     # By PTB's rules a text in one of two languages has no language attribute.
     assert (content.text, content.get("lang")) == ("Plattform", None)
     serial = "//dcc:subItems//dcc:identification[@refType='basic_serialNumber']/dcc:value"
-    assert find(xml, serial)[0].text == "Q-104"  # as the result has it
-    signs = [e.text for e in find(xml, "//dcc:respPerson/dcc:mainSigner")]
+    assert find_elements(xml, serial)[0].text == "Q-104"  # as the result has it
+    signs = [e.text for e in find_elements(xml, "//dcc:respPerson/dcc:mainSigner")]
     assert signs == ["true", "false"]
-    temperature = find(xml, "//dcc:influenceCondition[@refType='basic_temperature']//si:real")[0]
+    temperature = find_elements(
+        xml, "//dcc:influenceCondition[@refType='basic_temperature']//si:real"
+    )[0]
     assert [e.text for e in temperature[:2]] == ["20.5", r"\degreecelsius"]
 
 
 def test_conditions_have_expanded_uncertainty(tmp_path):
-    given = result()
+    given = make_qx_result()
     inputs = given.inputs.model_copy(update={"u_gravity": 3e-6, "u_radius": 0.0})
-    xml = document(tmp_path, given.model_copy(update={"inputs": inputs}))
+    xml = make_document(tmp_path, given.model_copy(update={"inputs": inputs}))
     condition = "//dcc:influenceCondition[dcc:name/dcc:content='{}']//si:real"
-    (value,) = find(xml, condition.format("Local gravity") + "/si:value")
-    (expanded,) = find(xml, condition.format("Local gravity") + "//si:valueExpandedMU")
+    (value,) = find_elements(xml, condition.format("Local gravity") + "/si:value")
+    (expanded,) = find_elements(xml, condition.format("Local gravity") + "//si:valueExpandedMU")
     assert float(expanded.text) == pytest.approx(2.0 * 3e-6, rel=0.02)  # k = 2, two digits
     assert float(value.text) == pytest.approx(inputs.gravity, abs=1e-7)
-    assert not find(xml, condition.format("Radius of the centrifuge") + "//si:valueExpandedMU")
+    assert not find_elements(
+        xml, condition.format("Radius of the centrifuge") + "//si:valueExpandedMU"
+    )
 
 
 def test_slash_in_identifier_is_replaced_in_file_name(tmp_path):
-    xml = document(tmp_path, result(), issue=Issue("2026/1 a", ISSUE.date))
-    assert find(xml, "//dcc:uniqueIdentifier")[0].text == "2026/1 a"
-    assert find(xml, "/*/dcc:document/dcc:fileName")[0].text == "2026_1_a.pdf"
+    xml = make_document(tmp_path, make_qx_result(), issue=Issue("2026/1 a", ISSUE.date))
+    assert find_elements(xml, "//dcc:uniqueIdentifier")[0].text == "2026/1 a"
+    assert find_elements(xml, "/*/dcc:document/dcc:fileName")[0].text == "2026_1_a.pdf"
 
 
 def test_unstated_conditions_are_omitted(tmp_path):
@@ -314,8 +324,8 @@ customer = { name = "K", city = "C" }
 item = { name = "I", manufacturer = "M", model = "1", serial_number = "2" }
 persons = [{ name = "P", role = "R" }]
 """
-    xml = document(tmp_path, result(), text=text)
-    names = [e.text for e in find(xml, "//dcc:influenceCondition/dcc:name/dcc:content")]
+    xml = make_document(tmp_path, make_qx_result(), text=text)
+    names = [e.text for e in find_elements(xml, "//dcc:influenceCondition/dcc:name/dcc:content")]
     assert names == [
         "Local gravity",
         "Geographic latitude",
@@ -326,20 +336,20 @@ persons = [{ name = "P", role = "R" }]
 
 
 def test_result_and_report_are_attached(tmp_path):
-    given = result()
-    xml = document(tmp_path, given, pages=b"%PDF-1.7 for people")
-    (data,) = find(xml, "//dcc:measurementMetaData//dcc:byteData/dcc:dataBase64")
+    given = make_qx_result()
+    xml = make_document(tmp_path, given, pages=b"%PDF-1.7 for people")
+    (data,) = find_elements(xml, "//dcc:measurementMetaData//dcc:byteData/dcc:dataBase64")
     (tmp_path / "r.json").write_bytes(b64decode(data.text))
     assert Result.read(tmp_path / "r.json") == given
-    (data,) = find(xml, "/dcc:digitalCalibrationCertificate/dcc:document/dcc:dataBase64")
+    (data,) = find_elements(xml, "/dcc:digitalCalibrationCertificate/dcc:document/dcc:dataBase64")
     assert b64decode(data.text) == b"%PDF-1.7 for people"
 
 
 def test_warnings_are_included_with_control_characters_escaped(tmp_path):
-    given = result(warnings=["Qx: does not fit\x00\nK_II = 1\u202e & more"])
+    given = make_qx_result(warnings=["Qx: does not fit\x00\nK_II = 1\u202e & more"])
     given = given.model_copy(update={"warnings": ["of the campaign"]})
-    xml = document(tmp_path, given)
-    (comment,) = find(xml, "/*/dcc:comment/dcc:content")
+    xml = make_document(tmp_path, given)
+    (comment,) = find_elements(xml, "/*/dcc:comment/dcc:content")
     assert comment.text.splitlines() == [
         "Warning: of the campaign",
         r"Warning: Qx: does not fit\x00\nK_II = 1\u202e & more",
@@ -370,10 +380,12 @@ def test_conformity_uses_schema_terms(tmp_path, rule, verdict, high, word):
         probability=0.9,
         risk=None if verdict == "undecided" else 0.1,
     )
-    xml = document(tmp_path, result(), verdicts={"Qx": {"K_II": judged}})
-    assert [e.text for e in find(xml, "//dcc:statement/dcc:conformity")] == word
-    (statement,) = find(xml, "//dcc:statement[dcc:norm='JCGM 106:2012']")
-    assert find(xml, f"//dcc:quantity[@id='{statement.get('refId')}']/dcc:name/dcc:content")
+    xml = make_document(tmp_path, make_qx_result(), verdicts={"Qx": {"K_II": judged}})
+    assert [e.text for e in find_elements(xml, "//dcc:statement/dcc:conformity")] == word
+    (statement,) = find_elements(xml, "//dcc:statement[dcc:norm='JCGM 106:2012']")
+    assert find_elements(
+        xml, f"//dcc:quantity[@id='{statement.get('refId')}']/dcc:name/dcc:content"
+    )
     lines = " ".join(statement.itertext())
     said = {"conditionalPass": "conditional pass", "conditionalFail": "conditional fail"}
     words = [said.get(w, w) for w in word] or [verdict]
@@ -392,17 +404,21 @@ customer_data = ["K_I, from the maker's data sheet"]
 
 def test_procedure_and_customer_data_are_stated(tmp_path):
     text = LAB.replace('language = "de"', MORE).replace('"0815"', '"0815"\nstate = "as received"')
-    xml = document(tmp_path, result(), text=text)
+    xml = make_document(tmp_path, make_qx_result(), text=text)
     method = "//dcc:measurementResult[1]/dcc:usedMethods/dcc:usedMethod[1]"
-    assert [e.text for e in find(xml, f"{method}/dcc:reference")] == ["AP-17, edition 3"]
-    assert not find(xml, f"{method}/dcc:norm")  # the procedure deviates from IEEE Std 1293
-    (described,) = find(xml, f"{method}/dcc:description/dcc:content")
+    assert [e.text for e in find_elements(xml, f"{method}/dcc:reference")] == ["AP-17, edition 3"]
+    assert not find_elements(xml, f"{method}/dcc:norm")  # the procedure deviates from IEEE Std 1293
+    (described,) = find_elements(xml, f"{method}/dcc:description/dcc:content")
     assert described.text.startswith("The coefficients are based on the terms of IEEE Std 1293")
     assert described.text.endswith("Deviation: Two rates in place of three.")
-    (state,) = find(xml, "//dcc:influenceCondition[dcc:status='beforeAdjustment']/dcc:data")
+    (state,) = find_elements(
+        xml, "//dcc:influenceCondition[dcc:status='beforeAdjustment']/dcc:data"
+    )
     assert "".join(state.itertext()).strip() == "The item was calibrated as received."
     (known, supplied) = (
-        find(xml, f"//dcc:statement[dcc:name/dcc:content='{name}']/dcc:declaration/dcc:content")
+        find_elements(
+            xml, f"//dcc:statement[dcc:name/dcc:content='{name}']/dcc:declaration/dcc:content"
+        )
         for name in ("Prior information", "Data supplied by the customer")
     )
     assert known[0].text == (
@@ -414,7 +430,9 @@ def test_procedure_and_customer_data_are_stated(tmp_path):
 
 def test_uncertainty_is_at_least_cmc(tmp_path):
     # K_II: U = 2.0086 nano-g/g^2 as evaluated; K_F: 1.96 ug.
-    xml = document(tmp_path, result(), text=LAB + '[cmc]\nK_II = "4 ng/g^2"\nK_F = "1 ug"\n')
+    xml = make_document(
+        tmp_path, make_qx_result(), text=LAB + '[cmc]\nK_II = "4 ng/g^2"\nK_F = "1 ug"\n'
+    )
     accelerometer = read_certificate(xml, "x.xml").accelerometers["Qx"]
     k_ii, k_f = accelerometer.coefficients["K_II"], accelerometer.coefficients["K_F"]
     assert coverage_factor(50.0) * k_ii.u == pytest.approx(4e-9, rel=1e-14)
@@ -422,13 +440,15 @@ def test_uncertainty_is_at_least_cmc(tmp_path):
     assert k_f.u == pytest.approx(1e-6, rel=1e-14)
     # The added variance is independent of K_F: the covariance stays.
     assert accelerometer.covariance[0, 1] == pytest.approx(0.25 * 1e-6 * 1e-9, rel=1e-14)
-    said = find(xml, "//dcc:statement[dcc:norm='ILAC-P14:09/2020']/dcc:declaration/dcc:content")
+    said = find_elements(
+        xml, "//dcc:statement[dcc:norm='ILAC-P14:09/2020']/dcc:declaration/dcc:content"
+    )
     assert said[0].text.startswith(
         "K_II of Qx: the evaluated uncertainty is U = 0.0020 ug/g^2. The certificate states"
     )
     assert "K_F" not in said[0].text
     # The attached result is unchanged.
-    (data,) = find(xml, "//dcc:measurementMetaData//dcc:byteData/dcc:dataBase64")
+    (data,) = find_elements(xml, "//dcc:measurementMetaData//dcc:byteData/dcc:dataBase64")
     attached = Result.model_validate_json(b64decode(data.text))
     assert attached.accelerometers["Qx"].coefficients["K_II"].u == 1e-9
 
@@ -437,8 +457,8 @@ def test_accelerometers_with_shared_inputs_are_correlated(tmp_path):
     terms = ["Qx.K_F", "platform.drift.north", "Qy.K_F", "Qy.K_II"]
     matrix = np.eye(4)
     matrix[0, 2] = matrix[2, 0] = 0.75
-    xml = document(tmp_path, two_accelerometers(result(), terms, matrix.tolist()))
-    (together,) = find(
+    xml = make_document(tmp_path, make_two_accelerometers(make_qx_result(), terms, matrix.tolist()))
+    (together,) = find_elements(
         xml, "//dcc:measurementResult[dcc:name/dcc:content='Joint results for all accelerometers']"
     )
     labels = together.xpath(".//si:labelXMLList", namespaces=NAMESPACES)[0].text.split()
@@ -458,7 +478,7 @@ def test_rejects_document_that_is_not_a_certificate():
 
 
 def test_rejects_coverage_factor_of_zero(tmp_path):
-    xml = document(tmp_path, result())
+    xml = make_document(tmp_path, make_qx_result())
     spoilt = xml.replace(b"coverageFactor>1.96<", b"coverageFactor>0<")
     assert spoilt != xml
     with pytest.raises(RecordError, match="not a calibration certificate"):

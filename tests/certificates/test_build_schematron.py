@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from results import CONFORMITY, coefficient, result, two_accelerometers
+from results import CONFORMITY, make_coefficient, make_qx_result, make_two_accelerometers
 
 import triads
-from certificates import LAB, document
+from certificates import LAB, make_document
 from counterspin import calibrate
 from counterspin.inference.verdicts import Conformity
 
@@ -44,17 +44,17 @@ customer_data = ["K_I, from the data sheet"]
 
 def make_full_result():
     """Return a result of two accelerometers with all data that a certificate may state."""
-    calibration = result(
+    calibration = make_qx_result(
         coefficients={
-            "K_F": coefficient(0.005, 1e-9, "g"),
+            "K_F": make_coefficient(0.005, 1e-9, "g"),
             "K_I": {"value": 1.002, "u": 5e-6, "unit": "g/g", "estimated": False},
-            "K_II": coefficient(-2.7e-5, 1e-9, "g/g^2", dof=3.5),
+            "K_II": make_coefficient(-2.7e-5, 1e-9, "g/g^2", dof=3.5),
         },
         warnings=["Qx: hm", "Qx: again"],
     )
     terms = [f"{name}.{symbol}" for name in ("Qx", "Qy") for symbol in ("K_F", "K_II")]
     matrix = [[1.0 if i == j else 0.25 for j in range(4)] for i in range(4)]
-    return two_accelerometers(calibration, terms, matrix)
+    return make_two_accelerometers(calibration, terms, matrix)
 
 
 @pytest.mark.parametrize("language", ["en", "de"])
@@ -62,7 +62,7 @@ def test_ptb_rules_report_no_error(tmp_path, rules, language):
     text = LAB.replace('language = "de"', f'language = "{language}"{MORE}')
     text = text.replace('"0815"', '"0815"\nstate = "after adjustment"')
     verdicts = {"Qx": {"K_II": Conformity(**CONFORMITY)}}
-    xml = document(
+    xml = make_document(
         tmp_path, make_full_result(), text=text + '[cmc]\nK_F = "1 ug"\n', verdicts=verdicts
     )
     violations = rule_violations(rules, xml)
@@ -73,17 +73,17 @@ def test_ptb_rules_report_no_error(tmp_path, rules, language):
 
 
 def test_ptb_rules_report_errors_of_invalid_certificate(tmp_path, rules):
-    xml = document(tmp_path, result()).replace(b">v9.9<", b">9.9<")
+    xml = make_document(tmp_path, make_qx_result()).replace(b">v9.9<", b">9.9<")
     assert len([line for line in rule_violations(rules, xml) if line.startswith("error")]) == 2
 
 
 def test_ptb_rules_report_no_error_for_triad(tmp_path, rules):
     generator = np.random.default_rng(7)
-    values = triads.indications(triads.directions(25, generator))
+    values = triads.compute_indications(triads.draw_directions(25, generator))
     values = values + 3e-4 * generator.standard_normal(values.shape)
-    xml = document(
+    xml = make_document(
         tmp_path,
-        calibrate(triads.table(tmp_path / "triad", values)),
+        calibrate(triads.write_pose_campaign(tmp_path / "triad", values)),
         text=LAB.replace('language = "de"', 'language = "en"') + '[evidence]\nall = "Type test."\n',
     )
     assert b">Triad X, Y, Z</dcc:content>" in xml

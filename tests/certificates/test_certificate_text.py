@@ -1,6 +1,6 @@
 """Sentences of a certificate: ± has one meaning, and dimensionless numbers have no unit."""
 
-from results import coefficient, result
+from results import make_coefficient, make_qx_result
 
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates import certificate_text
@@ -17,14 +17,16 @@ def test_plus_minus_in_sentences_becomes_u():
 
 
 def test_dimensionless_number_has_no_unit():
-    given = result(coefficients={"K_I": coefficient(1.002, 5e-6, "g/g")}, correlation=None)
+    given = make_qx_result(
+        coefficients={"K_I": make_coefficient(1.002, 5e-6, "g/g")}, correlation=None
+    )
     found = given.accelerometers["Qx"].coefficients
     ((symbol, in_g, _, si, *_),) = results_table("Qx", found, coefficients_in_si(given, "Qx")).rows
     assert (symbol, in_g, si) == ("K_I", "1.0020000 ± 0.0000098 g/g", "1.0020000 ± 0.0000098")
     assert certificate_text.coefficient_line("K_I", found["K_I"]).endswith(
         "The value in this element is a dimensionless number."
     )
-    other = Coefficient.model_validate(coefficient(2.7e-5, 1e-9, "g/g^2"))
+    other = Coefficient.model_validate(make_coefficient(2.7e-5, 1e-9, "g/g^2"))
     assert certificate_text.coefficient_line("K_II", other).endswith(
         "in this element is in m^-1 s^2."
     )

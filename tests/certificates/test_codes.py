@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from results import result
+from results import make_qx_result
 
 from certificates import LAB, read_lab_for
 from counterspin.certificates.codes import check_code, codes_in_force
@@ -62,7 +62,7 @@ def test_withdrawn_code_is_rejected_with_suggestions(kind, wrong, near):
 )
 def test_message_names_key(tmp_path, old, new, key):
     with pytest.raises(CampaignError) as caught:
-        read_lab_for(tmp_path, result(), LAB.replace(old, new))
+        read_lab_for(tmp_path, make_qx_result(), LAB.replace(old, new))
     (problem,) = caught.value.problems
     assert problem.startswith(f"{key}: ")
     assert "did you mean" in problem

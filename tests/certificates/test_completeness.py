@@ -1,7 +1,7 @@
 """Missing data of a certificate are listed by key and make it a draft."""
 
 import pytest
-from results import result
+from results import make_qx_result
 
 from certificates import LAB, read_lab_for
 from counterspin.certificates.completeness import (
@@ -14,7 +14,7 @@ from counterspin.inference.joint.summary import BudgetLine
 
 def add_default(share):
     """Return a result in which the default prior of K_OO has a share of the variance of K_II."""
-    calibration = result()
+    calibration = make_qx_result()
     part = calibration.accelerometers["Qx"]
     line = BudgetLine(
         source="K_OO",
@@ -30,7 +30,7 @@ def add_default(share):
 
 
 def test_complete_file_has_no_missing_data(tmp_path):
-    assert missing_data(read_lab_for(tmp_path, result()), result()) == []
+    assert missing_data(read_lab_for(tmp_path, make_qx_result()), make_qx_result()) == []
 
 
 @pytest.mark.parametrize(("share", "needed"), [(0.93, True), (0.09, False)])
@@ -47,7 +47,9 @@ def test_dominant_default_requires_evidence(tmp_path, share, needed):
 
 def test_keys_with_template_values_share_one_entry(tmp_path):
     text = LAB.replace('"P-1"', '"EX-1"').replace('"0815"', '"000000"').partition("[conditions]")[0]
-    first, second = missing_lines(missing_data(read_lab_for(tmp_path, result(), text), result()))
+    first, second = missing_lines(
+        missing_data(read_lab_for(tmp_path, make_qx_result(), text), make_qx_result())
+    )
     assert first.startswith(
         "item.model, item.serial_number: these entries still have the values from the template"
     )

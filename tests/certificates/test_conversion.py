@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from campaigns import SMALL, replace_parts, write_description
 from reading_descriptions import ACCELEROMETER, format_arm_run, format_rest_run, format_site
-from results import coefficient, result
+from results import make_coefficient, make_qx_result
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.certificates.conversion import (
@@ -164,8 +164,8 @@ def test_degrees_of_freedom_without_cancelled_gravity():
         "share": 0.5,
     }
     line |= {"sensitivity": -0.005 / 9.8, "contribution": 1e-6 * math.sqrt(0.5)}
-    known = {"K_F": coefficient(0.005, 1e-6, "g", dof=100.0)}
-    given = result(coefficients=known, budget={"K_F": [line]})
+    known = {"K_F": make_coefficient(0.005, 1e-6, "g", dof=100.0)}
+    given = make_qx_result(coefficients=known, budget={"K_F": [line]})
     inputs = given.inputs.model_copy(update={"u_gravity": u_gravity})
     found = coefficients_in_si(given.model_copy(update={"inputs": inputs}), "Qx")["K_F"]
     assert found.u == pytest.approx(9.8e-6 * math.sqrt(0.5))
@@ -173,7 +173,7 @@ def test_degrees_of_freedom_without_cancelled_gravity():
 
 
 def test_exact_gravity_leaves_uncertainty_unchanged():
-    given = result()
+    given = make_qx_result()
     for symbol, estimate in coefficients_in_si(given, "Qx").items():
         c = given.accelerometers["Qx"].coefficients[symbol]
         assert estimate.u == to_si(c.u, c.unit, 9.8)

@@ -5,7 +5,15 @@ import pytest
 
 import counterspin as cs
 import triads
-from certificates import ISSUE, LAB, SCHEMA, document, find, needs_schema, read_lab_for
+from certificates import (
+    ISSUE,
+    LAB,
+    SCHEMA,
+    find_elements,
+    make_document,
+    needs_schema,
+    read_lab_for,
+)
 from counterspin.calibration.result_parts import Correlation
 from counterspin.certificates.amendment import describe_changes
 from counterspin.certificates.certificate_reader import read_certificate
@@ -24,18 +32,20 @@ PART = "//dcc:measurementResult[dcc:name/dcc:content='Triad X, Y, Z']/dcc:result
 
 def _indications(count, noise=3e-4):
     generator = np.random.default_rng(7)
-    values = triads.indications(triads.directions(count, generator))
+    values = triads.compute_indications(triads.draw_directions(count, generator))
     return values + noise * generator.standard_normal(values.shape)
 
 
 @pytest.fixture(scope="module")
 def pose_result(tmp_path_factory):
     """Return the result of a triad in 25 poses with estimated noise."""
-    return cs.calibrate(triads.table(tmp_path_factory.mktemp("triad"), _indications(25)))
+    return cs.calibrate(
+        triads.write_pose_campaign(tmp_path_factory.mktemp("triad"), _indications(25))
+    )
 
 
 def _read_numbers(made, path):
-    (text,) = find(made, path)
+    (text,) = find_elements(made, path)
     return np.array([float(word) for word in text.text.split()])
 
 
@@ -45,8 +55,10 @@ def _page_blocks(folder, result, text=OWN):
 
 
 def test_parameters_are_in_si_with_covariance(tmp_path, pose_result):
-    made, triad = document(tmp_path, pose_result, text=OWN), pose_result.triad
-    quantities = find(made, f"{PART}/dcc:data/dcc:quantity[@refType='basic_measuredValue']")
+    made, triad = make_document(tmp_path, pose_result, text=OWN), pose_result.triad
+    quantities = find_elements(
+        made, f"{PART}/dcc:data/dcc:quantity[@refType='basic_measuredValue']"
+    )
     scale = np.array([G, G, G, 1, 1, 1, 1, 1, 1])  # only offsets are accelerations
     units = [r"\metre\second\tothe{-2}"] * 3 + [r"\one"] * 3 + [r"\radian"] * 3
     assert len(quantities) == 9
@@ -66,7 +78,7 @@ def test_parameters_are_in_si_with_covariance(tmp_path, pose_result):
     u = scale * [c.u for c in triad.parameters.values()]
     covariance = [
         float(element.text)
-        for element in find(made, f"{PART}//si:covarianceXMLList/si:valueXMLList")
+        for element in find_elements(made, f"{PART}//si:covarianceXMLList/si:valueXMLList")
     ]
     np.testing.assert_allclose(
         np.reshape(covariance, (9, 9)),
@@ -83,7 +95,7 @@ def test_parameters_are_in_si_with_covariance(tmp_path, pose_result):
 def test_parameters_and_matrix_round_trip(tmp_path, pose_result):
     triad, found = (
         pose_result.triad,
-        read_certificate(document(tmp_path, pose_result, text=OWN), "x").triad,
+        read_certificate(make_document(tmp_path, pose_result, text=OWN), "x").triad,
     )
     assert found.accelerometers == ("X", "Y", "Z")
     coefficients = found.parameters.coefficients
@@ -104,7 +116,7 @@ def test_parameters_and_matrix_round_trip(tmp_path, pose_result):
 
 
 def test_verify_prints_parameters_and_reports_changed_matrix(tmp_path, pose_result, capsys):
-    xml = document(tmp_path, pose_result, text=OWN)
+    xml = make_document(tmp_path, pose_result, text=OWN)
     file = tmp_path / "c.xml"
     file.write_bytes(xml)
     assert main(["certificate", "--verify", str(file)]) == 0
@@ -124,7 +136,7 @@ def test_verify_prints_parameters_and_reports_changed_matrix(tmp_path, pose_resu
 
 
 def test_amendment_lists_changed_parameters(tmp_path, pose_result):
-    xml = document(tmp_path, pose_result, text=OWN)
+    xml = make_document(tmp_path, pose_result, text=OWN)
     other = xml.replace(b">angle.X.Y<", b">angle.Y.X<")
     shown = format_parameter(pose_result.triad.parameters["angle.X.Y"])
     assert [line for line in describe_changes(xml, other) if "triad" in line] == [
@@ -140,12 +152,12 @@ def format_parameter(c):
 
 
 def test_matrix_and_bias_correct_indications(tmp_path, pose_result):
-    xml = document(tmp_path, pose_result, text=OWN)
+    xml = make_document(tmp_path, pose_result, text=OWN)
     output = f"{PART}[dcc:name/dcc:content='Corrected output']"
     matrix = _read_numbers(xml, f"{output}//dcc:quantity[1]//si:valueXMLList").reshape(3, 3)
     bias = _read_numbers(xml, f"{output}//dcc:quantity[2]//si:valueXMLList")
-    along = triads.directions(5, np.random.default_rng(8))
-    corrected = (G * triads.indications(along) - bias) @ matrix.T
+    along = triads.draw_directions(5, np.random.default_rng(8))
+    corrected = (G * triads.compute_indications(along) - bias) @ matrix.T
     np.testing.assert_allclose(corrected, G * along, atol=5.0 * G * 3e-4)
     np.testing.assert_allclose(bias, G * triads.BIAS, atol=5.0 * G * 3e-4)
     expanded = _read_numbers(xml, f"{output}//si:valueExpandedMUXMLList").reshape(3, 3)
@@ -157,7 +169,7 @@ def test_matrix_and_bias_correct_indications(tmp_path, pose_result):
 
 @needs_schema
 def test_triad_certificate_conforms_to_schema(tmp_path, pose_result):
-    check_schema(document(tmp_path, pose_result, text=OWN), SCHEMA, "a triad's certificate")
+    check_schema(make_document(tmp_path, pose_result, text=OWN), SCHEMA, "a triad's certificate")
 
 
 def test_pages_and_xml_have_equal_statements(tmp_path, pose_result):
@@ -168,8 +180,8 @@ def test_pages_and_xml_have_equal_statements(tmp_path, pose_result):
         if one.name == "Triad X, Y, Z"
     )
     assert "25 poses of unknown attitude" in " ".join(said.lines)
-    declared = find(
-        document(tmp_path, pose_result, text=OWN),
+    declared = find_elements(
+        make_document(tmp_path, pose_result, text=OWN),
         "//dcc:statement[dcc:name/dcc:content='Triad X, Y, Z']/dcc:declaration/dcc:content",
     )
     assert declared[0].text == "\n".join(said.lines)
@@ -186,7 +198,9 @@ def test_pages_and_xml_have_equal_statements(tmp_path, pose_result):
 
 
 def test_method_statement_describes_poses(tmp_path, pose_result):
-    method = find(document(tmp_path, pose_result, text=OWN), "//dcc:usedMethod[1]/dcc:description")
+    method = find_elements(
+        make_document(tmp_path, pose_result, text=OWN), "//dcc:usedMethod[1]/dcc:description"
+    )
     words = "".join(method[0].itertext())
     assert "Readings at rest in 25 poses of unknown attitude." in words
     assert "turntable" not in words
@@ -195,44 +209,44 @@ def test_method_statement_describes_poses(tmp_path, pose_result):
 
 def test_two_accelerometers_have_no_triad_section(tmp_path, pose_result):
     text = OWN.replace("[certificate]", '[certificate]\naccelerometers = ["X", "Y"]')
-    assert b"Triad" not in document(tmp_path, pose_result, text=text)
+    assert b"Triad" not in make_document(tmp_path, pose_result, text=text)
     assert not any("Triad" in str(block) for block in _page_blocks(tmp_path, pose_result, text))
 
 
 def test_undetermined_parameters_have_no_value(tmp_path):
     faces = np.vstack([np.eye(3), -np.eye(3)])
     model = 'terms = ["K_F", "K_I"]\nassume = ["all"]'
-    folder = triads.table(
+    folder = triads.write_pose_campaign(
         tmp_path / "faces",
-        triads.indications(faces),
+        triads.compute_indications(faces),
         u=1e-3,
-        description=triads.head(model=model),
+        description=triads.format_description(model=model),
     )
     result = cs.calibrate(folder)
     angles = [c for name, c in result.triad.parameters.items() if name.startswith("angle")]
     assert not any(c.estimated for c in angles)
-    xml = document(tmp_path, result, text=OWN)
-    labels = [element.text for element in find(xml, f"{PART}//si:real/si:label")]
+    xml = make_document(tmp_path, result, text=OWN)
+    labels = [element.text for element in find_elements(xml, f"{PART}//si:real/si:label")]
     assert labels == [f"{kind}.{name}" for kind in ("offset", "sensitivity") for name in "XYZ"]
-    text = "".join(find(xml, "//dcc:statements")[0].itertext())
+    text = "".join(find_elements(xml, "//dcc:statements")[0].itertext())
     assert 'The parameter "angle between X and Y" is not certified' in text
 
 
 def test_uncertainty_of_parameter_is_at_least_cmc(tmp_path, pose_result):
     cmc = '\n[cmc]\nK_F = "1 mg"\nK_I = "1e-6 g/g"\ndelta_O = "200 arcsec"\ndelta_P = "1 arcsec"\n'
-    xml = document(tmp_path, pose_result, text=OWN + cmc)
+    xml = make_document(tmp_path, pose_result, text=OWN + cmc)
     expanded = {
         element.getparent()
         .getparent()
         .getparent()
         .findtext("si:label", namespaces=NAMESPACES): float(element.text)
-        for element in find(xml, f"{PART}//si:real//si:valueExpandedMU")
+        for element in find_elements(xml, f"{PART}//si:real//si:valueExpandedMU")
     }
     assert expanded["offset.Y"] == pytest.approx(1e-3 * G, rel=1e-12)
     assert expanded["angle.X.Z"] == pytest.approx(np.deg2rad(200 / 3600), rel=1e-12)
     c = pose_result.triad.parameters["sensitivity.Z"]
     assert expanded["sensitivity.Z"] == pytest.approx(coverage_factor(16.0) * c.u, rel=1e-12)
-    text = "".join(find(xml, "//dcc:statements")[0].itertext())
+    text = "".join(find_elements(xml, "//dcc:statements")[0].itertext())
     assert "offset of Y: the evaluated uncertainty is U = " in text
     assert "sensitivity of Z: evaluated" not in text
 
@@ -259,8 +273,8 @@ def test_gravity_uncertainty_moves_between_g_units_and_si(tmp_path, pose_result)
     )
     expanded = [
         float(element.text)
-        for element in find(
-            document(tmp_path, given, text=OWN), f"{PART}//si:real//si:valueExpandedMU"
+        for element in find_elements(
+            make_document(tmp_path, given, text=OWN), f"{PART}//si:real//si:valueExpandedMU"
         )
     ]
     scale = [G] * 3 + [1.0] * 6

@@ -5,9 +5,9 @@ import tomllib
 
 import pypdf
 import pytest
-from results import result
+from results import make_qx_result
 
-from certificates import LAB, find
+from certificates import LAB, find_elements
 from counterspin.certificates.certificate_text import FIXED_TERMS_HEADING
 from counterspin.certificates.evidence import is_known_key, terms_without_evidence
 from counterspin.certificates.issuing import certificate
@@ -66,7 +66,7 @@ STATEMENT = f"//dcc:statement[dcc:name/dcc:content = '{FIXED_TERMS_HEADING}']"
 
 
 def assume_terms(*terms):
-    return result().model_copy(update={"assumed": list(terms)})
+    return make_qx_result().model_copy(update={"assumed": list(terms)})
 
 
 def make_certificate(given, more=""):
@@ -88,7 +88,7 @@ def test_certificate_contains_evidence():
         '[evidence]\nK_OO = "Typprüfung 4714."\nplatform.tilt = "Bericht 4715."\nK_4 = "Nr. 1"\n'
     )
     one = make_certificate(assume_terms("K_OO", "platform.tilt.north"), texts)
-    (statement,) = find(one.xml, STATEMENT)
+    (statement,) = find_elements(one.xml, STATEMENT)
     report = "".join(statement.itertext())
     assert "K_OO (second-order output-axis coefficient): Typprüfung 4714." in report
     assert "platform.tilt: Bericht 4715." in report
@@ -101,7 +101,7 @@ def test_certificate_contains_evidence():
 
 def test_result_without_assumptions_needs_no_evidence():
     one = make_certificate(assume_terms(), '[evidence]\nall = "Bericht 1"\n')
-    assert not find(one.xml, STATEMENT)
+    assert not find_elements(one.xml, STATEMENT)
     everything = make_certificate(assume_terms("K_OO", "K_PP"), '[evidence]\nall = "Bericht 1"\n')
     assert "K_OO, K_PP: Bericht 1" in everything.xml.decode()
 
@@ -117,5 +117,5 @@ def test_result_without_assumptions_needs_no_evidence():
 )
 def test_errors_name_key(text, problem):
     with pytest.raises(CampaignError) as caught:
-        make_certificate(result(), f"[evidence]\n{text}\n")
+        make_certificate(make_qx_result(), f"[evidence]\n{text}\n")
     assert any(problem in line for line in caught.value.problems), caught.value.problems

@@ -14,10 +14,10 @@ import pypdf
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from raising import raises
-from results import result, seal_document
+from results import make_qx_result, seal_document
 from signing_keys import write_pair, write_pkcs12
 
-from certificates import LAB, find, write_lab
+from certificates import LAB, find_elements, write_lab
 from counterspin import cli
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.result import Result
@@ -34,7 +34,7 @@ def certificate_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")  # numbers without line breaks
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")  # 2027-01-15
-    (tmp_path / "r.json").write_text(result().to_json(), encoding="utf-8")
+    (tmp_path / "r.json").write_text(make_qx_result().to_json(), encoding="utf-8")
     write_lab(tmp_path)
     return tmp_path
 
@@ -48,7 +48,7 @@ def run_certificate(capsys, *words):
 
 def default_identifier(lab=LAB, given=None):
     """Return the identifier of a certificate without a stated identifier."""
-    return certificate(given or result(), tomllib.loads(lab)).identifier
+    return certificate(given or make_qx_result(), tomllib.loads(lab)).identifier
 
 
 def test_certificate_is_reproducible(certificate_folder, capsys):
@@ -63,7 +63,8 @@ def test_certificate_is_reproducible(certificate_folder, capsys):
         certificate_folder / "b.pdf"
     ).read_bytes()
     assert (
-        find((certificate_folder / "a.xml").read_bytes(), "//dcc:issueDate")[0].text == "2027-01-15"
+        find_elements((certificate_folder / "a.xml").read_bytes(), "//dcc:issueDate")[0].text
+        == "2027-01-15"
     )
 
 
@@ -87,7 +88,7 @@ def test_pdf_contains_identical_xml(certificate_folder, capsys):
     assert "27.0000 ± 0.0020 µg/g²" in " ".join(text.split())
     assert "20.50 ± 0.49 °C (U, k = 1.96)" in " ".join(text.split())
     # The pages contain all statements of the XML under the same name.
-    names = [e.text for e in find(data, "//dcc:statement/dcc:name/dcc:content")]
+    names = [e.text for e in find_elements(data, "//dcc:statement/dcc:name/dcc:content")]
     assert {"Measurement uncertainty", "Units", "Metrological traceability", "Remarks"} <= {*names}
     assert [name for name in names if f"\n{name.partition(',')[0]}\n" not in text] == []
 
@@ -96,12 +97,12 @@ def test_laboratory_specification_overrides_campaign(certificate_folder, capsys)
     write_lab(certificate_folder, LAB + '\n[specification]\nK_II = "abs <= 1e-5 g/g^2"\n')
     assert run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.xml")[0] == 0
     made = (certificate_folder / "c.xml").read_bytes()
-    assert [e.text for e in find(made, "//dcc:statement/dcc:conformity")] == ["fail"]
+    assert [e.text for e in find_elements(made, "//dcc:statement/dcc:conformity")] == ["fail"]
     # Otherwise the specification of the result applies: up to 5e-5.
     write_lab(certificate_folder)
     assert run_certificate(capsys, "r.json", "LAB.toml", "-o", "d.xml")[0] == 0
     made = (certificate_folder / "d.xml").read_bytes()
-    assert [e.text for e in find(made, "//dcc:statement/dcc:conformity")] == ["pass"]
+    assert [e.text for e in find_elements(made, "//dcc:statement/dcc:conformity")] == ["pass"]
 
 
 def test_signed_certificate_is_verified(certificate_folder, capsys):
@@ -111,7 +112,7 @@ def test_signed_certificate_is_verified(certificate_folder, capsys):
     signing = ("--key", key, "--cert", cert)
     assert run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.xml", *signing)[0] == 0
     made = (certificate_folder / "c.xml").read_bytes()
-    assert find(made, "//dcc:cryptElectronicSignature")[0].text == "true"
+    assert find_elements(made, "//dcc:cryptElectronicSignature")[0].text == "true"
     status, out, _ = run_certificate(capsys, "--verify", "c.xml", "--cert", cert)
     assert status == 0
     assert "27.0000 ± 0.0020 ug/g^2" in out
@@ -274,11 +275,14 @@ def test_template_draft_cannot_be_signed(certificate_folder, capsys):
     pages = [page.extract_text() for page in pypdf.PdfReader(certificate_folder / "c.pdf").pages]
     assert all("DRAFT, not a calibration certificate DRAFT-CS-" in page for page in pages)
     made = certificate(certificate_folder / "r.json", certificate_folder / "mine.toml").xml
-    assert find(made, "//dcc:uniqueIdentifier")[0].text.startswith("DRAFT-CS-")
-    draft = find(made, "//dcc:statement[dcc:name/dcc:content='Draft']/dcc:declaration/dcc:content")
+    assert find_elements(made, "//dcc:uniqueIdentifier")[0].text.startswith("DRAFT-CS-")
+    draft = find_elements(
+        made, "//dcc:statement[dcc:name/dcc:content='Draft']/dcc:declaration/dcc:content"
+    )
     assert draft[0].text.startswith("DRAFT. ")
     assert [
-        e.text for e in find(made, "//dcc:statement[dcc:name/dcc:content='Draft']/dcc:valid")
+        e.text
+        for e in find_elements(made, "//dcc:statement[dcc:name/dcc:content='Draft']/dcc:valid")
     ] == ["false"]
     key, cert = map(
         str, write_pair(certificate_folder / "k", ec.generate_private_key(ec.SECP256R1()))
@@ -302,14 +306,14 @@ CONTRADICTED = {"rms": 0.08, "unit": "m", "dof": 100.0, "chi2": 6400.0, "lack_of
 
 def test_contradicted_result_requires_reason(certificate_folder, capsys):
     for reason, status in ((None, 1), ("known play of the arm", 0)):
-        calibration = judge_result(result(residual=CONTRADICTED), reason)
+        calibration = judge_result(make_qx_result(residual=CONTRADICTED), reason)
         calibration.write(certificate_folder / "r.json", overwrite=True)
         got, _, err = run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.pdf")
         assert got == status
         assert ("Qx: The residuals are 8" in err) == bool(status)
         assert (certificate_folder / "c.pdf").exists() == (status == 0)
     assert run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.xml")[0] == 0
-    comment = find((certificate_folder / "c.xml").read_bytes(), "/*/dcc:comment")[0]
+    comment = find_elements((certificate_folder / "c.xml").read_bytes(), "/*/dcc:comment")[0]
     assert "The misfit was accepted for this reason: known play of the arm" in "".join(
         comment.itertext()
     )
@@ -325,7 +329,9 @@ def test_contradicted_result_requires_reason(certificate_folder, capsys):
 
 
 def test_certificate_command_accepts_reason(certificate_folder, capsys):
-    judge_result(result(residual=CONTRADICTED)).write(certificate_folder / "r.json", overwrite=True)
+    judge_result(make_qx_result(residual=CONTRADICTED)).write(
+        certificate_folder / "r.json", overwrite=True
+    )
     status, _, err = run_certificate(
         capsys, "r.json", "LAB.toml", "-o", "c.xml", "--accept-misfit", " "
     )
@@ -334,12 +340,12 @@ def test_certificate_command_accepts_reason(certificate_folder, capsys):
     assert run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.xml", *why)[0] == 0
     made = (certificate_folder / "c.xml").read_bytes()
     name = "Accepted misfit"
-    (said,) = find(
+    (said,) = find_elements(
         made, f"//dcc:statement[dcc:name/dcc:content='{name}']/dcc:declaration/dcc:content"
     )
     assert said.text.startswith("The result failed the quality checks. Qx: The residuals are 8")
     assert said.text.endswith("The misfit was accepted for this reason: known play of the arm")
-    judge_result(result()).write(certificate_folder / "r.json", overwrite=True)
+    judge_result(make_qx_result()).write(certificate_folder / "r.json", overwrite=True)
     status, _, err = run_certificate(capsys, "r.json", "LAB.toml", "-o", "d.xml", *why)
     assert (status, "do not contradict this result" in err) == (2, True)
 
@@ -376,7 +382,7 @@ def test_certificate_command_accepts_reason(certificate_folder, capsys):
     ],
 )
 def test_failed_command_leaves_no_file(certificate_folder, capsys, words, status, told):
-    printed = result().model_copy(update={"model": "as-printed"})
+    printed = make_qx_result().model_copy(update={"model": "as-printed"})
     (certificate_folder / "printed.json").write_text(printed.to_json(), encoding="utf-8")
     (certificate_folder / "newer.json").write_text('{"schema": 3}', encoding="utf-8")
     before = sorted(certificate_folder.iterdir())
@@ -389,7 +395,7 @@ def test_failed_command_leaves_no_file(certificate_folder, capsys, words, status
 def test_objects_and_files_give_same_certificate(certificate_folder, capsys):
     for name in ("a.xml", "a.pdf"):
         assert run_certificate(capsys, "r.json", "LAB.toml", "-o", name)[0] == 0
-    made = certificate(result(), tomllib.loads(LAB))
+    made = certificate(make_qx_result(), tomllib.loads(LAB))
     assert made.xml == (certificate_folder / "a.xml").read_bytes()
     assert made.pdf() == (certificate_folder / "a.pdf").read_bytes()
     assert (made.identifier, made.accelerometers) == (default_identifier(), ["Qx"])
@@ -404,16 +410,16 @@ def test_errors_of_objects_name_keys():
     lab = tomllib.loads(LAB)
     del lab["item"]
     with raises("missing-key", "item.name:"):
-        certificate(result(), lab)
+        certificate(make_qx_result(), lab)
     with raises("as-printed"):
-        certificate(result().model_copy(update={"model": "as-printed"}), tomllib.loads(LAB))
+        certificate(make_qx_result().model_copy(update={"model": "as-printed"}), tomllib.loads(LAB))
 
 
 def test_default_identifier_depends_on_result_and_laboratory_data(certificate_folder):
     own = default_identifier()
     assert own == default_identifier("# a remark\n" + LAB)
     assert own != default_identifier(LAB.replace("Kunde", "Kundin"))
-    assert own != default_identifier(LAB, result(serial_number="Q-105"))
+    assert own != default_identifier(LAB, make_qx_result(serial_number="Q-105"))
     # Another version writes other bytes of the same result; the bytes read are used.
     text = (certificate_folder / "r.json").read_text(encoding="utf-8")
     (certificate_folder / "r.json").write_text(text.replace("\n ", "\n  "), encoding="utf-8")
@@ -444,9 +450,9 @@ def test_result_without_seal_requires_reason(certificate_folder, capsys):
     )
     assert said in " ".join(pages.split())
     # The file itself is attached.
-    (data,) = find((certificate_folder / "a.xml").read_bytes(), "//dcc:dataBase64")[:1]
+    (data,) = find_elements((certificate_folder / "a.xml").read_bytes(), "//dcc:dataBase64")[:1]
     assert base64.b64decode(data.text) == text.encode()
-    result().write(certificate_folder / "r.json", overwrite=True)
+    make_qx_result().write(certificate_folder / "r.json", overwrite=True)
     status, _, complaint = run_certificate(capsys, "r.json", "LAB.toml", "-o", "b.xml", *reason)
     assert status == 1
     assert "the file has a valid seal; omit --accept-unsealed" in " ".join(complaint.split())

@@ -1,7 +1,7 @@
 """Missing laboratory data are reported together; stated data are checked."""
 
 import pytest
-from results import result
+from results import make_qx_result
 
 from certificates import LAB, read_lab_for, write_lab
 from counterspin.certificates.lab import read_lab, template_keys, write_example
@@ -10,7 +10,7 @@ from counterspin.errors import CampaignError, CounterspinError
 
 def list_problems(folder, text, given=None):
     with pytest.raises(CampaignError) as caught:
-        read_lab(write_lab(folder, text), given or result())
+        read_lab(write_lab(folder, text), given or make_qx_result())
     return caught.value.problems
 
 
@@ -74,12 +74,12 @@ def test_error_names_key(tmp_path, old, new, told):
 
 def test_missing_file_error_names_write_example(tmp_path):
     with pytest.raises(CampaignError, match=r"`certificates\.lab\.write_example` writes"):
-        read_lab(tmp_path / "LAB.toml", result())
+        read_lab(tmp_path / "LAB.toml", make_qx_result())
 
 
 def test_example_is_valid_and_recognised_as_template(tmp_path):
     path = write_example(tmp_path / "LAB.toml")
-    lab, specifications = read_lab(path, result())
+    lab, specifications = read_lab(path, make_qx_result())
     assert specifications is None
     keys = template_keys(lab)
     # Every key of the template that has a value, except its format.
@@ -87,8 +87,8 @@ def test_example_is_valid_and_recognised_as_template(tmp_path):
     assert {"certificate.begin", "customer.country", "item.model", "item.serial_number"} < {*keys}
     assert {"laboratory.name", "certificate.traceability", "persons[0].name"} < {*keys}
     text = path.read_text("utf-8").replace("Example Customer", "Somebody")
-    assert "customer.name" not in template_keys(read_lab_for(tmp_path, result(), text))
-    assert template_keys(read_lab_for(tmp_path, result())) == []
+    assert "customer.name" not in template_keys(read_lab_for(tmp_path, make_qx_result(), text))
+    assert template_keys(read_lab_for(tmp_path, make_qx_result())) == []
     with pytest.raises(CounterspinError, match="exists"):
         write_example(path)
 
@@ -111,10 +111,12 @@ def test_example_is_valid_and_recognised_as_template(tmp_path):
     ],
 )
 def test_template_values_are_found_in_all_tables(tmp_path, old, new, key):
-    assert template_keys(read_lab_for(tmp_path, result(), LAB.replace(old, new, 1))) == [key]
+    assert template_keys(read_lab_for(tmp_path, make_qx_result(), LAB.replace(old, new, 1))) == [
+        key
+    ]
 
 
 def test_specification_uses_site_gravity(tmp_path):
     text = LAB + '\n[specification]\nK_F = "abs <= 0.098 m/s^2"\n'
-    _, specifications = read_lab(write_lab(tmp_path, text), result())
+    _, specifications = read_lab(write_lab(tmp_path, text), make_qx_result())
     assert specifications.terms["Qx"]["K_F"].high == pytest.approx(0.01, rel=1e-14)

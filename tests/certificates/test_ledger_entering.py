@@ -9,7 +9,7 @@ from itertools import count
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
-from results import remove_seal, result
+from results import make_qx_result, remove_seal
 from signing_keys import write_pair
 
 from certificates import LAB, write_lab
@@ -25,7 +25,7 @@ def ledger_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "160")
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")  # 2027-01-15
-    result().write("r.json")
+    make_qx_result().write("r.json")
     write_lab(tmp_path, KEPT)
     return tmp_path
 
@@ -227,7 +227,7 @@ def test_identifier_is_unique_per_content(ledger_folder, monkeypatch, capsys):
     assert [entry.subject.get("file") for entry in entries] == ["r.json", "a.xml", "a.pdf", "b.xml"]
     assert len({entry.subject["sha256"] for entry in entries[1:]}) == 1
     capsys.readouterr()
-    result(serial_number="Q-105").write("r.json", overwrite=True)
+    make_qx_result(serial_number="Q-105").write("r.json", overwrite=True)
     assert run("r.json", "LAB.toml", "-o", "c.xml") == 1
     error = " ".join(capsys.readouterr().err.split())
     assert "already contains certificate K 7 (entry 4) with different content" in error

@@ -5,7 +5,7 @@ import zlib
 
 import pytest
 from raising import raises
-from results import result
+from results import make_qx_result
 
 from certificates import LAB, write_lab
 from counterspin.certificates.issuing import certificate, draft_pages
@@ -75,15 +75,15 @@ def test_rejects_other_file_types(tmp_path, data, words):
 def test_logo_is_on_first_page_only(tmp_path, data):
     (tmp_path / "logo").write_bytes(data)
     text = LAB.replace('code = "D-K-1"', 'logo = "logo"')
-    plain = draft_pages(result(), parse_toml(LAB), tmp_path)
-    pages = draft_pages(result(), parse_toml(text), tmp_path)
+    plain = draft_pages(make_qx_result(), parse_toml(LAB), tmp_path)
+    pages = draft_pages(make_qx_result(), parse_toml(text), tmp_path)
     counts = [[page.count("<image") for page in drawn] for drawn in (plain, pages)]
     assert [b - a for a, b in zip(*counts, strict=True)] == [1, *[0] * (len(pages) - 1)]
-    made = certificate(result(), write_lab(tmp_path, text))
+    made = certificate(make_qx_result(), write_lab(tmp_path, text))
     assert made.pdf().startswith(b"%PDF")
 
 
 def test_missing_logo_names_key(tmp_path):
     path = write_lab(tmp_path, LAB.replace('code = "D-K-1"', 'logo = "nowhere.png"'))
     with raises("file-not-found", "laboratory.logo:", "nowhere.png:"):
-        certificate(result(), path)
+        certificate(make_qx_result(), path)

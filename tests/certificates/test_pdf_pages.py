@@ -1,8 +1,16 @@
 """The pages of a certificate: equipment, budgets, basis."""
 
-from results import result
+from results import make_qx_result
 
-from certificates import ISSUE, LAB, SCHEMA, document, find, needs_schema, read_lab_for
+from certificates import (
+    ISSUE,
+    LAB,
+    SCHEMA,
+    find_elements,
+    make_document,
+    needs_schema,
+    read_lab_for,
+)
 from counterspin.certificates.pdf_pages import page_blocks
 from counterspin.certificates.schema import check_schema
 from counterspin.reports.blocks import Heading, Table
@@ -24,7 +32,7 @@ name = "Frequenznormal"
 
 
 def make_blocks(tmp_path, text=LAB):
-    calibration = result()
+    calibration = make_qx_result()
     return list(page_blocks(read_lab_for(tmp_path, calibration, text), calibration, ISSUE, {}))
 
 
@@ -58,16 +66,18 @@ def test_budget_follows_results_and_names_coefficient(tmp_path):
 
 @needs_schema
 def test_equipment_conforms_to_schema(tmp_path):
-    check_schema(document(tmp_path, result(), text=LAB + EQUIPMENT), SCHEMA, "certificate")
+    check_schema(
+        make_document(tmp_path, make_qx_result(), text=LAB + EQUIPMENT), SCHEMA, "certificate"
+    )
 
 
 def test_equipment_is_in_xml(tmp_path):
-    xml = document(tmp_path, result(), text=LAB + EQUIPMENT)
-    names = find(xml, "//dcc:measuringEquipment/dcc:name/dcc:content/text()")
+    xml = make_document(tmp_path, make_qx_result(), text=LAB + EQUIPMENT)
+    names = find_elements(xml, "//dcc:measuringEquipment/dcc:name/dcc:content/text()")
     assert names == ["Interferometer", "Frequenznormal"]
-    (number,) = find(xml, "//dcc:measuringEquipment//dcc:value/text()")
+    (number,) = find_elements(xml, "//dcc:measuringEquipment//dcc:value/text()")
     assert number == "1138"
-    (text,) = find(xml, "//dcc:measuringEquipment/dcc:description/dcc:content/text()")
+    (text,) = find_elements(xml, "//dcc:measuringEquipment/dcc:description/dcc:content/text()")
     assert text.splitlines() == [
         "Quantity: radius.",
         "Calibration certificate: 4711.",
@@ -77,4 +87,6 @@ def test_equipment_is_in_xml(tmp_path):
 
 
 def test_no_equipment_omits_list(tmp_path):
-    assert find(document(tmp_path, result()), "//dcc:measuringEquipments") == []
+    assert (
+        find_elements(make_document(tmp_path, make_qx_result()), "//dcc:measuringEquipments") == []
+    )

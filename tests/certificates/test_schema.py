@@ -2,9 +2,9 @@
 
 import pytest
 from raising import raises
-from results import CONFORMITY, coefficient, result
+from results import CONFORMITY, make_coefficient, make_qx_result
 
-from certificates import SCHEMA, document, needs_schema
+from certificates import SCHEMA, make_document, needs_schema
 from counterspin.certificates.schema import check_schema
 from counterspin.errors import CounterspinError, RecordError
 from counterspin.inference.verdicts import Conformity
@@ -40,32 +40,32 @@ def folder(tmp_path):
 @needs_schema
 def test_complete_certificate_is_valid(tmp_path):
     many = {
-        "K_F": coefficient(0.005, 1e-9, "g"),
+        "K_F": make_coefficient(0.005, 1e-9, "g"),
         "K_I": {"value": 1.002, "u": 5e-6, "unit": "g/g", "estimated": False},
-        "K_II": coefficient(-2.7e-5, 1e-9, "g/g^2", dof=3.5),
+        "K_II": make_coefficient(-2.7e-5, 1e-9, "g/g^2", dof=3.5),
     }
-    given = result(coefficients=many, warnings=["Qx: hm"])
+    given = make_qx_result(coefficients=many, warnings=["Qx: hm"])
     verdicts = {"Qx": {"K_II": Conformity(**CONFORMITY)}}
-    xml = document(tmp_path, given, verdicts=verdicts)
+    xml = make_document(tmp_path, given, verdicts=verdicts)
     check_schema(xml, SCHEMA, "x.xml")
 
 
 @needs_schema
 def test_minimal_certificate_is_valid(tmp_path):
     unknown = {"value": None, "u": None, "unit": "g/g^2", "estimated": False}
-    given = result(coefficients={"K_II": unknown}, correlation=None)
+    given = make_qx_result(coefficients={"K_II": unknown}, correlation=None)
     given = given.model_copy(
         update={
             "platform": {},
             "provenance": given.provenance.model_copy(update={"inputs": {}}),
         }
     )
-    check_schema(document(tmp_path, given, pages=None), SCHEMA, "x.xml")
+    check_schema(make_document(tmp_path, given, pages=None), SCHEMA, "x.xml")
 
 
 @needs_schema
 def test_error_states_line(tmp_path):
-    xml = document(tmp_path, result()).replace(b">1.96<", b">1,96<", 1)
+    xml = make_document(tmp_path, make_qx_result()).replace(b">1.96<", b">1,96<", 1)
     with raises("wrong-document", "x.xml", "line ", "1,96") as caught:
         check_schema(xml, SCHEMA, "x.xml")
     assert "{https" not in str(caught.value)

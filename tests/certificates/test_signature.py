@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.x509 import load_pem_x509_certificates
 from lxml import etree
 from raising import raises
-from results import result
+from results import make_qx_result
 from signing_keys import write_pair
 
 from certificates import ISSUE, read_lab_for, write_lab
@@ -34,7 +34,7 @@ def key_pairs(tmp_path_factory):
 
 
 def sign_certificate(folder, pair):
-    given = result()
+    given = make_qx_result()
     root = build_document(given, read_lab_for(folder, given), ISSUE, {}, b"%PDF")
     return serialize_document(sign_document(root, read_signer(*pair)))
 
@@ -59,7 +59,7 @@ def verify_with_xmlsec(path, cert):
 @pytest.mark.parametrize("kind", ["rsa", "ec"])
 def test_xmlsec1_agrees_on_certificate_and_amendment(tmp_path, key_pairs, kind):
     key, cert = key_pairs[kind]
-    result().write(tmp_path / "r.json")
+    make_qx_result().write(tmp_path / "r.json")
     given = [str(tmp_path / "r.json"), str(write_lab(tmp_path))]
     signed_by = ["--key", str(key), "--cert", str(cert)]
     old, new = tmp_path / "old.xml", tmp_path / "new.xml"
@@ -128,7 +128,7 @@ def test_signer_certificate_valid_at_issue_is_accepted(tmp_path):
     def sign_and_verify(*days):
         folder = tmp_path / str(days[0])
         _, cert = write_pair(folder, key, days=days)
-        given = result()
+        given = make_qx_result()
         root = build_document(given, read_lab_for(folder, given), ISSUE, {}, b"%PDF")
         signer = signer_from_key(key, load_pem_x509_certificates(cert.read_bytes()))
         return verify(serialize_document(sign_document(root, signer)), cert, "x.xml")
@@ -152,7 +152,7 @@ def test_signature_wrapping_is_rejected(tmp_path, key_pairs):
 
 
 def test_unsigned_certificate_raises(tmp_path, key_pairs):
-    given = result()
+    given = make_qx_result()
     made = serialize_document(build_document(given, read_lab_for(tmp_path, given), ISSUE, {}, None))
     with pytest.raises(RecordError, match="is not signed"):
         verify(made, key_pairs["rsa"][1], "x.xml")
@@ -170,7 +170,7 @@ def test_missing_package_error_names_install_command(monkeypatch, key_pairs):
     ("put", "reads"), [(b"<!-- x -->", True), (b"<?x y?>", False), (b"<x/>", False)]
 )
 def test_number_with_nested_nodes_reads_alike_signed_and_unsigned(tmp_path, key_pairs, put, reads):
-    given = result()
+    given = make_qx_result()
     plain = serialize_document(
         build_document(given, read_lab_for(tmp_path, given), ISSUE, {}, b"%PDF")
     )

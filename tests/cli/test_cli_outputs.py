@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from campaigns import SMALL, replace_parts, write_description
 from raising import raises
-from results import result
+from results import make_qx_result
 
 from certificates import write_lab
 from counterspin import cli
@@ -55,7 +55,7 @@ def output_folder(tmp_path_factory):
     simulate(write_description(folder, SMALL, "plan.toml"), folder / "camp")
     for name in ("campaign.toml", "slow.csv"):
         shutil.copy(folder / "camp" / name, folder)
-    dated = result().model_copy(update={"details": {"date": "2026-01-14"}})
+    dated = make_qx_result().model_copy(update={"details": {"date": "2026-01-14"}})
     dated.write(folder / "r.json")
     calibrate(folder / "camp").write(folder / "camp" / "result.json")
     write_lab(folder)

@@ -10,7 +10,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 from campaigns import SMALL, write_description
-from results import result
+from results import make_qx_result
 from served import ANSWERS
 
 from certificates import write_lab
@@ -50,7 +50,7 @@ def planted_folder(tmp_path_factory):
     calibrate(folder).write(folder / "result.json")
     shutil.copytree(folder, folder / "again")
     pl.DataFrame({"force": [1.0, 2.0]}).write_parquet(folder / "force.parquet")
-    result().write(folder / "r.json")
+    make_qx_result().write(folder / "r.json")
     words = [str(folder / "r.json"), str(write_lab(folder)), "-o", str(folder / "c.pdf")]
     assert cli.main(["certificate", *words]) == 0
     for name in PLANTED:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from campaigns import SMALL, replace_parts, write_description
-from results import result
+from results import make_qx_result
 
 from counterspin import cli
 from counterspin.simulation.simulate import simulate
@@ -111,7 +111,7 @@ def test_rejects_invalid_numbers(run_command, tmp_path):
 
 def test_damaged_result_is_rejected(run_command, tmp_path):
     # Without a seal, as from an earlier version, the message names the fault, not a change.
-    document = json.loads(result().to_json())
+    document = json.loads(make_qx_result().to_json())
     del document["seal"]
     whole = json.dumps(document)
     for text, words in (
@@ -164,7 +164,7 @@ WANTED = (
     ("words", "right", "advice"), WANTED, ids=[" ".join(w[0][:2]) for w in WANTED]
 )
 def test_wrong_file_type_is_named_with_correct_command(run_command, tmp_path, words, right, advice):
-    result().write(tmp_path / "r.json")
+    make_qx_result().write(tmp_path / "r.json")
     (tmp_path / "empty").touch()
     (tmp_path / "p.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(20))
     (tmp_path / "c.xml").write_text("<?xml version='1.0'?>\n<a/>\n")
@@ -188,7 +188,7 @@ def test_wrong_file_type_is_named_with_correct_command(run_command, tmp_path, wo
 
 
 def test_single_line_text_is_not_an_unfinished_ledger(run_command, tmp_path):
-    result().write(tmp_path / "r.json")
+    make_qx_result().write(tmp_path / "r.json")
     (tmp_path / "notes").write_bytes(b"mine")
     words = ("ledger", "add", "notes", "r.json", "--who", "A. Erste", "--why", "yearly")
     status, complaint = run_command(*words)
@@ -247,7 +247,7 @@ def recorded_campaign(tmp_path_factory):
     simulate(
         write_description(folder, SMALL.replace("revolutions = 20", "revolutions = 6")), folder
     )
-    result().write(folder / "r.json")
+    make_qx_result().write(folder / "r.json")
     return folder
 
 

@@ -4,7 +4,7 @@ import io
 import math
 
 import pytest
-from exports import EXPORTS, campaign_folder, write_records
+from exports import EXPORTS, simulate_campaign, write_records
 
 from counterspin.calibration.result import Result
 from counterspin.cli import main
@@ -22,7 +22,7 @@ class Terminal(io.StringIO):
 
 @pytest.fixture(scope="module")
 def plain_folder(tmp_path_factory):
-    return campaign_folder(tmp_path_factory.mktemp("exports"))
+    return simulate_campaign(tmp_path_factory.mktemp("exports"))
 
 
 def read_k_ii(folder):

@@ -199,7 +199,7 @@ def test_changed_input_has_difference_without_uncertainty(seed_1):
 
 
 def make_result(value=2.7e-5, **changes):
-    result = by_hand.result()
+    result = by_hand.make_qx_result()
     document = json.loads(result.to_json())
     document["accelerometers"]["Qx"]["coefficients"]["K_II"]["value"] = value
     document["provenance"]["inputs"] = {"run.csv": f"sha256:{value}{changes}"}

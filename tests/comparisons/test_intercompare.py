@@ -22,16 +22,16 @@ def make_result(laboratory, k_ii, k_f=0.0, sources=(), **parts):
         | {"sensitivity": shift / u, "contribution": shift}
         for name, u, shift in sources
     ]
-    accelerometer = by_hand.accelerometer(
+    accelerometer = by_hand.make_accelerometer_result(
         coefficients={
-            "K_II": by_hand.coefficient(k_ii, U, "g/g^2"),
-            "K_F": by_hand.coefficient(k_f, U, "g"),
+            "K_II": by_hand.make_coefficient(k_ii, U, "g/g^2"),
+            "K_F": by_hand.make_coefficient(k_f, U, "g"),
         },
         budget={"K_II": budget},
         serial_number=parts.pop("serial", None),
     )
     details = {} if laboratory is None else {"laboratory": laboratory}
-    return by_hand.bare_result(accelerometers={"Qx": accelerometer}, details=details, **parts)
+    return by_hand.make_bare_result(accelerometers={"Qx": accelerometer}, details=details, **parts)
 
 
 @pytest.fixture
@@ -115,7 +115,7 @@ def add_records(laboratory):
             "no independent uncertainty",
         ),
         (
-            [make_result("A", 1e-5), by_hand.bare_result()],
+            [make_result("A", 1e-5), by_hand.make_bare_result()],
             "the results have no accelerometer in common",
         ),
     ],

@@ -11,9 +11,9 @@ import numpy as np
 import polars as pl
 import pytest
 from raising import raises
-from results import accelerometer as found_of
-from results import bare_result, remove_seal
-from results import run as moved
+from results import make_accelerometer_result as found_of
+from results import make_bare_result, remove_seal
+from results import make_run as moved
 from scipy.io import savemat
 from workbooks import write_workbook
 
@@ -60,7 +60,7 @@ def make_accelerometer(values, mounting=QX, **changes):
 
 
 def make_result(accelerometers=None, model="exact", rate=4 * math.pi):
-    return bare_result(
+    return make_bare_result(
         model=model,
         accelerometers=accelerometers or {"Qx": make_accelerometer(MODEL)},
         runs={"run1": moved(rate=rate)},

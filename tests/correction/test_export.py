@@ -25,28 +25,28 @@ def make_result(**parts):
     """Return a result with correlated K_F, K_I and K_II, and a prior K_OO that affects K_II."""
     correlation = [[1.0, 0.3, -0.2], [0.3, 1.0, 0.5], [-0.2, 0.5, 1.0]]
     moved = {"source": "K_OO", "kind": "stated", "u": 2e-6, "unit": "g/g^2", "sensitivity": 0.3}
-    accelerometer = by_hand.accelerometer(
+    accelerometer = by_hand.make_accelerometer_result(
         coefficients={
-            "K_F": by_hand.coefficient(0.005, 1e-6, "g", dof=40.0),
-            "K_I": by_hand.coefficient(1.2, 1e-3, "g/g", dof=30.0),
-            "K_II": by_hand.coefficient(3e-5, 2e-6, "g/g^2", dof=20.0),
+            "K_F": by_hand.make_coefficient(0.005, 1e-6, "g", dof=40.0),
+            "K_I": by_hand.make_coefficient(1.2, 1e-3, "g/g", dof=30.0),
+            "K_II": by_hand.make_coefficient(3e-5, 2e-6, "g/g^2", dof=20.0),
         },
         known={"K_OO": {"value": 1e-6, "u": 2e-6, "unit": "g/g^2", "estimated": False}},
         correlation={"terms": ["K_F", "K_I", "K_II"], "matrix": correlation},
         budget={"K_II": [moved | {"contribution": 6e-7, "share": 0.09}]},
         **parts.pop("accelerometer", {}),
     )
-    return by_hand.bare_result(accelerometers={"Qx": accelerometer}, **parts)
+    return by_hand.make_bare_result(accelerometers={"Qx": accelerometer}, **parts)
 
 
 def make_triad_result(**changes):
     """Return a result with a triad X, Y, Z."""
     triad = {"accelerometers": ["X", "Y", "Z"], "parameters": {}, "matrix": MATRIX.tolist()}
     triad |= {"bias": BIAS.tolist(), "u_matrix": (1e-5 * np.eye(3)).tolist()} | changes
-    bias = {"K_F": by_hand.coefficient(0.01, 1e-6, "g")}
-    accelerometers = {name: by_hand.accelerometer(coefficients=bias) for name in "XYZ"}
+    bias = {"K_F": by_hand.make_coefficient(0.01, 1e-6, "g")}
+    accelerometers = {name: by_hand.make_accelerometer_result(coefficients=bias) for name in "XYZ"}
     inputs = {"gravity": GRAVITY, "latitude": 0.8, "radius": 2.5}
-    return by_hand.bare_result(accelerometers=accelerometers, inputs=inputs, triad=triad)
+    return by_hand.make_bare_result(accelerometers=accelerometers, inputs=inputs, triad=triad)
 
 
 def test_normalised_covariance_matches_finite_differences():

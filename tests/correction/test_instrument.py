@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from campaigns import SMALL, replace_parts, write_description
-from results import accelerometer, bare_result, coefficient
+from results import make_accelerometer_result, make_bare_result, make_coefficient
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.correction.apply import ApplyOptions, apply
@@ -42,8 +42,8 @@ def test_cross_axis_forces_act_through_product_terms():
     """K_IP a_I a_P, K_OO a_O^2 and delta_P a_O with its sign, with u of each."""
     terms = {"K_IP": (3e-6, 1e-7), "K_OO": (2e-6, 2e-7), "K_I": (1.0, 1e-5)}
     units = {"K_IP": "g/g^2", "K_OO": "g/g^2", "K_I": "g/g"}
-    own = {symbol: coefficient(*pair, units[symbol]) for symbol, pair in terms.items()}
-    made = bare_result(accelerometers={"Qx": accelerometer(coefficients=own)})
+    own = {symbol: make_coefficient(*pair, units[symbol]) for symbol, pair in terms.items()}
+    made = make_bare_result(accelerometers={"Qx": make_accelerometer_result(coefficients=own)})
     found = made.predict("Qx", FORCE, pendulous=PENDULOUS, output_axis=0.5)
     products = {"K_IP": FORCE * PENDULOUS, "K_OO": 0.25 * np.ones(5), "K_I": FORCE}
     expected = sum(terms[symbol][0] * products[symbol] for symbol in terms)

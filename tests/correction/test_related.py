@@ -17,9 +17,11 @@ FORCES = np.array([[0.0, 0.0, 1.0], [0.6, -0.8, 0.0], [0.3, 0.5, -0.7], [-1.0, 0
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
     generator = np.random.default_rng(5)
-    values = triads.indications(triads.directions(14, generator))
+    values = triads.compute_indications(triads.draw_directions(14, generator))
     values += 3e-4 * generator.standard_normal(values.shape)
-    return cs.calibrate(triads.table(tmp_path_factory.mktemp("triad"), values, u=3e-4))
+    return cs.calibrate(
+        triads.write_pose_campaign(tmp_path_factory.mktemp("triad"), values, u=3e-4)
+    )
 
 
 def correct_all(result, y):
@@ -38,7 +40,7 @@ def apply_nine_parameters(parameters, y):
 
 
 def test_output_and_u_match_nine_parameters(result):
-    y = triads.indications(FORCES)
+    y = triads.compute_indications(FORCES)
     corrections = correct_all(result, y)
     values = [result.triad.parameters[name].value for name in result.triad.correlation.terms]
     u = np.array([result.triad.parameters[name].u for name in result.triad.correlation.terms])
@@ -63,7 +65,7 @@ def test_output_and_u_match_nine_parameters(result):
 
 def test_correlations_between_accelerometers_are_included(result):
     # Along the force of a pose, u of |f| is smaller than from uncorrelated components.
-    y = triads.indications(FORCES)
+    y = triads.compute_indications(FORCES)
     plain = result.model_copy(update={"correlation": None})
     alone = np.column_stack([correction.u for correction in correct_all(plain, y)])
     related = np.column_stack([correction.u for correction in correct_all(result, y)])
@@ -72,10 +74,10 @@ def test_correlations_between_accelerometers_are_included(result):
 
 def test_default_priors_are_included_for_all_three_axes(tmp_path, result):
     generator = np.random.default_rng(5)
-    values = triads.indications(triads.directions(14, generator))
-    text = triads.head(model='terms = ["K_F", "K_I", "delta_O", "delta_P"]')
-    unstated = cs.calibrate(triads.table(tmp_path, values, u=3e-4, description=text))
-    y = triads.indications(np.vstack([FORCES, 3.0 * FORCES]))
+    values = triads.compute_indications(triads.draw_directions(14, generator))
+    text = triads.format_description(model='terms = ["K_F", "K_I", "delta_O", "delta_P"]')
+    unstated = cs.calibrate(triads.write_pose_campaign(tmp_path, values, u=3e-4, description=text))
+    y = triads.compute_indications(np.vstack([FORCES, 3.0 * FORCES]))
     corrections = correct_all(unstated, y)
     # Values apply at the temperature of the poses.
     texts = [
@@ -92,13 +94,15 @@ def test_default_priors_are_included_for_all_three_axes(tmp_path, result):
     ).all()
     # Half of the default K_0_asym of a MEMS sensor, 1.25 mg, acts on the output and on the bias.
     symmetric = text.replace("terms = ", 'assume = ["K_0_asym"]\nterms = ')
-    known = cs.calibrate(triads.table(tmp_path, values, u=3e-4, description=symmetric))
+    known = cs.calibrate(
+        triads.write_pose_campaign(tmp_path, values, u=3e-4, description=symmetric)
+    )
     u_known = np.column_stack([correction.u for correction in correct_all(known, y[:4])])
     assert (u[:4] ** 2 - u_known**2 < 2.0 * 1.25e-3**2).all()
 
 
 def test_file_has_all_three_axes_corrected(tmp_path, result):
-    y = triads.indications(FORCES)
+    y = triads.compute_indications(FORCES)
     frame = pl.DataFrame({"t": [0.0, 0.1, 0.2, 0.3], "X": y[:, 0], "Y": y[:, 1], "Z": y[:, 2]})
     frame.write_csv(tmp_path / "in.csv")
     done = apply_file(result, None, tmp_path / "in.csv", tmp_path / "out.csv")

@@ -7,8 +7,8 @@ import numpy as np
 import polars as pl
 import pytest
 from raising import raises
-from results import accelerometer as found_of
-from results import bare_result
+from results import make_accelerometer_result as found_of
+from results import make_bare_result
 
 import counterspin as cs
 from counterspin import cli
@@ -42,7 +42,7 @@ def make_result(values, u=(), temperatures=(270.0, 340.0), reference=REFERENCE, 
     inputs = {"gravity": G, "latitude": 0.8, "radius": 2.5, "temperatures": list(temperatures)}
     inputs["reference_temperature"] = None if reference is None else reference + 273.15
     parts = {"coefficients": own, "axes": list(QX.axes), "observable": "displacement"}
-    return bare_result(accelerometers={"A": found_of(**parts)}, inputs=inputs, **more)
+    return make_bare_result(accelerometers={"A": found_of(**parts)}, inputs=inputs, **more)
 
 
 def predict_indication(celsius, force=FORCE):

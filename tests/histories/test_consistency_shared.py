@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from results import coefficient, result
+from results import make_coefficient, make_qx_result
 
 from counterspin.histories.consistency import en_score, find_shared_inputs, fit_drift, weighted_mean
 from counterspin.histories.files import source_shifts
@@ -80,7 +80,7 @@ def test_default_priors_are_shared_by_results_of_instrument():
         budget_line("slow.platform.tilt.north", 1e-6, 1e-4, kind="unstated"),
         budget_line("slow.ripple1", 1e-6, 1e-4, kind="noise"),
     ]
-    first = source_shifts(*budget_of(result(budget={"K_II": lines})))
+    first = source_shifts(*budget_of(make_qx_result(budget={"K_II": lines})))
     assert {source for source, _ in first} == {
         "K_OO",
         "centrifuge.stretch",
@@ -93,7 +93,7 @@ def test_default_priors_are_shared_by_results_of_instrument():
     )
     # Defaults of different sizes may differ: the shared part is then smaller, never larger.
     lines[0] = budget_line("K_OO", 1e-6, -3e-4, kind="unstated")
-    sources = source_shifts(*budget_of(result(budget={"K_II": lines})))
+    sources = source_shifts(*budget_of(make_qx_result(budget={"K_II": lines})))
     assert find_shared_inputs([1e-9, 1e-9], [first, sources]).largest_correlation == pytest.approx(
         0.14
     )
@@ -107,7 +107,7 @@ LINES = [
 
 
 def test_radius_and_priors_are_shared_but_not_run_inputs():
-    given = result(budget={"K_II": LINES})
+    given = make_qx_result(budget={"K_II": LINES})
     found = source_shifts(*budget_of(given))
     assert {source for source, _ in found} == {"centrifuge.radius", "K_I"}
     assert found["K_I", "5e-06"] == pytest.approx(2e-10)
@@ -124,8 +124,10 @@ def test_radius_and_priors_are_shared_but_not_run_inputs():
 
 
 def test_budget_of_different_uncertainty_is_ignored():
-    small = {"K_II": coefficient(2.7e-5, 1e-10, "g/g^2")}
-    assert source_shifts(*budget_of(result(coefficients=small, budget={"K_II": LINES}))) == {}
+    small = {"K_II": make_coefficient(2.7e-5, 1e-10, "g/g^2")}
+    assert (
+        source_shifts(*budget_of(make_qx_result(coefficients=small, budget={"K_II": LINES}))) == {}
+    )
 
 
 def test_terms_of_same_second_accelerometer_are_shared():
@@ -133,10 +135,10 @@ def test_terms_of_same_second_accelerometer_are_shared():
         budget_line("Qx.K_OO", 2e-6, -3e-4, kind="unstated"),
         budget_line("slow.K_F", 1e-6, 1e-4),
     ]
-    given = result(budget={"K_II": lines}, serial_number="Q-1")
+    given = make_qx_result(budget={"K_II": lines}, serial_number="Q-1")
     found = source_shifts(*budget_of(given))
     assert found == {("Qx.K_OO", "2e-06 of Q-1"): pytest.approx(-6e-10)}
-    sources = source_shifts(*budget_of(result(budget={"K_II": lines}, serial_number="Q-2")))
+    sources = source_shifts(*budget_of(make_qx_result(budget={"K_II": lines}, serial_number="Q-2")))
     assert find_shared_inputs([1e-9, 1e-9], [found, found]).largest_correlation == pytest.approx(
         0.36
     )

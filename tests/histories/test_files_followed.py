@@ -16,12 +16,16 @@ MODEL = 'terms = ["K_F", "K_I", "delta_O", "delta_P"]'
 
 def write_triad_result(folder, date, values, serials=("A", "B", "C"), model=MODEL):
     """Write the result of a triad of three serial numbers, poses in the same directions."""
-    head = triads.head(model=model).replace('"9.81 m/s^2"', '"9.81 ± 1e-3 m/s^2"')
+    head = triads.format_description(model=model).replace('"9.81 m/s^2"', '"9.81 ± 1e-3 m/s^2"')
     head = head.replace("schema = 1", f'schema = 1\ncampaign = {{ date = "{date}" }}')
     for name, serial in zip(triads.NAMES, serials, strict=True):
-        with_serial = triads.accelerometer(name, f'serial_number = "{serial}"\n' if serial else "")
-        head = head.replace(triads.accelerometer(name), with_serial)
-    table = triads.table(folder / f"campaign {date}", values, u=NOISE, description=head)
+        with_serial = triads.format_accelerometer(
+            name, f'serial_number = "{serial}"\n' if serial else ""
+        )
+        head = head.replace(triads.format_accelerometer(name), with_serial)
+    table = triads.write_pose_campaign(
+        folder / f"campaign {date}", values, u=NOISE, description=head
+    )
     result = cs.calibrate(table, accept_misfit="made")
     cs.write_result(result, folder / f"{date}.json")
     return result
@@ -29,7 +33,7 @@ def write_triad_result(folder, date, values, serials=("A", "B", "C"), model=MODE
 
 def write_results(folder, **options):
     generator = np.random.default_rng(11)
-    values = triads.indications(triads.directions(24, generator))
+    values = triads.compute_indications(triads.draw_directions(24, generator))
     return [
         write_triad_result(
             folder, date, values + NOISE * generator.standard_normal(values.shape), **options
@@ -80,11 +84,11 @@ def test_triad_results_share_terms_of_other_accelerometers(tmp_path):
 
 
 def test_budget_sensitivity_matches_change_of_parameter(tmp_path):
-    along = triads.directions(24, np.random.default_rng(12))
+    along = triads.draw_directions(24, np.random.default_rng(12))
     delta = 1e-5
-    plain = write_triad_result(tmp_path, DATES[0], triads.indications(along))
+    plain = write_triad_result(tmp_path, DATES[0], triads.compute_indications(along))
     moved = write_triad_result(
-        tmp_path, DATES[1], triads.indications(along, squares=(0.0, delta, 0.0))
+        tmp_path, DATES[1], triads.compute_indications(along, squares=(0.0, delta, 0.0))
     )
     for name, parameter in plain.triad.parameters.items():
         lines = plain.triad.budget[name]
@@ -97,7 +101,9 @@ def test_budget_sensitivity_matches_change_of_parameter(tmp_path):
 
 def test_result_without_parameter_is_reported(tmp_path):
     write_triad_result(
-        tmp_path, DATES[0], triads.indications(triads.directions(24, np.random.default_rng(3)))
+        tmp_path,
+        DATES[0],
+        triads.compute_indications(triads.draw_directions(24, np.random.default_rng(3))),
     )
     result = cs.read_result(tmp_path / f"{DATES[0]}.json")
     alone = result.model_copy(update={"triad": None, "details": {"date": DATES[1]}})
@@ -108,7 +114,7 @@ def test_result_without_parameter_is_reported(tmp_path):
 
 
 def test_angle_requires_both_serial_numbers_or_campaign_number(tmp_path):
-    values = triads.indications(triads.directions(24, np.random.default_rng(3)))
+    values = triads.compute_indications(triads.draw_directions(24, np.random.default_rng(3)))
     result = write_triad_result(tmp_path, DATES[0], values, serials=("A", "B", None))
     history = cs.history([tmp_path], term="angle")
     assert [instrument.serial_number for instrument in history.instruments] == ["A B"]

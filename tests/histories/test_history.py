@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from raising import raises
-from results import FROZEN as FROZEN_RESULT
+from results import FROZEN_DOCUMENT as FROZEN_RESULT
 from results import make_dated_document, seal_document
 
 from counterspin.calibration.result import Result

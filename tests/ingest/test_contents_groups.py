@@ -3,7 +3,7 @@
 import h5py
 import numpy as np
 import pytest
-from posed_files import COLUMNS, POSED, compound, waveforms
+from posed_files import COLUMNS, POSED, write_compound_file, write_waveform_file
 from raising import raises
 from scipy.io import savemat
 
@@ -37,7 +37,7 @@ def two_rates(path):
             file[f"imu/{name}"] = values
 
 
-@pytest.mark.parametrize("write", [compound, pytables, two_rates])
+@pytest.mark.parametrize("write", [write_compound_file, pytables, two_rates])
 def test_hdf5_tables_are_read_as_poses(tmp_path, write):
     write(tmp_path / "a.h5")
     contents = read_files([tmp_path / "a.h5"])
@@ -128,7 +128,7 @@ def test_sensor_groups_are_not_runs(tmp_path):
     ],
 )
 def test_channels_are_truncated_or_aligned_with_note(tmp_path, ends, late, note):
-    waveforms(tmp_path / "a.tdms", ends, late)
+    write_waveform_file(tmp_path / "a.tdms", ends, late)
     contents = read_files([tmp_path / "a.tdms"])
     assert note in describe_files(contents)[0]
     start, stop = max(late), len(POSED.time) - max(ends)

@@ -6,7 +6,7 @@ import tomllib
 import numpy as np
 import polars as pl
 import pytest
-from arm_records import GRAVITY, HEAD, RADIUS, arm_record, arm_run
+from arm_records import DESCRIPTION_HEAD, GRAVITY, RADIUS, format_arm_run, simulate_arm_record
 
 import counterspin as cs
 from counterspin.cli import main
@@ -24,14 +24,14 @@ record = "up.csv"
 def folder(tmp_path_factory):
     """Return a campaign on an arm whose run "in 4" has a rate 1 % above the stated rate."""
     rng = np.random.default_rng(1)
-    text, records = HEAD, {}
+    text, records = DESCRIPTION_HEAD, {}
     for side in (1, -1):
         for level in LEVELS:
             rate = math.sqrt(level * GRAVITY / RADIUS)
             name = f"{'in' if side > 0 else 'out'} {level:.0f}"
-            text += arm_run(name, side, rate)
+            text += format_arm_run(name, side, rate)
             off = 1e-2 if name == "in 4" else 0.0
-            records[name] = arm_record(
+            records[name] = simulate_arm_record(
                 rng, side, rate * (1.0 + off), ripple=1e-4, drift=1e-5, noise=1e-5, encoder=1e-5
             )
     t = np.arange(0.0, 20.0, 0.02)

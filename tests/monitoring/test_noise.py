@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 from raising import raises
-from static_noise_sizes import without_intervals
+from static_noise_sizes import disable_intervals
 
 import counterspin as cs
 from counterspin.campaign.documents import load_document
@@ -48,7 +48,7 @@ def write_record(folder, name="rest.csv", **more):
 @pytest.fixture
 def skip_intervals():
     """Estimate noise components without their intervals."""
-    with without_intervals():
+    with disable_intervals():
         yield
 
 

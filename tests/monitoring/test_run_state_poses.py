@@ -49,7 +49,7 @@ UNIT = GRID / np.linalg.norm(GRID, axis=1)[:, None]
 
 
 def test_good_record_of_poses_has_no_remark(tmp_path):
-    posed_records.campaign(tmp_path, {"all": MANY})
+    posed_records.write_campaign(tmp_path, {"all": MANY})
     checked = cs.check(tmp_path / "all.log", tmp_path)
     result = cs.calibrate(tmp_path)
     assert (checked.good, checked.run.state, checked.why_not) == (True, "read", None)
@@ -65,9 +65,9 @@ def test_good_record_of_poses_has_no_remark(tmp_path):
 
 @pytest.mark.parametrize("lowest", [0.25, -0.3])
 def test_missing_directions_have_largest_uncertainty_of_force(tmp_path, lowest):
-    along = triads.directions(400, np.random.default_rng(5))
+    along = triads.draw_directions(400, np.random.default_rng(5))
     along = along[along[:, 2] > lowest][:16]
-    posed_records.campaign(tmp_path, {"all": make_rests(along)})
+    posed_records.write_campaign(tmp_path, {"all": make_rests(along)})
     missing = cs.check(tmp_path / "all.log", tmp_path).run.poses.missing
     expected = []
     while (size := compute_leverage(along, UNIT)).max() > 1.0:
@@ -80,7 +80,7 @@ def test_missing_directions_have_largest_uncertainty_of_force(tmp_path, lowest):
 
 def test_full_set_of_poses_has_no_missing_direction(tmp_path):
     along = UNIT[np.sum(np.abs(GRID), axis=1) < 3]
-    posed_records.campaign(tmp_path, {"all": make_rests(along)})
+    posed_records.write_campaign(tmp_path, {"all": make_rests(along)})
     assert compute_leverage(along, UNIT).max() < 1.0
     assert cs.check(tmp_path / "all.log", tmp_path).run.poses.missing == []
 
@@ -89,7 +89,7 @@ def test_outlying_pose_is_named(tmp_path):
     record = replace(MANY, values=MANY.values.copy())
     rows = (record.time >= record.start[7] - 1e-6) & (record.time <= record.end[7] + 1e-6)
     record.values[rows] *= 1.01
-    posed_records.campaign(tmp_path, {"all": record})
+    posed_records.write_campaign(tmp_path, {"all": record})
     checked = cs.check(tmp_path / "all.log", tmp_path)
     (name,) = checked.run.poses.outlying
     assert float(name.split()[1]) == pytest.approx(record.start[7], abs=1.0)
@@ -99,7 +99,7 @@ def test_outlying_pose_is_named(tmp_path):
 
 
 def test_too_few_poses_list_missing_directions_and_remain_usable(tmp_path):
-    posed_records.campaign(tmp_path, {"few": FEW, "many": None})
+    posed_records.write_campaign(tmp_path, {"few": FEW, "many": None})
     checked = cs.check(tmp_path / "few.log", tmp_path)
     assert not checked.good
     assert "cannot determine both" in checked.remarks[0]
@@ -116,7 +116,7 @@ def test_too_few_poses_list_missing_directions_and_remain_usable(tmp_path):
 
 def test_record_shorter_than_rest_fails(tmp_path, capsys):
     short = replace(MANY, values=MANY.values[:100])
-    posed_records.campaign(tmp_path, {"all": short})
+    posed_records.write_campaign(tmp_path, {"all": short})
     checked = cs.check(tmp_path / "all.log", tmp_path, run="all")
     assert (checked.good, checked.run.state, checked.run.poses) == (False, "failed", None)
     assert "all.log: the record lasts 0.99 s, which is less than one rest" in checked.run.why
@@ -130,7 +130,7 @@ def test_record_shorter_than_rest_fails(tmp_path, capsys):
 
 
 def test_command_prints_pose_check(tmp_path, capsys):
-    posed_records.campaign(tmp_path, {"all": MANY})
+    posed_records.write_campaign(tmp_path, {"all": MANY})
     assert main(["check", str(tmp_path / "all.log"), "--campaign", str(tmp_path)]) == 0
     output = capsys.readouterr().out
     for word in ("is usable", "Clock", "Poses", "Missing directions", "Y.delta_P", "m/s^2"):
@@ -140,7 +140,7 @@ def test_command_prints_pose_check(tmp_path, capsys):
 
 @pytest.mark.parametrize("suffix", ["log", "tsv"])
 def test_watch_counts_poses_while_recording(tmp_path, suffix):
-    posed_records.campaign(tmp_path, {"all": MANY})
+    posed_records.write_campaign(tmp_path, {"all": MANY})
     description = (tmp_path / "campaign.toml").read_text("utf-8")
     (tmp_path / "campaign.toml").write_text(description.replace("all.log", f"all.{suffix}"))
     text = (tmp_path / "all.log").read_text("utf-8")
@@ -173,10 +173,10 @@ def test_watch_counts_poses_while_recording(tmp_path, suffix):
 
 
 def test_unknown_run_and_campaign_without_records_raise(tmp_path):
-    posed_records.campaign(tmp_path, {"all": MANY})
+    posed_records.write_campaign(tmp_path, {"all": MANY})
     with pytest.raises(CampaignError, match='no run is named "al"'):
         cs.check(tmp_path / "all.log", tmp_path, run="al")
-    values = triads.indications(triads.directions(20, np.random.default_rng(1)))
-    folder = triads.table(tmp_path / "table", values)
+    values = triads.compute_indications(triads.draw_directions(20, np.random.default_rng(1)))
+    folder = triads.write_pose_campaign(tmp_path / "table", values)
     with raises("method-not-applicable"):
         next(iter(cs.watch(folder, once=True)))

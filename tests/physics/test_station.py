@@ -6,7 +6,7 @@ from decimal import Decimal
 
 import numpy as np
 import pytest
-from stations import Station, from_stations
+from stations import Station, combine_stations
 
 from counterspin.physics.accelerometer import QX, Mounting, direction
 from counterspin.physics.motion import Site, Trajectory, trajectory_sensitivity
@@ -23,7 +23,7 @@ SYMBOLS = list(TERMS)
 
 
 def station_means(station, site, symbols):
-    means = mean_products(from_stations([station]), site)[0]
+    means = mean_products(combine_stations([station]), site)[0]
     return means[[SYMBOLS.index(symbol) for symbol in symbols]]
 
 

@@ -27,14 +27,14 @@ def test_forecast_matches_calibration_of_mixed_campaign(tmp_path):
 
 
 def test_forecast_matches_calibration_of_poses(tmp_path):
-    values = triads.indications(triads.directions(15, np.random.default_rng(1)))
-    folder = triads.table(tmp_path, values, u=1e-4)
+    values = triads.compute_indications(triads.draw_directions(15, np.random.default_rng(1)))
+    folder = triads.write_pose_campaign(tmp_path, values, u=1e-4)
     told, result = forecast(folder), calibrate(folder)
     # A forecast takes derivatives at nominal coefficients: these are off by a percent or less.
     for name in ("X.K_F", "Y.K_I", "Z.delta_O"):
         assert told.u[name] == pytest.approx(result.coefficient(name).u, rel=0.05)
     with pytest.raises(CampaignError, match="requires the standard uncertainty"):
-        forecast(triads.table(tmp_path / "unstated", values))
+        forecast(triads.write_pose_campaign(tmp_path / "unstated", values))
 
 
 def test_encoder_noise_acts_through_estimated_k_iii(tmp_path):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from planning_setups import ATTITUDES, make_setup, u_by_joint_fit
+from planning_setups import ATTITUDES, fit_u, make_setup
 from scipy.optimize import linprog
 
 from counterspin.errors import NotIdentifiableError
@@ -79,8 +79,8 @@ SETUPS = {
 def test_u_of_plan_matches_joint_fit(predictor, design, u):
     setup = predictor.information.setup
     # Given to four digits; of both senses as a floor, the plan is not said.
-    assert u_by_joint_fit(setup, design)[2] == pytest.approx(u, rel=3e-4 if u > 2e-8 else 1e-3)
-    assert predictor.u(design) == pytest.approx(u_by_joint_fit(setup, design), rel=1e-7)
+    assert fit_u(setup, design)[2] == pytest.approx(u, rel=3e-4 if u > 2e-8 else 1e-3)
+    assert predictor.u(design) == pytest.approx(fit_u(setup, design), rel=1e-7)
 
 
 def test_stacked_designs_match_single_designs(predictor):

@@ -22,8 +22,10 @@ minimise = ["X.K_F"]
 def write_random_poses(folder, count, u=None):
     """Write a campaign of poses at random, with or without their uncertainty."""
     generator = np.random.default_rng(5)
-    values = triads.indications(triads.directions(count, generator))
-    return triads.table(folder, values + NOISE * generator.standard_normal(values.shape), u)
+    values = triads.compute_indications(triads.draw_directions(count, generator))
+    return triads.write_pose_campaign(
+        folder, values + NOISE * generator.standard_normal(values.shape), u
+    )
 
 
 def test_forecast_of_existing_poses_matches_calibration(tmp_path):

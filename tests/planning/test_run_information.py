@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planning_setups import ATTITUDES, PLATFORM, PRIORS, TWO, make_setup, u_by_joint_fit
+from planning_setups import ATTITUDES, PLATFORM, PRIORS, TWO_MOUNTINGS, fit_u, make_setup
 
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
@@ -32,7 +32,7 @@ CASES = {
     "velocity": {"noise": Noise(1e-3, 3e-5), "observable": "velocity"},
     "specific force": {"noise": Noise(1e-3, 1e-5), "observable": "specific_force"},
     "two accelerometers": {
-        "mountings": TWO,
+        "mountings": TWO_MOUNTINGS,
         "platform": (*PLATFORM, "platform.tilt.east", "platform.g_sensitivity.zy"),
         "priors": PRIORS | {"platform.tilt.east": 1e-6},
     },
@@ -87,7 +87,7 @@ def test_prediction_matches_joint_fit(case):
     setup = make_setup(**CASES[case])
     predictor = Predictor(RunInformation(setup, RATES, TURNS, (1, -1)))
     design = random_design(setup, np.random.default_rng(5))
-    assert predictor.u(design) == pytest.approx(u_by_joint_fit(setup, design), rel=rel)
+    assert predictor.u(design) == pytest.approx(fit_u(setup, design), rel=rel)
 
 
 def test_prediction_with_few_samples_per_revolution():
@@ -95,7 +95,7 @@ def test_prediction_with_few_samples_per_revolution():
     predictor = Predictor(RunInformation(setup, RATES, TURNS, (1, -1)))
     # From 26 samples to a revolution down to 5, where the third harmonics are barely told apart.
     design = Design(BOTH * 2, np.array([1.2, 3.0, 5.0, 6.5]), np.array([7.3, 15.0, 24.7, 32.2]))
-    assert predictor.u(design) == pytest.approx(u_by_joint_fit(setup, design), rel=2e-4)
+    assert predictor.u(design) == pytest.approx(fit_u(setup, design), rel=2e-4)
 
 
 def test_columns_of_considered_term_serve_estimating_model():
@@ -109,7 +109,7 @@ def test_columns_of_considered_term_serve_estimating_model():
     design = random_design(setup, np.random.default_rng(3))
     u = Predictor(taken_over).u(design)
     assert u == pytest.approx(Predictor(anew).u(design), rel=1e-9)
-    assert u == pytest.approx(u_by_joint_fit(estimated, design), rel=2e-4)
+    assert u == pytest.approx(fit_u(estimated, design), rel=2e-4)
 
 
 def estimate_considered_term(held):

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from reading_campaigns import arm, simulate_readings, tumble
+from reading_campaigns import make_arm_test, make_tumble, simulate_readings
 from reading_descriptions import ACCELEROMETER, format_arm_run, format_rest_run, format_site
 from stations import Station
 
@@ -59,7 +59,7 @@ def lack_of_fit_findings(result):
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
 def test_missing_term_is_named_with_collinear_terms(tmp_path, u):
     truth = {**LEVEL, "K_II": 15e-6}
-    values = simulate_readings(tumble(24), np.random.default_rng(1), SIGMA, truth=truth)
+    values = simulate_readings(make_tumble(24), np.random.default_rng(1), SIGMA, truth=truth)
     (found,) = lack_of_fit_findings(
         calibrate_readings(tmp_path, evenly_spaced_angles(24), values, u=u)
     )
@@ -75,7 +75,7 @@ def test_missing_term_is_named_with_collinear_terms(tmp_path, u):
 def test_head_wave_without_stated_u_contradicts(tmp_path):
     """K_F moves by twice its u, and nothing but the residuals shows it."""
     angles = evenly_spaced_angles(12)
-    values = simulate_readings(tumble(), np.random.default_rng(2), 1e-7, truth=LEVEL)
+    values = simulate_readings(make_tumble(), np.random.default_rng(2), 1e-7, truth=LEVEL)
     values += 4e-5 * np.cos(2.0 * np.radians(angles))
     result = calibrate_readings(tmp_path, angles, values)
     assert result.state == "contradicted"
@@ -84,7 +84,7 @@ def test_head_wave_without_stated_u_contradicts(tmp_path):
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
 def test_drift_of_ten_times_noise_is_named(tmp_path, u):
-    values = simulate_readings(tumble(24), np.random.default_rng(3), SIGMA, truth=LEVEL)
+    values = simulate_readings(make_tumble(24), np.random.default_rng(3), SIGMA, truth=LEVEL)
     values += 10.0 * SIGMA * np.linspace(0.0, 1.0, 24)
     (found,) = lack_of_fit_findings(
         calibrate_readings(tmp_path, evenly_spaced_angles(24), values, u=u)
@@ -115,7 +115,7 @@ def test_reversing_drift_in_mirrored_order_is_named(tmp_path, u):
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
 def test_dependence_on_sense_of_rotation_is_named(tmp_path, u):
-    test = arm()
+    test = make_arm_test()
     truth = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6}
     values = simulate_readings(test, np.random.default_rng(13), SIGMA, truth=truth)
     values += 4.0 * SIGMA * np.sign([station.rate for station in test[0]])
@@ -135,7 +135,7 @@ def test_dependence_on_sense_of_rotation_is_named(tmp_path, u):
 @pytest.mark.parametrize("count", [12, 24])
 def test_hysteresis_in_single_revolution_is_named(tmp_path, u, count):
     """Of 15 times the noise between falling and rising force; delta_O was 5 u off, and good."""
-    values = simulate_readings(tumble(count), np.random.default_rng(16), SIGMA, truth=LEVEL)
+    values = simulate_readings(make_tumble(count), np.random.default_rng(16), SIGMA, truth=LEVEL)
     values[1 : count // 2 + 1] += 15.0 * SIGMA
     terms = (*LEVEL, "K_II")
     result = calibrate_readings(tmp_path, evenly_spaced_angles(count), values, u=u, terms=terms)
@@ -150,7 +150,7 @@ def test_hysteresis_in_single_revolution_is_named(tmp_path, u, count):
 @pytest.mark.parametrize("count", [12, 24])
 def test_step_is_named_with_first_position(tmp_path, u, count):
     """Of 15 times the noise; without this column 12 positions were good, and delta_O 6 u off."""
-    values = simulate_readings(tumble(count), np.random.default_rng(15), SIGMA, truth=LEVEL)
+    values = simulate_readings(make_tumble(count), np.random.default_rng(15), SIGMA, truth=LEVEL)
     values[count // 2 :] += 15.0 * SIGMA
     terms = (*LEVEL, "K_II")
     result = calibrate_readings(tmp_path, evenly_spaced_angles(count), values, u=u, terms=terms)
@@ -162,7 +162,7 @@ def test_step_is_named_with_first_position(tmp_path, u, count):
 @pytest.mark.parametrize("assume", ['assume = "all"', ""], ids=["all assumed", "nothing assumed"])
 def test_scale_factor_drift_is_named_or_in_uncertainty(tmp_path, u, assume):
     """Of 100 ppm on an arm, as K_I.temperature of typical size makes it in 1 K."""
-    test = arm()
+    test = make_arm_test()
     truth = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6}
     values = simulate_readings(test, np.random.default_rng(17), SIGMA, truth=truth)
     forces = np.array([station.rate**2 for station in test[0]]) / 9.80665
@@ -212,7 +212,7 @@ def test_steady_rotation_of_positions_is_named(tmp_path, u):
 def test_bias_asymmetry_is_named(tmp_path, u):
     """By 40 ug (K0' of IEEE Std 1293): K_I takes most of a square wave, and not all."""
     angles = evenly_spaced_angles(24)
-    values = simulate_readings(tumble(24), np.random.default_rng(20), SIGMA, truth=LEVEL)
+    values = simulate_readings(make_tumble(24), np.random.default_rng(20), SIGMA, truth=LEVEL)
     values += 2e-5 * np.sign(np.round(np.cos(np.radians(angles)), 9))
     (found,) = lack_of_fit_findings(
         calibrate_readings(tmp_path, angles, values, u=u, terms=(*LEVEL, "K_II"))
@@ -221,7 +221,7 @@ def test_bias_asymmetry_is_named(tmp_path, u):
 
 
 def test_saturated_fit_is_unjudged(tmp_path):
-    values = simulate_readings(tumble(4), np.random.default_rng(14), SIGMA, truth=LEVEL)
+    values = simulate_readings(make_tumble(4), np.random.default_rng(14), SIGMA, truth=LEVEL)
     three = calibrate_readings(tmp_path, evenly_spaced_angles(4)[:3], values[:3], u=SIGMA)
     assert [f.code for f in three.findings] == ["unjudged-readings"]
     assert "3 readings cannot test the 3 coefficients" in three.findings[0].text
@@ -231,21 +231,21 @@ def test_saturated_fit_is_unjudged(tmp_path):
 
 
 def test_warm_up_is_named(tmp_path):
-    values = simulate_readings(tumble(24), np.random.default_rng(5), SIGMA, truth=LEVEL)
+    values = simulate_readings(make_tumble(24), np.random.default_rng(5), SIGMA, truth=LEVEL)
     values += 20.0 * SIGMA * np.exp(-np.arange(24) / 2.3)
     (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, evenly_spaced_angles(24), values))
     assert "settle with the order of the readings, as during a warm-up" in found.text
 
 
 def test_single_outlying_reading_is_not_pattern(tmp_path):
-    values = simulate_readings(tumble(24), np.random.default_rng(6), SIGMA, truth=LEVEL)
+    values = simulate_readings(make_tumble(24), np.random.default_rng(6), SIGMA, truth=LEVEL)
     values[0] += 100.0 * SIGMA
     result = calibrate_readings(tmp_path, evenly_spaced_angles(24), values)
     assert [f.code for f in result.findings] == ["outlying-reading"]
 
 
 def test_missing_cubic_term_on_arm_is_named(tmp_path):
-    test = arm()
+    test = make_arm_test()
     truth = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6, "K_III": 2e-6}
     values = simulate_readings(test, np.random.default_rng(7), SIGMA, truth=truth)
     runs = [
@@ -308,7 +308,7 @@ def test_radius_error_of_all_mountings_is_one_finding(tmp_path):
 
 @pytest.mark.parametrize(("count", "codes"), [(7, ["unjudged-readings"]), (8, [])])
 def test_fewer_than_five_degrees_of_freedom_are_unjudged(tmp_path, count, codes):
-    values = simulate_readings(tumble(count), np.random.default_rng(8), SIGMA, truth=LEVEL)
+    values = simulate_readings(make_tumble(count), np.random.default_rng(8), SIGMA, truth=LEVEL)
     result = calibrate_readings(tmp_path, evenly_spaced_angles(count), values)
     assert [f.code for f in result.findings] == codes
     assert result.state == ("reservations" if codes else "good")
@@ -325,7 +325,7 @@ def test_fewer_than_five_degrees_of_freedom_are_unjudged(tmp_path, count, codes)
 def test_twelve_positions_without_stated_u_are_unjudged(tmp_path, u):
     """Four waves of an unknown head, and what they leave to drifts, take up all twelve."""
     for seed in range(4):
-        values = simulate_readings(tumble(), np.random.default_rng(seed), SIGMA, truth=LEVEL)
+        values = simulate_readings(make_tumble(), np.random.default_rng(seed), SIGMA, truth=LEVEL)
         result = calibrate_readings(tmp_path, evenly_spaced_angles(12), values, u=u, assume=[])
         assert [f.code for f in result.findings] == ["unjudged-readings"]
         for symbol, value in LEVEL.items():
@@ -340,7 +340,7 @@ def simulate_fault(kind, rng):
     """Return a tumble of 12 positions in a random order with something wrong, and its angles."""
     order = rng.permutation(12)
     angle, at = np.arange(12) * math.pi / 6.0, np.arange(12.0)
-    values = simulate_readings(tumble(), rng, SIGMA, truth=LEVEL)
+    values = simulate_readings(make_tumble(), rng, SIGMA, truth=LEVEL)
     values += SIGMA * {
         "2 phi and 3 phi": 15.0 * np.cos(2.0 * angle + 0.7) + 15.0 * np.cos(3.0 * angle - 0.4),
         "K_III": 20.0 * np.cos(angle) ** 3,
@@ -367,13 +367,13 @@ def test_five_arm_readings_have_coverage(tmp_path):
     values 100 u off. No residual is judged.
     """
     rng, trials = np.random.default_rng(11), 60 if FULL else 20
-    stations, sides, heads = arm((1.0, 5.0, 10.0, 15.0, 20.0))
+    stations, sides, heads = make_arm_test((1.0, 5.0, 10.0, 15.0, 20.0))
     places = [0, 4, 8, 10, 18]
     test = [stations[k] for k in places], [sides[k] for k in places], heads[places]
     truth = {**LEVEL, "K_II": 15e-6, "K_III": 2e-6}
     covered = dict.fromkeys(truth, 0)
     for _ in range(trials):
-        at_rest_ = simulate_readings(tumble(), rng, SIGMA, truth=truth)
+        at_rest_ = simulate_readings(make_tumble(), rng, SIGMA, truth=truth)
         values = simulate_readings(test, rng, SIGMA, truth=truth)
         runs = [
             format_arm_run(f"{k}", f"{one.rate!r} rad/s", f"{1.25 * value!r} mA", side=side)
@@ -400,7 +400,7 @@ def test_false_alarms_of_good_tumbles_are_rare(tmp_path, u):
     trials, most = (150, 6) if FULL else (30, 2)
     blamed = 0
     for _ in range(trials):
-        values = simulate_readings(tumble(), rng, SIGMA, truth=LEVEL)
+        values = simulate_readings(make_tumble(), rng, SIGMA, truth=LEVEL)
         blamed += bool(
             lack_of_fit_findings(
                 calibrate_readings(tmp_path, evenly_spaced_angles(12), values, u=u)
@@ -418,7 +418,7 @@ def test_head_error_shared_by_repeats_is_not_named(tmp_path, u_head):
     """
     rng = np.random.default_rng(10)
     trials, most = (66, 4) if FULL else (20, 2)
-    test = tumble(24)
+    test = make_tumble(24)
     blamed = 0
     for _ in range(trials):
         exact = simulate_readings(test, rng, 0.0, u_head=u_head, truth=LEVEL)
@@ -446,7 +446,7 @@ def test_few_repeats_with_large_head_error_raise_no_alarm(tmp_path):
     5 % of them were blamed.
     """
     trials, most = (100, 2) if FULL else (30, 1)
-    rng, u_head, test = np.random.default_rng(15), 6e-6, tumble(8)
+    rng, u_head, test = np.random.default_rng(15), 6e-6, make_tumble(8)
     head, blamed = f" ± {math.degrees(u_head)!r}", 0
     for _ in range(trials):
         exact = simulate_readings(test, rng, 0.0, u_head=u_head, truth=LEVEL)
@@ -471,7 +471,7 @@ def test_unstated_drift_of_ten_typical_sizes_is_not_good(tmp_path, count):
     """
     rng = np.random.default_rng(count)
     for _ in range(3):
-        values = simulate_readings(tumble(count), rng, SIGMA, truth=LEVEL)
+        values = simulate_readings(make_tumble(count), rng, SIGMA, truth=LEVEL)
         values += 12.0 * SIGMA * np.linspace(0.0, 1.0, count)
         how = {"assume": [], "time": True, "more": [STATED_HEAD]}
         result = calibrate_readings(tmp_path, evenly_spaced_angles(count), values, **how)
@@ -484,7 +484,7 @@ def test_drift_hidden_by_unstated_head_error_is_in_uncertainty(tmp_path, count):
     """Errors of the head look like most of it: it moves K_F by 1.4 u, and is noticed."""
     rng = np.random.default_rng(count)
     for _ in range(6):
-        values = simulate_readings(tumble(count), rng, SIGMA, truth=LEVEL)
+        values = simulate_readings(make_tumble(count), rng, SIGMA, truth=LEVEL)
         values += 12.0 * SIGMA * np.linspace(0.0, 1.0, count)
         result = calibrate_readings(
             tmp_path, evenly_spaced_angles(count), values, assume=[], time=True
@@ -556,7 +556,7 @@ def test_outliers_in_good_tumbles_with_default_priors_are_rare(tmp_path):
     for _ in range(trials):
         unstated = {"K_II": 1e-5, "K_III": 2e-6, "K_IP": 2e-6, "K_PP": 2e-6, "K_OQ": 1e-6}
         truth = LEVEL | {symbol: rng.normal(0.0, size) for symbol, size in unstated.items()}
-        values = simulate_readings(tumble(), rng, SIGMA, truth=truth)
+        values = simulate_readings(make_tumble(), rng, SIGMA, truth=truth)
         result = calibrate_readings(tmp_path, evenly_spaced_angles(12), values, assume=[])
         blamed += any(f.code == "outlying-reading" for f in result.findings)
     assert blamed <= most
@@ -569,7 +569,7 @@ ROUNDED = "fit the model to the last digit"
 @pytest.mark.parametrize("digits", [4, 6, 9, 17])
 def test_noise_free_readings_have_rounding_noise(tmp_path, assume, digits):
     """Written to a digit of a, they are off by a/sqrt(12) (GUM F.2.2.1); nothing is found in it."""
-    values = simulate_readings(tumble(), np.random.default_rng(0), 0.0, truth=LEVEL)
+    values = simulate_readings(make_tumble(), np.random.default_rng(0), 0.0, truth=LEVEL)
     result = calibrate_readings(
         tmp_path, evenly_spaced_angles(12), values, assume=assume, digits=digits
     )
@@ -589,7 +589,7 @@ def test_noise_free_readings_have_rounding_noise(tmp_path, assume, digits):
 
 
 def test_rounding_is_negligible_beside_noise(tmp_path):
-    values = simulate_readings(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL)
+    values = simulate_readings(make_tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL)
     whole = calibrate_readings(tmp_path, evenly_spaced_angles(12), values)
     rounded = calibrate_readings(tmp_path, evenly_spaced_angles(12), values, digits=8)
     for result in (whole, rounded):
@@ -600,7 +600,7 @@ def test_rounding_is_negligible_beside_noise(tmp_path):
 
 
 def test_identical_repeats_have_rounding_noise(tmp_path):
-    values = simulate_readings(tumble(), np.random.default_rng(2), 0.0, truth=LEVEL)
+    values = simulate_readings(make_tumble(), np.random.default_rng(2), 0.0, truth=LEVEL)
     result = calibrate_readings(
         tmp_path, evenly_spaced_angles(12), np.repeat(values[:, None], 3, axis=1), digits=5
     )
@@ -616,7 +616,7 @@ def test_stated_first_harmonic_of_head_covers_error_of_k_ii(tmp_path):
     """
     error, angle = 2e-5, np.radians(evenly_spaced_angles(12))
     for phase in (0.0, 1.0, math.pi):
-        values = simulate_readings(tumble(), np.random.default_rng(3), 0.0, truth=LEVEL)
+        values = simulate_readings(make_tumble(), np.random.default_rng(3), 0.0, truth=LEVEL)
         values += error * np.sin(angle + phase) * np.sin(angle)
         asked = (*LEVEL, "K_II", "K_IP")
         found = (

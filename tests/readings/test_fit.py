@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from reading_campaigns import (
     TRUTH,
-    arm,
-    considered,
-    model,
-    readings,
+    make_arm_test,
+    make_considered,
+    make_model,
+    make_readings,
+    make_tumble,
+    make_unknown,
     simulate_readings,
-    tumble,
-    unknown,
 )
 from scipy import stats
 from scipy.special import stdtrit
@@ -35,9 +35,9 @@ SIGMA = 2e-6
 
 def test_noise_free_readings_return_truth():
     rng = np.random.default_rng(1)
-    tests = [tumble(), arm()]
-    groups = [readings(test, simulate_readings(test, rng, 0.0), SIGMA) for test in tests]
-    fit = solve_readings(groups, model())
+    tests = [make_tumble(), make_arm_test()]
+    groups = [make_readings(test, simulate_readings(test, rng, 0.0), SIGMA) for test in tests]
+    fit = solve_readings(groups, make_model())
     nominal = np.array([TERMS[s].nominal for s in TRUTH])
     np.testing.assert_allclose(
         fit.solution.estimate + nominal, list(TRUTH.values()), rtol=1e-9, atol=1e-15
@@ -47,11 +47,13 @@ def test_noise_free_readings_return_truth():
 @pytest.mark.parametrize("seed", range(4))
 def test_fit_converges_with_insensitive_term(seed):
     """A mean keeps the square of the spindle's tilt only, whose derivative is mostly rounding."""
-    tilt = [unknown(f"centrifuge.axis_tilt.{axis}", (0.0, 5e-5), "") for axis in ("east", "north")]
-    tests = [tumble(), arm()]
+    tilt = [
+        make_unknown(f"centrifuge.axis_tilt.{axis}", (0.0, 5e-5), "") for axis in ("east", "north")
+    ]
+    tests = [make_tumble(), make_arm_test()]
     rng = np.random.default_rng(seed)
-    groups = [readings(test, simulate_readings(test, rng, 2e-8), 2e-8) for test in tests]
-    fit = solve_readings(groups, model(others=tilt))
+    groups = [make_readings(test, simulate_readings(test, rng, 2e-8), 2e-8) for test in tests]
+    fit = solve_readings(groups, make_model(others=tilt))
     assert np.all(fit.solution.u[-2:] <= 5e-5 * (1.0 + 1e-12))
     assert np.all(np.abs(fit.solution.estimate[-2:]) < 2e-4)
 
@@ -68,17 +70,17 @@ def test_fit_converges_with_large_considered_terms(seed):
     def owner(symbol):
         return "A" if symbol in TERMS else ""
 
-    asked = model(
-        others=[unknown(s, (0.0, u), owner(s)) for s, u in held.items()],
-        considered=[considered(s, u, owner(s)) for s, u in (beside | tilts).items()],
+    asked = make_model(
+        others=[make_unknown(s, (0.0, u), owner(s)) for s, u in held.items()],
+        considered=[make_considered(s, u, owner(s)) for s, u in (beside | tilts).items()],
     )
     rng = np.random.default_rng(seed)
     drawn = {s: rng.normal(0.0, u) for s, u in (held | beside | tilts).items()}
     truth = TRUTH | {s: size for s, size in drawn.items() if s in TERMS}
     machine = {s: size for s, size in drawn.items() if s not in TERMS}
     groups = [
-        readings(test, simulate_readings(test, rng, 5e-7, machine, truth=truth), 5e-7)
-        for test in (tumble(), arm())
+        make_readings(test, simulate_readings(test, rng, 5e-7, machine, truth=truth), 5e-7)
+        for test in (make_tumble(), make_arm_test())
     ]
     solution = solve_readings(groups, asked).solution
     wanted = [(truth | machine)[u.symbol] - u.nominal for u in asked.unknowns]
@@ -87,7 +89,7 @@ def test_fit_converges_with_large_considered_terms(seed):
 
 def test_u_of_tumble_matches_textbook():
     terms = ("K_F", "K_I", "delta_O", "K_II", "K_IP")
-    fit = solve_readings([readings(tumble(), np.zeros(12), SIGMA)], model(terms))
+    fit = solve_readings([make_readings(make_tumble(), np.zeros(12), SIGMA)], make_model(terms))
     expected = [0.5, 0.408248, 0.408248, 0.816497, 0.816497]
     np.testing.assert_allclose(fit.solution.u / SIGMA, expected, rtol=0, atol=6e-7)
 
@@ -101,15 +103,15 @@ def test_head_error_on_double_turntable_equals_error_at_rest():
     values = simulate_readings(test, np.random.default_rng(5), 0.0, u_head=1e-4, truth=truth)
     errors = np.random.default_rng(5).normal(0.0, 1e-4, 4)
     np.testing.assert_allclose(np.abs(values), np.abs(errors), rtol=1e-6)
-    fit = solve_readings([readings(test, values, SIGMA, u_head=1e-4)], model(("K_F",)))
+    fit = solve_readings([make_readings(test, values, SIGMA, u_head=1e-4)], make_model(("K_F",)))
     np.testing.assert_allclose(fit.groups[0].sigma, math.hypot(SIGMA, 1e-4), rtol=1e-7)
 
 
 def test_terms_undetermined_at_one_g_are_identified():
     """a_I^2 + a_P^2 + a_O^2 = 1 at rest, in whatever attitude."""
     terms = ("K_F", "K_I", "K_II", "K_PP", "K_OO")
-    asked = model(terms)
-    fit = solve_readings([readings(tumble(24), np.zeros(24), SIGMA)], asked)
+    asked = make_model(terms)
+    fit = solve_readings([make_readings(make_tumble(24), np.zeros(24), SIGMA)], asked)
     assessment = assess(fit.solution, [u.symbol for u in asked.unknowns])
     assert not any(assessment.determined[s] for s in ("K_F", "K_II", "K_PP", "K_OO"))
     assert assessment.determined["K_I"]
@@ -117,9 +119,11 @@ def test_terms_undetermined_at_one_g_are_identified():
 
 def test_error_of_one_position_has_largest_standardised_residual():
     rng = np.random.default_rng(3)
-    values = simulate_readings(tumble(), rng, SIGMA)
+    values = simulate_readings(make_tumble(), rng, SIGMA)
     values[5] += 160e-6
-    fit = solve_readings([readings(tumble(), values, SIGMA)], model(("K_F", "K_I", "delta_O")))
+    fit = solve_readings(
+        [make_readings(make_tumble(), values, SIGMA)], make_model(("K_F", "K_I", "delta_O"))
+    )
     sizes = [abs(each.standardized) for each in fit.groups[0].single]
     assert np.argmax(sizes) == 5
     assert sizes[5] > 50.0
@@ -128,17 +132,17 @@ def test_error_of_one_position_has_largest_standardised_residual():
 def test_noise_matches_likelihood_search_of_records():
     """Of the same rows, repeats and priors: the one is stepped to, the other searched for."""
     rng = np.random.default_rng(31)
-    values = [simulate_readings(tumble(), rng, SIGMA, u_head=0.0) for _ in range(4)]
+    values = [simulate_readings(make_tumble(), rng, SIGMA, u_head=0.0) for _ in range(4)]
     # The head's error is that of a position, which its repeats share.
-    mean = np.mean(values, axis=0) + simulate_readings(tumble(), rng, 0.0, u_head=5e-7)
-    mean -= simulate_readings(tumble(), rng, 0.0)
+    mean = np.mean(values, axis=0) + simulate_readings(make_tumble(), rng, 0.0, u_head=5e-7)
+    mean -= simulate_readings(make_tumble(), rng, 0.0)
     group = replace(
-        readings(tumble(), mean, None, u_head=5e-7),
+        make_readings(make_tumble(), mean, None, u_head=5e-7),
         repeats=np.full(12, 4.0),
         scatter=np.sum((np.array(values) - np.mean(values, axis=0)) ** 2, axis=0),
     )
-    prior = unknown("K_I", (TRUTH["K_I"], 1e-6))
-    asked = model(("K_F", "K_II", "delta_O"), [prior])
+    prior = make_unknown("K_I", (TRUTH["K_I"], 1e-6))
+    asked = make_model(("K_F", "K_II", "delta_O"), [prior])
     fit = solve_readings([group], asked)
     part = fit.groups[0].linear
     assert 0.0 < part.noise_share.min() < 0.95
@@ -163,13 +167,13 @@ def test_repeats_and_residuals_determine_noise():
     The head's random error is shared by the repeats of a setting, and so has no part here.
     """
     rng = np.random.default_rng(11)
-    stations, mountings, head = tumble()
-    asked = model(("K_F", "K_I", "delta_O"))
-    values = [simulate_readings(tumble(), rng, SIGMA) for _ in range(5)]
+    stations, mountings, head = make_tumble()
+    asked = make_model(("K_F", "K_I", "delta_O"))
+    values = [simulate_readings(make_tumble(), rng, SIGMA) for _ in range(5)]
     every = (stations * 5, mountings * 5, np.tile(head, (5, 1)))
-    apart = solve_readings([readings(every, np.concatenate(values), None)], asked)
+    apart = solve_readings([make_readings(every, np.concatenate(values), None)], asked)
     together = replace(
-        readings(tumble(), np.mean(values, axis=0), None),
+        make_readings(make_tumble(), np.mean(values, axis=0), None),
         repeats=np.full(12, 5.0),
         scatter=np.sum((np.array(values) - np.mean(values, axis=0)) ** 2, axis=0),
     )
@@ -183,11 +187,11 @@ def test_repeats_and_residuals_determine_noise():
 def test_readings_of_same_position_are_tested_together():
     """The sum of the residuals of a position over its deviation, as the definition has it."""
     rng = np.random.default_rng(12)
-    stations, mountings, head = tumble()
+    stations, mountings, head = make_tumble()
     every = (stations * 2, mountings * 2, np.tile(head, (2, 1)))
     values = simulate_readings(every, rng, SIGMA)
-    asked = model(("K_F", "K_I", "delta_O"))
-    fit = solve_readings([readings(every, values, SIGMA)], asked)
+    asked = make_model(("K_F", "K_I", "delta_O"))
+    fit = solve_readings([make_readings(every, values, SIGMA)], asked)
     assert [p.indices for p in fit.groups[0].positions] == [(i, i + 12) for i in range(12)]
     x = np.array([[1.0, np.cos(a), np.sin(a)] for a in np.arange(24) * np.pi / 6])
     left_over = np.eye(24) - x @ np.linalg.solve(x.T @ x, x.T)
@@ -203,9 +207,9 @@ def test_readings_of_same_position_are_tested_together():
 
 def test_studentised_residual_matches_fit_without_reading():
     """Its distance from that prediction, over u of prediction and reading by the others' noise."""
-    values = simulate_readings(tumble(), np.random.default_rng(13), SIGMA)
-    asked = model(("K_F", "K_I", "delta_O"))
-    every = solve_readings([readings(tumble(), values, None)], asked).groups[0].single
+    values = simulate_readings(make_tumble(), np.random.default_rng(13), SIGMA)
+    asked = make_model(("K_F", "K_I", "delta_O"))
+    every = solve_readings([make_readings(make_tumble(), values, None)], asked).groups[0].single
     x = np.array([[1.0, np.cos(a), np.sin(a)] for a in np.arange(12) * np.pi / 6])
     for k, one in enumerate(every):
         others = np.delete(x, k, axis=0)
@@ -219,15 +223,15 @@ def test_studentised_residual_matches_fit_without_reading():
 def test_noise_with_head_error_has_dof_of_repeats():
     """A head of ten times the noise: what positions scatter by tells nothing of that."""
     rng, repeats = np.random.default_rng(14), 3
-    stations, mountings, head = tumble()
-    exact = simulate_readings(tumble(), rng, 0.0, u_head=10.0 * SIGMA)
+    stations, mountings, head = make_tumble()
+    exact = simulate_readings(make_tumble(), rng, 0.0, u_head=10.0 * SIGMA)
     read = exact[:, None] + rng.normal(0.0, SIGMA, (12, repeats))
     group = replace(
-        readings((stations, mountings, head), read.mean(axis=1), None, u_head=10.0 * SIGMA),
+        make_readings((stations, mountings, head), read.mean(axis=1), None, u_head=10.0 * SIGMA),
         repeats=np.full(12, float(repeats)),
         scatter=np.sum((read - read.mean(axis=1, keepdims=True)) ** 2, axis=1),
     )
-    fit = solve_readings([group], model(("K_F", "K_I", "delta_O")))
+    fit = solve_readings([group], make_model(("K_F", "K_I", "delta_O")))
     # As the definition has it: the trace of (P V)^2 of the restricted likelihood.
     x = np.array([[1.0, np.cos(a), np.sin(a)] for a in np.arange(12) * np.pi / 6])
     of_noise = np.eye(12) * fit.groups[0].noise ** 2 / repeats
@@ -241,17 +245,19 @@ def test_noise_with_head_error_has_dof_of_repeats():
 
 
 def test_fewer_readings_than_unknowns_raise_without_u():
-    values = simulate_readings(tumble(3), np.random.default_rng(2), SIGMA)
+    values = simulate_readings(make_tumble(3), np.random.default_rng(2), SIGMA)
     with pytest.raises(NotIdentifiableError, match="without a stated uncertainty"):
-        solve_readings([readings(tumble(3), values, None)], model(("K_F", "K_I", "delta_O")))
+        solve_readings(
+            [make_readings(make_tumble(3), values, None)], make_model(("K_F", "K_I", "delta_O"))
+        )
 
 
 # What varies: the readings' noise, the head, and the machine, which is drawn from its priors.
 
 U_STRETCH, U_DROOP, U_RADIUS, U_HEAD, U_ZERO, U_TURN = 5e-9, 2e-8, 2e-6, 5e-6, 2e-5, 5e-5
-STRETCH = considered("centrifuge.stretch", U_STRETCH)
-DROOP = considered("centrifuge.droop", U_DROOP)
-TILT = [considered(f"centrifuge.axis_tilt.{axis}", U_TURN) for axis in ("east", "north")]
+STRETCH = make_considered("centrifuge.stretch", U_STRETCH)
+DROOP = make_considered("centrifuge.droop", U_DROOP)
+TILT = [make_considered(f"centrifuge.axis_tilt.{axis}", U_TURN) for axis in ("east", "north")]
 #: Slopes with the prior's u of each; temperatures rise and fall by kelvins, minutes pass.
 SLOPES = {
     "K_F.temperature": 5e-6,
@@ -265,10 +271,10 @@ WARM = {"temperature": 2.0 * np.sin(np.arange(24.0))}
 
 
 def unknown_radius(side):
-    return unknown(f"centrifuge.radius.{side}", (0.0, U_RADIUS), "")
+    return make_unknown(f"centrifuge.radius.{side}", (0.0, U_RADIUS), "")
 
 
-def fixture_misalignment(side, kind=unknown):
+def fixture_misalignment(side, kind=make_unknown):
     return [
         kind(f"fixture.misalignment.{side}.{axis}", (0.0, U_TURN), "")
         for axis in ("outward", "forward", "up")
@@ -277,28 +283,28 @@ def fixture_misalignment(side, kind=unknown):
 
 def machine_term(symbol, u):
     """An estimated term of the machine, the same for all accelerometers."""
-    return unknown(symbol, (0.0, u), "")
+    return make_unknown(symbol, (0.0, u), "")
 
 
 SIDES = ("inward", "outward")
 CASES = {
-    "tumble": ([tumble()], model(("K_F", "K_I", "delta_O")), {"u_head": U_HEAD}),
+    "tumble": ([make_tumble()], make_model(("K_F", "K_I", "delta_O")), {"u_head": U_HEAD}),
     "tumble, head considered": (
-        [tumble()],
-        model(("K_F", "K_I", "K_III"), considered=(considered("head.zero", U_ZERO),)),
+        [make_tumble()],
+        make_model(("K_F", "K_I", "K_III"), considered=(make_considered("head.zero", U_ZERO),)),
         {"u_head": U_HEAD},
     ),
-    "arm": ([arm()], model(others=tuple(map(unknown_radius, SIDES))), {}),
+    "arm": ([make_arm_test()], make_model(others=tuple(map(unknown_radius, SIDES))), {}),
     "arm, machine considered": (
-        [arm()],
-        model(
+        [make_arm_test()],
+        make_model(
             considered=(
                 STRETCH,
                 DROOP,
                 *TILT,
-                *(considered(f"centrifuge.radius.{side}", U_RADIUS) for side in SIDES),
+                *(make_considered(f"centrifuge.radius.{side}", U_RADIUS) for side in SIDES),
                 *(
-                    considered(f"fixture.misalignment.{side}.{axis}", U_TURN)
+                    make_considered(f"fixture.misalignment.{side}.{axis}", U_TURN)
                     for side in SIDES
                     for axis in ("outward", "forward", "up")
                 ),
@@ -307,8 +313,8 @@ CASES = {
         {},
     ),
     "arm, machine estimated": (
-        [arm()],
-        model(
+        [make_arm_test()],
+        make_model(
             others=(
                 machine_term("centrifuge.stretch", U_STRETCH),
                 machine_term("centrifuge.droop", U_DROOP),
@@ -318,23 +324,23 @@ CASES = {
         {},
     ),
     "arm, stretch estimated": (
-        [arm()],
-        model(others=(machine_term("centrifuge.stretch", U_STRETCH),)),
+        [make_arm_test()],
+        make_model(others=(machine_term("centrifuge.stretch", U_STRETCH),)),
         {},
     ),
     "arm, slopes estimated": (
-        [arm()],
-        model(others=tuple(unknown(s, (0.0, u)) for s, u in SLOPES.items())),
+        [make_arm_test()],
+        make_model(others=tuple(make_unknown(s, (0.0, u)) for s, u in SLOPES.items())),
         WARM,
     ),
     "arm, slopes considered": (
-        [arm()],
-        model(considered=tuple(considered(s, u, "A") for s, u in SLOPES.items())),
+        [make_arm_test()],
+        make_model(considered=tuple(make_considered(s, u, "A") for s, u in SLOPES.items())),
         WARM,
     ),
     "mixed": (
-        [tumble(), arm()],
-        model(
+        [make_tumble(), make_arm_test()],
+        make_model(
             (*TRUTH, "delta_O"),
             others=(machine_term("head.zero", U_ZERO), *map(unknown_radius, SIDES)),
             considered=(STRETCH, DROOP),
@@ -359,7 +365,7 @@ def test_fit_is_unbiased_and_has_coverage(case, stated):
         machine = {s: size for s, size in drawn.items() if s not in SLOPES}
         truth = own | {s: size for s, size in drawn.items() if s in SLOPES}
         groups = [
-            readings(
+            make_readings(
                 test,
                 simulate_readings(test, rng, SIGMA, machine, truth=truth, **more),
                 SIGMA if stated else None,
@@ -411,8 +417,8 @@ def test_non_convergence_names_reading_with_wrong_sign():
         *(term for side in SIDES for term in fixture_misalignment(side)),
         *map(unknown_radius, SIDES),
     )
-    test = arm()
+    test = make_arm_test()
     values = simulate_readings(test, np.random.default_rng(3), SIGMA)
     values[7] = -values[7]
     with pytest.raises(ConvergenceError, match='"position 7", which deviates most'):
-        solve_readings([readings(test, values, SIGMA)], model(others=machine))
+        solve_readings([make_readings(test, values, SIGMA)], make_model(others=machine))

@@ -7,7 +7,7 @@ from hashlib import sha256
 import numpy as np
 import pytest
 from raising import raises
-from reading_campaigns import SITE, TRUTH, arm, simulate_readings, tumble
+from reading_campaigns import SITE, TRUTH, make_arm_test, make_tumble, simulate_readings
 from reading_descriptions import ACCELEROMETER, format_arm_run, format_rest_run, format_site
 from stations import Station
 
@@ -71,7 +71,7 @@ LEVEL_TERMS = {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5}
 
 
 def test_tumble_is_calibrated_with_textbook_uncertainty(tmp_path):
-    values = simulate_readings(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
+    values = simulate_readings(make_tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
     result = write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS), tumble_runs(values))
     a = result.accelerometers["A"]
     assert result.state == "good"
@@ -88,11 +88,11 @@ def test_tumble_is_calibrated_with_textbook_uncertainty(tmp_path):
 
 
 def test_residuals_of_readings_are_stored_in_result(tmp_path):
-    values = simulate_readings(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
+    values = simulate_readings(make_tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
     result = write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS), tumble_runs(values))
     result.write(tmp_path / "result.json")
     found = {s: c.value for s, c in result.accelerometers["A"].coefficients.items()}
-    fitted = simulate_readings(tumble(), np.random.default_rng(1), 0.0, truth=found)
+    fitted = simulate_readings(make_tumble(), np.random.default_rng(1), 0.0, truth=found)
     readings = Result.read(tmp_path / "result.json").accelerometers["A"].readings
     assert [reading.motion for reading in readings] == ["static"] * 12
     assert readings[1].name == "tumble 1"
@@ -105,7 +105,7 @@ def test_residuals_of_readings_are_stored_in_result(tmp_path):
 
 
 def test_arm_determines_k_ii_and_stretch_is_in_budget(tmp_path):
-    test = arm()
+    test = make_arm_test()
     values = simulate_readings(test, np.random.default_rng(2), SIGMA)
     stretch = '[model.priors]\n"centrifuge.stretch" = "0 ± 5e-9 s^2/m"\n'
     result = write_and_calibrate(
@@ -120,9 +120,9 @@ def test_arm_determines_k_ii_and_stretch_is_in_budget(tmp_path):
 
 def test_tumble_and_arm_together_reduce_uncertainty(tmp_path):
     rng = np.random.default_rng(3)
-    test = arm()
+    test = make_arm_test()
     runs = {
-        "tumble": tumble_runs(simulate_readings(tumble(), rng, SIGMA, truth={**TRUTH})),
+        "tumble": tumble_runs(simulate_readings(make_tumble(), rng, SIGMA, truth={**TRUTH})),
         "arm": arm_runs(test, simulate_readings(test, rng, SIGMA)),
     }
     asked = model_section("K_F", "K_I", "K_II", "K_III", "delta_O")
@@ -135,8 +135,8 @@ def test_tumble_and_arm_together_reduce_uncertainty(tmp_path):
 
 def test_noise_is_estimated_separately_at_rest_and_on_arm(tmp_path):
     rng = np.random.default_rng(4)
-    test = arm()
-    tumbles = tumble_runs(simulate_readings(tumble(), rng, SIGMA, truth={**TRUTH}), None)
+    test = make_arm_test()
+    tumbles = tumble_runs(simulate_readings(make_tumble(), rng, SIGMA, truth={**TRUTH}), None)
     arms = arm_runs(test, simulate_readings(test, rng, 20.0 * SIGMA), None)
     asked = model_section("K_F", "K_I", "K_II", "K_III", "delta_O")
     noise = write_and_calibrate(tmp_path, asked, tumbles, arms).accelerometers["A"].noise
@@ -153,7 +153,7 @@ def test_noise_is_estimated_separately_at_rest_and_on_arm(tmp_path):
 )
 def test_prior_conflicting_with_tumble_is_found(tmp_path, u, state):
     """K_F known beforehand, 8 of its u off: nothing else in the readings would tell."""
-    values = simulate_readings(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
+    values = simulate_readings(make_tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
     known = '[model.priors]\nK_F = "0.002016 ± 2e-6 g"\n'
     result = write_and_calibrate(
         tmp_path, model_section(*LEVEL_TERMS, more=known), tumble_runs(values, u)
@@ -168,7 +168,7 @@ def test_prior_conflicting_with_tumble_is_found(tmp_path, u, state):
 
 
 def test_correct_priors_have_no_finding(tmp_path):
-    values = simulate_readings(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
+    values = simulate_readings(make_tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
     known = '[model.priors]\nK_F = "0.002002 ± 2e-6 g"\n'
     result = write_and_calibrate(
         tmp_path, model_section(*LEVEL_TERMS, more=known), tumble_runs(values)
@@ -178,7 +178,7 @@ def test_correct_priors_have_no_finding(tmp_path):
 
 def test_wrong_radius_of_arm_is_found(tmp_path):
     """The scale factor known to 2e-6 tells that the radius is not what was stated."""
-    test = arm(radius=1.0002)
+    test = make_arm_test(radius=1.0002)
     values = simulate_readings(test, np.random.default_rng(2), SIGMA)
     known = '[model.priors]\nK_I = "1.0005 ± 2e-6 g/g"\n'
     result = write_and_calibrate(
@@ -193,7 +193,7 @@ def test_wrong_radius_of_arm_is_found(tmp_path):
 
 def test_k_ii_is_undetermined_at_one_g(tmp_path):
     """Nothing is known of K_PP and K_OO: what is determined in place of K_II is said by name."""
-    values = simulate_readings(tumble(24), np.random.default_rng(4), SIGMA, truth=TRUTH)
+    values = simulate_readings(make_tumble(24), np.random.default_rng(4), SIGMA, truth=TRUTH)
     result = write_and_calibrate(
         tmp_path, model_section("K_F", "K_I", "K_II", "delta_O"), tumble_runs(values)
     )
@@ -212,7 +212,7 @@ def test_k_ii_is_undetermined_at_one_g(tmp_path):
 
 
 def test_u_of_k_ii_at_one_g_includes_priors_of_squares(tmp_path):
-    values = simulate_readings(tumble(24), np.random.default_rng(4), SIGMA, truth=TRUTH)
+    values = simulate_readings(make_tumble(24), np.random.default_rng(4), SIGMA, truth=TRUTH)
     known = "".join(f'{symbol} = "0 ± 3e-6 g/g^2"\n' for symbol in ("K_PP", "K_OO"))
     priors = f'considered = ["K_PP", "K_OO"]\n[model.priors]\n{known}'
     asked = model_section("K_F", "K_I", "K_II", "delta_O", more=priors)
@@ -260,7 +260,7 @@ def test_ten_terms_at_one_g_have_rank_nine(tmp_path):
 
 @pytest.mark.parametrize("u", [SIGMA, None], ids=["noise stated", "noise to be estimated"])
 def test_fewer_readings_than_unknowns_raise(tmp_path, capsys, u):
-    values = simulate_readings(tumble(3), np.random.default_rng(4), SIGMA, truth=LEVEL_TERMS)
+    values = simulate_readings(make_tumble(3), np.random.default_rng(4), SIGMA, truth=LEVEL_TERMS)
     with raises("not-identifiable", "3 readings of A", "4 coeff"):
         write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS, "K_III"), tumble_runs(values, u))
     assert main(["calibrate", str(tmp_path)]) == 1
@@ -277,7 +277,7 @@ ONE_SIDE = tuple(float(size) for size in range(1, 21))
 )
 def test_single_mounting_confounds_k_ii_with_similar_term(tmp_path, other, determined):
     """There a |a| is a^2, and a stretch s of the radius makes K_I s a^2, with a in m/s^2."""
-    test = [part[:40] for part in arm(ONE_SIDE)]
+    test = [part[:40] for part in make_arm_test(ONE_SIDE)]
     truth = {"K_F": 2e-3, "K_II": 15e-6}
     values = simulate_readings(test, np.random.default_rng(5), SIGMA, truth=truth)
     terms = ("K_F", "K_I", "K_II", other)
@@ -290,7 +290,7 @@ def test_single_mounting_confounds_k_ii_with_similar_term(tmp_path, other, deter
     assert confounded.determined.startswith(determined)
     assert abs(confounded.value - 15e-6) < 4.0 * confounded.u
     # Both sides tell them apart.
-    both = arm()
+    both = make_arm_test()
     values = simulate_readings(both, np.random.default_rng(6), SIGMA, truth=truth)
     a = write_and_calibrate(tmp_path, model_section(*terms), arm_runs(both, values)).accelerometers[
         "A"
@@ -299,7 +299,7 @@ def test_single_mounting_confounds_k_ii_with_similar_term(tmp_path, other, deter
 
 
 def test_missing_term_has_single_finding(tmp_path):
-    test = arm()
+    test = make_arm_test()
     values = simulate_readings(test, np.random.default_rng(7), SIGMA)
     result = write_and_calibrate(
         tmp_path, model_section("K_F", "K_I", "K_II"), arm_runs(test, values)
@@ -313,7 +313,9 @@ def test_missing_term_has_single_finding(tmp_path):
 def test_default_model_of_tumble_includes_misalignment(tmp_path):
     """In a table of its own, whose columns have names of their own; no terms are asked for."""
     truth = {**LEVEL_TERMS, "delta_O": 8e-4}
-    values = np.array([simulate_readings(tumble(24), np.random.default_rng(9), 1e-5, truth=truth)])
+    values = np.array(
+        [simulate_readings(make_tumble(24), np.random.default_rng(9), 1e-5, truth=truth)]
+    )
     result = write_and_calibrate(tmp_path, write_table(tmp_path, values))
     a = result.accelerometers["A"]
     assert list(a.coefficients) == ["K_F", "K_I", "delta_O"]
@@ -329,7 +331,7 @@ def test_default_model_of_tumble_includes_misalignment(tmp_path):
 
 @pytest.mark.parametrize("stated", [True, False], ids=["noise stated", "noise estimated"])
 def test_outlying_position_is_named(tmp_path, stated):
-    values = simulate_readings(tumble(), np.random.default_rng(5), SIGMA, truth=LEVEL_TERMS)
+    values = simulate_readings(make_tumble(), np.random.default_rng(5), SIGMA, truth=LEVEL_TERMS)
     values[7] += 160e-6
     u = SIGMA if stated else None
     result = write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS), tumble_runs(values, u))
@@ -356,7 +358,7 @@ def test_outlying_position_of_table_is_named(tmp_path, repeats):
     """160 ug beside a noise of 30 ug that nobody stated, however often each position was read."""
     rng = np.random.default_rng(repeats)
     values = np.array(
-        [simulate_readings(tumble(24), rng, 3e-5, truth=TRUTH) for _ in range(repeats)]
+        [simulate_readings(make_tumble(24), rng, 3e-5, truth=TRUTH) for _ in range(repeats)]
     )
     values[:, 17] += 160e-6
     terms = ("K_F", "K_I", "K_II", "delta_O", "K_IP")
@@ -373,7 +375,9 @@ def test_scatter_of_positions_above_repeats_is_lack_of_fit(tmp_path):
     """A cubic term that the model lacks: no position stands out, the repeats show it."""
     truth = {**LEVEL_TERMS, "K_III": 1e-5}
     rng = np.random.default_rng(3)
-    values = np.array([simulate_readings(tumble(24), rng, SIGMA, truth=truth) for _ in range(3)])
+    values = np.array(
+        [simulate_readings(make_tumble(24), rng, SIGMA, truth=truth) for _ in range(3)]
+    )
     table = write_table(tmp_path, values)
     result = write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS), table)
     (misfit,) = [f for f in result.findings if f.code == "lack-of-fit"]
@@ -397,7 +401,8 @@ def test_considered_term_within_uncertainty_fits(tmp_path, repeats):
     """It is as large as its u, and fifteen times the noise."""
     rng = np.random.default_rng(3)
     values = [
-        simulate_readings(tumble(24), rng, SIGMA, truth=LEVEL_TERMS) for _ in range(repeats or 1)
+        simulate_readings(make_tumble(24), rng, SIGMA, truth=LEVEL_TERMS)
+        for _ in range(repeats or 1)
     ]
     runs = write_table(tmp_path, np.array(values)) if repeats else tumble_runs(values[0])
     considering = write_and_calibrate(tmp_path, model_section("K_F", "K_I", more=CONSIDERED), runs)
@@ -416,7 +421,7 @@ def test_considered_term_within_uncertainty_fits(tmp_path, repeats):
 def test_readings_shifted_by_considered_term_are_not_outliers(tmp_path):
     """1.8 of its u, in four readings that leave their noise a single degree of freedom."""
     truth = {**LEVEL_TERMS, "delta_O": 5.4e-5}
-    values = simulate_readings(tumble(4), np.random.default_rng(3), SIGMA, truth=truth)
+    values = simulate_readings(make_tumble(4), np.random.default_rng(3), SIGMA, truth=truth)
     result = write_and_calibrate(
         tmp_path, model_section("K_F", "K_I", more=CONSIDERED), tumble_runs(values, None)
     )
@@ -434,7 +439,9 @@ def test_scale_factor_of_readings_in_si_includes_gravity(tmp_path, unit, part):
     head = HEAD.partition("[accelerometers")[0].replace(f"{g} m", f"{g} ± {u_g} m")
     plain = '[accelerometers.A]\ninput_axis = "up"\npendulous_axis = "west"\n'
     size = g if unit != "g" else 1.0
-    values = simulate_readings(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS) * size
+    values = (
+        simulate_readings(make_tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS) * size
+    )
     runs = "".join(
         format_rest_run(f"{i}", f"{30 * i} deg about north", f"{value!r} ± {SIGMA * size!r} {unit}")
         for i, value in enumerate(values.tolist())
@@ -450,7 +457,7 @@ def test_false_outliers_are_rare(tmp_path):
     rng = np.random.default_rng(6)
     false = 0
     for _ in range(60):
-        values = simulate_readings(tumble(), rng, SIGMA, truth=LEVEL_TERMS)
+        values = simulate_readings(make_tumble(), rng, SIGMA, truth=LEVEL_TERMS)
         result = write_and_calibrate(
             tmp_path, model_section(*LEVEL_TERMS), tumble_runs(values, None)
         )
@@ -460,11 +467,11 @@ def test_false_outliers_are_rare(tmp_path):
 
 def test_radius_of_mounting_is_reported_as_radius(tmp_path):
     rng = np.random.default_rng(7)
-    test = arm()
+    test = make_arm_test()
     values = simulate_readings(test, rng, SIGMA, {"centrifuge.radius.inward": 3e-5})
     prior = '[model.priors]\n"centrifuge.radius" = "1.0 ± 1e-4 m"\n'
     terms = ("K_F", "K_I", "K_II", "K_III", "centrifuge.radius")
-    tumbled = tumble_runs(simulate_readings(tumble(), rng, SIGMA, truth=TRUTH))
+    tumbled = tumble_runs(simulate_readings(make_tumble(), rng, SIGMA, truth=TRUTH))
     result = write_and_calibrate(
         tmp_path, model_section(*terms, "delta_O", more=prior), tumbled, arm_runs(test, values)
     )
@@ -475,12 +482,14 @@ def test_radius_of_mounting_is_reported_as_radius(tmp_path):
 
 def test_stated_radius_of_mounting_is_used(tmp_path):
     """It is that mounting's own, and the other has the centrifuge's."""
-    test = arm()
+    test = make_arm_test()
     values = simulate_readings(
         test, np.random.default_rng(7), SIGMA, {"centrifuge.radius.inward": 3e-4}
     )
     prior = '[model.priors]\n"centrifuge.radius.inward" = "1.0 ± 1e-3 m"\n'
-    tumbled = tumble_runs(simulate_readings(tumble(), np.random.default_rng(8), SIGMA, truth=TRUTH))
+    tumbled = tumble_runs(
+        simulate_readings(make_tumble(), np.random.default_rng(8), SIGMA, truth=TRUTH)
+    )
     terms = ("K_F", "K_I", "K_II", "K_III", "delta_O")
     result = write_and_calibrate(
         tmp_path, model_section(*terms, more=prior), tumbled, arm_runs(test, values)
@@ -494,7 +503,7 @@ def test_stated_radius_of_mounting_is_used(tmp_path):
 
 
 def test_records_on_arm_are_averaged(tmp_path):
-    rng, test = np.random.default_rng(9), arm()
+    rng, test = np.random.default_rng(9), make_arm_test()
     values = simulate_readings(test, rng, 0.0)
     runs = arm_runs(test, values)
     t = np.arange(0.0, 10.0, 0.05)
@@ -534,7 +543,7 @@ def test_records_on_arm_are_averaged(tmp_path):
 def test_repairs_of_record_are_counted_and_shown(tmp_path, capsys):
     """One cell of 900, one repeated row, an empty cell, a gap; 6 % outliers in the next record."""
     rng = np.random.default_rng(10)
-    values = simulate_readings(tumble(), rng, 0.0, truth=LEVEL_TERMS)
+    values = simulate_readings(make_tumble(), rng, 0.0, truth=LEVEL_TERMS)
     runs = tumble_runs(values)
     for i, value in enumerate(values[:2]):
         t = np.arange(1000) * 0.05
@@ -584,7 +593,7 @@ def test_repairs_of_record_are_counted_and_shown(tmp_path, capsys):
 
 
 def test_mounting_name_with_dot_raises(tmp_path):
-    test = arm()
+    test = make_arm_test()
     runs = arm_runs(test, simulate_readings(test, np.random.default_rng(9), 0.0))
     assert 'mounting = "inward"' in runs
     text = (
@@ -596,7 +605,7 @@ def test_mounting_name_with_dot_raises(tmp_path):
 
 
 def test_two_stage_method_requires_records(tmp_path, capsys):
-    values = simulate_readings(tumble(), np.random.default_rng(8), SIGMA, truth=LEVEL_TERMS)
+    values = simulate_readings(make_tumble(), np.random.default_rng(8), SIGMA, truth=LEVEL_TERMS)
     write_and_calibrate(tmp_path, model_section(*LEVEL_TERMS), tumble_runs(values))
     with pytest.raises(CampaignError, match="this campaign has readings"):
         calibrate(tmp_path, method="two-stage", options=TwoStageOptions())

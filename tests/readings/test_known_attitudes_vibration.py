@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reading_campaigns import SITE, considered, model, readings
+from reading_campaigns import SITE, make_considered, make_model, make_readings
 from reading_descriptions import ACCELEROMETER, format_site
 from scipy.integrate import quad
-from stations import Station, from_stations
+from stations import Station, combine_stations
 
 from counterspin import calibrate, simulate
 from counterspin.errors import CampaignError
@@ -33,7 +33,7 @@ def vibration_means(mounting=UP, amplitude=5.0, bias=0.0):
         amplitude=amplitude * SITE.gravity,
         bias_acceleration=bias * SITE.gravity,
     )
-    return dict(zip(TERMS, mean_products(from_stations([station]), SITE)[0], strict=True))
+    return dict(zip(TERMS, mean_products(combine_stations([station]), SITE)[0], strict=True))
 
 
 @pytest.mark.parametrize(("amplitude", "bias"), [(5.0, 0.0), (0.7, 0.0), (3.0, -1.0), (20.0, 9.0)])
@@ -112,14 +112,14 @@ def test_coefficients_are_unbiased_and_have_coverage():
         for side, size in zip(a0, sizes, strict=True)
     ]
     test = stations, [""] * len(stations), np.zeros((len(stations), 3))
-    parameters = model(COEFFICIENTS, considered=[considered("vibration.amplitude", 5e-3)])
+    parameters = make_model(COEFFICIENTS, considered=[make_considered("vibration.amplitude", 5e-3)])
     rng, z = np.random.default_rng(3), []
     for _ in range(100):
         errors = rng.normal(0.0, 5e-3) + rng.normal(0.0, 1e-3, sizes.size)
         square = (sizes * (1.0 + errors)) ** 2
         columns = (1.0, a0, a0**2 + square / 2, a0**3 + 1.5 * a0 * square)
         value = sum(size * column for size, column in zip(TRUTH.values(), columns, strict=True))
-        group = readings(test, value + rng.normal(0.0, 2e-6, sizes.size), 2e-6)
+        group = make_readings(test, value + rng.normal(0.0, 2e-6, sizes.size), 2e-6)
         group = replace(group, u_amplitude=np.full(sizes.size, 1e-3))
         solution = solve_readings([group], parameters).solution
         estimate = solution.estimate + np.array([0.0, 1.0, 0.0, 0.0])

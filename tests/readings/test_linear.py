@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reading_campaigns import SITE, considered, readings, tumble, unknown
+from reading_campaigns import SITE, make_considered, make_readings, make_tumble, make_unknown
 from scipy import stats
 from scipy.spatial.transform import Rotation
-from stations import Station, from_stations
+from stations import Station, combine_stations
 
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.physics.accelerometer import Mounting
@@ -47,7 +47,7 @@ def make_groups(values, sigma, repeats=1):
             motion="static",
             names=tuple(map(str, range(n))),
             site=SITE,
-            stations=from_stations(
+            stations=combine_stations(
                 [
                     Station("static", Mounting.from_axes(*(np.array(axes) @ face)))
                     for face in FACES
@@ -71,12 +71,14 @@ def make_groups(values, sigma, repeats=1):
 def make_model(setting, *, held=False):
     """Return four terms of each accelerometer, and the setting errors, which may be held."""
     own = tuple(
-        replace(unknown(symbol, owner=name), limit=0.1) for name in AXES for symbol in TRUTH[name]
+        replace(make_unknown(symbol, owner=name), limit=0.1)
+        for name in AXES
+        for symbol in TRUTH[name]
     )
     symbols = [f"fixture.position.{k}.{axis}" for k in range(1, 7) for axis in ("east", "north")]
     if held:
-        return Unknowns(own, tuple(considered(symbol, setting) for symbol in symbols))
-    return Unknowns((*own, *(unknown(s, (0.0, setting), "") for s in symbols)), ())
+        return Unknowns(own, tuple(make_considered(symbol, setting) for symbol in symbols))
+    return Unknowns((*own, *(make_unknown(s, (0.0, setting), "") for s in symbols)), ())
 
 
 def indicate_force(errors):
@@ -122,7 +124,7 @@ def test_exactly_known_errors_return_truth():
         for i, axis in enumerate(("east", "north"))
     }
     stated = tuple(
-        u if u.owner else unknown(u.symbol, (known[u.symbol], 1e-9), "") for u in unknowns
+        u if u.owner else make_unknown(u.symbol, (known[u.symbol], 1e-9), "") for u in unknowns
     )
     fit = solve_readings(make_groups(indicate_force(errors), 1e-9), Unknowns(stated, ()))
     for u, x in zip(stated, fit.solution.estimate, strict=True):
@@ -213,9 +215,12 @@ def test_small_hand_set_tumbles_have_coverage():
 def test_residual_moments_match_full_matrix():
     """R = 1 - rows C rows' of a fit with priors: traces of its powers, and draws of noise."""
     rng = np.random.default_rng(3)
-    group = replace(readings(tumble(), np.zeros(12), SIGMA), value=np.ones(12))
-    others = (unknown("K_PP", (0.0, 0.3 * SIGMA)), unknown("head.zero", (0.0, SIGMA), owner=""))
-    own = (unknown("K_F"), unknown("K_I"))
+    group = replace(make_readings(make_tumble(), np.zeros(12), SIGMA), value=np.ones(12))
+    others = (
+        make_unknown("K_PP", (0.0, 0.3 * SIGMA)),
+        make_unknown("head.zero", (0.0, SIGMA), owner=""),
+    )
+    own = (make_unknown("K_F"), make_unknown("K_I"))
     fit = solve_readings([group], Unknowns((*own, *others)))
     part, solution = fit.groups[0].linear, fit.solution
     rows = part.design / part.sigma[:, None]

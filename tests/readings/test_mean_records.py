@@ -5,7 +5,14 @@ import tomllib
 
 import numpy as np
 import pytest
-from arm_records import GRAVITY, HEAD, RADIUS, TRUTH, arm_record, arm_run
+from arm_records import (
+    DESCRIPTION_HEAD,
+    GRAVITY,
+    RADIUS,
+    TRUTH,
+    format_arm_run,
+    simulate_arm_record,
+)
 from raising import raises
 
 import counterspin as cs
@@ -16,7 +23,7 @@ STEADY = {"ripple": 0.0, "drift": 0.0}
 
 
 def make_arm_campaign(
-    seed, off, *, head=HEAD, sense=1, ripple=1e-4, drift=2e-5, noise=1e-4, encoder=1e-5
+    seed, off, *, head=DESCRIPTION_HEAD, sense=1, ripple=1e-4, drift=2e-5, noise=1e-4, encoder=1e-5
 ):
     """Return a campaign whose spindle turns `off` faster than stated, relative to the rate."""
     rng = np.random.default_rng(seed)
@@ -25,8 +32,8 @@ def make_arm_campaign(
         for level in LEVELS:
             stated = math.sqrt(level * GRAVITY / RADIUS)
             name = f"{'in' if side > 0 else 'out'} {level:.0f}"
-            text += arm_run(name, side, sense * stated)
-            records[name] = arm_record(
+            text += format_arm_run(name, side, sense * stated)
+            records[name] = simulate_arm_record(
                 rng,
                 side,
                 sense * stated * (1.0 + off),
@@ -70,7 +77,7 @@ def test_u_covers_noise_ripple_and_drift():
 def test_rates_and_means_scatter_by_their_noise():
     """In 20 campaigns with the u of white noise in place of that which allows for a wander."""
     trials, z = 20, []
-    head = HEAD.replace('specific_force = { column = "f", unit = "g" }\n', "")
+    head = DESCRIPTION_HEAD.replace('specific_force = { column = "f", unit = "g" }\n', "")
     records = head.index("[records]"), head.index("[accelerometers")
     for seed in range(trials):
         one, text = make_arm_campaign(seed, 1e-2), head[: records[0]] + head[records[1] :]
@@ -78,7 +85,9 @@ def test_rates_and_means_scatter_by_their_noise():
             averaged = average_record(one, reading)
             value, u = averaged.reading.value, 1e-4 / math.sqrt(averaged.mean.samples)
             side = 1 if reading.name.startswith("in") else -1
-            calibrate_with_clock = arm_run(reading.name, side, averaged.reading.measured_rate.value)
+            calibrate_with_clock = format_arm_run(
+                reading.name, side, averaged.reading.measured_rate.value
+            )
             of_record = f'record = "{reading.name}.csv"'
             text += calibrate_with_clock.replace(of_record, f'reading = "{value!r} ± {u!r} g"')
         result = cs.calibrate(cs.make_campaign(tomllib.loads(text)))
@@ -129,8 +138,12 @@ def test_opposite_sense_raises():
 
 def test_rate_is_rms_over_whole_revolutions():
     """Closed form of w(t)^2 at the rows, with a drift of 0.3 % and a ripple of 1 %."""
-    record = arm_record(np.random.default_rng(4), 1, 6.0, ripple=1e-2, drift=1e-4, noise=1e-6)
-    text = HEAD.replace(', "K_II", "K_III"', "").replace('"K_F", ', "") + arm_run("r", 1, 6.03)
+    record = simulate_arm_record(
+        np.random.default_rng(4), 1, 6.0, ripple=1e-2, drift=1e-4, noise=1e-6
+    )
+    text = DESCRIPTION_HEAD.replace(', "K_II", "K_III"', "").replace(
+        '"K_F", ', ""
+    ) + format_arm_run("r", 1, 6.03)
     (reading,) = calibrated_readings(
         cs.calibrate(cs.make_campaign(tomllib.loads(text), {"r": record}))
     )
@@ -156,11 +169,11 @@ def test_recorder_clock_affects_rates_from_angle():
         return cs.calibrate(one.change({}, records=frames))
 
     for clock, missing, u_clock in (("0 ± 20 ppm", 20e-6, 20e-6), ("20 ± 1 ppm", 0.0, 1e-6)):
-        stated = HEAD.replace("[records]", f'[records]\nclock = "{clock}"')
+        stated = DESCRIPTION_HEAD.replace("[records]", f'[records]\nclock = "{clock}"')
         error, u = coefficient_errors(calibrate_with_clock(stated))["K_I"]
         assert error == pytest.approx(2.0 * missing, abs=1e-6)
         assert u == pytest.approx(2.0 * u_clock, rel=1e-2)
-    result = calibrate_with_clock(HEAD.replace('assume = "all"\n', ""))
+    result = calibrate_with_clock(DESCRIPTION_HEAD.replace('assume = "all"\n', ""))
     assert {row.name: row.u for row in result.rests_on}["records.clock"] == 2e-5
     assert abs(coefficient_errors(result)["K_I"][0]) < 3.0 * coefficient_errors(result)["K_I"][1]
 
@@ -195,14 +208,14 @@ def make_campaign_partly_without_angle(seed, by_recorder, by_counter, head):
 
 def describe_clocks(recorder, counter):
     """Return the description with the clocks stated, and all else assumed perfect."""
-    head = HEAD.replace("[records]", f'[records]\nclock = "0 ± {recorder}"')
+    head = DESCRIPTION_HEAD.replace("[records]", f'[records]\nclock = "0 ± {recorder}"')
     return head.replace("[centrifuge]", f'[centrifuge]\nclock = "0 ± {counter}"')
 
 
 @pytest.mark.parametrize(
     ("by_recorder", "by_counter", "head", "largest_u"),
     [
-        (0.0, 2e-5, HEAD.replace('assume = "all"\n', ""), 1e-3),
+        (0.0, 2e-5, DESCRIPTION_HEAD.replace('assume = "all"\n', ""), 1e-3),
         (0.0, 2e-5, describe_clocks("1e-9", "2e-5"), 3e-6),
         (2e-5, 0.0, describe_clocks("2e-5", "1e-9"), 3e-6),
     ],
@@ -243,11 +256,11 @@ angle = "1e-5 rad"
 
 def test_simulated_records_return_true_coefficients():
     """At another rate than the stated one, with a clock that is known to be fast."""
-    text = HEAD.replace("[records]", '[records]\nclock = "20 ± 1e-3 ppm"') + SIMULATED
+    text = DESCRIPTION_HEAD.replace("[records]", '[records]\nclock = "20 ± 1e-3 ppm"') + SIMULATED
     for side in (1, -1):
         for level in LEVELS:
             rate = math.sqrt(level * GRAVITY / RADIUS)
-            text += arm_run(f"{'in' if side > 0 else 'out'} {level:.0f}", side, rate)
+            text += format_arm_run(f"{'in' if side > 0 else 'out'} {level:.0f}", side, rate)
     result = cs.calibrate(cs.simulate(cs.make_campaign(tomllib.loads(text))))
     assert all(abs(error) < 4.0 * u for error, u in coefficient_errors(result).values())
     assert coefficient_errors(result)["K_I"][1] < 1e-6

@@ -1,7 +1,7 @@
 """Kinds of test in one fit: surer together than alone, and a disagreement is named."""
 
 import pytest
-from mixed_campaign import KINDS, MixedCampaign, read_arm
+from mixed_campaign import KINDS, MixedCampaign, compute_arm_indications
 from reading_campaigns import TRUTH
 
 from counterspin.calibration.pages.document import full_report_blocks
@@ -89,7 +89,9 @@ def test_inconsistent_kind_is_named(tmp_path, capsys, monkeypatch, kind, moved):
         )  # a bias of the bench that the others do not have
     else:
         campaign_of_three_kinds.on_arm = (
-            campaign_of_three_kinds.on_arm + read_arm({"K_II": 20e-6}) - read_arm({})
+            campaign_of_three_kinds.on_arm
+            + compute_arm_indications({"K_II": 20e-6})
+            - compute_arm_indications({})
         )
     result = campaign_of_three_kinds.calibrated()
     # One cause, one finding: each kind by itself fits its own model.

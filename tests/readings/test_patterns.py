@@ -6,7 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reading_campaigns import TRUTH, arm, model, readings, simulate_readings, tumble
+from reading_campaigns import (
+    TRUTH,
+    make_arm_test,
+    make_model,
+    make_readings,
+    make_tumble,
+    simulate_readings,
+)
 from scipy import stats
 
 from counterspin.readings.fit import solve_readings
@@ -32,8 +39,8 @@ LEVEL = ("K_F", "K_I", "delta_O")
 
 def score_columns(test, values, u, terms=LEVEL):
     """Solve readings, and hold all columns against them."""
-    own = readings(test, values, u)
-    problem = model(terms)
+    own = make_readings(test, values, u)
+    problem = make_model(terms)
     fit = solve_readings([own], problem)
     (told,) = fit.groups
     estimated = u is None
@@ -52,18 +59,18 @@ def score_columns(test, values, u, terms=LEVEL):
 
 
 def test_head_angle_is_zero_with_input_axis_up():
-    angle, there = head_angle(readings(tumble(8), np.zeros(8), 1.0))
+    angle, there = head_angle(make_readings(make_tumble(8), np.zeros(8), 1.0))
     assert there.all()
     np.testing.assert_allclose(np.cos(angle), np.cos(np.arange(8) * math.pi / 4), atol=1e-12)
     np.testing.assert_allclose(np.sin(angle), np.sin(np.arange(8) * math.pi / 4), atol=1e-12)
-    _, none = head_angle(readings(arm(), np.zeros(24), 1.0))
+    _, none = head_angle(make_readings(make_arm_test(), np.zeros(24), 1.0))
     assert not none.any()
 
 
 def test_opposite_sense_column_is_change_of_coriolis_force():
     """By 4 R w Omega sin L, of opposite signs inward and outward; not where an angle shows it."""
-    test = arm()
-    one = readings(test, np.zeros(len(test[0])), 1e-6)
+    test = make_arm_test()
+    one = make_readings(test, np.zeros(len(test[0])), 1e-6)
     (column,) = (
         other.columns[0]
         for other in candidate_columns(one, 0, {"K_I"}, set())
@@ -78,16 +85,16 @@ def test_opposite_sense_column_is_change_of_coriolis_force():
 
 
 def test_positions_about_other_axis_have_no_head_angle():
-    test = tumble(8)
+    test = make_tumble(8)
     head = test[2].copy()
     head[:2] = [1.0, 0.0, 0.0]
-    _, there = head_angle(readings((*test[:2], head), np.zeros(8), 1.0))
+    _, there = head_angle(make_readings((*test[:2], head), np.zeros(8), 1.0))
     assert there.tolist() == [False] * 2 + [True] * 6
 
 
 def test_candidate_columns_are_missing_from_model():
     _, _, columns = score_columns(
-        tumble(24), simulate_readings(tumble(24), np.random.default_rng(1), 1e-6), 1e-6
+        make_tumble(24), simulate_readings(make_tumble(24), np.random.default_rng(1), 1e-6), 1e-6
     )
     names = {(column.kind, column.symbol) for column in columns}
     assert (WAVE, "cos 2 phi") in names
@@ -103,7 +110,7 @@ def test_head_error_columns_require_two_mountings():
     """Turned by d more, cos phi reads less by d sin phi; d is a wave of what the head shows."""
     angle = np.arange(24) * math.pi / 12
     shown = angle - np.where(np.arange(24) < 12, 0.0, 0.5 * math.pi)
-    own = readings(tumble(24), np.zeros(24), 1e-6)
+    own = make_readings(make_tumble(24), np.zeros(24), 1e-6)
     group = ResidualGroup(
         replace(own, head_angle=shown), 0, np.ones(24), np.ones(24), 0.0, 1.0, False, 0.0
     )
@@ -131,7 +138,7 @@ def test_head_error_columns_require_two_mountings():
 
 
 def test_approach_direction_changes_sign_within_revolution():
-    own = readings(tumble(12), np.zeros(12), 1e-6)
+    own = make_readings(make_tumble(12), np.zeros(12), 1e-6)
     group = ResidualGroup(own, 0, np.ones(12), np.ones(12), 0.0, 1.0, False, 0.0)
     first, other = (
         c.columns[0] for c in candidate_columns(group.readings, 0, (), ()) if c.symbol == FORCE
@@ -143,7 +150,7 @@ def test_approach_direction_changes_sign_within_revolution():
 
 @pytest.mark.parametrize(("count", "tried"), [(3, 0), (4, 1), (12, 9), (100, 24)])
 def test_steps_have_two_readings_on_both_sides(count, tried):
-    own = readings(tumble(count), np.zeros(count), 1e-6)
+    own = make_readings(make_tumble(count), np.zeros(count), 1e-6)
     ones = np.ones(count)
     group = ResidualGroup(own, 0, ones, ones, 0.0, 1.0, False, 0.0)
     steps = [
@@ -159,13 +166,13 @@ def test_steps_have_two_readings_on_both_sides(count, tried):
 
 def test_gain_matches_fit_with_column():
     """Rao's score of one more column on a linear problem is exact."""
-    test, truth = tumble(24), {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5, "K_II": 15e-6}
+    test, truth = make_tumble(24), {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5, "K_II": 15e-6}
     values = simulate_readings(test, np.random.default_rng(2), 2e-6, truth=truth)
     joint, group, columns = score_columns(test, values, 2e-6)
     (found,) = best_patterns(joint, [group], [columns])
     assert found.alternatives[0].symbol == "cos 2 phi"
     assert {"K_II", "K_PP"} <= {other.symbol for other in found.alternatives}
-    with_term = solve_readings([readings(test, values, 2e-6)], model((*LEVEL, "K_II")))
+    with_term = solve_readings([make_readings(test, values, 2e-6)], make_model((*LEVEL, "K_II")))
     gain = group.chi2 - with_term.groups[0].chi2
     assert found.p == pytest.approx(2.0 * stats.norm.sf(math.sqrt(gain)), rel=1e-3)
     estimated, own, columns = score_columns(test, values, None)
@@ -187,7 +194,7 @@ def test_false_alarm_rate_matches_significance(u):
     blamed = 0
     for _ in range(trials):
         joint, group, columns = score_columns(
-            tumble(), simulate_readings(tumble(), rng, 2e-6, truth=truth), u
+            make_tumble(), simulate_readings(make_tumble(), rng, 2e-6, truth=truth), u
         )
         (found,) = best_patterns(joint, [group], [columns])
         assert 8 <= found.tests <= len(columns)
@@ -196,7 +203,7 @@ def test_false_alarm_rate_matches_significance(u):
 
 
 def test_outlying_reading_leads_to_no_column():
-    test, rng = tumble(24), np.random.default_rng(4)
+    test, rng = make_tumble(24), np.random.default_rng(4)
     truth = {symbol: TRUTH.get(symbol, 3e-5) for symbol in LEVEL}
     values = simulate_readings(test, rng, 2e-6, truth=truth)
     values[0] += 2e-4
@@ -220,12 +227,12 @@ def test_wave_is_found_by_sine_and_cosine_jointly():
     """Five times the noise, 9 degrees of freedom: alone, each part leaves the other as noise."""
     rng, angle = np.random.default_rng(5), np.arange(12) * math.pi / 6.0
     truth = {symbol: TRUTH.get(symbol, 3e-5) for symbol in LEVEL}
-    exact = simulate_readings(tumble(), rng, 2e-6, truth=truth)
+    exact = simulate_readings(make_tumble(), rng, 2e-6, truth=truth)
     for wave, turns in (
         (1e-5 * np.cos(2.0 * angle + 0.7), "2 phi"),
         (1e-5 * (np.cos(2.0 * angle + 0.7) + np.cos(3.0 * angle - 0.4)), "2 phi and 3 phi"),
     ):
-        joint, group, columns = score_columns(tumble(), exact + wave, None)
+        joint, group, columns = score_columns(make_tumble(), exact + wave, None)
         (found,) = best_patterns(joint, [group], [columns])
         assert [other.symbol for other in found.alternatives] == [f"waves of {turns}"]
         assert found.p * found.tests < 1e-3

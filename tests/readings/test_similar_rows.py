@@ -77,10 +77,10 @@ attitude = "unknown"
 columns = { reading = { X = "x", Y = "y", Z = "z" } }
 """
     rows = ["0.1,-0.2,0.97", "-0.6,0.25,0.75", "0.3,0.8,-0.5"]
-    poses = read(tmp_path, section, ["x,y,z", *rows], triads.head()).triad.poses
+    poses = read(tmp_path, section, ["x,y,z", *rows], triads.format_description()).triad.poses
     assert len(poses) == 3
     for row, pose in zip(rows, poses, strict=True):
-        (alone,) = read(tmp_path, section, ["x,y,z", row], triads.head()).triad.poses
+        (alone,) = read(tmp_path, section, ["x,y,z", row], triads.format_description()).triad.poses
         assert list(map(rounded_fields, pose)) == list(map(rounded_fields, alone))
 
 

@@ -180,12 +180,16 @@ def test_visible_wrong_sense_is_named(tmp_path):
 
 def test_step_of_accelerometer_during_poses_has_stated_shift(tmp_path):
     rng = np.random.default_rng(5)
-    values = triads.indications(triads.directions(30, rng))
+    values = triads.compute_indications(triads.draw_directions(30, rng))
     values += 3e-4 * rng.standard_normal(values.shape)
-    usual = calibrate(triads.table(tmp_path / "usual", values, u=3e-4)).accelerometers["X"]
+    usual = calibrate(
+        triads.write_pose_campaign(tmp_path / "usual", values, u=3e-4)
+    ).accelerometers["X"]
     clause = r'step of ([\d.]+) ug starting at "reading (\d+)" shifts K_F by ([\d.]+) ug'
     size, first, shift = re.search(clause, usual.unseen_faults[0]).groups()
     values[int(first) - 1 :, 0] += PART * 1e-6 * float(size)
-    other = calibrate(triads.table(tmp_path / "other", values, u=3e-4)).accelerometers["X"]
+    other = calibrate(
+        triads.write_pose_campaign(tmp_path / "other", values, u=3e-4)
+    ).accelerometers["X"]
     moved = abs(other.coefficients["K_F"].value - usual.coefficients["K_F"].value) / PART
     assert moved == pytest.approx(1e-6 * float(shift), rel=0.05)

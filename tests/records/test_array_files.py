@@ -7,7 +7,14 @@ import h5py
 import numpy as np
 import pytest
 import scipy.sparse
-from record_files import ANGLE, SIGNAL, TIME, read, read_error, table
+from record_files import (
+    ANGLE,
+    SIGNAL,
+    TIME,
+    read_error_message,
+    read_written_record,
+    simulate_columns,
+)
 from scipy.io import savemat
 
 from counterspin.records.dialect import Dialect
@@ -17,18 +24,18 @@ from counterspin.records.record import ColumnSpec
 
 def test_dataset_without_dataspace_raises(tmp_path):
     with h5py.File(tmp_path / "run.h5", "w") as file:
-        for name in table():
+        for name in simulate_columns():
             file[name] = h5py.Empty("f8")
-    assert f"'{TIME}' has the shape None; a single column is required" in read_error(
+    assert f"'{TIME}' has the shape None; a single column is required" in read_error_message(
         tmp_path / "run.h5"
     )
 
 
 def test_columns_of_different_length_raise(tmp_path):
     with h5py.File(tmp_path / "run.h5", "w") as file:
-        for name, values in table().items():
+        for name, values in simulate_columns().items():
             file[name] = values[: 900 if name == TIME else None]
-    assert "length" in read_error(tmp_path / "run.h5")
+    assert "length" in read_error_message(tmp_path / "run.h5")
 
 
 def write_compressed_columns(path):
@@ -45,13 +52,13 @@ def write_compressed_columns(path):
 
 @pytest.mark.parametrize("name", ["run.mat", "run.h5"])
 def test_columns_too_large_for_file_size_raise(tmp_path, name):
-    message = read_error(write_compressed_columns(tmp_path / name))
+    message = read_error_message(write_compressed_columns(tmp_path / name))
     assert re.search(r"\d+ bytes, .* \d+ bytes", message)
 
 
 def write_hdf5(path, signal=None):
     """Write a file whose signal is left to the caller."""
-    columns = table()
+    columns = simulate_columns()
     with h5py.File(path, "w") as file:
         file[TIME], file[ANGLE] = columns[TIME], columns[ANGLE]
         if signal is not None:
@@ -98,11 +105,11 @@ def write_inner_link(file, values):
 )
 def test_links_and_external_data_raise(tmp_path, signal, words):
     # The checksum would be of the shell alone.
-    assert words in read_error(write_hdf5(tmp_path / "run.h5", signal))
+    assert words in read_error_message(write_hdf5(tmp_path / "run.h5", signal))
 
 
 def test_unused_datasets_are_ignored(tmp_path):
-    columns = table()
+    columns = simulate_columns()
     savemat(tmp_path / "run.mat", {**columns, "s": scipy.sparse.eye(5).tocsc(), "c": {"a": 1.0}})
 
     def write_dates_and_columns(file, values):
@@ -114,7 +121,9 @@ def test_unused_datasets_are_ignored(tmp_path):
 
     write_hdf5(tmp_path / "run.h5", write_dates_and_columns)
     for name in ("run.mat", "run.h5"):
-        np.testing.assert_array_equal(read(tmp_path / name).signals["Qx"], columns[SIGNAL])
+        np.testing.assert_array_equal(
+            read_written_record(tmp_path / name).signals["Qx"], columns[SIGNAL]
+        )
 
 
 def test_non_numeric_column_raises_with_name(tmp_path):
@@ -122,16 +131,16 @@ def test_non_numeric_column_raises_with_name(tmp_path):
         space = h5py.h5s.create_simple(values.shape)
         h5py.h5d.create(file.id, SIGNAL.encode(), h5py.h5t.UNIX_D32LE, space)
 
-    assert f"'{SIGNAL}' does not contain numbers" in read_error(
+    assert f"'{SIGNAL}' does not contain numbers" in read_error_message(
         write_hdf5(tmp_path / "run.h5", write_dates)
     )
-    columns = table()
+    columns = simulate_columns()
     savemat(tmp_path / "run.mat", {**columns, SIGNAL: scipy.sparse.csc_matrix(columns[SIGNAL])})
-    assert f"'{SIGNAL}' does not contain numbers" in read_error(tmp_path / "run.mat")
+    assert f"'{SIGNAL}' does not contain numbers" in read_error_message(tmp_path / "run.mat")
 
 
 def test_columns_in_groups_and_structures_are_read_by_path(tmp_path):
-    columns = table()
+    columns = simulate_columns()
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["other"] = [1.0]
         for name, values in columns.items():
@@ -144,17 +153,19 @@ def test_columns_in_groups_and_structures_are_read_by_path(tmp_path):
             file[f"run/data/{name}"] = values[None, :]
     for name, mark in (("a.h5", "/"), ("five.mat", "."), ("seven.mat", ".")):
         path, group = tmp_path / name, f"run{mark}data"
-        record = read(path, dialect=Dialect(group=group))
+        record = read_written_record(path, dialect=Dialect(group=group))
         np.testing.assert_array_equal(record.signals["Qx"], columns[SIGNAL])
         long = {"time": ColumnSpec(f"{group}{mark}{TIME}"), "angle": None}
         long["signals"] = {"Qx": ColumnSpec(f"{group}{mark}{SIGNAL}")}
-        np.testing.assert_array_equal(read(path, **long).time, columns[TIME])
-        assert "no group 'runs' contains columns" in read_error(path, dialect=Dialect(group="runs"))
+        np.testing.assert_array_equal(read_written_record(path, **long).time, columns[TIME])
+        assert "no group 'runs' contains columns" in read_error_message(
+            path, dialect=Dialect(group="runs")
+        )
 
 
 @pytest.mark.parametrize("name", ["run.mat", "run.h5"])
 def test_matrix_is_split_into_columns(tmp_path, name):
-    columns = table()
+    columns = simulate_columns()
     wide = np.stack([columns[ANGLE], columns[SIGNAL]])
     if name == "run.mat":
         rec = {TIME: columns[TIME][:, None], "pos": wide.T, "fs": 50.0, "label": "arm"}
@@ -165,20 +176,20 @@ def test_matrix_is_split_into_columns(tmp_path, name):
             file[f"rec/{TIME}"] = columns[TIME]
     mark = "." if name == "run.mat" else "/"
     spec = {"Qx": ColumnSpec(f"pos{mark}2")}
-    record = read(tmp_path / name, angle=ColumnSpec(f"pos{mark}1"), signals=spec)
+    record = read_written_record(tmp_path / name, angle=ColumnSpec(f"pos{mark}1"), signals=spec)
     np.testing.assert_array_equal(record.signals["Qx"], columns[SIGNAL])
     with open_columns(tmp_path / name) as file:
         assert {f"pos{mark}1", f"pos{mark}2"} <= set(file.names)
         assert "fs" not in file.names
         assert file.single_numbers() == {"fs": 50.0}
     angle = ColumnSpec(f"pos{mark}1")
-    whole = read_error(tmp_path / name, angle=angle, signals={"Qx": ColumnSpec("pos")})
+    whole = read_error_message(tmp_path / name, angle=angle, signals={"Qx": ColumnSpec("pos")})
     assert f"a single column is required: 'pos{mark}1', 'pos{mark}2'" in whole
 
 
 def test_matlab_text_file_is_read(tmp_path):
-    rows = np.column_stack([table()[name] for name in (TIME, ANGLE, SIGNAL)])
+    rows = np.column_stack([simulate_columns()[name] for name in (TIME, ANGLE, SIGNAL)])
     np.savetxt(tmp_path / "run.mat", rows, fmt="  %.16e")
     numbered = {"angle": ColumnSpec("column 2"), "signals": {"Qx": ColumnSpec("column 3")}}
-    record = read(tmp_path / "run.mat", time=ColumnSpec("column 1"), **numbered)
-    np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])
+    record = read_written_record(tmp_path / "run.mat", time=ColumnSpec("column 1"), **numbered)
+    np.testing.assert_array_equal(record.signals["Qx"], simulate_columns()[SIGNAL])

@@ -5,7 +5,14 @@ import builtins
 import numpy as np
 import pytest
 from nptdms import ChannelObject, TdmsWriter
-from record_files import ANGLE, SIGNAL, TIME, read, read_error, table
+from record_files import (
+    ANGLE,
+    SIGNAL,
+    TIME,
+    read_error_message,
+    read_written_record,
+    simulate_columns,
+)
 
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import open_columns, read_scaled
@@ -25,21 +32,23 @@ def write(path, groups, properties=None):
 
 
 def test_channels_are_read_as_columns_of_group(tmp_path):
-    path = write(tmp_path / "a.tdms", {"Run": table(), "Slow": {"T": np.arange(3.0)}})
+    path = write(tmp_path / "a.tdms", {"Run": simulate_columns(), "Slow": {"T": np.arange(3.0)}})
     assert uses_reader_process(path)
-    record = read(path, dialect=Dialect(group="Run"))
-    np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])
+    record = read_written_record(path, dialect=Dialect(group="Run"))
+    np.testing.assert_array_equal(record.signals["Qx"], simulate_columns()[SIGNAL])
     columns = {"angle": ColumnSpec(f"Run/{ANGLE}"), "signals": {"Qx": ColumnSpec(f"Run/{SIGNAL}")}}
-    record = read(path, time=ColumnSpec(f"Run/{TIME}"), **columns)
-    np.testing.assert_array_equal(record.time, table()[TIME])
-    assert "the file has no column" in read_error(path)
-    assert "no group 'Fast' contains columns" in read_error(path, dialect=Dialect(group="Fast"))
+    record = read_written_record(path, time=ColumnSpec(f"Run/{TIME}"), **columns)
+    np.testing.assert_array_equal(record.time, simulate_columns()[TIME])
+    assert "the file has no column" in read_error_message(path)
+    assert "no group 'Fast' contains columns" in read_error_message(
+        path, dialect=Dialect(group="Fast")
+    )
 
 
 def test_index_file_is_ignored(tmp_path):
-    path = write(tmp_path / "a.tdms", {"Run": table()})
+    path = write(tmp_path / "a.tdms", {"Run": simulate_columns()})
     (tmp_path / "a.tdms_index").write_bytes(b"not the truth")
-    np.testing.assert_array_equal(read(path).time, table()[TIME])
+    np.testing.assert_array_equal(read_written_record(path).time, simulate_columns()[TIME])
 
 
 def test_units_and_time_stamps_are_read(tmp_path):
@@ -52,12 +61,12 @@ def test_units_and_time_stamps_are_read(tmp_path):
 
 
 def test_damaged_file_and_missing_reader_raise(tmp_path, monkeypatch):
-    path = write(tmp_path / "a.tdms", {"Run": table()})
+    path = write(tmp_path / "a.tdms", {"Run": simulate_columns()})
     content = path.read_bytes()
     (tmp_path / "cut.tdms").write_bytes(content[:100])
-    assert "damaged" in read_error(tmp_path / "cut.tdms")
+    assert "damaged" in read_error_message(tmp_path / "cut.tdms")
     (tmp_path / "no.tdms").write_bytes(b"no TDMS" * 9)
-    assert "damaged" in read_error(tmp_path / "no.tdms")
+    assert "damaged" in read_error_message(tmp_path / "no.tdms")
     real = builtins.__import__
 
     def import_without_nptdms(name, *rest):

@@ -2,7 +2,16 @@
 
 import numpy as np
 import pytest
-from record_files import ANGLE, SIGNAL, TIME, lines, read, read_error, table, write
+from record_files import (
+    ANGLE,
+    SIGNAL,
+    TIME,
+    format_lines,
+    read_error_message,
+    read_written_record,
+    simulate_columns,
+    write_record,
+)
 
 from counterspin.errors import RecordError
 from counterspin.records import csv_file
@@ -13,50 +22,50 @@ from counterspin.records.record import ColumnSpec
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_csv_delimiters_and_line_ends_are_read(tmp_path, separator, end):
-    columns = table(n=400)
-    text = lines({"note": np.zeros(400), **columns}, separator)
+    columns = simulate_columns(n=400)
+    text = format_lines({"note": np.zeros(400), **columns}, separator)
     text[0] = separator.join(['"note"', f" {TIME}", f"{ANGLE} ", SIGNAL])
     text[9] = "# the operator sneezed here"
     path = tmp_path / "run.csv"
     path.write_bytes(("\ufeff# a comment" + end + end.join(text) + end).encode())
-    record = read(path)
+    record = read_written_record(path)
     assert record.report.rows == 399
     np.testing.assert_array_equal(record.signals["Qx"], np.delete(columns[SIGNAL], 8))
 
 
 def test_comments_and_spaces_among_numbers_are_ignored(tmp_path):
-    text = lines(table())
+    text = format_lines(simulate_columns())
     text[3] = "  " + text[3].replace(",", " , ")
     text.insert(7, "# a comment")
-    record = read(write(tmp_path / "run.csv", text))
-    np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])
+    record = read_written_record(write_record(tmp_path / "run.csv", text))
+    np.testing.assert_array_equal(record.signals["Qx"], simulate_columns()[SIGNAL])
 
 
 def test_blank_lines_after_header_and_at_end_are_ignored(tmp_path):
-    text = lines(table())
+    text = format_lines(simulate_columns())
     text[1:1] = ["", ""]
-    record = read(write(tmp_path / "run.csv", [*text, ""]))
-    np.testing.assert_array_equal(record.time, table()[TIME])
+    record = read_written_record(write_record(tmp_path / "run.csv", [*text, ""]))
+    np.testing.assert_array_equal(record.time, simulate_columns()[TIME])
     text[500] = "10.0,x,1.0"
-    message = read_error(write(tmp_path / "run.csv", text))
+    message = read_error_message(write_record(tmp_path / "run.csv", text))
     assert "line 501: column 'angle_rad' " in message
 
 
 def test_space_delimited_file_keeps_line_numbers(tmp_path):
-    text = [line.replace(",", "   ") for line in lines(table())]
+    text = [line.replace(",", "   ") for line in format_lines(simulate_columns())]
     text.insert(5, "# the operator sneezed here")
-    record = read(write(tmp_path / "run.dat", text))
-    np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])
+    record = read_written_record(write_record(tmp_path / "run.dat", text))
+    np.testing.assert_array_equal(record.signals["Qx"], simulate_columns()[SIGNAL])
     text[40] = text[40].rpartition(" ")[0] + " x"
-    assert "line 41: column 'east_m' contains the text 'x'" in read_error(
-        write(tmp_path / "run.asc", text)
+    assert "line 41: column 'east_m' contains the text 'x'" in read_error_message(
+        write_record(tmp_path / "run.asc", text)
     )
 
 
 @pytest.mark.parametrize("delimiter", [" ", ",", ";", "\t"])
 @pytest.mark.parametrize("first", [1, 450])
 def test_fortran_exponents_are_parsed(tmp_path, delimiter, first):
-    columns = table(n=600)
+    columns = simulate_columns(n=600)
     rows = list(zip(*columns.values(), strict=True))
     text = [
         delimiter.join(
@@ -66,142 +75,152 @@ def test_fortran_exponents_are_parsed(tmp_path, delimiter, first):
     ]
     if delimiter == ";":
         text = [line.replace(".", ",") for line in text]
-    path = write(tmp_path / "run.csv", [delimiter.join(columns), *text])
+    path = write_record(tmp_path / "run.csv", [delimiter.join(columns), *text])
     read_columns = read_numbers(path, list(columns))
     for name, values in columns.items():
         np.testing.assert_array_equal(read_columns[name], values)
 
 
 def test_file_without_header_raises(tmp_path):
-    path = write(tmp_path / "run.log", lines(table())[1:])
-    message = read_error(path)
+    path = write_record(tmp_path / "run.log", format_lines(simulate_columns())[1:])
+    message = read_error_message(path)
     assert "the file has no column" in message
     assert "first numbers, line 1," in message
     numbered = {"angle": ColumnSpec("column 2"), "signals": {"Qx": ColumnSpec("column 3")}}
-    record = read(path, time=ColumnSpec("column 1"), **numbered)
-    np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])
+    record = read_written_record(path, time=ColumnSpec("column 1"), **numbered)
+    np.testing.assert_array_equal(record.signals["Qx"], simulate_columns()[SIGNAL])
 
 
 def test_file_without_rows_or_header_raises(tmp_path):
-    assert "no rows" in read_error(write(tmp_path / "run.csv", [f"{TIME},{ANGLE},{SIGNAL}"]))
-    assert "no header" in read_error(write(tmp_path / "run.csv", ["# only this", ""]))
+    assert "no rows" in read_error_message(
+        write_record(tmp_path / "run.csv", [f"{TIME},{ANGLE},{SIGNAL}"])
+    )
+    assert "no header" in read_error_message(
+        write_record(tmp_path / "run.csv", ["# only this", ""])
+    )
 
 
 @pytest.mark.parametrize("row", [1, 7, 999])
 def test_text_in_numeric_cell_raises_with_line(tmp_path, row):
-    text = lines(table())
+    text = format_lines(simulate_columns())
     text[row] = ",".join([*text[row].split(",")[:2], "abc"])
     text.insert(0, "# a comment line counts too")
-    message = read_error(write(tmp_path / "run.csv", text))
+    message = read_error_message(write_record(tmp_path / "run.csv", text))
     assert f"line {row + 2}:" in message
     assert "'east_m'" in message
     assert "'abc'" in message
 
 
 def test_decimal_comma_is_read_and_excess_cells_raise(tmp_path):
-    text = [row.replace(".", ",") for row in lines(table(), ";")]
-    path = write(tmp_path / "run.csv", text)
-    record = read(path)
-    np.testing.assert_allclose(record.signals["Qx"], table()[SIGNAL], rtol=1e-15)
+    text = [row.replace(".", ",") for row in format_lines(simulate_columns(), ";")]
+    path = write_record(tmp_path / "run.csv", text)
+    record = read_written_record(path)
+    np.testing.assert_allclose(record.signals["Qx"], simulate_columns()[SIGNAL], rtol=1e-15)
     assert record.report.notes() == ["Detected file format: semicolon-separated, decimal commas."]
-    text = lines(table())
+    text = format_lines(simulate_columns())
     text[5] += ",7"
-    assert "line 6: the line has 4 cells" in read_error(write(tmp_path / "run.csv", text))
+    assert "line 6: the line has 4 cells" in read_error_message(
+        write_record(tmp_path / "run.csv", text)
+    )
 
 
 @pytest.mark.parametrize("content", [bytes(3000), bytes(range(256)) * 40, b"\x89PNG\r\n\x1a\n"])
 def test_binary_file_raises(tmp_path, content):
     path = tmp_path / "run.csv"
     path.write_bytes(content)
-    assert "line 1: the file is not UTF-8 text" in read_error(path)
+    assert "line 1: the file is not UTF-8 text" in read_error_message(path)
 
 
 def test_comments_in_long_record_lose_no_row(tmp_path):
     # Where the fast parser meets a comment it may pass over rows and go on for a while.
-    columns = table(n=200_000, step=0.005)
-    text = lines(columns)
+    columns = simulate_columns(n=200_000, step=0.005)
+    text = format_lines(columns)
     for place in (150_000, 70_000, 30_000, 3):
         text.insert(place, "# a comment")
-    path = write(tmp_path / "run.csv", text)
+    path = write_record(tmp_path / "run.csv", text)
     for _ in range(3):
-        record = read(path, block=None)
+        record = read_written_record(path, block=None)
         np.testing.assert_array_equal(record.time, columns[TIME])
 
 
 @pytest.mark.parametrize("line", ['"{}', '{}"', '{},"'])
 def test_unpaired_quotation_mark_raises_with_line(tmp_path, line):
-    text = lines(table())
+    text = format_lines(simulate_columns())
     text[500] = line.format(text[500])
-    message = read_error(write(tmp_path / "run.csv", text))
+    message = read_error_message(write_record(tmp_path / "run.csv", text))
     assert "line 501: a quotation mark" in message
 
 
 @pytest.mark.parametrize("end", ['"', '"\r', '1.0,2.0,"'])
 def test_unclosed_quotation_mark_at_end_raises_with_line(tmp_path, end, capfd):
     """In a numeric cell, Polars would print a backtrace."""
-    path = write(tmp_path / "run.csv", table())
+    path = write_record(tmp_path / "run.csv", simulate_columns())
     path.write_bytes(path.read_bytes() + end.encode())
-    assert "line 1002: a quotation mark is not closed" in read_error(path)
+    assert "line 1002: a quotation mark is not closed" in read_error_message(path)
     assert capfd.readouterr().err == ""
     wide = path.read_text("utf-8").encode("utf-16")
     path.write_bytes(wide)
-    assert "line 1002: a quotation mark is not closed" in read_error(path)
+    assert "line 1002: a quotation mark is not closed" in read_error_message(path)
     assert capfd.readouterr().err == ""
 
 
 def test_quoted_cell_may_end_file(tmp_path):
-    text = lines(table())
+    text = format_lines(simulate_columns())
     text[-1] = ",".join(f'"{cell}"' for cell in text[-1].split(","))
     path = tmp_path / "run.csv"
     path.write_text("\n".join(text))
-    assert len(read(path).time) == 1000
+    assert len(read_written_record(path).time) == 1000
 
 
 def test_multiline_notes_in_comments_are_ignored(tmp_path):
-    text = [f'{line},"a note, with\na second line"' for line in lines(table())]
-    text[0] = lines(table())[0] + ",note"
+    text = [f'{line},"a note, with\na second line"' for line in format_lines(simulate_columns())]
+    text[0] = format_lines(simulate_columns())[0] + ",note"
     text.insert(300, "# a comment")
-    np.testing.assert_array_equal(read(write(tmp_path / "run.csv", text)).time, table()[TIME])
+    np.testing.assert_array_equal(
+        read_written_record(write_record(tmp_path / "run.csv", text)).time, simulate_columns()[TIME]
+    )
 
 
 @pytest.mark.parametrize("line", [1, 500, 1000])
 def test_missing_cells_of_short_lines_are_empty(tmp_path, line):
-    text = lines(table())
+    text = format_lines(simulate_columns())
     text[line] = text[line].split(",")[0]
-    record = read(write(tmp_path / "run.csv", text))
+    record = read_written_record(write_record(tmp_path / "run.csv", text))
     assert record.report.empty == {TIME: 0, ANGLE: 1, SIGNAL: 1}
 
 
 def test_overlong_line_raises(tmp_path):
-    text = lines(table())
+    text = format_lines(simulate_columns())
     text[500] = "1" * 200_000
-    assert "line 501: the line has more than" in read_error(write(tmp_path / "run.csv", text))
+    assert "line 501: the line has more than" in read_error_message(
+        write_record(tmp_path / "run.csv", text)
+    )
 
 
 @pytest.mark.parametrize("row", [11, 9_000, 49_000])
 @pytest.mark.parametrize("later", ["", "closed far below"])
 def test_cell_with_unclosed_quotation_mark_is_not_read_to_end(tmp_path, row, later, monkeypatch):
     """Polars would search the whole file for the end of the cell in every pass."""
-    text = lines(table()) * 50
+    text = format_lines(simulate_columns()) * 50
     text[row] = '"' + text[row]
     if later:
         text[row + 500] += '"'
-    path = write(tmp_path / "run.csv", text)
+    path = write_record(tmp_path / "run.csv", text)
     monkeypatch.setattr("polars.scan_csv", None)
     words = f"line {row + 1}: a quotation mark is not closed within 100 lines"
-    assert words in read_error(path)
+    assert words in read_error_message(path)
     with pytest.raises(RecordError, match=words):
         read_table(path)
 
 
 def test_quotation_marks_in_cells_comments_and_headers_are_read(tmp_path):
-    columns = table(n=60_000)
-    text = lines({"note": np.zeros(60_000), **columns})
+    columns = simulate_columns(n=60_000)
+    text = format_lines({"note": np.zeros(60_000), **columns})
     text[1:] = [line.replace("0.0,", '"a ""b"" c",', 1) for line in text[1:]]
     text[20_000] = text[20_000].replace("a ", "a \n" * 90)
     text.insert(30_000, '# a wheel of 5" was exchanged')
     text.insert(0, '# made with a 19" rack')
-    path = write(tmp_path / "run.csv", text)
+    path = write_record(tmp_path / "run.csv", text)
     np.testing.assert_array_equal(read_numbers(path, [SIGNAL])[SIGNAL], columns[SIGNAL])
 
 
@@ -223,19 +242,19 @@ def test_open_line_ends_are_counted_across_chunks(seed):
 @pytest.mark.parametrize("encoding", ["utf-8", "latin-1", "utf-16"])
 def test_carriage_return_line_ends_are_read(tmp_path, encoding):
     """Programs of older Macintosh computers write such line ends."""
-    columns = table()
-    text = lines({"Temperatur °C": np.zeros(1000), **columns})
+    columns = simulate_columns()
+    text = format_lines({"Temperatur °C": np.zeros(1000), **columns})
     path = tmp_path / "run.csv"
     path.write_bytes(("\r".join(text) + "\r").encode(encoding))
-    np.testing.assert_array_equal(read(path).signals["Qx"], columns[SIGNAL])
+    np.testing.assert_array_equal(read_written_record(path).signals["Qx"], columns[SIGNAL])
     assert read_table(path).frame.height == 1000
     text[500] += "x"
     path.write_bytes("\r".join(text).encode(encoding))
-    assert f"line 501: column '{SIGNAL}' contains the text" in read_error(path)
+    assert f"line 501: column '{SIGNAL}' contains the text" in read_error_message(path)
 
 
 def test_carriage_return_within_line_raises_with_line(tmp_path):
-    text = lines(table())
+    text = format_lines(simulate_columns())
     text[500] = text[500].replace(",", ",1\r", 1) + ",1"
-    message = read_error(write(tmp_path / "run.csv", text))
+    message = read_error_message(write_record(tmp_path / "run.csv", text))
     assert "line 501: the line has 4 cells" in message

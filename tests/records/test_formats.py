@@ -8,7 +8,15 @@ import h5py
 import numpy as np
 import pytest
 from raising import raises
-from record_files import ANGLE, SIGNAL, TIME, read, read_error, table, write
+from record_files import (
+    ANGLE,
+    SIGNAL,
+    TIME,
+    read_error_message,
+    read_written_record,
+    simulate_columns,
+    write_record,
+)
 from scipy.io import savemat
 
 from counterspin.errors import DamagedFileError, RecordError
@@ -46,8 +54,11 @@ def test_unsupported_format_raises_with_remedy(name, words, tmp_path):
 
 
 def test_all_formats_return_same_record(tmp_path):
-    columns = table()
-    paths = [write(tmp_path / "a.csv", columns), write(tmp_path / "a.parquet", columns)]
+    columns = simulate_columns()
+    paths = [
+        write_record(tmp_path / "a.csv", columns),
+        write_record(tmp_path / "a.parquet", columns),
+    ]
     with h5py.File(tmp_path / "root.h5", "w") as file:
         for name, values in columns.items():
             file[name] = values
@@ -59,7 +70,7 @@ def test_all_formats_return_same_record(tmp_path):
         for name, values in columns.items():
             file[name] = values[None, :]
     paths += [tmp_path / name for name in ("root.h5", "group.hdf5", "five.mat", "seven.mat")]
-    first, *others = [read(path) for path in paths]
+    first, *others = [read_written_record(path) for path in paths]
     np.testing.assert_array_equal(first.time, columns[TIME])
     np.testing.assert_array_equal(first.angle, columns[ANGLE])
     np.testing.assert_array_equal(first.signals["Qx"], columns[SIGNAL])
@@ -69,25 +80,25 @@ def test_all_formats_return_same_record(tmp_path):
 
 
 def test_missing_file_directory_and_unknown_format_raise(tmp_path):
-    assert "file not found" in read_error(tmp_path / "none.csv")
+    assert "file not found" in read_error_message(tmp_path / "none.csv")
     (tmp_path / "folder.csv").mkdir()
-    assert "directory" in read_error(tmp_path / "folder.csv")
-    assert ".parquet" in read_error(tmp_path / "run.odd")
+    assert "directory" in read_error_message(tmp_path / "folder.csv")
+    assert ".parquet" in read_error_message(tmp_path / "run.odd")
 
 
 @pytest.mark.parametrize("name", ["run.csv", "run.parquet", "run.h5", "run.mat"])
 def test_empty_file_raises(tmp_path, name):
     path = tmp_path / name
     path.write_bytes(b"")
-    assert "empty" in read_error(path)
+    assert "empty" in read_error_message(path)
     path.write_bytes(b"\x00\x01 this is not a record \xff" * 40)
-    read_error(path)
+    read_error_message(path)
 
 
 @pytest.mark.parametrize("name", ["run.csv", "run.parquet"])
 def test_missing_column_raises_with_available_columns(tmp_path, name):
-    path = write(tmp_path / name, table())
-    message = read_error(path, signals={"Qx": ColumnSpec("eastt_m")})
+    path = write_record(tmp_path / name, simulate_columns())
+    message = read_error_message(path, signals={"Qx": ColumnSpec("eastt_m")})
     assert "'eastt_m'" in message
     assert f"'{TIME}', '{ANGLE}', '{SIGNAL}'" in message
     assert "Did you mean 'east_m'?" in message
@@ -98,32 +109,32 @@ def test_missing_column_raises_with_available_columns(tmp_path, name):
 def test_file_name_is_not_glob_pattern(tmp_path, suffix, names):
     # Beside it stands a file that the pattern would match.
     for name, n in zip(names, (1000, 2000), strict=True):
-        write(tmp_path / f"{name}{suffix}", table(n=n))
-    assert len(read(tmp_path / f"{names[0]}{suffix}").time) == 1000
+        write_record(tmp_path / f"{name}{suffix}", simulate_columns(n=n))
+    assert len(read_written_record(tmp_path / f"{names[0]}{suffix}").time) == 1000
     (tmp_path / f"{names[0]}{suffix}").unlink()
-    assert "file not found" in read_error(tmp_path / f"{names[0]}{suffix}")
+    assert "file not found" in read_error_message(tmp_path / f"{names[0]}{suffix}")
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5"])
 def test_folder_name_is_not_glob_pattern(tmp_path, suffix):
     for name, n in (("camp[1]", 1000), ("camp1", 2000)):
         (tmp_path / name).mkdir()
-        write(tmp_path / name / f"run{suffix}", table(n=n))
-    assert len(read(tmp_path / "camp[1]" / f"run{suffix}").time) == 1000
+        write_record(tmp_path / name / f"run{suffix}", simulate_columns(n=n))
+    assert len(read_written_record(tmp_path / "camp[1]" / f"run{suffix}").time) == 1000
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes among the files here")
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5", ".mat"])
 def test_pipe_and_device_raise(tmp_path, suffix):
     os.mkfifo(tmp_path / f"run{suffix}")
-    assert "this is a pipe, not a file" in read_error(tmp_path / f"run{suffix}")
+    assert "this is a pipe, not a file" in read_error_message(tmp_path / f"run{suffix}")
     (tmp_path / f"zero{suffix}").symlink_to("/dev/zero")
-    assert "this is a device, not a file" in read_error(tmp_path / f"zero{suffix}")
+    assert "this is a device, not a file" in read_error_message(tmp_path / f"zero{suffix}")
 
 
 @pytest.mark.parametrize("name", ["a\0b.csv", "a\0b.parquet", "x" * 300 + ".h5"])
 def test_invalid_file_name_raises(tmp_path, name):
-    assert "cannot be read" in read_error(tmp_path / name)
+    assert "cannot be read" in read_error_message(tmp_path / name)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names are text elsewhere")
@@ -133,18 +144,18 @@ def test_invalid_file_name_raises(tmp_path, name):
 def test_non_utf8_folder_is_read_or_raises(tmp_path, suffix, readable):
     folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff"))
     folder.mkdir()
-    write(tmp_path / f"run{suffix}", table()).rename(folder / f"run{suffix}")
+    write_record(tmp_path / f"run{suffix}", simulate_columns()).rename(folder / f"run{suffix}")
     if readable:
-        assert len(read(folder / f"run{suffix}").time) == 1000
+        assert len(read_written_record(folder / f"run{suffix}").time) == 1000
     else:
-        assert "the path is not valid UTF-8" in read_error(folder / f"run{suffix}")
+        assert "the path is not valid UTF-8" in read_error_message(folder / f"run{suffix}")
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5"])
 @pytest.mark.parametrize("how", ["replaced", "rewritten"])
 def test_file_changed_during_reading_raises(tmp_path, suffix, how):
-    path = write(tmp_path / f"run{suffix}", table())
-    other = write(tmp_path / f"other{suffix}", table(n=2000))
+    path = write_record(tmp_path / f"run{suffix}", simulate_columns())
+    other = write_record(tmp_path / f"other{suffix}", simulate_columns(n=2000))
     file = open_columns(path)
     with file:
         pass
@@ -163,7 +174,7 @@ def test_file_changed_during_reading_raises(tmp_path, suffix, how):
     [(".csv", 40), (".parquet", 8), (".h5", 8), (".mat", 4)],
 )
 def test_damaged_files_raise_only_record_errors(tmp_path, suffix, files):
-    whole = write(tmp_path / f"whole{suffix}", table(n=400)).read_bytes()
+    whole = write_record(tmp_path / f"whole{suffix}", simulate_columns(n=400)).read_bytes()
     rng = np.random.default_rng(7)
     path = tmp_path / f"run{suffix}"
     messages = []
@@ -173,7 +184,7 @@ def test_damaged_files_raise_only_record_errors(tmp_path, suffix, files):
             content[place] ^= 1 << int(rng.integers(8))
         path.write_bytes(content[: rng.integers(1, len(content)) if rng.random() < 0.2 else None])
         try:
-            read(path)
+            read_written_record(path)
         except RecordError as error:
             messages.append(str(error))
     assert messages

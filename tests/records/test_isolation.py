@@ -8,7 +8,13 @@ from pathlib import Path
 import misbehaving
 import pytest
 from raising import raises
-from record_files import SIGNAL, read, read_error, table, write
+from record_files import (
+    SIGNAL,
+    read_error_message,
+    read_written_record,
+    simulate_columns,
+    write_record,
+)
 
 from counterspin.errors import DamagedFileError, RecordError
 from counterspin.records import reader_process
@@ -19,12 +25,12 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="limits are Linux's")
 
 @pytest.fixture
 def parquet_file(tmp_path):
-    return write(tmp_path / "run.parquet", table())
+    return write_record(tmp_path / "run.parquet", simulate_columns())
 
 
 def test_native_readers_use_separate_process_and_csv_does_not(parquet_file):
-    assert run_isolated(misbehaving.process, parquet_file) != os.getpid()
-    assert run_isolated(misbehaving.process, parquet_file.with_suffix(".csv")) == os.getpid()
+    assert run_isolated(misbehaving.get_process, parquet_file) != os.getpid()
+    assert run_isolated(misbehaving.get_process, parquet_file.with_suffix(".csv")) == os.getpid()
     assert [uses_reader_process(Path(f"a{end}")) for end in (".H5", ".mat", ".txt")] == [
         True,
         True,
@@ -33,23 +39,23 @@ def test_native_readers_use_separate_process_and_csv_does_not(parquet_file):
 
 
 def test_reader_process_is_reused_after_record_error(parquet_file):
-    number = run_isolated(misbehaving.process, parquet_file)
+    number = run_isolated(misbehaving.get_process, parquet_file)
     with pytest.raises(RecordError, match=r"run\.parquet: no"):
         run_isolated(misbehaving.refuse, parquet_file)
-    assert run_isolated(misbehaving.process, parquet_file) == number
+    assert run_isolated(misbehaving.get_process, parquet_file) == number
 
 
 def test_damaged_file_starts_new_reader_process(parquet_file):
-    number = run_isolated(misbehaving.process, parquet_file)
-    parent = run_isolated(misbehaving.parent, parquet_file)
+    number = run_isolated(misbehaving.get_process, parquet_file)
+    parent = run_isolated(misbehaving.get_parent, parquet_file)
     for _ in range(2):
         with pytest.raises(DamagedFileError):
             run_isolated(misbehaving.damage, parquet_file)
-    assert run_isolated(misbehaving.process, parquet_file) != number
-    assert len(read(parquet_file).time) == 1000
+    assert run_isolated(misbehaving.get_process, parquet_file) != number
+    assert len(read_written_record(parquet_file).time) == 1000
     if sys.platform == "linux":  # forked, with the limits of each file from the start
-        assert run_isolated(misbehaving.parent, parquet_file) == parent != os.getpid()
-        seconds, _ = run_isolated(misbehaving.limits, parquet_file)
+        assert run_isolated(misbehaving.get_parent, parquet_file) == parent != os.getpid()
+        seconds, _ = run_isolated(misbehaving.get_limits, parquet_file)
         assert 5.0 < seconds < 10.0
 
 
@@ -58,7 +64,7 @@ def test_damaged_file_starts_new_reader_process(parquet_file):
 def test_reader_crash_raises_damaged_file(parquet_file):
     with raises("file-damaged", "run.parquet:", "SIGSEGV"):
         run_isolated(misbehaving.crash, parquet_file)
-    assert len(read(parquet_file).time) == 1000
+    assert len(read_written_record(parquet_file).time) == 1000
 
 
 @linux
@@ -69,12 +75,12 @@ def test_excessive_memory_raises(parquet_file):
 
 @linux
 def test_time_and_memory_limits_follow_file_size(parquet_file):
-    seconds, memory = run_isolated(misbehaving.limits, parquet_file)
+    seconds, memory = run_isolated(misbehaving.get_limits, parquet_file)
     assert 5.0 < seconds < 10.0
     assert memory < 2 << 30 or memory < (1 << 30) + (8 << 20) * os.cpu_count() + (1 << 30)
     with parquet_file.open("ab") as stream:
         stream.truncate(200_000_000)
-    more_seconds, more_memory = run_isolated(misbehaving.limits, parquet_file)
+    more_seconds, more_memory = run_isolated(misbehaving.get_limits, parquet_file)
     assert more_seconds == pytest.approx(seconds + 100.0, abs=2.0)
     assert more_memory - memory == pytest.approx(64 * 200_000_000, rel=0.01)
 
@@ -89,18 +95,18 @@ def test_files_are_read_in_process_if_none_can_start(parquet_file, monkeypatch):
     reader = reader_process._ReaderProcess()
     monkeypatch.setattr(reader_process, "_READER", reader)
     monkeypatch.setattr(sys, "path", [])
-    assert run_isolated(misbehaving.process, parquet_file) == os.getpid()
+    assert run_isolated(misbehaving.get_process, parquet_file) == os.getpid()
     monkeypatch.undo()
     embedding = reader_process._ReaderProcess()
     embedding._startable = False
     monkeypatch.setattr(reader_process, "_READER", embedding)
-    assert run_isolated(misbehaving.process, parquet_file) == os.getpid()
+    assert run_isolated(misbehaving.get_process, parquet_file) == os.getpid()
 
 
 def test_relative_path_refers_to_current_folder(parquet_file, monkeypatch):
-    run_isolated(misbehaving.process, parquet_file)
+    run_isolated(misbehaving.get_process, parquet_file)
     monkeypatch.chdir(parquet_file.parent)
-    assert len(read(Path("run.parquet")).time) == 1000
+    assert len(read_written_record(Path("run.parquet")).time) == 1000
 
 
 def test_reader_process_ends_with_parent(parquet_file):
@@ -108,8 +114,8 @@ def test_reader_process_ends_with_parent(parquet_file):
         "import sys; from pathlib import Path; import misbehaving; "
         "from counterspin.records.isolation import run_isolated; "
         "path = Path(sys.argv[1]); "
-        "print(run_isolated(misbehaving.process, path), "
-        "run_isolated(misbehaving.parent, path))"
+        "print(run_isolated(misbehaving.get_process, path), "
+        "run_isolated(misbehaving.get_parent, path))"
     )
     folders = os.pathsep.join([str(Path(misbehaving.__file__).parent), *filter(None, sys.path)])
     done = subprocess.run(
@@ -131,7 +137,7 @@ def is_running(number):
 
 
 def test_error_in_reader_process_names_row_and_column(tmp_path):
-    columns = table()
+    columns = simulate_columns()
     columns[SIGNAL][7] = float("inf")
-    message = read_error(write(tmp_path / "run.parquet", columns))
+    message = read_error_message(write_record(tmp_path / "run.parquet", columns))
     assert f"row 8: column '{SIGNAL}' " in message

@@ -7,7 +7,7 @@ from functools import partial
 import misbehaving
 import pytest
 from raising import raises
-from record_files import table, write
+from record_files import simulate_columns, write_record
 
 from counterspin.records import reader_limits, reader_process
 from counterspin.records.isolation import run_isolated
@@ -80,13 +80,13 @@ def test_file_is_read_without_job_object(windows, tmp_path):
 
 def test_hanging_reader_is_terminated(tmp_path, monkeypatch):
     """The reader uses no processor time, so no system limit terminates it."""
-    file = write(tmp_path / "run.parquet", table())
-    process = run_isolated(misbehaving.process, file)
+    file = write_record(tmp_path / "run.parquet", simulate_columns())
+    process = run_isolated(misbehaving.get_process, file)
     monkeypatch.setattr(reader_limits, "_WAITING_FACTOR", 0.02)
     with raises("time-limit", "run.parquet:", "longer"):
         run_isolated(misbehaving.wait, file)
     monkeypatch.undo()
-    assert run_isolated(misbehaving.process, file) != process
+    assert run_isolated(misbehaving.get_process, file) != process
 
 
 @pytest.mark.parametrize(

@@ -10,26 +10,26 @@ from record_files import (
     RATE,
     SIGNAL,
     TIME,
-    lines,
+    format_lines,
     make_dense_columns,
-    read,
-    read_error,
-    table,
-    write,
+    read_error_message,
+    read_written_record,
+    simulate_columns,
+    write_record,
 )
 
 from counterspin.records.record import ColumnSpec
 
 
 def test_units_are_converted_to_si(tmp_path):
-    columns = table()
+    columns = simulate_columns()
     filed = {
         TIME: columns[TIME] * 1e3 + 5e6,
         ANGLE: np.degrees(columns[ANGLE]),
         SIGNAL: columns[SIGNAL] * 1e3,
     }
-    record = read(
-        write(tmp_path / "run.csv", filed),
+    record = read_written_record(
+        write_record(tmp_path / "run.csv", filed),
         time=ColumnSpec(TIME, 1e-3),
         angle=ColumnSpec(ANGLE, math.pi / 180),
         signals={"Qx": ColumnSpec(SIGNAL, 1e-3)},
@@ -41,23 +41,25 @@ def test_units_are_converted_to_si(tmp_path):
 
 
 def test_record_without_angle_is_read(tmp_path):
-    columns = table()
-    record = read(write(tmp_path / "run.csv", columns), angle=None)
+    columns = simulate_columns()
+    record = read_written_record(write_record(tmp_path / "run.csv", columns), angle=None)
     assert record.angle is None
     assert record.report.rate is None
     np.testing.assert_array_equal(record.signals["Qx"], columns[SIGNAL])
 
 
 def test_short_record_raises_with_revolutions(tmp_path):
-    message = read_error(write(tmp_path / "run.csv", table(n=290)))  # 5.78 s of 6 s
+    message = read_error_message(
+        write_record(tmp_path / "run.csv", simulate_columns(n=290))
+    )  # 5.78 s of 6 s
     assert "2.89 revolutions" in message
 
 
 def test_infinite_value_raises_with_line(tmp_path):
     for column in (TIME, ANGLE, SIGNAL):
-        columns = table()
+        columns = simulate_columns()
         columns[column][10] = math.inf
-        message = read_error(write(tmp_path / "run.csv", columns))
+        message = read_error_message(write_record(tmp_path / "run.csv", columns))
         assert "line 12" in message
         assert "infinite" in message
 
@@ -69,18 +71,18 @@ def test_infinite_value_raises_at_any_row(tmp_path):
         columns[TIME][480:] += late
         columns[ANGLE][480:] += RATE * late
         columns[SIGNAL][row] = -np.inf
-        words = read_error(write(tmp_path / "run.parquet", columns))
+        words = read_error_message(write_record(tmp_path / "run.parquet", columns))
         assert f"row {row + 1}: column '{SIGNAL}' contains an infinite value." in words
 
 
 @pytest.mark.parametrize("word", ["", "nan", "NaN"])
 def test_few_empty_cells_are_counted(tmp_path, word):
-    text = lines(table())
+    text = format_lines(simulate_columns())
     for place, row in ((2, 100), (2, 101), (1, 200), (0, 300)):
         cells = text[row + 1].split(",")
         cells[place] = word
         text[row + 1] = ",".join(cells)
-    record = read(write(tmp_path / "run.csv", text))
+    record = read_written_record(write_record(tmp_path / "run.csv", text))
     assert record.report.empty == {TIME: 1, ANGLE: 1, SIGNAL: 2}
     assert len(record.time) == 998
     assert np.flatnonzero(np.isnan(record.signals["Qx"])).tolist() == [100, 101]
@@ -90,11 +92,11 @@ def test_few_empty_cells_are_counted(tmp_path, word):
 @pytest.mark.parametrize("step", [0.02, 0.001])
 def test_values_repeated_by_faster_log_are_used_once(tmp_path, rows, step):
     """Amplitude and phase are those of the samples, delayed by less than one row."""
-    columns = table(int(12.0 / step), step)
+    columns = simulate_columns(int(12.0 / step), step)
     new = (np.arange(len(columns[TIME])) / rows).astype(int)
     first = np.searchsorted(new, new)  # the row in which a value first stands
     columns[SIGNAL] = columns[SIGNAL][first]
-    record = read(write(tmp_path / "run.csv", columns))
+    record = read_written_record(write_record(tmp_path / "run.csv", columns))
     part = 1.0 - len(np.unique(first)) / len(first)
     told = (
         f"column '{SIGNAL}' repeats {100.0 * part:.3g} % of its values; repeated values are "
@@ -112,18 +114,18 @@ def test_values_repeated_by_faster_log_are_used_once(tmp_path, rows, step):
 
 @pytest.mark.parametrize("column", [TIME, ANGLE, SIGNAL])
 def test_more_than_five_percent_empty_cells_raise(tmp_path, column):
-    columns = table()
+    columns = simulate_columns()
     columns[column][10:61] = np.nan
-    path = write(tmp_path / "run.csv", columns)
-    assert f"'{column}' has 51 empty cells in 1000 rows" in read_error(path)
-    columns[column][60] = table()[column][60]
-    read(write(path, columns))
+    path = write_record(tmp_path / "run.csv", columns)
+    assert f"'{column}' has 51 empty cells in 1000 rows" in read_error_message(path)
+    columns[column][60] = simulate_columns()[column][60]
+    read_written_record(write_record(path, columns))
 
 
 @pytest.mark.parametrize("end", ["first", "last", "both"])
 @pytest.mark.parametrize("dense", [False, True])
 def test_isolated_rows_are_omitted(tmp_path, end, dense):
-    columns = table(n=20_000, step=0.0005) if dense else table()
+    columns = simulate_columns(n=20_000, step=0.0005) if dense else simulate_columns()
     n = len(columns[TIME])
     gap = 6.0  # three revolutions
     lone = {"first": [0, 1], "last": [n - 1], "both": [0, n - 1]}[end]
@@ -133,9 +135,9 @@ def test_isolated_rows_are_omitted(tmp_path, end, dense):
         columns[TIME][-1] += gap
     columns[ANGLE] = RATE * columns[TIME]
     columns[SIGNAL][lone] += 0.4
-    record = read(write(tmp_path / "run.parquet", columns))
+    record = read_written_record(write_record(tmp_path / "run.parquet", columns))
     rest = {name: np.delete(values, lone) for name, values in columns.items()}
-    without = read(write(tmp_path / "rest.parquet", rest))
+    without = read_written_record(write_record(tmp_path / "rest.parquet", rest))
     assert record.report.isolated == len(lone)
     assert "from the others by a gap" in " ".join(record.report.notes())
     assert record.report.rows == n
@@ -145,49 +147,52 @@ def test_isolated_rows_are_omitted(tmp_path, end, dense):
 
 
 def test_many_rows_beyond_gap_are_preserved(tmp_path):
-    columns = table()
+    columns = simulate_columns()
     columns[TIME][-40:] += 6.0
     columns[ANGLE] = RATE * columns[TIME]
     columns[SIGNAL] = RADIUS * np.cos(columns[ANGLE])
-    record = read(write(tmp_path / "run.csv", columns))
+    record = read_written_record(write_record(tmp_path / "run.csv", columns))
     assert record.report.isolated == 0
     assert len(record.time) == 1000
 
 
 @pytest.mark.parametrize(("revolutions", "refused"), [(4900.0, False), (5100.0, True)])
 def test_revolutions_are_limited_by_memory(tmp_path, revolutions, refused):
-    columns = table(n=1000, step=revolutions * 2.0 * np.pi / RATE / 999.0)
-    path = write(tmp_path / "run.csv", columns)
+    columns = simulate_columns(n=1000, step=revolutions * 2.0 * np.pi / RATE / 999.0)
+    path = write_record(tmp_path / "run.csv", columns)
     options = {"swings": {}, "angle": None}
     if refused:
-        assert "Each revolution after the first 5000 requires at least 16 rows" in read_error(
-            path, **options
+        assert (
+            "Each revolution after the first 5000 requires at least 16 rows"
+            in read_error_message(path, **options)
         )
     else:
-        assert len(read(path, **options).time) == 1000
+        assert len(read_written_record(path, **options).time) == 1000
 
 
 def test_too_few_rows_per_revolution_raise(tmp_path):
-    columns = table(n=100, step=2.0 * 30.01)
+    columns = simulate_columns(n=100, step=2.0 * 30.01)
     options = {"swings": {}, "angle": None}
-    assert "too few to follow" in read_error(write(tmp_path / "run.csv", columns), **options)
+    assert "too few to follow" in read_error_message(
+        write_record(tmp_path / "run.csv", columns), **options
+    )
 
 
 def test_outlier_row_counts_omitted_rows(tmp_path):
-    columns = table()
+    columns = simulate_columns()
     columns[TIME][0] -= 6.0
     columns[ANGLE] = RATE * columns[TIME]
     columns[SIGNAL][600] += 1.0
-    record = read(write(tmp_path / "run.csv", columns))
+    record = read_written_record(write_record(tmp_path / "run.csv", columns))
     assert [outlier.row for outlier in record.report.listed] == [601]
 
 
 @pytest.mark.parametrize("size", [1e120, 1e305])
 def test_implausible_values_raise(tmp_path, size):
-    columns = table()
+    columns = simulate_columns()
     columns[ANGLE][1::2] *= size
-    read_error(write(tmp_path / "run.csv", columns))
-    columns = table()
+    read_error_message(write_record(tmp_path / "run.csv", columns))
+    columns = simulate_columns()
     columns[SIGNAL] *= size
-    message = read_error(write(tmp_path / "run.csv", columns), swings={})
+    message = read_error_message(write_record(tmp_path / "run.csv", columns), swings={})
     assert f"column '{SIGNAL}' contains implausible values of up to" in message

@@ -7,7 +7,16 @@ import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from record_files import ANGLE, RADIUS, RATE, SIGNAL, TIME, make_dense_columns, read, write
+from record_files import (
+    ANGLE,
+    RADIUS,
+    RATE,
+    SIGNAL,
+    TIME,
+    make_dense_columns,
+    read_written_record,
+    write_record,
+)
 
 from counterspin.records.record import ColumnSpec
 from counterspin.records.signals import FirstHarmonic
@@ -15,7 +24,7 @@ from counterspin.records.signals import FirstHarmonic
 
 def test_blocks_are_exact_means(tmp_path):
     columns = make_dense_columns()
-    record = read(write(tmp_path / "run.parquet", columns))
+    record = read_written_record(write_record(tmp_path / "run.parquet", columns))
     assert record.report.block == 50
     means = {name: values.reshape(-1, 50).mean(axis=1) for name, values in columns.items()}
     np.testing.assert_allclose(record.time, means[TIME], rtol=1e-13)
@@ -29,18 +38,22 @@ def test_blocks_are_exact_means(tmp_path):
 def test_angle_sd_covers_scattering_times(tmp_path):
     """Time stamps with an error of 1/20 step; accurate time stamps need no angle_sd."""
     columns = make_dense_columns(20_000)
-    assert np.isnan(read(write(tmp_path / "good.parquet", columns)).angle_sd).all()
+    assert np.isnan(
+        read_written_record(write_record(tmp_path / "good.parquet", columns)).angle_sd
+    ).all()
     step = columns[TIME][1]
     rng = np.random.default_rng(6)
     columns[TIME] = columns[TIME] + 0.05 * step * rng.standard_normal(20_000)
     columns[TIME][0] = 0.0
-    record = read(write(tmp_path / "run.parquet", columns))
+    record = read_written_record(write_record(tmp_path / "run.parquet", columns))
     spread = columns[ANGLE].reshape(-1, record.report.block).std(axis=1)
     np.testing.assert_allclose(record.angle_sd, spread, rtol=1e-9)
 
 
 def test_point_samples_are_not_averaged(tmp_path):
-    record = read(write(tmp_path / "run.parquet", make_dense_columns(20_000)), block=None)
+    record = read_written_record(
+        write_record(tmp_path / "run.parquet", make_dense_columns(20_000)), block=None
+    )
     assert len(record.time) == 20_000
     assert (record.count == 1).all()
     assert (record.time_sd == 0).all()
@@ -58,7 +71,7 @@ def test_blocks_of_damaged_record_have_normal_residuals(tmp_path):
     keep[rng.choice(300_000, 300, replace=False)] = False
     keep[150_000:163_000] = False
     columns = {name: values[keep] for name, values in columns.items()}
-    record = read(write(tmp_path / "run.parquet", columns))
+    record = read_written_record(write_record(tmp_path / "run.parquet", columns))
     assert record.report.outliers[SIGNAL] == np.sum(gross[keep] & ~np.isnan(columns[SIGNAL]))
     assert record.time_sd.max() < 1.05 * 50 * record.report.step / math.sqrt(12)
     assert (np.diff(record.time) > 0).all()
@@ -75,8 +88,8 @@ def test_two_accelerometers_share_rows_of_block(tmp_path):
     columns["north_m"] = RADIUS * np.sin(RATE * columns[TIME])
     columns["north_m"][1000:1200] = np.nan  # four whole blocks
     columns["north_m"][5003] = np.nan
-    record = read(
-        write(tmp_path / "run.parquet", columns),
+    record = read_written_record(
+        write_record(tmp_path / "run.parquet", columns),
         signals={"Qx": ColumnSpec(SIGNAL), "Qy": ColumnSpec("north_m")},
         swings={"Qx": FirstHarmonic(RADIUS, "m"), "Qy": FirstHarmonic(1j * RADIUS, "m")},
     )
@@ -99,9 +112,9 @@ def test_result_does_not_depend_on_batch_size(tmp_path_factory, batch, seed):
     path = tmp_path_factory.mktemp("batches") / "run.parquet"
     frame = pl.DataFrame(columns)
     frame.write_parquet(path, row_group_size=max(batch, 2000))
-    one = read(path)
+    one = read_written_record(path)
     frame.write_parquet(path)
-    other = read(path)
+    other = read_written_record(path)
     np.testing.assert_array_equal(one.time, other.time)
     np.testing.assert_array_equal(one.signals["Qx"], other.signals["Qx"])
     assert one.report == other.report

@@ -5,21 +5,33 @@ import math
 import numpy as np
 import pytest
 from raising import raises
-from record_files import ANGLE, RATE, SIGNAL, TIME, lines, read, read_error, table, write
+from record_files import (
+    ANGLE,
+    RATE,
+    SIGNAL,
+    TIME,
+    format_lines,
+    read_error_message,
+    read_written_record,
+    simulate_columns,
+    write_record,
+)
 
 from counterspin.records.record import ColumnSpec
 from counterspin.records.run_file import pulse_angle
 
 
 def write_in_two_files(folder, cut=400):
-    text = lines(table())
-    return write(folder / "a.csv", text[:cut]), write(folder / "b.csv", [text[0], *text[cut:]])
+    text = format_lines(simulate_columns())
+    return write_record(folder / "a.csv", text[:cut]), write_record(
+        folder / "b.csv", [text[0], *text[cut:]]
+    )
 
 
 def test_record_continues_in_further_files(tmp_path):
-    whole = read(write(tmp_path / "whole.csv", table()))
+    whole = read_written_record(write_record(tmp_path / "whole.csv", simulate_columns()))
     first, second = write_in_two_files(tmp_path)
-    record = read(first, continuation_files=(second,))
+    record = read_written_record(first, continuation_files=(second,))
     np.testing.assert_array_equal(record.time, whole.time)
     np.testing.assert_array_equal(record.signals["Qx"], whole.signals["Qx"])
     assert record.other_files[second].size == second.stat().st_size
@@ -30,48 +42,52 @@ def test_error_in_continuation_file_names_file(tmp_path):
     first, second = write_in_two_files(tmp_path)
     text = second.read_text().splitlines()
     text[3] = text[3].replace(text[3].split(",")[0], "0.5")
-    write(second, text)
-    assert "b.csv, line 4: the time decreases" in read_error(first, continuation_files=(second,))
+    write_record(second, text)
+    assert "b.csv, line 4: the time decreases" in read_error_message(
+        first, continuation_files=(second,)
+    )
 
 
 def test_row_counter_replaces_missing_time(tmp_path):
-    columns = table()
+    columns = simulate_columns()
     step = columns.pop(TIME)[1]
     time = ColumnSpec("", step, kind="rows")
-    record = read(write(tmp_path / "run.csv", columns), time=time)
-    np.testing.assert_allclose(record.time, table()[TIME], atol=1e-12)
+    record = read_written_record(write_record(tmp_path / "run.csv", columns), time=time)
+    np.testing.assert_allclose(record.time, simulate_columns()[TIME], atol=1e-12)
     first, second = write_in_two_files(tmp_path)
     np.testing.assert_array_equal(
-        read(first, continuation_files=(second,), time=time).time, record.time
+        read_written_record(first, continuation_files=(second,), time=time).time, record.time
     )
 
 
 def test_time_range_selects_part_of_record(tmp_path):
-    path = write(tmp_path / "run.csv", table())
-    record = read(path, time_range=(3.0, 15.0))
+    path = write_record(tmp_path / "run.csv", simulate_columns())
+    record = read_written_record(path, time_range=(3.0, 15.0))
     assert record.start_time == 3.0
     assert record.time[-1] == pytest.approx(12.0)
     assert record.report.outside == 1000 - 601
     assert "399 rows outside the selected part were omitted." in record.report.notes()
-    assert "in the selected part" in read_error(path, time_range=(30.0, 50.0))
+    assert "in the selected part" in read_error_message(path, time_range=(30.0, 50.0))
 
 
 def test_units_are_read_from_file_or_compared(tmp_path):
-    text = lines(table())
+    text = format_lines(simulate_columns())
     text.insert(1, "s,rad,m")
-    path = write(tmp_path / "run.csv", text)
+    path = write_record(tmp_path / "run.csv", text)
     taken = {
         "time": ColumnSpec(TIME, target_unit="s"),
         "angle": ColumnSpec(ANGLE, -1.0, target_unit="rad"),
         "signals": {"Qx": ColumnSpec(SIGNAL, target_unit="m")},
     }
-    np.testing.assert_array_equal(read(path, -RATE, **taken).angle, -table()[ANGLE])
+    np.testing.assert_array_equal(
+        read_written_record(path, -RATE, **taken).angle, -simulate_columns()[ANGLE]
+    )
     stated = ColumnSpec(TIME, 1e-3, unit="ms", target_unit="s")
-    assert "is in 's' according to the units row of the file, but in 'ms'" in read_error(
+    assert "is in 's' according to the units row of the file, but in 'ms'" in read_error_message(
         path, time=stated
     )
-    plain = write(tmp_path / "plain.csv", table())
-    assert f"column '{TIME}' has no unit in the file" in read_error(plain, **taken)
+    plain = write_record(tmp_path / "plain.csv", simulate_columns())
+    assert f"column '{TIME}' has no unit in the file" in read_error_message(plain, **taken)
 
 
 # Pulses
@@ -120,14 +136,18 @@ def test_invalid_pulses_raise(pulses, rate, words):
 
 
 def test_angle_from_pulses_in_second_file(tmp_path):
-    columns = table()
+    columns = simulate_columns()
     angle = columns.pop(ANGLE)
     turns = np.arange(10) * math.tau
-    pulses = write(tmp_path / "index.csv", {TIME: np.interp(turns, angle, table()[TIME])})
+    pulses = write_record(
+        tmp_path / "index.csv", {TIME: np.interp(turns, angle, simulate_columns()[TIME])}
+    )
     spec = ColumnSpec(TIME, kind="pulses")
-    record = read(write(tmp_path / "run.csv", columns), angle=spec, pulses=pulses)
+    record = read_written_record(
+        write_record(tmp_path / "run.csv", columns), angle=spec, pulses=pulses
+    )
     np.testing.assert_allclose(record.angle, angle[: len(record.angle)], atol=1e-4)
     assert record.other_files[pulses].size == pulses.stat().st_size
     pulses.write_text("time_s\n1\n2.5\n4\n")
     with raises("rate-mismatch", "index.csv:", "'time_s'", "2 s"):
-        read(tmp_path / "run.csv", angle=spec, pulses=pulses)
+        read_written_record(tmp_path / "run.csv", angle=spec, pulses=pulses)

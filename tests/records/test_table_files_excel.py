@@ -7,7 +7,14 @@ import zipfile
 import numpy as np
 import pytest
 from raising import raises
-from record_files import ANGLE, SIGNAL, TIME, read, read_error, table
+from record_files import (
+    ANGLE,
+    SIGNAL,
+    TIME,
+    read_error_message,
+    read_written_record,
+    simulate_columns,
+)
 from workbooks import write_workbook
 
 from counterspin.campaign.description import read_campaign
@@ -92,7 +99,7 @@ def test_missing_reader_raises_with_extra(tmp_path, monkeypatch):
 
 def test_sheet_is_read_as_record(tmp_path):
     """The sheet has rows above the names, a units row, an empty cell and text time stamps."""
-    columns = table(n=400)
+    columns = simulate_columns(n=400)
     stamps = [f"2026-03-01 12:00:{t:09.6f}" for t in columns[TIME]]
     rows = list(
         map(list, zip(stamps, columns[ANGLE].tolist(), columns[SIGNAL].tolist(), strict=True))
@@ -101,16 +108,18 @@ def test_sheet_is_read_as_record(tmp_path):
     head = [["about", None, None], [None] * 3, [TIME, ANGLE, SIGNAL], [None, "rad", "m"]]
     path = write_workbook(tmp_path / "r.xlsx", {"Notes": [["x"]], "Run": [*head, *rows]})
     time = ColumnSpec(TIME, kind="stamps")
-    record = read(path, time=time)
+    record = read_written_record(path, time=time)
     np.testing.assert_allclose(record.time, columns[TIME], atol=1e-6)
     expected = np.where(np.arange(400) == 7, np.nan, columns[SIGNAL])
     np.testing.assert_array_equal(record.signals["Qx"], expected)
     assert record.report.format_description == "sheet 'Run', names in row 3, a units row"
     rows[200][1] = "oops"
     write_workbook(path, {"Run": [*head, *rows]})
-    assert f"row 205: column '{ANGLE}' contains the text 'oops'" in read_error(path, time=time)
+    assert f"row 205: column '{ANGLE}' contains the text 'oops'" in read_error_message(
+        path, time=time
+    )
     write_workbook(path, {"Run": [["only", "words"]] * 5})
-    assert "no rows of numbers" in read_error(path)
+    assert "no rows of numbers" in read_error_message(path)
 
 
 def test_only_sheet_with_numeric_rows_is_read(tmp_path):

@@ -5,24 +5,32 @@ from datetime import datetime
 
 import numpy as np
 import polars as pl
-from record_files import ANGLE, SIGNAL, TIME, read, read_error, table, write
+from record_files import (
+    ANGLE,
+    SIGNAL,
+    TIME,
+    read_error_message,
+    read_written_record,
+    simulate_columns,
+    write_record,
+)
 
 
 def test_text_column_of_parquet_raises(tmp_path):
-    columns = {**table(), SIGNAL: ["x"] * 1000}
-    assert "String" in read_error(write(tmp_path / "run.parquet", columns))
+    columns = {**simulate_columns(), SIGNAL: ["x"] * 1000}
+    assert "String" in read_error_message(write_record(tmp_path / "run.parquet", columns))
 
 
 def test_columns_too_large_for_file_size_raise(tmp_path):
     pl.DataFrame(dict.fromkeys((TIME, ANGLE, SIGNAL), np.zeros(5_000_000))).write_parquet(
         tmp_path / "run.parquet"
     )
-    message = read_error(tmp_path / "run.parquet")
+    message = read_error_message(tmp_path / "run.parquet")
     assert re.search(r"\d+ bytes, .* 120000000 bytes", message)
 
 
 def test_columns_of_other_types_are_ignored(tmp_path):
-    columns = table()
+    columns = simulate_columns()
     beside = {"when": [datetime(2026, 1, 1)] * 1000, "note": ["x"] * 1000}
-    record = read(write(tmp_path / "run.parquet", {**columns, **beside}))
+    record = read_written_record(write_record(tmp_path / "run.parquet", {**columns, **beside}))
     np.testing.assert_array_equal(record.signals["Qx"], columns[SIGNAL])

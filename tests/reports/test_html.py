@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import lxml.html
 import pytest
-from pages import NASTY, blocks, page, residuals
+from pages import NASTY, make_blocks, make_residual_plot, render_page
 
 from counterspin.reports.blocks import (
     Column,
@@ -41,7 +41,7 @@ def name(request):
 
 @pytest.fixture(scope="module")
 def text(name):
-    return page(name)
+    return render_page(name)
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def tree(text):
 def test_blocks_appear_once_and_in_order(tree, name):
     body = element_text(tree.body)
     places = [0]
-    for block in blocks(name):
+    for block in make_blocks(name):
         match block:
             case Heading(text, _):
                 found = [
@@ -95,7 +95,7 @@ def test_answer_precedes_warnings_and_contents(tree):
 def test_contents_link_to_chapters(tree, name):
     links = {element_text(a): a.get("href") for a in tree.xpath("//nav//a")}
     chapters = [
-        block.text for block in blocks(name) if isinstance(block, Heading) and block.level == 2
+        block.text for block in make_blocks(name) if isinstance(block, Heading) and block.level == 2
     ]
     assert list(links) == [" ".join(chapter.split()) for chapter in chapters]
     for chapter, href in links.items():
@@ -105,7 +105,7 @@ def test_contents_link_to_chapters(tree, name):
 
 def test_table_headers_have_scope(tree, name):
     [table] = tree.xpath("//table")
-    made = next(block for block in blocks(name) if isinstance(block, Table))
+    made = next(block for block in make_blocks(name) if isinstance(block, Table))
     assert [element_text(th) for th in table.xpath("thead//th[@scope='col']")] == [
         "Symbol",
         "Words",
@@ -126,7 +126,11 @@ def test_table_headers_have_scope(tree, name):
 
 def test_answer_with_reservations_has_separate_class():
     made = [Paragraph("a", "answer"), Paragraph("b", "reserved"), Paragraph("c", "reserved")]
-    for text in (page(made=made), render_fragment(made, title="T"), render_notebook_cell(made)):
+    for text in (
+        render_page(page_blocks=made),
+        render_fragment(made, title="T"),
+        render_notebook_cell(made),
+    ):
         boxes = parse_html(text).xpath("//div[starts-with(@class, 'answers')]")
         assert [(box.get("class"), len(box)) for box in boxes] == [
             ("answers", 1),
@@ -137,7 +141,7 @@ def test_answer_with_reservations_has_separate_class():
 
 
 def test_plots_have_caption_and_static_image(tree, name):
-    pictures = [block for block in blocks(name) if isinstance(block, Picture)]
+    pictures = [block for block in make_blocks(name) if isinstance(block, Picture)]
     figures = tree.xpath("//figure")
     captions = [figure.find("figcaption").text_content() for figure in figures]
     assert captions == [picture.title for picture in pictures]
@@ -155,14 +159,14 @@ def test_page_has_identifier_date_and_end(tree, name):
 
 
 def test_title_is_heading_of_report_without_heading():
-    tree = parse_html(page(made=[Paragraph("a")], title="T"))
+    tree = parse_html(render_page(page_blocks=[Paragraph("a")], title="T"))
     assert [element_text(h) for h in tree.xpath("//h1")] == ["T"]
     assert not tree.xpath("//nav")
 
 
 def test_date_is_in_utc():
     there = datetime(2026, 3, 1, 1, 30, tzinfo=timezone(timedelta(hours=2)))
-    assert "2026-02-28 23:30 UTC" in page(date=there)
+    assert "2026-02-28 23:30 UTC" in render_page(date=there)
 
 
 def test_equations_have_subscripts_and_code_has_none(tree):
@@ -197,7 +201,7 @@ def test_control_characters_in_names_are_escaped():
         HeatMap(hostile, (hostile,), ((1.0,),)),
     ]
     for text in (
-        page(made=made, title=hostile, identifier=hostile),
+        render_page(page_blocks=made, title=hostile, identifier=hostile),
         render_fragment(made, title=hostile),
     ):
         assert not re.search("[\x1b\u202e]|^K_II", text, re.M)
@@ -257,7 +261,7 @@ def test_option_names_are_not_broken():
 
 def test_equal_headings_have_different_ids():
     tree = parse_html(
-        page(made=[Heading("A b"), Heading("A: b"), Heading("µ", 3), Heading("²", 3)])
+        render_page(page_blocks=[Heading("A b"), Heading("A: b"), Heading("µ", 3), Heading("²", 3)])
     )
     assert tree.xpath("//h2[position() > 0]/@id|//h3/@id")[1:] == [
         "at-a-b",
@@ -268,8 +272,8 @@ def test_equal_headings_have_different_ids():
 
 
 def test_page_is_reproducible(text, name):
-    assert page(name) == text
-    assert page(name, identifier="another") != text
+    assert render_page(name) == text
+    assert render_page(name, identifier="another") != text
 
 
 # Plots that can be zoomed
@@ -284,7 +288,7 @@ def unpack(packed):
 
 
 def test_zoom_data_have_screen_resolution(text, name):
-    plot = residuals(label=name)
+    plot = make_residual_plot(label=name)
     first, _ = zoom_data(text)
     assert (first["x_label"], first["y_label"], first["levels"]) == (
         "time, s",
@@ -328,9 +332,9 @@ def test_plot_with_names_or_single_x_has_no_zoom():
 
 
 def test_zoom_script_is_included_only_if_needed():
-    assert "uPlot=function" not in page(made=[Paragraph("a")])
-    assert "uPlot=function" in page(made=[residuals()])
-    assert "Copyright (c) 2022 Leon Sorokin" in page(made=[residuals()])
+    assert "uPlot=function" not in render_page(page_blocks=[Paragraph("a")])
+    assert "uPlot=function" in render_page(page_blocks=[make_residual_plot()])
+    assert "Copyright (c) 2022 Leon Sorokin" in render_page(page_blocks=[make_residual_plot()])
 
 
 @pytest.mark.parametrize("kind", ["line", "points", "band"])
@@ -353,8 +357,8 @@ def test_zoomed_and_static_plots_have_same_colours(kind):
 
 def test_page_of_long_campaign_is_below_3_mb():
     # Traces have at most 1500 chunks, for records of any length.
-    plots = [residuals(f"Residuals of Q{index}, run") for index in range(20)]
-    assert len(page(made=plots).encode()) < 3e6
+    plots = [make_residual_plot(f"Residuals of Q{index}, run") for index in range(20)]
+    assert len(render_page(page_blocks=plots).encode()) < 3e6
 
 
 # Colours
@@ -411,7 +415,7 @@ def test_palettes_define_same_colours():
         theme: set(re.findall(r"(--[\w-]+):", text)) for theme, text in read_palettes().items()
     }
     assert names["light"] == names["dark"]
-    used = set(re.findall(r"var\((--[\w-]+)", page() + _read_asset("report.js"))) - {
+    used = set(re.findall(r"var\((--[\w-]+)", render_page() + _read_asset("report.js"))) - {
         "--${entry.colour}"
     }
     assert used <= names["light"]

@@ -9,8 +9,8 @@ from functools import partial
 from io import BytesIO
 
 import pytest
-from chromium import chromium, needs_chromium, open_context, wait_until
-from pages import page
+from chromium import launch_chromium, needs_chromium, open_context, wait_until
+from pages import render_page
 from pypdf import PdfReader
 
 from counterspin.reports.blocks import Card, Check, Column, Heading, Paragraph, Share, Table
@@ -23,14 +23,14 @@ DESK = {"width": 1280, "height": 900}
 
 @pytest.fixture(scope="module")
 def browser():
-    with chromium() as started:
+    with launch_chromium() as started:
         yield started
 
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
     path = tmp_path_factory.mktemp("page") / "report.html"
-    path.write_text(page(), encoding="utf-8")
+    path.write_text(render_page(), encoding="utf-8")
     return path
 
 
@@ -109,7 +109,7 @@ def test_external_request_is_blocked_by_policy(browser, tmp_path):
     path.write_text(image, encoding="utf-8")
     with open_page(browser, path) as (_, asked, wrong):
         assert asked == ["http://example.invalid/a.png"]
-    path.write_text(page().replace("<header>", image + "<header>"), encoding="utf-8")
+    path.write_text(render_page().replace("<header>", image + "<header>"), encoding="utf-8")
     with open_page(browser, path) as (_, asked, wrong):
         assert asked == []
         assert "Content Security Policy" in wrong[0]
@@ -332,7 +332,7 @@ def test_wide_table_on_phone_has_hint_and_fixed_row_names(browser, tmp_path):
     columns = (Column("Run"), *(Column(f"Quantity {n}", "right") for n in range(9)))
     wide = Table(columns, (("run1", *(f"{n}.12345" for n in range(9))),))
     narrow = Table((Column("Run"), Column("n")), (("run1", "1"),))
-    path.write_text(page(made=[wide, narrow]), encoding="utf-8")
+    path.write_text(render_page(page_blocks=[wide, narrow]), encoding="utf-8")
     for viewport, more in ((PHONE, [True, False]), (DESK, [False, False])):
         with open_page(browser, path, viewport=viewport) as (tab, _, wrong):
             boxes = tab.locator(".scroll")
@@ -380,7 +380,7 @@ def test_chapters_are_tabs_on_screen_and_sequential_in_print(browser, tmp_path):
         Paragraph("in it"),
     ]
     path = tmp_path / "tabs.html"
-    path.write_text(page(made=blocks), encoding="utf-8")
+    path.write_text(render_page(page_blocks=blocks), encoding="utf-8")
     with open_page(browser, path) as (tab, _, wrong):
         second = tab.get_by_text("in it")
         assert tab.get_by_text("in the first").is_visible()
@@ -402,7 +402,7 @@ def test_chapters_are_tabs_on_screen_and_sequential_in_print(browser, tmp_path):
 def test_table_can_be_copied_and_saved(browser, tmp_path):
     table = Table((Column("Name"), Column("Value, ug")), (("a, b", "−1.5"), ('c"d', "2")))
     path = tmp_path / "table.html"
-    path.write_text(page(made=[Heading("Table"), table]), encoding="utf-8")
+    path.write_text(render_page(page_blocks=[Heading("Table"), table]), encoding="utf-8")
     with open_page(browser, path, accept_downloads=True) as (tab, _, wrong):
         with tab.expect_download() as saved:
             tab.get_by_role("button", name="CSV").click()

@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta, timezone
 import pytest
 from prose import ROOT
 from raising import raises
-from results import result
+from results import make_qx_result
 
 from counterspin.cli import main
 from counterspin.reports.publication import REPORT_SUFFIXES, parse_issue_date, report, write_report
@@ -19,11 +19,11 @@ FIXED = datetime(2026, 3, 1, 12, tzinfo=UTC)
 @pytest.mark.parametrize("suffix", REPORT_SUFFIXES)
 def test_report_formats_are_reproducible(suffix, tmp_path):
     first, second = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
-    write_report(result(), first, issued=FIXED)
-    write_report(result(), second, issued=FIXED)
+    write_report(make_qx_result(), first, issued=FIXED)
+    write_report(make_qx_result(), second, issued=FIXED)
     assert first.read_bytes() == second.read_bytes()
     assert len(first.read_bytes()) > 1000
-    calibration = result(warnings=["Qx: odd"])
+    calibration = make_qx_result(warnings=["Qx: odd"])
     with raises("file-exists", "`overwrite"):
         write_report(calibration, second, issued=FIXED)
     assert first.read_bytes() == second.read_bytes()
@@ -35,28 +35,30 @@ def test_report_formats_are_reproducible(suffix, tmp_path):
 @pytest.mark.parametrize("kind", ["html", "md", "pdf"])
 def test_returned_report_equals_written_file(kind, tmp_path):
     file = tmp_path / f"a.{kind}"
-    write_report(result(), file, identifier="LAB 7/26", issued=FIXED)
-    made = report(result(), kind, identifier="LAB 7/26", issued=FIXED)
+    write_report(make_qx_result(), file, identifier="LAB 7/26", issued=FIXED)
+    made = report(make_qx_result(), kind, identifier="LAB 7/26", issued=FIXED)
     assert (made if isinstance(made, bytes) else made.encode()) == file.read_bytes()
     with raises("wrong-usage", "kind:", "'txt'", "html", "md", "pdf"):
-        report(result(), "txt")
+        report(make_qx_result(), "txt")
 
 
 def test_report_does_not_overwrite_other_file(tmp_path):
     record = tmp_path / "record.md"
     record.write_text("mine", encoding="utf-8")
     with raises("file-exists", "calibration report"):
-        write_report(result(), record, issued=FIXED, overwrite=True)
+        write_report(make_qx_result(), record, issued=FIXED, overwrite=True)
     assert record.read_text(encoding="utf-8") == "mine"
 
 
 def test_identifier_is_in_report(tmp_path):
-    write_report(result(), tmp_path / "a.md", identifier="LAB 7/26", issued=FIXED)
+    write_report(make_qx_result(), tmp_path / "a.md", identifier="LAB 7/26", issued=FIXED)
     told = (tmp_path / "a.md").read_text(encoding="utf-8")
     assert told.endswith("\n\nEnd of LAB 7/26, 2026-03-01 12:00 UTC.\n")
-    write_report(result(), tmp_path / "a.html", issued=FIXED)
-    assert result().identifier in (tmp_path / "a.html").read_text(encoding="utf-8")
-    write_report(result(), tmp_path / "a.html", identifier="LAB 7/26", issued=FIXED, overwrite=True)
+    write_report(make_qx_result(), tmp_path / "a.html", issued=FIXED)
+    assert make_qx_result().identifier in (tmp_path / "a.html").read_text(encoding="utf-8")
+    write_report(
+        make_qx_result(), tmp_path / "a.html", identifier="LAB 7/26", issued=FIXED, overwrite=True
+    )
     assert "LAB 7/26" in (tmp_path / "a.html").read_text(encoding="utf-8")
 
 
@@ -99,7 +101,7 @@ def test_current_date_has_whole_seconds(monkeypatch):
 @pytest.fixture
 def result_file(tmp_path):
     path = tmp_path / "result.json"
-    result().write(path)
+    make_qx_result().write(path)
     return path
 
 
@@ -202,6 +204,6 @@ def test_results_of_all_commands_have_reports(
     assert main(["report", str(file)]) == 0
     assert title in capsys.readouterr().out
     # A file that is not a report of the same type is not overwritten.
-    write_report(result(), tmp_path / "other.md", issued=FIXED)
+    write_report(make_qx_result(), tmp_path / "other.md", issued=FIXED)
     assert main(["report", str(file), "-o", str(tmp_path / "other.md"), "--overwrite"]) == 1
     assert f"is not {mark} written by counterspin" in capsys.readouterr().err

@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from results import accelerometer, bare_result, run
+from results import make_accelerometer_result, make_bare_result, make_run
 from rich.console import Console
 
 from counterspin.calibration.pages.document import print_result, render, result_blocks
@@ -65,7 +65,7 @@ def make_accelerometer(**changes):
         ),
         "residual": Residual(rms=0.0099812, unit="m", dof=35000.0),
     }
-    return accelerometer(**(parts | changes))
+    return make_accelerometer_result(**(parts | changes))
 
 
 def make_result(**changes):
@@ -74,7 +74,7 @@ def make_result(**changes):
         "accelerometers": {"Qx": make_accelerometer()},
         "inputs": {"gravity": 9.8066, "latitude": math.radians(45.75), "radius": 2.5},
     }
-    return bare_result(**(parts | changes))
+    return make_bare_result(**(parts | changes))
 
 
 def make_full_result():
@@ -133,7 +133,7 @@ def make_full_result():
         warnings=["Qx: The runs do not agree with the model ± anything."],
     )
     tilt = Coefficient(value=0.21 * ARCSEC, u=0.05 * ARCSEC, unit="rad", estimated=True)
-    turning = run(
+    turning = make_run(
         rate=math.pi / 2,
         samples=20101,
         u_rate=2.4e-10,
@@ -163,7 +163,7 @@ def make_full_result():
                 value=0.01 * DEG_H, u=0.002 * DEG_H, unit="rad/s", estimated=True
             )
         },
-        runs={"run1": turning, "run2": run(rate=-math.pi)},
+        runs={"run1": turning, "run2": make_run(rate=-math.pi)},
         details={"laboratory": "Centrifuge hall", "serial_number": "17"},
         warnings=["run2: the spindle turned at another rate."],
     )
@@ -426,7 +426,7 @@ def test_narrow_terminal_loses_no_text(width):
 
 
 def test_plain_output_has_no_escape_codes_or_markup():
-    result = make_result(title="[bold]Batch[/bold] [3]", runs={"[red]": run()})
+    result = make_result(title="[bold]Batch[/bold] [3]", runs={"[red]": make_run()})
     stream = io.StringIO()
     print_result(result, make_console(stream), budget=True, details=True)
     assert "\x1b" not in stream.getvalue()

@@ -19,12 +19,14 @@ NOISE = 5e-4  # g, of each row
 
 def describe_pose_record(more="", clock='{ sampling_rate = "100 Hz" }', noise="[truth.noise]"):
     """Return a description with the truth of `triads`, and a record of poses."""
-    text = triads.head(f"records = {{ time = {clock} }}\n")
+    text = triads.format_description(f"records = {{ time = {clock} }}\n")
     for name in triads.NAMES:
         column = f'specific_force = {{ column = "{name}", unit = "m/s^2" }}\n'
-        text = text.replace(triads.accelerometer(name), triads.accelerometer(name, column))
+        text = text.replace(
+            triads.format_accelerometer(name), triads.format_accelerometer(name, column)
+        )
     text += '[[runs]]\nname = "all"\nmotion = "static"\nattitude = "unknown"\nrecord = "all.csv"\n'
-    truth = dict(zip(triads.PARAMETERS, triads.truth(), strict=True))
+    truth = dict(zip(triads.PARAMETERS, triads.true_parameters(), strict=True))
     text += '[simulation]\nsampling_rate = "100 Hz"\nseed = 5\n' + more
     for name in triads.NAMES:
         own = {symbol: value for (owner, symbol), value in truth.items() if owner == name}
@@ -66,7 +68,7 @@ def test_calibration_returns_simulated_truth(tmp_path):
     assert rows >= 250
     assert noise.value == pytest.approx(NOISE / np.sqrt(350), rel=0.15 + 4.5 / np.sqrt(42.0))
     found = [result.coefficient(f"{owner}.{symbol}") for owner, symbol in triads.PARAMETERS]
-    off = np.array([c.value for c in found]) - triads.truth()
+    off = np.array([c.value for c in found]) - triads.true_parameters()
     z = off / [c.u for c in found]
     assert np.abs(z).max() < 5.0  # Student's t of 21 degrees of freedom, nine of them: p = 5e-4
     assert max(c.u for c in found) < 1e-4

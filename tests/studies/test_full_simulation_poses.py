@@ -22,7 +22,7 @@ def _campaign(folder, count=24, noise="0.3 mg", u=None):
     known = "" if noise is None else f'[truth.noise]\nreading = "{noise}"\n'
     folder.mkdir()
     (folder / "campaign.toml").write_text(
-        triads.head() + runs + truth + known + "[simulation]\nseed = 5\n"
+        triads.format_description() + runs + truth + known + "[simulation]\nseed = 5\n"
     )
     return folder
 

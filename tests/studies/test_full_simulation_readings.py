@@ -6,7 +6,7 @@ import os
 import mixed_campaign
 import numpy as np
 import pytest
-from mixed_campaign import MODEL, RUNS, TRUE
+from mixed_campaign import MODEL, RUNS, SIMULATION
 from raising import raises
 from reading_descriptions import format_arm_run, format_rest_run
 from scipy import stats
@@ -162,8 +162,10 @@ def describe_records_and_readings(folder, varying):
         for side in ("inward", "outward")
         for rate in (3.1, 7.0, 14.0)
     )
-    short = TRUE.replace("revolutions = 20", "revolutions = 5")
-    description = mixed_campaign.HEAD + MODEL + short + varying + RUNS + resting + carried
+    short = SIMULATION.replace("revolutions = 20", "revolutions = 5")
+    description = (
+        mixed_campaign.DESCRIPTION_HEAD + MODEL + short + varying + RUNS + resting + carried
+    )
     folder.mkdir(exist_ok=True)
     (folder / "campaign.toml").write_text(description, encoding="utf-8")
     return folder

@@ -10,7 +10,7 @@ from importlib.resources import files
 import numpy as np
 import polars as pl
 import pytest
-from clusters import dask_cluster
+from clusters import start_dask_cluster
 from raising import raises
 from scipy import stats
 
@@ -577,7 +577,7 @@ def test_trial_does_not_depend_on_trial_count(varying, tmp_path):
 
 @pytest.mark.slow
 def test_dask_workers_return_same_result(varying):
-    with dask_cluster() as cluster:
+    with start_dask_cluster() as cluster:
         result = study(varying, trials=50_000, workers=Workers(cluster=cluster.scheduler_address))
     assert result == study(varying, trials=50_000)
 

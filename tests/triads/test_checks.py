@@ -15,13 +15,13 @@ NOISE = 1e-4  # g
 def findings_of_poses(seed, count=30, drift=0.0, squares=(0.0, 0.0, 0.0), minutes=5.0):
     """Return the findings of poses: of a bias of Y that drifts by so much in all, g."""
     generator = np.random.default_rng(seed)
-    values = triads.indications(triads.directions(count, generator), squares=squares)
+    values = triads.compute_indications(triads.draw_directions(count, generator), squares=squares)
     values += NOISE * generator.standard_normal((count, 3))
     values += np.outer(np.linspace(0.0, drift, count), [0.0, 1.0, 0.0])
-    poses = triads.group(values)
+    poses = triads.make_poses(values)
     times = np.linspace(0.0, 60.0 * minutes, count)
     poses = replace(poses, conditions={**poses.conditions, "time": times})
-    estimated, parts = estimate_with_groups(None, triads.unknowns(), [poses])
+    estimated, parts = estimate_with_groups(None, triads.make_unknowns(), [poses])
     return pose_findings(estimated.fit, parts)
 
 

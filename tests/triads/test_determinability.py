@@ -31,14 +31,14 @@ def _in_two_planes(generator):
 
 
 def _nine_in_eight(generator):
-    along = triads.directions(8, generator)
+    along = triads.draw_directions(8, generator)
     return np.vstack([along, along[:1]])
 
 
 def _fit(along, generator, rows=triads.ROWS, bias=triads.BIAS):
-    values = triads.indications(along, rows, bias)
+    values = triads.compute_indications(along, rows, bias)
     values = values + NOISE * generator.standard_normal(values.shape)
-    return solve_readings([triads.group(values, NOISE)], triads.unknowns(defaults=True))
+    return solve_readings([triads.make_poses(values, NOISE)], triads.make_unknowns(defaults=True))
 
 
 def _undetermined(fit):
@@ -58,7 +58,7 @@ def _undetermined(fit):
         # Nothing turns about the axis of Z and that of Y, seen along X.
         (_in_two_planes, {"Z.delta_O"}),
         (_about_one_axis, {"Z.K_F", "Z.K_I", "Z.delta_O", "Z.delta_P"}),
-        (lambda generator: triads.directions(24, generator), set()),
+        (lambda generator: triads.draw_directions(24, generator), set()),
     ],
 )
 def test_determinability_depends_on_directions(directions, undetermined):
@@ -78,11 +78,11 @@ def test_nine_poses_in_eight_directions_have_one_undetermined_parameter():
 
 def test_determined_parameters_do_not_use_default_priors():
     generator = np.random.default_rng(13)
-    values = triads.indications(triads.directions(24, generator))
+    values = triads.compute_indications(triads.draw_directions(24, generator))
     values = values + NOISE * generator.standard_normal(values.shape)
-    group = triads.group(values)
-    free = solve_readings([group], triads.unknowns())
-    fit = solve_readings([group], triads.unknowns(defaults=True))
+    group = triads.make_poses(values)
+    free = solve_readings([group], triads.make_unknowns())
+    fit = solve_readings([group], triads.make_unknowns(defaults=True))
     np.testing.assert_allclose(fit.solution.estimate, free.solution.estimate, rtol=1e-7)
     np.testing.assert_allclose(fit.solution.u, free.solution.u, rtol=1e-5)
 
@@ -99,7 +99,7 @@ def test_u_of_six_faces_has_coverage(angle):
         rows[[1, 2, 2], [0, 0, 1]] = DEFAULTS[2] * generator.standard_normal(3)
         along = np.repeat(FACES, 4, axis=0) if angle == 0.0 else _near_faces(generator, angle)
         fit = _fit(along, generator, rows, bias)
-        truth = triads.truth(rows, bias) - [u.nominal for u in fit.fit.model.unknowns]
+        truth = triads.true_parameters(rows, bias) - [u.nominal for u in fit.fit.model.unknowns]
         for unknown, error, u in zip(
             fit.fit.model.unknowns, fit.solution.estimate - truth, fit.solution.u, strict=True
         ):

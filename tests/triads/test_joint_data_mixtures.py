@@ -56,7 +56,7 @@ def _arm():
 
 def _calibrated(folder, runs, model, more=""):
     folder.mkdir()
-    text = triads.head(f'centrifuge = {{ radius = "1 ± 1e-5 m" }}\n{more}', model)
+    text = triads.format_description(f'centrifuge = {{ radius = "1 ± 1e-5 m" }}\n{more}', model)
     (folder / "campaign.toml").write_text(text + runs + _truth() + "[simulation]\nseed = 12\n")
     cs.simulate(folder, folder / "made")
     return cs.calibrate(folder / "made")
@@ -83,10 +83,12 @@ def test_arm_determines_second_order_terms_of_triad(tmp_path):
 def test_known_attitude_determines_rotation_of_triad(tmp_path):
     """One known attitude determines the rotation of the triad, but not its shape."""
     model = 'terms = ["K_F", "K_I", "delta_O", "delta_P"]\nassume = ["all"]'
-    along = triads.directions(30, np.random.default_rng(3))
-    values = triads.indications(along)
-    description = triads.head(model=model)
-    alone = cs.calibrate(triads.table(tmp_path / "a", values, u=3e-4, description=description))
+    along = triads.draw_directions(30, np.random.default_rng(3))
+    values = triads.compute_indications(along)
+    description = triads.format_description(model=model)
+    alone = cs.calibrate(
+        triads.write_pose_campaign(tmp_path / "a", values, u=3e-4, description=description)
+    )
     # The same sensor, turned in its case by a milliradian about up, and read level and on a side.
     angle = 1e-3
     turn = np.array([[math.cos(angle), math.sin(angle), 0], [-math.sin(angle), math.cos(angle), 0]])
@@ -106,7 +108,7 @@ def test_known_attitude_determines_rotation_of_triad(tmp_path):
         )
     )
     both = cs.calibrate(
-        triads.table(tmp_path / "b", values, u=3e-4, description=description + known)
+        triads.write_pose_campaign(tmp_path / "b", values, u=3e-4, description=description + known)
     )
     for name, c in alone.triad.parameters.items():
         assert both.triad.parameters[name].value == pytest.approx(c.value, abs=1e-6)

@@ -20,14 +20,14 @@ def test_column_matches_finite_difference_of_pose_residuals():
     # Indications without the term, and with a little of it, after both fits have turned each pose
     # so that its three indications fit best: what is left along the force differs by the column.
     generator = np.random.default_rng(4)
-    along = triads.directions(20, generator)
-    poses = triads.group(triads.indications(along), u=1e-4)
+    along = triads.draw_directions(20, generator)
+    poses = triads.make_poses(triads.compute_indications(along), u=1e-4)
     conditions = {
         "time": np.linspace(0.0, 500.0, 20),
         "temperature": generator.uniform(-10.0, 10.0, 20),
     }
     poses = replace(poses, conditions={**poses.conditions, **conditions})
-    fit = solve_readings([poses], triads.unknowns()).fit
+    fit = solve_readings([poses], triads.make_unknowns()).fit
     unknown = set(triads.PARAMETERS)
     every = {(o.owner, o.kind, o.symbol): o for o in pose_candidates(poses, 0, fit, unknown, ())}
     assert not {(owner, "term", symbol) for owner, symbol in unknown} & set(every)
@@ -47,9 +47,9 @@ def test_column_matches_finite_difference_of_pose_residuals():
 
 
 def test_constant_conditions_are_not_tested():
-    along = triads.directions(20, np.random.default_rng(4))
-    poses = triads.group(triads.indications(along), u=1e-4)
-    fit = solve_readings([poses], triads.unknowns()).fit
+    along = triads.draw_directions(20, np.random.default_rng(4))
+    poses = triads.make_poses(triads.compute_indications(along), u=1e-4)
+    fit = solve_readings([poses], triads.make_unknowns()).fit
     tried = {(o.kind, o.symbol) for o in pose_candidates(poses, 0, fit, triads.PARAMETERS, ())}
     # Without times there is the order, and without temperatures no slope with them.
     assert ("drift", "order") in tried

@@ -53,12 +53,12 @@ def _nominal():
 @pytest.mark.parametrize("stated", [True, False])
 def test_fit_matches_dense_fit_with_all_angles(stated):
     generator = np.random.default_rng(4)
-    along = triads.directions(25, generator)
-    values = triads.indications(along) + NOISE * generator.standard_normal((25, 3))
+    along = triads.draw_directions(25, generator)
+    values = triads.compute_indications(along) + NOISE * generator.standard_normal((25, 3))
     # Where it is stated, each accelerometer has its own.
     u = NOISE * np.array([1.0, 2.0, 0.5]) if stated else None
     expected, covariance, scale = _dense(values, 1.0 / u if stated else np.ones(3))
-    fit = solve_readings([triads.group(values, u)], triads.unknowns())
+    fit = solve_readings([triads.make_poses(values, u)], triads.make_unknowns())
     if not stated:
         covariance = covariance * scale
         (group,) = fit.groups
@@ -79,30 +79,34 @@ def test_fit_matches_dense_fit_with_all_angles(stated):
 def test_sensor_with_large_errors_needs_no_initial_guess():
     rows = np.array([[1.4, 0.0, 0.0], [0.2, 0.7, 0.0], [-0.15, 0.1, 1.2]])
     bias = np.array([0.9, -0.6, 0.4])
-    along = triads.directions(15, np.random.default_rng(2))
-    values = triads.indications(along, rows, bias)
-    fit = solve_readings([triads.group(values, 1e-4)], triads.unknowns())
+    along = triads.draw_directions(15, np.random.default_rng(2))
+    values = triads.compute_indications(along, rows, bias)
+    fit = solve_readings([triads.make_poses(values, 1e-4)], triads.make_unknowns())
     found = fit.solution.estimate + _nominal()
-    np.testing.assert_allclose(found, triads.truth(rows, bias), atol=1e-9)
+    np.testing.assert_allclose(found, triads.true_parameters(rows, bias), atol=1e-9)
 
 
 def test_nine_poses_without_noise_determine_nine_parameters():
-    along = triads.directions(9, np.random.default_rng(5))
-    fit = solve_readings([triads.group(triads.indications(along), 1e-4)], triads.unknowns())
+    along = triads.draw_directions(9, np.random.default_rng(5))
+    fit = solve_readings(
+        [triads.make_poses(triads.compute_indications(along), 1e-4)], triads.make_unknowns()
+    )
     found = fit.solution.estimate + _nominal()
-    np.testing.assert_allclose(found, triads.truth(), atol=1e-9)
+    np.testing.assert_allclose(found, triads.true_parameters(), atol=1e-9)
 
 
 def test_fewer_poses_than_unknowns_raise():
     along = np.vstack([np.eye(3), -np.eye(3)])
     with raises("not-identifiable", "6 poses", "9 unknowns", "Y.delta_P", "Z.delta_O, Z.delta_P"):
-        solve_readings([triads.group(triads.indications(along))], triads.unknowns())
+        solve_readings(
+            [triads.make_poses(triads.compute_indications(along))], triads.make_unknowns()
+        )
     # Nine could tell biases and scale factors alone, six not even those.
-    noisy = triads.indications(triads.directions(9, np.random.default_rng(3)))
+    noisy = triads.compute_indications(triads.draw_directions(9, np.random.default_rng(3)))
     noisy += 1e-4 * np.random.default_rng(4).standard_normal((9, 3))
     for values, fewer in ((noisy, True), (noisy[:6], False)):
         with pytest.raises(NotIdentifiableError) as error:
-            solve_readings([triads.group(values)], triads.unknowns())
+            solve_readings([triads.make_poses(values)], triads.make_unknowns())
         assert ('terms = ["K_F", "K_I"]' in str(error.value)) is fewer
 
 
@@ -115,18 +119,18 @@ def model_with_default_priors():
         for name in triads.NAMES
         for symbol, size in sizes.items()
     )
-    return Unknowns((*triads.unknowns().unknowns, *unstated))
+    return Unknowns((*triads.make_unknowns().unknowns, *unstated))
 
 
 def _few(model, generator):
     """Return 13 poses without stated uncertainty; draw the second-order terms."""
-    values = triads.indications(triads.directions(13, generator))
-    true = np.append(triads.truth() - _nominal(), np.zeros(18))
-    probe = triads.group(values)
+    values = triads.compute_indications(triads.draw_directions(13, generator))
+    true = np.append(triads.true_parameters() - _nominal(), np.zeros(18))
+    probe = triads.make_poses(values)
     columns = probe.linearize(model, true).design[:, 9:]
     drawn = np.array([one.prior[1] for one in model.unknowns[9:]]) * generator.standard_normal(18)
     off = columns @ drawn + NOISE * generator.standard_normal(13)
-    return triads.group(values + probe.at(model, true).projection * off[:, None])
+    return triads.make_poses(values + probe.at(model, true).projection * off[:, None])
 
 
 def test_few_poses_with_default_priors_have_coverage(model_with_default_priors):
@@ -138,7 +142,7 @@ def test_few_poses_with_default_priors_have_coverage(model_with_default_priors):
         poses = _few(model_with_default_priors, generator)
         estimated, _ = estimate_with_groups(None, model_with_default_priors, [poses])
         solution, dof[trial] = estimated.fit.solution, estimated.dof[:9]
-        z[trial] = (solution.estimate[:9] + _nominal() - triads.truth()) / solution.u[:9]
+        z[trial] = (solution.estimate[:9] + _nominal() - triads.true_parameters()) / solution.u[:9]
 
     def hold(part, times=1.0):
         held = np.mean(np.abs(z) < times * stats.t.ppf(0.5 + 0.5 * part, dof), axis=1)
@@ -165,21 +169,21 @@ def test_few_poses_match_dense_least_squares(model_with_default_priors):
 
 def test_second_order_terms_are_estimated_exactly_without_noise():
     squares = np.array([2e-3, -1e-3, 3e-3])
-    along = triads.directions(60, np.random.default_rng(8))
-    values = triads.indications(along, squares=squares)
-    model = triads.unknowns([(name, "K_II") for name in triads.NAMES])
-    fit = solve_readings([triads.group(values, 1e-4)], model)
+    along = triads.draw_directions(60, np.random.default_rng(8))
+    values = triads.compute_indications(along, squares=squares)
+    model = triads.make_unknowns([(name, "K_II") for name in triads.NAMES])
+    fit = solve_readings([triads.make_poses(values, 1e-4)], model)
     found = fit.solution.estimate
     np.testing.assert_allclose(found[9:], squares, atol=1e-9)
-    np.testing.assert_allclose(found[:9] + _nominal(), triads.truth(), atol=1e-9)
+    np.testing.assert_allclose(found[:9] + _nominal(), triads.true_parameters(), atol=1e-9)
 
 
 def test_outlying_pose_has_smallest_p_value():
     generator = np.random.default_rng(11)
-    values = triads.indications(triads.directions(30, generator))
+    values = triads.compute_indications(triads.draw_directions(30, generator))
     values += NOISE * generator.standard_normal(values.shape)
     values[7] *= 1.0 + 12.0 * NOISE
-    fit = solve_readings([triads.group(values)], triads.unknowns())
+    fit = solve_readings([triads.make_poses(values)], triads.make_unknowns())
     p = np.array([single.p for single in fit.groups[0].single])
     assert np.argmin(p) == 7
     assert p[7] < 1e-4 < np.min(np.delete(p, 7))
@@ -190,10 +194,10 @@ def test_z_scores_of_parameters_are_normal():
     generator, trials = np.random.default_rng(21), 40
     squares = 0.0
     for _ in range(trials):
-        values = triads.indications(triads.directions(24, generator))
+        values = triads.compute_indications(triads.draw_directions(24, generator))
         values += NOISE * generator.standard_normal(values.shape)
-        fit = solve_readings([triads.group(values, NOISE)], triads.unknowns())
-        off = fit.solution.estimate + _nominal() - triads.truth()
+        fit = solve_readings([triads.make_poses(values, NOISE)], triads.make_unknowns())
+        off = fit.solution.estimate + _nominal() - triads.true_parameters()
         squares += float(off @ np.linalg.solve(fit.solution.covariance, off))
     assert squares / (9 * trials) == pytest.approx(1.0, abs=4.5 * math.sqrt(2.0 / (9 * trials)))
 
@@ -214,12 +218,12 @@ def test_few_poses_have_coverage_with_and_without_stated_noise(count, stated):
     generator = np.random.default_rng(100 + count)
     squares = np.empty(TRIADS)
     for trial in range(TRIADS):
-        values = triads.indications(triads.directions(count, generator))
+        values = triads.compute_indications(triads.draw_directions(count, generator))
         values += NOISE * generator.standard_normal(values.shape)
-        group = triads.group(values, NOISE if stated else None)
-        estimated, _ = estimate_with_groups(None, triads.unknowns(), [group])
+        group = triads.make_poses(values, NOISE if stated else None)
+        estimated, _ = estimate_with_groups(None, triads.make_unknowns(), [group])
         solution = estimated.fit.solution
-        z = (solution.estimate + _nominal() - triads.truth()) / solution.u
+        z = (solution.estimate + _nominal() - triads.true_parameters()) / solution.u
         if not stated:
             assert estimated.dof == pytest.approx(count - 9.0, abs=1e-6)
             z = stats.norm.ppf(stats.t.cdf(z, estimated.dof))
@@ -234,8 +238,8 @@ def test_few_poses_have_coverage_with_and_without_stated_noise(count, stated):
 
 def test_thousand_poses_need_less_than_ten_seconds():
     generator = np.random.default_rng(6)
-    values = triads.indications(triads.directions(1000, generator))
+    values = triads.compute_indications(triads.draw_directions(1000, generator))
     values += NOISE * generator.standard_normal(values.shape)
     begin = time.process_time()
-    solve_readings([triads.group(values)], triads.unknowns())
+    solve_readings([triads.make_poses(values)], triads.make_unknowns())
     assert time.process_time() - begin < 10.0  # a tenth of it on a quiet machine

@@ -16,7 +16,7 @@ REAL = Path(__file__).parents[4] / "shared" / "real" / "mpu9150" / "imu0.log"
 
 def _values(count, seed, noise=NOISE, **truth):
     generator = np.random.default_rng(seed)
-    values = triads.indications(triads.directions(count, generator), **truth)
+    values = triads.compute_indications(triads.draw_directions(count, generator), **truth)
     return values + noise * generator.standard_normal(values.shape)
 
 
@@ -35,7 +35,7 @@ def _expected():
 
 def test_parameters_matrix_and_bias_match_truth(tmp_path):
     values = _values(30, 1, noise=0.0)
-    result = cs.calibrate(triads.table(tmp_path, values, u=1e-5))
+    result = cs.calibrate(triads.write_pose_campaign(tmp_path, values, u=1e-5))
     triad = result.triad
     assert {name: c.value for name, c in triad.parameters.items()} == pytest.approx(
         _expected(), abs=1e-9
@@ -48,13 +48,13 @@ def test_parameters_matrix_and_bias_match_truth(tmp_path):
     assert result.state == "good"
     along = np.array([pose.direction for pose in triad.poses])
     np.testing.assert_allclose(
-        along, triads.directions(30, np.random.default_rng(1)), rtol=0, atol=1e-9
+        along, triads.draw_directions(30, np.random.default_rng(1)), rtol=0, atol=1e-9
     )
 
 
 def test_uncertainties_and_correlations_match_derivatives(tmp_path):
     # An angle's derivatives, and a sensitivity's, by differences of the matrix.
-    result = cs.calibrate(triads.table(tmp_path, _values(30, 2), u=NOISE))
+    result = cs.calibrate(triads.write_pose_campaign(tmp_path, _values(30, 2), u=NOISE))
     triad = result.triad
     covariance = result.covariance.matrix
     order = [f"{name}.{symbol}" for name, symbol in triads.PARAMETERS]
@@ -100,7 +100,7 @@ def write_campaign_in_si(folder, values, gravity):
         + " }\n"
         for k, row in enumerate(np.asarray(values).tolist())
     )
-    description = triads.head().replace('"9.81 m/s^2"', f'"{gravity} m/s^2"')
+    description = triads.format_description().replace('"9.81 m/s^2"', f'"{gravity} m/s^2"')
     (folder / "campaign.toml").write_text(description + "".join(runs), "utf-8")
     return folder
 
@@ -118,7 +118,7 @@ def test_sensitivity_to_gravity_matches_difference(tmp_path):
 
 
 def test_poses_without_stated_noise_have_student_t_intervals(tmp_path):
-    result = cs.calibrate(triads.table(tmp_path, _values(20, 3)))
+    result = cs.calibrate(triads.write_pose_campaign(tmp_path, _values(20, 3)))
     for parameter in result.triad.parameters.values():
         assert parameter.dof == pytest.approx(11.0, abs=1e-3)
     (noise,) = result.accelerometers["Y"].noise.values()
@@ -130,7 +130,7 @@ def test_poses_without_stated_noise_have_student_t_intervals(tmp_path):
 
 
 def test_result_round_trip_and_report(tmp_path):
-    result = cs.calibrate(triads.table(tmp_path, _values(20, 3)))
+    result = cs.calibrate(triads.write_pose_campaign(tmp_path, _values(20, 3)))
     path = tmp_path / "result.json"
     result.write(path)
     again = cs.read_result(path)
@@ -145,10 +145,16 @@ def test_result_round_trip_and_report(tmp_path):
 def test_unused_setting_error_has_warning(tmp_path):
     stated = '\n[fixture]\nposition = "0 ± 0.5 deg"\n'
     values = _values(20, 3)
-    result = cs.calibrate(triads.table(tmp_path / "poses", values, description=triads.head(stated)))
+    result = cs.calibrate(
+        triads.write_pose_campaign(
+            tmp_path / "poses", values, description=triads.format_description(stated)
+        )
+    )
     (warning,) = (text for text in result.warnings if "[fixture]" in text)
     assert "this campaign estimates all attitudes" in warning
-    folder = triads.table(tmp_path / "both", values, u=3e-4, description=triads.head(stated))
+    folder = triads.write_pose_campaign(
+        tmp_path / "both", values, u=3e-4, description=triads.format_description(stated)
+    )
     level = '[[runs]]\nname = "level"\nmotion = "static"\nattitude = "level"\n'
     level += 'reading = { X = "0.01 ± 3e-4 g", Y = "-0.01 ± 3e-4 g", Z = "1.04 ± 3e-4 g" }\n'
     description = (folder / "campaign.toml").read_text("utf-8")
@@ -157,8 +163,8 @@ def test_unused_setting_error_has_warning(tmp_path):
 
 
 def test_single_known_attitude_leaves_azimuth_undetermined(tmp_path):
-    folder = triads.table(tmp_path, _values(20, 3), u=NOISE)
-    x, y, z = triads.indications(np.array([[0.0, 0.0, 1.0]]))[0].tolist()
+    folder = triads.write_pose_campaign(tmp_path, _values(20, 3), u=NOISE)
+    x, y, z = triads.compute_indications(np.array([[0.0, 0.0, 1.0]]))[0].tolist()
     level = '[[runs]]\nname = "level"\nmotion = "static"\nattitude = "level"\nreading = '
     level += f'{{ X = "{x!r} ± 3e-4 g", Y = "{y!r} ± 3e-4 g", Z = "{z!r} ± 3e-4 g" }}\n'
     description = (folder / "campaign.toml").read_text("utf-8")
@@ -173,7 +179,7 @@ def test_single_known_attitude_leaves_azimuth_undetermined(tmp_path):
 
 
 def test_parameters_have_repr_and_frame(tmp_path):
-    triad = cs.calibrate(triads.table(tmp_path, _values(20, 3))).triad
+    triad = cs.calibrate(triads.write_pose_campaign(tmp_path, _values(20, 3))).triad
     lines = repr(triad).splitlines()
     assert str(triad) == repr(triad)
     assert lines[0] == "Triad X, Y, Z: 20 poses"
@@ -188,10 +194,12 @@ def test_parameters_have_repr_and_frame(tmp_path):
 
 def test_default_priors_are_in_u(tmp_path):
     values = _values(40, 4)
-    perfect = cs.calibrate(triads.table(tmp_path / "a", values, u=NOISE))
+    perfect = cs.calibrate(triads.write_pose_campaign(tmp_path / "a", values, u=NOISE))
     model = 'terms = ["K_F", "K_I", "delta_O", "delta_P"]'
     usual = cs.calibrate(
-        triads.table(tmp_path / "b", values, u=NOISE, description=triads.head(model=model))
+        triads.write_pose_campaign(
+            tmp_path / "b", values, u=NOISE, description=triads.format_description(model=model)
+        )
     )
     offset, plain = (r.triad.parameters["offset.X"] for r in (usual, perfect))
     assert plain.u_unstated == pytest.approx(0.0, abs=1e-6)
@@ -207,27 +215,27 @@ def test_outlying_pose_is_named(tmp_path):
     values = _values(30, 5)
     values[12] *= 1.0 + 14.0 * NOISE
     names = [f"p{k}" for k in range(30)]
-    result = cs.calibrate(triads.table(tmp_path, values, u=NOISE, name=names))
+    result = cs.calibrate(triads.write_pose_campaign(tmp_path, values, u=NOISE, name=names))
     codes = {(finding.code, finding.subject) for finding in result.findings}
     assert ("outlying-reading", "triad.p12") in codes
     assert result.state == "contradicted"
 
 
 def test_noise_stated_too_small_is_lack_of_fit(tmp_path):
-    result = cs.calibrate(triads.table(tmp_path, _values(40, 6), u=NOISE / 2.5))
+    result = cs.calibrate(triads.write_pose_campaign(tmp_path, _values(40, 6), u=NOISE / 2.5))
     assert ("lack-of-fit", "triad") in {(f.code, f.subject) for f in result.findings}
 
 
 def test_few_poses_are_unjudged(tmp_path):
-    result = cs.calibrate(triads.table(tmp_path, _values(12, 7)))
+    result = cs.calibrate(triads.write_pose_campaign(tmp_path, _values(12, 7)))
     (finding,) = [f for f in result.findings if f.code == "unjudged-readings"]
     assert finding.subject == "triad"
     assert result.state == "reservations"
 
 
 def test_six_faces_report_undetermined_parameters(tmp_path):
-    faces = triads.indications(np.vstack([np.eye(3), -np.eye(3)]))
-    result = cs.calibrate(triads.table(tmp_path, faces, u=NOISE))
+    faces = triads.compute_indications(np.vstack([np.eye(3), -np.eye(3)]))
+    result = cs.calibrate(triads.write_pose_campaign(tmp_path, faces, u=NOISE))
     for name in ("angle.X.Y", "angle.X.Z", "angle.Y.Z"):
         assert result.triad.parameters[name].value is None
     assert result.triad.matrix is None
@@ -239,8 +247,8 @@ def test_six_faces_report_undetermined_parameters(tmp_path):
 def test_six_directions_leave_angles_and_matrix_undetermined(tmp_path):
     faces = np.repeat(np.vstack([np.eye(3), -np.eye(3)]), 4, axis=0)
     generator = np.random.default_rng(15)
-    values = triads.indications(faces) + NOISE * generator.standard_normal((24, 3))
-    result = cs.calibrate(triads.table(tmp_path, values))
+    values = triads.compute_indications(faces) + NOISE * generator.standard_normal((24, 3))
+    result = cs.calibrate(triads.write_pose_campaign(tmp_path, values))
     parameters = result.triad.parameters
     for k, name in enumerate(triads.NAMES):
         offset, size = parameters[f"offset.{name}"], parameters[f"sensitivity.{name}"]
@@ -259,9 +267,13 @@ def test_six_directions_leave_angles_and_matrix_undetermined(tmp_path):
 
 
 def test_six_faces_determine_biases_and_scale_factors(tmp_path):
-    faces = triads.indications(np.vstack([np.eye(3), -np.eye(3)]))
-    description = triads.head(model='typical = { K_II = "1 ug/g^2", K_0_asym = "1 ug" }')
-    result = cs.calibrate(triads.table(tmp_path, faces, u=1e-5, description=description))
+    faces = triads.compute_indications(np.vstack([np.eye(3), -np.eye(3)]))
+    description = triads.format_description(
+        model='typical = { K_II = "1 ug/g^2", K_0_asym = "1 ug" }'
+    )
+    result = cs.calibrate(
+        triads.write_pose_campaign(tmp_path, faces, u=1e-5, description=description)
+    )
     parameters = result.triad.parameters
     for k, name in enumerate(triads.NAMES):
         offset, size = parameters[f"offset.{name}"], parameters[f"sensitivity.{name}"]
@@ -280,9 +292,11 @@ def test_six_faces_determine_biases_and_scale_factors(tmp_path):
 
 def test_poses_in_single_hemisphere_are_reported(tmp_path):
     generator = np.random.default_rng(9)
-    along = triads.directions(40, generator)
+    along = triads.draw_directions(40, generator)
     along[:, 2] = np.abs(along[:, 2])
-    result = cs.calibrate(triads.table(tmp_path, triads.indications(along), u=0.03))
+    result = cs.calibrate(
+        triads.write_pose_campaign(tmp_path, triads.compute_indications(along), u=0.03)
+    )
     texts = [f.text for f in result.findings if f.code == "not-determined"]
     assert not texts or any("No pose has Z pointing down" in text for text in texts)
 
@@ -294,13 +308,15 @@ def test_measured_pose_record_matches_published_values(tmp_path):
         'record = "imu0.log"\nposes = { rest = "1.5 s" }\n'
     )
     columns = "".join(
-        triads.accelerometer(
+        triads.format_accelerometer(
             name, f'specific_force = {{ column = "column {k}", unit = "m/s^2" }}\n'
         )
         for k, name in enumerate(triads.NAMES, start=1)
     )
-    plain = "".join(map(triads.accelerometer, triads.NAMES))
-    text = triads.head('[records]\ntime = { sampling_rate = "100 Hz" }').replace(plain, columns)
+    plain = "".join(map(triads.format_accelerometer, triads.NAMES))
+    text = triads.format_description('[records]\ntime = { sampling_rate = "100 Hz" }').replace(
+        plain, columns
+    )
     (tmp_path / "campaign.toml").write_text(text + runs)
     (tmp_path / "imu0.log").write_bytes(REAL.read_bytes())
     triad = cs.calibrate(tmp_path).triad

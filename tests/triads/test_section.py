@@ -28,7 +28,7 @@ def _refused(folder, text):
 
 
 def test_poses_and_frame_misalignments_are_read(tmp_path):
-    campaign = _read(tmp_path, triads.head() + ONE + TWO)
+    campaign = _read(tmp_path, triads.format_description() + ONE + TWO)
     first, second = campaign.triad.poses
     assert [reading.value for reading in first] == [0.1, -0.2, 0.97]
     assert {reading.name for reading in second} == {"two"}
@@ -45,14 +45,14 @@ def test_poses_and_frame_misalignments_are_read(tmp_path):
 
 def test_known_attitudes_determine_orientation_of_triad(tmp_path):
     known = ONE.replace('"unknown"', '"level"').replace("one", "known")
-    campaign = _read(tmp_path, triads.head() + ONE + known)
+    campaign = _read(tmp_path, triads.format_description() + ONE + known)
     assert campaign.triad.frame_misalignments == ()
     assert {reading.name for reading in campaign.readings} == {"known"}
     assert {reading.name for reading in campaign.all_readings} == {"known", "one"}
 
 
 def test_table_rows_may_be_poses(tmp_path):
-    text = triads.head() + (
+    text = triads.format_description() + (
         '[readings]\nfile = "t.csv"\n'
         'columns = { attitude = "at", reading = { X = "x", Y = "y", Z = "z" } }\n'
     )
@@ -101,13 +101,15 @@ def test_table_rows_may_be_poses(tmp_path):
     ],
 )
 def test_invalid_section_raises(tmp_path, change, said):
-    text = triads.head() + ONE
+    text = triads.format_description() + ONE
     assert change[0] in text
     assert said in _refused(tmp_path, text.replace(*change, 1))
 
 
 def test_unknown_attitude_requires_triad(tmp_path):
-    text = (triads.head() + ONE).replace('[triad]\naccelerometers = ["X", "Y", "Z"]\n', "")
+    text = (triads.format_description() + ONE).replace(
+        '[triad]\naccelerometers = ["X", "Y", "Z"]\n', ""
+    )
     assert "write [triad] accelerometers" in _refused(tmp_path, text)
 
 
@@ -121,7 +123,7 @@ def test_simulated_poses_return_true_bias(tmp_path):
     truth = truth.replace("[truth.Z]", '[truth.Z]\ndelta_O = "-6 mrad"\ndelta_P = "-2 mrad"')
     truth = truth.replace("[truth.Y]", '[truth.Y]\ndelta_P = "-3 mrad"')
     truth += '[truth.noise]\nreading = "0 g"\n[simulation]\nseed = 4\n'
-    text = triads.head() + "".join(
+    text = triads.format_description() + "".join(
         POSE.format(name=f"p{k}", x="?", y="?", z="?").replace(" g", "") for k in range(9)
     )
     table = text + (
@@ -142,13 +144,13 @@ def test_simulated_poses_return_true_bias(tmp_path):
 
 def test_pose_record_is_read(tmp_path):
     columns = '[records]\ntime = { column = "t", unit = "s" }\n'
-    text = triads.head(columns) + (
+    text = triads.format_description(columns) + (
         '[[runs]]\nname = "many"\nmotion = "static"\nattitude = "unknown"\nrecord = "a.csv"\n'
     )
     for name in triads.NAMES:
-        plain = triads.accelerometer(name)
+        plain = triads.format_accelerometer(name)
         more = f'specific_force = {{ column = "{name}", unit = "g" }}\n'
-        text = text.replace(plain, triads.accelerometer(name, more))
+        text = text.replace(plain, triads.format_accelerometer(name, more))
     campaign = _read(tmp_path, text)
     (record,) = campaign.triad.records
     assert (record.rest, record.threshold) == (1.5, None)
@@ -157,8 +159,8 @@ def test_pose_record_is_read(tmp_path):
 
 def test_single_uncertainty_column_applies_to_all_axes(tmp_path):
     """It was that of the first accelerometer alone, so that the pose counted as without any."""
-    values = triads.indications(triads.directions(12, np.random.default_rng(3)))
-    folder = triads.table(tmp_path, values, u=2e-4)
+    values = triads.compute_indications(triads.draw_directions(12, np.random.default_rng(3)))
+    folder = triads.write_pose_campaign(tmp_path, values, u=2e-4)
     file = folder / "campaign.toml"
     file.write_text(file.read_text().replace('u = { X = "u", Y = "u", Z = "u" }', 'u = "u"'))
     poses = cs.read_campaign(folder).triad.poses
@@ -166,8 +168,8 @@ def test_single_uncertainty_column_applies_to_all_axes(tmp_path):
 
 
 def test_uncertainty_of_some_axes_raises(tmp_path):
-    values = triads.indications(triads.directions(12, np.random.default_rng(3)))
-    folder = triads.table(tmp_path, values, u=2e-4)
+    values = triads.compute_indications(triads.draw_directions(12, np.random.default_rng(3)))
+    folder = triads.write_pose_campaign(tmp_path, values, u=2e-4)
     file = folder / "campaign.toml"
     file.write_text(
         file.read_text().replace('u = { X = "u", Y = "u", Z = "u" }', 'u = { X = "u" }')
@@ -177,7 +179,7 @@ def test_uncertainty_of_some_axes_raises(tmp_path):
 
 
 def test_default_axes_of_triad_are_body_axes(tmp_path):
-    text = triads.head() + ONE + TWO
+    text = triads.format_description() + ONE + TWO
     bare = "\n".join(line for line in text.splitlines() if "_axis = " not in line)
     assert bare.count("[accelerometers.") == 3
     plain, stated = (_read(tmp_path, one).accelerometers for one in (bare, text))

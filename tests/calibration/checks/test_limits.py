@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from campaigns import SMALL, replace_parts, write_description
-from reading_campaigns import simulate_readings, tumble
+from reading_campaigns import make_tumble, simulate_readings
 from reading_descriptions import ACCELEROMETER, format_rest_run, format_site
 
 from counterspin import validation
@@ -23,7 +23,7 @@ SIGN = "the sign of the output, and the senses of the input axis and of the atti
 
 def calibrate_tumble(folder, change, *, turned=0.0, terms=tuple(TRUTH), more="", accelerometer=""):
     """Calibrate a tumble with changed indications or rotated positions, deg."""
-    values = simulate_readings(tumble(), np.random.default_rng(1), SIGMA, truth=TRUTH)
+    values = simulate_readings(make_tumble(), np.random.default_rng(1), SIGMA, truth=TRUTH)
     step = 360 / len(values)
     runs = "".join(
         format_rest_run(

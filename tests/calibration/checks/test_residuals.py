@@ -116,12 +116,17 @@ def test_documentation_states_false_alarm_rate_and_limit():
 
 def test_overstated_uncertainty_of_poses_has_remark(tmp_path):
     rng = np.random.default_rng(5)
-    values = triads.indications(triads.directions(30, rng))
+    values = triads.compute_indications(triads.draw_directions(30, rng))
     values += 3e-4 * rng.standard_normal(values.shape)
-    (remark,) = overstated_noise_remarks(calibrate(triads.table(tmp_path / "over", values, u=3e-3)))
+    (remark,) = overstated_noise_remarks(
+        calibrate(triads.write_pose_campaign(tmp_path / "over", values, u=3e-3))
+    )
     assert remark.startswith("triad: the poses at unknown attitudes scatter by ")
     assert (
-        overstated_noise_remarks(calibrate(triads.table(tmp_path / "right", values, u=3e-4))) == []
+        overstated_noise_remarks(
+            calibrate(triads.write_pose_campaign(tmp_path / "right", values, u=3e-4))
+        )
+        == []
     )
 
 

@@ -8,8 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from campaigns import replace_parts
-from mistaken_campaigns import NOISE, RUNS, SOUND, Mistake, make_mistaken_campaign, make_records
-from results import accelerometer
+from mistaken_campaigns import (
+    CORRECT_DESCRIPTION,
+    NOISE,
+    RUNS,
+    Mistake,
+    make_mistaken_campaign,
+    make_records,
+)
+from results import make_accelerometer_result
 
 from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.checks.residuals import residual_findings
@@ -70,7 +77,7 @@ class Campaigns:
 
 
 def make_accelerometer(view):
-    return accelerometer(
+    return make_accelerometer_result(
         residual=summarize_residuals(view),
         noise=noise_lines(view),
         jackknife=view.jackknife(),
@@ -88,7 +95,7 @@ def make_accelerometer(view):
     ],
 )
 def test_false_alarm_rate_of_good_campaigns_is_1_percent(given, walk, trials, tmp_path):
-    text = SOUND if given else replace_parts(SOUND, (NOISE, ""))
+    text = CORRECT_DESCRIPTION if given else replace_parts(CORRECT_DESCRIPTION, (NOISE, ""))
     campaigns = Campaigns(tmp_path, text, walk)
     rng = np.random.default_rng(5)
     blamed = sum(bool(campaigns.draw_causes(rng)) for _ in range(trials))
@@ -102,7 +109,7 @@ def test_false_alarm_rate_of_good_campaigns_is_1_percent(given, walk, trials, tm
 
 
 def test_no_search_without_suspicious_checks(tmp_path, monkeypatch):
-    campaigns = Campaigns(tmp_path, SOUND, 0.0)
+    campaigns = Campaigns(tmp_path, CORRECT_DESCRIPTION, 0.0)
     monkeypatch.setattr(
         search, "_alternative_hypotheses", lambda *_: pytest.fail("alternatives were tried")
     )
@@ -113,7 +120,7 @@ def test_no_search_without_suspicious_checks(tmp_path, monkeypatch):
 
 def test_alternatives_have_credible_range(tmp_path):
     """The range of an input is physical: latitudes up to the poles, gravity on the Earth."""
-    given = Campaigns(tmp_path, SOUND, 0.0)
+    given = Campaigns(tmp_path, CORRECT_DESCRIPTION, 0.0)
     found = estimate(given.clean, given.model, make_noise(given.campaign))
     now = replace(found, fit=estimate_considered(found.fit), compressed_fit=None)
     names = [unknown.name for unknown in given.model.of_interest]
@@ -160,7 +167,7 @@ def test_equivalent_alternatives_have_fixed_order(off):
 
 
 def test_common_tilt_of_all_runs_is_single_alternative(tmp_path):
-    given = Campaigns(tmp_path, SOUND, 0.0)
+    given = Campaigns(tmp_path, CORRECT_DESCRIPTION, 0.0)
     found = estimate(given.clean, given.model, make_noise(given.campaign))
     terms = {
         Considered(run, "platform.tilt.up", (0.0, 0.0), 1e-2): 5e-5

@@ -9,10 +9,10 @@ import pytest
 from campaigns import PLACE, format_runs, replace_parts, write_description
 from mistaken_campaigns import (
     ANGLE,
+    CORRECT_DESCRIPTION,
     EAST,
     NOISE,
     NORTH,
-    SOUND,
     TIME,
     Mistake,
     add_values,
@@ -450,7 +450,7 @@ def test_clock_error_is_named_with_equivalent_causes(observable, unit, fast, alo
 
     Among equivalent causes, stated inputs come first.
     """
-    text = re.sub(r"start_.*\n", "", SOUND).replace('"0.01 m"', f'"1e-4 {unit}"')
+    text = re.sub(r"start_.*\n", "", CORRECT_DESCRIPTION).replace('"0.01 m"', f'"1e-4 {unit}"')
     text = text.replace("displacement =", f"{observable} =").replace(' "m" }', f' "{unit}" }}')
     if alone:
         text = re.sub(r"\[(accelerometers|truth)\.Qy\](\n[a-zK].*)+", "", text)

@@ -133,7 +133,9 @@ def test_readings_and_records_jointly_reveal_wrong_axis(tmp_path, monkeypatch):
     """delta_O = -1 mrad with the pendulous axis down equals 1 mrad with the axis up."""
     monkeypatch.setitem(mixed_campaign.TRUTH, "delta_O", 1e-3)
     true = ('K_F = "2e-3 g"', 'K_F = "2e-3 g"\ndelta_O = "1e-3 rad"')
-    monkeypatch.setattr(mixed_campaign, "TRUE", replace_parts(mixed_campaign.TRUE, true))
+    monkeypatch.setattr(
+        mixed_campaign, "SIMULATION", replace_parts(mixed_campaign.SIMULATION, true)
+    )
     campaign = mixed_campaign.MixedCampaign(tmp_path)
     model = replace_parts(mixed_campaign.MODEL, ('"K_III", "delta_O"', '"K_III"'))
 
@@ -171,7 +173,7 @@ delta_O = "1e-3 ± 1e-6 rad"
 K_IP = "1e-4 ± 1e-6 g/g^2"
 """
     truth = reading_campaigns.TRUTH | {"delta_O": 1e-3, "K_IP": 1e-4, "K_II": 0.0, "K_III": 0.0}
-    stations, sides, head = mixed_campaign.tumble()
+    stations, sides, head = mixed_campaign.make_tumble()
     again = [stations[3]] * 6, sides[:6], head[:6]
     rng = np.random.default_rng(5)
     for turns, test, u in (

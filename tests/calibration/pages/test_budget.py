@@ -1,7 +1,7 @@
 """The budget of a coefficient as a table."""
 
 import pytest
-from results import result
+from results import make_qx_result
 
 from counterspin.calibration.pages.budget import budget_blocks
 from counterspin.reports.blocks import Heading, Table
@@ -31,7 +31,7 @@ def with_priors():
         make_line("K_OO", "unstated", 2e-6, "g/g^2", -0.15, 3e-7),
         make_line("noise of Qx", "noise", None, "", None, 0.0),
     ]
-    calibration = result(budget={"K_II": lines})
+    calibration = make_qx_result(budget={"K_II": lines})
     rows = [
         make_prior("centrifuge.radius", 2.5, 1e-5, "m"),
         make_prior("Qx.K_OO", 0.0, 2e-6, "g/g^2", "unstated"),
@@ -66,11 +66,11 @@ def test_line_has_value_and_uncertainty_in_same_unit(with_priors):
 
 
 def test_budget_without_priors_has_no_value_column():
-    *_, table = budget_blocks("Qx", result())
+    *_, table = budget_blocks("Qx", make_qx_result())
     assert "Value" not in [column.title for column in table.columns]
 
 
 def test_estimated_noise_is_type_a():
     noise = {"displacement": {"value": 0.01, "u": 1e-4, "unit": "m", "estimated": True}}
-    *_, table = budget_blocks("Qx", result(noise=noise))
+    *_, table = budget_blocks("Qx", make_qx_result(noise=noise))
     assert next(row for row in table.rows if row[0] == "noise of Qx")[2] == "A"

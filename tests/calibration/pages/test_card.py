@@ -1,7 +1,7 @@
 """Accelerometer cards: value, interval, shares of the variance and quality checks."""
 
 import pytest
-from results import coefficient, result
+from results import make_coefficient, make_qx_result
 
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.card import accelerometer_card
@@ -11,7 +11,7 @@ MISFIT = {"rms": 0.08, "unit": "m", "dof": 100.0, "chi2": 6400.0, "lack_of_fit_p
 
 
 def make_card(**changes):
-    judged = judge_result(result(**changes))
+    judged = judge_result(make_qx_result(**changes))
     return accelerometer_card("Qx", judged.accelerometers["Qx"], ())
 
 
@@ -63,12 +63,12 @@ def test_influential_run_fails_check():
 
 
 def test_undetermined_coefficient_has_no_value():
-    undetermined = coefficient(0.0, 1e-5, "g/g^2", estimated=False)
+    undetermined = make_coefficient(0.0, 1e-5, "g/g^2", estimated=False)
     card = make_card(coefficients={"K_II": undetermined})
     assert card.value == ""
     assert card.remarks == card.shares == ()
 
 
 def test_card_without_k_ii_has_first_coefficient():
-    assert make_card(coefficients={"K_I": coefficient(0.0, 1e-6, "g/g")}).symbol == "K_I"
+    assert make_card(coefficients={"K_I": make_coefficient(0.0, 1e-6, "g/g")}).symbol == "K_I"
     assert make_card(coefficients={}) is None

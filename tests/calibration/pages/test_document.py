@@ -4,7 +4,7 @@ import math
 import shlex
 
 import pytest
-from results import coefficient, result, trace
+from results import make_coefficient, make_qx_result, make_trace
 
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages import document as pages_document
@@ -42,7 +42,7 @@ def block_texts(blocks):
 
 
 def test_answer_is_first_in_both_units():
-    first = build_document(result())[:2]
+    first = build_document(make_qx_result())[:2]
     assert first[0] == Heading("By hand", 1)
     assert first[1].style == "answer"
     # Student's t for 50 degrees of freedom: 2.0086.
@@ -54,16 +54,20 @@ def test_answer_is_first_in_both_units():
 
 @pytest.mark.parametrize(("dof", "shown"), [(999.0, True), (1000.0, False), (9.7e8, False)])
 def test_large_degrees_of_freedom_are_not_shown(dof, shown):
-    calibration = result()
+    calibration = make_qx_result()
     coefficients = calibration.accelerometers["Qx"].coefficients
     coefficients["K_II"] = coefficients["K_II"].model_copy(update={"dof": dof})
     assert (" dof)" in build_document(calibration)[1].text) is shown
 
 
 def test_chapters_are_in_order():
-    headings = [b.text for b in build_document(result()) if isinstance(b, Heading) and b.level == 2]
+    headings = [
+        b.text for b in build_document(make_qx_result()) if isinstance(b, Heading) and b.level == 2
+    ]
     assert headings == ["Coefficients", "Uncertainty budget", "Residuals", "Runs", "Inputs"]
-    sections = [b.text for b in build_document(result()) if isinstance(b, Heading) and b.level == 3]
+    sections = [
+        b.text for b in build_document(make_qx_result()) if isinstance(b, Heading) and b.level == 3
+    ]
     wanted = ["Quality checks", "Accelerometer Qx", "Platform", "Residuals of Qx", "Model"]
     assert [h for h in sections if h in wanted] == wanted
     assert sections[-1] == "Inputs and reproducibility"
@@ -79,7 +83,7 @@ def quality_checks(blocks):
 
 
 def test_good_result_lists_checks():
-    sentence, rows = quality_checks(build_document(result()))
+    sentence, rows = quality_checks(build_document(make_qx_result()))
     assert sentence == Paragraph("The result for Qx passed all checks.")
     assert rows == (
         ("Fit", "The residuals are consistent with the stated noise (p = 0.5)."),
@@ -89,7 +93,7 @@ def test_good_result_lists_checks():
 
 
 def test_warnings_appear_once_and_first():
-    blocks = build_document(result(warnings=["Qx: something is odd"]))
+    blocks = build_document(make_qx_result(warnings=["Qx: something is odd"]))
     sentence, rows = quality_checks(blocks)
     assert sentence == Paragraph(
         "The result for Qx is usable with reservations (1 finding).", "warning"
@@ -101,7 +105,7 @@ def test_warnings_appear_once_and_first():
 def test_findings_appear_once_and_first():
     lost = {"code": "strobes-lost", "subject": "Qx", "text": "3 strobes were left out."}
     drives = [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -4.0}]
-    blocks = build_document(result(findings=[lost], jackknife=drives))
+    blocks = build_document(make_qx_result(findings=[lost], jackknife=drives))
     sentence, rows = quality_checks(blocks)
     assert sentence.style == "warning"
     assert sentence.text.endswith("reservations (2 findings, most serious first).")
@@ -111,7 +115,7 @@ def test_findings_appear_once_and_first():
 
 
 def test_contradicted_result_starts_with_warning_and_has_no_interval():
-    blocks = build_document(result(residual=MISFIT))
+    blocks = build_document(make_qx_result(residual=MISFIT))
     assert blocks[0] == Heading("By hand", 1)
     assert blocks[1].style == "warning"
     assert blocks[1].text.startswith("The records contradict this result (Qx). The residuals are 8")
@@ -124,7 +128,10 @@ def test_contradicted_result_starts_with_warning_and_has_no_interval():
 
 def test_style_of_answer_follows_state():
     drives = [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -4.0}]
-    for made, style in ((result(), "answer"), (result(jackknife=drives), "reserved")):
+    for made, style in (
+        (make_qx_result(), "answer"),
+        (make_qx_result(jackknife=drives), "reserved"),
+    ):
         (line,) = (
             b for b in build_document(made) if getattr(b, "text", "").startswith("K_II of Qx =")
         )
@@ -132,7 +139,7 @@ def test_style_of_answer_follows_state():
 
 
 def test_accepted_misfit_is_printed_with_reason_and_command():
-    accepted = judge_result(result(residual=MISFIT), "the arm's play is known")
+    accepted = judge_result(make_qx_result(residual=MISFIT), "the arm's play is known")
     written = block_texts(build_document(accepted))
     assert "The misfit was accepted: the arm's play is known" in written[2]
     command = """counterspin calibrate . '--accept-misfit=the arm'"'"'s play is known'"""
@@ -140,7 +147,7 @@ def test_accepted_misfit_is_printed_with_reason_and_command():
 
 
 def test_full_result_has_all_plots():
-    pictures = [b for b in build_document(result()) if isinstance(b, Picture)]
+    pictures = [b for b in build_document(make_qx_result()) if isinstance(b, Picture)]
     assert sum(isinstance(p, HeatMap) for p in pictures) == 1
     assert sum(isinstance(p, Bars) for p in pictures) == 1
     titles = [p.title for p in pictures if isinstance(p, Plot)]
@@ -156,26 +163,26 @@ def test_full_result_has_all_plots():
 
 
 def test_result_without_series_has_no_plots():
-    bare = result(traces={}, budget={}, jackknife=[], correlation=None)
+    bare = make_qx_result(traces={}, budget={}, jackknife=[], correlation=None)
     for run in bare.runs.values():
         run.ripples.clear()
     assert not [b for b in build_document(bare) if isinstance(b, Picture)]
 
 
 def test_model_equation_lists_used_terms():
-    kept = result().accelerometers["Qx"].coefficients
+    kept = make_qx_result().accelerometers["Qx"].coefficients
     more = kept | {
-        "K_OQ": coefficient(0.0, 1e-9, "g/g^2"),
-        "delta_P": coefficient(0.0, 1e-6, "rad"),
+        "K_OQ": make_coefficient(0.0, 1e-9, "g/g^2"),
+        "delta_P": make_coefficient(0.0, 1e-6, "rad"),
     }
-    written = block_texts(build_document(result(coefficients=more)))
+    written = block_texts(build_document(make_qx_result(coefficients=more)))
     assert "Qx: a_ind = K_F + K_I a_I + K_II a_I² + K_OQ a_I |a_I| − delta_P a_O" in written
     assert any("platform.drift.north" in text for text in written)
     assert "counterspin calibrate ." in written
 
 
 def test_command_of_two_stage_result_states_method():
-    old = result().model_copy(update={"method": "two-stage"})
+    old = make_qx_result().model_copy(update={"method": "two-stage"})
     assert "counterspin calibrate . --method=two-stage" in block_texts(build_document(old))
     stated = old.provenance.model_copy(update={"options": ["--method=two-stage", "--sigma=given"]})
     written = block_texts(build_document(old.model_copy(update={"provenance": stated})))
@@ -184,7 +191,7 @@ def test_command_of_two_stage_result_states_method():
 
 def test_command_is_quoted_for_shell():
     options = ["--method=two-stage", "--sigma=a b; rm -r ~ $(x) `y` 'z'"]
-    found = result()
+    found = make_qx_result()
     found = found.model_copy(
         update={"provenance": found.provenance.model_copy(update={"options": options})}
     )
@@ -194,13 +201,15 @@ def test_command_is_quoted_for_shell():
 
 def test_degrees_of_freedom_are_integers_and_units_are_typeset():
     residual = {"rms": 0.01, "unit": "m", "dof": 21659.98}
-    written = " ".join(block_texts(build_document(result(residual=residual))))
+    written = " ".join(block_texts(build_document(make_qx_result(residual=residual))))
     assert "21660 degrees of freedom" in written
     assert "Gravity 9.8 m/s², latitude" in written
 
 
 def test_text_without_plots_has_no_empty_chapters():
-    picture = next(residual_plots("Qx", result().accelerometers["Qx"], result().runs))
+    picture = next(
+        residual_plots("Qx", make_qx_result().accelerometers["Qx"], make_qx_result().runs)
+    )
     one, two, deep, said = Heading("1"), Heading("2"), Heading("3", 3), Paragraph("words")
     assert remove_pictures([one, deep, picture, two, said]) == [two, said]
     assert remove_pictures([one, picture, deep, said, two, picture]) == [one, deep, said]
@@ -208,15 +217,15 @@ def test_text_without_plots_has_no_empty_chapters():
 
 
 def test_identifier_depends_on_result():
-    assert result().identifier == result().identifier
-    assert result().identifier != result(serial_number="Q-105").identifier
+    assert make_qx_result().identifier == make_qx_result().identifier
+    assert make_qx_result().identifier != make_qx_result(serial_number="Q-105").identifier
 
 
 # Plots
 
 
 def test_residual_plot_keeps_outliers_and_uses_millimetres():
-    first = next(residual_plots("Qx", result().accelerometers["Qx"], result().runs))
+    first = next(residual_plots("Qx", make_qx_result().accelerometers["Qx"], make_qx_result().runs))
     assert first.zoom
     band, outliers = first.series
     assert band.low == (-10.0, -20.0, -15.0)
@@ -227,22 +236,24 @@ def test_residual_plot_keeps_outliers_and_uses_millimetres():
 
 
 def test_many_runs_are_divided_among_plots():
-    traces = {f"run{i}": trace() for i in range(8)}
-    plots = list(residual_plots("Qx", result(traces=traces).accelerometers["Qx"], {}))
+    traces = {f"run{i}": make_trace() for i in range(8)}
+    plots = list(residual_plots("Qx", make_qx_result(traces=traces).accelerometers["Qx"], {}))
     assert len(plots) == 8 + 2 * 3
     labels = [s.label for p in plots if "of the spindle angle" in p.title for s in p.series]
     assert labels == list(traces)
 
 
 def test_angle_without_samples_is_gap():
-    fold = list(residual_plots("Qx", result().accelerometers["Qx"], result().runs))[2]
+    fold = list(residual_plots("Qx", make_qx_result().accelerometers["Qx"], make_qx_result().runs))[
+        2
+    ]
     assert fold.series[0].x == (90.0, 270.0)
     assert fold.series[0].y == (1.0, None)
 
 
 def test_run_has_same_colour_in_all_plots():
-    calibration = result(
-        traces={"fast": trace(rows=3, rms=0.01), "slow": trace(rows=900, rms=0.02)}
+    calibration = make_qx_result(
+        traces={"fast": make_trace(rows=3, rms=0.01), "slow": make_trace(rows=900, rms=0.02)}
     )
     colours = {"fast": set(), "slow": set()}
     pictures = [*residual_plots("Qx", calibration.accelerometers["Qx"], calibration.runs)]
@@ -256,7 +267,7 @@ def test_run_has_same_colour_in_all_plots():
 
 
 def test_residual_plot_has_labels_and_rms_limits():
-    calibration = result(traces={"slow": trace(rows=3, rms=0.01)})
+    calibration = make_qx_result(traces={"slow": make_trace(rows=3, rms=0.01)})
     calibration.runs["slow"].counts["block"] = 7
     first = next(residual_plots("Qx", calibration.accelerometers["Qx"], calibration.runs))
     band, upper, lower, _ = first.series
@@ -266,7 +277,7 @@ def test_residual_plot_has_labels_and_rms_limits():
 
 def test_spectrum_has_white_noise_band():
     spectrum = {"frequency": [0.1, 1.0], "power": [0.9, 1.1], "lines": [1, 100]}
-    calibration = result(traces={"slow": trace(spectrum=spectrum)})
+    calibration = make_qx_result(traces={"slow": make_trace(spectrum=spectrum)})
     plots = list(residual_plots("Qx", calibration.accelerometers["Qx"], calibration.runs))
     (plot,) = (plot for plot in plots if plot.title.startswith("Spectrum"))
     band, _ = plot.series
@@ -277,7 +288,7 @@ def test_spectrum_has_white_noise_band():
 
 
 def test_quantile_plot_shows_difference_from_normal_with_band():
-    calibration = result(traces={"slow": trace(rows=400)})
+    calibration = make_qx_result(traces={"slow": make_trace(rows=400)})
     *_, plot = residual_plots("Qx", calibration.accelerometers["Qx"], calibration.runs)
     band, series = plot.series
     assert series.y == pytest.approx((0.2, 0.1, 0.3))
@@ -287,7 +298,7 @@ def test_quantile_plot_shows_difference_from_normal_with_band():
 
 
 def test_jackknife_plot_shows_uncertainty_of_shift():
-    plot = jackknife_plot("Qx", result().accelerometers["Qx"])
+    plot = jackknife_plot("Qx", make_qx_result().accelerometers["Qx"])
     band, points = plot.series
     assert band.low == pytest.approx((26.999, 26.999))
     assert points.y == pytest.approx((27.001,))
@@ -297,7 +308,7 @@ def test_jackknife_plot_shows_uncertainty_of_shift():
 
 
 def test_budget_and_correlation_plots():
-    accelerometer = result().accelerometers["Qx"]
+    accelerometer = make_qx_result().accelerometers["Qx"]
     bars = budget_bars("Qx", accelerometer)
     assert bars.stacked
     assert bars.values == pytest.approx((64.0, 36.0))
@@ -317,7 +328,7 @@ def test_budget_and_correlation_plots():
 )
 def test_strongly_correlated_estimates_are_listed(correlation, rows):
     matrix = [[1.0, correlation], [correlation, 1.0]]
-    kept = result(correlation={"terms": ["K_F", "K_II"], "matrix": matrix})
+    kept = make_qx_result(correlation={"terms": ["K_F", "K_II"], "matrix": matrix})
     blocks = list(accelerometer_blocks("Qx", kept.accelerometers["Qx"], 9.8, details=True))
     text = [block for block in blocks if isinstance(block, Paragraph)][-1].text
     tables = [block for block in blocks if isinstance(block, Table)]
@@ -331,7 +342,7 @@ def test_strongly_correlated_estimates_are_listed(correlation, rows):
 
 
 def test_ripple_is_relative_to_magnitude_of_rate():
-    (series,) = ripple_plot(result().runs).series
+    (series,) = ripple_plot(make_qx_result().runs).series
     assert series.label == "slow"
     assert series.y == pytest.approx((1.0,))
     assert series.low == pytest.approx((1.0 - 0.196,))

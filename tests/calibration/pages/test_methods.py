@@ -1,7 +1,7 @@
 """Test methods of a result and their consistency."""
 
 import pytest
-from results import accelerometer, bare_result, coefficient, run
+from results import make_accelerometer_result, make_bare_result, make_coefficient, make_run
 
 from counterspin.calibration.pages.methods import (
     describe_tests,
@@ -37,12 +37,12 @@ ARM = [
 
 
 def make_result(readings, runs=()):
-    return bare_result(
-        accelerometers={"A": accelerometer(readings=readings)},
-        runs=dict.fromkeys(runs, run()),
+    return make_bare_result(
+        accelerometers={"A": make_accelerometer_result(readings=readings)},
+        runs=dict.fromkeys(runs, make_run()),
         platform={
-            "centrifuge.radius.in": coefficient(2.5, 1e-5, "m"),
-            "centrifuge.stretch": coefficient(4e-9, 1e-9, "s^2/m"),
+            "centrifuge.radius.in": make_coefficient(2.5, 1e-5, "m"),
+            "centrifuge.stretch": make_coefficient(4e-9, 1e-9, "s^2/m"),
         },
     )
 
@@ -93,14 +93,14 @@ def make_methods(p):
     """Two methods with one shift each, so that four tests share the significance of 0.01."""
     kind = {
         "count": 1,
-        "coefficients": {"K_F": coefficient(0.005, 1e-6, "g")},
+        "coefficients": {"K_F": make_coefficient(0.005, 1e-6, "g")},
         "without": {"K_F": {"shift": 1e-7, "u": 1e-6, "z": 0.1}},
         "chi2": 9.0,
         "dof": 2,
         "p": p,
     }
-    return accelerometer(
-        coefficients={"K_F": coefficient(0.005, 1e-6, "g")},
+    return make_accelerometer_result(
+        coefficients={"K_F": make_coefficient(0.005, 1e-6, "g")},
         kinds=[{"kind": "at rest", **kind}, {"kind": "arm", **kind}],
     )
 

@@ -31,10 +31,12 @@ def truth():
 @pytest.fixture(scope="module")
 def result(truth, tmp_path_factory):
     folder = tmp_path_factory.mktemp("posed")
-    text = triads.head(RUN.partition("[[runs]]")[0])
+    text = triads.format_description(RUN.partition("[[runs]]")[0])
     for name, column in zip("XYZ", ("column 1", "column 2", "column 3"), strict=True):
         table = f'specific_force = {{ column = "{column}", unit = "m/s^2" }}\n'
-        text = text.replace(triads.accelerometer(name), triads.accelerometer(name, table))
+        text = text.replace(
+            triads.format_accelerometer(name), triads.format_accelerometer(name, table)
+        )
     (folder / "campaign.toml").write_text(text + "[[runs]]" + RUN.partition("[[runs]]")[2])
     felt = truth.values @ triads.ROWS.T + 9.81 * triads.BIAS
     np.savetxt(folder / "imu.log", felt, fmt="%.6f")
@@ -91,7 +93,7 @@ def test_report_has_all_triad_plots(result):
 
 
 def test_single_readings_have_no_rest_detection_plot(tmp_path):
-    values = triads.indications(triads.directions(15, np.random.default_rng(1)))
-    result = cs.calibrate(triads.table(tmp_path, values, u=1e-4))
+    values = triads.compute_indications(triads.draw_directions(15, np.random.default_rng(1)))
+    result = cs.calibrate(triads.write_pose_campaign(tmp_path, values, u=1e-4))
     assert [type(p) for p in pose_pictures(result)] == [Sphere, Plot, Plot]
     assert list(pose_pictures(result.model_copy(update={"triad": None}))) == []

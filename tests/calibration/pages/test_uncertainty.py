@@ -2,7 +2,7 @@
 
 import math
 
-from results import coefficient, result
+from results import make_coefficient, make_qx_result
 
 from counterspin.calibration.pages.document import answer_blocks
 from counterspin.calibration.pages.uncertainty import (
@@ -37,7 +37,7 @@ def make_result(unstated, noise=1e-7, **more):
         make_line("K_OO", "unstated", unstated, u),
         make_line("noise of Qx", "noise", noise, u),
     ]
-    k_ii = coefficient(2.7e-5, u, "g/g^2", u_noise=noise, u_stated=0.0, u_unstated=unstated)
+    k_ii = make_coefficient(2.7e-5, u, "g/g^2", u_noise=noise, u_stated=0.0, u_unstated=unstated)
     square = unstated**2
     update = {
         "names": ["K_II", "K_OO"],
@@ -46,7 +46,7 @@ def make_result(unstated, noise=1e-7, **more):
         # The data do not determine K_OO, so its error is fully in K_II.
         "weighed": [[u**2, -square], [-square, square]],
     }
-    calibration = result(
+    calibration = make_qx_result(
         coefficients={"K_II": k_ii}, budget={"K_II": lines}, correlation=None, what_if=update
     )
     return calibration.model_copy(update=more)
@@ -72,7 +72,7 @@ def test_answer_has_one_sentence_on_largest_source():
 
 def test_no_default_prior_sentence_if_noise_or_stated_prior_dominates():
     assert default_prior_sentence(make_result(5e-8).accelerometers["Qx"]) == ""
-    stated = result().accelerometers["Qx"]
+    stated = make_qx_result().accelerometers["Qx"]
     assert default_prior_sentence(stated) == ""
     assert default_prior_sentence(stated, "K_I") == ""
 

@@ -1,14 +1,14 @@
 """Sentences on the state of a result."""
 
 import pytest
-from results import result
+from results import make_qx_result
 
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.verdict import misfit_blocks, verdict_blocks, verdict_sentence
 
 
 def make_sentence(**changes):
-    return verdict_sentence("Qx", judge_result(result(**changes)).accelerometers["Qx"])
+    return verdict_sentence("Qx", judge_result(make_qx_result(**changes)).accelerometers["Qx"])
 
 
 def test_sentence_of_good_result():
@@ -44,7 +44,7 @@ def test_contradicted_result_lists_no_passed_checks():
 def test_undetermined_result_lists_no_passed_checks():
     lacking = {"code": "not-determined", "subject": "Qx.K_III", "text": "Add a run."}
     lacking["undetermined"] = True
-    calibration = judge_result(result(findings=[lacking]))
+    calibration = judge_result(make_qx_result(findings=[lacking]))
     sentence = verdict_sentence("Qx", calibration.accelerometers["Qx"])
     assert sentence == "The result for Qx is not fully determined by the data: Add a run."
     (first,) = misfit_blocks(calibration)
@@ -59,7 +59,7 @@ def test_undetermined_result_lists_no_passed_checks():
 @pytest.mark.parametrize(("z", "lines"), [(1.0, 0), (4.0, 0), (7.0, 1)])
 def test_only_contradiction_precedes_numbers(z, lines):
     jackknife = [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": z}]
-    assert len(list(misfit_blocks(judge_result(result(jackknife=jackknife))))) == lines
+    assert len(list(misfit_blocks(judge_result(make_qx_result(jackknife=jackknife))))) == lines
 
 
 def test_sentence_of_cause_includes_explained_findings():

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from joint_campaign import add_noise, three_rates, unknowns
+from joint_campaign import add_noise, make_unknowns, simulate_three_rates
 
 from counterspin.inference.joint.agreement import jackknife_runs, shift_variance_sensitivities
 from counterspin.inference.joint.estimated_noise import information_losses
@@ -15,13 +15,13 @@ from counterspin.inference.noise.model import ESTIMATE, Noise
 
 TRUTH = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5}
 WHITE = 0.01
-MODEL = Unknowns(unknowns(["K_F", "K_I", "K_II"], {"K_F": (0.005, 2e-6)}))
+MODEL = Unknowns(make_unknowns(["K_F", "K_I", "K_II"], {"K_F": (0.005, 2e-6)}))
 K_II = 2
 
 
 def fitted(seed, request, model=MODEL):
     rng = np.random.default_rng(seed)
-    series = [add_noise(one, Noise(WHITE), rng) for one in three_rates(TRUTH)]
+    series = [add_noise(one, Noise(WHITE), rng) for one in simulate_three_rates(TRUTH)]
     return estimate(series, model, {"Qx": request}, rejects_outliers=False)
 
 
@@ -80,7 +80,7 @@ def test_additional_noise_is_propagated_by_gains(fit_with_given_noise):
 
 
 def test_shift_has_degrees_of_freedom_of_estimated_noise():
-    found = fitted(2, Noise(ESTIMATE, 0.0), Unknowns(unknowns(["K_F", "K_I", "K_II"])))
+    found = fitted(2, Noise(ESTIMATE, 0.0), Unknowns(make_unknowns(["K_F", "K_I", "K_II"])))
     (component,) = found.estimated_noise.values()
     for shift in jackknife_runs(found, K_II):
         # White noise alone: rows less unknowns, as of every estimate.

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import add_noise, three_rates, unknowns
+from joint_campaign import add_noise, make_unknowns, simulate_three_rates
 from scipy.stats import f as fisher
 
 from counterspin.inference.joint.agreement import _slow_cosines, compare_slow_residuals
@@ -14,13 +14,13 @@ from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import ESTIMATE, Noise
 
 TRUTH = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5}
-MODEL = Unknowns(unknowns(["K_F", "K_I", "K_II"]))
+MODEL = Unknowns(make_unknowns(["K_F", "K_I", "K_II"]))
 NOISE = Noise(0.01, 3e-4)
 
 
 def fitted(noise, bend=0.0):
     rng = np.random.default_rng(5)
-    series = [add_noise(one, noise, rng) for one in three_rates(TRUTH)]
+    series = [add_noise(one, noise, rng) for one in simulate_three_rates(TRUTH)]
     phase = np.pi * series[2].time / series[2].time[-1]
     series[2] = replace(series[2], error=series[2].error + bend * np.sin(phase))
     found = estimate(series, MODEL, {"Qx": Noise(ESTIMATE, ESTIMATE)}, rejects_outliers=False)

@@ -5,7 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import ARCSEC, add_noise, make_considered_inputs, three_rates, unknowns
+from joint_campaign import (
+    ARCSEC,
+    add_noise,
+    make_considered_inputs,
+    make_unknowns,
+    simulate_three_rates,
+)
 
 from counterspin.inference.joint.alternatives import (
     Alternative,
@@ -23,7 +29,7 @@ WHITE = 0.01
 PRIORS = {"K_F": (0.005, 2e-6), "K_I": (1.002, 5e-6), "K_III": (0.0, 0.0)}
 TILTS = tuple(Unknown(f"run{i}", "platform.tilt.north", (0.0, ARCSEC), 1e-2) for i in (1, 2, 3))
 MODEL = Unknowns(
-    (*unknowns(["K_F", "K_I", "K_II", "K_III"], PRIORS), *TILTS),
+    (*make_unknowns(["K_F", "K_I", "K_II", "K_III"], PRIORS), *TILTS),
     (
         Considered("Qx", "K_PP", (0.0, 1e-6), 1e-4),
         *make_considered_inputs({"centrifuge.radius": 1e-5}),
@@ -38,7 +44,7 @@ def fitted(series, model=MODEL, white=WHITE):
 @pytest.fixture(scope="module")
 def series():
     rng = np.random.default_rng(7)
-    return [add_noise(one, Noise(WHITE), rng) for one in three_rates(TRUTH)]
+    return [add_noise(one, Noise(WHITE), rng) for one in simulate_three_rates(TRUTH)]
 
 
 @pytest.fixture(scope="module")
@@ -172,14 +178,14 @@ def test_common_error_of_all_runs_is_found(series):
 def test_standardised_sizes_are_normal_for_correct_model():
     rng = np.random.default_rng(11)
     sizes = []
-    clean = three_rates(TRUTH)
+    clean = simulate_three_rates(TRUTH)
     for _ in range(60):
         drawn = [add_noise(one, Noise(WHITE), rng) for one in clean]
         priors = {
             "K_F": (TRUTH["K_F"] + 2e-6 * rng.standard_normal(), 2e-6),
             "K_I": (TRUTH["K_I"] + 5e-6 * rng.standard_normal(), 5e-6),
         }
-        model = Unknowns(unknowns(["K_F", "K_I", "K_II"], priors))
+        model = Unknowns(make_unknowns(["K_F", "K_I", "K_II"], priors))
         relaxed = estimate_considered(fitted(drawn, model, ESTIMATE).fit)
         columns = {0: drawn[0].time ** 2}
         own = Alternative("bias", "run1", "bias", columns)

@@ -12,9 +12,9 @@ from joint_campaign import (
     SITE,
     add_noise,
     make_considered_inputs,
+    make_unknowns,
     simulate_series,
-    three_rates,
-    unknowns,
+    simulate_three_rates,
 )
 
 from counterspin.inference.joint.budget import budget, unknown_u_by_category
@@ -40,7 +40,9 @@ SCALES = {"Qx": TRUTH["K_I"], "Qy": TRUTH["K_I"]}
 @pytest.fixture(scope="module")
 def series():
     rng = np.random.default_rng(1)
-    clean = [one for name in ("Qx", "Qy") for one in three_rates(TRUTH, accelerometer=name)]
+    clean = [
+        one for name in ("Qx", "Qy") for one in simulate_three_rates(TRUTH, accelerometer=name)
+    ]
     return [add_noise(one, NOISES[one.accelerometer], rng) for one in clean]
 
 
@@ -59,7 +61,7 @@ def model():
         for axis in ("north", "east")
     )
     drift = Unknown("", "platform.drift.up", (0.0, 0.01 * DEG_H), 10 * DEG_H)
-    own = tuple(u for name in ("Qx", "Qy") for u in unknowns((*TRUTH, "K_OO"), PRIORS, name))
+    own = tuple(u for name in ("Qx", "Qy") for u in make_unknowns((*TRUTH, "K_OO"), PRIORS, name))
     considered = (
         Considered("Qx", "K_PP", (0.0, 2e-6), 1e-4),
         Considered("Qy", "K_IO", (1e-6, 3e-6), 1e-4),
@@ -196,7 +198,7 @@ def test_record_in_g_depends_on_assumed_gravity():
         replace(simulate_series(f"run{i}", r, TRUTH, observable="specific_force"), in_g=True)
         for i, r in enumerate(RATES)
     ]
-    model = Unknowns(unknowns(TRUTH), make_considered_inputs({"site.gravity": 1e-4}))
+    model = Unknowns(make_unknowns(TRUTH), make_considered_inputs({"site.gravity": 1e-4}))
     plain = model.without_inputs()
     noise = {"Qx": Noise(1e-3)}
     first = solve_joint(build_design_blocks(one, plain, SCALES), plain, noise).solution
@@ -217,9 +219,9 @@ def test_record_in_g_depends_on_assumed_gravity():
 
 
 def test_exactly_known_unknown_has_no_budget():
-    model = Unknowns(unknowns(TRUTH, {"K_F": (5.03e-3, 0.0)}))
+    model = Unknowns(make_unknowns(TRUTH, {"K_F": (5.03e-3, 0.0)}))
     found = solve_joint(
-        build_design_blocks(three_rates(TRUTH), model, SCALES), model, {"Qx": Noise(0.01)}
+        build_design_blocks(simulate_three_rates(TRUTH), model, SCALES), model, {"Qx": Noise(0.01)}
     )
     assert budget(found, 0) == []
     assert sum(line.share for line in budget(found, 2)) == pytest.approx(1.0, abs=1e-9)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import add_noise, three_rates, unknowns
+from joint_campaign import add_noise, make_unknowns, simulate_three_rates
 
 from counterspin.inference.joint.design_blocks import build_design_blocks, compress_nuisance
 from counterspin.inference.joint.fit import solve_joint
@@ -49,7 +49,7 @@ def complete_model(*names):
         )
         for symbol, row in INPUTS.items()
     ]
-    asked = [unknown for name in names for unknown in unknowns(TRUTH, owner=name)]
+    asked = [unknown for name in names for unknown in make_unknowns(TRUTH, owner=name)]
     return Unknowns((*asked, *own, *shared, *inputs))
 
 
@@ -60,7 +60,7 @@ def make_problem(names, noise, considered=()):
     series = [
         add_noise(one, noise, rng)
         for name in names
-        for one in three_rates(TRUTH, accelerometer=name)
+        for one in simulate_three_rates(TRUTH, accelerometer=name)
     ]
     return build_design_blocks(series, model, SCALES), model
 
@@ -147,7 +147,7 @@ def test_rows_of_compressed_columns_may_be_omitted():
 def test_noise_free_records_are_not_compressed(level):
     """Without noise, no direction is negligible."""
     model = complete_model("Qx")
-    silent = [replace(one, error=np.zeros(one.time.size)) for one in three_rates(TRUTH)]
+    silent = [replace(one, error=np.zeros(one.time.size)) for one in simulate_three_rates(TRUTH)]
     prepared = build_design_blocks(silent, model, SCALES)
     few, condensed = compress_nuisance(prepared, model, {"Qx": level})
     assert condensed is model

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import LEVEL, RATES, add_noise, simulate_series, unknowns
+from joint_campaign import LEVEL, RATES, add_noise, make_unknowns, simulate_series
 from scipy.special import stdtrit
 
 from counterspin.inference.joint import encoder
@@ -23,7 +23,7 @@ from counterspin.physics.spindle import Ripple, Spindle, fit_spindle
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
-MODEL = Unknowns(unknowns(TRUTH))
+MODEL = Unknowns(make_unknowns(TRUTH))
 TRUE = np.array([TRUTH[u.symbol] - u.nominal for u in MODEL.unknowns])
 #: Coefficients large enough for their part of a column to show in differences.
 LARGE = {

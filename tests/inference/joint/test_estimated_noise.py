@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import add_noise, three_rates, unknowns
+from joint_campaign import add_noise, make_unknowns, simulate_three_rates
 from scipy.stats import chi2
 from scipy.stats import t as student
 
@@ -20,13 +20,13 @@ from counterspin.physics.conditions import RunConditions
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 COEFFICIENTS = {"K_F": 5e-3, "K_I": 1.002, "K_II": 2e-5, "K_III": 3e-6}
 TRUTH = np.array([5e-3, 2e-3, 2e-5, 3e-6])
-MODEL = Unknowns(unknowns(list(COEFFICIENTS)))
+MODEL = Unknowns(make_unknowns(list(COEFFICIENTS)))
 UG = 9.8066e-6
 
 
 def make_series(observable, **size):
     """Return series without noise; the second and third start later."""
-    series = three_rates(COEFFICIENTS, observable=observable, **size)
+    series = simulate_three_rates(COEFFICIENTS, observable=observable, **size)
     return [
         replace(
             one, trajectory=replace(one.trajectory, conditions=RunConditions(start=300.0 * place))

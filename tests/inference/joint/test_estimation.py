@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from joint_campaign import (
     DEG_H,
-    NOTHING,
+    NO_PRIOR,
     RATES,
     SITE,
     add_noise,
     make_considered_inputs,
+    make_unknowns,
     simulate_series,
-    three_rates,
-    unknowns,
+    simulate_three_rates,
 )
 from scipy.special import stdtrit
 
@@ -34,7 +34,7 @@ from counterspin.physics.spindle import Spindle
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
 PRIORS = {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6)}
-MODEL = Unknowns(unknowns(TRUTH))
+MODEL = Unknowns(make_unknowns(TRUTH))
 TRUE = np.array([TRUTH[u.symbol] - u.nominal for u in MODEL.unknowns])
 WHITE = Noise(0.01)
 #: A walk that the records show in every trial: within a run it reaches forty times the white.
@@ -43,7 +43,7 @@ MIXED = Noise(0.01, 2e-3)
 
 @pytest.fixture(scope="module")
 def noise_free_series():
-    return three_rates(TRUTH, per_revolution=16)
+    return simulate_three_rates(TRUTH, per_revolution=16)
 
 
 def bound_on_u(series, noise):
@@ -146,7 +146,7 @@ def test_quantisation_larger_than_noise(white):
 
 def test_considered_term_is_subtracted_before_noise_estimation(noise_free_series):
     model = Unknowns(
-        unknowns(("K_I", "K_II", "K_III")), (Considered("Qx", "K_F", PRIORS["K_F"], 0.1),)
+        make_unknowns(("K_I", "K_II", "K_III")), (Considered("Qx", "K_F", PRIORS["K_F"], 0.1),)
     )
     drawn = [add_noise(one, WHITE, np.random.default_rng(15)) for one in noise_free_series]
     found = estimate(drawn, model, {"Qx": Noise(ESTIMATE, 0.0)})
@@ -208,13 +208,13 @@ def test_two_accelerometers_have_separate_noise_and_shared_platform():
     series = [
         one
         for name in ("Qx", "Qy")
-        for one in three_rates(TRUTH, platform, accelerometer=name, per_revolution=16)
+        for one in simulate_three_rates(TRUTH, platform, accelerometer=name, per_revolution=16)
     ]
     levels = {"Qx": WHITE, "Qy": Noise(0.03)}
     rng = np.random.default_rng(17)
     drawn = [add_noise(one, levels[one.accelerometer], rng) for one in series]
-    drift = Unknown("", "platform.drift.up", NOTHING, 10 * DEG_H)
-    model = Unknowns((*unknowns(TRUTH), *unknowns(TRUTH, owner="Qy"), drift))
+    drift = Unknown("", "platform.drift.up", NO_PRIOR, 10 * DEG_H)
+    model = Unknowns((*make_unknowns(TRUTH), *make_unknowns(TRUTH, owner="Qy"), drift))
     both = {"Qx": Noise(ESTIMATE, 0.0), "Qy": Noise(ESTIMATE, 0.0)}
     found = estimate(drawn, model, both)
     for name, level in levels.items():
@@ -226,7 +226,9 @@ def test_two_accelerometers_have_separate_noise_and_shared_platform():
     parts = []
     for name in ("Qx", "Qy"):
         alone = [one for one in drawn if one.accelerometer == name]
-        solo = estimate(alone, Unknowns((*unknowns(TRUTH, owner=name), drift)), {name: both[name]})
+        solo = estimate(
+            alone, Unknowns((*make_unknowns(TRUTH, owner=name), drift)), {name: both[name]}
+        )
         parts.append((weight / solo.fit.solution.u[-1] ** 2, solo.dof[-1]))
     # Welch and Satterthwaite: 1/dof is the sum of (share^2/dof).
     assert 1 / shared == pytest.approx(sum(share**2 / dof for share, dof in parts), rel=0.02)
@@ -238,9 +240,9 @@ def test_two_accelerometers_have_separate_noise_and_shared_platform():
 def test_platform_errors_scale_with_estimated_scale_factor():
     truth = TRUTH | {"K_I": 1.05}
     platform = {"platform.tilt.north": 3e-3}
-    series = three_rates(truth, platform, per_revolution=16)
-    tilts = tuple(Unknown(f"run{i}", "platform.tilt.north", NOTHING, 1e-2) for i in (1, 2, 3))
-    model = Unknowns((*unknowns(TRUTH, {"K_F": (5.03e-3, 1e-9)}), *tilts))
+    series = simulate_three_rates(truth, platform, per_revolution=16)
+    tilts = tuple(Unknown(f"run{i}", "platform.tilt.north", NO_PRIOR, 1e-2) for i in (1, 2, 3))
+    model = Unknowns((*make_unknowns(TRUTH, {"K_F": (5.03e-3, 1e-9)}), *tilts))
     found = estimate(series, model, {"Qx": Noise(1e-4, 0.0)})
     # 1.05 x 3e-3: with K_I = 1 the tilt would be 5 % too large.
     for tilt in found.fit.solution.estimate[-3:]:
@@ -265,7 +267,7 @@ def make_series_without_angle(start, rate_error, drift, observable="displacement
 
 
 ROTATIONS = tuple(
-    Unknown(f"run{i}", symbol, NOTHING, limit)
+    Unknown(f"run{i}", symbol, NO_PRIOR, limit)
     for i in (1, 2, 3)
     for symbol, limit in zip(ROTATION, (math.pi, 1.0, 1e-2), strict=True)
 )
@@ -283,7 +285,7 @@ ROTATIONS = tuple(
     ],
 )
 def test_rotation_is_estimated_from_displacement(start, rate_error, drift, revolutions):
-    model = Unknowns((*unknowns(TRUTH, PRIORS), *ROTATIONS))
+    model = Unknowns((*make_unknowns(TRUTH, PRIORS), *ROTATIONS))
     rng = np.random.default_rng(18)
     series = make_series_without_angle(start, rate_error, drift, revolutions=revolutions)
     trials, z = (8 if revolutions < 50 else 4), []
@@ -306,15 +308,15 @@ def test_rotation_is_estimated_from_displacement(start, rate_error, drift, revol
 
 def test_rotating_term_is_not_confused_with_start_angle():
     """Compliance about up by force along it turns the output as a common start angle does."""
-    compliance = Unknown("", "platform.compliance.zz", NOTHING, 1e-4)
-    model = Unknowns((*unknowns(TRUTH, PRIORS), compliance, *ROTATIONS))
+    compliance = Unknown("", "platform.compliance.zz", NO_PRIOR, 1e-4)
+    model = Unknowns((*make_unknowns(TRUTH, PRIORS), compliance, *ROTATIONS))
     rng = np.random.default_rng(4)
     drawn = [
         add_noise(one, Noise(0.1), rng)
         for one in make_series_without_angle(0.3, 1e-4, 1e-6, revolutions=12)
     ]
     rough = {"Qx": TRUTH["K_I"]}, {"Qx": Noise(1.0)}
-    known = Unknowns((*unknowns(TRUTH, PRIORS), *ROTATIONS))
+    known = Unknowns((*make_unknowns(TRUTH, PRIORS), *ROTATIONS))
     starts = [
         [one.trajectory.spindle.start_angle for one in find_rotation(drawn, each, *rough)]
         for each in (model, known)
@@ -324,7 +326,7 @@ def test_rotating_term_is_not_confused_with_start_angle():
 
 
 def test_rotation_that_does_not_converge_raises():
-    model = Unknowns((*unknowns(TRUTH, PRIORS), *ROTATIONS))
+    model = Unknowns((*make_unknowns(TRUTH, PRIORS), *ROTATIONS))
     with pytest.raises(ConvergenceError, match="nominal rate is too inaccurate"):
         estimate(make_series_without_angle(0.0, 0.7, 0.0), model, {"Qx": Noise(0.01, 0.0)})
 
@@ -333,7 +335,7 @@ def test_rotation_that_does_not_converge_raises():
 
 
 def test_k_ii_is_within_u_with_outliers_and_gaps(noise_free_series):
-    series = three_rates(TRUTH, per_revolution=64)
+    series = simulate_three_rates(TRUTH, per_revolution=64)
     rng = np.random.default_rng(19)
     trials, z, planted_in_all, missed, false_alarms = 20, [], 0, 0, 0
     for _ in range(trials):
@@ -379,7 +381,7 @@ def test_k_ii_is_within_u_with_outliers_and_gaps(noise_free_series):
 )
 def test_random_walk_is_not_outlying(observable, noise):
     rng = np.random.default_rng(21)
-    series = three_rates(TRUTH, per_revolution=64, observable=observable)
+    series = simulate_three_rates(TRUTH, per_revolution=64, observable=observable)
     rejected = 0
     for _ in range(4):
         drawn = [add_noise(one, noise, rng) for one in series]

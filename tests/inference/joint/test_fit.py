@@ -9,17 +9,17 @@ import pytest
 from joint_campaign import (
     ARCSEC,
     DEG_H,
-    NOTHING,
+    NO_PRIOR,
     RATES,
     SITE,
     add_noise,
     make_considered_inputs,
+    make_unknowns,
     redraw_noise,
     simulate_series,
-    three_rates,
-    unknowns,
+    simulate_three_rates,
 )
-from prose import find_numbers, value_of
+from prose import find_numbers, parse_number
 from scipy.special import ndtri
 
 from counterspin.errors import NotIdentifiableError
@@ -80,8 +80,8 @@ def dense_bound(prepared, model, noise):
 @pytest.fixture(scope="module")
 def paper_series():
     """Return series of the four coefficients and three rates of the paper, without noise."""
-    model = Unknowns(unknowns(TRUTH, PRIORS))
-    return model, build_design_blocks(three_rates(TRUTH), model, SCALES)
+    model = Unknowns(make_unknowns(TRUTH, PRIORS))
+    return model, build_design_blocks(simulate_three_rates(TRUTH), model, SCALES)
 
 
 @pytest.mark.slow
@@ -96,7 +96,7 @@ def test_cramer_rao_bound_is_reached_and_intervals_have_coverage(paper_series, n
     errors = np.empty((TRIALS, len(TRUTH)))
     for errors_of in errors:
         drawn = {s: (v + u * rng.standard_normal(), u) for s, (v, u) in PRIORS.items()}
-        trial = replace(model, unknowns=unknowns(TRUTH, drawn))
+        trial = replace(model, unknowns=make_unknowns(TRUTH, drawn))
         fit = solve_joint(redraw_noise(prepared, noise, rng), trial, {"Qx": noise})
         errors_of[:] = fit.solution.estimate - true_offsets(model, TRUTH)
     z = errors / fit.solution.u
@@ -116,7 +116,9 @@ def test_uncertainty_is_split_into_noise_and_priors(paper_series):
     assert solution.sensitivity_prior[k_i, k_i] == pytest.approx(
         (solution.u[k_i] / PRIORS["K_I"][1]) ** 2, rel=1e-9
     )
-    shifted = replace(model, unknowns=unknowns(TRUTH, PRIORS | {"K_F": (5.03e-3 + 1e-6, 2e-6)}))
+    shifted = replace(
+        model, unknowns=make_unknowns(TRUTH, PRIORS | {"K_F": (5.03e-3 + 1e-6, 2e-6)})
+    )
     moved = solve_joint(prepared, shifted, {"Qx": WHITE}).solution
     np.testing.assert_allclose(
         moved.estimate - solution.estimate, 1e-6 * solution.sensitivity_prior[:, 0], atol=1e-14
@@ -132,7 +134,7 @@ def test_u_but_not_noise_part_covers_considered_term(paper_series, noise):
         Considered(f"run{i}", "platform.tilt.north", (0.0, 0.5 * ARCSEC), 1e-2) for i in (1, 2, 3)
     ]
     considering = replace(model, considered=(k_oo, *tilts))
-    prepared = build_design_blocks(three_rates(TRUTH), considering, SCALES)
+    prepared = build_design_blocks(simulate_three_rates(TRUTH), considering, SCALES)
     rng = np.random.default_rng(2)
     z = np.empty((TRIALS, 2))
     for row in z:
@@ -167,7 +169,9 @@ D_ZX = 0.05 * DEG_H
 @pytest.fixture(scope="module")
 def cross_coupled():
     """Return series with K_OO and gyro g-sensitivity, simulated on the rotated platform."""
-    return three_rates(TRUTH | EXTRA, {"platform.g_sensitivity.zx": D_ZX}, per_revolution=64)
+    return simulate_three_rates(
+        TRUTH | EXTRA, {"platform.g_sensitivity.zx": D_ZX}, per_revolution=64
+    )
 
 
 def make_model(kind, owner_prior=(0.0, 2e-6), gyro_prior=(0.0, 0.05 * DEG_H)):
@@ -185,7 +189,7 @@ def solve_k_ii(series, model, noise=WHITE):
 
 def test_omitted_terms_bias_k_ii_beyond_noise(cross_coupled):
     fine = Noise(1e-4)
-    solution, index, error = solve_k_ii(cross_coupled, Unknowns(unknowns(TRUTH, PRIORS)), fine)
+    solution, index, error = solve_k_ii(cross_coupled, Unknowns(make_unknowns(TRUTH, PRIORS)), fine)
     assert abs(error) > 30 * math.sqrt(solution.covariance_noise[index, index])
     # Level, one sense: K_OO adds itself to K_II; D_zx adds g D/(R w) at the weights of the rates.
     # Level, K_OO adds itself to K_II; so does g D/(R w), of which the fastest run's counts most.
@@ -196,7 +200,7 @@ def test_omitted_terms_bias_k_ii_beyond_noise(cross_coupled):
 @pytest.mark.parametrize("kind", [Unknown, Considered], ids=["estimated", "considered"])
 @pytest.mark.parametrize("noise", [WHITE, Noise(1e-4)], ids=["centimetres", "tenth-millimetres"])
 def test_u_covers_estimated_or_considered_term(cross_coupled, kind, noise):
-    base = unknowns(TRUTH, PRIORS)
+    base = make_unknowns(TRUTH, PRIORS)
     extra = make_model(kind)
     model = Unknowns(base + extra) if kind is Unknown else Unknowns(base, extra)
     solution, index, error = solve_k_ii(cross_coupled, model, noise)
@@ -209,21 +213,21 @@ def test_u_covers_estimated_or_considered_term(cross_coupled, kind, noise):
 
 def test_both_senses_separate_gyro_sensitivity_from_k_ii():
     terms = ("K_F", "K_I", "K_II", "K_III")
-    gyro = Unknown("", "platform.g_sensitivity.zx", NOTHING, 10 * DEG_H)
-    model = Unknowns((*unknowns(terms), gyro))
+    gyro = Unknown("", "platform.g_sensitivity.zx", NO_PRIOR, 10 * DEG_H)
+    model = Unknowns((*make_unknowns(terms), gyro))
     platform = {"platform.g_sensitivity.zx": 0.3 * DEG_H}
-    one_sense = three_rates(TRUTH, platform)
+    one_sense = simulate_three_rates(TRUTH, platform)
     two_senses = [
-        *three_rates(TRUTH, platform, revolutions=6),
+        *simulate_three_rates(TRUTH, platform, revolutions=6),
         *[
             simulate_series(f"back{i}", -rate, TRUTH, platform, revolutions=6)
             for i, rate in enumerate(RATES)
         ],
     ]
-    alone, index, _ = solve_k_ii(one_sense, Unknowns(unknowns(terms)))
+    alone, index, _ = solve_k_ii(one_sense, Unknowns(make_unknowns(terms)))
     free_one, _, error_one = solve_k_ii(one_sense, model)
     free_two, _, error_two = solve_k_ii(two_senses, model)
-    known_two, _, _ = solve_k_ii(two_senses, Unknowns(unknowns(terms)))
+    known_two, _, _ = solve_k_ii(two_senses, Unknowns(make_unknowns(terms)))
     assert abs(error_one) < 0.1 * free_one.u[index]
     assert abs(error_two) < 0.1 * free_two.u[index]
     # One sense pays for the gyro's term; both senses do not.
@@ -242,7 +246,7 @@ def test_two_accelerometers_share_platform():
     }
     runs = ("run1", "run2", "run3")
     shared = (
-        Unknown("", "platform.drift.up", NOTHING, 10 * DEG_H),
+        Unknown("", "platform.drift.up", NO_PRIOR, 10 * DEG_H),
         *(
             Unknown(run, f"platform.tilt.{axis}", (0.0, 0.5 * ARCSEC), 1e-2)
             for run in runs
@@ -250,11 +254,13 @@ def test_two_accelerometers_share_platform():
         ),
     )
     own = {
-        name: unknowns(("K_F", "K_I", "K_II"), {"K_F": (TRUTH["K_F"], 2e-6)}, name)
+        name: make_unknowns(("K_F", "K_I", "K_II"), {"K_F": (TRUTH["K_F"], 2e-6)}, name)
         for name in ("Qx", "Qy")
     }
     truth = {s: TRUTH[s] for s in ("K_F", "K_I", "K_II")}
-    series = {name: three_rates(truth, platform, accelerometer=name) for name in ("Qx", "Qy")}
+    series = {
+        name: simulate_three_rates(truth, platform, accelerometer=name) for name in ("Qx", "Qy")
+    }
     noise = {"Qx": WHITE, "Qy": Noise(0.02)}
 
     def drift_of(names):
@@ -292,7 +298,7 @@ SQUARES = {"K_II": 2.7e-5, "K_OO": -8e-6, "K_PP": 1.5e-5}
 def test_three_attitudes_separate_squares():
     truth = {"K_F": 5.03e-3, "K_I": 1.00197} | SQUARES
     attitudes = {"p": PENDULOUS_VERTICAL, "o": OUTPUT_VERTICAL, "i": INPUT_VERTICAL}
-    model = Unknowns(unknowns(truth, {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6)}))
+    model = Unknowns(make_unknowns(truth, {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6)}))
     series = [
         simulate_series(f"{name}{i}", rate, truth, attitude=attitude)
         for name, attitude in attitudes.items()
@@ -332,8 +338,8 @@ def test_three_attitudes_separate_squares():
     ],
 )
 def test_all_observables_return_same_truth(observable, noise):
-    model = Unknowns(unknowns(TRUTH))
-    clean = build_design_blocks(three_rates(TRUTH, observable=observable), model, SCALES)
+    model = Unknowns(make_unknowns(TRUTH))
+    clean = build_design_blocks(simulate_three_rates(TRUTH, observable=observable), model, SCALES)
     solution = solve_joint(clean, model, {"Qx": noise}).solution
     # The truth is linear in these coefficients: without noise nothing but rounding is left.
     assert (np.abs(solution.estimate - true_offsets(model, TRUTH)) < 1e-6 * solution.u).all()
@@ -358,9 +364,9 @@ def test_all_observables_return_same_truth(observable, noise):
 @pytest.mark.parametrize("name", ["Qx", "Qy"])
 def test_only_difference_of_k_i_and_k_ip_is_determined(name):
     truth = TRUTH | {"K_IP": 4e-6}
-    model = Unknowns(unknowns(truth, owner=name))
+    model = Unknowns(make_unknowns(truth, owner=name))
     # As many samples and revolutions as the real campaign; u(K_IP) of Qy is then 1.7e-4.
-    series = three_rates(truth, accelerometer=name, revolutions=100, per_revolution=64)
+    series = simulate_three_rates(truth, accelerometer=name, revolutions=100, per_revolution=64)
     solution = solve_joint(
         build_design_blocks(series, model, {name: 1.0}), model, {name: WHITE}
     ).solution
@@ -380,11 +386,11 @@ def test_only_difference_of_k_i_and_k_ip_is_determined(name):
 
 def test_bias_and_collinear_terms_have_single_combination():
     symbols = ("K_F", "K_I", "K_II", "K_PP", "delta_O")
-    tilt = Unknown("", "platform.tilt.north", NOTHING, 1e-2)
-    model = Unknowns((*unknowns(symbols), tilt))
+    tilt = Unknown("", "platform.tilt.north", NO_PRIOR, 1e-2)
+    model = Unknowns((*make_unknowns(symbols), tilt))
     truth = {"K_F": 5e-3, "K_I": 1.002, "K_II": 2e-5, "K_PP": 3e-6}
     solution = solve_joint(
-        build_design_blocks(three_rates(truth), model, SCALES), model, {"Qx": WHITE}
+        build_design_blocks(simulate_three_rates(truth), model, SCALES), model, {"Qx": WHITE}
     ).solution
     names = [u.symbol for u in model.unknowns]
     said = assess(solution, names, nominal=[u.nominal for u in model.unknowns])
@@ -417,9 +423,9 @@ def test_omitted_run_matches_fit_without_records(paper_series):
 
 
 def test_changed_noise_matches_fit_with_that_noise():
-    model = Unknowns(tuple(u for name in SCALES for u in unknowns(("K_F", "K_I"), owner=name)))
+    model = Unknowns(tuple(u for name in SCALES for u in make_unknowns(("K_F", "K_I"), owner=name)))
     truth = {s: TRUTH[s] for s in ("K_F", "K_I")}
-    series = [one for name in SCALES for one in three_rates(truth, accelerometer=name)]
+    series = [one for name in SCALES for one in simulate_three_rates(truth, accelerometer=name)]
     prepared = build_design_blocks(series, model, SCALES)
     fit = solve_joint(prepared, model, {"Qx": WHITE, "Qy": MIXED})
     changed = fit.with_noise({"Qy": WHITE})
@@ -432,10 +438,12 @@ def test_changed_noise_matches_fit_with_that_noise():
 @pytest.mark.parametrize("level", [Noise(0.02), Noise(3.0, 0.0, 0.5)])
 def test_changed_white_noise_matches_fit_with_that_noise(level):
     model = Unknowns(
-        unknowns(("K_F", "K_I", "K_II")), (Considered("Qx", "K_III", (0.0, 1e-7), 1e-4),)
+        make_unknowns(("K_F", "K_I", "K_II")), (Considered("Qx", "K_III", (0.0, 1e-7), 1e-4),)
     )
     # Of time stamps' noise the runs have differently much.
-    series = [one.with_timestamp_noise(1e-3 * i) for i, one in enumerate(three_rates(TRUTH))]
+    series = [
+        one.with_timestamp_noise(1e-3 * i) for i, one in enumerate(simulate_three_rates(TRUTH))
+    ]
     prepared = redraw_noise(
         build_design_blocks(series, model, SCALES), WHITE, np.random.default_rng(8)
     )
@@ -474,7 +482,7 @@ def test_residuals_are_noise_minus_projection_on_design(paper_series):
 def test_block_means_preserve_information_on_k_ii():
     dense = [
         one.drop_rows(one.time == one.time[-1])
-        for one in three_rates(TRUTH, per_revolution=320, revolutions=6)
+        for one in simulate_three_rates(TRUTH, per_revolution=320, revolutions=6)
     ]
     size = 5  # 64 blocks a revolution
     blocks = []
@@ -489,7 +497,7 @@ def test_block_means_preserve_information_on_k_ii():
                 error=one.error.reshape(-1, size).mean(axis=1),
             )
         )
-    model = Unknowns(unknowns(TRUTH))
+    model = Unknowns(make_unknowns(TRUTH))
     (percent,) = find_numbers(
         "campaign", "averaging increases the standard uncertainty of K_II by less than {} %"
     )
@@ -500,12 +508,12 @@ def test_block_means_preserve_information_on_k_ii():
         )
         np.testing.assert_allclose(means.estimate, full.estimate, atol=2e-4 * full.u.min())
         ratio = means.u / full.u
-        assert ratio[2] == pytest.approx(1.0, abs=value_of(percent) / 100.0)
+        assert ratio[2] == pytest.approx(1.0, abs=parse_number(percent) / 100.0)
         assert (ratio < 1.006).all()
 
 
 def test_record_too_short_for_start_errors_raises():
-    model = Unknowns(unknowns(("K_F", "K_II")))
+    model = Unknowns(make_unknowns(("K_F", "K_II")))
     short = simulate_series("run1", 2.0, {}, revolutions=1, per_revolution=1)
     short = short.drop_rows(np.array([True, False]))
     with pytest.raises(NotIdentifiableError, match="too short"):
@@ -519,8 +527,8 @@ def test_updated_design_blocks_match_new_ones():
     k_oo = Considered("Qx", "K_OO", (1e-6, 2e-6), 1e-4)
     gyro = Considered("", "platform.drift.up", (0.0, 1e-9), 1e-6)
     tilt = Unknown("run1", "platform.tilt.north", (0.0, 1e-5), 1e-2)
-    series = three_rates(TRUTH)
-    before = Unknowns((*unknowns(TRUTH, PRIORS), tilt), (gyro,))
+    series = simulate_three_rates(TRUTH)
+    before = Unknowns((*make_unknowns(TRUTH, PRIORS), tilt), (gyro,))
     after = replace(
         before, considered=(k_oo, gyro, *make_considered_inputs({"centrifuge.radius": 1e-4}))
     )
@@ -552,7 +560,7 @@ def test_input_sensitivity_matches_difference_of_estimates():
         "site.latitude": 1e-3,
         TIMING: 1e-6,
     }
-    model = Unknowns(unknowns(TRUTH, PRIORS), make_considered_inputs(sizes))
+    model = Unknowns(make_unknowns(TRUTH, PRIORS), make_considered_inputs(sizes))
     plain = model.without_inputs()
     noise = {"Qx": WHITE}
     first = solve_joint(build_design_blocks(series, plain, SCALES), plain, noise).solution
@@ -620,7 +628,7 @@ def test_input_with_prior_matches_dense_least_squares(noise):
         rows.append(np.linalg.solve(root, np.column_stack([*columns, start])))
         values.append(np.linalg.solve(root, one.error))
         series.append(one)
-    known = [*(PRIORS.get(s, NOTHING) for s in TRUTH), *((0.0, size) for size in sizes.values())]
+    known = [*(PRIORS.get(s, NO_PRIOR) for s in TRUTH), *((0.0, size) for size in sizes.values())]
     for place, (value, size) in enumerate(known):
         if math.isfinite(size):
             row = np.zeros((1, rows[0].shape[1]))
@@ -635,7 +643,7 @@ def test_input_with_prior_matches_dense_least_squares(noise):
     covariance = (normal / scale / scale[:, None])[:p, :p]
 
     inputs = [Unknown("", s, (0.0, u), 0.1, is_of_interest=False) for s, u in sizes.items()]
-    model = Unknowns((*unknowns(TRUTH, PRIORS), *inputs))
+    model = Unknowns((*make_unknowns(TRUTH, PRIORS), *inputs))
     request = {"Qx": Noise(noise.white, noise.random_walk)}
     solution = estimate(series, model, request, rejects_outliers=False).fit.solution
     spread = np.sqrt(np.diag(covariance))
@@ -654,11 +662,11 @@ def test_input_with_prior_matches_dense_least_squares(noise):
 def test_gravity_derivative_of_record_in_g_has_no_noise():
     """Else a gravity of zero explains all of the record: its noise is then as small as it is."""
     truth = {"K_F": 5e-3, "K_II": 2.7e-5}
-    model = Unknowns(unknowns(truth), make_considered_inputs({"site.gravity": 1e-5}))
+    model = Unknowns(make_unknowns(truth), make_considered_inputs({"site.gravity": 1e-5}))
     true = np.array(list(truth.values()))
     clean = [
         replace(one, in_g=True)
-        for one in three_rates(truth, observable="specific_force", per_revolution=16)
+        for one in simulate_three_rates(truth, observable="specific_force", per_revolution=16)
     ]
     rng = np.random.default_rng(31)
     noisy = [
@@ -682,13 +690,15 @@ def test_mean_chi_square_of_runs_is_degrees_of_freedom():
     priors = {"K_F": (5.03e-3, 2e-6), "K_II": (2.7e-5, 1e-7)}
     model = Unknowns(
         (
-            *unknowns(TRUTH, priors),
+            *make_unknowns(TRUTH, priors),
             Unknown("run1", "platform.tilt.north", (0.0, ARCSEC), 1e-2),
             Unknown("", "platform.drift.up", (0.0, np.inf), 10 * DEG_H),
         )
     )
     rng = np.random.default_rng(23)
-    clean = build_design_blocks(three_rates(TRUTH, revolutions=2, per_revolution=6), model, SCALES)
+    clean = build_design_blocks(
+        simulate_three_rates(TRUTH, revolutions=2, per_revolution=6), model, SCALES
+    )
     sd = np.array([u.prior[1] if np.isfinite(u.prior[1]) else 0.0 for u in model.unknowns])
     trials, sums = 700, np.zeros(3)
     for _ in range(trials):
@@ -716,12 +726,14 @@ def test_considered_term_within_uncertainty_fits(noise):
     The tilts are seen in the records, forty times the noise at the end of the longest run, and so
     would be a lack of fit against the noise alone in every trial.
     """
-    own = unknowns(TRUTH, {"K_F": (TRUTH["K_F"], 2e-6)})
+    own = make_unknowns(TRUTH, {"K_F": (TRUTH["K_F"], 2e-6)})
     tilts = tuple(
         Considered(f"run{i}", "platform.tilt.north", (0.0, 30 * ARCSEC), 1e-2) for i in (1, 2, 3)
     )
     model = Unknowns(own, tilts)
-    clean = build_design_blocks(three_rates(TRUTH, revolutions=6, per_revolution=16), model, SCALES)
+    clean = build_design_blocks(
+        simulate_three_rates(TRUTH, revolutions=6, per_revolution=16), model, SCALES
+    )
     rng = np.random.default_rng(31)
     trials, alarms, p_values, naive = 300 if FULL else 60, 0, [], 0
     for _ in range(trials):

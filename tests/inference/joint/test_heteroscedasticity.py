@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import add_noise, three_rates, unknowns
+from joint_campaign import add_noise, make_unknowns, simulate_three_rates
 
 from counterspin.inference.joint.design_blocks import build_design_blocks
 from counterspin.inference.joint.estimation import estimate
@@ -15,7 +15,7 @@ from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import ESTIMATE, Noise
 
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5}
-MODEL = Unknowns(unknowns(TRUTH))
+MODEL = Unknowns(make_unknowns(TRUTH))
 TRUE = np.array([TRUTH[u.symbol] - u.nominal for u in MODEL.unknowns])
 WANT = {"Qx": Noise(ESTIMATE, 0.0)}
 SIZES = {"run1": 0.01, "run2": 0.02, "run3": 0.05}
@@ -24,7 +24,7 @@ TIMING = 2e-4
 
 @pytest.fixture(scope="module")
 def noise_free_series():
-    return three_rates(TRUTH)
+    return simulate_three_rates(TRUTH)
 
 
 def by_run(noise_free_series, rng):
@@ -87,7 +87,7 @@ def test_time_jitter_is_estimated_from_slope(noise_free_series):
 def test_homoscedastic_noise_is_unchanged(observable):
     """Probability of 1e-6 each, and of what is no noise there is nothing in third differences."""
     rng = np.random.default_rng(3)
-    noise_free_series = three_rates(TRUTH, observable=observable)
+    noise_free_series = simulate_three_rates(TRUTH, observable=observable)
     for _ in range(10):
         drawn = [add_noise(one, Noise(0.01), rng) for one in noise_free_series]
         # A bend of one run, a hundred times its noise.
@@ -100,7 +100,7 @@ def test_spindle_harmonics_are_not_noise():
     """An encoder that errs four times a revolution leaves a fifth harmonic, with the force."""
     rng = np.random.default_rng(5)
     drawn = []
-    for one in three_rates(TRUTH, observable="specific_force"):
+    for one in simulate_three_rates(TRUTH, observable="specific_force"):
         wave = 3e-3 * one.trajectory.spindle.rate**2
         wave = wave * np.cos(5.0 * one.trajectory.spindle.angle(one.time))
         drawn.append(add_noise(replace(one, error=one.error + wave), Noise(0.01), rng))

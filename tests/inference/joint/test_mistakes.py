@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import RATES, simulate_series, three_rates, unknowns
+from joint_campaign import RATES, make_unknowns, simulate_series, simulate_three_rates
 from scipy import integrate, stats
 
 from counterspin.inference.joint import mistakes
@@ -15,7 +15,7 @@ from counterspin.inference.joint.fit import estimate_considered
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import Noise
 
-MODEL = Unknowns(unknowns(["K_F", "K_I", "K_II"]))
+MODEL = Unknowns(make_unknowns(["K_F", "K_I", "K_II"]))
 SIZE = 30e-6  # g
 
 
@@ -29,7 +29,7 @@ def compare_steps(records):
 
 @pytest.fixture(scope="module")
 def correct_records():
-    return three_rates({"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5})
+    return simulate_three_rates({"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5})
 
 
 def test_bias_step_is_found_with_time_and_size(correct_records):

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import add_noise, three_rates, unknowns
+from joint_campaign import add_noise, make_unknowns, simulate_three_rates
 
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import estimate_considered
@@ -26,7 +26,7 @@ PRIORS = {
     "K_PP": (0.0, 1e-6),
     "delta_O": (1e-5, 1e-6),
 }
-MODEL = Unknowns(unknowns(["K_F", "K_I", "K_II", "K_OO", "K_IO", "K_PP", "delta_O"], PRIORS))
+MODEL = Unknowns(make_unknowns(["K_F", "K_I", "K_II", "K_OO", "K_IO", "K_PP", "delta_O"], PRIORS))
 #: Where the pendulous axis, stated as down, points after so many quarters.
 POINTS = {1: "north", 2: "up", 3: "south"}
 
@@ -50,7 +50,8 @@ def test_rotated_fit_matches_fit_of_other_mounting(observable, quarters):
     rng, white = np.random.default_rng(3), 0.01 if observable == "displacement" else 1e-4
     truth = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5, "K_OO": 2e-6, "K_IO": 3e-6}
     series = [
-        add_noise(one, Noise(white), rng) for one in three_rates(truth, observable=observable)
+        add_noise(one, Noise(white), rng)
+        for one in simulate_three_rates(truth, observable=observable)
     ]
     request = {"Qx": Noise(white, 0.0)}
     found = rotate_accelerometer(
@@ -72,7 +73,7 @@ def test_rotated_fit_matches_fit_of_other_mounting(observable, quarters):
 
 
 def test_other_accelerometer_is_unchanged():
-    series = three_rates({"K_F": 0.005, "K_I": 1.002, "K_OO": 2e-6})
+    series = simulate_three_rates({"K_F": 0.005, "K_I": 1.002, "K_OO": 2e-6})
     fit = estimate_considered(
         estimate(series, MODEL, {"Qx": Noise(0.01, 0.0)}, rejects_outliers=False).fit
     )

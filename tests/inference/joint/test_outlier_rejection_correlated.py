@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from joint_campaign import add_noise, simulate_series, three_rates, unknowns
+from joint_campaign import add_noise, make_unknowns, simulate_series, simulate_three_rates
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
@@ -17,7 +17,7 @@ from counterspin.inference.noise.model import ESTIMATE, Noise
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5}
-MODEL = Unknowns(unknowns(TRUTH))
+MODEL = Unknowns(make_unknowns(TRUTH))
 TRUE = np.array([TRUTH[u.symbol] - u.nominal for u in MODEL.unknowns])
 
 
@@ -33,7 +33,7 @@ def add_filtered_noise(series, size, memory, rng):
 )
 def test_filtered_rows_are_thinned(request_):
     """u holds, where it was 2 to 4 times too small of rows that are taken as independent."""
-    clean = three_rates(TRUTH, revolutions=40)
+    clean = simulate_three_rates(TRUTH, revolutions=40)
     rng = np.random.default_rng(1)
     trials, z = 30 if FULL else 10, []
     for _ in range(trials):
@@ -56,7 +56,7 @@ def test_filtered_rows_are_thinned(request_):
 )
 def test_unfiltered_rows_are_not_thinned(observable, walk):
     rng = np.random.default_rng(2)
-    clean = three_rates(TRUTH, observable=observable, revolutions=40)
+    clean = simulate_three_rates(TRUTH, observable=observable, revolutions=40)
     for shaking in (False, True):
         drawn = [add_noise(one, Noise(0.01, walk), rng) for one in clean]
         if shaking:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from dense_stamps import Machine, Records, fit_rows
-from joint_campaign import RATES, SITE, add_noise, simulate_series, unknowns
+from joint_campaign import RATES, SITE, add_noise, make_unknowns, simulate_series
 
 from counterspin.inference.joint import encoder, rotation
 from counterspin.inference.joint.estimation import estimate
@@ -17,7 +17,7 @@ from counterspin.inference.noise.model import ESTIMATE, Noise
 from counterspin.physics.spindle import Ripple, Spindle, fit_spindle
 
 TRUTH = {"K_F": 5e-3, "K_I": 1.002, "K_II": 2e-5, "K_III": 3e-6}
-MODEL = Unknowns(unknowns(TRUTH))
+MODEL = Unknowns(make_unknowns(TRUTH))
 TRUE = np.array([TRUTH[u.symbol] - u.nominal for u in MODEL.unknowns])
 WHITE = {"displacement": 1e-3, "velocity": 1e-3, "specific_force": 1e-4}
 ENCODER = 1e-6  # rad

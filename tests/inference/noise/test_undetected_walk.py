@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import RATES, add_noise, simulate_series, three_rates, unknowns
+from joint_campaign import RATES, add_noise, make_unknowns, simulate_series, simulate_three_rates
 from scipy.special import ndtr, stdtr, stdtrit
 
 from counterspin.inference.joint.budget import budget
@@ -27,7 +27,7 @@ from counterspin.physics.terms import term
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
-MODEL = Unknowns(unknowns(TRUTH))
+MODEL = Unknowns(make_unknowns(TRUTH))
 TRUE = np.array([TRUTH[u.symbol] - u.nominal for u in MODEL.unknowns])
 BOTH = {"Qx": Noise(ESTIMATE, ESTIMATE)}
 
@@ -249,14 +249,14 @@ def random_estimate(seed):
         Considered("Qx", symbol, (0.0, 2e-6 * 10 ** rng.uniform(-1, 2)), term(symbol).limit)
         for symbol in others
     ]
-    runs = three_rates(
+    runs = simulate_three_rates(
         TRUTH, observable=observable, revolutions=int(rng.integers(6, 16)), per_revolution=16
     )
     if rng.random() < 0.7:
         tilt = (0.0, 10 ** rng.uniform(-8, -5))
         considered += [Considered(run.run, "platform.tilt.north", tilt, 1e-2) for run in runs]
     priors = dict.fromkeys(extra, (0.0, 2e-06)) | {"K_I": (1.0, 5e-4)}
-    model = Unknowns(unknowns([*TRUTH, *extra], priors), tuple(considered))
+    model = Unknowns(make_unknowns([*TRUTH, *extra], priors), tuple(considered))
     noise = Noise(0.01, 10 ** rng.uniform(-6, -3.7))
     return estimate(
         [add_noise(run, noise, rng) for run in runs], model, BOTH, rejects_outliers=False
