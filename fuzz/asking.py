@@ -28,7 +28,7 @@ from served import InlineJobs, run_inline
 from counterspin.application import endpoints, server
 from counterspin.application.access_control import SESSION_PATH, TICKET_PATH, Credentials
 from counterspin.application.app_state import AppState
-from counterspin.application.campaign_files import TRASH
+from counterspin.application.campaign_files import TRASH_FOLDER
 from counterspin.application.served_folder import ServedFolder
 from counterspin.errors import CounterspinError
 
@@ -289,7 +289,7 @@ class Watched:
             changed, lost = changed - moved, lost - moved
         assert not lost, f"{what}: has lost {sorted(lost)[:4]}"
         hidden = {name for name in changed if os.path.basename(name).startswith(".")}  # noqa: PTH119
-        hidden -= {TRASH}
+        hidden -= {TRASH_FOLDER}
         assert not hidden, f"{what}: has left {sorted(hidden)[:4]}"
         kept = [name for name in changed if name in before]
         assert len(kept) <= 1, f"{what}: has changed {sorted(kept)[:4]}"

@@ -22,7 +22,7 @@ from typing import Any
 from uvicorn.server import ServerState
 
 from counterspin.application.served_folder import ServedFolder
-from counterspin.application.server import Connection, make_server
+from counterspin.application.server import TimedConnection, make_server
 from fuzz.asking import (
     HOST,
     PORT,
@@ -182,11 +182,11 @@ class _Server:
         self.config.loaded_app = app
         self.state = ServerState()
 
-    def connect(self) -> Connection:
+    def connect(self) -> TimedConnection:
         """Return the server's side of a new connection."""
         make: Any = self.config.http_protocol_class
         loop = asyncio.get_running_loop()
-        made: Connection = make(
+        made: TimedConnection = make(
             config=self.config, server_state=self.state, app_state={}, _loop=loop
         )
         made.connection_made(_Wire())
@@ -205,7 +205,7 @@ async def _hold(app_state: InlineAppState, watched: Watched, asked: dict[str, An
     raised: list[str] = []
     with asking(app_state, raised) as app, watched.looking():
         server = _Server(app_state, app)
-        held: dict[int, Connection] = {}
+        held: dict[int, TimedConnection] = {}
         left: set[int] = set()
         for number, part in asked["pieces"]:
             if number not in held:

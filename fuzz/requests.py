@@ -32,7 +32,7 @@ from served import ANSWERS, write_folder
 import certificates
 from counterspin.application import server
 from counterspin.application.access_control import FILES_PATH, SESSION_PATH, TICKET_PATH
-from counterspin.application.campaign_files import TRASH
+from counterspin.application.campaign_files import TRASH_FOLDER
 from counterspin.application.endpoints import ENDPOINTS
 from counterspin.application.served_folder import ServedFolder
 from counterspin.calibration.calibrate import calibrate
@@ -569,7 +569,7 @@ def write_served(folder: Path) -> None:
     for name in ("slow.csv", "fast.csv"):
         shutil.copy(folder / "three" / name, folder / "exports" / name)
     init(folder / "tumble", "tumble")
-    init(folder / TRASH / "20260101T000000000000-old", "tumble")
+    init(folder / TRASH_FOLDER / "20260101T000000000000-old", "tumble")
     write_lab(folder / "LAB.toml")
     certificates.write_filled_template(folder / "own.toml")
     key, cert = signing_keys.write_pair(folder.parent / "k", ec.derive_private_key(1, _CURVE))

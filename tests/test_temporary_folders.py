@@ -103,7 +103,7 @@ def test_server_start_removes_folders_of_killed_servers(
     private.mkdir()
     (served / "below").mkdir(parents=True)
     left = [
-        make_abandoned_folder(server._PREFIX, private),
+        make_abandoned_folder(server._FOLDER_PREFIX, private),
         make_abandoned_folder(campaign_files.COPY_PREFIX, served / "below"),
         make_abandoned_folder(campaign_files._UPLOAD_PREFIX, served),
     ]
@@ -116,7 +116,7 @@ def test_server_start_removes_folders_of_killed_servers(
             seen.extend([path.exists() for path in left])
 
     monkeypatch.setattr(server, "make_server", lambda *_: Stopped())
-    server.serve(served, browser=False, say=lambda _: None)
+    server.serve(served, browser=False, print_line=lambda _: None)
     assert seen == [False, False, False]
     assert list(private.iterdir()) == []
     assert list(served.iterdir()) == [served / "below"]

@@ -6,7 +6,7 @@ import pytest
 from raising import raises
 
 from counterspin.application.campaign_files import (
-    TRASH,
+    TRASH_FOLDER,
     add_records,
     copy_campaign,
     discard_uploads,
@@ -43,7 +43,7 @@ def test_rename_moves_campaign_folder(app, folder):
 def test_deleted_campaign_is_in_trash(app, folder, page):
     before = file_names(folder / "three")
     place = move_to_trash(app, "three")["place"]
-    assert file_names(folder / TRASH / place) == before
+    assert file_names(folder / TRASH_FOLDER / place) == before
     body = page.get("/api/folder").json()
     assert body["campaigns"] == []
     assert body["trash"] == [{"place": place, "name": "three"}]
@@ -94,7 +94,7 @@ def test_discard_rejects_files_that_were_not_uploaded(app, folder, source, name,
 
 @pytest.mark.parametrize("place", ["", "three", "../three", "20260101T000000000000-..%2F..%2Fout"])
 def test_restore_rejects_name_not_in_trash(app, folder, place):
-    (folder / TRASH).mkdir()
+    (folder / TRASH_FOLDER).mkdir()
     before = sorted(folder.rglob("*"))
     with pytest.raises(CounterspinError):
         restore_campaign(app, place)
@@ -104,7 +104,7 @@ def test_restore_rejects_name_not_in_trash(app, folder, place):
 def test_symlinked_trash_is_treated_as_empty(app, folder, tmp_path_factory):
     outside = tmp_path_factory.mktemp("outside")
     (outside / "20260101T000000000000-theirs").mkdir()
-    (folder / TRASH).symlink_to(outside)
+    (folder / TRASH_FOLDER).symlink_to(outside)
     assert trash_contents(app) == []
     with pytest.raises(CounterspinError, match="is not in the trash"):
         restore_campaign(app, "20260101T000000000000-theirs")
@@ -113,7 +113,7 @@ def test_symlinked_trash_is_treated_as_empty(app, folder, tmp_path_factory):
 
 def test_trash_entry_with_path_in_name_is_rejected(app, folder):
     planted = "20260101T000000000000-..%2F..%2Fout"
-    (folder / TRASH / planted).mkdir(parents=True)
+    (folder / TRASH_FOLDER / planted).mkdir(parents=True)
     with pytest.raises(CounterspinError, match="not a valid file name"):
         restore_campaign(app, planted)
 

@@ -4,7 +4,7 @@ import re
 
 from campaigns import SMALL, write_description
 
-from counterspin.application.checklist import checklist
+from counterspin.application.checklist import make_checklist
 from counterspin.campaign.description import read_campaign
 
 STATED = (
@@ -20,7 +20,7 @@ STATED = (
 
 def checklist_entries(folder, text):
     write_description(folder, text)
-    return {entry["words"]: entry for entry in checklist(read_campaign(folder))}
+    return {entry["words"]: entry for entry in make_checklist(read_campaign(folder))}
 
 
 def test_stated_entry_is_marked_and_missing_entry_names_field(tmp_path):

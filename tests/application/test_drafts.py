@@ -9,7 +9,7 @@ from exports import EXPORTS, simulate_campaign, write_records
 from posed_files import write_compound_file, write_waveform_file
 from served import ANSWERS
 
-from counterspin.application.drafts import UNIT_CHOICES, detrended_curve
+from counterspin.application.drafts import UNIT_CHOICES, make_detrended_curve
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.ingest.column_roles import guess_file
@@ -169,11 +169,11 @@ def test_wrapped_angle_is_drawn_without_jumps():
     east = FileColumn("east_m", "m", 2.5 * np.cos(np.deg2rad(36.0 * time)))
     seconds = FileColumn("time_s", "s", time)
     contents = FileContents(Path("a.csv"), (seconds, angle, east), (), "")
-    curve = detrended_curve(angle, guess_file(contents))
+    curve = make_detrended_curve(angle, guess_file(contents))
     assert curve["size"] == pytest.approx(0.01, rel=0.2)
     warm = FileColumn("temp_degC", "", 20.0 + np.exp(-time))
     guess = guess_file(FileContents(Path("a.csv"), (seconds, angle, east, warm), (), ""))
-    assert detrended_curve(warm, guess)["unit"] == "degC"
+    assert make_detrended_curve(warm, guess)["unit"] == "degC"
 
 
 def test_text_columns_are_shown_where_required(page):

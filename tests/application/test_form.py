@@ -5,7 +5,13 @@ from itertools import chain
 
 from prose import read_text
 
-from counterspin.application.form import SECTIONS, campaign_form, lab_form, plan_form, run_kinds
+from counterspin.application.form import (
+    SECTION_MODELS,
+    campaign_form,
+    detect_run_types,
+    lab_form,
+    plan_form,
+)
 from counterspin.campaign.accelerometers import TRUTH_TABLES
 from counterspin.campaign.field_types import COMPASS_ANGLES
 from counterspin.campaign.resolution import CampaignDocument
@@ -36,8 +42,8 @@ def test_form_has_all_sections():
         r"In the laboratory file, edit (.*?) as text", read_text("application")
     )
     of_laboratory = set(re.findall(r"\[(\w+)\]", laboratory))
-    assert keys - {"schema"} == set(SECTIONS)
-    assert [section["key"] for section in campaign_form()] == list(SECTIONS)
+    assert keys - {"schema"} == set(SECTION_MODELS)
+    assert [section["key"] for section in campaign_form()] == list(SECTION_MODELS)
     sections = {section["key"] for section in lab_form()}
     assert set(Lab.model_fields) - {"schema_version"} - of_laboratory == sections
 
@@ -147,8 +153,8 @@ def test_runs_of_readings_have_separate_keys():
     runs = find_section(campaign_form(), "runs")
     assert "reading" in {f["key"] for f in runs["of_readings"]}
     document = {"runs": [{"rate": "1 rad/s"}, {"reading": "1 g"}, {"motion": "arm"}, 7]}
-    assert run_kinds(document) == ["record", "reading", "reading", "record"]
-    assert run_kinds({"runs": "none"}) == run_kinds({}) == []
+    assert detect_run_types(document) == ["record", "reading", "reading", "record"]
+    assert detect_run_types({"runs": "none"}) == detect_run_types({}) == []
 
 
 def test_form_has_limits_of_all_terms_and_truth_of_all_tables():

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from counterspin.application.form import campaign_form, lab_form
-from counterspin.application.pages import PAGES, manual_page
+from counterspin.application.pages import MANUAL_PAGES, make_manual_page
 from counterspin.application.served_folder import NotFoundError
 
 ROOT = Path(__file__).parents[2]
@@ -15,12 +15,12 @@ ROOT = Path(__file__).parents[2]
 
 def heading_anchors(name):
     """Return the anchors of the headings of a page."""
-    return set(re.findall(r'<h\d id="([^"]+)">', manual_page(name)["html"]))
+    return set(re.findall(r'<h\d id="([^"]+)">', make_manual_page(name)["html"]))
 
 
 def require_target(address):
     name, mark, heading = address.partition("#")
-    assert name in PAGES, address
+    assert name in MANUAL_PAGES, address
     assert not mark or heading in heading_anchors(name), address
 
 
@@ -28,13 +28,13 @@ def test_wheel_contains_manual_pages():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     taken = project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
     place = "counterspin/application/documentation"
-    assert taken == {f"docs/{name}.md": f"{place}/{name}.md" for name in PAGES}
+    assert taken == {f"docs/{name}.md": f"{place}/{name}.md" for name in MANUAL_PAGES}
 
 
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("name", MANUAL_PAGES)
 def test_manual_page_has_no_broken_link(name):
-    page = manual_page(name)
-    assert [one for one, _ in page["pages"]] == list(PAGES)
+    page = make_manual_page(name)
+    assert [one for one, _ in page["pages"]] == list(MANUAL_PAGES)
     assert dict(page["pages"])[name] == page["title"]
     assert page["html"].startswith("<h1 ")
     # The policy forbids inline styles; images come from the site; table alignment is exempt.
@@ -47,7 +47,7 @@ def test_manual_page_has_no_broken_link(name):
 def test_unknown_manual_page_raises_not_found():
     for name in ("", "nowhere", "physics", "../README", "campaign.md"):
         with pytest.raises(NotFoundError):
-            manual_page(name)
+            make_manual_page(name)
 
 
 def flatten_fields(fields):

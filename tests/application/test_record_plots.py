@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from counterspin.application.record_plots import MAX_PARTS, min_and_max
+from counterspin.application.record_plots import MAX_WINDOW_SEGMENTS, segment_extremes
 
 RUN = {"name": "three", "run": "fast"}
 
@@ -13,7 +13,7 @@ def test_chunk_extremes_match_loop():
     values[[3, 500]] = np.nan
     values[600:700] = np.nan
     edges = np.linspace(7, 991, 38).astype(int)
-    found = min_and_max(values, edges)
+    found = segment_extremes(values, edges)
     for (low, high), begin, end in zip(found, edges[:-1], edges[1:], strict=True):
         part = values[begin:end][~np.isnan(values[begin:end])]
         if len(part):
@@ -75,7 +75,7 @@ def test_short_window_has_all_rows_and_long_window_keeps_outlier(page, spiked_re
         (RUN | {"run": "none", "low": 0, "high": 1}, 404),
         (RUN | {"low": "nan", "high": 1}, 400),
         (RUN | {"low": 5, "high": -5, "parts": -7}, 200),
-        (RUN | {"low": -1e300, "high": 1e300, "parts": 10 * MAX_PARTS}, 200),
+        (RUN | {"low": -1e300, "high": 1e300, "parts": 10 * MAX_WINDOW_SEGMENTS}, 200),
     ],
 )
 def test_window_query_status(page, query, status):

@@ -79,7 +79,7 @@ def test_shutdown_waits_for_imports_in_progress(tmp_path, monkeypatch):
 
     monkeypatch.setattr(server, "_preload", load)
     monkeypatch.setattr(server, "make_server", lambda *_: SimpleNamespace(run=lambda **_: None))
-    server.serve(tmp_path, browser=False, say=done.append)
+    server.serve(tmp_path, browser=False, print_line=done.append)
     *_, loaded, last = done
     assert (type(loaded), last) == (server.AppState, "Server stopped.")
 
@@ -98,7 +98,7 @@ def test_browser_command_line_has_no_token(tmp_path, monkeypatch):
     monkeypatch.setattr(server, "_preload", lambda *_: None)
     waiting = SimpleNamespace(run=lambda **_: opened.wait(BOUND))
     monkeypatch.setattr(server, "make_server", lambda *_: waiting)
-    server.serve(tmp_path, say=said.append)
+    server.serve(tmp_path, print_line=said.append)
     address, file, modes, text = seen
     link = said[1].strip()
     assert address.startswith("file:///")
@@ -125,7 +125,7 @@ def test_windows_private_files_are_in_user_folder(tmp_path, monkeypatch):
     monkeypatch.setattr("sys.platform", "win32")
     monkeypatch.setattr(socket.socket, "getsockname", lambda _: ("127.0.0.1", 1))
     monkeypatch.setattr("threading.Timer", lambda *_: SimpleNamespace(start=lambda: None))
-    server.serve(tmp_path, say=lambda _: None)
+    server.serve(tmp_path, print_line=lambda _: None)
     assert [folder.parent for folder, _ in private] == [mine]
     assert list(mine.iterdir()) == []
 

@@ -14,7 +14,7 @@ import pytest
 from served import read_token, run_server
 
 from counterspin.application import access_control, server
-from counterspin.application.server import Connection
+from counterspin.application.server import TimedConnection
 
 #: Timeout of all waits, s; only a failure reaches it.
 BOUND = 300.0
@@ -97,7 +97,7 @@ def _send_slowly(connection):
     ids=["nothing", "half a head", "half a body"],
 )
 def test_incomplete_request_times_out(server_credentials, monkeypatch, sent):
-    monkeypatch.setattr(server, "HEAD_SECONDS", 0.2)
+    monkeypatch.setattr(server, "HEAD_TIMEOUT", 0.2)
     monkeypatch.setattr(access_control, "UNAUTHENTICATED_TIMEOUT", 0.2)
     sent = sent.replace(b"%d", str(server_credentials.port).encode())
     with socket.create_connection(
@@ -113,14 +113,14 @@ def test_unauthenticated_request_is_read_in_part(server_credentials):
     head = f"POST /api/jobs HTTP/1.1\r\nHost: 127.0.0.1:{server_credentials.port}\r\n"
     head += f"Origin: http://127.0.0.1:{server_credentials.port}\r\nContent-Length: 4000000\r\n\r\n"
     read = []
-    before = Connection.data_received
+    before = TimedConnection.data_received
 
     def receive_and_record(protocol, data):
         read.append(len(data))
         before(protocol, data)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Connection, "data_received", receive_and_record)
+        patch.setattr(TimedConnection, "data_received", receive_and_record)
         with socket.create_connection(
             ("127.0.0.1", server_credentials.port), timeout=BOUND
         ) as connection:

@@ -1,17 +1,17 @@
 """Access control of the application, limits of requests, and the browser's permissions.
 
-Every other page in the same browser, and every user of the same machine, can reach the server.
-Therefore only requests of the application's own page are answered:
+Every page in the same browser, and every user of the same machine, can reach the server. Therefore
+only requests of the application's own page are accepted:
 
-- the Host is this machine's name with the port (a foreign name that was made to lead here, DNS
-  rebinding, gets 403), and so is the Origin if there is one;
-- requests about the folder carry the key in a header, which no browser adds by itself (cookies
-  ignore ports: every other server of this machine gets them). The page receives the key for the
-  token in the link that `counterspin serve` prints; the token is valid once, and is in the link's
-  fragment, which no browser sends;
-- a file that a browser fetches by itself, to save it, has an address that is valid once;
-- requests that change something state their Origin;
-- no request exceeds its limit of size; without the key the limit is small, and time is limited too.
+- The Host must be a name of this machine with the port (against DNS rebinding), and so must the
+  Origin, if present.
+- Requests for data carry the key in a header, which no browser adds by itself (cookies ignore
+  ports, so every server on this machine would get them). The page exchanges the token in the link
+  that `counterspin serve` prints for the key. The token is valid once, and is in the fragment of
+  the link, which browsers do not send.
+- Files that the browser downloads by itself have addresses that are valid once.
+- Requests that change data must have an Origin.
+- The size of requests is limited. Without the key, the limit is small, and time is limited too.
 """
 
 from __future__ import annotations
@@ -31,52 +31,52 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 T = TypeVar("T")
 
-#: Where the token is given for the key.
+#: Path for exchanging the token for the key.
 SESSION_PATH: Final = "/api/session"
 
-#: Where tickets are taken.
+#: Prefix of paths with tickets.
 TICKET_PATH: Final = "/api/ticket/"
 
-#: How long a ticket counts, s, and how many there are.
-_TICKET_SECONDS: Final = 60.0
+#: Lifetime of a ticket, s, and largest number of tickets.
+_TICKET_LIFETIME: Final = 60.0
 _MAX_TICKETS: Final = 100
 
-#: Most bytes of a request without the key, of one that brings a form, and of one with a file.
+#: Largest size of a request without the key, of a form, and of an uploaded file, in bytes.
 UNAUTHENTICATED_MAX_BYTES: Final = 4000
 FORM_MAX_BYTES: Final = 4_000_000
 FILE_MAX_BYTES: Final = 4_000_000_000
 
-#: How long a request without the key may take to arrive, s.
+#: Timeout for receiving a request without the key, s.
 UNAUTHENTICATED_TIMEOUT: Final = 5.0
 
-#: Larger forms are read a few at a time, the others wait.
-_LARGE_FORM_BYTES: Final = 1 << 16
+#: Size above which forms are large, in bytes; only a few large forms are read at a time.
+_MIN_LARGE_FORM_BYTES: Final = 1 << 16
 _MAX_LARGE_FORMS: Final = 2
 
-#: Where files are brought.
+#: Path for uploads.
 FILES_PATH: Final = "/api/files"
 
-#: Methods that change nothing.
+#: HTTP methods that do not change data.
 _SAFE_METHODS: Final = ("GET", "HEAD")
 
-#: Names of this machine alone.
-_HOST_NAMES: Final = ("127.0.0.1", "localhost", "[::1]")
+#: Names of the loopback interface.
+_LOCAL_HOST_NAMES: Final = ("127.0.0.1", "localhost", "[::1]")
 
-#: What is told to who asks for something of the folder without the key.
-NO_KEY_MESSAGE: Final = (
+#: Response to requests for data without the key.
+MISSING_KEY_MESSAGE: Final = (
     "This window does not have the key of the server. Open the most recent link that is shown "
     "in the terminal of `counterspin serve`. Each link works only once."
 )
 
-#: What the page may load: its own modules, styles and data; pictures have styles of their own.
-_POLICY: Final = (
+#: Content security policy: the page's own modules, styles and data; SVG has style attributes.
+_CONTENT_SECURITY_POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; style-src-attr 'unsafe-inline'; "
     "img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'none'"
 )
 
-_HEADERS: Final[Mapping[str, str]] = {
-    "Content-Security-Policy": _POLICY,
+_SECURITY_HEADERS: Final[Mapping[str, str]] = {
+    "Content-Security-Policy": _CONTENT_SECURITY_POLICY,
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
     "Referrer-Policy": "no-referrer",
@@ -87,7 +87,7 @@ _HEADERS: Final[Mapping[str, str]] = {
 
 
 class Credentials:
-    """The secrets of one server, and its host names."""
+    """The secrets of a server, and its host names."""
 
     def __init__(
         self,
@@ -104,15 +104,15 @@ class Credentials:
     @property
     def link(self) -> str:
         """The link that opens the page, once."""
-        return f"http://{_HOST_NAMES[0]}:{self.port}/#token={self._token}"
+        return f"http://{_LOCAL_HOST_NAMES[0]}:{self.port}/#token={self._token}"
 
     @property
     def hosts(self) -> frozenset[str]:
-        """The valid values of a request's Host."""
-        return frozenset(f"{name}:{self.port}" for name in _HOST_NAMES)
+        """Valid values of the Host header."""
+        return frozenset(f"{name}:{self.port}" for name in _LOCAL_HOST_NAMES)
 
     def exchange_token(self, token: str) -> str | None:
-        """Exchange the link's token for the key and issue a new token; None for any other token."""
+        """Return the key in exchange for the token, and issue a new token; None if it is wrong."""
         if not secrets.compare_digest(token.encode("utf-8", "replace"), self._token.encode()):
             return None
         self._token = secrets.token_urlsafe(24)
@@ -128,14 +128,14 @@ class Credentials:
 
 
 class Tickets(Generic[T]):
-    """Addresses that are valid once and for a short time, each for one request."""
+    """Tickets for single requests, valid once and for a short time."""
 
     def __init__(self) -> None:
         self._targets: dict[str, tuple[float, T]] = {}
         self._lock = threading.Lock()
 
     def issue(self, target: T) -> str:
-        """Return a ticket for a request; the oldest expires if there are too many."""
+        """Return a ticket for a request; if there are too many, the oldest is removed."""
         ticket = secrets.token_urlsafe(24)
         with self._lock:
             self._targets[ticket] = (time.monotonic(), target)
@@ -144,14 +144,14 @@ class Tickets(Generic[T]):
         return ticket
 
     def take(self, ticket: str) -> T | None:
-        """Return the request of a ticket; None if it is not valid."""
+        """Return the request of a ticket; None if the ticket is not valid."""
         with self._lock:
-            issued, target = self._targets.pop(ticket, (-_TICKET_SECONDS, None))
-        return target if time.monotonic() - issued < _TICKET_SECONDS else None
+            issued, target = self._targets.pop(ticket, (-_TICKET_LIFETIME, None))
+        return target if time.monotonic() - issued < _TICKET_LIFETIME else None
 
 
 class AccessControl:
-    """Passes on the requests of the application's own page, and refuses all others."""
+    """ASGI middleware that accepts only requests of the application's own page."""
 
     def __init__(self, app: ASGIApp, credentials: Credentials) -> None:
         self._app = app
@@ -159,7 +159,7 @@ class AccessControl:
         self._large_forms = asyncio.Semaphore(_MAX_LARGE_FORMS)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request, or refuse it."""
+        """Pass on or refuse a request."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
@@ -169,95 +169,95 @@ class AccessControl:
         async def send_guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
-                for name, value in _HEADERS.items():
+                for name, value in _SECURITY_HEADERS.items():
                     headers[name] = value
             await send(message)
 
         is_authorized = self._credentials.is_authorized(Headers(scope=scope))
-        max_bytes = _max_bytes(scope["path"]) if is_authorized else UNAUTHENTICATED_MAX_BYTES
-        refusal = next(
+        max_bytes = _request_limit(scope["path"]) if is_authorized else UNAUTHENTICATED_MAX_BYTES
+        first_refusal = next(
             self._refusals(scope, is_authorized=is_authorized, max_bytes=max_bytes), None
         )
-        if refusal is not None:
-            status, reason = refusal
-            # Nothing more is read of who shows no key.
+        if first_refusal is not None:
+            status, reason = first_refusal
+            # Without the key, the body of the request is not read.
             headers = None if is_authorized else {"Connection": "close"}
             await JSONResponse({"error": reason}, status, headers)(scope, receive, send_guarded)
             return
-        seconds = math.inf if is_authorized else UNAUTHENTICATED_TIMEOUT
-        await self._call_limited(scope, receive, send_guarded, max_bytes, seconds)
+        timeout = math.inf if is_authorized else UNAUTHENTICATED_TIMEOUT
+        await self._call_limited(scope, receive, send_guarded, max_bytes, timeout)
 
     def _refusals(
         self, scope: Scope, *, is_authorized: bool, max_bytes: int
     ) -> Iterator[tuple[int, str]]:
-        """Yield the reasons to refuse a request, with the status; the first one is used."""
+        """Yield the reasons to refuse a request, with the status."""
         headers, path = Headers(scope=scope), scope["path"]
         hosts = [host.lower() for host in headers.getlist("host")]
         if len(hosts) != 1 or hosts[0] not in self._credentials.hosts:
             yield 403, "Open the application at the address that `counterspin serve` printed."
         origins = headers.getlist("origin")
-        same_site = headers.get("sec-fetch-site", "same-origin") in ("same-origin", "none")
+        is_same_site = headers.get("sec-fetch-site", "same-origin") in ("same-origin", "none")
         if any(origin.lower() != f"http://{hosts[0]}" for origin in origins):
             yield 403, "The request was refused because it came from another web page."
         if scope["method"] not in _SAFE_METHODS and not origins:
             yield 403, "The request has no Origin header."
         if path.startswith("/api/"):
-            if not same_site:
+            if not is_same_site:
                 yield 403, "The request was refused because it came from another web page."
             if not (is_authorized or path == SESSION_PATH or path.startswith(TICKET_PATH)):
-                yield 401, NO_KEY_MESSAGE
+                yield 401, MISSING_KEY_MESSAGE
         length = headers.get("content-length", "0")
         if not (length.isascii() and length.isdigit()) or int(length) > max_bytes:
             yield 413, _too_large_message(max_bytes)
 
     async def _call_limited(
-        self, scope: Scope, receive: Receive, send: Send, max_bytes: int, seconds: float
+        self, scope: Scope, receive: Receive, send: Send, max_bytes: int, timeout: float
     ) -> None:
-        """Pass a request on; stop it if its body exceeds the limit of size or of time."""
-        byte_count = 0
-        has_begun = has_slot = is_complete = False
-        deadline = asyncio.get_running_loop().time() + seconds
+        """Pass a request on; abort it if its body exceeds the limit of size or time."""
+        n_bytes = 0
+        has_response_begun = holds_slot = is_complete = False
+        deadline = asyncio.get_running_loop().time() + timeout
 
         async def receive_limited() -> Message:
-            nonlocal byte_count, has_slot, is_complete
-            if byte_count > _LARGE_FORM_BYTES and max_bytes <= FORM_MAX_BYTES and not has_slot:
-                # Many of them at once would hold much memory.
-                has_slot = await self._large_forms.acquire()
+            nonlocal n_bytes, holds_slot, is_complete
+            if n_bytes > _MIN_LARGE_FORM_BYTES and max_bytes <= FORM_MAX_BYTES and not holds_slot:
+                # Many large forms at once would use too much memory.
+                holds_slot = await self._large_forms.acquire()
             try:
                 async with asyncio.timeout_at(None if is_complete else deadline):
                     message = await receive()
             except TimeoutError as error:
                 raise _RequestTimeoutError from error
             is_complete = not message.get("more_body", False)
-            byte_count += len(message.get("body", b""))
-            if byte_count > max_bytes:
+            n_bytes += len(message.get("body", b""))
+            if n_bytes > max_bytes:
                 raise _RequestTooLargeError
             return message
 
         async def send_and_note(message: Message) -> None:
-            nonlocal has_begun
-            has_begun = True
+            nonlocal has_response_begun
+            has_response_begun = True
             await send(message)
 
         try:
             await self._app(scope, receive_limited, send_and_note)
         except ClientDisconnect:
-            return  # who asked has gone; nobody waits for an answer
+            return  # the client has disconnected
         except _RequestTooLargeError:
-            if not has_begun:
+            if not has_response_begun:
                 reason = _too_large_message(max_bytes)
                 await JSONResponse({"error": reason}, 413)(scope, receive, send)
         except _RequestTimeoutError:
-            if not has_begun:
-                reason = f"The complete request was not received within {seconds:g} s."
-                answer = JSONResponse({"error": reason}, 408, {"Connection": "close"})
-                await answer(scope, receive, send)
+            if not has_response_begun:
+                reason = f"The complete request was not received within {timeout:g} s."
+                response = JSONResponse({"error": reason}, 408, {"Connection": "close"})
+                await response(scope, receive, send)
         except Exception as error:  # no traceback for a user
-            if not has_begun:
+            if not has_response_begun:
                 reason = f"internal error ({type(error).__name__}: {error})"
                 await JSONResponse({"error": reason}, 500)(scope, receive, send)
         finally:
-            if has_slot:
+            if holds_slot:
                 self._large_forms.release()
 
 
@@ -269,7 +269,7 @@ class _RequestTimeoutError(Exception):
     """The error for a request whose body does not arrive in time."""
 
 
-def _max_bytes(path: str) -> int:
+def _request_limit(path: str) -> int:
     return FILE_MAX_BYTES if path == FILES_PATH else FORM_MAX_BYTES
 
 

@@ -1,6 +1,6 @@
-"""Types of the answers to the requests of the page.
+"""Types of the responses to requests of the page.
 
-`docs/answer_types.py` makes the types of the page's scripts, ``assets/answers.js``, from them.
+`docs/answer_types.py` generates the types of the scripts, ``assets/answers.js``, from this module.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ JobState = Literal["waiting", "running", "done", "failed", "stopped"]
 
 
 class SessionKey(TypedDict):
-    """The key of a window."""
+    """The key for further requests."""
 
     key: str
 
@@ -29,7 +29,7 @@ class StoredFile(TypedDict):
     bytes: int
 
 
-class Named(TypedDict):
+class NameAnswer(TypedDict):
     """The name of a folder or a file."""
 
     name: str
@@ -67,7 +67,7 @@ class NamedText(TypedDict):
 
 
 class ResultEntry(TypedDict):
-    """A result in a list; a damaged one has only a state."""
+    """A result in a list; a damaged result has only a state."""
 
     name: str
     state: str
@@ -95,7 +95,7 @@ class CampaignEntry(TypedDict):
 
 
 class RunEntry(TypedDict):
-    """A run of a campaign; rate and record are unknown if the description has mistakes."""
+    """A run of a campaign; rate and record are None if the description has mistakes."""
 
     name: str
     rate: float | None
@@ -104,7 +104,7 @@ class RunEntry(TypedDict):
 
 
 class ChecklistEntry(TypedDict):
-    """An entry of the checklist, and the field of the description that states it."""
+    """An entry of the checklist, with its key in the description."""
 
     words: str
     stated: bool
@@ -139,7 +139,7 @@ class TrashEntry(TypedDict):
 
 
 class TermEntry(TypedDict):
-    """A coefficient in words."""
+    """A coefficient and its description."""
 
     name: str
     words: str
@@ -199,7 +199,7 @@ class FormField(TypedDict):
 
 
 class TermRow(TypedDict):
-    """A term that a list of terms may have."""
+    """A term that can be in a list of terms."""
 
     key: str
     words: str
@@ -219,7 +219,7 @@ class FormSection(TypedDict):
 
 
 class KeyedText(TypedDict):
-    """A text on a key of a document; an empty key is that of the whole document."""
+    """A message on a key of a document; an empty key means the whole document."""
 
     key: str
     words: str
@@ -279,7 +279,7 @@ class QuestionEntry(TypedDict):
 
 
 class Curve(TypedDict):
-    """A drawing of a column: the least and greatest value of each part."""
+    """A preview of a column: minimum and maximum of each segment."""
 
     extent: list[tuple[float, float] | None]
     words: str
@@ -288,7 +288,7 @@ class Curve(TypedDict):
 
 
 class ColumnEntry(TypedDict):
-    """A column of a file, and why it may be unused; a column of text has no curve."""
+    """A column of a file, and the reason why it may be unused; text columns have no curve."""
 
     name: str
     first: list[str]
@@ -304,7 +304,7 @@ class RememberedAnswer(TypedDict):
 
 
 class DraftOverview(TypedDict):
-    """The contents of files, the questions and the mistakes."""
+    """Detected contents of files, questions and mistakes."""
 
     test: Test | None
     statements: list[str]
@@ -329,7 +329,7 @@ class ManualPage(TypedDict):
 
 
 class PageContent(TypedDict):
-    """A page as HTML; if a job makes the page, all other entries are empty."""
+    """A page as HTML; while a job computes the page, all other entries are empty."""
 
     job: JobEntry | None
     title: str
@@ -354,7 +354,7 @@ class WhatIfSource(TypedDict):
 
 
 class WhatIfAnswer(TypedDict):
-    """The uncertainty with better known sources."""
+    """The uncertainty with smaller uncertainties of its sources."""
 
     symbol: str
     u: float
@@ -392,7 +392,7 @@ class Improvement(TypedDict):
 
 
 class Improvements(TypedDict):
-    """The known ways to a smaller uncertainty."""
+    """Known ways to reduce the uncertainty."""
 
     ways: list[Improvement]
     searched: bool
@@ -417,7 +417,7 @@ class RecordColumn(TypedDict):
 
 
 class RecordOverview(TypedDict):
-    """The columns of a record and its used part."""
+    """Columns of a record and its used time range."""
 
     together: int
     columns: list[RecordColumn]
@@ -429,7 +429,7 @@ class RecordOverview(TypedDict):
 
 
 class RecordAnswer(TypedDict):
-    """A record, or its fit; None before the fit."""
+    """Overview of a record or its fit; None before the fit."""
 
     overview: RecordOverview | None
 
@@ -443,7 +443,7 @@ class RecordWindow(TypedDict):
 
 
 class RunCheck(TypedDict):
-    """The judgement of a record."""
+    """The check of a record."""
 
     html: str
     good: bool
@@ -457,7 +457,7 @@ class NamedUncertainty(TypedDict):
     u: float | None
 
 
-class Reached(TypedDict):
+class CurrentUncertainties(TypedDict):
     """The uncertainties after a recorded time."""
 
     minutes: float
@@ -465,17 +465,17 @@ class Reached(TypedDict):
 
 
 class LiveState(TypedDict):
-    """The state of a campaign whose records grow."""
+    """The state of a campaign during recording."""
 
     html: str
     events: list[str]
     complete: bool
-    reached: Reached | None
+    reached: CurrentUncertainties | None
     error: NotRequired[str]
 
 
 class LiveAnswer(LiveState):
-    """The state of a campaign whose records grow, and the command."""
+    """The state of a campaign during recording, with the command."""
 
     command: str
 
@@ -489,7 +489,7 @@ class Duration(TypedDict):
 
 
 class DurationAnswer(TypedDict):
-    """The expected duration of a study, or the job that estimates it."""
+    """The expected duration of a study, or the job that estimates the duration."""
 
     job: JobEntry | None
     duration: Duration | None
@@ -567,7 +567,7 @@ class PlanOverview(TypedDict):
 
 
 class PlanPage(TypedDict):
-    """The best plan as HTML; empty if a job searches for it."""
+    """The optimal plan as HTML; empty while a job computes the plan."""
 
     job: JobEntry | None
     html: str

@@ -1,4 +1,4 @@
-"""The state that all requests share: folder, jobs, cached files."""
+"""State shared by all requests: folder, jobs and cached files."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from counterspin.input import FileIdentity
 
 T = TypeVar("T")
 
-#: How many things are remembered where nothing else is said.
-_MAX_ENTRIES: Final = 300
+#: Default number of entries of a cache.
+_MAX_CACHE_ENTRIES: Final = 300
 
 
 class FileCache:
     """A cache of values computed from files; an entry expires when one of its files changes."""
 
-    def __init__(self, max_entries: int = _MAX_ENTRIES) -> None:
+    def __init__(self, max_entries: int = _MAX_CACHE_ENTRIES) -> None:
         self._max_entries = max_entries
         self._entries: OrderedDict[Any, tuple[Any, Any]] = OrderedDict()
         self._lock = threading.Lock()
 
-    def get(self, key: Any, files: Sequence[Path], make: Callable[[], T]) -> T:
-        """Return the cached value of `make`, or its new value if a file has changed."""
+    def get(self, key: Any, files: Sequence[Path], compute: Callable[[], T]) -> T:
+        """Return the cached value of `compute`, or its new value if a file has changed."""
         cached, store = self.lookup(key, files)
-        return store(make()) if cached is None else cached
+        return store(compute()) if cached is None else cached
 
     def lookup(self, key: Any, files: Sequence[Path]) -> tuple[Any, Callable[[T], T]]:
         """Return the cached value or None, and a function that stores a new one."""
@@ -72,15 +72,15 @@ class AppState:
         signer_options: Mapping[str, str] | None = None,
     ) -> None:
         self.folder = folder
-        #: Who signs certificates without a key that is brought, and how the command line names it.
+        #: Signer of certificates if no key is uploaded, and its options of the command line.
         self.signer = signer
         self.signer_options = signer_options or {}
         self.jobs = Jobs()
         self.live = LiveViews()
         self.cache = FileCache()
-        #: Each for a request that only reads: its name, and what it says.
+        #: Tickets for GET requests: name and parameters.
         self.tickets = Tickets[tuple[str, dict[str, str]]]()
-        #: Who draws holds it: Matplotlib draws one picture at a time.
+        #: Lock for drawing, because Matplotlib is not thread-safe.
         self.drawing = threading.Lock()
 
     def close(self) -> None:
@@ -94,7 +94,7 @@ class AppState:
         return self.cache.get(("result", path), [path], lambda: Result.read(path))
 
     def file(self, name: str) -> Path:
-        """Return the path of a file; NotThereError if no file has the name."""
+        """Return the path of a file; NotFoundError if the file does not exist."""
         path = self.folder.path(name)
         if not path.is_file():
             raise NotFoundError(f"{name}: file not found")
@@ -111,7 +111,7 @@ class AppState:
         path = self.description(name)
         document = load_document(path)
         self.require_inside(path.parent, document)
-        # A table of readings is part of the description.
+        # A table of readings is also part of the description.
         files = [path, *(path.parent / name for _, name in _iter_strings(document))]
         return self.cache.get(("campaign", path), files, lambda: read_campaign(path))
 
@@ -143,7 +143,7 @@ class AppState:
 
 
 def _iter_strings(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the texts of a document, with their keys."""
+    """Yield key and value of all strings in a document."""
 
     def walk(value: Any, path: str) -> Iterator[tuple[str, str]]:
         if isinstance(value, str):

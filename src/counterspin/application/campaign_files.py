@@ -1,4 +1,4 @@
-"""Campaign folders: upload, copy, rename and move to the trash; nothing is ever lost."""
+"""Campaign folders: upload, copy, rename and move to the trash, without deleting data."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from urllib.parse import quote, unquote
 
 from counterspin.application.answers import (
     AddedRuns,
-    Named,
+    NameAnswer,
     RestoredFolder,
     StoredFile,
     TrashEntry,
@@ -35,7 +35,7 @@ from counterspin.output import make_folder, move_into_place
 from counterspin.records.format_registry import suffix_problem
 from counterspin.temporary_folders import remove_abandoned_folders, temporary_folder
 
-#: Prefixes of the temporary folders in which a campaign is made or copied, and a file is uploaded.
+#: Prefixes of the temporary folders for copies of campaigns and for uploads.
 COPY_PREFIX: Final = ".counterspin-copy-"
 _UPLOAD_PREFIX: Final = ".counterspin-upload-"
 
@@ -44,21 +44,21 @@ _UPLOAD_PREFIX: Final = ".counterspin-upload-"
 class Upload:
     """A file that is being uploaded."""
 
-    path: Path  #: Where it goes.
-    temporary_path: Path  #: A new file that takes its bytes, in a temporary folder beside it.
-    cleanup: ExitStack  #: Removes that folder.
-    created_folders: tuple[Path, ...]  #: Those that were made for it, the innermost first.
+    path: Path  #: Final path.
+    temporary_path: Path  #: New file for the content, in a temporary folder next to the path.
+    cleanup: ExitStack  #: Removes the temporary folder.
+    created_folders: tuple[Path, ...]  #: Folders created for the file, the innermost first.
 
     def discard(self) -> None:
         """Remove the remains of an incomplete upload."""
         self.cleanup.close()
         for folder in self.created_folders:
-            with suppress(OSError):  # something is in it
+            with suppress(OSError):  # the folder is not empty
                 folder.rmdir()
 
 
 def open_upload(app: AppState, name: str) -> Upload:
-    """Return the places of an uploaded file."""
+    """Create the temporary file of an upload."""
     path = app.folder.path(name)
     if problem := suffix_problem(path):
         raise PathForbiddenError(f"{name}: {problem}")
@@ -78,35 +78,35 @@ def open_upload(app: AppState, name: str) -> Upload:
 
 def complete_upload(app: AppState, upload: Upload) -> StoredFile:
     """Rename a complete upload; CounterspinError if a file with other content has the name."""
-    size = upload.temporary_path.stat().st_size
+    n_bytes = upload.temporary_path.stat().st_size
     if upload.path.is_file() and filecmp.cmp(upload.temporary_path, upload.path, shallow=False):
-        upload.temporary_path.unlink()  # brought once more, after a mistake
+        upload.temporary_path.unlink()  # the same file was uploaded again
     else:
         move_into_place(upload.temporary_path, upload.path)
-    return {"name": app.folder.name(upload.path), "bytes": size}
+    return {"name": app.folder.name(upload.path), "bytes": n_bytes}
 
 
-#: Where campaigns go that are put away; as a hidden folder it is no part of the page.
-TRASH: Final = ".counterspin-trash"
+#: Hidden folder for removed campaigns.
+TRASH_FOLDER: Final = ".counterspin-trash"
 
-#: Folders in the trash: when each was moved, and its name before, percent-encoded.
+#: Name of a folder in the trash: time of removal, and former name, percent-encoded.
 _TRASH_NAME: Final = re.compile(r"\d{8}T\d{12}-(?P<name>.+)")
 
 
-def remove_abandoned_folders_in(served: ServedFolder) -> None:
-    """Remove the incomplete uploads and copies of campaigns that killed servers left."""
-    for folder, _ in served.folders():
+def remove_remnants(served_folder: ServedFolder) -> None:
+    """Remove incomplete uploads and copies that killed servers left behind."""
+    for folder, _ in served_folder.folders():
         for prefix in (COPY_PREFIX, _UPLOAD_PREFIX):
             remove_abandoned_folders(prefix, folder)
 
 
-def copy_campaign(app: AppState, name: str, to: str) -> Named:
+def copy_campaign(app: AppState, name: str, to: str) -> NameAnswer:
     """Copy a campaign's folder, with records and results; return the copy's name."""
-    source, target = _campaign_folder(app, name), _new_folder(app, name, to)
+    source, target = _campaign_folder(app, name), _check_new_folder(app, name, to)
     try:
-        with temporary_folder(COPY_PREFIX, target.parent) as temporary:
+        with temporary_folder(COPY_PREFIX, target.parent) as temporary_parent:
             copied = shutil.copytree(
-                source, temporary / target.name, ignore=shutil.ignore_patterns(".*")
+                source, temporary_parent / target.name, ignore=shutil.ignore_patterns(".*")
             )
             copied.rename(target)
     except OSError as error:
@@ -114,9 +114,9 @@ def copy_campaign(app: AppState, name: str, to: str) -> Named:
     return {"name": app.folder.name(target)}
 
 
-def rename_campaign(app: AppState, name: str, to: str) -> Named:
-    """Give a campaign's folder another name; return it."""
-    source, target = _idle_campaign_folder(app, name), _new_folder(app, name, to)
+def rename_campaign(app: AppState, name: str, to: str) -> NameAnswer:
+    """Rename a campaign's folder; return the new name."""
+    source, target = _idle_campaign_folder(app, name), _check_new_folder(app, name, to)
     _move(source, target)
     return {"name": app.folder.name(target)}
 
@@ -131,7 +131,7 @@ def move_to_trash(app: AppState, name: str) -> TrashPlace:
 
 
 def discard_uploads(app: AppState, folder: str, names: list[str]) -> TrashPlace:
-    """Move the files of an unfinished import to the trash; return their place.
+    """Move the files of an unfinished import to the trash; return the name of their folder there.
 
     names: Names of the files, relative to the served folder; missing files are skipped.
     """
@@ -154,51 +154,51 @@ def discard_uploads(app: AppState, folder: str, names: list[str]) -> TrashPlace:
 
 
 def _trash_path(app: AppState, source: Path) -> Path:
-    """Return the path of a folder in the trash; its name contains that of its parent folders."""
+    """Return a new path in the trash; its name contains the names of the parent folders."""
     timestamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%f")
-    return app.folder.root / TRASH / f"{timestamp}-{quote(app.folder.name(source), safe='')}"
+    return app.folder.root / TRASH_FOLDER / f"{timestamp}-{quote(app.folder.name(source), safe='')}"
 
 
 def trash_contents(app: AppState) -> list[TrashEntry]:
-    """Return place and former name of each campaign in the trash, the latest first."""
-    trash = app.folder.root / TRASH
-    is_inside = trash.is_dir() and app.folder.contains(trash)  # no link to another folder
-    places = sorted(trash.iterdir(), reverse=True) if is_inside else []
+    """Return name in the trash and former name of each campaign, the latest first."""
+    trash = app.folder.root / TRASH_FOLDER
+    is_inside = trash.is_dir() and app.folder.contains(trash)  # not a link to another folder
+    paths = sorted(trash.iterdir(), reverse=True) if is_inside else []
     return [
         {"place": place.name, "name": unquote(match["name"])}
-        for place in places
+        for place in paths
         if (match := _TRASH_NAME.fullmatch(place.name))
     ]
 
 
 def restore_campaign(app: AppState, place: str) -> RestoredFolder:
-    """Move a folder from the trash back to its place, or beside a new folder of its name.
+    """Restore a folder from the trash under its former name, with a number if the name is taken.
 
-    place: Its name in the trash.
+    place: Name of the folder in the trash.
 
     Returns the folder's name, and the names of the files of an unfinished import.
     """
     former_name = {entry["place"]: entry["name"] for entry in trash_contents(app)}.get(place)
     if former_name is None:
         raise NotFoundError(f"{place} is not in the trash")
-    target = app.folder.path(free_name(app, former_name))
+    target = app.folder.path(find_free_name(app, former_name))
     make_folder(target.parent)
-    _move(app.folder.root / TRASH / place, target)
+    _move(app.folder.root / TRASH_FOLDER / place, target)
     is_campaign = (target / DESCRIPTION_NAME).exists()
     files = [] if is_campaign else sorted(path for path in target.iterdir() if path.is_file())
     return {"name": app.folder.name(target), "files": [app.folder.name(file) for file in files]}
 
 
-def free_name(app: AppState, name: str) -> str:
-    """Return the name if no folder has it, or else with the first free number."""
+def find_free_name(app: AppState, name: str) -> str:
+    """Return the name, with the first free number appended if a folder has the name."""
     names = (name if number == 1 else f"{name}-{number}" for number in range(1, 1000))
     return next(candidate for candidate in names if not app.folder.path(candidate).exists())
 
 
 def add_records(app: AppState, name: str, files: list[str]) -> AddedRuns:
-    """Make a run of each record that was added to a campaign; return sentences on the runs.
+    """Add a run to a campaign for each new record; return sentences on the runs.
 
-    files: Their names, relative to the served folder.
+    files: Names of the records, relative to the served folder.
     """
     description = app.description(name)
     description_text = app.folder.read(app.folder.name(description))
@@ -211,21 +211,21 @@ def add_records(app: AppState, name: str, files: list[str]) -> AddedRuns:
         )
     known_records = {(description.parent / str(run.get("record"))).resolve() for run in runs}
     new_files = [file for file in map(app.file, files) if file.resolve() not in known_records]
-    text, added = (
+    text, new_runs = (
         description_text.text,
         draft_further_runs(new_files, document, description.parent) if new_files else [],
     )
-    for index, run in enumerate(added, len(runs)):
+    for index, run in enumerate(new_runs, len(runs)):
         text = set_value(text, ["runs", index], run)
-    if added:
+    if new_runs:
         if problems := parse_campaign_text(app, description, text).problems:
             raise CounterspinError(": ".join(problems[0]), code="invalid-value")
         app.folder.write(app.folder.name(description), text, description_text.version)
-    return {"added": [f"{run['name']} at {run['rate']}" for run in added]}
+    return {"added": [f"{run['name']} at {run['rate']}" for run in new_runs]}
 
 
 def _campaign_folder(app: AppState, name: str) -> Path:
-    """Return a campaign's folder; OutsideError if it is outside the served folder."""
+    """Return a campaign's folder; PathForbiddenError if it contains or is a link."""
     source = app.description(name).parent
     if source == app.folder.root:
         raise RequestError(
@@ -245,18 +245,18 @@ def _campaign_folder(app: AppState, name: str) -> Path:
 
 
 def _idle_campaign_folder(app: AppState, name: str) -> Path:
-    """Return a campaign's folder if no job is at work in it."""
+    """Return a campaign's folder; RequestError if a job is running in it."""
     source = _campaign_folder(app, name)
-    busy = [job for job in app.jobs.all() if job.state in ("waiting", "running")]
-    if any(job.campaign == name or job.campaign.startswith(f"{name}/") for job in busy):
+    active_jobs = [job for job in app.jobs.all() if job.state in ("waiting", "running")]
+    if any(job.campaign == name or job.campaign.startswith(f"{name}/") for job in active_jobs):
         raise RequestError(
             f"{name}: a job is running in this campaign; stop the job or wait until the job ends"
         )
     return source
 
 
-def _new_folder(app: AppState, name: str, to: str) -> Path:
-    """Return a free folder for a campaign, from which its records can be found."""
+def _check_new_folder(app: AppState, name: str, to: str) -> Path:
+    """Return a free folder for a campaign from which relative paths to its records stay valid."""
     target = app.folder.path(to)
     if target == app.folder.root or target.exists():
         raise RequestError(f"{to or 'this folder'} already exists; choose another name")
@@ -264,10 +264,10 @@ def _new_folder(app: AppState, name: str, to: str) -> Path:
     if target.is_relative_to(source):
         raise RequestError(f"{to} is inside {name}; choose a folder outside {name}")
     try:
-        names_outside = ".." in str(load_document(source / DESCRIPTION_NAME))
+        uses_outside_files = ".." in str(load_document(source / DESCRIPTION_NAME))
     except CounterspinError:
-        names_outside = True  # a description that cannot be read may name anything
-    if names_outside and target.parent != source.parent:
+        uses_outside_files = True  # an unreadable description may refer to any file
+    if uses_outside_files and target.parent != source.parent:
         raise RequestError(
             f"{name}: the description uses relative paths to files outside the campaign folder; "
             "choose a destination in the same parent folder"

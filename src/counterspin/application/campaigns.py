@@ -1,4 +1,4 @@
-"""The campaigns of the folder, with their state."""
+"""Campaigns and results of the folder, with their states."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from counterspin.application.answers import (
     WrittenCampaign,
 )
 from counterspin.application.app_state import AppState
-from counterspin.application.campaign_files import COPY_PREFIX, free_name, trash_contents
-from counterspin.application.checklist import checklist
+from counterspin.application.campaign_files import COPY_PREFIX, find_free_name, trash_contents
+from counterspin.application.checklist import make_checklist
 from counterspin.application.commands import calibrate_command, demo_command, init_command
-from counterspin.application.jobs import Job, Progress, report_progress, run_calibration
+from counterspin.application.jobs import Job, ProgressCallback, report_progress, run_calibration
 from counterspin.application.laboratory import PROFILE_NAME
 from counterspin.application.record_plots import STUDY_NAME
 from counterspin.application.served_folder import RequestError
@@ -43,10 +43,10 @@ from counterspin.reports.numbers import format_estimate
 from counterspin.reports.typography import typeset
 from counterspin.temporary_folders import temporary_folder
 
-#: The file of a campaign's own result; other results beside it are tries.
+#: File name of a campaign's result; other results in the folder are variants.
 _RESULT_NAME: Final = "result.json"
 
-#: State of a campaign -> its words.
+#: State of a campaign -> its label.
 _STATE_LABELS: Final[Mapping[str, str]] = {
     "mistakes": "Errors in the description",
     "records missing": "Records missing",
@@ -57,7 +57,7 @@ _STATE_LABELS: Final[Mapping[str, str]] = {
 
 
 def folder_overview(app: AppState) -> FolderOverview:
-    """Return the folder's campaigns, and its results that belong to no campaign."""
+    """Return the folder's campaigns, other results, plans and laboratory data."""
     campaigns: list[CampaignEntry] = []
     other_results: list[ResultEntry] = []
     plans: list[PlanEntry] = []
@@ -70,7 +70,7 @@ def folder_overview(app: AppState) -> FolderOverview:
         else:
             other_results += results
         for file in files:
-            match _toml_kind(app, folder / file):
+            match _detect_document_type(app, folder / file):
                 case ("plan", title):
                     plans.append({"name": app.folder.name(folder / file), "title": title})
                 case ("lab", _):
@@ -86,14 +86,14 @@ def folder_overview(app: AppState) -> FolderOverview:
     }
 
 
-def _toml_kind(app: AppState, path: Path) -> tuple[str, str]:
-    """Return the kind of a file, ``plan`` or ``lab`` (the laboratory's data), and its title."""
+def _detect_document_type(app: AppState, path: Path) -> tuple[str, str]:
+    """Return the type of a TOML file (``plan``, ``lab``, or empty if other), and its title."""
     if path.suffix.lower() != ".toml" or path.name in (DESCRIPTION_NAME, PROFILE_NAME):
         return "", ""
     if not app.folder.contains(path):
         return "", ""
 
-    def read_kind() -> tuple[str, str]:
+    def read_document_type() -> tuple[str, str]:
         try:
             document = load_document(path)
         except CounterspinError:
@@ -102,7 +102,7 @@ def _toml_kind(app: AppState, path: Path) -> tuple[str, str]:
             return "plan", str(table_of(document, "campaign").get("title", ""))
         return "lab" if {"certificate", "laboratory"} <= document.keys() else "", ""
 
-    return app.cache.get(("kind", path), [path], read_kind)
+    return app.cache.get(("kind", path), [path], read_document_type)
 
 
 def _iter_results(app: AppState, folder: Path, files: list[str]) -> Iterator[ResultEntry]:
@@ -133,8 +133,8 @@ def _result_entry(app: AppState, path: Path) -> ResultEntry | None:
     for accelerometer, accelerometer_result in result.accelerometers.items():
         if (k_ii := accelerometer_result.coefficients.get("K_II")) is not None:
             value, u, unit = to_field_units(k_ii)
-            text = format_estimate(value, u, unit) if k_ii.estimated else "not determined"
-            values.append({"name": f"K_II of {accelerometer}", "text": typeset(text)})
+            value_text = format_estimate(value, u, unit) if k_ii.estimated else "not determined"
+            values.append({"name": f"K_II of {accelerometer}", "text": typeset(value_text)})
     return {
         "name": name,
         "state": result.state or "good",
@@ -171,8 +171,8 @@ def _campaign_entry(app: AppState, name: str, results: list[ResultEntry]) -> Cam
     else:
         entry["title"] = campaign.title or entry["title"]
         triad = campaign.triad
-        pose_count = len(triad.poses) + len(triad.records) if triad else 0
-        entry["runs"] = len(campaign.runs) + len(campaign.readings) + pose_count
+        n_poses = len(triad.poses) + len(triad.records) if triad else 0
+        entry["runs"] = len(campaign.runs) + len(campaign.readings) + n_poses
         entry["instruments"] = list(campaign.accelerometers)
         records = [run.record for run in campaign.runs]
         entry["missing"] = [app.folder.name(file) for file in records if not file.is_file()]
@@ -182,10 +182,10 @@ def _campaign_entry(app: AppState, name: str, results: list[ResultEntry]) -> Cam
 
 
 def _result_sort_key(result: ResultEntry) -> tuple[bool, bool, bool, float]:
-    """Return the key that sorts a campaign's results, its representative result first.
+    """Return the sort key of a campaign's results, with the representative result first.
 
-    That is ``result.json``; without it, the newest by the joint method, then the newest. Another
-    method or fewer runs are written to another file, and the campaign keeps its result.
+    The representative result is ``result.json``, otherwise the newest result of the joint method,
+    otherwise the newest result. Results of other methods or fewer runs have other file names.
     """
     return (
         result["state"] == "damaged",
@@ -224,7 +224,7 @@ def campaign_overview(app: AppState, name: str) -> CampaignOverview:
         "text": description_text.text,
         "version": description_text.version,
         "run_list": _run_entries(app, name, path),
-        "checklist": [] if entry["mistakes"] else checklist(app.campaign(name)),
+        "checklist": [] if entry["mistakes"] else make_checklist(app.campaign(name)),
         "command": calibrate_command(path.parent, output, "joint", None),
         "jobs": [job.to_dict() for job in app.jobs.all() if job.campaign == name],
     }
@@ -267,7 +267,7 @@ def begin_calibration(
     """Start a campaign's calibration; return the job.
 
     name: The campaign's folder.
-    output: Name of the result's file in it.
+    output: Name of the result file in this folder.
     """
     path = app.description(name)
     app.campaign(name)
@@ -297,7 +297,7 @@ def begin_campaign(app: AppState, name: str, test: Test = "double-turntable") ->
 
 def begin_sample(app: AppState) -> JobEntry:
     """Start to simulate and calibrate a sample campaign in a new folder; return the job."""
-    name = free_name(app, "sample")
+    name = find_free_name(app, "sample")
     target = app.target_path(name)
 
     def make_job(number: int) -> Job:
@@ -309,7 +309,7 @@ def begin_sample(app: AppState) -> JobEntry:
 def run_sample(connection: Connection, folder: Path) -> None:
     """Simulate and calibrate a sample; report to `connection` as `report_progress` does."""
 
-    def work(progress: Progress) -> None:
+    def work(progress: ProgressCallback) -> None:
         from counterspin.calibration.calibrate import calibrate
         from counterspin.reproduction.demo import write_description
         from counterspin.simulation.simulate import simulate
@@ -326,9 +326,9 @@ def run_sample(connection: Connection, folder: Path) -> None:
 
 
 def to_json(value: Any) -> str:
-    """Return an answer as JSON; infinite values and NaN become null.
+    """Return a response as JSON; infinite values and NaN become null.
 
-    The text is ASCII, because a file's name may have bytes without an encoding in UTF-8.
+    The text is ASCII, because file names may contain bytes that are not valid UTF-8.
     """
     try:
         return json.dumps(value, allow_nan=False, separators=(",", ":"))

@@ -1,4 +1,4 @@
-"""Certificates and reports from the page, and downloads."""
+"""Certificates, reports and downloads."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from counterspin.certificates.signers import KeyMaterial, PasswordNeededError, S
 from counterspin.errors import CounterspinError, describe_read_error, read_error_code
 from counterspin.input import read_file
 
-#: Endings of what may be saved elsewhere: what this program writes.
+#: Suffixes of files that can be downloaded: those that counterspin writes.
 _DOWNLOAD_SUFFIXES: Final = (".html", ".json", ".md", ".pdf", ".svg", ".toml", ".xml")
 
 
 class UploadedFile(BaseModel):
-    """An uploaded file that is used for one request, and never written."""
+    """An uploaded file that is used for a single request and never written to disk."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)
 
@@ -40,7 +40,7 @@ class UploadedFile(BaseModel):
     content: Base64Bytes
 
     def read(self) -> KeyMaterial:
-        """Return its content, read in the same way as a file of the command line."""
+        """Return the content as key material."""
         return KeyMaterial(self.name, self.content)
 
 
@@ -49,13 +49,13 @@ class Signing(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)
 
-    #: PEM or PKCS #12; None: with the command that the server was started with.
+    #: PEM or PKCS #12; None: the signing command of the server is used.
     key: UploadedFile | None = None
-    certificate: UploadedFile | None = None  #: PEM; None: it is in the file of the key.
-    password: SecretStr | None = None  #: Of the key.
+    certificate: UploadedFile | None = None  #: PEM; None: included in the key file.
+    password: SecretStr | None = None  #: Password of the key.
 
     def signer(self, app: AppState) -> Signer:
-        """Return the signer; CounterspinError if key, certificate and password do not fit."""
+        """Return the signer; CounterspinError if key, certificate and password do not match."""
         if self.key is None:
             if app.signer is None:
                 raise RequestError(
@@ -73,7 +73,7 @@ class Signing(BaseModel):
 
 
 def _sign_without_drawing_lock(app: AppState, data: bytes) -> bytes:
-    """Return the signature by the server's command; a person may have to type a PIN first."""
+    """Sign with the server's command, which may wait for a PIN, without holding the lock."""
     assert app.signer is not None
     app.drawing.release()
     try:
@@ -83,7 +83,7 @@ def _sign_without_drawing_lock(app: AppState, data: bytes) -> bytes:
 
 
 class AmendmentRequest(BaseModel):
-    """An issued certificate of the served folder that the new one replaces, and the reason."""
+    """An issued certificate to be replaced, and the reason."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -102,8 +102,8 @@ def begin_certificate(
 ) -> Receipt:
     """Issue the certificate of a result; return its identifier and the notes to check.
 
-    both: The other of XML and PDF is written next to it too.
-    amends: Set for a certificate that replaces an issued one.
+    both: Write both XML and PDF.
+    amends: The certificate to be replaced; None: a new certificate.
     """
     files = app.file(result), app.file(lab)
     target = app.folder.path(output)
@@ -112,7 +112,7 @@ def begin_certificate(
         app.folder.path(app.folder.name(paired_path(target)))
     else:
         check_output_path(target)
-    # The ledger, too.
+    # This also checks the path of the ledger.
     app.require_inside(files[1].parent, load_document(files[1]))
     amendment = None if amends is None else Amendment(app.file(amends.file), amends.reason)
     signers: list[Signer] = []
@@ -123,20 +123,22 @@ def begin_certificate(
         return signers[0]
 
     with app.drawing:
-        issued = certificate(
+        certificate_issued = certificate(
             *files, signer=None if signing is None else read_signing, amends=amendment
         )
-        outputs = issued.write_both(target) if both else [issued.write(target)]
-        pages = issued.page_images()
+        outputs = (
+            certificate_issued.write_both(target) if both else [certificate_issued.write(target)]
+        )
+        pages = certificate_issued.page_images()
     options = _signing_options(app, signing)
     if amendment is not None:
         options |= {"amends": str(amendment.path), "reason": amendment.reason}
     return {
-        "identifier": issued.identifier,
-        "draft": issued.draft,
-        "accelerometers": issued.accelerometers,
-        "signed_by": issued.signed_by,
-        "notes": issued.notes,
+        "identifier": certificate_issued.identifier,
+        "draft": certificate_issued.draft,
+        "accelerometers": certificate_issued.accelerometers,
+        "signed_by": certificate_issued.signed_by,
+        "notes": certificate_issued.notes,
         "files": [app.folder.name(target) for target in outputs],
         "checksums": [sha256_hex(read_file(target)) for target in outputs],
         "pages": pages,
@@ -147,9 +149,9 @@ def begin_certificate(
 
 
 def check_file(app: AppState, name: str, certificate: UploadedFile | None = None) -> CheckedFile:
-    """Read a certificate's file again; return its identifier, checksum and signature.
+    """Read a certificate file again; return its identifier, checksum and signature.
 
-    certificate: That of the expected signer, PEM; None: the signature is not verified.
+    certificate: Certificate of the expected signer, PEM; None: the signature is not verified.
     """
     path = app.file(name)
     with app.drawing:
@@ -165,19 +167,19 @@ def check_file(app: AppState, name: str, certificate: UploadedFile | None = None
 
 
 def _signing_options(app: AppState, signing: Signing | None) -> dict[str, str]:
-    """Return the options of the command line for this signature."""
+    """Return the options of the command line for a signature."""
     if signing is None:
         return {}
     if signing.key is None:
         return dict(app.signer_options)
-    certificate_option = {} if signing.certificate is None else {"cert": signing.certificate.name}
-    return {"key": signing.key.name} | certificate_option
+    certificate_options = {} if signing.certificate is None else {"cert": signing.certificate.name}
+    return {"key": signing.key.name} | certificate_options
 
 
 def make_report(
     app: AppState, result: str, kind: Literal["html", "md", "pdf"]
 ) -> tuple[str, bytes]:
-    """Return a report's file name and content; nothing is written into the folder."""
+    """Return file name and content of a report, without writing a file."""
     from counterspin.reports.publication import report
 
     calibration = app.result(result)
@@ -189,7 +191,7 @@ def make_report(
 
 
 def download_file(app: AppState, name: str) -> tuple[str, bytes]:
-    """Return a file's name and content; OutsideError for files that are not made here."""
+    """Return name and content of a file; PathForbiddenError for files of other programs."""
     path: Path = app.file(name)
     if path.suffix.lower() not in _DOWNLOAD_SUFFIXES:
         raise PathForbiddenError(f"{name}: only files that counterspin writes can be downloaded")

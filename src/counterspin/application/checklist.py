@@ -1,4 +1,4 @@
-"""Optional entries of a description that matter to its result, before a calibration."""
+"""Checklist before a calibration: optional entries of a description that affect the result."""
 
 from __future__ import annotations
 
@@ -9,46 +9,48 @@ from counterspin.campaign.description import Campaign
 from counterspin.physics.terms import COMMON_NAMES, TERMS
 
 
-def checklist(campaign: Campaign) -> list[ChecklistEntry]:
-    """Return the entries of a campaign's checklist; none of them blocks a calibration."""
-    return list(_entries(campaign))
+def make_checklist(campaign: Campaign) -> list[ChecklistEntry]:
+    """Return the entries of a campaign's checklist, which do not prevent a calibration."""
+    return list(_iterate_entries(campaign))
 
 
-def _entries(campaign: Campaign) -> Iterator[ChecklistEntry]:
+def _iterate_entries(campaign: Campaign) -> Iterator[ChecklistEntry]:
     for key, symbol in COMMON_NAMES.items():
         yield _prior_entry(campaign, key, symbol)
     if campaign.runs:
-        stated = campaign.noise is not None
-        effect = "stated (Type B)" if stated else "estimated from the residuals (Type A)"
-        yield {"words": "Noise", "stated": stated, "effect": effect, "key": "noise"}
-    unnumbered = [n for n, a in campaign.accelerometers.items() if not a.serial_number]
+        is_noise_stated = campaign.noise is not None
+        effect = "stated (Type B)" if is_noise_stated else "estimated from the residuals (Type A)"
+        yield {"words": "Noise", "stated": is_noise_stated, "effect": effect, "key": "noise"}
+    names_without_serial = [n for n, a in campaign.accelerometers.items() if not a.serial_number]
     effect = (
-        f"not stated for {', '.join(unnumbered)}; the history and the certificate require this "
-        "value"
+        f"not stated for {', '.join(names_without_serial)}; the history and the certificate "
+        "require this value"
     )
-    first = next(iter([*unnumbered, *campaign.accelerometers]), "")
+    first_name = next(iter([*names_without_serial, *campaign.accelerometers]), "")
     yield {
         "words": "Serial number",
-        "stated": not unnumbered,
-        "effect": effect if unnumbered else "stated",
-        "key": f"accelerometers.{first}.serial_number",
+        "stated": not names_without_serial,
+        "effect": effect if names_without_serial else "stated",
+        "key": f"accelerometers.{first_name}.serial_number",
     }
-    dated = "date" in campaign.details
-    effect = "stated" if dated else "not stated; the history requires this value"
-    yield {"words": "Date", "stated": dated, "effect": effect, "key": "campaign.date"}
+    has_date = "date" in campaign.details
+    effect = "stated" if has_date else "not stated; the history requires this value"
+    yield {"words": "Date", "stated": has_date, "effect": effect, "key": "campaign.date"}
 
 
 def _prior_entry(campaign: Campaign, key: str, symbol: str) -> ChecklistEntry:
-    """Return the entry of a coefficient that can have a prior."""
-    unstated = [n for n, a in campaign.accelerometers.items() if symbol not in a.priors]
-    owner = next(iter([*unstated, *campaign.accelerometers]), "")
+    """Return the entry of the prior of a coefficient."""
+    names_without_prior = [n for n, a in campaign.accelerometers.items() if symbol not in a.priors]
+    owner = next(iter([*names_without_prior, *campaign.accelerometers]), "")
     effect = "stated prior (Type B)"
-    if unstated:
-        effect = f"not stated for {', '.join(unstated)}; the data alone determine the value"
-    words = TERMS[symbol].words
+    if names_without_prior:
+        effect = (
+            f"not stated for {', '.join(names_without_prior)}; the data alone determine the value"
+        )
+    description = TERMS[symbol].words
     return {
-        "words": f"{words[:1].upper()}{words[1:]}",
-        "stated": not unstated,
+        "words": f"{description[:1].upper()}{description[1:]}",
+        "stated": not names_without_prior,
         "effect": effect,
         "key": f"accelerometers.{owner}.{key}",
     }

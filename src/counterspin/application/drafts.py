@@ -1,4 +1,4 @@
-"""Campaigns from uploaded exports: columns with detrended curves, questions, descriptions."""
+"""Campaigns from uploaded files: columns with previews, questions and descriptions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from counterspin.ingest.column_roles import FileGuess
 from counterspin.ingest.column_values import is_row_counter
 from counterspin.ingest.contents import FileColumn, FileContents, read_files
 from counterspin.ingest.description import AnyDraft, Draft, write_description
-from counterspin.ingest.description import make_draft as described_as
+from counterspin.ingest.description import make_draft as make_test_draft
 from counterspin.ingest.overview import (
     TEST_LABELS,
     UndecidedDraft,
@@ -39,18 +39,18 @@ from counterspin.ingest.starter import Test
 from counterspin.ingest.tumble import TumbleDraft
 from counterspin.units import is_convertible
 
-_CONTENTS: Final = FileCache(2)
-#: Rows, and parts of a curve, that are shown before a campaign is written.
+_CONTENTS_CACHE: Final = FileCache(2)
+#: Number of rows, and number of segments of a curve, in the preview of a column.
 _PREVIEW_ROWS: Final = 4
-_PREVIEW_PARTS: Final = 160
-#: Revolutions of a wave that are shown.
+_PREVIEW_SEGMENTS: Final = 160
+#: Number of revolutions in the preview of a signal.
 _CURVE_REVOLUTIONS: Final = 4.0
-#: Relative difference between steps of a time that comes from the rounding of its numbers.
-_ROUNDING: Final = 1e-6
-#: Words of a column of text that are shown, and characters of each.
+#: Relative tolerance of time steps, to allow for rounding of the times.
+_STEP_RELATIVE_TOLERANCE: Final = 1e-6
+#: Number of cells of a text column in a message, and number of characters of each.
 _MAX_CELLS: Final = 3
 _MAX_CELL_LENGTH: Final = 20
-#: Unit of a quantity that is asked for -> units of its menu.
+#: Unit of a requested quantity -> units of its menu.
 UNIT_CHOICES: Final[Mapping[str, tuple[str, ...]]] = {
     "m": ("m", "mm", "um", "in"),
     "m/s^2": ("m/s^2", "mm/s^2"),
@@ -58,7 +58,7 @@ UNIT_CHOICES: Final[Mapping[str, tuple[str, ...]]] = {
     "rad/s": ("rev/s", "rpm", "deg/s", "rad/s"),
     "Hz": ("Hz", "kHz"),
 }
-#: Question -> section and key of the description that holds its answer, and the unit in SI.
+#: Question -> section and key of the answer in the description, and SI unit.
 _SITE_ENTRIES: Final = {
     "gravity": ("site", "gravity", "m/s^2"),
     "latitude": ("site", "latitude", "rad"),
@@ -70,22 +70,22 @@ def _make_draft(
     app: AppState, names: Sequence[str], answers: dict[str, str] | None, requested_test: Test | None
 ) -> tuple[AnyDraft | UndecidedDraft, Test | None, list[str]]:
     files = [app.file(name) for name in names]
-    filled_answers = {key: answer for key, answer in (answers or {}).items() if answer.strip()}
-    cache_key = (filled_answers.get("sheet", ""), filled_answers.get("select", ""))
-    all_contents = _CONTENTS.get(
-        (*cache_key, *files), files, lambda: read_files(files, filled_answers)
+    given_answers = {key: answer for key, answer in (answers or {}).items() if answer.strip()}
+    cache_key = (given_answers.get("sheet", ""), given_answers.get("select", ""))
+    contents = _CONTENTS_CACHE.get(
+        (*cache_key, *files), files, lambda: read_files(files, given_answers)
     )
-    statements = describe_files(all_contents)
-    test_answer = filled_answers.pop("test", None)
-    if make_sensor_question(all_contents) is not None:
-        return UndecidedDraft.from_contents(all_contents), None, statements
-    filled_answers.pop("select", None)
+    statements = describe_files(contents)
+    test_answer = given_answers.pop("test", None)
+    if make_sensor_question(contents) is not None:
+        return UndecidedDraft.from_contents(contents), None, statements
+    given_answers.pop("select", None)
     test = requested_test or next(
-        (test for test in TEST_LABELS if test == test_answer), guess_test(all_contents)
+        (test for test in TEST_LABELS if test == test_answer), guess_test(contents)
     )
     if test is None:
-        return UndecidedDraft.from_contents(all_contents), None, statements
-    return described_as(all_contents, filled_answers, test), test, statements
+        return UndecidedDraft.from_contents(contents), None, statements
+    return make_test_draft(contents, given_answers, test), test, statements
 
 
 def draft_overview(
@@ -94,9 +94,9 @@ def draft_overview(
     answers: dict[str, str] | None = None,
     test: Test | None = None,
 ) -> DraftOverview:
-    """Return the contents of files in sentences and columns, the questions and the mistakes."""
-    draft, found_test, statements = _make_draft(app, names, answers, test)
-    guess = draft.common_guess if isinstance(draft, Draft) else None
+    """Return the detected contents of files, questions and mistakes."""
+    draft, detected_test, statements = _make_draft(app, names, answers, test)
+    file_guess = draft.common_guess if isinstance(draft, Draft) else None
     questions: list[QuestionEntry] = [
         {
             "key": question.key,
@@ -109,7 +109,7 @@ def draft_overview(
         for question in draft.questions
     ]
     return {
-        "test": found_test,
+        "test": detected_test,
         "statements": [*statements, *draft.statements],
         "questions": questions,
         "problems": list(draft.problems),
@@ -117,27 +117,30 @@ def draft_overview(
         "runs": len(draft.guesses) if isinstance(draft, Draft) else None,
         "columns": [
             *(_text_column(draft.contents, name) for name in draft.contents.text_columns),
-            *(_number_column(column, guess) for column in draft.contents.columns),
+            *(_number_column(column, file_guess) for column in draft.contents.columns),
         ],
         "directions": draft.directions if isinstance(draft, TumbleDraft) else [],
-        "remembered": newest_site(app),
+        "remembered": find_newest_site(app),
     }
 
 
 def _text_column(contents: FileContents, name: str) -> ColumnEntry:
-    """Return the first cells of a column without numbers, and why it is unused."""
+    """Return the first cells of a text column, and the reason why it is unused."""
     cells = contents.text_cells.get(name) or contents.first_text_cells.get(name, ())
-    words = list(dict.fromkeys(cell[:_MAX_CELL_LENGTH] for cell in cells if cell))
+    distinct_cells = list(dict.fromkeys(cell[:_MAX_CELL_LENGTH] for cell in cells if cell))
     reason = "The column is empty in every row."
-    if words:
-        ellipsis = " ..." if len(words) > _MAX_CELLS else ""
-        reason = f"The column contains text, not numbers: {', '.join(words[:_MAX_CELLS])}{ellipsis}"
-    spoilt_reason = next((text for text in contents.unread_reasons if f"'{name}'" in text), None)
+    if distinct_cells:
+        ellipsis = " ..." if len(distinct_cells) > _MAX_CELLS else ""
+        cell_list = ", ".join(distinct_cells[:_MAX_CELLS]) + ellipsis
+        reason = f"The column contains text, not numbers: {cell_list}"
+    unreadable_reason = next(
+        (text for text in contents.unread_reasons if f"'{name}'" in text), None
+    )
     return {
         "name": name,
         "first": list(cells[:_PREVIEW_ROWS]),
         "curve": None,
-        "reason": reason if spoilt_reason is None else spoilt_reason,
+        "reason": reason if unreadable_reason is None else unreadable_reason,
     }
 
 
@@ -146,13 +149,13 @@ def _number_column(column: FileColumn, guess: FileGuess | None) -> ColumnEntry:
     return {
         "name": column.name,
         "first": ["" if np.isnan(v) else f"{v:.9g}" for v in column.values[:_PREVIEW_ROWS]],
-        "curve": detrended_curve(column, guess),
+        "curve": make_detrended_curve(column, guess),
         "reason": _unused_reason(column, guess),
     }
 
 
 def _unused_reason(column: FileColumn, guess: FileGuess | None) -> str:
-    """Return why a column of numbers is unused, if it is."""
+    """Return the reason why a numeric column may be unused."""
     values = column.values[np.isfinite(column.values)]
     if column.is_timestamp:
         return "The column contains timestamps, but the time is read from another column."
@@ -170,58 +173,58 @@ def _unused_reason(column: FileColumn, guess: FileGuess | None) -> str:
     return "Neither the name nor the unit of the column identifies the quantity."
 
 
-def detrended_curve(column: FileColumn, guess: FileGuess | None) -> Curve:
-    """Return the curve of a column with the trend of its role subtracted.
+def make_detrended_curve(column: FileColumn, file_guess: FileGuess | None) -> Curve:
+    """Return the curve of a column with the trend expected for its role removed.
 
-    guess: The roles of a record's columns; None for a table of readings.
+    file_guess: Roles of the columns of a record; None for a table of readings.
     """
-    values, words, unit = column.values, "all rows", column.unit
-    if guess is not None:
-        signal = next((s for s in guess.signals if s.column == column.name), None)
-        if guess.time is not None and guess.time.column == column.name:
-            values, words = _regular_steps(values), "row-to-row step"
-            unit = "s" if guess.time.unit == "iso" else guess.time.unit or ""
-        elif guess.angle is not None and guess.angle.column == column.name:
-            if guess.angle.pulses:
-                values, words = _regular_steps(values), "pulse-to-pulse step"
+    values, description, unit = column.values, "all rows", column.unit
+    if file_guess is not None:
+        signal = next((s for s in file_guess.signals if s.column == column.name), None)
+        if file_guess.time is not None and file_guess.time.column == column.name:
+            values, description = _smooth_steps(values), "row-to-row step"
+            unit = "s" if file_guess.time.unit == "iso" else file_guess.time.unit or ""
+        elif file_guess.angle is not None and file_guess.angle.column == column.name:
+            if file_guess.angle.pulses:
+                values, description = _smooth_steps(values), "pulse-to-pulse step"
             else:
-                values, words = _detrend(_unwrap(values), 1), "straight line removed"
-            unit = guess.angle.unit or ""
-        elif guess.temperature is not None and guess.temperature[0] == column.name:
-            unit = guess.temperature[1]
+                values, description = _detrend(_unwrap_angle(values), 1), "straight line removed"
+            unit = file_guess.angle.unit or ""
+        elif file_guess.temperature is not None and file_guess.temperature[0] == column.name:
+            unit = file_guess.temperature[1]
         elif signal is not None:
             degree = {"displacement": 2, "velocity": 1}.get(signal.observable or "", 0)
-            rows = _row_count(column, guess)
+            n_rows = _count_preview_rows(column, file_guess)
             trend = ("mean", "straight line", "parabola")[degree]
-            shown_part = (
-                "" if rows >= len(values) else f", first {_CURVE_REVOLUTIONS:g} revolutions"
+            row_remark = (
+                "" if n_rows >= len(values) else f", first {_CURVE_REVOLUTIONS:g} revolutions"
             )
-            revolutions = _CURVE_REVOLUTIONS if rows < len(values) else 0.0
-            values, words = (
-                _detrend(values[:rows], degree, revolutions),
-                f"{trend} removed{shown_part}",
+            revolutions = _CURVE_REVOLUTIONS if n_rows < len(values) else 0.0
+            values, description = (
+                _detrend(values[:n_rows], degree, revolutions),
+                f"{trend} removed{row_remark}",
             )
             unit = signal.unit or ""
-    extent, size = _min_and_max(values)
-    return {"extent": extent, "words": words, "size": size, "unit": unit}
+    extent, half_range = _find_extremes(values)
+    return {"extent": extent, "words": description, "size": half_range, "unit": unit}
 
 
-def _row_count(column: FileColumn, guess: FileGuess) -> int:
-    """Return the number of rows in which the centrifuge turns a few times; all if unknown."""
-    rows, step = len(column.values), 1.0 / (guess.sampling_rate or 1.0)
+def _count_preview_rows(column: FileColumn, guess: FileGuess) -> int:
+    """Return the number of rows of the previewed revolutions; all rows if the rate is unknown."""
+    n_rows, step = len(column.values), 1.0 / (guess.sampling_rate or 1.0)
     if guess.time is not None:
         time = next(c for c in guess.contents.columns if c.name == guess.time.column)
         steps = np.diff(time.values[np.isfinite(time.values)])
         if not (steps > 0.0).any():
-            return rows
+            return n_rows
         step = guess.time.factor * median(steps[steps > 0.0])
     if not guess.rate:
-        return rows
-    return int(min(rows, max(16.0, _CURVE_REVOLUTIONS * 2.0 * np.pi / (guess.rate * step))))
+        return n_rows
+    return int(min(n_rows, max(16.0, _CURVE_REVOLUTIONS * 2.0 * np.pi / (guess.rate * step))))
 
 
-def _unwrap(values: Array) -> Array:
-    """Return an angle without its jumps at the end of a revolution."""
+def _unwrap_angle(values: Array) -> Array:
+    """Return an unwrapped angle."""
     steps = np.diff(values)
     finite_steps = steps[np.isfinite(steps)]
     typical_step = median(finite_steps) if finite_steps.size else 0.0
@@ -231,23 +234,25 @@ def _unwrap(values: Array) -> Array:
     return np.asarray(values - np.concatenate([[0.0], np.nancumsum(jumps)]), dtype=float)
 
 
-def _regular_steps(values: Array) -> Array:
-    """Return the steps of a column from row to row, without the rounding of its numbers."""
+def _smooth_steps(values: Array) -> Array:
+    """Return the differences between rows, with rounding errors of regular steps removed."""
     steps = np.diff(values)
     typical_step = float(np.nanmedian(steps))
     return np.asarray(
         np.where(
-            np.abs(steps - typical_step) <= _ROUNDING * abs(typical_step), typical_step, steps
+            np.abs(steps - typical_step) <= _STEP_RELATIVE_TOLERANCE * abs(typical_step),
+            typical_step,
+            steps,
         ),
         float,
     )
 
 
 def _detrend(values: Array, degree: int, revolutions: float = 0.0) -> Array:
-    """Return values minus a polynomial that is fitted to them; unchanged with too few values.
+    """Return values minus a fitted polynomial; unchanged if there are too few values.
 
-    revolutions: Revolutions of a wave that is fitted with the polynomial, and is not subtracted;
-        0 without a wave.
+    revolutions: Number of periods of a sinusoid that is fitted together with the polynomial, but
+        not subtracted; 0: no sinusoid.
     """
     is_finite = np.isfinite(values)
     design = np.vander(np.linspace(-1.0, 1.0, len(values)), degree + 1)
@@ -260,19 +265,23 @@ def _detrend(values: Array, degree: int, revolutions: float = 0.0) -> Array:
     return np.asarray(values - design @ coefficients[: degree + 1], dtype=float)
 
 
-def _min_and_max(values: Array) -> tuple[list[tuple[float, float] | None], float]:
-    """Return the least and greatest value of each part of a curve, and half of its range."""
-    parts = np.array_split(values, max(1, min(_PREVIEW_PARTS, len(values))))
-    finite_parts = [part[np.isfinite(part)] for part in parts]
-    finite = values[np.isfinite(values)]
-    half_range = float(finite.max() - finite.min()) / 2.0 if finite.size else 0.0
-    return [(float(p.min()), float(p.max())) if p.size else None for p in finite_parts], half_range
+def _find_extremes(values: Array) -> tuple[list[tuple[float, float] | None], float]:
+    """Return minimum and maximum of each segment of a curve, and half of its range."""
+    segments = np.array_split(values, max(1, min(_PREVIEW_SEGMENTS, len(values))))
+    finite_segments = [part[np.isfinite(part)] for part in segments]
+    finite_values = values[np.isfinite(values)]
+    half_range = (
+        float(finite_values.max() - finite_values.min()) / 2.0 if finite_values.size else 0.0
+    )
+    return [
+        (float(p.min()), float(p.max())) if p.size else None for p in finite_segments
+    ], half_range
 
 
-def newest_site(app: AppState) -> dict[str, RememberedAnswer]:
+def find_newest_site(app: AppState) -> dict[str, RememberedAnswer]:
     """Return gravity, latitude and radius of the newest measured campaign that states them.
 
-    A simulated campaign, which has true values, is skipped.
+    Simulated campaigns, which have true values, are skipped.
     """
     paths = [
         folder / DESCRIPTION_NAME
@@ -283,19 +292,19 @@ def newest_site(app: AppState) -> dict[str, RememberedAnswer]:
 
 
 def _read_newest_site(app: AppState, paths: Sequence[Path]) -> dict[str, RememberedAnswer]:
-    remembered: dict[str, RememberedAnswer] = {}
+    answers: dict[str, RememberedAnswer] = {}
     for name, document in _newest_descriptions(app, paths):
         for key, (section, entry, unit) in _SITE_ENTRIES.items():
             value = table_of(document, section).get(entry)
-            if key not in remembered and isinstance(value, str) and _is_quantity(value, unit):
-                remembered[key] = {"answer": value, "campaign": name}
-        if len(remembered) == len(_SITE_ENTRIES):
+            if key not in answers and isinstance(value, str) and _is_quantity(value, unit):
+                answers[key] = {"answer": value, "campaign": name}
+        if len(answers) == len(_SITE_ENTRIES):
             break
-    return remembered
+    return answers
 
 
 def _is_quantity(text: str, unit: str) -> bool:
-    """Return whether a text is a quantity of a unit's dimension."""
+    """Return whether a text is a quantity with the dimension of a unit."""
     try:
         parse_quantity(normalize_latitude(text) if unit == "rad" else text, unit)
     except ValueError:
@@ -323,12 +332,12 @@ def write_draft(
     answers: dict[str, str] | None = None,
     test: Test | None = None,
 ) -> WrittenCampaign:
-    """Write the campaign from files and answers; return its name and the command."""
+    """Write the campaign for files and answers; return its name and the command."""
     target = app.target_path(folder)
-    draft, found_test, _ = _make_draft(app, names, answers, test)
-    if isinstance(draft, UndecidedDraft) or found_test is None:
+    draft, detected_test, _ = _make_draft(app, names, answers, test)
+    if isinstance(draft, UndecidedDraft) or detected_test is None:
         raise CampaignError("init", [f"test: {draft.questions[0].text}"], code="missing-answer")
     write_description(draft, target)
     files = [app.file(name) for name in names]
-    command = import_command(target, files, dict(draft.answers), found_test)
+    command = import_command(target, files, dict(draft.answers), detected_test)
     return {"name": app.folder.name(target), "command": command}

@@ -1,7 +1,7 @@
-"""Edit a file as a form and as a text, which always agree.
+"""Editing of a file as a form and as text.
 
-The text is the source: a changed field changes the text, with comments and the order of its keys
-kept (tomlkit), and the text is saved.
+The text is the source: a changed field changes the text, and comments and the order of keys are
+kept (tomlkit).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tomlkit.items import AoT, Comment, Table
 
 from counterspin.application.answers import EditedDocument, EditedFile, SavedDocument
 from counterspin.application.app_state import AppState
-from counterspin.application.form import campaign_form, plan_form, run_kinds
+from counterspin.application.form import campaign_form, detect_run_types, plan_form
 from counterspin.application.served_folder import TEXT_MAX_BYTES, PathForbiddenError, RequestError
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import resolve_campaign
@@ -45,7 +45,7 @@ from counterspin.toml_text import parse_toml
 
 KeyPath = Sequence[str | int]
 
-#: Sections that hold tables with headings of their own; tables within others are written in line.
+#: Sections whose tables have headings; tables within other sections are written inline.
 _TABLE_SECTIONS: Final = ("accelerometers", "truth", "model", "specification", "study")
 
 
@@ -53,12 +53,12 @@ _TABLE_SECTIONS: Final = ("accelerometers", "truth", "model", "specification", "
 class EditedText:
     """A TOML text with its parsed document and its mistakes."""
 
-    text: str  #: Of the file.
-    document: dict[str, Any]  #: Its tables; empty where the text is not TOML.
-    #: Mistakes, each as key (empty: of the whole) and words.
+    text: str  #: Content of the file.
+    document: dict[str, Any]  #: Parsed document; empty if the text is not TOML.
+    #: Mistakes: key (empty: the whole document) and message.
     problems: tuple[tuple[str, str], ...] = ()
-    questions: tuple[str, ...] = ()  #: What may well be a slip.
-    missing: tuple[MissingEntry, ...] = ()  #: What a certificate lacks, by key.
+    questions: tuple[str, ...] = ()  #: Questions on probable mistakes.
+    missing: tuple[MissingEntry, ...] = ()  #: Entries that a certificate lacks.
 
     def to_dict(self) -> EditedDocument:
         """Return the state for the page."""
@@ -68,12 +68,12 @@ class EditedText:
             "problems": [{"key": key, "words": words} for key, words in self.problems],
             "questions": list(self.questions),
             "missing": [{"key": entry.key, "words": entry.message} for entry in self.missing],
-            "run_kinds": run_kinds(self.document),
+            "run_kinds": detect_run_types(self.document),
         }
 
 
 def parse_campaign_text(app: AppState, file: Path, text: str) -> EditedText:
-    """Return a campaign's text with all its mistakes."""
+    """Parse a campaign's text and find all mistakes."""
     try:
         document = parse_text(text)
         app.require_inside(file.parent, document)
@@ -91,7 +91,7 @@ def parse_campaign_text(app: AppState, file: Path, text: str) -> EditedText:
 
 
 def parse_lab_text(text: str, result: Result) -> EditedText:
-    """Return the laboratory's data with all mistakes, for the certificate of a result."""
+    """Parse laboratory data for the certificate of a result and find all mistakes."""
     try:
         document = parse_text(text)
     except CampaignError as error:
@@ -107,7 +107,7 @@ def parse_lab_text(text: str, result: Result) -> EditedText:
 
 
 def parse_plan_text(app: AppState, file: Path, text: str) -> EditedText:
-    """Return a plan's text with all its mistakes."""
+    """Parse a plan's text and find all mistakes."""
     document: dict[str, Any] = {}
     try:
         document = parse_text(text)
@@ -119,7 +119,7 @@ def parse_plan_text(app: AppState, file: Path, text: str) -> EditedText:
 
 
 def parse_text(text: str, source: str = "the text") -> dict[str, Any]:
-    """Return the document of an edited text; CampaignError if it is not TOML or too long."""
+    """Parse an edited text; CampaignError if it is not TOML or too long."""
     content = text.encode("utf-8", "replace")
     if len(content) > TEXT_MAX_BYTES:
         raise CampaignError(
@@ -129,19 +129,19 @@ def parse_text(text: str, source: str = "the text") -> dict[str, Any]:
 
 
 def _split_problems(problems: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Return a mistake's key and words; a mistake of the whole document has no key."""
-    split = []
+    """Split problems into key and message; the key is empty for the whole document."""
+    keyed_problems = []
     for problem in problems:
-        key, colon, words = problem.partition(": ")
+        key, colon, message = problem.partition(": ")
         is_key = bool(colon) and " " not in key.split('"')[0]
-        split.append((key, words) if is_key else ("", problem))
-    return tuple(split)
+        keyed_problems.append((key, message) if is_key else ("", problem))
+    return tuple(keyed_problems)
 
 
 def set_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
-    """Return a text with another value at a key; the rest stays as it is written.
+    """Return a text with another value at a key, and unchanged formatting.
 
-    value: The new value; None removes the key, or the list's entry.
+    value: New value; None removes the key or the list entry.
     """
     if not path:
         raise RequestError("the key is missing")
@@ -154,35 +154,37 @@ def set_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
             ) from error
     parsed = parse_text(text)
     try:
-        expected = _expected_document(parsed, path, value)
+        expected = _make_expected_document(parsed, path, value)
         document = tomlkit.parse(text)
         _set_formatted(document, path, value)
         changed_text = tomlkit.dumps(document)
         is_expected = parse_toml(changed_text) == expected
     except (TOMLKitError, LookupError, TypeError, ValueError, AttributeError) as error:
-        raise RequestError(_CANNOT_CHANGE) from error
+        raise RequestError(_CANNOT_EDIT_MESSAGE) from error
     if not is_expected:
-        raise RequestError(_CANNOT_CHANGE)
+        raise RequestError(_CANNOT_EDIT_MESSAGE)
     return changed_text
 
 
-_CANNOT_CHANGE: Final = "This value cannot be edited in the form. Edit the file as text instead."
+_CANNOT_EDIT_MESSAGE: Final = (
+    "This value cannot be edited in the form. Edit the file as text instead."
+)
 
 
-def _expected_document(document: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]:
-    """Return the document that the changed text must parse to."""
-    changed = copy.deepcopy(document)
-    table: Any = changed
+def _make_expected_document(document: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]:
+    """Return the document that must result from parsing the changed text."""
+    changed_document = copy.deepcopy(document)
+    table: Any = changed_document
     for key, next_key in pairwise(path):
         table = _get_or_create(table, key, {} if isinstance(next_key, str) else [])
-    _put_value(table, path[-1], value)
-    return changed
+    _assign_value(table, path[-1], value)
+    return changed_document
 
 
 def _set_formatted(document: tomlkit.TOMLDocument, path: KeyPath, value: Any) -> None:
     """Change a document and keep its formatting."""
     container: Any = document
-    added: list[tuple[Any, str]] = []
+    added_keys: list[tuple[Any, str]] = []
     for depth, (key, next_key) in enumerate(pairwise(path)):
         has_heading = depth == 0 or (depth == 1 and path[0] in _TABLE_SECTIONS)
         new_value: Any = tomlkit.aot()
@@ -192,7 +194,7 @@ def _set_formatted(document: tomlkit.TOMLDocument, path: KeyPath, value: Any) ->
             )
             new_value = tomlkit.inline_table() if new_value is None else new_value
         if isinstance(key, str) and key not in container:
-            added.append((container, key))
+            added_keys.append((container, key))
         container = _get_or_create(container, key, new_value)
     last_key = path[-1]
     if isinstance(value, dict) and _has_heading(container, path):
@@ -201,22 +203,22 @@ def _set_formatted(document: tomlkit.TOMLDocument, path: KeyPath, value: Any) ->
         table.add(tomlkit.nl())
         value = table
     if isinstance(last_key, str) and value is not None and last_key not in container:
-        added.append((container, last_key))
-    _put_value(container, last_key, value)
-    for table, key in added:
+        added_keys.append((container, last_key))
+    _assign_value(container, last_key, value)
+    for table, key in added_keys:
         _move_above_comments(table, key)
 
 
 def _move_above_comments(table: Any, key: str) -> None:
-    """Move a key from a table's end above the comments that belong to the next table.
+    """Move a key from the end of a table above comments that belong to the next table.
 
-    Comments directly below the table's last key belong to the table. Those after a blank line, or
-    from a heading on, such as ``# [specification]``, do not: uncommented, the heading would take
-    the key.
+    Comments directly below the last key belong to the table. Comments after a blank line, or from a
+    commented heading on, such as ``# [specification]``, do not: if the heading is uncommented, the
+    key would belong to it.
     """
     if not isinstance(table, Table | Container):
         return
-    # The table's index of its keys is not kept up: only the text is made of it now.
+    # The index of keys is not updated, because the table is only written from here on.
     body = (table.value if isinstance(table, Table) else table).body
     keys = [None if item is None else item.key for item, _ in body]
     index = keys.index(key)
@@ -236,14 +238,14 @@ _HEADING: Final = re.compile(r"#\s*\[")
 
 
 def _has_heading(container: Any, path: KeyPath) -> bool:
-    """Return whether a table at this place gets its own heading."""
+    """Return whether a table at this path gets a heading."""
     if isinstance(path[-1], int):
         return isinstance(container, AoT)
     return len(path) <= (2 if path[0] in _TABLE_SECTIONS else 1)
 
 
 def _get_or_create(container: Any, key: str | int, new_value: Any) -> Any:
-    """Return the value at a key or place; create an empty one if there is none."""
+    """Return the value at a key or index; create an empty value if there is none."""
     if isinstance(key, int):
         if key == len(container):
             container.append(new_value)
@@ -252,7 +254,7 @@ def _get_or_create(container: Any, key: str | int, new_value: Any) -> Any:
     return container[key]
 
 
-def _put_value(container: Any, key: str | int, value: Any) -> None:
+def _assign_value(container: Any, key: str | int, value: Any) -> None:
     if value is None:
         if isinstance(key, int) or key in container:
             del container[key]
@@ -262,37 +264,37 @@ def _put_value(container: Any, key: str | int, value: Any) -> None:
         container[key] = value
 
 
-def campaign_text(app: AppState, name: str) -> EditedFile:
-    """Return a campaign's description: text, version, form, values and mistakes."""
+def read_campaign_text(app: AppState, name: str) -> EditedFile:
+    """Return text, version, form, values and mistakes of a campaign's description."""
     path = app.description(name)
-    edited = app.folder.read(app.folder.name(path))
-    content = parse_campaign_text(app, path, edited.text).to_dict()
+    file_version = app.folder.read(app.folder.name(path))
+    content = parse_campaign_text(app, path, file_version.text).to_dict()
     return {
         **content,
         "file": app.folder.name(path),
-        "version": edited.version,
+        "version": file_version.version,
         "form": campaign_form(),
     }
 
 
-def plan_text(app: AppState, name: str) -> EditedFile:
-    """Return a plan's text, version, form, values and mistakes; name: its file."""
+def read_plan_text(app: AppState, name: str) -> EditedFile:
+    """Return text, version, form, values and mistakes of a plan file."""
     path = app.file(name)
     document = load_document(path)
     if not is_plan(document):
         raise PathForbiddenError(f"{name} is not a plan: [limits] and [goal] are missing")
-    edited = app.folder.read(name)
+    file_version = app.folder.read(name)
     return {
-        **parse_plan_text(app, path, edited.text).to_dict(),
+        **parse_plan_text(app, path, file_version.text).to_dict(),
         "file": name,
-        "version": edited.version,
+        "version": file_version.version,
         "form": plan_form("stations" in document),
     }
 
 
 def check_text(app: AppState, file: str, text: str, result: str | None = None) -> EditedDocument:
-    """Return the values and mistakes of a text that would replace a file's."""
-    return _parse_text_of(app, file, text, result).to_dict()
+    """Return values and mistakes of a text for a file, without saving it."""
+    return _parse_file_text(app, file, text, result).to_dict()
 
 
 def change_text(
@@ -304,11 +306,11 @@ def change_text(
     kind: Literal["", "date"] = "",
     result: str | None = None,
 ) -> EditedDocument:
-    """Return a text with another value at a key, as `check_text` does."""
-    return _parse_text_of(app, file, set_value(text, path, value, kind), result).to_dict()
+    """Return a text with another value at a key, checked as in `check_text`."""
+    return _parse_file_text(app, file, set_value(text, path, value, kind), result).to_dict()
 
 
-def _parse_text_of(app: AppState, file: str, text: str, result: str | None) -> EditedText:
+def _parse_file_text(app: AppState, file: str, text: str, result: str | None) -> EditedText:
     path = _text_path(app, file)
     if path.name == DESCRIPTION_NAME:
         return parse_campaign_text(app, path, text)
@@ -324,8 +326,8 @@ def _parse_text_of(app: AppState, file: str, text: str, result: str | None) -> E
 def save_text(
     app: AppState, file: str, text: str, version: str, result: str | None = None
 ) -> SavedDocument:
-    """Write a text, even with mistakes, if the file has not changed since its editor read it."""
-    path, content = _text_path(app, file), _parse_text_of(app, file, text, result)
+    """Write a text, even with mistakes, unless the file has changed since it was read."""
+    path, content = _text_path(app, file), _parse_file_text(app, file, text, result)
     if result is None and path.name != DESCRIPTION_NAME and not is_plan(content.document):
         raise RequestError(f"{file}: a plan requires [limits] and [goal]; nothing was saved")
     return {
@@ -336,7 +338,7 @@ def save_text(
 
 
 def _text_path(app: AppState, file: str) -> Path:
-    """Return the path of a text; OutsideError unless it is a TOML file."""
+    """Return the path of a text file; PathForbiddenError unless it is a TOML file."""
     path = app.folder.path(file)
     if path.suffix.lower() != ".toml":
         raise PathForbiddenError(f"{file}: only TOML files can be edited in the application")

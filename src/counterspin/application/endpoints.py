@@ -1,6 +1,6 @@
-"""The requests of the page, by name, and the functions that answer them.
+"""Request handlers by name.
 
-The signature of a function states its request: the parameters after `app`.
+The parameters of a handler after `app` define the request.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _ERROR_STATUSES: Final = {EditConflictError: 409, NotFoundError: 404, PathForbid
 
 @frozen
 class ApiResponse:
-    """An answer: status, content, media type, and the file name for saving."""
+    """A response: status, content, media type, and file name of a download."""
 
     status: int
     content: Any
@@ -51,46 +51,46 @@ class ApiResponse:
     file_name: str | None = None
 
 
-# Where the page says something else than a function takes
+# Handlers that convert parameters
 
 
-def _page(app: AppState, kind: pages.Kind, names: str, term: str = "K_II") -> PageContent:
-    return pages.page_content(app, kind, names.split("\n"), term)
+def _get_page(app: AppState, kind: pages.PageType, names: str, term: str = "K_II") -> PageContent:
+    return pages.make_page_content(app, kind, names.split("\n"), term)
 
 
-def _picture(
-    app: AppState, kind: pages.Kind, names: str, place: int, term: str = "K_II"
+def _get_picture(
+    app: AppState, kind: pages.PageType, names: str, place: int, term: str = "K_II"
 ) -> ApiResponse:
-    svg = pages.page_picture(app, kind, names.split("\n"), term, place)
+    svg = pages.render_page_picture(app, kind, names.split("\n"), term, place)
     return ApiResponse(200, svg, "image/svg+xml")
 
 
-def _manual(_: AppState, name: str) -> ManualPage:
-    return pages.manual_page(name)
+def _get_manual(_: AppState, name: str) -> ManualPage:
+    return pages.make_manual_page(name)
 
 
-def _report(app: AppState, name: str, kind: Literal["html", "md", "pdf"]) -> ApiResponse:
-    return _download(*certification.make_report(app, name, kind))
+def _get_report(app: AppState, name: str, kind: Literal["html", "md", "pdf"]) -> ApiResponse:
+    return _make_download(*certification.make_report(app, name, kind))
 
 
-def _file(app: AppState, name: str) -> ApiResponse:
-    return _download(*certification.download_file(app, name))
+def _get_file(app: AppState, name: str) -> ApiResponse:
+    return _make_download(*certification.download_file(app, name))
 
 
-def _ticket(app: AppState, name: Literal["report", "file"], said: dict[str, str]) -> Ticket:
-    """Return an address, valid once, of a file that the browser fetches by itself."""
+def _issue_ticket(app: AppState, name: Literal["report", "file"], said: dict[str, str]) -> Ticket:
+    """Return a ticket for a file that the browser downloads by itself."""
     return {"ticket": app.tickets.issue((name, said))}
 
 
-def _jobs(app: AppState) -> list[JobEntry]:
+def _list_jobs(app: AppState) -> list[JobEntry]:
     return [job.to_dict() for job in app.jobs.all()]
 
 
-def _stop(app: AppState, number: int) -> JobEntry:
+def _stop_job(app: AppState, number: int) -> JobEntry:
     return app.jobs.stop(number).to_dict()
 
 
-def _download(name: str, content: bytes) -> ApiResponse:
+def _make_download(name: str, content: bytes) -> ApiResponse:
     return ApiResponse(200, content, "application/octet-stream", name)
 
 
@@ -105,15 +105,15 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Callable[..., Any]]] = {
     ("POST", "restore"): campaign_files.restore_campaign,
     ("POST", "sample"): campaigns.begin_sample,
     ("POST", "records"): campaign_files.add_records,
-    ("GET", "description"): editing.campaign_text,
-    ("GET", "lab"): laboratory.lab_data,
-    ("GET", "plan-text"): editing.plan_text,
+    ("GET", "description"): editing.read_campaign_text,
+    ("GET", "lab"): laboratory.read_lab_data,
+    ("GET", "plan-text"): editing.read_plan_text,
     ("POST", "check"): editing.check_text,
     ("POST", "change"): editing.change_text,
     ("PUT", "text"): editing.save_text,
-    ("GET", "manual"): _manual,
-    ("GET", "page"): _page,
-    ("GET", "picture"): _picture,
+    ("GET", "manual"): _get_manual,
+    ("GET", "page"): _get_page,
+    ("GET", "picture"): _get_picture,
     ("POST", "what-if"): what_if.what_if,
     ("GET", "ways"): what_if.improvements,
     ("POST", "ways"): what_if.begin_search,
@@ -126,28 +126,28 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Callable[..., Any]]] = {
     ("POST", "draft"): drafts.draft_overview,
     ("POST", "drafted"): drafts.write_draft,
     ("POST", "certificate"): certification.begin_certificate,
-    ("POST", "certificate-preview"): laboratory.draft_preview,
+    ("POST", "certificate-preview"): laboratory.render_draft,
     ("POST", "certificate-check"): certification.check_file,
     ("POST", "profile"): laboratory.save_profile,
-    ("GET", "report"): _report,
-    ("GET", "file"): _file,
-    ("POST", "ticket"): _ticket,
+    ("GET", "report"): _get_report,
+    ("GET", "file"): _get_file,
+    ("POST", "ticket"): _issue_ticket,
     ("GET", "plan"): plans.plan_overview,
     ("POST", "plan"): plans.begin_plan,
-    ("POST", "plan-page"): plans.planned_page,
+    ("POST", "plan-page"): plans.make_planned_page,
     ("POST", "planned"): plans.begin_planned,
-    ("GET", "jobs"): _jobs,
+    ("GET", "jobs"): _list_jobs,
     ("POST", "jobs"): campaigns.begin_calibration,
-    ("POST", "study-duration"): record_plots.study_duration,
+    ("POST", "study-duration"): record_plots.get_study_duration,
     ("POST", "study"): record_plots.begin_study,
     ("POST", "simulation"): record_plots.begin_simulation,
-    ("DELETE", "jobs"): _stop,
+    ("DELETE", "jobs"): _stop_job,
 }
 
 
 @cache
 def request_model(handler: Callable[..., Any]) -> type[BaseModel]:
-    """Return the form of a request: exactly a function's parameters after app."""
+    """Return the model of a request: the parameters of its handler after `app`."""
     hints = get_type_hints(handler, include_extras=True)
     parameters = list(inspect.signature(handler).parameters.values())[1:]
     fields: dict[str, Any] = {
@@ -161,7 +161,7 @@ def request_model(handler: Callable[..., Any]) -> type[BaseModel]:
 def handle_request(
     app: AppState, method: str, name: str, payload: Mapping[str, Any] | bytes
 ) -> ApiResponse:
-    """Answer one request, also if it fails."""
+    """Handle a request; errors are returned as responses."""
     if (method, name) not in ENDPOINTS:
         text = "Unknown request: the server has no such endpoint."
         return ApiResponse(404, {"error": text, "code": "not-found"})
@@ -179,7 +179,7 @@ def handle_request(
 
 
 def handle_ticket(app: AppState, ticket: str) -> ApiResponse:
-    """Answer the request of a ticket; a ticket is valid once."""
+    """Handle the request of a ticket."""
     target = app.tickets.take(ticket)
     if target is None:
         text = "This download link has already been used. Click the download button again."
@@ -188,7 +188,7 @@ def handle_ticket(app: AppState, ticket: str) -> ApiResponse:
 
 
 def call_or_error(app: AppState, function: Callable[[], T]) -> T | ApiResponse:
-    """Return the answer of some work, or the answer for its error."""
+    """Return the result of a function, or the response for its error."""
     try:
         return function()
     except CounterspinError as error:
@@ -198,7 +198,7 @@ def call_or_error(app: AppState, function: Callable[[], T]) -> T | ApiResponse:
 
 
 def _user_error_response(app: AppState, error: CounterspinError) -> ApiResponse:
-    """Return the answer for an error of a file or a request, in its words."""
+    """Return the response for an error with a message for the user."""
     text = app.folder.relative_paths(str(error))
     content: dict[str, Any] = {"error": text, "code": error.code}
     status = next(
@@ -217,7 +217,7 @@ def _user_error_response(app: AppState, error: CounterspinError) -> ApiResponse:
 
 
 def _unexpected_error_response(error: Exception) -> ApiResponse:
-    """Return the answer for unforeseen errors, and for requests of another form."""
+    """Return the response for invalid requests and unexpected errors."""
     match error:
         case ValidationError():
             first_error = error.errors(include_url=False)[0]

@@ -1,4 +1,4 @@
-"""The sections and fields of forms, made of the models that check the file."""
+"""Sections and fields of forms, generated from the models that validate the files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BaseModel, PlainValidator
 from pydantic.fields import FieldInfo
 
 from counterspin.application.answers import FormField, FormSection, TermRow
-from counterspin.application.pages import page_address, page_explaining
+from counterspin.application.pages import find_page_of_model, resolve_page_link
 from counterspin.campaign.field_types import (
     OUTPUT_UNITS,
     TIME_STAMP_UNIT,
@@ -37,7 +37,7 @@ from counterspin.planning.plan_sections import PlanDocument, ReadingPlanDocument
 from counterspin.schemas import SECTION_MODELS, strip_links
 from counterspin.units import expected_quantity, normalise_unit
 
-#: Sections that hold a table for each name, and those that are a list of tables.
+#: Sections with a table for each name, and sections that are lists of tables.
 _REPEATED_SECTIONS: Final = {
     "accelerometers": "names",
     "runs": "list",
@@ -47,7 +47,7 @@ _REPEATED_SECTIONS: Final = {
     "truth": "names",
 }
 
-#: Check of a unit's name -> units of the dimensions that it lets pass.
+#: Validator of a unit -> units of the accepted dimensions.
 _UNIT_CHOICES: Final[Mapping[Any, tuple[str, ...]]] = {
     check_time_unit: ("s", TIME_STAMP_UNIT),
     check_angle_unit: ("rad", "count"),
@@ -55,7 +55,7 @@ _UNIT_CHOICES: Final[Mapping[Any, tuple[str, ...]]] = {
     normalise_unit: ("g", *OUTPUT_UNITS),
 }
 
-#: Type -> how it is asked for; others as text.
+#: Type -> type of the input; "text" for all other types.
 _INPUT_KINDS: Final[Mapping[Any, str]] = {
     bool: "flag",
     datetime.date: "date",
@@ -66,15 +66,15 @@ _INPUT_KINDS: Final[Mapping[Any, str]] = {
     tuple: "list",
 }
 
-_LINK: Final = re.compile(r"\[([^\]]+)\]\(([^)]*)\)")
+_MARKDOWN_LINK: Final = re.compile(r"\[([^\]]+)\]\(([^)]*)\)")
 
 
 @cache
 def campaign_form() -> tuple[FormSection, ...]:
-    """Return the sections of ``campaign.toml``, each with its fields."""
+    """Return the sections of ``campaign.toml`` with their fields."""
     sections = []
     for key, model in SECTION_MODELS.items():
-        section = _section(key, model, "campaign")
+        section = _make_section(key, model, "campaign")
         if key == "runs":
             section["fields"] = _table_fields(model, "campaign", READINGS)
             section["of_readings"] = _table_fields(model, "campaign", RECORDS)
@@ -92,12 +92,12 @@ def campaign_form() -> tuple[FormSection, ...]:
 
 @cache
 def lab_form() -> tuple[FormSection, ...]:
-    """Return the sections of ``LAB.toml``, each with its fields."""
+    """Return the sections of ``LAB.toml`` with their fields."""
     sections = []
     for name, field in Lab.model_fields.items():
         model = find_model(field.annotation)
         if model is not None:
-            sections.append(_section(field.alias or name, model, "certificate"))
+            sections.append(_make_section(field.alias or name, model, "certificate"))
     evidence = Lab.model_fields["evidence"]
     sections.append(
         {
@@ -115,21 +115,21 @@ def lab_form() -> tuple[FormSection, ...]:
 
 
 @cache
-def plan_form(of_readings: bool) -> tuple[FormSection, ...]:
-    """Return the sections of a plan: those of a campaign, and those of plans only."""
+def plan_form(is_reading_plan: bool) -> tuple[FormSection, ...]:
+    """Return the sections of a plan: sections of plans only, then sections of campaigns."""
     campaign_sections = {section["key"]: section for section in campaign_form()}
-    document = ReadingPlanDocument if of_readings else PlanDocument
+    document = ReadingPlanDocument if is_reading_plan else PlanDocument
     sections = []
     for key, annotation in nested_models(document).items():
         model = find_model(annotation)
         if model is not None:
-            sections.append(campaign_sections.get(key) or _section(key, model, "plan"))
-    # What makes it a plan comes first.
+            sections.append(campaign_sections.get(key) or _make_section(key, model, "plan"))
+    # Sections of plans only come first.
     return tuple(sorted(sections, key=lambda section: section["key"] in campaign_sections))
 
 
-def run_kinds(document: Mapping[str, Any]) -> list[str]:
-    """Return the kind of each run of a document, ``record`` or ``reading``."""
+def detect_run_types(document: Mapping[str, Any]) -> list[str]:
+    """Return the type of each run of a document, ``record`` or ``reading``."""
     runs = document.get("runs")
     entries = runs if isinstance(runs, list) else []
     return ["reading" if is_reading(run) else "record" for run in entries]
@@ -141,7 +141,7 @@ def _tolerance_fields() -> list[FormField]:
 
 
 def _text_field(key: str, example: str, help_text: str = "") -> FormField:
-    """Return an optional field of text."""
+    """Return an optional text field."""
     return {
         "key": key,
         "label": _key_label(key),
@@ -153,31 +153,31 @@ def _text_field(key: str, example: str, help_text: str = "") -> FormField:
     }
 
 
-def _section(key: str, model: type[BaseModel], page: str) -> FormSection:
-    """Return a section; page: of the documentation, if the class has no table in it."""
+def _make_section(key: str, model: type[BaseModel], page: str) -> FormSection:
+    """Return a section; `page` is used if no documentation page has a table for the model."""
     docstring = (model.__doc__ or "").partition("\n")[0]
     # "[site]: gravity and latitude of the centrifuge."
     description = docstring.partition("]: ")[2]
     return {
         "key": key,
         "words": (description[:1].upper() + description[1:]).replace("`", ""),
-        "explained": page_explaining(model) or page,
+        "explained": find_page_of_model(model) or page,
         "repeat": _REPEATED_SECTIONS.get(key),
         "fields": _table_fields(model, page),
     }
 
 
 def _table_fields(model: type[BaseModel], page: str, excluded: str = "") -> list[FormField]:
-    """Return the fields of a table, without those of some tables only; page: as in `_section`."""
-    page = (page_explaining(model) or page).partition("#")[0]
+    """Return the fields of a table, except those for `excluded` only."""
+    page = (find_page_of_model(model) or page).partition("#")[0]
     return [
-        _form_field(field.alias or name, field, page)
+        _make_field(field.alias or name, field, page)
         for name, field in model.model_fields.items()
         if not excluded or field_extra(field).get("x-of") != excluded
     ]
 
 
-def _form_field(key: str, field: FieldInfo, page: str) -> FormField:
+def _make_field(key: str, field: FieldInfo, page: str) -> FormField:
     base, metadata = _unwrap_annotation(field.annotation, field.metadata)
     extra = field_extra(field)
     if_absent = extra.get("x-absent")
@@ -187,44 +187,44 @@ def _form_field(key: str, field: FieldInfo, page: str) -> FormField:
         else (field.description or "").removesuffix("; see the following table")
     )
     help_text = "; ".join(filter(None, [meaning, f"default: {if_absent}" if if_absent else ""]))
-    result: FormField = {
+    form_field: FormField = {
         "key": key,
         "label": extra.get("x-label") or _key_label(key),
         "help": strip_links(help_text).replace("`", ""),
-        "links": _links(help_text, page),
+        "links": _find_links(help_text, page),
         "required": field.is_required(),
-        **cast("FormField", _input_kind(base, metadata, page)),
+        **cast("FormField", _describe_input(base, metadata, page)),
     }
     kind_text = extra.get("x-kind", "")
     if kind_text.startswith("date"):
-        result["kind"] = "date"
+        form_field["kind"] = "date"
     elif kind_text in ("country", "language"):
-        result["kind"], result["names"] = kind_text, dict(codes_in_force(kind_text))
+        form_field["kind"], form_field["names"] = kind_text, dict(codes_in_force(kind_text))
     elif kind_text.startswith("list of terms"):
-        result["kind"], result["rows"] = "terms", _term_rows()
+        form_field["kind"], form_field["rows"] = "terms", _term_rows()
     (example,) = field.examples or [None]
     if isinstance(example, str | int | float) and not isinstance(example, bool):
-        result["example"] = str(example)
-        example_unit = re.fullmatch(r"\S+(?: ± \S+)? (.+)", result["example"])
-        if result["kind"] == "quantity" and example_unit is not None:
-            result["units"] = list(dict.fromkeys([example_unit[1], *result["units"]]))
-    return result
+        form_field["example"] = str(example)
+        example_unit = re.fullmatch(r"\S+(?: ± \S+)? (.+)", form_field["example"])
+        if form_field["kind"] == "quantity" and example_unit is not None:
+            form_field["units"] = list(dict.fromkeys([example_unit[1], *form_field["units"]]))
+    return form_field
 
 
-def _links(help_text: str, page: str) -> list[tuple[str, str]]:
-    """Return the words of a help in order, and the page of its link."""
+def _find_links(help_text: str, page: str) -> list[tuple[str, str]]:
+    """Return text and page of each link in a help text."""
     links = (
-        (words.replace("`", ""), page_address(target, page))
-        for words, target in _LINK.findall(help_text)
+        (words.replace("`", ""), resolve_page_link(target, page))
+        for words, target in _MARKDOWN_LINK.findall(help_text)
     )
     return [(words, target) for words, target in links if target is not None]
 
 
 def _key_label(key: str) -> str:
-    """Return a key in words: a term's description with its symbol."""
+    """Return the label of a key; for a term, its description with its symbol."""
     if key in ACCELEROMETER_TERMS:
-        words = ACCELEROMETER_TERMS[key].words
-        return f"{words[:1].upper()}{words[1:]} ({key})"
+        description = ACCELEROMETER_TERMS[key].words
+        return f"{description[:1].upper()}{description[1:]} ({key})"
     quantity = key.removeprefix("u").removeprefix("_")
     if key in ("u", f"u_{quantity}"):
         key = "_of_".join(filter(None, ("uncertainty", quantity)))
@@ -233,7 +233,7 @@ def _key_label(key: str) -> str:
 
 @cache
 def _term_rows() -> tuple[TermRow, ...]:
-    """Return the names that a list of terms may have, with descriptions: terms and families."""
+    """Return the terms and families that a list of terms can contain, with descriptions."""
     rows = {symbol: row.words for symbol, row in ACCELEROMETER_TERMS.items()}
     for family, members in BARE_NAMES.items():
         if family.count(".") == 1:
@@ -241,17 +241,17 @@ def _term_rows() -> tuple[TermRow, ...]:
     for symbol, row in (*SHARED_TERMS.items(), *READING_TERMS.items()):
         if symbol.count(".") == 1:
             rows.setdefault(symbol, row.words)
-    return tuple({"key": s, "words": words[:1].upper() + words[1:]} for s, words in rows.items())
+    return tuple({"key": name, "words": text[:1].upper() + text[1:]} for name, text in rows.items())
 
 
 def _unwrap_annotation(annotation: Any, metadata: Sequence[Any]) -> tuple[Any, list[Any]]:
     """Return the type inside Annotated and Optional, and the collected metadata."""
-    collected = list(metadata)
+    all_metadata = list(metadata)
     while True:
         origin = typing.get_origin(annotation)
         if origin is Annotated:
             annotation, *arguments = typing.get_args(annotation)
-            collected += arguments
+            all_metadata += arguments
         elif origin in (typing.Union, types.UnionType):
             alternatives = [
                 alternative
@@ -259,35 +259,39 @@ def _unwrap_annotation(annotation: Any, metadata: Sequence[Any]) -> tuple[Any, l
                 if alternative is not type(None)
             ]
             if len(alternatives) > 1:
-                return (dict if _includes_table(alternatives) else object), collected
+                return (dict if _includes_table(alternatives) else object), all_metadata
             annotation = alternatives[0]
         else:
-            return annotation, collected
+            return annotation, all_metadata
 
 
 def _includes_table(alternatives: Sequence[Any]) -> bool:
     return any(typing.get_origin(alternative) is dict for alternative in alternatives)
 
 
-def _input_kind(base: Any, metadata: Sequence[Any], page: str) -> dict[str, Any]:
-    """Return the input of a value: its choices or suggestions, its unit and other properties."""
+def _describe_input(base: Any, metadata: Sequence[Any], page: str) -> dict[str, Any]:
+    """Return type, choices, suggestions, units and other properties of an input."""
     if typing.get_origin(base) is Literal:
         return {"kind": "choice", "choices": list(typing.get_args(base))}
     readers = [item for item in metadata if isinstance(item, PlainValidator)]
     if readers:
         reader, input_type = readers[0].func, readers[0].json_schema_input_type
-        result: dict[str, Any] = {"kind": "number" if _is_number(input_type, base) else "text"}
+        input_fields: dict[str, Any] = {
+            "kind": "number" if _is_number(input_type, base) else "text"
+        }
         if isinstance(reader, partial):
             units = expected_quantity(reader.args[0])[1].split(", ")
-            result = {"kind": "quantity", "unit": reader.args[0], "units": units}
+            input_fields = {"kind": "quantity", "unit": reader.args[0], "units": units}
         elif reader in (parse_temperature, parse_temperatures):
-            result = {"kind": "quantity", "unit": "K", "units": ["degC", "K"]}
+            input_fields = {"kind": "quantity", "unit": "K", "units": ["degC", "K"]}
         elif reader is parse_celsius:
-            result = {"kind": "quantity", "unit": "degC", "units": ["degC"]}
+            input_fields = {"kind": "quantity", "unit": "degC", "units": ["degC"]}
         suggestions = [
-            choice for alternative in _alternatives(input_type) for choice in _choices(alternative)
+            choice
+            for alternative in _alternatives(input_type)
+            for choice in _literal_choices(alternative)
         ]
-        return result | ({"suggestions": suggestions} if suggestions else {})
+        return input_fields | ({"suggestions": suggestions} if suggestions else {})
     if isinstance(base, type) and issubclass(base, BaseModel):
         return {"kind": "group", "fields": _table_fields(base, page)}
     checks = [item.func for item in metadata if isinstance(item, AfterValidator)]
@@ -302,7 +306,7 @@ def _input_kind(base: Any, metadata: Sequence[Any], page: str) -> dict[str, Any]
 
 
 def _alternatives(annotation: Any) -> Sequence[Any]:
-    """Return the alternatives of a value's type, in order."""
+    """Return the alternatives of a union type, or the type itself."""
     return typing.get_args(annotation) if _is_union(annotation) else [annotation]
 
 
@@ -310,7 +314,7 @@ def _is_union(annotation: Any) -> bool:
     return typing.get_origin(annotation) in (typing.Union, types.UnionType)
 
 
-def _choices(annotation: Any) -> Sequence[Any]:
+def _literal_choices(annotation: Any) -> Sequence[Any]:
     return typing.get_args(annotation) if typing.get_origin(annotation) is Literal else ()
 
 
@@ -322,7 +326,7 @@ def _is_number(annotation: Any, base: Any) -> bool:
 
 
 def _accepted_units(check: Any) -> tuple[str, ...]:
-    """Return units of the dimensions that a unit's validator accepts."""
+    """Return units of the dimensions that a validator of units accepts."""
     if isinstance(check, partial):
         return tuple(check.args)
     return _UNIT_CHOICES.get(check, ())

@@ -1,6 +1,6 @@
-"""Long work in processes of its own, which report progress by a pipe.
+"""Background jobs in separate processes, which report progress through a pipe.
 
-A page that is loaded again finds its job; a process that is ended leaves no half result.
+A reloaded page finds its job; a terminated process leaves no partial result.
 """
 
 from __future__ import annotations
@@ -16,7 +16,13 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from counterspin.application.answers import JobEntry, JobKind, JobState, LiveState, Reached
+from counterspin.application.answers import (
+    CurrentUncertainties,
+    JobEntry,
+    JobKind,
+    JobState,
+    LiveState,
+)
 from counterspin.application.served_folder import RequestError
 from counterspin.calibration.options import Method
 from counterspin.errors import CounterspinError, CounterspinWarning
@@ -28,12 +34,12 @@ if TYPE_CHECKING:
     from counterspin.monitoring.result import WatchState
 
 
-#: Takes how much is done, and how much there is.
-Progress = Callable[[int, int], None]
+#: Called with the number of completed items and the total number.
+ProgressCallback = Callable[[int, int], None]
 
 
 class Worker:
-    """A process with its own memory, which can be ended at any time."""
+    """A separate process that can be terminated at any time."""
 
     def __init__(self, function: Callable[..., None], *arguments: Any) -> None:
         self._connection, connection = SPAWN_CONTEXT.Pipe()
@@ -52,17 +58,17 @@ class Worker:
 
     @property
     def is_alive(self) -> bool:
-        """True while it is at work."""
+        """True while the process is running."""
         return self._process.is_alive()
 
-    def receive(self, seconds: float = 0.0) -> tuple[Any, ...] | None:
-        """Return its next report; None without a report within a time, s.
+    def receive(self, timeout: float = 0.0) -> tuple[Any, ...] | None:
+        """Return the next message of the process; None if there is none within the timeout, s.
 
-        The death of the process is reported as a failure.
+        If the process has died, the message reports a failure.
         """
         try:
             message: tuple[Any, ...] | None = (
-                self._connection.recv() if self._connection.poll(seconds) else None
+                self._connection.recv() if self._connection.poll(timeout) else None
             )
         except (EOFError, OSError):
             return (
@@ -72,7 +78,7 @@ class Worker:
         return message
 
     def terminate(self) -> None:
-        """End it in any state."""
+        """Terminate the process in any state."""
         self._process.terminate()
         self._process.join(5.0)
         if self._process.is_alive():
@@ -80,13 +86,13 @@ class Worker:
         self._connection.close()
 
 
-def report_progress(connection: Connection, function: Callable[[Progress], Any]) -> None:
-    """Run some work in its own process; report its progress and its end."""
-    # Ctrl-C in the terminal is for the server, which ends its processes.
+def report_progress(connection: Connection, function: Callable[[ProgressCallback], Any]) -> None:
+    """Run a function in a worker process; report its progress and its result or error."""
+    # Ctrl-C is handled by the server, which terminates its processes.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # What a result warns of stands in it.
+    # Results contain their warnings.
     warnings.simplefilter("ignore", CounterspinWarning)
-    # A server that is gone is told nothing.
+    # The server may have ended.
     with suppress(BrokenPipeError, ConnectionError, EOFError):
         try:
             connection.send(
@@ -100,32 +106,32 @@ def report_progress(connection: Connection, function: Callable[[Progress], Any])
             connection.send(("failed", f"internal error ({type(error).__name__}: {error})"))
 
 
-#: How many finished jobs are remembered.
+#: Number of finished jobs that are kept.
 _MAX_FINISHED_JOBS: Final = 50
 
-#: Takes what a job's process has made, and may fail of it.
+#: Called with the result of a job's process.
 OnDone = Callable[[Any], None]
 
 
 @dataclass
 class Job:
-    """Work in the background."""
+    """A background job."""
 
-    number: int  #: By which it is known.
-    campaign: str  #: The campaign's name in the folder.
-    #: The result's name there, or the folder's that is filled; empty: it is only shown.
+    number: int  #: Number of the job.
+    campaign: str  #: Name of the campaign in the served folder.
+    #: Name of the result file or output folder; empty: nothing is written.
     output: str
     command: str  #: Equivalent command.
-    kind: JobKind = "calibration"  #: What it is.
-    state: JobState = "waiting"  #: Where it stands.
-    progress: tuple[int, int] = (0, 0)  #: Runs or trials that are done, and all of them.
-    error: str = ""  #: Why it failed.
-    seconds: float = 0.0  #: How long it took, or has taken so far.
+    kind: JobKind = "calibration"
+    state: JobState = "waiting"
+    progress: tuple[int, int] = (0, 0)  #: Number of completed runs or trials, and total number.
+    error: str = ""  #: Error message of a failed job.
+    seconds: float = 0.0  #: Elapsed time, s.
     stop: threading.Event = field(default_factory=threading.Event, repr=False)
 
     @property
     def conflict_key(self) -> tuple[str, ...]:
-        """The object of the job; no two jobs with the same one run at once."""
+        """Key of the output; jobs with the same key do not run at the same time."""
         return (self.output,) if self.output else (self.kind, self.campaign)
 
     def to_dict(self) -> JobEntry:
@@ -144,7 +150,7 @@ class Job:
 
 
 class Jobs:
-    """The jobs of one server; they run one after the other."""
+    """The jobs of a server, which run one after the other."""
 
     def __init__(self) -> None:
         self._jobs: dict[int, Job] = {}
@@ -165,10 +171,10 @@ class Jobs:
         *arguments: Any,
         on_done: OnDone = lambda _: None,
     ) -> Job:
-        """Start a job, or return the one that is at work on the same result already.
+        """Start a job, or return the active job with the same output.
 
-        on_done: Called in the server with the output of the process; a CounterspinError makes the
-            job fail. It is not called for a job that is stopped.
+        on_done: Called in the server with the result of the process; a CounterspinError makes the
+            job fail. Not called if the job is stopped.
         """
         with self._lock:
             if self._closed:
@@ -182,8 +188,12 @@ class Jobs:
                     return active_job
             self._number += 1
             self._jobs[job.number] = job
-            finished = [n for n, j in self._jobs.items() if j.state not in ("waiting", "running")]
-            for number in finished[:-_MAX_FINISHED_JOBS]:
+            finished_numbers = [
+                job_number
+                for job_number, stored_job in self._jobs.items()
+                if stored_job.state not in ("waiting", "running")
+            ]
+            for number in finished_numbers[:-_MAX_FINISHED_JOBS]:
                 del self._jobs[number]
         self._start_thread(job, function, arguments, on_done)
         return job
@@ -196,7 +206,7 @@ class Jobs:
         ).start()
 
     def stop(self, number: int) -> Job:
-        """End a job; CounterspinError if no job has the number."""
+        """Stop a job; RequestError if no job has the number."""
         with self._lock:
             if number not in self._jobs:
                 raise RequestError(f"job {number} does not exist")
@@ -205,14 +215,14 @@ class Jobs:
         return job
 
     def close(self) -> None:
-        """End all jobs, and start no more."""
+        """Stop all jobs, and refuse new jobs."""
         with self._lock:
             self._closed = True
-            running = list(self._jobs.values())
-        for job in running:
+            jobs = list(self._jobs.values())
+        for job in jobs:
             job.stop.set()
         with self._run_lock:
-            pass  # whoever was at work has ended its process
+            pass  # the running job has terminated its process
 
     def _run(
         self, job: Job, function: Callable[..., None], arguments: tuple[Any, ...], on_done: OnDone
@@ -240,17 +250,17 @@ class Jobs:
     @staticmethod
     def _handle_message(job: Job, message: tuple[Any, ...], on_done: OnDone) -> None:
         match message:
-            case ("progress", done, total):
-                job.progress = (done, total)
-            case ("done", made):
+            case ("progress", n_done, n_total):
+                job.progress = (n_done, n_total)
+            case ("done", output):
                 try:
-                    on_done(made)
+                    on_done(output)
                 except CounterspinError as error:
                     job.error, job.state = str(error), "failed"
                 else:
                     job.state = "done"
-            case (_, why):
-                job.error, job.state = why, "failed"
+            case (_, reason):
+                job.error, job.state = reason, "failed"
 
 
 def run_calibration(
@@ -262,7 +272,7 @@ def run_calibration(
 ) -> None:
     """Calibrate a campaign and write its result."""
 
-    def calibrate_and_write(progress: Progress) -> None:
+    def calibrate_and_write(progress: ProgressCallback) -> None:
         from counterspin.calibration.calibrate import calibrate
         from counterspin.calibration.result import Result
         from counterspin.output import check_writable
@@ -274,10 +284,10 @@ def run_calibration(
     report_progress(connection, calibrate_and_write)
 
 
-#: Seconds after which a process ends at whose words nobody looks any more.
+#: Time after the last request at which a live view ends, s.
 VIEW_TIMEOUT: Final = 15.0
 
-#: Most processes that are kept at once.
+#: Largest number of live views.
 _MAX_VIEWS: Final = 4
 
 
@@ -289,16 +299,16 @@ class _View:
 
 
 class LiveViews:
-    """The processes that are kept."""
+    """Processes that monitor campaigns for live pages."""
 
     def __init__(self) -> None:
         self._views: dict[tuple[Path, str], _View] = {}
         self._lock = threading.Lock()
 
     def poll(self, campaign: Path, goal: str) -> LiveState:
-        """Return the newest state of a campaign, which is followed from the first call on.
+        """Return the newest state of a campaign, which is monitored from the first call on.
 
-        goal: Such as ``K_II 1e-8 g/g^2``; empty: none.
+        goal: Goal such as ``K_II 1e-8 g/g^2``; empty: none.
         """
         empty_state = {"html": "", "events": [], "complete": False, "reached": None}
         with self._lock:
@@ -307,10 +317,10 @@ class LiveViews:
             has_ended = False
             while not has_ended and (message := view.worker.receive()) is not None:
                 match message:
-                    case ("told", told):
-                        view.state = told
-                    case ("failed", why):
-                        view.state, has_ended = {"error": why}, True
+                    case ("told", new_state):
+                        view.state = new_state
+                    case ("failed", reason):
+                        view.state, has_ended = {"error": reason}, True
                     case _:
                         has_ended = True
             if has_ended:
@@ -318,21 +328,21 @@ class LiveViews:
             return cast("LiveState", empty_state | view.state)
 
     def _view(self, key: tuple[Path, str]) -> _View:
-        """Return the process that follows a campaign with a goal; start it if there is none."""
+        """Return the live view of a campaign with a goal; start it if there is none."""
         view = self._views.get(key)
         if view is None:
             if len(self._views) >= _MAX_VIEWS:
                 raise RequestError(
                     "too many campaigns are being monitored at once; close another Live page"
                 )
-            view = self._views[key] = _View(Worker(run_watch, *key))
+            view = self._views[key] = _View(Worker(run_live_view, *key))
             if len(self._views) == 1:
                 threading.Thread(target=self._end_unused, daemon=True).start()
         view.requested_at = time.monotonic()
         return view
 
     def _end_unused(self) -> None:
-        """End the views that no page requests any longer, until none is left."""
+        """End views that pages no longer request, until none is left."""
         while True:
             time.sleep(VIEW_TIMEOUT / 5.0)
             with self._lock:
@@ -343,15 +353,15 @@ class LiveViews:
                     return
 
     def close(self) -> None:
-        """End all processes."""
+        """End all views."""
         with self._lock:
             for view in self._views.values():
                 view.worker.terminate()
             self._views.clear()
 
 
-def current_uncertainties(state: WatchState) -> Reached:
-    """Return the recorded time in minutes, and the u of each coefficient by then."""
+def current_uncertainties(state: WatchState) -> CurrentUncertainties:
+    """Return the recorded time in minutes, and the current u of each coefficient."""
     units = {c.name: find_display_unit(c.unit) for c in state.coefficients}
     return {
         "minutes": sum(run.seconds or 0.0 for run in state.runs) / 60.0,
@@ -365,15 +375,15 @@ def current_uncertainties(state: WatchState) -> Reached:
     }
 
 
-def run_watch(connection: Connection, campaign: Path, goal: str) -> None:
-    """Follow a campaign's records, and report each new state."""
+def run_live_view(connection: Connection, campaign: Path, goal: str) -> None:
+    """Monitor the records of a campaign, and send each new state."""
 
-    def work(_: Progress) -> None:
+    def work(_: ProgressCallback) -> None:
         from counterspin.monitoring.watch import watch
         from counterspin.reports.html import render_fragment
 
         for state in watch(campaign, goals=[goal] if goal else []):
-            # The page keeps a list of what happened, of which the state knows the newest.
+            # The page keeps its own list of events.
             quiet_blocks = state.model_copy(update={"events": []})
             blocks = list(map(typeset_block, quiet_blocks.blocks()))
             message = {

@@ -1,7 +1,7 @@
-"""The laboratory's data for the certificate of a result, their preview, and a profile of them.
+"""Laboratory data for the certificate of a result, with preview and profile.
 
-The profile is a file of the served folder. It keeps what is the same on each certificate of a
-laboratory, and fills in the data of the next one.
+The profile is a file in the served folder with the data that are common to all certificates of a
+laboratory. It prefills the data of the next certificate.
 """
 
 from __future__ import annotations
@@ -31,26 +31,25 @@ from counterspin.certificates.lab import example_text, is_template_value
 from counterspin.errors import CounterspinError
 from counterspin.toml_text import format_document
 
-#: The profile's file, in the served folder itself.
+#: File name of the profile, at the top level of the served folder.
 PROFILE_NAME: Final = "laboratory.toml"
 
-#: Sections of the laboratory's data, and keys of [certificate], that are the same on each
-#: certificate.
+#: Sections of the laboratory data, and keys of [certificate], that are kept in the profile.
 _PROFILE_SECTIONS: Final = ("laboratory", "persons", "equipment", "cmc")
 _PROFILE_KEYS: Final = ("language", "place", "traceability", "procedure")
 
 
-def lab_data(app: AppState, file: str, result: str) -> LaboratoryData:
-    """Return the laboratory's data in a file; without a file, the template with the profile."""
-    edited, calibration = app.folder.read(file), app.result(result)
-    text = edited.text or _initial_text(app, calibration, app.folder.path(file).parent)
+def read_lab_data(app: AppState, file: str, result: str) -> LaboratoryData:
+    """Return the laboratory data in a file; without a file, the template and the profile."""
+    file_version, calibration = app.folder.read(file), app.result(result)
+    text = file_version.text or _initial_text(app, calibration, app.folder.path(file).parent)
     return {
         **parse_lab_text(text, calibration).to_dict(),
         "file": file,
-        "version": edited.version,
+        "version": file_version.version,
         "form": lab_form(),
         "signer": "" if app.signer is None else app.signer.name,
-        "profile": bool(_profile(app)),
+        "profile": bool(_read_profile(app)),
         "certificates": list(_issued_certificates(app, app.file(result).parent)),
     }
 
@@ -67,10 +66,10 @@ def _issued_certificates(app: AppState, folder: Path) -> Iterator[IssuedCertific
             yield {"file": app.folder.name(path), "identifier": identifier}
 
 
-def draft_preview(app: AppState, file: str, text: str, result: str) -> CertificatePages:
+def render_draft(app: AppState, file: str, text: str, result: str) -> CertificatePages:
     """Return the pages of the certificate as SVG images, marked as a draft.
 
-    file: That of the laboratory's data, from which the logo is found.
+    file: File of the laboratory data; the path of the logo is relative to its folder.
     """
     calibration, document, folder = (
         app.result(result),
@@ -83,7 +82,7 @@ def draft_preview(app: AppState, file: str, text: str, result: str) -> Certifica
 
 
 def save_profile(app: AppState, file: str, text: str) -> ProfileFile:
-    """Write the laboratory's profile from its data; return the file's name."""
+    """Write the profile from laboratory data; return the file name."""
     document, folder = parse_text(text), app.folder.path(file).parent
     app.require_inside(folder, document)
     profile: dict[str, Any] = {
@@ -95,7 +94,7 @@ def save_profile(app: AppState, file: str, text: str) -> ProfileFile:
     profile["certificate"] = _remove_template_values(
         {key: settings[key] for key in _PROFILE_KEYS if key in settings}, ("certificate",)
     )
-    _move_logo(profile, folder, app.folder.root)
+    _rebase_logo_path(profile, folder, app.folder.root)
     if not any(profile.values()):
         raise RequestError("The profile would be empty. Fill in the Laboratory section first.")
     app.folder.write(PROFILE_NAME, format_document(profile), app.folder.read(PROFILE_NAME).version)
@@ -105,14 +104,14 @@ def save_profile(app: AppState, file: str, text: str) -> ProfileFile:
 def _initial_text(app: AppState, result: Result, folder: Path) -> str:
     """Return the template, with the values of the profile and the date of the campaign.
 
-    folder: That of the laboratory's data.
+    folder: Folder of the laboratory data.
     """
     text = example_text()
     date_text = result.details.get("date")
     with suppress(TypeError, ValueError):
         text = _set_dates(text, datetime.date.fromisoformat(date_text or ""))
-    profile = dict(_profile(app))
-    _move_logo(profile, app.folder.root, folder)
+    profile = dict(_read_profile(app))
+    _rebase_logo_path(profile, app.folder.root, folder)
     for path, value in _profile_entries(profile):
         try:
             text = set_value(text, path, value)
@@ -124,8 +123,8 @@ def _initial_text(app: AppState, result: Result, folder: Path) -> str:
     return text
 
 
-def _move_logo(document: dict[str, Any], folder: Path, new_folder: Path) -> None:
-    """State the path of the logo relative to another folder."""
+def _rebase_logo_path(document: dict[str, Any], folder: Path, new_folder: Path) -> None:
+    """Make the path of the logo relative to another folder."""
     laboratory = table_of(document, "laboratory")
     if isinstance(logo := laboratory.get("logo"), str):
         path = Path(os.path.relpath(folder / logo, new_folder)).as_posix()
@@ -138,16 +137,18 @@ def _set_dates(text: str, day: datetime.date) -> str:
     return text
 
 
-def _profile(app: AppState) -> Mapping[str, Any]:
-    """Return the profile; empty without one."""
+def _read_profile(app: AppState) -> Mapping[str, Any]:
+    """Return the profile; empty if there is none."""
     return parse_text(app.folder.read(PROFILE_NAME).text, PROFILE_NAME)
 
 
 def _remove_template_values(value: Any, path: KeyPath) -> Any:
-    """Return a value without those of the template."""
+    """Return a value without values of the template."""
     if isinstance(value, dict):
-        kept = {key: _remove_template_values(item, (*path, key)) for key, item in value.items()}
-        return {key: item for key, item in kept.items() if item not in (None, {}, [])}
+        kept_values = {
+            key: _remove_template_values(item, (*path, key)) for key, item in value.items()
+        }
+        return {key: item for key, item in kept_values.items() if item not in (None, {}, [])}
     if isinstance(value, list):
         kept_items = [_remove_template_values(item, path) for item in value]
         return [item for item in kept_items if item not in (None, {}, [])]
@@ -155,7 +156,7 @@ def _remove_template_values(value: Any, path: KeyPath) -> Any:
 
 
 def _profile_entries(profile: Mapping[str, Any]) -> Iterator[tuple[KeyPath, Any]]:
-    """Yield the entries of a profile with their paths: a table's values, and a list's tables."""
+    """Yield paths and values of a profile: values of tables, and tables in lists."""
     for section, content in profile.items():
         if isinstance(content, dict):
             yield from (((section, key), value) for key, value in content.items())

@@ -1,6 +1,6 @@
-"""Pages of other rooms' blocks, and of the documentation.
+"""Pages with the blocks of results, and pages of the documentation.
 
-A page marks the table of keys that it explains: `<!-- keys: CLASS -->` above the table.
+In the documentation, `<!-- keys: CLASS -->` above a table marks the keys of a class.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from counterspin.application.commands import (
     report_command,
     study_command,
 )
-from counterspin.application.jobs import Job, Progress, report_progress
+from counterspin.application.jobs import Job, ProgressCallback, report_progress
 from counterspin.application.served_folder import NotFoundError
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from counterspin.planning.result import PlanResult
 
 
-#: Pages that are shown, of those in docs/: what a file may hold, and what can be done here. What
-#: is full of formulas is not among them.
-PAGES: Final = (
+#: Pages of docs/ shown in the application: file formats and instructions, but no pages with many
+#: formulas.
+MANUAL_PAGES: Final = (
     "application",
     "glossary",
     "exports",
@@ -61,7 +61,7 @@ PAGES: Final = (
 )
 
 _PACKAGE_FOLDER: Final = Path(__file__).parent
-#: In a package that was built they lie beside this file; in a checkout, in docs/.
+#: Next to this file in a built package; docs/ in a checkout.
 _DOCUMENTATION_FOLDERS: Final = (
     _PACKAGE_FOLDER / "documentation",
     _PACKAGE_FOLDER.parents[2] / "docs",
@@ -74,119 +74,119 @@ _COMMENT: Final = re.compile(r"^<!--.*?-->\n", re.MULTILINE | re.DOTALL)
 _FORMULA: Final = re.compile(r"\$([^$\n]+)\$")
 
 
-def anchor(heading: str) -> str:
-    """Return the anchor of a heading, as Git hosts write it."""
+def make_anchor(heading: str) -> str:
+    """Return the anchor of a heading, as on GitHub."""
     return re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-")
 
 
 @cache
-def _page_texts() -> Mapping[str, str]:
-    """Return name -> Markdown of the pages; none in a package that lacks them."""
+def _read_page_texts() -> Mapping[str, str]:
+    """Return name -> Markdown of the pages; empty if the package lacks the documentation."""
     folder = next(
         (
             candidate
             for candidate in _DOCUMENTATION_FOLDERS
-            if (candidate / f"{PAGES[0]}.md").is_file()
+            if (candidate / f"{MANUAL_PAGES[0]}.md").is_file()
         ),
         None,
     )
     if folder is None:
         return {}
-    return {name: (folder / f"{name}.md").read_text(encoding="utf-8") for name in PAGES}
+    return {name: (folder / f"{name}.md").read_text(encoding="utf-8") for name in MANUAL_PAGES}
 
 
 @cache
-def _key_table_addresses() -> Mapping[str, str]:
-    """Return class name -> the page, and the heading in it, with the table of its keys."""
+def _find_key_tables() -> Mapping[str, str]:
+    """Return class name -> address of the table of its keys: page and anchor."""
     addresses: dict[str, str] = {}
-    for name, text in _page_texts().items():
-        current = name
+    for name, text in _read_page_texts().items():
+        current_address = name
         for match in _HEADING_OR_KEYS.finditer(text):
             if match["heading"] is not None:
-                current = f"{name}#{anchor(match['heading'])}"
+                current_address = f"{name}#{make_anchor(match['heading'])}"
             else:
-                addresses.setdefault(match["model"], current)
+                addresses.setdefault(match["model"], current_address)
     return addresses
 
 
-def page_explaining(model: type) -> str | None:
-    """Return the page, with ``#`` and heading, that explains the keys of a class."""
-    return _key_table_addresses().get(model.__name__)
+def find_page_of_model(model: type) -> str | None:
+    """Return the address of the table of the keys of a class: page, ``#`` and anchor."""
+    return _find_key_tables().get(model.__name__)
 
 
-def page_address(link: str, page: str) -> str | None:
-    """Return the address of a page's link; None if its target is not shown here."""
+def resolve_page_link(link: str, page: str) -> str | None:
+    """Return the address of a link in a page; None if its target is not in the application."""
     name, separator, heading = link.partition("#")
     name = name.removesuffix(".md") or page
-    return f"{name}{separator}{heading}" if name in _page_texts() else None
+    return f"{name}{separator}{heading}" if name in _read_page_texts() else None
 
 
-def manual_page(name: str) -> ManualPage:
-    """Return a page as HTML, and the names and titles of all; NotThereError if there is none."""
-    texts = _page_texts()
+def make_manual_page(name: str) -> ManualPage:
+    """Return a page as HTML, and names and titles of all pages; NotFoundError if unknown."""
+    texts = _read_page_texts()
     if name not in texts:
         raise NotFoundError(f"the documentation has no page {name}")
     titles = {
         page_name: text.partition("\n")[0].removeprefix("# ") for page_name, text in texts.items()
     }
-    return {"title": titles[name], "html": _page_html(name), "pages": list(titles.items())}
+    return {"title": titles[name], "html": _render_manual_page(name), "pages": list(titles.items())}
 
 
 @cache
-def _page_html(name: str) -> str:
+def _render_manual_page(name: str) -> str:
     from markdown_it import MarkdownIt
 
-    text = _FORMULA.sub(r"`\1`", _COMMENT.sub("", _page_texts()[name]))
+    text = _FORMULA.sub(r"`\1`", _COMMENT.sub("", _read_page_texts()[name]))
     parser = MarkdownIt("commonmark", {"html": False}).enable("table")
     tokens = parser.parse(text)
     for index, token in enumerate(tokens):
         if token.type == "heading_open":
-            token.attrSet("id", anchor(tokens[index + 1].content))
+            token.attrSet("id", make_anchor(tokens[index + 1].content))
         elif token.type in ("th_open", "td_open") and "style" in token.attrs:
-            token.attrs = {"class": "right"}  # no style in a page stands beside its rules
+            token.attrs = {"class": "right"}  # the content security policy forbids inline styles
         elif token.type == "inline":
-            token.children = list(_paragraph_tokens(token.children or [], name))
+            token.children = list(_filter_tokens(token.children or [], name))
     html = str(parser.renderer.render(tokens, parser.options, {}))
-    # What is wider than a screen is moved by keyboard, too.
+    # Wide content must be scrollable by keyboard.
     html = html.replace("<pre>", '<pre tabindex="0">').replace("</table>", "</table></div>")
     table_start = '<div class="scroll" role="region" tabindex="0" aria-label="Table"><table>'
     return html.replace("<table>", table_start)
 
 
-def _paragraph_tokens(tokens: list[Token], name: str) -> Iterator[Token]:
-    """Yield the parts of a paragraph: links to pages shown here, and no pictures."""
+def _filter_tokens(tokens: list[Token], name: str) -> Iterator[Token]:
+    """Yield the tokens of a paragraph without images, with links to other pages resolved."""
     for token in tokens:
         if token.type == "link_open":
-            target = page_address(str(token.attrs["href"]), name)
+            target = resolve_page_link(str(token.attrs["href"]), name)
             token.attrs = {} if target is None else {"href": f"#/manual/{target}"}
         if token.type != "image":
             yield token
 
 
-Kind = Literal["result", "comparison", "history", "forecast", "study"]
+PageType = Literal["result", "comparison", "history", "forecast", "study"]
 
 
 @frozen
 class PageCalculation:
-    """A page that takes long, and is made from the report of a job."""
+    """A page that is computed by a job."""
 
-    #: What its process does, and with which file; it tells a `PlanResult`.
+    #: Function of the process, which reports a `PlanResult`, and its argument.
     function: Callable[..., None]
     file: Path
-    command: str  #: That prints or writes the same.
+    command: str  #: Equivalent command.
 
 
 @frozen(eq=False)
 class Page:
-    """A page: its title, its blocks, and the command that prints or writes the same."""
+    """A page: title, blocks, and equivalent command."""
 
     title: str
     blocks: Sequence[Block]
     command: str
-    empty: bool = False  #: Whether it only says why there is nothing to show.
+    empty: bool = False  #: Whether the page only states why there is no content.
 
 
-def _result_page(app: AppState, names: Sequence[str], _: str) -> Page:
+def _make_result_page(app: AppState, names: Sequence[str], _: str) -> Page:
     from counterspin.calibration.pages.document import full_report_blocks
 
     result = app.result(names[0])
@@ -194,31 +194,35 @@ def _result_page(app: AppState, names: Sequence[str], _: str) -> Page:
     return Page(result.title or "Calibration", full_report_blocks(result), command)
 
 
-def _comparison_page(app: AppState, names: Sequence[str], _: str) -> Page:
+def _make_comparison_page(app: AppState, names: Sequence[str], _: str) -> Page:
     from counterspin.comparisons.compare import compare
     from counterspin.comparisons.page import comparison_blocks
 
     comparison = compare(*map(app.result, names), names=list(names))
     files = [app.file(name) for name in names]
-    return Page("Comparison", _typeset(list(comparison_blocks(comparison))), compare_command(files))
+    return Page(
+        "Comparison", _typeset_blocks(list(comparison_blocks(comparison))), compare_command(files)
+    )
 
 
-def _history_page(app: AppState, names: Sequence[str], term: str) -> Page:
+def _make_history_page(app: AppState, names: Sequence[str], term: str) -> Page:
     from counterspin.histories.history import history
     from counterspin.histories.page import history_blocks
 
     command = history_command(app.folder.root, term)
     try:
-        tracked = history([app.file(name) for name in names], term=term)
+        coefficient_history = history([app.file(name) for name in names], term=term)
     except CampaignError:
         raise
     except CounterspinError as error:
-        # Results without serial numbers are no mistake: there is no history of them, and why.
+        # Results without serial numbers are not an error: the page states that there is no history.
         return Page("History", [Paragraph(str(error), "warning")], command, empty=True)
-    return Page(f"History of {term}", _typeset(list(history_blocks(tracked))), command)
+    return Page(
+        f"History of {term}", _typeset_blocks(list(history_blocks(coefficient_history))), command
+    )
 
 
-def _forecast_page(app: AppState, names: Sequence[str], _: str) -> PageCalculation:
+def _make_forecast_page(app: AppState, names: Sequence[str], _: str) -> PageCalculation:
     file = app.file(names[0])
     app.campaign(app.folder.name(file.parent))
     return PageCalculation(run_forecast, file, forecast_command(file.parent))
@@ -227,7 +231,7 @@ def _forecast_page(app: AppState, names: Sequence[str], _: str) -> PageCalculati
 def run_forecast(connection: Connection, file: Path) -> None:
     """Forecast a campaign, and report as `report_progress` does."""
 
-    def work(_: Progress) -> PlanResult:
+    def work(_: ProgressCallback) -> PlanResult:
         from counterspin.planning.plan import check
 
         return check(file)
@@ -235,37 +239,39 @@ def run_forecast(connection: Connection, file: Path) -> None:
     report_progress(connection, work)
 
 
-def _study_page(app: AppState, names: Sequence[str], _: str) -> Page:
+def _make_study_page(app: AppState, names: Sequence[str], _: str) -> Page:
     from counterspin.reports.publication import add_seal_warning
     from counterspin.studies.page import report_blocks
     from counterspin.studies.result import StudyResult
 
     file = app.file(names[0])
     result = StudyResult.read(file)
-    blocks = _typeset(add_seal_warning(result, report_blocks(result)))
+    blocks = _typeset_blocks(add_seal_warning(result, report_blocks(result)))
     return Page(result.title, blocks, study_command(file.parent, result.trials_asked, file))
 
 
-def _typeset(blocks: Sequence[Block]) -> list[Block]:
+def _typeset_blocks(blocks: Sequence[Block]) -> list[Block]:
     return list(map(typeset_block, blocks))
 
 
 _PAGE_MAKERS: Final[
-    Mapping[Kind, Callable[[AppState, Sequence[str], str], Page | PageCalculation]]
+    Mapping[PageType, Callable[[AppState, Sequence[str], str], Page | PageCalculation]]
 ] = {
-    "result": _result_page,
-    "comparison": _comparison_page,
-    "history": _history_page,
-    "forecast": _forecast_page,
-    "study": _study_page,
+    "result": _make_result_page,
+    "comparison": _make_comparison_page,
+    "history": _make_history_page,
+    "forecast": _make_forecast_page,
+    "study": _make_study_page,
 }
 
 
-def page_content(app: AppState, kind: Kind, names: Sequence[str], term: str) -> PageContent:
-    """Return a page's title, its blocks as HTML, and its command; or the job that makes it."""
+def make_page_content(
+    app: AppState, kind: PageType, names: Sequence[str], term: str
+) -> PageContent:
+    """Return title, HTML and command of a page, or the job that computes it."""
     from counterspin.reports.html import render_fragment
 
-    page = _page_or_job(app, kind, names, term)
+    page = _get_page_or_job(app, kind, names, term)
     content: PageContent = {
         "job": None,
         "title": "",
@@ -296,12 +302,12 @@ def page_content(app: AppState, kind: Kind, names: Sequence[str], term: str) -> 
         content["accelerometers"] = list(result.accelerometers)
         content["state"] = result.state or ""
         content["words"] = STATE_NAMES[result.state] if result.state else "Not assessed"
-        content["refusal"] = _certificate_refusal(result)
+        content["refusal"] = _find_certificate_refusal(result)
     return content
 
 
-def _certificate_refusal(result: Result) -> str:
-    """Return why no accelerometer of a result can be certified; empty if one can."""
+def _find_certificate_refusal(result: Result) -> str:
+    """Return why no accelerometer of a result can be certified; empty if any can."""
     from counterspin.certificates.build import check_certifiable
 
     reasons = []
@@ -320,11 +326,13 @@ def _certificate_refusal(result: Result) -> str:
     return reasons[0] if reasons else ""
 
 
-def page_picture(app: AppState, kind: Kind, names: Sequence[str], term: str, index: int) -> str:
-    """Return a picture of a page as SVG; `index` counts the pictures of the page."""
+def render_page_picture(
+    app: AppState, kind: PageType, names: Sequence[str], term: str, index: int
+) -> str:
+    """Return a picture of a page as SVG; `index` is its index among the pictures of the page."""
     from counterspin.reports.charts import render_svg
 
-    page = _page_or_job(app, kind, names, term)
+    page = _get_page_or_job(app, kind, names, term)
     if isinstance(page, Job):
         raise NotFoundError("the page with this plot is still being prepared")
     pictures = [block for block in page.blocks if isinstance(block, Picture)]
@@ -339,8 +347,8 @@ def page_picture(app: AppState, kind: Kind, names: Sequence[str], term: str, ind
         )
 
 
-def _page_or_job(app: AppState, kind: Kind, names: Sequence[str], term: str) -> Page | Job:
-    """Return a cached page or a quickly made one, or the job that makes it."""
+def _get_page_or_job(app: AppState, kind: PageType, names: Sequence[str], term: str) -> Page | Job:
+    """Return a page, from the cache if possible, or the job that computes it."""
     files: list[Path] = [app.file(name) for name in names]
     cached, store = app.cache.lookup(("page", kind, *files, term), files)
     if cached is not None:
@@ -356,6 +364,8 @@ def _page_or_job(app: AppState, kind: Kind, names: Sequence[str], term: str) -> 
     def store_page(plan_result: PlanResult) -> None:
         from counterspin.planning.page import plan_blocks
 
-        store(Page(plan_result.title, _typeset(plan_blocks(plan_result)), calculation.command))
+        store(
+            Page(plan_result.title, _typeset_blocks(plan_blocks(plan_result)), calculation.command)
+        )
 
     return app.jobs.begin(make_job, calculation.function, calculation.file, on_done=store_page)

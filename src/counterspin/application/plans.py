@@ -1,4 +1,4 @@
-"""Plans of records or readings, and the best plan within changed limits."""
+"""Plans of records or readings, and the optimal plan within adjusted limits."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from pydantic import FiniteFloat
 
-from counterspin.application.answers import JobEntry, Limit, Named, PlanOverview, PlanPage
+from counterspin.application.answers import JobEntry, Limit, NameAnswer, PlanOverview, PlanPage
 from counterspin.application.app_state import AppState
 from counterspin.application.commands import plan_command
 from counterspin.application.editing import set_value
@@ -38,25 +38,25 @@ from counterspin.reports.html import render_fragment
 from counterspin.reports.typography import typeset_block
 from counterspin.units import unit_factor
 
-#: Longest time that may be asked for, s: 30 days.
+#: Upper end of the slider for the total time, s: 30 days.
 MAX_TIME: Final = 30 * 86400.0
 
 
 @frozen
 class SliderSpec:
-    """A limit that can be moved."""
+    """Properties of the slider of a limit."""
 
-    #: What it is called, and its unit in SI.
+    #: Label, and SI unit.
     label: str
     unit: str
-    #: Its range, as factors of what the plan says.
+    #: Range, as factors of the value in the plan.
     low_factor: float
     high_factor: float
-    is_integer: bool = False  #: Whether it is a whole number.
-    minimum: float = 0.0  #: Below which it never is.
+    is_integer: bool = False
+    minimum: float = 0.0  #: Smallest possible value.
 
 
-#: Key of [limits] -> how it is moved, of a plan of records and of one of readings.
+#: Key of [limits] -> slider, for plans of records and plans of readings.
 PLAN_SLIDERS: Final[Mapping[str, SliderSpec]] = {
     "total_time": SliderSpec("Centrifuge time", "s", 0.25, 4.0),
     "highest_rate": SliderSpec("Highest rate", "rad/s", 0.5, 2.0),
@@ -76,15 +76,15 @@ READING_PLAN_SLIDERS: Final[Mapping[str, SliderSpec]] = {
 
 @frozen
 class Slider:
-    """A limit of a plan, its range, and the unit in which its file states it."""
+    """A limit of a plan with its range and its unit in the file."""
 
-    key: str  #: Of [limits].
-    spec: SliderSpec  #: How it is moved.
-    #: In SI.
+    key: str  #: Key in [limits].
+    spec: SliderSpec
+    #: Value and range in SI.
     value: float
     low: float
     high: float
-    #: As written in the file, or SI; and how much of SI one of it is.
+    #: Unit in the file (default: SI), and its conversion factor to SI.
     unit: str
     factor: float
 
@@ -102,7 +102,7 @@ class Slider:
         }
 
     def format_value(self, value: float) -> str | int | float:
-        """Return a value, in SI, in the unit of the file."""
+        """Return a value, given in SI, in the unit of the file."""
         if self.spec.is_integer:
             return round(value)
         number = float(f"{value / self.factor:.6g}")
@@ -110,22 +110,22 @@ class Slider:
 
 
 def plan_overview(app: AppState, name: str) -> PlanOverview:
-    """Return a plan's title, goal and limits with their ranges.
+    """Return title and limits of a plan, with the ranges of the limits.
 
-    name: The plan's file.
+    name: The plan file.
     """
     file = app.file(name)
     stated_plan = _read_plan(app, file)
     return {
         "name": name,
         "title": stated_plan.template.title or name,
-        "limits": [limit.to_dict() for limit in _sliders(stated_plan, load_document(file))],
+        "limits": [limit.to_dict() for limit in _make_sliders(stated_plan, load_document(file))],
         "command": plan_command(file, None),
     }
 
 
-def begin_plan(app: AppState, name: str, example: Example = "records") -> Named:
-    """Write an example of a plan; CounterspinError if the file exists already."""
+def begin_plan(app: AppState, name: str, example: Example = "records") -> NameAnswer:
+    """Write an example plan; CounterspinError if the file exists."""
     path = app.folder.path(name)
     if path.suffix.lower() != ".toml":
         raise RequestError(
@@ -148,20 +148,20 @@ def _read_plan(app: AppState, file: Path) -> Plan | ReadingPlan:
     return app.cache.get(("plan", file), [file], read)
 
 
-# Limits, as they stand in the file and as they are moved
+# Adjustable limits
 
 
-def _sliders(stated_plan: Plan | ReadingPlan, document: Mapping[str, Any]) -> list[Slider]:
-    """Return the limits of a plan that can be moved."""
+def _make_sliders(stated_plan: Plan | ReadingPlan, document: Mapping[str, Any]) -> list[Slider]:
+    """Return the sliders of a plan."""
     limits = table_of(document, "limits")
-    keys = PLAN_SLIDERS if isinstance(stated_plan, Plan) else READING_PLAN_SLIDERS
+    slider_specs = PLAN_SLIDERS if isinstance(stated_plan, Plan) else READING_PLAN_SLIDERS
     sliders = []
     for key, value in _stated_limits(stated_plan).items():
-        spec, (unit, factor) = keys[key], ("", 1.0)
+        spec, (unit, factor) = slider_specs[key], ("", 1.0)
         if key == "highest_rate":
-            unit, factor = _rate_unit(document)
+            unit, factor = _detect_rate_unit(document)
         elif spec.unit:
-            unit, factor = _written_unit(limits.get(key), spec.unit)
+            unit, factor = _detect_unit(limits.get(key), spec.unit)
         low, high = value * spec.low_factor, value * spec.high_factor or 60.0
         if key == "total_time":
             high = max(high, MAX_TIME)
@@ -172,7 +172,7 @@ def _sliders(stated_plan: Plan | ReadingPlan, document: Mapping[str, Any]) -> li
 
 
 def _stated_limits(stated_plan: Plan | ReadingPlan) -> dict[str, float]:
-    """Return the movable limits that a plan states, in SI."""
+    """Return the adjustable limits stated in a plan, in SI."""
     if isinstance(stated_plan, Plan):
         limits = stated_plan.limits
         return {
@@ -182,25 +182,25 @@ def _stated_limits(stated_plan: Plan | ReadingPlan) -> dict[str, float]:
             "runs": limits.max_runs,
             "fewest_revolutions": limits.min_revolutions,
         }
-    stated = {"readings": stated_plan.max_readings, "total_time": stated_plan.total_time}
-    return {key: value for key, value in stated.items() if math.isfinite(value)}
+    limit_values = {"readings": stated_plan.max_readings, "total_time": stated_plan.total_time}
+    return {key: value for key, value in limit_values.items() if math.isfinite(value)}
 
 
-def _written_unit(value: Any, unit: str) -> tuple[str, float]:
-    """Return the unit in which a quantity is written, and its size in `unit`."""
+def _detect_unit(value: Any, unit: str) -> tuple[str, float]:
+    """Return the unit in which a quantity is written, and its conversion factor to `unit`."""
     text = value.strip() if isinstance(value, str) else ""
     number = re.match(BARE_NUMBER, text)
-    own_unit = text[number.end() :].strip() if number else ""
-    return (own_unit, unit_factor(own_unit, unit)) if own_unit else (unit, 1.0)
+    written_unit = text[number.end() :].strip() if number else ""
+    return (written_unit, unit_factor(written_unit, unit)) if written_unit else (unit, 1.0)
 
 
-def _rate_unit(document: Mapping[str, Any]) -> tuple[str, float]:
-    """Return the unit in which a plan writes rates, and its size in rad/s."""
+def _detect_rate_unit(document: Mapping[str, Any]) -> tuple[str, float]:
+    """Return the unit of rates in a plan, and its conversion factor to rad/s."""
     limits = table_of(document, "limits")
     rates = limits.get("rates")
     values = [limits.get("highest_rate"), *(rates if isinstance(rates, list) else ())]
     first_value = next((text for text in (*values, limits.get("lowest_rate")) if text), None)
-    return _written_unit(first_value, "rad/s")
+    return _detect_unit(first_value, "rad/s")
 
 
 def _set_limits(app: AppState, name: str, text: str, moved: Mapping[str, float]) -> str:
@@ -209,7 +209,9 @@ def _set_limits(app: AppState, name: str, text: str, moved: Mapping[str, float])
     moved: Key of [limits] -> value in SI.
     """
     file = app.file(name)
-    limits = {limit.key: limit for limit in _sliders(_read_plan(app, file), load_document(file))}
+    limits = {
+        limit.key: limit for limit in _make_sliders(_read_plan(app, file), load_document(file))
+    }
     for key, value in moved.items():
         if key not in limits:
             raise RequestError(f"{key} is not a limit of this plan")
@@ -218,10 +220,12 @@ def _set_limits(app: AppState, name: str, text: str, moved: Mapping[str, float])
     return text
 
 
-def planned_page(app: AppState, name: str, moved: dict[str, FiniteFloat] | None = None) -> PlanPage:
-    """Return the best plan within changed limits as HTML, or the job that searches for it.
+def make_planned_page(
+    app: AppState, name: str, moved: dict[str, FiniteFloat] | None = None
+) -> PlanPage:
+    """Return the optimal plan within adjusted limits as HTML, or the job that computes it.
 
-    name: The plan's file.
+    name: The plan file.
     """
     file = app.file(name)
     key = ("planned", file, *sorted((moved or {}).items()))
@@ -245,11 +249,11 @@ def planned_page(app: AppState, name: str, moved: dict[str, FiniteFloat] | None 
 def begin_planned(
     app: AppState, name: str, folder: str, moved: dict[str, FiniteFloat] | None = None
 ) -> JobEntry:
-    """Start to plan within other limits; return the job.
+    """Start planning within adjusted limits; return the job.
 
-    When it is done, the limits are in the plan's file, and the campaign in a new folder.
+    At the end, the job writes the limits to the plan file, and the campaign to a new folder.
 
-    name: The plan's file.
+    name: The plan file.
     """
     file = app.file(name)
     target = app.target_path(folder)
@@ -264,7 +268,7 @@ def begin_planned(
         return Job(number, name, app.folder.name(target), plan_command(file, target), "plan")
 
     def write_plan(planned: PlannedCampaign) -> None:
-        # Planned before anything is written: a plan that cannot be made changes no file.
+        # Files are written only after the plan has been computed.
         make_folder(target)
         if text != plan_text.text:
             app.folder.write(name, text, plan_text.version)
@@ -274,5 +278,5 @@ def begin_planned(
 
 
 def run_plan(connection: Connection, document: Mapping[str, Any], file: Path) -> None:
-    """Find the best plan; report to `connection` as `report_progress` does."""
+    """Compute the optimal plan; report to `connection` as in `report_progress`."""
     report_progress(connection, lambda _: plan(document, file=file))

@@ -1,7 +1,7 @@
-"""Plots of records and fits, checks of records; studies and simulations before recording.
+"""Plots of records and fits, checks of records, studies and simulations.
 
-A screen has some thousand columns of pixels. With more rows, each part of the window is drawn by
-its least and greatest value: no outlier is lost, and a million rows take no longer than a thousand.
+A screen has a few thousand columns of pixels. If a window has more rows, minimum and maximum of
+each segment are drawn: outliers stay visible, and large records are drawn as fast as small ones.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from counterspin.application.commands import (
     study_command,
     watch_command,
 )
-from counterspin.application.jobs import Job, Progress, report_progress
+from counterspin.application.jobs import Job, ProgressCallback, report_progress
 from counterspin.application.served_folder import NotFoundError, RequestError
 from counterspin.arrays import Array
 from counterspin.calibration.observed_runs import record_columns
@@ -53,30 +53,31 @@ from counterspin.reports.typography import typeset_block
 class PlotColumns:
     """Columns of a record, or of its fit, in SI."""
 
-    time: Array  #: s, increasing, shape (n,); rows without a time are left out.
-    #: Of the columns.
+    time: Array  #: Time, s, increasing, shape (n,); rows without a time are omitted.
+    #: Names and units of the columns.
     names: tuple[str, ...]
     units: tuple[str, ...]
-    values: tuple[Array, ...]  #: The columns, each of shape (n,); NaN where a cell is empty.
+    values: tuple[Array, ...]  #: Columns, each of shape (n,); NaN for empty cells.
 
 
-#: Most parts that a window is shown in.
-MAX_PARTS: Final = 4000
+#: Largest number of segments of a window.
+MAX_WINDOW_SEGMENTS: Final = 4000
 
-#: Records that are kept; each may have a million rows.
+#: Number of cached records; each may have a million rows.
 _MAX_RECORDS: Final = 4
-_RECORDS: Final = FileCache(_MAX_RECORDS)
+_RECORD_CACHE: Final = FileCache(_MAX_RECORDS)
 
 
 def record_overview(app: AppState, name: str, run: str, fit: bool = False) -> RecordAnswer:
-    """Return a record's columns, rows, first and last time, and its used part.
+    """Return columns, number of rows, first and last time, and used time range of a record.
 
-    fit: Return data and fit of each accelerometer as the columns, as in `begin_fit`;
-        None before that.
+    fit: Return data and fit of each accelerometer as columns; None before `begin_fit`.
     """
-    campaign, described_run = _find_run(app, name, run)
+    campaign, run_description = _find_run(app, name, run)
     try:
-        record = fitted_run(app, name, run) if fit else _cached_record(campaign, described_run)
+        record = (
+            get_fitted_run(app, name, run) if fit else _cached_record(campaign, run_description)
+        )
     except NotFoundError:
         return {"overview": None}
     overview: RecordOverview = {
@@ -88,8 +89,8 @@ def record_overview(app: AppState, name: str, run: str, fit: bool = False) -> Re
         "rows": len(record.time),
         "first": float(record.time[0]),
         "last": float(record.time[-1]),
-        "used": [limit if math.isfinite(limit) else None for limit in described_run.time_range],
-        "file": app.folder.name(described_run.record),
+        "used": [limit if math.isfinite(limit) else None for limit in run_description.time_range],
+        "file": app.folder.name(run_description.record),
     }
     return {"overview": overview}
 
@@ -103,40 +104,40 @@ def record_window(
     parts: int = 1000,
     fit: bool = False,
 ) -> RecordWindow:
-    """Return the values of a record between two times, row by row or as extremes of parts.
+    """Return the values of a record between two times: all rows, or extremes of segments.
 
     name, run: The campaign's folder, and the run.
     low, high: First and last time, s.
     fit: As in `record_overview`.
     """
-    record = fitted_run(app, name, run) if fit else _cached_record(*_find_run(app, name, run))
-    # One more on either side, so that lines leave the window.
+    record = get_fitted_run(app, name, run) if fit else _cached_record(*_find_run(app, name, run))
+    # Include one more row on either side, so that lines continue to the edges of the window.
     start = max(int(np.searchsorted(record.time, low)) - 1, 0)
     stop = int(np.searchsorted(record.time, high, side="right")) + 1
     stop = max(min(stop, len(record.time)), start)
-    parts = min(max(parts, 1), MAX_PARTS)
+    parts = min(max(parts, 1), MAX_WINDOW_SEGMENTS)
     if stop - start <= 2 * parts:
         columns = [values[start:stop] for values in record.values]
-        return _window_content(record.time[start:stop], columns, is_complete=True)
+        return _make_window(record.time[start:stop], columns, is_complete=True)
     edges = np.linspace(start, stop, parts + 1).astype(np.intp)
     starts, ends = record.time[edges[:-1]], record.time[edges[1:] - 1]
     time = np.stack([0.75 * starts + 0.25 * ends, 0.25 * starts + 0.75 * ends], axis=1).ravel()
-    columns = [min_and_max(values, edges).ravel() for values in record.values]
-    return _window_content(time, columns, is_complete=False)
+    columns = [segment_extremes(values, edges).ravel() for values in record.values]
+    return _make_window(time, columns, is_complete=False)
 
 
-def min_and_max(values: Array, edges: np.ndarray) -> Array:
-    """Return the least and the greatest value of each part, NaN for an empty part.
+def segment_extremes(values: Array, edges: np.ndarray) -> Array:
+    """Return minimum and maximum of each segment, shape (m, 2); NaN for empty segments.
 
     values: Shape (n,); NaN for missing values.
-    edges: The start of each part, and the end of the last; increasing; shape (m + 1,).
+    edges: Start indices of the segments, and end of the last; increasing; shape (m + 1,).
     """
-    used, starts = values[: edges[-1]], edges[:-1]
-    minimum, maximum = np.fmin.reduceat(used, starts), np.fmax.reduceat(used, starts)
+    used_values, starts = values[: edges[-1]], edges[:-1]
+    minimum, maximum = np.fmin.reduceat(used_values, starts), np.fmax.reduceat(used_values, starts)
     return np.stack([minimum, maximum], axis=1)
 
 
-def _window_content(time: Array, columns: list[Array], *, is_complete: bool) -> RecordWindow:
+def _make_window(time: Array, columns: list[Array], *, is_complete: bool) -> RecordWindow:
     return {
         "time": [float(f"{t:.10g}") for t in time],
         "columns": [[_round_for_screen(value) for value in column] for column in columns],
@@ -159,17 +160,17 @@ def _find_run(app: AppState, name: str, run: str) -> tuple[Campaign, Run]:
 
 def _cached_record(campaign: Campaign, run: Run) -> PlotColumns:
     files = [campaign.path, run.record]
-    return _RECORDS.get((campaign.path, run.name), files, lambda: _read_record(campaign, run))
+    return _RECORD_CACHE.get((campaign.path, run.name), files, lambda: _read_record(campaign, run))
 
 
 def _read_record(campaign: Campaign, run: Run) -> PlotColumns:
-    columns = record_columns(campaign, run)
-    specs, names, units = [columns.time], [], []
-    if columns.angle is not None:
-        specs.append(columns.angle)
-        names.append(columns.angle.name)
+    column_specs = record_columns(campaign, run)
+    specs, names, units = [column_specs.time], [], []
+    if column_specs.angle is not None:
+        specs.append(column_specs.angle)
+        names.append(column_specs.angle.name)
         units.append("rad")
-    for accelerometer, spec in columns.signals.items():
+    for accelerometer, spec in column_specs.signals.items():
         specs.append(spec)
         names.append(f"{accelerometer}: {spec.name}")
         units.append(OBSERVABLES[campaign.accelerometers[accelerometer].observable])
@@ -179,14 +180,14 @@ def _read_record(campaign: Campaign, run: Run) -> PlotColumns:
     if not len(valid_rows):
         raise CounterspinError(f"{run.record}: no row contains a time", code="no-rows")
     if len(valid_rows) < len(time) or np.any(np.diff(time) < 0.0):
-        # What runs backwards is refused by a calibration; here it is shown in the order of time.
+        # A calibration refuses decreasing times; the plot sorts them.
         valid_rows = valid_rows[np.argsort(time[valid_rows], kind="stable")]
         time, values = time[valid_rows], [column[valid_rows] for column in values]
     return PlotColumns(time, tuple(names), tuple(units), tuple(values))
 
 
 def check_run(app: AppState, name: str, run: str) -> RunCheck:
-    """Return the judgement of a run's record as HTML, whether it is good, and the command."""
+    """Return the check of a record as HTML, whether the record is good, and the command."""
     campaign = app.campaign(name)
     records = [candidate.record for candidate in campaign.runs if candidate.name == run]
     if not records:
@@ -201,21 +202,21 @@ def check_run(app: AppState, name: str, run: str) -> RunCheck:
 
 
 def watch_state(app: AppState, name: str, goal: str = "") -> LiveAnswer:
-    """Return the newest state of a campaign whose records grow, and the command.
+    """Return the newest state of a campaign during recording, and the command.
 
     name: The campaign's folder.
-    goal: Such as ``K_II 1e-8 g/g^2``; empty: none.
+    goal: Goal such as ``K_II 1e-8 g/g^2``; empty: none.
     """
     campaign = app.campaign(name)
-    resolve_goals(campaign, [goal] if goal else [])  # a mistake is told before anything is begun
-    newest = app.live.poll(campaign.path, goal)
-    if "error" in newest:
-        newest = {**newest, "error": app.folder.relative_paths(newest["error"])}
-    return {**newest, "command": watch_command(campaign.folder, goal)}
+    resolve_goals(campaign, [goal] if goal else [])  # raises an error for an invalid goal
+    state = app.live.poll(campaign.path, goal)
+    if "error" in state:
+        state = {**state, "error": app.folder.relative_paths(state["error"])}
+    return {**state, "command": watch_command(campaign.folder, goal)}
 
 
 def begin_fit(app: AppState, name: str) -> JobEntry:
-    """Start to fit a campaign's records for their pictures; return the job.
+    """Start to fit a campaign's records for plots; return the job.
 
     name: The campaign's folder.
     """
@@ -224,20 +225,20 @@ def begin_fit(app: AppState, name: str) -> JobEntry:
     command = calibrate_command(path.parent, path.parent / "result.json", "joint", None)
     _, store = app.cache.lookup(*_fit_cache_key(app, name))
 
-    def make(number: int) -> Job:
+    def make_job(number: int) -> Job:
         return Job(number, name, "", command, "fit")
 
-    return app.jobs.begin(make, run_fit, path, on_done=store).to_dict()
+    return app.jobs.begin(make_job, run_fit, path, on_done=store).to_dict()
 
 
-def fitted_run(app: AppState, name: str, run: str) -> PlotColumns:
-    """Return data and fit of a run, for each accelerometer; NotThereError before `begin_fit`."""
-    fitted: Mapping[str, PlotColumns] | None = app.cache.lookup(*_fit_cache_key(app, name))[0]
-    if fitted is None or run not in fitted:
+def get_fitted_run(app: AppState, name: str, run: str) -> PlotColumns:
+    """Return data and fit of a run for each accelerometer; NotFoundError before `begin_fit`."""
+    fitted_runs: Mapping[str, PlotColumns] | None = app.cache.lookup(*_fit_cache_key(app, name))[0]
+    if fitted_runs is None or run not in fitted_runs:
         raise NotFoundError(
             f"{name}: the records of {run} have changed or have not been fitted yet"
         )
-    return fitted[run]
+    return fitted_runs[run]
 
 
 def _fit_cache_key(app: AppState, name: str) -> tuple[tuple[str, Path], list[Path]]:
@@ -246,9 +247,9 @@ def _fit_cache_key(app: AppState, name: str) -> tuple[tuple[str, Path], list[Pat
 
 
 def run_fit(connection: Connection, campaign: Path) -> None:
-    """Fit a campaign's records; report to `connection` as `report_progress` does."""
+    """Fit a campaign's records; report to `connection` as in `report_progress`."""
 
-    def work(_: Progress) -> dict[str, PlotColumns]:
+    def work(_: ProgressCallback) -> dict[str, PlotColumns]:
         from counterspin.calibration.joint import estimate_campaign
         from counterspin.calibration.joint_problem import JointProblem
         from counterspin.calibration.observed_runs import add_recorded_conditions, observe
@@ -264,7 +265,7 @@ def run_fit(connection: Connection, campaign: Path) -> None:
             for prepared, residuals in zip(fit.design_blocks, fit.residuals, strict=True):
                 series = prepared.series
                 detrended = subtract_polynomial(series.time, series.error, series.order)
-                # The same polynomial is taken from both: their difference is the residual.
+                # The same polynomial is subtracted from both, so their difference is the residual.
                 runs.setdefault(series.run, []).append(
                     (
                         series.accelerometer,
@@ -280,9 +281,9 @@ def run_fit(connection: Connection, campaign: Path) -> None:
 
 
 def subtract_polynomial(time: Array, values: Array, degree: int) -> Array:
-    """Return values minus their best polynomial, of the degree of the bias's effect."""
-    scaled = time / max(float(np.max(np.abs(time))), 1e-300)
-    powers = np.vander(scaled, degree + 1)
+    """Return values minus their least-squares polynomial."""
+    scaled_time = time / max(float(np.max(np.abs(time))), 1e-300)
+    powers = np.vander(scaled_time, degree + 1)
     return np.asarray(values - powers @ np.linalg.lstsq(powers, values, rcond=None)[0])
 
 
@@ -303,7 +304,7 @@ def _merge_columns(run_data: list[tuple[str, str, Array, Array, Array]]) -> Plot
     return PlotColumns(time, tuple(names), tuple(units), tuple(values))
 
 
-#: Where a study of a campaign is kept, in its folder.
+#: File name of a study in the campaign folder.
 STUDY_NAME: Final = "study.json"
 
 
@@ -326,8 +327,8 @@ def begin_study(app: AppState, name: str, trials: int) -> JobEntry:
     return app.jobs.begin(make_job, run_study, path, target, trials).to_dict()
 
 
-def study_duration(app: AppState, name: str) -> DurationAnswer:
-    """Return the expected duration of a study on one processor core, or the job that estimates it.
+def get_study_duration(app: AppState, name: str) -> DurationAnswer:
+    """Return the expected duration of a study on one core, or the job that estimates it.
 
     name: The campaign's folder.
     """
@@ -356,9 +357,9 @@ def study_duration(app: AppState, name: str) -> DurationAnswer:
 
 
 def run_duration_estimate(connection: Connection, campaign: Path) -> None:
-    """Estimate the duration of a study; report to `connection` as `report_progress` does."""
+    """Estimate the duration of a study; report to `connection` as in `report_progress`."""
 
-    def work(_: Progress) -> Any:
+    def work(_: ProgressCallback) -> Any:
         from counterspin.studies.study import estimate_duration
 
         return estimate_duration(campaign)
@@ -367,9 +368,9 @@ def run_duration_estimate(connection: Connection, campaign: Path) -> None:
 
 
 def run_study(connection: Connection, campaign: Path, output: Path, trials: int) -> None:
-    """Study a campaign and write its result; report to `connection` as `report_progress` does."""
+    """Study a campaign and write the result; report to `connection` as in `report_progress`."""
 
-    def work(progress: Progress) -> None:
+    def work(progress: ProgressCallback) -> None:
         from counterspin.output import check_writable
         from counterspin.studies.result import StudyResult
         from counterspin.studies.study import study
@@ -381,7 +382,7 @@ def run_study(connection: Connection, campaign: Path, output: Path, trials: int)
 
 
 def begin_simulation(app: AppState, name: str, folder: str) -> JobEntry:
-    """Start to make the records of a campaign, in another folder; return the job.
+    """Start to simulate the records of a campaign in another folder; return the job.
 
     name: The campaign's folder.
     """
@@ -402,9 +403,9 @@ def begin_simulation(app: AppState, name: str, folder: str) -> JobEntry:
 
 
 def run_simulation(connection: Connection, campaign: Path, folder: Path) -> None:
-    """Make a campaign's records in a folder; report to `connection` as `report_progress` does."""
+    """Simulate a campaign's records in a folder; report as in `report_progress`."""
 
-    def work(progress: Progress) -> None:
+    def work(progress: ProgressCallback) -> None:
         from counterspin.simulation.simulate import simulate
 
         simulate(campaign, folder, progress=progress)

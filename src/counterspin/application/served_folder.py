@@ -1,7 +1,7 @@
-"""The files of the served folder, and no others.
+"""Access to the files of the served folder only.
 
-No name leads out of the folder: not by ``..``, not as an absolute name, not by a link. Hidden
-files, including temporary ones, are excluded.
+Names that lead out of the folder by ``..``, as absolute paths or through links are refused. Hidden
+files, including temporary files, are excluded.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from counterspin.frozen import frozen
 from counterspin.input import read_file
 from counterspin.output import make_folder, write_atomically
 
-#: Folders within folders that are looked into, and most folders in all.
+#: Largest depth and number of searched folders.
 _MAX_DEPTH: Final = 5
 _MAX_FOLDERS: Final = 2000
 
-#: Most folders of a name; each of thousands would be looked up through all above it.
+#: Largest number of parts of a name; resolving thousands of parts would take too long.
 _MAX_PATH_PARTS: Final = 30
 
-#: Most bytes of a text that is shown to be edited.
+#: Largest size of a text file in the editor, in bytes.
 TEXT_MAX_BYTES: Final = 1_000_000
 
-#: Version of a file that is not there.
+#: Version of a missing file.
 NO_FILE_VERSION: Final = ""
 
 
@@ -40,7 +40,7 @@ class RequestError(CounterspinError):
 
 
 class PathForbiddenError(CounterspinError):
-    """The error for a name that leads out of the folder, or is not a file's name."""
+    """The error for a name outside the folder, or an invalid name."""
 
     code = "path-forbidden"
 
@@ -52,7 +52,7 @@ class NotFoundError(CounterspinError):
 
 
 class EditConflictError(CounterspinError):
-    """The error for a file that changed since its editor read it; `now` is its present content."""
+    """The error for a file that changed since it was read; `current` is its current version."""
 
     code = "edit-conflict"
 
@@ -66,7 +66,7 @@ class EditConflictError(CounterspinError):
 
 @frozen
 class FileVersion:
-    """A text and its SHA-256; both are empty without a file."""
+    """The text of a file and its SHA-256; both are empty if the file does not exist."""
 
     text: str
     version: str
@@ -75,29 +75,29 @@ class FileVersion:
 class ServedFolder:
     """The served folder.
 
-    root: The folder; CounterspinError if it is not one.
+    root: Path of the folder; CounterspinError if it is not a folder.
     """
 
     def __init__(self, root: Path) -> None:
         if not root.is_dir():
-            kind = "is a file, not a folder" if root.exists() else "folder not found"
+            problem = "is a file, not a folder" if root.exists() else "folder not found"
             raise CounterspinError(
-                f"{root}: {kind}; give the folder that contains the campaigns",
+                f"{root}: {problem}; give the folder that contains the campaigns",
                 code="file-not-found",
             )
         self.root = root.resolve()
         self._write_lock = threading.Lock()
 
     def path(self, name: str) -> Path:
-        """Return the path of a name; OutsideError if it is out of the folder.
+        """Return the path of a name; PathForbiddenError if it is outside the folder.
 
-        name: Relative to the folder, with slashes; empty: the folder itself.
+        name: Name relative to the folder, with slashes; empty: the folder itself.
         """
         parts = PurePosixPath(name).parts
         if len(parts) > _MAX_PATH_PARTS:
             raise PathForbiddenError(f"{name!r} has more than {_MAX_PATH_PARTS} folder levels")
-        is_hidden = any(not part or part[0] == "." or part[-1] in ". " for part in parts)
-        if is_hidden or name.startswith("/") or any(c in name for c in "\\:\0\n\r"):
+        has_hidden_part = any(not part or part[0] == "." or part[-1] in ". " for part in parts)
+        if has_hidden_part or name.startswith("/") or any(c in name for c in "\\:\0\n\r"):
             raise PathForbiddenError(f"{name!r} is not a valid file name in this folder")
         path = self.root.joinpath(*parts)
         if not self.contains(path):
@@ -109,23 +109,23 @@ class ServedFolder:
         try:
             return path.resolve().is_relative_to(self.root)
         except (OSError, RuntimeError, ValueError):
-            return False  # a link to itself, a name that is too long
+            return False  # a circular link, or a name that is too long
 
     def contains_named(self, folder: Path, name: str) -> bool:
-        """Return whether a text, as a file's name relative to a document, stays in the folder.
+        """Return whether a text, as a path relative to a document, stays in the folder.
 
-        folder: The document's, in the served folder.
+        folder: Folder of the document, in the served folder.
         """
         parts = PurePath(name).parts
         if not parts:
             return True
         stays_below = ".." not in parts and not PurePath(name).is_absolute()
         if stays_below and not os.path.lexists(folder / parts[0]):
-            return True  # no link leads on from there
+            return True  # the path does not exist, so it contains no links
         return self.contains(folder / name)
 
     def name(self, path: Path) -> str:
-        """Return a path's name within the folder; a path outside is unchanged."""
+        """Return the name of a path relative to the folder; a path outside is unchanged."""
         try:
             name = path.relative_to(self.root).as_posix()
         except ValueError:
@@ -133,13 +133,13 @@ class ServedFolder:
         return "" if name == "." else name
 
     def relative_paths(self, message: str) -> str:
-        """Return a message with names within the folder instead of whole paths."""
+        """Return a message with paths relative to the folder."""
         return message.replace(f"{self.root}{os.sep}", "").replace(str(self.root), "this folder")
 
     def folders(self) -> Iterator[tuple[Path, list[str]]]:
-        """Yield the folder and those in it, each with the names of its files, sorted.
+        """Yield the folder and its subfolders, each with its sorted file names.
 
-        Neither hidden ones nor links to folders are followed.
+        Hidden folders and links to folders are not followed.
         """
         for directory, folders, files in islice(os.walk(self.root), _MAX_FOLDERS):
             path = Path(directory)
@@ -148,7 +148,7 @@ class ServedFolder:
             yield path, sorted(name for name in files if name[0] != ".")
 
     def read(self, name: str, max_bytes: int = TEXT_MAX_BYTES) -> FileVersion:
-        """Return a file's text and version; an empty one without a file."""
+        """Return text and version of a file; both are empty if the file does not exist."""
         path = self.path(name)
         try:
             content = read_file(path, max_bytes)
@@ -163,13 +163,13 @@ class ServedFolder:
             ) from error
 
     def write(self, name: str, text: str, edited_version: str) -> FileVersion:
-        """Write a text atomically if the file has not changed since its editor read it.
+        """Write a text atomically; EditConflictError if the file has changed since it was read.
 
-        edited_version: The version that was edited; empty: there was no file.
+        edited_version: Version that was edited; empty: a new file.
         """
         path = self.path(name)
         try:
-            data = text.encode("utf-8")
+            content = text.encode("utf-8")
         except UnicodeEncodeError as error:
             raise CounterspinError(
                 f"{name}: the content is not valid text", code="wrong-encoding"
@@ -181,7 +181,7 @@ class ServedFolder:
             make_folder(path.parent)
             write_atomically(
                 path,
-                lambda part: part.write_bytes(data),
+                lambda partial_file: partial_file.write_bytes(content),
                 overwrite=edited_version != NO_FILE_VERSION,
             )
-        return FileVersion(text, hashlib.sha256(data).hexdigest())
+        return FileVersion(text, hashlib.sha256(content).hexdigest())

@@ -1,7 +1,7 @@
-"""`counterspin serve`: a folder as a page for this machine only.
+"""`counterspin serve`: web server of the application, reachable from this machine only.
 
-Every user of this machine can connect. Therefore connections are limited in number, and requests
-without the key in time (a few seconds) and in size.
+Every user of this machine can connect. Therefore the number of connections is limited, and time and
+size of requests without the key.
 """
 
 from __future__ import annotations
@@ -56,32 +56,34 @@ from counterspin.certificates.signers import command_signer
 from counterspin.errors import CounterspinError
 from counterspin.temporary_folders import temporary_folder
 
-#: How long the head of a request may take to arrive, s.
-HEAD_SECONDS: Final = 5.0
+#: Timeout for receiving the head of a request, s.
+HEAD_TIMEOUT: Final = 5.0
 
-#: Most bytes of the head of a request.
-_HEAD_BYTES: Final = 1 << 14
+#: Largest size of the head of a request, in bytes.
+_MAX_HEAD_BYTES: Final = 1 << 14
 
-#: Most connections; a machine gives a process 256 descriptors or more.
+#: Largest number of connections; a process has at least 256 file descriptors.
 _MAX_CONNECTIONS: Final = 128
 
-#: Connections that the system keeps waiting, and that are accepted in one turn.
+#: Length of the queue of pending connections.
 _BACKLOG: Final = 64
 
 
-class Connection(H11Protocol):
-    """A connection that is closed if the head of a request does not arrive in time."""
+class TimedConnection(H11Protocol):
+    """A connection that is closed if the head of a request is not received in time."""
 
     _end: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Register a connection; close the one that has waited longest if there are too many."""
+        """Register a connection; if there are too many, close the one that has waited longest."""
         super().connection_made(transport)
         self._limit_time()
-        made = [c for c in self.connections if isinstance(c, Connection)]
-        timers = [c for c in made if c._end is not None and not c.transport.is_closing()]
-        if len(made) > _MAX_CONNECTIONS and timers:
-            min(timers, key=Connection._deadline).transport.abort()
+        connections = [c for c in self.connections if isinstance(c, TimedConnection)]
+        waiting_connections = [
+            c for c in connections if c._end is not None and not c.transport.is_closing()
+        ]
+        if len(connections) > _MAX_CONNECTIONS and waiting_connections:
+            min(waiting_connections, key=TimedConnection._deadline).transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Unregister a closed connection."""
@@ -89,7 +91,7 @@ class Connection(H11Protocol):
         self._stop_timer()
 
     def data_received(self, data: bytes) -> None:
-        """Process bytes; close the connection if they follow an answer and are not HTTP."""
+        """Process received data; close the connection on a protocol error."""
         try:
             super().data_received(data)
         except h11.LocalProtocolError:
@@ -103,7 +105,7 @@ class Connection(H11Protocol):
         if self.conn.their_state is not h11.IDLE:
             self._stop_timer()
         elif self._end is None:
-            self._end = self.loop.call_later(HEAD_SECONDS, self.transport.abort)
+            self._end = self.loop.call_later(HEAD_TIMEOUT, self.transport.abort)
 
     def _stop_timer(self) -> None:
         if self._end is not None:
@@ -112,15 +114,15 @@ class Connection(H11Protocol):
 
 
 #: Prefix of the temporary folder of a server.
-_PREFIX: Final = "counterspin-serve-"
+_FOLDER_PREFIX: Final = "counterspin-serve-"
 
-#: This machine, and no other.
+#: Loopback address.
 _ADDRESS: Final = "127.0.0.1"
 
-#: How long what is being loaded is waited for at the end, s.
+#: Timeout for the end of preloading, s.
 _LOADING_TIMEOUT: Final = 30.0
 
-#: Endings of the page's own files -> what they are.
+#: Suffix of the page's files -> media type.
 _MEDIA_TYPES: Final = {
     ".css": "text/css; charset=utf-8",
     ".html": "text/html; charset=utf-8",
@@ -130,7 +132,7 @@ _MEDIA_TYPES: Final = {
 
 
 def make_application(app: AppState, credentials: Credentials) -> Starlette:
-    """Return the application that answers requests for a folder."""
+    """Return the ASGI application for a folder."""
 
     async def session(request: Request) -> Response:
         try:
@@ -139,16 +141,16 @@ def make_application(app: AppState, credentials: Credentials) -> Starlette:
         except (ValueError, KeyError, TypeError, RecursionError):
             key = None
         if key is None:
-            why = (
+            reason = (
                 "This link has already been used, or it belongs to another server. Open the "
                 "most recent link shown in the terminal."
             )
-            return JSONResponse({"error": why}, 403)
+            return JSONResponse({"error": reason}, 403)
         if credentials.on_token_used is not None:
             await run_in_threadpool(credentials.on_token_used, credentials.link)
         return JSONResponse({"key": key})
 
-    async def asked(request: Request) -> Response:
+    async def api_request(request: Request) -> Response:
         payload: Any = (
             dict(request.query_params) if request.method == "GET" else await request.body()
         )
@@ -201,25 +203,25 @@ def make_application(app: AppState, credentials: Credentials) -> Starlette:
         yield
         await run_in_threadpool(app.close)
 
-    served = Starlette(
+    application = Starlette(
         routes=[
             Route(SESSION_PATH, session, methods=["POST"]),
             Route(FILES_PATH, files, methods=["POST"]),
             Route(f"{TICKET_PATH}{{ticket}}", ticket),
-            Route("/api/{name}", asked, methods=["GET", "POST", "PUT", "DELETE"]),
+            Route("/api/{name}", api_request, methods=["GET", "POST", "PUT", "DELETE"]),
             Route("/", page),
             Route("/assets/{file}", page),
         ],
         middleware=[Middleware(AccessControl, credentials=credentials)],
         lifespan=lifespan,
     )
-    # An address with a slash too many is no other page's.
-    served.router.redirect_slashes = False
-    return served
+    # Do not redirect addresses with an additional slash.
+    application.router.redirect_slashes = False
+    return application
 
 
 def _log_unexpected(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Log unforeseen errors, except a connection that the system refuses."""
+    """Log unexpected errors, except those of the operating system."""
     if not isinstance(context.get("exception"), OSError):
         loop.default_exception_handler(context)
 
@@ -237,7 +239,7 @@ def _to_starlette(response: ApiResponse) -> Response:
 
 @lru_cache(maxsize=100)
 def _static_file(name: str) -> Response:
-    """Return a file of the page: our own, or the reports'."""
+    """Return a static file of the page, or a style or script of the reports."""
     from counterspin.reports.html import page_script, page_style
 
     generated: dict[str, Callable[[], str]] = {"report.css": page_style, "report.js": page_script}
@@ -247,7 +249,7 @@ def _static_file(name: str) -> Response:
     if name in generated:
         return Response(generated[name](), media_type=media_type)
     assets = resources.files("counterspin.application") / "assets"
-    # Found among those that there are: what is asked for is never made a path.
+    # The name is compared with existing files and never used as a path.
     file = next((candidate for candidate in assets.iterdir() if candidate.name == name), None)
     if file is None:
         return JSONResponse({"error": "This page does not exist."}, 404)
@@ -260,13 +262,13 @@ def serve(
     port: int = 0,
     browser: bool = True,
     signing: tuple[str, Path] | None = None,
-    say: Callable[[str], None] = print,
+    print_line: Callable[[str], None] = print,
 ) -> None:
-    """Serve a folder to this machine's browser until Ctrl-C.
+    """Serve a folder to browsers on this machine until Ctrl-C.
 
-    port: Where to listen; 0: any free port.
-    browser: Open the page.
-    signing: A command that signs, and the certificate of its key, for certificates of the page.
+    port: Port to listen on; 0: any free port.
+    browser: Whether to open the page.
+    signing: Signing command for certificates, and certificate of its key.
     """
     if signing is None:
         app = AppState(ServedFolder(folder))
@@ -274,55 +276,58 @@ def serve(
         command, cert = signing
         options = {"signer": command, "cert": str(cert)}
         app = AppState(ServedFolder(folder), command_signer(command, cert), options)
-    private = _private_folder()
-    campaign_files.remove_abandoned_folders_in(app.folder)
-    with open_listener(port) as listener, temporary_folder(_PREFIX, private) as link_folder:
+    private_parent = _private_folder()
+    campaign_files.remove_remnants(app.folder)
+    with (
+        open_listener(port) as listener,
+        temporary_folder(_FOLDER_PREFIX, private_parent) as link_folder,
+    ):
 
         def print_link(link: str) -> None:
-            say(
+            print_line(
                 "This link has been used. Each link works only once. Link for another browser "
                 "or window:"
             )
-            say(f"  {link}")
+            print_line(f"  {link}")
 
         credentials = Credentials(listener.getsockname()[1], on_token_used=print_link)
-        say(f"The folder {folder} is served to this machine only. Ctrl-C stops the server.")
-        say(f"  {credentials.link}")
+        print_line(f"The folder {folder} is served to this machine only. Ctrl-C stops the server.")
+        print_line(f"  {credentials.link}")
         if browser:
-            opening = threading.Timer(
+            browser_timer = threading.Timer(
                 0.3, webbrowser.open, [_write_redirect(link_folder, credentials.link)]
             )
-            opening.daemon = True
-            opening.start()
+            browser_timer.daemon = True
+            browser_timer.start()
         has_ended = threading.Event()
-        loading = threading.Thread(target=_preload, args=(app, has_ended), daemon=True)
-        loading.start()
-        # Having ended, uvicorn sends itself the signal again; what is left is to be removed first.
+        preload_thread = threading.Thread(target=_preload, args=(app, has_ended), daemon=True)
+        preload_thread.start()
+        # uvicorn raises the signal again at its end, but temporary files must be removed first.
         previous_handler = signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
             with suppress(KeyboardInterrupt):
                 make_server(app, credentials).run(sockets=[listener])
         finally:
             signal.signal(signal.SIGTERM, previous_handler)
-            # Python aborts where it ends in the middle of an import of a library in C++.
+            # Python aborts if it ends during the import of a C++ library.
             has_ended.set()
-            loading.join(_LOADING_TIMEOUT)
-    say("Server stopped.")
+            preload_thread.join(_LOADING_TIMEOUT)
+    print_line("Server stopped.")
 
 
 def _private_folder() -> Path:
-    """Return the folder in which a private folder is made.
+    """Return the parent folder for a private folder.
 
-    Windows ignores the rights that a file is made with, and TEMP may be a folder that all share.
+    Windows ignores file permissions, and TEMP may be shared by all users.
     """
-    private = os.environ.get("LOCALAPPDATA") if sys.platform == "win32" else None
-    return Path(private or tempfile.gettempdir())
+    local_folder = os.environ.get("LOCALAPPDATA") if sys.platform == "win32" else None
+    return Path(local_folder or tempfile.gettempdir())
 
 
 def _write_redirect(folder: Path, link: str) -> str:
-    """Return the address of a file that leads to a link, which only its owner can read.
+    """Write a file that redirects to a link, readable by its owner only; return its address.
 
-    The address that a browser opens is in the machine's list of processes, which all can see.
+    The address that a browser opens is visible in the list of processes; the link must not be.
     """
     file, escaped_link = folder / "open.html", escape(link)
     file.touch(0o600, exist_ok=False)
@@ -337,9 +342,9 @@ def _write_redirect(folder: Path, link: str) -> str:
 
 
 def _preload(app: AppState, has_ended: threading.Event) -> None:
-    """Load the modules for the first records, words and pictures before any request.
+    """Load modules before the first request.
 
-    Drawing and writing once fills the caches of fonts and templates.
+    Drawing a picture and rendering a page fills the caches of fonts and templates.
     """
     pages = "counterspin.calibration.pages.document"
     for name in ("polars", "scipy.special", "counterspin.calibration.observed_runs", pages):
@@ -357,13 +362,13 @@ def _preload(app: AppState, has_ended: threading.Event) -> None:
 
 
 def make_server(app: AppState, credentials: Credentials) -> uvicorn.Server:
-    """Return the server of a folder, to be run with a listening socket."""
+    """Return the server of a folder, for a listening socket."""
     config = uvicorn.Config(
         make_application(app, credentials),
-        http=Connection,
+        http=TimedConnection,
         backlog=_BACKLOG,
-        h11_max_incomplete_event_size=_HEAD_BYTES,
-        # What goes wrong is answered. That a request's end was no HTTP is nothing to be told.
+        h11_max_incomplete_event_size=_MAX_HEAD_BYTES,
+        # Errors are returned in responses; protocol errors are not logged.
         log_level="critical",
         access_log=False,
         server_header=False,
@@ -375,10 +380,10 @@ def make_server(app: AppState, credentials: Credentials) -> uvicorn.Server:
 
 
 def open_listener(port: int) -> socket.socket:
-    """Return a socket that listens to this machine only; CounterspinError if unavailable."""
+    """Return a socket that listens on the loopback interface; CounterspinError if unavailable."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
-        if sys.platform == "win32":  # where another process may take a port that is reused
+        if sys.platform == "win32":  # SO_REUSEADDR would let another process take the port
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
         else:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -1,4 +1,4 @@
-"""The uncertainty with better inputs: priors, further runs, and campaigns prepared for them."""
+"""The uncertainty with better priors or further runs, and campaigns prepared for them."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from counterspin.application.answers import (
     WhatIfAnswer,
 )
 from counterspin.application.app_state import AppState
-from counterspin.application.campaign_files import copy_campaign, free_name
+from counterspin.application.campaign_files import copy_campaign, find_free_name
 from counterspin.application.commands import forecast_command
 from counterspin.application.editing import parse_campaign_text, set_value
-from counterspin.application.jobs import Job, Progress, report_progress
+from counterspin.application.jobs import Job, ProgressCallback, report_progress
 from counterspin.application.served_folder import NotFoundError
 from counterspin.calibration.pages.uncertainty import IMPROVEMENT_FACTOR
 from counterspin.calibration.result import Result
@@ -43,10 +43,10 @@ from counterspin.planning.recorded import SuggestedRuns
 from counterspin.reports.numbers import find_display_unit, format_number, format_uncertainty
 from counterspin.reports.typography import typeset
 
-#: Sources that a page has room for.
+#: Largest number of sources on a page.
 _MAX_SOURCES: Final = 6
 
-#: A way that leaves more than this part of the uncertainty is none.
+#: Largest ratio of the remaining to the current uncertainty of a useful improvement.
 _MAX_REMAINING_FRACTION: Final = 0.95
 
 
@@ -55,11 +55,11 @@ def what_if(
 ) -> WhatIfAnswer:
     """Return u of the first requested coefficient, and its budget.
 
-    name: The result's file.
-    known: Source -> its standard uncertainty, SI or g-units; others stay as they are.
+    name: The result file.
+    known: Source -> new standard uncertainty, SI or g-units; other sources are unchanged.
     """
-    result_part = _accelerometer_result(app.result(name), accelerometer)
-    symbol, update = _requested_update(result_part)
+    accelerometer_result = _require_accelerometer(app.result(name), accelerometer)
+    symbol, update = _require_update(accelerometer_result)
     try:
         variances = update.parts(symbol, known or {})
     except ValueError as error:
@@ -72,7 +72,7 @@ def what_if(
     return {
         "symbol": symbol,
         "u": u,
-        "text": _format_u(u, result_part.coefficients[symbol].unit),
+        "text": _format_u(u, accelerometer_result.coefficients[symbol].unit),
         "sources": [
             {
                 "name": source,
@@ -88,14 +88,14 @@ def what_if(
 
 
 def improvements(app: AppState, name: str, result: str) -> Improvements:
-    """Return for each accelerometer the cheapest known ways to a smaller uncertainty.
+    """Return the most effective known improvements of each accelerometer.
 
     name: The campaign's folder.
-    result: The result's file.
+    result: The result file.
     """
-    suggestions = _search_results(app, name)
+    suggestions = _get_search_results(app, name)
     entries: list[Improvement] = []
-    for owner, result_part in app.result(result).accelerometers.items():
+    for owner, accelerometer_result in app.result(result).accelerometers.items():
         best_prior = next(_prior_improvements(app.result(result), owner), None)
         if best_prior is None:
             continue
@@ -105,7 +105,7 @@ def improvements(app: AppState, name: str, result: str) -> Improvements:
                 "stated": best_prior,
                 "runs": None
                 if suggestions is None
-                else _run_improvement(suggestions.get(owner), result_part),
+                else _run_improvement(suggestions.get(owner), accelerometer_result),
             }
         )
     return {
@@ -116,7 +116,7 @@ def improvements(app: AppState, name: str, result: str) -> Improvements:
 
 
 def _has_records(app: AppState, name: str) -> bool:
-    """Return whether a campaign can be read, and has runs that further runs can follow."""
+    """Return whether a campaign can be read and has runs."""
     try:
         return bool(app.campaign(name).runs)
     except CounterspinError:
@@ -124,12 +124,15 @@ def _has_records(app: AppState, name: str) -> bool:
 
 
 def _prior_improvements(result: Result, owner: str) -> Iterator[PriorImprovement]:
-    """Yield the priors that may be stated, the one with the smallest remaining u first."""
-    result_part = _accelerometer_result(result, owner)
-    if result_part.what_if is None or not _requested_symbol(result_part):
+    """Yield possible improvements of priors, in ascending order of the remaining u."""
+    accelerometer_result = _require_accelerometer(result, owner)
+    if accelerometer_result.what_if is None or not _requested_symbol(accelerometer_result):
         return
-    symbol, update = _requested_update(result_part)
-    unit, lines = result_part.coefficients[symbol].unit, result_part.budget[symbol]
+    symbol, update = _require_update(accelerometer_result)
+    unit, lines = (
+        accelerometer_result.coefficients[symbol].unit,
+        accelerometer_result.budget[symbol],
+    )
     current_u = update.u(symbol, {})
     remaining_u = {}
     for line in lines:
@@ -154,16 +157,16 @@ def _prior_improvements(result: Result, owner: str) -> Iterator[PriorImprovement
 
 
 def _is_prior(source: str) -> bool:
-    """Return whether [model.priors] states a source; inputs have other keys."""
+    """Return whether a source can be stated in [model.priors]; inputs have other keys."""
     return is_term(source) and source not in INPUTS
 
 
 def _run_improvement(
-    suggestion: SuggestedRuns | None, result_part: AccelerometerResult
+    suggestion: SuggestedRuns | None, accelerometer_result: AccelerometerResult
 ) -> RunImprovement | None:
     if suggestion is None:
         return None
-    unit = result_part.coefficients[_requested_update(result_part)[0]].unit
+    unit = accelerometer_result.coefficients[_require_update(accelerometer_result)[0]].unit
     return {
         "attitude": suggestion.attitude,
         "count": len(suggestion.runs),
@@ -179,40 +182,40 @@ def begin_search(app: AppState, name: str) -> JobEntry:
     campaign = app.campaign(name)
     _, store = app.cache.lookup(("ways", path), [path, *(run.record for run in campaign.runs)])
 
-    def make(number: int) -> Job:
+    def make_job(number: int) -> Job:
         return Job(number, name, "", forecast_command(path.parent), "forecast")
 
-    return app.jobs.begin(make, run_search, path, on_done=store).to_dict()
+    return app.jobs.begin(make_job, run_search, path, on_done=store).to_dict()
 
 
 def run_search(connection: Connection, campaign: Path) -> None:
-    """Search for helpful runs; report to `connection` as `report_progress` does."""
+    """Search for helpful runs; report to `connection` as in `report_progress`."""
 
-    def work(progress: Progress) -> dict[str, SuggestedRuns | None]:
+    def work(progress: ProgressCallback) -> dict[str, SuggestedRuns | None]:
         from counterspin.calibration.observed_runs import add_recorded_conditions
         from counterspin.campaign.description import read_campaign
         from counterspin.planning.recorded import observe_with_noise, suggest_runs
 
-        campaign_conditions = add_recorded_conditions(read_campaign(campaign))
-        observed, noise = observe_with_noise(campaign_conditions)
+        recorded_campaign = add_recorded_conditions(read_campaign(campaign))
+        observed, noise = observe_with_noise(recorded_campaign)
         suggestions = {}
-        for index, owner in enumerate(campaign_conditions.accelerometers):
-            progress(index, len(campaign_conditions.accelerometers))
+        for index, owner in enumerate(recorded_campaign.accelerometers):
+            progress(index, len(recorded_campaign.accelerometers))
             symbol = (
                 "K_II"
-                if "K_II" in campaign_conditions.model.terms
-                else campaign_conditions.model.terms[0]
+                if "K_II" in recorded_campaign.model.terms
+                else recorded_campaign.model.terms[0]
             )
             suggestions[owner] = suggest_runs(
-                campaign_conditions, observed, noise, f"{owner}.{symbol}"
+                recorded_campaign, observed, noise, f"{owner}.{symbol}"
             )
         return suggestions
 
     report_progress(connection, work)
 
 
-def _search_results(app: AppState, name: str) -> dict[str, SuggestedRuns | None] | None:
-    """Return the results of the search by accelerometer; None without a search."""
+def _get_search_results(app: AppState, name: str) -> dict[str, SuggestedRuns | None] | None:
+    """Return the results of the search by accelerometer; None before the search."""
     path = app.description(name)
     try:
         files = [path, *(run.record for run in app.campaign(name).runs)]
@@ -225,39 +228,39 @@ def _search_results(app: AppState, name: str) -> dict[str, SuggestedRuns | None]
 def apply_improvement(
     app: AppState, name: str, result: str, accelerometer: str, way: Literal["state", "runs"]
 ) -> PreparedCopy:
-    """Copy a campaign and write a way to a smaller uncertainty into the copy; return its name.
+    """Copy a campaign and add an improvement to the copy; return the name of the copy.
 
-    The answer's ``key`` is that of the value to be replaced, or None.
+    The ``key`` of the response is that of the value to be replaced by the user, or None.
 
     name: The campaign's folder.
-    result: The result's file.
-    way: A prior, whose value is to be replaced by a measured one; or runs to be recorded.
+    result: The result file.
+    way: "state": add a prior, whose value must be replaced; "runs": add runs to be recorded.
     """
     source = app.description(name)
     description_text = app.folder.read(app.folder.name(source))
     text, key = description_text.text, None
     if way == "state":
-        prior, suffix = _best_prior(app.result(result), accelerometer)
+        prior, suffix = _find_best_prior(app.result(result), accelerometer)
         text = set_value(text, ["model", "priors", prior[0]], prior[1])
         key = format_key_path(("model", "priors", prior[0]))
     else:
-        suggestion = (_search_results(app, name) or {}).get(accelerometer)
+        suggestion = (_get_search_results(app, name) or {}).get(accelerometer)
         if suggestion is None:
             raise NotFoundError(
                 f"{accelerometer}: no additional runs have been found; start the search first"
             )
-        run_count, suffix = len(load_document(source).get("runs", [])), "further-runs"
+        n_runs, suffix = len(load_document(source).get("runs", [])), "further-runs"
         for index, run in enumerate(suggestion.runs):
-            text = set_value(text, ["runs", run_count + index], run)
+            text = set_value(text, ["runs", n_runs + index], run)
     if problems := parse_campaign_text(app, source, text).problems:
         raise CounterspinError(": ".join(problems[0]), code="invalid-value")
-    copy = copy_campaign(app, name, free_name(app, f"{name}-{suffix}"))["name"]
+    copy = copy_campaign(app, name, find_free_name(app, f"{name}-{suffix}"))["name"]
     app.folder.write(f"{copy}/{DESCRIPTION_NAME}", text, description_text.version)
     return {"name": copy, "key": key}
 
 
-def _best_prior(result: Result, accelerometer: str) -> tuple[tuple[str, str], str]:
-    """Return the key and the text of the most helpful prior, and its term."""
+def _find_best_prior(result: Result, accelerometer: str) -> tuple[tuple[str, str], str]:
+    """Return key and text of the most effective prior, and its term."""
     improvement = next(_prior_improvements(result, accelerometer), None)
     if improvement is None:
         raise NotFoundError(
@@ -266,7 +269,7 @@ def _best_prior(result: Result, accelerometer: str) -> tuple[tuple[str, str], st
         )
     source, (_, update) = (
         improvement["source"],
-        _requested_update(_accelerometer_result(result, accelerometer)),
+        _require_update(_require_accelerometer(result, accelerometer)),
     )
     symbol = find_symbol(source)
     row = term(symbol)
@@ -275,31 +278,31 @@ def _best_prior(result: Result, accelerometer: str) -> tuple[tuple[str, str], st
     return (key, f"{row.nominal:g} ± {prior_u:.2g} {row.unit}"), symbol
 
 
-def _accelerometer_result(result: Result, name: str) -> AccelerometerResult:
+def _require_accelerometer(result: Result, name: str) -> AccelerometerResult:
     if name not in result.accelerometers:
         raise NotFoundError(f"the result has no accelerometer {name!r}")
     return result.accelerometers[name]
 
 
-def _requested_symbol(result_part: AccelerometerResult) -> str:
+def _requested_symbol(accelerometer_result: AccelerometerResult) -> str:
     """Return the first requested coefficient; empty if none is determined."""
-    names = result_part.what_if.names if result_part.what_if else []
-    requested = [
+    names = accelerometer_result.what_if.names if accelerometer_result.what_if else []
+    symbols = [
         symbol
-        for symbol in result_part.budget
-        if symbol in names and symbol in result_part.coefficients
+        for symbol in accelerometer_result.budget
+        if symbol in names and symbol in accelerometer_result.coefficients
     ]
-    return "K_II" if "K_II" in requested else next(iter(requested), "")
+    return "K_II" if "K_II" in symbols else next(iter(symbols), "")
 
 
-def _requested_update(result_part: AccelerometerResult) -> tuple[str, WhatIf]:
-    symbol = _requested_symbol(result_part)
-    if result_part.what_if is None or not symbol:
+def _require_update(accelerometer_result: AccelerometerResult) -> tuple[str, WhatIf]:
+    symbol = _requested_symbol(accelerometer_result)
+    if accelerometer_result.what_if is None or not symbol:
         raise NotFoundError("the result does not list its sources of uncertainty; calibrate again")
-    return symbol, result_part.what_if
+    return symbol, accelerometer_result.what_if
 
 
 def _format_u(u: float, unit: str) -> str:
-    """Return an uncertainty in the unit of the field."""
-    shown, factor = find_display_unit(unit)
-    return typeset(f"{format_uncertainty(u * factor)} {shown}".strip())
+    """Return an uncertainty in its display unit."""
+    display_unit, factor = find_display_unit(unit)
+    return typeset(f"{format_uncertainty(u * factor)} {display_unit}".strip())

@@ -79,7 +79,9 @@ def serve(
             f"the web interface requires Starlette and uvicorn: {install_command('application')}"
         ) from error
     signing_command = None if signer is None or cert is None else (signer, cert)
-    run_server(directory, port=port, browser=browser, signing=signing_command, say=print_output)
+    run_server(
+        directory, port=port, browser=browser, signing=signing_command, print_line=print_output
+    )
 
 
 @command

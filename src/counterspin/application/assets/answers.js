@@ -2,7 +2,7 @@
 // Types of the server's answers. `python docs/answer_types.py` makes this file.
 
 /**
- * The key of a window.
+ * The key for further requests.
  * @typedef {{
  *   key: string,
  * }} SessionKey
@@ -20,7 +20,7 @@
  * The name of a folder or a file.
  * @typedef {{
  *   name: string,
- * }} Named
+ * }} NameAnswer
  */
 
 /**
@@ -55,7 +55,7 @@
  */
 
 /**
- * A result in a list; a damaged one has only a state.
+ * A result in a list; a damaged result has only a state.
  * @typedef {{
  *   name: string,
  *   state: string,
@@ -85,7 +85,7 @@
  */
 
 /**
- * A run of a campaign; rate and record are unknown if the description has mistakes.
+ * A run of a campaign; rate and record are None if the description has mistakes.
  * @typedef {{
  *   name: string,
  *   rate: number | null,
@@ -95,7 +95,7 @@
  */
 
 /**
- * An entry of the checklist, and the field of the description that states it.
+ * An entry of the checklist, with its key in the description.
  * @typedef {{
  *   words: string,
  *   stated: boolean,
@@ -143,7 +143,7 @@
  */
 
 /**
- * A coefficient in words.
+ * A coefficient and its description.
  * @typedef {{
  *   name: string,
  *   words: string,
@@ -206,7 +206,7 @@
  */
 
 /**
- * A term that a list of terms may have.
+ * A term that can be in a list of terms.
  * @typedef {{
  *   key: string,
  *   words: string,
@@ -228,7 +228,7 @@
  */
 
 /**
- * A text on a key of a document; an empty key is that of the whole document.
+ * A message on a key of a document; an empty key means the whole document.
  * @typedef {{
  *   key: string,
  *   words: string,
@@ -315,7 +315,7 @@
  */
 
 /**
- * A drawing of a column: the least and greatest value of each part.
+ * A preview of a column: minimum and maximum of each segment.
  * @typedef {{
  *   extent: ([number, number] | null)[],
  *   words: string,
@@ -325,7 +325,7 @@
  */
 
 /**
- * A column of a file, and why it may be unused; a column of text has no curve.
+ * A column of a file, and the reason why it may be unused; text columns have no curve.
  * @typedef {{
  *   name: string,
  *   first: string[],
@@ -343,7 +343,7 @@
  */
 
 /**
- * The contents of files, the questions and the mistakes.
+ * Detected contents of files, questions and mistakes.
  * @typedef {{
  *   test: "double-turntable" | "tumble" | "arm" | "poses" | null,
  *   statements: string[],
@@ -367,7 +367,7 @@
  */
 
 /**
- * A page as HTML; if a job makes the page, all other entries are empty.
+ * A page as HTML; while a job computes the page, all other entries are empty.
  * @typedef {{
  *   job: JobEntry | null,
  *   title: string,
@@ -394,7 +394,7 @@
  */
 
 /**
- * The uncertainty with better known sources.
+ * The uncertainty with smaller uncertainties of its sources.
  * @typedef {{
  *   symbol: string,
  *   u: number,
@@ -436,7 +436,7 @@
  */
 
 /**
- * The known ways to a smaller uncertainty.
+ * Known ways to reduce the uncertainty.
  * @typedef {{
  *   ways: Improvement[],
  *   searched: boolean,
@@ -461,7 +461,7 @@
  */
 
 /**
- * The columns of a record and its used part.
+ * Columns of a record and its used time range.
  * @typedef {{
  *   together: number,
  *   columns: RecordColumn[],
@@ -474,7 +474,7 @@
  */
 
 /**
- * A record, or its fit; None before the fit.
+ * Overview of a record or its fit; None before the fit.
  * @typedef {{
  *   overview: RecordOverview | null,
  * }} RecordAnswer
@@ -490,7 +490,7 @@
  */
 
 /**
- * The judgement of a record.
+ * The check of a record.
  * @typedef {{
  *   html: string,
  *   good: boolean,
@@ -511,27 +511,27 @@
  * @typedef {{
  *   minutes: number,
  *   u: NamedUncertainty[],
- * }} Reached
+ * }} CurrentUncertainties
  */
 
 /**
- * The state of a campaign whose records grow.
+ * The state of a campaign during recording.
  * @typedef {{
  *   html: string,
  *   events: string[],
  *   complete: boolean,
- *   reached: Reached | null,
+ *   reached: CurrentUncertainties | null,
  *   error?: string,
  * }} LiveState
  */
 
 /**
- * The state of a campaign whose records grow, and the command.
+ * The state of a campaign during recording, with the command.
  * @typedef {{
  *   html: string,
  *   events: string[],
  *   complete: boolean,
- *   reached: Reached | null,
+ *   reached: CurrentUncertainties | null,
  *   error?: string,
  *   command: string,
  * }} LiveAnswer
@@ -547,7 +547,7 @@
  */
 
 /**
- * The expected duration of a study, or the job that estimates it.
+ * The expected duration of a study, or the job that estimates the duration.
  * @typedef {{
  *   job: JobEntry | null,
  *   duration: Duration | null,
@@ -627,7 +627,7 @@
  */
 
 /**
- * The best plan as HTML; empty if a job searches for it.
+ * The optimal plan as HTML; empty while a job computes the plan.
  * @typedef {{
  *   job: JobEntry | null,
  *   html: string,
@@ -640,8 +640,8 @@
  *   POST: {
  *     "session": SessionKey,
  *     "campaign": WrittenCampaign,
- *     "copy": Named,
- *     "rename": Named,
+ *     "copy": NameAnswer,
+ *     "rename": NameAnswer,
  *     "put-away": TrashPlace,
  *     "discard": TrashPlace,
  *     "restore": RestoredFolder,
@@ -660,7 +660,7 @@
  *     "certificate-check": CheckedFile,
  *     "profile": ProfileFile,
  *     "ticket": Ticket,
- *     "plan": Named,
+ *     "plan": NameAnswer,
  *     "plan-page": PlanPage,
  *     "planned": JobEntry,
  *     "jobs": JobEntry,

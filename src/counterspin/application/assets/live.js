@@ -9,12 +9,12 @@ import { campaignTabs, reachedBy } from "./tabs.js";
 const PAUSE = 1000;
 const HEIGHT = 220;
 
-/** @typedef {import("./answers.js").Reached} Reached */
+/** @typedef {import("./answers.js").CurrentUncertainties} CurrentUncertainties */
 
 /** The u of each coefficient over the minutes that are recorded, as far as this page has seen. */
 class UncertaintyChart {
   constructor() {
-    this.seen = /** @type {Reached[]} */ ([]);
+    this.seen = /** @type {CurrentUncertainties[]} */ ([]);
     this.box = make("div", { class: "canvas", role: "img", "aria-label": "Standard uncertainty versus recorded time" });
     this.element = make("figure", { hidden: true }, make("figcaption", {},
       "Standard uncertainty versus recorded time, since this page was opened"), this.box);
@@ -27,7 +27,7 @@ class UncertaintyChart {
     globalThis.counterspin.redraws.push(() => this.chart?.redraw(false));
   }
 
-  /** @param {Reached} reached */
+  /** @param {CurrentUncertainties} reached */
   add(reached) {
     // Before anything is determined there is nothing to draw.
     if (!this.seen.length && !reached.u.some(({ u }) => u)) return;
@@ -78,8 +78,8 @@ export function stepsAround(low, high) {
 
 /**
  * What was reached with one more look; a look at the same minutes takes the place of the last.
- * @param {Reached[]} seen
- * @param {Reached} reached
+ * @param {CurrentUncertainties[]} seen
+ * @param {CurrentUncertainties} reached
  */
 export function withPoint(seen, reached) {
   const before = seen.filter(({ minutes }) => minutes < reached.minutes);
@@ -88,7 +88,7 @@ export function withPoint(seen, reached) {
 
 /**
  * Minutes, then the u of each coefficient; a logarithmic axis has no place for none and for 0.
- * @param {Reached[]} seen
+ * @param {CurrentUncertainties[]} seen
  */
 export const columnsOf = (seen) => [
   seen.map(({ minutes }) => minutes),
