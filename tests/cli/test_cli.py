@@ -79,8 +79,8 @@ def test_help_omits_negative_options_and_empty_defaults(command, monkeypatch, ca
     ("command", "option", "endings"),
     [
         ("certificate", "output", issuing.FILE_SUFFIXES),
-        ("report", "output", publication.FORMATS),
-        ("compare", "report", publication.FORMATS),
+        ("report", "output", publication.REPORT_SUFFIXES),
+        ("compare", "report", publication.REPORT_SUFFIXES),
         ("history", "figure", charts._METADATA),
     ],
 )
