@@ -145,7 +145,7 @@ def _rate_findings(rates: Mapping[str, tuple[float, float]]) -> list[Finding]:
     ):
         return findings
     text = (
-        f"In every run, the spindle turned {abs(max_difference):.3%} "
+        f"In every run, the spindle turned {100 * abs(max_difference):.3f} % "
         f"{'faster' if max_difference > 0.0 else 'slower'} than stated. Because the ratio is the "
         "same in all runs, either the recorder clock or the stated rates must be wrong by this "
         "amount. The fit uses the recorded times and rates."

@@ -358,9 +358,7 @@ def lack_of_fit_finding(name: str, sentences: Sequence[str], residual: Residual)
     """Return the finding that the residuals of an accelerometer do not agree with its noise."""
     remaining_count = len(sentences) - 1
     text = sentences[0] + (
-        f" ({remaining_count} more findings of this type concern other runs.)"
-        if remaining_count > 1
-        else ""
+        f" (There are {remaining_count} more findings of this type.)" if remaining_count > 1 else ""
     )
     p, ratio = residual.lack_of_fit_p, _noise_ratio(residual)
     # With few residuals, such as two readings, a large ratio may occur by chance.

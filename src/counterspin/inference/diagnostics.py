@@ -222,8 +222,8 @@ def _write_findings(
         )
         peak_sentence = (
             f"{name}: a spectral peak at {run.peak_frequency:.4g} {frequency_unit} contains "
-            f"{run.peak_share:.2%} of the residual variance. The residuals therefore contain a "
-            f"periodic effect{', such as a vibration' if _has_large_peak(run) else ''}."
+            f"{100 * run.peak_share:.2f} % of the residual variance. The residuals therefore "
+            f"contain a periodic effect{', such as a vibration' if _has_large_peak(run) else ''}."
         )
         sign_and_peak = [(run.sign_p, sign_sentence), (run.peak_p, peak_sentence)]
         sign_and_peak = sign_and_peak[::-1] if _has_large_peak(run) else sign_and_peak

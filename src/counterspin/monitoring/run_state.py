@@ -142,7 +142,7 @@ def run_remarks(
         if abs(rate_deviation) > MAX_RATE_DIFFERENCE:
             faults.append(
                 f"The spindle turned at {state.rate:.6f} rad/s instead of the nominal "
-                f"{state.nominal_rate:.6f} rad/s ({rate_deviation:+.2%})."
+                f"{state.nominal_rate:.6f} rad/s ({100 * rate_deviation:+.2f} %)."
             )
     if state.stated_seconds and state.seconds < COMPLETE_FRACTION * state.stated_seconds:
         faults.append(

@@ -369,15 +369,15 @@ class _RecordReader:
             if count > MAX_EMPTY_FRACTION * self._rows:
                 raise RecordError(
                     f"{self._file.path}: column '{name}' has {count} empty cells in "
-                    f"{self._rows} rows; at most {MAX_EMPTY_FRACTION:.0%} may be empty.",
+                    f"{self._rows} rows; at most {100 * MAX_EMPTY_FRACTION:.0f} % may be empty.",
                     code="empty-cells",
                 )
         large = self._clock.findings.implausible_angles
         if self._columns.angle is not None and large > MAX_EMPTY_FRACTION * self._rows:
             raise RecordError(
                 f"{self._file.path}: column '{self._columns.angle.name}' has {large} angles above "
-                f"{MAX_ANGLE:g} rad in {self._rows} rows; at most {MAX_EMPTY_FRACTION:.0%} are "
-                "allowed. Check the unit of the column, or subtract the first value.",
+                f"{MAX_ANGLE:g} rad in {self._rows} rows; at most {100 * MAX_EMPTY_FRACTION:.0f} % "
+                "are allowed. Check the unit of the column, or subtract the first value.",
                 code="value-out-of-range",
             )
         differing_count = self._clock.findings.differing
@@ -462,11 +462,11 @@ class _RecordReader:
             start, end = blocks.time[dropout[0]], blocks.time[dropout[-1]]
             raise RecordError(
                 f"{self._file.path}: column '{self._columns.signals[accelerometer].name}' does "
-                f"not follow the rotation for {len(dropout) / len(signal):.2g} of the record, "
-                f"between {start:.6g} s and {end:.6g} s after its start, but follows the "
+                f"not follow the rotation for {100 * len(dropout) / len(signal):.2g} % of the "
+                f"record, between {start:.6g} s and {end:.6g} s after its start, but follows the "
                 "rotation again afterwards. The channel may have failed for a while. At most "
-                f"{MAX_EMPTY_FRACTION:.0%} of the record may be affected. Use only the part of "
-                "the record before the failure.",
+                f"{100 * MAX_EMPTY_FRACTION:.0f} % of the record may be affected. Use only the "
+                "part of the record before the failure.",
                 code="signal-dropout",
             )
         if len(dropout):

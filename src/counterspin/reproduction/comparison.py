@@ -92,15 +92,15 @@ def second_stage_rows() -> tuple[Row, ...]:
             "printed_b2",
             "from the printed sigma(b2), Eq. 26, g = 9.8",
             u_printed_b2,
-            f"reproduced to {abs(1 - u_printed_b2 / PRINTED_SIGMA_K_II):.2%}; the paper does not "
-            f"state g, and g = {GRAVITY * PRINTED_SIGMA_K_II / u_printed_b2:.4f} m/s^2 would give "
-            "the printed value",
+            f"reproduced to {100 * abs(1 - u_printed_b2 / PRINTED_SIGMA_K_II):.2f} %; the paper "
+            f"does not state g, and g = {GRAVITY * PRINTED_SIGMA_K_II / u_printed_b2:.4f} m/s^2 "
+            "would give the printed value",
         ),
         make_row(
             "standard_gravity",
             "same calculation with g = 9.80665",
             u_standard_gravity,
-            f"reproduced to {abs(1 - u_standard_gravity / PRINTED_SIGMA_K_II):.2%}",
+            f"reproduced to {100 * abs(1 - u_standard_gravity / PRINTED_SIGMA_K_II):.2f} %",
         ),
         make_row(
             "quarter",
@@ -219,7 +219,7 @@ def ripple_rows() -> tuple[Row, ...]:
             fit_with_ripple[0],
             "g/g^2",
             "separating the ripple does not change K_II, but increases the uncertainty by "
-            f"{fit_with_ripple[1] / fit_without_ripple[1] - 1:.0%}",
+            f"{100 * (fit_with_ripple[1] / fit_without_ripple[1] - 1):.0f} %",
         ),
         Row(
             "separation.printed_without",

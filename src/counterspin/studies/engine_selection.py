@@ -348,7 +348,8 @@ def _find_nonlinearity(
         ]
     if max(u_differences) > _MAX_U_DIFFERENCE:
         return [
-            f"the analysis is not linear: u from full records differs by {max(u_differences):.1%}"
+            "the analysis is not linear: u from full records differs by "
+            f"{100 * max(u_differences):.1f} %"
         ]
     return []
 

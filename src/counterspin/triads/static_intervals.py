@@ -404,7 +404,7 @@ def _interval_faults(
         if len(saturated):
             axis = saturated[0]
             faults[index] = (
-                f"{share_at_ends[axis]:.0%} of the values along axis {axis + 1} are the "
+                f"{100 * share_at_ends[axis]:.0f} % of the values along axis {axis + 1} are the "
                 "largest or smallest of the record, which suggests that the range was exceeded."
             )
             continue

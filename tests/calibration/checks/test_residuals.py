@@ -58,7 +58,7 @@ def make_fit_with_walk(share: float, name: str = "Qx") -> AccelerometerView:
 
 def test_dominant_undetected_walk_has_remark():
     (remark,) = undetected_walk_remarks([make_fit_with_walk(0.8)])
-    assert remark.startswith("Qx: 80% of the variance of K_II")
+    assert remark.startswith("Qx: 80 % of the variance of K_II")
     assert "acceleration in [noise]" in remark
 
 

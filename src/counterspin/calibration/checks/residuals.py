@@ -118,8 +118,8 @@ def undetected_walk_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]
         share = variance / float(view.fit.solution.u[index]) ** 2
         if share > _MAX_UNDETECTED_SHARE:
             yield (
-                f"{name}: {share:.0%} of the variance of K_II comes from accelerometer white "
-                "noise that the records can neither confirm nor exclude. If this noise is "
+                f"{name}: {100 * share:.0f} % of the variance of K_II comes from accelerometer "
+                "white noise that the records can neither confirm nor exclude. If this noise is "
                 "known, enter it as acceleration in [noise], even if the value is zero. "
                 "Otherwise, record longer runs."
             )
