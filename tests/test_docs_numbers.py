@@ -68,8 +68,8 @@ ROWS = {
         ("a gap of at least one revolution and {} rows", reading._ISOLATION_STEPS),
         ("more than {} % empty cells", 100.0 * reading.MAX_EMPTY_FRACTION),
         ("fewer than {} revolutions -", run_file.MIN_REVOLUTIONS),
-        ("a gap of more than {} revolutions", clock._GAP_REVOLUTIONS),
-        ("more than {} revolutions, unless", run_file.ANY_REVOLUTIONS),
+        ("a gap of more than {} revolutions", clock._MAX_GAP_REVOLUTIONS),
+        ("more than {} revolutions, unless", run_file.MAX_REVOLUTIONS_ANY_RECORD),
         (
             "unless the record has {} rows for each",
             1.0 / run_file.MAX_REVOLUTIONS_PER_ROW_ANY_PHASE,

@@ -7,7 +7,7 @@ import pytest
 
 from counterspin.errors import RecordError
 from counterspin.readings.means import mean_of_record, read_rows, stated_rotation, u_of_mean
-from counterspin.records.memory import memory_table
+from counterspin.records.memory import make_memory_table
 from counterspin.records.record import ColumnSpec, RecordColumns
 
 TIME, SIGNAL = ColumnSpec("t"), ColumnSpec("f", 2.0)
@@ -20,7 +20,7 @@ def write_record(folder, t, f, name="r.csv"):
 
 
 def make_table(t, f):
-    return memory_table("r", {"t": t, "f": f})
+    return make_memory_table("r", {"t": t, "f": f})
 
 
 def mean_record(source, rate):

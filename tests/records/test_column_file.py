@@ -4,9 +4,9 @@ import polars as pl
 import pytest
 
 from counterspin.errors import DamagedFileError
-from counterspin.records.column_file import nanoseconds, record_errors
+from counterspin.records.column_file import parse_nanoseconds, record_errors
 from counterspin.records.csv_file import CsvFile
-from counterspin.records.layout import STAMP
+from counterspin.records.layout import TIMESTAMP
 
 
 def test_time_stamps_of_iso_8601_are_parsed():
@@ -22,7 +22,7 @@ def test_time_stamps_of_iso_8601_are_parsed():
         "1970-13-01T00:00:00": None,
     }
     frame = pl.DataFrame({"t": list(written)})
-    assert frame.select(nanoseconds("t"))["t"].to_list() == list(written.values())
+    assert frame.select(parse_nanoseconds("t"))["t"].to_list() == list(written.values())
 
 
 @pytest.mark.parametrize(
@@ -41,15 +41,15 @@ def test_time_stamps_of_iso_8601_are_parsed():
     ],
 )
 def test_time_stamps_with_month_names_or_without_separators(text):
-    assert STAMP.fullmatch(text)
-    moment = pl.DataFrame({"t": [text]}).select(nanoseconds("t"))["t"].to_list()
+    assert TIMESTAMP.fullmatch(text)
+    moment = pl.DataFrame({"t": [text]}).select(parse_nanoseconds("t"))["t"].to_list()
     assert moment == [1_709_632_800_020_000_000]
 
 
 @pytest.mark.parametrize("text", ["0.25 s", "0,25 sec", "250 ms", "2.5e5 us"])
 def test_durations_with_unit_are_parsed(text):
-    assert STAMP.fullmatch(text)
-    length = pl.DataFrame({"t": [text]}).select(nanoseconds("t"))["t"].to_list()
+    assert TIMESTAMP.fullmatch(text)
+    length = pl.DataFrame({"t": [text]}).select(parse_nanoseconds("t"))["t"].to_list()
     assert length == [250_000_000]
 
 
@@ -65,7 +65,7 @@ def test_times_of_day_continue_after_midnight(tmp_path):
     ):
         file.timestamp_columns = frozenset("t")
         file.require(["t"])
-        stamps = file.table().select(nanoseconds("t"))["t"]
+        stamps = file.table().select(parse_nanoseconds("t"))["t"]
         for pieces in ([5], [1, 4], [3, 2], [1, 1, 1, 1, 1]):
             file.first_timestamp, place, seconds = None, 0, []
             for size in pieces:
@@ -76,7 +76,7 @@ def test_times_of_day_continue_after_midnight(tmp_path):
             assert seconds[2:] == pytest.approx([1.0, 64800.5, 86400.5], abs=1e-9)
         # A date that goes back is a clock that runs backwards.
         file.first_timestamp = None
-        dated = file.seconds(file.table().select(nanoseconds("v"))["v"])
+        dated = file.seconds(file.table().select(parse_nanoseconds("v"))["v"])
         assert dated[2] == -86399.0
 
 

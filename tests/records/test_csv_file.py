@@ -230,7 +230,7 @@ def test_open_line_ends_are_counted_across_chunks(seed):
     content = bytes(rng.choice([*b'aa"', *b"\n" * 3], 3000).astype(np.uint8))
     count = before = 0
     for chunk in np.array_split(np.frombuffer(content, np.uint8), 40):
-        before = csv_file._unclosed_line_ends(chunk.tobytes(), before)
+        before = csv_file._count_unclosed_line_ends(chunk.tobytes(), before)
         for byte in chunk.tobytes():
             if byte == ord('"'):
                 count = 0 if count else 1

@@ -98,7 +98,7 @@ def test_files_are_read_in_process_if_none_can_start(parquet_file, monkeypatch):
     assert run_isolated(misbehaving.get_process, parquet_file) == os.getpid()
     monkeypatch.undo()
     embedding = reader_process._ReaderProcess()
-    embedding._startable = False
+    embedding._can_start = False
     monkeypatch.setattr(reader_process, "_READER", embedding)
     assert run_isolated(misbehaving.get_process, parquet_file) == os.getpid()
 

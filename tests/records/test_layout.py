@@ -1,4 +1,4 @@
-"""What the first lines of a file show of how it is written."""
+"""Layout of a text table, detected from its first lines."""
 
 import pytest
 
@@ -6,11 +6,9 @@ from counterspin.records.dialect import Dialect
 from counterspin.records.layout import (
     describe_lines,
     detect_format,
-    footer_lines,
     is_plain_format,
     join_quoted_lines,
     plain_format,
-    split_cells,
 )
 from counterspin.records.unit_notation import bracketed_unit, parse_file_unit
 
@@ -19,10 +17,6 @@ ROWS = ["0,5;1,25;-3", "1;1,5;2", "1,5;1,75;2,5e-3", "2;2;"]
 
 def detect_layout(lines, **known):
     return detect_format(list(enumerate(lines, 1)), Dialect(**known))
-
-
-def split_lines(lines):
-    return [split_cells(line, ";") for line in lines]
 
 
 def test_table_below_metadata_lines_is_found():
@@ -177,27 +171,6 @@ def test_row_names_may_lack_header():
 def test_names_may_contain_space():
     layout = detect_layout(["Time s  Acc X  Acc Y", *["0.5  1.25  3.5"] * 3])
     assert layout.names == ("Time s", "Acc X", "Acc Y")
-
-
-@pytest.mark.parametrize(
-    ("below", "count"),
-    [
-        ([], 0),
-        (["Mean;1,25;1", "Checked by J. D."], 2),
-        (["", "End of data"], 2),
-        (["0,3;;4"], 0),
-        (["Std;0,1;0,2"], 1),
-        (["Mittelw.;1,25;1", "Abweichung;0,1;0,2"], 2),
-    ],
-)
-def test_footer_lines_are_counted(below, count):
-    assert footer_lines(split_lines([*ROWS, *below]), ",") == count
-
-
-def test_word_in_mounting_column_is_not_footer():
-    rows = ["up;0;1,25", *["+1;30;2,5", "-1;42;-3,5"] * 12, "up;0;1,25", "down;0;-1,25"]
-    assert footer_lines(split_lines(rows), ",") == 0
-    assert footer_lines(split_lines([*rows, "Mean;12;0,5"]), ",") == 1
 
 
 def test_multiple_spaces_are_one_delimiter():

@@ -7,7 +7,7 @@ from raising import raises
 
 from counterspin.errors import RecordError
 from counterspin.records.formats import locate, read_numbers
-from counterspin.records.memory import memory_table
+from counterspin.records.memory import make_memory_table
 from counterspin.records.reading import read_record
 from counterspin.records.record import ColumnSpec, NominalMotion, RecordColumns
 
@@ -67,15 +67,15 @@ STRUCTURED = np.array(list(zip(TIMES, ANGLES, strict=True)), dtype=[("t", "f8"),
     ids=["arrays", "masked", "lists", "polars", "structured", "pandas", "arrow"],
 )
 def test_frames_of_all_libraries_return_same_columns(frame):
-    table = memory_table("run", frame)
+    table = make_memory_table("run", frame)
     np.testing.assert_array_equal(table.columns["t"], TIMES)
     np.testing.assert_array_equal(table.columns["a"], ANGLES)
-    assert table.others == ()
+    assert table.non_numeric_names == ()
 
 
 def test_values_are_copied():
     times = np.array(TIMES)
-    table = memory_table("run", {"t": times})
+    table = make_memory_table("run", {"t": times})
     times[0] = 7.0
     assert table.columns["t"][0] == 0.0
     with pytest.raises(ValueError, match="read-only"):
@@ -85,14 +85,14 @@ def test_values_are_copied():
 def test_checksum_covers_names_and_values():
     little = np.array(TIMES, dtype="<f8").tobytes()
     digest = hashlib.sha256(b"t\0" + little).hexdigest()
-    assert memory_table("run", {"t": TIMES}).checksum == f"sha256:{digest}"
-    other = memory_table("run", {"t": [0.0, 0.5, np.nextafter(1.0, 2.0)]})
+    assert make_memory_table("run", {"t": TIMES}).checksum == f"sha256:{digest}"
+    other = make_memory_table("run", {"t": [0.0, 0.5, np.nextafter(1.0, 2.0)]})
     assert other.checksum != f"sha256:{digest}"
 
 
 def test_text_column_of_digits_is_not_numeric():
-    table = memory_table("run", {"t": TIMES, "a": ["1", "2", "3"]})
-    assert table.others == ("a",)
+    table = make_memory_table("run", {"t": TIMES, "a": ["1", "2", "3"]})
+    assert table.non_numeric_names == ("a",)
     with raises("not-numeric", "run:", "'a'"):
         read_numbers(table, ["t", "a"])
 
@@ -108,7 +108,7 @@ def test_text_column_of_digits_is_not_numeric():
 )
 def test_unsupported_frame_raises(frame, message):
     with pytest.raises(RecordError, match=message):
-        memory_table("run", frame)
+        make_memory_table("run", frame)
 
 
 COLUMNS = RecordColumns(ColumnSpec("t"), ColumnSpec("a"), {"Qx": ColumnSpec("s")})
@@ -124,7 +124,7 @@ def test_record_in_memory_equals_record_from_file(tmp_path):
     pl.DataFrame(frame).write_csv(tmp_path / "run.csv")
     motion = NominalMotion(1.0)
     of_file = read_record(tmp_path / "run.csv", COLUMNS, motion)
-    in_memory = read_record(memory_table("run", frame), COLUMNS, motion)
+    in_memory = read_record(make_memory_table("run", frame), COLUMNS, motion)
     np.testing.assert_array_equal(in_memory.signals["Qx"], of_file.signals["Qx"])
     np.testing.assert_array_equal(in_memory.angle, of_file.angle)
     assert in_memory.identity is None
@@ -134,7 +134,9 @@ def test_errors_name_row():
     frame = make_samples()
     frame["t"][200] = 3.0
     with raises("time-backwards", "my run, row 201:"):
-        read_record(memory_table("my run", frame), COLUMNS, NominalMotion(1.0))
+        read_record(make_memory_table("my run", frame), COLUMNS, NominalMotion(1.0))
     with raises("missing-column", "'s'", "'t'", "'a'"):
-        read_record(memory_table("my run", {"t": [1.0], "a": [1.0]}), COLUMNS, NominalMotion(1.0))
-    assert locate(memory_table("my run", frame), 4) == "row 5"
+        read_record(
+            make_memory_table("my run", {"t": [1.0], "a": [1.0]}), COLUMNS, NominalMotion(1.0)
+        )
+    assert locate(make_memory_table("my run", frame), 4) == "row 5"

@@ -100,4 +100,4 @@ def test_hanging_reader_is_terminated(tmp_path, monkeypatch):
 def test_exit_status_on_windows_is_described(monkeypatch, status, words):
     monkeypatch.setattr("sys.platform", "win32")
     with pytest.raises(AssertionError, match=words):
-        raise AssertionError(reader_process._exit_description(status))
+        raise AssertionError(reader_process._describe_exit(status))

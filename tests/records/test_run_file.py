@@ -18,7 +18,7 @@ from record_files import (
 )
 
 from counterspin.records.record import ColumnSpec
-from counterspin.records.run_file import pulse_angle
+from counterspin.records.run_file import interpolate_pulses
 
 
 def write_in_two_files(folder, cut=400):
@@ -103,19 +103,21 @@ def test_pulse_angle_follows_constant_drift():
     pulses = pulse_times()
     time = np.linspace(pulses[0] - 0.5, pulses[-1] + 0.5, 997)
     expected = -RATE * (time + 0.5e-3 * time**2)
-    exact = pulse_angle(pulses, time, -RATE, 2)
+    exact = interpolate_pulses(pulses, time, -RATE, 2)
     np.testing.assert_allclose(exact, expected, atol=1e-5)
     inside = (time > pulses[0]) & (time < pulses[-1])
     np.testing.assert_allclose(exact[inside], expected[inside], atol=2e-7)
     # A pulse that was missed is a double interval; far beyond the pulses there is no angle.
-    np.testing.assert_allclose(pulse_angle(np.delete(pulses, 7), time, -RATE, 2), exact, atol=1e-5)
-    assert np.isnan(pulse_angle(pulses, pulses[-1:] + 2.5, -RATE, 2)).all()
+    np.testing.assert_allclose(
+        interpolate_pulses(np.delete(pulses, 7), time, -RATE, 2), exact, atol=1e-5
+    )
+    assert np.isnan(interpolate_pulses(pulses, pulses[-1:] + 2.5, -RATE, 2)).all()
 
 
 def test_pulse_angle_is_continuous_through_scattered_pulses():
     scatter = 1e-4 * np.random.default_rng(3).standard_normal(40)
     pulses = pulse_times() + scatter
-    at = [pulse_angle(pulses, pulses + shift, -RATE, 2) for shift in (-1e-9, 0.0, 1e-9)]
+    at = [interpolate_pulses(pulses, pulses + shift, -RATE, 2) for shift in (-1e-9, 0.0, 1e-9)]
     np.testing.assert_allclose(at[1], -math.pi * np.arange(40), atol=1e-12)
     for beside in (at[0], at[2]):
         np.testing.assert_allclose(beside, at[1], atol=1e-8)  # the rate for 1 ns is 3e-9
@@ -132,7 +134,7 @@ def test_pulse_angle_is_continuous_through_scattered_pulses():
 )
 def test_invalid_pulses_raise(pulses, rate, words):
     with pytest.raises(ValueError, match=words):
-        pulse_angle(pulses, np.zeros(1), rate, 2)
+        interpolate_pulses(pulses, np.zeros(1), rate, 2)
 
 
 def test_angle_from_pulses_in_second_file(tmp_path):

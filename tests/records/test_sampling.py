@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from counterspin.inference.noise.samples import SensorSamples
-from counterspin.records.sampling import ValueHolding, is_bursty, join_bursts, row_rate
+from counterspin.records.sampling import ValueHolding, estimate_row_rate, is_bursty, join_bursts
 
 STEP = 0.01
 
@@ -85,9 +85,9 @@ def test_rows_of_packet_bursts_are_counted(step, lost):
     assert np.median(np.diff(found.time)) == pytest.approx(STEP, rel=2e-3)
     if lost:
         with pytest.raises(ValueError, match="samples are missing"):
-            row_rate(stamps[keep])
+            estimate_row_rate(stamps[keep])
     else:
-        assert row_rate(stamps) == pytest.approx(1.0 / STEP, rel=2e-4)
+        assert estimate_row_rate(stamps) == pytest.approx(1.0 / STEP, rel=2e-4)
 
 
 def test_pauses_are_not_bursts():

@@ -35,7 +35,7 @@ def test_two_columns_are_combined_to_time(tmp_path, coarse, fine, name):
     file.write_text(f"{coarse[0]},{fine[0]},a\n{rows}\n", encoding="utf-8")
     first = read_contents(file).columns[0]
     assert name is None or first.name == name
-    assert first.stamps
+    assert first.is_timestamp
     np.testing.assert_allclose(first.values, TIME, atol=1e-9)
     # The reader of records, by the name that a description states.
     spec = ColumnSpec(first.name, unit="iso", target_unit="s", kind="stamps")

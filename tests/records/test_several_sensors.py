@@ -11,9 +11,9 @@ from counterspin.ingest.overview import UndecidedDraft, make_sensor_question
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import read_numbers
 from counterspin.records.several_sensors import (
-    interleaved_sensors,
-    sensor_columns,
-    stacked_sensors,
+    find_interleaved_sensors,
+    find_sensor_columns,
+    find_stacked_sensors,
 )
 
 VALUES = {"A": 1.0, "B": 2.0, "C": 3.0}
@@ -33,14 +33,16 @@ VALUES = {"A": 1.0, "B": 2.0, "C": 3.0}
     ],
 )
 def test_sensor_columns_are_detected(name, cells, found):
-    told = list(sensor_columns({name: cells * 50}))
+    told = list(find_sensor_columns({name: cells * 50}))
     assert told == ([(name, sorted(cells))] if found else [])
 
 
 def test_labels_of_poses_and_states_are_not_sensors():
     poses = [f"P{n}" for n in range(12) for _ in range(30)]
     state = ["rest"] * 100 + ["move"] * 60 + ["rest"] * 100
-    assert list(sensor_columns({"pose name": poses, "state": state, "device": ["A"] * 99})) == []
+    assert (
+        list(find_sensor_columns({"pose name": poses, "state": state, "device": ["A"] * 99})) == []
+    )
 
 
 def write_interleaved_sensors(path, numbered=False):
@@ -83,7 +85,7 @@ def test_several_sensors_require_selection(tmp_path):
     assert set(chosen.columns[1].values.tolist()) == {3.0}
     with raises("several-sensors", "3 different values", "`select`", '"device=A"'):
         cs.noise(path)
-    assert read_contents(path).selected is None
+    assert read_contents(path).selected_sensor is None
 
 
 def write_stacked_sensors(path, names):
@@ -119,16 +121,18 @@ def test_stacked_sensors_are_detected():
     """The time decreases at each change, or the column is named like a sensor."""
     cells = [f"P{n}" for n in range(3) for _ in range(50)]
     time = np.tile(np.arange(50.0), 3)
-    assert list(stacked_sensors({"device": ["A"] * 150}, {"time": time})) == []
-    assert list(stacked_sensors({"zone": cells}, {"time": np.arange(150.0)})) == []
-    assert list(stacked_sensors({"sensor temp": cells}, {"time": np.arange(150.0)})) == []
+    assert list(find_stacked_sensors({"device": ["A"] * 150}, {"time": time})) == []
+    assert list(find_stacked_sensors({"zone": cells}, {"time": np.arange(150.0)})) == []
+    assert list(find_stacked_sensors({"sensor temp": cells}, {"time": np.arange(150.0)})) == []
     known = [("device", ["P0", "P1", "P2"])]
-    assert list(stacked_sensors({"device": cells}, {"time": np.arange(150.0)})) == known
+    assert list(find_stacked_sensors({"device": cells}, {"time": np.arange(150.0)})) == known
     blocks = ["left", "right"] * 3
     named = [word for word in blocks for _ in range(50)]
     steps = np.concatenate([np.arange(50.0) + 50 * (n // 2) for n in range(6)])
-    assert list(stacked_sensors({"name": named}, {"time": steps})) == [("name", ["left", "right"])]
-    assert list(stacked_sensors({"device": cells}, {"time": time})) == [
+    assert list(find_stacked_sensors({"name": named}, {"time": steps})) == [
+        ("name", ["left", "right"])
+    ]
+    assert list(find_stacked_sensors({"device": cells}, {"time": time})) == [
         ("device", ["P0", "P1", "P2"])
     ]
 
@@ -152,9 +156,9 @@ def test_interleaved_sensors_are_detected_by_time(labels):
     order = np.argsort(time + rng.uniform(0.0, 9e-3, time.size))
     cells = np.tile(labels, 400)[order].tolist()
     numbers = {"t": time[order], "a": rng.standard_normal(time.size)}
-    found = list(interleaved_sensors({"at": cells}, numbers))
+    found = list(find_interleaved_sensors({"at": cells}, numbers))
     assert found == [("at", sorted(labels))]
     # A state does not part the rows of one sensor into records with even times.
     state = rng.choice(labels, time.size).tolist()
-    assert not list(interleaved_sensors({"at": state}, numbers | {"t": np.sort(time)}))
-    assert not list(interleaved_sensors({"at": cells}, {"t": np.arange(time.size) * 0.01}))
+    assert not list(find_interleaved_sensors({"at": state}, numbers | {"t": np.sort(time)}))
+    assert not list(find_interleaved_sensors({"at": cells}, {"t": np.arange(time.size) * 0.01}))

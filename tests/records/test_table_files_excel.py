@@ -26,7 +26,7 @@ from counterspin.records.dialect import Dialect
 from counterspin.records.formats import read_small_table
 from counterspin.records.isolation import uses_reader_process
 from counterspin.records.record import ColumnSpec
-from counterspin.records.table_files import excel_table, table_sheets
+from counterspin.records.table_files import find_table_sheets, read_excel_table
 
 ROWS = [
     ["position", "deg", "mA"],
@@ -72,7 +72,7 @@ def test_oversized_workbook_raises_before_decompression(tmp_path, monkeypatch):
     with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as file:
         file.writestr("xl/sharedStrings.xml", bytes(3_000_000))
     with raises("file-too-large", "r.xlsx:", "3 MB", "1 MB"):
-        excel_table(path)
+        read_excel_table(path)
 
 
 @pytest.mark.slow
@@ -94,7 +94,7 @@ def test_missing_reader_raises_with_extra(tmp_path, monkeypatch):
 
     monkeypatch.setattr(builtins, "__import__", import_without_reader)
     with raises("missing-package", "`pip install '.[excel]'"):
-        excel_table(path)
+        read_excel_table(path)
 
 
 def test_sheet_is_read_as_record(tmp_path):
@@ -127,7 +127,7 @@ def test_only_sheet_with_numeric_rows_is_read(tmp_path):
     below = [[name, 30.0 * row, 1.25] for row, name in enumerate("abcd")]
     rows = [["Tumble", None], [None, None], [None, "deg", "mA"], *below]
     path = write_workbook(tmp_path / "r.xlsx", {"Protocol": notes, "Values": rows})
-    assert table_sheets(path) == ["Values"]
+    assert find_table_sheets(path) == ["Values"]
     filed, places, _ = read_small_table(path)
     assert filed.frame["deg"].to_list() == [0.0, 30.0, 60.0, 90.0]
     assert places[1] == "row 5"

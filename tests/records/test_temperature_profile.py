@@ -6,7 +6,7 @@ import pytest
 from raising import raises
 
 from counterspin.errors import RecordError
-from counterspin.records.memory import memory_table
+from counterspin.records.memory import make_memory_table
 from counterspin.records.record import ColumnSpec, RecordColumns
 from counterspin.records.temperature_profile import MAX_KNOTS, read_temperature_profile
 
@@ -16,7 +16,7 @@ T = np.arange(0.0, 400.0, 0.05)
 
 
 def fit_profile(values, *, time=T, spec=CELSIUS, **columns):
-    table = memory_table("record", pl.DataFrame({"t": time, "T": values}))
+    table = make_memory_table("record", pl.DataFrame({"t": time, "T": values}))
     return read_temperature_profile(table, RecordColumns(TIME, None, {"T": spec}, **columns))
 
 

@@ -21,7 +21,7 @@ from counterspin.calibration.result_parts import Finding, Inputs, Provenance
 from counterspin.campaign.conditions import reference_point, temperatures_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import questions
-from counterspin.records.signals import WORDS as REMOVED
+from counterspin.records.signals import TREND_LABELS as REMOVED
 from counterspin.results import environment
 
 #: Fraction of the stated duration below which a record counts as incomplete.

@@ -30,7 +30,7 @@ from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
 from counterspin.records.formats import open_columns
 from counterspin.records.reading import read_record
 from counterspin.records.record import NominalMotion, Record, RecordColumns
-from counterspin.records.signals import WORDS as REMOVED
+from counterspin.records.signals import TREND_LABELS as REMOVED
 from counterspin.records.signals import FirstHarmonic, detrending_order
 from counterspin.records.temperature_profile import read_temperature_profile
 from counterspin.units import ZERO_CELSIUS

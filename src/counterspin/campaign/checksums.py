@@ -16,7 +16,7 @@ from typing import Final
 from counterspin.campaign.documents import description_file, load_document
 from counterspin.errors import CampaignError
 from counterspin.input import FileIdentity, open_file
-from counterspin.records.isolation import prepare
+from counterspin.records.isolation import prepare_reader
 
 #: Increase of the threads' niceness relative to the process. Reading for the result takes priority,
 #: but the checksums must also make progress on a busy machine.
@@ -149,4 +149,4 @@ def checksums_of(campaign: object) -> Iterator[Checksums]:
 
 def _start_reading(checksums: Checksums, path: Path | str) -> None:
     for record in checksums.prefetch(path):
-        prepare(record)
+        prepare_reader(record)

@@ -28,7 +28,7 @@ from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.errors import CampaignError, CounterspinError, ExistingFileError
 from counterspin.loading import load_name
 from counterspin.output import make_folder, write_atomically, write_binary, write_text
-from counterspin.records.memory import MemoryTable, memory_table
+from counterspin.records.memory import MemoryTable, make_memory_table
 from counterspin.toml_text import format_document
 
 if TYPE_CHECKING:
@@ -202,7 +202,7 @@ def attach_records(
             stated_name = run.get("record")
             if not (isinstance(stated_name, str) and stated_name.lower().endswith(tuple(WRITERS))):
                 run["record"] = unused_file_name(name, ".parquet", used_names)
-            tables[folder / run["record"]] = memory_table(f"{name} in memory", record)
+            tables[folder / run["record"]] = make_memory_table(f"{name} in memory", record)
         runs[index_by_name[name]] = run
     if runs:
         document["runs"] = runs
@@ -225,7 +225,7 @@ def _attach_static_record(
         used_names = [run.get("record") for run in runs or () if isinstance(run, Mapping)]
         file_name = unused_file_name("rest", ".parquet", used_names)
     document["noise"] = {**noise, "from": file_name}
-    return {folder / file_name: memory_table("record at rest in memory", record)}
+    return {folder / file_name: make_memory_table("record at rest in memory", record)}
 
 
 def unused_file_name(run: str, suffix: str, used_names: list[Any]) -> str:

@@ -26,7 +26,7 @@ from counterspin.output import (
 )
 from counterspin.physics.correction import NotInvertibleError
 from counterspin.records.formats import locate, read_numbers, read_table
-from counterspin.records.unit_notation import TEMPERATURES
+from counterspin.records.unit_notation import _CELSIUS_UNITS
 from counterspin.units import ZERO_CELSIUS, is_same_unit, unit_factor
 
 #: Option -> example of a constant.
@@ -229,7 +229,7 @@ def _convert_to_celsius(source: Path, column: str, values: Array, unit: str) -> 
     """Return a column of temperatures in degC, the default unit."""
     if unit == "K":
         return values - ZERO_CELSIUS
-    if unit in ("", *TEMPERATURES):
+    if unit in ("", *_CELSIUS_UNITS):
         return values
     raise RecordError(
         f"{source}: column '{column}' is in '{unit}' according to the units row of the file; a "

@@ -30,7 +30,7 @@ from counterspin.ingest.column_values import (
     unwrap_values,
 )
 from counterspin.ingest.contents import FileColumn, FileContents, find_frequency, fit_wave
-from counterspin.records.sampling import has_shared_times, row_rate
+from counterspin.records.sampling import estimate_row_rate, has_shared_times
 from counterspin.records.unit_notation import unit_in_name
 from counterspin.units import is_convertible, unit_factor
 
@@ -328,7 +328,7 @@ def _find_row_rate(
     if sampling_rate is not None or shared_times is None:
         return sampling_rate, ""
     try:
-        return row_rate(shared_times.values), ""
+        return estimate_row_rate(shared_times.values), ""
     except ValueError as error:
         return None, str(error)
 

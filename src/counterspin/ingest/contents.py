@@ -21,12 +21,12 @@ from counterspin.records.isolation import run_isolated
 from counterspin.records.reading import MAX_MAGNITUDE
 from counterspin.records.sampling import find_split_time
 from counterspin.records.several_sensors import (
-    MAX_VALUES,
-    SHOWING_ROWS,
+    MAX_SENSORS,
     STACKED_NAME,
-    interleaved_sensors,
-    sensor_columns,
-    stacked_sensors,
+    TEST_ROWS,
+    find_interleaved_sensors,
+    find_sensor_columns,
+    find_stacked_sensors,
 )
 
 #: Answer that every sheet of a workbook is a run.
@@ -174,8 +174,8 @@ def _read_contents(
 ) -> FileContents:
     with open_columns(path, Dialect(sheet=sheet, group=group)) as file:
         footer = file.footer
-        cells = file.first_cells([name for name in file.names if name], SHOWING_ROWS)
-        sensor_column, sensors = next(sensor_columns(cells), ("", []))
+        cells = file.first_cells([name for name in file.names if name], TEST_ROWS)
+        sensor_column, sensors = next(find_sensor_columns(cells), ("", []))
     column_name, _, value = (sensor or "").partition("=")
     selection = (sensor_column, sensor) if sensor is not None and sensor in sensors else None
     if selection is None and value:
@@ -248,7 +248,7 @@ def _find_stacked_sensors(
     values_by_name = {column.name: column.values for column in columns}
     named_columns = {name for name in values_by_name if STACKED_NAME.fullmatch(name)}
     repeating_columns = {
-        name for name, values in values_by_name.items() if len(np.unique(values)) <= MAX_VALUES
+        name for name, values in values_by_name.items() if len(np.unique(values)) <= MAX_SENSORS
     }
     text_columns = {
         name for name, cells in first_cells.items() if len(set(cells)) < len(cells) // 2
@@ -262,8 +262,8 @@ def _find_stacked_sensors(
         name: column for name, column in cells.items() if name in named_columns | text_columns
     }
     sensor_columns = (
-        *stacked_sensors(stacked_cells, values_by_name),
-        *interleaved_sensors(cells, values_by_name),
+        *find_stacked_sensors(stacked_cells, values_by_name),
+        *find_interleaved_sensors(cells, values_by_name),
     )
     return next(iter(sensor_columns), ("", []))
 

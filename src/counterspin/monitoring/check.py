@@ -30,7 +30,7 @@ from counterspin.monitoring.run_state import (
 from counterspin.planning.forecast import forecast
 from counterspin.planning.recorded import add_pose_noise, apply_observations, fitted_noise
 from counterspin.records.formats import find_opener
-from counterspin.records.memory import MemoryTable, memory_table
+from counterspin.records.memory import MemoryTable, make_memory_table
 from counterspin.threads import single_blas_thread
 
 
@@ -75,7 +75,7 @@ def _check_record(record: object, campaign: Campaign, run_name: str | None) -> C
         find_opener(file)  # checked first: it does not depend on the run
     selected_run = _select_run(campaign, file, run_name)
     if file is None:
-        table: MemoryTable = memory_table(f"{selected_run.name} in memory", record)
+        table: MemoryTable = make_memory_table(f"{selected_run.name} in memory", record)
         campaign = replace(campaign, frames={**campaign.frames, selected_run.record: table})
     if isinstance(selected_run, MeanRun):
         return check_mean(campaign, selected_run, file or selected_run.record)

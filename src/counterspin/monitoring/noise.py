@@ -39,7 +39,7 @@ from counterspin.monitoring.result import (
 )
 from counterspin.physics import observation
 from counterspin.records.column_file import format_names
-from counterspin.records.memory import MemoryTable, memory_table
+from counterspin.records.memory import MemoryTable, make_memory_table
 from counterspin.records.unit_notation import unit_in_name
 from counterspin.reports.numbers import format_number
 from counterspin.threads import single_blas_thread
@@ -116,7 +116,7 @@ def noise(
     file = Path(record).absolute() if isinstance(record, Path | str) else None
     if file is not None and not file.exists():
         raise RecordError(f"{record}: file not found", code="file-not-found")
-    source = file if file is not None else memory_table("record in memory", record)
+    source = file if file is not None else make_memory_table("record in memory", record)
     gravity_value = _parse_quantity("gravity", gravity, "m/s^2") or STANDARD_GRAVITY
     spindle_rate = _parse_quantity("rate", rate, "rad/s")
     unused_columns: list[str] = []
@@ -280,7 +280,7 @@ def _read_source(source: Path | MemoryTable, select: str | None) -> FileContents
         file_columns = tuple(
             FileColumn(name, "", values) for name, values in source.columns.items()
         )
-        return FileContents(Path(source.name), file_columns, source.others, "")
+        return FileContents(Path(source.name), file_columns, source.non_numeric_names, "")
     contents = read_contents(source, sensor=select)
     if contents.is_mixed and contents.sensors is not None:
         key, sensors = contents.sensors

@@ -1,22 +1,19 @@
-"""Record files in, clean samples or block means out; nothing of campaigns is known here.
+"""Reading of record files into clean samples or block means, independent of campaigns.
 
-- `reading`: `read_record`, from a run's file to samples or block means, checked and cleaned
-- `record`: the columns asked for, the stated motion, the record that comes out, and what was found
-  on the way
-- `format_registry`: the table of formats; `formats`: a file in any format, as columns or as a table
-- `column_file`, `csv_file`, `array_files`, `tdms_file`, `table_files`: what all formats have in
-  common, and each format's own
-- `dialect`: what a person states on how a file is written; `layout`, `header_metadata`,
-  `unit_notation`: what the lines of a table show, what the lines above the names state, and units
-  and numbers as files write them
-- `sampling`, `several_sensors`: the values in a log that repeat a sample, and rows of several
-  sensors
-- `run_file`: the files of one run as one, with the time and the angle that no file has
-- `clock`, `outliers`, `reduction`: the steps of reading a chunk, in their order
-- `signals`: the unit of a signal by its wave, and whether a recorder took a line off it
-- `memory`: columns and frames that a program holds, in the place of a file
-- `temperature_profile`: the temperature in a record over time
-- `isolation`, `reader_process`, `reader_limits`: which files are read in a process of its own, that
-  process, and the limits
-  on its time and memory
+- `reading`: `read_record` reads a run's file, checks and cleans it, and computes block means
+- `record`: the requested columns, the stated motion, the record, and the report on its reading
+- `format_registry`: table of the file formats; `formats`: files of any format as columns or tables
+- `column_file`: common interface of all formats; `csv_file`, `array_files`, `tdms_file`,
+  `table_files`: readers of the formats
+- `dialect`: stated properties of a text file; `layout`: detected layout of a table;
+  `header_footer`: lines above the names and below the rows; `unit_notation`: units and numbers in
+  the notations of files
+- `sampling`: repeated values and time stamps; `several_sensors`: rows of several sensors in a file
+- `run_file`: the files of a run as one file, with derived time and angle
+- `clock`, `outliers`, `reduction`: the steps of processing a chunk, in this order
+- `signals`: the unit of a signal by its amplitude; detection of removed trends
+- `memory`: columns and data frames in memory in place of a file
+- `temperature_profile`: temperature in a record over time
+- `isolation`: choice of the files that a separate process reads; `reader_process`: that process;
+  `reader_limits`: its time and memory limits
 """

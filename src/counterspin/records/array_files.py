@@ -1,8 +1,8 @@
-"""Record files of named arrays: HDF5, and MATLAB in either of its formats.
+"""Record files of named arrays: HDF5, and both formats of MATLAB.
 
-A column is an array with one dimension larger than 1; MATLAB keeps it as a column or a row. A
-matrix is as many columns as its shorter dimension: `pos` of 12001 x 2 is `pos.1` and `pos.2`, in
-HDF5 `pos/1` and `pos/2`. A single number is no column.
+A column is an array with one dimension larger than 1, in MATLAB a column or a row. A matrix has one
+column per element of its shorter dimension: `pos` of 12001 x 2 has the columns `pos.1` and `pos.2`,
+in HDF5 `pos/1` and `pos/2`. A single number is not a column.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from counterspin.frozen import frozen
 from counterspin.records.column_file import ColumnFile, Columns, concatenate_batches, format_names
 from counterspin.records.csv_file import CsvFile
 from counterspin.records.dialect import Dialect
-from counterspin.records.header_metadata import parse_interval
+from counterspin.records.header_footer import parse_interval
 
 if TYPE_CHECKING:
     import polars as pl
@@ -31,22 +31,22 @@ if TYPE_CHECKING:
 
 #: Rows read at a time (24 MB for three columns).
 _BATCH_ROWS = 1_000_000
-#: A matrix of more columns than these is none.
+#: Largest number of columns of a matrix.
 _MAX_COLUMNS = 200
-#: The end of MATLAB's header -> the order of bytes; its length; the type of what is compressed.
+#: End of MATLAB's header -> byte order; length of the header; type of a compressed element.
 _BYTE_ORDERS = {b"IM": "<", b"MI": ">"}
-_MATLAB_HEADER = 128
-_MATLAB_COMPRESSED = 15
-#: MATLAB's classes of arrays that hold numbers.
-_MATLAB_NUMBERS = {"double", "single", "logical"} | {
+_MATLAB_HEADER_BYTES = 128
+_MATLAB_COMPRESSED_TYPE = 15
+#: Numeric array classes of MATLAB.
+_MATLAB_NUMBER_CLASSES = {"double", "single", "logical"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
 #: Bytes that show whether a .mat file is text.
 _PREVIEW_BYTES = 4096
 
 
-#: A word in the name of a group that stands for a sensor.
-_SENSOR = re.compile(
+#: Pattern of group names that denote a sensor.
+_SENSOR_NAME = re.compile(
     r"(?i)(?<![a-z])(imu|sensor|device|acc(el(erometer)?)?|board|node|unit)(?![a-z])"
 )
 
@@ -54,17 +54,17 @@ _SENSOR = re.compile(
 class ArrayFile(ColumnFile):
     """A file of named arrays."""
 
-    _paths: dict[str, str]  # name, within its group or not -> its path
-    _column_indices: dict[str, int]  # name of a matrix's column -> which it is, from 0
-    _single_values: list[str]  # names of arrays that hold one value
+    _paths: dict[str, str]  # name, with or without its group -> path
+    _column_indices: dict[str, int]  # name of a matrix column -> index
+    _single_values: list[str]  # names of arrays with a single value
 
     @abstractmethod
-    def _arrays(self, wanted: Sequence[str]) -> AbstractContextManager[Mapping[str, Any]]:
-        """Open the wanted arrays; they have a dtype and a shape, and can be sliced."""
+    def _arrays(self, names: Sequence[str]) -> AbstractContextManager[Mapping[str, Any]]:
+        """Open arrays, which have a dtype and a shape, and can be sliced."""
 
     @abstractmethod
     def _shape(self, name: str) -> tuple[int, ...] | None:
-        """Return an array's shape; RecordError unless it holds numbers, in this very file."""
+        """Return the shape of an array; RecordError unless this file contains its numbers."""
 
     def _name_columns(
         self,
@@ -74,17 +74,18 @@ class ArrayFile(ColumnFile):
         separator: str,
         path_separator: str = "/",
     ) -> None:
-        """Name the columns within a group: the one that is asked for, or the only one there is.
+        """Name the columns in the requested group, or in the only one.
 
-        shapes: Path of an array -> its shape; None: it has none.
-        group: Its path, its parts joined by `mark`; None: none is asked for.
+        shapes: Path of an array -> shape; None: no shape.
+        group: Path of the requested group, joined by `separator`; None: not stated.
         """
         paths = list(shapes)
         if group is None:
             groups = {path.rpartition(path_separator)[0] for path in paths}
             prefix = groups.pop() if len(groups) == 1 else ""
             self.runs = tuple(
-                run.replace(path_separator, separator) for run in _group_runs(paths, path_separator)
+                run.replace(path_separator, separator)
+                for run in _find_run_groups(paths, path_separator)
             )
         else:
             prefix = group.strip(separator).replace(separator, path_separator)
@@ -97,27 +98,31 @@ class ArrayFile(ColumnFile):
             raise RecordError(
                 f"{self.path}: no group '{group}' contains columns.", code="missing-column"
             )
-        # The whole path does as well.
+        # Full paths are names, too.
         self._paths = {
             path.replace(path_separator, separator): path for path in paths
         } | short_names
         self.names, self._single_values, self._column_indices = [], [], {}
         for name, path in list(self._paths.items()):
-            count = _column_count(shapes[path])
-            columns = [name] if count == 1 else [f"{name}{separator}{n + 1}" for n in range(count)]
-            if count > 1:
+            column_count = _column_count(shapes[path])
+            columns = (
+                [name]
+                if column_count == 1
+                else [f"{name}{separator}{index + 1}" for index in range(column_count)]
+            )
+            if column_count > 1:
                 self._paths |= dict.fromkeys(columns, path)
                 self._column_indices |= {column: index for index, column in enumerate(columns)}
             if name in short_names:
                 self.names += columns
-                self._single_values += [name] if count == 0 else []
+                self._single_values += [name] if column_count == 0 else []
 
     def single_numbers(self) -> dict[str, float]:
-        """Return arrays that hold one number."""
+        """Return name -> number of the arrays with a single value."""
         numbers = {}
         for name in self._single_values:
             with suppress(RecordError):
-                self._shape(name)  # refuses what holds no numbers
+                self._shape(name)  # raises RecordError without numbers
                 numbers[name] = float(next(self._batches([name]))[name][0])
         return numbers
 
@@ -125,19 +130,19 @@ class ArrayFile(ColumnFile):
         """Return whether the file has a column of this name."""
         return name in self._paths
 
-    def _require(self, wanted: Sequence[str]) -> None:
+    def _require(self, names: Sequence[str]) -> None:
         lengths = {}
-        for name in wanted:
+        for name in names:
             shape = self._shape(name)
             if shape is not None and name in self._column_indices:
                 shape = (max(shape),)
-            size = 0 if shape is None else int(np.prod(shape, dtype=object))
-            # HDF5 has datasets without any space, whose shape is None.
-            if shape is None or size != max(shape, default=0):
+            value_count = 0 if shape is None else int(np.prod(shape, dtype=object))
+            # HDF5 has empty datasets, whose shape is None.
+            if shape is None or value_count != max(shape, default=0):
                 columns = [
-                    p
-                    for p in self._column_indices
-                    if self._paths[p] == self._paths[name] and p.startswith(name)
+                    column
+                    for column in self._column_indices
+                    if self._paths[column] == self._paths[name] and column.startswith(name)
                 ]
                 hint = f": {format_names(columns)}" if columns else ""
                 raise RecordError(
@@ -147,7 +152,7 @@ class ArrayFile(ColumnFile):
                     ),
                     code="wrong-shape",
                 )
-            lengths[name] = size
+            lengths[name] = value_count
         if len(set(lengths.values())) > 1:
             name_list = ", ".join(f"'{name}' {length}" for name, length in lengths.items())
             raise RecordError(
@@ -155,8 +160,8 @@ class ArrayFile(ColumnFile):
             )
         self._check_size(8 * sum(lengths.values()))
 
-    def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
-        with self._arrays(wanted) as arrays:
+    def _batches(self, names: Sequence[str]) -> Iterator[Columns]:
+        with self._arrays(names) as arrays:
             for name, array in arrays.items():
                 if name in self.timestamp_columns and array.dtype.kind != "M":
                     raise RecordError(
@@ -179,14 +184,14 @@ class ArrayFile(ColumnFile):
                 }
 
     def _elapsed_seconds(self, array: Any, start: int, stop: int) -> np.ndarray:
-        """Return stamps as seconds after the first one."""
+        """Return time stamps as seconds since the first one."""
         import polars as pl
 
         stamps = np.asarray(array[start:stop]).astype("datetime64[ns]").astype(np.int64)
         return self.seconds(pl.Series(stamps))
 
     def _table(self) -> pl.DataFrame:
-        """Return all arrays of the file, which must be columns of numbers, equally long."""
+        """Return all arrays of the file, which must be columns of numbers of equal length."""
         import polars as pl
 
         self._require(self.names)
@@ -204,32 +209,36 @@ class Hdf5File(ArrayFile):
             raise RecordError(f"{path}: this is not an HDF5 file.", code="file-damaged")
         with h5py.File(path, "r") as file:
             datasets: dict[str, Any] = {}
-            # Links are not followed, neither in the file nor out of it.
+            # Links are not followed.
             file.visititems(
                 lambda name, item: (
                     datasets.update({name: item}) if isinstance(item, h5py.Dataset) else None
                 )
             )
             is_matlab = path.suffix.lower() == ".mat"
-            # MATLAB's own are no columns; its structures are groups, whose fields it parts by dots.
+            # MATLAB's internal datasets are not columns; its structures are groups with fields.
             shapes = {
                 path: shape
-                for n, d in datasets.items()
-                if not is_matlab or n[0] != "#"
-                for path, shape in _iter_fields(n, d)
+                for dataset_name, dataset in datasets.items()
+                if not is_matlab or dataset_name[0] != "#"
+                for path, shape in _iter_fields(dataset_name, dataset)
             }
-            pairs = (pair for item in (file, *datasets.values()) for pair in item.attrs.items())
-            intervals = {parse_interval([[key, str(value)]], ".") for key, value in pairs} - {None}
+            attributes = (
+                attribute for item in (file, *datasets.values()) for attribute in item.attrs.items()
+            )
+            intervals = {parse_interval([[key, str(value)]], ".") for key, value in attributes} - {
+                None
+            }
             self.interval = intervals.pop() if len(intervals) == 1 else None
-            mark = "." if is_matlab else "/"
-            self._name_columns(shapes, dialect.group, separator=mark)
+            separator = "." if is_matlab else "/"
+            self._name_columns(shapes, dialect.group, separator=separator)
 
     def _shape(self, name: str) -> tuple[int, ...] | None:
         import h5py
 
         with h5py.File(self.path, "r") as file:
             dataset, field = _split_field(file, self._paths[name])
-            # The checksum would be of this file, the numbers from another.
+            # The checksum would not cover numbers in another file.
             if dataset.is_virtual or dataset.external:
                 raise RecordError(
                     f"{self.path}: the values of '{name}' are in another file. Write a file that "
@@ -240,8 +249,8 @@ class Hdf5File(ArrayFile):
                 array = _FieldArray(dataset, field)
                 has_numbers, shape = array.dtype.kind in "fiu", array.shape
             else:
-                kind = dataset.id.get_type().get_class()
-                has_numbers, shape = kind in (h5py.h5t.INTEGER, h5py.h5t.FLOAT), dataset.shape
+                type_class = dataset.id.get_type().get_class()
+                has_numbers, shape = type_class in (h5py.h5t.INTEGER, h5py.h5t.FLOAT), dataset.shape
             if not has_numbers:
                 raise RecordError(
                     f"{self.path}: '{name}' does not contain numbers.", code="not-numeric"
@@ -249,28 +258,28 @@ class Hdf5File(ArrayFile):
             return shape
 
     @contextmanager
-    def _arrays(self, wanted: Sequence[str]) -> Iterator[Mapping[str, Any]]:
+    def _arrays(self, names: Sequence[str]) -> Iterator[Mapping[str, Any]]:
         import h5py
 
         with h5py.File(self.path, "r") as file:
             arrays = {}
-            for name in wanted:
+            for name in names:
                 dataset, field = _split_field(file, self._paths[name])
                 arrays[name] = _FieldArray(dataset, field) if field else dataset
             yield arrays
 
-    def _missing_columns_message(self, missing: Sequence[str]) -> str:
+    def _missing_columns_message(self, missing_names: Sequence[str]) -> str:
         import h5py
 
         with h5py.File(self.path, "r") as file:
-            for name in missing:
+            for name in missing_names:
                 if isinstance(file.get(name, getlink=True), h5py.ExternalLink | h5py.SoftLink):
                     return f"'{name}' is a link; write a file that contains the column itself."
-        return super()._missing_columns_message(missing)
+        return super()._missing_columns_message(missing_names)
 
 
 def _iter_fields(name: str, dataset: Any) -> Iterator[tuple[str, tuple[int, ...] | None]]:
-    """Yield the paths and shapes of a dataset: of each field of a compound one."""
+    """Yield path and shape of a dataset, or of each field of a compound dataset."""
     if not _is_compound(dataset):
         yield name, dataset.shape
         return
@@ -279,19 +288,19 @@ def _iter_fields(name: str, dataset: Any) -> Iterator[tuple[str, tuple[int, ...]
 
 
 def _split_field(file: Any, path: str) -> tuple[Any, str]:
-    """Return the dataset at a path, and the field of a compound one; empty text without a field."""
+    """Return the dataset at a path, and the field of a compound dataset (or empty text)."""
     group, _, field = path.rpartition("/")
-    within = file[group] if group else None
-    return (within, field) if within is not None and _is_compound(within) else (file[path], "")
+    dataset = file[group] if group else None
+    return (dataset, field) if dataset is not None and _is_compound(dataset) else (file[path], "")
 
 
-def _is_compound(item: Any) -> bool:
-    """Return whether an object of an HDF5 file is a dataset of named fields."""
+def _is_compound(node: Any) -> bool:
+    """Return whether an HDF5 object is a dataset with named fields."""
     import h5py
 
-    if not isinstance(item, h5py.Dataset):
+    if not isinstance(node, h5py.Dataset):
         return False
-    return bool(item.id.get_type().get_class() == h5py.h5t.COMPOUND)
+    return bool(node.id.get_type().get_class() == h5py.h5t.COMPOUND)
 
 
 @frozen(eq=False)
@@ -326,7 +335,7 @@ class MatlabFile(ArrayFile):
         from scipy.io import whosmat
 
         super().__init__(path, stream)
-        self._check_size(_inflated_size(stream))
+        self._check_size(_read_inflated_size(stream))
         try:
             variables = whosmat(stream)
         except (ValueError, TypeError, NotImplementedError) as error:
@@ -335,80 +344,84 @@ class MatlabFile(ArrayFile):
                 "again.",
                 code="file-damaged",
             ) from error
-        self._variables = {name: (tuple(shape), kind) for name, shape, kind in variables}
+        self._variables = {
+            name: (tuple(shape), matlab_class) for name, shape, matlab_class in variables
+        }
         self._loaded: dict[str, np.ndarray] = {}
-        for name, (_, kind) in list(self._variables.items()):
-            if kind == "struct":
+        for name, (_, matlab_class) in list(self._variables.items()):
+            if matlab_class == "struct":
                 self._expand_structure(name)
         shapes = {name: shape for name, (shape, _) in self._variables.items()}
         self._name_columns(shapes, dialect.group, separator=".", path_separator=".")
 
     def _expand_structure(self, name: str) -> None:
-        """Put the fields of a structure in its place, by their paths."""
+        """Replace a structure by its fields, named by their paths."""
         from scipy.io import loadmat
 
         self._stream.seek(0)
-        members = [(name, loadmat(self._stream, variable_names=[name])[name])]
+        pending = [(name, loadmat(self._stream, variable_names=[name])[name])]
         del self._variables[name]
-        while members:
-            path, value = members.pop()
+        while pending:
+            path, value = pending.pop()
             if value.dtype.names is not None and value.size <= _MAX_COLUMNS:
                 fields = [
-                    (f"{path}{f'({n})' if value.size > 1 else ''}.{key}", element[key])
-                    for n, element in enumerate(value.ravel(), 1)
+                    (f"{path}{f'({index})' if value.size > 1 else ''}.{key}", element[key])
+                    for index, element in enumerate(value.ravel(), 1)
                     for key in value.dtype.names
                 ]
-                members += reversed(fields)
+                pending += reversed(fields)
             elif value.dtype.kind in "fiub":
                 self._variables[path] = (value.shape, "double")
                 self._loaded[path] = value
 
-    def _missing_columns_message(self, missing: Sequence[str]) -> str:
-        unreadable = [name for name, (_, kind) in self._variables.items() if kind == "opaque"]
-        if unreadable or any(name == "None" for name in self._variables):
+    def _missing_columns_message(self, missing_names: Sequence[str]) -> str:
+        opaque_names = [
+            name for name, (_, matlab_class) in self._variables.items() if matlab_class == "opaque"
+        ]
+        if opaque_names or any(name == "None" for name in self._variables):
             return (
-                f"the file has no column '{missing[0]}'. Only MATLAB can read an object such as "
-                "a table. In MATLAB, save s = table2struct(T, 'ToScalar', true) instead."
+                f"the file has no column '{missing_names[0]}'. Only MATLAB can read an object "
+                "such as a table. In MATLAB, save s = table2struct(T, 'ToScalar', true) instead."
             )
-        return super()._missing_columns_message(missing)
+        return super()._missing_columns_message(missing_names)
 
     def _shape(self, name: str) -> tuple[int, ...]:
-        shape, kind = self._variables[self._paths[name]]
-        if kind not in _MATLAB_NUMBERS:
+        shape, matlab_class = self._variables[self._paths[name]]
+        if matlab_class not in _MATLAB_NUMBER_CLASSES:
             raise RecordError(
                 f"{self.path}: '{name}' does not contain numbers.", code="not-numeric"
             )
         return shape
 
     @contextmanager
-    def _arrays(self, wanted: Sequence[str]) -> Iterator[Mapping[str, Any]]:
+    def _arrays(self, names: Sequence[str]) -> Iterator[Mapping[str, Any]]:
         from scipy.io import loadmat
 
-        # The format has no way to read part of a variable.
-        paths = [self._paths[name] for name in wanted]
-        missing = [path for path in paths if path not in self._loaded]
-        if missing:
+        # The format does not allow partial reading of a variable.
+        paths = [self._paths[name] for name in names]
+        unloaded_paths = [path for path in paths if path not in self._loaded]
+        if unloaded_paths:
             self._stream.seek(0)
-            self._loaded |= loadmat(self._stream, variable_names=missing)
-        yield {name: self._loaded[self._paths[name]] for name in wanted}
+            self._loaded |= loadmat(self._stream, variable_names=unloaded_paths)
+        yield {name: self._loaded[self._paths[name]] for name in names}
 
 
-def _group_runs(paths: Sequence[str], within: str) -> list[str]:
-    """Return groups with the same columns whose names differ in a number alone; empty if none.
+def _find_run_groups(paths: Sequence[str], separator: str) -> list[str]:
+    """Return groups with the same columns whose names differ only in a number; or an empty list.
 
-    Groups that are called sensors are none: their rows are not those of one sensor.
+    Groups named after sensors are not runs, because each contains a different sensor.
     """
     groups: dict[str, set[str]] = {}
     for path in paths:
-        group, _, name = path.rpartition(within)
+        group, _, name = path.rpartition(separator)
         groups.setdefault(group, set()).add(name)
-    same_columns: dict[tuple[str, frozenset[str]], list[str]] = {}
+    groups_by_columns: dict[tuple[str, frozenset[str]], list[str]] = {}
     for group, names in groups.items():
-        if len(names) > 1 and re.search(r"\d", group) and not _SENSOR.search(group):
-            same_columns.setdefault((re.sub(r"\d+", "#", group), frozenset(names)), []).append(
+        if len(names) > 1 and re.search(r"\d", group) and not _SENSOR_NAME.search(group):
+            groups_by_columns.setdefault((re.sub(r"\d+", "#", group), frozenset(names)), []).append(
                 group
             )
-    return next((runs for runs in same_columns.values() if len(runs) > 1), [])
+    return next((runs for runs in groups_by_columns.values() if len(runs) > 1), [])
 
 
 def open_matlab(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:
@@ -417,52 +430,58 @@ def open_matlab(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:
 
     if h5py.is_hdf5(path):
         return Hdf5File(path, stream, dialect)
-    head = stream.read(_PREVIEW_BYTES)
+    first_bytes = stream.read(_PREVIEW_BYTES)
     stream.seek(0)
-    # MATLAB's own begins with words too; numbers follow in bytes that no text has.
-    is_text = not head.startswith(b"MATLAB") and b"\0" not in head
+    # MATLAB's format also starts with text, but contains bytes that text does not.
+    is_text = not first_bytes.startswith(b"MATLAB") and b"\0" not in first_bytes
     return (CsvFile if is_text else MatlabFile)(path, stream, dialect)
 
 
-def _inflated_size(stream: BinaryIO) -> int:
-    """Return how long the compressed variables of a .mat file of version 5 to 7 say they are.
+def _read_inflated_size(stream: BinaryIO) -> int:
+    """Return the stated size of all compressed variables of a .mat file of version 5 to 7, bytes.
 
-    SciPy inflates a variable to get past it. A file is a header of 128 bytes and then elements: a
-    type and a size of 4 bytes each, and the content, which for type 15 inflates to an element.
+    SciPy inflates a variable even to skip it. A file has a header of 128 bytes and elements with a
+    type and a size of 4 bytes each, and content, which for type 15 inflates to an element.
     """
     stream.seek(0)
-    order = _BYTE_ORDERS.get(stream.read(_MATLAB_HEADER)[-2:])
-    total = 0
-    while order is not None and len(tag := stream.read(8)) == 8:
-        data_type, size = struct.unpack(f"{order}II", tag)
+    byte_order = _BYTE_ORDERS.get(stream.read(_MATLAB_HEADER_BYTES)[-2:])
+    total_size = 0
+    while byte_order is not None and len(element_header := stream.read(8)) == 8:
+        data_type, element_size = struct.unpack(f"{byte_order}II", element_header)
         if data_type == 0:
             break  # no element
         start = stream.tell()
-        if data_type == _MATLAB_COMPRESSED:
+        if data_type == _MATLAB_COMPRESSED_TYPE:
             try:
-                inner_header = zlib.decompressobj().decompress(stream.read(min(size, 256)), 8)
+                inner_header = zlib.decompressobj().decompress(
+                    stream.read(min(element_size, 256)), 8
+                )
             except zlib.error:
-                break  # SciPy says so
+                break  # SciPy reports the error
             if len(inner_header) == 8:
-                total += struct.unpack(f"{order}II", inner_header)[1]
-        stream.seek(start + size)
+                total_size += struct.unpack(f"{byte_order}II", inner_header)[1]
+        stream.seek(start + element_size)
     stream.seek(0)
-    return total
+    return total_size
 
 
 def _column_count(shape: tuple[int, ...] | None) -> int:
-    """Return how many columns an array is: those of a matrix, 1 of anything else but a number."""
-    lengths = [dimension for dimension in shape or () if dimension > 1]
-    if shape is not None and not lengths and 0 not in shape:
+    """Return the number of columns of an array: several for a matrix, 0 for a single number."""
+    long_dimensions = [dimension for dimension in shape or () if dimension > 1]
+    if shape is not None and not long_dimensions and 0 not in shape:
         return 0
-    return min(lengths) if len(lengths) == 2 and min(lengths) <= _MAX_COLUMNS else 1
+    return (
+        min(long_dimensions)
+        if len(long_dimensions) == 2 and min(long_dimensions) <= _MAX_COLUMNS
+        else 1
+    )
 
 
 def _slice(array: Any, start: int, stop: int, column: int) -> np.ndarray:
-    """Return part of an array along its longest dimension; `column` counts along another."""
-    longest = int(np.argmax(array.shape)) if array.shape else 0
+    """Return a range of an array along its longest axis; `column` is the index along another."""
+    longest_axis = int(np.argmax(array.shape)) if array.shape else 0
     index = tuple(
-        slice(start, stop) if axis == longest else (column if length > 1 else 0)
+        slice(start, stop) if axis == longest_axis else (column if length > 1 else 0)
         for axis, length in enumerate(array.shape)
     )
     return np.atleast_1d(np.asarray(array[index], dtype=float))

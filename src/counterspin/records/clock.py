@@ -1,10 +1,9 @@
-"""The clock of a record, and the encoder as its witness.
+"""Checks of a record's time against its encoder angle.
 
-`Clock.accept` takes a chunk of a record and returns the rows that can be used, with the angle
-unwrapped. Time never decreases; rows with the same time are one row; missing rows are gaps.
-The encoder is the witness of the clock: across a gap the angle must have advanced with the time,
-and a sample that does not fit its neighbours is dropped when the angle comes back, and is a jump,
-which is refused, when it does not.
+`Clock.accept` checks a chunk of a record and returns the usable rows, with the angle unwrapped.
+Time never decreases; rows with equal times are merged; missing rows are gaps. Across a gap the
+angle must advance with the time. An angle that does not fit its neighbours is an outlier if the
+angle returns soon, or else a jump, which raises an error.
 """
 
 from __future__ import annotations
@@ -22,26 +21,26 @@ from counterspin.records.column_file import Chunk
 from counterspin.records.outliers import upper_median
 from counterspin.records.record import Gap
 
-#: Most gaps, and most rows of each kind of finding, that are listed; all are counted.
-LISTED = 100
-_TURN = 2 * math.pi
-#: Robust standard deviations that a step of the angle may stray from its neighbours.
+#: Largest number of gaps, and of rows of each finding, that are listed; all are counted.
+MAX_LISTED_ROWS = 100
+_REVOLUTION = 2 * math.pi
+#: Tolerance of an angle step relative to its neighbours, in robust standard deviations.
 _RESIDUAL_SDS = 10.0
-#: Steps of the angle that stand off are taken for the encoder's own, whatever their size, if they
-#: are more than this part of all; otherwise up to this size, rad.
-_COMMON_PART = 0.01
+#: Deviating angle steps are attributed to the encoder's resolution if they are more frequent than
+#: this fraction, or else up to this size, rad.
+_COMMON_FRACTION = 0.01
 _ENCODER_STEP_RAD = 1e-3
 #: Largest plausible angle, rad, some 10^8 revolutions. Floating-point numbers beyond 1e16 do not
-#: resolve the fraction of a turn, so that no test of the advance rejects them.
+#: resolve fractions of a revolution, so that no test of the advance could reject them.
 MAX_ANGLE = 1e9
-#: A time step longer than this many usual ones is a gap.
+#: Smallest time step that is a gap, in typical steps.
 _GAP_STEPS = 1.5
-#: The part of the advance across a gap by which the rate may have changed meanwhile.
-_GAP_RATE_CHANGE = 1e-3
-#: Revolutions of a gap beyond which that is a quarter of one, and the angle's turns are lost.
-_GAP_REVOLUTIONS = 250
-#: Ratios of measured to nominal rate that come of a mistaken unit, and what to say.
-_UNIT_SLIPS = (
+#: Largest relative change of the rate across a gap.
+_MAX_RATE_CHANGE = 1e-3
+#: Largest gap in revolutions: for a longer gap, the rate change exceeds a quarter of a revolution.
+_MAX_GAP_REVOLUTIONS = 250
+#: Ratios of measured to nominal rate caused by a mistaken unit, and hints.
+_UNIT_MISTAKES = (
     (180 / math.pi, "Is the angle column in degrees?"),
     (math.pi / 180, "Is the angle column in radians?"),
     (2 * math.pi, "Is the angle column in radians rather than revolutions?"),
@@ -76,10 +75,10 @@ class ClockFindings:
 
 @frozen
 class UsableRows:
-    """The usable rows of a chunk: `rows` are places in the chunk, None when all are used.
+    """The usable rows of a chunk: `rows` are indices in the chunk, None if all are used.
 
-    `chunk` is the chunk at those rows, with the angle unwrapped; `unevenness` is the largest
-    deviation of a time step from the usual one, relative to it.
+    `chunk` contains these rows, with the angle unwrapped; `unevenness` is the largest relative
+    deviation of a time step from the typical one.
     """
 
     rows: np.ndarray | None
@@ -88,9 +87,9 @@ class UsableRows:
 
 
 class Clock:
-    """Checks time and angle, chunk after chunk.
+    """Checks time and angle of consecutive chunks.
 
-    nominal_rate: The run's stated rate, rad/s, signed.
+    nominal_rate: Stated rate of the run, rad/s, signed.
     """
 
     def __init__(self, path: object, locate: Callable[[int], str], nominal_rate: float) -> None:
@@ -103,19 +102,19 @@ class Clock:
         self._last_angle = math.nan
         self._last_values: list[float] = []
         self._steps = empty_aligned(0)
-        # The first row of a run of unfitting angles that is still open, its time, and its fault.
-        self._lost: int | None = None
-        self._lost_time = math.nan
-        self._lost_words = ""
+        # First row of a current dropout of the angle, its time, and the message.
+        self._dropout_row: int | None = None
+        self._dropout_time = math.nan
+        self._dropout_message = ""
 
-    def _fail(self, row: int, description: str, code: str) -> RecordError:
-        return RecordError(f"{self._path}, {self._locate(row)}: {description}", code=code)
+    def _fail(self, row: int, problem: str, code: str) -> RecordError:
+        return RecordError(f"{self._path}, {self._locate(row)}: {problem}", code=code)
 
     def start(self, time: np.ndarray, angle: np.ndarray | None) -> None:
-        """Take the spacing and the rate from the first chunk; refuse a wrong rate or unit."""
+        """Estimate time step and rate from the first chunk; RecordError for a wrong rate."""
         is_valid = np.isfinite(time) if angle is None else np.isfinite(time) & np.isfinite(angle)
-        t = time[is_valid]
-        steps = np.diff(t)
+        valid_time = time[is_valid]
+        steps = np.diff(valid_time)
         if not (steps > 0).any():
             if (steps < 0).any():
                 row = int(np.flatnonzero(is_valid)[np.flatnonzero(steps < 0)[0] + 1])
@@ -126,23 +125,27 @@ class Clock:
         self.step = median(steps[steps > 0])
         if angle is None:
             return
-        a = angle[is_valid]
-        nominal = self.rate
-        # Differences over an eighth of a revolution: long against the encoder's noise and step,
-        # short against a turn, so that one median serves wrapped and unwrapped angles.
-        lag = int(np.clip(_TURN / 8 / abs(nominal * self.step), 1, max(1, len(t) // 4)))
-        spans = t[lag:] - t[:-lag]
+        valid_angle = angle[is_valid]
+        nominal_rate = self.rate
+        # Differences over an eighth of a revolution are long compared with the encoder's noise and
+        # step, but short enough that the median applies to wrapped and unwrapped angles.
+        lag = int(
+            np.clip(
+                _REVOLUTION / 8 / abs(nominal_rate * self.step), 1, max(1, len(valid_time) // 4)
+            )
+        )
+        spans = valid_time[lag:] - valid_time[:-lag]
         is_typical = (spans > 0) & (spans < _GAP_STEPS * lag * self.step)
-        angle_steps, spans = (a[lag:] - a[:-lag])[is_typical], spans[is_typical]
+        angle_steps, spans = (valid_angle[lag:] - valid_angle[:-lag])[is_typical], spans[is_typical]
         measured_rate = median(angle_steps / spans)
-        ratio = measured_rate / nominal
+        ratio = measured_rate / nominal_rate
         if abs(ratio - 1) > 0.05:
             raise RecordError(
-                f"{self._path}: {_rate_mismatch_message(measured_rate, nominal)}",
+                f"{self._path}: {_rate_mismatch_message(measured_rate, nominal_rate)}",
                 code="rate-mismatch",
             )
-        rate_deviation = _wrap(angle_steps - nominal * spans)
-        self.rate = nominal + median(rate_deviation / spans)
+        rate_deviation = _wrap_angle(angle_steps - nominal_rate * spans)
+        self.rate = nominal_rate + median(rate_deviation / spans)
 
     def accept(self, first_row: int, chunk: Chunk) -> UsableRows:
         """Check one chunk."""
@@ -159,39 +162,42 @@ class Clock:
                     self.rate = (self._last_angle - float(accepted_chunk.angle[0])) / span
         return usable
 
-    def _accept_complete_chunk(  # noqa: PLR0911 - each test hands over to the row-by-row judgement
+    def _accept_complete_chunk(  # noqa: PLR0911 - each failed test leads to the check of single rows
         self, chunk: Chunk
     ) -> UsableRows | None:
-        """Take the chunk as it stands, if nothing in it needs attention (NaN fails every test)."""
+        """Accept a whole chunk if it needs no corrections (NaN fails every test)."""
         time, angle = chunk.time, chunk.angle
         if len(time) < 2:
             return None
         steps = self._differences(time)
-        shortest, longest = float(steps.min()), float(steps.max())
-        if not (shortest > 0 and longest < _GAP_STEPS * self.step):
+        shortest_step, longest_step = float(steps.min()), float(steps.max())
+        if not (shortest_step > 0 and longest_step < _GAP_STEPS * self.step):
             return None
-        unevenness = max(longest / self.step - 1, 1 - shortest / self.step)
+        unevenness = max(longest_step / self.step - 1, 1 - shortest_step / self.step)
         elapsed = self.step if math.isnan(self._last_time) else time[0] - self._last_time
         if not 0 < elapsed < _GAP_STEPS * self.step:
             return None
         if angle is None:
             return UsableRows(None, chunk, unevenness)
-        if self._lost is not None:
+        if self._dropout_row is not None:
             return None
         angle_advance = self._differences(angle)
-        low, high = float(angle_advance.min()), float(angle_advance.max())
-        if not (low > -MAX_ANGLE and high < MAX_ANGLE and abs(angle[0]) < MAX_ANGLE):
+        min_advance, max_advance = float(angle_advance.min()), float(angle_advance.max())
+        if not (min_advance > -MAX_ANGLE and max_advance < MAX_ANGLE and abs(angle[0]) < MAX_ANGLE):
             return None
         sample = angle_advance[:: max(1, len(angle_advance) // 512)]
         typical_advance = upper_median(sample)
-        tolerance = _tolerance(_wrap(sample - typical_advance), angle)
-        # Where the angle has been wrapped, and the turns to add from there on.
+        tolerance = _step_tolerance(_wrap_angle(sample - typical_advance), angle)
+        # Indices at which the angle is wrapped, and revolutions to add from there on.
         wrap_indices, revolutions = np.zeros(1, dtype=int), np.zeros(1)
-        if not (low >= typical_advance - tolerance and high <= typical_advance + tolerance):
+        if not (
+            min_advance >= typical_advance - tolerance
+            and max_advance <= typical_advance + tolerance
+        ):
             misfit_indices = np.flatnonzero(np.abs(angle_advance - typical_advance) > tolerance)
-            wrap_count = np.round((typical_advance - angle_advance[misfit_indices]) / _TURN)
+            wrap_count = np.round((typical_advance - angle_advance[misfit_indices]) / _REVOLUTION)
             if not (
-                np.abs(angle_advance[misfit_indices] + _TURN * wrap_count - typical_advance)
+                np.abs(angle_advance[misfit_indices] + _REVOLUTION * wrap_count - typical_advance)
                 <= tolerance
             ).all():
                 return None
@@ -200,20 +206,23 @@ class Clock:
                 np.append(revolutions, np.cumsum(wrap_count)),
             )
         if not math.isnan(self._last_time):
-            expected = self._last_angle + self.rate * elapsed
-            before = float(np.round((expected - angle[0]) / _TURN))
-            if abs(float(angle[0]) + _TURN * before - expected) > tolerance:
+            expected_angle = self._last_angle + self.rate * elapsed
+            previous_revolutions = float(np.round((expected_angle - angle[0]) / _REVOLUTION))
+            if (
+                abs(float(angle[0]) + _REVOLUTION * previous_revolutions - expected_angle)
+                > tolerance
+            ):
                 return None
-            revolutions = revolutions + before
+            revolutions = revolutions + previous_revolutions
         if len(revolutions) > 1 or revolutions[0]:
-            lengths = np.diff(wrap_indices, append=len(angle))
-            unwrapped = angle + np.repeat(_TURN * revolutions, lengths)
+            segment_lengths = np.diff(wrap_indices, append=len(angle))
+            unwrapped = angle + np.repeat(_REVOLUTION * revolutions, segment_lengths)
             self.findings.wrapped = True
             chunk = Chunk(time, unwrapped, chunk.signals)
         return UsableRows(None, chunk, unevenness)
 
     def _differences(self, column: np.ndarray) -> np.ndarray:
-        """Return the steps of a column, in an array that the next call writes over."""
+        """Return the steps of a column, in an array that the next call overwrites."""
         if len(self._steps) < len(column) - 1:
             self._steps = empty_aligned(len(column) - 1)
         steps = self._steps[: len(column) - 1]
@@ -221,7 +230,7 @@ class Clock:
         return steps
 
     def _accept_rows(self, first_row: int, chunk: Chunk) -> UsableRows:
-        """Judge a chunk row by row."""
+        """Check a chunk row by row."""
         time = chunk.time
         for column, label in ((time, "time"), (chunk.angle, "angle")):
             if column is not None and np.isinf(column).any():
@@ -230,19 +239,19 @@ class Clock:
         has_time = ~np.isnan(time)
         self.findings.empty_time += int((~has_time).sum())
         rows = np.flatnonzero(has_time)
-        before = self._last_time
-        steps = np.diff(time[rows], prepend=before)
+        last_time = self._last_time
+        steps = np.diff(time[rows], prepend=last_time)
         if (steps < 0).any():
             index = int(np.flatnonzero(steps < 0)[0])
-            previous = self._last_time if index == 0 else float(time[rows[index - 1]])
+            previous_time = self._last_time if index == 0 else float(time[rows[index - 1]])
             raise self._fail(
                 first_row + int(rows[index]),
-                f"the time decreases, from {previous:.9g} s to {time[rows[index]]:.9g} s after "
-                "the start of the record.",
+                f"the time decreases, from {previous_time:.9g} s to {time[rows[index]]:.9g} s "
+                "after the start of the record.",
                 "time-backwards",
             )
         rows = self._drop_repeats(chunk, rows, steps)
-        self._note_gaps(first_row + rows, time[rows], before)
+        self._record_gaps(first_row + rows, time[rows], last_time)
         if chunk.angle is not None:
             has_number = ~np.isnan(chunk.angle[rows])
             self.findings.empty_angle += int((~has_number).sum())
@@ -262,7 +271,7 @@ class Clock:
         is_large = np.abs(angle[rows]) > MAX_ANGLE
         if is_large.any():
             self.findings.implausible_angles += int(is_large.sum())
-            self._note_angle_outliers(first_row + rows[is_large])
+            self._record_angle_outliers(first_row + rows[is_large])
         plausible: np.ndarray = rows[~is_large]
         return plausible
 
@@ -283,21 +292,21 @@ class Clock:
         self.findings.differing += int(differs.sum())
         return np.delete(rows, repeats)
 
-    def _note_gaps(self, rows: np.ndarray, time: np.ndarray, before: float) -> None:
-        steps = np.diff(time, prepend=before)
+    def _record_gaps(self, rows: np.ndarray, time: np.ndarray, last_time: float) -> None:
+        steps = np.diff(time, prepend=last_time)
         for index in np.flatnonzero(steps > _GAP_STEPS * self.step):
-            length = float(steps[index])
-            revolutions = length * abs(self.rate) / _TURN
-            if revolutions > _GAP_REVOLUTIONS:
+            duration = float(steps[index])
+            revolutions = duration * abs(self.rate) / _REVOLUTION
+            if revolutions > _MAX_GAP_REVOLUTIONS:
                 raise self._fail(
                     int(rows[index]),
-                    f"no rows were recorded for {length:.6g} s ({revolutions:.4g} revolutions), "
+                    f"no rows were recorded for {duration:.6g} s ({revolutions:.4g} revolutions), "
                     "which is too long to track the rotation. End the record before the gap.",
                     "time-gap",
                 )
             self.findings.gap_count += 1
-            if len(self.findings.gaps) < LISTED:
-                self.findings.gaps.append(Gap(float(time[index]) - length, length))
+            if len(self.findings.gaps) < MAX_LISTED_ROWS:
+                self.findings.gaps.append(Gap(float(time[index]) - duration, duration))
 
     def _unwrap_angle(
         self, first_row: int, rows: np.ndarray, time: np.ndarray, angle: np.ndarray
@@ -307,25 +316,25 @@ class Clock:
         if not len(rows):
             return is_fitting, angle
         steps = np.diff(time)
-        misfits = _wrap(np.diff(angle) - self.rate * steps)
+        misfits = _wrap_angle(np.diff(angle) - self.rate * steps)
         typical_misfit = median(misfits) if len(misfits) else 0.0
-        base = _tolerance(misfits - typical_misfit, angle) + abs(typical_misfit)
+        base_tolerance = _step_tolerance(misfits - typical_misfit, angle) + abs(typical_misfit)
 
-        def excess_misfit(indices: np.ndarray, time0: float, angle0: float) -> np.ndarray:
-            elapsed = time[indices] - time0
-            tolerance = (
-                _GAP_RATE_CHANGE
+        def excess_misfit(indices: np.ndarray, start_time: float, start_angle: float) -> np.ndarray:
+            elapsed = time[indices] - start_time
+            rate_tolerance = (
+                _MAX_RATE_CHANGE
                 * abs(self.rate)
                 * np.maximum(elapsed - _GAP_STEPS * self.step, 0.0)
             )
-            deviation = _wrap(angle[indices] - angle0 - self.rate * elapsed)
-            excess: np.ndarray = np.abs(deviation) - base - tolerance
+            deviation = _wrap_angle(angle[indices] - start_angle - self.rate * elapsed)
+            excess: np.ndarray = np.abs(deviation) - base_tolerance - rate_tolerance
             return excess
 
         overdue = np.maximum(steps - _GAP_STEPS * self.step, 0.0)
-        is_misfit = np.abs(misfits) > base + _GAP_RATE_CHANGE * abs(self.rate) * overdue
+        is_misfit = np.abs(misfits) > base_tolerance + _MAX_RATE_CHANGE * abs(self.rate) * overdue
         if math.isnan(self._last_angle):
-            # Begin at the first sample that its successor agrees with.
+            # Start at the first sample that agrees with its successor.
             start = int(np.argmin(is_misfit)) if len(is_misfit) else 0
             is_fitting[:start] = False
             last_index, index = start, start + 1
@@ -334,103 +343,111 @@ class Clock:
             last_index, index = -1, 0
             last_time, last_angle = self._last_time, self._last_angle
         breaks = np.flatnonzero(is_misfit) + 1
-        patience = max(_TURN / 4 / abs(self.rate), 8 * self.step)
+        max_dropout = max(_REVOLUTION / 4 / abs(self.rate), 8 * self.step)
         while True:
             if last_index >= 0:
-                where = np.searchsorted(breaks, last_index + 1)
-                if where == len(breaks):
+                break_index = np.searchsorted(breaks, last_index + 1)
+                if break_index == len(breaks):
                     break
-                index = int(breaks[where])
+                index = int(breaks[break_index])
                 last_time, last_angle = float(time[index - 1]), float(angle[index - 1])
-            # `index` may not fit the last good sample: look for the first one that does.
-            lost_since = float(time[index] if self._lost is None else self._lost_time)
-            stop = int(np.searchsorted(time, lost_since + patience, side="right"))
-            # Nearly always one of the next few does.
-            for end in (min(index + 32, stop), stop):
+            # `index` may not fit the last valid sample: search the first one that does.
+            dropout_start = float(time[index] if self._dropout_row is None else self._dropout_time)
+            stop = int(np.searchsorted(time, dropout_start + max_dropout, side="right"))
+            # Nearly always, one of the next few samples fits.
+            for search_stop in (min(index + 32, stop), stop):
                 fitting_indices = np.flatnonzero(
-                    excess_misfit(np.arange(index, end), last_time, last_angle) <= 0
+                    excess_misfit(np.arange(index, search_stop), last_time, last_angle) <= 0
                 )
                 if len(fitting_indices):
                     break
             if len(fitting_indices):
                 last_index = index + int(fitting_indices[0])
                 is_fitting[index:last_index] = False
-                self._lost = None
+                self._dropout_row = None
                 continue
-            if self._lost is None:
+            if self._dropout_row is None:
                 elapsed = float(time[index]) - last_time
-                deviation = float(_wrap(angle[index] - last_angle - self.rate * elapsed))
-                self._start_dropout(first_row + int(rows[index]), lost_since, elapsed, deviation)
+                deviation = float(_wrap_angle(angle[index] - last_angle - self.rate * elapsed))
+                self._start_dropout(first_row + int(rows[index]), dropout_start, elapsed, deviation)
             if stop < len(rows):
                 raise self._jump_error()
             is_fitting[index:] = False
             break
-        self._note_angle_outliers(first_row + rows[~is_fitting])
+        self._record_angle_outliers(first_row + rows[~is_fitting])
         return is_fitting, self._unwrap_turns(time, angle, is_fitting)
 
-    def _note_angle_outliers(self, rows: np.ndarray) -> None:
+    def _record_angle_outliers(self, rows: np.ndarray) -> None:
         self.findings.angle_outliers += len(rows)
-        capacity = LISTED - len(self.findings.outlier_rows)
+        capacity = MAX_LISTED_ROWS - len(self.findings.outlier_rows)
         self.findings.outlier_rows += [int(row) for row in rows[:capacity]]
 
-    def _unwrap_turns(self, time: np.ndarray, angle: np.ndarray, good: np.ndarray) -> np.ndarray:
+    def _unwrap_turns(
+        self, time: np.ndarray, angle: np.ndarray, is_fitting: np.ndarray
+    ) -> np.ndarray:
         angle = angle.copy()
-        t, a = time[good], angle[good]
-        if not len(t):
+        fitting_time, fitting_angle = time[is_fitting], angle[is_fitting]
+        if not len(fitting_time):
             return angle
-        gone, advance = np.diff(t), np.diff(a)
-        revolutions = np.append(0.0, np.cumsum(np.round((self.rate * gone - advance) / _TURN)))
+        elapsed, advance = np.diff(fitting_time), np.diff(fitting_angle)
+        revolutions = np.append(
+            0.0, np.cumsum(np.round((self.rate * elapsed - advance) / _REVOLUTION))
+        )
         if not math.isnan(self._last_angle):
-            expected = self._last_angle + self.rate * (t[0] - self._last_time)
-            revolutions += np.round((expected - a[0]) / _TURN)
+            expected_angle = self._last_angle + self.rate * (fitting_time[0] - self._last_time)
+            revolutions += np.round((expected_angle - fitting_angle[0]) / _REVOLUTION)
         if revolutions.any():
             self.findings.wrapped = True
-        angle[good] = a + _TURN * revolutions
+        angle[is_fitting] = fitting_angle + _REVOLUTION * revolutions
         return angle
 
     def finish(self) -> None:
-        """Refuse a record that ends on angles which do not fit, unless they are a few."""
-        if self._lost is not None and self.findings.angle_outliers and self._open_rows() > 3:
+        """Raise RecordError if the record ends with more than a few misfitting angles."""
+        if (
+            self._dropout_row is not None
+            and self.findings.angle_outliers
+            and self._count_dropout_rows() > 3
+        ):
             raise self._jump_error()
 
     def _start_dropout(self, row: int, time: float, elapsed: float, misfit: float) -> None:
-        self._lost, self._lost_time = row, time
-        self._lost_words = _jump_message(elapsed, self.step, misfit, self.rate)
+        self._dropout_row, self._dropout_time = row, time
+        self._dropout_message = _jump_message(elapsed, self.step, misfit, self.rate)
 
     def _jump_error(self) -> RecordError:
-        return self._fail(self._lost or 0, self._lost_words, "time-jump")
+        return self._fail(self._dropout_row or 0, self._dropout_message, "time-jump")
 
-    def _open_rows(self) -> int:
-        return sum(row >= (self._lost or 0) for row in self.findings.outlier_rows)
+    def _count_dropout_rows(self) -> int:
+        return sum(row >= (self._dropout_row or 0) for row in self.findings.outlier_rows)
 
 
-def _tolerance(misfits: np.ndarray, angle: np.ndarray) -> float:
-    """Return the tolerance of a step of the angle: noise, the encoder's step, rounding."""
+def _step_tolerance(misfits: np.ndarray, angle: np.ndarray) -> float:
+    """Return the tolerance of an angle step, rad: noise, encoder step and rounding."""
     magnitude = np.abs(misfits)
     rounding = 1e-10 + 8 * np.finfo(float).eps * float(abs(angle[0]) + abs(angle[-1]))
     significant = magnitude[magnitude > rounding]
-    quantum = float(significant.min()) if len(significant) else 0.0
-    if len(significant) <= max(4, _COMMON_PART * len(magnitude)):
-        # An encoder's step shows again and again, a jump once: it must not excuse itself.
-        quantum = min(quantum, _ENCODER_STEP_RAD)
-    # Beside a gap, or by an uneven clock, strays may be less than the step, which is common too.
-    rare_count = int(_COMMON_PART * len(magnitude)) + 4
+    encoder_step = float(significant.min()) if len(significant) else 0.0
+    if len(significant) <= max(4, _COMMON_FRACTION * len(magnitude)):
+        # An encoder step recurs, a jump does not: a jump must not widen its own tolerance.
+        encoder_step = min(encoder_step, _ENCODER_STEP_RAD)
+    # Near a gap, or with an uneven clock, deviations may be smaller than the encoder step.
+    rare_count = int(_COMMON_FRACTION * len(magnitude)) + 4
     if rare_count < len(magnitude):
         largest_common = float(np.partition(magnitude, -rare_count)[-rare_count])
-        quantum = max(quantum, min(largest_common, _ENCODER_STEP_RAD))
+        encoder_step = max(encoder_step, min(largest_common, _ENCODER_STEP_RAD))
     return (
-        _RESIDUAL_SDS * MAD_TO_SIGMA * upper_median(magnitude) + 3 * quantum + rounding
+        _RESIDUAL_SDS * MAD_TO_SIGMA * upper_median(magnitude) + 3 * encoder_step + rounding
         if len(magnitude)
         else rounding
     )
 
 
-def _wrap(angle: np.ndarray) -> np.ndarray:
-    return angle - _TURN * np.round(angle / _TURN)
+def _wrap_angle(angle: np.ndarray) -> np.ndarray:
+    return angle - _REVOLUTION * np.round(angle / _REVOLUTION)
 
 
 def _rate_mismatch_message(measured_rate: float, nominal_rate: float) -> str:
-    """Say that the angle does not advance at the run's rate (rad/s), and what may be the cause."""
+    """Return a message about a rate (rad/s) that differs from the nominal one, with a hint."""
     ratio = measured_rate / nominal_rate
     message = (
         f"the angle advances at {measured_rate:.6g} rad/s, but the run's rate is "
@@ -441,8 +458,8 @@ def _rate_mismatch_message(measured_rate: float, nominal_rate: float) -> str:
             " The angle changes in the opposite sense to the stated rate: reverse the sign of the "
             "rate or of the angle column."
         )
-    slip, hint = min(_UNIT_SLIPS, key=lambda slip_and_hint: abs(abs(ratio) / slip_and_hint[0] - 1))
-    if abs(abs(ratio) / slip - 1) < 0.05:
+    mistaken_ratio, hint = min(_UNIT_MISTAKES, key=lambda mistake: abs(abs(ratio) / mistake[0] - 1))
+    if abs(abs(ratio) / mistaken_ratio - 1) < 0.05:
         return f"{message} {hint}"
     return (
         message
@@ -451,9 +468,9 @@ def _rate_mismatch_message(measured_rate: float, nominal_rate: float) -> str:
 
 
 def _jump_message(elapsed: float, step: float, misfit: float, rate: float) -> str:
-    """Say that time and angle part company between two rows.
+    """Return a message about a jump of time or angle between two rows.
 
-    elapsed, step: The time between the rows, and the usual one, s.
+    elapsed, step: Time between the rows, and typical time step, s.
     misfit: Deviation of the angle from its expected advance, rad.
     rate: rad/s.
     """

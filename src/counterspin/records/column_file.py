@@ -1,6 +1,6 @@
-"""Interface of record files of all formats, and their columns in chunks.
+"""Common interface of record files of all formats, and their columns in chunks.
 
-A chunk is a number of consecutive rows that fits the processor's cache.
+A chunk contains consecutive rows, few enough for the processor cache.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ if TYPE_CHECKING:
 
 Columns = dict[str, np.ndarray]
 
-#: Rows in a chunk, about: three columns of them fit the processor's second cache.
+#: Approximate rows of a chunk: three columns fit into the second-level cache.
 _CHUNK_ROWS = 65536
 
 
 @frozen
 class Chunk:
-    """Consecutive rows of a record, arrays (n,), NaN where a cell is empty."""
+    """Consecutive rows of a record, arrays (n,), NaN for empty cells."""
 
     time: np.ndarray  #: s since the record's first sample.
     angle: np.ndarray | None  #: rad; None when the file has no angle column.
@@ -46,7 +46,7 @@ class Chunk:
         return len(self.time)
 
     def __getitem__(self, rows: np.ndarray) -> Chunk:
-        """Return the rows at (m,) places, or those that a (n,) mask marks."""
+        """Return the rows at (m,) indices, or of an (n,) mask."""
         angle = None if self.angle is None else self.angle[rows]
         return Chunk(self.time[rows], angle, [signal[rows] for signal in self.signals])
 
@@ -57,50 +57,51 @@ class Chunk:
 
 
 def chunk_size(block: int) -> int:
-    """Return the rows of a chunk: a whole number of blocks."""
+    """Return the number of rows of a chunk, a multiple of the block."""
     return block * max(1, _CHUNK_ROWS // block)
 
 
 def iter_chunks(
     batches: Iterator[Columns], choose_rows: Callable[[Columns], int]
 ) -> Iterator[Columns]:
-    """Yield columns in chunks of a fixed number of rows, whatever the file's batches.
+    """Yield columns in chunks of a fixed number of rows, independent of the file's batches.
 
     batches: Consecutive batches of the file's columns.
+    choose_rows: Function of the first rows that returns the number of rows of a chunk.
     """
-    head: list[Columns] = []
+    first_batches: list[Columns] = []
     for batch in batches:
-        head.append(batch)
-        if sum(map(row_count, head)) >= chunk_size(1):
+        first_batches.append(batch)
+        if sum(map(row_count, first_batches)) >= chunk_size(1):
             break
-    if not sum(map(row_count, head)):
+    if not sum(map(row_count, first_batches)):
         return
-    first = concatenate_batches(head)
-    chunk_rows = choose_rows(first)
-    # What lies across two batches is brought together in a buffer; the rest are views.
-    buffer = dict(zip(first, empty_aligned(len(first), chunk_rows), strict=True))
-    filled = 0
-    for batch in chain([first], batches):
+    first_batch = concatenate_batches(first_batches)
+    chunk_rows = choose_rows(first_batch)
+    # A chunk across two batches is copied to a buffer; other chunks are views.
+    buffer = dict(zip(first_batch, empty_aligned(len(first_batch), chunk_rows), strict=True))
+    filled_rows = 0
+    for batch in chain([first_batch], batches):
         rows = row_count(batch)
         start = 0
         while start < rows:
-            stop = min(start + chunk_rows - filled, rows)
+            stop = min(start + chunk_rows - filled_rows, rows)
             if stop - start == chunk_rows:
                 yield {name: column[start:stop] for name, column in batch.items()}
             else:
                 for name, column in batch.items():
-                    buffer[name][filled : filled + stop - start] = column[start:stop]
-                filled += stop - start
-            if filled == chunk_rows:
+                    buffer[name][filled_rows : filled_rows + stop - start] = column[start:stop]
+                filled_rows += stop - start
+            if filled_rows == chunk_rows:
                 yield buffer
-                filled = 0
+                filled_rows = 0
             start = stop
-    if filled:
-        yield {name: column[:filled] for name, column in buffer.items()}
+    if filled_rows:
+        yield {name: column[:filled_rows] for name, column in buffer.items()}
 
 
 def concatenate_batches(batches: list[Columns]) -> Columns:
-    """Return the columns of several batches, one batch after the other."""
+    """Concatenate the columns of several batches."""
     if len(batches) == 1:
         return batches[0]
     return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
@@ -111,31 +112,30 @@ def row_count(columns: Columns) -> int:
     return len(next(iter(columns.values())))
 
 
-#: A cell's values of 8 bytes may take this many times the file's size, packed as they may be: an
-#: even clock packs into nothing, but noise does not.
+#: Largest ratio of the values' bytes to the file size: an even clock compresses well, noise does
+#: not.
 _UNPACKED_RATIO = 200
-#: Bytes that the values of any file may take.
+#: Bytes of values that are accepted for any file size.
 _UNPACKED_BYTES = 64_000_000
 
 
-#: Names of months begin with these, and durations as MATLAB writes them end in these units, s.
+#: Beginnings of month names; units of MATLAB durations -> s.
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
-_DURATIONS = {"us|usecs?": 1e-6, "ms|msecs?": 1e-3, "s|secs?": 1.0, "min": 60.0, "hr": 3600.0}
-#: A day, ns.
-_DAY = 86_400_000_000_000
-#: What SCPI instruments write for more than they measure, and for no number (SCPI-99, 7.2.1.4).
-_OVERFLOW = 9.9e37
-_NOT_A_NUMBER = 9.91001e37
+_SECONDS_BY_UNIT = {"us|usecs?": 1e-6, "ms|msecs?": 1e-3, "s|secs?": 1.0, "min": 60.0, "hr": 3600.0}
+#: Length of a day, ns.
+_DAY_NS = 86_400_000_000_000
+#: Values of SCPI instruments for overflow and for not-a-number (SCPI-99, 7.2.1.4).
+_SCPI_OVERFLOW = 9.9e37
+_SCPI_NAN = 9.91001e37
 
 
 @contextmanager
-def record_errors(path: Path, where: Callable[[], str] = str) -> Iterator[None]:
-    """Turn whatever a reader raises into a `RecordError` that names the file.
+def record_errors(path: Path, describe_position: Callable[[], str] = str) -> Iterator[None]:
+    """Convert all exceptions of a reader to a `RecordError` that names the file.
 
-    The words of libraries are left out: they name calls and options that a user does not have.
+    Messages of libraries are omitted, because they name calls that users do not make.
 
-    where: Says how far reading has come, such as ``" after row 12"``; nothing as long as is
-        unknown.
+    describe_position: Returns the position of the reader, such as ``" after row 12"``; or empty.
     """
     try:
         yield
@@ -149,55 +149,56 @@ def record_errors(path: Path, where: Callable[[], str] = str) -> Iterator[None]:
     except FileNotFoundError:
         raise RecordError(f"{path}: file not found", code="file-not-found") from None
     except OSError as error:
-        if error.errno is None:  # a library's
-            raise DamagedFileError(_damage_message(path, where())) from error
+        if error.errno is None:  # raised by a library
+            raise DamagedFileError(_damage_message(path, describe_position())) from error
         raise RecordError(
-            f"{path}: the file cannot be read{where()}: {error.strerror}.", code="file-not-readable"
+            f"{path}: the file cannot be read{describe_position()}: {error.strerror}.",
+            code="file-not-readable",
         ) from None
     except MemoryError:
         raise DamagedFileError(
-            f"{path}: reading the file requires more memory than is available{where()}.",
+            f"{path}: reading the file requires more memory than is available"
+            f"{describe_position()}.",
             code="out-of-memory",
         ) from None
-    # Polars turns a panic into an exception that is no `Exception`.
+    # Polars raises a panic as an exception that is not an `Exception`.
     except BaseException as error:
-        raise DamagedFileError(_damage_message(path, where())) from error
+        raise DamagedFileError(_damage_message(path, describe_position())) from error
 
 
-def _damage_message(path: Path, where: str) -> str:
+def _damage_message(path: Path, position: str) -> str:
     return (
-        f"{path}: the file is damaged{where}, or it contains data that counterspin cannot read. "
+        f"{path}: the file is damaged{position}, or it contains data that counterspin cannot read. "
         "Export the file again, or export it as CSV."
     )
 
 
 class NoRowsError(RecordError):
-    """No rows of numbers stand below names in a sheet."""
+    """Error for a sheet without rows of numbers below column names."""
 
     code = "no-rows"
 
 
 class ColumnFile(ABC):
-    """The named columns of one record file, opened.
+    """The named columns of an open record file, as a context manager.
 
-    A context manager: on leaving, what was read must still be the file's content.
+    On exit, RecordError if the file has changed since it was opened.
     """
 
     delimiter = ","
     decimal = "."
-    #: Column -> its unit by the file itself, in plain signs; empty text where it states none.
+    #: Column -> normalised unit in the file; empty if not stated.
     units: dict[str, str]
-    interval: float | None  #: Time between rows by the file, s; None where it states none.
-    #: Whether they stand in a row of their own, or else in brackets behind the names.
+    interval: float | None  #: Sampling interval stated in the file, s; or None.
+    #: Whether the units are in a separate row, and not in brackets after the names.
     units_row: bool
-    #: Columns that are to be read as time stamps: seconds after the first one. Set it before
-    #: reading.
+    #: Columns to read as time stamps: seconds since the first one. Set it before reading.
     timestamp_columns: frozenset[str]
-    first_timestamp: int | None  #: The first time stamp, ns; None as long as it is unknown.
-    format_description: str  #: How the file is written, where that is not plain.
+    first_timestamp: int | None  #: First time stamp, ns; None: unknown.
+    format_description: str  #: Detected format, if it is not plain.
     footer: tuple[str, ...] = ()  #: Lines at the end that are not rows.
-    runs: tuple[str, ...] = ()  #: Groups with the same columns, each of which holds a run.
-    selection: np.ndarray | None = None  #: Rows that are selected, as a mask; None: all.
+    runs: tuple[str, ...] = ()  #: Groups with the same columns, one run each.
+    selection: np.ndarray | None = None  #: Mask of the selected rows; None: all.
 
     def __init__(self, path: Path, stream: BinaryIO) -> None:
         self.path = path
@@ -206,7 +207,7 @@ class ColumnFile(ABC):
         self.units, self.units_row = {}, False
         self.timestamp_columns, self.format_description = frozenset(), ""
         self.first_timestamp, self.interval = None, None
-        self._midnights: dict[str, tuple[int, int]] = {}
+        self._midnight_counts: dict[str, tuple[int, int]] = {}
         self._stream = stream
 
     def __enter__(self) -> Self:
@@ -215,11 +216,11 @@ class ColumnFile(ABC):
 
     def __exit__(
         self,
-        kind: type[BaseException] | None,
+        error_type: type[BaseException] | None,
         error: BaseException | None,
-        trace: TracebackType | None,
+        traceback: TracebackType | None,
     ) -> None:
-        """Close the file; RecordError if it is no longer what it was when it was opened."""
+        """Close the file; RecordError if it has changed since it was opened."""
         self._stream.close()
         if isinstance(error, Exception) or error is None:
             with record_errors(self.path):
@@ -230,46 +231,46 @@ class ColumnFile(ABC):
                         code="file-changed",
                     )
 
-    def require(self, wanted: Sequence[str]) -> None:
-        """Raise `RecordError` unless the file has the wanted columns and they can hold numbers."""
-        wanted = self._columns_in_file(wanted)
-        missing_names = [name for name in wanted if not self.has_column(name)]
+    def require(self, names: Sequence[str]) -> None:
+        """Raise `RecordError` unless the file has the columns and they can contain numbers."""
+        names = self._columns_in_file(names)
+        missing_names = [name for name in names if not self.has_column(name)]
         if missing_names:
             raise RecordError(
                 f"{self.path}: {self._missing_columns_message(missing_names)}",
                 code="missing-column",
             )
         with record_errors(self.path):
-            self._require(wanted)
+            self._require(names)
 
     def has_column(self, name: str) -> bool:
         """Return True if the file has a column of this name."""
         return name in self.names
 
-    def batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
-        """Yield the wanted columns, which `require` has passed, in consecutive batches."""
+    def batches(self, names: Sequence[str]) -> Iterator[Columns]:
+        """Yield columns that `require` has accepted in consecutive batches."""
         rows = 0
         with record_errors(self.path, lambda: f" after row {rows}" if rows else ""):
-            for batch in self._batches(self._columns_in_file(wanted)):
+            for batch in self._batches(self._columns_in_file(names)):
                 count = row_count(batch)
-                batch = {name: self._derive_column(batch, name) for name in wanted}  # noqa: PLW2901
+                batch = {name: self._derive_column(batch, name) for name in names}  # noqa: PLW2901
                 if self.selection is not None:
                     mask = self.selection[rows : rows + count]
                     batch = {name: values[mask] for name, values in batch.items()}  # noqa: PLW2901
                 yield {name: mask_overflow(values) for name, values in batch.items()}
                 rows += count
 
-    def _columns_in_file(self, wanted: Sequence[str]) -> list[str]:
-        """Return the columns of the file that make the wanted ones: of a split time, two."""
+    def _columns_in_file(self, names: Sequence[str]) -> list[str]:
+        """Return the file's columns from which columns are derived: two for a split time."""
         file_columns: list[str] = []
-        for name in wanted:
-            split_time = None if self.has_column(name) else _split_time(name)
+        for name in names:
+            split_time = None if self.has_column(name) else _parse_split_time(name)
             file_columns += [split_time.coarse, split_time.fine] if split_time else [name]
         return list(dict.fromkeys(file_columns))
 
     def _derive_column(self, batch: Columns, name: str) -> np.ndarray:
-        """Return a column of a batch; a split time as seconds after the first one."""
-        split_time = None if name in batch else _split_time(name)
+        """Return a column of a batch; a split time as seconds since the first one."""
+        split_time = None if name in batch else _parse_split_time(name)
         if split_time is None:
             return batch[name]
         import polars as pl
@@ -279,26 +280,26 @@ class ColumnFile(ABC):
             pl.select(pl.when(pl.Series(is_valid)).then(pl.Series(times))).to_series()
         )
 
-    def read_columns(self, wanted: Sequence[str]) -> Columns:
-        """Return whole columns, which `require` has passed; with the strict parser if needed."""
+    def read_columns(self, names: Sequence[str]) -> Columns:
+        """Return whole columns that `require` has accepted, with the strict parser if needed."""
         try:
-            batches = list(self.batches(wanted))
+            batches = list(self.batches(names))
         except RecordError:
             if not self.use_strict_parser():
                 raise
-            batches = list(self.batches(wanted))
+            batches = list(self.batches(names))
         if not batches:
             raise RecordError(f"{self.path}: the file has no rows.", code="no-rows")
         return concatenate_batches(batches)
 
     def table(self) -> pl.DataFrame:
-        """Return the whole file as it stands, cells of text remaining text."""
+        """Return the whole file; text cells remain text."""
         with record_errors(self.path):
             table = self._table()
             return table if self.selection is None else table.filter(self.selection)
 
     def select(self, column: str, value: str) -> None:
-        """Read from now on the rows alone in which a column has a value."""
+        """Select the rows in which a column has a value."""
         import numpy as np
 
         if not self.has_column(column):
@@ -316,9 +317,9 @@ class ColumnFile(ABC):
                 code="no-rows",
             )
         self.selection = mask
-        note = f"rows with {value} in column '{column}'"
+        description = f"rows with {value} in column '{column}'"
         self.format_description = (
-            f"{self.format_description}, {note}" if self.format_description else note
+            f"{self.format_description}, {description}" if self.format_description else description
         )
 
     def all_cells(self, column: str) -> list[str]:
@@ -332,7 +333,7 @@ class ColumnFile(ABC):
         return [f"{value:.12g}" for batch in batches for value in batch[column].tolist()]
 
     def locate_row(self, row: int) -> str:
-        """Say where a row that was read stands in the file, counted among those selected."""
+        """Return the location of a row in the file, such as ``row 12``; rows as selected."""
         if self.selection is None:
             return self.locate(row)
         import numpy as np
@@ -347,11 +348,11 @@ class ColumnFile(ABC):
             return self._stream.read()
 
     def locate(self, row: int) -> str:
-        """Say where data row `row` (counted from 0) stands in the file."""
+        """Return the location in the file of a data row, counted from 0."""
         return f"row {row + 1}"
 
     def row_locations(self, rows: int) -> list[str]:
-        """Say where each of the data rows stands in the file."""
+        """Return the locations of the data rows in the file."""
         return [self.locate_row(row) for row in range(rows)]
 
     def use_strict_parser(self) -> bool:
@@ -359,11 +360,11 @@ class ColumnFile(ABC):
         return False
 
     def single_numbers(self) -> dict[str, float]:
-        """Return the single numbers that stand beside the columns, by name."""
+        """Return name -> scalar value in addition to the columns."""
         return {}
 
     def first_cells(self, names: Sequence[str], count: int) -> dict[str, list[str]]:
-        """Return the first cells of columns, as text; columns that cannot be read are left out."""
+        """Return the first cells of columns, as text; unreadable columns are omitted."""
         cells = {}
         for name in names:
             with suppress(RecordError), record_errors(self.path):
@@ -377,63 +378,68 @@ class ColumnFile(ABC):
         return [] if batch is None else [f"{value:.12g}" for value in batch[name][:count]]
 
     def preview(self) -> str:
-        """Say what a text's first lines look like, a line each; empty text of other files."""
+        """Describe the first lines of a text file, one line each; empty for other files."""
         return ""
 
-    def seconds(self, stamps: pl.Series) -> np.ndarray:
-        """Return time stamps, ns with gaps, as seconds after the first one of the file.
+    def seconds(self, timestamps: pl.Series) -> np.ndarray:
+        """Return time stamps, ns with gaps, as seconds since the first one of the file.
 
-        Times of day without a date go on after midnight.
+        Times of day without a date continue after midnight.
         """
         import numpy as np
 
-        known_stamps = stamps.drop_nulls().to_numpy()
-        if self.first_timestamp is None and len(known_stamps):
-            self.first_timestamp = int(known_stamps[0])
-            self._midnights = {}
-        # Whole numbers first: seconds since 1970 have digits for no more than microseconds.
-        elapsed = (stamps - (self.first_timestamp or 0)).to_numpy().astype(float)
+        valid_timestamps = timestamps.drop_nulls().to_numpy()
+        if self.first_timestamp is None and len(valid_timestamps):
+            self.first_timestamp = int(valid_timestamps[0])
+            self._midnight_counts = {}
+        # Integers keep nanoseconds; seconds since 1970 in floating point do not.
+        elapsed = (timestamps - (self.first_timestamp or 0)).to_numpy().astype(float)
         if (
-            len(known_stamps) and known_stamps.min() >= 0 and known_stamps.max() < _DAY
+            len(valid_timestamps)
+            and valid_timestamps.min() >= 0
+            and valid_timestamps.max() < _DAY_NS
         ):  # times without dates
-            last_stamp, days = self._midnights.get(stamps.name, (int(known_stamps[0]), 0))
-            days_passed = days + np.cumsum(np.diff(known_stamps, prepend=last_stamp) < -_DAY // 2)
-            elapsed[stamps.is_not_null().to_numpy()] += days_passed * float(_DAY)
-            self._midnights[stamps.name] = int(known_stamps[-1]), int(days_passed[-1])
+            last_stamp, days = self._midnight_counts.get(
+                timestamps.name, (int(valid_timestamps[0]), 0)
+            )
+            days_passed = days + np.cumsum(
+                np.diff(valid_timestamps, prepend=last_stamp) < -_DAY_NS // 2
+            )
+            elapsed[timestamps.is_not_null().to_numpy()] += days_passed * float(_DAY_NS)
+            self._midnight_counts[timestamps.name] = int(valid_timestamps[-1]), int(days_passed[-1])
         return elapsed * 1e-9
 
-    def _require(self, wanted: Sequence[str]) -> None:  # noqa: B027
-        """As `require`, of columns that are there."""
+    def _require(self, names: Sequence[str]) -> None:  # noqa: B027
+        """Implement `require` for existing columns."""
 
     @abstractmethod
-    def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
-        """As `batches`."""
+    def _batches(self, names: Sequence[str]) -> Iterator[Columns]:
+        """Implement `batches`."""
 
     @abstractmethod
     def _table(self) -> pl.DataFrame:
-        """As `table`."""
+        """Implement `table`."""
 
-    def _missing_columns_message(self, missing: Sequence[str]) -> str:
+    def _missing_columns_message(self, missing_names: Sequence[str]) -> str:
         from difflib import get_close_matches
 
-        message = (
-            f"the file has no column {format_names(missing)}; it has {format_names(self.names)}."
-        )
-        similar = get_close_matches(missing[0], self.names, n=1)
-        return message + (f" Did you mean '{similar[0]}'?" if similar else "")
+        missing, existing = format_names(missing_names), format_names(self.names)
+        message = f"the file has no column {missing}; it has {existing}."
+        matches = get_close_matches(missing_names[0], self.names, n=1)
+        return message + (f" Did you mean '{matches[0]}'?" if matches else "")
 
-    def _check_size(self, needed: int) -> None:
-        """Refuse columns of numbers, before they are read, that no file of this size can hold."""
-        size = self.identity.size if self.identity else 0
-        if needed > _UNPACKED_BYTES + _UNPACKED_RATIO * size:
+    def _check_size(self, required_bytes: int) -> None:
+        """Raise DamagedFileError for more values than a file of this size can contain."""
+        file_bytes = self.identity.size if self.identity else 0
+        if required_bytes > _UNPACKED_BYTES + _UNPACKED_RATIO * file_bytes:
             raise DamagedFileError(
-                f"{self.path}: the file is damaged. It contains {size} bytes, but its header "
-                f"specifies {needed} bytes of data."
+                f"{self.path}: the file is damaged. It contains {file_bytes} bytes, but its header "
+                f"specifies {required_bytes} bytes of data."
             )
 
 
-def _split_time(name: str) -> SplitTime | None:
-    """Return the two columns of a time that a name such as ``sec [s] + nanosec [ns]`` states."""
+def _parse_split_time(name: str) -> SplitTime | None:
+    """Return the columns of a split time, ``sec [s] + nanosec [ns]``; None for other names."""
     if "] + " not in name:
         return None
     from counterspin.records.sampling import SplitTime
@@ -452,19 +458,19 @@ def _same_cell(cell: str, value: str) -> bool:
 
 
 def mask_overflow(values: np.ndarray) -> np.ndarray:
-    """Return numbers with NaN for those that instruments write where they measured none."""
+    """Replace the overflow values of SCPI instruments by NaN."""
     import numpy as np
 
-    if values.max(initial=0.0) < _OVERFLOW and values.min(initial=0.0) > -_OVERFLOW:
+    if values.max(initial=0.0) < _SCPI_OVERFLOW and values.min(initial=0.0) > -_SCPI_OVERFLOW:
         return values  # NaN fails both tests
-    is_overflow = np.abs(values) >= _OVERFLOW
-    if not is_overflow.any() or (np.abs(values[is_overflow]) > _NOT_A_NUMBER).any():
+    is_overflow = np.abs(values) >= _SCPI_OVERFLOW
+    if not is_overflow.any() or (np.abs(values[is_overflow]) > _SCPI_NAN).any():
         return values
     return np.where(is_overflow, np.nan, values)
 
 
 def format_names(names: Sequence[str], max_names: int = 20) -> str:
-    """Return column names for a message, in quotation marks, the first ones of many."""
+    """Format column names for a message, in quotation marks, and abbreviate a long list."""
     quoted_names = ", ".join(f"'{name}'" for name in names[:max_names])
     return (
         quoted_names + (f" and {len(names) - max_names} more" if len(names) > max_names else "")
@@ -477,8 +483,8 @@ def frame_columns(frame: pl.DataFrame) -> Columns:
     return {column.name: column.to_numpy() for column in frame.get_columns()}
 
 
-def plain_path(path: Path) -> str:
-    """Return a path as polars takes it literally; RecordError if it is no text in UTF-8."""
+def polars_path(path: Path) -> str:
+    """Return an absolute path as text for polars; RecordError if it is not valid UTF-8."""
     text = str(path.absolute())
     try:
         text.encode()
@@ -490,14 +496,13 @@ def plain_path(path: Path) -> str:
     return text
 
 
-def nanoseconds(name: str) -> pl.Expr:
-    """Return the stamps of a column of text as integers, ns; null where there is none.
+def parse_nanoseconds(name: str) -> pl.Expr:
+    """Parse the time stamps of a text column to integers, ns; null for other text.
 
-    With a date, since 1970 (UTC, or the place's own time where no zone is stated); without one,
-    since midnight. Fractions may have a comma or a colon; a blank may stand in the place of the T.
-    Of 1/2/2026 the month is first, unless there is none of its number; of 1.2.2026 the day. Months
-    may have English names, `05-Mar-2024 10:00:00.02`, `Tue Mar  5 10:00:00 2024`, and durations
-    their unit, `0.02 sec`.
+    With a date, they count since 1970 (UTC, or local time without a zone); without one, since
+    midnight. Fractions may follow a comma or a colon; a blank may replace the T. In 1/2/2026 the
+    month is first, unless it is above 12; in 1.2.2026 the day. Months may have English names,
+    `05-Mar-2024 10:00:00.02`, `Tue Mar  5 10:00:00 2024`, and durations a unit, `0.02 sec`.
     """
     import polars as pl
 
@@ -515,9 +520,11 @@ def nanoseconds(name: str) -> pl.Expr:
         date_pattern = rf"(?i)^(\d\d?)[- ]{month}[a-z]*[- ](\d{{4}})"
         text = text.str.replace(date_pattern, f"${{2}}-{number:02}-${{1}}")
     duration = pl.lit(None, pl.Float64)
-    for mark, size in _DURATIONS.items():
-        length = text.str.extract(rf"^(\d+(?:\.\d+)?(?:[eE][-+]?\d+)?) ?(?:{mark})$")
-        duration = pl.coalesce(duration, length.cast(pl.Float64, strict=False) * (size * 1e9))
+    for unit_pattern, unit_seconds in _SECONDS_BY_UNIT.items():
+        number_text = text.str.extract(rf"^(\d+(?:\.\d+)?(?:[eE][-+]?\d+)?) ?(?:{unit_pattern})$")
+        duration = pl.coalesce(
+            duration, number_text.cast(pl.Float64, strict=False) * (unit_seconds * 1e9)
+        )
     text = text.str.replace(r"^(\d\d?)\.(\d\d?)\.(\d{4})", "${3}-${2}-${1}")
     text = text.str.replace(r"^(1[3-9]|[23]\d)/(\d\d?)/(\d{4})", "${3}-${2}-${1}")
     text = text.str.replace(r"^(\d\d?)/(\d\d?)/(\d{4})", "${3}-${1}-${2}")
@@ -526,17 +533,17 @@ def nanoseconds(name: str) -> pl.Expr:
     iso_dates = pl.when(text.str.contains(r"^\d{4}-")).then(text)
     text = iso_dates.otherwise(pl.concat_str([pl.lit("1970-01-01T"), text]))
     has_zone = text.str.contains(r"[+-]\d\d:?\d\d$")
-    form = "%Y-%m-%dT%H:%M:%S%.f"
+    datetime_format = "%Y-%m-%dT%H:%M:%S%.f"
     has_am_pm = text.str.contains(r"[AaPp][Mm]$")
-    of_day = pl.when(~has_zone & ~has_am_pm).then(text).str
-    of_half = pl.when(has_am_pm).then(text).str
-    normalised = pl.coalesce(
-        of_day.to_datetime(form, time_unit="ns", strict=False),
-        of_half.to_datetime("%Y-%m-%dT%I:%M:%S%.f%p", time_unit="ns", strict=False),
+    text_24h = pl.when(~has_zone & ~has_am_pm).then(text).str
+    text_12h = pl.when(has_am_pm).then(text).str
+    local_times = pl.coalesce(
+        text_24h.to_datetime(datetime_format, time_unit="ns", strict=False),
+        text_12h.to_datetime("%Y-%m-%dT%I:%M:%S%.f%p", time_unit="ns", strict=False),
     )
     with_zone = pl.when(has_zone).then(text)
     utc_times = with_zone.str.to_datetime(
-        f"{form}%z", time_unit="ns", time_zone="UTC", strict=False
+        f"{datetime_format}%z", time_unit="ns", time_zone="UTC", strict=False
     )
-    moment = pl.coalesce(utc_times.dt.replace_time_zone(None), normalised).cast(pl.Int64())
-    return pl.coalesce(moment, duration.round().cast(pl.Int64, strict=False)).alias(name)
+    timestamps = pl.coalesce(utc_times.dt.replace_time_zone(None), local_times).cast(pl.Int64())
+    return pl.coalesce(timestamps, duration.round().cast(pl.Int64, strict=False)).alias(name)

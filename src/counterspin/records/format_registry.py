@@ -1,6 +1,6 @@
-"""Formats of record files by their endings: **the** table of formats.
+"""Registry of the record file formats by file extension.
 
-A new format is a row here and a class or function that opens its files.
+A new format requires an entry here, and a class or function that opens its files.
 """
 
 from __future__ import annotations
@@ -11,60 +11,59 @@ from typing import Final
 
 from counterspin.frozen import frozen
 
-_TEXT: Final = "counterspin.records.csv_file:CsvFile"
-_ARRAYS: Final = "counterspin.records.array_files"
-_TABLES: Final = "counterspin.records.table_files"
+_TEXT_OPENER: Final = "counterspin.records.csv_file:CsvFile"
+_ARRAY_MODULE: Final = "counterspin.records.array_files"
+_TABLE_MODULE: Final = "counterspin.records.table_files"
 
 
 @frozen
 class RecordFormat:
-    """Format of record files with one ending."""
+    """Format of record files with a file extension."""
 
-    opener: str  #: Name of what opens a file, ``module:name``; imported for the first file.
+    opener: str  #: Class or function that opens a file, ``module:name``; imported on demand.
     #: Libraries of native code that read the format, which may be absent; empty for text.
     libraries: tuple[str, ...] = ()
     holds_readings: bool = False  #: True if a table of readings may have this format.
-    #: In formats with sheets, names of the functions that list the sheets with a table of numbers,
-    #: and that read a sheet without numbers.
+    #: For formats with sheets, functions that list the sheets with numbers, and read a text sheet.
     sheets: str = ""
     text_sheet: str = ""
 
     @property
     def can_grow(self) -> bool:
         """True if a recorder can append rows to a file while it is read."""
-        return self.opener == _TEXT
+        return self.opener == _TEXT_OPENER
 
 
-#: Ending of a record file, in lower case -> its format.
+#: File extension, in lower case -> format.
 RECORD_FORMATS: Final[Mapping[str, RecordFormat]] = {
-    ".csv": RecordFormat(_TEXT, holds_readings=True),
-    ".txt": RecordFormat(_TEXT, holds_readings=True),
-    ".tsv": RecordFormat(_TEXT, holds_readings=True),
-    ".lvm": RecordFormat(_TEXT),
-    ".log": RecordFormat(_TEXT),
-    ".dat": RecordFormat(_TEXT),
-    ".asc": RecordFormat(_TEXT),
+    ".csv": RecordFormat(_TEXT_OPENER, holds_readings=True),
+    ".txt": RecordFormat(_TEXT_OPENER, holds_readings=True),
+    ".tsv": RecordFormat(_TEXT_OPENER, holds_readings=True),
+    ".lvm": RecordFormat(_TEXT_OPENER),
+    ".log": RecordFormat(_TEXT_OPENER),
+    ".dat": RecordFormat(_TEXT_OPENER),
+    ".asc": RecordFormat(_TEXT_OPENER),
     ".xls": RecordFormat("counterspin.records.csv_file:open_text_named_excel"),
-    ".parquet": RecordFormat(f"{_TABLES}:ParquetFile", ("polars",), holds_readings=True),
-    ".h5": RecordFormat(f"{_ARRAYS}:Hdf5File", ("h5py",), holds_readings=True),
-    ".hdf5": RecordFormat(f"{_ARRAYS}:Hdf5File", ("h5py",), holds_readings=True),
-    ".mat": RecordFormat(f"{_ARRAYS}:open_matlab", ("h5py", "scipy.io"), holds_readings=True),
+    ".parquet": RecordFormat(f"{_TABLE_MODULE}:ParquetFile", ("polars",), holds_readings=True),
+    ".h5": RecordFormat(f"{_ARRAY_MODULE}:Hdf5File", ("h5py",), holds_readings=True),
+    ".hdf5": RecordFormat(f"{_ARRAY_MODULE}:Hdf5File", ("h5py",), holds_readings=True),
+    ".mat": RecordFormat(f"{_ARRAY_MODULE}:open_matlab", ("h5py", "scipy.io"), holds_readings=True),
     ".xlsx": RecordFormat(
-        f"{_TABLES}:ExcelFile",
+        f"{_TABLE_MODULE}:ExcelFile",
         ("fastexcel", "polars"),
         holds_readings=True,
-        sheets=f"{_TABLES}:table_sheets",
-        text_sheet=f"{_TABLES}:excel_table",
+        sheets=f"{_TABLE_MODULE}:find_table_sheets",
+        text_sheet=f"{_TABLE_MODULE}:read_excel_table",
     ),
     ".tdms": RecordFormat("counterspin.records.tdms_file:TdmsFile", ("nptdms", "polars")),
 }
 
-#: Endings of files that hold other files, made small.
+#: Extensions of compressed files.
 _COMPRESSED_SUFFIXES: Final = (".gz", ".zip", ".bz2", ".xz", ".zst", ".7z", ".rar", ".tar", ".tgz")
 
 
-#: Ending of a file that is no record, though it may hold one -> what to do with it.
-_ALTERNATIVES: Final[Mapping[str, str]] = {
+#: Extension of an unsupported file that may contain a record -> advice.
+_ADVICE_BY_SUFFIX: Final[Mapping[str, str]] = {
     ".npy": "NumPy's binary format is not supported; write it as text: "
     'savetxt("NAME.csv", load("NAME.npy"), delimiter=",").',
     ".npz": "NumPy's binary format is not supported; write an array as text: "
@@ -87,18 +86,18 @@ _ALTERNATIVES: Final[Mapping[str, str]] = {
 
 
 def format_of(path: Path) -> RecordFormat | None:
-    """Return the format of a record file by its ending; None if no record file has this ending."""
+    """Return the format of a record file by its extension; None for unsupported extensions."""
     return RECORD_FORMATS.get(path.suffix.lower())
 
 
 def suffix_problem(path: Path) -> str:
-    """Return why a file is no record by its ending, and what to do; empty if it may be one."""
-    ending = path.suffix.lower()
+    """Return problem and advice for an unsupported extension; empty for supported ones."""
+    suffix = path.suffix.lower()
     if format_of(path) is not None:
         return ""
-    if ending in _COMPRESSED_SUFFIXES:
+    if suffix in _COMPRESSED_SUFFIXES:
         return "the file is compressed; unpack it, and use the extracted file."
-    if ending in _ALTERNATIVES and not path.is_dir():
-        return _ALTERNATIVES[ending]
+    if suffix in _ADVICE_BY_SUFFIX and not path.is_dir():
+        return _ADVICE_BY_SUFFIX[suffix]
     problem = "this is a folder" if path.is_dir() else "this file does not"
     return f"the name of a record file must end in one of {', '.join(RECORD_FORMATS)}; {problem}."

@@ -1,9 +1,8 @@
-"""Record files, whatever their format, as columns or as a table.
+"""Record files of any format, as columns or as a table.
 
-CSV, Parquet, HDF5 and MATLAB files look alike from here. A `ColumnFile` yields columns in batches
-of float64 arrays (an empty cell is NaN) and says where a row stands in the file, in the words a
-person needs to find it: the line of a text editor for CSV, the row else. Nothing here judges the
-numbers; `reading` does.
+A `ColumnFile` yields columns in batches of float64 arrays (NaN for empty cells), and returns the
+location of a row for messages: the line in a text editor for CSV, or else the row. `reading` checks
+the numbers.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ Opener = Callable[[Path, BinaryIO, Dialect], ColumnFile]
 
 
 def find_opener(path: Path) -> Opener:
-    """Return the opener of a file; RecordError for an unknown ending or a folder."""
+    """Return the opener of a file; RecordError for an unsupported extension or a folder."""
     if problem := suffix_problem(path):
         raise RecordError(f"{path}: {problem}", code="wrong-file-type")
     return cast("Opener", load_name(RECORD_FORMATS[path.suffix.lower()].opener))
@@ -71,26 +70,24 @@ def open_columns(path: Path | MemoryTable, dialect: Dialect = AUTODETECT) -> Col
 
 @frozen(eq=False)
 class StoredTable:
-    """A file's columns, and how they are written."""
+    """The columns of a file, and its format."""
 
-    frame: pl.DataFrame  #: Cells of text as they stand.
-    #: Column -> its unit by a row of units, in plain signs; empty without such a row.
-    units: Mapping[str, str]
-    #: What parts cells and decimals in a file of text.
-    delimiter: str
-    decimal: str
-    format_description: str  #: How the file is written, where that is not plain.
+    frame: pl.DataFrame  #: Cells; text remains text.
+    units: Mapping[str, str]  #: Column -> normalised unit in the units row; or empty.
+    delimiter: str  #: Delimiter of a text file.
+    decimal: str  #: Decimal separator of a text file.
+    format_description: str  #: Detected format, if it is not plain.
 
 
 def read_table(path: Path, dialect: Dialect = AUTODETECT) -> StoredTable:
-    """Return a whole file as it stands, cells of text remaining text."""
+    """Read a whole file; text cells remain text."""
     return run_isolated(_read_table, path, dialect)
 
 
 def read_small_table(
     path: Path, dialect: Dialect = AUTODETECT
 ) -> tuple[StoredTable, list[str], str]:
-    """Return a table, where each of its rows stands, and the SHA-256 of what was read."""
+    """Read a table; return it with the locations of its rows and the SHA-256 of the file."""
     return run_isolated(_read_small_table, path, dialect)
 
 
@@ -111,19 +108,19 @@ def sheets_with_tables(path: Path) -> tuple[str, ...]:
 def read_numbers(
     path: Path | MemoryTable, names: Sequence[str], dialect: Dialect = AUTODETECT
 ) -> Columns:
-    """Return columns of numbers, NaN where a cell is empty, of a file in any dialect."""
+    """Read columns of numbers, NaN for empty cells."""
     return run_isolated(_read_numbers, path, list(names), dialect)
 
 
 def read_scaled(
     path: Path | MemoryTable, columns: Sequence[ColumnSpec], dialect: Dialect = AUTODETECT
 ) -> list[Array]:
-    """Return columns in SI, NaN where a cell is empty; rows may be counted, and stamps timed."""
+    """Read columns in SI, NaN for empty cells, including counted rows and time stamps."""
     return run_isolated(_read_scaled, path, list(columns), dialect)
 
 
 def locate(path: Path | MemoryTable, row: int, dialect: Dialect = AUTODETECT) -> str:
-    """Say where data row `row` (counted from 0) stands in the file."""
+    """Return the location in the file of a data row, counted from 0."""
     return run_isolated(_locate, path, row, dialect)
 
 
@@ -140,7 +137,7 @@ def _stored_table(file: ColumnFile) -> StoredTable:
 def _read_small_table(path: Path, dialect: Dialect) -> tuple[StoredTable, list[str], str]:
     try:
         with open_columns(path, dialect) as file:
-            # On leaving, the file must still be what it was when it was opened.
+            # The context manager checks that the file has not changed.
             table = _stored_table(file)
             return table, file.row_locations(table.frame.height), _checksum(file.content())
     except NoRowsError:  # a sheet of text, such as attitudes: the first row contains the names
@@ -148,9 +145,9 @@ def _read_small_table(path: Path, dialect: Dialect) -> tuple[StoredTable, list[s
             content = read_file(path)
         read_text = load_name(RECORD_FORMATS[path.suffix.lower()].text_sheet)
         frame = read_text(path, dialect, content)
-        table_of_text = StoredTable(frame, {}, ColumnFile.delimiter, ColumnFile.decimal, "")
+        text_table = StoredTable(frame, {}, ColumnFile.delimiter, ColumnFile.decimal, "")
         locations = [f"row {row + 1} below the names" for row in range(frame.height)]
-        return table_of_text, locations, _checksum(content)
+        return text_table, locations, _checksum(content)
 
 
 def _checksum(content: bytes) -> str:
@@ -170,11 +167,12 @@ def _read_scaled(
     with open_columns(path, dialect) as file:
         file.timestamp_columns = frozenset(spec.name for spec in columns if spec.kind == "stamps")
         file.require(columns_in_file)
-        read = file.read_columns(columns_in_file)
-        rows = np.arange(row_count(read), dtype=float)
+        columns_by_name = file.read_columns(columns_in_file)
+        row_numbers = np.arange(row_count(columns_by_name), dtype=float)
         resolved_specs = [spec.resolve_unit(file) for spec in columns]
         return [
-            (rows if spec.is_derived_column else read[spec.name]) * spec.factor + spec.offset
+            (row_numbers if spec.is_derived_column else columns_by_name[spec.name]) * spec.factor
+            + spec.offset
             for spec in resolved_specs
         ]
 

@@ -1,7 +1,7 @@
-"""Choice of the files that the reader's process reads; see `reader_process`.
+"""Choice of the files that the reader process reads; see `reader_process`.
 
-The readers of Parquet, HDF5, MATLAB and Excel files are native code, which a flipped bit can crash.
-Text can do no harm, so that the calling process reads it.
+The readers of Parquet, HDF5, MATLAB and Excel files are native code, which a damaged file can
+crash. The calling process reads text files itself.
 """
 
 from __future__ import annotations
@@ -18,23 +18,26 @@ if TYPE_CHECKING:
 
 R = TypeVar("R")
 
-#: The functions that start the reader's process and ask it: loaded for the first file that is read
-#: there.
-PREPARE: Final = "counterspin.records.reader_process:prepare"
-ASK: Final = "counterspin.records.reader_process:run_in_reader"
+#: Functions that start the reader process and call a function in it; loaded on demand.
+PREPARE_READER: Final = "counterspin.records.reader_process:prepare"
+RUN_IN_READER: Final = "counterspin.records.reader_process:run_in_reader"
 
-#: Endings of the formats that are read by native code -> the libraries.
-NATIVE: Final = {
-    **{ending: form.libraries for ending, form in RECORD_FORMATS.items() if form.libraries},
+#: File extension of a format that is read by native code -> libraries.
+NATIVE_LIBRARIES: Final = {
+    **{
+        ending: record_format.libraries
+        for ending, record_format in RECORD_FORMATS.items()
+        if record_format.libraries
+    },
     ".pdf": ("pypdf",),
 }
 
 
 def run_isolated(function: Callable[..., R], path: Path | MemoryTable, *args: Any) -> R:
-    """Return ``function(path, *args)``, called in the reader's process if the format needs it."""
+    """Return ``function(path, *args)``, called in the reader process if the format requires it."""
     if not uses_reader_process(path):
         return function(path, *args)
-    reply = load_name(ASK)(function, path, *args)
+    reply = load_name(RUN_IN_READER)(function, path, *args)
     if isinstance(reply, BaseException):
         raise reply
     if reply is None:  # the process cannot be started
@@ -44,11 +47,11 @@ def run_isolated(function: Callable[..., R], path: Path | MemoryTable, *args: An
 
 
 def uses_reader_process(path: Path | MemoryTable) -> bool:
-    """Return whether a file is read in the reader process because of its format."""
-    return isinstance(path, Path) and path.suffix.lower() in NATIVE
+    """Return whether the format of a file requires the reader process."""
+    return isinstance(path, Path) and path.suffix.lower() in NATIVE_LIBRARIES
 
 
-def prepare(path: Path) -> None:
-    """Start the reader's process, if a file is read there and it does not run; wait for nothing."""
+def prepare_reader(path: Path) -> None:
+    """Start the reader process, if the file requires it, without waiting."""
     if uses_reader_process(path):
-        load_name(PREPARE)(path.suffix.lower())
+        load_name(PREPARE_READER)(path.suffix.lower())

@@ -1,8 +1,8 @@
-"""Layout of a table of text: what its first lines show of how it is written.
+"""Detection of the layout of a text table from its first lines.
 
-LabVIEW and other recorders write lines about the measurement before the names, a row of units
-below them, semicolons or tabs between cells, and a decimal comma where that is the custom. The
-rows show what they are: of all ways to part them, the right one makes the most numbers.
+LabVIEW and other recorders write lines about the measurement above the names, a row of units below
+them, semicolons or tabs between cells, and decimal commas. Of all ways to split the rows, the one
+with the most numbers is used.
 """
 
 from __future__ import annotations
@@ -18,26 +18,25 @@ from counterspin.frozen import frozen
 from counterspin.records.dialect import Dialect
 from counterspin.records.unit_notation import bracketed_unit, parse_file_unit
 
-#: Marks that may part the cells, the usual first.
+#: Delimiters of one character, the most common first.
 SINGLE_DELIMITERS: Final = (",", ";", "\t", "|")
-#: Blanks, any number of them, as one delimiter.
+#: Any number of blanks as one delimiter.
 BLANKS: Final = " "
-#: What may part the cells, the usual first.
+#: Possible delimiters, the most common first.
 DELIMITERS: Final = (*SINGLE_DELIMITERS, BLANKS)
-#: Lines in which the rows must begin.
+#: Number of first lines in which the rows must begin.
 HEAD_LINES: Final = 400
-#: Rows that show whether a file is plain, and how many are wanted to tell a layout.
+#: Rows that show whether a file is plain, and smallest number of rows of a table.
 _PLAIN_ROWS, _MIN_ROWS = 20, 3
-#: What counts as an empty cell, in lower case and without surrounding blanks: no number, or one
-#: that the instrument could not measure.
+#: Empty cells, in lower case without surrounding blanks, including failed measurements.
 EMPTY_CELL_TEXTS: Final = (
     *("", "nan", "n/a", "#n/a", "na", "null", "-", "--", "---"),
     *("ovld", "ovl", "overload", "overflow", "over", "#value!", "#div/0!", "#num!"),
     *(sign + text for sign in ("", "-") for text in ("1.#qnan", "1.#ind", "1.#inf", "nan(ind)")),
 )
-#: Time of day, perhaps with a date before it and a zone behind: in ISO 8601, or as spreadsheets
-#: and recorders write it, with names of months too; minutes and seconds; or a duration of MATLAB.
-STAMP: Final = re.compile(
+#: Time of day with an optional date and zone, in ISO 8601 or in notations of spreadsheets and
+#: recorders; minutes and seconds; or a duration of MATLAB.
+TIMESTAMP: Final = re.compile(
     r"(?:\d{4}[-/]\d\d?[-/]\d\d?[T ]|\d\d?[./]\d\d?[./]\d{4} "
     r"|(?:[A-Z][a-z]{2},? )?\d\d?[- ][A-Z][a-z]{2}[a-z]*[- ]\d{4} |[A-Z][a-z]{2,} \d\d?,? \d{4} )?"
     r"\d\d?:\d\d:\d\d(?:[.,:]\d+)?(?: ?[AaPp][Mm]|Z| ?UTC| ?GMT|[+-]\d\d:?\d\d)?"
@@ -45,76 +44,65 @@ STAMP: Final = re.compile(
     r"|(?:[A-Z][a-z]{2} )?[A-Z][a-z]{2}  ?\d\d? \d\d:\d\d:\d\d(?:\.\d+)? \d{4}"
     r"|\d{8}[T ]\d{6}(?:[.,]\d+)?Z?"
 )
-#: Lines of a head, by their first cell: the names of columns, and their units.
+#: First cells of header lines with column names and with units.
 _NAME_KEYS: Final = ("tracename", "trace name", "channel name", "tag")
 _UNIT_KEYS: Final = ("vunit", "unit")
-#: What a row of units has above columns that have none.
+#: Cells of a units row for columns without a unit.
 _NO_UNITS: Final = (
     *("", "-", "(-)", "[-]", "(na)", "[na]", "na", "n/a", "(n/a)", "()", "[]"),
     *("no.", "no", "nr", "nr.", "number", "time", "date", "date&time"),
 )
-#: Most lines between the units and the rows.
-_LINES_BELOW_UNITS: Final = 4
-_NUMBERS: Final = {
+#: Largest number of lines between units and rows.
+_MAX_LINES_BELOW_UNITS: Final = 4
+_NUMBER_PATTERNS: Final = {
     mark: re.compile(
         rf"[+-]?(?:\d+(?:{re.escape(mark)}\d*)?|{re.escape(mark)}\d+)(?:[eE][+-]?\d+)?"
     )
     for mark in (".", ",")
 }
-#: A cell between blanks, perhaps in quotation marks; a unit in brackets may stand one blank behind
-#: its name.
+#: A cell between blanks, perhaps quoted; a unit in brackets may follow its name after one blank.
 _BETWEEN_BLANKS: Final = re.compile(
     r'"[^"]*"|[\[(][^\[\]()\s]+[\])](?=\s|$)|\S+(?: ?[\[(][^\[\]()\s]+[\])])?'
 )
-#: Blanks that part names which have blanks within them.
+#: Separator of names that contain single blanks.
 _WIDE_BLANKS: Final = re.compile(r"\s{2,}|\t")
-#: A mark of a comment at the beginning of a line, and the blanks or the label behind it.
-_COMMENT: Final = re.compile(
+#: Comment mark at the beginning of a line, with blanks or a label.
+_COMMENT_MARK: Final = re.compile(
     r"^\s*(?:#+|%+|//+|!+|\*(?=[\sA-Za-z]))\s*(?:(?:col(?:umn)?s?|fields|names|header)\s*[:=]\s*)?",
     re.IGNORECASE,
 )
-#: A line that is drawn between the names and the rows.
-_RULE: Final = re.compile(r"[\s|+]*(?:[-=_]{2,}[\s|+,;]*)+")
-#: Lines of comments above the rows in which names may stand.
-_COMMENT_LINES: Final = 4
-#: Lines of a quoted cell, at most.
-_QUOTED_LINES: Final = 30
-#: Words that label a row of results below a table.
-_RESULT_LABEL: Final = re.compile(
-    r"(?i)(mean|average|avg|mittel(wert)?|std|sd|stdev|sigma|sum|summe|min(imum)?|max(imum)?|median|"
-    r"variance|range|rms|total|result|checked|approved|signed|operator|end|eof|geprüft)\b.*"
-)
-#: Part of the cells of a column of numbers that are numbers; lines below the rows have others.
-_NUMERIC_PART: Final = 0.6
-#: Most lines below the rows that are no rows.
-MAX_FOOTER_LINES: Final = 40
-#: Delimiter -> how it is called.
-_DELIMITER_WORDS: Final = {
+#: Rule between names and rows.
+_RULED_LINE: Final = re.compile(r"[\s|+]*(?:[-=_]{2,}[\s|+,;]*)+")
+#: Number of comment lines above the rows that may contain the names.
+_MAX_COMMENT_LINES: Final = 4
+#: Largest number of lines of a quoted cell.
+_MAX_QUOTED_LINES: Final = 30
+#: Delimiter -> description.
+_DELIMITER_TEXTS: Final = {
     ";": "semicolon-separated",
     "\t": "tab-separated",
     "|": "separated by vertical bars",
     BLANKS: "separated by spaces",
 }
-#: Between a name that several columns have, and which of them one is.
-NUMBERED: Final = " #"
+#: Separator between the name of several columns and their number.
+DUPLICATE_MARK: Final = " #"
 
 
 @frozen
 class TableFormat:
-    """Where things stand in a table of text; lines count from 1."""
+    """Layout of a text table; lines count from 1."""
 
-    header: int  #: Line of the names; 0 where there is none, and columns are numbered.
+    header: int  #: Line of the names; 0 for numbered columns without names.
     before_rows: int  #: Lines before the first row of numbers.
-    names: tuple[str, ...]  #: Of the columns, without blanks around them.
-    units: tuple[str, ...]  #: Of the columns, in plain signs; empty text where there is none.
-    units_row: bool  #: Whether they stand in a row of their own.
-    #: Between cells, and in numbers.
-    delimiter: str
-    decimal: str
-    mismatch: str = ""  #: Why a line of names is not used, in words.
+    names: tuple[str, ...]  #: Names of the columns, without surrounding blanks.
+    units: tuple[str, ...]  #: Normalised units of the columns; empty if not stated.
+    units_row: bool  #: Whether the units are in a separate row.
+    delimiter: str  #: Delimiter of cells.
+    decimal: str  #: Decimal separator.
+    mismatch: str = ""  #: Reason why a line of names is not used.
 
     def describe(self, encoding: str) -> str:
-        """Say what is not plain; empty text of a plain file."""
+        """Describe the layout; empty for a plain file."""
         statements = []
         if not self.header:
             statements.append("unnamed columns")
@@ -124,8 +112,8 @@ class TableFormat:
             statements.append(f"names in line {self.header}")
         if self.units_row:
             statements.append("a units row")
-        if self.delimiter in _DELIMITER_WORDS:
-            statements.append(_DELIMITER_WORDS[self.delimiter])
+        if self.delimiter in _DELIMITER_TEXTS:
+            statements.append(_DELIMITER_TEXTS[self.delimiter])
         if self.decimal == ",":
             statements.append("decimal commas")
         if encoding != "utf-8":
@@ -138,9 +126,9 @@ Line = tuple[int, str]
 
 
 def detect_format(lines: Sequence[Line], dialect: Dialect) -> TableFormat | None:
-    """Return the layout of a file whose rows stand out; None if nothing looks like rows."""
+    """Return the detected layout of a file; None if no rows are found."""
     best: tuple[int, TableFormat] | None = None
-    lines = [(number, line) for number, line in lines if not _RULE.fullmatch(line)]
+    lines = [(number, line) for number, line in lines if not _RULED_LINE.fullmatch(line)]
     for delimiter in [dialect.delimiter] if dialect.delimiter else DELIMITERS:
         split_lines = [(number, _split_comment(line, delimiter)) for number, line in lines]
         if delimiter == BLANKS:
@@ -164,44 +152,46 @@ def join_quoted_lines(lines: Sequence[Line]) -> list[Line]:
         if text.count('"') % 2 == 0:
             joined_lines.append((number, text))
             count = 0
-        elif count > _QUOTED_LINES:
+        elif count > _MAX_QUOTED_LINES:
             return list(lines)
     return list(lines) if count else joined_lines
 
 
 def _split_comment(line: str, delimiter: str) -> list[str]:
     """Return the cells of a line, the first with '#' before it if the line is a comment."""
-    mark = _COMMENT.match(line)
-    if mark is None:
+    comment_mark = _COMMENT_MARK.match(line)
+    if comment_mark is None:
         return split_cells(line, delimiter)
-    first, *cells = split_cells(line[mark.end() :], delimiter) or [""]
+    first, *cells = split_cells(line[comment_mark.end() :], delimiter) or [""]
     return [f"#{first}", *cells]
 
 
 def _normalise_comment(line: str) -> str:
-    """Return a line with its mark of a comment, if it has one, as '#' without a blank behind it."""
-    return _COMMENT.sub("#", line, count=1) if _COMMENT.match(line) else line
+    """Replace a comment mark, if there is one, by '#'."""
+    return _COMMENT_MARK.sub("#", line, count=1) if _COMMENT_MARK.match(line) else line
 
 
 def _join_spaced_names(
     split_lines: Sequence[tuple[int, list[str]]], lines: Sequence[Line]
 ) -> list[tuple[int, list[str]]]:
-    """Return lines parted by blanks, of which those above the rows may be parted by wide ones.
+    """Split lines above the rows at wide blanks, if that gives one name per column.
 
-    Names such as `Acc X` have a blank within them, and two or more between them.
+    Names such as `Acc X` contain single blanks, and are separated by two or more.
     """
     widths = [len(cells) for _, cells in split_lines[-_PLAIN_ROWS:] if _has_numbers(cells, ".")]
-    width = max(set(widths), key=widths.count, default=0)
-    result = []
+    row_width = max(set(widths), key=widths.count, default=0)
+    joined = []
     for (number, cells), (_, line) in zip(split_lines, lines, strict=True):
         fields = [cell for cell in _WIDE_BLANKS.split(_normalise_comment(line).strip()) if cell]
-        text = cells and not _has_numbers(cells, ".")
-        result.append((number, fields if text and len(fields) == width != len(cells) else cells))
-    return result
+        is_text = cells and not _has_numbers(cells, ".")
+        joined.append(
+            (number, fields if is_text and len(fields) == row_width != len(cells) else cells)
+        )
+    return joined
 
 
 def is_plain_format(lines: Sequence[Line]) -> bool:
-    """Return whether names stand in the first line and numbers with points below it."""
+    """Return whether the first line contains names, and the others numbers with decimal points."""
     lines_with_text = [line for _, line in lines if line.strip() and not line.startswith("#")]
     if len(lines_with_text) < 2:
         return False
@@ -216,7 +206,7 @@ def is_plain_format(lines: Sequence[Line]) -> bool:
 
 
 def plain_format(lines: Sequence[Line], dialect: Dialect) -> TableFormat | None:
-    """Return the layout if names stand in the first line that is there; None if there is none."""
+    """Return the layout with names in the first line; None without lines."""
     lines_with_text = [
         (number, line)
         for number, line in lines
@@ -225,40 +215,53 @@ def plain_format(lines: Sequence[Line], dialect: Dialect) -> TableFormat | None:
     if not lines_with_text:
         return None
     number, line = lines_with_text[0]
-    # The delimiter is the one that the header uses most; a lone column has none.
+    # The delimiter is the most frequent one in the header.
     delimiter = dialect.delimiter or max(SINGLE_DELIMITERS, key=line.count)
-    names = split_cells(_COMMENT.sub("", line, count=1), delimiter)
-    # Among the rows a blank line is a row of empty cells; here it stops the parser.
-    body = iter([n for n, line_text in lines if n > number and line_text.strip()])
-    cells: list[str] = []
+    names = split_cells(_COMMENT_MARK.sub("", line, count=1), delimiter)
+    # A blank line before the rows would stop the parser.
+    body = iter(
+        [
+            line_number
+            for line_number, line_text in lines
+            if line_number > number and line_text.strip()
+        ]
+    )
+    unit_cells: list[str] = []
     if dialect.units_row:
         units_line = next(body, number + 1)
-        cells = next(
-            (split_cells(line_text, delimiter) for n, line_text in lines if n == units_line), []
+        unit_cells = next(
+            (
+                split_cells(line_text, delimiter)
+                for line_number, line_text in lines
+                if line_number == units_line
+            ),
+            [],
         )
-    units = [parse_file_unit(cell) or "" for cell in [*cells, *[""] * len(names)][: len(names)]]
+    units = [
+        parse_file_unit(cell) or "" for cell in [*unit_cells, *[""] * len(names)][: len(names)]
+    ]
     units = [unit or bracketed_unit(name) for unit, name in zip(units, names, strict=True)]
-    comments = next(body, lines[-1][0] + 1) - 1
-    mark = dialect.decimal or "."
+    before_rows = next(body, lines[-1][0] + 1) - 1
+    decimal = dialect.decimal or "."
     return TableFormat(
         number,
-        comments,
+        before_rows,
         _number_duplicates(names),
         tuple(units),
         bool(dialect.units_row),
         delimiter,
-        mark,
+        decimal,
     )
 
 
 def _number_duplicates(names: Sequence[str]) -> tuple[str, ...]:
-    """Return names of columns, those that occur more than once with their number behind."""
+    """Append numbers to column names that occur more than once."""
     counts: dict[str, int] = {}
     numbered_names = []
     for name in names:
         counts[name] = counts.get(name, 0) + 1
-        duplicates = name and names.count(name) > 1
-        numbered_names.append(f"{name}{NUMBERED}{counts[name]}" if duplicates else name)
+        is_duplicate = name and names.count(name) > 1
+        numbered_names.append(f"{name}{DUPLICATE_MARK}{counts[name]}" if is_duplicate else name)
     return tuple(numbered_names)
 
 
@@ -268,10 +271,10 @@ def find_rows(
     decimal: str,
     delimiter: str = "",
 ) -> tuple[int, TableFormat] | None:
-    """Return how many numbers more than texts the longest stretch of rows has, and its layout."""
+    """Return score (numbers minus texts) and layout of the longest run of rows; or None."""
     skipped_lines = dialect.skip_lines
     table = [(number, cells) for number, cells in split_lines if any(cells)]
-    start, end = _longest_run(table, decimal, start_line=skipped_lines or 0)
+    start, end = _find_longest_run(table, decimal, start_line=skipped_lines or 0)
     if end - start < min(_MIN_ROWS, max(1, len(table) - 2)):
         return None
     while start < end - 1 and table[start][1][0].startswith("#"):
@@ -285,18 +288,18 @@ def find_rows(
     if skipped_lines is not None:
         lines_above = lines_above[:2]
     if any(len(cells) == width and _is_row(cells, decimal) for _, cells in lines_above):
-        return None  # a row like any other stands above: what parts the two is no row of names
+        return None  # rows above the header show that it is not one
     rows = [cells for _, cells in table[start:end]]
-    head, mismatch = _header_in_comment(table[:start], width, decimal), ""
-    head = head or _find_header(lines_above, dialect, width, decimal)
-    if head is not None:
-        (header, names), unit_cells = head
+    header_cells, mismatch = _header_in_comment(table[:start], width, decimal), ""
+    header_cells = header_cells or _find_header(lines_above, dialect, width, decimal)
+    if header_cells is not None:
+        (header, names), unit_cells = header_cells
         if len(names) == width - 1 and _contains_row_names(rows, decimal, delimiter):
-            names = ["column 1", *names]  # as R writes it: nothing above the names of the rows
+            names = ["column 1", *names]  # R writes no name above the row names
             unit_cells = ["", *unit_cells] if unit_cells else unit_cells
-    is_unnamed = head is not None and _has_unnamed_columns(names, rows, decimal)
+    is_unnamed = header_cells is not None and _has_unnamed_columns(names, rows, decimal)
     nearest_line = lines_above or [(number, cells) for number, cells in table[:start][-1:]]
-    if is_unnamed or (head is None and _has_miscounted_names(nearest_line, width, decimal)):
+    if is_unnamed or (header_cells is None and _has_miscounted_names(nearest_line, width, decimal)):
         number, cells = (header, names) if is_unnamed else nearest_line[-1]
         if not _are_unnamed_rows(rows, decimal, delimiter):
             return None
@@ -305,7 +308,7 @@ def find_rows(
         )
         mismatch += "are numbered"
         header, names, unit_cells = 0, [], []
-    elif head is not None:
+    elif header_cells is not None:
         pass
     elif all(2 * len(cells) <= width for _, cells in lines_above[-1:]) and _are_unnamed_rows(
         rows, decimal, delimiter
@@ -314,22 +317,22 @@ def find_rows(
     else:
         return None
     if delimiter == "," and any(
-        _is_number(cell, decimal) for row in rows for cell in row[len(names) :] if names
+        is_number(cell, decimal) for row in rows for cell in row[len(names) :] if names
     ):
-        return None  # a number that no name stands above is the rest of one: 1,25 has no two cells
-    # A delimiter at the end of every row makes an empty cell that has no name.
+        return None  # commas are decimal: 1,25 is not two cells
+    # A delimiter at the end of every row adds an unnamed empty cell.
     names += [
         f"column {index + 1}"
-        if any(_is_number(row[index], decimal) or STAMP.fullmatch(row[index]) for row in rows)
+        if any(is_number(row[index], decimal) or TIMESTAMP.fullmatch(row[index]) for row in rows)
         else ""
         for index in range(len(names), width)
     ]
     padding = [""] * (len(names) - len(unit_cells))
     units = [parse_file_unit(cell) or "" for cell in [*unit_cells, *padding]]
     units = [unit or bracketed_unit(name) for unit, name in zip(units, names, strict=True)]
-    text_count = [cell for row in rows for cell in row if cell]
-    number_count = sum(_is_number(cell, decimal) for cell in text_count)
-    texts = sum(not STAMP.fullmatch(cell) for cell in text_count) - number_count
+    filled_cells = [cell for row in rows for cell in row if cell]
+    number_count = sum(is_number(cell, decimal) for cell in filled_cells)
+    text_count = sum(not TIMESTAMP.fullmatch(cell) for cell in filled_cells) - number_count
     before_rows = table[start][0] - 1
     layout = TableFormat(
         header,
@@ -341,36 +344,36 @@ def find_rows(
         decimal,
         mismatch,
     )
-    return number_count - texts, layout
+    return number_count - text_count, layout
 
 
 def _contains_row_names(rows: Sequence[Sequence[str]], decimal: str, delimiter: str) -> bool:
-    """Return whether the first cells are names of rows: words, or whole numbers that rise."""
+    """Return whether the first cells are row names: text, or consecutive integers."""
     first_cells = [row[0] for row in rows]
-    if not all(_is_number(row[-1], decimal) for row in rows):
+    if not all(is_number(row[-1], decimal) for row in rows):
         return False
     if all(cell.isdigit() for cell in first_cells):
         return all(int(next_cell) - int(cell) == 1 for cell, next_cell in pairwise(first_cells))
     if delimiter not in (BLANKS, "\t") or len(rows) < _MIN_ROWS:
         return False
-    return not any(_is_number(cell, decimal) or STAMP.fullmatch(cell) for cell in first_cells)
+    return not any(is_number(cell, decimal) or TIMESTAMP.fullmatch(cell) for cell in first_cells)
 
 
 def _has_unnamed_columns(names: Sequence[str], rows: Sequence[Sequence[str]], decimal: str) -> bool:
-    """Return whether rows have numbers in columns behind the last name."""
+    """Return whether rows contain numbers after the last named column."""
     return bool(names) and any(
-        _is_number(cell, decimal) for row in rows for cell in row[len(names) :]
+        is_number(cell, decimal) for row in rows for cell in row[len(names) :]
     )
 
 
 def _has_miscounted_names(
     lines_above: Sequence[tuple[int, list[str]]], width: int, decimal: str
 ) -> bool:
-    """Return whether the line above the rows seems to have names, but not one for each column."""
+    """Return whether the line above the rows seems to contain too few or too many names."""
     cells = lines_above[-1][1] if lines_above else []
-    if len(cells) < 2 or any(_is_number(cell, decimal) for cell in cells):
+    if len(cells) < 2 or any(is_number(cell, decimal) for cell in cells):
         return False
-    # A comment may say anything.
+    # A comment may contain any text.
     if cells[0].startswith("#") and cells[0].endswith(":"):
         return False
     max_cells = 1 if cells[0].startswith("#") else width
@@ -383,9 +386,9 @@ def _count_noun(cells: Sequence[str], noun: str) -> str:
 
 
 def _are_unnamed_rows(rows: Sequence[Sequence[str]], decimal: str, delimiter: str) -> bool:
-    """Return whether rows of numbers alone are plain without names above them.
+    """Return whether rows without names are unambiguous.
 
-    Where commas part cells, points must part decimals: 0,5,1,25 may be four numbers or two.
+    With commas as delimiters, decimal points are required: 0,5,1,25 may be two or four numbers.
     """
     if not all(_is_row(row, decimal) for row in rows):
         return False
@@ -395,7 +398,7 @@ def _are_unnamed_rows(rows: Sequence[Sequence[str]], decimal: str, delimiter: st
 def _find_header(
     lines_above: Sequence[tuple[int, list[str]]], dialect: Dialect, width: int, decimal: str
 ) -> tuple[tuple[int, list[str]], list[str]] | None:
-    """Return the line of names above the rows, and the cells of units; None if it is none."""
+    """Return the line of names above the rows, and the cells of units; or None."""
     units_row = dialect.units_row
     if dialect.skip_lines is None:
         labelled_rows = {
@@ -407,13 +410,16 @@ def _find_header(
                 units = next(
                     (labelled_rows[key][1] for key in _UNIT_KEYS if key in labelled_rows), []
                 )
-                # Columns before the channels have their names in the last line.
+                # Columns before the channels are named in the last line.
                 cells_above = lines_above[-1][1] if not names[1] else []
-                named = [
+                channel_names = [
                     name or old for name, old in zip_longest(["", *names[1:width]], cells_above)
                 ]
-                return (number, [name or "" for name in named[:width]]), ["", *units[1:width]]
-        # Names stand right above the rows, or above the units, below which more may be told.
+                return (number, [name or "" for name in channel_names[:width]]), [
+                    "",
+                    *units[1:width],
+                ]
+        # Names are directly above the rows, or above the units, which other lines may follow.
         header_pair = None if units_row is not None else _header_and_unit_rows(lines_above, width)
         lines_above = header_pair or lines_above[-2:]
     if not lines_above:
@@ -424,9 +430,9 @@ def _find_header(
         return None
     stated_units = dialect.skip_lines is not None or units_row
     number, names = lines_above[0] if stated_units else lines_above[-1]
-    values = [cell for cell in names if _is_number(cell, decimal)]
+    values = [cell for cell in names if is_number(cell, decimal)]
     is_damaged = 2 * len(values) >= len(names) or any(decimal in cell for cell in values)
-    # Names of columns that the rows do not have; LabVIEW's rows may end before an empty remark.
+    # There are more names than columns; LabVIEW's rows may lack an empty comment.
     has_too_many = any(name.lower() not in ("", "comment") for name in names[width:])
     if is_damaged or has_too_many or 2 * sum(map(bool, names)) < max(2, width):
         return None
@@ -436,20 +442,20 @@ def _find_header(
 def _header_in_comment(
     lines_above: Sequence[tuple[int, list[str]]], width: int, decimal: str
 ) -> tuple[tuple[int, list[str]], list[str]] | None:
-    """Return the names in comments right above the rows, and the units below them.
+    """Return the names in comments above the rows, and the units below them; or None.
 
-    The line that is nearest to the rows and has a name for each column is that of the names.
+    The names are in the nearest line with a name for each column.
     """
     units: list[str] = []
-    for number, cells in reversed(lines_above[-_COMMENT_LINES:]):
+    for number, cells in reversed(lines_above[-_MAX_COMMENT_LINES:]):
         if not cells[0].startswith("#"):
             break
         names = [cells[0].removeprefix("#").strip(), *cells[1:]]
         nonempty_names = [name for name in names if name]
         if len(names) != width or len(nonempty_names) != width or width < 2:
             continue
-        if names[0].endswith(":") or any(_is_number(name, decimal) for name in nonempty_names):
-            continue  # a remark, such as "note: at rest"
+        if names[0].endswith(":") or any(is_number(name, decimal) for name in nonempty_names):
+            continue  # a comment, such as "note: at rest"
         if not units and all(
             parse_file_unit(name) or name.lower() in _NO_UNITS for name in nonempty_names
         ):
@@ -462,8 +468,10 @@ def _header_in_comment(
 def _header_and_unit_rows(
     lines_above: Sequence[tuple[int, list[str]]], width: int
 ) -> Sequence[tuple[int, list[str]]] | None:
-    """Return the line of names and that of units below it; None if there are none near the rows."""
-    for index in range(len(lines_above) - 1, max(0, len(lines_above) - 2 - _LINES_BELOW_UNITS), -1):
+    """Return the lines of names and of units below them; None if there are none near the rows."""
+    for index in range(
+        len(lines_above) - 1, max(0, len(lines_above) - 2 - _MAX_LINES_BELOW_UNITS), -1
+    ):
         if _are_units(lines_above[index][1], lines_above[index - 1][1], width):
             return lines_above[index - 1 : index + 1]
         if len(lines_above[index][1]) != width:
@@ -471,99 +479,53 @@ def _header_and_unit_rows(
     return None
 
 
-def _longest_run(
+def _find_longest_run(
     table: Sequence[tuple[int, list[str]]], decimal: str, start_line: int
 ) -> tuple[int, int]:
-    """Return from where to where the longest stretch of rows of one width goes."""
+    """Return start and stop of the longest run of rows with equal numbers of cells."""
     longest, start = (0, 0), 0
     for index in range(len(table) + 1):
         number, cells = table[index] if index < len(table) else (0, [])
-        comment = bool(cells) and cells[0].startswith("#")
-        matches = number > start_line and (comment or _has_numbers(cells, decimal))
+        is_comment = bool(cells) and cells[0].startswith("#")
+        is_row = number > start_line and (is_comment or _has_numbers(cells, decimal))
         is_same_width = index > start and len(cells) == len(table[start][1])
-        if matches and (comment or index == start or is_same_width):
+        if is_row and (is_comment or index == start or is_same_width):
             continue
         if index - start > longest[1] - longest[0]:
             longest = (start, index)
-        start = index if matches and not comment else index + 1
+        start = index if is_row and not is_comment else index + 1
     return longest
 
 
-def footer_lines(split_lines: Sequence[Sequence[str]], decimal: str) -> int:
-    """Return the number of lines at the end of a table that are not rows, such as a mean.
-
-    split_lines: Cells of the rows of the table and of what stands below them.
-    """
-    body = [cells for cells in split_lines[:_PLAIN_ROWS] if any(cells)]
-    if len(body) < _MIN_ROWS:
-        return 0
-    width = max(set(map(len, body)), key=list(map(len, body)).count)
-    full_rows = [cells for cells in body if len(cells) == width]
-    numeric = [n for n in range(width) if any(_is_number(cells[n], decimal) for cells in full_rows)]
-    max_lines = [sum(_is_row_cell(cells[n], decimal) for cells in full_rows) for n in range(width)]
-    numeric = [n for n in numeric if max_lines[n] >= _NUMERIC_PART * len(full_rows)]
-    if not numeric:
-        return 0
-    is_time = [_is_number(cells[0], decimal) for cells in full_rows]
-    last = max((index for index, number in enumerate(is_time) if number), default=0)
-    times = [cells[0].replace(decimal, ".") for cells in full_rows[: last + 1]]
-    first_rises = all(is_time[: last + 1]) and all(
-        float(before) < float(after) for before, after in pairwise(times)
-    )
-    count = 0
-    for index, cells in enumerate(reversed(split_lines[-MAX_FOOTER_LINES:]), 1):
-        if not any(cells) or cells[0].startswith("#"):
-            count += index == count + 1 and count > 0
-            continue
-        fits = all(_is_row_cell(cells[n], decimal) for n in numeric if n < len(cells))
-        fits = fits and any(n < len(cells) and _is_number(cells[n], decimal) for n in numeric)
-        # A row may have a word where most have a number, such as `up` among `+1` and `-1`, but not
-        # in place of a time.
-        adjacent = [] if first_rises else [n for n in numeric if n > 0]
-        fits = fits or bool(
-            adjacent
-            and len(cells) == width
-            and all(_is_number(cells[n], decimal) for n in adjacent)
-        )
-        if fits and not _RESULT_LABEL.fullmatch(cells[0]):
-            break
-        count = index
-    return count if count < len(split_lines) - _MIN_ROWS else 0
-
-
-def _is_row_cell(cell: str, decimal: str) -> bool:
-    """Return whether a cell is a number, a time or empty."""
-    empty = cell.lower() in EMPTY_CELL_TEXTS
-    return empty or _is_number(cell, decimal) or bool(STAMP.fullmatch(cell))
-
-
 def split_cells(line: str, delimiter: str) -> list[str]:
-    """Return the cells of a line, without blanks around them."""
+    """Return the cells of a line, without surrounding blanks."""
     if delimiter == BLANKS:
         return [cell.strip('"') for cell in _BETWEEN_BLANKS.findall(line)]
     cells = line.split(delimiter)
     if '"' in line:
-        with suppress(csv.Error):  # a line that is no text
+        with suppress(csv.Error):  # a line that is not text
             cells = next(csv.reader([line], delimiter=delimiter))
     return [cell.strip() for cell in cells]
 
 
 def describe_lines(lines: Sequence[Line], max_lines: int = 6) -> str:
-    """Say what the first lines look like, where no table was found among them."""
+    """Describe the first lines, if no table was found in them."""
     descriptions = []
     for number, line in [line for line in lines if line[1].strip()][:max_lines]:
-        mark = max(SINGLE_DELIMITERS, key=line.count)
-        cells = split_cells(line, mark if mark in line else BLANKS)
-        number_count = sum(any(_is_number(cell, mark) for mark in _NUMBERS) for cell in cells)
-        count = f"{len(cells)} cell" + "s" * (len(cells) > 1)
+        delimiter = max(SINGLE_DELIMITERS, key=line.count)
+        cells = split_cells(line, delimiter if delimiter in line else BLANKS)
+        number_count = sum(
+            any(is_number(cell, mark) for mark in _NUMBER_PATTERNS) for cell in cells
+        )
+        cell_text = f"{len(cells)} cell" + "s" * (len(cells) > 1)
         descriptions.append(
-            f"  line {number}: {count}, {number_count or 'none'} a number: {line.strip()[:60]}"
+            f"  line {number}: {cell_text}, {number_count or 'none'} a number: {line.strip()[:60]}"
         )
     return "\n".join(descriptions)
 
 
 def _are_units(cells: Sequence[str], names: Sequence[str], width: int) -> bool:
-    """Return whether cells are units, and those above them names."""
+    """Return whether cells are units, and the cells above them names."""
     units = [parse_file_unit(cell) is not None for cell in cells if cell.lower() not in _NO_UNITS]
     nonempty_names = [name for name in names if name]
     return (
@@ -580,21 +542,22 @@ def _is_row(cells: Iterable[str], decimal: str) -> bool:
     """Return whether cells are numbers, times or empty, and at least one is a number."""
     has_value = False
     for cell in cells:
-        if _is_number(cell, decimal):
+        if is_number(cell, decimal):
             has_value = True
-        elif cell.lower() not in EMPTY_CELL_TEXTS and not STAMP.fullmatch(cell):
+        elif cell.lower() not in EMPTY_CELL_TEXTS and not TIMESTAMP.fullmatch(cell):
             return False
     return has_value
 
 
 def _has_numbers(cells: Sequence[str], decimal: str) -> bool:
-    """Return whether at least half of what is not empty are numbers: there may be remarks."""
+    """Return whether at least half of the non-empty cells are numbers or times."""
     nonempty = [cell for cell in cells if cell]
     number_count = sum(
-        _is_number(cell, decimal) or bool(STAMP.fullmatch(cell)) for cell in nonempty
+        is_number(cell, decimal) or bool(TIMESTAMP.fullmatch(cell)) for cell in nonempty
     )
-    return 2 * number_count >= len(nonempty) and any(_is_number(cell, decimal) for cell in nonempty)
+    return 2 * number_count >= len(nonempty) and any(is_number(cell, decimal) for cell in nonempty)
 
 
-def _is_number(cell: str, decimal: str) -> bool:
-    return _NUMBERS[decimal].fullmatch(cell) is not None
+def is_number(cell: str, decimal: str) -> bool:
+    """Return whether a cell is a number with a decimal separator."""
+    return _NUMBER_PATTERNS[decimal].fullmatch(cell) is not None

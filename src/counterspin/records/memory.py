@@ -1,4 +1,4 @@
-"""Records in memory: columns and frames that a program holds, read like those of a file."""
+"""Records in memory: columns and data frames that are read like those of a file."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
     import polars as pl
 
 #: Kinds of NumPy's numbers: truth values, integers, floating point.
-_NUMBERS: Final = "biuf"
+_NUMERIC_KINDS: Final = "biuf"
 
 
 @frozen(eq=False)
 class MemoryTable:
     """Columns of one record."""
 
-    name: str  #: What messages call it.
-    #: Name -> values, float64, shape (n,), read-only; NaN where there is none.
+    name: str  #: Name in messages.
+    #: Name -> values, float64, shape (n,), read-only; NaN for missing values.
     columns: Mapping[str, np.ndarray]
-    others: tuple[str, ...] = ()  #: Names of columns that hold something else than numbers.
+    non_numeric_names: tuple[str, ...] = ()  #: Names of columns without numbers.
 
     def __str__(self) -> str:
         """Return the name of the table in messages."""
@@ -39,7 +39,7 @@ class MemoryTable:
     def checksum(self) -> str:
         """SHA-256 of the columns, such as ``sha256:9f86...``.
 
-        Of each in turn: its name in UTF-8, a zero byte, and its values as little-endian float64.
+        For each column: name in UTF-8, a zero byte, and the values as little-endian float64.
         """
         digest = hashlib.sha256()
         for name, values in self.columns.items():
@@ -55,50 +55,50 @@ class MemoryTable:
 
 
 class MemoryFile(ColumnFile):
-    """A table in memory in the place of a file."""
+    """A table in memory that is read like a file."""
 
     def __init__(self, table: MemoryTable) -> None:
         self.path = Path(table.name)
-        self.names = [*table.columns, *table.others]
+        self.names = [*table.columns, *table.non_numeric_names]
         self.identity = None
         self.units, self.units_row = {}, False
         self.timestamp_columns, self.format_description = frozenset(), ""
         self.first_timestamp, self.interval = None, None
-        self._table_in_memory = table
+        self._memory_table = table
 
     def __exit__(
         self,
-        kind: type[BaseException] | None,
+        error_type: type[BaseException] | None,
         error: BaseException | None,
-        trace: TracebackType | None,
+        traceback: TracebackType | None,
     ) -> None:
-        """Nothing is to be closed, and nobody else can have changed it."""
+        """Do nothing: there is no file."""
 
-    def _require(self, wanted: Sequence[str]) -> None:
-        for name in wanted:
-            if name in self._table_in_memory.others:
+    def _require(self, names: Sequence[str]) -> None:
+        for name in names:
+            if name in self._memory_table.non_numeric_names:
                 raise RecordError(
                     f"{self.path}: column '{name}' contains no numbers.", code="not-numeric"
                 )
 
-    def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
-        yield {name: self._table_in_memory.columns[name] for name in wanted}
+    def _batches(self, names: Sequence[str]) -> Iterator[Columns]:
+        yield {name: self._memory_table.columns[name] for name in names}
 
     def _table(self) -> pl.DataFrame:
-        return self._table_in_memory.frame()
+        return self._memory_table.frame()
 
 
 # Columns of frames and arrays, copied to a table in memory
 
 
-def memory_table(name: str, frame: Any) -> MemoryTable:
-    """Copy the columns of a frame."""
+def make_memory_table(name: str, frame: Any) -> MemoryTable:
+    """Copy the columns of a data frame to a table."""
     columns: dict[str, np.ndarray] = {}
-    skipped_names = []
+    non_numeric_names = []
     for key, values in iter_columns(name, frame):
-        numbers = _numbers(values)
+        numbers = _copy_numbers(values)
         if numbers is None:
-            skipped_names.append(key)
+            non_numeric_names.append(key)
             continue
         if numbers.ndim != 1:
             raise RecordError(
@@ -109,29 +109,29 @@ def memory_table(name: str, frame: Any) -> MemoryTable:
         columns[key] = numbers
     lengths = {key: len(values) for key, values in columns.items()}
     if len(set(lengths.values())) > 1:
-        listing = ", ".join(f"'{key}' {length}" for key, length in lengths.items())
+        length_text = ", ".join(f"'{key}' {length}" for key, length in lengths.items())
         raise RecordError(
-            f"{name}: the columns have different lengths: {listing}.", code="wrong-shape"
+            f"{name}: the columns have different lengths: {length_text}.", code="wrong-shape"
         )
     if not any(lengths.values()):
         raise RecordError(f"{name}: the file has no rows of numbers.", code="no-rows")
-    return MemoryTable(name, columns, tuple(skipped_names))
+    return MemoryTable(name, columns, tuple(non_numeric_names))
 
 
 def iter_columns(name: str, frame: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the names and values of a frame's columns."""
+    """Yield name and values of each column of a data frame, mapping or structured array."""
     if isinstance(frame, Mapping):
         yield from ((str(key), values) for key, values in frame.items())
     elif isinstance(frame, np.ndarray) and frame.dtype.names:
         yield from ((key, frame[key]) for key in frame.dtype.names)
     elif hasattr(frame, "columns") and hasattr(frame, "__getitem__"):
-        # Of pandas, polars and their like.
+        # pandas, polars and similar libraries
         yield from ((str(key), frame[key]) for key in frame.columns)
     elif hasattr(frame, "__arrow_c_stream__") or hasattr(frame, "__dataframe__"):
         import polars as pl
 
-        arrow = hasattr(frame, "__arrow_c_stream__")
-        polars_frame = pl.DataFrame(frame) if arrow else pl.from_dataframe(frame)
+        has_arrow_stream = hasattr(frame, "__arrow_c_stream__")
+        polars_frame = pl.DataFrame(frame) if has_arrow_stream else pl.from_dataframe(frame)
         yield from ((column.name, column) for column in polars_frame.get_columns())
     else:
         raise RecordError(
@@ -141,23 +141,25 @@ def iter_columns(name: str, frame: Any) -> Iterator[tuple[str, Any]]:
         )
 
 
-def _numbers(values: Any) -> np.ndarray | None:
-    """Return a read-only copy of a column as float64, None if it does not hold numbers."""
+def _copy_numbers(values: Any) -> np.ndarray | None:
+    """Return a read-only copy of a column as float64; None if it does not contain numbers."""
     array = values.to_numpy() if hasattr(values, "to_numpy") else values
-    if isinstance(array, np.ma.MaskedArray) and array.dtype.kind in _NUMBERS:
+    if isinstance(array, np.ma.MaskedArray) and array.dtype.kind in _NUMERIC_KINDS:
         array = np.ma.filled(array.astype(float), np.nan)
     array = np.asarray(array)
     if array.dtype == object:
-        # Numbers with gaps; a missing value of pandas is equal to nothing, not even to itself.
+        # Numbers with missing values, which are not equal to themselves in pandas.
         cells = array.ravel()
         if any(isinstance(cell, str | bytes) for cell in cells):
             return None
         try:
-            gaps = [np.nan if cell is None or _is_missing(cell) else float(cell) for cell in cells]
+            numbers = [
+                np.nan if cell is None or _is_missing(cell) else float(cell) for cell in cells
+            ]
         except (TypeError, ValueError):
             return None
-        array = np.array(gaps).reshape(array.shape)
-    if array.dtype.kind not in _NUMBERS:
+        array = np.array(numbers).reshape(array.shape)
+    if array.dtype.kind not in _NUMERIC_KINDS:
         return None
     copy = np.array(array, dtype=np.float64)
     if copy.ndim == 2 and 1 in copy.shape:

@@ -1,4 +1,4 @@
-"""Limits on the processor time and the memory of the process that reads a file.
+"""Limits of the processor time and the memory of the reader process.
 
 - Linux: resource limits for both.
 - macOS: a resource limit on the processor time; the system ignores those on memory.
@@ -14,29 +14,29 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-#: Processor time that reading may take: seconds for any file, and bytes of it a second.
+#: Processor time for reading: seconds for any file, and bytes per second.
 _READING_SECONDS: Final = 8.0
 _BYTES_PER_SECOND: Final = 2e6
-#: Memory that reading may take: bytes for any file, bytes for each of its own, and a thread's.
+#: Memory for reading: bytes for any file, bytes per byte of the file, and bytes per thread.
 _READING_BYTES: Final = 1 << 30
 _BYTES_PER_BYTE: Final = 64
 _THREAD_BYTES: Final = 8 << 20
-#: Time that a reader is waited for, in units of its processor time: it may share a busy machine.
+#: Timeout of a reader relative to its processor time: the machine may be busy.
 _WAITING_FACTOR: Final = 30.0
 
-#: Exit status of a process that a job object ends for its processor time, ERROR_NOT_ENOUGH_QUOTA.
+#: Exit status of a process that exceeds the time of its job object, ERROR_NOT_ENOUGH_QUOTA.
 WINDOWS_TIME_STATUS: Final = 1816
 
-#: Of JOBOBJECT_EXTENDED_LIMIT_INFORMATION: its number, and the limits that it sets.
+#: Number of JOBOBJECT_EXTENDED_LIMIT_INFORMATION, and flags of its limits.
 _EXTENDED_LIMITS: Final = 9
 _LIMIT_PROCESS_TIME: Final = 0x0000_0002
 _LIMIT_PROCESS_MEMORY: Final = 0x0000_0100
-#: Time of Windows, in units of 100 ns.
+#: Time units of Windows, 100 ns.
 _TICKS_PER_SECOND: Final = 10_000_000
 
 
 def processor_seconds(byte_count: int) -> float:
-    """Return the processor time that the reading of a file of this many bytes may take, s."""
+    """Return the processor time to allow for reading a file of a size in bytes, s."""
     return _READING_SECONDS + byte_count / _BYTES_PER_SECOND
 
 
@@ -45,7 +45,7 @@ def waiting_seconds(path: Path) -> float:
     try:
         byte_count = path.stat().st_size
     except (OSError, ValueError):
-        byte_count = 0  # reading says why
+        byte_count = 0  # the reader reports the error
     return _WAITING_FACTOR * processor_seconds(byte_count)
 
 
@@ -54,7 +54,7 @@ def limit_reading(path: Path) -> None:
     try:
         byte_count = path.stat().st_size
     except (OSError, ValueError):
-        return  # reading says why
+        return  # the reader reports the error
     seconds = processor_seconds(byte_count)
     extra_bytes = (
         _READING_BYTES + _BYTES_PER_BYTE * byte_count + _THREAD_BYTES * (os.cpu_count() or 1)
@@ -64,10 +64,10 @@ def limit_reading(path: Path) -> None:
         return
     import resource
 
-    spent = resource.getrusage(resource.RUSAGE_SELF)
-    _set_limit("RLIMIT_CPU", spent.ru_utime + spent.ru_stime + seconds)
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    _set_limit("RLIMIT_CPU", usage.ru_utime + usage.ru_stime + seconds)
     with suppress(OSError, ValueError):
-        # Memory that this process may write to: what files are mapped to is not counted.
+        # The limit applies to writable memory, not to mapped files.
         status = Path("/proc/self/status").read_text("ascii")
         used_bytes = 1024 * int(status.partition("VmData:")[2].split()[0])
         _set_limit("RLIMIT_DATA", used_bytes + extra_bytes)
@@ -86,39 +86,39 @@ def _set_limit(name: str, limit: float) -> None:
     import resource
 
     resource_id: int = getattr(resource, name)
-    _, hard = resource.getrlimit(resource_id)
-    soft = int(limit) if hard == resource.RLIM_INFINITY else min(int(limit), hard)
-    resource.setrlimit(resource_id, (soft, hard))
+    _, hard_limit = resource.getrlimit(resource_id)
+    soft_limit = int(limit) if hard_limit == resource.RLIM_INFINITY else min(int(limit), hard_limit)
+    resource.setrlimit(resource_id, (soft_limit, hard_limit))
 
 
 class _WindowsJob:
-    """The job object of this process, which is made when the first limit is set."""
+    """The job object of this process, created with the first limit."""
 
     def __init__(self) -> None:
         self._job: Any = None
 
-    def limit(self, seconds: float, memory: int) -> None:
-        """Limit the further processor time, s, and the further memory, bytes, of this process.
+    def limit(self, seconds: float, byte_count: int) -> None:
+        """Limit the additional processor time, s, and the additional memory, bytes.
 
-        Windows ends a process after its time, and refuses it memory beyond the limit.
+        Windows terminates a process after its time, and denies memory beyond the limit.
         """
         if sys.platform != "win32":
             return
-        system: Any = ctypes.WinDLL("kernel32")
-        system.CreateJobObjectW.restype = system.GetCurrentProcess.restype = ctypes.c_void_p
-        process = ctypes.c_void_p(system.GetCurrentProcess())
+        kernel32: Any = ctypes.WinDLL("kernel32")
+        kernel32.CreateJobObjectW.restype = kernel32.GetCurrentProcess.restype = ctypes.c_void_p
+        process = ctypes.c_void_p(kernel32.GetCurrentProcess())
         if self._job is None:
-            job = ctypes.c_void_p(system.CreateJobObjectW(None, None))
-            if not system.AssignProcessToJobObject(job, process):
-                return  # the job of the process that started this one permits no other
+            job = ctypes.c_void_p(kernel32.CreateJobObjectW(None, None))
+            if not kernel32.AssignProcessToJobObject(job, process):
+                return  # the job of the parent process does not allow another
             self._job = job
         counters = _MemoryCounters(cb=ctypes.sizeof(_MemoryCounters))
-        system.K32GetProcessMemoryInfo(process, ctypes.byref(counters), counters.cb)
+        kernel32.K32GetProcessMemoryInfo(process, ctypes.byref(counters), counters.cb)
         limits = _JobLimits()
         limits.PerProcessUserTimeLimit = int(_TICKS_PER_SECOND * (os.times().user + seconds))
-        limits.ProcessMemoryLimit = counters.PagefileUsage + memory
+        limits.ProcessMemoryLimit = counters.PagefileUsage + byte_count
         limits.LimitFlags = _LIMIT_PROCESS_TIME | _LIMIT_PROCESS_MEMORY
-        system.SetInformationJobObject(
+        kernel32.SetInformationJobObject(
             self._job, _EXTENDED_LIMITS, ctypes.byref(limits), ctypes.sizeof(limits)
         )
 
@@ -127,7 +127,7 @@ _JOB: Final = _WindowsJob()
 
 
 class _JobLimits(ctypes.Structure):
-    """JOBOBJECT_EXTENDED_LIMIT_INFORMATION of Windows, with the parts of its parts."""
+    """JOBOBJECT_EXTENDED_LIMIT_INFORMATION of Windows, with nested structures flattened."""
 
     _fields_ = (
         ("PerProcessUserTimeLimit", ctypes.c_int64),
@@ -148,7 +148,7 @@ class _JobLimits(ctypes.Structure):
 
 
 class _MemoryCounters(ctypes.Structure):
-    """PROCESS_MEMORY_COUNTERS of Windows; PagefileUsage is the memory that is committed."""
+    """PROCESS_MEMORY_COUNTERS of Windows; PagefileUsage is the committed memory."""
 
     _fields_ = (
         ("cb", ctypes.c_uint32),

@@ -1,8 +1,8 @@
-"""Reading a record: the samples of one run, checked, cleaned and reduced.
+"""Reading of a record: samples are checked, cleaned and reduced to block means.
 
-Whatever the format and the length, a record passes once through memory, in chunks: its clock is
-checked against the encoder (`clock`), outliers are found among their neighbours (`outliers`) and
-the rest is averaged (`reduction`). At the end the amplitudes are checked (`signals`).
+Records of any format and length are read once, in chunks: the time is checked against the encoder
+(`clock`), outliers are rejected (`outliers`), and block means are computed (`reduction`). At the
+end the amplitudes are checked (`signals`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from counterspin.arrays import median
 from counterspin.errors import RecordError, error_code
 from counterspin.input import FileIdentity
-from counterspin.records.clock import LISTED, MAX_ANGLE, Clock
+from counterspin.records.clock import MAX_ANGLE, MAX_LISTED_ROWS, Clock
 from counterspin.records.column_file import (
     Chunk,
     ColumnFile,
@@ -42,7 +42,7 @@ from counterspin.records.record import (
     RecordReport,
 )
 from counterspin.records.reduction import BlockAverager, BlockMeans, block_size, main_segment
-from counterspin.records.run_file import RunFile, check_length, is_derived, pulse_angle
+from counterspin.records.run_file import RunFile, check_length, interpolate_pulses, is_derived
 from counterspin.records.sampling import MAX_REPEATED_TIMES, RepeatedValues
 from counterspin.records.several_sensors import require_single_sensor
 from counterspin.records.signals import (
@@ -57,11 +57,11 @@ from counterspin.records.signals import (
     residual_noise,
 )
 
-#: More empty cells than this part of a run's rows refuse the record.
+#: Largest fraction of empty cells in a column.
 MAX_EMPTY_FRACTION = 0.05
-#: No record holds larger values, in SI units; their squares would be beyond all numbers.
+#: Largest value in SI units; squares of larger values could overflow.
 MAX_MAGNITUDE = 1e100
-#: Rows that stand alone do so beyond a gap of as many steps, and of a revolution.
+#: Smallest gap that isolates rows, in time steps, in addition to one revolution.
 _ISOLATION_STEPS = 10
 
 
@@ -75,25 +75,26 @@ def read_record(
     """Read, check, clean and reduce one record.
 
     path: A .csv, .txt, .tsv, .parquet, .h5, .hdf5 or .mat file, or a table in memory.
-    motion: The run's stated motion.
-    block: "auto" reduces a record that is denser than 2 samples per 1/64 revolution to block means;
-        None keeps every sample.
+    motion: Stated motion of the run.
+    block: "auto" reduces a record with more than 2 samples per 1/64 revolution to block means; None
+        keeps every sample.
     """
     record = path if isinstance(path, MemoryTable) else Path(path)
-    pulses = None
+    pulse_times = None
     if columns.angle is not None and columns.angle.kind == "pulses":
         source = record if columns.pulses is None else columns.pulses
-        pulses = run_isolated(_read_pulse_times, source, columns)
-        if pulses is None:
+        pulse_times = run_isolated(_read_pulse_times, source, columns)
+        if pulse_times is None:
             columns = replace(columns, angle=None)
-    if columns.angle is not None and pulses is not None:
+    if columns.angle is not None and pulse_times is not None:
         try:
-            pulse_angle(pulses[0], pulses[0][:0], motion.rate, columns.angle.per_revolution)
+            times = pulse_times[0]
+            interpolate_pulses(times, times[:0], motion.rate, columns.angle.per_revolution)
         except ValueError as error:
             raise RecordError(
                 f"{source}: column '{columns.angle.name}': {error}.", code=error_code(error)
             ) from None
-    return run_isolated(_read_file, record, columns, motion, block, pulses)
+    return run_isolated(_read_file, record, columns, motion, block, pulse_times)
 
 
 def _read_file(
@@ -103,14 +104,15 @@ def _read_file(
     block: Literal["auto"] | None,
     pulses: tuple[np.ndarray, FileIdentity | None] | None,
 ) -> Record:
-    with open_record(path, columns, motion.rate, pulses and pulses[0]) as (file, resolved, files):
+    times = pulses and pulses[0]
+    with open_record(path, columns, motion.rate, times) as (file, resolved, files):
         try:
-            record = _read_tested(file, resolved, motion, block)
+            record = _read_checked(file, resolved, motion, block)
         except RecordError:
             if not file.use_strict_parser():
                 raise
-            record = _read_tested(file, resolved, motion, block)
-        other_files = {f.path: f.identity for f in files[1:] if f.identity}
+            record = _read_checked(file, resolved, motion, block)
+        other_files = {other.path: other.identity for other in files[1:] if other.identity}
         if columns.pulses and pulses and pulses[1]:
             other_files[columns.pulses] = pulses[1]
         return replace(record, other_files=other_files) if other_files else record
@@ -123,7 +125,7 @@ def open_record(
     rate: float,
     pulses: np.ndarray | None = None,
 ) -> Iterator[tuple[ColumnFile | RunFile, RecordColumns, list[ColumnFile]]]:
-    """Open a record: what it is read from, its columns as that yields them, and its files.
+    """Open a record; yield the file or run file, its resolved columns, and all files.
 
     rate, pulses: As in `RunFile`.
     """
@@ -133,7 +135,7 @@ def open_record(
             stack.enter_context(open_columns(continuation, columns.dialect))
             for continuation in columns.continuation_files
         ]
-        columns = columns.required(files[0])
+        columns = columns.drop_missing_angle(files[0])
         for record_file in files:
             record_file.timestamp_columns = columns.timestamp_columns
             record_file.require(columns.file_columns)
@@ -142,19 +144,19 @@ def open_record(
         if len(files) == 1 and not is_derived(columns):
             yield files[0], columns, files
             return
-        columns = columns.with_derived_names()
+        columns = columns.rename_derived_columns()
         yield RunFile(files, columns, rate, pulses), columns, files
 
 
 def _read_pulse_times(
     path: Path | MemoryTable, columns: RecordColumns
 ) -> tuple[np.ndarray, FileIdentity | None] | None:
-    """Return the times of a record's pulses, s, and the file they are in.
+    """Return the times of a record's pulses, s, and the identity of their file.
 
-    Returns: None where the file has no such column and does not need it.
+    Returns: None if the file has no such column and does not need it.
     """
     with open_columns(path, columns.dialect if columns.pulses is None else AUTODETECT) as file:
-        spec = columns.required(file).angle
+        spec = columns.drop_missing_angle(file).angle
         if spec is None:
             return None
         file.require([spec.name])
@@ -163,8 +165,8 @@ def _read_pulse_times(
         return times[np.isfinite(times)] * spec.factor, file.identity
 
 
-@np.errstate(all="ignore")  # values beyond measure are refused at the end
-def _read_tested(
+@np.errstate(all="ignore")  # implausible values are rejected at the end
+def _read_checked(
     file: ColumnFile | RunFile,
     columns: RecordColumns,
     motion: NominalMotion,
@@ -176,13 +178,13 @@ def _read_tested(
     segment = reader.main_segment(blocks)
     if segment is not None:
         reader = _RecordReader(file, columns, motion, block)
-        begin, end = columns.time_range
-        blocks = reader.read((max(begin, segment[0]), min(end, segment[1])))
-    return reader.record(blocks)
+        start, end = columns.time_range
+        blocks = reader.read((max(start, segment[0]), min(end, segment[1])))
+    return reader.make_record(blocks)
 
 
 class _RecordReader:
-    """The state of reading one file."""
+    """Reads one record chunk by chunk."""
 
     def __init__(
         self,
@@ -199,24 +201,24 @@ class _RecordReader:
         self._clock = Clock(file.path, file.locate_row, motion.rate)
         self._sums = SignalSums(len(self._signals))
         self._rows = 0
-        self._lone = 0
-        self._outside = 0
-        self._empty = [0] * len(self._signals)
+        self._isolated_rows = 0
+        self._rows_outside = 0
+        self._empty_cells = [0] * len(self._signals)
         self._repeats = RepeatedValues([spec.name for spec in self._signals])
-        self._outliers = [0] * len(self._signals)
-        self._listed: list[Outlier] = []
-        self._first_time = 0.0  # in the file's unit
+        self._outlier_counts = [0] * len(self._signals)
+        self._listed_outliers: list[Outlier] = []
+        self._first_time = 0.0  # in the unit of the file
         self._block = 1
 
     @property
     def _start_time(self) -> float:
-        """The first sample's time in the file's own clock, s."""
+        """The time of the first sample on the file's time scale, s."""
         return self._first_time * self._columns.time.factor
 
     def read(self, time_range: tuple[float, float] = (-np.inf, np.inf)) -> BlockMeans:
         """Read the file to its end, chunk by chunk.
 
-        time_range: First and last time, s in the file's own clock, between which rows are taken.
+        time_range: First and last time of the rows to use, s on the file's time scale.
         """
         chunks: list[BlockMeans] = []
         averager: BlockAverager | None = None
@@ -224,24 +226,25 @@ class _RecordReader:
             rows = row_count(columns)
             if not self._motion.constant_input:
                 self._sums.add([columns[spec.name] for spec in self._signals])
-            first, last = self._row_range(columns, time_range)
-            excluded_rows = rows - (last - first)
+            first_row, stop_row = self._row_range(columns, time_range)
+            excluded_rows = rows - (stop_row - first_row)
             out_of_range = (
                 rows - _row_count(*self._row_range(columns, self._columns.time_range))
                 if excluded_rows
                 else 0
             )
-            self._outside += out_of_range
-            self._lone += excluded_rows - out_of_range
-            if first < last:
-                used_columns = {name: column[first:last] for name, column in columns.items()}
+            self._rows_outside += out_of_range
+            self._isolated_rows += excluded_rows - out_of_range
+            if first_row < stop_row:
+                used_rows = slice(first_row, stop_row)
+                used_columns = {name: column[used_rows] for name, column in columns.items()}
                 if averager is None:
                     self._first_time = self._first_number(used_columns[self._columns.time.name])
                 chunk = self._make_chunk(used_columns)
                 if averager is None:
                     self._clock.start(chunk.time, chunk.angle)
                     self._repeats.start(
-                        self._file.path, self._rows + first, chunk.time, chunk.signals
+                        self._file.path, self._rows + first_row, chunk.time, chunk.signals
                     )
                     averager = BlockAverager(
                         self._block,
@@ -249,9 +252,9 @@ class _RecordReader:
                         self._motion.signal_rate(self._clock.rate),
                         reject_outliers=not self._motion.multi_pose,
                     )
-                signals = self._repeats.fill(self._rows + first, chunk.signals, self._block > 1)
+                signals = self._repeats.fill(self._rows + first_row, chunk.signals, self._block > 1)
                 chunk = Chunk(chunk.time, chunk.angle, signals)
-                blocks = self._process_chunk(self._rows + first, chunk, averager)
+                blocks = self._process_chunk(self._rows + first_row, chunk, averager)
                 if blocks is not None:
                     chunks.append(blocks)
             self._rows += rows
@@ -270,23 +273,23 @@ class _RecordReader:
         return BlockMeans.concatenate(chunks)
 
     def main_segment(self, blocks: BlockMeans) -> tuple[float, float] | None:
-        """Return the times, in the file's own clock, between which no rows stand alone."""
+        """Return the time range, on the file's time scale, without isolated rows; or None."""
         rate = abs(self._motion.rate)
         revolution = 2 * np.pi / rate if rate else 0.0
         segment = main_segment(blocks, max(revolution, _ISOLATION_STEPS * self._clock.step))
         return segment and (segment[0] + self._start_time, segment[1] + self._start_time)
 
     def _row_range(self, columns: Columns, time_range: tuple[float, float]) -> tuple[int, int]:
-        """Return the first of the rows inside, and the one after the last."""
+        """Return start and stop of the rows inside a time range."""
         spec = self._columns.time
         if time_range == (-np.inf, np.inf):
             return 0, row_count(columns)
         time = columns[spec.name] * spec.factor
-        inside = np.flatnonzero(~((time < time_range[0]) | (time > time_range[1])))
-        return (int(inside[0]), int(inside[-1]) + 1) if len(inside) else (0, 0)
+        rows_inside = np.flatnonzero(~((time < time_range[0]) | (time > time_range[1])))
+        return (int(rows_inside[0]), int(rows_inside[-1]) + 1) if len(rows_inside) else (0, 0)
 
     def _choose_rows(self, columns: Columns) -> int:
-        """Choose the block from the spacing of the first rows; return the rows to a chunk."""
+        """Choose the block size from the first time steps; return the rows of a chunk."""
         spec = self._columns.time
         time = columns[spec.name][: chunk_size(1)] * spec.factor
         steps = np.diff(time[np.isfinite(time)])
@@ -296,17 +299,17 @@ class _RecordReader:
         return chunk_size(self._block)
 
     def _first_number(self, time: np.ndarray) -> float:
-        finite = time[np.isfinite(time)]
-        if not len(finite):
+        finite_times = time[np.isfinite(time)]
+        if not len(finite_times):
             raise RecordError(
                 f"{self._file.path}: column '{self._columns.time.name}' does not start with "
                 "numbers.",
                 code="not-numeric",
             )
-        return float(finite[0])
+        return float(finite_times[0])
 
     def _make_chunk(self, columns: Columns) -> Chunk:
-        """Return time from the record's start (s), the angle (rad) and the signals as filed."""
+        """Return time since the start (s), angle (rad) and signals in the units of the file."""
         time, angle = self._columns.time, self._columns.angle
         seconds = columns[time.name]
         if self._first_time:
@@ -332,38 +335,37 @@ class _RecordReader:
             if len(outliers):
                 rows = outliers if usable.rows is None else usable.rows[outliers]
                 values = usable_chunk.signals[index][outliers]
-                self._note_outliers(index, rows + first_row, usable_chunk.time[outliers], values)
+                self._record_outliers(index, rows + first_row, usable_chunk.time[outliers], values)
         return block_means.blocks
 
     def _count_empty(self, first_row: int, signals: list[np.ndarray]) -> None:
         for signal_index, signal in enumerate(signals):
-            self._empty[signal_index] += int(np.isnan(signal).sum())
-            infinite = np.flatnonzero(np.isinf(signal))
-            if len(infinite):
-                mask = self._file.locate_row(first_row + int(infinite[0]))
+            self._empty_cells[signal_index] += int(np.isnan(signal).sum())
+            infinite_rows = np.flatnonzero(np.isinf(signal))
+            if len(infinite_rows):
+                location = self._file.locate_row(first_row + int(infinite_rows[0]))
                 raise RecordError(
-                    f"{self._file.path}, {mask}: column '{self._signals[signal_index].name}' "
+                    f"{self._file.path}, {location}: column '{self._signals[signal_index].name}' "
                     "contains an infinite value.",
                     code="value-out-of-range",
                 )
 
-    def _note_outliers(
+    def _record_outliers(
         self, index: int, rows: np.ndarray, times: np.ndarray, values: np.ndarray
     ) -> None:
-        capacity = LISTED - self._outliers[index]
-        self._outliers[index] += len(rows)
+        capacity = MAX_LISTED_ROWS - self._outlier_counts[index]
+        self._outlier_counts[index] += len(rows)
         spec = self._signals[index]
         for row, time, value in zip(rows[: max(capacity, 0)], times, values, strict=False):
-            magnitude = float(value) * spec.factor + spec.offset
-            self._listed.append(
-                Outlier(spec.name, int(row) + 1, float(time) + self._start_time, magnitude)
+            si_value = float(value) * spec.factor + spec.offset
+            self._listed_outliers.append(
+                Outlier(spec.name, int(row) + 1, float(time) + self._start_time, si_value)
             )
 
     def _check_empty_rows(self) -> None:
-        counts = self._empty_counts()
+        counts = self._count_empty_cells()
         if self._motion.multi_pose:
-            # Of a sensor that is polled more seldom than others many rows are empty; rests are
-            # looked for in those that are not.
+            # Columns of slower sensors have many empty cells; rests are detected in the others.
             counts = {self._columns.time.name: counts[self._columns.time.name]}
         for name, count in counts.items():
             if count > MAX_EMPTY_FRACTION * self._rows:
@@ -372,12 +374,13 @@ class _RecordReader:
                     f"{self._rows} rows; at most {100 * MAX_EMPTY_FRACTION:.0f} % may be empty.",
                     code="empty-cells",
                 )
-        large = self._clock.findings.implausible_angles
-        if self._columns.angle is not None and large > MAX_EMPTY_FRACTION * self._rows:
+        implausible = self._clock.findings.implausible_angles
+        if self._columns.angle is not None and implausible > MAX_EMPTY_FRACTION * self._rows:
             raise RecordError(
-                f"{self._file.path}: column '{self._columns.angle.name}' has {large} angles above "
-                f"{MAX_ANGLE:g} rad in {self._rows} rows; at most {100 * MAX_EMPTY_FRACTION:.0f} % "
-                "are allowed. Check the unit of the column, or subtract the first value.",
+                f"{self._file.path}: column '{self._columns.angle.name}' has {implausible} angles "
+                f"above {MAX_ANGLE:g} rad in {self._rows} rows; at most "
+                f"{100 * MAX_EMPTY_FRACTION:.0f} % are allowed. Check the unit of the column, or "
+                "subtract the first value.",
                 code="value-out-of-range",
             )
         differing_count = self._clock.findings.differing
@@ -389,17 +392,17 @@ class _RecordReader:
                 code="repeated-times",
             )
 
-    def _empty_counts(self) -> dict[str, int]:
+    def _count_empty_cells(self) -> dict[str, int]:
         counts = {self._columns.time.name: self._clock.findings.empty_time}
         if self._columns.angle is not None:
             counts[self._columns.angle.name] = self._clock.findings.empty_angle
-        blank = self._repeats.blank
-        empty = (count - blank_count for count, blank_count in zip(self._empty, blank, strict=True))
-        counts.update(zip((s.name for s in self._signals), empty, strict=True))
+        blank_counts = self._repeats.blank
+        for spec, empty, blank in zip(self._signals, self._empty_cells, blank_counts, strict=True):
+            counts[spec.name] = empty - blank
         return counts
 
-    def record(self, blocks: BlockMeans) -> Record:
-        """Check the record as a whole and assemble it."""
+    def make_record(self, blocks: BlockMeans) -> Record:
+        """Check the whole record and assemble it."""
         duration = float(blocks.time[-1] - blocks.time[0])
         check_length(self._file.path, self._rows, duration, self._motion)
         if blocks.angle is not None and self._columns.angle is not None:
@@ -413,8 +416,8 @@ class _RecordReader:
             if self._block > 1:
                 signal = self._reject_outlying_blocks(blocks, index, signal)
             if not self._motion.constant_input:
-                signal, fitted = self._check_amplitude(index, name, blocks, phase, signal)
-                noise = residual_noise(fitted) * np.sqrt(median(blocks.count))
+                signal, harmonic_fit = self._check_amplitude(index, name, blocks, phase, signal)
+                noise = residual_noise(harmonic_fit) * np.sqrt(median(blocks.count))
                 batches = self._file.batches(self._columns.names)
                 rows = ((batch[self._columns.time.name], batch[spec.name]) for batch in batches)
                 moments = self._sums.coefficients(index, noise / spec.factor, rows)
@@ -427,18 +430,18 @@ class _RecordReader:
             blocks.count,
             blocks.time_sd,
             self._start_time,
-            self._report(blocks),
+            self._make_report(blocks),
             self._file.identity,
             polynomials=moments_by_signal,
             angle_sd=blocks.angle_sd,
         )
 
     def _check_magnitude(self, spec: ColumnSpec, values: np.ndarray) -> None:
-        largest = float(np.abs(values[~np.isnan(values)]).max(initial=0.0))
-        if not largest < MAX_MAGNITUDE:
+        max_magnitude = float(np.abs(values[~np.isnan(values)]).max(initial=0.0))
+        if not max_magnitude < MAX_MAGNITUDE:
             raise RecordError(
                 f"{self._file.path}: column '{spec.name}' contains implausible values of up to "
-                f"{largest:.3g} in SI units.",
+                f"{max_magnitude:.3g} in SI units.",
                 code="value-out-of-range",
             )
 
@@ -450,14 +453,14 @@ class _RecordReader:
         phase: np.ndarray,
         signal: np.ndarray,
     ) -> tuple[np.ndarray, HarmonicFit]:
-        """Return a signal without what a dead channel recorded, and its waves.
+        """Return a signal without dropouts, and its harmonic fit.
 
-        Refuses waves that change their size or are not the motion's.
+        RecordError if the amplitude changes or does not agree with the motion.
         """
-        expected = self._motion.expected_harmonics.get(accelerometer)
-        fitted = fit_harmonics(phase, signal)
+        nominal = self._motion.expected_harmonics.get(accelerometer)
+        harmonic_fit = fit_harmonics(phase, signal)
         no_rows = np.empty(0, dtype=int)
-        dropout = no_rows if expected is None else find_dropout(fitted, phase, signal)
+        dropout = no_rows if nominal is None else find_dropout(harmonic_fit, phase, signal)
         if len(dropout) > MAX_EMPTY_FRACTION * len(signal):
             start, end = blocks.time[dropout[0]], blocks.time[dropout[-1]]
             raise RecordError(
@@ -470,35 +473,35 @@ class _RecordReader:
                 code="signal-dropout",
             )
         if len(dropout):
-            dropout = dropout[~np.isnan(signal[dropout])]  # what is empty or out already is counted
-            self._outliers[index] += int(blocks.count[dropout].sum())
+            dropout = dropout[~np.isnan(signal[dropout])]  # NaN samples are already counted
+            self._outlier_counts[index] += int(blocks.count[dropout].sum())
             signal = signal.copy()
             signal[dropout] = np.nan
-            fitted = fit_harmonics(phase, signal)
-        change = find_unit_change(fitted, may_grow=expected is None)
+            harmonic_fit = fit_harmonics(phase, signal)
+        change = find_unit_change(harmonic_fit, may_grow=nominal is None)
         if change is not None:
-            raise self._unit_change_error(accelerometer, fitted, change, blocks.time, phase)
-        if expected is not None:
-            problem = check_first_harmonic(fitted, expected, self._columns.angle is not None)
+            raise self._unit_change_error(accelerometer, harmonic_fit, change, blocks.time, phase)
+        if nominal is not None:
+            problem = check_first_harmonic(harmonic_fit, nominal, self._columns.angle is not None)
             if problem is not None:
                 column = self._columns.signals[accelerometer].name
                 raise RecordError(
                     f"{self._file.path}: column '{column}' {problem}.", code="wrong-scale"
                 )
-        return signal, fitted
+        return signal, harmonic_fit
 
     def _unit_change_error(
         self,
         accelerometer: str,
-        fitted: HarmonicFit,
+        harmonic_fit: HarmonicFit,
         change: UnitChange,
         block_times: np.ndarray,
         phase: np.ndarray,
     ) -> RecordError:
-        """Say at which line of the file a signal changes its unit."""
-        # Samples about the change were taken for outliers: look at the file again.
-        start = block_times[fitted.first[change.before]]
-        end = block_times[fitted.last[change.after]]
+        """Return the error for a change of unit, with its location in the file."""
+        # Samples near the change were rejected as outliers: read the file again.
+        start = block_times[harmonic_fit.first[change.before]]
+        end = block_times[harmonic_fit.last[change.after]]
         spec = self._columns.signals[accelerometer]
         rows: list[np.ndarray] = []
         times: list[np.ndarray] = []
@@ -506,14 +509,14 @@ class _RecordReader:
         row = 0
         for columns in self._file.batches(self._columns.names):
             time = self._make_chunk(columns).time
-            inside = np.flatnonzero((time >= start) & (time <= end))
-            rows.append(row + inside)
-            times.append(time[inside])
-            signals.append(_scale(columns[spec.name][inside], spec.factor, spec.offset))
+            rows_inside = np.flatnonzero((time >= start) & (time <= end))
+            rows.append(row + rows_inside)
+            times.append(time[rows_inside])
+            signals.append(_scale(columns[spec.name][rows_inside], spec.factor, spec.offset))
             row += len(time)
         angle = np.interp(np.concatenate(times), block_times, phase)
         row_index = min(
-            find_changepoint(fitted, change, angle, np.concatenate(signals)), len(angle) - 1
+            find_changepoint(harmonic_fit, change, angle, np.concatenate(signals)), len(angle) - 1
         )
         location = self._file.locate_row(int(np.concatenate(rows)[row_index]))
         return RecordError(
@@ -529,20 +532,21 @@ class _RecordReader:
         weight = np.sqrt(blocks.count / self._block)
         step = self._clock.step * self._block
         unevenness = float(np.abs(np.diff(blocks.time) / step - 1).max(initial=0.0))
-        # The mean over a shorter piece of a wave's crest is another: such blocks are not compared.
+        # The mean of an incomplete block near a crest differs: such blocks are not compared.
         tested_values = np.where(blocks.count >= 0.9 * self._block, signal, np.nan)
         rate = self._motion.signal_rate(self._clock.rate)
         outliers = detect_outliers(blocks.time, tested_values, rate, step, unevenness, weight)
         if len(outliers):
-            self._outliers[signal_index] += int(blocks.count[outliers].sum())
+            self._outlier_counts[signal_index] += int(blocks.count[outliers].sum())
             signal = signal.copy()
             signal[outliers] = np.nan
         return signal
 
-    def _report(self, blocks: BlockMeans) -> RecordReport:
+    def _make_report(self, blocks: BlockMeans) -> RecordReport:
         findings = self._clock.findings
-        outliers = dict(zip((s.name for s in self._signals), self._outliers, strict=True))
-        listed = list(self._listed)
+        names = [spec.name for spec in self._signals]
+        outliers = dict(zip(names, self._outlier_counts, strict=True))
+        listed = list(self._listed_outliers)
         rate = None
         if self._columns.angle is not None and blocks.angle is not None:
             name = self._columns.angle.name
@@ -550,16 +554,16 @@ class _RecordReader:
             listed += [Outlier(name, row + 1, np.nan, np.nan) for row in findings.outlier_rows]
             advance = blocks.angle[-1] - blocks.angle[0]
             rate = float(advance / (blocks.time[-1] - blocks.time[0]))
-        formats = [self._file.format_description, *self._repeats.notes(self._rows)]
+        descriptions = [self._file.format_description, *self._repeats.notes(self._rows)]
         return RecordReport(
             path=self._file.path,
             rows=self._rows,
             used=int(blocks.count.sum()),
             repeated=findings.repeated,
             differing=findings.differing,
-            empty=self._empty_counts(),
+            empty=self._count_empty_cells(),
             outliers=outliers,
-            isolated=self._lone,
+            isolated=self._isolated_rows,
             listed=tuple(listed),
             gaps=tuple(Gap(gap.time + self._start_time, gap.length) for gap in findings.gaps),
             gap_count=findings.gap_count,
@@ -567,8 +571,8 @@ class _RecordReader:
             step=self._clock.step,
             rate=rate,
             block=self._block,
-            format_description=", ".join(filter(None, formats)),
-            outside=self._outside,
+            format_description=", ".join(filter(None, descriptions)),
+            outside=self._rows_outside,
         )
 
 
@@ -577,5 +581,5 @@ def _scale(values: np.ndarray, factor: float, offset: float = 0.0) -> np.ndarray
     return result + offset if offset else result
 
 
-def _row_count(first: int, last: int) -> int:
-    return last - first
+def _row_count(start: int, stop: int) -> int:
+    return stop - start

@@ -1,4 +1,4 @@
-"""Records: columns, nominal motion, the samples read, and the report on reading them."""
+"""Records: columns, nominal motion, samples, and the report on their reading."""
 
 from __future__ import annotations
 
@@ -32,10 +32,9 @@ class Gap:
 
 @frozen
 class Outlier:
-    """A sample that was left out.
+    """A rejected sample.
 
-    Its column, data row (from 1), time in the file's clock (s) and value (SI); NaN where the file
-    says too little of it.
+    Column, data row (from 1), time on the file's time scale (s) and value (SI); NaN if unknown.
     """
 
     column: str
@@ -49,33 +48,33 @@ class RecordReport:
     """Report on reading a record."""
 
     path: Path  #: The file.
-    #: Rows of the file, and rows that entered the record.
+    #: Rows of the file, and rows used in the record.
     rows: int
     used: int
-    #: Rows that repeat the time of the row before (dropped), and those of them whose other columns
-    #: differ from it.
+    #: Dropped rows that repeat the time of the preceding row, and those of them with different
+    #: values.
     repeated: int
     differing: int
-    #: Column name -> count of empty cells, and of outlying ones. A row without time or angle is
-    #: dropped; a cell of a signal is left out of its block, or NaN in a record of points.
+    #: Column -> number of empty cells, and of outliers. A row without time or angle is dropped; a
+    #: cell of a signal is omitted from its block, or NaN in a record of single samples.
     empty: dict[str, int]
     outliers: dict[str, int]
-    #: Rows that were left out because they stand alone, before the first or after the last gap.
+    #: Omitted rows that are isolated before the first or after the last gap.
     isolated: int
     listed: tuple[Outlier, ...]  #: The first outliers, at most 100 for each column.
-    #: The first hundred stretches of missing rows, and how many there are.
+    #: The first hundred gaps, and the number of gaps.
     gaps: tuple[Gap, ...]
     gap_count: int
     wrapped: bool  #: Whether the angle was unwrapped.
-    #: Usual spacing of the samples, s; rate of the recorded angle, rad/s (None without one).
+    #: Typical time step, s; rate of the recorded angle, rad/s (None without an angle).
     step: float
     rate: float | None
-    block: int  #: Samples that a full block holds; 1 for point samples.
+    block: int  #: Samples in a full block; 1 for single samples.
     format_description: str = ""  #: Description of an unusual file format.
-    outside: int = 0  #: Rows outside the time range that is used.
+    outside: int = 0  #: Rows outside the used time range.
 
     def counts(self, outliers: int = 0) -> dict[str, int]:
-        """Return the number of rows of each kind; `outliers`: detected after reading."""
+        """Return finding -> count; `outliers`: number of outliers detected after reading."""
         return {
             "rows": self.rows,
             "repeated": self.repeated,
@@ -86,7 +85,7 @@ class RecordReport:
         }
 
     def notes(self) -> list[str]:
-        """Return one plain sentence for each thing found, for warnings and reports."""
+        """Return one sentence for each finding, for warnings and reports."""
         notes = []
         if self.format_description:
             notes.append(f"Detected file format: {self.format_description}.")
@@ -123,44 +122,42 @@ ColumnKind = Literal["numbers", "stamps", "rows", "pulses", "temperature"]
 
 @frozen
 class ColumnSpec:
-    """A column of a record file, and how its numbers become SI."""
+    """A column of a record file, and its conversion to SI."""
 
-    name: str  #: The column.
-    #: The numbers are multiplied with `factor`, and `offset` (SI) is added.
+    name: str  #: Name of the column.
+    #: The numbers are multiplied by `factor`, and `offset` (SI) is added.
     factor: float = 1.0
     offset: float = 0.0
-    #: The unit that is stated of it (None: the file's own is taken), and the SI unit wanted;
-    #: without the latter, for example for a current, the unit in the file is not compared.
+    #: Stated unit (None: that in the file), and SI unit; without the latter, such as for a current,
+    #: the unit in the file is not compared.
     unit: str | None = None
     target_unit: str = ""
-    gravity: float | None = None  #: m/s^2, where g and m/s^2 are to be converted.
-    #: ``numbers``; ``stamps`` in ISO 8601; ``rows``, which are counted where there is no such
-    #: column, `factor` being the time from one to the next; or ``pulses``: times at which the
-    #: spindle passed `offset`, `per_revolution` of them a revolution; or ``temperature``, whose
-    #: unit adds to the numbers.
+    gravity: float | None = None  #: Gravity to convert between g and m/s^2, m/s^2.
+    #: ``numbers``; ``stamps``: time stamps in ISO 8601; ``rows``: row count, with the time step
+    #: `factor`; ``pulses``: times at which the spindle passed `offset`, `per_revolution` times a
+    #: revolution; ``temperature``: with a temperature unit.
     kind: ColumnKind = "numbers"
-    #: Of pulses; negative where they are counted against the run's sense.
-    per_revolution: float = 1.0
+    per_revolution: float = 1.0  #: Pulses per revolution.
 
     @property
     def in_g(self) -> bool:
-        """True if the numbers depend on the assumed gravity: recorded in g, or as a current."""
+        """True if the SI values depend on gravity: recorded in g, or as a current."""
         if self.target_unit:
             return self.unit is not None and base_unit(self.unit)[1]["[gravity]"] != 0.0
         return bool(self.name)
 
     def to_file_units(self, values: Array) -> Array:
-        """Return values in SI, converted to the numbers of the column."""
+        """Convert values in SI to the numbers of the column."""
         file_values: Array = (values - self.offset) / self.factor
         return file_values
 
     @property
     def is_derived_column(self) -> bool:
-        """True if the column is derived and no row of the file contains it."""
+        """True if the column is derived and not in the file."""
         return self.kind in ("rows", "pulses")
 
     def resolve_unit(self, file: ColumnFile) -> ColumnSpec:
-        """Return the column with the unit that the file states, or compare that with it."""
+        """Return the column with the unit in the file, which must agree with a stated unit."""
         if not self.target_unit or self.kind in ("stamps", "rows"):
             return self
         file_unit = file.units.get(self.name, "")
@@ -180,7 +177,7 @@ class ColumnSpec:
                     f"{location} is in '{file_unit}' according to the file: {error}.",
                     code=error_code(error),
                 ) from None
-            # Beside the unit there may be a sense, or a clock that is known to be fast.
+            # `factor` may already contain a sense, or the error of a clock.
             return replace(self, factor=factor * self.factor, unit=file_unit)
         is_same = file_unit == self.unit or is_same_unit(file_unit, self.unit, gravity=self.gravity)
         if file_unit and file.units_row and not is_same:
@@ -198,27 +195,26 @@ class ColumnSpec:
 class RecordColumns:
     """Roles of the columns of a file."""
 
-    #: Time and spindle angle (wrapped or not), or no angle.
-    time: ColumnSpec
-    angle: ColumnSpec | None
-    signals: Mapping[str, ColumnSpec]  #: By accelerometer.
-    dialect: Dialect = AUTODETECT  #: How the file is written, as far as that is known.
-    #: From where to where the record is used, s in its own time; of stamps, and of rows that are
-    #: counted, from the first row.
+    time: ColumnSpec  #: Column of the time.
+    angle: ColumnSpec | None  #: Column of the spindle angle (wrapped or not); or None.
+    signals: Mapping[str, ColumnSpec]  #: Accelerometer -> column.
+    dialect: Dialect = AUTODETECT  #: Stated format of the file.
+    #: Start and end of the used part, s on the record's time scale; for time stamps and counted
+    #: rows, from the first row.
     time_range: tuple[float, float] = (-math.inf, math.inf)
-    continuation_files: tuple[Path, ...] = ()  #: Files in which the record goes on.
-    pulses: Path | None = None  #: The file that has the times of pulses; None: the record itself.
-    needs_angle: bool = True  #: Whether a file without the column of the angle is refused.
+    continuation_files: tuple[Path, ...] = ()  #: Files in which the record continues.
+    pulses: Path | None = None  #: File with the times of pulses; None: the record itself.
+    needs_angle: bool = True  #: Whether a missing column of the angle is an error.
 
-    def required(self, file: ColumnFile) -> RecordColumns:
-        """Return the columns without an angle that a file does not have and that is not needed."""
+    def drop_missing_angle(self, file: ColumnFile) -> RecordColumns:
+        """Return the columns without the angle, if it is missing in a file and not needed."""
         angle = self.angle
         if angle is None or self.needs_angle or self.pulses or file.has_column(angle.name):
             return self
         return replace(self, angle=None)
 
     def resolve_units(self, file: ColumnFile) -> RecordColumns:
-        """Return the columns with the units that the file states; see `ColumnSpec.resolve_unit`."""
+        """Return the columns with the units in the file; see `ColumnSpec.resolve_unit`."""
         return replace(
             self,
             time=self.time.resolve_unit(file),
@@ -226,8 +222,8 @@ class RecordColumns:
             signals={name: spec.resolve_unit(file) for name, spec in self.signals.items()},
         )
 
-    def with_derived_names(self) -> RecordColumns:
-        """Return the columns as `RunFile` yields them, under names that no file has."""
+    def rename_derived_columns(self) -> RecordColumns:
+        """Return the columns with names for derived columns, as `RunFile` yields them."""
         time, angle = self.time, self.angle
         if time.kind == "rows":
             time = replace(time, name="(time from row count)")
@@ -242,7 +238,7 @@ class RecordColumns:
 
     @property
     def names(self) -> list[str]:
-        """The columns that are read row by row, each once, including derived columns."""
+        """The names of all columns, each once, including derived columns."""
         specs = [self.time, *([self.angle] if self.angle else []), *self.signals.values()]
         return list(dict.fromkeys(spec.name for spec in specs))
 
@@ -255,46 +251,45 @@ class RecordColumns:
 
 @frozen
 class NominalMotion:
-    """The stated motion of a run, against which its record is checked."""
+    """The stated motion of a run, with which its record is compared."""
 
-    rate: float  #: rad/s; negative turns from north to east; 0 at rest.
-    #: Accelerometer -> the wave that the motion puts into its signal; those without are not checked
-    #: against it.
+    rate: float  #: Rate, rad/s; negative for rotation from north to east; 0 at rest.
+    #: Accelerometer -> expected first harmonic of its signal; others are not checked.
     expected_harmonics: Mapping[str, FirstHarmonic] = field(default_factory=dict)
-    #: Whether the signal is one level, as at rest or on an arm, beside which its waves are small.
+    #: Whether the input is constant, as at rest or on an arm, with small harmonics.
     constant_input: bool = False
-    #: Waves of the signal in a revolution; negative if the force turns against the spindle.
+    #: Periods of the signal per revolution; negative if the force rotates against the spindle.
     waves: float = 1.0
-    #: Whether it is moved between rests in an unknown way, so that no sample counts as an outlier.
+    #: Whether the sensor is moved between poses, so that no sample is an outlier.
     multi_pose: bool = False
 
     def signal_rate(self, rate: float) -> float:
-        """Return the rate of the spindle or of the signal's waves, whichever is faster, rad/s."""
+        """Return the rate of the spindle or of the signal, whichever is larger, rad/s."""
         return rate * max(1.0, abs(self.waves))
 
     def signal_phase(self, time: np.ndarray, angle: np.ndarray | None) -> np.ndarray:
-        """Return the phase of the signal's waves at times, by the nominal rate without an angle."""
+        """Return the phase of the signal, rad, from the angle or else from the nominal rate."""
         return self.waves * (self.rate * time if angle is None else angle)
 
 
 @frozen
 class Record:
-    """One run: point samples or block means, in SI units. Arrays (n,)."""
+    """The record of a run: single samples or block means in SI units, arrays (n,)."""
 
-    time: np.ndarray  #: s since the first sample; of a block, the mean time of its samples.
-    angle: np.ndarray | None  #: rad, unwrapped; None when the file has no angle column.
-    #: Accelerometer -> displacement, velocity or specific force (m, m/s, m/s^2); NaN where that
-    #: accelerometer has no good sample.
+    time: np.ndarray  #: Time since the first sample, s; mean time for a block.
+    angle: np.ndarray | None  #: Unwrapped angle, rad; None without an angle column.
+    #: Accelerometer -> displacement, velocity or specific force (m, m/s, m/s^2); NaN without valid
+    #: samples.
     signals: dict[str, np.ndarray]
-    count: np.ndarray  #: Samples in each block; 1 is a point sample.
-    time_sd: np.ndarray  #: s, standard deviation of the times inside each block; 0 for a point.
-    start_time: float  #: s, the first sample's time in the file's own clock.
-    report: RecordReport  #: What was found.
-    identity: FileIdentity | None  #: Which file it was read from; None of a record in memory.
-    #: Likewise of further files: those in which it goes on, and that of its pulses.
+    count: np.ndarray  #: Samples in each block; 1 for a single sample.
+    time_sd: np.ndarray  #: Standard deviation of the times in each block, s; 0 for a single sample.
+    start_time: float  #: Time of the first sample on the file's time scale, s.
+    report: RecordReport  #: Findings.
+    identity: FileIdentity | None  #: Identity of the file; None for a record in memory.
+    #: Identities of further files: continuations, and the file of the pulses.
     other_files: Mapping[Path, FileIdentity] = field(default_factory=dict)
-    #: Accelerometer -> parts of its whole column along 1, t and t^2, and of its end rows, over the
-    #: noise of one row, shape (4,); NaN where nothing tells it. See `SignalSums.coefficients`.
+    #: Accelerometer -> coefficients of its whole column along 1, t and t^2, and size of its ends,
+    #: divided by the noise of one row, shape (4,); NaN: unknown. See `SignalSums.coefficients`.
     polynomials: Mapping[str, np.ndarray] = field(default_factory=dict)
-    #: rad, standard deviation of the angles inside each block; NaN where `time_sd` tells it.
+    #: Standard deviation of the angles in each block, rad; NaN if it follows from `time_sd`.
     angle_sd: np.ndarray | None = None

@@ -1,4 +1,4 @@
-"""The files of one run as if they were one."""
+"""The files of a run, read as one file."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from counterspin.input import FileIdentity
 from counterspin.records.column_file import ColumnFile, Columns, row_count
 from counterspin.records.record import NominalMotion, RecordColumns
 
-#: Fewest revolutions of a record, and of one whose mean is a reading.
+#: Smallest number of revolutions of a record, and of a record whose mean is a reading.
 MIN_REVOLUTIONS = 3.0
 MIN_REVOLUTIONS_OF_MEAN = 1.0
-#: Most revolutions from one row to the next, in the mean.
+#: Largest mean number of revolutions between rows.
 MAX_REVOLUTIONS_PER_ROW = 20.0
-#: Revolutions that any record may have, and further ones for each of its rows: the motion is
-#: integrated through all of them, which takes some 0.03 MB for each.
-ANY_REVOLUTIONS = 5000.0
+#: Largest number of revolutions of any record, and additional revolutions per row: the integration
+#: of the motion takes some 0.03 MB per revolution.
+MAX_REVOLUTIONS_ANY_ROWS = 5000.0
 MAX_REVOLUTIONS_PER_ROW_ANY_PHASE = 1.0 / 16.0
 
-#: How far a pulse may stand from its place, in parts of the interval.
+#: Largest deviation of a pulse interval from a whole number of intervals.
 _MAX_PULSE_DEVIATION = 0.2
 
 
@@ -38,7 +38,7 @@ class RunFile:
     """Files of a record, presented to its reader as one file.
 
     rate: Stated rate of the spindle, rad/s.
-    pulses: Times of the pulses, s in the record's own time; None where the angle is a column.
+    pulses: Times of the pulses, s on the record's time scale; None if the angle is a column.
     """
 
     def __init__(
@@ -55,22 +55,24 @@ class RunFile:
         self._ends: list[int] = []
         self.path: Path = files[0].path
         self.identity: FileIdentity | None = files[0].identity
-        notes = [file.format_description for file in files[:1] if file.format_description]
+        descriptions = [file.format_description for file in files[:1] if file.format_description]
         if len(files) > 1:
-            notes.append(f"{len(files)} concatenated files")
+            descriptions.append(f"{len(files)} concatenated files")
         if columns.time.kind == "rows":
-            notes.append(f"time calculated from the row count, {columns.time.factor:.9g} s per row")
+            descriptions.append(
+                f"time calculated from the row count, {columns.time.factor:.9g} s per row"
+            )
         if pulses is not None:
-            notes.append(f"angle interpolated between {len(pulses)} pulses")
-        self.format_description = ", ".join(notes)
+            descriptions.append(f"angle interpolated between {len(pulses)} pulses")
+        self.format_description = ", ".join(descriptions)
 
     def use_strict_parser(self) -> bool:
-        """As in `ColumnFile`."""
+        """Switch all files to the strict parser; see `ColumnFile`."""
         has_switched = [file.use_strict_parser() for file in self._files]  # all of them
         return any(has_switched)
 
     def locate_row(self, row: int) -> str:
-        """Say where a row stands: in which file, and where in it."""
+        """Return the location of a row, with the name of a continuation file."""
         start = 0
         for index, file in enumerate(self._files):
             end = self._ends[index] if index < len(self._ends) else math.inf
@@ -80,13 +82,13 @@ class RunFile:
             start = int(end)
         return f"row {row + 1}"
 
-    def batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
-        """Yield columns in consecutive batches, those that are made too."""
+    def batches(self, names: Sequence[str]) -> Iterator[Columns]:
+        """Yield columns, including derived ones, in consecutive batches."""
         time, angle = self._columns.time, self._columns.angle
         derived_names = {time.name} if time.kind == "rows" else set()
         if self._pulses is not None and angle is not None:
             derived_names |= {angle.name}
-        columns_in_file = [name for name in wanted if name not in derived_names]
+        columns_in_file = [name for name in names if name not in derived_names]
         ends, rows = [], 0
         for file in self._files:
             file.first_timestamp = file.first_timestamp or self._files[0].first_timestamp
@@ -96,7 +98,7 @@ class RunFile:
                     batch[time.name] = np.arange(rows, rows + count, dtype=float)
                 if self._pulses is not None and angle is not None:
                     seconds = batch[time.name] * time.factor
-                    batch[angle.name] = pulse_angle(
+                    batch[angle.name] = interpolate_pulses(
                         self._pulses, seconds, self._rate, angle.per_revolution
                     )
                 rows += count
@@ -105,14 +107,15 @@ class RunFile:
         self._ends = ends
 
 
-def pulse_angle(pulses: Array, time: Array, rate: float, per_revolution: float) -> Array:
-    """Return the angle from the first pulse, rad, between pulses by parabolas.
+def interpolate_pulses(pulses: Array, time: Array, rate: float, per_revolution: float) -> Array:
+    """Interpolate the angle since the first pulse between pulses by parabolas, rad, shape (n,).
 
-    Where the rate changes evenly this is exact; what it does within an interval does not show.
+    This is exact for a linear change of the rate. NaN beyond the pulses by more than an interval.
 
-    pulses: Their times, s, shape (m,).
-    time: s, shape (n,). Beyond the pulses by more than one interval there is no angle: NaN.
-    rate: Stated, rad/s, signed.
+    pulses: Times of the pulses, s, shape (m,).
+    time: Times, s, shape (n,).
+    rate: Stated rate, rad/s, signed.
+    per_revolution: Pulses per revolution.
     """
     if len(pulses) < 3:
         raise InputError(f"{len(pulses)} pulses are too few to follow the rotation", "too-few-rows")
@@ -128,44 +131,46 @@ def pulse_angle(pulses: Array, time: Array, rate: float, per_revolution: float) 
             f"pulses per revolution, the interval should be {expected_interval:.6g} s",
             "rate-mismatch",
         )
-    # A pulse that is missing leaves an interval of two.
-    revolutions = np.round(steps / interval)
-    offset = np.abs(steps / interval - revolutions) > _MAX_PULSE_DEVIATION
-    if offset.any() or (revolutions < 1).any():
-        index = int(np.flatnonzero(offset | (revolutions < 1))[0]) + 2
+    # A missing pulse doubles an interval.
+    pulse_counts = np.round(steps / interval)
+    is_irregular = np.abs(steps / interval - pulse_counts) > _MAX_PULSE_DEVIATION
+    if is_irregular.any() or (pulse_counts < 1).any():
+        index = int(np.flatnonzero(is_irregular | (pulse_counts < 1))[0]) + 2
         raise InputError(
             f"pulse {index} comes {steps[index - 2]:.6g} s after the preceding pulse, instead of "
             f"{interval:.6g} s",
             "irregular-time",
         )
-    unit = math.copysign(2 * math.pi / per_revolution, rate)
-    angles = unit * np.concatenate([[0.0], np.cumsum(revolutions)])
-    # Of the two parabolas that pass through an interval's ends, the mean weighted by nearness.
-    revolutions_left = np.clip(np.searchsorted(pulses, time, side="right") - 1, 0, len(pulses) - 2)
-    fraction = np.clip((time - pulses[revolutions_left]) / steps[revolutions_left], 0.0, 1.0)
-    before = _interpolate_parabola(
-        pulses, angles, np.clip(revolutions_left, 1, len(pulses) - 2), time
+    pulse_step = math.copysign(2 * math.pi / per_revolution, rate)
+    angles = pulse_step * np.concatenate([[0.0], np.cumsum(pulse_counts)])
+    # Average the two parabolas through the ends of an interval, weighted by distance.
+    interval_indices = np.clip(np.searchsorted(pulses, time, side="right") - 1, 0, len(pulses) - 2)
+    fraction = np.clip((time - pulses[interval_indices]) / steps[interval_indices], 0.0, 1.0)
+    left_angle = _interpolate_parabola(
+        pulses, angles, np.clip(interval_indices, 1, len(pulses) - 2), time
     )
-    after = _interpolate_parabola(
-        pulses, angles, np.clip(revolutions_left + 1, 1, len(pulses) - 2), time
+    right_angle = _interpolate_parabola(
+        pulses, angles, np.clip(interval_indices + 1, 1, len(pulses) - 2), time
     )
-    angle: Array = (1.0 - fraction) * before + fraction * after
-    outside = (time < pulses[0] - interval) | (time > pulses[-1] + interval)
-    angle[outside] = np.nan
+    angle: Array = (1.0 - fraction) * left_angle + fraction * right_angle
+    is_outside = (time < pulses[0] - interval) | (time > pulses[-1] + interval)
+    angle[is_outside] = np.nan
     return angle
 
 
 def _interpolate_parabola(x: Array, y: Array, index: np.ndarray, position: Array) -> Array:
-    """Return the parabolas through three points about `index`, at `position` (Newton)."""
+    """Interpolate by parabolas through three points around `index`, at `position` (Newton)."""
     x0, x1, x2 = x[index - 1], x[index], x[index + 1]
     first_slope = (y[index] - y[index - 1]) / (x1 - x0)
-    second = ((y[index + 1] - y[index]) / (x2 - x1) - first_slope) / (x2 - x0)
-    result: Array = y[index - 1] + (position - x0) * (first_slope + (position - x1) * second)
+    second_difference = ((y[index + 1] - y[index]) / (x2 - x1) - first_slope) / (x2 - x0)
+    result: Array = y[index - 1] + (position - x0) * (
+        first_slope + (position - x1) * second_difference
+    )
     return result
 
 
 def check_length(path: object, rows: int, duration: float, motion: NominalMotion) -> None:
-    """Refuse a record that is too short, or has too few rows for its revolutions.
+    """Raise RecordError for a record that is too short, or has too few rows per revolution.
 
     duration: Time from the first to the last row, s.
     """
@@ -185,11 +190,11 @@ def check_length(path: object, rows: int, duration: float, motion: NominalMotion
             "follow the rotation. Check the unit of the time column.",
             code="too-few-rows",
         )
-    max_revolutions = ANY_REVOLUTIONS + MAX_REVOLUTIONS_PER_ROW_ANY_PHASE * rows
+    max_revolutions = MAX_REVOLUTIONS_ANY_ROWS + MAX_REVOLUTIONS_PER_ROW_ANY_PHASE * rows
     if revolutions > max_revolutions and not is_constant:
         raise RecordError(
             f"{path}: the record has {rows} rows in {revolutions:.6g} revolutions. Each "
-            f"revolution after the first {ANY_REVOLUTIONS:g} requires at least 16 rows. Check "
-            "the unit of the time column, or shorten the record.",
+            f"revolution after the first {MAX_REVOLUTIONS_ANY_ROWS:g} requires at least 16 rows. "
+            "Check the unit of the time column, or shorten the record.",
             code="too-few-rows",
         )

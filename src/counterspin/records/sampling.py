@@ -1,9 +1,8 @@
-"""Tell the samples of a sensor from the rows of its log.
+"""Repeated values and time stamps in a log, and times in two columns.
 
-A log that is faster than the sensor repeats each value until the next one arrives. A clock that is
-coarser than the rows, or packets of several samples, repeat time stamps. Rows that never arrive are
-lost samples. A time may be split into two columns: seconds and nanoseconds, or GPS week and time of
-week.
+A log that is faster than the sensor repeats values. A coarse clock, or packets of several samples,
+repeat time stamps. Missing rows are lost samples. A time may be split into two columns: seconds and
+nanoseconds, or GPS week and time of week.
 """
 
 from __future__ import annotations
@@ -20,44 +19,43 @@ import numpy.typing as npt
 from counterspin.arrays import Array, median, quantile
 from counterspin.errors import InputError, RecordError, error_code
 from counterspin.frozen import frozen
-from counterspin.records.outliers import resolution
+from counterspin.records.outliers import estimate_resolution
 from counterspin.records.unit_notation import bracketed_unit
 
-#: Rows that show whether values repeat.
+#: Rows in which repeated values are detected.
 _TEST_ROWS: Final = 100_000
-#: Part of the rows that repeat a value beyond which these are repeats, in addition to three times
-#: the part that is equal by chance.
+#: Smallest fraction of repeated values, in addition to three times the fraction that is equal by
+#: chance.
 _MIN_REPEATED_FRACTION: Final = 2e-3
-#: Part of the samples that may be equal by chance where a change of the value tells a new sample.
+#: Largest fraction of samples equal by chance for which a changed value shows a new sample.
 _MAX_CHANCE_FRACTION: Final = 0.02
-#: Part of the changes that are at one phase of a whole number of rows.
+#: Smallest fraction of the changes at one phase of a whole number of rows.
 _MIN_PHASE_FRACTION: Final = 0.999
-#: Steps that are so many times the median step are outliers.
+#: Ratio to the median step beyond which a step is an outlier.
 _OUTLIER_STEPS: Final = 8.0
-#: Steps of the resolution by which values change if they are not those of a smooth coarse signal.
+#: Smallest change of values, in steps of the resolution, except for smooth coarse signals.
 _COARSE_STEPS: Final = 1.25
-#: Most rows for a sample.
+#: Largest number of rows per sample.
 _MAX_ROWS: Final = 1000
-#: Fewest rows that tell.
+#: Smallest number of changes for a decision.
 _MIN_CHANGES: Final = 32
 
-#: Part of the mean step below which a step is within a burst; the fewest bursts that tell, and the
-#: part of the steps between them where the times within a burst differ.
+#: Largest step within a burst, relative to the mean step; smallest number of bursts, and smallest
+#: fraction of pauses between bursts with different times.
 _MAX_BURST_FRACTION: Final = 0.5
 _MIN_BURSTS: Final = 4
 _MIN_PAUSE_FRACTION: Final = 0.01
-#: Part of the rows that may repeat the time of the row before with other values.
+#: Largest fraction of rows that repeat the time of the preceding row with other values.
 MAX_REPEATED_TIMES: Final = 0.05
-#: Fewest stamps that show whether rows are lost within them, and stretches of the record whose
-#: least delays are compared.
+#: Smallest number of time stamps to detect lost rows, and largest number of segments whose minimum
+#: delays are compared.
 _MIN_STAMPS: Final = 10
-_FLOORS: Final = 40
-#: Variance of the second difference of least delays, rows^2, above that of the rows' rounding,
-#: which is 6 / 12.
+_MAX_FLOORS: Final = 40
+#: Largest variance of second differences of minimum delays, rows^2; rounding causes 6 / 12.
 _FLOOR_VARIANCE: Final = 1.5
-#: Change from one least delay to the next, as a part of the rows, above which it does not tell.
+#: Largest change between minimum delays, relative to the number of rows.
 _MAX_FLOOR_CHANGE: Final = 0.005
-#: Statistic of Dickey and Fuller that a random walk of 20 to 60 steps exceeds in 98 % of cases.
+#: Dickey-Fuller statistic that a random walk of 20 to 60 steps exceeds in 98 % of cases.
 _WALK_LIMIT: Final = -4.7
 
 Mask = npt.NDArray[np.bool_]
@@ -65,17 +63,17 @@ Mask = npt.NDArray[np.bool_]
 
 @frozen
 class ValueHolding:
-    """The way in which a log repeats the values of a slower sensor."""
+    """Pattern in which a log repeats the values of a slower sensor."""
 
-    rows: float  #: Mean number of rows for a sample.
-    period: int  #: Rows for every sample; 0: the number varies.
-    phase: int  #: Row of the first new value, from 0, where the period is not 0.
+    rows: float  #: Mean number of rows per sample.
+    period: int  #: Rows per sample; 0: variable.
+    phase: int  #: Row of the first new value, from 0, for a constant period.
 
     @classmethod
     def detect(cls, values: Array) -> ValueHolding | None:
-        """Return how values repeat; None if they do not. ValueError if it cannot be told.
+        """Detect repeated values; None without them, ValueError if it cannot be decided.
 
-        values: As logged, NaN where a cell is empty, shape (n,).
+        values: Logged values, NaN for empty cells, shape (n,).
         """
         sample = values[:_TEST_ROWS]
         finite_values = sample[np.isfinite(sample)]
@@ -87,24 +85,27 @@ class ValueHolding:
         step_sizes = np.abs(nonzero_steps)
         typical_steps = step_sizes[step_sizes <= _OUTLIER_STEPS * median(step_sizes)]
         step = float(np.sqrt(np.mean(typical_steps**2)))
-        chance_repeats = min(1.0, resolution(finite_values) / (math.sqrt(2.0 * math.pi) * step))
+        chance_repeats = min(
+            1.0, estimate_resolution(finite_values) / (math.sqrt(2.0 * math.pi) * step)
+        )
         limit = (
             3.0 * chance_repeats
             + 5.0 * math.sqrt(chance_repeats / steps.size)
             + _MIN_REPEATED_FRACTION
         )
         change_indices = np.flatnonzero(np.diff(sample, prepend=math.nan) != 0.0)[1:]
-        # Of samples that are equal by chance, many differ from both neighbours.
-        lengths = np.diff(change_indices)
-        has_few_changes = lengths.size < _MIN_CHANGES or step < _COARSE_STEPS * resolution(
-            finite_values
+        # If samples are equal by chance, many differ from both neighbours.
+        run_lengths = np.diff(change_indices)
+        has_few_changes = (
+            run_lengths.size < _MIN_CHANGES
+            or step < _COARSE_STEPS * estimate_resolution(finite_values)
         )
-        alternate = has_few_changes or quantile(lengths, 0.01) < 2.0
-        if (repeated_fraction <= limit and alternate) or _is_constant_stretch(
-            lengths, 1.0 / (1.0 - repeated_fraction)
+        has_single_changes = has_few_changes or quantile(run_lengths, 0.01) < 2.0
+        if (repeated_fraction <= limit and has_single_changes) or _has_constant_run(
+            run_lengths, 1.0 / (1.0 - repeated_fraction)
         ):
             return None
-        if period := _change_period(change_indices):
+        if period := _find_change_period(change_indices):
             return cls(float(period), period, int(change_indices[0]) % period)
         rows = 1.0 / (1.0 - repeated_fraction)
         if chance_repeats > _MAX_CHANCE_FRACTION:
@@ -117,64 +118,64 @@ class ValueHolding:
             )
         return cls(rows, 0, 0)
 
-    def is_new(self, values: Array, first_row: int = 0, before: float = math.nan) -> Mask:
-        """Return the rows with new values.
+    def is_new(self, values: Array, first_row: int = 0, previous_value: float = math.nan) -> Mask:
+        """Return the mask of rows with new values.
 
         first_row: Row of the first value, from 0.
-        before: The value before the first one; NaN: none.
+        previous_value: Value before the first one; NaN without one.
         """
         if self.period:
             return np.asarray((np.arange(values.size) + first_row - self.phase) % self.period == 0)
-        return np.asarray(np.diff(values, prepend=before) != 0.0)
+        return np.asarray(np.diff(values, prepend=previous_value) != 0.0)
 
 
 class RepeatedValues:
-    """Repeated values in the signals of a record, chunk after chunk.
+    """Handles repeated values in the signals of consecutive chunks.
 
-    names: The columns of the signals.
+    names: Columns of the signals.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = names
         self._holding: list[ValueHolding | None] = []
-        self._held = [0] * len(names)
-        self._last = [math.nan] * len(names)
+        self._repeat_counts = [0] * len(names)
+        self._last_values = [math.nan] * len(names)
         self._first_row = 0
         self.blank = [0] * len(names)  #: Values of each signal that were replaced by NaN.
 
     def start(self, path: object, first_row: int, time: Array, signals: Sequence[Array]) -> None:
-        """Find how values repeat in the first chunk; RecordError if it cannot be told.
+        """Detect repeated values in the first chunk; RecordError if it cannot be decided.
 
-        Rows that repeat the time of the row before are no evidence: the clock drops them.
+        Rows that repeat the time of the preceding row are ignored: the clock drops them.
         """
         self._first_row = first_row
         is_later = np.diff(time, prepend=math.nan) != 0.0
         for name, signal in zip(self._names, signals, strict=True):
             try:
-                repeats = is_later.all() or ValueHolding.detect(signal[is_later]) is not None
-                self._holding.append(ValueHolding.detect(signal) if repeats else None)
+                is_held = is_later.all() or ValueHolding.detect(signal[is_later]) is not None
+                self._holding.append(ValueHolding.detect(signal) if is_held else None)
             except ValueError as error:
                 raise RecordError(
                     f"{path}: column '{name}': {error}.", code=error_code(error)
                 ) from None
 
-    def fill(self, first_row: int, signals: Sequence[Array], interpolates: bool) -> list[Array]:
+    def fill(self, first_row: int, signals: Sequence[Array], interpolate: bool) -> list[Array]:
         """Return the signals of a chunk with repeated values replaced.
 
-        interpolates: Whether they are interpolated between new values, as the mean of a block
-            needs them; otherwise they are NaN.
+        interpolate: Whether repeated values are interpolated, for block means; otherwise they are
+            NaN.
         """
         filled_signals = list(signals)
         for index, (signal, holding) in enumerate(zip(signals, self._holding, strict=True)):
             if holding is None:
                 continue
-            is_new = holding.is_new(signal, first_row - self._first_row, self._last[index])
+            is_new = holding.is_new(signal, first_row - self._first_row, self._last_values[index])
             is_repeat = ~is_new & ~np.isnan(signal)
             new_indices = np.flatnonzero(is_new & ~np.isnan(signal))
-            self._held[index] += int(is_repeat.sum())
-            self._last[index] = float(signal[-1])
+            self._repeat_counts[index] += int(is_repeat.sum())
+            self._last_values[index] = float(signal[-1])
             values = np.full(len(signal), math.nan)
-            if interpolates and len(new_indices):
+            if interpolate and len(new_indices):
                 values = np.interp(np.arange(len(signal)), new_indices, signal[new_indices])
             else:
                 self.blank[index] += int(is_repeat.sum())
@@ -182,9 +183,10 @@ class RepeatedValues:
         return filled_signals
 
     def notes(self, rows: int) -> list[str]:
-        """Return a statement on each signal that repeats its values, of so many rows."""
+        """Return a note for each signal with repeated values; rows: number of rows."""
         fractions = (
-            (name, count / rows) for name, count in zip(self._names, self._held, strict=True)
+            (name, count / rows)
+            for name, count in zip(self._names, self._repeat_counts, strict=True)
         )
         return [
             f"column '{name}' repeats {100.0 * fraction:.3g} % of its values; repeated values "
@@ -195,10 +197,10 @@ class RepeatedValues:
 
 
 def join_bursts(time: Array) -> Array:
-    """Return times in which the rows of a burst have the time of its first row.
+    """Assign the time of the first row to all rows of a burst.
 
-    Packets of samples that are stamped when they arrive have stamps close to each other, and then
-    a pause. Other times are returned as they are.
+    The samples of a packet, stamped at arrival, have nearly equal times, followed by a pause. Other
+    times are returned unchanged.
     """
     steps = np.diff(time)
     if not is_bursty(steps):
@@ -208,19 +210,19 @@ def join_bursts(time: Array) -> Array:
 
 
 def is_bursty(steps: Array) -> bool:
-    """Return whether rows come in bursts, by the steps of their times; these never fall."""
+    """Return whether nondecreasing times, given by their steps, come in bursts."""
     if steps.size < _MIN_CHANGES or not (steps >= 0.0).all() or not steps.any():
         return False
     mean = float(np.mean(steps))
-    pauses = int(np.sum(steps > _MAX_BURST_FRACTION * mean))
-    fewest = _MIN_BURSTS if median(steps) == 0.0 else _MIN_PAUSE_FRACTION * steps.size
-    return median(steps) < _MAX_BURST_FRACTION * mean and pauses >= fewest
+    pause_count = int(np.sum(steps > _MAX_BURST_FRACTION * mean))
+    min_pauses = _MIN_BURSTS if median(steps) == 0.0 else _MIN_PAUSE_FRACTION * steps.size
+    return median(steps) < _MAX_BURST_FRACTION * mean and pause_count >= min_pauses
 
 
 def has_shared_times(time: Array, columns: Sequence[Array]) -> bool:
     """Return whether different rows share times, or come in bursts.
 
-    Rows that are equal except for a counter were written twice.
+    Equal rows, except for a counter, are duplicates.
 
     columns: Columns of the rows, of the same length.
     """
@@ -233,13 +235,13 @@ def has_shared_times(time: Array, columns: Sequence[Array]) -> bool:
     return float(np.sum(differs)) > MAX_REPEATED_TIMES * steps.size
 
 
-def row_rate(time: Array) -> float:
-    """Return the rate of rows that share stamps or come in bursts, 1/s.
+def estimate_row_rate(time: Array) -> float:
+    """Estimate the rate of rows that share time stamps or come in bursts, Hz.
 
     ValueError if rows are lost, so that they cannot be counted.
     """
-    stamps = join_bursts(time)
-    steps = np.diff(count_times(stamps, int(np.sum(np.diff(stamps) == 0.0))))
+    timestamps = join_bursts(time)
+    steps = np.diff(reconstruct_times(timestamps, int(np.sum(np.diff(timestamps) == 0.0))))
     if np.ptp(steps) > 0.5 * median(steps):
         raise InputError(
             "samples are missing among rows with equal time stamps; export time stamps with a "
@@ -249,23 +251,23 @@ def row_rate(time: Array) -> float:
     return 1.0 / median(steps)
 
 
-def count_times(time: Array, restamped_count: int) -> Array:
-    """Return the times of rows whose stamps repeat: rows are even where none is lost.
+def reconstruct_times(time: Array, restamped_count: int) -> Array:
+    """Reconstruct even times of rows with repeated time stamps.
 
-    Rows may be stamped late, but not early. The rows with the least delay follow the clock of the
-    sensor.
+    Rows may be stamped late, but not early. The rows with the smallest delay follow the clock of
+    the sensor.
 
-    restamped_count: Number of rows with the time of the row before, for the message.
+    restamped_count: Number of rows with the time of the preceding row, for the message.
     """
     bounds = np.append(np.flatnonzero(np.append(True, np.diff(time) > 0.0)), time.size)
-    burst = quantile(np.diff(bounds), 0.999) + 1.0
-    lag = min(time.size - 1, max(64, round(16 * burst)))
+    burst_rows = quantile(np.diff(bounds), 0.999) + 1.0
+    lag = min(time.size - 1, max(64, round(16 * burst_rows)))
     step = median(time[lag:] - time[:-lag]) / lag
-    segments: list[Array] = np.split(time, _gap_indices(time, step, burst, lag))
-    # The last row of a stamp has the least delay; the last stamp may lack rows.
+    segments: list[Array] = np.split(time, _find_gaps(time, step, burst_rows, lag))
+    # The last row of a time stamp has the smallest delay; the last time stamp may be incomplete.
     last_rows = [np.flatnonzero(np.diff(segment) > 0.0) for segment in segments]
     spans = [
-        _clock_span(segment, last, step)
+        _measure_clock_span(segment, last, step)
         for segment, last in zip(segments, last_rows, strict=True)
         if last.size > 1
     ]
@@ -290,80 +292,90 @@ def count_times(time: Array, restamped_count: int) -> Array:
     return np.asarray(delays[0].min() + step * np.concatenate(rows))
 
 
-def _gap_indices(time: Array, step: float, burst: float, lag: int) -> list[int]:
-    """Return the rows that follow a gap: the least delay is larger after it than before.
+def _find_gaps(time: Array, step: float, burst_rows: float, lag: int) -> list[int]:
+    """Return the rows that follow a gap, after which the minimum delay is larger.
 
-    After a pause without a loss, late rows arrive together.
+    After a pause without lost rows, late rows arrive together.
 
-    step, burst: Time from row to row, s, and most rows of a stamp.
-    lag: Rows on either side that show the least delay.
+    step, burst_rows: Time between rows, s, and largest number of rows per time stamp.
+    lag: Number of rows on either side for the minimum delay.
     """
     delay = time - step * np.arange(time.size)
-    pauses = np.diff(time, prepend=time[0]) - burst * step
+    pauses = np.diff(time, prepend=time[0]) - burst_rows * step
     gaps: list[int] = []
     for row in np.flatnonzero(pauses > 3.0 * step).tolist():
-        before = delay[max(row - lag, gaps[-1] if gaps else 0) : row]
-        if delay[row : row + lag].min() - before.min() > 0.5 * pauses[row]:
+        previous_delays = delay[max(row - lag, gaps[-1] if gaps else 0) : row]
+        if delay[row : row + lag].min() - previous_delays.min() > 0.5 * pauses[row]:
             gaps.append(row)
     return gaps
 
 
-def _clock_span(time: Array, rows: npt.NDArray[np.int_], step: float) -> tuple[int, float]:
-    """Return the number of rows, and their duration, between two rows with little delay.
+def _measure_clock_span(time: Array, rows: npt.NDArray[np.int_], step: float) -> tuple[int, float]:
+    """Return number of rows and duration, s, between two rows with small delays.
 
-    rows: The last row of each stamp.
-    step: Approximate time from row to row, s.
+    rows: Last row of each time stamp.
+    step: Approximate time between rows, s.
     """
     delay = time[rows] - step * rows
-    third = max(1, rows.size // 3)
-    first, last = rows[np.argmin(delay[:third])], rows[np.argmin(delay[-third:]) - third]
+    n_third = max(1, rows.size // 3)
+    first, last = rows[np.argmin(delay[:n_third])], rows[np.argmin(delay[-n_third:]) - n_third]
     return int(last - first), float(time[last] - time[first])
 
 
 def _lacks_rows(delay: Array, rows: int) -> bool:
-    """Return whether rows are lost within stamps, by the delay of the last row of each stamp, rows.
+    """Return whether rows are lost, from the delay of the last row of each time stamp, rows.
 
-    The delay of late rows returns to its least value. A lost row shifts all later rows, so that the
+    The delay of late rows returns to its minimum. A lost row shifts all later rows, so that the
     delay is a random walk. The test is that of Dickey and Fuller (J. Am. Stat. Assoc. 74 (1979)
     427) with a parabola, because the rate may change slowly.
 
-    rows: Number of rows. Delays that are long against them do not tell.
+    rows: Number of rows; relatively long delays are inconclusive.
     """
     if delay.size < _MIN_STAMPS:
         return False
-    floor = np.array([np.min(part) for part in np.array_split(delay, min(_FLOORS, delay.size))])
-    change, bend = np.diff(floor), np.diff(floor, 2)
-    position = np.linspace(-1.0, 1.0, change.size)
-    smooth = np.polynomial.polynomial.polyvander(position[1:], 2)
-    residual = bend - smooth @ np.linalg.lstsq(smooth, bend, rcond=None)[0]
-    if float(residual @ residual) < _FLOOR_VARIANCE * (bend.size - 3):
-        return False
-    if float(change @ change) > change.size * (_MAX_FLOOR_CHANGE * rows) ** 2:
-        return True
-    trend, factor = np.linalg.qr(
-        np.column_stack([np.polynomial.polynomial.polyvander(position, 2), floor[:-1]])
+    min_delays = np.array(
+        [
+            np.min(delay_segment)
+            for delay_segment in np.array_split(delay, min(_MAX_FLOORS, delay.size))
+        ]
     )
-    shares = trend.T @ change
-    scatter = change @ change - shares @ shares
+    floor_changes, second_differences = np.diff(min_delays), np.diff(min_delays, 2)
+    position = np.linspace(-1.0, 1.0, floor_changes.size)
+    parabola_basis = np.polynomial.polynomial.polyvander(position[1:], 2)
+    residuals = (
+        second_differences
+        - parabola_basis @ np.linalg.lstsq(parabola_basis, second_differences, rcond=None)[0]
+    )
+    if float(residuals @ residuals) < _FLOOR_VARIANCE * (second_differences.size - 3):
+        return False
+    if float(floor_changes @ floor_changes) > floor_changes.size * (_MAX_FLOOR_CHANGE * rows) ** 2:
+        return True
+    orthonormal, factor = np.linalg.qr(
+        np.column_stack([np.polynomial.polynomial.polyvander(position, 2), min_delays[:-1]])
+    )
+    projections = orthonormal.T @ floor_changes
+    residual_sum = floor_changes @ floor_changes - projections @ projections
     sign = math.copysign(1.0, factor[-1, -1])
-    return bool(sign * shares[-1] > _WALK_LIMIT * math.sqrt(scatter / (change.size - 4)))
+    return bool(
+        sign * projections[-1] > _WALK_LIMIT * math.sqrt(residual_sum / (floor_changes.size - 4))
+    )
 
 
-def _is_constant_stretch(lengths: npt.NDArray[np.int_], rows: float) -> bool:
-    """Return True if a value repeats for a while, as in a dead or saturated channel."""
+def _has_constant_run(lengths: npt.NDArray[np.int_], rows: float) -> bool:
+    """Return True if one value repeats for a long time, as in a dead or saturated channel."""
     long_stretches = lengths[lengths > 1]
     return bool(long_stretches.size == 0 or quantile(long_stretches, 0.95) > 3.0 * rows + 2.0)
 
 
-def _change_period(change_indices: npt.NDArray[np.int_]) -> int:
-    """Return the whole number of rows between changes, of which some may be missing; 0: none is."""
-    lengths = np.diff(change_indices)
+def _find_change_period(change_indices: npt.NDArray[np.int_]) -> int:
+    """Return the whole number of rows between changes, some of which may be missing; or 0."""
+    run_lengths = np.diff(change_indices)
     if (
-        lengths.size < _MIN_CHANGES
-        or not 1 < (shortest := int(quantile(lengths, 0.01))) < _MAX_ROWS
+        run_lengths.size < _MIN_CHANGES
+        or not 1 < (shortest_length := int(quantile(run_lengths, 0.01))) < _MAX_ROWS
     ):
         return 0
-    for period in range(shortest, 1, -1):
+    for period in range(shortest_length, 1, -1):
         phase_count = np.bincount(change_indices % period).max()
         if phase_count >= _MIN_PHASE_FRACTION * change_indices.size:
             return period
@@ -372,36 +384,42 @@ def _change_period(change_indices: npt.NDArray[np.int_]) -> int:
 
 # Times in two columns ---------------------------------------------------------------------------
 
-#: Unit -> its length, ns.
-_LENGTHS: Final = {"week": 604_800_000_000_000, "s": 1_000_000_000, "ms": 1_000_000, "us": 1000}
-_LENGTHS["ns"] = 1
-#: Two columns with their units, as a description names them.
-_SPLIT: Final = re.compile(
-    rf"(.+) \[({'|'.join(_LENGTHS)})\] \+ (.+) \[({'|'.join(_LENGTHS)})\]", re.DOTALL
+#: Unit -> length in ns.
+_UNIT_NANOSECONDS: Final = {
+    "week": 604_800_000_000_000,
+    "s": 1_000_000_000,
+    "ms": 1_000_000,
+    "us": 1000,
+}
+_UNIT_NANOSECONDS["ns"] = 1
+#: Name of a split time in a description: two columns with units.
+_SPLIT_NAME: Final = re.compile(
+    rf"(.+) \[({'|'.join(_UNIT_NANOSECONDS)})\] \+ (.+) \[({'|'.join(_UNIT_NANOSECONDS)})\]",
+    re.DOTALL,
 )
-#: Unit of the coarse column -> its names.
-_COARSE: Final = {
+#: Unit of the coarse column -> pattern of its names.
+_COARSE_NAMES: Final = {
     "week": r"(?i)(?!.*of.?week).*(week|wk|(?<![a-z])wn)([ _]?(no|nr|num|number))?",
     "s": r"(?i)(.*[^a-z])?(secs?|seconds?|s|epoch|unix([ _]?time)?)|.*[a-z]Secs?",
 }
-#: Unit of the fine column -> its names within a second, and within a week.
-_FINE: Final = {
+#: Unit of the fine column -> pattern of its names within a second; pattern within a week.
+_FINE_NAMES: Final = {
     "ns": r"(?i)(.*[^a-z])?(n_?secs?|nano_?sec(ond)?s?|nanos?|ns)",
     "us": r"(?i)(.*[^a-z])?(u_?secs?|micro_?sec(ond)?s?|micros?|us)",
     "ms": r"(?i)(.*[^a-z])?(m_?secs?|milli_?sec(ond)?s?|millis?|ms|gms)",
 }
-_OF_WEEK: Final = (
+_TIME_OF_WEEK_NAME: Final = (
     r"(?i).*(tow|sow|(?<![a-z])g?ms|milli|secs?|(time|seconds?).?of.?week)(?![a-z]{2}).*"
 )
 #: A bracketed unit at the end of a name.
-_BRACKETS: Final = r"\s*[\[(][^\[\]()]*[\])]\s*$"
+_BRACKETED_UNIT: Final = r"\s*[\[(][^\[\]()]*[\])]\s*$"
 #: Seconds of a week.
-_WEEK: Final = 604_800.0
+_WEEK_SECONDS: Final = 604_800.0
 
 
 @frozen
 class SplitTime:
-    """The two columns of a time, coarse and fine, and their units."""
+    """A time in two columns, coarse and fine, with their units."""
 
     coarse: str
     coarse_unit: str
@@ -410,42 +428,44 @@ class SplitTime:
 
     @classmethod
     def parse(cls, name: str) -> SplitTime | None:
-        """Return the columns that a name such as ``sec [s] + nanosec [ns]`` states, or None."""
-        match = _SPLIT.fullmatch(name)
+        """Parse a name such as ``sec [s] + nanosec [ns]``; None for other names."""
+        match = _SPLIT_NAME.fullmatch(name)
         return cls(*match.groups()) if match else None
 
     @property
     def name(self) -> str:
-        """The name by which a description states the time."""
+        """The name of the time in a description."""
         return f"{self.coarse} [{self.coarse_unit}] + {self.fine} [{self.fine_unit}]"
 
     def nanoseconds(
         self, columns: Mapping[str, Array]
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-        """Return the times, ns, and a mask of the rows that have one.
+        """Return the times, ns, and the mask of valid rows.
 
-        Whole numbers keep nanoseconds, which seconds since 1970 as floating-point numbers lose.
+        Integers keep nanoseconds, which seconds since 1970 in floating point lose.
         """
         coarse, fine = columns[self.coarse], columns[self.fine]
         is_valid = np.isfinite(coarse) & np.isfinite(fine)
         whole_units = np.floor(np.where(is_valid, coarse, 0.0))
         fraction = np.where(is_valid, coarse, 0.0) - whole_units
-        coarse_size, fine_size = _LENGTHS[self.coarse_unit], _LENGTHS[self.fine_unit]
-        small = np.round(fraction * coarse_size + np.where(is_valid, fine, 0.0) * fine_size).astype(
+        coarse_ns, fine_ns = _UNIT_NANOSECONDS[self.coarse_unit], _UNIT_NANOSECONDS[self.fine_unit]
+        remainder = np.round(fraction * coarse_ns + np.where(is_valid, fine, 0.0) * fine_ns).astype(
             np.int64
         )
-        return whole_units.astype(np.int64) * coarse_size + small, is_valid
+        return whole_units.astype(np.int64) * coarse_ns + remainder, is_valid
 
 
 def find_split_time(columns: Mapping[str, Array]) -> SplitTime | None:
-    """Return the time that two columns of numbers hold together; None without such columns."""
+    """Find two columns that together contain a time; or None."""
     for split_time in _candidate_pairs(columns):
         coarse, fine = columns[split_time.coarse], columns[split_time.fine]
         if coarse.size < 2 or coarse.size != fine.size:
             continue
         if not (np.isfinite(coarse).all() and np.isfinite(fine).all()):
             continue
-        max_fine = _LENGTHS[split_time.coarse_unit] / _LENGTHS[split_time.fine_unit]
+        max_fine = (
+            _UNIT_NANOSECONDS[split_time.coarse_unit] / _UNIT_NANOSECONDS[split_time.fine_unit]
+        )
         is_within_range = (fine >= 0.0).all() and (fine < max_fine).all() and np.ptp(fine) > 0.0
         if not is_within_range or (coarse != np.floor(coarse)).any() or np.abs(coarse).max() > 4e9:
             continue
@@ -456,34 +476,36 @@ def find_split_time(columns: Mapping[str, Array]) -> SplitTime | None:
 
 
 def _candidate_pairs(columns: Mapping[str, Array]) -> Iterator[SplitTime]:
-    """Yield pairs of columns with fitting names, those with a common beginning first."""
-    unbracketed_names = {name: re.sub(_BRACKETS, "", name) for name in columns}
+    """Yield pairs of columns with suitable names, those with a common prefix first."""
+    unbracketed_names = {name: re.sub(_BRACKETED_UNIT, "", name) for name in columns}
     weeks = [
-        name for name, text in unbracketed_names.items() if re.fullmatch(_COARSE["week"], text)
+        name
+        for name, text in unbracketed_names.items()
+        if re.fullmatch(_COARSE_NAMES["week"], text)
     ]
     for week, name in product(weeks, columns):
-        if name != week and re.fullmatch(_OF_WEEK, unbracketed_names[name]):
+        if name != week and re.fullmatch(_TIME_OF_WEEK_NAME, unbracketed_names[name]):
             unit = bracketed_unit(name)
-            if unit not in _LENGTHS:
+            if unit not in _UNIT_NANOSECONDS:
                 unit = next(
                     (
-                        u
-                        for u, pattern in _FINE.items()
+                        fine_unit
+                        for fine_unit, pattern in _FINE_NAMES.items()
                         if re.fullmatch(pattern, unbracketed_names[name])
                     ),
                     "",
                 )
             if not unit:
-                unit = "ms" if np.nanmax(columns[name], initial=0.0) >= _WEEK else "s"
+                unit = "ms" if np.nanmax(columns[name], initial=0.0) >= _WEEK_SECONDS else "s"
             yield SplitTime(week, "week", name, unit)
     seconds = [
         name
         for name, text in unbracketed_names.items()
-        if re.fullmatch(_COARSE["s"], text) or bracketed_unit(name) == "s"
+        if re.fullmatch(_COARSE_NAMES["s"], text) or bracketed_unit(name) == "s"
     ]
     pairs = [
         SplitTime(second, "s", name, unit)
-        for second, name, (unit, pattern) in product(seconds, columns, _FINE.items())
+        for second, name, (unit, pattern) in product(seconds, columns, _FINE_NAMES.items())
         if name != second
         and (re.fullmatch(pattern, unbracketed_names[name]) or bracketed_unit(name) == unit)
     ]
@@ -491,6 +513,13 @@ def _candidate_pairs(columns: Mapping[str, Array]) -> Iterator[SplitTime]:
 
 
 def _common_prefix_length(first: str, second: str) -> int:
-    """Return the number of characters with which two names begin alike."""
+    """Return the length of the common prefix of two names."""
     pairs = zip(first, second, strict=False)
-    return next((n for n, (a, b) in enumerate(pairs) if a != b), min(len(first), len(second)))
+    return next(
+        (
+            length
+            for length, (first_character, second_character) in enumerate(pairs)
+            if first_character != second_character
+        ),
+        min(len(first), len(second)),
+    )

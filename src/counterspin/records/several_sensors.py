@@ -1,4 +1,4 @@
-"""Find a column that tells several sensors apart, whose rows stand in one file."""
+"""Detection of a column that distinguishes the rows of several sensors in a file."""
 
 from __future__ import annotations
 
@@ -13,140 +13,144 @@ from counterspin.records.column_file import ColumnFile, format_names
 if TYPE_CHECKING:
     import numpy as np
 
-#: Names of columns that tell sensors apart.
-_NAME: Final = re.compile(
+#: Names of columns that distinguish sensors.
+_SENSOR_NAME: Final = re.compile(
     r"(?i)(.*[^a-z])?(device|sensor|instance|inst|imu|unit|type|channel|chan|ch|node|source|src|mac"
     r"|addr(ess)?|serial|sn|id|uid|tag|topic|stream|kind|module|board|probe|slot|port)"
     r"([ _-]?(id|no|nr|num|number|name|type|index|idx|address|instance))?([^a-z].*)?$"
 )
-#: Of these, names of columns that tell sensors apart where their records follow one another.
+#: Names of columns that distinguish sensors with consecutive records.
 STACKED_NAME: Final = re.compile(
     r"(?i)(.*[^a-z])?(device|sensor|instance|imu|node|mac|addr(ess)?|serial|board|probe|topic)"
     r"([ _-]?(id|no|nr|num|number|name|index|address))?(?P<beside>[^a-z].*)?$"
 )
 _MIN_STACKED_ROWS: Final = 20
-#: Rows that show whether values alternate, and most different values.
-SHOWING_ROWS: Final = 2000
-MAX_VALUES: Final = 32
-#: Part of the rows that each value has at least, and part at which the value changes.
+#: Number of rows in which alternating values are detected, and largest number of values.
+TEST_ROWS: Final = 2000
+MAX_SENSORS: Final = 32
+#: Smallest fraction of rows with each value, and smallest fraction of rows with a change.
 _MIN_FRACTION: Final = 0.01
-_CHANGING_PART: Final = 0.05
-#: Deviation of a step from the median step, and part of the steps that deviate less in a record.
+_MIN_CHANGE_FRACTION: Final = 0.05
+#: Tolerance of even steps, relative to the median step, and smallest fraction of even steps.
 _MAX_STEP_DEVIATION: Final = 0.5
 _MIN_EVEN_FRACTION: Final = 0.9
-_MIN_RISING_FRACTION: Final = 0.3  #: Part of the steps of a time that rise.
+_MIN_RISING_FRACTION: Final = 0.3  #: Smallest fraction of increasing steps of a time.
 
 
-def sensor_columns(cells: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, list[str]]]:
-    """Yield columns that tell sensors apart in alternating rows, and their values.
+def find_sensor_columns(cells: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, list[str]]]:
+    """Yield columns that distinguish sensors in alternating rows, and their values.
 
-    cells: Column -> its first cells. A column counts by its name, or if its words recur in turn.
+    cells: Column -> first cells. A column is accepted by its name, or if its texts alternate.
     """
     for name, column in cells.items():
         values = list(dict.fromkeys(cell for cell in column if cell))
-        count = len(values)
-        if not 2 <= count <= min(MAX_VALUES, len(column) // 4):
+        value_count = len(values)
+        if not 2 <= value_count <= min(MAX_SENSORS, len(column) // 4):
             continue
-        alternating = column[count:] == column[:-count] and not all(map(_is_number, values))
-        complete = all(
+        is_alternating = column[value_count:] == column[:-value_count] and not all(
+            map(_is_number, values)
+        )
+        has_whole_numbers = all(
             not _is_number(value) or float(value.replace(",", ".")).is_integer() for value in values
         )
-        change_count = sum(before != after for before, after in pairwise(column))
-        is_frequent = change_count >= _CHANGING_PART * len(column)
+        change_count = sum(previous != following for previous, following in pairwise(column))
+        is_frequent = change_count >= _MIN_CHANGE_FRACTION * len(column)
         min_rows = min(column.count(value) for value in values)
-        is_named = _NAME.fullmatch(name) and complete and is_frequent
-        if (alternating or is_named) and min_rows >= max(2.0, _MIN_FRACTION * len(column)):
+        is_named = _SENSOR_NAME.fullmatch(name) and has_whole_numbers and is_frequent
+        if (is_alternating or is_named) and min_rows >= max(2.0, _MIN_FRACTION * len(column)):
             yield name, sorted(values)
 
 
-def stacked_sensors(
+def find_stacked_sensors(
     cells: Mapping[str, Sequence[str]], numbers: Mapping[str, np.ndarray]
 ) -> Iterator[tuple[str, list[str]]]:
-    """Yield columns that tell apart sensors whose records follow one another, and their values.
+    """Yield columns that distinguish sensors with consecutive records, and their values.
 
-    cells: Column of words, or with a name of `STACKED_NAME` -> all its cells. It counts if a column
-        of numbers, the time, falls where it changes and nowhere else; or if it is named and each of
-        its values has one stretch of rows.
-    numbers: Column of numbers -> its values.
+    cells: Text column, or column with a name of `STACKED_NAME` -> all cells. It is accepted if a
+        column of numbers, the time, decreases only where it changes; or if it has such a name and
+        each value occurs in consecutive rows.
+    numbers: Column of numbers -> values.
     """
     for name, column in cells.items():
         starts = [row for row in range(1, len(column)) if column[row] != column[row - 1]]
         values = list(dict.fromkeys(column))
         edges = [0, *starts, len(column)]
-        shortest = min(end - start for start, end in pairwise(edges))
-        if not 1 < len(values) <= MAX_VALUES or shortest < _MIN_STACKED_ROWS:
+        min_rows = min(end - start for start, end in pairwise(edges))
+        if not 1 < len(values) <= MAX_SENSORS or min_rows < _MIN_STACKED_ROWS:
             continue
         is_named = STACKED_NAME.fullmatch(name)
         is_contiguous = len(starts) == len(values) - 1
-        time_falls = (
+        decreasing_rows = (
             {row for row, step in enumerate((series[1:] < series[:-1]).tolist(), 1) if step}
             for key, series in numbers.items()
             if key != name
         )
-        falls_at_changes = any(rows and rows <= set(starts) for rows in time_falls)
-        if falls_at_changes or (
+        decreases_at_changes = any(rows and rows <= set(starts) for rows in decreasing_rows)
+        if decreases_at_changes or (
             is_named and not is_named["beside"] and is_contiguous and "" not in values
         ):
             yield name, sorted(values)
 
 
-def interleaved_sensors(
+def find_interleaved_sensors(
     cells: Mapping[str, Sequence[str]], numbers: Mapping[str, np.ndarray]
 ) -> Iterator[tuple[str, list[str]]]:
-    """Yield columns whose values part the rows into records with even times, and their values.
+    """Yield columns whose values split the rows into records with even times, and their values.
 
-    cells: Column -> all its cells.
-    numbers: Column of numbers -> its values; one of them is a time that is not even in all rows.
+    cells: Column -> all cells.
+    numbers: Column of numbers -> values; one of them is a time with uneven steps in total.
     """
     import numpy as np
 
     for name, column in cells.items():
         values = list(dict.fromkeys(column))
-        if not 1 < len(values) <= MAX_VALUES:
+        if not 1 < len(values) <= MAX_SENSORS:
             continue
         labels = np.array(column)
-        rows = [np.flatnonzero(labels == value) for value in values]
-        recurs = np.sum(labels[1:] != labels[:-1]) >= 2 * len(values)
-        if not recurs or "" in values or min(map(len, rows)) < _MIN_STACKED_ROWS:
+        sensor_indices = [np.flatnonzero(labels == value) for value in values]
+        is_recurring = np.sum(labels[1:] != labels[:-1]) >= 2 * len(values)
+        if not is_recurring or "" in values or min(map(len, sensor_indices)) < _MIN_STACKED_ROWS:
             continue
         for key, series in numbers.items():
-            # Any periodic column parts the rows of a coarse clock into even times.
+            # Any periodic column splits the rows of a coarse clock into even times.
             is_long = key != name and len(series) == len(column)
             is_fine = is_long and float(np.mean(np.diff(series) > 0.0)) > _MIN_RISING_FRACTION
             if (
                 is_fine
-                and not _is_even(series)
-                and all(_is_even(series[sensor_rows]) for sensor_rows in rows)
+                and not _has_even_steps(series)
+                and all(_has_even_steps(series[sensor_rows]) for sensor_rows in sensor_indices)
             ):
                 yield name, sorted(values)
                 break
 
 
-def _is_even(series: np.ndarray) -> bool:
-    """Return whether numbers rise in even steps."""
+def _has_even_steps(series: np.ndarray) -> bool:
+    """Return whether values increase in even steps."""
     import numpy as np
 
     steps = np.diff(series)
     median_step = float(np.median(steps))
-    is_usual = np.abs(steps - median_step) < _MAX_STEP_DEVIATION * median_step
+    is_typical = np.abs(steps - median_step) < _MAX_STEP_DEVIATION * median_step
     is_rising = median_step > 0.0 and bool((steps >= 0.0).all())
-    return is_rising and float(np.mean(is_usual)) > _MIN_EVEN_FRACTION
+    return is_rising and float(np.mean(is_typical)) > _MIN_EVEN_FRACTION
 
 
-def require_single_sensor(file: ColumnFile, wanted: Sequence[str]) -> None:
+def require_single_sensor(file: ColumnFile, names: Sequence[str]) -> None:
     """Raise RecordError if rows of several sensors alternate in a file and none is selected.
 
-    wanted: Columns that are read; they are quantities.
+    names: Columns to read, which are quantities.
     """
     if file.selection is not None:
         return
-    other_names = [name for name in file.names if name and name not in wanted]
-    for name, values in sensor_columns(file.first_cells(other_names, SHOWING_ROWS)):
-        raise RecordError(f"{file.path}: {sensors_message(name, values)}", code="several-sensors")
+    other_names = [name for name in file.names if name and name not in names]
+    for name, values in find_sensor_columns(file.first_cells(other_names, TEST_ROWS)):
+        raise RecordError(
+            f"{file.path}: {several_sensors_message(name, values)}", code="several-sensors"
+        )
 
 
-def sensors_message(name: str, values: Sequence[str]) -> str:
-    """Return a message about a column that tells sensors apart."""
+def several_sensors_message(name: str, values: Sequence[str]) -> str:
+    """Return a message about a column that distinguishes sensors."""
     example = f'select = {{ column = "{name}", value = "{values[0]}" }}'
     return (
         f"column '{name}' has {len(values)} different values ({format_names(values, 8)}), so "

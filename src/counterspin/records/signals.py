@@ -1,15 +1,14 @@
-"""Checks of a whole signal: unit and axis by its first harmonic, and removed polynomials.
+"""Checks of a whole signal: unit and axis by its first harmonic, and removed trends.
 
-The amplitude of the signal of an accelerometer that lies across the spindle axis follows from the
-radius and the rate alone, so a change of unit in the middle of a record, a dead channel, or a
-wrong unit, sign or axis in the campaign description shows in it at once, long before a fit would
-misreport it. Along the spindle axis the wave is that of the errors: small, and free to grow.
+The amplitude of an accelerometer's signal perpendicular to the spindle axis follows from radius and
+rate alone. It therefore shows a change of unit within a record, a dead channel, or a wrong unit,
+sign or axis in the description. Along the spindle axis the first harmonic is that of the errors:
+small, and possibly growing.
 
-The rows of a column of which a mean, a line or a parabola was taken are orthogonal to 1, to 1 and
-t, or to 1, t and t^2, but for the last digit with which it was written. No real record is: its
-noise alone leaves parts along each of them, as large as that of any single sample. A line through
-the first row and the last, which some take for a base line, leaves both of them zero in every
-record. Only all rows of a file show it, those too that are not used.
+A column from which a mean, a line or a parabola was removed is orthogonal to 1, to 1 and t, or to
+1, t and t^2, except for rounding. A real record is not: its noise has components along each of
+them, as large as the noise of one sample. A line through the first and last rows, removed as a base
+line, leaves both rows zero. All rows of a file are needed for this test.
 """
 
 from __future__ import annotations
@@ -23,27 +22,27 @@ import numpy as np
 from counterspin.arrays import MAD_TO_SIGMA, Array, median
 from counterspin.frozen import frozen
 
-#: Fewest samples from which one revolution's amplitude is taken.
+#: Smallest number of samples to fit the amplitude of a revolution.
 _MIN_SAMPLES = 12
-#: Standard deviations of an amplitude by which it must differ from the others to be refused.
+#: Standard deviations by which an outlying amplitude must differ from the others.
 _CHANGE_SDS = 8.0
-#: A revolution that lacks more than the rest of its samples tells wave and trend badly apart.
+#: Smallest fraction of samples in a revolution to separate harmonic and trend.
 _MIN_REVOLUTION_FRACTION = 0.9
-#: An amplitude that differs from the others by this factor or more is refused.
+#: Smallest ratio of an outlying amplitude to the others.
 _CHANGE_RATIO = 2.0
 
-#: Standard deviations of a noisy wave by which it may miss the motion's beside that.
-_DEVIATIONS = 5.0
+#: Standard deviations of an amplitude that are added to its tolerance.
+_MATCH_SDS = 5.0
 
-#: Part of a wave's amplitude, and standard deviations beside it, by which the samples of a channel
-#: that is dead for a while are off its wave; the joint fit judges finer.
+#: Smallest deviation of the samples in a dropout: fraction of the amplitude, plus standard
+#: deviations; the joint fit uses lower limits.
 _DROPOUT_FRACTION = 0.05
 _DROPOUT_SDS = 50.0
 
-#: Amplitudes of three revolutions differ by less than this factor where they are steady.
+#: Largest ratio of three steady amplitudes.
 _STEADY_RATIO = 1.2
 
-#: Ratios that come of a mistaken unit, and the units' names.
+#: Ratios of mistaken units, and their names.
 _UNIT_RATIOS = (
     (1000.0, "m and mm"),
     (100.0, "m and cm"),
@@ -62,35 +61,35 @@ _UNIT_RATIOS = (
 
 @frozen
 class FirstHarmonic:
-    """The wave of one period a revolution that the motion makes."""
+    """The expected first harmonic of a signal."""
 
-    #: Of the cosine of the angle, and of its sine as the imaginary part, in `unit`; not zero.
+    #: Amplitude of the cosine (real) and sine (imaginary) of the angle, in `unit`; not zero.
     amplitude: complex
-    unit: str  #: For messages.
+    unit: str  #: Unit for messages.
 
 
 @frozen
 class HarmonicFit:
-    """A wave and a slow trend, fitted to each revolution."""
+    """A first harmonic and a slow trend, fitted to each revolution."""
 
-    #: (m, 5) of cos, sin, 1, u, u^2, where u is the angle from `centre` over pi.
+    #: Coefficients of cos, sin, 1, u, u^2, (m, 5); u = (angle - `centre`) / pi.
     coefficients: np.ndarray
-    #: (m,) rad, mean angle; standard deviation of the residuals.
+    #: Mean angle, rad, and standard deviation of the residuals, (m,).
     centre: np.ndarray
     deviation: np.ndarray
-    u_amplitude: np.ndarray  #: (m,), of either part of the amplitude.
-    #: (m,) int, the first and last sample.
+    u_amplitude: np.ndarray  #: Standard uncertainty of each part of the amplitude, (m,).
+    #: First and last sample, (m,) int.
     first: np.ndarray
     last: np.ndarray
 
     @property
     def amplitude(self) -> np.ndarray:
-        """Return (m,) complex: of the cosine of the angle, and of its sine."""
+        """Amplitudes of cosine (real) and sine (imaginary), (m,)."""
         amplitude: np.ndarray = self.coefficients[:, 0] + 1j * self.coefficients[:, 1]
         return amplitude
 
     def value(self, index: int, angle: np.ndarray) -> np.ndarray:
-        """Return the wave and trend of revolution `index` at (n,) angles."""
+        """Evaluate the fit of revolution `index` at (n,) angles."""
         value: np.ndarray = _harmonic_basis(angle, self.centre[index]) @ self.coefficients[index]
         return value
 
@@ -101,37 +100,37 @@ def _harmonic_basis(angle: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
 
 def fit_harmonics(angle: np.ndarray, signal: np.ndarray) -> HarmonicFit:
-    """Fit a wave to each revolution (or to a few, where samples are sparse).
+    """Fit a first harmonic to each revolution, or to several if samples are sparse.
 
-    angle: (n,) rad, unwrapped.
+    angle: Unwrapped angle, rad, (n,).
     """
     revolutions = np.abs(angle - angle[0]) / (2 * math.pi)
     samples_per_turn = len(angle) / max(float(revolutions[-1]), 1.0)
     turns_per_fit = math.ceil(2 * _MIN_SAMPLES / max(samples_per_turn, 1e-9))
     bins = (revolutions // turns_per_fit).astype(int)
-    order = np.flatnonzero(np.isfinite(signal))
-    bins, th, s = bins[order], angle[order], signal[order]
-    edges = np.flatnonzero(np.diff(bins, prepend=-1))
-    bin_sizes = np.diff(edges, append=len(bins))
-    # An incomplete revolution tells the wave badly from the trend.
+    valid_indices = np.flatnonzero(np.isfinite(signal))
+    bins, angles, samples = bins[valid_indices], angle[valid_indices], signal[valid_indices]
+    bin_starts = np.flatnonzero(np.diff(bins, prepend=-1))
+    bin_sizes = np.diff(bin_starts, append=len(bins))
+    # An incomplete revolution does not separate harmonic and trend.
     min_samples = _MIN_REVOLUTION_FRACTION * median(bin_sizes) if len(bin_sizes) else 0.0
-    enough = bin_sizes >= max(_MIN_SAMPLES, min_samples)
-    edges, bin_sizes = edges[enough], bin_sizes[enough]
-    index = edges[:, None] + np.arange(bin_sizes.max(initial=0))
-    valid = np.arange(bin_sizes.max(initial=0)) < bin_sizes[:, None]
-    index = np.where(valid, index, edges[:, None])
-    th, s = th[index], np.where(valid, s[index], 0.0)
-    centre = th.sum(axis=1, where=valid) / bin_sizes
-    functions = _harmonic_basis(th, centre[:, None]) * valid[..., None]
+    is_complete = bin_sizes >= max(_MIN_SAMPLES, min_samples)
+    bin_starts, bin_sizes = bin_starts[is_complete], bin_sizes[is_complete]
+    index = bin_starts[:, None] + np.arange(bin_sizes.max(initial=0))
+    is_valid = np.arange(bin_sizes.max(initial=0)) < bin_sizes[:, None]
+    index = np.where(is_valid, index, bin_starts[:, None])
+    angles, samples = angles[index], np.where(is_valid, samples[index], 0.0)
+    centre = angles.sum(axis=1, where=is_valid) / bin_sizes
+    functions = _harmonic_basis(angles, centre[:, None]) * is_valid[..., None]
     transposed_functions = np.swapaxes(functions, -1, -2)
-    normal = transposed_functions @ functions + 1e-12 * np.eye(5)
-    coefficients = np.linalg.solve(normal, transposed_functions @ s[..., None])
-    residuals = s - (functions @ coefficients)[..., 0]
-    deviation = np.sqrt((residuals**2).sum(axis=1) / np.maximum(bin_sizes - 5, 1))
-    spread = np.linalg.inv(normal)[:, :2, :2]
-    u_amplitude = deviation * np.sqrt(np.trace(spread, axis1=1, axis2=2) / 2)
-    first, last = order[edges], order[edges + bin_sizes - 1]
-    return HarmonicFit(coefficients[..., 0], centre, deviation, u_amplitude, first, last)
+    normal_matrix = transposed_functions @ functions + 1e-12 * np.eye(5)
+    coefficients = np.linalg.solve(normal_matrix, transposed_functions @ samples[..., None])
+    residuals = samples - (functions @ coefficients)[..., 0]
+    residual_sd = np.sqrt((residuals**2).sum(axis=1) / np.maximum(bin_sizes - 5, 1))
+    covariance = np.linalg.inv(normal_matrix)[:, :2, :2]
+    u_amplitude = residual_sd * np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
+    first, last = valid_indices[bin_starts], valid_indices[bin_starts + bin_sizes - 1]
+    return HarmonicFit(coefficients[..., 0], centre, residual_sd, u_amplitude, first, last)
 
 
 def residual_noise(harmonic_fit: HarmonicFit) -> float:
@@ -141,48 +140,46 @@ def residual_noise(harmonic_fit: HarmonicFit) -> float:
 
 @frozen
 class UnitChange:
-    """A change of amplitude: a revolution before it and one after it, and its description."""
+    """A change of amplitude: a revolution before and one after it, and its description."""
 
     before: int
     after: int
     description: str
 
 
-def _outlying_revolutions(harmonic_fit: HarmonicFit) -> np.ndarray:
-    """Return (m,) bool: revolutions whose amplitude is another than the usual one by a factor."""
+def _is_outlying_revolution(harmonic_fit: HarmonicFit) -> np.ndarray:
+    """Return the mask of revolutions whose amplitude differs from the typical one, (m,)."""
     amplitude = np.abs(harmonic_fit.amplitude)
     if len(amplitude) < 3:
         return np.zeros(len(amplitude), dtype=bool)
-    # One of the amplitudes, not the middle of two: half the record may be in either unit.
+    # An actual amplitude, not the mean of two: each half of the record may have another unit.
     typical = float(np.sort(amplitude)[len(amplitude) // 2])
-    clear_size = _CHANGE_SDS * median(harmonic_fit.u_amplitude)
+    min_difference = _CHANGE_SDS * median(harmonic_fit.u_amplitude)
     is_outlying: np.ndarray = (amplitude > _CHANGE_RATIO * typical) | (
         amplitude < typical / _CHANGE_RATIO
     )
-    is_outlying &= (np.abs(amplitude - typical) > clear_size) & (typical > clear_size)
+    is_outlying &= (np.abs(amplitude - typical) > min_difference) & (typical > min_difference)
     return is_outlying
 
 
 def find_unit_change(harmonic_fit: HarmonicFit, *, may_grow: bool) -> UnitChange | None:
-    """Find where the amplitude of a signal's wave changes by a factor.
+    """Find a change of the amplitude by a factor; None without a change or a harmonic.
 
-    None where all is well, or where the signal has no wave to judge by.
-
-    harmonic_fit: The signal's waves.
-    may_grow: Whether the wave may be that of errors, which grows with time: only a sudden change
-        between steady amplitudes is one of the unit then.
+    harmonic_fit: Harmonic fit of the signal.
+    may_grow: Whether the harmonic may be that of errors, which grows with time: then only a sudden
+        change between steady amplitudes is a change of unit.
     """
-    outlying = _outlying_revolutions(harmonic_fit)
-    if not outlying.any():
+    is_outlying = _is_outlying_revolution(harmonic_fit)
+    if not is_outlying.any():
         return None
     amplitude = np.abs(harmonic_fit.amplitude)
-    revolution = int(np.flatnonzero(outlying != outlying[0])[0])
+    revolution = int(np.flatnonzero(is_outlying != is_outlying[0])[0])
     if may_grow and not (
         _is_steady(amplitude[:revolution][-4:-1])
         and _is_steady(amplitude[revolution + 1 : revolution + 4])
     ):
         return None
-    # The revolution in which the unit changes is a mixture of both: take those beside it.
+    # The revolution of the change is a mixture: compare its neighbours.
     before, after = max(revolution - 2, 0), min(revolution + 1, len(amplitude) - 1)
     factor = float(amplitude[after] / amplitude[before]) if amplitude[before] else math.inf
     if may_grow and 1 / _CHANGE_RATIO <= factor <= _CHANGE_RATIO:
@@ -191,38 +188,38 @@ def find_unit_change(harmonic_fit: HarmonicFit, *, may_grow: bool) -> UnitChange
     if not 1e-9 < factor < 1e9:
         return UnitChange(before, after, description + ("stops" if factor < 1.0 else "only starts"))
     description += f"changes by a factor of {factor:.4g}"
-    nearest, distance = _nearest_unit_ratio(factor)
+    unit_names, distance = _nearest_unit_ratio(factor)
     if distance < 0.02:
-        description += f", the ratio of {nearest}"
+        description += f", the ratio of {unit_names}"
     return UnitChange(before, after, description)
 
 
 def find_dropout(harmonic_fit: HarmonicFit, angle: np.ndarray, signal: np.ndarray) -> np.ndarray:
-    """Return the indices of lost samples: off the harmonic, which is the same before and after.
+    """Return the indices of samples in a dropout, before and after which the harmonic is the same.
 
-    A channel that is dead for a while, a filler or a burst: all from the first to the last sample
-    that is off the waves of both the revolution before and the one after.
+    These are all samples from the first to the last one that deviates from the harmonics of both
+    neighbouring revolutions.
     """
-    outlying = _outlying_revolutions(harmonic_fit)
-    if not outlying.any() or outlying[0] or outlying[-1]:
+    is_outlying = _is_outlying_revolution(harmonic_fit)
+    if not is_outlying.any() or is_outlying[0] or is_outlying[-1]:
         return np.empty(0, dtype=int)
-    edges = np.flatnonzero(np.diff(outlying))
+    changes = np.flatnonzero(np.diff(is_outlying))
     dropouts = []
-    for first, last in zip(edges[::2], edges[1::2] + 1, strict=True):
-        neighbours = (max(int(first) - 1, 0), min(int(last) + 1, len(outlying) - 1))
+    for first, last in zip(changes[::2], changes[1::2] + 1, strict=True):
+        neighbours = (max(int(first) - 1, 0), min(int(last) + 1, len(is_outlying) - 1))
         samples = np.arange(harmonic_fit.first[neighbours[0]], harmonic_fit.last[neighbours[1]] + 1)
-        deviation = np.ones(len(samples), dtype=bool)
+        is_deviating = np.ones(len(samples), dtype=bool)
         for revolution in neighbours:
             limit = (
                 _DROPOUT_FRACTION * abs(harmonic_fit.amplitude[revolution])
                 + _DROPOUT_SDS * harmonic_fit.deviation[revolution]
             )
-            deviation &= (
+            is_deviating &= (
                 np.abs(signal[samples] - harmonic_fit.value(revolution, angle[samples])) > limit
             )
-        if deviation.any():
-            # Between them the wave crosses what a dead channel shows.
-            dropouts.append(np.arange(samples[deviation][0], samples[deviation][-1] + 1))
+        if is_deviating.any():
+            # In between, the harmonic may cross the value of a dead channel.
+            dropouts.append(np.arange(samples[is_deviating][0], samples[is_deviating][-1] + 1))
     return np.concatenate([np.empty(0, dtype=int), *dropouts])
 
 
@@ -231,36 +228,39 @@ def _is_steady(values: np.ndarray) -> bool:
 
 
 def _nearest_unit_ratio(factor: float) -> tuple[str, float]:
-    """Return the units whose ratio comes nearest to a factor, and how near (logarithm)."""
+    """Return the units whose ratio is nearest to a factor, and the distance of the logarithms."""
     log_factor = abs(math.log(factor))
     return min(
-        ((names, abs(log_factor - math.log(r))) for r, names in _UNIT_RATIOS), key=lambda n: n[1]
+        ((names, abs(log_factor - math.log(ratio))) for ratio, names in _UNIT_RATIOS),
+        key=lambda match: match[1],
     )
 
 
 def find_changepoint(
     harmonic_fit: HarmonicFit, change: UnitChange, angle: np.ndarray, signal: np.ndarray
 ) -> int:
-    """Return the sample, of (n,) signal, at which it leaves the wave before for the one after."""
-    before = np.abs(signal - harmonic_fit.value(change.before, angle))
-    after = np.abs(signal - harmonic_fit.value(change.after, angle))
-    return int(np.argmin(np.append(0.0, np.cumsum(np.nan_to_num(before - after)))))
+    """Return the sample at which a signal, (n,), changes from the fit before to that after."""
+    misfit_before = np.abs(signal - harmonic_fit.value(change.before, angle))
+    misfit_after = np.abs(signal - harmonic_fit.value(change.after, angle))
+    return int(np.argmin(np.append(0.0, np.cumsum(np.nan_to_num(misfit_before - misfit_after)))))
 
 
 def check_first_harmonic(
     harmonic_fit: HarmonicFit, nominal: FirstHarmonic, has_angle: bool
 ) -> str | None:
-    """Compare a signal's wave with the motion's; say what is wrong, or return None.
+    """Compare a signal's first harmonic with the expected one; return the problem, or None.
 
-    harmonic_fit: The signal's waves, in the unit of `nominal`.
-    has_angle: Whether the waves are over the recorded angle; else their phase means nothing.
+    harmonic_fit: Harmonic fit of the signal, in the unit of `nominal`.
+    has_angle: Whether the angle is recorded; without it, the phase is not compared.
     """
     if not len(harmonic_fit.amplitude):
         return None
     expected, unit = nominal.amplitude, nominal.unit
-    mean = complex(median(harmonic_fit.amplitude.real), median(harmonic_fit.amplitude.imag))
-    ratio, magnitude = mean / expected, abs(mean / expected)
-    tolerance = _DEVIATIONS * _sd_of_median(harmonic_fit, mean) / abs(expected)
+    median_amplitude = complex(
+        median(harmonic_fit.amplitude.real), median(harmonic_fit.amplitude.imag)
+    )
+    ratio, magnitude = median_amplitude / expected, abs(median_amplitude / expected)
+    tolerance = _MATCH_SDS * _median_amplitude_sd(harmonic_fit, median_amplitude) / abs(expected)
     if (has_angle and abs(ratio - 1) < 0.5 + tolerance) or (
         not has_angle and 0.5 - tolerance < magnitude < 2 + tolerance
     ):
@@ -275,98 +275,105 @@ def check_first_harmonic(
             f"is rotated by {angle_degrees:.0f} degrees relative to the input axis: check the "
             "input axis, its sign, and the assignment of the columns"
         )
-    nearest, distance = _nearest_unit_ratio(magnitude) if magnitude > 0.0 else ("", math.inf)
+    unit_names, distance = _nearest_unit_ratio(magnitude) if magnitude > 0.0 else ("", math.inf)
     if distance < 0.05:
         return (
-            f"{message}; the factor {magnitude:.4g} is the ratio of {nearest}: check the unit of "
-            "the column"
+            f"{message}; the factor {magnitude:.4g} is the ratio of {unit_names}: check the unit "
+            "of the column"
         )
     return f"{message}: check the unit of the column, the radius and the input axis"
 
 
-def _sd_of_median(harmonic_fit: HarmonicFit, mean: complex) -> float:
-    """Return the standard deviation of the median wave, from what the revolutions differ by."""
+def _median_amplitude_sd(harmonic_fit: HarmonicFit, median_amplitude: complex) -> float:
+    """Return the standard deviation of the median amplitude, from the scatter of revolutions."""
     revolution_count = len(harmonic_fit.amplitude)
-    between_sd = MAD_TO_SIGMA * median(np.abs(harmonic_fit.amplitude - mean))
+    between_sd = MAD_TO_SIGMA * median(np.abs(harmonic_fit.amplitude - median_amplitude))
     samples = np.maximum(harmonic_fit.last - harmonic_fit.first + 1, 1)
     within_sd = median(harmonic_fit.deviation * np.sqrt(2.0 / samples))
     return math.hypot(between_sd, within_sd) * math.sqrt(0.5 * math.pi / revolution_count)
 
 
-# What a recorder removed -----------------------------------------------------------------------
+# Removed trends --------------------------------------------------------------------------------
 
-#: What may be removed, by how many of 1, t and t^2 it is.
-WORDS: Final = ("", "mean", "line", "parabola")
+#: Removed trends, by the number of terms of 1, t and t^2.
+TREND_LABELS: Final = ("", "mean", "line", "parabola")
 
-#: Probability by chance below which something was removed.
+#: Largest probability by chance of a removed trend.
 _SIGNIFICANCE: Final = 1e-6
 
-#: What rounding leaves of a part, over the noise, is less than this.
-_ROUNDING: Final = 0.02
+#: Largest coefficient of a removed term, caused by rounding, relative to the noise.
+_MAX_ROUNDING: Final = 0.02
 
-#: And of a row, over the rows beside it; where these are as small they are all rounded to zero.
-_ROW_ROUNDING: Final = 1e-3
+#: Largest value of an end row after removal of a line, relative to the neighbouring rows.
+_MAX_ROW_ROUNDING: Final = 1e-3
 
 
 class SignalSums:
     """Sums and end rows of signals that are read in chunks.
 
-    signals: Number of signals.
+    n_signals: Number of signals.
     """
 
-    def __init__(self, signals: int) -> None:
-        self._count, self._total = np.zeros(signals), np.zeros(signals)
-        self._first: list[list[float]] = [[] for _ in range(signals)]
-        self._final: list[list[float]] = [[] for _ in range(signals)]
+    def __init__(self, n_signals: int) -> None:
+        self._counts, self._sums = np.zeros(n_signals), np.zeros(n_signals)
+        self._first_rows: list[list[float]] = [[] for _ in range(n_signals)]
+        self._last_rows: list[list[float]] = [[] for _ in range(n_signals)]
 
     def add(self, signals: Sequence[Array]) -> None:
-        """Add rows, shapes (n,)."""
+        """Add the rows of a chunk, shape (n,) for each signal."""
         for index, signal in enumerate(signals):
             rows, total = signal, signal.sum()
             if not np.isfinite(total):
                 rows = signal[np.isfinite(signal)]
                 total = rows.sum()
-            self._total[index] += total
-            self._count[index] += len(rows)
-            first, last_rows = self._first[index], self._final[index]
+            self._sums[index] += total
+            self._counts[index] += len(rows)
+            first, last_rows = self._first_rows[index], self._last_rows[index]
             first += rows[: 2 - len(first)].tolist()
-            self._final[index] = [*last_rows, *rows[-2:].tolist()][-2:]
+            self._last_rows[index] = [*last_rows, *rows[-2:].tolist()][-2:]
 
     def coefficients(
         self, index: int, noise: float, chunks: Iterable[tuple[Array, Array]]
     ) -> Array:
         """Return a signal's coefficients along 1, t and t^2, and the size of its ends, shape (4,).
 
-        Only where the mean was removed can more have been removed: otherwise the coefficients along
-        t and t^2 are infinite, and nothing is read again.
+        More than the mean can only be removed with the mean: otherwise the coefficients along t and
+        t^2 are infinite, and the file is not read again.
 
         noise: Standard deviation of a row, in the unit of the signal.
         chunks: Times and values of all rows, read again on demand.
         """
-        mean = float(self._total[index] / math.sqrt(max(self._count[index], 1.0)))
-        mean_removed = abs(mean) < _ROUNDING * abs(noise)
-        moments = polynomial_coefficients(chunks) if mean_removed else [mean, math.inf, math.inf]
-        return np.append(moments, self.end_size(index))
+        mean_coefficient = float(self._sums[index] / math.sqrt(max(self._counts[index], 1.0)))
+        is_mean_removed = abs(mean_coefficient) < _MAX_ROUNDING * abs(noise)
+        coefficients = (
+            polynomial_coefficients(chunks)
+            if is_mean_removed
+            else [mean_coefficient, math.inf, math.inf]
+        )
+        return np.append(coefficients, self.end_size(index))
 
     def end_size(self, index: int) -> float:
-        """Return the larger of a signal's first and last row, in its unit.
+        """Return the larger magnitude of a signal's first and last rows, in its unit.
 
-        Infinite if they are not far below the rows beside them.
+        Infinite if they are not much smaller than the neighbouring rows.
         """
-        (first, *second), (*before, last) = self._first[index] or [0.0], self._final[index] or [0.0]
+        (first, *second), (*before, last) = (
+            self._first_rows[index] or [0.0],
+            self._last_rows[index] or [0.0],
+        )
         magnitude = max(abs(first), abs(last))
-        next_size = min((abs(row) for row in (*second, *before)), default=0.0)
-        return magnitude if magnitude < _ROW_ROUNDING * next_size else math.inf
+        min_neighbour = min((abs(row) for row in (*second, *before)), default=0.0)
+        return magnitude if magnitude < _MAX_ROW_ROUNDING * min_neighbour else math.inf
 
 
 def polynomial_coefficients(chunks: Iterable[tuple[Array, Array]]) -> Array:
-    """Return a signal's parts along the polynomials 1, t and t^2 made orthonormal, shape (3,).
+    """Return a signal's coefficients along orthonormal polynomials of 1, t and t^2, shape (3,).
 
-    In the signal's unit; each is as large as the noise of one row where that is all there is.
+    They are in the signal's unit; for noise alone, each is as large as the noise of one row.
 
     chunks: Times in any unit and values of consecutive rows, shapes (n,).
     """
-    origin, gram, sums = math.nan, np.zeros((3, 3)), np.zeros(3)
+    origin, gram, moments = math.nan, np.zeros((3, 3)), np.zeros(3)
     for time, signal in chunks:
         is_finite = np.isfinite(time) & np.isfinite(signal)
         if not is_finite.any():
@@ -375,33 +382,33 @@ def polynomial_coefficients(chunks: Iterable[tuple[Array, Array]]) -> Array:
             origin = float(time[is_finite][0])
         powers = np.vander(time[is_finite] - origin, 3, increasing=True)
         gram += powers.T @ powers
-        sums += signal[is_finite] @ powers
+        moments += signal[is_finite] @ powers
     squares = np.diagonal(gram)
     scale = 1.0 / np.sqrt(np.where(squares > 0.0, squares, 1.0))
     try:
-        root = np.linalg.cholesky(gram * np.outer(scale, scale))
+        cholesky_factor = np.linalg.cholesky(gram * np.outer(scale, scale))
     except np.linalg.LinAlgError:  # fewer than three times
         return np.full(3, math.inf)
-    return np.asarray(np.linalg.solve(root, sums * scale))
+    return np.asarray(np.linalg.solve(cholesky_factor, moments * scale))
 
 
-def detrending_order(moments: Sequence[Array]) -> int:
-    """Return the number of terms of 1, t, t^2 that one recorder removed from its records.
+def detrending_order(coefficients: Sequence[Array]) -> int:
+    """Return the number of terms of 1, t, t^2 that a recorder removed from its records.
 
-    A line through the ends counts as one of least squares. One record does not show it: a recorder
-    that begins at zero may come back to its last digit of it by chance.
+    A line through the ends counts like a least-squares line, but one record does not show it: a
+    recorder that starts at zero may end at zero by chance.
 
-    By chance, where noise is all that there is, the answer is wrong once in a million times; any
-    part of an error along them makes it rarer.
+    For noise alone, the probability of a wrong result is 1e-6; errors along these terms reduce it.
 
-    moments: Of each record as in `SignalSums.coefficients`, over the noise of one row, shape (4,).
+    coefficients: Of each record, as in `SignalSums.coefficients`, divided by the noise of one row,
+        shape (4,).
     """
-    moment_sizes = np.abs(np.array(moments).reshape(-1, 4))
-    if len(moment_sizes) > 1 and float(moment_sizes[:, 3].max()) < _ROUNDING:
+    magnitudes = np.abs(np.array(coefficients).reshape(-1, 4))
+    if len(magnitudes) > 1 and float(magnitudes[:, 3].max()) < _MAX_ROUNDING:
         return 2
-    for count in (3, 2, 1) if np.isfinite(moment_sizes[:, :3]).all() else ():
-        largest = float(moment_sizes[:, :count].max(initial=0.0))
-        chance = math.erf(largest / math.sqrt(2.0)) ** (count * len(moment_sizes))
-        if largest < _ROUNDING and chance < _SIGNIFICANCE:
+    for count in (3, 2, 1) if np.isfinite(magnitudes[:, :3]).all() else ():
+        max_magnitude = float(magnitudes[:, :count].max(initial=0.0))
+        probability = math.erf(max_magnitude / math.sqrt(2.0)) ** (count * len(magnitudes))
+        if max_magnitude < _MAX_ROUNDING and probability < _SIGNIFICANCE:
             return count
     return 0

@@ -1,4 +1,4 @@
-"""Record files that hold a table in bytes: Apache Parquet and workbooks of Excel."""
+"""Record files with binary tables: Apache Parquet and Excel workbooks."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from counterspin.records.column_file import (
     NoRowsError,
     format_names,
     frame_columns,
-    nanoseconds,
-    plain_path,
+    parse_nanoseconds,
+    polars_path,
     record_errors,
 )
 from counterspin.records.dialect import AUTODETECT, Dialect
+from counterspin.records.header_footer import count_footer_lines
 from counterspin.records.layout import (
     EMPTY_CELL_TEXTS,
     HEAD_LINES,
     TableFormat,
     find_rows,
-    footer_lines,
 )
 
 if TYPE_CHECKING:
@@ -51,12 +51,12 @@ class ParquetFile(ColumnFile):
     def _scan(self) -> pl.LazyFrame:
         import polars as pl
 
-        return pl.scan_parquet(plain_path(self.path), glob=False, hive_partitioning=False)
+        return pl.scan_parquet(polars_path(self.path), glob=False, hive_partitioning=False)
 
-    def _require(self, wanted: Sequence[str]) -> None:
+    def _require(self, names: Sequence[str]) -> None:
         import polars as pl
 
-        for name in wanted:
+        for name in names:
             if name not in self.timestamp_columns and not self._schema[name].is_numeric():
                 raise RecordError(
                     f"{self.path}: column '{name}' is of type {self._schema[name]}; numbers are "
@@ -64,16 +64,16 @@ class ParquetFile(ColumnFile):
                     code="not-numeric",
                 )
         rows = int(self._scan().select(pl.len()).collect().item())
-        self._check_size(8 * rows * len(wanted))
+        self._check_size(8 * rows * len(names))
 
     def _table(self) -> pl.DataFrame:
         """Return every column of the file with its type."""
         self._require([name for name, data_type in self._schema.items() if data_type.is_numeric()])
         return self._scan().collect()
 
-    def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
+    def _batches(self, names: Sequence[str]) -> Iterator[Columns]:
         """Yield batches of the columns as the streaming engine decodes them."""
-        numeric_columns = self._scan().select(self._column_expression(name) for name in wanted)
+        numeric_columns = self._scan().select(self._column_expression(name) for name in names)
         for frame in numeric_columns.collect_batches(maintain_order=True):
             columns = frame_columns(frame)
             for name in self.timestamp_columns:
@@ -99,7 +99,7 @@ class ParquetFile(ColumnFile):
         if name not in self.timestamp_columns:
             return pl.col(name).cast(pl.Float64())
         if data_type == pl.String():
-            return nanoseconds(name)
+            return parse_nanoseconds(name)
         if not isinstance(data_type, pl.Datetime):
             raise RecordError(
                 f"{self.path}: column '{name}' contains no time stamps.", code="not-numeric"
@@ -107,49 +107,55 @@ class ParquetFile(ColumnFile):
         return pl.col(name).dt.cast_time_unit("ns").to_physical()
 
 
-#: What a workbook may unpack to: bytes for any, and bytes for each of its own (ten are usual).
+#: Largest unpacked size of a workbook: bytes for any workbook, or bytes per byte (typically ten).
 _UNPACKED_BYTES: Final = 100_000_000
 _UNPACKED_PER_BYTE: Final = 50
 
 
-def excel_table(
+def read_excel_table(
     path: Path, dialect: Dialect = AUTODETECT, content: bytes | None = None
 ) -> pl.DataFrame:
-    """Return one sheet of a workbook, cells of text remaining text.
+    """Read one sheet of a workbook; text cells remain text.
 
-    content: What is in the file; None: it is read.
+    content: Bytes of the file; None: read here.
     """
     with record_errors(path):
         content = read_file(path) if content is None else content
-        book, sheet = _find_sheet(path, dialect.sheet, content)
+        workbook, sheet = _find_sheet(path, dialect.sheet, content)
         import polars as pl
 
-        head = {
+        header_options = {
             "header_row": dialect.skip_lines or 0,
             "skip_rows": 1 if dialect.units_row else None,
         }
-        # A type that is guessed from the first rows breaks on a column that looks whole there.
-        table: pl.DataFrame = book.load_sheet(sheet, schema_sample_rows=None, **head).to_polars()
+        # Types inferred from the first rows may be wrong for later rows.
+        table: pl.DataFrame = workbook.load_sheet(
+            sheet, schema_sample_rows=None, **header_options
+        ).to_polars()
         mixed_columns = [
             name for name, data_type in table.schema.items() if data_type == pl.String()
         ]
         if mixed_columns:
-            # Among text the reader rounds numbers to nine decimals.
+            # In text columns, the reader rounds numbers to nine decimals.
             data_types: dict[str | int, Any] = dict.fromkeys(mixed_columns, "float")
             numeric_cells = (
-                book.load_sheet(sheet, dtypes=data_types, **head).to_polars().select(mixed_columns)
+                workbook.load_sheet(sheet, dtypes=data_types, **header_options)
+                .to_polars()
+                .select(mixed_columns)
             )
-            exact = numeric_cells.cast(pl.String())
-            table = table.with_columns(exact[name].fill_null(table[name]) for name in mixed_columns)
+            exact_text = numeric_cells.cast(pl.String())
+            table = table.with_columns(
+                exact_text[name].fill_null(table[name]) for name in mixed_columns
+            )
         return table
 
 
-#: Rows of a sheet of Excel, at most.
+#: Largest number of rows of an Excel sheet.
 _MAX_ROWS: Final = 1 << 20
 
 
 def _open_workbook(path: Path, content: bytes) -> Any:
-    """Return a workbook."""
+    """Open a workbook."""
     try:
         import fastexcel
     except ModuleNotFoundError:
@@ -163,19 +169,21 @@ def _open_workbook(path: Path, content: bytes) -> Any:
 
 
 def _find_sheet(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str]:
-    """Return the workbook and the name of the sheet that is asked for, or of the only table."""
-    book = _open_workbook(path, content)
-    names = book.sheet_names
+    """Return the workbook, and the name of the requested sheet or of the only table."""
+    workbook = _open_workbook(path, content)
+    names = workbook.sheet_names
     if sheet is not None:
         if sheet not in names:
             raise RecordError(
                 f"{path}: no sheet is named '{sheet}'; it has {format_names(names)}.",
                 code="unknown-sheet",
             )
-        return book, sheet
-    # A workbook may come with empty sheets, and with one of remarks.
-    filled_sheets = [name for name in names if book.load_sheet(name).height > 0]
-    matches = filled_sheets if len(filled_sheets) == 1 else _table_sheets(book, filled_sheets)
+        return workbook, sheet
+    # A workbook may also have empty sheets, and sheets with text.
+    filled_sheets = [name for name in names if workbook.load_sheet(name).height > 0]
+    matches = (
+        filled_sheets if len(filled_sheets) == 1 else _find_table_sheets(workbook, filled_sheets)
+    )
     if len(matches) != 1:
         text = (
             f"the sheets {format_names(matches or filled_sheets)} contain rows; name one of them"
@@ -186,46 +194,50 @@ def _find_sheet(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str
             f"{path}: the sheet with the table cannot be identified: {text}.",
             code="ambiguous-selection",
         )
-    return book, matches[0]
+    return workbook, matches[0]
 
 
-def table_sheets(path: Path) -> list[str]:
-    """Return the sheets of a workbook in which rows of numbers stand below names."""
+def find_table_sheets(path: Path) -> list[str]:
+    """Return the sheets of a workbook with rows of numbers below column names."""
     with record_errors(path):
-        book = _open_workbook(path, read_file(path))
-        return _table_sheets(book, book.sheet_names)
+        workbook = _open_workbook(path, read_file(path))
+        return _find_table_sheets(workbook, workbook.sheet_names)
 
 
-def _table_sheets(book: Any, sheets: Sequence[str]) -> list[str]:
-    """Return the sheets that hold rows with more numbers than texts."""
-    return [sheet for sheet in sheets if (score := _score_rows(book, sheet)) and score[0] > 0]
+def _find_table_sheets(workbook: Any, sheets: Sequence[str]) -> list[str]:
+    """Return the sheets with rows that contain more numbers than texts."""
+    return [sheet for sheet in sheets if (score := _score_rows(workbook, sheet)) and score[0] > 0]
 
 
 def _load_cells(
-    book: Any, sheet: str, data_type: Any, skip: int, rows: int | None = None
+    workbook: Any, sheet: str, data_type: Any, skipped_rows: int, max_rows: int | None = None
 ) -> pl.DataFrame:
-    """Return the cells of a sheet below `skip` rows, all of one kind."""
-    cells = book.load_sheet(sheet, header_row=None, skip_rows=skip, n_rows=rows, dtypes=data_type)
+    """Return the cells of a sheet below the skipped rows, all of one type."""
+    cells = workbook.load_sheet(
+        sheet, header_row=None, skip_rows=skipped_rows, n_rows=max_rows, dtypes=data_type
+    )
     frame: pl.DataFrame = cells.to_polars()
     return frame
 
 
 def _score_rows(
-    book: Any, sheet: str, dialect: Dialect = AUTODETECT
+    workbook: Any, sheet: str, dialect: Dialect = AUTODETECT
 ) -> tuple[int, TableFormat] | None:
-    """Return how many numbers more than texts a sheet's rows have, and where they stand."""
-    head = _load_cells(book, sheet, "string", 0, HEAD_LINES + (dialect.skip_lines or 0)).rows()
+    """Return score (numbers minus texts) and layout of the rows of a sheet; or None."""
+    first_rows = _load_cells(
+        workbook, sheet, "string", 0, HEAD_LINES + (dialect.skip_lines or 0)
+    ).rows()
     split_rows = [
         (row_number, ["" if cell is None else cell.strip() for cell in row])
-        for row_number, row in enumerate(head, 1)
+        for row_number, row in enumerate(first_rows, 1)
     ]
-    # Cells of text, as a pasted file leaves them, may have commas.
+    # Text cells, such as those of a pasted file, may contain decimal commas.
     candidates = [find_rows(split_rows, dialect, mark) for mark in (".", ",")]
     return max((rows for rows in candidates if rows), key=lambda rows: rows[0], default=None)
 
 
 class ExcelFile(ColumnFile):
-    """One sheet of a workbook: names, perhaps below other rows, perhaps units, then rows."""
+    """One sheet of a workbook: names, which other rows may precede, optional units, then rows."""
 
     def __init__(self, path: Path, stream: BinaryIO, dialect: Dialect) -> None:
         super().__init__(path, stream)
@@ -243,7 +255,7 @@ class ExcelFile(ColumnFile):
         rows = self._load("string", self._layout.before_rows).rows()
         split_rows = [[str(cell or "").strip() for cell in row] for row in rows]
         self._rows = len(rows) - (dialect.skip_footer or 0)
-        if dialect.skip_footer is None and (count := footer_lines(split_rows, self.decimal)):
+        if dialect.skip_footer is None and (count := count_footer_lines(split_rows, self.decimal)):
             self.footer = tuple("; ".join(filter(None, cells)) for cells in split_rows[-count:])
         self.format_description = ", ".join(
             [f"sheet '{self._sheet}'"] * (len(self._book.sheet_names) > 1)
@@ -260,26 +272,28 @@ class ExcelFile(ColumnFile):
     def _first_cells(self, name: str, count: int) -> list[str]:
         return self._cells(name)[:count]
 
-    def _load(self, data_type: Any, skip: int) -> pl.DataFrame:
-        """Return the rows below `skip` rows, without those of a footer that is skipped."""
-        return _load_cells(self._book, self._sheet, data_type, skip).head(self._rows)
+    def _load(self, data_type: Any, skipped_rows: int) -> pl.DataFrame:
+        """Return the rows below the skipped rows, without a skipped footer."""
+        return _load_cells(self._book, self._sheet, data_type, skipped_rows).head(self._rows)
 
-    def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
+    def _batches(self, names: Sequence[str]) -> Iterator[Columns]:
         import polars as pl
 
-        skip = self._layout.before_rows
-        text, numbers = self._load("string", skip), self._load("float", skip)
-        times = self._load("datetime", skip) if self.timestamp_columns else text
+        skipped_rows = self._layout.before_rows
+        text, numbers = self._load("string", skipped_rows), self._load("float", skipped_rows)
+        times = self._load("datetime", skipped_rows) if self.timestamp_columns else text
         columns = {}
-        for name in wanted:
+        for name in names:
             index = self.names.index(name)
             stripped_text = text.to_series(index).alias("text").str.strip_chars()
-            empty = stripped_text.is_null() | stripped_text.str.to_lowercase().is_in(
+            is_empty = stripped_text.is_null() | stripped_text.str.to_lowercase().is_in(
                 list(EMPTY_CELL_TEXTS)
             )
             if name in self.timestamp_columns:
                 datetimes = times.to_series(index).cast(pl.Datetime("ns")).cast(pl.Int64())
-                parsed_times = stripped_text.to_frame().select(nanoseconds("text")).to_series()
+                parsed_times = (
+                    stripped_text.to_frame().select(parse_nanoseconds("text")).to_series()
+                )
                 value = parsed_times.fill_null(datetimes)
                 columns[name] = self.seconds(value)
             else:
@@ -288,9 +302,9 @@ class ExcelFile(ColumnFile):
                     plain_text = stripped_text.str.replace(",", ".", literal=True)
                     value = value.fill_null(plain_text.cast(pl.Float64(), strict=False))
                 columns[name] = value.to_numpy()
-            invalid = (value.is_null() & ~empty).arg_true()
-            if len(invalid):
-                row = int(invalid[0])
+            invalid_rows = (value.is_null() & ~is_empty).arg_true()
+            if len(invalid_rows):
+                row = int(invalid_rows[0])
                 noun = "time" if name in self.timestamp_columns else "number"
                 raise RecordError(
                     f"{self.path}, {self.locate(row)}: column '{name}' contains the text "
@@ -307,15 +321,15 @@ class ExcelFile(ColumnFile):
         dialect = Dialect(
             skip_lines=layout.header - 1, units_row=layout.units_row, sheet=self._sheet
         )
-        return excel_table(self.path, dialect, self.content()).head(self._rows)
+        return read_excel_table(self.path, dialect, self.content()).head(self._rows)
 
     def locate(self, row: int) -> str:
-        """Say in which row of the sheet a data row stands."""
+        """Return the row of the sheet of a data row."""
         return f"row {row + self._layout.before_rows + 1}"
 
 
 def _require_size(path: Path, content: bytes) -> None:
-    """Refuse what is no workbook, or unpacks to what no table has, before it is unpacked."""
+    """Raise DamagedFileError for a file that is not a workbook, or unpacks to too many bytes."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             total_size = sum(entry.file_size for entry in archive.infolist())

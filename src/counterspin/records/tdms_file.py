@@ -17,13 +17,13 @@ from counterspin.records.array_files import ArrayFile
 from counterspin.records.dialect import Dialect
 from counterspin.records.unit_notation import parse_file_unit
 
-#: Part of a step by which channels may begin apart, and samples, or a part of them, by which
-#: channels may end apart, to be cut to the shortest.
+#: Tolerance of a start time, in steps; largest number of samples, and fraction, by which channels
+#: may differ in length to be truncated to the shortest.
 _MAX_START_DEVIATION = 0.1
 _MAX_CUT_ROWS = 16
 _MAX_CUT_FRACTION = 0.01
-#: Properties by which channels state their unit.
-_UNITS = ("unit_string", "NI_UnitDescription", "Unit", "unit")
+#: Properties of a channel that may contain its unit.
+_UNIT_PROPERTIES = ("unit_string", "NI_UnitDescription", "Unit", "unit")
 
 
 @frozen(eq=False)
@@ -31,7 +31,7 @@ class _ChannelArray:
     """A channel as an array of one dimension."""
 
     channel: Any
-    start: int  #: Its first sample that is read.
+    start: int  #: First sample to read.
     length: int
 
     @property
@@ -63,11 +63,16 @@ class TdmsFile(ArrayFile):
                 for group in file.groups()
                 for channel in group.channels()
             }
-            self._places = {path: (group, c.name) for path, (group, c) in channels.items()}
-            self._parts_read = self._align_channels({path: c for path, (_, c) in channels.items()})
-            self._shapes = {path: (length,) for path, (_, length) in self._parts_read.items()}
+            self._channel_keys = {
+                path: (group, channel.name) for path, (group, channel) in channels.items()
+            }
+            self._row_ranges = self._align_channels(
+                {path: channel for path, (_, channel) in channels.items()}
+            )
+            self._shapes = {path: (length,) for path, (_, length) in self._row_ranges.items()}
             units = {
-                path: _channel_unit(channel.properties) for path, (_, channel) in channels.items()
+                path: _find_channel_unit(channel.properties)
+                for path, (_, channel) in channels.items()
             }
             steps = {_sampling_interval(channel.properties) for _, channel in channels.values()}
             self.interval = steps.pop() if len(steps) == 1 else None
@@ -94,41 +99,41 @@ class TdmsFile(ArrayFile):
         return self._shapes[self._paths[name]]
 
     @contextmanager
-    def _arrays(self, wanted: Sequence[str]) -> Iterator[Mapping[str, Any]]:
+    def _arrays(self, names: Sequence[str]) -> Iterator[Mapping[str, Any]]:
         with self._open() as file:
             arrays = {}
-            for name in wanted:
-                group, channel = self._places[self._paths[name]]
-                start, length = self._parts_read[self._paths[name]]
+            for name in names:
+                group, channel = self._channel_keys[self._paths[name]]
+                start, length = self._row_ranges[self._paths[name]]
                 arrays[name] = _ChannelArray(file[group][channel], start, length)
             yield arrays
 
     def _align_channels(self, channels: Mapping[str, Any]) -> dict[str, tuple[int, int]]:
-        """Return the first sample and the number of samples of each channel.
+        """Return path -> first sample and number of samples of a channel.
 
-        Waveforms that began at different times, or ended a few samples apart, are cut to the time
-        that all of them have.
+        Waveforms that start at different times, or end a few samples apart, are truncated to their
+        common time range.
         """
-        full_channels = {path: (0, len(channel)) for path, channel in channels.items()}
+        full_ranges = {path: (0, len(channel)) for path, channel in channels.items()}
         steps = {_sampling_interval(channel.properties) for channel in channels.values()}
         step = steps.pop() if len(steps) == 1 else None
         starts = [channel.properties.get("wf_start_time") for channel in channels.values()]
         if step is None or any(start is None for start in starts):
-            return full_channels
+            return full_ranges
         latest_start = max(starts)
-        late_rows = [
+        start_offsets = [
             float((latest_start - start) / np.timedelta64(1, "ns")) * 1e-9 / step
             for start in starts
         ]
-        skipped_rows = [round(rows) for rows in late_rows]
+        skipped_rows = [round(rows) for rows in start_offsets]
         row_counts = [
-            len(c) - skipped_count
-            for c, skipped_count in zip(channels.values(), skipped_rows, strict=True)
+            len(channel) - skipped_count
+            for channel, skipped_count in zip(channels.values(), skipped_rows, strict=True)
         ]
         common_rows = min(row_counts)
         if any(
             abs(rows - skipped_count) > _MAX_START_DEVIATION
-            for rows, skipped_count in zip(late_rows, skipped_rows, strict=True)
+            for rows, skipped_count in zip(start_offsets, skipped_rows, strict=True)
         ):
             raise RecordError(
                 f"{self.path}: the start times of the channels do not differ by a whole number of "
@@ -139,15 +144,17 @@ class TdmsFile(ArrayFile):
             max(row_counts) - common_rows > max(_MAX_CUT_ROWS, _MAX_CUT_FRACTION * common_rows)
             or common_rows < 1
         ):
-            return full_channels
-        notes = []
+            return full_ranges
+        descriptions = []
         if any(skipped_rows):
-            notes.append(
+            descriptions.append(
                 f"channels aligned by start time; up to {max(skipped_rows)} samples omitted"
             )
         if max(row_counts) > common_rows:
-            notes.append(f"channels truncated to the length of the shortest, {common_rows} samples")
-        self.format_description = ", ".join(notes)
+            descriptions.append(
+                f"channels truncated to the length of the shortest, {common_rows} samples"
+            )
+        self.format_description = ", ".join(descriptions)
         return {
             path: (skipped_count, common_rows)
             for path, skipped_count in zip(channels, skipped_rows, strict=True)
@@ -155,11 +162,11 @@ class TdmsFile(ArrayFile):
 
 
 def _sampling_interval(properties: Mapping[str, Any]) -> float | None:
-    """Return the time between samples of a waveform, s; None: the channel states none."""
+    """Return the sampling interval of a waveform, s; None if it is not stated."""
     step = properties.get("wf_increment")
     return float(step) if isinstance(step, int | float) and step > 0.0 else None
 
 
-def _channel_unit(properties: Mapping[str, Any]) -> str:
-    values = (properties.get(key) for key in _UNITS)
+def _find_channel_unit(properties: Mapping[str, Any]) -> str:
+    values = (properties.get(key) for key in _UNIT_PROPERTIES)
     return next((unit for text in values if text and (unit := parse_file_unit(str(text)))), "")

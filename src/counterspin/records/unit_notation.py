@@ -1,4 +1,4 @@
-"""Units and numbers as files write them, to units in plain signs and numbers for the parser."""
+"""Parser of units and numbers in the notations of files."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from typing import Final
 
 from counterspin.units import normalise_unit
 
-#: Thousands separator -> the decimal mark used with it: thin, narrow and other blanks that are not
-#: broken, an apostrophe, or the mark that does not separate decimals.
-_GROUPED: Final = {
+#: Thousands separator (non-breaking blanks, apostrophe, point or comma) -> decimal separator used
+#: with it.
+_DECIMAL_BY_SEPARATOR: Final = {
     **dict.fromkeys(("\u202f", "\u2009", "\xa0", "'", "’"), r"[.,]"),
     ".": ",",
     ",": r"\.",
     " ": r"[.,]",
 }
-#: A number of double precision, 1.25D-03, up to the letter, and its exponent.
+#: Fortran number of double precision, 1.25D-03: mantissa and exponent.
 _FORTRAN_EXPONENT: Final = re.compile(r"[dD][-+\d]")
 _FORTRAN_NUMBER: Final = re.compile(r"(?<![\w.,])([-+]?(?:\d+[.,]\d*|[.,]\d+))[dD]([-+]?\d{1,3})\b")
 #: A unit in brackets at the end of a name.
-_IN_BRACKETS: Final = re.compile(r".*?[\[(]([^\[\]()]+)[\])]")
-#: Words that files write for units.
-_WORDS: Final = {
+_BRACKETED_UNIT: Final = re.compile(r".*?[\[(]([^\[\]()]+)[\])]")
+#: Notation of a unit in files -> unit.
+_UNIT_BY_WORD: Final = {
     "sec": "s",
     "sec.": "s",
     "sek": "s",
@@ -92,52 +92,52 @@ _WORDS: Final = {
     "°.s-1": "deg/s",
     "dps": "deg/s",
 }
-#: There is no factor from a temperature in these to one in another unit.
-TEMPERATURES: Final = ("°C", "degC", "deg C", "℃")
+#: Notations of degrees Celsius, which no factor converts to other units.
+_CELSIUS_UNITS: Final = ("°C", "degC", "deg C", "℃")
 
 
 def parse_file_unit(text: str) -> str | None:
-    """Return a unit as a file writes it, perhaps in brackets, in plain signs; None if none."""
-    bare = text.strip()
-    while bare and bare[0] + bare[-1] in ("[]", "()", "<>", "{}"):
-        bare = bare[1:-1].strip()
-    return _known_unit(bare) if 0 < len(bare) <= 20 else None
+    """Normalise a unit in a file, with or without brackets; None for other text."""
+    unbracketed = text.strip()
+    while unbracketed and unbracketed[0] + unbracketed[-1] in ("[]", "()", "<>", "{}"):
+        unbracketed = unbracketed[1:-1].strip()
+    return _known_unit(unbracketed) if 0 < len(unbracketed) <= 20 else None
 
 
 def bracketed_unit(name: str) -> str:
-    """Return the unit in brackets at the end of a column's name; empty text if there is none."""
-    match = _IN_BRACKETS.fullmatch(name)
-    # A number in brackets counts the elements of an array.
+    """Return the unit in brackets at the end of a column name; empty without one."""
+    match = _BRACKETED_UNIT.fullmatch(name)
+    # A number in brackets is the index of an array element.
     return (parse_file_unit(match[1]) or "") if match and not match[1].isdigit() else ""
 
 
 def unit_in_name(name: str) -> str:
     """Return the unit at the end of a name, `time_s`, `Reading mV`, `U/mV`; empty without one.
 
-    A single letter alone is a name, and so is A after a blank: sensor A. "in" is a word.
+    A single letter is a name, as is A after a blank: sensor A. "in" is a word.
     """
-    *before, ending = re.split(r"[_\s,]+", name.strip())
-    if ending == "in" or "A" == ending != name.rpartition("_")[2]:
+    *prefixes, suffix = re.split(r"[_\s,]+", name.strip())
+    if suffix == "in" or "A" == suffix != name.rpartition("_")[2]:
         return ""
-    if not before and len(ending) < 2:
+    if not prefixes and len(suffix) < 2:
         return ""
-    return parse_file_unit(ending) or parse_file_unit(ending.partition("/")[2]) or ""
+    return parse_file_unit(suffix) or parse_file_unit(suffix.partition("/")[2]) or ""
 
 
 @lru_cache(maxsize=256)
 def _known_unit(text: str) -> str | None:
-    if text in TEMPERATURES:
+    if text in _CELSIUS_UNITS:
         return "degC"
     try:
-        return normalise_unit(_WORDS.get(text) or _WORDS.get(text.lower(), text))
+        return normalise_unit(_UNIT_BY_WORD.get(text) or _UNIT_BY_WORD.get(text.lower(), text))
     except ValueError:
         return None
 
 
 def number_rewriters(text: str) -> Iterator[Callable[[str], str]]:
-    """Yield the functions that rewrite the numbers of a file for the parser.
+    """Yield functions that rewrite the numbers of a file for the parser.
 
-    text: The first lines of the file.
+    text: First lines of the file.
     """
     if _FORTRAN_EXPONENT.search(text) and _FORTRAN_NUMBER.search(text):
         yield partial(_FORTRAN_NUMBER.sub, r"\1E\2")
@@ -148,19 +148,21 @@ def number_rewriters(text: str) -> Iterator[Callable[[str], str]]:
 
 
 def find_thousands_separator(text: str) -> str | None:
-    """Return the thousands separator of cells that have decimals too; None without one."""
-    for separator, decimal in _GROUPED.items():
+    """Return the thousands separator of cells with decimals; or None."""
+    for separator, decimal in _DECIMAL_BY_SEPARATOR.items():
         edge = '"' if separator == "," else r'["\t;\n]'
         # Blanks at the beginning of a line may separate columns.
         start = edge.replace(r"\n", "") if separator == " " else edge
-        cell = rf"{start}[-+]?\d{{1,3}}(?:{re.escape(separator)}\d{{3}})+{decimal}\d+(?={edge})"
-        if separator in text and re.search(cell, f"\n{text}\n"):
+        cell_pattern = (
+            rf"{start}[-+]?\d{{1,3}}(?:{re.escape(separator)}\d{{3}})+{decimal}\d+(?={edge})"
+        )
+        if separator in text and re.search(cell_pattern, f"\n{text}\n"):
             return separator
     return None
 
 
 def strip_thousands(text: str, separator: str) -> str:
-    """Return a text without the thousands separators."""
+    """Remove thousands separators from a text."""
     edge = '"' if separator == "," else r'["\t;\r\n]'
-    cell = rf"(?<={edge})[-+]?\d{{1,3}}(?:{re.escape(separator)}\d{{3}})+(?=[.,]?\d*{edge})"
-    return re.sub(cell, lambda match: match[0].replace(separator, ""), f"\n{text}\n")[1:-1]
+    cell_pattern = rf"(?<={edge})[-+]?\d{{1,3}}(?:{re.escape(separator)}\d{{3}})+(?=[.,]?\d*{edge})"
+    return re.sub(cell_pattern, lambda match: match[0].replace(separator, ""), f"\n{text}\n")[1:-1]

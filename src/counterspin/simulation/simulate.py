@@ -29,7 +29,7 @@ from counterspin.output import make_folder, write_atomically, write_text
 from counterspin.physics import observation, simulation
 from counterspin.physics.motion import Trajectory, encoder_error, perturb_trajectory
 from counterspin.physics.own_velocity import AxisError, own_velocity_errors
-from counterspin.records.memory import MemoryTable, memory_table
+from counterspin.records.memory import MemoryTable, make_memory_table
 from counterspin.records.record import ColumnSpec
 from counterspin.simulation.pose_record import indicated_forces, simulate_forces
 from counterspin.simulation.readings import (
@@ -220,7 +220,7 @@ def _simulate_in_memory(campaign: Campaign) -> Campaign:
     }
     names |= {record.record: record.name for record in pose_records}
     tables = {
-        file: memory_table(f"{names[file]} in memory", frame)
+        file: make_memory_table(f"{names[file]} in memory", frame)
         for file, frame in zip(files, frames, strict=True)
     }
     # A record at rest is not simulated; keep the existing frame.

@@ -20,7 +20,7 @@ from counterspin.arrays import MAD_TO_SIGMA, Array, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.memory import MemoryTable
-from counterspin.records.outliers import resolution
+from counterspin.records.outliers import estimate_resolution
 from counterspin.records.reading import read_record
 from counterspin.records.record import NominalMotion, Record, RecordColumns
 
@@ -145,7 +145,7 @@ def find_poses(
     valid = np.flatnonzero(np.isfinite(time) & np.isfinite(values).all(axis=1))
     step = _sampling_step(time[valid], rest)
     window = min(max(_WINDOW, _FEWEST_ROWS * step), rest)
-    resolutions = np.array([resolution(axis) for axis in values[valid].T])
+    resolutions = np.array([estimate_resolution(axis) for axis in values[valid].T])
     spikes = _outlier_mask(values[valid], max(_SPIKE_ROWS, round(window / step)), resolutions)
     is_regular = ~spikes.any(axis=1)
     spike_times, valid = time[valid[~is_regular]], valid[is_regular]

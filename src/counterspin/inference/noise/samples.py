@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array, median
 from counterspin.frozen import frozen
-from counterspin.records.sampling import ValueHolding, count_times, is_bursty, join_bursts
+from counterspin.records.sampling import ValueHolding, is_bursty, join_bursts, reconstruct_times
 
 #: Part of the rows that may repeat a time with other values.
 _DIFFERING_PART: Final = 1e-3
@@ -48,7 +48,7 @@ class SensorSamples:
         time, values = time[~again], values[~again]
         restamped = int(np.sum(np.diff(time) == 0.0))
         if restamped > _DIFFERING_PART * time.size:
-            time = count_times(time, restamped)
+            time = reconstruct_times(time, restamped)
         else:
             keep = np.append(True, np.diff(time) > 0.0)
             time, values = time[keep], values[keep]

@@ -1,9 +1,10 @@
-"""What the head of a LabVIEW measurement file states."""
+"""Lines above the names and below the rows of a text table."""
 
 import pytest
 
 from counterspin.records.formats import read_table
-from counterspin.records.header_metadata import parse_header, parse_interval
+from counterspin.records.header_footer import count_footer_lines, parse_header, parse_interval
+from counterspin.records.layout import split_cells
 
 HEAD = [
     ["LabVIEW Measurement", ""],
@@ -13,6 +14,7 @@ HEAD = [
     ["***End_of_Header***"],
 ]
 NAMES = ["X_Value", "Angle", "East", "Raw", "Comment"]
+ROWS = ["0,5;1,25;-3", "1;1,5;2", "1,5;1,75;2,5e-3", "2;2;"]
 
 
 def test_units_and_step_above_columns_are_parsed():
@@ -53,3 +55,28 @@ def test_names_resembling_quantities_remain_names(tmp_path):
     rows = "".join(f"{k} deg,{k},{1.25 + k}\n" for k in (0, 90, 180, 270))
     path.write_text("position,angle_deg,reading_mA\n" + rows)
     assert read_table(path).frame["position"].to_list()[:2] == ["0 deg", "90 deg"]
+
+
+def split_lines(lines):
+    return [split_cells(line, ";") for line in lines]
+
+
+@pytest.mark.parametrize(
+    ("below", "count"),
+    [
+        ([], 0),
+        (["Mean;1,25;1", "Checked by J. D."], 2),
+        (["", "End of data"], 2),
+        (["0,3;;4"], 0),
+        (["Std;0,1;0,2"], 1),
+        (["Mittelw.;1,25;1", "Abweichung;0,1;0,2"], 2),
+    ],
+)
+def test_footer_lines_are_counted(below, count):
+    assert count_footer_lines(split_lines([*ROWS, *below]), ",") == count
+
+
+def test_word_in_mounting_column_is_not_footer():
+    rows = ["up;0;1,25", *["+1;30;2,5", "-1;42;-3,5"] * 12, "up;0;1,25", "down;0;-1,25"]
+    assert count_footer_lines(split_lines(rows), ",") == 0
+    assert count_footer_lines(split_lines([*rows, "Mean;12;0,5"]), ",") == 1
