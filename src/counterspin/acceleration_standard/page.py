@@ -106,18 +106,18 @@ def _describe_dominant_source(result: AppliedAcceleration, level: AppliedLevel) 
 
 def validation_sentence(result: AppliedAcceleration) -> str:
     """Return a sentence on the validation of the GUM intervals."""
-    draws = f"{result.draws} draws, seed {result.seed}"
+    draws_text = f"{result.draws} draws, seed {result.seed}"
     failed_levels = [
         format_level(level) for level in result.levels if not level.monte_carlo.validated
     ]
     if not failed_levels:
         return (
-            f"Monte Carlo (JCGM 101, {draws}) validates the 95 % GUM interval at all levels to "
-            "two digits of u."
+            f"Monte Carlo (JCGM 101, {draws_text}) validates the 95 % GUM interval at all levels "
+            "to two digits of u."
         )
     return (
-        f"Monte Carlo (JCGM 101, {draws}) does not validate the 95 % GUM interval to two digits "
-        f"of u at {', '.join(failed_levels)}."
+        f"Monte Carlo (JCGM 101, {draws_text}) does not validate the 95 % GUM interval to two "
+        f"digits of u at {', '.join(failed_levels)}."
     )
 
 

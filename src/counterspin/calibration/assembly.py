@@ -174,9 +174,9 @@ def _record_end_findings(observed_runs: Sequence[ObservedRun]) -> list[Finding]:
                 )
             )
         if isolated_rows := run.record.report.isolated:
-            rows = "1 row" if isolated_rows == 1 else f"{isolated_rows} rows"
+            row_text = "1 row" if isolated_rows == 1 else f"{isolated_rows} rows"
             text = (
-                f"{name}: a gap separates {rows} at one end of the record from the rest, so "
+                f"{name}: a gap separates {row_text} at one end of the record from the rest, so "
                 "counterspin omitted them. Inspect the record."
             )
             findings.append(Finding(code="lone-rows", subject=name, text=text, size=isolated_rows))

@@ -158,8 +158,8 @@ def _quote_names(names: Sequence[str]) -> str:
 def _check_method(method: str, options: TwoStageOptions | None) -> None:
     """Raise UsageError for an unknown method, or for options that the method would ignore."""
     if method not in get_args(Method):
-        methods = " or ".join(get_args(Method))
-        raise UsageError("calibrate", [f"`method`: {method!r} is not {methods}"])
+        method_names = " or ".join(get_args(Method))
+        raise UsageError("calibrate", [f"`method`: {method!r} is not {method_names}"])
     if method == "joint" and options not in (None, TwoStageOptions()):
         options_text = "model, sigma, bias, ripple and weights are options of the two-stage method"
         raise UsageError("calibrate", [f'{options_text}; also give `method="two-stage"`'])

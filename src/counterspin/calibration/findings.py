@@ -325,12 +325,12 @@ def _check_fit(name: str, residual: Residual, accelerometer_count: int) -> Itera
     if p is None or _is_acceptable_fit(residual, accelerometer_count):
         return
     ratio = _noise_ratio(residual)
-    description = (
+    comparison_text = (
         "are not consistent with independent noise"
         if ratio is None
         else f"are {format_number(ratio)} times as large as the stated noise"
     )
-    text = f"The residuals {description} (p = {format_number(p, 2)})."
+    text = f"The residuals {comparison_text} (p = {format_number(p, 2)})."
     yield lack_of_fit_finding(name, [text], residual)
 
 
@@ -463,8 +463,8 @@ def supporting_evidence(accelerometer: AccelerometerResult) -> Iterator[tuple[st
     residual = accelerometer.residual
     p = residual.lack_of_fit_p
     if p is not None and _is_acceptable_fit(residual):
-        noise = "the stated noise" if residual.chi2 is not None else "independent noise"
-        yield "fit", f"the residuals are consistent with {noise} (p = {format_number(p, 2)})"
+        noise_text = "the stated noise" if residual.chi2 is not None else "independent noise"
+        yield "fit", f"the residuals are consistent with {noise_text} (p = {format_number(p, 2)})"
     worst_line = _largest_shift(accelerometer.jackknife)
     if worst_line is not None and _significance(worst_line) <= AGREEMENT_FACTOR:
         yield "leave-one-run-out", "no single run dominates the result"

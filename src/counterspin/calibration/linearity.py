@@ -71,10 +71,8 @@ class Response:
         deviations: Deviations of the source, in standard uncertainties.
         """
         x = deviations / _SHIFT
-        odd_part, even_part = (
-            0.5 * (self.upper_difference - self.lower_difference),
-            0.5 * (self.upper_difference + self.lower_difference),
-        )
+        odd_part = 0.5 * (self.upper_difference - self.lower_difference)
+        even_part = 0.5 * (self.upper_difference + self.lower_difference)
         return np.asarray(odd_part * x + even_part * x**2)
 
 

@@ -117,11 +117,11 @@ def _reject_detrended(campaign: Campaign, name: str, moments_by_run: Mapping[str
     if count <= observation.ORDERS[observable]:
         return
     column = campaign.accelerometers[name].channel.name
-    powers = ", ".join(("1", "t", "t^2")[:count])
+    power_names = ", ".join(("1", "t", "t^2")[:count])
     end_condition = ", or zero at both ends in every run" if count == _STRAIGHT_LINE else ""
     raise RecordError(
         f"{', '.join(runs)}: a {REMOVED[count]} was removed from column '{column}' ({name}) "
-        f"before the file was written: the rows are orthogonal to {powers}{end_condition} to "
+        f"before the file was written: the rows are orthogonal to {power_names}{end_condition} to "
         "the last digit, which does not occur in an unprocessed record. This also removed the "
         f"effect of K_F and K_II on {observable.replace('_', ' ')}. Switch this processing "
         "(detrend, remove offset, zero mean) off in the recorder or in the export, and record "

@@ -285,8 +285,8 @@ class NominalOutput(ResultPart):
     @property
     def words(self) -> str:
         """Text such as ``1.25 mA/g from 4 mA``."""
-        start = f" from {self.zero:.9g} {self.unit}" if self.zero else ""
-        return f"{self.sensitivity:.9g} {self.unit}/g{start}"
+        zero_text = f" from {self.zero:.9g} {self.unit}" if self.zero else ""
+        return f"{self.sensitivity:.9g} {self.unit}/g{zero_text}"
 
 
 class ReadingResult(ResultPart):
@@ -412,8 +412,8 @@ class TriadResult(ResultPart):
             for name, coefficient in self.parameters.items()
         ]
         if self.rms_before is not None and self.rms_after is not None:
-            rms = f"{self.rms_before:.3g} m/s^2 before, {self.rms_after:.3g} m/s^2 after"
-            lines.append(f"  rms of |f| - g: {rms}")
+            rms_text = f"{self.rms_before:.3g} m/s^2 before, {self.rms_after:.3g} m/s^2 after"
+            lines.append(f"  rms of |f| - g: {rms_text}")
         return "\n".join(lines)
 
     __str__ = __repr__

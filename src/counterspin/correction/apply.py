@@ -414,14 +414,14 @@ def _missing_force_errors(
 
 def _applied_note(name: str, accelerometer: AccelerometerResult) -> str:
     terms = determined_terms(accelerometer)
-    estimated_symbols = ", ".join(
+    estimated_list = ", ".join(
         symbol for symbol, coefficient in terms.items() if coefficient.estimated
     )
-    prior_symbols = ", ".join(
+    prior_list = ", ".join(
         symbol for symbol, coefficient in terms.items() if not coefficient.estimated
     )
-    clauses = [f"as estimated: {estimated_symbols}"] if estimated_symbols else []
-    clauses += [f"from priors: {prior_symbols}"] if prior_symbols else []
+    clauses = [f"as estimated: {estimated_list}"] if estimated_list else []
+    clauses += [f"from priors: {prior_list}"] if prior_list else []
     return f"{name}: coefficients applied {'; '.join(clauses) or 'none'}."
 
 

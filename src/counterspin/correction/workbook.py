@@ -26,12 +26,12 @@ def make_workbook(sheets: Mapping[str, Sequence[Sequence[Cell]]], remark: str) -
     remark: Comment of the archive.
     """
     numbers = range(1, len(sheets) + 1)
-    overrides = "".join(
+    overrides_xml = "".join(
         f'<Override PartName="/xl/worksheets/sheet{n}.xml" '
         f'ContentType="{_MIME_TYPE}.worksheet+xml"/>'
         for n in numbers
     )
-    sheet_list = "".join(
+    sheets_xml = "".join(
         f'<sheet name={quoteattr(name)} sheetId="{n}" r:id="r{n}"/>'
         for n, name in zip(numbers, sheets, strict=True)
     )
@@ -40,10 +40,10 @@ def make_workbook(sheets: Mapping[str, Sequence[Sequence[Cell]]], remark: str) -
         '<Default Extension="rels" '
         'ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
         f'<Override PartName="/xl/workbook.xml" ContentType="{_MIME_TYPE}.sheet.main+xml"/>'
-        f"{overrides}</Types>",
+        f"{overrides_xml}</Types>",
         "_rels/.rels": _relationships_xml({"r1": ("officeDocument", "xl/workbook.xml")}),
         "xl/workbook.xml": f'<workbook xmlns="{_MAIN_NS}" xmlns:r="{_RELATIONS_NS}">'
-        f"<sheets>{sheet_list}</sheets></workbook>",
+        f"<sheets>{sheets_xml}</sheets></workbook>",
         "xl/_rels/workbook.xml.rels": _relationships_xml(
             {f"r{n}": ("worksheet", f"worksheets/sheet{n}.xml") for n in numbers}
         ),
@@ -63,11 +63,11 @@ def make_workbook(sheets: Mapping[str, Sequence[Sequence[Cell]]], remark: str) -
 
 
 def _relationships_xml(targets: Mapping[str, tuple[str, str]]) -> str:
-    lines = "".join(
+    elements = "".join(
         f'<Relationship Id="{key}" Type="{_RELATIONS_NS}/{relation_type}" Target="{target}"/>'
         for key, (relation_type, target) in targets.items()
     )
-    return f'<Relationships xmlns="{_PACKAGE_NS}/relationships">{lines}</Relationships>'
+    return f'<Relationships xmlns="{_PACKAGE_NS}/relationships">{elements}</Relationships>'
 
 
 def _cell_xml(value: Cell) -> str:

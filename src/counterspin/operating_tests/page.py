@@ -45,7 +45,7 @@ def operating_blocks(result: OperatingTests) -> Iterator[Block]:
         tuple(_quantity_row(result, quantity) for quantity in result.quantities),
     ).without_empty_columns()
     yield operating_plot(result)
-    basis = "repeats at the same input" if result.noise_from_repeats else "the residuals"
+    basis_text = "repeats at the same input" if result.noise_from_repeats else "the residuals"
     noise_text = f"{format_number(result.noise)} {result.output_unit}".strip()
     full_scale_text = (
         f" The full scale is {format_number(result.full_scale, 6)} {result.input_unit}."
@@ -55,7 +55,7 @@ def operating_blocks(result: OperatingTests) -> Iterator[Block]:
     yield Paragraph(
         "The number after ± is the standard uncertainty (k = 1). The noise of a point is "
         f"{noise_text} with {format_number(result.noise_dof, 4)} degrees of freedom, estimated "
-        f"from {basis}.{full_scale_text}",
+        f"from {basis_text}.{full_scale_text}",
         "quiet",
     )
 
@@ -64,7 +64,7 @@ def _quantity_row(result: OperatingTests, quantity: OperatingQuantity) -> tuple[
     test_name, standard_test = _TEST_NAMES[quantity.name]
     if quantity.value is None:
         return test_name, NOT_DETERMINED, "", "", quantity.note, standard_test
-    percent = (
+    percent_text = (
         ""
         if quantity.percent is None
         else format_estimate(quantity.percent, quantity.u_percent or 0.0, "")
@@ -73,8 +73,8 @@ def _quantity_row(result: OperatingTests, quantity: OperatingQuantity) -> tuple[
         "" if quantity.at is None else f"{format_number(quantity.at, 6)} {result.input_unit}"
     )
     unit = "" if quantity.unit == "1" else quantity.unit
-    value = format_estimate(quantity.value, quantity.u or 0.0, unit)
-    return test_name, value, percent, input_text, quantity.note, standard_test
+    value_text = format_estimate(quantity.value, quantity.u or 0.0, unit)
+    return test_name, value_text, percent_text, input_text, quantity.note, standard_test
 
 
 def operating_plot(result: OperatingTests) -> Plot:

@@ -114,10 +114,10 @@ def check_default_priors(prior_knowledge: Sequence[Knowledge]) -> Iterator[Findi
         if ratio <= _MAX_DEFAULT_SDS:
             continue
         unit, factor = find_display_unit(row.unit)
-        estimate = format_estimate(row.found * factor, row.u_found * factor, unit)
+        estimate_text = format_estimate(row.found * factor, row.u_found * factor, unit)
         u_text = f"{format_number(row.u * factor, 2)} {unit}"
         text = (
-            f"No value is stated for {row.name}. The estimate, {estimate}, is "
+            f"No value is stated for {row.name}. The estimate, {estimate_text}, is "
             f"{format_number(ratio, 2)} times the default standard uncertainty, {u_text}. State "
             f"a prior for {row.name} in [model.priors], or look for another error with the "
             "same effect."
@@ -137,14 +137,16 @@ def _credibility_finding(
         return None
     deviation_name = f"deviation from {row.nominal:g}" if row.nominal else "magnitude"
     excess_text = f"its {deviation_name} exceeds {format_number(limit)} {coefficient.unit}"
-    cause = (
+    cause_text = (
         _scale_factor_cause(coefficient.value, limit) if symbol == "K_I" else _likely_cause(symbol)
     )
-    grade = f" state the grade of the instrument in accelerometers.{owner}, or" if owner else ""
+    grade_clause = (
+        f" state the grade of the instrument in accelerometers.{owner}, or" if owner else ""
+    )
     text = (
         f"{symbol} = {format_number(coefficient.value, 5)} {coefficient.unit} is not credible, "
-        f"because {excess_text}. The records cannot reveal the cause. Check {cause}. If the value "
-        f"is real,{grade} raise {symbol} in [model.limits]."
+        f"because {excess_text}. The records cannot reveal the cause. Check {cause_text}. If the "
+        f"value is real,{grade_clause} raise {symbol} in [model.limits]."
     )
     return Finding(
         code="incredible",

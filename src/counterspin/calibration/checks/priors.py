@@ -146,7 +146,7 @@ class PriorExplanation:
     def _describe_input(self) -> FindingText:
         term_row = INPUTS[self.alternative.symbol]
         stated_value = stated_inputs(self.campaign)[self.alternative.name].value
-        owner = f" {self.alternative.owner}" if self.alternative.owner else ""
+        owner_text = f" {self.alternative.owner}" if self.alternative.owner else ""
         estimate_text, stated_text = (
             _format_degrees(value, u)
             if term_row.unit == "rad"
@@ -156,11 +156,11 @@ class PriorExplanation:
         article = "an" if term_row.words[0] in "aeiou" else "a"
         stated_text = stated_text.split(" (exact)")[0]
         text = (
-            f"The records would fit with {article} {term_row.words}{owner} of {estimate_text} "
+            f"The records would fit with {article} {term_row.words}{owner_text} of {estimate_text} "
             f"instead of the {'stated' if stated_value else 'assumed'} {stated_text}. Check the "
             "value."
         )
-        name = f"{term_row.words}{owner}"
+        name = f"{term_row.words}{owner_text}"
         return FindingText(code="wrong-input", subject=self.alternative.name, text=text, name=name)
 
 

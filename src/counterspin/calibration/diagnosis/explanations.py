@@ -85,7 +85,7 @@ class Explanation(PriorExplanation):
         )
         max_rate = max(rates)
         change, u = (0.5e6 * coefficient * max_rate**2 for coefficient in (abs(self.value), self.u))
-        direction, cause = (
+        direction, cause_text = (
             ("fell", "a low-pass filter in the recorder, or averaging over the sampling interval")
             if self.value > 0.0
             else ("rose", "a resonance of the accelerometer")
@@ -94,7 +94,7 @@ class Explanation(PriorExplanation):
             f"The records of {self.alternative.owner} would fit if the gain {direction} with "
             "the square of the frequency, reaching a change of "
             f"{format_estimate(change, u, 'ppm')} at {max_rate / (2.0 * math.pi):.3g} Hz. A "
-            f"likely cause is {cause}. Check the frequency response of the accelerometer and "
+            f"likely cause is {cause_text}. Check the frequency response of the accelerometer and "
             "of the recorder."
         )
         return FindingText(
@@ -122,14 +122,14 @@ class Explanation(PriorExplanation):
 
     def _describe_coriolis(self) -> FindingText:
         uses_platform = self.campaign.own_velocity
-        owner_text, reference = (
+        owner_text, reference_key = (
             ("the platform's", "platform") if uses_platform else ("its own", "own velocity")
         )
         text = (
             f"The records fit best if the computer uses {owner_text} velocity for the Coriolis "
             f"acceleration (estimated fraction of this effect {format_number(self.value, 4)}, "
             f"u {format_number(self.u, 2)}). If the computer does so, enter reference = "
-            f'"{reference}" in [records].'
+            f'"{reference_key}" in [records].'
         )
         name = f"velocity used for the Coriolis acceleration: {owner_text}"
         return FindingText(
@@ -183,17 +183,17 @@ class Explanation(PriorExplanation):
         unit = OBSERVABLES[self.fit.design_blocks[index].series.observable]
         time_text = f"about {self.alternative.time:.4g} s"
         if self.alternative.kind == mistakes.JUMP:
-            quantity, change_text = (
+            quantity_name, change_text = (
                 "level",
                 f"jumps by {self._format_estimate(unit)} at {time_text}",
             )
         else:
             change = format_estimate(self.value, self.u, f"{unit} per second")
-            quantity, change_text = "slope", f"changes slope at {time_text}, by {change}"
+            quantity_name, change_text = "slope", f"changes slope at {time_text}, by {change}"
         return FindingText(
             code="jump",
             subject=self.alternative.owner,
             text=f"The record of {self._record_names} {change_text}. Omit the run, or record it "
             "again.",
-            name=f"{quantity} of {self._record_names}",
+            name=f"{quantity_name} of {self._record_names}",
         )

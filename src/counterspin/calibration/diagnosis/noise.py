@@ -70,17 +70,17 @@ def _noise_finding(name: str, noise_ratios: Mapping[str, float]) -> Finding:
         f"{format_number(noise_ratios[run], 2)} times" for run in deviating_runs[:_MAX_NAMED_RUNS]
     ]
     ratio_texts[0] += " the stated noise"
-    listing = ", ".join(
+    ratio_list = ", ".join(
         f"{ratio_text} in {run}"
         for ratio_text, run in zip(ratio_texts, deviating_runs, strict=False)
     )
-    contrast = (
+    contrast_clause = (
         ", and as stated in the other runs" if len(deviating_runs) < len(noise_ratios) else ""
     )
     text = (
         f"The differences between adjacent rows show that the noise of {name} is "
-        f"{listing}{contrast}. Find the cause. Alternatively, remove the value from [noise], so "
-        "that counterspin estimates the noise of each run."
+        f"{ratio_list}{contrast_clause}. Find the cause. Alternatively, remove the value from "
+        "[noise], so that counterspin estimates the noise of each run."
     )
     max_ratio = max(max(ratio, 1.0 / ratio) for ratio in noise_ratios.values())
     return Finding(code="wrong-noise", subject=name, text=text, size=max_ratio)
@@ -91,11 +91,8 @@ def check_stated_noise(view: AccelerometerView) -> Iterator[Finding]:
 
     In this case the residuals are independent, and their ratio to the noise is equal in all runs.
     """
-    tests, name, accelerometer_count = (
-        view.diagnostics,
-        view.name,
-        len(view.campaign.accelerometers),
-    )
+    tests, name = view.diagnostics, view.name
+    accelerometer_count = len(view.campaign.accelerometers)
     p = tests.lack_of_fit_p
     if (
         CHI_SQUARE_SIGNIFICANCE / accelerometer_count

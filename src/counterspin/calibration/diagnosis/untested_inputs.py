@@ -177,10 +177,10 @@ def mounting_finding(mounting: AlternativeMounting) -> Finding:
         f"stated {_join_symbols(_stated_cross_terms(mounting.view))}."
     )
     if symbol:
-        ratio = format_number(z, 2)
+        ratio_text = format_number(z, 2)
         text += (
-            f" {symbol} would change by {format_magnitude(symbol, shift)}, {ratio} times the u of "
-            f"{symbol}."
+            f" {symbol} would change by {format_magnitude(symbol, shift)}, {ratio_text} times the "
+            f"u of {symbol}."
         )
     return Finding(
         code="wrong-mounting",

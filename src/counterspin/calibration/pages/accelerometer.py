@@ -82,13 +82,13 @@ def accelerometer_blocks(
 
 
 def _output_units_text(accelerometer: AccelerometerResult) -> str:
-    estimates = (
+    estimate_texts = (
         f"{key.replace('_', ' ')} "
         f"{format_estimate(coefficient.value, coefficient.u, coefficient.unit)}"
         for key, coefficient in accelerometer.output.items()
     )
-    nominal = f" (nominal {accelerometer.nominal.words})" if accelerometer.nominal else ""
-    return f"Coefficients in the unit of the readings: {', '.join(estimates)}{nominal}."
+    nominal_clause = f" (nominal {accelerometer.nominal.words})" if accelerometer.nominal else ""
+    return f"Coefficients in the unit of the readings: {', '.join(estimate_texts)}{nominal_clause}."
 
 
 def _reading_blocks(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[Block]:
@@ -275,8 +275,8 @@ def _noise_sentence(noise: dict[str, NoiseLine], gravity: float) -> str:
         if line.estimated and value == 0.0:
             clauses.append(f"{label} none detected")
             continue
-        source = f"from {line.record}" if line.record else "as given"
-        evaluation = "estimated from the residuals" if line.estimated else source
+        source_text = f"from {line.record}" if line.record else "as given"
+        evaluation_text = "estimated from the residuals" if line.estimated else source_text
         is_approximate = line.estimated and u is None
         noise_text = (
             f"{format_number(value, 2)} {unit}"
@@ -287,20 +287,20 @@ def _noise_sentence(noise: dict[str, NoiseLine], gravity: float) -> str:
             f"{format_number(run_value, 2)} in {run}" for run, run_value in line.runs.items()
         ]
         run_clause = f", by run {', '.join(run_values)}" if run_values else ""
-        clauses.append(f"{label} {noise_text} ({evaluation}){run_clause}")
+        clauses.append(f"{label} {noise_text} ({evaluation_text}){run_clause}")
     return f"Noise: {'; '.join(clauses)}."
 
 
 def _comparison_sentence(comparison: Comparison, coefficient: Coefficient | None) -> str:
     unit, factor = find_display_unit(coefficient.unit if coefficient else "")
-    agreement = "consistent" if methods_agree(comparison) else "not consistent"
-    value = format_estimate(comparison.value * factor, comparison.u * factor, unit)
-    difference = format_estimate(
+    agreement_text = "consistent" if methods_agree(comparison) else "not consistent"
+    value_text = format_estimate(comparison.value * factor, comparison.u * factor, unit)
+    difference_text = format_estimate(
         comparison.difference * factor, comparison.u_difference * factor, unit
     )
     return (
-        f"Two-stage method: K_II = {value}. Difference from the joint method: {difference} (z "
-        f"= {format_number(comparison.z)}); {agreement}."
+        f"Two-stage method: K_II = {value_text}. Difference from the joint method: "
+        f"{difference_text} (z = {format_number(comparison.z)}); {agreement_text}."
     )
 
 

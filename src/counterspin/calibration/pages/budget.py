@@ -83,8 +83,8 @@ def _linearity_sentence(accelerometer: AccelerometerResult) -> str:
     if not ratios:
         return ""
     worst_symbol = max(ratios, key=lambda symbol: ratios[symbol])
-    largest = format_number(ratios[worst_symbol], 2)
-    amount_text = f"at most {largest} times the numerical tolerance ({worst_symbol})"
+    ratio_text = format_number(ratios[worst_symbol], 2)
+    amount_text = f"at most {ratio_text} times the numerical tolerance ({worst_symbol})"
     if ratios[worst_symbol] < _NEGLIGIBLE_RATIO:
         amount_text = f"less than {_NEGLIGIBLE_RATIO:g} times the numerical tolerance"
     text = (
@@ -146,9 +146,14 @@ def budget_table(
     ]
     if small_lines:
         remaining_u = math.hypot(*(line.contribution for line in small_lines))
-        share = format_share(sum(line.share for line in small_lines))
+        share_text = format_share(sum(line.share for line in small_lines))
         rows.append(
-            (f"{len(small_lines)} more", *[""] * 5, format_uncertainty(remaining_u * factor), share)
+            (
+                f"{len(small_lines)} more",
+                *[""] * 5,
+                format_uncertainty(remaining_u * factor),
+                share_text,
+            )
         )
     combined_u = math.hypot(*(line.contribution for line in (*shown_lines, *small_lines)))
     rows.append(("combined", *[""] * 5, format_uncertainty(combined_u * factor), ""))
@@ -194,13 +199,13 @@ def _prior_cells(line: BudgetLine, value: float | None) -> tuple[str, str]:
     if line.u is None:
         return "", ""
     unit, factor = find_display_unit(line.unit)
-    u = f"{format_number(line.u * factor, 2)} {unit}"
+    u_text = f"{format_number(line.u * factor, 2)} {unit}"
     if not value:
-        return "" if value is None else f"0 {unit}", u
+        return "" if value is None else f"0 {unit}", u_text
     rounded_estimate = round_to_uncertainty(value * factor, line.u * factor)
     if rounded_estimate is None or rounded_estimate.exponent:
-        return f"{format_number(value * factor, 9)} {unit}", u
-    return f"{rounded_estimate.value} {unit}", u
+        return f"{format_number(value * factor, 9)} {unit}", u_text
+    return f"{rounded_estimate.value} {unit}", u_text
 
 
 def _sensitivity_cell(line: BudgetLine, factor: float) -> str:

@@ -144,15 +144,15 @@ def _quality_checks(accelerometer: AccelerometerResult) -> Iterator[Check]:
     )
     tested_lines = [line for line in accelerometer.jackknife if line.z is not None]
     largest_shift = max(tested_lines, key=lambda line: abs(line.z or 0.0), default=None)
-    shift = None
+    shift_clause = None
     if largest_shift is not None:
         shift_text = format_number(abs(largest_shift.z or 0.0), 2)
-        shift = (
+        shift_clause = (
             f"the largest shift, {shift_text} times its standard uncertainty, results from "
             f"omitting {largest_shift.run}"
         )
     clause = evidence.get("leave-one-run-out")
-    yield _make_check("Runs", f"{clause}; {shift}" if clause else None, shift)
+    yield _make_check("Runs", f"{clause}; {shift_clause}" if clause else None, shift_clause)
     yield _make_check("Method", *_compare_methods(accelerometer))
 
 
@@ -172,8 +172,15 @@ def _compare_methods(accelerometer: AccelerometerResult) -> tuple[str | None, st
     if comparison is None or coefficient is None:
         return None, None
     unit, factor = find_display_unit(coefficient.unit)
-    value = format_estimate(comparison.value * factor, comparison.u * factor, unit)
-    difference = f"z = {format_number(abs(comparison.z), 2)}"
+    value_text = format_estimate(comparison.value * factor, comparison.u * factor, unit)
+    difference_text = f"z = {format_number(abs(comparison.z), 2)}"
     if methods_agree(comparison):
-        return f"the two-stage result agrees with the joint result: {value}, {difference}", None
-    return None, f"the two-stage result does not agree with the joint result: {value}, {difference}"
+        return (
+            f"the two-stage result agrees with the joint result: {value_text}, {difference_text}",
+            None,
+        )
+    return (
+        None,
+        f"the two-stage result does not agree with the joint result: {value_text}, "
+        f"{difference_text}",
+    )

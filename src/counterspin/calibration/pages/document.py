@@ -143,11 +143,11 @@ def answer_blocks(result: Result, *, report: bool = False) -> Iterator[Block]:
     detail_texts = (f"{key.replace('_', ' ')} {text}" for key, text in result.details.items())
     if detail_line := "; ".join(detail_texts):
         yield Paragraph(f"{detail_line[:1].upper()}{detail_line[1:]}.", "quiet")
-    gravity = format_number(result.inputs.gravity, 9)
+    gravity_text = format_number(result.inputs.gravity, 9)
     yield Paragraph(
         f"{result.method.capitalize()} method, {result.model} model. The number after ± is the "
         "standard uncertainty (k = 1). Coefficients are expressed in units of the local "
-        f"gravity, g = {gravity} m/s^2, and are not normalised by K_I (IEEE Std 1293: K2 = "
+        f"gravity, g = {gravity_text} m/s^2, and are not normalised by K_I (IEEE Std 1293: K2 = "
         "K_II/K_I).",
         "quiet",
     )
@@ -172,9 +172,9 @@ def _answer_paragraph(
     """Return a paragraph on K_II; a contradicted value has neither interval nor colour."""
     value, u, unit = to_field_units(coefficient)
     if not coefficient.estimated or value is None or u is None:
-        prior = f"; prior: {format_estimate(value, u, unit)}" if value is not None else ""
+        prior_clause = f"; prior: {format_estimate(value, u, unit)}" if value is not None else ""
         style: Style = "undetermined" if state == "not-determined" else "warning"
-        return Paragraph(f"{name}: {NOT_DETERMINED} by these records{prior}", style)
+        return Paragraph(f"{name}: {NOT_DETERMINED} by these records{prior_clause}", style)
     text = f"{name} = {format_estimate(value, u, unit)}"
     if shows_g_units:
         text += f" = {format_estimate(coefficient.value, coefficient.u, coefficient.unit)}"
@@ -182,10 +182,10 @@ def _answer_paragraph(
         return Paragraph(text)
     if u > 0.0:
         expanded_u = expanded_uncertainty(u, coefficient.dof)
-        interval = format_interval(value, u, expanded_u, unit if shows_g_units else "")
+        interval_text = format_interval(value, u, expanded_u, unit if shows_g_units else "")
         has_few_dof = coefficient.dof is not None and coefficient.dof < _MIN_NORMAL_DOF
-        dof = f", {format_count(coefficient.dof or 0.0)} dof" if has_few_dof else ""
-        text += f"   (95 %: {interval}{dof})"
+        dof_clause = f", {format_count(coefficient.dof or 0.0)} dof" if has_few_dof else ""
+        text += f"   (95 %: {interval_text}{dof_clause})"
     return Paragraph(text, "answer" if state in ("good", None) else "reserved")
 
 
@@ -247,8 +247,8 @@ def _count_blocks(runs: dict[str, RunResult]) -> Iterator[Block]:
         yield from count_blocks(name, run)
         if run.angle_rms is not None:
             unit, factor = find_display_unit("rad")
-            rms = format_number(run.angle_rms * factor)
-            yield Paragraph(f"{name}: encoder residual {rms} {unit} rms.")
+            rms_text = format_number(run.angle_rms * factor)
+            yield Paragraph(f"{name}: encoder residual {rms_text} {unit} rms.")
 
 
 def _ripple_cell(run: RunResult) -> str:
@@ -325,9 +325,9 @@ def _format_test_value(key: str, value: float | str | None) -> str:
 def _detail_blocks(result: Result) -> Iterator[Block]:
     yield Heading("Details")
     inputs = result.inputs
-    latitude = format_number(math.degrees(inputs.latitude), 8)
-    radius = f"Radius {inputs.radius:.10g} m, latitude" if inputs.radius else "Latitude"
-    yield Paragraph(f"{radius} {latitude} deg.")
+    latitude_text = format_number(math.degrees(inputs.latitude), 8)
+    radius_text = f"Radius {inputs.radius:.10g} m, latitude" if inputs.radius else "Latitude"
+    yield Paragraph(f"{radius_text} {latitude_text} deg.")
     for file, checksum in result.provenance.shown:
         yield Paragraph(f"{file} {checksum}", "quiet")
     yield Paragraph(f"counterspin {result.provenance.version}", "quiet")

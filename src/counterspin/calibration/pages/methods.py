@@ -128,9 +128,9 @@ def _method_sentence(result: Result) -> str:
     poses = ["all poses (two unknown angles each)"] if unknown_poses(result) else []
     if readings or poses:
         records = ["all samples of the records"] if result.runs else []
-        observations = " and ".join([*records, *readings, *poses])
+        observation_text = " and ".join([*records, *readings, *poses])
         return (
-            f"Weighted least squares fits {observations} together. Priors enter as "
+            f"Weighted least squares fits {observation_text} together. Priors enter as "
             "pseudo-observations. The fit does not adjust considered quantities. Their "
             "uncertainties are propagated through their sensitivity coefficients."
         )
@@ -159,10 +159,11 @@ def origin_blocks(result: Result) -> Iterator[Block]:
     """Yield the inputs of the result, and the command that repeats the calibration."""
     yield Heading("Inputs and reproducibility")
     inputs = result.inputs
-    latitude = format_number(math.degrees(inputs.latitude), 8)
-    radius = f", radius {inputs.radius:.10g} m" if inputs.radius else ""
+    latitude_text = format_number(math.degrees(inputs.latitude), 8)
+    radius_text = f", radius {inputs.radius:.10g} m" if inputs.radius else ""
     yield Paragraph(
-        f"Gravity {format_number(inputs.gravity, 9)} m/s^2, latitude {latitude} deg{radius}."
+        f"Gravity {format_number(inputs.gravity, 9)} m/s^2, latitude {latitude_text} "
+        f"deg{radius_text}."
     )
     yield Table(
         columns=(Column("File"), Column("SHA-256")),
@@ -392,12 +393,12 @@ def _estimate_cell(coefficient: Coefficient | None) -> str:
 def _agreement_text(method: MethodAgreement, level: float) -> str:
     if method.p is None:
         return f"{method.kind}, not predicted by the other methods"
-    verdict = (
+    verdict_text = (
         "consistent with the others" if method.p >= level else "not consistent with the others"
     )
     text = (
-        f"{method.kind}, {verdict} (chi-square/dof {format_number(method.chi2 / method.dof, 3)}, "
-        f"p = {format_number(method.p, 2)}"
+        f"{method.kind}, {verdict_text} (chi-square/dof "
+        f"{format_number(method.chi2 / method.dof, 3)}, p = {format_number(method.p, 2)}"
     )
     shifts = {symbol: abs(shift.z) for symbol, shift in method.without.items()}
     if shifts and math.isfinite(max_shift := max(shifts.values())):

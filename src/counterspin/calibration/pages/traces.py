@@ -46,10 +46,8 @@ def thin_residuals(view: AccelerometerView) -> dict[str, Trace]:
 
 def _thin_run(view: AccelerometerView, index: int, run: ObservedRun) -> Trace:
     series = view.fit.design_blocks[index].series
-    residuals, whitened = (
-        view.fit.residuals[index].unweighted,
-        view.fit.residuals[index].whitened,
-    )
+    residuals = view.fit.residuals[index].unweighted
+    whitened = view.fit.residuals[index].whitened
     periodogram = view.diagnostics.runs[series.run].periodogram
     segment_share = _TOTAL_SEGMENTS // len(view.fit.design_blocks)
     segment_count = min(max(segment_share, _MIN_SEGMENTS), _MAX_SEGMENTS)
@@ -88,10 +86,8 @@ def _outlier_residuals(
     The model at an outlier is interpolated; without the reference output, it is smooth.
     """
     series, outliers = view.estimate.series[index], view.estimate.outliers[index]
-    fitted_series, residuals = (
-        view.fit.design_blocks[index].series,
-        view.fit.residuals[index].unweighted,
-    )
+    fitted_series = view.fit.design_blocks[index].series
+    residuals = view.fit.residuals[index].unweighted
     column = view.accelerometer.channel.name
     reader_outliers = [outlier for outlier in run.record.report.listed if outlier.column == column]
     reader_times = np.array([outlier.time - run.record.start_time for outlier in reader_outliers])

@@ -61,13 +61,14 @@ def triad_summary(result: Result) -> Iterator[Block]:
         return
     names = ", ".join(triad.accelerometers)
     text = f"Triad {names} in {len(triad.poses)} poses of unknown attitude"
-    rms_before = f"{format_number(triad.rms_before, 3)} m/s^2"
+    rms_before_text = f"{format_number(triad.rms_before, 3)} m/s^2"
     if triad.rms_after is None:
-        yield Paragraph(f"{text}. Uncorrected, |f| - g has an rms of {rms_before}.")
+        yield Paragraph(f"{text}. Uncorrected, |f| - g has an rms of {rms_before_text}.")
     else:
-        rms_after = f"{format_number(triad.rms_after, 3)} m/s^2"
+        rms_after_text = f"{format_number(triad.rms_after, 3)} m/s^2"
         yield Paragraph(
-            f"{text}. The rms of |f| - g is {rms_before} before and {rms_after} after correction."
+            f"{text}. The rms of |f| - g is {rms_before_text} before and {rms_after_text} after "
+            f"correction."
         )
     for name in triad.accelerometers:
         if sentence := default_prior_sentence(result.accelerometers[name], "K_F"):
@@ -88,12 +89,12 @@ def triad_blocks(result: Result, *, details: bool) -> Iterator[Block]:
     yield Heading(f"Triad {', '.join(triad.accelerometers)}")
     yield _parameter_table(triad)
     if triad.matrix is not None and triad.bias is not None:
-        bias = ", ".join(f"{value:.7f}" for value in triad.bias)
-        order = ", ".join(triad.accelerometers)
+        bias_text = ", ".join(f"{value:.7f}" for value in triad.bias)
+        name_list = ", ".join(triad.accelerometers)
         yield Paragraph(
             "Corrected output: f = M (y - b), where f, y and b are in g. The components of y "
-            f"are in the order {order}. The components of f are along the axes of the triad "
-            f"frame. b = ({bias})."
+            f"are in the order {name_list}. The components of f are along the axes of the triad "
+            f"frame. b = ({bias_text})."
         )
         if outputs := nominal_outputs(result, triad):
             yield Paragraph(f"y is calculated from the nominal outputs: {outputs}.")

@@ -103,12 +103,14 @@ def default_prior_sentence(
         return text
     improved_u = IMPROVEMENT_FACTOR * what_if.known[largest_line.source]
     unit, factor = find_display_unit(coefficient.unit)
-    remaining_u = format_uncertainty(what_if.u(symbol, {largest_line.source: improved_u}) * factor)
+    remaining_u_text = format_uncertainty(
+        what_if.u(symbol, {largest_line.source: improved_u}) * factor
+    )
     subject = f"u({label})" if label else "u"
     return (
         f"{text} If {largest_line.source} were known to "
         f"{_format_source_u(largest_line, IMPROVEMENT_FACTOR)}, {subject} would fall to "
-        f"{remaining_u} {unit}."
+        f"{remaining_u_text} {unit}."
     )
 
 
@@ -135,12 +137,12 @@ def main_source_sentence(accelerometer: HasCoefficients, symbol: str = "K_II") -
 def _contribution_sentence(line: BudgetLine, symbol: str) -> str:
     """Return a sentence on the share of a source in the variance of a coefficient."""
     description = describe_term(line.source)
-    source = (
+    source_text = (
         f"{line.source} ({description})"
         if description
         else line.source[:1].upper() + line.source[1:]
     )
-    return f"{source} contributes {format_share(line.share)} of the variance of {symbol}."
+    return f"{source_text} contributes {format_share(line.share)} of the variance of {symbol}."
 
 
 def _format_source_u(line: BudgetLine, factor_of_u: float) -> str:
@@ -219,14 +221,14 @@ def _largest_shares(result: Result) -> dict[str, float]:
 
 def _prior_row(row: Knowledge, share: float) -> tuple[str, ...]:
     unit, factor = find_display_unit(row.unit)
-    posterior = "held (considered)"
+    posterior_text = "held (considered)"
     if row.found is not None and row.u_found is not None:
-        posterior = format_estimate(row.found * factor, row.u_found * factor, unit)
+        posterior_text = format_estimate(row.found * factor, row.u_found * factor, unit)
     return (
         row.name,
         describe_term(row.name),
         describe_kind(row.kind),
         format_estimate(row.value * factor, row.u * factor, unit),
-        posterior,
+        posterior_text,
         format_share(share),
     )

@@ -53,7 +53,7 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
     """Return a sentence on the state of an accelerometer's result, with the reason."""
     assert accelerometer.state is not None
     opening = f"The result for {name} {_describe_state(accelerometer)}"
-    evidence = "; ".join(clause for _, clause in supporting_evidence(accelerometer))
+    evidence_text = "; ".join(clause for _, clause in supporting_evidence(accelerometer))
     if accelerometer.findings:
         sentences = [f"{opening}: {finding_text(accelerometer.findings[0])}"]
         if remaining_count := len(accelerometer.findings) - 1:
@@ -62,12 +62,12 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
                 if remaining_count == 1
                 else f"{remaining_count} more findings are listed below."
             )
-        if evidence and accelerometer.state in _USABLE_STATES:
-            sentences.append(f"Passed checks: {evidence}.")
-    elif evidence and accelerometer.unseen_faults:
-        sentences = [f"{opening}.", f"Passed checks: {evidence}."]
+        if evidence_text and accelerometer.state in _USABLE_STATES:
+            sentences.append(f"Passed checks: {evidence_text}.")
+    elif evidence_text and accelerometer.unseen_faults:
+        sentences = [f"{opening}.", f"Passed checks: {evidence_text}."]
     else:
-        sentences = [f"{opening}: {evidence}." if evidence else f"{opening}."]
+        sentences = [f"{opening}: {evidence_text}." if evidence_text else f"{opening}."]
     return " ".join(sentences)
 
 
@@ -104,10 +104,10 @@ def verdict_tables(result: Result) -> Iterator[Block]:
     for name, accelerometer in result.accelerometers.items():
         assert accelerometer.state is not None
         findings, count = accelerometer.findings, len(accelerometer.findings)
-        summary = "1 finding" if count == 1 else f"{count} findings, most serious first"
+        summary_text = "1 finding" if count == 1 else f"{count} findings, most serious first"
         yield Paragraph(
             f"The result for {name} {_describe_state(accelerometer)}"
-            + (f" ({summary})." if findings else "."),
+            + (f" ({summary_text})." if findings else "."),
             _STATE_STYLES[accelerometer.state],
         )
         rows = [(_check_title(name, finding), finding_text(finding)) for finding in findings]
@@ -215,25 +215,28 @@ def conformity_blocks(result: Result) -> Iterator[Block]:
 
 def describe_rule(verdict: Conformity) -> str:
     """Return the decision rule of a verdict, as a certificate must state it."""
-    risk = (
+    risk_text = (
         "For a pass, the specific risk is the probability of false acceptance (specific "
         "consumer's risk). For a fail, the specific risk is the probability of false rejection "
         "(specific producer's risk; JCGM 106:2012)."
     )
     if verdict.rule == "simple":
-        return f"Decision rule: simple acceptance. The verdict depends only on the estimate. {risk}"
+        return (
+            "Decision rule: simple acceptance. The verdict depends only on the estimate. "
+            f"{risk_text}"
+        )
     if verdict.rule == "guarded":
         return (
             "Decision rule: guard bands of width w. The verdict is pass if the estimate lies "
             "inside the tolerance limits by at least w, fail if it lies outside by more than w, "
-            f"and undecided otherwise. {risk}"
+            f"and undecided otherwise. {risk_text}"
         )
     assert verdict.needed is not None
-    needed_percent = format_number(100.0 * verdict.needed, 6)
+    percent_text = format_number(100.0 * verdict.needed, 6)
     return (
         "Decision rule: probability of conformity. The verdict is pass if the coefficient "
-        f"conforms with a probability of at least {needed_percent} %, fail if the probability of "
-        f"non-conformity is at least as high, and undecided otherwise. {risk}"
+        f"conforms with a probability of at least {percent_text} %, fail if the probability of "
+        f"non-conformity is at least as high, and undecided otherwise. {risk_text}"
     )
 
 
@@ -247,13 +250,13 @@ def _estimate_cell(coefficient: Coefficient | None) -> str:
 def _tolerance_cell(verdict: Conformity) -> str:
     """Return the tolerance limits in the unit in which the estimate is shown."""
     _, factor = find_display_unit(verdict.unit)
-    low, high = (
+    low_text, high_text = (
         None if limit is None else format_number(limit * factor, 9)
         for limit in (verdict.low, verdict.high)
     )
-    if low is None:
-        return f"at most {high}"
-    return f"at least {low}" if high is None else f"{low} to {high}"
+    if low_text is None:
+        return f"at most {high_text}"
+    return f"at least {low_text}" if high_text is None else f"{low_text} to {high_text}"
 
 
 def _guard_band_text(verdict: Conformity) -> str:

@@ -385,10 +385,10 @@ def make_request(
     if campaign.rest is not None:
         stated_noise = load_name(STATIC_NOISE)(campaign)[accelerometer.name].sizes
     if stated_noise is not None and stated_noise.wanders:
-        keys = ", ".join(f"noise.{key}" for key in BIAS_COMPONENTS_BY_KEY)
+        key_list = ", ".join(f"noise.{key}" for key in BIAS_COMPONENTS_BY_KEY)
         raise NotIdentifiableError(
-            f"{accelerometer.name}: the two-stage method cannot model a drifting bias ({keys}); "
-            "use the joint method",
+            f"{accelerometer.name}: the two-stage method cannot model a drifting bias "
+            f"({key_list}); use the joint method",
             code="method-not-applicable",
         )
     for run in campaign.runs:
