@@ -30,7 +30,7 @@ def test_campaign_has_values_of_paper(demonstration):
         assert ripple.amplitude / run.rate == pytest.approx(plan.RIPPLE_RATIO, rel=1e-12)
         assert ripple.phase == pytest.approx(plan.RIPPLE_PHASE, rel=1e-15)
         assert run.duration * run.rate / (2 * math.pi) == pytest.approx(plan.N_STROBES)
-    assert [run.parabola.strobes.time.size for run in demonstration.two_stage.second.runs] == [
+    assert [run.parabola.strobes.time.size for run in demonstration.two_stage.second_stage.runs] == [
         100,
         100,
         100,
@@ -62,7 +62,7 @@ def test_figure_shows_first_stage_minus_bias(demonstration):
     half_bias = 0.5 * demonstration.two_stage.result.coefficients["K_F"].value * plan.GRAVITY
     curves, strobes = upper.series[::2], upper.series[1::2]
     for run, curve, points, panel in zip(
-        demonstration.two_stage.second.runs, curves, strobes, lower, strict=True
+        demonstration.two_stage.second_stage.runs, curves, strobes, lower, strict=True
     ):
         _, residuals = panel.series
         assert residuals.x == tuple(run.parabola.strobes.time)
