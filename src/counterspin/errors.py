@@ -52,7 +52,7 @@ def install_command(extra: str) -> str:
     """
     wheel = f"counterspin-{__version__}-py3-none-any.whl[{extra}]"
     return (
-        f"`pip install '.[{extra}]'` in the folder of counterspin's clone, or `pip install "
+        f"`pip install '.[{extra}]'` in the clone of counterspin, or `pip install "
         f"'./{wheel}'` in the folder of the wheel; without a network, `pip wheel -w DIR` with the "
         "same arguments on a computer with a network, then `pip install --no-index --find-links "
         f"DIR 'DIR/{wheel}'` on this computer"

@@ -30,7 +30,9 @@ def test_campaign_has_values_of_paper(demonstration):
         assert ripple.amplitude / run.rate == pytest.approx(plan.RIPPLE_RATIO, rel=1e-12)
         assert ripple.phase == pytest.approx(plan.RIPPLE_PHASE, rel=1e-15)
         assert run.duration * run.rate / (2 * math.pi) == pytest.approx(plan.N_STROBES)
-    assert [run.parabola.strobes.time.size for run in demonstration.two_stage.second_stage.runs] == [
+    assert [
+        run.parabola.strobes.time.size for run in demonstration.two_stage.second_stage.runs
+    ] == [
         100,
         100,
         100,

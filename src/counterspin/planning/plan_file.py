@@ -384,7 +384,7 @@ def _rate_shortage_reason(limits: Limits) -> str:
     if limits.min_revolutions * 2.0 * math.pi / rates[-1] > limits.max_duration * (1.0 + 1e-9):
         return (
             f"{limits.min_revolutions:g} revolutions at the lowest of {min_rates} different rates, "
-            f"{rates[-1]:.6g} rad/s, take longer than the longest run"
+            f"{rates[-1]:.6g} rad/s, take longer than the limit longest_run"
         )
     return ""
 

@@ -308,7 +308,7 @@ def pattern_clause(alternative: Alternative) -> str:
         WARM_UP: f"settle with {when}, as during a warm-up",
         BEND: f"drift with {when} and reverse",
         SCALE: f"have a scale factor that drifts with {when}",
-        TURN: f"have the pattern of positions that rotate steadily with {when}",
+        TURN: f"have the pattern of positions that rotate more and more with {when}",
         SWING: (
             f"oscillate {alternative.symbol.partition(' ')[2].partition(' ')[0]} times with {when}"
         ),

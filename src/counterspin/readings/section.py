@@ -86,7 +86,7 @@ class ReadingsSettings(TableDialect, _TableFile):
         absent="0",
     )
     rate_unit: Text = key_field(
-        "unit of the column `rate`; `1/min` and `Hz` mean revolutions. The column may also "
+        "unit of the column `rate`; `1/min` and `Hz` count revolutions. The column may also "
         "contain the period of revolution (`s`), or the acceleration (`g`, `m/s^2`) at the radius "
         "of `[centrifuge]`",
         "rpm",

@@ -404,7 +404,7 @@ def _agreement_text(method: MethodAgreement, level: float) -> str:
     if shifts and math.isfinite(max_shift := max(shifts.values())):
         symbol = max(shifts, key=lambda name: shifts[name])
         text += (
-            f"; omitting this method shifts {symbol} most, by {format_number(max_shift, 2)} times "
-            "the u of the shift"
+            f"; omitting this method shifts {symbol} by {format_number(max_shift, 2)} times the u "
+            "of the shift, more than any other coefficient"
         )
     return text + ")"
