@@ -69,7 +69,7 @@ ROWS = {
         ("more than {} % empty cells", 100.0 * reading.MAX_EMPTY_FRACTION),
         ("fewer than {} revolutions -", run_file.MIN_REVOLUTIONS),
         ("a gap of more than {} revolutions", clock._MAX_GAP_REVOLUTIONS),
-        ("more than {} revolutions, unless", run_file.MAX_REVOLUTIONS_ANY_RECORD),
+        ("more than {} revolutions, unless", run_file.MAX_REVOLUTIONS_ANY_ROWS),
         (
             "unless the record has {} rows for each",
             1.0 / run_file.MAX_REVOLUTIONS_PER_ROW_ANY_PHASE,
