@@ -2,18 +2,18 @@ import assert from "node:assert/strict";
 import { beforeEach, mock, test } from "node:test";
 import { clicked, Element, json, others, said, server } from "./browser.js";
 import { campaignAddress, resultAddress } from "./addresses.js";
-import { bring, enter, get, getTextNow, Refused, save, send } from "./api.js";
+import { uploadFile, obtainKey, get, getTextSync, RequestError, saveFile, send } from "./api.js";
 import {
-  attempt, commandLine, make, oneAtATime, say, stateMark, submitting, symbols, warning,
+  attempt, commandLine, make, oneAtATime, say, stateMark, submitHandler, setSymbols, warning,
 } from "./dom.js";
-import { answersTo, lookUntilSettled } from "./confirm.js";
-import { curvePath, tipOf } from "./curves.js";
-import { asTable, folderName } from "./import.js";
-import { knownTo, named, size } from "./improving.js";
-import { carryOut, follow, followRunning, remaining } from "./job.js";
-import { columnsOf, stepsAround, withPoint } from "./live.js";
-import { inUnit } from "./plan.js";
-import { partsOf, quantityText } from "./quantity.js";
+import { relevantAnswers, checkUntilSettled } from "./confirm.js";
+import { curvePath, arrowTip } from "./curves.js";
+import { normalizeTable, folderName } from "./import.js";
+import { scaledUncertainty, termLabel, uncertaintyText } from "./improving.js";
+import { jobStarter, follow, followRunning, remainingTime } from "./job.js";
+import { chartColumns, stepsCovering, addPoint } from "./live.js";
+import { splitTime } from "./plan.js";
+import { splitQuantity, joinQuantity } from "./quantity.js";
 import { discardImport, keepImport, unfinishedImport } from "./unfinished.js";
 
 const KEY = "counterspin-key";
@@ -37,7 +37,7 @@ async function looksAt(questions, overtaken = () => false) {
   /** @type {number[]} how many answers each look sent */
   const sent = [];
   const answered = () => Array.from({ length: known }, (_, place) => `question ${place}`);
-  const told = await lookUntilSettled(async () => {
+  const told = await checkUntilSettled(async () => {
     sent.push(known);
     if (overtaken(sent.length)) return null;
     known = Math.min(known + 1, questions);
@@ -114,7 +114,7 @@ test("a form that is sent does its work here, and says where it failed", async (
   const place = make("div");
   let prevented = 0;
   const event = { preventDefault: () => (prevented += 1) };
-  await submitting(place, async () => { throw new Error("No such file"); })(event);
+  await submitHandler(place, async () => { throw new Error("No such file"); })(event);
   assert.deepEqual([prevented, place.textContent], [1, "No such file"]);
   assert.equal(await attempt(place, async () => 7), 7);
   assert.equal(place.textContent, "No such file");
@@ -127,7 +127,7 @@ test("attributes that are false, null or undefined are left out", () => {
 
 test("coefficients have their index below the line, and other names stay", () => {
   const written = (/** @type {string} */ text) =>
-    symbols(text).map((piece) => (typeof piece === "string" ? piece : `<${piece.textContent}>`)).join("");
+    setSymbols(text).map((piece) => (typeof piece === "string" ? piece : `<${piece.textContent}>`)).join("");
   assert.equal(written("u of K_II and K_4, not K_F.heating"), "u of <KII> and <K4>, not K_F.heating");
   assert.equal(written("platform.tilt.north"), "platform.tilt.north");
 });
@@ -136,22 +136,22 @@ test("coefficients have their index below the line, and other names stay", () =>
 
 test("a source is named in words with its symbol, and its size is in its own unit", () => {
   const source = { name: "K_OO", words: "second-order output-axis coefficient", u: 2e-6, factor: 1e6, unit: "µg/g²", share: 0.9 };
-  assert.equal(named(source), "second-order output-axis coefficient, K_OO");
-  assert.equal(named({ name: "noise of Qx", words: "" }), "noise of Qx");
-  assert.equal(size(source, knownTo(source, 0)), "2 µg/g²");
-  assert.equal(size(source, knownTo(source, -2)), "0.02 µg/g²");
-  assert.equal(size(source, knownTo(source, 1)), "20 µg/g²");
+  assert.equal(termLabel(source), "second-order output-axis coefficient, K_OO");
+  assert.equal(termLabel({ name: "noise of Qx", words: "" }), "noise of Qx");
+  assert.equal(uncertaintyText(source, scaledUncertainty(source, 0)), "2 µg/g²");
+  assert.equal(uncertaintyText(source, scaledUncertainty(source, -2)), "0.02 µg/g²");
+  assert.equal(uncertaintyText(source, scaledUncertainty(source, 1)), "20 µg/g²");
 });
 
 test("a pasted table is lines without empty ones, its tabs and commas as they are", () => {
-  assert.equal(asTable("pos\treading\r\n0\t1,25\r\n\r\n30\t1,08\t\n"), "pos\treading\n0\t1,25\n30\t1,08\n");
+  assert.equal(normalizeTable("pos\treading\r\n0\t1,25\r\n\r\n30\t1,08\t\n"), "pos\treading\n0\t1,25\n30\t1,08\n");
 });
 
 test("answers are sent to the questions that ask for them, and none is dropped", () => {
   const question = (/** @type {string} */ key, /** @type {string[]} */ choices = []) => ({ key, text: "", example: "", choices, guess: null });
   const answers = { gravity: "9.81 m/s^2", radius: "2.5 m", sense: "ccw", time: "t" };
-  assert.deepEqual(answersTo([question("gravity"), question("time", ["s", "none"])], answers), { gravity: "9.81 m/s^2" });
-  assert.deepEqual(answersTo([question("sense", ["ccw", "cw"]), question("radius")], answers), { sense: "ccw", radius: "2.5 m" });
+  assert.deepEqual(relevantAnswers([question("gravity"), question("time", ["s", "none"])], answers), { gravity: "9.81 m/s^2" });
+  assert.deepEqual(relevantAnswers([question("sense", ["ccw", "cw"]), question("radius")], answers), { sense: "ccw", radius: "2.5 m" });
   assert.equal(Object.keys(answers).length, 4);
 });
 
@@ -165,24 +165,24 @@ test("a folder is named by the files' common beginning, and not as another campa
 
 test("a quantity is parted into value, uncertainty and unit, and put together again", () => {
   const units = ["m", "mm"];
-  assert.deepEqual(partsOf("2.5 ± 1e-5 m", units), { value: "2.5", u: "1e-5", unit: "m" });
-  assert.deepEqual(partsOf("2500+/-0,01 mm", units), { value: "2500", u: "0,01", unit: "mm" });
-  assert.deepEqual(partsOf("9.81", units), { value: "9.81", u: "", unit: "" });
+  assert.deepEqual(splitQuantity("2.5 ± 1e-5 m", units), { value: "2.5", u: "1e-5", unit: "m" });
+  assert.deepEqual(splitQuantity("2500+/-0,01 mm", units), { value: "2500", u: "0,01", unit: "mm" });
+  assert.deepEqual(splitQuantity("9.81", units), { value: "9.81", u: "", unit: "" });
   // The server judges everything else as it is typed.
-  assert.equal(partsOf("98.4 furlong", units), null);
-  assert.equal(partsOf("about 2", units), null);
-  assert.equal(quantityText("2.5", "1e-5", "m"), "2.5 ± 1e-5 m");
-  assert.equal(quantityText("2.5", "", "m"), "2.5 m");
-  assert.equal(quantityText("45.75N", "", "deg"), "45.75N");
-  assert.equal(quantityText("", "1e-5", "m"), "");
+  assert.equal(splitQuantity("98.4 furlong", units), null);
+  assert.equal(splitQuantity("about 2", units), null);
+  assert.equal(joinQuantity("2.5", "1e-5", "m"), "2.5 ± 1e-5 m");
+  assert.equal(joinQuantity("2.5", "", "m"), "2.5 m");
+  assert.equal(joinQuantity("45.75N", "", "deg"), "45.75N");
+  assert.equal(joinQuantity("", "1e-5", "m"), "");
 });
 
 test("the remaining time follows from the time for what is done", () => {
-  assert.equal(remaining(0, 10, 30), "");
-  assert.equal(remaining(5, 10, 1), "");
-  assert.equal(remaining(5, 10, 20), ", about 20 s left");
-  assert.equal(remaining(100, 300, 196), ", about 7 min left");
-  assert.equal(remaining(1, 1001, 36), ", about 10.0 h left");
+  assert.equal(remainingTime(0, 10, 30), "");
+  assert.equal(remainingTime(5, 10, 1), "");
+  assert.equal(remainingTime(5, 10, 20), ", about 20 s left");
+  assert.equal(remainingTime(100, 300, 196), ", about 7 min left");
+  assert.equal(remainingTime(1, 1001, 36), ", about 10.0 h left");
 });
 
 test("a curve is one line, which begins again after a gap", () => {
@@ -191,28 +191,28 @@ test("a curve is one line, which begins again after a gap", () => {
 });
 
 test("arrows on the circle begin at up and turn clockwise", () => {
-  assert.deepEqual([0, 90, 180, 270].map((angle) => tipOf(angle, 10).map((one) => one + 0)), [[0, -10], [10, 0], [0, 10], [-10, 0]]);
+  assert.deepEqual([0, 90, 180, 270].map((angle) => arrowTip(angle, 10).map((one) => one + 0)), [[0, -10], [10, 0], [0, 10], [-10, 0]]);
 });
 
 test("a time is in the largest unit of which there is one", () => {
-  assert.deepEqual([700, 3600, 5400, 172800].map(inUnit), [[11.67, "min"], [1, "h"], [1.5, "h"], [2, "days"]]);
+  assert.deepEqual([700, 3600, 5400, 172800].map(splitTime), [[11.67, "min"], [1, "h"], [1.5, "h"], [2, "days"]]);
 });
 
 test("what was reached is one point for each amount of records, the newest last", () => {
   const at = (/** @type {number} */ minutes, /** @type {number|null} */ u) => ({ minutes, u: [{ name: "K_II", u }] });
-  let seen = [at(1, null), at(2, 3)].reduce(withPoint, []);
-  seen = withPoint(seen, at(2, 2));
-  assert.deepEqual(columnsOf(seen), [[1, 2], [null, 2]]);
+  let seen = [at(1, null), at(2, 3)].reduce(addPoint, []);
+  seen = addPoint(seen, at(2, 2));
+  assert.deepEqual(chartColumns(seen), [[1, 2], [null, 2]]);
   // Records that are made anew begin again.
-  assert.deepEqual(columnsOf(withPoint(seen, at(0.5, 9))), [[0.5], [9]]);
+  assert.deepEqual(chartColumns(addPoint(seen, at(0.5, 9))), [[0.5], [9]]);
 });
 
 test("an axis of uncertainties has steps of 1, 2 and 5 about its range", () => {
-  assert.deepEqual(stepsAround(2.426, 3.2), [2, 5]);
-  assert.deepEqual(stepsAround(0.03, 1.5), [0.02, 0.05, 0.1, 0.2, 0.5, 1, 2]);
-  assert.deepEqual(stepsAround(2, 5), [2, 5]);
-  assert.deepEqual(stepsAround(2, 2), [2, 5]);
-  assert.deepEqual(stepsAround(7, 8), [5, 10]);
+  assert.deepEqual(stepsCovering(2.426, 3.2), [2, 5]);
+  assert.deepEqual(stepsCovering(0.03, 1.5), [0.02, 0.05, 0.1, 0.2, 0.5, 1, 2]);
+  assert.deepEqual(stepsCovering(2, 5), [2, 5]);
+  assert.deepEqual(stepsCovering(2, 2), [2, 5]);
+  assert.deepEqual(stepsCovering(7, 8), [5, 10]);
 });
 
 test("a listener listens, and a value is a property", () => {
@@ -262,7 +262,7 @@ test("what is not said is not asked, and the rest is quoted", async () => {
 test("a request carries the key, and a form as JSON", async () => {
   await send("POST", "calibrate", { name: "a", method: undefined });
   sessionStorage.setItem(KEY, "k1");
-  await bring("a b.csv", "bytes");
+  await uploadFile("a b.csv", "bytes");
   const [form, file] = server.requests;
   assert.equal(form.headers.Authorization, undefined);
   assert.deepEqual(JSON.parse(form.body), { name: "a" });
@@ -274,9 +274,9 @@ test("a request carries the key, and a form as JSON", async () => {
 test("a refusal says what the server says, or its status", async () => {
   server.answer = () => json({ error: "There is no result.", field: "name" }, 404);
   await assert.rejects(get("result"), (error) => {
-    assert.ok(error instanceof Refused);
+    assert.ok(error instanceof RequestError);
     assert.equal(error.message, "There is no result.");
-    assert.deepEqual([error.status, error.told.field], [404, "name"]);
+    assert.deepEqual([error.status, error.body.field], [404, "name"]);
     return true;
   });
   server.answer = () => new Response("<html>", { status: 502 });
@@ -304,17 +304,17 @@ test("a key that the server no longer knows is forgotten, but none that came sin
 test("a text for printing is waited for, and is empty where it is refused", () => {
   sessionStorage.setItem(KEY, "k1");
   server.answer = () => ({ status: 200, responseText: "<svg>" });
-  assert.equal(getTextNow("figure", { name: "a b" }), "<svg>");
+  assert.equal(getTextSync("figure", { name: "a b" }), "<svg>");
   const [request] = server.requests;
   assert.deepEqual([request.path, request.later], ["/api/figure?name=a+b", false]);
   assert.equal(request.headers.Authorization, "Bearer k1");
   server.answer = () => ({ status: 404, responseText: "no" });
-  assert.equal(getTextNow("figure", {}), "");
+  assert.equal(getTextSync("figure", {}), "");
 });
 
 test("a file is saved from an address that counts once", async () => {
   server.answer = () => json({ ticket: "t7" });
-  await save("report", { name: "a" });
+  await saveFile("report", { name: "a" });
   assert.deepEqual(JSON.parse(server.requests[0].body), { name: "report", said: { name: "a" } });
   assert.deepEqual(clicked.map(({ href }) => href), ["/api/ticket/t7"]);
 });
@@ -324,7 +324,7 @@ test("a file is saved from an address that counts once", async () => {
 test("a link's token is given for the key and stays in no address", async () => {
   location.hash = "#token=abc";
   server.answer = () => json({ key: "k2" });
-  await enter();
+  await obtainKey();
   assert.equal(location.hash, "#/");
   assert.deepEqual(JSON.parse(server.requests[0].body), { token: "abc" });
   assert.equal(sessionStorage.getItem(KEY), "k2");
@@ -333,13 +333,13 @@ test("a link's token is given for the key and stays in no address", async () => 
 
 test("without a token another window tells the key, or nobody does", async () => {
   mock.timers.enable({ apis: ["setTimeout"] });
-  const entered = enter();
+  const entered = obtainKey();
   assert.deepEqual(others.told, [{ asked: true }]);
   for (const hear of others.hear) hear({ key: "k3" });
   await entered;
   assert.equal(sessionStorage.getItem(KEY), "k3");
   sessionStorage.removeItem(KEY);
-  const alone = enter();
+  const alone = obtainKey();
   mock.timers.tick(300);
   await alone;
   assert.equal(sessionStorage.getItem(KEY), null);
@@ -422,7 +422,7 @@ test("a job is followed until its page is shown, however long that takes", async
 test("a job that cannot be begun says why in its place, and one that goes on is followed", async () => {
   const place = make("div");
   server.answer = () => json({ error: "give it a name" }, 422);
-  await carryOut(place, () => send("POST", "study", {}), () => assert.fail())();
+  await jobStarter(place, () => send("POST", "study", {}), () => assert.fail())();
   assert.equal(place.textContent, "give it a name");
   mock.timers.enable({ apis: ["setTimeout"] });
   followRunning([job({ kind: "study", state: "done" }), job({ kind: "fit" })], "study", place, () => {});

@@ -1,5 +1,5 @@
 // @ts-check
-// Where on the page campaigns and results stand.
+// Addresses of campaigns and results in the page.
 
 /** @type {(name: string) => string} */
 export const campaignAddress = (name) => `#/campaign/${encodeURIComponent(name)}`;

@@ -1,61 +1,60 @@
 // @ts-check
-// What the page asks the server; every request goes to the server that the page came from, with
-// the key, which this window keeps.
+// Requests to the server of the page, with the key, which is stored for this window.
 
-/** What the key is kept and asked for by. */
+/** Name of the key in the session storage, and of the channel between windows. */
 const KEY = "counterspin-key";
 
-/** How long other windows have to tell the key, ms. */
-const PATIENCE = 300;
+/** Timeout for the key from another window, ms. */
+const KEY_TIMEOUT = 300;
 
 /**
  * Windows of this very server, no other is heard: one that a link of the page has opened asks for
  * the key, and all have it anew from one that came by a link of the terminal.
  */
-const windows = new BroadcastChannel(KEY);
-windows.addEventListener("message", ({ data }) => {
+const channel = new BroadcastChannel(KEY);
+channel.addEventListener("message", ({ data }) => {
   const key = sessionStorage.getItem(KEY);
-  if (data.asked && key) windows.postMessage({ key });
+  if (data.asked && key) channel.postMessage({ key });
   if (data.key && (data.renewed || !key)) sessionStorage.setItem(KEY, data.key);
 });
 
-/** An answer that is no: its status, and what the server says. */
-export class Refused extends Error {
+/** The error for a refused request, with the status and the body of the response. */
+export class RequestError extends Error {
   /**
    * @param {number} status
-   * @param {{error: string, [key: string]: any}} told
+   * @param {{error: string, [key: string]: any}} body
    */
-  constructor(status, told) {
-    super(told.error);
+  constructor(status, body) {
+    super(body.error);
     this.status = status;
-    this.told = told;
+    this.body = body;
   }
 }
 
 /**
- * Ask the server.
+ * Send a request with parameters.
  * @param {string} method
  * @param {string} name
- * @param {Record<string, any>} [said] words of a query, or the form
+ * @param {Record<string, any>} [parameters] words of a query, or the form
  * @returns {Promise<Response>}
  */
-async function ask(method, name, said = {}) {
-  const given = Object.fromEntries(Object.entries(said).filter(([, value]) => value !== undefined));
-  const reading = method === "GET";
-  const query = reading && Object.keys(given).length ? `?${new URLSearchParams(given)}` : "";
+async function request(method, name, parameters = {}) {
+  const definedParameters = Object.fromEntries(Object.entries(parameters).filter(([, value]) => value !== undefined));
+  const isGet = method === "GET";
+  const query = isGet && Object.keys(definedParameters).length ? `?${new URLSearchParams(definedParameters)}` : "";
   return exchange(`${name}${query}`, {
     method,
-    headers: reading ? {} : { "Content-Type": "application/json" },
-    body: reading ? undefined : JSON.stringify(given),
+    headers: isGet ? {} : { "Content-Type": "application/json" },
+    body: isGet ? undefined : JSON.stringify(definedParameters),
   });
 }
 
 /**
- * Add the key, where there is one.
+ * Add the key, if there is one.
  * @param {Record<string, string>} headers
  * @returns {Record<string, string>}
  */
-function withKey(headers) {
+function addKey(headers) {
   const key = sessionStorage.getItem(KEY);
   return key ? { ...headers, Authorization: `Bearer ${key}` } : headers;
 }
@@ -68,52 +67,52 @@ function withKey(headers) {
  */
 async function exchange(path, request) {
   const key = sessionStorage.getItem(KEY);
-  const headers = withKey(request.headers);
+  const headers = addKey(request.headers);
   let response;
   try {
     response = await fetch(`/api/${path}`, { ...request, headers });
   } catch {
-    throw new Refused(0, { error: "The server does not respond. Check that `counterspin serve` is still running." });
+    throw new RequestError(0, { error: "The server does not respond. Check that `counterspin serve` is still running." });
   }
   if (response.ok) return response;
-  // One of an earlier server is of no use, to other windows either.
+  // The key of an earlier server is useless, also for other windows.
   if (response.status === 401 && sessionStorage.getItem(KEY) === key) sessionStorage.removeItem(KEY);
-  const told = await response.json().catch(() => ({ error: `The server responded with status ${response.status}.` }));
-  throw new Refused(response.status, told);
+  const body = await response.json().catch(() => ({ error: `The server responded with status ${response.status}.` }));
+  throw new RequestError(response.status, body);
 }
 
 /** @typedef {import("./answers.js").Answers} Answers */
 
 /** @type {<N extends keyof Answers["GET"]>(name: N, said?: Record<string, any>) => Promise<Answers["GET"][N]>} */
-export const get = async (name, said) => (await ask("GET", name, said)).json();
+export const get = async (name, parameters) => (await request("GET", name, parameters)).json();
 
 /** @type {(name: string, said?: Record<string, any>) => Promise<string>} */
-export const getText = async (name, said) => (await ask("GET", name, said)).text();
+export const getText = async (name, parameters) => (await request("GET", name, parameters)).text();
 
 /**
- * Ask for a text and wait for it, where nothing may go on before: printing waits for no promise.
+ * Request a text synchronously, because printing does not wait for promises.
  * @param {string} name
- * @param {Record<string, string>} said
+ * @param {Record<string, string>} parameters
  * @returns {string}
  */
-export function getTextNow(name, said) {
+export function getTextSync(name, parameters) {
   const request = new XMLHttpRequest();
-  request.open("GET", `/api/${name}?${new URLSearchParams(said)}`, false);
-  for (const [header, value] of Object.entries(withKey({}))) request.setRequestHeader(header, value);
+  request.open("GET", `/api/${name}?${new URLSearchParams(parameters)}`, false);
+  for (const [header, value] of Object.entries(addKey({}))) request.setRequestHeader(header, value);
   request.send();
   return request.status === 200 ? request.responseText : "";
 }
 
 /** @type {<M extends keyof Answers, N extends string & keyof Answers[M]>(method: M, name: N, said: Record<string, any>) => Promise<Answers[M][N]>} */
-export const send = async (method, name, said) => (await ask(method, name, said)).json();
+export const send = async (method, name, parameters) => (await request(method, name, parameters)).json();
 
 /**
- * Bring a file.
+ * Upload a file.
  * @param {string} name
  * @param {File} file
  * @returns {Promise<import("./answers.js").StoredFile>}
  */
-export const bring = async (name, file) =>
+export const uploadFile = async (name, file) =>
   (await exchange(`files?${new URLSearchParams({ name })}`, {
     method: "POST",
     headers: { "Content-Type": "application/octet-stream" },
@@ -121,34 +120,34 @@ export const bring = async (name, file) =>
   })).json();
 
 /**
- * Have the browser save a file; it fetches that by itself, from an address that counts once.
+ * Let the browser download a file, with a ticket.
  * @param {"report" | "file"} name
- * @param {Record<string, string>} said
+ * @param {Record<string, string>} parameters
  */
-export async function save(name, said) {
-  const { ticket } = await send("POST", "ticket", { name, said });
+export async function saveFile(name, parameters) {
+  const { ticket } = await send("POST", "ticket", { name, said: parameters });
   const link = document.createElement("a");
   link.href = `/api/ticket/${ticket}`;
   link.download = "";
   link.click();
 }
 
-/** Give the link's token for the key; without one, another window may tell it. */
-export async function enter() {
+/** Exchange the token of the link for the key; without a token, request the key from another window. */
+export async function obtainKey() {
   const token = /^#token=(.+)$/.exec(location.hash)?.[1];
   if (token) {
-    // Neither the history nor a copied address keeps it.
+    // Remove the token from the history and the address.
     history.replaceState(null, "", "#/");
-    const given = await send("POST", "session", { token }).catch(() => null);
-    if (given) {
-      sessionStorage.setItem(KEY, given.key);
-      windows.postMessage({ key: given.key, renewed: true });
+    const response = await send("POST", "session", { token }).catch(() => null);
+    if (response) {
+      sessionStorage.setItem(KEY, response.key);
+      channel.postMessage({ key: response.key, renewed: true });
     }
   }
   if (sessionStorage.getItem(KEY)) return;
-  await new Promise((told) => {
-    windows.addEventListener("message", ({ data }) => data.key && told(undefined));
-    windows.postMessage({ asked: true });
-    setTimeout(told, PATIENCE);
+  await new Promise((resolve) => {
+    channel.addEventListener("message", ({ data }) => data.key && resolve(undefined));
+    channel.postMessage({ asked: true });
+    setTimeout(resolve, KEY_TIMEOUT);
   });
 }

@@ -1,5 +1,5 @@
 // @ts-check
-// The laboratory's data as a form with the entries that a certificate needs.
+// The form of the laboratory data for a certificate.
 
 import { send } from "./api.js";
 import { make, say } from "./dom.js";
@@ -27,25 +27,25 @@ const TITLES = /** @type {Record<string, string>} */ ({
 /** @param {string} section */
 export const titleOf = (section) => TITLES[section] ?? section;
 
-/** Values of a section that its summary shows. */
-const SHOWN_VALUES = 3;
+/** Number of values in the summary of a section. */
+const SUMMARY_VALUES = 3;
 
 /** @param {string} key */
-const sectionOf = (key) => key.replace(/[.[].*/, "");
+const sectionKey = (key) => key.replace(/[.[].*/, "");
 
 /** @param {string} key */
-const plain = (key) => key.replaceAll('"', "");
+const unquoted = (key) => key.replaceAll('"', "");
 
 export class CertificateForm extends Editor {
   /**
-   * @param {import("./answers.js").LaboratoryData} told the laboratory data
-   * @param {{result: string, shown: () => void}} more
+   * @param {import("./answers.js").LaboratoryData} labData the laboratory data
+   * @param {{result: string, shown: () => void}} options
    */
-  constructor(told, more) {
-    const places = Object.keys(TITLES);
-    super({ ...told, form: told.form.toSorted((/** @type {Section} */ a, /** @type {Section} */ b) =>
-      places.indexOf(a.key) - places.indexOf(b.key)) }, more);
-    /** @type {boolean} */ this.hasProfile = told.profile;
+  constructor(labData, options) {
+    const order = Object.keys(TITLES);
+    super({ ...labData, form: labData.form.toSorted((/** @type {Section} */ first, /** @type {Section} */ second) =>
+      order.indexOf(first.key) - order.indexOf(second.key)) }, options);
+    /** @type {boolean} */ this.hasProfile = labData.profile;
   }
 
   /**
@@ -53,8 +53,8 @@ export class CertificateForm extends Editor {
    * @param {Part[]} path
    */
   lacks(path) {
-    const key = plain(keyPath(path));
-    return this.now.missing.some((entry) => plain(entry.key) === key);
+    const key = unquoted(keyPath(path));
+    return this.content.missing.some((entry) => unquoted(entry.key) === key);
   }
 
   /** @param {Section} section */
@@ -62,7 +62,7 @@ export class CertificateForm extends Editor {
     const { key } = section;
     const fields = key === "evidence" ? this.evidenceFields(section.fields) : section.fields;
     const details = super.section({ ...section, fields });
-    details.open = this.now.missing.some((entry) => sectionOf(entry.key) === key);
+    details.open = this.content.missing.some((entry) => sectionKey(entry.key) === key);
     details.querySelector("summary")?.replaceChildren(titleOf(key),
       make("span", { class: "quiet" }, this.contentOf(key)));
     if (key === "laboratory") details.append(this.profileRow());
@@ -70,19 +70,19 @@ export class CertificateForm extends Editor {
   }
 
   /**
-   * Fields of [evidence]; those that are needed have the reason as help.
+   * Fields of [evidence]; required fields have the reason as help.
    * @param {Field[]} fields
    */
   evidenceFields(fields) {
-    const needed = this.now.missing.filter(({ key }) => key.startsWith("evidence."));
+    const needed = this.content.missing.filter(({ key }) => key.startsWith("evidence."));
     const names = needed.map(({ key }) => key.slice("evidence.".length));
-    const text = (/** @type {string} */ key, /** @type {string} */ help) => ({
+    const makeField = (/** @type {string} */ key, /** @type {string} */ help) => ({
       key, label: fields.find((field) => field.key === key)?.label ?? key, help, links: [], kind: "text", required: false, example: "Type test TR-12",
     });
-    return [...needed.map(({ words }, place) => text(names[place], words)),
-      ...Object.keys(this.now.document.evidence ?? {})
+    return [...needed.map(({ words: reason }, index) => makeField(names[index], reason)),
+      ...Object.keys(this.content.document.evidence ?? {})
         .filter((key) => !names.includes(key) && fields.every((field) => field.key !== key))
-        .map((key) => text(key, "")),
+        .map((key) => makeField(key, "")),
       ...fields.filter(({ key }) => !names.includes(key))
         .map((field) => (field.key === "all" ? { ...field, visible: needed.length > 1 } : field))];
   }
@@ -92,12 +92,12 @@ export class CertificateForm extends Editor {
    * @param {string} key
    */
   contentOf(key) {
-    const value = this.now.document[key];
+    const value = this.content.document[key];
     const table = Array.isArray(value) ? value[0] : value;
     const path = Array.isArray(value) ? [key, 0] : [key];
     return Object.entries(table ?? {})
       .filter(([name, text]) => typeof text === "string" && !this.lacks([...path, name]))
-      .slice(0, SHOWN_VALUES).map(([, text]) => text).join(", ");
+      .slice(0, SUMMARY_VALUES).map(([, text]) => text).join(", ");
   }
 
   profileRow() {
@@ -113,8 +113,8 @@ export class CertificateForm extends Editor {
   }
 
   async saveProfile() {
-    await this.last;
-    const { file } = await send("POST", "profile", { file: this.file, text: this.now.text });
+    await this.pending;
+    const { file } = await send("POST", "profile", { file: this.file, text: this.content.text });
     this.hasProfile = true;
     say(`Saved the laboratory profile as ${file}.`);
   }
@@ -122,7 +122,7 @@ export class CertificateForm extends Editor {
   /** Mark fields with mistakes; `gaps` lists them. */
   showProblems() {
     super.showProblems();
-    this.notes.firstElementChild?.remove();
+    this.messages.firstElementChild?.remove();
   }
 
   /**
@@ -142,54 +142,54 @@ export class CertificateForm extends Editor {
    * @param {any} value
    */
   field(field, path, value) {
-    const place = super.field(field, path, this.lacks(path) ? undefined : value);
+    const container = super.field(field, path, this.lacks(path) ? undefined : value);
     if (field.required) {
-      place.querySelector("label")?.firstChild?.after(make("span", { class: "required", "aria-hidden": "true" }, " *"));
+      container.querySelector("label")?.firstChild?.after(make("span", { class: "required", "aria-hidden": "true" }, " *"));
     }
-    return place;
+    return container;
   }
 
   /**
    * @param {string} key
    * @returns {HTMLElement | undefined}
    */
-  placeOf(key) {
-    for (let name = plain(key); name; name = name.replace(/(^|\.)[^.]*$/, "")) {
-      const found = [...this.places ?? []].find(([path]) => plain(path) === name);
-      if (found) return found[1];
+  containerOf(key) {
+    for (let name = unquoted(key); name; name = name.replace(/(^|\.)[^.]*$/, "")) {
+      const entry = [...this.containers ?? []].find(([path]) => unquoted(path) === name);
+      if (entry) return entry[1];
     }
     return undefined;
   }
 
-  /** What prevents the issue of a certificate, in the order of the form. */
+  /** Entries that prevent the issue of a certificate, in the order of the form. */
   gaps() {
-    const found = [
-      ...this.now.missing.map(({ key, words }) => ({
-        key, words: key.startsWith("evidence.") ? words.replace(/^is missing; /, "") : "",
+    const gaps = [
+      ...this.content.missing.map(({ key, words: message }) => ({
+        key, words: key.startsWith("evidence.") ? message.replace(/^is missing; /, "") : "",
       })),
-      ...this.now.problems.map(({ key, words }) => ({ key, words })),
-    ].map(({ key, words }) => ({
-      place: this.form.findIndex((section) => section.key === sectionOf(key)),
-      section: titleOf(sectionOf(key)),
+      ...this.content.problems.map(({ key, words: message }) => ({ key, words: message })),
+    ].map(({ key, words: message }) => ({
+      place: this.form.findIndex((section) => section.key === sectionKey(key)),
+      section: titleOf(sectionKey(key)),
       text: this.labelOf(key),
-      words,
+      words: message,
       go: () => this.focus(key),
       leaveOut: this.canLeaveOut(key) ? () => this.leaveOut(key) : null,
     }));
-    return found.sort((a, b) => a.place - b.place);
+    return gaps.sort((first, second) => first.place - second.place);
   }
 
   /** @param {string} key */
   labelOf(key) {
-    const label = this.placeOf(key)?.querySelector(":scope > label")?.firstChild?.textContent;
+    const label = this.containerOf(key)?.querySelector(":scope > label")?.firstChild?.textContent;
     return label || key || "the text";
   }
 
   /** @param {string} key */
   focus(key) {
-    const place = this.placeOf(key);
-    for (let up = place?.closest("details"); up; up = up.parentElement?.closest("details")) up.open = true;
-    const control = /** @type {HTMLElement | null | undefined} */ (place?.querySelector("input, select, textarea"));
+    const container = this.containerOf(key);
+    for (let details = container?.closest("details"); details; details = details.parentElement?.closest("details")) details.open = true;
+    const control = /** @type {HTMLElement | null | undefined} */ (container?.querySelector("input, select, textarea"));
     control?.scrollIntoView({ block: "center" });
     control?.focus({ preventScroll: true });
   }
@@ -200,8 +200,8 @@ export class CertificateForm extends Editor {
    */
   canLeaveOut(key) {
     const [section, name] = key.split(".");
-    const field = this.form.find((one) => one.key === section)?.fields.find((one) => one.key === name);
-    return Boolean(field && !field.required && this.now.document[section]?.[name] !== undefined);
+    const field = this.form.find((candidate) => candidate.key === section)?.fields.find((candidate) => candidate.key === name);
+    return Boolean(field && !field.required && this.content.document[section]?.[name] !== undefined);
   }
 
   /** @param {string} key */

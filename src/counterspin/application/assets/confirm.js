@@ -1,11 +1,11 @@
 // @ts-check
-// Confirm: the contents found in files, as cards that may be changed, and the questions that no file answers.
+// Confirmation of the detected contents of files, and questions that the files do not answer.
 
 import { campaignAddress } from "./addresses.js";
-import { Refused, send } from "./api.js";
+import { RequestError, send } from "./api.js";
 import { attempt, labelled, make, say, warning, working } from "./dom.js";
-import { drawingOf } from "./drawings.js";
-import { circleOf, curveOf } from "./curves.js";
+import { machineDrawing } from "./drawings.js";
+import { directionCircle, curveFigure } from "./curves.js";
 import { quantityField } from "./quantity.js";
 import { forgetImport, keepImport } from "./unfinished.js";
 
@@ -13,7 +13,7 @@ import { forgetImport, keepImport } from "./unfinished.js";
 /** @typedef {import("./quantity.js").Field} Field */
 
 /**
- * Test type -> roles of a single column, roles of any column, and words of a column without a role.
+ * Test type -> roles of a single column, roles of several columns, and label of a column without a role.
  */
 const ROLES = {
   "double-turntable": { parts: ["time", "angle"], others: ["displacement", "velocity", "specific_force", "unused"], blank: "choose" },
@@ -21,87 +21,87 @@ const ROLES = {
   "arm": { parts: ["rate", "position"], others: ["radius", "reading", "uncertainty", "temperature", "time", "unused"], blank: "choose" },
   "poses": { parts: ["time", "X", "Y", "Z"], others: [], blank: "unused" },
 };
-/** Test type -> its words. */
+/** Test type -> its label. */
 const TESTS = {
   "double-turntable": "Double-turntable records",
   "tumble": "Tumble-test readings",
   "arm": "Arm-centrifuge readings",
   "poses": "Sensor records in many poses",
 };
-/** Question -> label; the question itself is then the help. */
+/** Question -> label; the text of the question is the help. */
 const LABELS = /** @type {Record<string, string>} */ ({
   gravity: "Local gravity",
   latitude: "Latitude",
   radius: "Radius",
   sense: "Sense of rotation",
 });
-const NONE = "none";
-/** How often the files are judged again after a change, while that brings up earlier answers. */
-const MOST_LOOKS = 4;
+const NO_COLUMN = "none";
+/** Largest number of checks after a change, while earlier answers become relevant. */
+const MAX_CHECKS = 4;
 
 /**
- * The answers to these questions; an answer to another kind of test is kept for when it is chosen again.
+ * The answers to these questions; answers for other types of test are kept.
  * @param {Question[]} questions
  * @param {Record<string, string>} answers by the keys of questions
  */
-export const answersTo = (questions, answers) => Object.fromEntries(questions
+export const relevantAnswers = (questions, answers) => Object.fromEntries(questions
   .filter(({ key, choices }) => key in answers && (!choices.length || choices.includes(answers[key])))
   .map(({ key }) => [key, answers[key]]));
 
 /**
- * Look until no answer is left unsent, or often enough: an answer may lead to a question that is answered already.
+ * Repeat a check until all answers have been sent: an answer may lead to a question with an earlier answer.
  * @template T
- * @param {() => Promise<T|null>} look sends the answers; null: a later look has begun meanwhile
- * @param {() => string[]} answered the questions known so far that are answered
+ * @param {() => Promise<T|null>} check sends the answers; null: a later look has begun meanwhile
+ * @param {() => string[]} answeredKeys the questions known so far that are answered
  * @returns {Promise<T|null>} the last look's answer
  */
-export async function lookUntilSettled(look, answered) {
+export async function checkUntilSettled(check, answeredKeys) {
   for (let count = 1; ; count++) {
-    const sent = answered();
-    const answer = await look();
-    if (answer === null || count === MOST_LOOKS || answered().every((key) => sent.includes(key))) return answer;
+    const sentKeys = answeredKeys();
+    const answer = await check();
+    if (answer === null || count === MAX_CHECKS || answeredKeys().every((key) => sentKeys.includes(key))) return answer;
   }
 }
 
 /** The contents of files, with a field for every answer. */
 export class Confirmation {
   /**
-   * @param {HTMLElement} place
-   * @param {import("./unfinished.js").Unfinished} state files and folder; answers, also to another kind of test
+   * @param {HTMLElement} container
+   * @param {import("./unfinished.js").Unfinished} status files and folder; answers, also to another kind of test
    * @param {string[]|null} tests kinds of test that are possible, the first one by default; null: any
    */
-  constructor(place, state, tests) {
-    this.place = place;
-    this.unfinished = state;
-    this.names = state.names;
-    this.folder = state.folder;
+  constructor(container, status, tests) {
+    this.container = container;
+    this.importState = status;
+    this.names = status.names;
+    this.folder = status.folder;
     this.tests = tests;
     /** Test type; empty: to be guessed. */
-    this.test = state.test;
+    this.test = status.test;
     /** @type {Record<string, string>} a person's answers, by the keys of questions */
-    this.answers = state.answers;
+    this.answers = status.answers;
     /** @type {Record<string, string>} those of them that this kind of test asks for */
-    this.sent = {};
+    this.sentAnswers = {};
     /** @type {Question[]} of this kind of test, as far as they are known */
     this.questions = [];
     /** @type {Map<string, Field>} kept, so that nothing typed is lost */
     this.fields = new Map();
-    this.looks = 0;
+    this.checkNumber = 0;
     /** @type {Set<string>} keys whose answer was remembered from another campaign */
     this.remembered = new Set();
     /** @type {import("./answers.js").DraftOverview | null} the server's last answer about the files */
-    this.found = null;
+    this.draft = null;
     /** @type {Promise<void>} the last look after a change */
-    this.last = Promise.resolve();
-    this.asks = make("div");
-    this.columns = make("div");
-    this.below = make("div");
-    this.list = make("ul", { class: "checklist" });
-    this.state = make("p", { class: "quiet", role: "status" });
-    this.kindOfTest = make("select", { onchange: () => this.chooseTest() },
+    this.pending = Promise.resolve();
+    this.questionArea = make("div");
+    this.columnArea = make("div");
+    this.detailArea = make("div");
+    this.checklist = make("ul", { class: "checklist" });
+    this.status = make("p", { class: "quiet", role: "status" });
+    this.testSelect = make("select", { onchange: () => this.chooseTest() },
       make("option", { value: "" }, "Detect from the files"),
-      ...Object.entries(TESTS).map(([value, words]) => make("option", { value }, words)));
-    // The buttons stay where they are while the files are judged again.
+      ...Object.entries(TESTS).map(([value, label]) => make("option", { value }, label)));
+    // The buttons stay in place while the files are checked again.
     this.form = make("form", {
       class: "confirm", novalidate: true,
       onsubmit: (/** @type {Event} */ event) => {
@@ -109,32 +109,32 @@ export class Confirmation {
         this.write(true);
       },
     },
-    make("div", {}, this.asks, this.columns, this.below),
-    make("aside", { class: "panel" }, make("h2", {}, "Checklist"), labelled("Test type", this.kindOfTest), this.list,
+    make("div", {}, this.questionArea, this.columnArea, this.detailArea),
+    make("aside", { class: "panel" }, make("h2", {}, "Checklist"), labelled("Test type", this.testSelect), this.checklist,
       make("button", { class: "main" }, "Calibrate"),
-      make("button", { type: "button", onclick: () => this.write(false) }, "Save without calibrating"), this.state));
+      make("button", { type: "button", onclick: () => this.write(false) }, "Save without calibrating"), this.status));
   }
 
   /** The files and the answers so far. */
   request() {
-    this.sent = answersTo(this.questions, this.answers);
-    this.keep();
-    return { names: this.names, answers: this.sent, test: this.test || null };
+    this.sentAnswers = relevantAnswers(this.questions, this.answers);
+    this.store();
+    return { names: this.names, answers: this.sentAnswers, test: this.test || null };
   }
 
-  /** Keep the answers, and show nothing more, because another confirmation takes the place. */
+  /** Store the answers and stop, because another confirmation replaces this one. */
   end() {
-    this.looks++;
+    this.checkNumber++;
     this.takeFields();
-    this.keep();
+    this.store();
   }
 
   /** Keep the files and the answers for a reload. */
-  keep() {
-    keepImport({ ...this.unfinished, test: this.test, answers: this.answers });
+  store() {
+    keepImport({ ...this.importState, test: this.test, answers: this.answers });
   }
 
-  /** Take up the text of each field; the field that is typed in counts, too. */
+  /** Store the text of each field, including the field with the focus. */
   takeFields() {
     for (const [key, field] of this.fields) {
       const guess = this.questions.find((question) => question.key === key)?.guess;
@@ -148,39 +148,39 @@ export class Confirmation {
     return ROLES[/** @type {keyof typeof ROLES} */ (this.test)] ?? { parts: [], others: [], blank: "choose" };
   }
 
-  /** Judge the files again as another kind of test. */
+  /** Check the files again for another type of test. */
   chooseTest() {
-    this.test = this.kindOfTest.value;
-    this.last = this.changed();
+    this.test = this.testSelect.value;
+    this.pending = this.recheck();
   }
 
-  /** Have the files judged with the answers so far, and show it. */
+  /** Check the files with the current answers, and show the draft. */
   async update() {
-    const mine = ++this.looks;
-    const found = await lookUntilSettled(async () => {
-      let look = await send("POST", "draft", this.request());
-      if (mine !== this.looks) return null;
-      if (this.tests && !this.tests.includes(look.test ?? "")) {
+    const number = ++this.checkNumber;
+    const draft = await checkUntilSettled(async () => {
+      let draft = await send("POST", "draft", this.request());
+      if (number !== this.checkNumber) return null;
+      if (this.tests && !this.tests.includes(draft.test ?? "")) {
         this.test = this.tests[0];
-        look = await send("POST", "draft", this.request());
-        if (mine !== this.looks) return null;
+        draft = await send("POST", "draft", this.request());
+        if (number !== this.checkNumber) return null;
       }
       this.tests = null;
-      this.test = look.test ?? "";
-      this.questions = look.questions;
-      this.recall(look.remembered);
-      return look;
-    }, () => Object.keys(answersTo(this.questions, this.answers)));
-    if (found === null) return;
+      this.test = draft.test ?? "";
+      this.questions = draft.questions;
+      this.applyRemembered(draft.remembered);
+      return draft;
+    }, () => Object.keys(relevantAnswers(this.questions, this.answers)));
+    if (draft === null) return;
     this.request();
-    this.show(found, found.problems);
+    this.show(draft, draft.problems);
   }
 
   /**
-   * Answer questions as in the last campaign, once.
+   * Copy answers from the last campaign, once.
    * @param {Record<string, {answer: string, campaign: string}>} remembered
    */
-  recall(remembered) {
+  applyRemembered(remembered) {
     for (const [key, { answer }] of Object.entries(remembered)) {
       if (this.remembered.has(key) || !this.questions.some((question) => question.key === key)) continue;
       this.remembered.add(key);
@@ -189,123 +189,123 @@ export class Confirmation {
   }
 
   /**
-   * @param {import("./answers.js").DraftOverview} found
+   * @param {import("./answers.js").DraftOverview} draft
    * @param {string[]} problems a line each, which begins with the key of a question
    */
-  show(found, problems) {
+  show(draft, problems) {
     /** @type {Map<string, Question>} */
     const questions = new Map(this.questions.map((question) => [question.key, question]));
-    const wrong = new Map(problems.map((line) => {
-      const key = [...questions.keys()].find((known) => line.startsWith(`${known}: `)) ?? "";
-      const open = key && !(key in this.sent);
-      return [key, open ? `Required, for example ${questions.get(key)?.example}.` : line.slice(key ? key.length + 2 : 0)];
+    const mistakes = new Map(problems.map((line) => {
+      const key = [...questions.keys()].find((knownKey) => line.startsWith(`${knownKey}: `)) ?? "";
+      const isOpen = key && !(key in this.sentAnswers);
+      return [key, isOpen ? `Required, for example ${questions.get(key)?.example}.` : line.slice(key ? key.length + 2 : 0)];
     }));
-    const active = /** @type {HTMLElement} */ (document.activeElement);
-    this.found = found;
-    this.kindOfTest.value = this.test;
-    const { element, keys } = this.columnCards(found, questions, wrong);
-    const shown = new Set(keys);
-    const others = this.questions.filter(({ key }) => !shown.has(key) && !key.endsWith(" is"));
-    const site = others.filter(({ key }) => key in LABELS), rest = others.filter(({ key }) => !(key in LABELS));
-    this.asks.replaceChildren(
+    const focused = /** @type {HTMLElement} */ (document.activeElement);
+    this.draft = draft;
+    this.testSelect.value = this.test;
+    const { element, keys } = this.columnCards(draft, questions, mistakes);
+    const shownKeys = new Set(keys);
+    const otherQuestions = this.questions.filter(({ key }) => !shownKeys.has(key) && !key.endsWith(" is"));
+    const siteQuestions = otherQuestions.filter(({ key }) => key in LABELS), furtherQuestions = otherQuestions.filter(({ key }) => !(key in LABELS));
+    this.questionArea.replaceChildren(
       make("h2", {}, "Information not contained in the files"),
-      make("div", { class: "site" }, ...site.map((question) => this.field(question, wrong))),
-      make("div", { class: "site" }, ...rest.map((question) => this.field(question, wrong))),
-      ...(wrong.has("") ? [warning(/** @type {string} */ (wrong.get("")))] : []));
-    this.columns.replaceChildren(element);
-    this.below.replaceChildren(
-      make("div", { class: "figures" }, ...(found.directions.length ? [circleOf(found.directions)] : []),
-        ...(this.test ? [drawingOf(this.test === "poses" ? "accelerometer" : this.test, true)] : [])),
+      make("div", { class: "site" }, ...siteQuestions.map((question) => this.field(question, mistakes))),
+      make("div", { class: "site" }, ...furtherQuestions.map((question) => this.field(question, mistakes))),
+      ...(mistakes.has("") ? [warning(/** @type {string} */ (mistakes.get("")))] : []));
+    this.columnArea.replaceChildren(element);
+    this.detailArea.replaceChildren(
+      make("div", { class: "figures" }, ...(draft.directions.length ? [directionCircle(draft.directions)] : []),
+        ...(this.test ? [machineDrawing(this.test === "poses" ? "accelerometer" : this.test, true)] : [])),
       make("details", {}, make("summary", {}, "Properties detected in the files"),
-        make("ul", {}, ...found.statements.map((/** @type {string} */ line) => make("li", {}, line)))));
-    this.showChecklist(found);
-    if (!this.form.isConnected) this.place.replaceChildren(this.form);
-    if (active?.isConnected) active.focus();
+        make("ul", {}, ...draft.statements.map((/** @type {string} */ line) => make("li", {}, line)))));
+    this.showChecklist(draft);
+    if (!this.form.isConnected) this.container.replaceChildren(this.form);
+    if (focused?.isConnected) focused.focus();
   }
 
-  /** Questions that are neither answered nor guessed. */
-  open() {
-    return this.questions.filter(({ key, guess }) => guess === null && !(key in this.sent));
+  /** Questions without an answer or a guess. */
+  openQuestions() {
+    return this.questions.filter(({ key, guess }) => guess === null && !(key in this.sentAnswers));
   }
 
-  /** @param {import("./answers.js").DraftOverview} found */
-  showChecklist(found) {
-    const open = new Set(this.open().map(({ key }) => key));
-    const item = (/** @type {string} */ state, /** @type {string} */ words, /** @type {string} */ more, /** @type {string} */ key = "") =>
+  /** @param {import("./answers.js").DraftOverview} draft */
+  showChecklist(draft) {
+    const openKeys = new Set(this.openQuestions().map(({ key }) => key));
+    const item = (/** @type {string} */ state, /** @type {string} */ label, /** @type {string} */ remark, /** @type {string} */ key = "") =>
       make("li", { class: state }, key
-        ? make("button", { type: "button", class: "link", onclick: () => this.fields.get(key)?.control.focus() }, words)
-        : make("span", {}, words), make("span", { class: "quiet" }, more));
-    const used = found.columns.length - this.unused(found).length;
-    this.list.replaceChildren(
-      item("done", "Columns", `${used} used, ${found.columns.length - used} unused`),
+        ? make("button", { type: "button", class: "link", onclick: () => this.fields.get(key)?.control.focus() }, label)
+        : make("span", {}, label), make("span", { class: "quiet" }, remark));
+    const usedCount = draft.columns.length - this.unusedColumns(draft).length;
+    this.checklist.replaceChildren(
+      item("done", "Columns", `${usedCount} used, ${draft.columns.length - usedCount} unused`),
       ...this.questions.filter(({ key, guess }) => (guess === null || key in LABELS) && !key.endsWith(" is")).map(({ key, text }) =>
-        item(open.has(key) ? "open" : "done", LABELS[key] ?? text, open.has(key) ? "open"
-          : this.remembered.has(key) && this.sent[key] === found.remembered[key]?.answer
-            ? `copied from ${found.remembered[key].campaign}; please check` : "", key)),
+        item(openKeys.has(key) ? "open" : "done", LABELS[key] ?? text, openKeys.has(key) ? "open"
+          : this.remembered.has(key) && this.sentAnswers[key] === draft.remembered[key]?.answer
+            ? `copied from ${draft.remembered[key].campaign}; please check` : "", key)),
       item("optional", "Bias and scale factor", "optional, in the description"),
       item("optional", "Serial number and date", "optional, for history and certificate"));
-    const names = this.open().map(({ key, text }) => LABELS[key] ?? text);
-    this.state.textContent = names.length ? `${names.length} ${names.length > 1 ? "answers are" : "answer is"} missing: ${names.join(", ")}` : "";
+    const names = this.openQuestions().map(({ key, text }) => LABELS[key] ?? text);
+    this.status.textContent = names.length ? `${names.length} ${names.length > 1 ? "answers are" : "answer is"} missing: ${names.join(", ")}` : "";
   }
 
   /**
-   * The role of a column; empty where none is known.
+   * The role of a column; empty if unknown.
    * @param {import("./answers.js").ColumnEntry} column
    * @returns {string}
    */
   roleOf({ name }) {
-    const byKey = (/** @type {string} */ key) => this.sent[key] ?? this.questions.find((question) => question.key === key)?.guess;
-    return this.roles().parts.find((part) => byKey(part) === name) ?? byKey(`${name} is`) ?? "";
+    const answerOf = (/** @type {string} */ key) => this.sentAnswers[key] ?? this.questions.find((question) => question.key === key)?.guess;
+    return this.roles().parts.find((role) => answerOf(role) === name) ?? answerOf(`${name} is`) ?? "";
   }
 
-  /** @param {import("./answers.js").DraftOverview} found */
-  unused(found) {
-    const asked = new Set(this.questions.map(({ key }) => key));
-    return found.columns.filter((column) => {
+  /** @param {import("./answers.js").DraftOverview} draft */
+  unusedColumns(draft) {
+    const askedKeys = new Set(this.questions.map(({ key }) => key));
+    return draft.columns.filter((column) => {
       const role = this.roleOf(column);
-      // A column of text may have a role only where it is asked for.
-      const without = this.roles().blank === "unused" || (column.curve === null && !asked.has(`${column.name} is`));
-      return role === "unused" || (!role && without);
+      // A text column can have a role only if there is a question for it.
+      const isUnusedByDefault = this.roles().blank === "unused" || (column.curve === null && !askedKeys.has(`${column.name} is`));
+      return role === "unused" || (!role && isUnusedByDefault);
     });
   }
 
   /**
-   * The columns in use as cards, and the others in a table with their reasons.
-   * @param {import("./answers.js").DraftOverview} found
+   * The used columns as cards, and the unused columns in a table with reasons.
+   * @param {import("./answers.js").DraftOverview} draft
    * @param {Map<string, Question>} questions
-   * @param {Map<string, string>} wrong
+   * @param {Map<string, string>} mistakes
    */
-  columnCards(found, questions, wrong) {
-    const { parts } = this.roles();
+  columnCards(draft, questions, mistakes) {
+    const { parts: singleRoles } = this.roles();
     /** @type {string[]} */
-    const keys = [...parts];
-    const unused = this.unused(found);
-    const cards = found.columns.filter((column) => !unused.includes(column)).map((column) => {
-      const { name, curve, first } = column, role = this.roleOf(column);
-      const part = parts.includes(role);
-      const [unit, axis] = [part ? `${role} unit` : `${name} unit`, part ? "" : `${name} axis`].map((key) => {
+    const keys = [...singleRoles];
+    const unused = this.unusedColumns(draft);
+    const cards = draft.columns.filter((column) => !unused.includes(column)).map((column) => {
+      const { name, curve, first: firstValues } = column, role = this.roleOf(column);
+      const isSingleRole = singleRoles.includes(role);
+      const [unit, axis] = [isSingleRole ? `${role} unit` : `${name} unit`, isSingleRole ? "" : `${name} axis`].map((key) => {
         const question = questions.get(key);
         if (!question) return null;
         keys.push(key);
-        return this.field(question, wrong, true);
+        return this.field(question, mistakes, true);
       });
       return make("li", { class: "panel column" },
         make("div", { class: "row" }, make("code", {}, name), axis),
-        make("div", { class: "row" }, this.role(column, role, questions, wrong), unit),
-        curve ? curveOf(name, curve) : null,
-        make("p", { class: "quiet first" }, `${first.filter(Boolean).slice(0, 3).join(", ") || "empty"}${first.length ? " …" : ""}`));
+        make("div", { class: "row" }, this.role(column, role, questions, mistakes), unit),
+        curve ? curveFigure(name, curve) : null,
+        make("p", { class: "quiet first" }, `${firstValues.filter(Boolean).slice(0, 3).join(", ") || "empty"}${firstValues.length ? " …" : ""}`));
     });
-    const names = this.names.length > 1 ? `, ${this.names.length} files` : "";
-    const element = make("div", {}, make("h2", {}, `Columns in ${found.file}${names}`),
+    const fileCount = this.names.length > 1 ? `, ${this.names.length} files` : "";
+    const element = make("div", {}, make("h2", {}, `Columns in ${draft.file}${fileCount}`),
       make("ul", { class: "columns" }, ...cards),
       unused.length ? make("details", { class: "unused", open: true }, make("summary", {}, `Unused columns (${unused.length})`),
         make("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Unused columns" }, make("table", {},
-          make("thead", {}, make("tr", {}, ...["Column", "Reason", "First values", "Use as"].map((words) => make("th", { scope: "col" }, words)))),
+          make("thead", {}, make("tr", {}, ...["Column", "Reason", "First values", "Use as"].map((heading) => make("th", { scope: "col" }, heading)))),
           make("tbody", {}, ...unused.map((column) => make("tr", {},
             make("th", { scope: "row" }, make("code", {}, column.name)), make("td", {}, column.reason),
             make("td", {}, column.first.filter(Boolean).slice(0, 3).join(", ") || "empty"),
             make("td", {}, column.curve || questions.has(`${column.name} is`)
-              ? this.role(column, this.roleOf(column), questions, wrong) : "")))))))
+              ? this.role(column, this.roleOf(column), questions, mistakes) : "")))))))
         : null);
     return { element, keys };
   }
@@ -315,30 +315,30 @@ export class Confirmation {
    * @param {import("./answers.js").ColumnEntry} column
    * @param {string} role
    * @param {Map<string, Question>} questions
-   * @param {Map<string, string>} wrong
+   * @param {Map<string, string>} mistakes
    */
-  role(column, role, questions, wrong) {
+  role(column, role, questions, mistakes) {
     const { name } = column;
-    const { parts, others, blank } = this.roles();
-    const choices = [...new Set([...parts, ...questions.get(`${name} is`)?.choices ?? others])];
+    const { parts: singleRoles, others: otherRoles, blank: blankLabel } = this.roles();
+    const choices = [...new Set([...singleRoles, ...questions.get(`${name} is`)?.choices ?? otherRoles])];
     const control = make("select", {
       "aria-label": `Role of column ${name}`,
       onchange: () => {
-        for (const part of parts) {
-          if (control.value === part) this.answers[part] = name;
-          else if (part === role) {
-            if (questions.get(part)?.choices.includes(NONE)) this.answers[part] = NONE;
-            else delete this.answers[part];
+        for (const singleRole of singleRoles) {
+          if (control.value === singleRole) this.answers[singleRole] = name;
+          else if (singleRole === role) {
+            if (questions.get(singleRole)?.choices.includes(NO_COLUMN)) this.answers[singleRole] = NO_COLUMN;
+            else delete this.answers[singleRole];
           }
         }
         delete this.answers[`${name} is`];
-        if (control.value && !parts.includes(control.value)) this.answers[`${name} is`] = control.value;
-        this.last = this.changed();
+        if (control.value && !singleRoles.includes(control.value)) this.answers[`${name} is`] = control.value;
+        this.pending = this.recheck();
       },
     }, ...(role ? [] : [""]).concat(choices).map((value) =>
-      make("option", { value }, value.replace("_", " ") || blank)));
+      make("option", { value }, value.replace("_", " ") || blankLabel)));
     control.value = role;
-    const mistake = wrong.get(`${name} is`);
+    const mistake = mistakes.get(`${name} is`);
     if (mistake) control.setAttribute("aria-invalid", "true");
     return mistake ? make("div", {}, control, make("p", { class: "wrong", role: "alert" }, mistake)) : control;
   }
@@ -346,20 +346,20 @@ export class Confirmation {
   /**
    * The field of an answer.
    * @param {Question} question
-   * @param {Map<string, string>} wrong
-   * @param {boolean} bare without its label
+   * @param {Map<string, string>} mistakes
+   * @param {boolean} isBare without its label
    */
-  field(question, wrong, bare = false) {
+  field(question, mistakes, isBare = false) {
     const { key, guess } = question;
     const label = LABELS[key];
     let field = this.fields.get(key);
     if (!field) {
-      field = quantityField(question, label ?? question.text, label && !question.text.startsWith(`What is the ${label.toLowerCase()}?`) ? question.text : "", bare, () => this.takeAnswer(key));
+      field = quantityField(question, label ?? question.text, label && !question.text.startsWith(`What is the ${label.toLowerCase()}?`) ? question.text : "", isBare, () => this.takeAnswer(key));
       this.fields.set(key, field);
-      field.write(this.sent[key] ?? "");
+      field.write(this.sentAnswers[key] ?? "");
     }
-    if (!field.active()) field.write(this.sent[key] ?? guess ?? "");
-    field.judge(wrong.get(key));
+    if (!field.active()) field.write(this.sentAnswers[key] ?? guess ?? "");
+    field.judge(mistakes.get(key));
     return field.element;
   }
 
@@ -369,43 +369,43 @@ export class Confirmation {
     if (text === (this.answers[key] ?? this.questions.find((question) => question.key === key)?.guess ?? "")) return;
     if (text) this.answers[key] = text;
     else delete this.answers[key];
-    this.last = this.changed();
+    this.pending = this.recheck();
   }
 
-  /** Judge the files again after a change. */
-  async changed() {
-    const mine = this.looks + 1;
+  /** Check the files again after a change. */
+  async recheck() {
+    const number = this.checkNumber + 1;
     try {
       await this.update();
     } catch (error) {
-      if (mine === this.looks) this.state.replaceChildren(warning(/** @type {Error} */ (error).message));
+      if (number === this.checkNumber) this.status.replaceChildren(warning(/** @type {Error} */ (error).message));
     }
   }
 
   /** @param {boolean} calibrate whether a calibration follows */
   async write(calibrate) {
-    this.state.replaceChildren(working("Writing the campaign"));
+    this.status.replaceChildren(working("Writing the campaign"));
     // A second press would write the campaign again.
     const buttons = /** @type {NodeListOf<HTMLButtonElement>} */ (this.form.querySelectorAll(".panel > button"));
     buttons.forEach((button) => { button.disabled = true; });
-    // The last look would replace the fields that are marked below.
-    await this.last;
+    // A pending check would replace the fields that are marked below.
+    await this.pending;
     this.takeFields();
     try {
       const { name } = await send("POST", "drafted", { folder: this.folder, ...this.request() });
       forgetImport();
       say(`Wrote the campaign ${name}.`);
-      // A calibration that cannot begin says why on the campaign's page.
+      // If the calibration cannot start, the campaign's page states why.
       if (calibrate) await send("POST", "jobs", { name }).catch(() => {});
       if (this.form.isConnected) location.hash = campaignAddress(name);
     } catch (error) {
       buttons.forEach((button) => { button.disabled = false; });
-      const lines = error instanceof Refused ? error.told.problems : null;
-      if (lines && this.found) {
-        this.show(this.found, lines);
+      const lines = error instanceof RequestError ? error.body.problems : null;
+      if (lines && this.draft) {
+        this.show(this.draft, lines);
         /** @type {HTMLElement|null} */ (this.form.querySelector('[aria-invalid="true"]'))?.focus();
       } else {
-        attempt(this.state, async () => { throw error; });
+        attempt(this.status, async () => { throw error; });
       }
     }
   }

@@ -1,10 +1,10 @@
 // @ts-check
-// Small drawings of columns, and of the input axis at each position.
+// Drawings of columns, and of the input axis at each position.
 
 import { make } from "./dom.js";
 
 /** @type {(name: string, attributes: Record<string, string|number>, ...children: Node[]) => SVGElement} */
-const draw = (name, attributes, ...children) => {
+const makeSvg = (name, attributes, ...children) => {
   const element = document.createElementNS("http://www.w3.org/2000/svg", name);
   for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, String(value));
   element.append(...children);
@@ -16,7 +16,7 @@ const draw = (name, attributes, ...children) => {
  * @param {number} degrees from up, clockwise
  * @param {number} radius
  */
-export const tipOf = (degrees, radius) => {
+export const arrowTip = (degrees, radius) => {
   const angle = degrees * Math.PI / 180;
   return [Number((radius * Math.sin(angle)).toFixed(2)), Number((-radius * Math.cos(angle)).toFixed(2))];
 };
@@ -25,54 +25,54 @@ export const tipOf = (degrees, radius) => {
  * The direction of the input axis at each position, as arrows on a circle.
  * @param {number[]} directions from up, clockwise, deg
  */
-export function circleOf(directions) {
+export function directionCircle(directions) {
   const label = `Input-axis direction at ${directions.length} positions, seen from the south, in degrees clockwise from up: ` +
     directions.map((angle) => Number(angle.toFixed(1))).join(", ");
   const arrows = directions.map((angle) => {
-    const [x, y] = tipOf(angle, 80);
-    return draw("g", {}, draw("path", { d: `M0 0L${x} ${y}` }), draw("circle", { cx: x, cy: y, r: 4 }));
+    const [x, y] = arrowTip(angle, 80);
+    return makeSvg("g", {}, makeSvg("path", { d: `M0 0L${x} ${y}` }), makeSvg("circle", { cx: x, cy: y, r: 4 }));
   });
-  const words = [["up", 0, "middle"], ["east", 90, "start"], ["down", 180, "middle"], ["west", 270, "end"]].map(([word, angle, anchor]) => {
-    const [x, y] = tipOf(Number(angle), anchor === "middle" ? 98 : 90);
-    return draw("text", { x, y: y + 4, "text-anchor": anchor }, document.createTextNode(String(word)));
+  const labels = [["up", 0, "middle"], ["east", 90, "start"], ["down", 180, "middle"], ["west", 270, "end"]].map(([label, angle, anchor]) => {
+    const [x, y] = arrowTip(Number(angle), anchor === "middle" ? 98 : 90);
+    return makeSvg("text", { x, y: y + 4, "text-anchor": anchor }, document.createTextNode(String(label)));
   });
   return make("figure", {}, make("figcaption", {}, "Input-axis direction at each position, seen from the south"),
-    draw("svg", { viewBox: "-130 -112 260 224", class: "circle", role: "img", "aria-label": label },
-      draw("circle", { cx: 0, cy: 0, r: 80, class: "rim" }), ...arrows, ...words));
+    makeSvg("svg", { viewBox: "-130 -112 260 224", class: "circle", role: "img", "aria-label": label },
+      makeSvg("circle", { cx: 0, cy: 0, r: 80, class: "rim" }), ...arrows, ...labels));
 }
 
 /**
- * The path through the least and greatest values of the parts of a curve, 1 wide each and 48 high.
+ * The path through minimum and maximum of the segments of a curve, each 1 wide; height 48.
  * @param {([number, number]|null)[]} extent
  */
 export function curvePath(extent) {
-  const known = extent.flatMap((part) => part ?? []);
-  const [low, high] = [Math.min(...known), Math.max(...known)];
+  const values = extent.flatMap((segment) => segment ?? []);
+  const [low, high] = [Math.min(...values), Math.max(...values)];
   const height = (/** @type {number} */ value) => Number((45 - 42 * (high > low ? (value - low) / (high - low) : 0.5)).toFixed(2));
-  let pen = "M";
-  return extent.map((part, place) => {
-    if (!part) {
-      pen = "M";
+  let command = "M";
+  return extent.map((segment, index) => {
+    if (!segment) {
+      command = "M";
       return "";
     }
-    // Up and down in turn, so that the line goes on without a jump.
-    const [first, last] = place % 2 ? [part[1], part[0]] : part;
-    const piece = `${pen}${place} ${height(first)}L${place + 0.5} ${height(last)}`;
-    pen = "L";
-    return piece;
+    // Alternate between up and down, so that the line is continuous.
+    const [first, last] = index % 2 ? [segment[1], segment[0]] : segment;
+    const path = `${command}${index} ${height(first)}L${index + 0.5} ${height(last)}`;
+    command = "L";
+    return path;
   }).join("");
 }
 
 /**
- * A drawing of a column, with its trend subtracted, and its range.
+ * A drawing of a detrended column, with its range.
  * @param {string} name
  * @param {{extent: ([number, number]|null)[], words: string, size: number, unit: string}} curve
  */
-export function curveOf(name, { extent, words, size, unit }) {
-  const half = size && size < 1e-3 ? size.toExponential(1) : String(Number(size.toPrecision(3)));
-  const range = size ? `± ${half}${unit ? ` ${unit}` : ""}` : "constant";
+export function curveFigure(name, { extent, words: description, size: halfRange, unit }) {
+  const rangeText = halfRange && halfRange < 1e-3 ? halfRange.toExponential(1) : String(Number(halfRange.toPrecision(3)));
+  const range = halfRange ? `± ${rangeText}${unit ? ` ${unit}` : ""}` : "constant";
   return make("figure", { class: "curve" },
-    draw("svg", { viewBox: `0 0 ${extent.length} 48`, role: "img", preserveAspectRatio: "none",
-      "aria-label": `${name}, ${words}, ${range}` }, draw("path", { d: curvePath(extent) })),
-    make("figcaption", {}, make("span", {}, words), make("span", {}, range)));
+    makeSvg("svg", { viewBox: `0 0 ${extent.length} 48`, role: "img", preserveAspectRatio: "none",
+      "aria-label": `${name}, ${description}, ${range}` }, makeSvg("path", { d: curvePath(extent) })),
+    make("figcaption", {}, make("span", {}, description), make("span", {}, range)));
 }

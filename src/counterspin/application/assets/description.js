@@ -2,21 +2,21 @@
 // The description of a campaign: form, text and mistakes.
 
 import { get } from "./api.js";
-import { campaignTabs, reachedBy } from "./tabs.js";
+import { campaignTabs, reachedStep } from "./tabs.js";
 import { make } from "./dom.js";
-import { editorOf } from "./editor.js";
+import { makeEditor } from "./editor.js";
 
 /**
  * The page of a description.
  * @param {string} name
- * @param {string} begin the field or section that is looked at first
+ * @param {string} initialId the field or section to scroll to
  */
-export async function descriptionView(name, begin) {
-  const [told, campaign] = await Promise.all([get("description", { name }), get("campaign", { name })]);
-  const title = told.document.campaign?.title || name || "Campaign";
+export async function descriptionView(name, initialId) {
+  const [file, campaign] = await Promise.all([get("description", { name }), get("campaign", { name })]);
+  const title = file.document.campaign?.title || name || "Campaign";
   return {
     title: `Description: ${title}`,
-    content: [make("h1", {}, title), campaignTabs(name, "description", reachedBy(campaign)), editorOf(told).element],
-    begin,
+    content: [make("h1", {}, title), campaignTabs(name, "description", reachedStep(campaign)), makeEditor(file).element],
+    begin: initialId,
   };
 }

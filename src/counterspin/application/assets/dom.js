@@ -1,5 +1,5 @@
 // @ts-check
-// Elements, made in one way; text never becomes markup here.
+// Creation of elements; text is never interpreted as markup.
 
 /**
  * Make an element.
@@ -23,146 +23,146 @@ export function make(name, attributes = {}, ...children) {
 
 /**
  * A field with its label.
- * @param {string} words
+ * @param {string} label
  * @param {HTMLElement} control
  * @returns {HTMLLabelElement}
  */
-export const labelled = (words, control) => make("label", {}, words, control);
+export const labelled = (label, control) => make("label", {}, label, control);
 
 /**
- * A text whose coefficients, such as K_II, have their index below the line.
+ * A text with the indices of coefficients, such as K_II, as subscripts.
  * @param {string} text
  * @returns {(Node|string)[]}
  */
-export const symbols = (text) =>
-  text.split(/\b((?:[KE]_(?:[A-Z]{1,3}|\d)(?:_asym)?|delta_[OP])(?![\w.]))/).map((piece, place) => {
-    const [letter, ...index] = piece.split("_");
-    return place % 2 ? make("span", {}, letter === "delta" ? "δ" : letter, make("sub", {}, index.join(","))) : piece;
+export const setSymbols = (text) =>
+  text.split(/\b((?:[KE]_(?:[A-Z]{1,3}|\d)(?:_asym)?|delta_[OP])(?![\w.]))/).map((part, partIndex) => {
+    const [letter, ...index] = part.split("_");
+    return partIndex % 2 ? make("span", {}, letter === "delta" ? "δ" : letter, make("sub", {}, index.join(","))) : part;
   });
 
 /**
- * A command, of which no option is parted at the end of a line.
+ * A command whose options are not broken at the end of a line.
  * @param {string} text
  * @returns {HTMLElement}
  */
-export const command = (text) =>
+export const commandBlock = (text) =>
   make("pre", { class: "command" }, make("code", {}, ...text.split(/( --\S+)/).map((part) =>
     part.startsWith(" --") ? make("span", {}, " ", make("span", { class: "whole" }, part.slice(1))) : part)));
 
 /**
- * What a click does, as a command.
+ * The command that is equivalent to an action.
  * @param {string} text
  * @returns {HTMLElement}
  */
 export const commandLine = (text) =>
-  make("details", { class: "aside" }, make("summary", {}, "Equivalent command"), command(text));
+  make("details", { class: "aside" }, make("summary", {}, "Equivalent command"), commandBlock(text));
 
 /**
- * A warning that says what is wrong.
+ * A warning.
  * @param {string} text
  * @returns {HTMLElement}
  */
 export const warning = (text) => make("p", { class: "warning", role: "alert" }, text);
 
 /**
- * A line that says at once what the page works at, with the seconds that it has taken.
+ * A progress message with the elapsed seconds.
  * @param {string} text such as "Reading the files"
  * @returns {HTMLElement}
  */
 export function working(text) {
-  // Seconds are seen; a screen reader says only the text.
+  // Screen readers announce only the text.
   const seconds = make("span", { "aria-hidden": "true" });
   const element = make("p", { class: "quiet working", role: "status" }, text, seconds);
-  const begun = Date.now();
+  const startTime = Date.now();
   const timer = setInterval(() => {
-    const passed = Math.round((Date.now() - begun) / 1000);
-    if (passed > 1 && !element.isConnected) clearInterval(timer);
-    else seconds.textContent = passed ? `, ${passed} s` : "";
+    const elapsed = Math.round((Date.now() - startTime) / 1000);
+    if (elapsed > 1 && !element.isConnected) clearInterval(timer);
+    else seconds.textContent = elapsed ? `, ${elapsed} s` : "";
   }, 1000);
   return element;
 }
 
 /**
- * Do something; what goes wrong is said in a place.
+ * Run a task; show its error in a container.
  * @template T
- * @param {HTMLElement} place
+ * @param {HTMLElement} container
  * @param {() => Promise<T>} work
  * @returns {Promise<T|undefined>} what the work returns; nothing where it went wrong
  */
-export async function attempt(place, work) {
+export async function attempt(container, work) {
   try {
     return await work();
   } catch (error) {
-    place.replaceChildren(warning(/** @type {Error} */ (error).message));
+    container.replaceChildren(warning(/** @type {Error} */ (error).message));
   }
 }
 
 /**
- * What a form does when it is sent, in place of the browser's own.
- * @param {HTMLElement} place where it is said that it failed
+ * A handler of a form's submit event.
+ * @param {HTMLElement} container where it is said that it failed
  * @param {() => Promise<any>} work
  * @returns {(event?: Event) => Promise<void>}
  */
-export const submitting = (place, work) => async (event) => {
+export const submitHandler = (container, work) => async (event) => {
   event?.preventDefault();
-  await attempt(place, work);
+  await attempt(container, work);
 };
 
 /**
- * What asks one question at a time: of those that come meanwhile the last is asked once more, so that
- * the last place of a slider is always asked.
- * @param {() => Promise<void>} question
- * @param {HTMLElement} wrong where it is said that it failed
+ * A function that runs a task one at a time. If it is called meanwhile, the task runs once more, so that
+ * the final position of a slider is always used.
+ * @param {() => Promise<void>} task
+ * @param {HTMLElement} errorBox where it is said that it failed
  * @returns {() => Promise<void>}
  */
-export function oneAtATime(question, wrong) {
-  let busy = false;
-  let again = false;
-  const ask = async () => {
-    if (busy) {
-      again = true;
+export function oneAtATime(task, errorBox) {
+  let isRunning = false;
+  let isPending = false;
+  const run = async () => {
+    if (isRunning) {
+      isPending = true;
       return;
     }
-    busy = true;
-    await attempt(wrong, async () => {
-      await question();
-      wrong.replaceChildren();
+    isRunning = true;
+    await attempt(errorBox, async () => {
+      await task();
+      errorBox.replaceChildren();
     });
-    busy = false;
-    if (again) {
-      again = false;
-      ask();
+    isRunning = false;
+    if (isPending) {
+      isPending = false;
+      run();
     }
   };
-  return ask;
+  return run;
 }
 
-let messages = 0;
+let messageCount = 0;
 
 /**
- * Say something for a moment, aloud too, with a button that takes it back.
+ * Show a message for a moment, also for screen readers, with an optional Undo button.
  * @param {string} text
  * @param {() => Promise<void>} [undo]
  */
 export function say(text, undo) {
-  const place = /** @type {HTMLElement} */ (document.getElementById("said"));
-  const mine = ++messages;
-  place.replaceChildren(make("span", {}, text));
+  const container = /** @type {HTMLElement} */ (document.getElementById("said"));
+  const messageNumber = ++messageCount;
+  container.replaceChildren(make("span", {}, text));
   if (undo) {
-    place.append(" ", make("button", {
+    container.append(" ", make("button", {
       type: "button",
       onclick: () => undo().then(() => say("Undone."), (error) => say(error.message)),
     }, "Undo"));
   }
   setTimeout(() => {
-    if (mine === messages) place.replaceChildren();
+    if (messageNumber === messageCount) container.replaceChildren();
   }, undo ? 10000 : 6000);
 }
 
 /**
- * A state in a word, with its colour.
+ * The label of a state, with its colour.
  * @param {string} state
- * @param {string} words
+ * @param {string} label
  */
-export const stateMark = (state, words) =>
-  make("span", { class: `state ${state.replaceAll(" ", "-")}` }, words);
+export const stateMark = (state, label) =>
+  make("span", { class: `state ${state.replaceAll(" ", "-")}` }, label);

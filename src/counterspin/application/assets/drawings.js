@@ -1,41 +1,41 @@
 // @ts-check
-// Drawings of the machine, beside the fields that they explain.
+// Drawings of the machine, next to the fields that they explain.
 
 import { attempt, make } from "./dom.js";
 
-/** Drawing -> the question that it answers. */
-const QUESTIONS = /** @type {Record<string, string>} */ ({
+/** Drawing -> its caption. */
+const CAPTIONS = /** @type {Record<string, string>} */ ({
   "accelerometer": "Accelerometer axes",
   "arm": "Direction of the specific force on the arm",
   "double-turntable": "Zero angle and positive direction",
   "tumble": "Zero angle and positive direction",
 });
 
-/** Drawings that were shown open, so that they stay so when fields are drawn again. */
-const open = /** @type {Set<string>} */ (new Set());
+/** Drawings that are open, so that they stay open when fields are redrawn. */
+const openDrawings = /** @type {Set<string>} */ (new Set());
 
 /**
- * A drawing that is fetched when it is opened.
+ * A drawing that is loaded when it is opened.
  * @param {string} name
- * @param {boolean} [begin] opened from the beginning
+ * @param {boolean} [isOpen] opened from the beginning
  * @returns {HTMLElement}
  */
-export function drawingOf(name, begin = false) {
-  const place = make("div");
+export function machineDrawing(name, isOpen = false) {
+  const container = make("div");
   const details = make("details", {
     class: "machine",
     ontoggle: async () => {
-      if (details.open) open.add(name);
-      else open.delete(name);
-      if (!details.open || place.childElementCount) return;
-      await attempt(place, async () => {
-        const answer = await fetch(`/assets/machine-${name}.svg`);
-        if (!answer.ok) throw new Error(`The server responded with status ${answer.status}.`);
-        // The program's own, the same for everybody.
-        place.innerHTML = await answer.text();
+      if (details.open) openDrawings.add(name);
+      else openDrawings.delete(name);
+      if (!details.open || container.childElementCount) return;
+      await attempt(container, async () => {
+        const response = await fetch(`/assets/machine-${name}.svg`);
+        if (!response.ok) throw new Error(`The server responded with status ${response.status}.`);
+        // A static file of the application.
+        container.innerHTML = await response.text();
       });
     },
-  }, make("summary", {}, QUESTIONS[name]), place);
-  details.open = begin || open.has(name);
+  }, make("summary", {}, CAPTIONS[name]), container);
+  details.open = isOpen || openDrawings.has(name);
   return details;
 }

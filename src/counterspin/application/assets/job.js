@@ -1,13 +1,13 @@
 // @ts-check
-// Jobs that go on while the page is used: progress, and what came of them.
+// Background jobs: progress and results.
 
 import { get, send } from "./api.js";
-import { attempt, make, say, submitting, warning, working } from "./dom.js";
+import { attempt, make, say, submitHandler, warning, working } from "./dom.js";
 
 /** @typedef {import("./answers.js").JobEntry} Job */
 
-/** Kind of job -> what it does, and when all of that is done. */
-const WORDS = /** @type {Record<string, [string, string]>} */ ({
+/** Type of job -> labels of its work and of its last stage. */
+const STAGE_LABELS = /** @type {Record<string, [string, string]>} */ ({
   calibration: ["Reading runs", "Estimating"],
   study: ["Trials", "Writing the result"],
   estimate: ["Estimating the duration", "Estimating the duration"],
@@ -19,37 +19,37 @@ const WORDS = /** @type {Record<string, [string, string]>} */ ({
 });
 
 /** Time between two requests for the state of a job, ms. */
-const PAUSE = 250;
+const POLL_INTERVAL = 250;
 
-/** Requests before the page that follows a job is shown; a busy server takes its time. */
-const MOST_EARLY_REQUESTS = 240;
+/** Number of requests for a job before its page is shown. */
+const MAX_EARLY_REQUESTS = 240;
 
 /** @param {Job} job */
-const goesOn = ({ state }) => state === "waiting" || state === "running";
+const isActive = ({ state }) => state === "waiting" || state === "running";
 
 /**
- * Follow the job of a kind that goes on already, if there is one.
+ * Follow the active job of a type, if there is one.
  * @param {Job[]} jobs
  * @param {string} kind
- * @param {HTMLElement} place
- * @param {(job: Job) => void} done
+ * @param {HTMLElement} container
+ * @param {(job: Job) => void} onDone
  */
-export function followRunning(jobs, kind, place, done) {
-  const running = jobs.find((job) => job.kind === kind && goesOn(job));
-  if (running) follow(running, place, () => done(running));
+export function followRunning(jobs, kind, container, onDone) {
+  const activeJob = jobs.find((job) => job.kind === kind && isActive(job));
+  if (activeJob) follow(activeJob, container, () => onDone(activeJob));
 }
 
 /**
- * What begins a job, and follows it to its end; what goes wrong is said in its place.
- * @param {HTMLElement} place
- * @param {() => Promise<Job>} begin
- * @param {(job: Job) => void} done
+ * A handler that starts a job and follows it to its end; errors are shown in the container.
+ * @param {HTMLElement} container
+ * @param {() => Promise<Job>} startJob
+ * @param {(job: Job) => void} onDone
  * @returns {(event?: Event) => Promise<void>} for a form that is sent, or a button
  */
-export const carryOut = (place, begin, done) => submitting(place, async () => {
-  place.replaceChildren(working("Starting"));
-  const job = await begin();
-  follow(job, place, () => done(job));
+export const jobStarter = (container, startJob, onDone) => submitHandler(container, async () => {
+  container.replaceChildren(working("Starting"));
+  const job = await startJob();
+  follow(job, container, () => onDone(job));
 });
 
 /**
@@ -62,71 +62,71 @@ export function duration(seconds) {
 }
 
 /**
- * The remaining time in words, from the time for what is done; empty at the beginning.
- * @param {number} done
- * @param {number} all
+ * The remaining time as text, extrapolated from the elapsed time; empty at the beginning.
+ * @param {number} completed
+ * @param {number} total
  * @param {number} seconds
  */
-export const remaining = (done, all, seconds) =>
-  !done || seconds < 2 ? "" : `, about ${duration(seconds * (all - done) / done)} left`;
+export const remainingTime = (completed, total, seconds) =>
+  !completed || seconds < 2 ? "" : `, about ${duration(seconds * (total - completed) / completed)} left`;
 
-/** Place -> the job that is followed there; an earlier one is followed no longer. */
-const followed = /** @type {WeakMap<HTMLElement, Job>} */ (new WeakMap());
+/** Container -> the job that is followed in it. */
+const followedJobs = /** @type {WeakMap<HTMLElement, Job>} */ (new WeakMap());
 
 /**
  * Follow a job to its end.
  * @param {Job} job
- * @param {HTMLElement} place
- * @param {() => void} done
+ * @param {HTMLElement} container
+ * @param {() => void} onDone
  */
-export function follow(job, place, done) {
+export function follow(job, container, onDone) {
   const bar = make("progress", { "aria-label": `Progress of the ${job.kind}` });
-  // What goes on is spoken when it changes; numbers, which change all the time, are only seen.
-  const doing = make("span", { "aria-live": "polite" });
-  const numbers = make("span");
+  // Screen readers announce the stage, but not the numbers, which change all the time.
+  const stageText = make("span", { "aria-live": "polite" });
+  const progressText = make("span");
   const stop = make("button", {
     type: "button",
     onclick: () => send("DELETE", "jobs", { number: job.number }),
   }, "Stop");
-  place.replaceChildren(make("div", { class: "job" }, bar,
-    make("p", { class: "quiet" }, doing, numbers), stop));
-  /** @param {Job} now */
-  const show = (now) => {
-    const [read, all] = now.progress;
-    if (all && read < all) {
-      bar.max = all;
-      bar.value = read;
+  container.replaceChildren(make("div", { class: "job" }, bar,
+    make("p", { class: "quiet" }, stageText, progressText), stop));
+  /** @param {Job} current */
+  const show = (current) => {
+    const [completed, total] = current.progress;
+    if (total && completed < total) {
+      bar.max = total;
+      bar.value = completed;
     } else {
       bar.removeAttribute("value");
     }
-    const [working, ending] = WORDS[now.kind];
-    const waits = now.state === "waiting";
-    const what = waits ? "Waiting for another job" : all && read === all ? ending : working;
-    if (doing.textContent !== what) doing.textContent = what;
-    const counted = !waits && all && read < all;
-    numbers.textContent = `${counted ? `: ${read} of ${all}` : ""}, ${Math.round(now.seconds)} s${counted ? remaining(read, all, now.seconds) : ""}`;
+    const [workLabel, endLabel] = STAGE_LABELS[current.kind];
+    const isWaiting = current.state === "waiting";
+    const stage = isWaiting ? "Waiting for another job" : total && completed === total ? endLabel : workLabel;
+    if (stageText.textContent !== stage) stageText.textContent = stage;
+    const hasCount = !isWaiting && total && completed < total;
+    progressText.textContent = `${hasCount ? `: ${completed} of ${total}` : ""}, ${Math.round(current.seconds)} s${hasCount ? remainingTime(completed, total, current.seconds) : ""}`;
   };
-  const ask = () => attempt(place, async () => {
-    // A later job is followed here, the page was left, or it was never shown.
-    if (followed.get(place) !== job) return;
-    if (!place.isConnected && (wasShown || asked++ > MOST_EARLY_REQUESTS)) return;
-    wasShown ||= place.isConnected;
+  const poll = () => attempt(container, async () => {
+    // Stop if another job is followed in this container, or if the page was left or never shown.
+    if (followedJobs.get(container) !== job) return;
+    if (!container.isConnected && (wasShown || requestCount++ > MAX_EARLY_REQUESTS)) return;
+    wasShown ||= container.isConnected;
     const jobs = await get("jobs");
-    if (followed.get(place) !== job) return;
-    const now = jobs.find(({ number }) => number === job.number);
-    if (!place.isConnected || now && goesOn(now)) {
-      if (now && goesOn(now)) show(now);
-      setTimeout(ask, PAUSE);
-    } else if (now?.state === "done") {
-      if (now.output) say(`Wrote ${now.output}.`);
-      done();
+    if (followedJobs.get(container) !== job) return;
+    const current = jobs.find(({ number }) => number === job.number);
+    if (!container.isConnected || current && isActive(current)) {
+      if (current && isActive(current)) show(current);
+      setTimeout(poll, POLL_INTERVAL);
+    } else if (current?.state === "done") {
+      if (current.output) say(`Wrote ${current.output}.`);
+      onDone();
     } else {
-      place.replaceChildren(warning(now?.error || `The ${job.kind} was stopped.`));
+      container.replaceChildren(warning(current?.error || `The ${job.kind} was stopped.`));
     }
   });
-  let asked = 0;
+  let requestCount = 0;
   let wasShown = false;
-  followed.set(place, job);
+  followedJobs.set(container, job);
   show(job);
-  setTimeout(ask, PAUSE);
+  setTimeout(poll, POLL_INTERVAL);
 }

@@ -1,12 +1,12 @@
 // @ts-check
-// The page: which view stands at which place.
+// The page: routes and views.
 
-import { Refused, enter } from "./api.js";
+import { RequestError, obtainKey } from "./api.js";
 import { campaignView } from "./campaign.js";
 import { certificateView } from "./certificate.js";
 import { compareView, historyView } from "./compare.js";
 import { descriptionView } from "./description.js";
-import { unsaved } from "./editor.js";
+import { hasUnsavedChanges } from "./editor.js";
 import { folderView } from "./folder.js";
 import { importView } from "./import.js";
 import { make, warning } from "./dom.js";
@@ -18,13 +18,13 @@ import { runsView } from "./runs.js";
 import { tryView } from "./try.js";
 
 /**
- * A place: its address, its name in the list of places, and what is shown there.
+ * A route: its path, its name in the navigation, and its view.
  * @typedef {{path: RegExp, name?: string, address?: string,
  *   view: (...words: string[]) => Promise<{title: string, content: Node[], begin?: string}>}} Place
  */
 
 /** @type {Place[]} */
-const PLACES = [
+const ROUTES = [
   { path: /^\/$/, name: "Campaigns", address: "#/", view: folderView },
   { path: /^\/plans$/, name: "Plans", address: "#/plans", view: plansView },
   { path: /^\/compare$/, name: "Compare", address: "#/compare", view: compareView },
@@ -42,65 +42,65 @@ const PLACES = [
   { path: /^\/result\/(.*)$/, view: resultView },
 ];
 
-const main = /** @type {HTMLElement} */ (document.getElementById("view"));
-const places = /** @type {HTMLElement} */ (document.getElementById("places"));
-let turn = 0;
+const viewElement = /** @type {HTMLElement} */ (document.getElementById("view"));
+const navigation = /** @type {HTMLElement} */ (document.getElementById("places"));
+let viewNumber = 0;
 
 async function show() {
-  const mine = ++turn;
+  const number = ++viewNumber;
   const path = location.hash.replace(/^#/, "") || "/";
-  const found = PLACES.map((place) => ({ place, match: place.path.exec(path) }))
+  const route = ROUTES.map((candidate) => ({ place: candidate, match: candidate.path.exec(path) }))
     .find(({ match }) => match);
-  places.replaceChildren(...PLACES.filter(({ name }) => name).map(({ name, address }) =>
+  navigation.replaceChildren(...ROUTES.filter(({ name }) => name).map(({ name, address }) =>
     make("a", { href: address, "aria-current": `#${path}` === address ? "page" : null }, name)));
-  main.setAttribute("aria-busy", "true");
+  viewElement.setAttribute("aria-busy", "true");
   let title = "counterspin";
   /** @type {string | undefined} */
   let begin;
   /** @type {Node[]} */
   let content;
   try {
-    if (!found) throw new Error("This page does not exist.");
-    const words = /** @type {RegExpExecArray} */ (found.match).slice(1).map(decodeURIComponent);
-    ({ title, content, begin } = await found.place.view(...words));
+    if (!route) throw new Error("This page does not exist.");
+    const parameters = /** @type {RegExpExecArray} */ (route.match).slice(1).map(decodeURIComponent);
+    ({ title, content, begin } = await route.place.view(...parameters));
   } catch (error) {
-    const keyless = error instanceof Refused && error.status === 401;
-    content = [make("h1", {}, keyless ? "This window is not authorised" : "This page could not be loaded"),
+    const isUnauthorised = error instanceof RequestError && error.status === 401;
+    content = [make("h1", {}, isUnauthorised ? "This window is not authorised" : "This page could not be loaded"),
       warning(/** @type {Error} */ (error).message)];
   }
-  if (mine !== turn) return null;
-  main.replaceChildren(...content);
-  main.removeAttribute("aria-busy");
+  if (number !== viewNumber) return null;
+  viewElement.replaceChildren(...content);
+  viewElement.removeAttribute("aria-busy");
   document.title = `${title} – counterspin`;
-  globalThis.counterspin.draw(main);
+  globalThis.counterspin.draw(viewElement);
   return { begin };
 }
 
 /** @param {string|undefined} id of a heading, a field or a section of what is shown */
 function goTo(id) {
-  const found = id ? document.getElementById(id) : null;
-  for (let one = found?.closest("details"); one; one = one.parentElement?.closest("details")) one.open = true;
-  found?.scrollIntoView({ behavior: "instant", block: found.matches("input") ? "center" : "start" });
-  if (found?.matches("input")) found.focus();
+  const target = id ? document.getElementById(id) : null;
+  for (let details = target?.closest("details"); details; details = details.parentElement?.closest("details")) details.open = true;
+  target?.scrollIntoView({ behavior: "instant", block: target.matches("input") ? "center" : "start" });
+  if (target?.matches("input")) target.focus();
 }
 
-let shownAt = location.hash;
+let shownHash = location.hash;
 addEventListener("hashchange", () => {
-  // A link of the terminal, opened in this window.
+  // The link of the terminal was opened in this window.
   if (location.hash.startsWith("#token=")) location.reload();
-  // A link within a page is none to another place.
+  // Ignore links within a page.
   if (!location.hash.startsWith("#/")) return;
-  if (location.hash !== shownAt && unsaved() && !confirm("Leave this page without saving?")) {
-    history.replaceState(null, "", shownAt);
+  if (location.hash !== shownHash && hasUnsavedChanges() && !confirm("Leave this page without saving?")) {
+    history.replaceState(null, "", shownHash);
     return;
   }
-  shownAt = location.hash;
+  shownHash = location.hash;
   show().then((shown) => {
-    // A page that was left before it was shown moves nothing.
+    // Do not scroll if the page was left before it was shown.
     if (!shown) return;
-    main.focus();
+    viewElement.focus();
     scrollTo(0, 0);
     goTo(shown.begin);
   });
 });
-enter().finally(() => { shownAt = location.hash; return show().then((shown) => goTo(shown?.begin)); });
+obtainKey().finally(() => { shownHash = location.hash; return show().then((shown) => goTo(shown?.begin)); });

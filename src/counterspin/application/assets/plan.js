@@ -1,11 +1,11 @@
 // @ts-check
-// Plans: limits as sliders, and the best plan within them on request.
+// Plans: limits as sliders, and the optimal plan within the limits.
 
 import { get, send } from "./api.js";
-import { attempt, commandLine, labelled, make, submitting, working } from "./dom.js";
+import { attempt, commandLine, labelled, make, submitHandler, working } from "./dom.js";
 import { campaignAddress } from "./addresses.js";
-import { editorOf } from "./editor.js";
-import { carryOut, follow } from "./job.js";
+import { makeEditor } from "./editor.js";
+import { jobStarter, follow } from "./job.js";
 
 /** @param {string} name */
 const planAddress = (name) => `#/plan/${encodeURIComponent(name)}`;
@@ -13,14 +13,14 @@ const planAddress = (name) => `#/plan/${encodeURIComponent(name)}`;
 /** The list of plans. */
 export async function plansView() {
   const folder = await get("folder");
-  const wrong = make("div");
+  const errorBox = make("div");
   const name = make("input", { required: true, autocomplete: "off", value: "PLAN.toml" });
   const example = make("select", {},
     make("option", { value: "records" }, "Double-turntable records"),
     make("option", { value: "poses" }, "Poses for three accelerometers"));
   const form = make("form", {
     class: "row",
-    onsubmit: submitting(wrong, async () => {
+    onsubmit: submitHandler(errorBox, async () => {
       await send("POST", "plan", { name: name.value.trim(), example: example.value });
       location.hash = planAddress(name.value.trim());
     }),
@@ -37,53 +37,53 @@ export async function plansView() {
           make("li", { class: "card" }, make("h2", {}, make("a", { href: planAddress(name) }, title || name)),
             title ? make("p", { class: "quiet" }, name) : null)))
         : make("p", {}, "This folder contains no plans yet."),
-      make("h2", {}, "New plan"), form, wrong,
+      make("h2", {}, "New plan"), form, errorBox,
     ],
   };
 }
 
 /** @param {number} value */
-const short = (value) => Number(value.toPrecision(4)).toString();
+const formatShort = (value) => Number(value.toPrecision(4)).toString();
 
 /** @param {number} seconds */
-const duration = (seconds) =>
-  seconds >= 2 * 86400 ? `${short(seconds / 86400)} days` : seconds >= 7200 ? `${short(seconds / 3600)} h` : seconds >= 120 ? `${short(seconds / 60)} min` : `${short(seconds)} s`;
+const formatDuration = (seconds) =>
+  seconds >= 2 * 86400 ? `${formatShort(seconds / 86400)} days` : seconds >= 7200 ? `${formatShort(seconds / 3600)} h` : seconds >= 120 ? `${formatShort(seconds / 60)} min` : `${formatShort(seconds)} s`;
 
 /** Unit of time -> seconds. */
-const UNITS = { min: 60, h: 3600, days: 86400 };
+const SECONDS_PER_UNIT = { min: 60, h: 3600, days: 86400 };
 
 /**
- * A time as number and unit, in the largest unit of which there is one.
+ * A time as number and unit, in the largest unit in which the number is at least 1.
  * @param {number} seconds
- * @returns {[number, keyof typeof UNITS]}
+ * @returns {[number, keyof typeof SECONDS_PER_UNIT]}
  */
-export function inUnit(seconds) {
-  const unit = seconds >= UNITS.days ? "days" : seconds >= UNITS.h ? "h" : "min";
-  return [Number((seconds / UNITS[unit]).toPrecision(4)), unit];
+export function splitTime(seconds) {
+  const unit = seconds >= SECONDS_PER_UNIT.days ? "days" : seconds >= SECONDS_PER_UNIT.h ? "h" : "min";
+  return [Number((seconds / SECONDS_PER_UNIT[unit]).toPrecision(4)), unit];
 }
 
 /**
- * The time of a plan: a number to type, since a slider ends too early for a day.
+ * The time of a plan as a number, because the range of a slider would be too small.
  * @param {string} id
  * @param {import("./answers.js").Limit} limit
- * @param {(seconds: number) => void} moved
+ * @param {(seconds: number) => void} onChange
  */
-function timeField(id, limit, moved) {
-  const [value, first] = inUnit(limit.value);
-  const number = make("input", { id, type: "number", min: 0, step: "any", value, required: true });
-  const unit = make("select", { "aria-label": `Unit of ${limit.words}` },
-    ...Object.keys(UNITS).map((one) => make("option", { value: one, selected: one === first }, one)));
-  const wrong = make("p", { class: "wrong", role: "alert" });
+function timeField(id, limit, onChange) {
+  const [value, initialUnit] = splitTime(limit.value);
+  const numberInput = make("input", { id, type: "number", min: 0, step: "any", value, required: true });
+  const unitSelect = make("select", { "aria-label": `Unit of ${limit.words}` },
+    ...Object.keys(SECONDS_PER_UNIT).map((unitName) => make("option", { value: unitName, selected: unitName === initialUnit }, unitName)));
+  const errorText = make("p", { class: "wrong", role: "alert" });
   const change = () => {
-    const seconds = Number(number.value) * UNITS[/** @type {keyof typeof UNITS} */ (unit.value)];
-    const good = seconds >= limit.low && seconds <= limit.high;
-    wrong.textContent = good ? "" : `Enter a time from ${duration(limit.low)} to ${duration(limit.high)}.`;
-    number.setAttribute("aria-invalid", String(!good));
-    if (good) moved(seconds);
+    const seconds = Number(numberInput.value) * SECONDS_PER_UNIT[/** @type {keyof typeof SECONDS_PER_UNIT} */ (unitSelect.value)];
+    const isValid = seconds >= limit.low && seconds <= limit.high;
+    errorText.textContent = isValid ? "" : `Enter a time from ${formatDuration(limit.low)} to ${formatDuration(limit.high)}.`;
+    numberInput.setAttribute("aria-invalid", String(!isValid));
+    if (isValid) onChange(seconds);
   };
-  number.addEventListener("change", change);
-  unit.addEventListener("change", change);
-  return make("div", {}, make("label", { for: id }, limit.words), make("div", { class: "quantity" }, number, unit), wrong);
+  numberInput.addEventListener("change", change);
+  unitSelect.addEventListener("change", change);
+  return make("div", {}, make("label", { for: id }, limit.words), make("div", { class: "quantity" }, numberInput, unitSelect), errorText);
 }
 
 /**
@@ -93,27 +93,27 @@ function timeField(id, limit, moved) {
 export async function planView(name) {
   const plan = await get("plan", { name });
   /** @type {Record<string, number>} */
-  const moved = {};
-  const planned = make("div");
-  const state = make("p", { class: "quiet", role: "status" });
+  const movedLimits = {};
+  const planContainer = make("div");
+  const status = make("p", { class: "quiet", role: "status" });
 
   /**
-   * Show the best plan within limits, after the job that searches for it.
+   * Show the optimal plan within limits, after its job.
    * @param {Record<string, number>} limits
    * @returns {Promise<void>}
    */
   const show = (limits) => {
-    // In a box of its own, so that the late answer of an earlier search is shown nowhere.
+    // In a separate box, so that a late response of an earlier search is not shown.
     const box = make("div", {}, working("Planning"));
-    planned.replaceChildren(box);
+    planContainer.replaceChildren(box);
     return attempt(box, async () => {
-      const told = await send("POST", "plan-page", { name, moved: limits });
-      if (told.job) return follow(told.job, box, () => show(limits));
-      const part = make("div", { class: "report" });
+      const response = await send("POST", "plan-page", { name, moved: limits });
+      if (response.job) return follow(response.job, box, () => show(limits));
+      const report = make("div", { class: "report" });
       // Escaped by the report's own templates.
-      part.innerHTML = told.html;
-      part.querySelector("h1")?.remove();
-      box.replaceChildren(part);
+      report.innerHTML = response.html;
+      report.querySelector("h1")?.remove();
+      box.replaceChildren(report);
     });
   };
   /**
@@ -121,59 +121,59 @@ export async function planView(name) {
    * @param {string} key
    * @param {number} value in SI
    */
-  const move = (key, value) => {
-    moved[key] = value;
-    if (planned.childElementCount) state.textContent = "The limits have changed since this plan was calculated. Calculate the plan again.";
+  const setLimit = (key, value) => {
+    movedLimits[key] = value;
+    if (planContainer.childElementCount) status.textContent = "The limits have changed since this plan was calculated. Calculate the plan again.";
   };
   const sliders = plan.limits.map((limit) => {
     const id = `limit-${limit.key}`;
-    // The slider itself says its value.
-    const shown = (/** @type {number} */ value) => `${short(value)} ${limit.unit}`.trimEnd();
-    const words = make("output", { for: id, "aria-live": "off" }, shown(limit.value / limit.factor));
-    if (limit.key === "total_time") return timeField(id, limit, (seconds) => move(limit.key, seconds));
-    const range = make("input", {
+    // Screen readers announce the value of the slider itself.
+    const formatLimit = (/** @type {number} */ value) => `${formatShort(value)} ${limit.unit}`.trimEnd();
+    const output = make("output", { for: id, "aria-live": "off" }, formatLimit(limit.value / limit.factor));
+    if (limit.key === "total_time") return timeField(id, limit, (seconds) => setLimit(limit.key, seconds));
+    const slider = make("input", {
       id, type: "range", min: limit.low / limit.factor, max: limit.high / limit.factor, step: limit.whole ? 1 : "any",
       value: limit.value / limit.factor,
-      "aria-valuetext": words.textContent,
+      "aria-valuetext": output.textContent,
       oninput: () => {
-        move(limit.key, Number(range.value) * limit.factor);
-        words.textContent = shown(Number(range.value));
-        range.setAttribute("aria-valuetext", words.textContent);
+        setLimit(limit.key, Number(slider.value) * limit.factor);
+        output.textContent = formatLimit(Number(slider.value));
+        slider.setAttribute("aria-valuetext", output.textContent);
       },
     });
-    return make("div", {}, make("label", { for: id }, limit.words), range, words);
+    return make("div", {}, make("label", { for: id }, limit.words), slider, output);
   });
   const folder = make("input", { required: true, autocomplete: "off", placeholder: "planned" });
-  const written = make("div");
+  const saveContainer = make("div");
   const form = make("form", {
     class: "row",
-    onsubmit: carryOut(written, () => send("POST", "planned", { name, moved, folder: folder.value }),
+    onsubmit: jobStarter(saveContainer, () => send("POST", "planned", { name, moved: movedLimits, folder: folder.value }),
       (job) => { location.hash = campaignAddress(job.output); }),
   }, labelled("Folder for the planned campaign", folder),
   make("button", {}, "Save limits and create campaign"));
   const search = make("form", {
-    onsubmit: submitting(planned, () => {
-      state.textContent = "";
-      return show({ ...moved });
+    onsubmit: submitHandler(planContainer, () => {
+      status.textContent = "";
+      return show({ ...movedLimits });
     }),
   }, make("div", { class: "sliders" }, ...sliders), make("button", { class: "main" }, "Calculate plan"));
-  const edited = make("div");
-  const file = make("details", {
+  const editorContainer = make("div");
+  const fileDetails = make("details", {
     ontoggle: () => {
-      if (!file.open || edited.childNodes.length) return;
-      attempt(edited, async () => {
-        // What is planned is another plan then.
-        const saved = () => dispatchEvent(new HashChangeEvent("hashchange"));
-        edited.replaceChildren(editorOf(await get("plan-text", { name }), { saved }).element);
+      if (!fileDetails.open || editorContainer.childNodes.length) return;
+      attempt(editorContainer, async () => {
+        // Reload the page, because the plan has changed.
+        const onSaved = () => dispatchEvent(new HashChangeEvent("hashchange"));
+        editorContainer.replaceChildren(makeEditor(await get("plan-text", { name }), { saved: onSaved }).element);
       });
     },
-  }, make("summary", {}, "Plan file: goal, limits and known values"), edited);
+  }, make("summary", {}, "Plan file: goal, limits and known values"), editorContainer);
   return {
     title: plan.title,
     content: [
       make("h1", {}, plan.title), make("p", { class: "quiet" }, name),
-      search, state, planned, file,
-      make("h2", {}, "Planned campaign"), form, written, commandLine(plan.command),
+      search, status, planContainer, fileDetails,
+      make("h2", {}, "Planned campaign"), form, saveContainer, commandLine(plan.command),
     ],
   };
 }

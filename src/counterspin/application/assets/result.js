@@ -1,103 +1,103 @@
 // @ts-check
-// A result on one screen: the answer on cards, its chapters as tabs.
+// A result: cards with the main values, and chapters as tabs.
 
-import { get, getText, getTextNow, save } from "./api.js";
+import { get, getText, getTextSync, saveFile } from "./api.js";
 import { attempt, commandLine, make, say, stateMark, working } from "./dom.js";
-import { addSliders, waysPart } from "./improving.js";
+import { addSliders, improvementsPart } from "./improving.js";
 import { follow } from "./job.js";
 
 /**
- * Fetch the pictures of a page as they come near the screen, and all of them before it is printed.
- * @param {HTMLElement} part
- * @param {Record<string, any>} asked the page
+ * Load the pictures of a page when they come near the viewport, and all of them before printing.
+ * @param {HTMLElement} report
+ * @param {Record<string, any>} request the page
  */
-function fetchPictures(part, asked) {
-  const near = new IntersectionObserver((seen) => {
-    for (const { target, isIntersecting } of seen) {
+function fetchPictures(report, request) {
+  const observer = new IntersectionObserver((entries) => {
+    for (const { target, isIntersecting } of entries) {
       if (!isIntersecting) continue;
-      near.unobserve(target);
+      observer.unobserve(target);
       const box = /** @type {HTMLElement} */ (target);
-      getText("picture", { ...asked, place: box.dataset.place }).then(
+      getText("picture", { ...request, place: box.dataset.place }).then(
         (svg) => { box.innerHTML = svg; },
         (error) => { box.textContent = error.message; });
     }
   }, { rootMargin: "600px" });
-  // What can be zoomed is drawn here; its still picture is fetched when it is saved.
-  part.querySelectorAll(".still[data-place]").forEach((target) => {
+  // Zoomable plots are drawn in the page; their static pictures are loaded when they are saved.
+  report.querySelectorAll(".still[data-place]").forEach((target) => {
     const box = /** @type {any} */ (target);
-    box.fetchPicture = () => getText("picture", { ...asked, place: box.dataset.place });
+    box.fetchPicture = () => getText("picture", { ...request, place: box.dataset.place });
   });
-  part.querySelectorAll("figure:not(.zoomable) .still[data-place]").forEach((box) => near.observe(box));
+  report.querySelectorAll("figure:not(.zoomable) .still[data-place]").forEach((box) => observer.observe(box));
   const beforePrint = () => {
-    if (!part.isConnected) return removeEventListener("beforeprint", beforePrint);
-    // Those that can be zoomed are still on paper.
-    part.querySelectorAll(".still[data-place]:empty").forEach((target) => {
+    if (!report.isConnected) return removeEventListener("beforeprint", beforePrint);
+    // Zoomable plots are static when printed.
+    report.querySelectorAll(".still[data-place]:empty").forEach((target) => {
       const box = /** @type {HTMLElement} */ (target);
-      box.innerHTML = getTextNow("picture", { ...asked, place: box.dataset.place ?? "" });
+      box.innerHTML = getTextSync("picture", { ...request, place: box.dataset.place ?? "" });
     });
   };
   addEventListener("beforeprint", beforePrint);
 }
 
 /**
- * A page of blocks as a part of this page; none while a job makes it.
+ * The HTML of a page of blocks; null while a job computes it.
  * @param {string} kind
  * @param {string[]} names
  * @param {string} [term]
  */
 export async function pagePart(kind, names, term) {
-  const asked = { kind, names: names.join("\n"), ...term === undefined ? {} : { term } };
-  const told = await get("page", asked);
-  if (told.job) return { told, part: null };
-  const part = make("div", { class: "report" });
+  const request = { kind, names: names.join("\n"), ...term === undefined ? {} : { term } };
+  const page = await get("page", request);
+  if (page.job) return { told: page, part: null };
+  const report = make("div", { class: "report" });
   // Escaped by the report's own templates.
-  part.innerHTML = told.html;
-  fetchPictures(part, asked);
-  return { told, part };
+  report.innerHTML = page.html;
+  fetchPictures(report, request);
+  return { told: page, part: report };
 }
 
 /**
- * Draw a part into a place, or say why not; return what was told of it.
- * @param {HTMLElement} place
+ * Show a page of blocks in a container, or an error; return the page.
+ * @param {HTMLElement} container
  * @param {string} kind
  * @param {string[]} names
  * @param {string} [term]
  */
-export async function fill(place, kind, names, term) {
-  const waiting = working("Calculating");
-  place.replaceChildren(waiting);
-  // A later call replaces the notice; the answer to an earlier one is then dropped.
-  const isCurrent = () => waiting.parentNode === place;
-  return attempt(place, async () => {
+export async function fillContainer(container, kind, names, term) {
+  const notice = working("Calculating");
+  container.replaceChildren(notice);
+  // A later call replaces the notice; the response to an earlier call is then ignored.
+  const isCurrent = () => notice.parentNode === container;
+  return attempt(container, async () => {
     const answer = await pagePart(kind, names, term).catch((error) => {
       if (isCurrent()) throw error;
     });
     if (!answer || !isCurrent()) return undefined;
-    const { told, part } = answer;
-    if (told.job) {
-      follow(told.job, place, () => fill(place, kind, names, term));
-      return told;
+    const { told: page, part: report } = answer;
+    if (page.job) {
+      follow(page.job, container, () => fillContainer(container, kind, names, term));
+      return page;
     }
-    part?.querySelector("h1")?.remove();
-    place.replaceChildren(part ?? "", commandLine(told.command));
-    if (part) globalThis.counterspin.draw(part);
-    return told;
+    report?.querySelector("h1")?.remove();
+    container.replaceChildren(report ?? "", commandLine(page.command));
+    if (report) globalThis.counterspin.draw(report);
+    return page;
   });
 }
 
 /**
- * A button that has the browser save a file.
- * @param {string} words
+ * A button that downloads a file.
+ * @param {string} label
  * @param {"report" | "file"} name
- * @param {Record<string, string>} said
+ * @param {Record<string, string>} parameters
  */
-export const saving = (words, name, said) => make("button", {
+export const saveButton = (label, name, parameters) => make("button", {
   type: "button",
-  onclick: () => save(name, said).catch((error) => say(error.message)),
-}, words);
+  onclick: () => saveFile(name, parameters).catch((error) => say(error.message)),
+}, label);
 
 /**
- * The link to the certificate of a result; a button that says why, if there can be none.
+ * The link to the certificate of a result, or a button that states why none can be issued.
  * @param {string} name
  * @param {string} refusal why no certificate can be issued; empty if one can
  */
@@ -106,23 +106,23 @@ const certificateLink = (name, refusal) => (refusal
   : make("a", { class: "button main", href: `#/certificate/${encodeURIComponent(name)}` }, "Certify"));
 
 /**
- * The files that can be had of a result, as a menu.
+ * A menu of the files of a result.
  * @param {string} name
  */
 export const reportMenu = (name) => make("details", { class: "menu" }, make("summary", {}, "Report"),
   make("div", {},
-    ...["HTML", "PDF", "Markdown"].map((kind) => saving(`Report as ${kind}`, "report",
+    ...["HTML", "PDF", "Markdown"].map((kind) => saveButton(`Report as ${kind}`, "report",
       { name, kind: kind === "Markdown" ? "md" : kind.toLowerCase() })),
-    saving("Result as JSON", "file", { name })));
+    saveButton("Result as JSON", "file", { name })));
 
 /**
  * A button that copies the values on the cards.
- * @param {HTMLElement} part
+ * @param {HTMLElement} report
  */
-const copyButton = (part) => make("button", {
+const copyButton = (report) => make("button", {
   type: "button",
   onclick: () => {
-    const lines = [...part.querySelectorAll(".instrument")].map((card) =>
+    const lines = [...report.querySelectorAll(".instrument")].map((card) =>
       [card.querySelector("h2"), ...card.querySelectorAll(".value, .halves p:not(.value)")]
         .map((element) => element?.textContent?.trim()).join("\t"));
     navigator.clipboard.writeText(lines.join("\n"))
@@ -131,26 +131,26 @@ const copyButton = (part) => make("button", {
 }, "Copy result");
 
 /**
- * The screen of a result: title, state and actions above, then cards and tabs.
+ * The view of a result: title, state and actions, then cards and tabs.
  * @param {{title: string, name: string, told: import("./answers.js").PageContent, part: HTMLElement | null, state: Node,
  *   actions?: (Node | null)[], steps?: Node, campaign?: string}} shown
  */
-export async function dashboard({ title, name, told, part, state, actions = [], steps, campaign }) {
-  part?.querySelector("h1")?.remove();
-  if (part) {
-    const ways = campaign === undefined ? null : waysPart(campaign, name);
-    await Promise.all(told.accelerometers.map((/** @type {string} */ one) => addSliders(part, name, one)));
-    const found = await ways;
-    // Behind the budgets, which they would change.
-    if (found) part.querySelector("#at-uncertainty-budget")?.parentElement?.append(found);
+export async function dashboard({ title, name, told: page, part: report, state, actions = [], steps, campaign }) {
+  report?.querySelector("h1")?.remove();
+  if (report) {
+    const improvements = campaign === undefined ? null : improvementsPart(campaign, name);
+    await Promise.all(page.accelerometers.map((/** @type {string} */ accelerometer) => addSliders(report, name, accelerometer)));
+    const improvementsSection = await improvements;
+    // After the uncertainty budgets.
+    if (improvementsSection) report.querySelector("#at-uncertainty-budget")?.parentElement?.append(improvementsSection);
   }
-  const buttons = part
-    ? [reportMenu(name), copyButton(part), certificateLink(name, told.refusal)] : [reportMenu(name)];
+  const buttons = report
+    ? [reportMenu(name), copyButton(report), certificateLink(name, page.refusal)] : [reportMenu(name)];
   return make("div", { class: "dashboard" },
     make("div", { class: "head" },
       make("div", {}, make("h1", {}, title, " ", state), campaign ? make("p", { class: "quiet" }, `Folder ${campaign}`) : null),
       make("div", { class: "row" }, ...actions, ...buttons)),
-    ...(steps ? [steps] : []), ...(part ? [part] : []));
+    ...(steps ? [steps] : []), ...(report ? [report] : []));
 }
 
 /**
@@ -158,13 +158,13 @@ export async function dashboard({ title, name, told, part, state, actions = [], 
  * @param {string} name
  */
 export async function resultView(name) {
-  const { told, part } = await pagePart("result", [name]);
-  const state = stateMark(told.state, told.words);
+  const { told: page, part: report } = await pagePart("result", [name]);
+  const state = stateMark(page.state, page.words);
   return {
-    title: told.title,
+    title: page.title,
     content: [
-      await dashboard({ title: told.title, name, told, part, state }),
-      commandLine(told.command),
+      await dashboard({ title: page.title, name, told: page, part: report, state }),
+      commandLine(page.command),
     ],
   };
 }

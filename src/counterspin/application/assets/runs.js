@@ -1,15 +1,15 @@
 // @ts-check
-// The runs of a campaign, and their records through a window of time.
+// The runs of a campaign, and plots of their records.
 
 import { get, send } from "./api.js";
 import { attempt, commandLine, labelled, make, warning, working } from "./dom.js";
-import { carryOut } from "./job.js";
-import { campaignTabs, reachedBy } from "./tabs.js";
+import { jobStarter } from "./job.js";
+import { campaignTabs, reachedStep } from "./tabs.js";
 
-const HEIGHT = 190;
+const CHART_HEIGHT = 190;
 
 /**
- * The columns of one record, one below the other; all show the same time.
+ * Plots of the columns of a record with a common time axis.
  * @param {string} name
  * @param {string} run
  */
@@ -17,27 +17,27 @@ class RecordPlots {
   /**
    * @param {string} name
    * @param {string} run
-   * @param {import("./answers.js").RecordOverview} about
+   * @param {import("./answers.js").RecordOverview} overview
    */
-  constructor(name, run, about) {
+  constructor(name, run, overview) {
     this.name = name;
     this.run = run;
-    this.about = about;
+    this.overview = overview;
     // Columns that share a chart: data and fit.
-    this.together = about.together;
-    this.first = about.columns.filter((/** @type {any} */ _, /** @type {number} */ i) => i % about.together === 0);
-    this.whole = [about.first, about.last];
-    this.window = [...this.whole];
+    this.columnsPerChart = overview.together;
+    this.firstColumns = overview.columns.filter((/** @type {any} */ _, /** @type {number} */ index) => index % overview.together === 0);
+    this.fullRange = [overview.first, overview.last];
+    this.shownRange = [...this.fullRange];
     this.charts = /** @type {any[]} */ ([]);
-    this.asked = 0;
-    this.words = make("p", { class: "quiet", "aria-live": "polite" });
-    this.boxes = this.first.map((c) =>
-      make("div", { class: "canvas", role: "img", "aria-label": `${c.name}, ${c.unit}, over time` }));
-    this.element = make("div", {}, this.tools(), ...this.boxes, this.words);
+    this.requestCount = 0;
+    this.status = make("p", { class: "quiet", "aria-live": "polite" });
+    this.boxes = this.firstColumns.map((column) =>
+      make("div", { class: "canvas", role: "img", "aria-label": `${column.name}, ${column.unit}, over time` }));
+    this.element = make("div", {}, this.tools(), ...this.boxes, this.status);
     new ResizeObserver(() => {
       const width = this.element.clientWidth;
       for (const chart of this.charts) {
-        if (width && chart.width !== width) chart.setSize({ width, height: HEIGHT });
+        if (width && chart.width !== width) chart.setSize({ width, height: CHART_HEIGHT });
       }
     }).observe(this.element);
     globalThis.counterspin.redraws.push(() => this.charts.forEach((chart) => chart.redraw(false)));
@@ -45,14 +45,14 @@ class RecordPlots {
 
   tools() {
     /** @type {(sign: string, words: string, act: () => void) => HTMLElement} */
-    const tool = (sign, words, act) =>
-      make("button", { type: "button", "aria-label": words, title: words, onclick: act }, sign);
+    const tool = (sign, label, action) =>
+      make("button", { type: "button", "aria-label": label, title: label, onclick: action }, sign);
     return make("div", { class: "tools" },
-      tool("+", "Zoom in", () => this.see(0, 0.5)),
-      tool("−", "Zoom out", () => this.see(0, 2)),
-      tool("‹", "Move left", () => this.see(-0.25, 1)),
-      tool("›", "Move right", () => this.see(0.25, 1)),
-      tool("All", "Show all", () => this.show(this.whole)),
+      tool("+", "Zoom in", () => this.moveWindow(0, 0.5)),
+      tool("−", "Zoom out", () => this.moveWindow(0, 2)),
+      tool("‹", "Move left", () => this.moveWindow(-0.25, 1)),
+      tool("›", "Move right", () => this.moveWindow(0.25, 1)),
+      tool("All", "Show all", () => this.show(this.fullRange)),
       make("p", {}, "Drag to zoom in, double-click to zoom out."));
   }
 
@@ -60,57 +60,57 @@ class RecordPlots {
    * @param {number} shift
    * @param {number} factor
    */
-  see(shift, factor) {
-    const [low, high] = this.window;
-    const [first, last] = this.whole;
-    const half = Math.min(0.5 * (high - low) * factor, 0.5 * (last - first));
+  moveWindow(shift, factor) {
+    const [low, high] = this.shownRange;
+    const [first, last] = this.fullRange;
+    const halfWidth = Math.min(0.5 * (high - low) * factor, 0.5 * (last - first));
     const middle = 0.5 * (low + high) + shift * (high - low);
-    const centre = Math.min(Math.max(middle, first + half), last - half);
-    this.show([centre - half, centre + half]);
+    const centre = Math.min(Math.max(middle, first + halfWidth), last - halfWidth);
+    this.show([centre - halfWidth, centre + halfWidth]);
   }
 
   /** @param {number[]} window */
   async show(window) {
-    this.window = [...window];
-    const mine = ++this.asked;
+    this.shownRange = [...window];
+    const requestNumber = ++this.requestCount;
     const [low, high] = window;
-    const told = await attempt(this.words, () => get("record", {
+    const response = await attempt(this.status, () => get("record", {
       name: this.name, run: this.run, low, high,
       parts: Math.max(this.element.clientWidth, 300),
-      fit: this.together > 1,
+      fit: this.columnsPerChart > 1,
     }));
-    // A later look has overtaken this one.
-    if (!told || mine !== this.asked) return;
-    if (!this.charts.length) this.make();
-    this.charts.forEach((chart, i) => {
+    // A later request has replaced this one.
+    if (!response || requestNumber !== this.requestCount) return;
+    if (!this.charts.length) this.createCharts();
+    this.charts.forEach((chart, index) => {
       chart.batch(() => {
-        chart.setData([told.time, ...told.columns.slice(i * this.together, (i + 1) * this.together)], false);
+        chart.setData([response.time, ...response.columns.slice(index * this.columnsPerChart, (index + 1) * this.columnsPerChart)], false);
         chart.setScale("x", { min: low, max: high });
       });
     });
-    this.words.textContent = told.whole
+    this.status.textContent = response.whole
       ? "The plot shows every row."
       : "Each pixel column shows the minimum and maximum of several rows " +
-        `(${this.about.rows.toLocaleString("en")} rows in total).`;
+        `(${this.overview.rows.toLocaleString("en")} rows in total).`;
   }
 
-  make() {
+  createCharts() {
     const { axis, colour } = globalThis.counterspin;
-    this.charts = this.boxes.map((/** @type {HTMLElement} */ box, /** @type {number} */ i) => {
-      const { name, unit } = this.first[i];
-      const stroke = () => colour(`--series-${(i % 6) + 1}`);
-      const series = this.about.columns.slice(i * this.together, (i + 1) * this.together).map(
-        (column, /** @type {number} */ place) => ({
-          label: column.name, points: { show: false }, width: place + 1,
-          stroke: place ? () => colour("--ink") : stroke,
+    this.charts = this.boxes.map((/** @type {HTMLElement} */ box, /** @type {number} */ index) => {
+      const { name, unit } = this.firstColumns[index];
+      const stroke = () => colour(`--series-${(index % 6) + 1}`);
+      const series = this.overview.columns.slice(index * this.columnsPerChart, (index + 1) * this.columnsPerChart).map(
+        (column, /** @type {number} */ columnIndex) => ({
+          label: column.name, points: { show: false }, width: columnIndex + 1,
+          stroke: columnIndex ? () => colour("--ink") : stroke,
         }));
       const chart = new /** @type {any} */ (globalThis).uPlot({
         width: this.element.clientWidth,
-        height: HEIGHT,
-        legend: { show: this.together > 1 },
+        height: CHART_HEIGHT,
+        legend: { show: this.columnsPerChart > 1 },
         cursor: { y: false, sync: { key: "record" }, drag: { x: true, y: false, dist: 4, setScale: false } },
         scales: { x: { time: false } },
-        axes: [axis("time, s", 34), axis(`${this.together > 1 ? name.split(":")[0] : name}, ${unit}`, 70)],
+        axes: [axis("time, s", 34), axis(`${this.columnsPerChart > 1 ? name.split(":")[0] : name}, ${unit}`, 70)],
         series: [{ label: "time, s" }, ...series],
         hooks: {
           setSelect: [(/** @type {any} */ u) => {
@@ -122,7 +122,7 @@ class RecordPlots {
           }],
         },
       }, [[], []], box);
-      chart.over.addEventListener("dblclick", () => this.show(this.whole));
+      chart.over.addEventListener("dblclick", () => this.show(this.fullRange));
       return chart;
     });
   }
@@ -135,61 +135,61 @@ class RecordPlots {
 export async function runsView(name) {
   const campaign = await get("campaign", { name });
   const runs = campaign.run_list.filter((run) => run.bytes);
-  const place = make("div");
+  const container = make("div");
   const select = make("select", {}, ...runs.map((run) =>
     make("option", { value: run.name },
       `${run.name}, ${Number((run.rate ?? 0).toPrecision(4))} rad/s`)));
-  const judgement = make("div");
+  const checkContainer = make("div");
   const check = () => {
-    // In a box of its own, so that the late check of another run is shown nowhere.
+    // In a separate box, so that a late check of another run is not shown.
     const box = make("div", {}, working("Checking"));
-    judgement.replaceChildren(box);
+    checkContainer.replaceChildren(box);
     return attempt(box, async () => {
-      const told = await get("check", { name, run: select.value });
-      const part = make("div");
+      const response = await get("check", { name, run: select.value });
+      const report = make("div");
       // Escaped by the report's own templates.
-      part.innerHTML = told.html;
-      part.querySelector("h1")?.remove();
-      box.replaceChildren(part, commandLine(told.command));
-      globalThis.counterspin.draw(part);
+      report.innerHTML = response.html;
+      report.querySelector("h1")?.remove();
+      box.replaceChildren(report, commandLine(response.command));
+      globalThis.counterspin.draw(report);
     });
   };
-  const fitted = make("input", { type: "checkbox" });
+  const fitCheckbox = make("input", { type: "checkbox" });
   const show = () => {
-    judgement.replaceChildren();
+    checkContainer.replaceChildren();
     const box = make("div", {}, working("Reading the record"));
-    place.replaceChildren(box);
+    container.replaceChildren(box);
     return attempt(box, async () => {
-      const { overview: about } = await get("record-about", { name, run: select.value, fit: fitted.checked });
+      const { overview: overview } = await get("record-about", { name, run: select.value, fit: fitCheckbox.checked });
       if (!box.isConnected) return;
-      if (!about) {
-        // Once fitted, all runs are.
-        await carryOut(box, () => send("POST", "fit", { name }), show)();
+      if (!overview) {
+        // The fit includes all runs.
+        await jobStarter(box, () => send("POST", "fit", { name }), show)();
         return;
       }
-      const plots = new RecordPlots(name, select.value, about);
-      const [start, stop] = about.used;
+      const plots = new RecordPlots(name, select.value, overview);
+      const [start, stop] = overview.used;
       const file = runs.find((run) => run.name === select.value)?.record;
-      const used = start !== null || stop !== null
-        ? `; used from ${start ?? about.first} s to ${stop ?? about.last} s` : "";
+      const usedText = start !== null || stop !== null
+        ? `; used from ${start ?? overview.first} s to ${stop ?? overview.last} s` : "";
       box.replaceChildren(
-        make("p", { class: "quiet" }, `${about.rows.toLocaleString("en")} rows in ${file}${used}`), plots.element);
-      await plots.show(plots.whole);
+        make("p", { class: "quiet" }, `${overview.rows.toLocaleString("en")} rows in ${file}${usedText}`), plots.element);
+      await plots.show(plots.fullRange);
     });
   };
   select.addEventListener("change", show);
-  fitted.addEventListener("change", show);
+  fitCheckbox.addEventListener("change", show);
   if (runs.length) setTimeout(show);
   const missing = campaign.missing.map(/** @param {string} file */ (file) => warning(`Missing file: ${file}`));
   return {
     title: `Records: ${campaign.title}`,
     content: [
-      make("h1", {}, campaign.title), campaignTabs(name, "runs", reachedBy(campaign)),
+      make("h1", {}, campaign.title), campaignTabs(name, "runs", reachedStep(campaign)),
       ...missing,
       ...(runs.length
         ? [make("div", { class: "row" }, labelled("Run", select),
           make("button", { type: "button", onclick: check }, "Check this run"),
-          make("label", { class: "choice" }, fitted, "Data and fit, with the bias parabola removed")), judgement, place]
+          make("label", { class: "choice" }, fitCheckbox, "Data and fit, with the bias parabola removed")), checkContainer, container]
         : [make("p", {}, "No records to show. The records listed in the description appear here when their files exist. " +
           "Individual readings are listed with the result.")]),
     ],

@@ -1,57 +1,57 @@
 // @ts-check
-// With what a certificate is signed. A key and its password go into one request and are forgotten.
+// The signature of a certificate. Key and password are used for a single request and not stored.
 
 import { labelled, make } from "./dom.js";
 
 /**
- * A file as a request carries it.
+ * Name and Base64 content of a file.
  * @param {File} file
  * @returns {Promise<{name: string, content: string}>}
  */
-const carried = (file) => new Promise((done, failed) => {
+const encodeFile = (file) => new Promise((resolve, reject) => {
   const reader = new FileReader();
-  reader.onload = () => done({ name: file.name, content: String(reader.result).split(",")[1] ?? "" });
-  reader.onerror = () => failed(new Error(`${file.name} cannot be read.`));
+  reader.onload = () => resolve({ name: file.name, content: String(reader.result).split(",")[1] ?? "" });
+  reader.onerror = () => reject(new Error(`${file.name} cannot be read.`));
   reader.readAsDataURL(file);
 });
 
-/** The fields that say who signs. */
+/** The fields of the signature. */
 export class Signing {
   /**
    * @param {string} signer whose command the server was started with; empty: nobody's
-   * @param {() => void} changed
+   * @param {() => void} onChange
    */
-  constructor(signer, changed) {
-    this.how = make("select", {
+  constructor(signer, onChange) {
+    this.methodSelect = make("select", {
       onchange: () => {
         this.show();
-        changed();
+        onChange();
       },
     },
       signer ? make("option", { value: "command" }, `Signing command of the server: ${signer}`) : null,
       make("option", { value: "key" }, "Key file"),
       make("option", { value: "" }, "No signature"));
-    this.key = make("input", { type: "file", accept: ".pem,.key,.p12,.pfx", onchange: changed });
+    this.key = make("input", { type: "file", accept: ".pem,.key,.p12,.pfx", onchange: onChange });
     this.certificate = make("input", { type: "file", accept: ".pem,.crt,.cer" });
     this.password = make("input", { type: "password", autocomplete: "off" });
     this.files = make("div", { class: "row" },
       labelled("Key file (PEM or PKCS #12)", this.key),
       labelled("Signer's certificate (PEM), if not in the key file", this.certificate),
       labelled("Key password (if encrypted)", this.password));
-    this.words = make("p", { class: "quiet" });
-    this.element = make("div", {}, make("div", { class: "row" }, labelled("Signature", this.how)),
-      this.files, this.words);
+    this.remark = make("p", { class: "quiet" });
+    this.element = make("div", {}, make("div", { class: "row" }, labelled("Signature", this.methodSelect)),
+      this.files, this.remark);
     this.show();
   }
 
-  /** Whether it is signed at all. */
-  get wanted() {
-    return this.how.value !== "";
+  /** Whether the certificate is signed. */
+  get isSigned() {
+    return this.methodSelect.value !== "";
   }
 
-  /** What the signature lacks; empty: nothing. */
+  /** The missing entry of the signature; empty if it is complete. */
   get gap() {
-    return this.how.value === "key" && !this.key.files?.length ? "Key file" : "";
+    return this.methodSelect.value === "key" && !this.key.files?.length ? "Key file" : "";
   }
 
   focus() {
@@ -60,28 +60,28 @@ export class Signing {
   }
 
   show() {
-    this.files.hidden = this.how.value !== "key";
-    this.words.textContent = {
+    this.files.hidden = this.methodSelect.value !== "key";
+    this.remark.textContent = {
       "": "",
       key: "The server signs both XML and PDF. The key and the password are used only for this request and are not stored.",
       command: "The server signs both XML and PDF.",
-    }[this.how.value] ?? "";
+    }[this.methodSelect.value] ?? "";
   }
 
   /**
-   * What a request says; the password is forgotten here.
+   * The signature for a request; this clears the password.
    * @returns {Promise<any>}
    */
-  async said() {
-    if (this.how.value === "") return undefined;
-    if (this.how.value === "command") return {};
+  async request() {
+    if (this.methodSelect.value === "") return undefined;
+    if (this.methodSelect.value === "command") return {};
     const [key, certificate] = [this.key.files?.[0], this.certificate.files?.[0]];
     if (!key) throw new Error("Choose a key file.");
     const password = this.password.value;
     this.password.value = "";
     return {
-      key: await carried(key),
-      ...(certificate ? { certificate: await carried(certificate) } : {}),
+      key: await encodeFile(key),
+      ...(certificate ? { certificate: await encodeFile(certificate) } : {}),
       ...(password ? { password } : {}),
     };
   }

@@ -1,11 +1,11 @@
 // @ts-check
-// The steps of a campaign, and its further places.
+// The steps of a campaign, and its further pages.
 
 import { make } from "./dom.js";
 import { requestTour } from "./tour.js";
 
-/** Further places of a campaign: address -> title. */
-const PLACES = { description: "Description", runs: "Records", live: "Live", try: "Try out" };
+/** Further pages of a campaign: name -> title. */
+const FURTHER_PAGES = { description: "Description", runs: "Records", live: "Live", try: "Try out" };
 
 /** @typedef {"confirm" | "calibrate" | "review" | "certify"} Step the step that a campaign has reached */
 
@@ -13,15 +13,15 @@ const STEPS = ["Import", "Confirm", "Calibrate", "Review", "Certify"];
 
 /**
  * The steps as a list.
- * @param {number} now the present step
+ * @param {number} currentStep the present step
  * @param {(string|null)[]} [links] addresses of steps
  */
-export const stepList = (now, links = []) => make("ol", {}, ...STEPS.map((words, place) => {
-  const link = links[place];
+export const stepList = (currentStep, links = []) => make("ol", {}, ...STEPS.map((label, index) => {
+  const link = links[index];
   return make("li", {
-    class: place < now ? "done" : place === now ? "now" : "",
-    "aria-current": place === now ? "step" : null,
-  }, link && (place <= now || place === STEPS.length - 1) ? make("a", { href: link }, words) : make("span", {}, words));
+    class: index < currentStep ? "done" : index === currentStep ? "now" : "",
+    "aria-current": index === currentStep ? "step" : null,
+  }, link && (index <= currentStep || index === STEPS.length - 1) ? make("a", { href: link }, label) : make("span", {}, label));
 }));
 
 /**
@@ -29,27 +29,27 @@ export const stepList = (now, links = []) => make("ol", {}, ...STEPS.map((words,
  * @param {import("./answers.js").CampaignOverview} campaign
  * @returns {{step: Step, result?: string}}
  */
-export function reachedBy({ mistakes, results: [result] }) {
+export function reachedStep({ mistakes, results: [result] }) {
   if (result && result.state !== "damaged") return { step: "review", result: result.name };
   return { step: mistakes.length ? "confirm" : "calibrate" };
 }
 
 /**
- * The steps from files to a certificate, and links to the further places of a campaign.
+ * The steps from files to a certificate, and links to the further pages of a campaign.
  * @param {string} name
- * @param {string} here
+ * @param {string} currentPage
  * @param {{step: Step, result?: string}} reached
  */
-export function campaignTabs(name, here, { step, result }) {
-  const at = (/** @type {string} */ place) => `#/${place}/${encodeURIComponent(name)}`;
-  const now = ["import", "confirm", "calibrate", "review", "certify"].indexOf(step);
-  const links = [at("runs"), at("description"), at("campaign"), at("campaign"),
+export function campaignTabs(name, currentPage, { step, result }) {
+  const addressOf = (/** @type {string} */ page) => `#/${page}/${encodeURIComponent(name)}`;
+  const currentStep = ["import", "confirm", "calibrate", "review", "certify"].indexOf(step);
+  const links = [addressOf("runs"), addressOf("description"), addressOf("campaign"), addressOf("campaign"),
     result === undefined ? null : `#/certificate/${encodeURIComponent(result)}`];
-  return make("nav", { class: "steps", "aria-label": "Campaign steps" }, stepList(now, links),
+  return make("nav", { class: "steps", "aria-label": "Campaign steps" }, stepList(currentStep, links),
     make("details", { class: "menu" }, make("summary", {}, "More"),
-      make("div", {}, ...Object.entries({ campaign: "Result", ...PLACES }).map(([place, words]) =>
-        make("a", { href: at(place), "aria-current": place === here ? "page" : null }, words)),
-      here === "campaign" && result !== undefined ? make("button", {
+      make("div", {}, ...Object.entries({ campaign: "Result", ...FURTHER_PAGES }).map(([page, label]) =>
+        make("a", { href: addressOf(page), "aria-current": page === currentPage ? "page" : null }, label)),
+      currentPage === "campaign" && result !== undefined ? make("button", {
         type: "button", class: "link",
         onclick: () => {
           requestTour(name);

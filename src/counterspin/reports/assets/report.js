@@ -1,10 +1,10 @@
 // @ts-check
-// The HTML report's script: the switch between light and dark, and plots that can be zoomed.
-// Without it the report is complete; still pictures stand where the plots would be.
+// Script of the HTML report: light and dark colours, tabs, and zoomable plots.
+// Without the script the report is complete, with static pictures.
 "use strict";
 
 /**
- * Points of a plot, with bars from low to high; and a line of what the mouse is over.
+ * Points of a plot, with error bars from low to high; and an entry of the readout.
  * @typedef {{x: number[], y: any[], low: any[] | null, high: any[] | null, colour: string,
  *   standsOut: boolean}} Points
  * @typedef {{label: string, colour: string, kind: string, shown?: HTMLElement,
@@ -12,18 +12,18 @@
  */
 
 var counterspin = (() => {
-  // Absent where no plot can be zoomed.
+  // Undefined if no plot is zoomable.
   const uPlot = /** @type {any} */ (globalThis).uPlot;
   const root = document.documentElement;
   const dark = matchMedia("(prefers-color-scheme: dark)");
   /** @type {(() => void)[]} */
   const redraws = [];
 
-  // Light and dark; what was chosen is kept, where the browser keeps anything for this page
+  // Light and dark colours; the choice is stored if the browser allows it
 
-  const KEPT = "counterspin-theme";
+  const THEME_KEY = "counterspin-theme";
   try {
-    root.dataset.theme = localStorage.getItem(KEPT) ?? "";
+    root.dataset.theme = localStorage.getItem(THEME_KEY) ?? "";
   } catch { /* nothing is kept */ }
   const isDark = () => (root.dataset.theme ? root.dataset.theme === "dark" : dark.matches);
   const button = /** @type {HTMLElement} */ (document.getElementById("theme"));
@@ -36,7 +36,7 @@ var counterspin = (() => {
   button.addEventListener("click", () => {
     root.dataset.theme = isDark() ? "light" : "dark";
     try {
-      localStorage.setItem(KEPT, root.dataset.theme);
+      localStorage.setItem(THEME_KEY, root.dataset.theme);
     } catch { /* nothing is kept */ }
     showTheme();
   });
@@ -60,37 +60,37 @@ var counterspin = (() => {
     value == null || !Number.isFinite(value)
       ? "–" : String(Number(value.toPrecision(digits))).replace(/^-/, "−");
 
-  // An array comes as whole numbers and the size of one step.
-  /** @param {any} packed */
-  const read = (packed) =>
-    packed && packed.values.map(/** @param {number | null} value */ (value) => (value === null ? null : value * packed.step));
+  // Arrays are quantised to integers.
+  /** @param {any} quantised */
+  const unpack = (quantised) =>
+    quantised && quantised.values.map(/** @param {number | null} value */ (value) => (value === null ? null : value * quantised.step));
 
   /** @type {(points: Points, low: number, high: number) => number[]} */
-  const within = (points, low, high) =>
-    points.x.flatMap((x, i) => (x >= low && x <= high && points.y[i] !== null ? [i] : []));
+  const indicesWithin = (points, low, high) =>
+    points.x.flatMap((x, index) => (x >= low && x <= high && points.y[index] !== null ? [index] : []));
 
-  // Tables that are wider than their box say so
+  // Mark tables that are wider than their box
 
-  const moved = new ResizeObserver((boxes) => boxes.forEach(({ target }) =>
+  const overflowObserver = new ResizeObserver((boxes) => boxes.forEach(({ target }) =>
     target.classList.toggle("more", target.scrollWidth > target.clientWidth + 1)));
 
-  // Chapters as tabs on a screen; on paper they follow one another
+  // Chapters as tabs on a screen, and consecutive on paper
 
-  const TAB = "counterspin-tab";
+  const TAB_KEY = "counterspin-tab";
 
   /** @param {HTMLElement} box with a section for each chapter */
-  function tabs(box) {
+  function makeTabs(box) {
     const sections = /** @type {HTMLElement[]} */ ([...box.children]);
     const bar = make("div", { class: "tablist", role: "tablist", "aria-label": "Chapters" });
     /** @type {(chosen: number, focus?: boolean) => void} */
-    const open = (chosen, focus = false) => buttons.forEach((tab, place) => {
-      const selected = place === chosen;
-      tab.setAttribute("aria-selected", String(selected));
-      tab.tabIndex = selected ? 0 : -1;
-      sections[place].classList.toggle("open", selected);
-      if (selected && focus) tab.focus();
+    const openTab = (chosenIndex, focus = false) => buttons.forEach((tab, index) => {
+      const isSelected = index === chosenIndex;
+      tab.setAttribute("aria-selected", String(isSelected));
+      tab.tabIndex = isSelected ? 0 : -1;
+      sections[index].classList.toggle("open", isSelected);
+      if (isSelected && focus) tab.focus();
     });
-    const buttons = sections.map((section, place) => {
+    const buttons = sections.map((section, index) => {
       const heading = /** @type {HTMLElement} */ (section.querySelector("h2"));
       section.id = `${heading.id}-panel`;
       const tab = make("button", { type: "button", role: "tab", id: `${heading.id}-tab`, "aria-controls": section.id });
@@ -98,41 +98,41 @@ var counterspin = (() => {
       section.setAttribute("role", "tabpanel");
       section.setAttribute("aria-labelledby", tab.id);
       tab.addEventListener("click", () => {
-        open(place);
+        openTab(index);
         try {
-          sessionStorage.setItem(TAB, heading.id);
+          sessionStorage.setItem(TAB_KEY, heading.id);
         } catch { /* nothing is kept */ }
       });
       return tab;
     });
     bar.addEventListener("keydown", (event) => {
-      const now = buttons.findIndex((tab) => tab.tabIndex === 0);
+      const currentIndex = buttons.findIndex((tab) => tab.tabIndex === 0);
       /** @type {Record<string, number>} */
-      const targets = { ArrowLeft: now - 1, ArrowRight: now + 1, Home: 0, End: buttons.length - 1 };
+      const targets = { ArrowLeft: currentIndex - 1, ArrowRight: currentIndex + 1, Home: 0, End: buttons.length - 1 };
       if (!(event.key in targets)) return;
       event.preventDefault();
-      open((targets[event.key] + buttons.length) % buttons.length, true);
+      openTab((targets[event.key] + buttons.length) % buttons.length, true);
     });
     bar.append(...buttons);
     box.prepend(bar);
     box.classList.add("tabbed");
     const follow = () => {
       const target = document.getElementById(location.hash.slice(1));
-      const place = sections.findIndex((section) => target && section.contains(target));
-      if (place < 0 || !target) return;
-      open(place);
+      const index = sections.findIndex((section) => target && section.contains(target));
+      if (index < 0 || !target) return;
+      openTab(index);
       target.scrollIntoView();
     };
-    let kept = null;
+    let storedTab = null;
     try {
-      kept = sessionStorage.getItem(TAB);
+      storedTab = sessionStorage.getItem(TAB_KEY);
     } catch { /* nothing is kept */ }
-    open(Math.max(sections.findIndex((section) => section.id === `${kept}-panel`), 0));
+    openTab(Math.max(sections.findIndex((section) => section.id === `${storedTab}-panel`), 0));
     addEventListener("hashchange", follow);
     follow();
   }
 
-  // Tables to copy and save, figures to save
+  // Copying and saving of tables and figures
 
   /** @type {(name: string, type: string, content: BlobPart) => void} */
   function saveAs(name, type, content) {
@@ -145,17 +145,17 @@ var counterspin = (() => {
   const fileName = (text) => text.replace(/[^A-Za-z0-9]+/g, "-").replace(/^-|-$/g, "").toLowerCase();
 
   /** @type {(words: string, of: string, work: (button: HTMLElement) => void | Promise<void>) => HTMLElement} */
-  function tool(words, of, work) {
-    const button = make("button", { type: "button", "aria-label": `${words}: ${of}` }, words);
+  function toolButton(label, subject, action) {
+    const button = make("button", { type: "button", "aria-label": `${label}: ${subject}` }, label);
     const failure = make("span", { role: "alert" });
     button.addEventListener("click", async () => {
       failure.remove();
       try {
-        await work(button);
+        await action(button);
       } catch (error) {
-        failure.textContent = words === "Copy"
+        failure.textContent = label === "Copy"
           ? "Not copied: the browser refuses access to the clipboard. Select the table and copy it, or save it as CSV."
-          : `Not saved as ${words}: ${/** @type {Error} */ (error).message || "the browser cannot draw the figure"}. Reload the page and try again.`;
+          : `Not saved as ${label}: ${/** @type {Error} */ (error).message || "the browser cannot draw the figure"}. Reload the page and try again.`;
         button.after(failure);
       }
     });
@@ -173,9 +173,9 @@ var counterspin = (() => {
     const area = /** @type {HTMLTextAreaElement} */ (make("textarea", {}, text));
     document.body.append(area);
     area.select();
-    const copied = document.execCommand("copy");
+    const isCopied = document.execCommand("copy");
     area.remove();
-    if (!copied) throw new Error("copying is refused");
+    if (!isCopied) throw new Error("copying is refused");
   }
 
   /** @param {HTMLElement} box */
@@ -183,16 +183,16 @@ var counterspin = (() => {
     const table = /** @type {HTMLTableElement} */ (box.querySelector("table"));
     const label = (box.getAttribute("aria-label") ?? "").replace(/^Table: /, "");
     const quote = (/** @type {string} */ cell) => {
-      const plain = cell.replace(/−/g, "-");
-      return /[",\n]/.test(plain) ? `"${plain.replaceAll('"', '""')}"` : plain;
+      const plainText = cell.replace(/−/g, "-");
+      return /[",\n]/.test(plainText) ? `"${plainText.replaceAll('"', '""')}"` : plainText;
     };
     box.before(make("div", { class: "tools save" },
-      tool("Copy", label, async (button) => {
+      toolButton("Copy", label, async (button) => {
         await copy(cellsOf(table).map((row) => row.join("\t")).join("\n"));
         button.textContent = "Copied";
         setTimeout(() => { button.textContent = "Copy"; }, 2000);
       }),
-      tool("CSV", label, () => saveAs(`${fileName(label)}.csv`, "text/csv;charset=utf-8",
+      toolButton("CSV", label, () => saveAs(`${fileName(label)}.csv`, "text/csv;charset=utf-8",
         `\ufeff${cellsOf(table).map((row) => row.map(quote).join(",")).join("\r\n")}\r\n`))));
   }
 
@@ -200,24 +200,24 @@ var counterspin = (() => {
   function figureTools(figure) {
     const caption = /** @type {HTMLElement} */ (figure.querySelector("figcaption"));
     const title = caption.textContent ?? "figure";
-    const still = /** @type {any} */ (figure.querySelector(".still"));
-    const drawing = async () => {
-      const text = still.querySelector("svg")?.outerHTML ?? await still.fetchPicture();
+    const picture = /** @type {any} */ (figure.querySelector(".still"));
+    const serializePicture = async () => {
+      const text = picture.querySelector("svg")?.outerHTML ?? await picture.fetchPicture();
       const svg = /** @type {Element} */ (new DOMParser().parseFromString(text, "text/html").querySelector("svg"));
       const [, , width, height] = (svg.getAttribute("viewBox") ?? "0 0 800 500").split(/[\s,]+/).map(Number);
       svg.setAttribute("width", String(width));
       svg.setAttribute("height", String(height));
       svg.setAttribute("style", `background: ${colour("--ground")}`);
-      const whole = new XMLSerializer().serializeToString(svg)
+      const svgText = new XMLSerializer().serializeToString(svg)
         .replace(/var\((--[\w-]+)[^)]*\)/g, (_, name) => colour(name));
-      return { whole, width, height };
+      return { whole: svgText, width, height };
     };
     caption.after(make("div", { class: "tools save" },
-      tool("SVG", title, async () => saveAs(`${fileName(title)}.svg`, "image/svg+xml", (await drawing()).whole)),
-      tool("PNG", title, async () => {
-        const { whole, width, height } = await drawing();
+      toolButton("SVG", title, async () => saveAs(`${fileName(title)}.svg`, "image/svg+xml", (await serializePicture()).whole)),
+      toolButton("PNG", title, async () => {
+        const { whole: svgText, width, height } = await serializePicture();
         const image = new Image();
-        image.src = `data:image/svg+xml;charset=utf-8,${encodeURIComponent(whole)}`;
+        image.src = `data:image/svg+xml;charset=utf-8,${encodeURIComponent(svgText)}`;
         await image.decode();
         const canvas = /** @type {HTMLCanvasElement} */ (make("canvas", {}));
         [canvas.width, canvas.height] = [2 * width, 2 * height];
@@ -229,10 +229,10 @@ var counterspin = (() => {
       })));
   }
 
-  // A plot: lines and bands are uPlot's, points and levels are drawn here, over them
+  // Plots: uPlot draws lines and bands; points and levels are drawn here on top
 
   /** @param {any} plot */
-  function parts(plot) {
+  function plotParts(plot) {
     /** @type {any[][]} */
     const tables = [];
     /** @type {any[]} */
@@ -245,8 +245,8 @@ var counterspin = (() => {
     const legend = [];
     plot.series.forEach(/** @param {any} source */ (source) => {
       const name = source.colour;
-      const one = {
-        x: read(source.x), y: read(source.y), low: read(source.low), high: read(source.high),
+      const arrays = {
+        x: unpack(source.x), y: unpack(source.y), low: unpack(source.low), high: unpack(source.high),
       };
       /** @type {Entry} */
       const entry = { label: source.label, colour: name, kind: source.kind, value: () => null };
@@ -256,19 +256,19 @@ var counterspin = (() => {
         spanGaps: false,
       });
       if (source.kind === "points") {
-        const mine = { ...one, colour: name, standsOut: source.is_highlighted };
-        points.push(mine);
-        entry.value = (u, at) => nearest(u, mine, at);
+        const pointSeries = { ...arrays, colour: name, standsOut: source.is_highlighted };
+        points.push(pointSeries);
+        entry.value = (u, at) => nearest(u, pointSeries, at);
       } else if (source.kind === "band") {
         const first = series.length;
-        tables.push([one.x, one.low, one.high]);
+        tables.push([arrays.x, arrays.low, arrays.high]);
         series.push(line(1, "a0"), line(1, "a0"));
         bands.push({ series: [first + 1, first], fill: () => `${colour(name)}66` });
         entry.value = (u) => [u.cursor.idxs[first], u.cursor.idxs[first + 1]]
           .map((i, k) => (i == null ? null : u.data[first + k][i]));
       } else {
         const at = series.length;
-        tables.push([one.x, one.y]);
+        tables.push([arrays.x, arrays.y]);
         series.push(line(1.5));
         entry.value = (u) => {
           const i = u.cursor.idxs[at];
@@ -277,61 +277,61 @@ var counterspin = (() => {
       }
       legend.push(entry);
     });
-    // Points widen the axis, and must not be joined: two may share an x.
-    const places = [...new Set(points.flatMap((one) => one.x))].sort((a, b) => a - b);
-    if (places.length) tables.push([places]);
-    // 2: a gap reaches to the neighbours that have a value (uPlot's JoinNullMode.Expand).
-    const gaps = tables.map((table) => table.map(() => 2));
-    const data = uPlot.join(tables, gaps);
-    series.slice(1).forEach((one, i) => {
-      const alone = between(data[i + 1]);
-      one.points = { show: false, filter: () => alone, size: 4, fill: one.stroke };
+    // Points only extend the axis; they are not joined, because several can have the same x.
+    const xValues = [...new Set(points.flatMap((arrays) => arrays.x))].sort((a, b) => a - b);
+    if (xValues.length) tables.push([xValues]);
+    // 2: gaps extend to the neighbouring values (JoinNullMode.Expand of uPlot).
+    const nullModes = tables.map((table) => table.map(() => 2));
+    const data = uPlot.join(tables, nullModes);
+    series.slice(1).forEach((arrays, i) => {
+      const isolated = isolatedIndices(data[i + 1]);
+      arrays.points = { show: false, filter: () => isolated, size: 4, fill: arrays.stroke };
     });
     return { data, series, bands, points, legend };
   }
 
-  // Values between two gaps, which no line reaches; undefined is where other series have a value.
+  // Isolated values between gaps, which no line reaches; undefined: only other series have a value.
   /** @param {any[]} values */
-  function between(values) {
-    const places = values.flatMap((value, i) => (value === undefined ? [] : [i]));
-    return places.filter((i, k) => values[i] !== null
-      && (values[places[k - 1]] ?? null) === null && (values[places[k + 1]] ?? null) === null);
+  function isolatedIndices(values) {
+    const indices = values.flatMap((value, index) => (value === undefined ? [] : [index]));
+    return indices.filter((index, k) => values[index] !== null
+      && (values[indices[k - 1]] ?? null) === null && (values[indices[k + 1]] ?? null) === null);
   }
 
   /** @type {(u: any, one: Points, at: number) => any[] | null} */
-  function nearest(u, one, at) {
-    const reach = 12;
+  function nearest(u, points, position) {
+    const maxDistance = 12;
     /** @type {number | null} */
-    let best = null;
-    let distance = reach;
-    for (const i of within(one, u.posToVal(at - reach, "x"), u.posToVal(at + reach, "x"))) {
-      const away = Math.abs(u.valToPos(one.x[i], "x") - at);
-      if (away < distance) [best, distance] = [i, away];
+    let nearestIndex = null;
+    let distance = maxDistance;
+    for (const index of indicesWithin(points, u.posToVal(position - maxDistance, "x"), u.posToVal(position + maxDistance, "x"))) {
+      const candidateDistance = Math.abs(u.valToPos(points.x[index], "x") - position);
+      if (candidateDistance < distance) [nearestIndex, distance] = [index, candidateDistance];
     }
-    return best === null ? null : [one.y[best]];
+    return nearestIndex === null ? null : [points.y[nearestIndex]];
   }
 
-  // The height follows what is seen of lines and ordinary points. What stands out widens it up to
-  // three times; beyond that it would flatten all else, and is marked at the edge instead.
+  // The range follows the visible lines and ordinary points. Highlighted points extend it by up to
+  // a factor of three; points beyond are marked at the edge.
   /** @type {(u: any, low: number, high: number, points: Points[], levels: number[], log: boolean) => number[]} */
   function yRange(u, low, high, points, levels, log) {
     const { min, max } = u.scales.x;
     const [first, last] = u.series[0].idxs ?? [0, u.data[0].length - 1];
     /** @type {[number, number]} */
-    const seen = [u.data[0][first] ?? min, u.data[0][last] ?? max];
-    const values = (/** @type {Points[]} */ some) => some.flatMap((one) =>
-      within(one, ...seen).flatMap((i) => [one.y[i], one.low?.[i] ?? one.y[i],
+    const visibleRange = [u.data[0][first] ?? min, u.data[0][last] ?? max];
+    const values = (/** @type {Points[]} */ pointSeries) => pointSeries.flatMap((one) =>
+      indicesWithin(one, ...visibleRange).flatMap((i) => [one.y[i], one.low?.[i] ?? one.y[i],
         one.high?.[i] ?? one.y[i]]));
-    const out = points.filter((one) => one.standsOut);
-    const plain = [low, high, ...values(points.filter((one) => !one.standsOut))]
+    const highlighted = points.filter((one) => one.standsOut);
+    const plainValues = [low, high, ...values(points.filter((one) => !one.standsOut))]
       .filter(Number.isFinite);
-    if (!plain.length) plain.push(...values(out));
-    if (!plain.length) plain.push(...levels);
-    if (!plain.length) return [0, 1];
-    let [bottom, top] = [Math.min(...plain), Math.max(...plain)];
+    if (!plainValues.length) plainValues.push(...values(highlighted));
+    if (!plainValues.length) plainValues.push(...levels);
+    if (!plainValues.length) return [0, 1];
+    let [bottom, top] = [Math.min(...plainValues), Math.max(...plainValues)];
     if (log) return uPlot.rangeLog(bottom, top, 10, false);
     const height = top - bottom || Math.abs(top) || 1;
-    for (const y of values(out)) {
+    for (const y of values(highlighted)) {
       if (y > top && y < bottom + 3 * height) top = y;
       if (y < bottom && y > top - 3 * height) bottom = y;
     }
@@ -358,28 +358,28 @@ var counterspin = (() => {
   }
 
   /** @type {(u: any, one: Points) => void} */
-  function drawPoints(u, one) {
+  function drawPoints(u, points) {
     const { ctx, bbox } = u;
     const size = 3.5 * devicePixelRatio;
     const bottom = bbox.top + bbox.height;
     ctx.save();
-    ctx.fillStyle = ctx.strokeStyle = colour(one.colour);
+    ctx.fillStyle = ctx.strokeStyle = colour(points.colour);
     ctx.lineWidth = 1.25 * devicePixelRatio;
-    for (const i of within(one, u.scales.x.min, u.scales.x.max)) {
-      const x = u.valToPos(one.x[i], "x", true);
-      const y = u.valToPos(one.y[i], "y", true);
+    for (const index of indicesWithin(points, u.scales.x.min, u.scales.x.max)) {
+      const x = u.valToPos(points.x[index], "x", true);
+      const y = u.valToPos(points.y[index], "y", true);
       ctx.beginPath();
-      if (one.low && one.high && one.low[i] !== null && one.high[i] !== null) {
-        ctx.moveTo(x, Math.min(u.valToPos(one.low[i], "y", true), bottom));
-        ctx.lineTo(x, Math.max(u.valToPos(one.high[i], "y", true), bbox.top));
+      if (points.low && points.high && points.low[index] !== null && points.high[index] !== null) {
+        ctx.moveTo(x, Math.min(u.valToPos(points.low[index], "y", true), bottom));
+        ctx.lineTo(x, Math.max(u.valToPos(points.high[index], "y", true), bbox.top));
         ctx.stroke();
         ctx.beginPath();
       }
       if (y < bbox.top || y > bottom) {
-        const [edge, way] = y < bbox.top ? [bbox.top, 1] : [bottom, -1];
+        const [edge, direction] = y < bbox.top ? [bbox.top, 1] : [bottom, -1];
         ctx.moveTo(x, edge);
-        ctx.lineTo(x - size, edge + 2 * way * size);
-        ctx.lineTo(x + size, edge + 2 * way * size);
+        ctx.lineTo(x - size, edge + 2 * direction * size);
+        ctx.lineTo(x + size, edge + 2 * direction * size);
       } else {
         ctx.arc(x, y, size, 0, 2 * Math.PI);
       }
@@ -407,24 +407,24 @@ var counterspin = (() => {
   /** @param {any} figure */
   function zoomable(figure) {
     const plot = JSON.parse(figure.querySelector("script").textContent);
-    const { data, series, bands, points, legend } = parts(plot);
+    const { data, series, bands, points, legend } = plotParts(plot);
     const title = figure.querySelector("figcaption").textContent;
     const canvas = make("div", { class: "canvas", role: "img", "aria-label": title });
     const readout = make("ul", { class: "readout" });
-    const place = make("b", {});
-    readout.append(make("li", {}, `${plot.x_label}: `, place));
-    for (const entry of legend.filter((one) => one.label)) {
-      const dots = entry.kind === "points" ? "dots" : "";
+    const xReadout = make("b", {});
+    readout.append(make("li", {}, `${plot.x_label}: `, xReadout));
+    for (const entry of legend.filter((item) => item.label)) {
+      const dotClass = entry.kind === "points" ? "dots" : "";
       entry.shown = make("b", {});
-      const swatch = make("i", { class: dots, style: `background: var(${entry.colour})` });
+      const swatch = make("i", { class: dotClass, style: `background: var(${entry.colour})` });
       readout.append(make("li", {}, swatch, `${entry.label}: `, entry.shown));
     }
-    const read = (/** @type {any} */ u) => {
+    const updateReadout = (/** @type {any} */ u) => {
       const { left, idx } = u.cursor;
-      const over = left >= 0 && idx != null;
-      place.textContent = over ? format(u.posToVal(left, "x"), 6) : "–";
+      const isOver = left >= 0 && idx != null;
+      xReadout.textContent = isOver ? format(u.posToVal(left, "x"), 6) : "–";
       for (const entry of legend.filter((one) => one.label)) {
-        const values = over ? entry.value(u, left) : null;
+        const values = isOver ? entry.value(u, left) : null;
         /** @type {HTMLElement} */ (entry.shown).textContent = values ? values.map((one) => format(one, 4)).join(" to ") : "–";
       }
     };
@@ -452,9 +452,9 @@ var counterspin = (() => {
         series,
         bands,
         hooks: {
-          setCursor: [read],
+          setCursor: [updateReadout],
           drawClear: [(/** @type {any} */ u) => drawLevels(u, plot.levels)],
-          draw: [(/** @type {any} */ u) => points.forEach((one) => drawPoints(u, one))],
+          draw: [(/** @type {any} */ u) => points.forEach((item) => drawPoints(u, item))],
         },
       },
       data,
@@ -462,34 +462,34 @@ var counterspin = (() => {
     );
     figure.chart = chart;
 
-    // What a mouse does by dragging, keys and fingers do with these
-    const whole = [data[0][0], data[0].at(-1)];
+    // Buttons for keyboard and touch, equivalent to dragging with the mouse
+    const fullRange = [data[0][0], data[0].at(-1)];
     /** @type {(shift: number, factor: number) => void} */
-    const see = (shift, factor) => {
+    const moveWindow = (shift, factor) => {
       const { min, max } = chart.scales.x;
-      const half = Math.min(0.5 * (max - min) * factor, 0.5 * (whole[1] - whole[0]));
+      const half = Math.min(0.5 * (max - min) * factor, 0.5 * (fullRange[1] - fullRange[0]));
       const middle = 0.5 * (min + max) + shift * (max - min);
-      const centre = Math.min(Math.max(middle, whole[0] + half), whole[1] - half);
+      const centre = Math.min(Math.max(middle, fullRange[0] + half), fullRange[1] - half);
       chart.setScale("x", { min: centre - half, max: centre + half });
     };
     /** @type {(sign: string, words: string, action: () => void) => HTMLElement} */
-    const zoomButton = (sign, words, action) => {
-      const one = make("button", { type: "button", "aria-label": words, title: words }, sign);
-      one.addEventListener("click", action);
-      return one;
+    const zoomButton = (sign, label, action) => {
+      const button = make("button", { type: "button", "aria-label": label, title: label }, sign);
+      button.addEventListener("click", action);
+      return button;
     };
     box.append(
       make("div", { class: "tools" },
-        zoomButton("+", "Zoom in", () => see(0, 0.5)),
-        zoomButton("−", "Zoom out", () => see(0, 2)),
-        zoomButton("‹", "Move left", () => see(-0.25, 1)),
-        zoomButton("›", "Move right", () => see(0.25, 1)),
-        zoomButton("All", "Show all", () => chart.setScale("x", { min: whole[0], max: whole[1] })),
+        zoomButton("+", "Zoom in", () => moveWindow(0, 0.5)),
+        zoomButton("−", "Zoom out", () => moveWindow(0, 2)),
+        zoomButton("‹", "Move left", () => moveWindow(-0.25, 1)),
+        zoomButton("›", "Move right", () => moveWindow(0.25, 1)),
+        zoomButton("All", "Show all", () => chart.setScale("x", { min: fullRange[0], max: fullRange[1] })),
         make("p", {}, "Drag to zoom in, double-click to zoom out.")),
       canvas,
       readout,
     );
-    read(chart);
+    updateReadout(chart);
     redraws.push(() => chart.redraw(false));
     new ResizeObserver(() => {
       const width = box.clientWidth;
@@ -497,14 +497,14 @@ var counterspin = (() => {
     }).observe(box);
   }
 
-  // Whatever a page shows later is given to this, too.
-  /** @param {ParentNode} part */
-  function draw(part) {
-    part.querySelectorAll(".scroll").forEach((box) => moved.observe(box));
-    part.querySelectorAll('.scroll[aria-label^="Table: "]').forEach((box) => tableTools(/** @type {HTMLElement} */ (box)));
-    part.querySelectorAll("figure[id]").forEach((figure) => figureTools(/** @type {HTMLElement} */ (figure)));
-    part.querySelectorAll(".chapters.tabs").forEach((box) => tabs(/** @type {HTMLElement} */ (box)));
-    if (uPlot) part.querySelectorAll("figure.zoomable").forEach(zoomable);
+  // Also called for content that a page shows later.
+  /** @param {ParentNode} root */
+  function draw(root) {
+    root.querySelectorAll(".scroll").forEach((box) => overflowObserver.observe(box));
+    root.querySelectorAll('.scroll[aria-label^="Table: "]').forEach((box) => tableTools(/** @type {HTMLElement} */ (box)));
+    root.querySelectorAll("figure[id]").forEach((figure) => figureTools(/** @type {HTMLElement} */ (figure)));
+    root.querySelectorAll(".chapters.tabs").forEach((box) => makeTabs(/** @type {HTMLElement} */ (box)));
+    if (uPlot) root.querySelectorAll("figure.zoomable").forEach(zoomable);
   }
 
   draw(document);
