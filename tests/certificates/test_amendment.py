@@ -27,18 +27,25 @@ def certificate_folder(tmp_path, monkeypatch):
 
 
 def test_amended_certificate_round_trip(certificate_folder, capsys):
-    old = (certificate_folder / "old.xml").read_bytes()
+    old_xml = (certificate_folder / "old.xml").read_bytes()
     write_lab(certificate_folder, LAB.replace('"0815"', '"0816"'))
-    why = ("--amends", "old.xml", "--reason", "The serial number was misread.")
-    assert cli.main(["certificate", "r.json", "LAB.toml", "-o", "new.xml", *why]) == 0
-    new = (certificate_folder / "new.xml").read_bytes()
-    name, digest = read_certificate(old, "").identifier, hashlib.sha256(old).hexdigest()
-    assert read_certificate(new, "").identifier == f"{name}-A1"
+    amendment_options = ("--amends", "old.xml", "--reason", "The serial number was misread.")
+    assert cli.main(["certificate", "r.json", "LAB.toml", "-o", "new.xml", *amendment_options]) == 0
+    new_xml = (certificate_folder / "new.xml").read_bytes()
+    name, checksum = read_certificate(old_xml, "").identifier, hashlib.sha256(old_xml).hexdigest()
+    assert read_certificate(new_xml, "").identifier == f"{name}-A1"
     replaced = f"{CORE}/dcc:reportAmendedSubstituted"
-    assert [e.text for e in find_elements(new, f"{replaced}/*")] == ["amended", name]
+    assert [element.text for element in find_elements(new_xml, f"{replaced}/*")] == [
+        "amended",
+        name,
+    ]
     previous = f"{CORE}/dcc:previousReport"
-    assert [e.text for e in find_elements(new, f"{previous}/*")[1:4]] == [name, "SHA-256", digest]
-    text = find_elements(new, "//dcc:statement[dcc:name/dcc:content='Amendment']//dcc:content")[
+    assert [element.text for element in find_elements(new_xml, f"{previous}/*")[1:4]] == [
+        name,
+        "SHA-256",
+        checksum,
+    ]
+    text = find_elements(new_xml, "//dcc:statement[dcc:name/dcc:content='Amendment']//dcc:content")[
         -1
     ].text
     _, reason, changed = text.splitlines()
@@ -51,14 +58,14 @@ def test_amended_certificate_round_trip(certificate_folder, capsys):
         f"The document amends and replaces certificate {name}, whose checksum"
         in capsys.readouterr().out
     )
-    (certificate_folder / "old.xml").write_bytes(old.replace(b"0815", b"0814"))
+    (certificate_folder / "old.xml").write_bytes(old_xml.replace(b"0815", b"0814"))
     assert cli.main(["certificate", "--verify", "new.xml", "--amends", "old.xml"]) == 1
     assert "amend old.xml" in capsys.readouterr().err
     # And once more.
-    again = certificate(
+    repeated_certificate = certificate(
         "r.json", "LAB.toml", amends=Amendment(certificate_folder / "new.xml", "No code.")
     )
-    assert again.identifier == f"{name}-A2"
+    assert repeated_certificate.identifier == f"{name}-A2"
 
 
 def test_changed_numbers_are_listed(certificate_folder):
@@ -69,24 +76,26 @@ def test_changed_numbers_are_listed(certificate_folder):
         },
         correlation=None,
     )
-    made = [certificate(given, "LAB.toml").xml for given in (make_qx_result(), calibration)]
-    told = describe_changes(*made)
-    assert told[:2] == [
+    documents = [
+        certificate(original, "LAB.toml").xml for original in (make_qx_result(), calibration)
+    ]
+    changes = describe_changes(*documents)
+    assert changes[:2] == [
         "K_F of Qx was 5000.0 ± 2.0 ug and is now not certified.",
         "K_II of Qx was 27.0000 ± 0.0020 ug/g^2 and is now 27.1000 ± 0.0020 ug/g^2.",
     ]
-    assert told[2:] == ['the statement "Undetermined coefficients of accelerometer Qx" is new.']
-    assert describe_changes(made[0], made[0]) == [
+    assert changes[2:] == ['the statement "Undetermined coefficients of accelerometer Qx" is new.']
+    assert describe_changes(documents[0], documents[0]) == [
         "The amendment changes only the identifier and the date of issue."
     ]
 
 
 def test_added_and_removed_statements_are_listed(certificate_folder):
-    old = certificate(make_qx_result(), "LAB.toml").xml
+    old_xml = certificate(make_qx_result(), "LAB.toml").xml
     write_lab(
         certificate_folder, LAB.replace('remarks = ["Bemerkung."]', 'customer_data = ["K_I"]')
     )
-    assert describe_changes(old, certificate(make_qx_result(), "LAB.toml").xml) == [
+    assert describe_changes(old_xml, certificate(make_qx_result(), "LAB.toml").xml) == [
         'the statement "Prior information" has changed.',
         'the statement "Remarks" has been removed.',
         'the statement "Data supplied by the customer" is new.',
@@ -108,8 +117,8 @@ def test_rejects_invalid_amendment(certificate_folder, capsys):
     certificate("r.json", "mine.toml").write("draft.xml")
     with raises("wrong-amendment"):
         certificate("r.json", "LAB.toml", amends=Amendment(certificate_folder / "draft.xml", "why"))
-    words = ["certificate", "r.json", "LAB.toml", "-o", "x.xml", "--amends", "old.xml"]
-    assert cli.main(words) == 2
+    arguments = ["certificate", "r.json", "LAB.toml", "-o", "x.xml", "--amends", "old.xml"]
+    assert cli.main(arguments) == 2
     assert "--amends OLD.xml and --reason WHY" in capsys.readouterr().err
 
 
@@ -130,8 +139,8 @@ def test_circular_amendments_are_rejected_without_ledger(certificate_folder):
         with raises("duplicate-entry", "CS 002"):
             certificate("r.json", "LAB.toml", amends=Amendment(certificate_folder / "2.xml", "why"))
     # A circular chain from another program is detected on reading.
-    whole = (certificate_folder / "2.xml").read_bytes()
-    (certificate_folder / "2.xml").write_bytes(whole.replace(b">CS 002<", b">CS 000<"))
+    xml = (certificate_folder / "2.xml").read_bytes()
+    (certificate_folder / "2.xml").write_bytes(xml.replace(b">CS 002<", b">CS 000<"))
     with pytest.raises(RecordError, match="The amendments are therefore circular"):
         check_certificate(certificate_folder / "2.xml", amended_path=certificate_folder / "1.xml")
 

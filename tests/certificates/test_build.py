@@ -48,12 +48,14 @@ def test_documentation_lists_units_of_all_terms():
     row = re.compile(r"^\| ([KKd]\w+).*? \| ([^|]+) \| (.*) \| `(.*)` \|$", re.MULTILINE)
     rows = row.findall((ROOT / "docs" / "certificate.md").read_text("utf-8"))
     assert {unit for _, unit, *_ in rows} == {term.unit for term in TERMS.values()}
-    for symbol, unit, shown, written in rows:
+    for symbol, unit, displayed_unit, dsi_unit in rows:
         assert TERMS[symbol].unit == unit
-        assert si_unit(unit)[0].dsi_text == written
-        parts = re.findall(r"\\(metre|second|radian|one)(?:\\tothe\{(-?\d)\})?", written)
+        assert si_unit(unit)[0].dsi_text == dsi_unit
+        parts = re.findall(r"\\(metre|second|radian|one)(?:\\tothe\{(-?\d)\})?", dsi_unit)
         letters = {"metre": "m", "second": "s", "radian": "rad", "one": "1"}
-        assert " ".join(letters[name] + (f"^{n}" if n else "") for name, n in parts) == shown
+        assert (
+            " ".join(letters[name] + (f"^{n}" if n else "") for name, n in parts) == displayed_unit
+        )
 
 
 @pytest.mark.parametrize("unit", sorted({row.unit for row in [*TERMS.values()]}))
@@ -72,9 +74,9 @@ def test_error_model_is_equivalent_in_si(unit):
     "unit", sorted({row.unit for row in [*TERMS.values(), *PLATFORM_TERMS.values()]})
 )
 def test_conversion_agrees_with_quantities_and_is_invertible(unit):
-    wanted = si_unit(unit)[0].plain_text
+    plain_unit = si_unit(unit)[0].plain_text
     assert to_si(3.0, unit, G) == pytest.approx(
-        3.0 * unit_factor(unit, wanted, gravity=G), rel=1e-15
+        3.0 * unit_factor(unit, plain_unit, gravity=G), rel=1e-15
     )
     assert from_si(to_si(3.0, unit, G), unit, G) == pytest.approx(3.0, rel=1e-15)
 
@@ -105,20 +107,23 @@ def test_numbers_match_schema_format():
 
 
 def test_output_units_known_to_si_are_certified(tmp_path):
-    plain = make_qx_result()
-    one = plain.accelerometers["Qx"]
+    calibration = make_qx_result()
+    accelerometer = calibration.accelerometers["Qx"]
     output = {
         "bias": Coefficient(**make_coefficient(6.25, 1e-3, "mA")),
         "scale_factor": Coefficient(**make_coefficient(1.25, 1e-6, "mA/g")),
     }
-    coefficients = one.coefficients | {
+    coefficients = accelerometer.coefficients | {
         symbol: Coefficient(**make_coefficient(1.0, 1e-6, TERMS[symbol].unit))
         for symbol in ("K_F", "K_I")
     }
-    one = one.model_copy(update={"coefficients": coefficients})
-    plain = plain.model_copy(update={"accelerometers": {"Qx": one}})
-    own = one.model_copy(update={"output": output})
-    xml = make_document(tmp_path, plain.model_copy(update={"accelerometers": {"Qx": own}}))
+    accelerometer = accelerometer.model_copy(update={"coefficients": coefficients})
+    calibration = calibration.model_copy(update={"accelerometers": {"Qx": accelerometer}})
+    accelerometer_with_output = accelerometer.model_copy(update={"output": output})
+    xml = make_document(
+        tmp_path,
+        calibration.model_copy(update={"accelerometers": {"Qx": accelerometer_with_output}}),
+    )
     values = {"Bias": (6.25e-3, r"\ampere"), "Scale factor": (1.25e-3 / 9.8, "")}
     for name, (value, unit) in values.items():
         real = f"{QUANTITY}[dcc:name/dcc:content='{name}']/si:real"
@@ -127,12 +132,17 @@ def test_output_units_known_to_si_are_certified(tmp_path):
         )
         assert unit in find_elements(xml, f"{real}/si:unit")[0].text
     assert list(read_certificate(xml, "c").accelerometers["Qx"].coefficients) == list(
-        read_certificate(make_document(tmp_path, plain), "c").accelerometers["Qx"].coefficients
+        read_certificate(make_document(tmp_path, calibration), "c")
+        .accelerometers["Qx"]
+        .coefficients
     )
-    odd = own.model_copy(
+    accelerometer_with_unknown_unit = accelerometer_with_output.model_copy(
         update={"output": {"bias": Coefficient(**make_coefficient(6.25, 1e-3, "V/Hz^0.5"))}}
     )
-    xml = make_document(tmp_path, plain.model_copy(update={"accelerometers": {"Qx": odd}}))
+    xml = make_document(
+        tmp_path,
+        calibration.model_copy(update={"accelerometers": {"Qx": accelerometer_with_unknown_unit}}),
+    )
     assert not find_elements(xml, f"{QUANTITY}[dcc:name/dcc:content='Bias']")
     assert b"In the unit of the readings, the bias" in xml
 
@@ -153,16 +163,16 @@ def test_coefficient_in_si(tmp_path):
     assert find_elements(xml, f"{mu}/si:distribution")[0].text == "t"
     # u is 1.02e-10 s^2/m: its second digit is 1e-11.
     assert find_elements(xml, f"{real}/si:significantDigit")[0].text == "-11"
-    said = find_elements(
+    description = find_elements(
         xml, f"{QUANTITY}[dcc:name/dcc:content='K_II']/dcc:description/dcc:content"
     )[0]
-    assert "27.0000 ± 0.0020 ug/g^2 (U, k = 2.0086)" in said.text
+    assert "27.0000 ± 0.0020 ug/g^2 (U, k = 2.0086)" in description.text
     gravity = find_elements(xml, "//dcc:statement/dcc:nonSIDefinition")[0].text
     assert gravity == "1 g = 9.8 m/s^2, the local gravity at the site"
 
 
 def test_certificate_round_trip(tmp_path):
-    given = make_qx_result(
+    calibration = make_qx_result(
         coefficients={
             "K_F": make_coefficient(0.005028816, 1.2e-9, "g"),
             "K_I": make_coefficient(1.0019743, 4.9e-6, "g/g", dof=7.25),
@@ -181,42 +191,47 @@ def test_certificate_round_trip(tmp_path):
             ],
         },
     )
-    found = read_certificate(make_document(tmp_path, given), "x.xml")
-    assert (found.identifier, found.gravity) == ("CS-42", 9.8)
-    ours, theirs = given.accelerometers["Qx"], found.accelerometers["Qx"]
-    assert list(theirs.coefficients) == list(ours.coefficients)
-    for symbol, c in theirs.coefficients.items():
+    numbers = read_certificate(make_document(tmp_path, calibration), "x.xml")
+    assert (numbers.identifier, numbers.gravity) == ("CS-42", 9.8)
+    original, certified = calibration.accelerometers["Qx"], numbers.accelerometers["Qx"]
+    assert list(certified.coefficients) == list(original.coefficients)
+    for symbol, certified_coefficient in certified.coefficients.items():
         # A product and a quotient, each rounded by half of 2^-52.
-        assert c.value == pytest.approx(ours.coefficients[symbol].value, rel=1e-15)
-        assert c.u == pytest.approx(ours.coefficients[symbol].u, rel=1e-15)
-        assert (c.dof, c.unit) == (ours.coefficients[symbol].dof, ours.coefficients[symbol].unit)
-    assert list(theirs.terms) == ours.correlation.terms
-    u = np.array([ours.coefficients[symbol].u for symbol in theirs.terms])
-    expected = np.array(ours.correlation.matrix) * np.outer(u, u)
-    assert theirs.covariance == pytest.approx(expected, rel=2e-15)
-    assert np.diag(theirs.covariance) == pytest.approx(u**2, rel=1e-15)
+        assert certified_coefficient.value == pytest.approx(
+            original.coefficients[symbol].value, rel=1e-15
+        )
+        assert certified_coefficient.u == pytest.approx(original.coefficients[symbol].u, rel=1e-15)
+        assert (certified_coefficient.dof, certified_coefficient.unit) == (
+            original.coefficients[symbol].dof,
+            original.coefficients[symbol].unit,
+        )
+    assert list(certified.terms) == original.correlation.terms
+    u = np.array([original.coefficients[symbol].u for symbol in certified.terms])
+    expected = np.array(original.correlation.matrix) * np.outer(u, u)
+    assert certified.covariance == pytest.approx(expected, rel=2e-15)
+    assert np.diag(certified.covariance) == pytest.approx(u**2, rel=1e-15)
 
 
 def test_region_factor_uses_fewest_degrees_of_freedom(tmp_path):
-    given = make_qx_result(
+    calibration = make_qx_result(
         coefficients={
             "K_F": make_coefficient(0.005, 1e-6, "g", dof=200.0),
             "K_I": make_coefficient(1.0, 1e-6, "g/g"),
             "K_II": make_coefficient(2.7e-5, 1e-9, "g/g^2", dof=50.0),
         }
     )
-    xml = make_document(tmp_path, given)  # K_F and K_II are correlated
+    xml = make_document(tmp_path, calibration)  # K_F and K_II are correlated
     region = "//si:ellipsoidalRegionMUXMLList"
     k = float(find_elements(xml, f"{region}/si:coverageFactorXMLList")[0].text)
     assert k == region_factor(2, 50.0)
-    units = [e.text for e in find_elements(xml, f"{region}//si:unitXMLList")]
+    units = [element.text for element in find_elements(xml, f"{region}//si:unitXMLList")]
     assert units[0] == r"\metre\tothe{2}\second\tothe{-4}"
     assert units[1] == units[2] == r"\one"
     assert units[3] == r"\metre\tothe{-2}\second\tothe{4}"
 
 
 def test_undetermined_coefficient_is_omitted_with_statement(tmp_path):
-    given = make_qx_result(
+    calibration = make_qx_result(
         coefficients={
             "K_II": make_coefficient(2.7e-5, 1e-9, "g/g^2"),
             "K_I": {"value": 1.002, "u": 5e-6, "unit": "g/g", "estimated": False},
@@ -224,40 +239,44 @@ def test_undetermined_coefficient_is_omitted_with_statement(tmp_path):
         },
         correlation={"terms": ["K_II"], "matrix": [[1.0]]},
     )
-    xml = make_document(tmp_path, given)
-    assert [e.text for e in find_elements(xml, f"{QUANTITY}/dcc:name/dcc:content")] == ["K_II"]
+    xml = make_document(tmp_path, calibration)
+    assert [element.text for element in find_elements(xml, f"{QUANTITY}/dcc:name/dcc:content")] == [
+        "K_II"
+    ]
     statements = find_elements(xml, "//dcc:statement/dcc:declaration/dcc:content")
-    said = [line for e in statements for line in e.text.splitlines()]
-    assert "K_III of Qx is not certified: the records do not determine this coefficient." in said
-    (known,) = [line for line in said if line.startswith("K_I of Qx")]
-    assert "used the prior 1.0020000 ± 0.0000098 g/g (U, k = 1.96)" in known
+    lines = [line for element in statements for line in element.text.splitlines()]
+    assert "K_III of Qx is not certified: the records do not determine this coefficient." in lines
+    (k_i_line,) = [line for line in lines if line.startswith("K_I of Qx")]
+    assert "used the prior 1.0020000 ± 0.0000098 g/g (U, k = 1.96)" in k_i_line
     assert not find_elements(xml, "//si:realListXMLList")  # one coefficient has no covariance
 
 
 def test_prior_information_is_stated(tmp_path):
-    together = {"terms": ["K_II", "K_OO"], "correlation": -1.0, "determined": "K_II + K_OO"}
+    confounded_terms = {"terms": ["K_II", "K_OO"], "correlation": -1.0, "determined": "K_II + K_OO"}
     unstated = {"source": "K_OO", "kind": "unstated", "unit": "g/g^2", "u": 2e-6}
-    small = {**unstated, "source": "K_PP", "sensitivity": 1e-5, "contribution": 2e-11}
-    given = make_qx_result(
-        confounded=[{**together, "value": 2.7e-5, "u": 1e-9}],
+    small_line = {**unstated, "source": "K_PP", "sensitivity": 1e-5, "contribution": 2e-11}
+    calibration = make_qx_result(
+        confounded=[{**confounded_terms, "value": 2.7e-5, "u": 1e-9}],
         budget={
             "K_II": [
                 {**unstated, "sensitivity": -3e-4, "contribution": 6e-10, "share": 0.36},
-                {**small, "share": 4e-4},
+                {**small_line, "share": 4e-4},
             ]
         },
     )
     (statement,) = find_elements(
-        make_document(tmp_path, given),
+        make_document(tmp_path, calibration),
         "//dcc:statement[starts-with(dcc:name/dcc:content, 'Basis of the result')]",
     )
     assert statement.get("refId") == "item-1"
     path = "dcc:declaration/dcc:content"
     (content,) = statement.xpath(path, namespaces=NAMESPACES)
-    apart, unknown = content.text.splitlines()
+    confounded_sentence, default_sentence = content.text.splitlines()
     # ± precedes U alone.
-    assert apart.endswith("the records determine only K_II + K_OO = 27.0000, u = 0.0010 ug/g^2.")
-    assert unknown == (
+    assert confounded_sentence.endswith(
+        "the records determine only K_II + K_OO = 27.0000, u = 0.0010 ug/g^2."
+    )
+    assert default_sentence == (
         "Default prior: K_OO (second-order output-axis coefficient), standard uncertainty "
         "2.0 ug/g^2 (a third of K_IP in the paper's Table 1 (6e-6 g/g²); same value for the "
         "other terms); contribution to the variance at most 36 %."
@@ -267,9 +286,9 @@ def test_prior_information_is_stated(tmp_path):
 def test_rejects_as_printed_and_undetermined_results():
     with pytest.raises(RecordError, match="half the true K_II"):
         check_certifiable(make_qx_result().model_copy(update={"model": "as-printed"}), ["Qx"])
-    unknown = {"value": None, "u": None, "unit": "g/g^2", "estimated": False}
+    undetermined = {"value": None, "u": None, "unit": "g/g^2", "estimated": False}
     with raises("not-determined", "Qx"):
-        check_certifiable(make_qx_result(coefficients={"K_II": unknown}), ["Qx"])
+        check_certifiable(make_qx_result(coefficients={"K_II": undetermined}), ["Qx"])
     check_certifiable(make_qx_result(), ["Qx"])
 
 
@@ -279,7 +298,10 @@ def test_rejects_as_printed_and_undetermined_results():
 def test_administrative_data_of_laboratory(tmp_path):
     xml = make_document(tmp_path, make_qx_result())
     core = "//dcc:coreData"
-    assert [e.text for e in find_elements(xml, f"{core}/dcc:usedLangCodeISO639_1")] == ["en", "de"]
+    assert [element.text for element in find_elements(xml, f"{core}/dcc:usedLangCodeISO639_1")] == [
+        "en",
+        "de",
+    ]
     assert find_elements(xml, f"{core}/dcc:countryCodeISO3166_1")[0].text == "DE"
     assert find_elements(xml, f"{core}/dcc:endPerformanceDate")[0].text == "2026-01-14"
     assert find_elements(xml, f"{core}/dcc:issueDate")[0].text == "2026-01-20"
@@ -288,18 +310,18 @@ def test_administrative_data_of_laboratory(tmp_path):
     assert (content.text, content.get("lang")) == ("Plattform", None)
     serial = "//dcc:subItems//dcc:identification[@refType='basic_serialNumber']/dcc:value"
     assert find_elements(xml, serial)[0].text == "Q-104"  # as the result has it
-    signs = [e.text for e in find_elements(xml, "//dcc:respPerson/dcc:mainSigner")]
+    signs = [element.text for element in find_elements(xml, "//dcc:respPerson/dcc:mainSigner")]
     assert signs == ["true", "false"]
     temperature = find_elements(
         xml, "//dcc:influenceCondition[@refType='basic_temperature']//si:real"
     )[0]
-    assert [e.text for e in temperature[:2]] == ["20.5", r"\degreecelsius"]
+    assert [element.text for element in temperature[:2]] == ["20.5", r"\degreecelsius"]
 
 
 def test_conditions_have_expanded_uncertainty(tmp_path):
-    given = make_qx_result()
-    inputs = given.inputs.model_copy(update={"u_gravity": 3e-6, "u_radius": 0.0})
-    xml = make_document(tmp_path, given.model_copy(update={"inputs": inputs}))
+    calibration = make_qx_result()
+    inputs = calibration.inputs.model_copy(update={"u_gravity": 3e-6, "u_radius": 0.0})
+    xml = make_document(tmp_path, calibration.model_copy(update={"inputs": inputs}))
     condition = "//dcc:influenceCondition[dcc:name/dcc:content='{}']//si:real"
     (value,) = find_elements(xml, condition.format("Local gravity") + "/si:value")
     (expanded,) = find_elements(xml, condition.format("Local gravity") + "//si:valueExpandedMU")
@@ -325,7 +347,10 @@ item = { name = "I", manufacturer = "M", model = "1", serial_number = "2" }
 persons = [{ name = "P", role = "R" }]
 """
     xml = make_document(tmp_path, make_qx_result(), text=text)
-    names = [e.text for e in find_elements(xml, "//dcc:influenceCondition/dcc:name/dcc:content")]
+    names = [
+        element.text
+        for element in find_elements(xml, "//dcc:influenceCondition/dcc:name/dcc:content")
+    ]
     assert names == [
         "Local gravity",
         "Geographic latitude",
@@ -336,19 +361,19 @@ persons = [{ name = "P", role = "R" }]
 
 
 def test_result_and_report_are_attached(tmp_path):
-    given = make_qx_result()
-    xml = make_document(tmp_path, given, pages=b"%PDF-1.7 for people")
+    calibration = make_qx_result()
+    xml = make_document(tmp_path, calibration, pages=b"%PDF-1.7 for people")
     (data,) = find_elements(xml, "//dcc:measurementMetaData//dcc:byteData/dcc:dataBase64")
     (tmp_path / "r.json").write_bytes(b64decode(data.text))
-    assert Result.read(tmp_path / "r.json") == given
+    assert Result.read(tmp_path / "r.json") == calibration
     (data,) = find_elements(xml, "/dcc:digitalCalibrationCertificate/dcc:document/dcc:dataBase64")
     assert b64decode(data.text) == b"%PDF-1.7 for people"
 
 
 def test_warnings_are_included_with_control_characters_escaped(tmp_path):
-    given = make_qx_result(warnings=["Qx: does not fit\x00\nK_II = 1\u202e & more"])
-    given = given.model_copy(update={"warnings": ["of the campaign"]})
-    xml = make_document(tmp_path, given)
+    calibration = make_qx_result(warnings=["Qx: does not fit\x00\nK_II = 1\u202e & more"])
+    calibration = calibration.model_copy(update={"warnings": ["of the campaign"]})
+    xml = make_document(tmp_path, calibration)
     (comment,) = find_elements(xml, "/*/dcc:comment/dcc:content")
     assert comment.text.splitlines() == [
         "Warning: of the campaign",
@@ -381,15 +406,17 @@ def test_conformity_uses_schema_terms(tmp_path, rule, verdict, high, word):
         risk=None if verdict == "undecided" else 0.1,
     )
     xml = make_document(tmp_path, make_qx_result(), verdicts={"Qx": {"K_II": judged}})
-    assert [e.text for e in find_elements(xml, "//dcc:statement/dcc:conformity")] == word
+    assert [
+        element.text for element in find_elements(xml, "//dcc:statement/dcc:conformity")
+    ] == word
     (statement,) = find_elements(xml, "//dcc:statement[dcc:norm='JCGM 106:2012']")
     assert find_elements(
         xml, f"//dcc:quantity[@id='{statement.get('refId')}']/dcc:name/dcc:content"
     )
     lines = " ".join(statement.itertext())
-    said = {"conditionalPass": "conditional pass", "conditionalFail": "conditional fail"}
-    words = [said.get(w, w) for w in word] or [verdict]
-    assert f"K_II of Qx, specified as <= {high} g/g^2: {words[0]}." in lines
+    plain_verdicts = {"conditionalPass": "conditional pass", "conditionalFail": "conditional fail"}
+    verdict_texts = [plain_verdicts.get(keyword, keyword) for keyword in word] or [verdict]
+    assert f"K_II of Qx, specified as <= {high} g/g^2: {verdict_texts[0]}." in lines
     assert "Probability of conformity: 90.0 %" in lines
     assert ("guard band 0.0020 ug/g^2" in lines) == (rule == "guarded")
     assert ("required probability 0.95" in lines) == (rule == "probability")
@@ -406,7 +433,9 @@ def test_procedure_and_customer_data_are_stated(tmp_path):
     text = LAB.replace('language = "de"', MORE).replace('"0815"', '"0815"\nstate = "as received"')
     xml = make_document(tmp_path, make_qx_result(), text=text)
     method = "//dcc:measurementResult[1]/dcc:usedMethods/dcc:usedMethod[1]"
-    assert [e.text for e in find_elements(xml, f"{method}/dcc:reference")] == ["AP-17, edition 3"]
+    assert [element.text for element in find_elements(xml, f"{method}/dcc:reference")] == [
+        "AP-17, edition 3"
+    ]
     assert not find_elements(xml, f"{method}/dcc:norm")  # the procedure deviates from IEEE Std 1293
     (described,) = find_elements(xml, f"{method}/dcc:description/dcc:content")
     assert described.text.startswith("The coefficients are based on the terms of IEEE Std 1293")
@@ -415,13 +444,13 @@ def test_procedure_and_customer_data_are_stated(tmp_path):
         xml, "//dcc:influenceCondition[dcc:status='beforeAdjustment']/dcc:data"
     )
     assert "".join(state.itertext()).strip() == "The item was calibrated as received."
-    (known, supplied) = (
+    (prior_line, supplied) = (
         find_elements(
             xml, f"//dcc:statement[dcc:name/dcc:content='{name}']/dcc:declaration/dcc:content"
         )
         for name in ("Prior information", "Data supplied by the customer")
     )
-    assert known[0].text == (
+    assert prior_line[0].text == (
         "Prior for Qx: K_I (scale factor), standard uncertainty 5.0e-6 g/g, supplied by the "
         "customer."
     )
@@ -440,13 +469,13 @@ def test_uncertainty_is_at_least_cmc(tmp_path):
     assert k_f.u == pytest.approx(1e-6, rel=1e-14)
     # The added variance is independent of K_F: the covariance stays.
     assert accelerometer.covariance[0, 1] == pytest.approx(0.25 * 1e-6 * 1e-9, rel=1e-14)
-    said = find_elements(
+    declarations = find_elements(
         xml, "//dcc:statement[dcc:norm='ILAC-P14:09/2020']/dcc:declaration/dcc:content"
     )
-    assert said[0].text.startswith(
+    assert declarations[0].text.startswith(
         "K_II of Qx: the evaluated uncertainty is U = 0.0020 ug/g^2. The certificate states"
     )
-    assert "K_F" not in said[0].text
+    assert "K_F" not in declarations[0].text
     # The attached result is unchanged.
     (data,) = find_elements(xml, "//dcc:measurementMetaData//dcc:byteData/dcc:dataBase64")
     attached = Result.model_validate_json(b64decode(data.text))
@@ -458,15 +487,15 @@ def test_accelerometers_with_shared_inputs_are_correlated(tmp_path):
     matrix = np.eye(4)
     matrix[0, 2] = matrix[2, 0] = 0.75
     xml = make_document(tmp_path, make_two_accelerometers(make_qx_result(), terms, matrix.tolist()))
-    (together,) = find_elements(
+    (joint_list,) = find_elements(
         xml, "//dcc:measurementResult[dcc:name/dcc:content='Joint results for all accelerometers']"
     )
-    labels = together.xpath(".//si:labelXMLList", namespaces=NAMESPACES)[0].text.split()
+    labels = joint_list.xpath(".//si:labelXMLList", namespaces=NAMESPACES)[0].text.split()
     assert labels == ["Qx.K_F", "Qy.K_F", "Qy.K_II"]
-    values = together.xpath(".//si:covarianceXMLList/si:valueXMLList", namespaces=NAMESPACES)
-    found = np.array([float(value.text) for value in values]).reshape(3, 3)
-    assert found[0, 1] == pytest.approx(0.75 * (9.8 * 1e-6) ** 2, rel=1e-14)
-    assert found[0, 2] == 0.0
+    values = joint_list.xpath(".//si:covarianceXMLList/si:valueXMLList", namespaces=NAMESPACES)
+    covariance_matrix = np.array([float(value.text) for value in values]).reshape(3, 3)
+    assert covariance_matrix[0, 1] == pytest.approx(0.75 * (9.8 * 1e-6) ** 2, rel=1e-14)
+    assert covariance_matrix[0, 2] == 0.0
     assert list(read_certificate(xml, "x.xml").accelerometers) == ["Qx", "Qy"]
 
 
@@ -479,7 +508,7 @@ def test_rejects_document_that_is_not_a_certificate():
 
 def test_rejects_coverage_factor_of_zero(tmp_path):
     xml = make_document(tmp_path, make_qx_result())
-    spoilt = xml.replace(b"coverageFactor>1.96<", b"coverageFactor>0<")
-    assert spoilt != xml
+    invalid_xml = xml.replace(b"coverageFactor>1.96<", b"coverageFactor>0<")
+    assert invalid_xml != xml
     with pytest.raises(RecordError, match="not a calibration certificate"):
-        read_certificate(spoilt, "x.xml")
+        read_certificate(invalid_xml, "x.xml")

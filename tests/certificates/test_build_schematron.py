@@ -25,14 +25,18 @@ def rules():
     return [ready, dcclib.SchematronValidator.from_file(str(folder / "dcc.sch"))]
 
 
-def rule_violations(rules, made):
+def rule_violations(rules, xml):
     """Return the rule violations of a certificate without remarks."""
-    said = []
+    violations = []
     for validator in rules:
-        found = validator.validate_str(made.decode())
-        every = [*found.failed_assertions, *found.successful_reports]
-        said += [f"{one.role}: {one.text}" for one in every if one.role != "information"]
-    return [line for line in said if not any(words in line for words in LIST_OF_UNITS)]
+        report = validator.validate_str(xml.decode())
+        every = [*report.failed_assertions, *report.successful_reports]
+        violations += [
+            f"{violation.role}: {violation.text}"
+            for violation in every
+            if violation.role != "information"
+        ]
+    return [line for line in violations if not any(pattern in line for pattern in LIST_OF_UNITS)]
 
 
 MORE = """

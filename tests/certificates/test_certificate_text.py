@@ -9,24 +9,28 @@ from counterspin.certificates.pdf_pages import results_table
 
 
 def test_plus_minus_in_sentences_becomes_u():
-    said = "A latitude of (-4.7 ± 1.1) x 1e4 arcsec would fit; determined: K_I = 1.002 ± 0.001 g/g."
-    assert certificate_text.replace_plus_minus(said) == (
+    sentence = (
+        "A latitude of (-4.7 ± 1.1) x 1e4 arcsec would fit; determined: K_I = 1.002 ± 0.001 g/g."
+    )
+    assert certificate_text.replace_plus_minus(sentence) == (
         "A latitude of -4.7 x 1e4, u = 1.1 x 1e4 arcsec would fit; determined: K_I = 1.002, "
         "u = 0.001 g/g."
     )
 
 
 def test_dimensionless_number_has_no_unit():
-    given = make_qx_result(
+    calibration = make_qx_result(
         coefficients={"K_I": make_coefficient(1.002, 5e-6, "g/g")}, correlation=None
     )
-    found = given.accelerometers["Qx"].coefficients
-    ((symbol, in_g, _, si, *_),) = results_table("Qx", found, coefficients_in_si(given, "Qx")).rows
+    coefficients = calibration.accelerometers["Qx"].coefficients
+    ((symbol, in_g, _, si, *_),) = results_table(
+        "Qx", coefficients, coefficients_in_si(calibration, "Qx")
+    ).rows
     assert (symbol, in_g, si) == ("K_I", "1.0020000 ± 0.0000098 g/g", "1.0020000 ± 0.0000098")
-    assert certificate_text.coefficient_line("K_I", found["K_I"]).endswith(
+    assert certificate_text.coefficient_line("K_I", coefficients["K_I"]).endswith(
         "The value in this element is a dimensionless number."
     )
-    other = Coefficient.model_validate(make_coefficient(2.7e-5, 1e-9, "g/g^2"))
-    assert certificate_text.coefficient_line("K_II", other).endswith(
+    k_ii = Coefficient.model_validate(make_coefficient(2.7e-5, 1e-9, "g/g^2"))
+    assert certificate_text.coefficient_line("K_II", k_ii).endswith(
         "in this element is in m^-1 s^2."
     )

@@ -48,9 +48,9 @@ def test_code_lists_match_debian():
     ],
 )
 def test_withdrawn_code_is_rejected_with_suggestions(kind, wrong, near):
-    with pytest.raises(ValueError, match="is not a current") as caught:
+    with pytest.raises(ValueError, match="is not a current") as error_info:
         check_code(wrong, kind)
-    assert near in str(caught.value)
+    assert near in str(error_info.value)
 
 
 @pytest.mark.parametrize(
@@ -61,8 +61,8 @@ def test_withdrawn_code_is_rejected_with_suggestions(kind, wrong, near):
     ],
 )
 def test_message_names_key(tmp_path, old, new, key):
-    with pytest.raises(CampaignError) as caught:
+    with pytest.raises(CampaignError) as error_info:
         read_lab_for(tmp_path, make_qx_result(), LAB.replace(old, new))
-    (problem,) = caught.value.problems
+    (problem,) = error_info.value.problems
     assert problem.startswith(f"{key}: ")
     assert "did you mean" in problem

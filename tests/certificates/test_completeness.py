@@ -15,7 +15,7 @@ from counterspin.inference.joint.summary import BudgetLine
 def add_default(share):
     """Return a result in which the default prior of K_OO has a share of the variance of K_II."""
     calibration = make_qx_result()
-    part = calibration.accelerometers["Qx"]
+    accelerometer = calibration.accelerometers["Qx"]
     line = BudgetLine(
         source="K_OO",
         kind="unstated",
@@ -25,7 +25,7 @@ def add_default(share):
         contribution=2e-6,
         share=share,
     )
-    changed = part.model_copy(update={"budget": {"K_II": [line]}})
+    changed = accelerometer.model_copy(update={"budget": {"K_II": [line]}})
     return calibration.model_copy(update={"accelerometers": {"Qx": changed}})
 
 
@@ -35,22 +35,22 @@ def test_complete_file_has_no_missing_data(tmp_path):
 
 @pytest.mark.parametrize(("share", "needed"), [(0.93, True), (0.09, False)])
 def test_dominant_default_requires_evidence(tmp_path, share, needed):
-    made = add_default(share)
-    missing = missing_data(read_lab_for(tmp_path, made), made)
+    calibration = add_default(share)
+    missing = missing_data(read_lab_for(tmp_path, calibration), calibration)
     assert [entry.key for entry in missing] == (["evidence.K_OO"] if needed else [])
     assert all("93 % of the variance of K_II of Qx" in entry.message for entry in missing)
     for key in ("K_OO", '"Qx.K_OO"', "all"):
-        lab = read_lab_for(tmp_path, made, LAB + f'\n[evidence]\n{key} = "type test"\n')
-        assert missing_data(lab, made) == []
-        assert len(default_evidence_lines(lab, made)) == needed
+        lab = read_lab_for(tmp_path, calibration, LAB + f'\n[evidence]\n{key} = "type test"\n')
+        assert missing_data(lab, calibration) == []
+        assert len(default_evidence_lines(lab, calibration)) == needed
 
 
 def test_keys_with_template_values_share_one_entry(tmp_path):
     text = LAB.replace('"P-1"', '"EX-1"').replace('"0815"', '"000000"').partition("[conditions]")[0]
-    first, second = missing_lines(
+    template_line, conditions_line = missing_lines(
         missing_data(read_lab_for(tmp_path, make_qx_result(), text), make_qx_result())
     )
-    assert first.startswith(
+    assert template_line.startswith(
         "item.model, item.serial_number: these entries still have the values from the template"
     )
-    assert second.startswith("conditions.temperature: this entry is missing")
+    assert conditions_line.startswith("conditions.temperature: this entry is missing")

@@ -34,11 +34,11 @@ def si_values_at_gravity(records, folder, gravity, method):
     for record in records.glob("*.csv"):
         (folder / record.name).write_bytes(record.read_bytes())
     text = replace_parts(SMALL, ('"9.8066 m/s^2"', f'"{gravity!r} m/s^2"'))
-    found = calibrate(write_description(folder, text).parent, method=method)
+    calibration = calibrate(write_description(folder, text).parent, method=method)
     return {
-        symbol: to_si(c.value, c.unit, gravity)
-        for symbol, c in found.accelerometers["Qx"].coefficients.items()
-        if c.estimated
+        symbol: to_si(estimate.value, estimate.unit, gravity)
+        for symbol, estimate in calibration.accelerometers["Qx"].coefficients.items()
+        if estimate.estimated
     }
 
 
@@ -49,16 +49,18 @@ def test_si_uncertainty_matches_effect_of_gravity_change(records, tmp_path, meth
     estimates = coefficients_in_si(calibration, "Qx")
     assert estimates
     step = 30.0 * U_G
-    moved = [si_values_at_gravity(records, tmp_path, G + sign * step, method) for sign in (1, -1)]
+    shifted_values = [
+        si_values_at_gravity(records, tmp_path, G + sign * step, method) for sign in (1, -1)
+    ]
     for symbol, estimate in estimates.items():
-        shift = (moved[0][symbol] - moved[1][symbol]) / (2.0 * step) * U_G
+        shift = (shifted_values[0][symbol] - shifted_values[1][symbol]) / (2.0 * step) * U_G
         # Nearly all of K_F cancels: compare with the shift before the conversion.
         largest = max(abs(estimate.shift_kept), 1e-3 * estimate.u)
         assert estimate.shift == pytest.approx(shift, abs=1e-3 * largest), symbol
         c = qx.coefficients[symbol]
         in_g = to_si(c.u, c.unit, G)
-        rest = math.sqrt(max(in_g**2 - estimate.shift_kept**2, 0.0))
-        assert estimate.u == pytest.approx(math.hypot(rest, shift), rel=1e-6)
+        u_without_gravity = math.sqrt(max(in_g**2 - estimate.shift_kept**2, 0.0))
+        assert estimate.u == pytest.approx(math.hypot(u_without_gravity, shift), rel=1e-6)
     # K_F is an acceleration over g: in SI it does not depend on u(g).
     assert abs(estimates["K_F"].shift) < 1e-6 * abs(estimates["K_F"].shift_kept)
     assert abs(estimates["K_F"].shift_kept) == pytest.approx(0.005 * U_G, rel=1e-3)
@@ -85,24 +87,29 @@ def test_output_unit_uncertainty_matches_effect_of_gravity_change(tmp_path):
     """Bias in A, scale factor in A/(m/s^2): 1 mA/g is 1e-3/g of it."""
     calibration = calibrate_readings(tmp_path, f"{G} ± {U_G}")
     estimates = output_coefficients_in_si(calibration, "A")
-    assert {key: e.unit.dsi_text for key, e in estimates.items()} == {
+    assert {key: estimate_in_si.unit.dsi_text for key, estimate_in_si in estimates.items()} == {
         "bias": r"\ampere",
         "scale_factor": r"\metre\tothe{-1}\second\tothe{2}\ampere",
     }
     step = 30.0 * U_G
-    up, down = (
-        calibrate_readings(tmp_path, f"{G + way * step!r} ± {U_G}").accelerometers["A"].output
-        for way in (1, -1)
+    values_above, values_below = (
+        calibrate_readings(tmp_path, f"{G + sign * step!r} ± {U_G}").accelerometers["A"].output
+        for sign in (1, -1)
     )
     for key, power in (("bias", 0), ("scale_factor", -1)):
         c, estimate = calibration.accelerometers["A"].output[key], estimates[key]
         assert estimate.value == pytest.approx(1e-3 * c.value * G**power, rel=1e-14)
-        high, low = up[key].value * (G + step) ** power, down[key].value * (G - step) ** power
+        high, low = (
+            values_above[key].value * (G + step) ** power,
+            values_below[key].value * (G - step) ** power,
+        )
         shift = 1e-3 * (high - low) / (2.0 * step) * U_G
         largest = max(abs(estimate.shift_kept), 1e-3 * estimate.u)
         assert estimate.shift == pytest.approx(shift, abs=2e-3 * largest), key
-        rest = math.sqrt(max((1e-3 * c.u * G**power) ** 2 - estimate.shift_kept**2, 0.0))
-        assert estimate.u == pytest.approx(math.hypot(rest, shift), rel=1e-4)
+        u_without_gravity = math.sqrt(
+            max((1e-3 * c.u * G**power) ** 2 - estimate.shift_kept**2, 0.0)
+        )
+        assert estimate.u == pytest.approx(math.hypot(u_without_gravity, shift), rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -117,8 +124,12 @@ def test_output_unit_uncertainty_matches_effect_of_gravity_change(tmp_path):
     ],
 )
 def test_output_units_in_si(unit, factor, text, power):
-    found, written, of_g = instrument_unit_in_si(unit)
-    assert (found, written.dsi_text, of_g) == (pytest.approx(factor, rel=1e-15), text, power)
+    si_factor, dsi_unit, gravity_power = instrument_unit_in_si(unit)
+    assert (si_factor, dsi_unit.dsi_text, gravity_power) == (
+        pytest.approx(factor, rel=1e-15),
+        text,
+        power,
+    )
 
 
 @pytest.mark.parametrize("unit", ["V/Hz^0.5", "mV/K", "furlong"])
@@ -133,24 +144,32 @@ def test_covariance_is_converted(records):
     symbols = list(estimates)
     matrix = np.array(
         [
-            [covariance(qx.correlation, estimates, symbol, other) for other in symbols]
+            [
+                covariance(qx.correlation, estimates, symbol, other_symbol)
+                for other_symbol in symbols
+            ]
             for symbol in symbols
         ]
     )
     assert np.array_equal(matrix, matrix.T)
     assert np.linalg.eigvalsh(matrix / np.outer(*2 * [np.sqrt(np.diag(matrix))])).min() > 0.0
-    assert np.diag(matrix) == pytest.approx([e.u**2 for e in estimates.values()], rel=1e-12)
+    assert np.diag(matrix) == pytest.approx(
+        [estimate.u**2 for estimate in estimates.values()], rel=1e-12
+    )
     # With u(g) = 0 the correlations equal those of the result.
     exact = calibration.model_copy(
         update={"inputs": calibration.inputs.model_copy(update={"u_gravity": 0.0})}
     )
-    plain = coefficients_in_si(exact, "Qx")
-    i, j = (qx.correlation.terms.index(s) for s in ("K_F", "K_II"))
-    together = covariance(qx.correlation, plain, "K_F", "K_II")
-    assert together == qx.correlation.matrix[max(i, j)][min(i, j)] * (
-        plain["K_F"].u * plain["K_II"].u
+    exact_estimates = coefficients_in_si(exact, "Qx")
+    i, j = (qx.correlation.terms.index(symbol) for symbol in ("K_F", "K_II"))
+    k_f_k_ii_covariance = covariance(qx.correlation, exact_estimates, "K_F", "K_II")
+    assert k_f_k_ii_covariance == qx.correlation.matrix[max(i, j)][min(i, j)] * (
+        exact_estimates["K_F"].u * exact_estimates["K_II"].u
     )
-    assert all(replace(e, u=e.u_without_g) == e for e in plain.values())
+    assert all(
+        replace(estimate, u=estimate.u_without_g) == estimate
+        for estimate in exact_estimates.values()
+    )
 
 
 def test_degrees_of_freedom_without_cancelled_gravity():
@@ -164,17 +183,17 @@ def test_degrees_of_freedom_without_cancelled_gravity():
         "share": 0.5,
     }
     line |= {"sensitivity": -0.005 / 9.8, "contribution": 1e-6 * math.sqrt(0.5)}
-    known = {"K_F": make_coefficient(0.005, 1e-6, "g", dof=100.0)}
-    given = make_qx_result(coefficients=known, budget={"K_F": [line]})
-    inputs = given.inputs.model_copy(update={"u_gravity": u_gravity})
-    found = coefficients_in_si(given.model_copy(update={"inputs": inputs}), "Qx")["K_F"]
-    assert found.u == pytest.approx(9.8e-6 * math.sqrt(0.5))
-    assert found.dof == pytest.approx(25.0)
+    coefficients = {"K_F": make_coefficient(0.005, 1e-6, "g", dof=100.0)}
+    calibration = make_qx_result(coefficients=coefficients, budget={"K_F": [line]})
+    inputs = calibration.inputs.model_copy(update={"u_gravity": u_gravity})
+    estimate = coefficients_in_si(calibration.model_copy(update={"inputs": inputs}), "Qx")["K_F"]
+    assert estimate.u == pytest.approx(9.8e-6 * math.sqrt(0.5))
+    assert estimate.dof == pytest.approx(25.0)
 
 
 def test_exact_gravity_leaves_uncertainty_unchanged():
-    given = make_qx_result()
-    for symbol, estimate in coefficients_in_si(given, "Qx").items():
-        c = given.accelerometers["Qx"].coefficients[symbol]
+    calibration = make_qx_result()
+    for symbol, estimate in coefficients_in_si(calibration, "Qx").items():
+        c = calibration.accelerometers["Qx"].coefficients[symbol]
         assert estimate.u == to_si(c.u, c.unit, 9.8)
         assert estimate.dof == c.dof

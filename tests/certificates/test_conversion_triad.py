@@ -44,8 +44,8 @@ def pose_result(tmp_path_factory):
     )
 
 
-def _read_numbers(made, path):
-    (text,) = find_elements(made, path)
+def _read_numbers(xml, path):
+    (text,) = find_elements(xml, path)
     return np.array([float(word) for word in text.text.split()])
 
 
@@ -55,14 +55,12 @@ def _page_blocks(folder, result, text=OWN):
 
 
 def test_parameters_are_in_si_with_covariance(tmp_path, pose_result):
-    made, triad = make_document(tmp_path, pose_result, text=OWN), pose_result.triad
-    quantities = find_elements(
-        made, f"{PART}/dcc:data/dcc:quantity[@refType='basic_measuredValue']"
-    )
+    xml, triad = make_document(tmp_path, pose_result, text=OWN), pose_result.triad
+    quantities = find_elements(xml, f"{PART}/dcc:data/dcc:quantity[@refType='basic_measuredValue']")
     scale = np.array([G, G, G, 1, 1, 1, 1, 1, 1])  # only offsets are accelerations
     units = [r"\metre\second\tothe{-2}"] * 3 + [r"\one"] * 3 + [r"\radian"] * 3
     assert len(quantities) == 9
-    for quantity, (name, c), by, unit in zip(
+    for quantity, (name, parameter), factor, unit in zip(
         quantities, triad.parameters.items(), scale, units, strict=True
     ):
 
@@ -71,14 +69,18 @@ def test_parameters_are_in_si_with_covariance(tmp_path, pose_result):
 
         assert find_text(".//si:label") == name
         assert find_text(".//si:unit") == unit
-        assert float(find_text("si:real/si:value")) == pytest.approx(by * c.value, rel=1e-14)
+        assert float(find_text("si:real/si:value")) == pytest.approx(
+            factor * parameter.value, rel=1e-14
+        )
         k = float(find_text(".//si:coverageFactor"))
         assert k == coverage_factor(16.0) == pytest.approx(2.120, abs=5e-4)  # GUM, table G.2
-        assert float(find_text(".//si:valueExpandedMU")) / k == pytest.approx(by * c.u, rel=1e-14)
-    u = scale * [c.u for c in triad.parameters.values()]
+        assert float(find_text(".//si:valueExpandedMU")) / k == pytest.approx(
+            factor * parameter.u, rel=1e-14
+        )
+    u = scale * [parameter.u for parameter in triad.parameters.values()]
     covariance = [
         float(element.text)
-        for element in find_elements(made, f"{PART}//si:covarianceXMLList/si:valueXMLList")
+        for element in find_elements(xml, f"{PART}//si:covarianceXMLList/si:valueXMLList")
     ]
     np.testing.assert_allclose(
         np.reshape(covariance, (9, 9)),
@@ -86,33 +88,40 @@ def test_parameters_are_in_si_with_covariance(tmp_path, pose_result):
         rtol=1e-12,
     )
     assert _read_numbers(
-        made, f"{PART}//si:coverageFactorXMLList[../si:covarianceMatrixXMLList]"
+        xml, f"{PART}//si:coverageFactorXMLList[../si:covarianceMatrixXMLList]"
     ) == (pytest.approx(region_factor(9, 16.0), abs=1e-4))
     # Reading adds no accelerometer.
-    assert set(read_certificate(made, "x.xml").accelerometers) == {"X", "Y", "Z"}
+    assert set(read_certificate(xml, "x.xml").accelerometers) == {"X", "Y", "Z"}
 
 
 def test_parameters_and_matrix_round_trip(tmp_path, pose_result):
-    triad, found = (
+    triad, certified_triad = (
         pose_result.triad,
         read_certificate(make_document(tmp_path, pose_result, text=OWN), "x").triad,
     )
-    assert found.accelerometers == ("X", "Y", "Z")
-    coefficients = found.parameters.coefficients
+    assert certified_triad.accelerometers == ("X", "Y", "Z")
+    coefficients = certified_triad.parameters.coefficients
     assert list(coefficients) == list(triad.parameters)
-    for name, c in triad.parameters.items():
-        read = coefficients[name]
-        assert (read.unit, read.dof) == (c.unit, pytest.approx(16.0, abs=1e-3))
-        assert (read.value, read.u) == pytest.approx((c.value, c.u), rel=1e-4)  # k has five digits
-    u = [c.u for c in triad.parameters.values()]
+    for name, parameter in triad.parameters.items():
+        certified_parameter = coefficients[name]
+        assert (certified_parameter.unit, certified_parameter.dof) == (
+            parameter.unit,
+            pytest.approx(16.0, abs=1e-3),
+        )
+        assert (certified_parameter.value, certified_parameter.u) == pytest.approx(
+            (parameter.value, parameter.u), rel=1e-4
+        )  # k has five digits
+    u = [parameter.u for parameter in triad.parameters.values()]
     np.testing.assert_allclose(
-        found.parameters.covariance, np.array(triad.correlation.matrix) * np.outer(u, u), rtol=1e-9
+        certified_triad.parameters.covariance,
+        np.array(triad.correlation.matrix) * np.outer(u, u),
+        rtol=1e-9,
     )
-    np.testing.assert_allclose(found.matrix, triad.matrix, rtol=1e-15)
+    np.testing.assert_allclose(certified_triad.matrix, triad.matrix, rtol=1e-15)
     np.testing.assert_allclose(
-        found.expanded_matrix / found.coverage_factor, triad.u_matrix, rtol=1e-4
+        certified_triad.expanded_matrix / certified_triad.coverage_factor, triad.u_matrix, rtol=1e-4
     )
-    np.testing.assert_allclose(found.bias, triad.bias, rtol=1e-14)
+    np.testing.assert_allclose(certified_triad.bias, triad.bias, rtol=1e-14)
 
 
 def test_verify_prints_parameters_and_reports_changed_matrix(tmp_path, pose_result, capsys):
@@ -121,34 +130,38 @@ def test_verify_prints_parameters_and_reports_changed_matrix(tmp_path, pose_resu
     file.write_bytes(xml)
     assert main(["certificate", "--verify", str(file)]) == 0
     output = capsys.readouterr().out
-    for words in (
+    for text in (
         "sensitivity of Z",
         "angle between Y and Z minus 90 deg",
         "M ± U",
         "calculated from these parameters",
     ):
-        assert words in output
-    first = f"{pose_result.triad.matrix[2][2]!r}".encode()
-    assert xml.count(first) == 1
-    file.write_bytes(xml.replace(first, f"{pose_result.triad.matrix[2][2] + 1e-9!r}".encode()))
+        assert text in output
+    element_text = f"{pose_result.triad.matrix[2][2]!r}".encode()
+    assert xml.count(element_text) == 1
+    file.write_bytes(
+        xml.replace(element_text, f"{pose_result.triad.matrix[2][2] + 1e-9!r}".encode())
+    )
     assert main(["certificate", "--verify", str(file)]) == 1
     assert "sensitivity.Z" in capsys.readouterr().err
 
 
 def test_amendment_lists_changed_parameters(tmp_path, pose_result):
     xml = make_document(tmp_path, pose_result, text=OWN)
-    other = xml.replace(b">angle.X.Y<", b">angle.Y.X<")
-    shown = format_parameter(pose_result.triad.parameters["angle.X.Y"])
-    assert [line for line in describe_changes(xml, other) if "triad" in line] == [
-        f"angle.X.Y of the triad was {shown} and is now not certified.",
-        f"angle.Y.X of the triad was not certified and is now {shown}.",
+    changed_xml = xml.replace(b">angle.X.Y<", b">angle.Y.X<")
+    parameter_text = format_parameter(pose_result.triad.parameters["angle.X.Y"])
+    assert [line for line in describe_changes(xml, changed_xml) if "triad" in line] == [
+        f"angle.X.Y of the triad was {parameter_text} and is now not certified.",
+        f"angle.Y.X of the triad was not certified and is now {parameter_text}.",
     ]
 
 
-def format_parameter(c):
+def format_parameter(parameter):
     """Format a parameter with U as an amendment does."""
-    unit, factor = find_display_unit(c.unit)
-    return format_estimate(c.value * factor, coverage_factor(16.0) * c.u * factor, unit)
+    unit, factor = find_display_unit(parameter.unit)
+    return format_estimate(
+        parameter.value * factor, coverage_factor(16.0) * parameter.u * factor, unit
+    )
 
 
 def test_matrix_and_bias_correct_indications(tmp_path, pose_result):
@@ -156,9 +169,9 @@ def test_matrix_and_bias_correct_indications(tmp_path, pose_result):
     output = f"{PART}[dcc:name/dcc:content='Corrected output']"
     matrix = _read_numbers(xml, f"{output}//dcc:quantity[1]//si:valueXMLList").reshape(3, 3)
     bias = _read_numbers(xml, f"{output}//dcc:quantity[2]//si:valueXMLList")
-    along = triads.draw_directions(5, np.random.default_rng(8))
-    corrected = (G * triads.compute_indications(along) - bias) @ matrix.T
-    np.testing.assert_allclose(corrected, G * along, atol=5.0 * G * 3e-4)
+    directions = triads.draw_directions(5, np.random.default_rng(8))
+    corrected = (G * triads.compute_indications(directions) - bias) @ matrix.T
+    np.testing.assert_allclose(corrected, G * directions, atol=5.0 * G * 3e-4)
     np.testing.assert_allclose(bias, G * triads.BIAS, atol=5.0 * G * 3e-4)
     expanded = _read_numbers(xml, f"{output}//si:valueExpandedMUXMLList").reshape(3, 3)
     np.testing.assert_allclose(
@@ -174,25 +187,25 @@ def test_triad_certificate_conforms_to_schema(tmp_path, pose_result):
 
 def test_pages_and_xml_have_equal_statements(tmp_path, pose_result):
     lab = read_lab_for(tmp_path, pose_result, OWN)
-    (said,) = (
-        one
-        for one in certificate_statements(lab, pose_result, pose_result, ISSUE, {})
-        if one.name == "Triad X, Y, Z"
+    (statement_lines,) = (
+        statement
+        for statement in certificate_statements(lab, pose_result, pose_result, ISSUE, {})
+        if statement.name == "Triad X, Y, Z"
     )
-    assert "25 poses of unknown attitude" in " ".join(said.lines)
+    assert "25 poses of unknown attitude" in " ".join(statement_lines.lines)
     declared = find_elements(
         make_document(tmp_path, pose_result, text=OWN),
         "//dcc:statement[dcc:name/dcc:content='Triad X, Y, Z']/dcc:declaration/dcc:content",
     )
-    assert declared[0].text == "\n".join(said.lines)
+    assert declared[0].text == "\n".join(statement_lines.lines)
     blocks = _page_blocks(tmp_path, pose_result)
     paragraphs = [block.text for block in blocks if isinstance(block, Paragraph)]
-    plain = [text.replace("²", "^2").replace("\u00a0", " ") for text in paragraphs]
-    assert set(said.lines) <= set(plain)
+    plain_paragraphs = [text.replace("²", "^2").replace("\u00a0", " ") for text in paragraphs]
+    assert set(statement_lines.lines) <= set(plain_paragraphs)
     tables = {block.columns[0].title: block for block in blocks if isinstance(block, Table)}
-    first = [row[0] for row in tables["Parameter"].rows]
-    assert first[0] == "offset of X"
-    assert first[-1] == "angle between Y and Z minus 90 deg"
+    parameter_names = [row[0] for row in tables["Parameter"].rows]
+    assert parameter_names[0] == "offset of X"
+    assert parameter_names[-1] == "angle between Y and Z minus 90 deg"
     assert [row[0] for row in tables["M ± U"].rows] == ["f_x", "f_y", "f_z"]
     assert tables["M ± U"].rows[0][2:4] == ("0", "0")  # zero by definition of the frame
 
@@ -201,10 +214,10 @@ def test_method_statement_describes_poses(tmp_path, pose_result):
     method = find_elements(
         make_document(tmp_path, pose_result, text=OWN), "//dcc:usedMethod[1]/dcc:description"
     )
-    words = "".join(method[0].itertext())
-    assert "Readings at rest in 25 poses of unknown attitude." in words
-    assert "turntable" not in words
-    assert "spindle" not in words
+    text = "".join(method[0].itertext())
+    assert "Readings at rest in 25 poses of unknown attitude." in text
+    assert "turntable" not in text
+    assert "spindle" not in text
 
 
 def test_two_accelerometers_have_no_triad_section(tmp_path, pose_result):
@@ -223,8 +236,10 @@ def test_undetermined_parameters_have_no_value(tmp_path):
         description=triads.format_description(model=model),
     )
     result = cs.calibrate(folder)
-    angles = [c for name, c in result.triad.parameters.items() if name.startswith("angle")]
-    assert not any(c.estimated for c in angles)
+    angles = [
+        parameter for name, parameter in result.triad.parameters.items() if name.startswith("angle")
+    ]
+    assert not any(parameter.estimated for parameter in angles)
     xml = make_document(tmp_path, result, text=OWN)
     labels = [element.text for element in find_elements(xml, f"{PART}//si:real/si:label")]
     assert labels == [f"{kind}.{name}" for kind in ("offset", "sensitivity") for name in "XYZ"]
@@ -244,8 +259,10 @@ def test_uncertainty_of_parameter_is_at_least_cmc(tmp_path, pose_result):
     }
     assert expanded["offset.Y"] == pytest.approx(1e-3 * G, rel=1e-12)
     assert expanded["angle.X.Z"] == pytest.approx(np.deg2rad(200 / 3600), rel=1e-12)
-    c = pose_result.triad.parameters["sensitivity.Z"]
-    assert expanded["sensitivity.Z"] == pytest.approx(coverage_factor(16.0) * c.u, rel=1e-12)
+    parameter = pose_result.triad.parameters["sensitivity.Z"]
+    assert expanded["sensitivity.Z"] == pytest.approx(
+        coverage_factor(16.0) * parameter.u, rel=1e-12
+    )
     text = "".join(find_elements(xml, "//dcc:statements")[0].itertext())
     assert "offset of Y: the evaluated uncertainty is U = " in text
     assert "sensitivity of Z: evaluated" not in text
@@ -254,18 +271,18 @@ def test_uncertainty_of_parameter_is_at_least_cmc(tmp_path, pose_result):
 def test_gravity_uncertainty_moves_between_g_units_and_si(tmp_path, pose_result):
     # Offsets from readings in m/s^2 depend on g in g units and not in m/s^2.
     triad = pose_result.triad
-    u_g, parameters, moved = 1e-2, {}, {}
-    for name, c in triad.parameters.items():
-        moved[name] = -c.value / G if name.startswith("offset") else 0.0
-        u = float(np.hypot(c.u, moved[name] * u_g))
-        parameters[name] = c.model_copy(update={"u": u, "dof": None})
-    given = pose_result.model_copy(
+    u_g, parameters, gravity_sensitivities = 1e-2, {}, {}
+    for name, parameter in triad.parameters.items():
+        gravity_sensitivities[name] = -parameter.value / G if name.startswith("offset") else 0.0
+        u = float(np.hypot(parameter.u, gravity_sensitivities[name] * u_g))
+        parameters[name] = parameter.model_copy(update={"u": u, "dof": None})
+    calibration = pose_result.model_copy(
         update={
             "inputs": pose_result.inputs.model_copy(update={"u_gravity": u_g}),
             "triad": triad.model_copy(
                 update={
                     "parameters": parameters,
-                    "by_gravity": moved,
+                    "by_gravity": gravity_sensitivities,
                     "correlation": Correlation(terms=list(parameters), matrix=np.eye(9).tolist()),
                 }
             ),
@@ -274,9 +291,12 @@ def test_gravity_uncertainty_moves_between_g_units_and_si(tmp_path, pose_result)
     expanded = [
         float(element.text)
         for element in find_elements(
-            make_document(tmp_path, given, text=OWN), f"{PART}//si:real//si:valueExpandedMU"
+            make_document(tmp_path, calibration, text=OWN), f"{PART}//si:real//si:valueExpandedMU"
         )
     ]
     scale = [G] * 3 + [1.0] * 6
-    exact = [1.96 * by * c.u for by, c in zip(scale, triad.parameters.values(), strict=True)]
+    exact = [
+        1.96 * factor * parameter.u
+        for factor, parameter in zip(scale, triad.parameters.values(), strict=True)
+    ]
     assert expanded == pytest.approx(exact, rel=1e-9)

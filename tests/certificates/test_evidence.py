@@ -69,41 +69,43 @@ def assume_terms(*terms):
     return make_qx_result().model_copy(update={"assumed": list(terms)})
 
 
-def make_certificate(given, more=""):
-    return certificate(given, tomllib.loads(LAB + more))
+def make_certificate(calibration, lab_text=""):
+    return certificate(calibration, tomllib.loads(LAB + lab_text))
 
 
 def test_missing_evidence_prevents_certificate():
-    with pytest.raises(CampaignError) as caught:
+    with pytest.raises(CampaignError) as error_info:
         make_certificate(
             assume_terms("K_OO", "K_PP", "platform.*"), '[evidence]\nK_PP = "Bericht 1"\n'
         )
-    (problem,) = caught.value.problems
+    (problem,) = error_info.value.problems
     assert "fixes K_OO, platform.* at nominal values" in problem
     assert 'data sheet: "K_OO" = "..." "platform.*" = "..."' in problem
 
 
 def test_certificate_contains_evidence():
-    texts = (
+    evidence_text = (
         '[evidence]\nK_OO = "Typprüfung 4714."\nplatform.tilt = "Bericht 4715."\nK_4 = "Nr. 1"\n'
     )
-    one = make_certificate(assume_terms("K_OO", "platform.tilt.north"), texts)
-    (statement,) = find_elements(one.xml, STATEMENT)
+    issued = make_certificate(assume_terms("K_OO", "platform.tilt.north"), evidence_text)
+    (statement,) = find_elements(issued.xml, STATEMENT)
     report = "".join(statement.itertext())
     assert "K_OO (second-order output-axis coefficient): Typprüfung 4714." in report
     assert "platform.tilt: Bericht 4715." in report
     assert "Nr. 1" not in report
-    read = pypdf.PdfReader(io.BytesIO(one.pdf()))
-    text = "\n".join(page.extract_text() for page in read.pages)
+    reader = pypdf.PdfReader(io.BytesIO(issued.pdf()))
+    text = "\n".join(page.extract_text() for page in reader.pages)
     assert FIXED_TERMS_HEADING in text
     assert "Typprüfung 4714." in text
 
 
 def test_result_without_assumptions_needs_no_evidence():
-    one = make_certificate(assume_terms(), '[evidence]\nall = "Bericht 1"\n')
-    assert not find_elements(one.xml, STATEMENT)
-    everything = make_certificate(assume_terms("K_OO", "K_PP"), '[evidence]\nall = "Bericht 1"\n')
-    assert "K_OO, K_PP: Bericht 1" in everything.xml.decode()
+    without_fixed_terms = make_certificate(assume_terms(), '[evidence]\nall = "Bericht 1"\n')
+    assert not find_elements(without_fixed_terms.xml, STATEMENT)
+    with_fixed_terms = make_certificate(
+        assume_terms("K_OO", "K_PP"), '[evidence]\nall = "Bericht 1"\n'
+    )
+    assert "K_OO, K_PP: Bericht 1" in with_fixed_terms.xml.decode()
 
 
 @pytest.mark.parametrize(
@@ -116,6 +118,6 @@ def test_result_without_assumptions_needs_no_evidence():
     ],
 )
 def test_errors_name_key(text, problem):
-    with pytest.raises(CampaignError) as caught:
+    with pytest.raises(CampaignError) as error_info:
         make_certificate(make_qx_result(), f"[evidence]\n{text}\n")
-    assert any(problem in line for line in caught.value.problems), caught.value.problems
+    assert any(problem in line for line in error_info.value.problems), error_info.value.problems

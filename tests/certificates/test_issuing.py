@@ -39,16 +39,16 @@ def certificate_folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def run_certificate(capsys, *words):
+def run_certificate(capsys, *arguments):
     """Run `counterspin certificate` and return its status, output and error message."""
-    status = cli.main(["certificate", *words])
+    status = cli.main(["certificate", *arguments])
     printed = capsys.readouterr()
     return status, printed.out, printed.err
 
 
-def default_identifier(lab=LAB, given=None):
+def default_identifier(lab=LAB, calibration=None):
     """Return the identifier of a certificate without a stated identifier."""
-    return certificate(given or make_qx_result(), tomllib.loads(lab)).identifier
+    return certificate(calibration or make_qx_result(), tomllib.loads(lab)).identifier
 
 
 def test_certificate_is_reproducible(certificate_folder, capsys):
@@ -78,17 +78,19 @@ def test_certificate_without_conditions_is_draft(certificate_folder, capsys):
 def test_pdf_contains_identical_xml(certificate_folder, capsys):
     for name in ("c.xml", "c.pdf"):
         assert run_certificate(capsys, "r.json", "LAB.toml", "-o", name)[0] == 0
-    read = pypdf.PdfReader(io.BytesIO((certificate_folder / "c.pdf").read_bytes()))
-    ((name, (data,)),) = read.attachments.items()
+    reader = pypdf.PdfReader(io.BytesIO((certificate_folder / "c.pdf").read_bytes()))
+    ((name, (data,)),) = reader.attachments.items()
     assert name == f"{default_identifier()}.xml"
     assert data == (certificate_folder / "c.xml").read_bytes()
-    text = "\n".join(page.extract_text() for page in read.pages)
-    for words in ("Calibration certificate", "Kalibrierlabor", "0815", "Rückgeführt auf das SI."):
-        assert words in text
+    text = "\n".join(page.extract_text() for page in reader.pages)
+    for phrase in ("Calibration certificate", "Kalibrierlabor", "0815", "Rückgeführt auf das SI."):
+        assert phrase in text
     assert "27.0000 ± 0.0020 µg/g²" in " ".join(text.split())
     assert "20.50 ± 0.49 °C (U, k = 1.96)" in " ".join(text.split())
     # The pages contain all statements of the XML under the same name.
-    names = [e.text for e in find_elements(data, "//dcc:statement/dcc:name/dcc:content")]
+    names = [
+        element.text for element in find_elements(data, "//dcc:statement/dcc:name/dcc:content")
+    ]
     assert {"Measurement uncertainty", "Units", "Metrological traceability", "Remarks"} <= {*names}
     assert [name for name in names if f"\n{name.partition(',')[0]}\n" not in text] == []
 
@@ -96,13 +98,17 @@ def test_pdf_contains_identical_xml(certificate_folder, capsys):
 def test_laboratory_specification_overrides_campaign(certificate_folder, capsys):
     write_lab(certificate_folder, LAB + '\n[specification]\nK_II = "abs <= 1e-5 g/g^2"\n')
     assert run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.xml")[0] == 0
-    made = (certificate_folder / "c.xml").read_bytes()
-    assert [e.text for e in find_elements(made, "//dcc:statement/dcc:conformity")] == ["fail"]
+    xml = (certificate_folder / "c.xml").read_bytes()
+    assert [element.text for element in find_elements(xml, "//dcc:statement/dcc:conformity")] == [
+        "fail"
+    ]
     # Otherwise the specification of the result applies: up to 5e-5.
     write_lab(certificate_folder)
     assert run_certificate(capsys, "r.json", "LAB.toml", "-o", "d.xml")[0] == 0
-    made = (certificate_folder / "d.xml").read_bytes()
-    assert [e.text for e in find_elements(made, "//dcc:statement/dcc:conformity")] == ["pass"]
+    xml = (certificate_folder / "d.xml").read_bytes()
+    assert [element.text for element in find_elements(xml, "//dcc:statement/dcc:conformity")] == [
+        "pass"
+    ]
 
 
 def test_signed_certificate_is_verified(certificate_folder, capsys):
@@ -111,13 +117,13 @@ def test_signed_certificate_is_verified(certificate_folder, capsys):
     )
     signing = ("--key", key, "--cert", cert)
     assert run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.xml", *signing)[0] == 0
-    made = (certificate_folder / "c.xml").read_bytes()
-    assert find_elements(made, "//dcc:cryptElectronicSignature")[0].text == "true"
+    xml = (certificate_folder / "c.xml").read_bytes()
+    assert find_elements(xml, "//dcc:cryptElectronicSignature")[0].text == "true"
     status, out, _ = run_certificate(capsys, "--verify", "c.xml", "--cert", cert)
     assert status == 0
     assert "27.0000 ± 0.0020 ug/g^2" in out
     assert out.endswith("The signature is valid.\n")
-    (certificate_folder / "d.xml").write_bytes(made.replace(b">9.8<", b">9.9<", 1))
+    (certificate_folder / "d.xml").write_bytes(xml.replace(b">9.8<", b">9.9<", 1))
     status, out, err = run_certificate(capsys, "--verify", "d.xml", "--cert", cert)
     assert (status, out) == (1, "")
     assert "d.xml: the signature is not valid" in err
@@ -145,21 +151,23 @@ def test_verify_reads_xml_in_pdf(certificate_folder, capsys):
     assert out.endswith(f"The signature is valid.\n{pages}")
     assert "The visible pages were not checked" in run_certificate(capsys, "--verify", "c.pdf")[1]
     # Changed pages, unsigned pages and pages of another signer, with the same XML.
-    made = (certificate_folder / "c.pdf").read_bytes()
-    place = made.index(b"/StructParents") + 4
-    (certificate_folder / "d.pdf").write_bytes(made[:place] + b"X" + made[place + 1 :])
+    pdf = (certificate_folder / "c.pdf").read_bytes()
+    offset = pdf.index(b"/StructParents") + 4
+    (certificate_folder / "d.pdf").write_bytes(pdf[:offset] + b"X" + pdf[offset + 1 :])
     status, out, err = run_certificate(capsys, "--verify", "d.pdf", "--cert", cert)
     assert (status, out) == (1, "")
     assert "pages were changed" in err
-    plain = made[: made.index(b"%%EOF") + 5]
-    (certificate_folder / "e.pdf").write_bytes(plain)
-    told = run_certificate(capsys, "--verify", "e.pdf", "--cert", cert)
-    assert told[0] == 0
-    assert told[1].endswith("The visible pages are not signed.\n")
-    other = read_signer(
+    unsigned_pdf = pdf[: pdf.index(b"%%EOF") + 5]
+    (certificate_folder / "e.pdf").write_bytes(unsigned_pdf)
+    outcome = run_certificate(capsys, "--verify", "e.pdf", "--cert", cert)
+    assert outcome[0] == 0
+    assert outcome[1].endswith("The visible pages are not signed.\n")
+    other_signer = read_signer(
         *write_pair(certificate_folder / "o", ec.generate_private_key(ec.SECP256R1()))
     )
-    (certificate_folder / "f.pdf").write_bytes(sign_pages(plain, other, datetime.now(UTC)))
+    (certificate_folder / "f.pdf").write_bytes(
+        sign_pages(unsigned_pdf, other_signer, datetime.now(UTC))
+    )
     status, out, err = run_certificate(capsys, "--verify", "f.pdf", "--cert", cert)
     assert (status, out) == (1, "")
     assert "pages were not signed" in err
@@ -184,8 +192,8 @@ def test_xml_and_pdf_have_same_signature(certificate_folder, capsys):
     )
     ledgered = write_lab(certificate_folder, LAB.replace('language = "de"', 'ledger = "l.jsonl"'))
     signing = ("--key", key, "--cert", cert)
-    given = ("r.json", str(ledgered), "--both", *signing)
-    status, out, _ = run_certificate(capsys, *given, "-o", "c.pdf")
+    arguments = ("r.json", str(ledgered), "--both", *signing)
+    status, out, _ = run_certificate(capsys, *arguments, "-o", "c.pdf")
     assert status == 0
     assert out.startswith("Wrote c.pdf and c.xml: certificate CS-")
     assert (
@@ -199,7 +207,7 @@ def test_xml_and_pdf_have_same_signature(certificate_folder, capsys):
     )
     # If one file cannot be written, neither is.
     (certificate_folder / "d.pdf").touch()
-    assert run_certificate(capsys, *given, "-o", "d.xml")[0] == 1
+    assert run_certificate(capsys, *arguments, "-o", "d.xml")[0] == 1
     assert not (certificate_folder / "d.xml").exists()
 
 
@@ -210,10 +218,10 @@ def test_password_is_requested_after_all_other_checks(
     key, cert = write_pkcs12(
         certificate_folder / "k", ec.generate_private_key(ec.SECP256R1()), b"vy secret"
     )
-    asked = []
+    prompts = []
 
-    def enter_password(words):
-        asked.append(words)
+    def enter_password(prompt):
+        prompts.append(prompt)
         return "vy secret"
 
     stdin = io.StringIO("vy secret\n")
@@ -222,12 +230,12 @@ def test_password_is_requested_after_all_other_checks(
     monkeypatch.setattr("counterspin.cli.certificate.getpass", enter_password)
     assert run_certificate(capsys, "--init", "mine.toml")[0] == 0
     assert run_certificate(capsys, "r.json", "mine.toml", "-o", "d.xml", "--key", str(key))[0] == 2
-    assert (asked, stdin.tell()) == ([], 0)
+    assert (prompts, stdin.tell()) == ([], 0)
     status, out, err = run_certificate(
         capsys, "r.json", "LAB.toml", "-o", "c.xml", "--key", str(key)
     )
     assert (status, err) == (0, "")
-    assert asked == ([f"Password of {key}: "] if terminal else [])
+    assert prompts == ([f"Password of {key}: "] if terminal else [])
     assert "secret" not in out
     assert (
         check_certificate(certificate_folder / "c.xml", signer_certificate=cert).signature
@@ -237,8 +245,8 @@ def test_password_is_requested_after_all_other_checks(
 
 def test_signer_command_replaces_key(certificate_folder, capsys):
     key, cert = write_pair(certificate_folder / "k", rsa.generate_private_key(65537, 2048))
-    way = f"openssl dgst -sha256 -sign {shlex.quote(str(key))}"
-    signing = ("--signer", way, "--cert", str(cert))
+    command = f"openssl dgst -sha256 -sign {shlex.quote(str(key))}"
+    signing = ("--signer", command, "--cert", str(cert))
     if shutil.which("openssl") is None:
         pytest.skip("openssl is not installed")
     assert run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.pdf", *signing)[0] == 0
@@ -247,9 +255,9 @@ def test_signer_command_replaces_key(certificate_folder, capsys):
 
 
 def test_only_selected_accelerometers_are_certified(certificate_folder, capsys):
-    given = json.loads((certificate_folder / "r.json").read_text())
-    given["accelerometers"]["Qy"] = given["accelerometers"]["Qx"]
-    (certificate_folder / "r.json").write_text(seal_document(given))
+    document = json.loads((certificate_folder / "r.json").read_text())
+    document["accelerometers"]["Qy"] = document["accelerometers"]["Qx"]
+    (certificate_folder / "r.json").write_text(seal_document(document))
     write_lab(certificate_folder, LAB.replace('language = "de"', 'accelerometers = ["Qy"]'))
     status, out, _ = run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.xml")
     assert status == 0
@@ -274,15 +282,15 @@ def test_template_draft_cannot_be_signed(certificate_folder, capsys):
     assert "item.model, item.serial_number, persons[0].name" in out
     pages = [page.extract_text() for page in pypdf.PdfReader(certificate_folder / "c.pdf").pages]
     assert all("DRAFT, not a calibration certificate DRAFT-CS-" in page for page in pages)
-    made = certificate(certificate_folder / "r.json", certificate_folder / "mine.toml").xml
-    assert find_elements(made, "//dcc:uniqueIdentifier")[0].text.startswith("DRAFT-CS-")
+    xml = certificate(certificate_folder / "r.json", certificate_folder / "mine.toml").xml
+    assert find_elements(xml, "//dcc:uniqueIdentifier")[0].text.startswith("DRAFT-CS-")
     draft = find_elements(
-        made, "//dcc:statement[dcc:name/dcc:content='Draft']/dcc:declaration/dcc:content"
+        xml, "//dcc:statement[dcc:name/dcc:content='Draft']/dcc:declaration/dcc:content"
     )
     assert draft[0].text.startswith("DRAFT. ")
     assert [
-        e.text
-        for e in find_elements(made, "//dcc:statement[dcc:name/dcc:content='Draft']/dcc:valid")
+        element.text
+        for element in find_elements(xml, "//dcc:statement[dcc:name/dcc:content='Draft']/dcc:valid")
     ] == ["false"]
     key, cert = map(
         str, write_pair(certificate_folder / "k", ec.generate_private_key(ec.SECP256R1()))
@@ -336,17 +344,21 @@ def test_certificate_command_accepts_reason(certificate_folder, capsys):
         capsys, "r.json", "LAB.toml", "-o", "c.xml", "--accept-misfit", " "
     )
     assert (status, "--accept-misfit: " in err) == (2, True)
-    why = ("--accept-misfit", "known play of the arm")
-    assert run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.xml", *why)[0] == 0
-    made = (certificate_folder / "c.xml").read_bytes()
+    misfit_options = ("--accept-misfit", "known play of the arm")
+    assert run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.xml", *misfit_options)[0] == 0
+    xml = (certificate_folder / "c.xml").read_bytes()
     name = "Accepted misfit"
-    (said,) = find_elements(
-        made, f"//dcc:statement[dcc:name/dcc:content='{name}']/dcc:declaration/dcc:content"
+    (declaration,) = find_elements(
+        xml, f"//dcc:statement[dcc:name/dcc:content='{name}']/dcc:declaration/dcc:content"
     )
-    assert said.text.startswith("The result failed the quality checks. Qx: The residuals are 8")
-    assert said.text.endswith("The misfit was accepted for this reason: known play of the arm")
+    assert declaration.text.startswith(
+        "The result failed the quality checks. Qx: The residuals are 8"
+    )
+    assert declaration.text.endswith(
+        "The misfit was accepted for this reason: known play of the arm"
+    )
     judge_result(make_qx_result()).write(certificate_folder / "r.json", overwrite=True)
-    status, _, err = run_certificate(capsys, "r.json", "LAB.toml", "-o", "d.xml", *why)
+    status, _, err = run_certificate(capsys, "r.json", "LAB.toml", "-o", "d.xml", *misfit_options)
     assert (status, "do not contradict this result" in err) == (2, True)
 
 
@@ -385,25 +397,25 @@ def test_failed_command_leaves_no_file(certificate_folder, capsys, words, status
     printed = make_qx_result().model_copy(update={"model": "as-printed"})
     (certificate_folder / "printed.json").write_text(printed.to_json(), encoding="utf-8")
     (certificate_folder / "newer.json").write_text('{"schema": 3}', encoding="utf-8")
-    before = sorted(certificate_folder.iterdir())
+    files_before = sorted(certificate_folder.iterdir())
     got, out, err = run_certificate(capsys, *words)
     assert (got, out) == (status, "")
     assert told in err
-    assert sorted(certificate_folder.iterdir()) == before
+    assert sorted(certificate_folder.iterdir()) == files_before
 
 
 def test_objects_and_files_give_same_certificate(certificate_folder, capsys):
     for name in ("a.xml", "a.pdf"):
         assert run_certificate(capsys, "r.json", "LAB.toml", "-o", name)[0] == 0
-    made = certificate(make_qx_result(), tomllib.loads(LAB))
-    assert made.xml == (certificate_folder / "a.xml").read_bytes()
-    assert made.pdf() == (certificate_folder / "a.pdf").read_bytes()
-    assert (made.identifier, made.accelerometers) == (default_identifier(), ["Qx"])
-    assert made.write("b.xml").read_bytes() == made.xml
+    issued = certificate(make_qx_result(), tomllib.loads(LAB))
+    assert issued.xml == (certificate_folder / "a.xml").read_bytes()
+    assert issued.pdf() == (certificate_folder / "a.pdf").read_bytes()
+    assert (issued.identifier, issued.accelerometers) == (default_identifier(), ["Qx"])
+    assert issued.write("b.xml").read_bytes() == issued.xml
     with raises("file-exists"):
-        made.write(certificate_folder / "b.xml")
+        issued.write(certificate_folder / "b.xml")
     with raises("wrong-file-ending", ".xml", ".pdf"):
-        made.write("b.txt")
+        issued.write("b.txt")
 
 
 def test_errors_of_objects_name_keys():
@@ -416,15 +428,15 @@ def test_errors_of_objects_name_keys():
 
 
 def test_default_identifier_depends_on_result_and_laboratory_data(certificate_folder):
-    own = default_identifier()
-    assert own == default_identifier("# a remark\n" + LAB)
-    assert own != default_identifier(LAB.replace("Kunde", "Kundin"))
-    assert own != default_identifier(LAB, make_qx_result(serial_number="Q-105"))
+    identifier = default_identifier()
+    assert identifier == default_identifier("# a remark\n" + LAB)
+    assert identifier != default_identifier(LAB.replace("Kunde", "Kundin"))
+    assert identifier != default_identifier(LAB, make_qx_result(serial_number="Q-105"))
     # Another version writes other bytes of the same result; the bytes read are used.
     text = (certificate_folder / "r.json").read_text(encoding="utf-8")
     (certificate_folder / "r.json").write_text(text.replace("\n ", "\n  "), encoding="utf-8")
     earlier = certificate("r.json", tomllib.loads(LAB))
-    assert earlier.identifier != own
+    assert earlier.identifier != identifier
     assert earlier.identifier == certificate(Result.read("r.json"), tomllib.loads(LAB)).identifier
 
 
@@ -435,24 +447,24 @@ def test_result_without_seal_requires_reason(certificate_folder, capsys):
         (certificate_folder / "r.json").write_text(
             text.replace('"schema": 2', schema), encoding="utf-8"
         )
-        status, _, complaint = run_certificate(capsys, "r.json", "LAB.toml", "-o", "a.xml")
+        status, _, message = run_certificate(capsys, "r.json", "LAB.toml", "-o", "a.xml")
         assert status == 1
-        assert "r.json: the file has no seal" in complaint
-        assert "state in --accept-unsealed why" in " ".join(complaint.split())
+        assert "r.json: the file has no seal" in message
+        assert "state in --accept-unsealed why" in " ".join(message.split())
     (certificate_folder / "r.json").write_text(text, encoding="utf-8")
     reason = ("--accept-unsealed", "Compared with the printed report.")
     for name in ("a.xml", "a.pdf"):
         assert run_certificate(capsys, "r.json", "LAB.toml", "-o", name, *reason)[0] == 0
-    said = "was accepted for this reason: Compared with the printed report."
-    assert said.encode() in (certificate_folder / "a.xml").read_bytes()
+    statement_text = "was accepted for this reason: Compared with the printed report."
+    assert statement_text.encode() in (certificate_folder / "a.xml").read_bytes()
     pages = "".join(
         page.extract_text() for page in pypdf.PdfReader(certificate_folder / "a.pdf").pages
     )
-    assert said in " ".join(pages.split())
+    assert statement_text in " ".join(pages.split())
     # The file itself is attached.
     (data,) = find_elements((certificate_folder / "a.xml").read_bytes(), "//dcc:dataBase64")[:1]
     assert base64.b64decode(data.text) == text.encode()
     make_qx_result().write(certificate_folder / "r.json", overwrite=True)
-    status, _, complaint = run_certificate(capsys, "r.json", "LAB.toml", "-o", "b.xml", *reason)
+    status, _, message = run_certificate(capsys, "r.json", "LAB.toml", "-o", "b.xml", *reason)
     assert status == 1
-    assert "the file has a valid seal; omit --accept-unsealed" in " ".join(complaint.split())
+    assert "the file has a valid seal; omit --accept-unsealed" in " ".join(message.split())

@@ -8,10 +8,10 @@ from counterspin.certificates.lab import read_lab, template_keys, write_example
 from counterspin.errors import CampaignError, CounterspinError
 
 
-def list_problems(folder, text, given=None):
-    with pytest.raises(CampaignError) as caught:
-        read_lab(write_lab(folder, text), given or make_qx_result())
-    return caught.value.problems
+def list_problems(folder, text, calibration=None):
+    with pytest.raises(CampaignError) as error_info:
+        read_lab(write_lab(folder, text), calibration or make_qx_result())
+    return error_info.value.problems
 
 
 def test_all_missing_keys_are_reported(tmp_path):

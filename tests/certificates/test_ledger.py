@@ -15,12 +15,12 @@ from counterspin.errors import CounterspinError, RecordError
 WHEN = "2026-03-01T00:00:00Z"
 
 
-def append_entries(path, count, first=1):
+def append_entries(path, count, first_number=1):
     return [
         append_entry(
             path, "result", {"file": f"r{n}.json"}, who="A. Erste", why="yearly ü", when=WHEN
         )
-        for n in range(first, first + count)
+        for n in range(first_number, first_number + count)
     ]
 
 
@@ -35,9 +35,9 @@ def altered_entry(path):
 
 def test_entries_round_trip_with_hash_of_previous_entry(tmp_path):
     path = tmp_path / "ledger.jsonl"
-    given = append_entries(path, 3)
+    entries = append_entries(path, 3)
     ledger = verify_ledger(path)
-    assert (list(ledger.entries), ledger.partial_entry) == (given, b"")
+    assert (list(ledger.entries), ledger.partial_entry) == (entries, b"")
     lines = [json.loads(line) for line in path.read_bytes().splitlines()]
     assert [line["number"] for line in lines] == [1, 2, 3]
     assert lines[0]["previous"] == "0" * 64
@@ -48,14 +48,14 @@ def test_entries_round_trip_with_hash_of_previous_entry(tmp_path):
 def test_altered_byte_is_detected_with_entry_number(tmp_path):
     path = tmp_path / "ledger.jsonl"
     append_entries(path, 3)
-    whole = path.read_bytes()
-    ends = [i for i, byte in enumerate(whole) if byte == ord("\n")]
-    for place in range(len(whole)):
-        changed = bytearray(whole)
-        changed[place] ^= 1 << place % 8  # each bit in its turn
+    content = path.read_bytes()
+    line_ends = [i for i, byte in enumerate(content) if byte == ord("\n")]
+    for offset in range(len(content)):
+        changed = bytearray(content)
+        changed[offset] ^= 1 << offset % 8  # each bit in its turn
         path.write_bytes(changed)
-        number = sum(end < place for end in ends) + 1
-        if place == ends[-1]:
+        number = sum(end < offset for end in line_ends) + 1
+        if offset == line_ends[-1]:
             # A line without a line end is a partial entry.
             assert verify_ledger(path).partial_entry
         else:
@@ -71,10 +71,10 @@ def test_removed_moved_or_rewritten_entries_are_detected(tmp_path):
     path.write_bytes(first + third + second + fourth)
     assert altered_entry(path).startswith("entry 2 has the number 3")
     # A rewritten entry with a valid hash is detected by the next entry.
-    other = tmp_path / "other.jsonl"
-    append_entries(other, 1)
-    append_entry(other, "result", {"file": "made up"}, who="B", why="", when=WHEN)
-    path.write_bytes(first + other.read_bytes().splitlines(keepends=True)[1] + third + fourth)
+    other_path = tmp_path / "other.jsonl"
+    append_entries(other_path, 1)
+    append_entry(other_path, "result", {"file": "made up"}, who="B", why="", when=WHEN)
+    path.write_bytes(first + other_path.read_bytes().splitlines(keepends=True)[1] + third + fourth)
     assert altered_entry(path).startswith("entry 2 was altered after it was written")
     path.write_bytes(second)
     assert altered_entry(path).startswith("entry 1 has the number 2")
@@ -93,11 +93,11 @@ def test_entry_with_duplicate_key_is_detected(tmp_path, key):
 def test_removed_last_entries_change_head_hash(tmp_path):
     path = tmp_path / "ledger.jsonl"
     append_entries(path, 3)
-    whole = verify_ledger(path)
+    complete_ledger = verify_ledger(path)
     path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:2]))
-    rest = verify_ledger(path)
-    assert rest.entries == whole.entries[:2]
-    assert rest.head != whole.head
+    shortened_ledger = verify_ledger(path)
+    assert shortened_ledger.entries == complete_ledger.entries[:2]
+    assert shortened_ledger.head != complete_ledger.head
 
 
 def test_altered_ledger_is_not_extended(tmp_path):
@@ -111,17 +111,17 @@ def test_altered_ledger_is_not_extended(tmp_path):
 
 def test_partial_entry_is_preserved_in_next_entry(tmp_path):
     path = tmp_path / "ledger.jsonl"
-    given = append_entries(path, 2)
-    whole = path.read_bytes()
-    start = whole.index(b"\n") + 1
-    for cut in range(start, len(whole)):
-        path.write_bytes(whole[:cut])
+    entries = append_entries(path, 2)
+    content = path.read_bytes()
+    start = content.index(b"\n") + 1
+    for cut in range(start, len(content)):
+        path.write_bytes(content[:cut])
         ledger = verify_ledger(path)
-        assert ledger.entries == (given[0],)
-        assert ledger.partial_entry == whole[start:cut]
-    (new,) = append_entries(path, 1, first=9)
-    assert (new.number, new.subject["unfinished"].encode()) == (2, whole[start:-1])
-    assert verify_ledger(path).entries == (given[0], new)
+        assert ledger.entries == (entries[0],)
+        assert ledger.partial_entry == content[start:cut]
+    (new_entry,) = append_entries(path, 1, first_number=9)
+    assert (new_entry.number, new_entry.subject["unfinished"].encode()) == (2, content[start:-1])
+    assert verify_ledger(path).entries == (entries[0], new_entry)
 
 
 def test_concurrent_writers_lose_no_entry(tmp_path):
@@ -154,13 +154,13 @@ def test_windows_writer_waits_longer_than_ten_seconds(tmp_path, monkeypatch):
     monkeypatch.setattr("time.sleep", waited.append)
     monkeypatch.setattr("sys.platform", "win32")
     path = tmp_path / "ledger.jsonl"
-    given = append_entries(path, 1)
+    entries = append_entries(path, 1)
     assert sum(waited) > 15.0
     # A byte beyond any ledger, because Windows blocks reading of a locked byte.
     assert set(calls) == {("try", 0x7FFF0000, 1), ("unlock", 0x7FFF0000, 1)}
     assert calls[-1][0] == "unlock"
     monkeypatch.undo()
-    assert verify_ledger(path).entries == tuple(given)
+    assert verify_ledger(path).entries == tuple(entries)
 
 
 def test_unwritable_ledger_raises(tmp_path):

@@ -30,8 +30,8 @@ def ledger_folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def run(*words):
-    return cli.main(["certificate", *words])
+def run(*arguments):
+    return cli.main(["certificate", *arguments])
 
 
 def digest(path):
@@ -40,8 +40,8 @@ def digest(path):
 
 def test_result_certificate_and_amendment_are_entered(ledger_folder, capsys):
     assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
-    why = ("--amends", "a.xml", "--reason", "The customer has moved.")
-    assert run("r.json", "LAB.toml", "-o", "b.pdf", *why) == 0
+    amendment_options = ("--amends", "a.xml", "--reason", "The customer has moved.")
+    assert run("r.json", "LAB.toml", "-o", "b.pdf", *amendment_options) == 0
     entries = verify_ledger(ledger_folder / "ledger.jsonl").entries
     assert [entry.entry_type for entry in entries] == ["result", "certificate", "amendment"]
     assert entries[0].subject == {"file": "r.json", "sha256": digest(ledger_folder / "r.json")}
@@ -58,8 +58,8 @@ def test_result_certificate_and_amendment_are_entered(ledger_folder, capsys):
     capsys.readouterr()
     assert cli.main(["ledger", "verify", "ledger.jsonl"]) == 0
     assert entries[2].digest in capsys.readouterr().out
-    more = ("--who", "B. Zweite", "--why", "once more")
-    assert cli.main(["ledger", "add", "ledger.jsonl", "r.json", *more]) == 0
+    entry_options = ("--who", "B. Zweite", "--why", "once more")
+    assert cli.main(["ledger", "add", "ledger.jsonl", "r.json", *entry_options]) == 0
     assert verify_ledger(ledger_folder / "ledger.jsonl").entries[3].who == "B. Zweite"
 
 
@@ -84,10 +84,10 @@ def test_wrong_usage_and_partial_entry_are_reported(ledger_folder, capsys):
     assert cli.main(["ledger", "add", "ledger.jsonl", "r.json"]) == 2
     assert cli.main(["ledger", "verify", "ledger.jsonl", "r.json"]) == 2
     assert "verify accepts no result files" in capsys.readouterr().err
-    more = ("--who", "B", "--why", "w")
-    assert cli.main(["ledger", "add", "ledger.jsonl", "none.json", *more]) == 1
+    entry_options = ("--who", "B", "--why", "w")
+    assert cli.main(["ledger", "add", "ledger.jsonl", "none.json", *entry_options]) == 1
     assert not (ledger_folder / "ledger.jsonl").exists()
-    assert cli.main(["ledger", "add", "ledger.jsonl", "r.json", *more]) == 0
+    assert cli.main(["ledger", "add", "ledger.jsonl", "r.json", *entry_options]) == 0
     with (ledger_folder / "ledger.jsonl").open("ab") as file:
         file.write(b'{"number"')
     capsys.readouterr()
@@ -105,24 +105,24 @@ class KilledError(BaseException):
 def run_killed(monkeypatch):
     """Return a function that runs a command and kills it before a function call."""
 
-    def kill(name, *words):
+    def kill(name, *arguments):
         def raise_killed(*_, **__):
             raise KilledError
 
         with monkeypatch.context() as patched:
             patched.setattr(f"counterspin.certificates.ledger.{name}", raise_killed)
             with pytest.raises(KilledError):
-                run(*words)
+                run(*arguments)
 
     return kill
 
 
 @pytest.mark.parametrize("moment", ["write_atomically", "_append_entry", "move_into_place"])
 def test_killed_command_leaves_no_certificate_without_entry(ledger_folder, run_killed, moment):
-    words = ("r.json", "LAB.toml", "-o", "a.xml")
-    run_killed(moment, *words)
+    arguments = ("r.json", "LAB.toml", "-o", "a.xml")
+    run_killed(moment, *arguments)
     assert not (ledger_folder / "a.xml").exists()
-    assert run(*words) == 0
+    assert run(*arguments) == 0
     entries = verify_ledger(ledger_folder / "ledger.jsonl").entries
     assert [entry.entry_type for entry in entries] == ["result", "certificate"]
     assert entries[1].subject["file_sha256"] == digest(ledger_folder / "a.xml")
@@ -132,10 +132,10 @@ def test_killed_command_leaves_no_certificate_without_entry(ledger_folder, run_k
 def test_interrupted_certificate_is_completed_on_later_day(
     ledger_folder, run_killed, monkeypatch, capsys
 ):
-    words = ("r.json", "LAB.toml", "-o", "a.xml")
-    run_killed("move_into_place", *words)
+    arguments = ("r.json", "LAB.toml", "-o", "a.xml")
+    run_killed("move_into_place", *arguments)
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800086400")  # the day after
-    assert run(*words) == 0
+    assert run(*arguments) == 0
     assert "but was then interrupted" in capsys.readouterr().out
     entries = verify_ledger(ledger_folder / "ledger.jsonl").entries
     assert [entry.subject["file_sha256"] for entry in entries[1:]] == [
@@ -146,8 +146,8 @@ def test_interrupted_certificate_is_completed_on_later_day(
 
 def test_missing_seal_is_entered_with_result(ledger_folder):
     remove_seal(ledger_folder / "r.json")
-    words = ("--who", "B. Zweite", "--why", "yearly")
-    assert cli.main(["ledger", "add", "ledger.jsonl", "r.json", *words]) == 0
+    entry_options = ("--who", "B. Zweite", "--why", "yearly")
+    assert cli.main(["ledger", "add", "ledger.jsonl", "r.json", *entry_options]) == 0
     assert (
         verify_ledger(ledger_folder / "ledger.jsonl").entries[0].why
         == "yearly; the file has no seal"
@@ -158,13 +158,13 @@ def test_changed_file_of_entered_certificate_cannot_be_amended(ledger_folder, ca
     assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
     issued = (ledger_folder / "a.xml").read_bytes()
     (ledger_folder / "a.xml").write_bytes(issued.replace(b"A. Erste", b"A. Zweit"))
-    why = ("--amends", "a.xml", "--reason", "The customer has moved.")
-    assert run("r.json", "LAB.toml", "-o", "b.xml", *why) == 1
-    complaint = " ".join(capsys.readouterr().err.split())
-    assert "the file to be amended was changed after it was issued" in complaint
+    amendment_options = ("--amends", "a.xml", "--reason", "The customer has moved.")
+    assert run("r.json", "LAB.toml", "-o", "b.xml", *amendment_options) == 1
+    message = " ".join(capsys.readouterr().err.split())
+    assert "the file to be amended was changed after it was issued" in message
     assert not (ledger_folder / "b.xml").exists()
     (ledger_folder / "a.xml").write_bytes(issued)
-    assert run("r.json", "LAB.toml", "-o", "b.xml", *why) == 0
+    assert run("r.json", "LAB.toml", "-o", "b.xml", *amendment_options) == 0
     amendment = verify_ledger(ledger_folder / "ledger.jsonl").entries[-1]
     assert amendment.subject["amends_sha256"] == digest(ledger_folder / "a.xml")
 
@@ -176,22 +176,32 @@ def test_interrupted_command_completes_both_files(ledger_folder, monkeypatch, la
     # Killed before each file is named, and repeated later with another signature.
     write_lab(ledger_folder, lab)
     key, cert = write_pair(ledger_folder / "k", ec.generate_private_key(ec.SECP256R1()))
-    words = ("r.json", "LAB.toml", "-o", "a.pdf", "--both", "--key", str(key), "--cert", str(cert))
+    arguments = (
+        "r.json",
+        "LAB.toml",
+        "-o",
+        "a.pdf",
+        "--both",
+        "--key",
+        str(key),
+        "--cert",
+        str(cert),
+    )
     with monkeypatch.context() as patched:
         patched.setattr(os, "link", kill_at_call(os.link, link))
         with contextlib.suppress(KilledError):
-            run(*words)
-    whole = [(ledger_folder / name).is_file() for name in ("a.xml", "a.pdf")]
-    before = (ledger_folder / "a.xml").read_bytes() if whole[0] else None
+            run(*arguments)
+    files_exist = [(ledger_folder / name).is_file() for name in ("a.xml", "a.pdf")]
+    xml_before = (ledger_folder / "a.xml").read_bytes() if files_exist[0] else None
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800086400")  # the day after
-    assert run(*words) == (1 if all(whole) else 0)
-    assert before in (None, (ledger_folder / "a.xml").read_bytes())
+    assert run(*arguments) == (1 if all(files_exist) else 0)
+    assert xml_before in (None, (ledger_folder / "a.xml").read_bytes())
     assert read_document(ledger_folder / "a.pdf") == (ledger_folder / "a.xml").read_bytes()
     for name in ("a.xml", "a.pdf"):
         assert run("--verify", name, "--cert", str(cert)) == 0
     if lab == KEPT:
-        found = verify_ledger(ledger_folder / "ledger.jsonl").entries[1:]
-        assert [e.subject["file_sha256"] for e in found] == [
+        entries = verify_ledger(ledger_folder / "ledger.jsonl").entries[1:]
+        assert [entry.subject["file_sha256"] for entry in entries] == [
             digest(ledger_folder / n) for n in ("a.xml", "a.pdf")
         ]
     assert not [path for path in ledger_folder.iterdir() if path.name.startswith(".")]
@@ -211,8 +221,8 @@ def kill_at_call(function, call):
 
 def test_pdf_of_other_xml_is_not_completed(ledger_folder, capsys):
     assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
-    words = ("r.json", "LAB.toml", "-o", "a.xml", "--both")
-    assert run(*words) == 1
+    arguments = ("r.json", "LAB.toml", "-o", "a.xml", "--both")
+    assert run(*arguments) == 1
     assert "a.xml already exists, and no interrupted command left a PDF" in capsys.readouterr().err
     assert not (ledger_folder / "a.pdf").exists()
 
@@ -241,10 +251,10 @@ def test_concurrent_commands_issue_one_certificate(ledger_folder):
         "import sys; from counterspin import cli; sys.stdin.readline()\n"
         "sys.exit(cli.main(['certificate', 'r.json', sys.argv[1], '-o', 'a.xml']))"
     )
-    other = KEPT.replace("[certificate]", '[certificate]\nidentifier = "K 7"')
-    for name, place in (("one.toml", "Ort"), ("two.toml", "Stadt")):
-        (ledger_folder / name).write_text(other.replace("Ort", place), encoding="utf-8")
-    both = [
+    lab_text = KEPT.replace("[certificate]", '[certificate]\nidentifier = "K 7"')
+    for name, city in (("one.toml", "Ort"), ("two.toml", "Stadt")):
+        (ledger_folder / name).write_text(lab_text.replace("Ort", city), encoding="utf-8")
+    processes = [
         subprocess.Popen(
             [sys.executable, "-c", program, name],
             stdin=subprocess.PIPE,
@@ -253,9 +263,9 @@ def test_concurrent_commands_issue_one_certificate(ledger_folder):
         )
         for name in ("one.toml", "two.toml")
     ]
-    for process in both:
+    for process in processes:
         process.communicate(b"\n")
-    assert sorted(process.returncode for process in both) == [0, 1]
+    assert sorted(process.returncode for process in processes) == [0, 1]
     entries = verify_ledger(ledger_folder / "ledger.jsonl").entries
     assert [entry.subject["file_sha256"] for entry in entries[1:]] == [
         digest(ledger_folder / "a.xml")

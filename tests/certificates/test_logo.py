@@ -75,12 +75,12 @@ def test_rejects_other_file_types(tmp_path, data, words):
 def test_logo_is_on_first_page_only(tmp_path, data):
     (tmp_path / "logo").write_bytes(data)
     text = LAB.replace('code = "D-K-1"', 'logo = "logo"')
-    plain = draft_pages(make_qx_result(), parse_toml(LAB), tmp_path)
+    pages_without_logo = draft_pages(make_qx_result(), parse_toml(LAB), tmp_path)
     pages = draft_pages(make_qx_result(), parse_toml(text), tmp_path)
-    counts = [[page.count("<image") for page in drawn] for drawn in (plain, pages)]
+    counts = [[page.count("<image") for page in images] for images in (pages_without_logo, pages)]
     assert [b - a for a, b in zip(*counts, strict=True)] == [1, *[0] * (len(pages) - 1)]
-    made = certificate(make_qx_result(), write_lab(tmp_path, text))
-    assert made.pdf().startswith(b"%PDF")
+    issued = certificate(make_qx_result(), write_lab(tmp_path, text))
+    assert issued.pdf().startswith(b"%PDF")
 
 
 def test_missing_logo_names_key(tmp_path):

@@ -37,8 +37,10 @@ def make_blocks(tmp_path, text=LAB):
 
 
 def find_table(blocks, title):
-    place = next(k for k, b in enumerate(blocks) if isinstance(b, Heading) and b.text == title)
-    table = blocks[place + 1]
+    heading_index = next(
+        k for k, block in enumerate(blocks) if isinstance(block, Heading) and block.text == title
+    )
+    table = blocks[heading_index + 1]
     assert isinstance(table, Table)
     return table
 
@@ -50,10 +52,10 @@ def test_equipment_table_precedes_results(tmp_path):
         ("Interferometer", "Werk, LI-2", "1138", "radius", "4711", "Institut", "2027-06-01"),
         ("Frequenznormal", "", "", "", "", "", ""),
     )
-    titles = [b.text for b in blocks if isinstance(b, Heading) and b.level == 2]
+    titles = [block.text for block in blocks if isinstance(block, Heading) and block.level == 2]
     assert titles.index("Equipment and traceability") < titles.index("Results")
     assert "Equipment and traceability" not in [
-        b.text for b in make_blocks(tmp_path) if isinstance(b, Heading)
+        block.text for block in make_blocks(tmp_path) if isinstance(block, Heading)
     ]
 
 

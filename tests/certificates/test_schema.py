@@ -39,36 +39,36 @@ def folder(tmp_path):
 
 @needs_schema
 def test_complete_certificate_is_valid(tmp_path):
-    many = {
+    coefficients = {
         "K_F": make_coefficient(0.005, 1e-9, "g"),
         "K_I": {"value": 1.002, "u": 5e-6, "unit": "g/g", "estimated": False},
         "K_II": make_coefficient(-2.7e-5, 1e-9, "g/g^2", dof=3.5),
     }
-    given = make_qx_result(coefficients=many, warnings=["Qx: hm"])
+    calibration = make_qx_result(coefficients=coefficients, warnings=["Qx: hm"])
     verdicts = {"Qx": {"K_II": Conformity(**CONFORMITY)}}
-    xml = make_document(tmp_path, given, verdicts=verdicts)
+    xml = make_document(tmp_path, calibration, verdicts=verdicts)
     check_schema(xml, SCHEMA, "x.xml")
 
 
 @needs_schema
 def test_minimal_certificate_is_valid(tmp_path):
-    unknown = {"value": None, "u": None, "unit": "g/g^2", "estimated": False}
-    given = make_qx_result(coefficients={"K_II": unknown}, correlation=None)
-    given = given.model_copy(
+    undetermined = {"value": None, "u": None, "unit": "g/g^2", "estimated": False}
+    calibration = make_qx_result(coefficients={"K_II": undetermined}, correlation=None)
+    calibration = calibration.model_copy(
         update={
             "platform": {},
-            "provenance": given.provenance.model_copy(update={"inputs": {}}),
+            "provenance": calibration.provenance.model_copy(update={"inputs": {}}),
         }
     )
-    check_schema(make_document(tmp_path, given, pages=None), SCHEMA, "x.xml")
+    check_schema(make_document(tmp_path, calibration, pages=None), SCHEMA, "x.xml")
 
 
 @needs_schema
 def test_error_states_line(tmp_path):
     xml = make_document(tmp_path, make_qx_result()).replace(b">1.96<", b">1,96<", 1)
-    with raises("wrong-document", "x.xml", "line ", "1,96") as caught:
+    with raises("wrong-document", "x.xml", "line ", "1,96") as error_info:
         check_schema(xml, SCHEMA, "x.xml")
-    assert "{https" not in str(caught.value)
+    assert "{https" not in str(error_info.value)
 
 
 def test_imports_are_resolved_in_folder(folder):

@@ -47,32 +47,34 @@ def public_certificate(signer):
 @pytest.mark.parametrize("kind", KEYS)
 def test_signature_is_valid_for_its_signer_only(signers, signed_pages, kind):
     assert verify_pdf_signature(signed_pages[kind], public_certificate(signers[kind])) == "valid"
-    for other in set(KEYS) - {kind}:
+    for other_kind in set(KEYS) - {kind}:
         assert (
-            verify_pdf_signature(signed_pages[kind], public_certificate(signers[other]))
+            verify_pdf_signature(signed_pages[kind], public_certificate(signers[other_kind]))
             == "invalid"
         )
     assert verify_pdf_signature(PAGES.read_bytes(), public_certificate(signers[kind])) == "none"
 
 
-def signed_ranges(made):
+def signed_ranges(pdf):
     """Return the byte ranges of a file that are signed."""
-    reader = pypdf.PdfReader(io.BytesIO(made))
+    reader = pypdf.PdfReader(io.BytesIO(pdf))
     return [int(n) for n in reader.pages[0]["/Annots"][0]["/V"]["/ByteRange"]]
 
 
 def test_changed_byte_is_detected(signers, signed_pages):
     """A byte of the pages, metadata or signature, and appended bytes."""
-    made, of = signed_pages["ec"], public_certificate(signers["ec"])
+    pdf, of = signed_pages["ec"], public_certificate(signers["ec"])
     for mark in (b"/StructTreeRoot", b"<pdfaid:part>3", b"20260309"):
-        place = made.rindex(mark) + len(mark) - 1
-        changed = made[:place] + bytes([made[place] ^ 1]) + made[place + 1 :]
+        offset = pdf.rindex(mark) + len(mark) - 1
+        changed = pdf[:offset] + bytes([pdf[offset] ^ 1]) + pdf[offset + 1 :]
         assert verify_pdf_signature(changed, of) == "changed", mark
-    assert verify_pdf_signature(made + b"\n% more\n", of) == "changed"
-    assert verify_pdf_signature(made.replace(b"/SubFilter", b"/SubFiltre"), of) == "invalid"
-    _, start, end, _ = signed_ranges(made)
-    place = start + len(made[start : end - 1].rstrip(b"0")) - 20
-    changed = made[:place] + (b"1" if made[place : place + 1] != b"1" else b"2") + made[place + 1 :]
+    assert verify_pdf_signature(pdf + b"\n% more\n", of) == "changed"
+    assert verify_pdf_signature(pdf.replace(b"/SubFilter", b"/SubFiltre"), of) == "invalid"
+    _, start, end, _ = signed_ranges(pdf)
+    offset = start + len(pdf[start : end - 1].rstrip(b"0")) - 20
+    changed = (
+        pdf[:offset] + (b"1" if pdf[offset : offset + 1] != b"1" else b"2") + pdf[offset + 1 :]
+    )
     assert verify_pdf_signature(changed, of) == "invalid"
 
 
@@ -92,32 +94,39 @@ def test_second_signature_of_other_signer_invalidates_first(signers, signed_page
     from pyhanko.sign.signers import PdfSignatureMetadata
 
     key, cert = write_pair(tmp_path / "k", KEYS["ec"]())
-    other = theirs.SimpleSigner.load(str(key), str(cert))
-    plain = IncrementalPdfFileWriter(io.BytesIO(PAGES.read_bytes()))
-    once = theirs.sign_pdf(plain, PdfSignatureMetadata(field_name="A"), other)
-    writer = IncrementalPdfFileWriter(once)
-    twice = theirs.sign_pdf(writer, PdfSignatureMetadata(field_name="B"), other).getvalue()
-    assert verify_pdf_signature(twice, public_certificate(signers["ec"])) == "invalid"
-    assert verify_pdf_signature(twice, public_certificate(read_signer(key, cert))) == "valid"
+    other_signer = theirs.SimpleSigner.load(str(key), str(cert))
+    unsigned_pdf = IncrementalPdfFileWriter(io.BytesIO(PAGES.read_bytes()))
+    signed_once = theirs.sign_pdf(unsigned_pdf, PdfSignatureMetadata(field_name="A"), other_signer)
+    writer = IncrementalPdfFileWriter(signed_once)
+    signed_twice = theirs.sign_pdf(
+        writer, PdfSignatureMetadata(field_name="B"), other_signer
+    ).getvalue()
+    assert verify_pdf_signature(signed_twice, public_certificate(signers["ec"])) == "invalid"
+    assert verify_pdf_signature(signed_twice, public_certificate(read_signer(key, cert))) == "valid"
 
 
 @pytest.mark.parametrize("kind", KEYS)
 def test_signing_preserves_pages_metadata_and_attachments(signed_pages, kind):
     """The signed file starts with the unsigned file and still conforms to PDF/A and PDF/UA."""
-    before, after = PAGES.read_bytes(), signed_pages[kind]
-    assert after.startswith(before)
+    unsigned_pdf, signed_pdf = PAGES.read_bytes(), signed_pages[kind]
+    assert signed_pdf.startswith(unsigned_pdf)
     # PDF/A-3, 6.1.9: objects start on a new line.
-    assert re.match(rb"\n\d+ 0 obj\n", after[len(before) :])
-    old, new = pypdf.PdfReader(io.BytesIO(before)), pypdf.PdfReader(io.BytesIO(after))
-    roots = [reader.trailer["/Root"] for reader in (old, new)]
+    assert re.match(rb"\n\d+ 0 obj\n", signed_pdf[len(unsigned_pdf) :])
+    old_reader, new_reader = (
+        pypdf.PdfReader(io.BytesIO(unsigned_pdf)),
+        pypdf.PdfReader(io.BytesIO(signed_pdf)),
+    )
+    roots = [reader.trailer["/Root"] for reader in (old_reader, new_reader)]
     assert set(roots[1]) - set(roots[0]) == {"/AcroForm", "/Perms"}
     assert roots[1]["/Metadata"].get_data() == roots[0]["/Metadata"].get_data()
-    assert dict(new.metadata) == dict(old.metadata)
-    assert {k: [bytes(v) for v in vs] for k, vs in new.attachments.items()} == {
-        k: [bytes(v) for v in vs] for k, vs in old.attachments.items()
+    assert dict(new_reader.metadata) == dict(old_reader.metadata)
+    assert {k: [bytes(v) for v in vs] for k, vs in new_reader.attachments.items()} == {
+        k: [bytes(v) for v in vs] for k, vs in old_reader.attachments.items()
     }
-    assert [page.extract_text() for page in new.pages] == [p.extract_text() for p in old.pages]
-    (widget,) = new.pages[0]["/Annots"]
+    assert [page.extract_text() for page in new_reader.pages] == [
+        old_page.extract_text() for old_page in old_reader.pages
+    ]
+    (widget,) = new_reader.pages[0]["/Annots"]
     # PDF/A-3, 6.3.2: the annotation is printed and not hidden; 6.3.3: it has no appearance.
     flags = widget.get_object()["/F"]
     assert flags & 4
@@ -125,7 +134,7 @@ def test_signing_preserves_pages_metadata_and_attachments(signed_pages, kind):
     assert widget.get_object()["/Rect"] == [0, 0, 0, 0]
     # PDF/UA-1, 7.18.1 and 7.18.3: alternative text and tab order.
     assert widget.get_object()["/TU"] == "Electronic signature of this certificate"
-    assert new.pages[0]["/Tabs"] == "/S"
+    assert new_reader.pages[0]["/Tabs"] == "/S"
     assert roots[1]["/AcroForm"].get("/NeedAppearances") is None
     # PAdES: a CAdES signature, and a certified document that permits no change.
     value = widget.get_object()["/V"]
@@ -133,17 +142,17 @@ def test_signing_preserves_pages_metadata_and_attachments(signed_pages, kind):
     assert value["/M"] == "D:20260309103000Z"
     assert value["/Reference"][0]["/TransformParams"]["/P"] == 1
     first, length, second, rest = value["/ByteRange"]
-    assert (first, second + rest) == (0, len(after))
-    assert after[length : length + 1] == b"<"
-    assert after[second - 1 : second] == b">"
+    assert (first, second + rest) == (0, len(signed_pdf))
+    assert signed_pdf[length : length + 1] == b"<"
+    assert signed_pdf[second - 1 : second] == b">"
 
 
 @pytest.mark.skipif(shutil.which("verapdf") is None, reason="veraPDF is not installed")
 @pytest.mark.parametrize("flavour", ["3a", "ua1"])
 def test_verapdf_reports_no_error(tmp_path, signed_pages, flavour):
     (tmp_path / "c.pdf").write_bytes(signed_pages["ec"])
-    words = ["verapdf", "--flavour", flavour, "--format", "text", str(tmp_path / "c.pdf")]
-    output = subprocess.run(words, capture_output=True, text=True, check=False).stdout
+    command = ["verapdf", "--flavour", flavour, "--format", "text", str(tmp_path / "c.pdf")]
+    output = subprocess.run(command, capture_output=True, text=True, check=False).stdout
     assert output.startswith("PASS"), output
 
 
@@ -155,14 +164,14 @@ def test_key_signs_once(signers):
     """A smart card requests its PIN for each signature."""
     from dataclasses import replace
 
-    asked = []
+    requests = []
 
     def sign(data):
-        asked.append(data)
+        requests.append(data)
         return signers["ec"].sign(data)
 
     sign_pages(PAGES.read_bytes(), replace(signers["ec"], sign=sign), DATE)
-    assert len(asked) == 1
+    assert len(requests) == 1
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
@@ -176,18 +185,18 @@ def test_openssl_verifies_signature_of_whole_file(tmp_path, signed_pages, kind):
         assert (first, second + rest) == (0, len(content))
         (tmp_path / "covered").write_bytes(content[:length] + content[second:])
         # The hexadecimal digits between < and > are padded with zeros.
-        filled = bytes.fromhex(content[length + 1 : second - 1].decode("ascii"))
-        size = int.from_bytes(filled[2:4], "big") + 4
-        (tmp_path / "signature").write_bytes(filled[:size])
-        words = ["openssl", "cms", "-verify", "-binary", "-inform", "DER", "-noverify"]
-        words += ["-in", str(tmp_path / "signature"), "-content", str(tmp_path / "covered")]
-        words += ["-purpose", "any", "-out", os.devnull]
-        return subprocess.run(words, capture_output=True, check=False).returncode == 0
+        padded_signature = bytes.fromhex(content[length + 1 : second - 1].decode("ascii"))
+        size = int.from_bytes(padded_signature[2:4], "big") + 4
+        (tmp_path / "signature").write_bytes(padded_signature[:size])
+        command = ["openssl", "cms", "-verify", "-binary", "-inform", "DER", "-noverify"]
+        command += ["-in", str(tmp_path / "signature"), "-content", str(tmp_path / "covered")]
+        command += ["-purpose", "any", "-out", os.devnull]
+        return subprocess.run(command, capture_output=True, check=False).returncode == 0
 
     assert verify_with_openssl(signed_pages[kind])
-    place = signed_pages[kind].index(b"/StructTreeRoot") + 4
+    offset = signed_pages[kind].index(b"/StructTreeRoot") + 4
     assert not verify_with_openssl(
-        signed_pages[kind][:place] + b"X" + signed_pages[kind][place + 1 :]
+        signed_pages[kind][:offset] + b"X" + signed_pages[kind][offset + 1 :]
     )
 
 
@@ -199,15 +208,15 @@ def test_poppler_verifies_signature(tmp_path, signed_pages, kind):
     def run_pdfsig(content):
         path = tmp_path / "c.pdf"
         path.write_bytes(content)
-        words = ["pdfsig", "-nocert", str(path)]
-        return subprocess.run(words, capture_output=True, text=True, check=False).stdout
+        command = ["pdfsig", "-nocert", str(path)]
+        return subprocess.run(command, capture_output=True, text=True, check=False).stdout
 
-    told = run_pdfsig(signed_pages[kind])
-    assert "Signature Type: ETSI.CAdES.detached" in told
-    assert "Total document signed" in told
-    assert "Signature Validation: Signature is Valid." in told
-    place = signed_pages[kind].index(b"/StructTreeRoot") + 4
-    changed = signed_pages[kind][:place] + b"X" + signed_pages[kind][place + 1 :]
+    report = run_pdfsig(signed_pages[kind])
+    assert "Signature Type: ETSI.CAdES.detached" in report
+    assert "Total document signed" in report
+    assert "Signature Validation: Signature is Valid." in report
+    offset = signed_pages[kind].index(b"/StructTreeRoot") + 4
+    changed = signed_pages[kind][:offset] + b"X" + signed_pages[kind][offset + 1 :]
     assert "Signature is Valid." not in run_pdfsig(changed)
 
 

@@ -31,9 +31,9 @@ def keys():
 
 def signs_with(signer, key):
     """Return whether a signer uses a key; raise InvalidSignature if not."""
-    made = signer.sign(b"words")
-    way = (padding.PKCS1v15(), SHA256()) if signer.uses_rsa else (ec.ECDSA(SHA256()),)
-    key.public_key().verify(made, b"words", *way)
+    signature = signer.sign(b"words")
+    scheme = (padding.PKCS1v15(), SHA256()) if signer.uses_rsa else (ec.ECDSA(SHA256()),)
+    key.public_key().verify(signature, b"words", *scheme)
     return True
 
 
@@ -44,14 +44,14 @@ def test_key_is_read_from_pem_and_pkcs12(tmp_path, keys, kind, password):
     pem = read_signer(*write_pair(tmp_path / "pem", keys[kind], secret), password)
     p12, cert = write_pkcs12(tmp_path / "p12", keys[kind], secret)
     assert signs_with(pem, keys[kind])
-    for given in (None, cert):
-        held = read_signer(p12, given, password)
-        assert signs_with(held, keys[kind])
-        assert held.name == "CN=Example laboratory"
+    for certificate in (None, cert):
+        signer = read_signer(p12, certificate, password)
+        assert signs_with(signer, keys[kind])
+        assert signer.name == "CN=Example laboratory"
     # A certificate may follow its key in one file.
     key, cert = write_pair(tmp_path / "one", keys[kind], secret)
-    one = KeyMaterial("one.pem", key.read_bytes() + cert.read_bytes())
-    assert signs_with(read_signer(one, password=password), keys[kind])
+    key_material = KeyMaterial("one.pem", key.read_bytes() + cert.read_bytes())
+    assert signs_with(read_signer(key_material, password=password), keys[kind])
 
 
 def test_unneeded_password_is_ignored(tmp_path, keys):
@@ -63,18 +63,18 @@ def test_password_is_required_and_wrong_password_rejected(tmp_path, keys, write)
     key, cert = write(tmp_path / "k", keys["rsa"], SECRET.encode())
     with pytest.raises(PasswordNeededError, match="is encrypted; give the password"):
         read_signer(key, cert)
-    with raises("wrong-password") as raised:
+    with raises("wrong-password") as error_info:
         read_signer(key, cert, "wrong words")
-    assert not isinstance(raised.value, PasswordNeededError)
-    assert "wrong words" not in str(raised.value)
+    assert not isinstance(error_info.value, PasswordNeededError)
+    assert "wrong words" not in str(error_info.value)
 
 
 def test_repr_does_not_contain_key(tmp_path, keys):
     key, cert = write_pair(tmp_path / "k", keys["ec"])
-    shown = repr(read_signer(key, cert)) + repr(KeyMaterial.read(key))
-    inner = key.read_text().splitlines()[1]
-    assert inner not in shown
-    assert "PRIVATE" not in shown
+    representations = repr(read_signer(key, cert)) + repr(KeyMaterial.read(key))
+    key_line = key.read_text().splitlines()[1]
+    assert key_line not in representations
+    assert "PRIVATE" not in representations
 
 
 @pytest.mark.parametrize(
@@ -101,9 +101,9 @@ def test_signer_certificate_is_checked_at_issue(tmp_path, made, more, words):
 
 def test_unusable_key_raises(tmp_path, keys):
     key, cert = write_pair(tmp_path / "rsa", keys["rsa"])
-    odd = write_pair(tmp_path / "odd", ed25519.Ed25519PrivateKey.generate())
+    ed25519_key = write_pair(tmp_path / "odd", ed25519.Ed25519PrivateKey.generate())
     with raises("unusable-key", "RSA"):
-        read_signer(*odd)
+        read_signer(*ed25519_key)
     with raises("unusable-key", "PEM"):
         read_signer(cert, cert)
     with raises("unusable-key", "X.509", "PEM"):
@@ -146,11 +146,11 @@ def test_signer_command_signs(tmp_path, keys, kind):
 
 
 def test_windows_command_keeps_backslashes(tmp_path, keys, monkeypatch):
-    started = []
+    commands = []
     _, cert = write_pair(tmp_path / "k", keys["ec"])
 
-    def run(words, **_):
-        started.append(words)
+    def run(command, **_):
+        commands.append(command)
         return SimpleNamespace(returncode=1, stderr=b"no card")
 
     monkeypatch.setattr("sys.platform", "win32")
@@ -158,7 +158,7 @@ def test_windows_command_keeps_backslashes(tmp_path, keys, monkeypatch):
     signer = command_signer(r'"C:\my tools\sign.exe" --slot 1', cert)
     with raises("signer-failed", '"C:\\my tools\\sign.exe" --slot 1'):
         signer.sign(b"x")
-    assert started == [[r"C:\my tools\sign.exe", "--slot", "1"]]
+    assert commands == [[r"C:\my tools\sign.exe", "--slot", "1"]]
     with raises("signer-failed", "(program not found in PATH)"):
         command_signer("no-such-signer", cert).sign(b"x")
 
@@ -192,9 +192,9 @@ def test_rejects_invalid_signer_command(tmp_path, keys, command, words):
     _, cert = write_pair(tmp_path / "k", keys["ec"])
     with pytest.raises(CounterspinError, match=words):
         command_signer(command, cert).sign(b"words")
-    _, odd = write_pair(tmp_path / "odd", ed25519.Ed25519PrivateKey.generate())
+    _, ed25519_cert = write_pair(tmp_path / "odd", ed25519.Ed25519PrivateKey.generate())
     with raises("unusable-key", "RSA"):
-        command_signer("sign", odd)
+        command_signer("sign", ed25519_cert)
 
 
 def test_missing_package_error_names_install_command(monkeypatch, tmp_path, keys):

@@ -49,10 +49,12 @@ def calibrate_seed():
 
     def calibrate_records(seed, count=4):
         records = cs.simulate(base.change({"simulation": {"seed": seed}}))
-        larger = records.change({"model": {"terms": [*TERMS, "K_III"]}})
-        part = records.change({"runs": find_runs(records, "slow", "fast")})
-        found = [cs.calibrate(campaign) for campaign in (records, larger, part)[: count - 1]]
-        return records, *found
+        larger_model = records.change({"model": {"terms": [*TERMS, "K_III"]}})
+        two_runs = records.change({"runs": find_runs(records, "slow", "fast")})
+        results = [
+            cs.calibrate(campaign) for campaign in (records, larger_model, two_runs)[: count - 1]
+        ]
+        return records, *results
 
     return calibrate_records
 
@@ -62,32 +64,34 @@ def seed_1(calibrate_seed):
     return calibrate_seed(1)
 
 
-def comparison_text(compared):
-    return "\n".join(b.text for b in comparison_blocks(compared) if isinstance(b, Paragraph))
+def comparison_text(comparison):
+    return "\n".join(
+        block.text for block in comparison_blocks(comparison) if isinstance(block, Paragraph)
+    )
 
 
-def k_ii_estimate(compared, place=1):
-    (row,) = (c for c in compared.coefficients if c.term == "K_II")
-    return row.estimates[place]
+def k_ii_estimate(comparison, result_index=1):
+    (row,) = (coefficient for coefficient in comparison.coefficients if coefficient.term == "K_II")
+    return row.estimates[result_index]
 
 
 # --- the same records -----------------------------------------------------------------------------
 
 
 def test_added_term_explains_chi2_of_difference(seed_1):
-    _, small, large, _ = seed_1
-    compared = cs.compare(small, large)
-    (agreement,) = compared.agreements
+    _, small_model, large_model, _ = seed_1
+    comparison = cs.compare(small_model, large_model)
+    (agreement,) = comparison.agreements
     # The estimates can differ only by the effect of the new term: closed form.
-    k_iii = large.coefficient("Qx.K_III")
+    k_iii = large_model.coefficient("Qx.K_III")
     assert (agreement.records, agreement.dof, agreement.assumed) == ("same", 1, [])
     assert agreement.shared == ["K_IP"]
     assert agreement.chi2 == pytest.approx((k_iii.value / k_iii.u) ** 2, rel=1e-4)
-    assert k_ii_estimate(compared).u_difference < 0.1 * small.coefficient("Qx.K_II").u
-    back = cs.compare(large, small)
-    assert k_ii_estimate(back).difference == -k_ii_estimate(compared).difference
-    assert k_ii_estimate(back).u_difference == pytest.approx(
-        k_ii_estimate(compared).u_difference, rel=1e-9
+    assert k_ii_estimate(comparison).u_difference < 0.1 * small_model.coefficient("Qx.K_II").u
+    reversed_comparison = cs.compare(large_model, small_model)
+    assert k_ii_estimate(reversed_comparison).difference == -k_ii_estimate(comparison).difference
+    assert k_ii_estimate(reversed_comparison).u_difference == pytest.approx(
+        k_ii_estimate(comparison).u_difference, rel=1e-9
     )
 
 
@@ -101,25 +105,30 @@ def test_estimated_noise_is_taken_from_larger_model():
     qx["specific_force"] = {"column": "force", "unit": "g"}
     base = cs.make_campaign(document | {"noise": {"specific_force": "1e-5 g"}})
     records = cs.simulate(base.change({"simulation": {"seed": 2}})).change({"noise": None})
-    small = cs.calibrate(records)
-    large = cs.calibrate(records.change({"model": {"terms": [*TERMS, "K_III"]}}))
-    noise = [result.accelerometers["Qx"].noise["specific_force"].value for result in (small, large)]
+    small_model = cs.calibrate(records)
+    large_model = cs.calibrate(records.change({"model": {"terms": [*TERMS, "K_III"]}}))
+    noise = [
+        result.accelerometers["Qx"].noise["specific_force"].value
+        for result in (small_model, large_model)
+    ]
     ratio = noise[1] / noise[0]
     assert abs(ratio - 1.0) > 1e-3
-    k_iii = large.coefficient("Qx.K_III")
-    for compared in (cs.compare(small, large), cs.compare(large, small)):
-        assert compared.agreements[0].chi2 == pytest.approx((k_iii.value / k_iii.u) ** 2, rel=1e-6)
-        u = [result.coefficient("Qx.K_II").u for result in (small, large)]
+    k_iii = large_model.coefficient("Qx.K_III")
+    for comparison in (cs.compare(small_model, large_model), cs.compare(large_model, small_model)):
+        assert comparison.agreements[0].chi2 == pytest.approx(
+            (k_iii.value / k_iii.u) ** 2, rel=1e-6
+        )
+        u = [result.coefficient("Qx.K_II").u for result in (small_model, large_model)]
         expected = math.sqrt(u[1] ** 2 - (ratio * u[0]) ** 2)
-        assert k_ii_estimate(compared).u_difference == pytest.approx(expected, rel=1e-6)
+        assert k_ii_estimate(comparison).u_difference == pytest.approx(expected, rel=1e-6)
 
 
 def test_omitted_run_matches_jackknife(seed_1):
-    _, whole, _, part = seed_1
-    compared = cs.compare(whole, part)
-    (left_out,) = (line for line in whole.accelerometers["Qx"].jackknife if line.run == "middle")
-    estimate = k_ii_estimate(compared)
-    assert compared.agreements[0].records == "part"
+    _, all_runs, _, two_runs = seed_1
+    comparison = cs.compare(all_runs, two_runs)
+    (left_out,) = (line for line in all_runs.accelerometers["Qx"].jackknife if line.run == "middle")
+    estimate = k_ii_estimate(comparison)
+    assert comparison.agreements[0].records == "part"
     assert estimate.difference == pytest.approx(left_out.shift, rel=1e-6)
     assert abs(estimate.z) == pytest.approx(abs(left_out.z), rel=1e-3)
 
@@ -128,60 +137,63 @@ def test_changes_list_assumed_and_unstated_terms(seed_1):
     records, result, _, _ = seed_1
     but_k_oo = [name for name in result.assumed if name != "K_OO"]
     part, tuned = (
-        cs.calibrate(records.change({"model": {"assume": but_k_oo, **more}}))
-        for more in ({}, {"typical": {"K_OO": "1e-6 g/g^2"}})
+        cs.calibrate(records.change({"model": {"assume": but_k_oo, **extra_model}}))
+        for extra_model in ({}, {"typical": {"K_OO": "1e-6 g/g^2"}})
     )
-    compared = cs.compare(result, part, tuned)
-    told = {change.subject: change.values for change in compared.changes}
-    assert set(told) == {"terms fixed at nominal", "default priors", "campaign.toml"}
-    fixed = [text.split(", ") for text in told["terms fixed at nominal"]]
+    comparison = cs.compare(result, part, tuned)
+    values_by_subject = {change.subject: change.values for change in comparison.changes}
+    assert set(values_by_subject) == {"terms fixed at nominal", "default priors", "campaign.toml"}
+    fixed = [text.split(", ") for text in values_by_subject["terms fixed at nominal"]]
     assert fixed == [result.assumed, but_k_oo, but_k_oo]
-    assert told["default priors"] == ["-", "K_OO ± 2 ug/g^2", "K_OO ± 1 ug/g^2"]
+    assert values_by_subject["default priors"] == ["-", "K_OO ± 2 ug/g^2", "K_OO ± 1 ug/g^2"]
     # The same records: u of the difference is the contribution of K_OO.
     u = [r.coefficient("Qx.K_II").u for r in (result, part)]
-    assert k_ii_estimate(compared).u_difference == pytest.approx(
+    assert k_ii_estimate(comparison).u_difference == pytest.approx(
         math.sqrt(u[1] ** 2 - u[0] ** 2), rel=1e-3
     )
 
 
 def test_method_comparison_matches_check_of_joint_fit(seed_1):
     records, joint, _, _ = seed_1
-    compared = cs.compare(joint, cs.calibrate(records, method="two-stage"))
+    comparison = cs.compare(joint, cs.calibrate(records, method="two-stage"))
     check = joint.accelerometers["Qx"].two_stage
-    assert k_ii_estimate(compared).u_difference == pytest.approx(check.u_difference, rel=1e-12)
-    assert k_ii_estimate(compared).z == pytest.approx(check.z, rel=1e-9)
+    assert k_ii_estimate(comparison).u_difference == pytest.approx(check.u_difference, rel=1e-12)
+    assert k_ii_estimate(comparison).z == pytest.approx(check.z, rel=1e-9)
     assert any(
-        "joint method gives the best estimate" in text for text in compared.agreements[0].assumed
+        "joint method gives the best estimate" in text for text in comparison.agreements[0].assumed
     )
-    method = next(c for c in compared.changes if c.subject == "method")
+    method = next(change for change in comparison.changes if change.subject == "method")
     assert method.values == ["joint", "two-stage"]
 
 
 def test_differences_have_stated_standard_uncertainty(calibrate_seed):
     pairs = [cs.compare(*calibrate_seed(seed, 3)[1:]) for seed in range(10, 10 + TRIALS)]
-    total = sum(compared.agreements[0].chi2 for compared in pairs)
-    dof = sum(compared.agreements[0].dof for compared in pairs)
+    total = sum(comparison.agreements[0].chi2 for comparison in pairs)
+    dof = sum(comparison.agreements[0].dof for comparison in pairs)
     low, high = chi2_distribution.interval(0.999, dof)
     assert low < total < high
-    squares = sum(k_ii_estimate(compared).z ** 2 for compared in pairs)
+    sum_of_squares = sum(k_ii_estimate(comparison).z ** 2 for comparison in pairs)
     low, high = chi2_distribution.interval(0.999, TRIALS)
-    assert low < squares < high
+    assert low < sum_of_squares < high
 
 
 def test_changed_input_has_difference_without_uncertainty(seed_1):
     records, result, _, _ = seed_1
     exact = records.change({"centrifuge": {"radius": "2.5 m"}})
-    other = cs.compare(
+    changed_radius = cs.compare(
         cs.calibrate(exact), cs.calibrate(records.change({"centrifuge": {"radius": "2.5001 m"}}))
     )
-    assert k_ii_estimate(other).difference
-    assert (k_ii_estimate(other).u_difference, k_ii_estimate(other).z) == (0.0, None)
-    assert other.agreements[0].p is None
-    assert {c.subject for c in other.changes} == {"radius", "campaign.toml"}
-    assert "The changes listed below cause the difference" in comparison_text(other)
-    again = cs.compare(cs.calibrate(exact), cs.calibrate(exact))
-    assert again.agreements[0].p is None
-    assert "are equal (the same records)" in comparison_text(again)
+    assert k_ii_estimate(changed_radius).difference
+    assert (k_ii_estimate(changed_radius).u_difference, k_ii_estimate(changed_radius).z) == (
+        0.0,
+        None,
+    )
+    assert changed_radius.agreements[0].p is None
+    assert {change.subject for change in changed_radius.changes} == {"radius", "campaign.toml"}
+    assert "The changes listed below cause the difference" in comparison_text(changed_radius)
+    repeated = cs.compare(cs.calibrate(exact), cs.calibrate(exact))
+    assert repeated.agreements[0].p is None
+    assert "are equal (the same records)" in comparison_text(repeated)
     # The same change of an uncertain radius, stated twice: the values are independent.
     twice = cs.compare(
         result, cs.calibrate(records.change({"centrifuge": {"radius": "2.5001 ± 1e-4 m"}}))
@@ -261,41 +273,41 @@ def test_shared_default_prior_is_counted_once():
         first, second = (
             calibrate_tumble(k_oo, math.radians(roll), generator, noise) for roll in (75.0, 60.0)
         )
-        compared = cs.compare(first, second)
-        (agreement,) = compared.agreements
+        comparison = cs.compare(first, second)
+        (agreement,) = comparison.agreements
         assert (agreement.records, agreement.shared) == ("independent", common)
-        z.append(k_ii_estimate(compared).z)
+        z.append(k_ii_estimate(comparison).z)
         # Counted twice, K_OO would contribute most of u.
-        apart = math.hypot(*(r.coefficient("A.K_II").u for r in (first, second)))
-        assert k_ii_estimate(compared).u_difference < 0.5 * apart
+        independent_u = math.hypot(*(result.coefficient("A.K_II").u for result in (first, second)))
+        assert k_ii_estimate(comparison).u_difference < 0.5 * independent_u
     low, high = chi2_distribution.interval(1.0 - 1e-4, instruments)
     assert low < np.sum(np.square(z)) < high
-    least, _ = binom.interval(1.0 - 1e-4, instruments, 0.95)
-    assert np.count_nonzero(np.abs(z) < 1.96) >= least
+    min_count, _ = binom.interval(1.0 - 1e-4, instruments, 0.95)
+    assert np.count_nonzero(np.abs(z) < 1.96) >= min_count
 
 
 def test_different_priors_are_independent():
     first, second = make_result(), make_result(2.7002e-5)
     document = json.loads(second.to_json())
     document["accelerometers"]["Qx"]["known"]["K_I"]["value"] = 1.003
-    other = cs.Result.model_validate(document)
-    estimate = k_ii_estimate(cs.compare(first, other))
+    other_prior = cs.Result.model_validate(document)
+    estimate = k_ii_estimate(cs.compare(first, other_prior))
     assert estimate.u_difference == pytest.approx(math.sqrt(2.0) * 1e-9, rel=1e-12)
 
 
 def test_values_are_converted_to_gravity_of_first_result():
-    here, there = make_result(), make_result(gravity=9.9)
-    compared = cs.compare(here, there)
-    assert k_ii_estimate(compared).value == pytest.approx(2.7e-5 * 9.8 / 9.9, rel=1e-12)
-    assert compared.gravity == 9.8
+    local_result, remote_result = make_result(), make_result(gravity=9.9)
+    comparison = cs.compare(local_result, remote_result)
+    assert k_ii_estimate(comparison).value == pytest.approx(2.7e-5 * 9.8 / 9.9, rel=1e-12)
+    assert comparison.gravity == 9.8
 
 
 def test_conversion_to_local_gravity_is_reported():
-    here, there = make_result(), make_result(gravity=9.9)
-    text = comparison_text(cs.compare(here, there, names=["here", "there"]))
+    local_result, remote_result = make_result(), make_result(gravity=9.9)
+    text = comparison_text(cs.compare(local_result, remote_result, names=["here", "there"]))
     assert "there was calibrated at a gravity of 9.9 m/s^2" in text
     assert "here (9.8 m/s^2). The conversion changes K_F by +1 %; K_II by -1 %." in text
-    assert "calibrated at" not in comparison_text(cs.compare(here, make_result()))
+    assert "calibrated at" not in comparison_text(cs.compare(local_result, make_result()))
 
 
 def add_qy(result):
@@ -305,33 +317,39 @@ def add_qy(result):
 
 
 def test_accelerometer_missing_in_first_result_has_later_reference():
-    one, two, three = (make_result(2.7e-5 + shift) for shift in (0.0, 1e-10, 2e-10))
-    two, three = add_qy(two), add_qy(three)
-    compared = cs.compare(one, two, three, names=["one", "two", "three"])
-    assert compared.reference("Qx").name == "one"
-    assert compared.reference("Qy").name == "two"
-    text = comparison_text(compared)
+    first_result, second_result, third_result = (
+        make_result(2.7e-5 + shift) for shift in (0.0, 1e-10, 2e-10)
+    )
+    second_result, third_result = add_qy(second_result), add_qy(third_result)
+    comparison = cs.compare(
+        first_result, second_result, third_result, names=["one", "two", "three"]
+    )
+    assert comparison.reference("Qx").name == "one"
+    assert comparison.reference("Qy").name == "two"
+    text = comparison_text(comparison)
     assert "Qx: two and one agree" in text
     assert "Qy: three and two agree" in text
     assert "Qy: three and one" not in text
     assert "Differences are relative to one (Qx) and two (Qy)" in text
-    tables = [block for block in comparison_blocks(compared) if isinstance(block, Table)]
+    tables = [block for block in comparison_blocks(comparison) if isinstance(block, Table)]
     assert {row[1] for row in tables[0].rows} == {"one", "two", "three"}
     assert {row[1] for row in tables[1].rows} == {"two", "three"}
 
 
 def test_disagreement_is_reported_first():
-    compared = cs.compare(*map(make_result, (2.7e-5, 2.70001e-5, 2.9e-5)))
-    first, second, *_ = (b for b in comparison_blocks(compared) if isinstance(b, Paragraph))
-    assert (first.style, second.style) == ("warning", "answer")
+    comparison = cs.compare(*map(make_result, (2.7e-5, 2.70001e-5, 2.9e-5)))
+    first_block, second_block, *_ = (
+        block for block in comparison_blocks(comparison) if isinstance(block, Paragraph)
+    )
+    assert (first_block.style, second_block.style) == ("warning", "answer")
 
 
 def test_plot_names_only_results_with_value():
-    compared = cs.compare(
+    comparison = cs.compare(
         *map(make_result, (2.7e-5, 2.70001e-5)),
         names=["y2024/a/result.json", "y2025/a/result.json"],
     )
-    (plot,) = (block for block in comparison_blocks(compared) if isinstance(block, Plot))
+    (plot,) = (block for block in comparison_blocks(comparison) if isinstance(block, Plot))
     assert plot.x_names == ("y2024", "y2025")
     assert plot.series[0].x == (0.0, 1.0)
     assert short_names(["three/result.json", "b.json"]) == ("three/result.json", "b.json")
@@ -355,18 +373,18 @@ def test_coefficients_are_compared_jointly():
 
 
 def test_comparison_has_repr_and_round_trip(seed_1, tmp_path):
-    compared = cs.compare(*seed_1[1:], names=["small", "large", "part"])
-    assert len(repr(compared).splitlines()) <= 20
-    assert "large and small" in repr(compared)
-    assert "<table" in compared._repr_html_()
-    assert "| middle.parquet " in compared._repr_markdown_()
-    compared.write(tmp_path / "c.json")
-    assert ResultComparison.read(tmp_path / "c.json") == compared
-    table = compared.table()
-    assert table.height == 3 * len(compared.coefficients)
-    assert compared.table("pandas").shape == table.shape
+    comparison = cs.compare(*seed_1[1:], names=["small", "large", "part"])
+    assert len(repr(comparison).splitlines()) <= 20
+    assert "large and small" in repr(comparison)
+    assert "<table" in comparison._repr_html_()
+    assert "| middle.parquet " in comparison._repr_markdown_()
+    comparison.write(tmp_path / "c.json")
+    assert ResultComparison.read(tmp_path / "c.json") == comparison
+    table = comparison.table()
+    assert table.height == 3 * len(comparison.coefficients)
+    assert comparison.table("pandas").shape == table.shape
     row = table.filter(term="K_II", result="large").row(0, named=True)
-    assert row["difference"] == pytest.approx(k_ii_estimate(compared).difference * 1e6)
+    assert row["difference"] == pytest.approx(k_ii_estimate(comparison).difference * 1e6)
     assert row["unit"] == "ug/g^2"
 
 
@@ -375,34 +393,34 @@ def test_missing_seals_are_reported(seed_1, tmp_path):
     for name in names:
         seed_1[1].write(name)
     by_hand.remove_seal(Path(names[1]))
-    compared = cs.compare(*names)
-    assert compared.unsealed == names[1:]
-    assert f"The file of {names[1]} has no seal" in comparison_text(compared)
-    kept = tmp_path / "c.json"
-    compared.write(kept)
-    assert "this comparison" not in cs.report(ResultComparison.read(kept), "md")
-    by_hand.remove_seal(kept)
-    text = cs.report(ResultComparison.read(kept), "md")
+    comparison = cs.compare(*names)
+    assert comparison.unsealed == names[1:]
+    assert f"The file of {names[1]} has no seal" in comparison_text(comparison)
+    json_path = tmp_path / "c.json"
+    comparison.write(json_path)
+    assert "this comparison" not in cs.report(ResultComparison.read(json_path), "md")
+    by_hand.remove_seal(json_path)
+    text = cs.report(ResultComparison.read(json_path), "md")
     assert text.count("The file of this comparison has no seal") == 1
-    assert "The file of this comparison has no seal" in repr(ResultComparison.read(kept))
+    assert "The file of this comparison has no seal" in repr(ResultComparison.read(json_path))
 
 
 @pytest.mark.parametrize("ending", ["html", "md", "pdf"])
 def test_command_writes_report(ending, seed_1, tmp_path, capsys):
     for name, result in zip("ab", seed_1[1:3], strict=True):
         result.write(tmp_path / f"{name}.json")
-    words = ["compare", str(tmp_path / "a.json"), str(tmp_path / "b.json")]
+    arguments = ["compare", str(tmp_path / "a.json"), str(tmp_path / "b.json")]
     report = tmp_path / f"c.{ending}"
-    assert main([*words, "--report", str(report), "--json", str(tmp_path / "c.json")]) == 0
+    assert main([*arguments, "--report", str(report), "--json", str(tmp_path / "c.json")]) == 0
     assert "chi-square" in capsys.readouterr().out
     assert report.stat().st_size > 1000
     # Only an earlier comparison is overwritten, and only on request.
-    assert main([*words, "--report", str(report)]) == 1
-    assert main([*words, "--report", str(report), "--overwrite"]) == 0
+    assert main([*arguments, "--report", str(report)]) == 1
+    assert main([*arguments, "--report", str(report), "--overwrite"]) == 0
     # A report of a single result has a different type.
-    assert main(["report", words[1], "-o", str(report), "--overwrite"]) == 1
+    assert main(["report", arguments[1], "-o", str(report), "--overwrite"]) == 1
     report.write_text("mine")
-    assert main([*words, "--report", str(report), "--overwrite"]) == 1
+    assert main([*arguments, "--report", str(report), "--overwrite"]) == 1
     assert report.read_text() == "mine"
 
 
@@ -419,6 +437,10 @@ def test_rejects_results_that_are_not_comparable(seed_1):
 
 
 def test_result_does_not_differ_from_itself(seed_1):
-    compared = cs.compare(seed_1[1], seed_1[1])
-    assert compared.changes == []
-    assert all(e.difference in (None, 0.0) for c in compared.coefficients for e in c.estimates)
+    comparison = cs.compare(seed_1[1], seed_1[1])
+    assert comparison.changes == []
+    assert all(
+        estimate.difference in (None, 0.0)
+        for coefficient in comparison.coefficients
+        for estimate in coefficient.estimates
+    )

@@ -24,8 +24,8 @@ def test_outlier_among_four_laboratories_is_excluded():
     assert round(reference.u, 2) == 0.06  # u/sqrt(3)
     d, u_d = degrees_of_equivalence(values, covariance, reference.weights)
     assert d == pytest.approx([-0.1, 0.0, 0.1, 1.1], abs=1e-12)
-    inside, outside = u * (2 / 3) ** 0.5, u * (4 / 3) ** 0.5
-    assert u_d == pytest.approx([inside, inside, inside, outside])
+    u_inside, u_outside = u * (2 / 3) ** 0.5, u * (4 / 3) ** 0.5
+    assert u_d == pytest.approx([u_inside, u_inside, u_inside, u_outside])
 
 
 def test_procedure_a_matches_bipm_program():
@@ -49,9 +49,9 @@ def test_correlated_values_match_met4fof_redundancy(values, variance, members):
 
     A common variance of 1 leaves the weights equal and adds to u^2 alone.
     """
-    found = find_subsets(values, variance * np.eye(4) + 1.0)
-    best = [s for s in found if s.chi2 < found[0].chi2 + 1e-9]
-    assert [s.members for s in best] == members
+    subsets = find_subsets(values, variance * np.eye(4) + 1.0)
+    best = [candidate for candidate in subsets if candidate.chi2 < subsets[0].chi2 + 1e-9]
+    assert [candidate.members for candidate in best] == members
     for subset in best:
         chosen = np.array(values, float)[list(subset.members)]
         assert subset.value == pytest.approx(chosen.mean())

@@ -68,13 +68,13 @@ def test_outlier_is_named(laboratories):
 def test_common_sources_are_covariances(names, source, shared):
     shift = 0.8 * U
     pair = [make_result(name, 2e-5, sources=[(source, 1e-6, shift)]) for name in names]
-    compared = cs.intercompare(*pair, coefficients=["K_II"])
-    (reference,) = compared.references
+    comparison = cs.intercompare(*pair, coefficients=["K_II"])
+    (reference,) = comparison.references
     assert reference.shared == ([source] if shared else [])
     independent = U**2 - shift**2 if shared else U**2
     assert reference.u**2 == pytest.approx(independent / 2 + (shift**2 if shared else 0.0))
     assert reference.pairs[0].expanded_u_d == pytest.approx(2 * (2 * independent) ** 0.5)
-    assert bool(compared.assumed) is (None in names)
+    assert bool(comparison.assumed) is (None in names)
 
 
 def test_values_are_converted_to_gravity_of_first_laboratory():
@@ -139,7 +139,9 @@ def test_command_writes_files(laboratories, tmp_path, monkeypatch, capsys):
     assert main(["intercompare", *files, "--coefficient", "K_II, K_F", *outputs]) == 0
     assert "15.100 ± 0.058" in capsys.readouterr().out
     document = json.loads((tmp_path / "o.json").read_text())
-    weights = np.array([d["u"] ** -2 for d in document["references"][0]["degrees"].values()])
+    weights = np.array(
+        [degree["u"] ** -2 for degree in document["references"][0]["degrees"].values()]
+    )
     assert document["references"][0]["dof"] == weights.size - 1
     assert "Results outside the subset: D" in (tmp_path / "o.md").read_text()
     assert (tmp_path / "o.svg").stat().st_size > 1000

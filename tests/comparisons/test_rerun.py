@@ -48,10 +48,12 @@ def test_same_files_reproduce_numbers(campaign_folder, capsys, tmp_path):
     assert repeated.same
     assert repeated.largest <= repeated.limit
     assert repeated.changes == []
-    stated = cs.Result.read(campaign_folder / "result.json")
-    by_name = {c.name: c for c in repeated.coefficients}
-    assert by_name["Qx.K_II"].before == stated.coefficient("Qx.K_II").value
-    assert set(by_name) >= {f"Qx.{s}" for s in stated.accelerometers["Qx"].coefficients}
+    original = cs.Result.read(campaign_folder / "result.json")
+    coefficient_by_name = {coefficient.name: coefficient for coefficient in repeated.coefficients}
+    assert coefficient_by_name["Qx.K_II"].before == original.coefficient("Qx.K_II").value
+    assert set(coefficient_by_name) >= {
+        f"Qx.{symbol}" for symbol in original.accelerometers["Qx"].coefficients
+    }
 
 
 def test_missing_seal_is_reported(campaign_folder):
@@ -75,17 +77,17 @@ def test_moved_inputs_are_found_by_checksum(campaign_folder, tmp_path):
 def test_changed_inputs_are_named_with_their_effect(campaign_folder, capsys):
     description = campaign_folder / "campaign.toml"
     text = description.read_text(encoding="utf-8")
-    old = cs.Result.read(campaign_folder / "result.json")
+    original = cs.Result.read(campaign_folder / "result.json")
     line = next(line for line in text.splitlines() if line.startswith("radius"))
     description.write_text(text.replace(line, 'radius = "2.5001 m"'), encoding="utf-8")
     repeated = cs.rerun(campaign_folder / "result.json")
     assert not repeated.same
     changed = {change.subject: change.values for change in repeated.changes}
     assert {"campaign.toml", "radius"} <= set(changed)
-    now = cs.calibrate(campaign_folder).coefficient("Qx.K_II").value
-    before = old.coefficient("Qx.K_II")
-    (row,) = (c for c in repeated.coefficients if c.name == "Qx.K_II")
-    assert row.in_u == pytest.approx((now - before.value) / before.u, rel=1e-9)
+    value_now = cs.calibrate(campaign_folder).coefficient("Qx.K_II").value
+    original_k_ii = original.coefficient("Qx.K_II")
+    (row,) = (coefficient for coefficient in repeated.coefficients if coefficient.name == "Qx.K_II")
+    assert row.in_u == pytest.approx((value_now - original_k_ii.value) / original_k_ii.u, rel=1e-9)
     assert repeated.largest_in_u >= abs(row.in_u) > 0.0
     assert main(["rerun", str(campaign_folder / "result.json")]) == 1
     output = " ".join(capsys.readouterr().out.split())
@@ -117,10 +119,12 @@ def test_frozen_result_is_reproduced():
     """On any computer, rounding is far below a millionth of u."""
     repeated = cs.rerun(FROZEN / "repeat" / "result.json")
     assert repeated.largest_in_u < 1e-6
-    assert {c.name for c in repeated.coefficients} >= {"A.K_F", "A.K_I"}
+    assert {coefficient.name for coefficient in repeated.coefficients} >= {"A.K_F", "A.K_I"}
     # Four readings leave one degree of freedom, for which the old version had no finding.
     assert (repeated.state_before, repeated.state_now) == ("good", "reservations")
-    assert not {"campaign.toml", "options", "method"} & {c.subject for c in repeated.changes}
+    assert not {"campaign.toml", "options", "method"} & {
+        coefficient.subject for coefficient in repeated.changes
+    }
 
 
 def test_rerun_uses_stored_options(campaign_folder):
@@ -149,8 +153,8 @@ def test_rejects_rerun_of_data_in_memory(campaign_folder, capsys):
 
 def test_options_are_parsed_from_command():
     options = TwoStageOptions("as-printed", False, "ratio", False, True)
-    words = [*command_arguments("two-stage", options), *further_arguments(["slow"], 0)]
-    assert parse_options(words) == ("two-stage", options, ("slow",))
+    arguments = [*command_arguments("two-stage", options), *further_arguments(["slow"], 0)]
+    assert parse_options(arguments) == ("two-stage", options, ("slow",))
     assert parse_options([]) == ("joint", TwoStageOptions(), ())
     with pytest.raises(CampaignError, match="--newer"):
         parse_options(["--newer"])

@@ -94,11 +94,11 @@ def test_exact_line_is_recovered(measured, slope):
 def test_drift_agrees_with_textbook_formula():
     time, y = np.array([0.0, 1.0, 2.5, 4.0]), np.array([1.0, 1.3, 0.9, 1.8])
     u = np.array([0.1, 0.2, 0.15, 0.3])
-    w = u**-2
-    sw, sx, sy = w.sum(), (w * time).sum(), (w * y).sum()
-    delta = sw * (w * time**2).sum() - sx**2
+    weights = u**-2
+    sw, sx, sy = weights.sum(), (weights * time).sum(), (weights * y).sum()
+    delta = sw * (weights * time**2).sum() - sx**2
     drift = fit_drift(time, y, u)
-    assert drift.slope == pytest.approx((sw * (w * time * y).sum() - sx * sy) / delta)
+    assert drift.slope == pytest.approx((sw * (weights * time * y).sum() - sx * sy) / delta)
     assert drift.u == pytest.approx(math.sqrt(sw / delta))
     assert (drift.time, drift.value) == (pytest.approx(sx / sw), pytest.approx(sy / sw))
 
@@ -113,25 +113,27 @@ def test_drift_is_unbiased_with_correct_coverage():
     trials, true = 2000, 0.3
     time = np.array([0.0, 0.4, 1.1, 1.9, 2.5, 3.6])
     u = np.array([0.5, 0.2, 0.4, 0.3, 0.6, 0.25])
-    found = [fit_drift(time, 5.0 + true * time + rng.normal(0.0, u), u) for _ in range(trials)]
-    slopes, claimed = np.array([one.slope for one in found]), found[0].u
+    drifts = [fit_drift(time, 5.0 + true * time + rng.normal(0.0, u), u) for _ in range(trials)]
+    slopes, stated_u = np.array([drift.slope for drift in drifts]), drifts[0].u
     # 4.5 standard deviations of each statistic: 1 in 150,000.
-    assert abs(slopes.mean() - true) < 4.5 * claimed / math.sqrt(trials)
-    assert abs(slopes.std() / claimed - 1.0) < 4.5 / math.sqrt(2.0 * trials)
-    covered = np.mean(np.abs(slopes - true) < 1.959963984540054 * claimed)
-    assert abs(covered - 0.95) < 4.5 * math.sqrt(0.95 * 0.05 / trials)
-    p = np.array([one.scatter.p for one in found])
-    assert abs(np.mean(p < 0.1) - 0.1) < 4.5 * math.sqrt(0.1 * 0.9 / trials)
-    level = np.array([one.evaluate(2.0)[0] for one in found])
-    assert abs(level.std() / found[0].evaluate(2.0)[1] - 1.0) < 4.5 / math.sqrt(2.0 * trials)
+    assert abs(slopes.mean() - true) < 4.5 * stated_u / math.sqrt(trials)
+    assert abs(slopes.std() / stated_u - 1.0) < 4.5 / math.sqrt(2.0 * trials)
+    coverage = np.mean(np.abs(slopes - true) < 1.959963984540054 * stated_u)
+    assert abs(coverage - 0.95) < 4.5 * math.sqrt(0.95 * 0.05 / trials)
+    p_values = np.array([drift.scatter.p for drift in drifts])
+    assert abs(np.mean(p_values < 0.1) - 0.1) < 4.5 * math.sqrt(0.1 * 0.9 / trials)
+    level = np.array([drift.evaluate(2.0)[0] for drift in drifts])
+    assert abs(level.std() / drifts[0].evaluate(2.0)[1] - 1.0) < 4.5 / math.sqrt(2.0 * trials)
 
 
 def test_false_alarm_rate_of_drift_matches_level():
     rng = np.random.default_rng(13528)
     trials, u = 2000, np.full(4, 0.2)
-    p = np.array([fit_drift(np.arange(4.0), rng.normal(0.0, u), u).p for _ in range(trials)])
+    p_values = np.array([fit_drift(np.arange(4.0), rng.normal(0.0, u), u).p for _ in range(trials)])
     for level in (0.01, 0.2, 0.7):
-        assert abs(np.mean(p < level) - level) < 4.5 * math.sqrt(level * (1 - level) / trials)
+        assert abs(np.mean(p_values < level) - level) < 4.5 * math.sqrt(
+            level * (1 - level) / trials
+        )
 
 
 # E_n
@@ -140,10 +142,10 @@ def test_false_alarm_rate_of_drift_matches_level():
 def test_en_score_closed_form():
     # U = 1.96 u where the degrees of freedom are infinite; with 1 and 2, Student's closed forms.
     assert en_score((1.0, 3.0, None), (11.0, 4.0, None)) == pytest.approx(10.0 / (5 * 1.959963985))
-    first = math.tan(0.475 * math.pi)
-    second = 0.95 * math.sqrt(2.0 / (1.0 - 0.95**2))
+    first_quantile = math.tan(0.475 * math.pi)
+    second_quantile = 0.95 * math.sqrt(2.0 / (1.0 - 0.95**2))
     assert en_score((5.0, 1.0, 1.0), (2.0, 1.0, 2.0)) == pytest.approx(
-        -3.0 / math.hypot(first, second)
+        -3.0 / math.hypot(first_quantile, second_quantile)
     )
 
 

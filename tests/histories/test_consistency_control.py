@@ -20,7 +20,7 @@ def test_control_limits_closed_form():
 
 def test_points_beyond_limits_are_named():
     values = [0.0, 1.0] * 8 + [20.0] + [0.0, 1.0] * 4
-    chart = individuals_chart(values, [str(place) for place in range(len(values))])
+    chart = individuals_chart(values, [str(index) for index in range(len(values))])
     assert chart.beyond == ["16"]
     assert chart.leaps == ["16", "17"]
 

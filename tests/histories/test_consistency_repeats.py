@@ -20,10 +20,10 @@ U = 5e-8
 
 def make_result(value, date, **labels):
     """Return Qx of the frozen result with a K_II, a date and names of mounting and turn-on."""
-    made = make_dated_document(value, date, u=U, run=f"{value}{date}{labels}")
-    made["accelerometers"]["Qx"]["budget"] = {}
-    made["details"] |= labels
-    return Result.model_validate(made)
+    document = make_dated_document(value, date, u=U, run=f"{value}{date}{labels}")
+    document["accelerometers"]["Qx"]["budget"] = {}
+    document["details"] |= labels
+    return Result.model_validate(document)
 
 
 #: Two mountings on each of three days, with two turn-ons per mounting.
@@ -32,35 +32,35 @@ MOUNTINGS = np.repeat(["a", "b", "c", "d", "e", "f"], 2)
 VALUES = 2.7e-5 + 1e-7 * np.array([0, 1, 9, 7, -4, -2, 6, 5, -9, -8, 2, 0.5])
 
 
-def make_twelve(**more):
+def make_twelve_results(**extra_labels):
     return [
-        make_result(value, str(day), mounting=str(mounting), turn_on=f"t{place}", **more)
+        make_result(value, str(day), mounting=str(mounting), turn_on=f"t{place}", **extra_labels)
         for place, (value, day, mounting) in enumerate(zip(VALUES, DAYS, MOUNTINGS, strict=True))
     ]
 
 
-def repeatability_of(results):
+def evaluate_repeatability(results):
     (instrument,) = history(results).instruments
     return instrument.repeatability
 
 
 def test_variance_components_of_nested_days_mountings_and_turn_ons():
     """With known u: mean squares of balanced classes, with u^2 subtracted from the finest."""
-    repeatability = repeatability_of(make_twelve())
+    repeatability = evaluate_repeatability(make_twelve_results())
     cube = VALUES.reshape(3, 2, 2)
-    of_mounting, of_day = cube.mean(axis=2), cube.mean(axis=(1, 2))
-    within = float(np.sum((cube - of_mounting[:, :, None]) ** 2)) / 6.0
-    between = 2.0 * float(np.sum((of_mounting - of_day[:, None]) ** 2)) / 3.0
-    days = 4.0 * float(of_day.var(ddof=1))
+    mounting_means, day_means = cube.mean(axis=2), cube.mean(axis=(1, 2))
+    within_variance = float(np.sum((cube - mounting_means[:, :, None]) ** 2)) / 6.0
+    between = 2.0 * float(np.sum((mounting_means - day_means[:, None]) ** 2)) / 3.0
+    days = 4.0 * float(day_means.var(ddof=1))
     # The component of the day is zero, and its mean square is pooled with the mountings.
     assert days < between
     pooled = (2.0 * days + 3.0 * between) / 5.0
     assert repeatability.components["day"].value == 0.0
-    expected = {"turn_on": within - U**2, "mounting": (pooled - within) / 2.0}
+    expected = {"turn_on": within_variance - U**2, "mounting": (pooled - within_variance) / 2.0}
     for name, variance in expected.items():
         assert repeatability.components[name].value == pytest.approx(math.sqrt(variance), rel=1e-3)
     assert repeatability.total == pytest.approx(math.sqrt(sum(expected.values())), rel=1e-3)
-    assert [own.freedom for own in repeatability.components.values()] == [2, 3, 6]
+    assert [component.freedom for component in repeatability.components.values()] == [2, 3, 6]
     assert repeatability.value == pytest.approx(VALUES.mean(), rel=1e-9)
     assert repeatability.u == pytest.approx(math.sqrt(pooled / 12.0), rel=1e-3)
     assert repeatability.about == "mean"
@@ -68,26 +68,32 @@ def test_variance_components_of_nested_days_mountings_and_turn_ons():
 
 
 def test_unstated_or_constant_factor_has_no_component():
-    one = [make_result(v, d) for v, d in zip(VALUES[::2], DAYS[::2], strict=True)]
-    repeatability = repeatability_of(one)
+    unlabelled_results = [
+        make_result(value, day) for value, day in zip(VALUES[::2], DAYS[::2], strict=True)
+    ]
+    repeatability = evaluate_repeatability(unlabelled_results)
     assert list(repeatability.components) == ["day"]
     assert repeatability.not_told == {
         "mounting": "6 of 6 results do not contain this value",
         "turn_on": "6 of 6 results do not contain this value",
     }
-    same = [make_result(v, "2026-03-01", mounting="a", turn_on=str(v)) for v in VALUES[:4]]
-    repeatability = repeatability_of(same)
+    results_of_one_day = [
+        make_result(value, "2026-03-01", mounting="a", turn_on=str(value)) for value in VALUES[:4]
+    ]
+    repeatability = evaluate_repeatability(results_of_one_day)
     assert list(repeatability.components) == ["turn_on"]
     assert repeatability.not_told["mounting"] == "all results have the same label"
-    assert repeatability_of(one[:2]) is None
-    assert repeatability_of([make_result(v, "2026-03-01") for v in VALUES[:4]]) is None
+    assert evaluate_repeatability(unlabelled_results[:2]) is None
+    assert (
+        evaluate_repeatability([make_result(value, "2026-03-01") for value in VALUES[:4]]) is None
+    )
 
 
 def test_drifting_results_are_evaluated_about_line():
     years = np.arange(8)
     values = 2.7e-5 + 1e-6 * years + U * np.array([1, -1, 0.5, -0.5, 1, -1, 0.5, -0.5])
-    repeatability = repeatability_of(
-        [make_result(v, f"{2010 + y}-03-01") for v, y in zip(values, years, strict=True)]
+    repeatability = evaluate_repeatability(
+        [make_result(value, f"{2010 + y}-03-01") for value, y in zip(values, years, strict=True)]
     )
     assert repeatability.about == "line"
     assert repeatability.components["day"].value == 0.0
@@ -106,7 +112,7 @@ def test_shared_uncertainty_is_not_repeatability():
         }
     ]
     results = []
-    for result in make_twelve():
+    for result in make_twelve_results():
         document = json.loads(result.model_dump_json(by_alias=True))
         qx = document["accelerometers"]["Qx"]
         line = {"contribution": 2e-7, "share": 0.9, **budget[0]}
@@ -115,14 +121,14 @@ def test_shared_uncertainty_is_not_repeatability():
         results.append(Result.model_validate(document))
     (instrument,) = history(results).instruments
     assert instrument.shared == ["centrifuge.radius"]
-    alone, shared = repeatability_of(make_twelve()), instrument.repeatability
-    for name, own in alone.components.items():
-        assert shared.components[name].value == pytest.approx(own.value, rel=1e-3, abs=1e-12)
-    assert shared.u == pytest.approx(math.hypot(alone.u, 2e-7), rel=1e-2)
+    independent, shared = evaluate_repeatability(make_twelve_results()), instrument.repeatability
+    for name, component in independent.components.items():
+        assert shared.components[name].value == pytest.approx(component.value, rel=1e-3, abs=1e-12)
+    assert shared.u == pytest.approx(math.hypot(independent.u, 2e-7), rel=1e-2)
 
 
 def test_report_lists_components_with_intervals(tmp_path):
-    histories = history(make_twelve())
+    histories = history(make_twelve_results())
     blocks = list(history_blocks(histories))
     (table,) = (
         block
@@ -131,9 +137,11 @@ def test_report_lists_components_with_intervals(tmp_path):
     )
     rows = {row[0]: row[1:] for row in table.rows}
     assert list(rows) == ["another day", "another mounting", "another turn-on", "all results"]
-    own = histories.instruments[0].repeatability.components["turn_on"]
+    turn_on_component = histories.instruments[0].repeatability.components["turn_on"]
     assert rows["another turn-on"][2:] == ("12 turn-ons", "6")
-    assert float(rows["another turn-on"][0]) == pytest.approx(own.value * 1e6, rel=0.05)
+    assert float(rows["another turn-on"][0]) == pytest.approx(
+        turn_on_component.value * 1e6, rel=0.05
+    )
     assert rows["another day"][1].startswith("0 to ")
     text = " ".join(getattr(block, "text", "") for block in blocks)
     assert (
@@ -143,13 +151,13 @@ def test_report_lists_components_with_intervals(tmp_path):
     path = tmp_path / "history.json"
     histories.write(path)
     assert History.read(path) == histories
-    both = [
-        make_result(v, str(d), mounting=str(d), turn_on=f"t{i}")
-        for i, (v, d) in enumerate(zip(VALUES, DAYS, strict=True))
+    labelled_results = [
+        make_result(value, str(day), mounting=str(day), turn_on=f"t{i}")
+        for i, (value, day) in enumerate(zip(VALUES, DAYS, strict=True))
     ]
     (table, *_) = (
         block
-        for block in history_blocks(history(both))
+        for block in history_blocks(history(labelled_results))
         if isinstance(block, Table) and block.columns[0].title == "Changed condition"
     )
     assert table.rows[0][0] == "another day or mounting"
@@ -161,9 +169,9 @@ def test_mounting_and_turn_on_are_read_from_campaigns():
     angles = np.arange(0.0, 360.0, 30.0)
     results, moved = [], []
     for mounting in "abc":
-        of_mounting = 20e-6 * rng.standard_normal()
+        mounting_shift = 20e-6 * rng.standard_normal()
         for turn in range(3):
-            bias = 2e-3 + of_mounting + 5e-6 * rng.standard_normal()
+            bias = 2e-3 + mounting_shift + 5e-6 * rng.standard_normal()
             moved.append(bias)
             described = {
                 "site": {"gravity": "9.8 m/s^2", "latitude": "45 deg"},
@@ -187,25 +195,28 @@ def test_mounting_and_turn_on_are_read_from_campaigns():
             }
             results.append(cs.calibrate(cs.make_campaign(described, readings=frame)))
     (instrument,) = cs.history(results, term="K_F").instruments
-    assert {(p.mounting, p.turn_on) for p in instrument.points} >= {("a", "a0"), ("c", "c2")}
-    found = instrument.repeatability.components
-    assert list(found) == ["day", "mounting", "turn_on"] or list(found) == [
+    assert {(point.mounting, point.turn_on) for point in instrument.points} >= {
+        ("a", "a0"),
+        ("c", "c2"),
+    }
+    components = instrument.repeatability.components
+    assert list(components) == ["day", "mounting", "turn_on"] or list(components) == [
         "mounting",
         "day",
         "turn_on",
     ]
-    biases = [p.value for p in instrument.points]
-    by_hand = variance_components(
+    biases = [point.value for point in instrument.points]
+    expected = variance_components(
         np.array(biases),
-        np.diag([p.u**2 for p in instrument.points]),
+        np.diag([point.u**2 for point in instrument.points]),
         {
-            "day": [p.date for p in instrument.points],
-            "mounting": [p.mounting for p in instrument.points],
-            "turn_on": [p.turn_on for p in instrument.points],
+            "day": [point.date for point in instrument.points],
+            "mounting": [point.mounting for point in instrument.points],
+            "turn_on": [point.turn_on for point in instrument.points],
         },
         np.ones((9, 1)),
     )
-    for name, own in by_hand.components.items():
-        assert found[name].value == pytest.approx(own.value, rel=1e-2, abs=1e-9)
-    assert found["mounting"].low < 20e-6 < found["mounting"].high
-    assert found["turn_on"].low < 5e-6 < found["turn_on"].high
+    for name, expected_component in expected.components.items():
+        assert components[name].value == pytest.approx(expected_component.value, rel=1e-2, abs=1e-9)
+    assert components["mounting"].low < 20e-6 < components["mounting"].high
+    assert components["turn_on"].low < 5e-6 < components["turn_on"].high

@@ -53,13 +53,20 @@ def test_history_of_nine_parameters_has_shared_defaults(tmp_path, kind):
     )
     assert history.unit == {"offset": "g", "sensitivity": "g/g", "angle": "rad"}[kind]
     for parameter, one in zip(parameters, history.instruments, strict=True):
-        own = [result.triad.parameters[parameter] for result in results]
-        less = 0.5 * math.pi if kind == "angle" else 0.0
-        assert [p.value for p in one.points] == pytest.approx([c.value - less for c in own])
+        coefficients = [result.triad.parameters[parameter] for result in results]
+        offset = 0.5 * math.pi if kind == "angle" else 0.0
+        assert [point.value for point in one.points] == pytest.approx(
+            [coefficient.value - offset for coefficient in coefficients]
+        )
         # Directions differ with the noise of the poses, and with them the effect of K_0_asym and
         # slopes: by up to 0.5 %, in almost equal proportions (the square of 0.5 % is 2.5e-5).
-        noise = np.array([c.u_noise for c in own])
-        common = np.array([math.hypot(c.u_stated, c.u_unstated) for c in own])
+        noise = np.array([coefficient.u_noise for coefficient in coefficients])
+        common = np.array(
+            [
+                math.hypot(coefficient.u_stated, coefficient.u_unstated)
+                for coefficient in coefficients
+            ]
+        )
         covariance = np.outer(common, common) + np.diag(noise**2)
         u_mean = 1.0 / math.sqrt(np.linalg.inv(covariance).sum())
         assert one.u_mean == pytest.approx(u_mean, rel=1e-4)
@@ -76,27 +83,27 @@ def test_history_of_nine_parameters_has_shared_defaults(tmp_path, kind):
 
 def test_triad_results_share_terms_of_other_accelerometers(tmp_path):
     results = write_results(tmp_path)
-    (first, *_) = cs.history([tmp_path], term="K_F").instruments
-    own = results[0].coefficient("X.K_F")
-    common = math.hypot(own.u_stated, own.u_unstated)
-    assert first.u_mean == pytest.approx(math.hypot(own.u_noise / 2.0, common), rel=1e-3)
+    (instrument, *_) = cs.history([tmp_path], term="K_F").instruments
+    bias = results[0].coefficient("X.K_F")
+    common = math.hypot(bias.u_stated, bias.u_unstated)
+    assert instrument.u_mean == pytest.approx(math.hypot(bias.u_noise / 2.0, common), rel=1e-3)
     assert any(line.source.startswith(("Y.", "Z.")) for line in results[0].triad.budget["offset.X"])
 
 
 def test_budget_sensitivity_matches_change_of_parameter(tmp_path):
-    along = triads.draw_directions(24, np.random.default_rng(12))
+    directions = triads.draw_directions(24, np.random.default_rng(12))
     delta = 1e-5
-    plain = write_triad_result(tmp_path, DATES[0], triads.compute_indications(along))
-    moved = write_triad_result(
-        tmp_path, DATES[1], triads.compute_indications(along, squares=(0.0, delta, 0.0))
+    original = write_triad_result(tmp_path, DATES[0], triads.compute_indications(directions))
+    shifted = write_triad_result(
+        tmp_path, DATES[1], triads.compute_indications(directions, squares=(0.0, delta, 0.0))
     )
-    for name, parameter in plain.triad.parameters.items():
-        lines = plain.triad.budget[name]
+    for name, parameter in original.triad.parameters.items():
+        lines = original.triad.budget[name]
         assert sum(line.contribution**2 for line in lines) == pytest.approx(parameter.u**2)
         slope = sum(line.sensitivity for line in lines if line.source == "Y.K_II")
-        change = moved.triad.parameters[name].value - parameter.value
+        change = shifted.triad.parameters[name].value - parameter.value
         assert change == pytest.approx(-slope * delta, rel=1e-2, abs=1e-9)
-    assert abs(plain.triad.parameters["offset.Y"].value - triads.BIAS[1]) < 1e-6
+    assert abs(original.triad.parameters["offset.Y"].value - triads.BIAS[1]) < 1e-6
 
 
 def test_result_without_parameter_is_reported(tmp_path):
@@ -106,11 +113,11 @@ def test_result_without_parameter_is_reported(tmp_path):
         triads.compute_indications(triads.draw_directions(24, np.random.default_rng(3))),
     )
     result = cs.read_result(tmp_path / f"{DATES[0]}.json")
-    alone = result.model_copy(update={"triad": None, "details": {"date": DATES[1]}})
-    (left, *_) = cs.history([tmp_path, alone], term="angle").left_out
-    assert (left.accelerometer, left.reason) == ("X", "the result has no angle")
+    without_triad = result.model_copy(update={"triad": None, "details": {"date": DATES[1]}})
+    (unused_result, *_) = cs.history([tmp_path, without_triad], term="angle").left_out
+    assert (unused_result.accelerometer, unused_result.reason) == ("X", "the result has no angle")
     with pytest.raises(CounterspinError, match="the result has no angle"):
-        cs.history([alone], term="angle")
+        cs.history([without_triad], term="angle")
 
 
 def test_angle_requires_both_serial_numbers_or_campaign_number(tmp_path):
@@ -118,9 +125,11 @@ def test_angle_requires_both_serial_numbers_or_campaign_number(tmp_path):
     result = write_triad_result(tmp_path, DATES[0], values, serials=("A", "B", None))
     history = cs.history([tmp_path], term="angle")
     assert [instrument.serial_number for instrument in history.instruments] == ["A B"]
-    assert {left.accelerometer for left in history.left_out} == {"X, Z", "Y, Z"}
-    of_campaign = result.model_copy(update={"details": {**result.details, "serial_number": "S"}})
-    history = cs.history([of_campaign], term="angle")
+    assert {unused_result.accelerometer for unused_result in history.left_out} == {"X, Z", "Y, Z"}
+    with_campaign_number = result.model_copy(
+        update={"details": {**result.details, "serial_number": "S"}}
+    )
+    history = cs.history([with_campaign_number], term="angle")
     assert [instrument.serial_number for instrument in history.instruments] == [
         "A B",
         "S X Z",

@@ -41,15 +41,15 @@ def write_series(folder, values, dates=DATES, **options):
     return write_results(
         folder,
         **{
-            f"r{i}": make_dated_document(v, d, **options)
-            for i, (v, d) in enumerate(zip(values, dates, strict=False))
+            f"r{i}": make_dated_document(value, date, **options)
+            for i, (value, date) in enumerate(zip(values, dates, strict=False))
         },
     )
 
 
-def only_instrument(found):
-    assert len(found.instruments) == 1
-    return found.instruments[0]
+def only_instrument(found_history):
+    assert len(found_history.instruments) == 1
+    return found_history.instruments[0]
 
 
 # Verdicts
@@ -66,11 +66,13 @@ def test_results_are_sorted_by_date_with_differences(tmp_path):
     ]
     assert instrument.mean == pytest.approx(2.71e-5)
     assert instrument.u_mean == pytest.approx(U / math.sqrt(3.0))
-    assert [p.difference for p in instrument.points] == pytest.approx([1e-7, -1e-7, 0.0], abs=1e-15)
+    assert [point.difference for point in instrument.points] == pytest.approx(
+        [1e-7, -1e-7, 0.0], abs=1e-15
+    )
     # u of each difference: sqrt(u^2 - u^2/3).
     assert instrument.points[0].z == pytest.approx(1e-7 / (U * math.sqrt(2.0 / 3.0)))
     expanded = 1.959963984540054 * U * math.sqrt(2.0)
-    assert [p.e_n for p in instrument.points[1:]] == pytest.approx(
+    assert [point.e_n for point in instrument.points[1:]] == pytest.approx(
         [-2e-7 / expanded, 1e-7 / expanded]
     )
     assert instrument.points[0].e_n is None
@@ -128,13 +130,13 @@ def test_false_alarm_rate_is_as_stated(tmp_path):
 
 
 def test_values_of_other_sites_are_converted_to_latest_gravity(tmp_path):
-    there = make_dated_document(2.7e-5, "2023-03-01") | {
+    remote_document = make_dated_document(2.7e-5, "2023-03-01") | {
         "inputs": FROZEN_RESULT["inputs"] | {"gravity": 9.78}
     }
-    here = make_dated_document(2.7e-5, "2024-03-01") | {
+    local_document = make_dated_document(2.7e-5, "2024-03-01") | {
         "inputs": FROZEN_RESULT["inputs"] | {"gravity": 9.83}
     }
-    folder = write_results(tmp_path, there=there, here=here)
+    folder = write_results(tmp_path, there=remote_document, here=local_document)
     histories = history([folder])
     assert histories.gravity == 9.83
     assert histories.converted
@@ -144,8 +146,8 @@ def test_values_of_other_sites_are_converted_to_latest_gravity(tmp_path):
     )
     assert only_instrument(histories).points[1].value == 2.7e-5
     bias = only_instrument(history([folder], term="K_F")).points[0]
-    stated = FROZEN_RESULT["accelerometers"]["Qx"]["coefficients"]["K_F"]["value"]
-    assert bias.value == pytest.approx(stated * 9.78 / 9.83, rel=1e-12)
+    frozen_bias = FROZEN_RESULT["accelerometers"]["Qx"]["coefficients"]["K_F"]["value"]
+    assert bias.value == pytest.approx(frozen_bias * 9.78 / 9.83, rel=1e-12)
     text = " ".join(getattr(block, "text", "") for block in history_blocks(histories))
     assert "g = 9.83 m/s^2" in text
 
@@ -162,11 +164,13 @@ def test_frozen_results_of_every_schema_are_read():
     ]
     for instrument, name in zip(histories.instruments, ("Qx", "Qy"), strict=True):
         assert instrument.stated_by == "campaign"
-        stated = [
+        coefficients = [
             json.loads(path.read_text("utf-8"))["accelerometers"][name]["coefficients"]["K_II"]
             for path in (FROZEN / "schema-1-joint.json", FROZEN / "schema-1-two-stage.json")
         ]
-        assert [(p.value, p.u) for p in instrument.points] == [(c["value"], c["u"]) for c in stated]
+        assert [(point.value, point.u) for point in instrument.points] == [
+            (coefficient["value"], coefficient["u"]) for coefficient in coefficients
+        ]
     assert "(of the campaign)" in str(list(history_blocks(histories)))
 
 
@@ -189,21 +193,25 @@ def test_campaign_serial_number_selects_its_accelerometers():
 
 
 def remove_estimate():
-    made = make_dated_document()
-    made["accelerometers"]["Qx"]["coefficients"]["K_II"] |= {"estimated": False}
-    return made
+    document = make_dated_document()
+    document["accelerometers"]["Qx"]["coefficients"]["K_II"] |= {"estimated": False}
+    return document
 
 
 def remove_term():
-    made = make_dated_document()
-    del made["accelerometers"]["Qx"]["coefficients"]["K_II"]
-    return made
+    document = make_dated_document()
+    del document["accelerometers"]["Qx"]["coefficients"]["K_II"]
+    return document
 
 
-def make_contradicted(**more):
-    made = make_dated_document(**more)
-    made["accelerometers"]["Qx"]["residual"] |= {"chi2": 6400.0, "dof": 100.0, "lack_of_fit_p": 0}
-    return made
+def make_contradicted(**changes):
+    document = make_dated_document(**changes)
+    document["accelerometers"]["Qx"]["residual"] |= {
+        "chi2": 6400.0,
+        "dof": 100.0,
+        "lack_of_fit_p": 0,
+    }
+    return document
 
 
 def test_accepted_misfit_is_included(tmp_path):
@@ -236,10 +244,10 @@ def test_accepted_misfit_is_included(tmp_path):
 def test_excluded_result_has_reason(tmp_path, document, reason):
     folder = write_results(tmp_path, good=make_dated_document(run="same"), other=document)
     histories = history([folder])
-    assert [Path(p.file).name for p in only_instrument(histories).points] == ["good.json"]
-    (left,) = histories.left_out
-    assert Path(left.file).name == "other.json"
-    assert reason in left.reason
+    assert [Path(point.file).name for point in only_instrument(histories).points] == ["good.json"]
+    (unused_result,) = histories.left_out
+    assert Path(unused_result.file).name == "other.json"
+    assert reason in unused_result.reason
     assert histories.damaged == []
     text = " ".join(getattr(block, "text", "") for block in history_blocks(histories))
     assert reason in text
@@ -251,23 +259,30 @@ def test_joint_result_replaces_two_stage_of_same_records(tmp_path):
         a=make_dated_document(2.8e-5, run="x", method="two-stage"),
         b=make_dated_document(2.7e-5, run="x"),
     )
-    assert [p.method for p in only_instrument(history([tmp_path])).points] == ["joint"]
+    assert [point.method for point in only_instrument(history([tmp_path])).points] == ["joint"]
 
 
 def test_copies_are_counted_once(tmp_path):
     folder = write_results(tmp_path, a=make_dated_document(), b=make_dated_document())
     histories = history([folder, folder / "a.json"])
     assert len(only_instrument(histories).points) == 1
-    (left,) = histories.left_out
-    assert left.reason == f"this file is the same as {folder / 'a.json'}"
+    (unused_result,) = histories.left_out
+    assert unused_result.reason == f"this file is the same as {folder / 'a.json'}"
 
 
 def test_shared_records_are_reported(tmp_path):
-    first, second = make_dated_document(2.7e-5, DATES[0]), make_dated_document(2.71e-5, DATES[1])
-    for document, own in ((first, "b"), (second, "c")):
-        document["provenance"]["inputs"] = {"1.csv": "sha256:a", "2.csv": f"sha256:{own}"}
+    first_document, second_document = (
+        make_dated_document(2.7e-5, DATES[0]),
+        make_dated_document(2.71e-5, DATES[1]),
+    )
+    for document, file_stem in ((first_document, "b"), (second_document, "c")):
+        document["provenance"]["inputs"] = {"1.csv": "sha256:a", "2.csv": f"sha256:{file_stem}"}
     histories = history(
-        [write_results(tmp_path, first=seal_document(first), second=seal_document(second))]
+        [
+            write_results(
+                tmp_path, first=seal_document(first_document), second=seal_document(second_document)
+            )
+        ]
     )
     assert len(only_instrument(histories).points) == 2
     (note,) = histories.notes
@@ -326,13 +341,13 @@ def test_damaged_file_does_not_stop_history(tmp_path, text, words, capsys):
     assert len(only_instrument(histories).points) == 1
     (damaged,) = histories.damaged
     assert words in damaged.reason
-    kept = tmp_path / "kept.txt"
-    assert main(["history", str(folder), "--json", str(kept)]) == 1
+    output_path = tmp_path / "kept.txt"
+    assert main(["history", str(folder), "--json", str(output_path)]) == 1
     captured = capsys.readouterr()
     assert "Q-104" in captured.out
     assert "bad.json" in captured.out.replace("\n", "")
     assert captured.err.startswith("counterspin: 1 of the result files")
-    assert History.read(kept).damaged[0].file.endswith("bad.json")
+    assert History.read(output_path).damaged[0].file.endswith("bad.json")
 
 
 def test_empty_history_states_cause(tmp_path):
@@ -353,21 +368,21 @@ def test_wrong_usage_exits_with_2(tmp_path, capsys):
     assert main(["history", str(tmp_path / "x")]) == 2
     assert capsys.readouterr().err == f"counterspin: {tmp_path / 'x'}: file not found\n"
     write_results(tmp_path, a=make_dated_document())
-    for term, words in (
+    for term, message in (
         ("K_IV", "unknown term"),
         ("platform.tilt.up", "is a machine term"),
         ("offset.X", 'use "offset", which tracks it for all accelerometers'),
     ):
         assert main(["history", str(tmp_path), "--term", term]) == 2
-        assert words in capsys.readouterr().err
+        assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("term", ["K_F", "K_III"])
 def test_history_of_other_term(tmp_path, term):
     histories = history([write_results(tmp_path, a=make_dated_document())], term=term)
-    stated = FROZEN_RESULT["accelerometers"]["Qx"]["coefficients"][term]
+    coefficient = FROZEN_RESULT["accelerometers"]["Qx"]["coefficients"][term]
     assert (only_instrument(histories).points[0].value, histories.unit) == (
-        stated["value"],
+        coefficient["value"],
         TERMS[term].unit,
     )
 
@@ -387,9 +402,9 @@ def test_control_plot_shows_results_mean_and_drift(tmp_path):
     ).series
     assert centre.y == pytest.approx((27.2, 27.2))
     # Each change is 0.1: limits are two and three times 0.1/1.1284 from the centre.
-    away = [2.0, -2.0, 3.0, -3.0]
+    shifts = [2.0, -2.0, 3.0, -3.0]
     assert [limit.y[0] for limit in limits] == pytest.approx(
-        [27.2 - a * 0.1 / 1.128379 for a in away], rel=1e-6
+        [27.2 - shift * 0.1 / 1.128379 for shift in shifts], rel=1e-6
     )
     assert results.kind == "points"
     assert results.y == pytest.approx([27.0, 27.1, 27.2, 27.3, 27.4])
@@ -443,8 +458,8 @@ def test_drift_towards_limit_sets_due_date(tmp_path):
     assert (instrument.specification.high, instrument.verdict) == (2.75e-5, "drifts")
     # 27.2 in March 2026, at 0.05 per year: six years minus the effect of u.
     assert instrument.due.date.startswith("2031")
-    longer = only_instrument(history([tmp_path], reliability=0.999)).due.date
-    assert longer < instrument.due.date
+    earlier_date = only_instrument(history([tmp_path], reliability=0.999)).due.date
+    assert earlier_date < instrument.due.date
     text = " ".join(getattr(block, "text", "") for block in history_blocks(histories))
     assert (
         f"is due on {instrument.due.date}. Until this date, the straight line through the results "
@@ -488,7 +503,9 @@ def test_laboratories_are_compared(tmp_path):
 def test_result_beyond_action_limits_is_named(tmp_path):
     dates = [f"{year}-03-01" for year in range(2000, 2021)]
     shifts = [0, 1] * 8 + [30] + [0, 1] * 2
-    histories = history([write_series(tmp_path, [2.7e-5 + 1e-8 * s for s in shifts], dates)])
+    histories = history(
+        [write_series(tmp_path, [2.7e-5 + 1e-8 * shift for shift in shifts], dates)]
+    )
     (beyond,) = only_instrument(histories).control.beyond
     assert beyond.endswith("r16.json")
     text = " ".join(getattr(block, "text", "") for block in history_blocks(histories))
@@ -501,11 +518,11 @@ def test_figure_has_chart_per_instrument_and_is_reproducible(tmp_path):
     histories = history([tmp_path])
     for name in ("one.svg", "two.svg"):
         save_figure(history_plots(histories), tmp_path / name)
-    drawn = (tmp_path / "one.svg").read_text("utf-8")
-    assert drawn == (tmp_path / "two.svg").read_text("utf-8")
-    assert "K_II of A" in drawn
-    assert "K_II of B" in drawn
-    assert "K_II, µg/g²" in drawn
+    svg = (tmp_path / "one.svg").read_text("utf-8")
+    assert svg == (tmp_path / "two.svg").read_text("utf-8")
+    assert "K_II of A" in svg
+    assert "K_II of B" in svg
+    assert "K_II, µg/g²" in svg
 
 
 def test_figure_axis_has_no_offset(tmp_path):
@@ -524,16 +541,17 @@ def test_names_in_figure_are_not_formulas(tmp_path):
 
 def test_command_prints_and_writes_history(tmp_path, capsys):
     folder = write_series(tmp_path / "results", [2.7e-5, 2.71e-5, 2.69e-5])
-    chart, kept = tmp_path / "chart.svg", tmp_path / "history.json"
-    words = ["history", str(folder), "--figure", str(chart), "--json", str(kept)]
-    assert main(words) == 0
-    shown = capsys.readouterr().out
-    assert "K_II is constant: 3 results are consistent with 27.000 ± 0.029 ug/g^2" in shown.replace(
-        "\n", " "
+    chart, json_path = tmp_path / "chart.svg", tmp_path / "history.json"
+    arguments = ["history", str(folder), "--figure", str(chart), "--json", str(json_path)]
+    assert main(arguments) == 0
+    output = capsys.readouterr().out
+    assert (
+        "K_II is constant: 3 results are consistent with 27.000 ± 0.029 ug/g^2"
+        in output.replace("\n", " ")
     )
     assert chart.read_text("utf-8").startswith("<?xml")
-    written = history_result.History.model_validate_json(kept.read_text("utf-8"))
-    assert written == history([folder])
+    read_history = history_result.History.model_validate_json(json_path.read_text("utf-8"))
+    assert read_history == history([folder])
     # The output of the command is not a result of an instrument.
     assert main(["history", str(tmp_path)]) == 0
 
@@ -543,9 +561,9 @@ def test_unwritable_target_leaves_no_file(tmp_path, capsys):
     assert main(["history", str(folder), "--json", str(tmp_path / "no" / "h.json")]) == 1
     assert "cannot be written" in capsys.readouterr().err
     assert main(["history", str(folder), "--figure", str(tmp_path / "h.gif")]) == 1
-    shown = capsys.readouterr()
-    assert ".svg, .png, .pdf" in shown.err
-    assert not shown.out
+    captured = capsys.readouterr()
+    assert ".svg, .png, .pdf" in captured.err
+    assert not captured.out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["results"]
 
 
@@ -567,11 +585,11 @@ def test_hidden_files_and_pipes_are_skipped(tmp_path):
     os.mkfifo(folder / "pipe.json")
     histories = history([folder])
     assert len(only_instrument(histories).points) == 1
-    (hidden,) = histories.left_out
-    assert hidden.file.endswith(".tmpx1y2.json")
-    assert "hidden file was left by an interrupted command" in hidden.reason
-    (pipe,) = histories.damaged
-    assert "this is a pipe, not a file" in pipe.reason
+    (hidden_file,) = histories.left_out
+    assert hidden_file.file.endswith(".tmpx1y2.json")
+    assert "hidden file was left by an interrupted command" in hidden_file.reason
+    (pipe_file,) = histories.damaged
+    assert "this is a pipe, not a file" in pipe_file.reason
     # A file given by name must be a result.
     assert len(only_instrument(history([folder / ".tmpx1y2.json"])).points) == 1
 
@@ -579,13 +597,19 @@ def test_hidden_files_and_pipes_are_skipped(tmp_path):
 def test_result_objects_match_their_files(tmp_path):
     values = [2.7e-5, 2.71e-5, 2.72e-5]
     folder = write_series(tmp_path / "results", values, dates=DATES[:3])
-    of_files = history([folder])
+    file_history = history([folder])
     results = [Result.read(file) for file in sorted(folder.glob("*.json"))]
-    in_memory = history(results)
-    (one,), (other,) = of_files.instruments, in_memory.instruments
-    assert [p.value for p in one.points] == [p.value for p in other.points] == values
+    memory_history = history(results)
+    (file_instrument,), (memory_instrument,) = file_history.instruments, memory_history.instruments
+    assert (
+        [point.value for point in file_instrument.points]
+        == [point.value for point in memory_instrument.points]
+        == values
+    )
     title = results[0].title
-    assert [p.file for p in other.points] == [f"result {n} ({title})" for n in (1, 2, 3)]
+    assert [point.file for point in memory_instrument.points] == [
+        f"result {n} ({title})" for n in (1, 2, 3)
+    ]
     mixed = history([folder, results[0].model_copy(update={"title": "again"})])
     assert [unused.file for unused in mixed.left_out] == ["result 2 (again)"]
     with raises("no-results", "Qx of result 1"):

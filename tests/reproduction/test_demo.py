@@ -90,17 +90,19 @@ def test_command_writes_listed_files_and_can_be_repeated(tmp_path, monkeypatch, 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
     assert cli.main(["demo"]) == 0
-    first = capsys.readouterr().out
-    written = {path.name for path in (tmp_path / "counterspin-demo").iterdir()}
-    assert written == {"campaign.toml", "run1.csv", "run2.csv", "run3.csv", "displacement.svg"}
-    assert "Wrote campaign.toml, 3 records and displacement.svg to counterspin-demo." in first
-    assert max(map(len, first.splitlines())) <= 80
+    first_output = capsys.readouterr().out
+    file_names = {path.name for path in (tmp_path / "counterspin-demo").iterdir()}
+    assert file_names == {"campaign.toml", "run1.csv", "run2.csv", "run3.csv", "displacement.svg"}
+    assert (
+        "Wrote campaign.toml, 3 records and displacement.svg to counterspin-demo." in first_output
+    )
+    assert max(map(len, first_output.splitlines())) <= 80
     value = r"(19\.9|20\.0)\d+ ± \S+"
-    assert re.search(rf"^K_II +20 +{value} +{value} +(9\.9|10\.0)\d+ ± ", first, re.M)
+    assert re.search(rf"^K_II +20 +{value} +{value} +(9\.9|10\.0)\d+ ± ", first_output, re.M)
     assert cli.main(["demo"]) == 1
     assert "displacement.svg already exists; " in capsys.readouterr().err
     assert cli.main(["demo", "--overwrite"]) == 0
-    assert capsys.readouterr().out == first
+    assert capsys.readouterr().out == first_output
 
 
 def test_figure_as_png(tmp_path):

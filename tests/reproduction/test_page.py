@@ -17,14 +17,14 @@ def render(reproduction, width):
 
 @pytest.mark.parametrize("width", [80, 100, 160])
 def test_numbers_are_not_broken_at_width(width):
-    shown = reproduce()
-    text = render(shown, width)
+    reproduction = reproduce()
+    text = render(reproduction, width)
     assert max(len(line) for line in text.splitlines()) <= width
     words = text.split()
-    for row in shown.rows:
+    for row in reproduction.rows:
         assert row.printed_text in words
         assert row.ours_text in words
-    for section in shown.sections:
+    for section in reproduction.sections:
         assert section.title in text
 
 

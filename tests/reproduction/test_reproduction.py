@@ -148,12 +148,12 @@ def test_second_column_absorbs_drift(reproduction):
 
 
 def test_json_contains_all_rows(reproduction):
-    written = json.loads(reproduction.to_json())
-    assert Reproduction.model_validate(written).to_json() == reproduction.to_json()
-    rows = {row["key"]: row for section in written["sections"] for row in section["rows"]}
+    document = json.loads(reproduction.to_json())
+    assert Reproduction.model_validate(document).to_json() == reproduction.to_json()
+    rows = {row["key"]: row for section in document["sections"] for row in section["rows"]}
     assert set(rows) == {row.key for row in reproduction.rows}
     exact = rows["sigma_k_ii.exact"]
     assert exact["printed"] == 3.0362e-7
     assert exact["counterspin"] == reproduction["sigma_k_ii.exact"].ours
     assert exact["unit"] == "g/g^2"
-    assert written["inputs"]["gravity"] == {"value": 9.8, "unit": "m/s^2"}
+    assert document["inputs"]["gravity"] == {"value": 9.8, "unit": "m/s^2"}

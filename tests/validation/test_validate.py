@@ -57,7 +57,10 @@ def test_all_cases_pass(dossier):
     assert any("name its folder (`schema`)" in text for text in dossier.not_covered)
     assert dossier.passed
     run = [case for case in dossier.cases if case.name != SCHEMA_CASE]
-    assert all(one.numbers > 0 and one.source and one.limit is not None for one in run)
+    assert all(
+        finished_case.numbers > 0 and finished_case.source and finished_case.limit is not None
+        for finished_case in run
+    )
 
 
 @pytest.mark.parametrize("kernel", [pytest.param(CHECKS[0], marks=needs_schema), CHECKS[1]])
@@ -74,21 +77,23 @@ def test_check_that_always_or_never_passes_is_named(kernel, monkeypatch):
 def test_wrong_coverage_factor_fails_case(of, monkeypatch):
     module, name = of.split(".")
     owner = import_module(f"counterspin.certificates.{module}")
-    right = getattr(owner, name)
-    monkeypatch.setattr(owner, name, lambda *given: 1.001 * right(*given))
+    original = getattr(owner, name)
+    monkeypatch.setattr(owner, name, lambda *given: 1.001 * original(*given))
     chosen = [case for case in cases() if case.kernel == CERTIFICATE]
-    assert validate(chosen=chosen).failed == [one.name for one in chosen]
+    assert validate(chosen=chosen).failed == [chosen_case.name for chosen_case in chosen]
 
 
 def test_tolerances_of_fits_are_small_relative_to_u():
     """Tolerances are at most 0.5 % of u, and 0.0003 u for a stated noise."""
     fits = [case for case in cases() if case.absolute_tolerance is None]
     assert len(fits) >= 6
-    for one in fits:
-        for name, line in one.expected.items():
+    for fit_case in fits:
+        for name, line in fit_case.expected.items():
             if line.size == 5:
-                part = one.tolerance(name) / line[1]
-                assert np.all(part <= (0.0051 if one.requirement == "noise" else 0.00031)), name
+                relative_tolerance = fit_case.tolerance(name) / line[1]
+                assert np.all(
+                    relative_tolerance <= (0.0051 if fit_case.requirement == "noise" else 0.00031)
+                ), name
 
 
 def schema():
@@ -100,23 +105,23 @@ def raise_record_error(*_):
 
 
 def test_missing_schema_folder_raises_before_cases_run(tmp_path, capsys):
-    words = ["validate", "-o", str(tmp_path / "d"), "--schema", str(tmp_path / "none")]
-    assert main(words) == 1
+    arguments = ["validate", "-o", str(tmp_path / "d"), "--schema", str(tmp_path / "none")]
+    assert main(arguments) == 1
     assert "file not found" in capsys.readouterr().err
     assert not (tmp_path / "d" / "validation.html").exists()
 
 
 def test_all_requirements_and_formats_have_cases():
     assert {case.requirement for case in cases()} >= REQUIREMENTS
-    read = [case.given["file"] for case in cases() if case.kernel.endswith(":read_record")]
-    assert {f".{name.rpartition('.')[2]}" for name in read} == {*RECORD_FORMATS}
+    record_files = [case.given["file"] for case in cases() if case.kernel.endswith(":read_record")]
+    assert {f".{name.rpartition('.')[2]}" for name in record_files} == {*RECORD_FORMATS}
     names = [case.name for case in cases()]
     assert len(set(names)) == len(names)
 
 
 def test_documented_number_of_cases_is_current():
-    told = (Path(__file__).parents[2] / "CHANGELOG.md").read_text(encoding="utf-8")
-    assert f"{len(cases())} reference cases" in told
+    changelog = (Path(__file__).parents[2] / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"{len(cases())} reference cases" in changelog
 
 
 def perturb(value):  # noqa: PLR0911 -- a branch for each kind of value
@@ -128,7 +133,7 @@ def perturb(value):  # noqa: PLR0911 -- a branch for each kind of value
     if isinstance(value, np.ndarray):
         return value * (1.0 + 1e-6) if value.dtype.kind == "f" else value
     if isinstance(value, dict):
-        return {key: perturb(one) for key, one in value.items()}
+        return {key: perturb(item) for key, item in value.items()}
     if isinstance(value, tuple) and type(value) is tuple:
         return tuple(map(perturb, value))
     if hasattr(value, "model_copy"):
@@ -136,7 +141,12 @@ def perturb(value):  # noqa: PLR0911 -- a branch for each kind of value
         return value.model_copy(update=changed)
     if is_dataclass(value) or hasattr(value, "__dataclass_fields__"):
         return replace(
-            value, **{f.name: perturb(getattr(value, f.name)) for f in fields(value) if f.init}
+            value,
+            **{
+                field.name: perturb(getattr(value, field.name))
+                for field in fields(value)
+                if field.init
+            },
         )
     return value
 
@@ -146,40 +156,44 @@ def perturb(value):  # noqa: PLR0911 -- a branch for each kind of value
 def test_relative_kernel_error_of_1e_6_fails_case(kernel, monkeypatch):
     module, _, name = kernel.partition(":")
     owner = import_module(module)
-    *inside, last = name.split(".")
-    for part in inside:
-        owner = getattr(owner, part)
-    right = getattr(owner, last)
-    monkeypatch.setattr(owner, last, lambda *given, **more: perturb(right(*given, **more)))
+    *owner_names, function_name = name.split(".")
+    for owner_name in owner_names:
+        owner = getattr(owner, owner_name)
+    original = getattr(owner, function_name)
+    monkeypatch.setattr(
+        owner, function_name, lambda *given, **more: perturb(original(*given, **more))
+    )
     states = {case.name: check_case(case).state for case in cases() if case.kernel == kernel}
     assert "failed" in states.values(), states
 
 
 def test_term_without_integrals_fails_only_its_cases(monkeypatch):
     """A missing expected value does not affect other cases."""
-    fourth = TERMS["K_4"]
-    new = replace(fourth, symbol="K_NEW", effect=replace(fourth.effect, factors=6 * ("I",)))
-    monkeypatch.setattr("counterspin.validation.cases.TERMS", {**TERMS, "K_NEW": new})
+    k_4 = TERMS["K_4"]
+    new_term = replace(k_4, symbol="K_NEW", effect=replace(k_4.effect, factors=6 * ("I",)))
+    monkeypatch.setattr("counterspin.validation.cases.TERMS", {**TERMS, "K_NEW": new_term})
     cases.cache_clear()
-    asked = [case for case in cases() if case.kernel.endswith(":columns")][:1]
-    found = validate(chosen=[*asked, case("normal quantile")])
-    assert [case.state for case in found.cases] == ["failed", "passed"]
-    assert "double_integrals.json does not contain the integral of K_NEW" in found.cases[0].note
+    column_cases = [case for case in cases() if case.kernel.endswith(":columns")][:1]
+    dossier = validate(chosen=[*column_cases, case("normal quantile")])
+    assert [case.state for case in dossier.cases] == ["failed", "passed"]
+    assert "double_integrals.json does not contain the integral of K_NEW" in dossier.cases[0].note
 
 
 def test_command_fails_with_name_of_case(tmp_path, monkeypatch, capsys):
     from counterspin.inference import distributions
 
-    some = [case("normal quantile"), case("weighted mean"), case("NIST Norris")]
-    monkeypatch.setattr(validating, "cases", lambda: some)
-    right = distributions.normal_quantile
-    monkeypatch.setattr(distributions, "normal_quantile", lambda p: right(p) * (1.0 + 1e-6))
+    chosen_cases = [case("normal quantile"), case("weighted mean"), case("NIST Norris")]
+    monkeypatch.setattr(validating, "cases", lambda: chosen_cases)
+    normal_quantile = distributions.normal_quantile
+    monkeypatch.setattr(
+        distributions, "normal_quantile", lambda p: normal_quantile(p) * (1.0 + 1e-6)
+    )
     assert main(["validate", "-o", str(tmp_path / "dossier")]) == 1
     assert "reference cases failed: normal quantile" in capsys.readouterr().err
-    read = cs.Dossier.read(tmp_path / "dossier" / "validation.json")
-    assert read.failed == ["normal quantile"]
-    (found,) = (case for case in read.cases if case.state == "failed")
-    assert found.digits == pytest.approx(6.0, abs=1e-3)
+    dossier = cs.Dossier.read(tmp_path / "dossier" / "validation.json")
+    assert dossier.failed == ["normal quantile"]
+    (failed_case,) = (case for case in dossier.cases if case.state == "failed")
+    assert failed_case.digits == pytest.approx(6.0, abs=1e-3)
 
 
 def test_kernel_exception_fails_case(monkeypatch):
@@ -195,9 +209,9 @@ def test_format_without_package_is_not_covered(monkeypatch):
     from counterspin.validation import files
 
     monkeypatch.setattr(files, "find_spec", lambda name: None)
-    one = validate(chosen=[case("record as TDMS (.tdms)")])
-    assert [c.state for c in one.cases] == ["not run"]
-    assert any("nptdms is not installed" in text for text in one.not_covered)
+    dossier = validate(chosen=[case("record as TDMS (.tdms)")])
+    assert [checked_case.state for checked_case in dossier.cases] == ["not run"]
+    assert any("nptdms is not installed" in text for text in dossier.not_covered)
 
 
 def test_three_files_agree(dossier, tmp_path):
@@ -210,10 +224,10 @@ def test_three_files_agree(dossier, tmp_path):
     assert len(document["cases"]) == len(cases())
     count = len(cases())
     answer = f"{count - 1} of {count} reference cases passed, 1 could not be run; none failed."
-    for shown in (page, text):
-        assert answer in shown
-        assert "Limits of the validation" in shown
-        assert "NIST Norris" in shown
+    for report_text in (page, text):
+        assert answer in report_text
+        assert "Limits of the validation" in report_text
+        assert "NIST Norris" in report_text
     with pytest.raises(cs.CounterspinError, match="exists"):
         cs.write_dossier(dossier, tmp_path / "d")
     cs.write_dossier(dossier, tmp_path / "d", overwrite=True)

@@ -47,11 +47,11 @@ def test_missing_file_is_reported_except_for_editable_install(editable, monkeypa
 
 
 def test_installation_lists_files_and_packages():
-    there = inspect_installation()
-    assert there.files > 300
-    assert "numpy" in there.packages
-    assert there.environment["python"]
-    assert there.checksum == inspect_installation().checksum
+    installation = inspect_installation()
+    assert installation.files > 300
+    assert "numpy" in installation.packages
+    assert installation.environment["python"]
+    assert installation.checksum == inspect_installation().checksum
 
 
 def test_altered_installation_fails(monkeypatch, tmp_path, capsys):
