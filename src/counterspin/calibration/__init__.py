@@ -1,25 +1,24 @@
-"""The main job: from a campaign's folder to the coefficients and what may be said of them.
+"""Calibration: estimate coefficients and uncertainties from a campaign folder.
 
-- `calibrate`: the whole way, from a folder to a `Result`; `batch`: many campaigns
-- `options`: how a calibration is made
+- `calibrate`: calibration of a campaign; `batch`: calibration of several campaigns
+- `options`: options of a calibration
 - `observed_runs`: records with the identified rotation and the recorded temperatures
-- `input_location`: values of timing offset and frequency response at which the fit takes
-  derivatives
-- `assembly`: from observed runs to a `Result`, by either method
-- `model`: what is asked for, held, stated and unstated; what is assumed to be perfect
-- `joint_problem`: the joint fit's data and noise
-- `accelerometer_view`: the fit as one accelerometer sees it, and data other than records in it
-- `joint`: the outcome of the joint method
-- `two_stage`: the two-stage method
-- `outcome`: what a method has found, as the result states it
-- `findings`: what speaks against a result, and its state
+- `input_location`: values of timing offset and frequency response for the derivatives of the fit
+- `assembly`: assembly of a `Result` from observed runs
+- `model`: selection of requested, nuisance, considered and fixed terms
+- `joint_problem`: data and noise of the joint fit
+- `accelerometer_view`: view of the fit for one accelerometer; interface of readings and poses
+- `joint`: joint method
+- `two_stage`: two-stage method
+- `outcome`: conversion of an estimate to parts of a result
+- `findings`: findings on a result, and its state
 - `checks`: checks of every result
-- `extensions`: the functions that a calibration calls by name; `diagnosis`: the causes of a misfit
-- `conformity`: whether coefficients meet their specifications
-- `monte_carlo`: intervals by JCGM 101; `linearity`: whether sensitivities are constant within ±2 u
-- `result`, `result_parts`: what a calibration found, its JSON; what it is made of
-- `result_file`: results of earlier schemas, and numbers that no result has
-- `result_conversion`: coefficients as frames, for uncertainties and GTC
+- `extensions`: functions that a calibration loads by name; `diagnosis`: causes of a misfit
+- `conformity`: conformity of coefficients with their specifications
+- `monte_carlo`: coverage intervals by JCGM 101; `linearity`: test of the linear sensitivities
+- `result`, `result_parts`: result of a calibration, and its JSON
+- `result_file`: results of earlier schemas, and validation of files
+- `result_conversion`: coefficients as frames, and for uncertainties and GTC
 - `si_estimates`: coefficients in SI units
-- `pages`: the result as a person reads it
+- `pages`: report pages of a result
 """

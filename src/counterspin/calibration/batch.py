@@ -65,7 +65,7 @@ class BatchResult(ReportableResult):
 
     @property
     def not_determined(self) -> list[str]:
-        """The folders of results whose data do not determine a requested coefficient."""
+        """The folders of results in which a requested coefficient is not determined."""
         return [
             folder
             for folder, outcome in self.campaigns.items()

@@ -36,7 +36,7 @@ from counterspin.records.temperature_profile import read_temperature_profile
 from counterspin.units import ZERO_CELSIUS
 
 #: Smallest horizontal component of an input axis for comparing its signal with the rotation.
-_MIN_HORIZONTAL: Final = 0.05
+_MIN_HORIZONTAL_COMPONENT: Final = 0.05
 
 #: Number of powers of t in a straight line: 1 and t.
 _STRAIGHT_LINE: Final = 2
@@ -194,7 +194,7 @@ def _expected_harmonic(
     if run.table_ratio == 0.0:
         return None
     east, north, _ = accelerometer.mounting.turned(run.attitude).input_axis
-    if math.hypot(east, north) < _MIN_HORIZONTAL:
+    if math.hypot(east, north) < _MIN_HORIZONTAL_COMPONENT:
         return None
     derivative_order = 2 - observation.ORDERS[accelerometer.observable]
     amplitude = campaign.radius.value * complex(east, north) * (-1j * run.rate) ** derivative_order

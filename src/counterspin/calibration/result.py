@@ -190,7 +190,7 @@ class Result(ReportableResult):
         return self.coefficient(name)
 
     def _ipython_key_completions_(self) -> list[str]:
-        """Return the names that ``result["`` may be followed by."""
+        """Return the names that may follow ``result["``."""
         return [f"{owner}.{symbol}" if owner else symbol for owner, symbol, _ in self.rows()]
 
     def rows(self) -> Iterator[tuple[str, str, Coefficient]]:
@@ -312,7 +312,7 @@ class Result(ReportableResult):
         return coefficients
 
     def residuals(self, accelerometer: str | None = None, run: str | None = None) -> pl.DataFrame:
-        """Return the residuals of the records, of all accelerometers and runs or of those named.
+        """Return the residuals of the records, for one or all accelerometers and runs.
 
         Those of readings are in `readings` of each accelerometer.
 

@@ -54,7 +54,7 @@ class MonteCarloInterval(ResultPart):
 
 
 class Coefficient(ResultPart):
-    """One coefficient and where its uncertainty comes from."""
+    """One coefficient with its uncertainty contributions."""
 
     #: Estimate, or the prior value if `estimated` is false; null if the records do not determine
     #: the coefficient and it has no prior.
@@ -199,7 +199,7 @@ class NoiseLine(ResultPart):
 
 
 class Comparison(ResultPart):
-    """K_II by the two-stage method beside the joint fit; `z` is the difference over its u."""
+    """Comparison of K_II by the two-stage method with the joint fit."""
 
     value: float  #: Estimate of K_II by the two-stage method.
     u: float  #: Standard uncertainty.

@@ -180,9 +180,9 @@ def describe_conflict(
 
 def format_si(value: float, u: float, unit: str) -> str:
     """Return an estimate in the unit of the field."""
-    shown_unit, factor = find_display_unit(unit)
+    display_unit, factor = find_display_unit(unit)
     return format_estimate(
-        value * factor, u * factor, "" if shown_unit == "1" else shown_unit
+        value * factor, u * factor, "" if display_unit == "1" else display_unit
     ).strip()
 
 

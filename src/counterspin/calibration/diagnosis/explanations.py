@@ -45,8 +45,8 @@ class Explanation(PriorExplanation):
         )
         label = f"{name}, which the model omits"
         if abs(self.value) > limit:
-            shown_unit, factor = find_display_unit(unit_of(self.alternative.symbol))
-            limit_text = f"{format_number(limit * factor, 3)} {shown_unit}"
+            display_unit, factor = find_display_unit(unit_of(self.alternative.symbol))
+            limit_text = f"{format_number(limit * factor, 3)} {display_unit}"
             text += (
                 f"This value exceeds the largest credible value, {limit_text}, but no cause of a "
                 "credible size explains the misfit equally well. If the true value can be this "

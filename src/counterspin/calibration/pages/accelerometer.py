@@ -34,7 +34,7 @@ from counterspin.reports.numbers import (
 )
 
 #: Magnitude of a correlation above which it is listed.
-_STRONG_CORRELATION: Final = 0.9
+_MIN_LISTED_CORRELATION: Final = 0.9
 
 #: Unknowns of the two-stage method that are not in the tables of terms:
 #: symbol -> symbol in the paper, and description.
@@ -349,7 +349,7 @@ def _correlation_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
         (terms[i], terms[j], matrix[i][j])
         for i in range(len(terms))
         for j in range(i)
-        if abs(matrix[i][j]) >= _STRONG_CORRELATION
+        if abs(matrix[i][j]) >= _MIN_LISTED_CORRELATION
     ]
     pairs.sort(key=lambda pair: -abs(pair[2]))
     if not pairs:

@@ -293,12 +293,12 @@ def _parabola_table(runs: dict[str, RunResult]) -> Iterator[Block]:
 
 def _fit_table(runs: dict[str, RunResult]) -> Iterator[Block]:
     """Yield a table of the tests of each run's fit, with a column for each test."""
-    fits = [
-        (name, accelerometer, fit)
+    tests = [
+        (name, accelerometer, test)
         for name, run in runs.items()
-        for accelerometer, fit in run.fit.items()
+        for accelerometer, test in run.fit.items()
     ]
-    keys = tuple(dict.fromkeys(key for _, _, fit in fits for key in fit))
+    keys = tuple(dict.fromkeys(key for _, _, test in tests for key in test))
     titles = [_TEST_TITLES.get(key, key.replace("_", " ")) for key in keys]
     if keys:
         yield Table(
@@ -308,8 +308,8 @@ def _fit_table(runs: dict[str, RunResult]) -> Iterator[Block]:
                 *(Column(title, "right", wraps=True) for title in titles),
             ),
             rows=tuple(
-                (name, accelerometer, *(_format_test_value(key, fit.get(key)) for key in keys))
-                for name, accelerometer, fit in fits
+                (name, accelerometer, *(_format_test_value(key, test.get(key)) for key in keys))
+                for name, accelerometer, test in tests
             ),
         )
 

@@ -112,10 +112,14 @@ def check_two_stage(
             for symbol in second_stage.symbols
             if coefficients[symbol].value is None
         ]
-    for a, b, r in second_stage.near_collinear:
-        text = f"The columns of {a} and {b} are nearly collinear at these rates"
+    for first_symbol, second_symbol, r in second_stage.near_collinear:
+        text = (
+            f"The columns of {first_symbol} and {second_symbol} are nearly collinear at these rates"
+        )
         text += f" (correlation {r:.4f})."
-        findings.append(Finding(code="collinear", subject=f"{name}.{a}", text=text, size=abs(r)))
+        findings.append(
+            Finding(code="collinear", subject=f"{name}.{first_symbol}", text=text, size=abs(r))
+        )
     misfit_findings = _check_run_agreement(name, second_stage)
     if model == "exact":
         conflicts = list(find_prior_conflict(view))

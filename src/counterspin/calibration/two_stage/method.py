@@ -200,21 +200,21 @@ def two_stage_view(
     request = make_request(problem, accelerometer, options, components)
     # All rows are used: noise one revolution apart is not correlated.
     all_series = [
-        record.correct_times(corrected.corrected_fraction).with_timestamp_noise(
+        series.correct_times(corrected.corrected_fraction).with_timestamp_noise(
             corrected.timestamp_sd
         )
-        for record, corrected in zip(problem.series, corrected_series, strict=True)
-        if record.accelerometer == name
+        for series, corrected in zip(problem.series, corrected_series, strict=True)
+        if series.accelerometer == name
     ]
     selected_series, strobes = zip(*map(select_strobes, all_series), strict=True)
     parabolas = [
-        request.first_stage(record_strobes, record.trajectory, record.timestamp_sd)
-        for record_strobes, record in zip(strobes, selected_series, strict=True)
+        request.first_stage(record_strobes, series.trajectory, series.timestamp_sd)
+        for record_strobes, series in zip(strobes, selected_series, strict=True)
     ]
     joint_model = _add_priors(problem.campaign, problem.model, name, known_values)
     # Time-stamp jitter adds uncertainty to the rotation.
     rotation = encoder.considered_terms(
-        [record for record in selected_series if record.corrected_fraction > 0.0]
+        [series for series in selected_series if series.corrected_fraction > 0.0]
     )
     joint_model = replace(joint_model, considered=(*joint_model.considered, *rotation))
     model = two_stage_model(joint_model, request, selected_series)
@@ -423,14 +423,14 @@ def make_request(
 
 
 def _displacement_noise(noise: StatedNoise | None) -> float | None:
-    """Return the displacement noise of a sample, m; None where it is not stated."""
+    """Return the displacement noise of a sample, m; None if it is not stated."""
     white = _stated_size(noise, "displacement")
     step = _stated_size(noise, "quantisation") or 0.0
     return None if white is None else math.hypot(white, step / math.sqrt(12.0)) or None
 
 
 def _stated_size(noise: StatedNoise | None, component: str) -> float | None:
-    """Return a component of the stated noise; None where it is not a number."""
+    """Return a component of the stated noise; None if it is not a number."""
     size = getattr(noise, component, None)
     return size if isinstance(size, float) else None
 
