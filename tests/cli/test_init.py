@@ -50,7 +50,7 @@ def test_exports_to_result(tmp_path, plain_folder, reference, name, capsys):
     assert main(["init", str(folder), "--from", *map(str, files), *words]) == 0
     output = capsys.readouterr().out
     assert "Detected in the files:" in output
-    assert "Detected for the test double-turntable (please check):" in output
+    assert "Detected for the test type double-turntable (please check):" in output
     assert f"counterspin calibrate {folder}" in output
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     assert "# - pendulous axes: assumed down" in text

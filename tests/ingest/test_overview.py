@@ -43,7 +43,7 @@ def test_overview_shows_range_unit_and_role():
     assert lines[1] == "  t [s]: 0 to 19.95, the time"
     assert lines[2] == "  th [deg]: 0 to 351, advances at a steady rate, like an angle"
     assert lines[3].endswith("oscillates at a steady frequency")
-    assert lines[4:] == ["  k: always 3", "  mode: words, a, b"]
+    assert lines[4:] == ["  k: always 3", "  mode: text (a, b)"]
 
 
 def test_nominal_orientations_are_not_measurements():

@@ -104,7 +104,7 @@ def _import_files(
     test = stated_test or _choose_test(contents, is_interactive=is_interactive)
     draft = make_draft(contents, answers, test)
     print_output(
-        f"Detected for the test {test} (please check):",
+        f"Detected for the test type {test} (please check):",
         *(f"  {s}" for s in draft.statements),
     )
     if is_interactive and not draft.problems:

@@ -121,7 +121,7 @@ def make_turntable_draft(
     wave_sense = find_sense(merge_guesses(guesses))
     problems = (*unsuitable_files, *problems, *_check_sense(valid_answers.get("sense"), wave_sense))
     questions = make_questions(valid_answers)
-    statements = tuple(_make_statements(common_guess, wave_sense))
+    statements = tuple(_make_statements(common_guess, guesses, wave_sense))
     return Draft(statements, questions, valid_answers, problems, guesses, common_guess)
 
 
@@ -256,20 +256,21 @@ def _make_runs(
 # Statements
 
 
-def _make_statements(common_guess: FileGuess, sense: str | None) -> Iterator[str]:
+def _make_statements(
+    common_guess: FileGuess, guesses: Sequence[FileGuess], sense: str | None
+) -> Iterator[str]:
     time, angle = common_guess.time, common_guess.angle
     yield from common_guess.sampling_text
     if time is not None:
         unit = "time stamps" if time.unit == "iso" else f"in {time.unit or 'an unknown unit'}"
         yield f"time: column '{time.column}', {unit}"
-    if common_guess.rate is not None:
-        rotation_frequency = common_guess.rate / (2.0 * math.pi)
+    if rates := [guess.rate for guess in guesses if guess.rate is not None]:
         is_counted = not (time or common_guess.sampling_rate)
-        yield "rate: " + (
-            (f"{1 / rotation_frequency:.6g} rows per revolution")
-            if is_counted
-            else f"{rotation_frequency:.6g} rev/s"
+        turns = sorted(
+            2.0 * math.pi / rate if is_counted else rate / (2.0 * math.pi) for rate in rates
         )
+        shown = f"{turns[0]:.6g}" + (f" to {turns[-1]:.6g}" if len(turns) > 1 else "")
+        yield f"rate: {shown} {'rows per revolution' if is_counted else 'rev/s'}"
     if angle is None:
         yield "angle: no angle column was found, so counterspin uses the nominal rates"
     elif angle.pulses:

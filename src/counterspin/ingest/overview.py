@@ -70,7 +70,9 @@ def _describe_file(contents: FileContents) -> Iterator[str]:
             f"  the last {len(contents.footer)} lines were ignored because they are not data "
             f"rows: {footer_text}"
         )
-    yield from (f"  this part could not be read: {reason}" for reason in contents.unread_reasons)
+    yield from (
+        f"  part of the file could not be read: {reason}" for reason in contents.unread_reasons
+    )
     yield from (f"  {remark}" for remark in contents.remarks)
 
 
@@ -178,7 +180,7 @@ def _describe_text_column(contents: FileContents, name: str) -> str:
     suffix = (
         f" and {len(distinct_cells) - _MAX_WORDS} more" if len(distinct_cells) > _MAX_WORDS else ""
     )
-    return f"words, {', '.join(word[:40] for word in distinct_cells[:_MAX_WORDS])}{suffix}"
+    return f"text ({', '.join(word[:40] for word in distinct_cells[:_MAX_WORDS])}{suffix})"
 
 
 def guess_test(all_contents: Sequence[FileContents]) -> Test | None:

@@ -322,4 +322,4 @@ def output_unit(
 def make_role_statements(contents: FileContents, roles: Mapping[str, str]) -> Iterator[str]:
     """Yield a statement of the role of each column."""
     for name, role in roles.items():
-        yield f"column '{name}': {role}" + (", in words" if name in contents.text_columns else "")
+        yield f"column '{name}': {role}" + (" (text)" if name in contents.text_columns else "")
