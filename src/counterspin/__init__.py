@@ -6,78 +6,77 @@
     k_ii = result.accelerometers["Qx"].coefficients["K_II"]
     print(k_ii.value, k_ii.u, k_ii.unit)
 
-The commands, as functions:
+Commands as functions:
 
-- `init`: a commented campaign description to start from
-- `simulate`: records of a campaign whose coefficients are known
-- `calibrate`: from a campaign's folder to a `Result`; `TwoStageOptions` for the paper's method
-- `apply`: indicated specific force corrected for a `Result` (`Correction`); `apply_file`: of a
+- `init`: write a commented campaign description
+- `simulate`: simulate the records of a campaign with known coefficients
+- `calibrate`: calibrate a campaign (`Result`); `TwoStageOptions`: options of the paper's method
+- `apply`: correct indicated specific forces with a `Result` (`Correction`); `apply_file`: correct a
   file; `ApplyOptions`: unit, and forces along the other axes
-- `export`: the coefficients of a result for other programs
-- `plan`: which runs to make for a goal (`PlannedCampaign`)
-- `forecast`: what the calibration of a campaign will say (`Forecast`)
-- `study`: many simulated trials of a campaign and its analyses (`StudyResult`); `StudyFolder`,
-  `Workers`: where they are kept, and who makes them
-- `demo`: the paper's plan, simulated and calibrated (`Demonstration`)
-- `history`: a coefficient of each instrument through all its results (`History`)
+- `export`: export the coefficients of a result for other programs
+- `plan`: find the optimal runs for a goal (`PlannedCampaign`)
+- `forecast`: predict the uncertainties of a campaign (`Forecast`)
+- `study`: analyse many simulated trials of a campaign (`StudyResult`); `StudyFolder`: output
+  folder; `Workers`: parallel processes
+- `demo`: simulate and calibrate the paper's plan (`Demonstration`)
+- `history`: track a coefficient of each instrument over time (`History`)
 - `applied`: uncertainty budget of the acceleration that a centrifuge applies, by level
   (`AppliedAcceleration`)
 - `operating`: linearity, hysteresis, threshold, resolution, dead band, warm-up (`OperatingTests`)
-- `compare`: results of other models, methods or campaigns beside each other (`ResultComparison`)
-- `intercompare`: laboratories that calibrated the same instrument (`Intercomparison`)
-- `rerun`: a result's calibration made again (`RepeatedCalibration`)
-- `check`: one record, judged (`CheckedRun`); `watch`: a campaign while its records grow
-  (`WatchState`), at a `Pace`
-- `noise`: what a record at rest says of its noise (`NoiseResult`)
-- `reproduce`: the paper's numbers compared with recomputed ones (`Reproduction`)
-- `validate`: reference cases, run on what is installed (`Dossier`); `write_dossier`: as files
+- `compare`: compare results of different models, methods or campaigns (`ResultComparison`)
+- `intercompare`: compare laboratories that calibrated the same instrument (`Intercomparison`)
+- `rerun`: repeat the calibration of a result (`RepeatedCalibration`)
+- `check`: check a record (`CheckedRun`); `watch`: monitor a campaign during recording
+  (`WatchState`), with a polling interval (`Pace`)
+- `noise`: analyse the noise of a static record (`NoiseResult`)
+- `reproduce`: compare the paper's numbers with recomputed numbers (`Reproduction`)
+- `validate`: run the reference cases on this installation (`Dossier`); `write_dossier`: write files
 - `print_result`, `write_result`, `read_result`: a `Result` on the terminal and as JSON
 - `report`, `write_report`: the report of any of these results as HTML, PDF or Markdown
 - `certificate`: the Digital Calibration Certificate (`Certificate`) of a result
-- `read_campaign`: a description, checked (`Campaign`); `make_campaign`: from a mapping and data
-  frames; `Quantity`: value, standard uncertainty and unit
+- `read_campaign`: read and check a description (`Campaign`); `make_campaign`: make a campaign from
+  a mapping and data frames; `Quantity`: value, standard uncertainty and unit
 
-The physics, from the ground up:
+Physics:
 
 - `Spindle`, `Ripple`, `fit_spindle`: the angle of the spindle (Eq. 1-4) and its identification
-- `Site`, `Trajectory`: place, velocity, specific force of the platform
-- `Mounting`, `QX`, `QY`, `QZ`: axes of an accelerometer; `TERMS`, `SHARED_TERMS`: the error terms
-- `indicated`: what it indicates (Eq. 7)
-- `reference`: what a perfect system records; `columns`: the error per unit of each coefficient
+- `Site`, `Trajectory`: position, velocity and specific force of the platform
+- `Mounting`, `QX`, `QY`, `QZ`: axes of an accelerometer; `TERMS`, `SHARED_TERMS`: error terms
+- `indicated`: indicated specific force (Eq. 7)
+- `reference`: the record of an ideal system; `columns`: the error per unit of each coefficient
 
-The paper's two-stage method, step by step:
+The paper's two-stage method:
 
-- `strobe_angle`, `strobes_by_angle`, `strobes_by_nominal_rate`: one sample a revolution (Eq. 15)
-- `first_stage`: a parabola a run (Eq. 16-18, 31), a `Parabola`
+- `strobe_angle`, `strobes_by_angle`, `strobes_by_nominal_rate`: one sample per revolution (Eq. 15)
+- `first_stage`: a `Parabola` for each run (Eq. 16-18, 31)
 - `StrobedRun`, `second_stage`: K_II from all runs (Eq. 20-27, 33-34), a `SecondStage`;
   `TwoStageRequest`: its model, priors and weights
 
-What is raised on purpose is a `CounterspinError`: `CampaignError`, `RecordError`,
-`NotIdentifiableError`, `ConvergenceError`. What a user should know though the work goes on is a
-`CounterspinWarning`.
+All errors that counterspin raises on purpose are `CounterspinError`: `CampaignError`,
+`RecordError`, `NotIdentifiableError`, `ConvergenceError`. Warnings are `CounterspinWarning`.
 
 Glossary
 --------
 units
-    SI, angles in rad, unless said. Accelerometer coefficients are in g-units (g, g/g, g/g^2,
-    g/g^3), g being the site's own plumb-line gravity; misalignments are in rad.
+    SI, with angles in rad, unless stated otherwise. Accelerometer coefficients are in g-units (g,
+    g/g, g/g^2, g/g^3), where g is the site's plumb-line gravity; misalignments are in rad.
 frame
     East-north-up at the spindle axis; vectors are the last axis of an array, shape (n, 3).
 spindle angle
-    From east towards north; a negative rate turns the other way.
+    From east towards north; a negative rate is clockwise.
 accelerometer axes
     Input I, pendulous P, output O, right-handed: I x P = O.
 coefficients
-    K_F bias, K_I scale factor, K_II second order, K_III third order, K_IP and so on cross terms:
-    the paper's symbols. Eq. 7 does not divide by K_I as IEEE Std 1293 does, so that K2 of the
-    standard is K_II/K_I.
+    K_F bias, K_I scale factor, K_II second order, K_III third order, K_IP and so on cross terms,
+    with the paper's symbols. Coefficients are not normalised by K_I (IEEE Std 1293:
+    K2 = K_II/K_I).
 displacement error
-    Recorded displacement along the input axis less the true one. Given the trajectory it is
-    linear in the coefficients.
+    Recorded minus true displacement along the input axis. For a given trajectory, it is linear in
+    the coefficients.
 u
     Standard uncertainty (k = 1).
 
-Names are loaded when they are first used, so that ``import counterspin`` costs nothing.
+Names are loaded on first use, so that ``import counterspin`` is fast.
 """
 
 from importlib import import_module

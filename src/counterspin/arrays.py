@@ -40,12 +40,14 @@ def median(values: Array) -> float:
     `np.median` takes twenty times as long for a few hundred values, and its first call loads
     `numpy.ma`.
     """
-    half = len(values) // 2
-    if not half:
+    middle = len(values) // 2
+    if not middle:
         return float(values[0]) if len(values) else math.nan
-    low, high, last = np.partition(values, (half - 1, half, -1))[[half - 1, half, -1]].tolist()
-    if math.isnan(last):
-        return float(last)  # NaN is sorted last
+    low, high, maximum = np.partition(values, (middle - 1, middle, -1))[
+        [middle - 1, middle, -1]
+    ].tolist()
+    if math.isnan(maximum):
+        return float(maximum)  # NaN is sorted last
     return float(high if len(values) % 2 else (low + high) / 2)
 
 
@@ -57,9 +59,13 @@ def quantile(values: npt.NDArray[Any], fraction: float) -> float:
     if not len(values):
         return math.nan
     position = fraction * (len(values) - 1)
-    low, high = math.floor(position), math.ceil(position)
-    lower, upper, last = np.partition(values, (low, high, -1))[[low, high, -1]].tolist()
-    return float(last if math.isnan(last) else lower + (upper - lower) * (position - low))
+    lower_index, upper_index = math.floor(position), math.ceil(position)
+    lower, upper, maximum = np.partition(values, (lower_index, upper_index, -1))[
+        [lower_index, upper_index, -1]
+    ].tolist()
+    return float(
+        maximum if math.isnan(maximum) else lower + (upper - lower) * (position - lower_index)
+    )
 
 
 def triangular_factor(matrix: Array) -> Array:

@@ -65,7 +65,8 @@ def substitute_unencodable(text: str, encoding: str) -> str:
         text,
     )
     return "".join(
-        c if _is_encodable(c, encoding) else _ASCII_SUBSTITUTES.get(c, "?") for c in text
+        character if _is_encodable(character, encoding) else _ASCII_SUBSTITUTES.get(character, "?")
+        for character in text
     )
 
 

@@ -193,7 +193,7 @@ class CampaignError(CounterspinError):
             text = f"{source}: {messages[0]}"
         else:
             text = f"{source}: {len(messages)} {self.heading}\n" + "\n".join(
-                f"  {one}" for one in messages
+                f"  {message}" for message in messages
             )
         super().__init__(text, code=next(iter(self.codes), None))
 

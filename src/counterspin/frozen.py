@@ -45,7 +45,9 @@ def _make_frozen(cls: Any, comparison_methods: dict[str, Any]) -> Any:
     new_class = dataclass(eq=False, repr=False)(cls)
     if comparison_methods:
         # `attrgetter` is fast: dictionaries compare thousands of terms.
-        new_class._compared = attrgetter(*(part.name for part in fields(new_class) if part.compare))
+        new_class._compared = attrgetter(
+            *(attribute.name for attribute in fields(new_class) if attribute.compare)
+        )
     return new_class
 
 
@@ -72,7 +74,11 @@ def _refuse_change(self: Any, name: str) -> NoReturn:
 
 
 def _repr(self: Any) -> str:
-    arguments = (f"{part.name}={getattr(self, part.name)!r}" for part in fields(self) if part.repr)
+    arguments = (
+        f"{attribute.name}={getattr(self, attribute.name)!r}"
+        for attribute in fields(self)
+        if attribute.repr
+    )
     return f"{type(self).__qualname__}({', '.join(arguments)})"
 
 

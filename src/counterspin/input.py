@@ -148,7 +148,7 @@ def detect_file_type(content: bytes) -> str:
     text = content[:1000].removeprefix(b"\xef\xbb\xbf").lstrip()
     if not text:
         return "an empty file"
-    file_types = (words for beginning, words in _SIGNATURES if text.startswith(beginning))
+    file_types = (file_type for signature, file_type in _SIGNATURES if text.startswith(signature))
     return next(file_types, "")
 
 
@@ -157,7 +157,7 @@ def require_regular_file(path: Path, mode: int) -> None:
     if stat.S_ISREG(mode):
         return
     description = next(
-        (words for is_kind, words in _SPECIAL_FILES if is_kind(mode)), "not a regular file"
+        (name for has_mode, name in _SPECIAL_FILES if has_mode(mode)), "not a regular file"
     )
     code = errno.EISDIR if stat.S_ISDIR(mode) else errno.EINVAL
     raise OSError(code, f"this is {description}, not a file", str(path))

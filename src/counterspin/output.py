@@ -94,7 +94,7 @@ def marked_file_type(document_type: str) -> FileType:
 
     def recognises(path: Path) -> bool:
         # Text of a user may look like another mark; the type is then ambiguous.
-        marks = {match[1] for end in _read_ends(path) for match in _FILE_MARK.finditer(end)}
+        marks = {match[1] for chunk in _read_ends(path) for match in _FILE_MARK.finditer(chunk)}
         return {mark.replace(b"&#39;", b"'") for mark in marks} == {document_type.encode()}
 
     return FileType(f"{document_type} written by counterspin", recognises)

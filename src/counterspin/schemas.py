@@ -56,7 +56,7 @@ def make_schema(name: SchemaName) -> JsonSchema:
     version = 1 if result is None else result.newest_schema()
     head = {"$schema": _DRAFT, "$id": f"urn:counterspin:schema:{name}:{version}"}
     schema: JsonSchema = _simplify_schema(build_schema(), allow_null=result is not None)
-    return head | {"title": title} | {key: v for key, v in schema.items() if key != "title"}
+    return head | {"title": title} | {key: value for key, value in schema.items() if key != "title"}
 
 
 def schema_text(name: SchemaName) -> str:
@@ -95,8 +95,12 @@ def collect_models(model: type) -> dict[str, type]:
     models, pending = {model.__name__: model}, [model]
     while pending:
         for hint in field_types(pending.pop()).values():
-            new_models = {inner.__name__: inner for inner in iterate_models(hint)}
-            pending += [inner for name, inner in new_models.items() if name not in models]
+            new_models = {
+                nested_model.__name__: nested_model for nested_model in iterate_models(hint)
+            }
+            pending += [
+                nested_model for name, nested_model in new_models.items() if name not in models
+            ]
             models |= new_models
     return models
 
@@ -134,7 +138,7 @@ def field_comments(model: type) -> dict[str, str]:
             comments |= _parse_comments(
                 inspect.getsource(base_class), set(base_class.__annotations__)
             )
-    return {key: words for key, words in comments.items() if key in field_types(model)}
+    return {key: comment for key, comment in comments.items() if key in field_types(model)}
 
 
 def _parse_comments(source: str, fields: set[str]) -> dict[str, str]:
@@ -168,11 +172,13 @@ def _simplify_schema(value: Any, *, allow_null: bool) -> Any:
     allow_null: Whether the document may contain null, which TOML lacks.
     """
     if isinstance(value, list):
-        return [_simplify_schema(inner, allow_null=allow_null) for inner in value]
+        return [_simplify_schema(item, allow_null=allow_null) for item in value]
     if not isinstance(value, dict):
         return value
-    schema = {key: _simplify_schema(inner, allow_null=allow_null) for key, inner in value.items()}
-    choices = [one for one in schema.pop("anyOf", []) if allow_null or one != {"type": "null"}]
+    schema = {key: _simplify_schema(item, allow_null=allow_null) for key, item in value.items()}
+    choices = [
+        choice for choice in schema.pop("anyOf", []) if allow_null or choice != {"type": "null"}
+    ]
     schema |= choices[0] if len(choices) == 1 else {"anyOf": choices} if choices else {}
     if schema.get("default", ...) is None:
         del schema["default"]

@@ -115,7 +115,9 @@ def format_document(document: Mapping[str, Any], comments: Mapping[str, str] | N
 
 def _is_section(value: Any) -> bool:
     is_table_list = (
-        isinstance(value, list) and bool(value) and all(isinstance(e, Mapping) for e in value)
+        isinstance(value, list)
+        and bool(value)
+        and all(isinstance(entry, Mapping) for entry in value)
     )
     return isinstance(value, Mapping) or is_table_list
 
@@ -150,7 +152,7 @@ def format_value(value: Any) -> str:
         return "true" if value else "false"
     if isinstance(value, Mapping):
         entries = ", ".join(
-            f"{_format_key(key)} = {format_value(inner)}" for key, inner in value.items()
+            f"{_format_key(key)} = {format_value(entry)}" for key, entry in value.items()
         )
         return f"{{ {entries} }}" if entries else "{}"
     if isinstance(value, list | tuple):

@@ -162,7 +162,10 @@ def unit_factor(unit: str, target_unit: str, *, gravity: float | None = None) ->
     factor, dimension = _evaluate_unit(expression)
     target_factor, target_dimension = _evaluate_unit(target_unit)
     factor /= target_factor
-    excess = {base: dimension[base] - target_dimension[base] for base in BASE_DIMENSIONS}
+    excess = {
+        dimension_name: dimension[dimension_name] - target_dimension[dimension_name]
+        for dimension_name in BASE_DIMENSIONS
+    }
     # The excess may be a power of (m/s^2)/g, which the site's gravity resolves.
     power = excess["[length]"]
     gravity_excess = dict.fromkeys(BASE_DIMENSIONS, 0.0)
@@ -358,13 +361,17 @@ def si_unit(unit: str) -> tuple[SiUnit, int]:
     """
     powers = [0, 0, 0, 0]
     numerator, *denominators = unit.split("/")
-    for factor, sign in [*((f, 1) for f in numerator.split(" ")), *((f, -1) for f in denominators)]:
+    for factor, sign in [
+        *((unit_factor, 1) for unit_factor in numerator.split(" ")),
+        *((unit_factor, -1) for unit_factor in denominators),
+    ]:
         match = _SI_FACTOR.fullmatch(factor)
         if match is None:
             raise ValueError(f"{unit!r} is not a unit supported in certificates")
         exponent = int(match[2] or 1) * sign
         powers = [
-            total + exponent * one for total, one in zip(powers, _SI_POWERS[match[1]], strict=True)
+            total + exponent * power
+            for total, power in zip(powers, _SI_POWERS[match[1]], strict=True)
         ]
     radian, metre, second, gravity = powers
     return SiUnit(radian, metre, second), gravity
@@ -389,7 +396,7 @@ def instrument_unit_in_si(unit: str) -> tuple[float, SiUnit, int]:
     """
     factor, powers = base_unit(unit)
     gravity = powers["[gravity]"]
-    field_powers = {field: powers[base] for base, field in _SI_FIELDS.items()}
+    field_powers = {field: powers[dimension] for dimension, field in _SI_FIELDS.items()}
     field_powers["metre"] += gravity
     field_powers["second"] -= 2.0 * gravity
     if powers["[temperature]"] or not all(

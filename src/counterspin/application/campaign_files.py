@@ -165,9 +165,9 @@ def trash_contents(app: AppState) -> list[TrashEntry]:
     is_inside = trash.is_dir() and app.folder.contains(trash)  # not a link to another folder
     paths = sorted(trash.iterdir(), reverse=True) if is_inside else []
     return [
-        {"place": place.name, "name": unquote(match["name"])}
-        for place in paths
-        if (match := _TRASH_NAME.fullmatch(place.name))
+        {"place": path.name, "name": unquote(match["name"])}
+        for path in paths
+        if (match := _TRASH_NAME.fullmatch(path.name))
     ]
 
 

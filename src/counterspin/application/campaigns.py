@@ -199,12 +199,17 @@ def _campaign_state(app: AppState, path: Path, entry: CampaignEntry) -> str:
     """Return the state of a campaign."""
     if entry["mistakes"]:
         return "mistakes"
-    result = next((r for r in entry["results"] if r["state"] != "damaged"), None)
+    result = next(
+        (entry_result for entry_result in entry["results"] if entry_result["state"] != "damaged"),
+        None,
+    )
     if result is None:
         return "records missing" if entry["missing"] else "not calibrated"
     checksum = app.folder.read(app.folder.name(path)).version
     records = [path.parent / run.record for run in app.campaign(entry["name"]).runs]
-    has_newer_records = any(r.is_file() and r.stat().st_mtime > result["written"] for r in records)
+    has_newer_records = any(
+        record.is_file() and record.stat().st_mtime > result["written"] for record in records
+    )
     if has_newer_records or result["description"] not in ("", f"sha256:{checksum}"):
         return "changed"
     return str(result["state"])

@@ -39,7 +39,7 @@ class UploadedFile(BaseModel):
     name: str
     content: Base64Bytes
 
-    def read(self) -> KeyMaterial:
+    def to_key_material(self) -> KeyMaterial:
         """Return the content as key material."""
         return KeyMaterial(self.name, self.content)
 
@@ -62,22 +62,24 @@ class Signing(BaseModel):
                     "This server was started without a signing command; use a key file."
                 )
             return replace(app.signer, sign=partial(_sign_without_drawing_lock, app))
-        certificate_material = None if self.certificate is None else self.certificate.read()
+        certificate_material = (
+            None if self.certificate is None else self.certificate.to_key_material()
+        )
         password = None if self.password is None else self.password.get_secret_value() or None
         try:
-            return read_signer(self.key.read(), certificate_material, password)
+            return read_signer(self.key.to_key_material(), certificate_material, password)
         except PasswordNeededError as error:
             raise CounterspinError(
                 f"{self.key.name} is encrypted; enter the password", code="password-needed"
             ) from error
 
 
-def _sign_without_drawing_lock(app: AppState, data: bytes) -> bytes:
+def _sign_without_drawing_lock(app: AppState, content: bytes) -> bytes:
     """Sign with the server's command, which may wait for a PIN, without holding the lock."""
     assert app.signer is not None
     app.drawing.release()
     try:
-        return app.signer.sign(data)
+        return app.signer.sign(content)
     finally:
         app.drawing.acquire()
 
@@ -156,7 +158,7 @@ def check_file(app: AppState, name: str, certificate: UploadedFile | None = None
     path = app.file(name)
     with app.drawing:
         check = check_certificate(
-            path, signer_certificate=None if certificate is None else certificate.read()
+            path, signer_certificate=None if certificate is None else certificate.to_key_material()
         )
     return {
         "identifier": check.numbers.identifier,

@@ -48,14 +48,14 @@ def history_command(folder: Path, term: str) -> str:
 
 
 def certificate_command(
-    result: Path, lab: Path, output: Path, both: bool, signing: Mapping[str, str]
+    result: Path, lab: Path, output: Path, write_both: bool, signing: Mapping[str, str]
 ) -> str:
     """Return the command that issues the certificate of a result.
 
     signing: Options for the signer, such as `key`, with their values.
     """
     arguments = ["certificate", str(result), str(lab), "--output", str(output)]
-    if both:
+    if write_both:
         arguments.append("--both")
     return _join_arguments([*arguments, *(f"--{name}={value}" for name, value in signing.items())])
 
@@ -84,10 +84,10 @@ def simulate_command(campaign: Path, folder: Path) -> str:
 
 
 def import_command(
-    folder: Path, files: Sequence[Path], answers: Mapping[str, str], test: str
+    folder: Path, files: Sequence[Path], prompt_answers: Mapping[str, str], test: str
 ) -> str:
     """Return the command that writes a campaign for data files."""
-    answer_options = [f"--answer={key}={answer}" for key, answer in answers.items()]
+    answer_options = [f"--answer={key}={answer}" for key, answer in prompt_answers.items()]
     test_option = [f"--test={test}"]
     return _join_arguments(
         ["init", str(folder), *test_option, "--from", *map(str, files), *answer_options]

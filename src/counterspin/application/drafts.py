@@ -268,13 +268,14 @@ def _detrend(values: Array, degree: int, revolutions: float = 0.0) -> Array:
 def _find_extremes(values: Array) -> tuple[list[tuple[float, float] | None], float]:
     """Return minimum and maximum of each segment of a curve, and half of its range."""
     segments = np.array_split(values, max(1, min(_PREVIEW_SEGMENTS, len(values))))
-    finite_segments = [part[np.isfinite(part)] for part in segments]
+    finite_segments = [segment[np.isfinite(segment)] for segment in segments]
     finite_values = values[np.isfinite(values)]
     half_range = (
         float(finite_values.max() - finite_values.min()) / 2.0 if finite_values.size else 0.0
     )
     return [
-        (float(p.min()), float(p.max())) if p.size else None for p in finite_segments
+        (float(segment.min()), float(segment.max())) if segment.size else None
+        for segment in finite_segments
     ], half_range
 
 

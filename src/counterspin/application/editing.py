@@ -81,7 +81,9 @@ def parse_campaign_text(app: AppState, file: Path, text: str) -> EditedText:
         return EditedText(text, {}, _split_problems(error.problems))
     problems = Problems(document)
     campaign = resolve_campaign(document, file, problems)
-    question_texts = () if campaign is None else tuple(q.text for q in questions(campaign))
+    question_texts = (
+        () if campaign is None else tuple(question.text for question in questions(campaign))
+    )
     if "study" in document and not problems.lines:
         try:
             parse_study(document, file)

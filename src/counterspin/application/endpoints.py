@@ -151,7 +151,11 @@ def request_model(handler: Callable[..., Any]) -> type[BaseModel]:
     hints = get_type_hints(handler, include_extras=True)
     parameters = list(inspect.signature(handler).parameters.values())[1:]
     fields: dict[str, Any] = {
-        p.name: (hints[p.name], ... if p.default is p.empty else p.default) for p in parameters
+        parameter.name: (
+            hints[parameter.name],
+            ... if parameter.default is parameter.empty else parameter.default,
+        )
+        for parameter in parameters
     }
     return create_model(
         handler.__name__, __config__=ConfigDict(extra="forbid", frozen=True), **fields

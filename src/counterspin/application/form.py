@@ -214,10 +214,10 @@ def _make_field(key: str, field: FieldInfo, page: str) -> FormField:
 def _find_links(help_text: str, page: str) -> list[tuple[str, str]]:
     """Return text and page of each link in a help text."""
     links = (
-        (words.replace("`", ""), resolve_page_link(target, page))
-        for words, target in _MARKDOWN_LINK.findall(help_text)
+        (link_text.replace("`", ""), resolve_page_link(target, page))
+        for link_text, target in _MARKDOWN_LINK.findall(help_text)
     )
-    return [(words, target) for words, target in links if target is not None]
+    return [(link_text, target) for link_text, target in links if target is not None]
 
 
 def _key_label(key: str) -> str:

@@ -139,7 +139,7 @@ def segment_extremes(values: Array, edges: np.ndarray) -> Array:
 
 def _make_window(time: Array, columns: list[Array], *, is_complete: bool) -> RecordWindow:
     return {
-        "time": [float(f"{t:.10g}") for t in time],
+        "time": [float(f"{seconds:.10g}") for seconds in time],
         "columns": [[_round_for_screen(value) for value in column] for column in columns],
         "whole": is_complete,
     }
@@ -182,7 +182,7 @@ def _read_record(campaign: Campaign, run: Run) -> PlotColumns:
     if len(valid_rows) < len(time) or np.any(np.diff(time) < 0.0):
         # A calibration refuses decreasing times; the plot sorts them.
         valid_rows = valid_rows[np.argsort(time[valid_rows], kind="stable")]
-        time, values = time[valid_rows], [column[valid_rows] for column in values]
+        time, values = time[valid_rows], [signal_values[valid_rows] for signal_values in values]
     return PlotColumns(time, tuple(names), tuple(units), tuple(values))
 
 

@@ -97,7 +97,11 @@ class ServedFolder:
         if len(parts) > _MAX_PATH_PARTS:
             raise PathForbiddenError(f"{name!r} has more than {_MAX_PATH_PARTS} folder levels")
         has_hidden_part = any(not part or part[0] == "." or part[-1] in ". " for part in parts)
-        if has_hidden_part or name.startswith("/") or any(c in name for c in "\\:\0\n\r"):
+        if (
+            has_hidden_part
+            or name.startswith("/")
+            or any(character in name for character in "\\:\0\n\r")
+        ):
             raise PathForbiddenError(f"{name!r} is not a valid file name in this folder")
         path = self.root.joinpath(*parts)
         if not self.contains(path):

@@ -72,7 +72,7 @@ _BACKLOG: Final = 64
 class TimedConnection(H11Protocol):
     """A connection that is closed if the head of a request is not received in time."""
 
-    _end: asyncio.TimerHandle | None = None
+    _head_timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Register a connection; if there are too many, close the one that has waited longest."""
@@ -80,7 +80,7 @@ class TimedConnection(H11Protocol):
         self._limit_time()
         connections = [c for c in self.connections if isinstance(c, TimedConnection)]
         waiting_connections = [
-            c for c in connections if c._end is not None and not c.transport.is_closing()
+            c for c in connections if c._head_timer is not None and not c.transport.is_closing()
         ]
         if len(connections) > _MAX_CONNECTIONS and waiting_connections:
             min(waiting_connections, key=TimedConnection._deadline).transport.abort()
@@ -99,18 +99,18 @@ class TimedConnection(H11Protocol):
         self._limit_time()
 
     def _deadline(self) -> float:
-        return math.inf if self._end is None else self._end.when()
+        return math.inf if self._head_timer is None else self._head_timer.when()
 
     def _limit_time(self) -> None:
         if self.conn.their_state is not h11.IDLE:
             self._stop_timer()
-        elif self._end is None:
-            self._end = self.loop.call_later(HEAD_TIMEOUT, self.transport.abort)
+        elif self._head_timer is None:
+            self._head_timer = self.loop.call_later(HEAD_TIMEOUT, self.transport.abort)
 
     def _stop_timer(self) -> None:
-        if self._end is not None:
-            self._end.cancel()
-            self._end = None
+        if self._head_timer is not None:
+            self._head_timer.cancel()
+            self._head_timer = None
 
 
 #: Prefix of the temporary folder of a server.

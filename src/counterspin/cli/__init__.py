@@ -135,7 +135,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _run_command(arguments: list[str]) -> int:
     try:
         require_thread_count()
-        if any("\0" in word for word in arguments):
+        if any("\0" in argument for argument in arguments):
             raise UsageError("the arguments of the command", ["contain a NUL character"])
         if not arguments or arguments[0].startswith("-"):
             app.resolved_commands()  # for the list of commands with their descriptions

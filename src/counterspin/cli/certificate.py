@@ -184,7 +184,7 @@ def certificate(
     from counterspin.certificates.lab import write_example
     from counterspin.reports.text import Report, make_console
 
-    if sum(given is not None for given in (result, init, verify)) != 1:
+    if sum(argument is not None for argument in (result, init, verify)) != 1:
         raise UsageError(
             "certificate", ["give RESULT and LAB.toml, or --init LAB.toml, or --verify FILE"]
         )

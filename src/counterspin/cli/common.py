@@ -159,7 +159,9 @@ def translate_message(message: str, app: App, arguments: Iterable[str]) -> str:
     words
         Arguments of the command line, beginning with the command. Unknown names are unchanged.
     """
-    command_name = next((word for word in arguments if word[:1] != "-" and word in app), None)
+    command_name = next(
+        (candidate for candidate in arguments if candidate[:1] != "-" and candidate in app), None
+    )
     options = {}
     if command_name is not None:
         for argument in app[command_name].assemble_argument_collection(parse_docstring=False):

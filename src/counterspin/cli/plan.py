@@ -86,7 +86,7 @@ def plan(
     from counterspin.planning.result import PlanResult
     from counterspin.reports.text import make_console, show_progress
 
-    if sum(given is not None for given in (file, check, example_options.init)) != 1:
+    if sum(argument is not None for argument in (file, check, example_options.init)) != 1:
         raise UsageError("plan", ["give a plan file, --check DIR, or --init FILE"])
     if example_options.init is not None:
         example = write_example(example_options.init, example_options.example)

@@ -98,7 +98,7 @@ def _check_record(record: object, campaign: Campaign, run_name: str | None) -> C
         run=single_check.state,
         remarks=single_check.remarks,
         # Too few poses in this record may suffice together with those of other records.
-        good=single_check.good
+        good=single_check.is_good
         or (single_check.fit is None and any(c.u is not None for c in current)),
         others=other_names,
         reached=current,
@@ -162,7 +162,7 @@ class _SingleCheck:
 
     state: RunState
     remarks: list[str]
-    good: bool
+    is_good: bool
     fit: CurrentFit | None  # None if the record cannot be used
     observed: ObservedRun | None = None  # None for poses
 
@@ -182,7 +182,7 @@ def _check_single(campaign: Campaign, run: RecordedRun) -> _SingleCheck:
         state = observer.unread_state(run.name)
         reason = state.why if state.state == "failed" else f"the record is too short: {state.why}"
         state = state.model_copy(update={"state": "failed", "why": reason})
-        return _SingleCheck(state, [reason or ""], good=False, fit=None)
+        return _SingleCheck(state, [reason or ""], is_good=False, fit=None)
     fit, fit_error = None, ""
     try:
         fit = fit_runs(usable_campaign, observed_runs)
@@ -247,13 +247,18 @@ def _forecast_estimates(
         duration = float(single_check.observed.record.time[-1])
         sampling_rate = 1.0 / single_check.observed.record.report.step
         runs = (
-            r.model_copy(update={"duration": duration}) if r is run else r for r in campaign.runs
+            listed_run.model_copy(update={"duration": duration})
+            if listed_run is run
+            else listed_run
+            for listed_run in campaign.runs
         )
         noise = fitted_noise(single_check.fit.estimate.fit)
         completed_campaign = apply_observations(
             replace(campaign, runs=tuple(runs)), [single_check.observed], noise
         )
-    runs_without_duration = [r.name for r in completed_campaign.runs if r.duration is None]
+    runs_without_duration = [
+        listed_run.name for listed_run in completed_campaign.runs if listed_run.duration is None
+    ]
     if runs_without_duration:
         return (
             [],
@@ -266,4 +271,4 @@ def _forecast_estimates(
         return [], str(error)
     names = displayed_names(campaign)
     estimates = current_estimates(CurrentFit(completed_campaign, prediction.estimate), names)
-    return [line.model_copy(update={"value": None}) for line in estimates], None
+    return [estimate.model_copy(update={"value": None}) for estimate in estimates], None

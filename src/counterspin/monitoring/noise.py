@@ -367,7 +367,7 @@ def _estimate_noise(record: StaticRecord, spindle_rate: float | None) -> SignalN
     _, longest_segment = segments.longest
     difference_order = observable_type.averaging_order
     specific_force = np.diff(longest_segment, n=difference_order) / segments.step**difference_order
-    duration = segments.step * sum(part.size for _, part in segments.segments)
+    duration = segments.step * sum(segment.size for _, segment in segments.segments)
     lines = [
         replace(line, name=_identify_line(line, 1.0 / step, spindle_rate))
         for line in analysis.lines

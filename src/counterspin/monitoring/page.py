@@ -91,7 +91,7 @@ def _coefficient_table(checked: CheckedRun, current_title: str) -> Table:
     titles = ("Coefficient", current_title.capitalize(), "uncertainty of the whole campaign")
     n_columns = len(titles) if expected else len(titles) - 1
     return Table(
-        tuple(Column(t, wraps=True) for t in titles[:n_columns]),
+        tuple(Column(title, wraps=True) for title in titles[:n_columns]),
         tuple(row[:n_columns] for row in rows),
     )
 

@@ -224,9 +224,15 @@ class NoiseResult(ReportableResult):
         max_values = []
         for name in ("acceleration", "bias_walk"):
             sizes = [
-                s.components.get(name) for s in self.signals if s.observable == "specific_force"
+                signal.components.get(name)
+                for signal in self.signals
+                if signal.observable == "specific_force"
             ]
-            values = [s.high if s.value is None else s.value for s in sizes if s is not None]
+            values = [
+                signal.high if signal.value is None else signal.value
+                for signal in sizes
+                if signal is not None
+            ]
             known_values = [value for value in values if value is not None]
             if not known_values or len(known_values) < len(sizes):
                 raise RecordError(

@@ -169,8 +169,8 @@ class CurrentFit:
     @property
     def posed(self) -> tuple[FittedReadings, ...]:
         """Fitted poses of its triad."""
-        groups = (part for part in self.data.groups if isinstance(part, FittedReadings))
-        return tuple(part for part in groups if part.readings.triad)
+        groups = (group for group in self.data.groups if isinstance(group, FittedReadings))
+        return tuple(group for group in groups if group.readings.triad)
 
     @cached_property
     def views(self) -> tuple[AccelerometerView, ...]:
@@ -215,7 +215,7 @@ def resolve_goals(
         return {}
     problems = Problems({})
     goal_settings = GoalSettings(
-        target={n: _parse_target(campaign, n, u) for n, u in targets.items()}
+        target={name: _parse_target(campaign, name, u) for name, u in targets.items()}
     )
     resolved_goal = resolve_goal(goal_settings, campaign, problems)
     if resolved_goal is None:
@@ -229,7 +229,11 @@ def _parse_target(campaign: Campaign, name: str, target_u: float | str) -> str:
         number = float(target_u)
     except ValueError:
         return str(target_u)
-    symbols = [u.symbol for u in make_unknowns(campaign).of_interest if name in (u.name, u.symbol)]
+    symbols = [
+        target_u.symbol
+        for target_u in make_unknowns(campaign).of_interest
+        if name in (target_u.name, target_u.symbol)
+    ]
     return f"{number!r} {unit_of(symbols[0])}" if symbols else str(target_u)
 
 
@@ -284,12 +288,12 @@ def goal_states(
     return [
         GoalState(
             name=name,
-            wanted=wanted,
+            wanted=target,
             u=(estimate := estimates_by_name[name]).u,
             unit=estimate.unit,
-            met=estimate.u is not None and estimate.u <= wanted,
+            met=estimate.u is not None and estimate.u <= target,
         )
-        for name, wanted in goals.items()
+        for name, target in goals.items()
         if name in estimates_by_name
     ]
 
@@ -315,8 +319,10 @@ def make_poses_state(
     pose_record = located_poses[0].record
     assert pose_record is not None
     poses, report = pose_record.poses, pose_record.report
-    names = {found_pose.pose[0].name for found_pose in located_poses}
-    residuals = [size for name, size in _pose_residuals(fit) if name in names] if fit else []
+    names = {located_pose.pose[0].name for located_pose in located_poses}
+    residuals = (
+        [residual for name, residual in _pose_residuals(fit) if name in names] if fit else []
+    )
     return RunState(
         run=record.name,
         record=record_name(record.record, campaign.folder),
@@ -330,10 +336,10 @@ def make_poses_state(
             if residuals
             else None,
             outlying=[
-                far_off.name
-                for part in (fit.posed if fit else ())
-                for far_off in part.outliers()
-                if far_off.name in names
+                outlier.name
+                for group in (fit.posed if fit else ())
+                for outlier in group.outliers()
+                if outlier.name in names
             ],
             missing=find_missing_directions(campaign, located_poses, fit),
         ),
@@ -367,13 +373,13 @@ def find_missing_directions(
     """
     model = fit.estimate.fit.model if fit else make_unknowns(campaign)
     point = fit.estimate.fit.solution.estimate if fit else np.zeros(len(model.unknowns))
-    group = make_group(campaign, [found_pose.pose for found_pose in located_poses])
+    group = make_group(campaign, [located_pose.pose for located_pose in located_poses])
     directions = upward_directions(group.accelerometers)
     priors = [
         {
-            u.symbol: u.nominal + float(value)
-            for u, value in zip(model.unknowns, point, strict=True)
-            if u.owner == name and u.symbol in TERMS
+            unknown_term.symbol: unknown_term.nominal + float(value)
+            for unknown_term, value in zip(model.unknowns, point, strict=True)
+            if unknown_term.owner == name and unknown_term.symbol in TERMS
         }
         for name in group.accelerometers
     ]
@@ -381,7 +387,9 @@ def find_missing_directions(
         make_group(campaign, [located_poses[0].pose] * len(directions)), directions, priors
     )
     columns = [
-        index for index, u in enumerate(model.of_interest) if u.owner in group.accelerometers
+        index
+        for index, unknown_term in enumerate(model.of_interest)
+        if unknown_term.owner in group.accelerometers
     ]
     pose_rows = group.linearize(model, point).design[:, columns]
     candidate_rows = candidate_poses.linearize(model, point).design[:, columns]

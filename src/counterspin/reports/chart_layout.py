@@ -127,9 +127,9 @@ def compute_margins(
 
 def arrange_axes(figure: Any, panels: Sequence[tuple[Any, Margins]]) -> None:
     """Set the size of a figure and stack its axes, with their left ends aligned."""
-    total_height = sum(room.height for _, room in panels)
+    total_height = sum(margins.height for _, margins in panels)
     figure.set_size_inches(DRAWING_WIDTH / 72.0, total_height / 72.0)
-    left = max(room.left for _, room in panels)
+    left = max(margins.left for _, margins in panels)
     bottom = total_height
     for axes, margins in panels:
         bottom -= margins.height
@@ -168,11 +168,13 @@ def date_ticks(low: float, high: float) -> tuple[list[float], list[str]]:
 
 
 def _regular_dates(low: float, high: float, unit: str, step: int) -> NDArray[np.datetime64]:
-    first, last = (
-        int(np.datetime64(math.floor(end), "D").astype(f"datetime64[{unit}]").astype(int))
-        for end in (low, high)
+    first_index, last_index = (
+        int(np.datetime64(math.floor(limit), "D").astype(f"datetime64[{unit}]").astype(int))
+        for limit in (low, high)
     )
-    dates = np.arange(first - first % step, last + 1, step).astype(f"datetime64[{unit}]")
+    dates = np.arange(first_index - first_index % step, last_index + 1, step).astype(
+        f"datetime64[{unit}]"
+    )
     days = dates.astype("datetime64[D]").astype(float)
     return dates[(days >= low) & (days <= high)]
 
@@ -199,7 +201,7 @@ def _format_power(value: float) -> str:
 
 def _tick_labels(axis: Any) -> list[str]:
     low, high = sorted(axis.get_view_interval())
-    positions = [place for place in axis.get_majorticklocs() if low <= place <= high]
+    positions = [position for position in axis.get_majorticklocs() if low <= position <= high]
     return [str(label) for label in axis.get_major_formatter().format_ticks(positions)]
 
 
@@ -258,9 +260,9 @@ def thin_series(
     )
 
 
-def _find_extremes(x: Array, y: Array, kind: str) -> NDArray[np.intp]:
+def _find_extremes(x: Array, y: Array, series_type: str) -> NDArray[np.intp]:
     """Return the indices to keep, in their order."""
-    if kind != "points" and (np.diff(x) < 0.0).any():
+    if series_type != "points" and (np.diff(x) < 0.0).any():
         # A curve with non-monotonic x has no columns.
         return np.arange(x.size)
     span = float(np.ptp(x)) or 1.0
@@ -274,7 +276,9 @@ def _find_extremes(x: Array, y: Array, kind: str) -> NDArray[np.intp]:
     column_ends = np.append(column_starts[1:], order.size) - 1
     # Keep the first sample of a gap.
     gap_starts = np.flatnonzero(is_gap & ~np.concatenate([[False], is_gap[:-1]]))
-    extra = finite[:: max(finite.size // _EXTRA_POINTS, 1)] if kind == "points" else finite[:0]
+    extra = (
+        finite[:: max(finite.size // _EXTRA_POINTS, 1)] if series_type == "points" else finite[:0]
+    )
     return np.unique(np.concatenate([order[column_starts], order[column_ends], extra, gap_starts]))
 
 
@@ -286,7 +290,7 @@ def integer_positions(plot: Plot) -> range:
     positions = {x for series in plot.series for x in series.x}
     if not positions or plot.log_x or any(series.kind != "points" for series in plot.series):
         return range(0)
-    is_whole = all(float(place).is_integer() for place in positions)
+    is_whole = all(float(position).is_integer() for position in positions)
     if not is_whole or max(positions) - min(positions) > 20.0:
         return range(0)
     return range(int(min(positions)), int(max(positions)) + 1)
@@ -297,7 +301,7 @@ def spread_points(series: Sequence[PlotSeries]) -> list[PlotSeries]:
     point_series = [row for row in series if row.kind == "points"]
     step = min(0.12, 0.7 / max(len(point_series), 1))
     shifts = iter(
-        step * (place - 0.5 * (len(point_series) - 1)) for place in range(len(point_series))
+        step * (index - 0.5 * (len(point_series) - 1)) for index in range(len(point_series))
     )
     return [
         replace(row, x=tuple(x + move for x in row.x))

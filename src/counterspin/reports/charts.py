@@ -194,8 +194,8 @@ def plot_json(plot: Plot) -> str:
     series_data = []
     for series, colour in zip(plot.series, _series_colours(plot), strict=True):
         low, high = (
-            None if ends is None else _quantise(ends, plot.log_y)
-            for ends in (series.low, series.high)
+            None if limits is None else _quantise(limits, plot.log_y)
+            for limits in (series.low, series.high)
         )
         series_data.append(
             {

@@ -344,7 +344,7 @@ def _draw_heat_map(axes: Any, heat_map: HeatMap, palette: ColourPalette, title: 
 
     n_labels = len(heat_map.labels)
     values = np.asarray(heat_map.values, dtype=float).reshape(n_labels, n_labels)
-    rows, columns = (at.ravel() for at in np.indices((n_labels, n_labels)))
+    rows, columns = (grid.ravel() for grid in np.indices((n_labels, n_labels)))
     corners = np.array([[0.03, 0.04], [0.97, 0.04], [0.97, 0.96], [0.03, 0.96]])
     cells = np.stack([columns, rows], axis=1)[:, None, :] + corners
     axes.add_collection(
@@ -384,7 +384,7 @@ def _cell_colours(values: Array, palette: ColourPalette) -> Array:
     from matplotlib.colors import to_rgba
 
     colours = np.array(
-        [to_rgba(palette["positive" if v >= 0.0 else "negative"]) for v in values.flat]
+        [to_rgba(palette["positive" if value >= 0.0 else "negative"]) for value in values.flat]
     )
     colours = colours.reshape(-1, 4)
     colours[:, 3] = _MAX_OPACITY * np.minimum(np.abs(values.ravel()), 1.0)

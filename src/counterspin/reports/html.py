@@ -133,7 +133,14 @@ def _uplot_script() -> str:
 def _css_string(text: str) -> str:
     """Return a CSS string with all characters except letters and digits escaped."""
     plain_character = re.compile(r"[A-Za-z0-9]")
-    return '"' + "".join(c if plain_character.match(c) else f"\\{ord(c):x} " for c in text) + '"'
+    return (
+        '"'
+        + "".join(
+            character if plain_character.match(character) else f"\\{ord(character):x} "
+            for character in text
+        )
+        + '"'
+    )
 
 
 class _PageBuilder:
@@ -154,7 +161,8 @@ class _PageBuilder:
             else:
                 chapters[-1][1].append(block)
         return [
-            head | {"content": self.items(members, head["title"])} for head, members in chapters
+            chapter | {"content": self.items(chapter_blocks, chapter["title"])}
+            for chapter, chapter_blocks in chapters
         ]
 
     def name(self, text: str) -> str:

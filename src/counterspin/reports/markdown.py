@@ -36,7 +36,11 @@ def render_markdown(blocks: Sequence[Block]) -> str:
         if style is None:
             parts += [_format_block(block) for block in group]
         else:
-            parts.append(_format_quote(style, [b.text for b in group if isinstance(b, Paragraph)]))
+            parts.append(
+                _format_quote(
+                    style, [block.text for block in group if isinstance(block, Paragraph)]
+                )
+            )
     return "\n\n".join(filter(None, parts)) + "\n"
 
 

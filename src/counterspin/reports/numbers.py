@@ -153,8 +153,8 @@ def format_number(value: float, n_digits: int = 3) -> str:
 
 def format_distinct(value: float, other: float) -> str:
     """Return a number with three digits, or with as many as distinguish it from another number."""
-    text_pairs = ((f"{value:.{digits}g}", f"{other:.{digits}g}") for digits in range(3, 18))
-    return next((text for text, there in text_pairs if text != there), f"{value:.3g}")
+    text_pairs = ((f"{value:.{n_digits}g}", f"{other:.{n_digits}g}") for n_digits in range(3, 18))
+    return next((text for text, other_text in text_pairs if text != other_text), f"{value:.3g}")
 
 
 def format_count(value: float) -> str:

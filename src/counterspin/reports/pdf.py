@@ -86,8 +86,8 @@ def render_pdf(
     if len(set(names)) < len(names):
         raise ValueError(f"each attachment must have a unique name; got {', '.join(names)}")
     utc_date = date.astimezone(UTC).replace(microsecond=0)
-    data = _make_layout_data(blocks, title, identifier, utc_date, marks)
-    data |= {
+    layout_data = _make_layout_data(blocks, title, identifier, utc_date, marks)
+    layout_data |= {
         "mark": file_mark(document_type),
         "attachments": [
             {
@@ -104,7 +104,7 @@ def render_pdf(
         f"attachment-{index}.json": _encode_bytes(attachment.data)
         for index, attachment in enumerate(attachments)
     }
-    return _compile_pdf(data, files | _logo_files(marks.logo), utc_date)
+    return _compile_pdf(layout_data, files | _logo_files(marks.logo), utc_date)
 
 
 def render_page_images(
@@ -117,8 +117,8 @@ def render_page_images(
 ) -> list[str]:
     """Return the pages of `render_pdf` as SVG images; parameters as there."""
     utc_date = date.astimezone(UTC).replace(microsecond=0)
-    data = _make_layout_data(blocks, title, identifier, utc_date, marks)
-    files = _layout_files(data) | _logo_files(marks.logo)
+    layout_data = _make_layout_data(blocks, title, identifier, utc_date, marks)
+    files = _layout_files(layout_data) | _logo_files(marks.logo)
     pages = _run_typst(files, utc_date, only_typst_fonts=True, output_format="svg")
     return [page.decode() for page in (pages if isinstance(pages, list) else [pages])]
 
@@ -207,7 +207,7 @@ def _table_item(block: Table) -> dict[str, Any]:
 # typst
 
 
-def _compile_pdf(data: dict[str, Any], files: dict[str, bytes], utc_date: datetime) -> bytes:
+def _compile_pdf(layout_data: dict[str, Any], files: dict[str, bytes], utc_date: datetime) -> bytes:
     from typst import TypstError
 
     def compiled(data: Any, *, only_typst_fonts: bool = True) -> bytes:
@@ -216,28 +216,30 @@ def _compile_pdf(data: dict[str, Any], files: dict[str, bytes], utc_date: dateti
         return pages
 
     try:
-        return compiled(data)
+        return compiled(layout_data)
     except TypstError as error:
         # PDF/A requires a glyph for each character (ISO 19005-3, 6.2.11.8).
-        if not any(complaint in error.message for complaint in _MISSING_GLYPH):
+        if not any(message in error.message for message in _MISSING_GLYPH):
             raise
-    characters = sorted({letter for text in _iterate_texts(data) for letter in text})
+    characters = sorted({character for text in _iterate_texts(layout_data) for character in text})
     missing_from_typst = [
-        letter for letter in characters if not _has_glyph(letter, only_typst_fonts=True)
+        character for character in characters if not _has_glyph(character, only_typst_fonts=True)
     ]
     missing_everywhere = [
-        letter for letter in missing_from_typst if not _has_glyph(letter, only_typst_fonts=False)
+        character
+        for character in missing_from_typst
+        if not _has_glyph(character, only_typst_fonts=False)
     ]
     replacements = str.maketrans(dict.fromkeys(missing_everywhere, _REPLACEMENT))
     return compiled(
-        _translate_texts(data, replacements),
+        _translate_texts(layout_data, replacements),
         only_typst_fonts=missing_everywhere == missing_from_typst,
     )
 
 
-def _layout_files(data: dict[str, Any]) -> dict[str, bytes]:
+def _layout_files(layout_data: dict[str, Any]) -> dict[str, bytes]:
     layout = (resources.files("counterspin.reports") / "assets" / "report.typ").read_bytes()
-    return {"main.typ": layout, "data.json": json.dumps(data, ensure_ascii=False).encode()}
+    return {"main.typ": layout, "data.json": json.dumps(layout_data, ensure_ascii=False).encode()}
 
 
 def _run_typst(
@@ -279,23 +281,23 @@ def _has_glyph(character: str, *, only_typst_fonts: bool) -> bool:
     return True
 
 
-def _iterate_texts(data: Any) -> Iterator[str]:
-    match data:
+def _iterate_texts(document: Any) -> Iterator[str]:
+    match document:
         case str():
-            yield data
+            yield document
         case dict():
-            yield from _iterate_texts(list(data.values()))
+            yield from _iterate_texts(list(document.values()))
         case list() | tuple():
-            for item in data:
+            for item in document:
                 yield from _iterate_texts(item)
 
 
-def _translate_texts(data: Any, table: dict[int, str]) -> Any:
-    match data:
+def _translate_texts(document: Any, table: dict[int, str]) -> Any:
+    match document:
         case str():
-            return data.translate(table)
+            return document.translate(table)
         case dict():
-            return {key: _translate_texts(value, table) for key, value in data.items()}
+            return {key: _translate_texts(value, table) for key, value in document.items()}
         case list() | tuple():
-            return [_translate_texts(part, table) for part in data]
-    return data
+            return [_translate_texts(item, table) for item in document]
+    return document

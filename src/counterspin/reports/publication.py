@@ -187,8 +187,8 @@ def draw_on_axes(pictures: Sequence[Picture], axes: Any = None) -> list[Any]:
 
         # The first figure loads the notebook's backend, which sets parameters permanently, so
         # create it before the temporary parameters of the reports.
-        size, background = (7.0, 2.6 * len(pictures)), PAPER_COLOURS["ground"]
-        figure = plt.figure(figsize=size, facecolor=background, layout="constrained")
+        figure_size, background = (7.0, 2.6 * len(pictures)), PAPER_COLOURS["ground"]
+        figure = plt.figure(figsize=figure_size, facecolor=background, layout="constrained")
     with drawing_parameters(PAPER_COLOURS):
         if figure is not None:
             axes = figure.subplots(len(pictures), 1)

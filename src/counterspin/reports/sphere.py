@@ -38,7 +38,7 @@ def draw_sphere(axes: Any, sphere: Sphere, palette: Mapping[str, str], title: st
         _draw_hemisphere(axes, sphere, sign, palette)
         in_hemisphere = points[:, 2] * sign > 0.0 if sign > 0.0 else points[:, 2] <= 0.0
         positions = _project(points[in_hemisphere], sign)
-        for (x, y), value, k in zip(
+        for (x, y), value, point_index in zip(
             positions, values[in_hemisphere], np.flatnonzero(in_hemisphere), strict=True
         ):
             _draw_point(
@@ -47,16 +47,18 @@ def draw_sphere(axes: Any, sphere: Sphere, palette: Mapping[str, str], title: st
                 y,
                 value / (max_value or 1.0),
                 palette,
-                is_highlighted=k in sphere.highlighted_points,
+                is_highlighted=point_index in sphere.highlighted_points,
             )
             if len(points) <= _MAX_NAMED_POINTS:
                 axes.annotate(
-                    shorten_text(sphere.names[k], 60.0),
+                    shorten_text(sphere.names[point_index], 60.0),
                     (x, y),
                     xytext=(4.5, 3.5),
                     textcoords="offset points",
                     fontsize=7.0,
-                    color=palette["warning" if k in sphere.highlighted_points else "muted"],
+                    color=palette[
+                        "warning" if point_index in sphere.highlighted_points else "muted"
+                    ],
                 )
     _draw_colour_bar(axes, sphere, max_value, palette)
     width, height = (DRAWING_WIDTH - 7.0 - 6.0) / _RADIUS, _HEIGHT / _RADIUS

@@ -237,7 +237,8 @@ def _make_tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableTy
         for index, row in enumerate(rows):
             style = _STYLES["quiet"] if index in block.quiet_rows else None
             table.add_row(
-                *(Text(row[place], overflow="fold") for place in column_indices), style=style
+                *(Text(row[column_index], overflow="fold") for column_index in column_indices),
+                style=style,
             )
         if table_index:
             yield ""

@@ -39,7 +39,7 @@ _EXPONENT: Final = re.compile(r"(?<=\w)\^(-?\d)(?!\.?\d)")
 _MICRO_G: Final = re.compile(r"(?<![\w.])ug(?!\w|\.\w)")
 #: Minus signs of numbers, but not hyphens in words, names and dates.
 _SIGN: Final = re.compile(r"(?<![^\s(\[=±×])-(?=\.?\d)|(?<= )-(?= \d)")
-_CROSS: Final = re.compile(r"(?<=[\d)]) x (?=10[⁻⁰-⁹¹²³])")
+_MULTIPLICATION_SIGN: Final = re.compile(r"(?<=[\d)]) x (?=10[⁻⁰-⁹¹²³])")
 
 
 def typeset(text: str) -> str:
@@ -50,7 +50,7 @@ def typeset(text: str) -> str:
     text = _POWER_OF_TEN.sub(lambda match: f"10{_to_superscript(match[1])}", text)
     text = _TIMES_POWER.sub(lambda match: f"{match[1]} × 10{_to_superscript(match[2])}", text)
     text = _EXPONENT.sub(lambda match: match[1].translate(SUPERSCRIPTS), text)
-    return _SIGN.sub("−", _CROSS.sub(" × ", _MICRO_G.sub("µg", text)))
+    return _SIGN.sub("−", _MULTIPLICATION_SIGN.sub(" × ", _MICRO_G.sub("µg", text)))
 
 
 def set_indices(text: str, format_symbol: Callable[[str, str], str], symbol: str = SYMBOL) -> str:
@@ -102,7 +102,9 @@ def typeset_block(block: Block) -> Block:
         case Table():
             return replace(
                 block,
-                columns=tuple(replace(c, title=typeset(c.title)) for c in block.columns),
+                columns=tuple(
+                    replace(column, title=typeset(column.title)) for column in block.columns
+                ),
                 rows=tuple(tuple(map(_typeset_cell, row)) for row in block.rows),
             )
         case Card():
@@ -118,7 +120,9 @@ def _typeset_picture(picture: Picture) -> Picture:
                 titled,
                 x_label=typeset(titled.x_label),
                 y_label=typeset(titled.y_label),
-                series=tuple(replace(s, label=typeset(s.label)) for s in titled.series),
+                series=tuple(
+                    replace(series, label=typeset(series.label)) for series in titled.series
+                ),
             )
         case Bars():
             texts = tuple(map(typeset, titled.texts))
