@@ -279,7 +279,7 @@ def _find_implausible_numbers(value: Any, path: str, key: str = "") -> Iterator[
             yield f"{path} is implausibly large"
         elif value < _MIN_UNCERTAINTY and value != 0 and _UNCERTAINTY_KEY.fullmatch(key):
             problem = "negative" if value < 0 else "implausibly small"
-            yield f"{path} is {value:g}; an uncertainty of this size is {problem}"
+            yield f"the uncertainty {path} is {problem} ({value:g})"
 
 
 def unsealed_sentences(names: Sequence[str]) -> list[str]:

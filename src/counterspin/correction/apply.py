@@ -354,8 +354,9 @@ def _unapplied_warnings(name: str, accelerometer: AccelerometerResult) -> list[s
     if not unapplied_symbols:
         return []
     return [
-        f"{name}: the correction does not apply {', '.join(unapplied_symbols)}. It is valid for "
-        "the start of the calibration, before the specific force heated the accelerometer."
+        f"{name}: the correction does not apply {', '.join(unapplied_symbols)}. The corrected "
+        "values are valid for the state at the start of the calibration, before the specific force "
+        "heated the accelerometer."
     ]
 
 

@@ -273,7 +273,8 @@ def reconstruct_times(time: Array, restamped_count: int) -> Array:
     ]
     if not spans:
         raise InputError(
-            "the times differ in too few rows, so the rows cannot be counted", "irregular-time"
+            "too few rows have different times, so the sampling interval cannot be determined",
+            "irregular-time",
         )
     count, duration = np.sum(spans, axis=0)
     step = float(duration / count)
