@@ -39,7 +39,7 @@ from counterspin.physics.motion import EARTH_RATE
 from counterspin.physics.observation import columns
 from counterspin.physics.terms import CONDITION_TERMS, DEGREE_PER_HOUR, INPUTS, SHARED_TERMS, TERMS
 from counterspin.readings import fitted, patterns
-from counterspin.readings.entries import MOST_READINGS, MOST_RECORDS
+from counterspin.readings.entries import MAX_READINGS, MAX_RECORDS
 from counterspin.records import column_file, outliers, reduction
 from counterspin.reproduction import plan as paper
 from counterspin.studies.result import MIN_TRIALS
@@ -84,7 +84,7 @@ NUMBERS = [
         "harmful-files",
         "has at most {} records, one for each run and accelerometer, "
         "and a campaign has at most {} readings.",
-        [MOST_RECORDS, MOST_READINGS],
+        [MAX_RECORDS, MAX_READINGS],
     ),
     ("study", "A verdict requires at least {} trials", [MIN_TRIALS]),
     ("methods", "blocks of at most {} revolution.", [1 / reduction.BLOCKS_PER_REVOLUTION]),
@@ -93,7 +93,7 @@ NUMBERS = [
         "of the rms is ±1.96/(4 trials)^½, which is ±{} for 200 trials",
         [1.96 / math.sqrt(800)],
     ),
-    ("methods", "of ripple harmonics {} to {}, whether", [1, angle_error.HARMONICS]),
+    ("methods", "of ripple harmonics {} to {}, whether", [1, angle_error.N_UNCERTAIN_HARMONICS]),
     ("methods", "| above {} | an unknown", [encoder._ESTIMATED_NORM_SQUARED]),
     (
         "methods",
@@ -126,11 +126,11 @@ NUMBERS = [
         [1e6 * INPUTS["records.clock"].typical],
     ),
     ("physics", "changes the estimate of K_I by {} ppm", [2e6 * INPUTS["records.clock"].typical]),
-    ("methods", "in log-likelihood reaches {}. If", [noise_search.KEEPING_GAIN]),
+    ("methods", "in log-likelihood reaches {}. If", [noise_search.MIN_LIKELIHOOD_GAIN]),
     (
         "methods",
         "in one case out of {}. The",
-        [1 / normal_cdf(-math.sqrt(noise_search.KEEPING_GAIN))],
+        [1 / normal_cdf(-math.sqrt(noise_search.MIN_LIKELIHOOD_GAIN))],
     ),
     ("methods", "likelihood times N^(-{})", [undetected_walk.PRIOR_EXPONENT]),
     ("methods", "a sum of up to {} cosines", [bias_instability._BASIS_SIZE_RANGE[1]]),
@@ -199,8 +199,12 @@ NUMBERS = [
     ),
     ("diagnosis", "causes: {} % of campaigns for priors, {} % for all other", [CAUSES, CAUSES]),
     ("diagnosis", "({} or more, rounded)", [fitted.MIN_DOF]),
-    ("diagnosis", "sine of 1 to {} times the head's angle", [patterns._HARMONICS]),
-    ("diagnosis", "constant of {} or {} of the duration of the series", [*patterns._WARM_UPS]),
+    ("diagnosis", "sine of 1 to {} times the head's angle", [patterns._N_HARMONICS]),
+    (
+        "diagnosis",
+        "constant of {} or {} of the duration of the series",
+        [*patterns._WARM_UP_TIME_CONSTANTS],
+    ),
     (
         "diagnosis",
         "explanation whose chi-square is within {} of the best one",

@@ -55,7 +55,7 @@ def default_argument(function, name):
 ROWS = {
     "campaign": [
         ("/g$, for example {} for a gravity difference of {} m/s²", 1e-4 / 9.80665, 1e-4),
-        ("at any height between {} and {} m", *gravity.HEIGHTS),
+        ("at any height between {} and {} m", *gravity.HEIGHT_RANGE),
         (
             "latitude of {} deg, an accelerometer error of 1 mg changes the perpendicular "
             "displacement by {} m in {} s",

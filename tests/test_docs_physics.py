@@ -142,7 +142,8 @@ def test_equivalent_errors_of_k_ii_match_table(words, symbol, size):
     cells = []
     for rate in np.pi * np.array([0.5, 1.0, 2.0]):
         at_rate = (QX, rate, 2.5, 9.8)
-        cells.append(f"{abs(parabola(symbol, *at_rate) / parabola('K_II', *at_rate)) * size:.1e}")
+        ratio = parabola(symbol, *at_rate) / parabola("K_II", *at_rate)
+        cells.append(f"{abs(ratio) * size:.1e}")
     assert [words, *cells] in rows_between("equivalents")
 
 

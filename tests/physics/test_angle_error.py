@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from counterspin.physics.angle_error import HARMONICS, angle_sensitivity
+from counterspin.physics.angle_error import N_UNCERTAIN_HARMONICS, angle_sensitivity
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Ripple, Spindle, fit_spindle
 
@@ -50,7 +50,7 @@ def test_angle_error_covariance_covers_true_angle(revolutions):
 def test_unsupported_harmonic_has_prior_uncertainty():
     fit = simulate_and_fit(TIMES, replace(SPINDLE, ripples=()).angle(TIMES), 2)
     assert fit.spindle.ripples == ()
-    assert fit.error.harmonics == tuple(range(1, HARMONICS + 1))
+    assert fit.error.harmonics == tuple(range(1, N_UNCERTAIN_HARMONICS + 1))
     # A ripple of the rate in rad/s: n w0 times the angle's, which 1501 samples tell to this.
     for n in fit.error.harmonics:
         expected = n * RATE * 1e-4 * math.sqrt(2 / TIMES.size)
@@ -60,7 +60,7 @@ def test_unsupported_harmonic_has_prior_uncertainty():
 
 
 def test_uncertainties_match_fit():
-    fit = simulate_and_fit(TIMES, SPINDLE.angle(TIMES), 3, harmonics=HARMONICS)
+    fit = simulate_and_fit(TIMES, SPINDLE.angle(TIMES), 3, harmonics=N_UNCERTAIN_HARMONICS)
     assert fit.error.u["drift"] == pytest.approx(fit.u_drift, rel=1e-9)
     assert np.abs(fit.error.deviation).max() == 0.0
     # The rate at the middle is better known than the rate at t = 0.

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from counterspin.physics.gravity import HEIGHTS, gravity_range, latitudes_with, normal_gravity
+from counterspin.physics.gravity import HEIGHT_RANGE, gravity_range, latitude_range, normal_gravity
 from counterspin.validation.cases import case
 from counterspin.validation.validate import check_case
 
@@ -55,7 +55,7 @@ def gravity_from_potential(latitude, height):
     return float(mp.sqrt(along**2 + up**2))
 
 
-@pytest.mark.parametrize("height", HEIGHTS)
+@pytest.mark.parametrize("height", HEIGHT_RANGE)
 @pytest.mark.parametrize("latitude", [0.2, 0.8, 1.3])
 def test_gravity_at_height_matches_ellipsoid_potential(latitude, height):
     assert normal_gravity(latitude, height) == pytest.approx(
@@ -77,10 +77,10 @@ def test_latitudes_with_gravity_match_formula_of_1967():
     def square(gravity):
         return (gravity / 9.780318 - 1.0) / 0.0053024
 
-    least, most = latitudes_with(9.8066, 1e-3)
+    least, most = latitude_range(9.8066, 1e-3)
     high, low = 9.8066 + 1e-3 + 3000.0 * 3.086e-6, 9.8066 - 1e-3 - 500.0 * 3.086e-6
     assert math.sin(least) ** 2 == pytest.approx(square(low), abs=0.005)
     assert math.sin(most) ** 2 == pytest.approx(square(high), abs=0.005)
-    assert latitudes_with(9.7803, 1e-3)[0] == 0.0
-    assert latitudes_with(9.832, 1e-3)[1] == 0.5 * math.pi
-    assert all(map(math.isnan, latitudes_with(9.9, 1e-3)))
+    assert latitude_range(9.7803, 1e-3)[0] == 0.0
+    assert latitude_range(9.832, 1e-3)[1] == 0.5 * math.pi
+    assert all(map(math.isnan, latitude_range(9.9, 1e-3)))

@@ -518,7 +518,7 @@ def test_cached_columns_are_distinguished_by_all_arguments():
     for found, (trajectory, axes, symbols, observable, attitude) in zip(
         together, asked, strict=True
     ):
-        kept, turning = observation._along_short, motion._cached_spindle_state
+        kept, turning = observation._short_integrals, motion._cached_spindle_state
         kept.cache_clear(), turning.cache_clear()
         alone = columns(trajectory, axes, symbols, times, observable, attitude=attitude)
         np.testing.assert_array_equal(found, alone)
@@ -531,6 +531,6 @@ def test_long_run_is_not_cached_and_has_same_columns(monkeypatch):
     short = columns(trajectory, QX, ["K_I", "K_II", "platform.tilt.north"], times)
     monkeypatch.setattr(observation, "_MAX_NODES", 0)
     monkeypatch.setattr(motion, "_CACHE_SIZE", 0)
-    observation._along_long.cache_clear()
+    observation._long_integrals.cache_clear()
     long = columns(trajectory, QX, ["K_I", "K_II", "platform.tilt.north"], times)
     np.testing.assert_array_equal(long, short)

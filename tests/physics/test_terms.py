@@ -19,7 +19,7 @@ from counterspin.physics.terms import (
     find_symbol,
     is_term,
     mounting_name,
-    same_for_all,
+    shared_symbol,
     term,
 )
 
@@ -170,9 +170,9 @@ def test_symbol_with_accelerometer_and_mounting():
     radius = "centrifuge.radius.A.in"
     assert term(radius) is TABLE["centrifuge.radius.ACCELEROMETER.MOUNTING"]
     assert (accelerometer_name(radius), mounting_name(radius)) == ("A", "in")
-    assert same_for_all(radius) == "centrifuge.radius.in"
+    assert shared_symbol(radius) == "centrifuge.radius.in"
     assert accelerometer_name("centrifuge.radius.in") == ""
-    assert same_for_all("centrifuge.radius.in") == "centrifuge.radius.in"
+    assert shared_symbol("centrifuge.radius.in") == "centrifuge.radius.in"
 
 
 @pytest.mark.parametrize(

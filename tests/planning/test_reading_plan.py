@@ -191,7 +191,7 @@ def test_two_accelerometers_share_reading(write_plan):
 
 @pytest.mark.slow
 def test_hand_set_positions_are_read_once(write_plan, tmp_path):
-    """Repeated readings of a position determine its setting error, not the misalignment."""
+    """Repeated readings of a position determine its positioning error, not the misalignment."""
     changes = (
         ("[limits]", '[fixture]\nposition = "0 ± 20 arcsec"\n[limits]'),
         ("positions = 24", "positions = 12"),

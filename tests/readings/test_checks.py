@@ -612,7 +612,7 @@ def test_identical_repeats_have_rounding_noise(tmp_path):
 def test_stated_first_harmonic_of_head_covers_error_of_k_ii(tmp_path):
     """e sin(t + p) sin t = e/2 (cos p - cos(2 t + p)): K_II = -e cos p, K_F = e cos p.
 
-    No residual shows it; an amplitude of 4.1 arcsec is an error of setting of 2.9 arcsec.
+    No residual shows it; an amplitude of 4.1 arcsec is a positioning error of 2.9 arcsec.
     """
     error, angle = 2e-5, np.radians(evenly_spaced_angles(12))
     for phase in (0.0, 1.0, math.pi):

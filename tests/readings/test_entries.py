@@ -338,7 +338,7 @@ def test_prior_of_single_position_takes_precedence(tmp_path):
 
 
 @pytest.mark.parametrize("error", ["1 ± 0.5 deg", "0.5 deg", "0 deg"])
-def test_setting_error_requires_zero_value_and_positive_u(tmp_path, error):
+def test_positioning_error_requires_zero_value_and_positive_u(tmp_path, error):
     (line,) = read_problems(tmp_path, HEAD + SET.replace("0 ± 0.5 deg", error) + FACES)
     assert line.startswith("fixture.position: ")
 

@@ -704,7 +704,7 @@ def estimates(result):
 
 
 @pytest.mark.parametrize("repeats", [1, 2])
-def test_setting_errors_in_u_match_dense_covariance(tmp_path, repeats):
+def test_rate_errors_in_u_match_dense_covariance(tmp_path, repeats):
     result, dense, truth = calibrate_hand_set_positions(
         tmp_path, repeats, 1e-5, math.radians(0.02), 2
     )

@@ -149,7 +149,7 @@ def test_tilt_of_vertical_axis_has_quadratic_mean_and_variance(repeats):
 
 @pytest.mark.parametrize("held", [False, True], ids=["weighed", "held"])
 @pytest.mark.parametrize("repeats", [1, 4])
-def test_u_of_misalignment_is_setting_error_over_root_two(repeats, held):
+def test_u_of_misalignment_is_positioning_error_over_root_two(repeats, held):
     """Two positions show it, each off by itself; repeats lessen the noise's part alone."""
     values = {
         name: np.repeat(read, repeats) for name, read in indicate_force(np.zeros((6, 2))).items()
@@ -162,7 +162,7 @@ def test_u_of_misalignment_is_setting_error_over_root_two(repeats, held):
             assert fit.solution.u[k] == pytest.approx(expected, rel=1e-3)
 
 
-def test_noise_estimate_includes_indistinguishable_setting_errors():
+def test_noise_estimate_includes_indistinguishable_positioning_errors():
     """Each face read once, no u stated: of six readings and four unknowns two are left."""
     rng = np.random.default_rng(6)
     sizes, largest = [], []

@@ -252,7 +252,7 @@ def describe_face(name, attitude):
     return f'[[runs]]\nname = "{name}"\nmotion = "static"\nattitude = "{attitude}"\nreading = "?"\n'
 
 
-def test_setting_error_is_shared_within_position_only(tmp_path):
+def test_positioning_error_is_shared_within_position_only(tmp_path):
     level = "90 deg about north"
     first, again, upside = simulate_values(
         tmp_path,
@@ -267,7 +267,7 @@ def test_setting_error_is_shared_within_position_only(tmp_path):
     assert 0.5 * (first + upside) != pytest.approx(K_F, abs=1e-4)
 
 
-def test_setting_error_rotates_instrument_about_axis(tmp_path):
+def test_positioning_error_rotates_instrument_about_axis(tmp_path):
     """A setting error about north turns an east-pointing input axis downwards."""
     true = (
         '[truth.machine]\n"fixture.position.1" = "0 rad"\n"fixture.position.1.north" = "0.01 rad"\n'
@@ -277,7 +277,7 @@ def test_setting_error_rotates_instrument_about_axis(tmp_path):
     assert found == pytest.approx(K_F + K_I * a + K_II * a**2 + K_III * a**3, abs=1e-12)
 
 
-def test_setting_errors_have_stated_size(tmp_path):
+def test_positioning_errors_have_stated_size(tmp_path):
     text = (
         HEAD
         + SET

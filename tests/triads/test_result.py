@@ -142,7 +142,7 @@ def test_result_round_trip_and_report(tmp_path):
         assert "poses of unknown attitude" in report.read_text("utf-8")
 
 
-def test_unused_setting_error_has_warning(tmp_path):
+def test_unused_positioning_error_has_warning(tmp_path):
     stated = '\n[fixture]\nposition = "0 ± 0.5 deg"\n'
     values = _values(20, 3)
     result = cs.calibrate(

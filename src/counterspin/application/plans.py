@@ -33,7 +33,7 @@ from counterspin.planning.plan import (
 )
 from counterspin.planning.plan_file import Plan, is_plan
 from counterspin.planning.stations import ReadingPlan, read_any_plan
-from counterspin.readings.entries import MOST_READINGS
+from counterspin.readings.entries import MAX_READINGS
 from counterspin.reports.html import render_fragment
 from counterspin.reports.typography import typeset_block
 from counterspin.units import unit_factor
@@ -166,7 +166,7 @@ def _make_sliders(stated_plan: Plan | ReadingPlan, document: Mapping[str, Any]) 
         if key == "total_time":
             high = max(high, MAX_TIME)
         if spec.is_integer:
-            low, high = round(low), min(high, MOST_READINGS)
+            low, high = round(low), min(high, MAX_READINGS)
         sliders.append(Slider(key, spec, value, max(spec.minimum, low), high, unit, factor))
     return sliders
 

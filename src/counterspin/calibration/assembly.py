@@ -213,7 +213,7 @@ def _campaign_remarks(campaign: Campaign) -> list[str]:
     if campaign.skipped:
         names = ", ".join(campaign.skipped)
         remarks.append(f"Omitted on request: {names}.")
-    if campaign.model.setting_error is not None and not any(
+    if campaign.model.positioning_error is not None and not any(
         reading.position for reading in campaign.readings
     ):
         remarks.append(

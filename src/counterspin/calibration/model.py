@@ -32,11 +32,11 @@ from counterspin.physics.frequency_response import CUTOFF
 from counterspin.physics.terms import (
     ACCELEROMETER_TERMS,
     LEVER_ARM,
-    LINEAR,
+    SENSITIVITY_TERMS,
     SHARED_TERMS,
     Term,
     accelerometer_name,
-    same_for_all,
+    shared_symbol,
     term,
 )
 
@@ -126,7 +126,7 @@ def is_requested(campaign: Campaign, symbol: str, name: str = "") -> bool:
         return bool(campaign.runs) or any(reading.rate for reading in campaign.readings)
     triad = campaign.triad
     is_posed = triad is not None and triad.has_poses and name in triad.accelerometers
-    return is_posed and symbol in ("K_F", *LINEAR)
+    return is_posed and symbol in ("K_F", *SENSITIVITY_TERMS)
 
 
 def fixed_terms(campaign: Campaign, model: Unknowns, name: str) -> tuple[Considered, ...]:
@@ -238,7 +238,7 @@ def _acting_terms(campaign: Campaign, accelerometer: str = "") -> list[tuple[str
         if symbol not in ACCELEROMETER_TERMS
         if symbol in named_symbols
         or not symbol.startswith("centrifuge.radius.")
-        or (accelerometer_name(symbol) and same_for_all(symbol) not in named_symbols)
+        or (accelerometer_name(symbol) and shared_symbol(symbol) not in named_symbols)
     ]
     return list(
         dict.fromkeys([*accelerometer_terms, *_platform_terms(campaign, names), *reading_terms])

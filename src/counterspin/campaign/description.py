@@ -39,7 +39,7 @@ from counterspin.frozen import frozen
 from counterspin.loading import load_name
 from counterspin.physics.grades import DEFAULT_GRADE, Size
 from counterspin.physics.motion import Site
-from counterspin.physics.terms import same_for_all, term
+from counterspin.physics.terms import shared_symbol, term
 from counterspin.records.dialect import AUTODETECT, Dialect
 from counterspin.records.format_registry import RECORD_FORMATS
 from counterspin.records.memory import MemoryTable
@@ -203,13 +203,13 @@ class Campaign:
             Accelerometer of an accelerometer term; ignored for other terms.
         """
         limits = self.model.limits
-        stated_limit = limits.get(symbol) or limits.get(same_for_all(symbol))
+        stated_limit = limits.get(symbol) or limits.get(shared_symbol(symbol))
         return stated_limit or self._size(symbol, owner).limit
 
     def typical_of(self, symbol: str, owner: str = "") -> float:
         """Return the default standard uncertainty of a term; parameters as in `limit_of`."""
         typical = self.model.typical
-        stated_typical = typical.get(symbol) or typical.get(same_for_all(symbol))
+        stated_typical = typical.get(symbol) or typical.get(shared_symbol(symbol))
         return stated_typical or self._size(symbol, owner).typical
 
     def _size(self, symbol: str, owner: str) -> Size:

@@ -37,7 +37,7 @@ from counterspin.physics.terms import (
     accelerometer_name,
     condition_of,
     is_term,
-    same_for_all,
+    shared_symbol,
     term,
 )
 
@@ -80,13 +80,15 @@ class ErrorModel:
     assume: tuple[str, ...] = ()
     #: Full name of a term -> stated correlation of its prior with those of other terms.
     correlations: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    setting_error: Quantity | None = None  #: Angular error of a position at rest; None: not stated.
+    positioning_error: Quantity | None = (
+        None  #: Angular error of a position at rest; None: not stated.
+    )
     has_named_terms: bool = False  #: Whether the description names the requested terms.
 
     def assumes(self, symbol: str) -> bool:
         """Return whether a term or an input is assumed to be perfect unless it is stated."""
         prefixes = (prefix.removesuffix("*").removesuffix(".") for prefix in self.assume)
-        symbols = (symbol, same_for_all(symbol))
+        symbols = (symbol, shared_symbol(symbol))
         return any(
             prefix in ("", ALL_TERMS, *symbols) or symbol.startswith(f"{prefix}.")
             for prefix in prefixes
@@ -104,7 +106,7 @@ class MeasurementSetup:
     pose_count: int  #: Number of poses at unknown attitudes.
     #: The centrifuge, if there is one; its stretch, droop and tilt are priors.
     centrifuge: CentrifugeSettings | None
-    setting_error: Quantity | None  #: Angular error of a position at rest; None: not stated.
+    positioning_error: Quantity | None  #: Angular error of a position at rest; None: not stated.
     is_complete: bool = True  #: Whether all readings of the description are valid.
 
     @property
@@ -159,8 +161,8 @@ class MeasurementSetup:
             includes that of the centrifuge.
         """
         priors = (
-            dict.fromkeys(expand_name(POSITION, self.observable_terms), self.setting_error)
-            if self.setting_error
+            dict.fromkeys(expand_name(POSITION, self.observable_terms), self.positioning_error)
+            if self.positioning_error
             else {}
         )
         machine = self.centrifuge
@@ -227,12 +229,12 @@ def resolve_model(
             "missing-prior",
         )
     for symbol in (*terms, *considered, *shared_priors):
-        if accelerometer_name(symbol) and same_for_all(symbol) in {
+        if accelerometer_name(symbol) and shared_symbol(symbol) in {
             *terms,
             *considered,
             *shared_priors,
         }:
-            bare_symbol = same_for_all(symbol)
+            bare_symbol = shared_symbol(symbol)
             message = f'"{bare_symbol}" applies to all accelerometers, but "{symbol}" is given too'
             problems.add(("model",), f"{message}; keep one")
             break
@@ -260,7 +262,7 @@ def resolve_model(
         typical,
         assume,
         correlations,
-        setup.setting_error,
+        setup.positioning_error,
         has_named_terms,
     ), accelerometer_priors
 
@@ -350,7 +352,7 @@ def _remove_duplicates(symbols: Sequence[str]) -> tuple[str, ...]:
     With several accelerometers each has a radius; with one, the mounting has it.
     """
     has_several = len({owner for symbol in symbols if (owner := accelerometer_name(symbol))}) > 1
-    bare_symbols = {same_for_all(symbol) for symbol in symbols if accelerometer_name(symbol)}
+    bare_symbols = {shared_symbol(symbol) for symbol in symbols if accelerometer_name(symbol)}
     return tuple(
         symbol
         for symbol in symbols

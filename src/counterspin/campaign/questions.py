@@ -13,8 +13,13 @@ import numpy as np
 
 from counterspin.campaign.description import Campaign
 from counterspin.frozen import frozen
-from counterspin.physics.gravity import HEIGHTS, gravity_range
-from counterspin.physics.own_velocity import NAVIGATED, AxisError, coriolis, unobserved_projection
+from counterspin.physics.gravity import HEIGHT_RANGE, gravity_range
+from counterspin.physics.own_velocity import (
+    NAVIGATION_OBSERVABLES,
+    AxisError,
+    coriolis,
+    unobserved_projection,
+)
 from counterspin.physics.terms import find_symbol
 
 #: Values of standard gravity that a navigation computer may subtract at any site, m/s^2.
@@ -72,8 +77,8 @@ def _question_gravity(campaign: Campaign) -> Iterator[Question]:
             code="gravity-latitude",
             subject=subject,
             text=f"{label} of {gravity:.6g} m/s^2 does not agree with latitude "
-            f"{latitude_deg:.4g} deg. At this latitude and heights from {HEIGHTS[0]:.0f} to "
-            f"{HEIGHTS[1]:.0f} m, gravity is {min_gravity:.4f} to {max_gravity:.4f} m/s^2. "
+            f"{latitude_deg:.4g} deg. At this latitude and heights from {HEIGHT_RANGE[0]:.0f} to "
+            f"{HEIGHT_RANGE[1]:.0f} m, gravity is {min_gravity:.4f} to {max_gravity:.4f} m/s^2. "
             f"{closing_question}",
         )
 
@@ -124,7 +129,7 @@ def _question_own_velocity(campaign: Campaign) -> Iterator[Question]:
         }
         unobserved = unobserved_projection(list(axes.values()))
         for name, axis_error in axes.items():
-            if axis_error.observable in NAVIGATED:
+            if axis_error.observable in NAVIGATION_OBSERVABLES:
                 coupling = float(
                     np.linalg.norm(axis_error.input_axis @ coriolis_matrix @ unobserved)
                 )

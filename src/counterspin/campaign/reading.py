@@ -57,7 +57,7 @@ class Reading(StatedConditions):
     #: Whether the value was stated in m/s^2, so that its value in g depends on gravity.
     in_si: bool = False
     #: Name of the position at rest, common to all readings with the same setting; empty if its
-    #: setting error does not matter.
+    #: positioning error does not matter.
     position: str = ""
     head_angle: float = 0.0  #: Indication of the dividing head, rad; 0 without one.
     #: Whether the record has an angle, so that the recorder's clock measures the rate.

@@ -285,7 +285,7 @@ class DescriptionReader:
         """Return the accelerometer tables, with default axes for a triad that states none."""
         if "triad" not in self.raw or not is_installed(_TRIAD):
             return tables
-        completed: Mapping[str, Any] = load_name(f"{_TRIAD_SECTION}:with_usual_axes")(
+        completed: Mapping[str, Any] = load_name(f"{_TRIAD_SECTION}:apply_default_axes")(
             tables, self.raw["triad"]
         )
         return completed

@@ -126,7 +126,7 @@ class PosesSettings(SettingsSection):
 
 
 _TRUTH: Final = "counterspin.campaign.truth:RunTruthSettings"
-_READING_CONTRADICTIONS: Final = "counterspin.readings.entries:contradictions"
+_READING_CONTRADICTIONS: Final = "counterspin.readings.entries:find_contradictions"
 
 
 class Run(SettingsSection):

@@ -59,7 +59,7 @@ _AXES: Final = {
     "counter-rotating": ("east", "north", "up"),
 }
 
-#: Prefix of the setting errors of all positions.
+#: Prefix of the positioning errors of all positions.
 POSITION: Final = "fixture.position"
 
 

@@ -23,7 +23,7 @@ from counterspin.ingest.readings import (
     columns_of_role,
     guess_common_role,
 )
-from counterspin.readings.cells import SENSE_WORDS, mounting_of
+from counterspin.readings.cells import SENSE_WORDS, mounting_name
 from counterspin.records.unit_notation import unit_in_name
 from counterspin.units import STANDARD_GRAVITY, is_convertible, unit_factor
 
@@ -83,7 +83,7 @@ class ArmTable:
         if numbers is not None:
             cells = ["" if math.isnan(number) else f"{number:.12g}" for number in numbers]
         n_rows = contents.rows
-        cells = [*map(mounting_of, cells), *[""] * n_rows][:n_rows]
+        cells = [*map(mounting_name, cells), *[""] * n_rows][:n_rows]
         # Remarks below a table contain no numbers.
         is_empty = np.ones(n_rows, dtype=bool)
         for column in filter(None, [rate_column, *columns_of_role(contents, roles, "reading")]):

@@ -13,7 +13,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
-from counterspin.readings.entries import MOST_READINGS
+from counterspin.readings.entries import MAX_READINGS
 from counterspin.records.column_file import ColumnFile
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import open_columns, sheets_with_tables
@@ -287,7 +287,7 @@ def _merge_split_time(file: ColumnFile, columns: list[FileColumn]) -> list[FileC
 
 def _read_text_columns(file: ColumnFile, names: Sequence[str], rows: int) -> dict[str, list[str]]:
     """Read the text columns of a table that is small enough for readings."""
-    if not names or rows > MOST_READINGS:
+    if not names or rows > MAX_READINGS:
         return {}
     try:
         frame = file.table()

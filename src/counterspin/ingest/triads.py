@@ -24,7 +24,7 @@ from counterspin.ingest.column_roles import FileGuess, guess_file
 from counterspin.ingest.column_values import has_even_steps, is_nominal
 from counterspin.ingest.contents import FileColumn, FileContents
 from counterspin.physics.grades import GRADES
-from counterspin.triads.section import USUAL_AXES
+from counterspin.triads.section import DEFAULT_AXES
 from counterspin.triads.static_intervals import (
     MIN_CONTRAST,
     MIN_DURATION,
@@ -34,7 +34,7 @@ from counterspin.triads.static_intervals import (
 from counterspin.units import STANDARD_GRAVITY, is_convertible, unit_factor
 
 #: Accelerometer of the triad -> its axes in the triad's frame.
-AXES: Final = dict(zip("XYZ", USUAL_AXES, strict=True))
+AXES: Final = dict(zip("XYZ", DEFAULT_AXES, strict=True))
 #: Common units of a sensor's output.
 UNITS: Final = ("m/s^2", "g", "mg", "count", "V", "mV", "mA")
 #: Time gap between concatenated files, s, across which no rest continues.

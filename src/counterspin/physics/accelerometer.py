@@ -30,14 +30,14 @@ def direction(value: str | Sequence[float]) -> Array:
         if value not in DIRECTIONS:
             raise ValueError(f"unknown direction {value!r}; known: {', '.join(DIRECTIONS)}")
         return np.array(DIRECTIONS[value])
-    vec = np.asarray(value, dtype=float)
+    vector = np.asarray(value, dtype=float)
     # The square of a finite number may be beyond all numbers.
-    length = math.hypot(*vec.flat)
-    if vec.shape != (3,) or not math.isfinite(length) or length == 0.0:
+    length = math.hypot(*vector.flat)
+    if vector.shape != (3,) or not math.isfinite(length) or length == 0.0:
         raise ValueError(
             f"a direction must have three finite components that are not all zero; got {value}"
         )
-    return vec / length
+    return vector / length
 
 
 @frozen
@@ -158,13 +158,13 @@ def indicated(
     >>> cs.indicated(cs.QX, {"K_II": 20e-6}, np.array([[10.0, 0.0, 0.0]])).round(9).tolist()
     [10.002]
     """
-    unknown = set(coefficients) - set(TERMS)
-    if unknown:
-        raise ValueError(f"not accelerometer terms: {', '.join(sorted(unknown))}")
+    unknown_symbols = set(coefficients) - set(TERMS)
+    if unknown_symbols:
+        raise ValueError(f"not accelerometer terms: {', '.join(sorted(unknown_symbols))}")
     a_ipo = mounting.matrix @ force.T
-    total = np.zeros(force.shape[0])
+    output = np.zeros(force.shape[0])
     for row in TERMS.values():
         value = coefficients.get(row.symbol, row.nominal)
         if value != 0.0:
-            total += value * row.effect.evaluate(a_ipo, rotation)
-    return total
+            output += value * row.effect.evaluate(a_ipo, rotation)
+    return output

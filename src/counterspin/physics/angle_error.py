@@ -16,12 +16,12 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 
 #: What the three polynomials stand for.
-SLOW: Final = ("angle", "rate", "drift")
+POLYNOMIAL_NAMES: Final = ("angle", "rate", "drift")
 
 #: Harmonics that count as uncertain even where the recorded angle does not show them. A ripple of
 #: harmonic n puts harmonics n - 1 and n + 1 into the specific force, and its products have none
 #: above the third.
-HARMONICS: Final = 4
+N_UNCERTAIN_HARMONICS: Final = 4
 
 #: Default standard uncertainty of each quadrature of a harmonic that the samples of a revolution do
 #: not resolve, rad: 1 arcsec, that of an encoder's harmonics.
@@ -50,7 +50,7 @@ class AngleError:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the coefficients: angle, rate, drift, ripple1 twice, ripple2 twice, ..."""
-        return SLOW + tuple(f"ripple{n}" for n in self.harmonics for _ in range(2))
+        return POLYNOMIAL_NAMES + tuple(f"ripple{n}" for n in self.harmonics for _ in range(2))
 
     @property
     def u(self) -> dict[str, float]:
@@ -70,20 +70,26 @@ class AngleError:
     @property
     def largest(self) -> Array:
         """Largest size of each function within the record, rad per unit, shape (m,)."""
-        slow = [1.0, self.span / 2.0, abs(self.rate) * self.span**2 / 12.0]
-        return np.array(slow + [1.0 / abs(n * self.rate) for n in self.harmonics for _ in range(2)])
+        polynomial_sizes = [1.0, self.span / 2.0, abs(self.rate) * self.span**2 / 12.0]
+        return np.array(
+            polynomial_sizes + [1.0 / abs(n * self.rate) for n in self.harmonics for _ in range(2)]
+        )
 
     def functions(self, t: Array) -> tuple[Array, Array, Array]:
         """Return each function's value, first and second time derivative, shapes (n, m)."""
-        slope = 2.0 / self.span
-        x = slope * (t - self.start) - 1.0
+        x_rate = 2.0 / self.span
+        x = x_rate * (t - self.start) - 1.0
         ones, zeros = np.ones_like(x), np.zeros_like(x)
         # d(angle) per rad, per rad/s and per 1/s.
-        bend = self.rate / (3.0 * slope**2)
+        drift_scale = self.rate / (3.0 * x_rate**2)
         columns = [
             (ones, zeros, zeros),
-            (x / slope, ones, zeros),
-            (bend * 0.5 * (3.0 * x**2 - 1.0), bend * 3.0 * slope * x, self.rate * ones),
+            (x / x_rate, ones, zeros),
+            (
+                drift_scale * 0.5 * (3.0 * x**2 - 1.0),
+                drift_scale * 3.0 * x_rate * x,
+                self.rate * ones,
+            ),
         ]
         for n in self.harmonics:
             n_w0 = n * self.rate
@@ -97,8 +103,10 @@ class AngleError:
         return value, first_derivative, second_derivative
 
 
-def convert_slow_coefficients(monomials: Array, rate: float, start: float, span: float) -> Array:
-    """Turn coefficients of 1, t/span, (t/span)^2 into those of `SLOW`; both shape (3, k)."""
+def convert_polynomial_coefficients(
+    monomials: Array, rate: float, start: float, span: float
+) -> Array:
+    """Convert coefficients of 1, t/span, (t/span)^2 to those of `POLYNOMIAL_NAMES`, (3, k) each."""
     scaled_start = start / span
     shift = np.array(
         [[1.0, scaled_start, scaled_start**2], [0.0, 1.0, 2.0 * scaled_start], [0.0, 0.0, 1.0]]

@@ -36,13 +36,15 @@ def specific_force_error(
     radius: R0 in m.
     Returns: east and north errors in m/s^2, shape (n, 2).
     """
-    nominal = rate * time
-    centripetal = -2.0 * radius * (drift * rate**2 * time + rate * ripple * np.sin(nominal + phase))
-    tangential = radius * (drift * rate + rate * ripple * np.cos(nominal + phase))
+    nominal_angle = rate * time
+    centripetal = (
+        -2.0 * radius * (drift * rate**2 * time + rate * ripple * np.sin(nominal_angle + phase))
+    )
+    tangential = radius * (drift * rate + rate * ripple * np.cos(nominal_angle + phase))
     return np.column_stack(
         [
-            centripetal * np.cos(nominal) + tangential * np.sin(nominal),
-            centripetal * np.sin(nominal) + tangential * np.cos(nominal),
+            centripetal * np.cos(nominal_angle) + tangential * np.sin(nominal_angle),
+            centripetal * np.sin(nominal_angle) + tangential * np.cos(nominal_angle),
         ]
     )
 
@@ -68,8 +70,10 @@ def k_iii_integral(time: Array, rate: float, radius: float, gravity: float) -> A
         expression times w0^2.
     """
     scale = radius**3 * rate**6 / gravity**2
-    nominal = rate * time
-    return scale * (np.cos(3.0 * nominal) / 36.0 + 3.0 / 4.0 * np.cos(nominal) - 7.0 / 9.0)
+    nominal_angle = rate * time
+    return scale * (
+        np.cos(3.0 * nominal_angle) / 36.0 + 3.0 / 4.0 * np.cos(nominal_angle) - 7.0 / 9.0
+    )
 
 
 def k_ip_integral(time: Array, rate: float, radius: float) -> Array:

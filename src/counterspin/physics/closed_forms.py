@@ -34,11 +34,20 @@ def parabola(symbol: str, mounting: Mounting, rate: float, radius: float, gravit
         case Slope() as slope:
             return 0.5 * gravity * slope.design_factor(AT_REFERENCE, force)
         case SpecificForceProduct(requires_rotation=False) as product:
-            vertical = float(matrix[1, 2]) ** product.factors.count("P")  # a_P is -1 with P down
-            horizontal = force ** (product.degree - product.factors.count("P"))
-            return 0.5 * gravity * product.weight * vertical * horizontal * _mean(product)
-        case AttitudeError() as turn:
-            return _platform_parabola(turn, matrix, rate, radius, gravity)
+            vertical_factor = float(matrix[1, 2]) ** product.factors.count(
+                "P"
+            )  # a_P is -1 with P down
+            horizontal_factor = force ** (product.degree - product.factors.count("P"))
+            return (
+                0.5
+                * gravity
+                * product.weight
+                * vertical_factor
+                * horizontal_factor
+                * _mean_over_revolution(product)
+            )
+        case AttitudeError() as attitude_error:
+            return _platform_parabola(attitude_error, matrix, rate, radius, gravity)
     return 0.0  # the path comes back to where it was after each revolution
 
 
@@ -61,25 +70,25 @@ def _platform_parabola(
         )
     if effect.kind == "table" and effect.harmonic == 1:
         # The centripetal force turns with the table's error: half of it stays in the mean.
-        side = -matrix[0, 1] if effect.quadrature == "cos" else matrix[0, 0]
-        return -0.25 * radius * rate**2 * float(side)
+        cross_component = -matrix[0, 1] if effect.quadrature == "cos" else matrix[0, 0]
+        return -0.25 * radius * rate**2 * float(cross_component)
     if effect.kind == "compliance" and effect.force_axis is not None:
         # Gravity leans the platform for good; a level force comes round with what it turns.
-        level = effect.force_axis < 2
+        is_level = effect.force_axis < 2
         return (
             0.5
             * gravity
             * float(rotation_sensitivity[effect.force_axis])
-            * (0.5 * force**2 if level else 1.0)
+            * (0.5 * force**2 if is_level else 1.0)
         )
     return 0.0
 
 
-def _mean(product: SpecificForceProduct) -> float:
+def _mean_over_revolution(product: SpecificForceProduct) -> float:
     """Return the mean of a product over a revolution: a_I is a cosine there, a_O a sine."""
     i, o = product.power, product.factors.count("O")
     if not product.is_even or o % 2:
         return 0.0
     # The beta integral, (i-1)!! (o-1)!! / (i+o)!! in terms of gamma functions.
-    gammas = math.gamma((i + 1) / 2) * math.gamma((o + 1) / 2)
-    return gammas / (math.pi * math.gamma((i + o) / 2 + 1))
+    gamma_product = math.gamma((i + 1) / 2) * math.gamma((o + 1) / 2)
+    return gamma_product / (math.pi * math.gamma((i + o) / 2 + 1))

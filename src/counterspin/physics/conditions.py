@@ -29,9 +29,9 @@ class StatedConditions:
     time: float | None = field(kw_only=True)  #: Start time on any clock, s.
 
 
-def stated_conditions(item: object) -> dict[str, Any]:
+def stated_conditions(source: object) -> dict[str, Any]:
     """Return the stated conditions of a run, a reading or a record of poses, by name."""
-    return {name: getattr(item, name) for name in STATED_CONDITIONS}
+    return {name: getattr(source, name) for name in STATED_CONDITIONS}
 
 
 @frozen

@@ -1,13 +1,11 @@
 """Correction of accelerometers for their calibrated errors, and the uncertainty that remains.
 
-The products with a_P and a_O need the specific force along the other two axes. It is known, or
-it is what other accelerometers on the same platform sense; their errors are then corrected too,
-in turn, until the forces converge.
+The products with a_P and a_O require the specific force along the other two axes. It is known, or
+sensed by other accelerometers on the same platform, whose errors are corrected iteratively too.
 
-Of one accelerometer it is the inverse of Eq. 7. On either side of a_I = 0 the indicated specific
-force is a polynomial in a_I. It rises there from zero up to its first turning point; within that
-range there is exactly one specific force along the input axis that an indication can stand for, and
-a bracketed Newton iteration finds it.
+For a single accelerometer, the correction is the inverse of Eq. 7. On either side of a_I = 0, the
+indication is a polynomial in a_I that increases up to its first turning point. Within this range,
+an indication has exactly one specific force, which a bracketed Newton iteration finds.
 """
 
 from __future__ import annotations
@@ -28,16 +26,15 @@ from counterspin.physics.terms import CONDITION_TERMS, TERMS, coefficient_of
 
 _EPSILON: Final = float(np.finfo(np.float64).eps)
 
-#: A bracket halves at least every other step, so a sound model never needs so many.
-_MAX_STEPS: Final = 200
+#: Largest number of iterations; the bracket halves at least every other step.
+_MAX_ITERATIONS: Final = 200
 
-
-#: Specific force, g, beyond which no instrument works: a turning point there is none.
+#: Specific force, g, beyond which a turning point is ignored.
 _MAX_FORCE: Final = 1e9
 
 
 class NotInvertibleError(ConvergenceError):
-    """With this model no specific force gives a sample's indication."""
+    """No specific force gives the indication of a sample."""
 
     code = "not-invertible"
 
@@ -54,13 +51,10 @@ def invert(
 ) -> Array:
     """Return the specific force along the input axis, the inverse of Eq. 7.
 
-    coefficients: Coefficients by symbol, in g-units, of shape (n,) or one for all; those not named
-        have their nominal value.
-    indications: Indicated specific force in g, shape (n,). Where it, a_p or a_o is not finite, the
-        result is not finite.
-    a_p, a_o: Specific force along the pendulous and the output axis in g, shape (n,) or one for
-        all.
-    Returns: a_I in g, shape (n,), to rounding.
+    coefficients: Symbol -> coefficient in g-units, shape (n,) or a number; nominal by default.
+    indications: Indicated specific force in g, shape (n,).
+    a_p, a_o: Specific force along the pendulous and the output axis in g, (n,) or a number.
+    Returns: a_I in g, shape (n,), to rounding; not finite if an input is not finite.
     """
     y, p, o = np.broadcast_arrays(np.asarray(indications, dtype=np.float64), a_p, a_o)
     is_finite = np.isfinite(y) & np.isfinite(p) & np.isfinite(o)
@@ -76,135 +70,138 @@ def invert(
 
 
 def _solve_rising_branch(
-    coefficients: Mapping[str, Array | float], y: Array, p: Array, o: Array, rows: np.ndarray
+    coefficients: Mapping[str, Array | float], y: Array, a_p: Array, a_o: Array, rows: np.ndarray
 ) -> Array:
-    """Return the root of the indication less y on the branch that holds a_I = 0."""
-    # With K_0_asym the indication jumps at zero, and the middle of the jump divides the sides.
+    """Return the root of the indication minus y on the branch with a_I = 0."""
+    # With K_0_asym, the indication jumps at zero; the middle of the jump separates the signs.
     products = _nonzero_products(coefficients)
     constant = {product: value for product, value in products.items() if product.power == 0}
     jump_top, jump_bottom = (
-        _polynomial(constant, np.full_like(y, sign), p, o)[0] for sign in (1, -1)
+        _indication_polynomial(constant, np.full_like(y, sign), a_p, a_o)[0] for sign in (1, -1)
     )
-    side = np.where(y >= 0.5 * (jump_top + jump_bottom), 1.0, -1.0)
-    # In x = |a_I|, and with this sign, what is sought is the root of a polynomial that begins
-    # below zero and rises. An indication inside the jump stands for zero.
-    poly = _polynomial(products, side, p, o)
-    poly[0] -= y
-    poly *= side
-    poly[0] = np.minimum(poly[0], 0.0)
-    not_rising = np.flatnonzero(~(poly[1] > 0.0))
-    if not_rising.size:
-        row = int(not_rising[0])
+    force_sign = np.where(y >= 0.5 * (jump_top + jump_bottom), 1.0, -1.0)
+    # With this sign, a_I is the root of an increasing polynomial in |a_I| that is negative at zero.
+    # An indication inside the jump corresponds to zero.
+    polynomial = _indication_polynomial(products, force_sign, a_p, a_o)
+    polynomial[0] -= y
+    polynomial *= force_sign
+    polynomial[0] = np.minimum(polynomial[0], 0.0)
+    rows_without_rise = np.flatnonzero(~(polynomial[1] > 0.0))
+    if rows_without_rise.size:
+        row = int(rows_without_rise[0])
         raise NotInvertibleError(
             int(rows[row]),
             "cannot be corrected, because at zero specific force the indication does not "
-            f"increase with the specific force (slope {poly[1, row]:.3g}); check the "
+            f"increase with the specific force (slope {polynomial[1, row]:.3g}); check the "
             "coefficients and their units.",
         )
-    upper_bound = 2.0 * -poly[0] / poly[1]
+    upper_bound = 2.0 * -polynomial[0] / polynomial[1]
     # The slope without its positive terms decreases: if it is positive at `high`, no turning point
     # is below.
-    lowest_slope = poly[1] + upper_bound * _evaluate_polynomial(
-        np.minimum(_derivative(poly)[1:], 0.0), upper_bound
+    min_slope = polynomial[1] + upper_bound * _evaluate(
+        np.minimum(_derivative(polynomial)[1:], 0.0), upper_bound
     )
-    may_turn = ~((lowest_slope > 0.0) & (_evaluate_polynomial(poly, upper_bound) >= 0.0))
+    may_turn = ~((min_slope > 0.0) & (_evaluate(polynomial, upper_bound) >= 0.0))
     turning_point = np.full_like(upper_bound, np.inf)
     if may_turn.any():
-        turning_point[may_turn] = _turning_point(poly[:, may_turn])
+        turning_point[may_turn] = _turning_point(polynomial[:, may_turn])
     upper_bound = np.minimum(turning_point, upper_bound)
     while True:
-        is_too_low = (_evaluate_polynomial(poly, upper_bound) < 0.0) & (upper_bound < turning_point)
+        is_too_low = (_evaluate(polynomial, upper_bound) < 0.0) & (upper_bound < turning_point)
         if not is_too_low.any():
             break
         upper_bound = np.where(
             is_too_low, np.minimum(2.0 * upper_bound, turning_point), upper_bound
         )
     unreachable_rows = np.flatnonzero(
-        _evaluate_polynomial(poly, upper_bound) < -_rounding_bound(poly, upper_bound, y)
+        _evaluate(polynomial, upper_bound) < -_rounding_bound(polynomial, upper_bound, y)
     )
     if unreachable_rows.size:
         row = int(unreachable_rows[0])
-        force = float(side[row] * turning_point[row])
-        largest = _evaluate_polynomial(poly[:, row : row + 1], turning_point[row : row + 1])
-        max_indication = float(y[row] + side[row] * largest[0])
+        force = float(force_sign[row] * turning_point[row])
+        max_value = _evaluate(polynomial[:, row : row + 1], turning_point[row : row + 1])
+        max_indication = float(y[row] + force_sign[row] * max_value[0])
         raise NotInvertibleError(
             int(rows[row]),
             f"cannot be corrected, because the indication is {y[row]:.6g} g, but the model has "
             f"a turning point at {force:.6g} g, where the indication is {max_indication:.6g} g.",
         )
-    return side * _root(poly, upper_bound, y, rows)
+    return force_sign * _find_root(polynomial, upper_bound, y, rows)
 
 
 def _nonzero_products(
     coefficients: Mapping[str, Array | float],
 ) -> dict[SpecificForceProduct, Array | float]:
-    """Return the products whose coefficient is not zero in every sample, and their coefficients."""
-    coefficient = {row.effect: coefficients.get(row.symbol, row.nominal) for row in TERMS.values()}
-    return {product: value for product, value in coefficient.items() if np.any(value)}
+    """Return the products with nonzero coefficients, and these coefficients."""
+    all_products = {row.effect: coefficients.get(row.symbol, row.nominal) for row in TERMS.values()}
+    return {product: value for product, value in all_products.items() if np.any(value)}
 
 
-def _polynomial(
-    products: Mapping[SpecificForceProduct, Array | float], side: Array, p: Array, o: Array
+def _indication_polynomial(
+    products: Mapping[SpecificForceProduct, Array | float],
+    force_sign: Array,
+    a_p: Array,
+    a_o: Array,
 ) -> Array:
-    """Return the indication's coefficients in powers of |a_I|, lowest first, shape (m, n)."""
-    unit = np.stack([side, p, o])
-    poly = np.zeros((1 + max([3, *(product.power for product in products)]), side.size))
+    """Return the coefficients of the indication in powers of |a_I|, lowest first, shape (m, n)."""
+    unit_forces = np.stack([force_sign, a_p, a_o])
+    polynomial = np.zeros((1 + max([3, *(product.power for product in products)]), force_sign.size))
     for product, value in products.items():
-        # Each product is homogeneous in a_I on its side: its value at +-1 times |a_I|^power.
-        poly[product.power] += value * product.evaluate(unit)
-    return poly
+        # On either side of zero, a product is its value at +-1 times |a_I|^power.
+        polynomial[product.power] += value * product.evaluate(unit_forces)
+    return polynomial
 
 
-def _turning_point(poly: Array) -> Array:
+def _turning_point(polynomial: Array) -> Array:
     """Return the first positive zero of the slope, which is positive at 0; infinite if none."""
-    slope = _derivative(poly)
-    if poly.shape[0] == 4:
+    slope = _derivative(polynomial)
+    if polynomial.shape[0] == 4:
         return _first_parabola_root(slope)
     turning_point: Array = _positive_roots(slope)[0]
     return turning_point
 
 
-def _derivative(poly: Array) -> Array:
-    slope: Array = poly[1:] * np.arange(1.0, poly.shape[0])[:, None]
+def _derivative(polynomial: Array) -> Array:
+    slope: Array = polynomial[1:] * np.arange(1.0, polynomial.shape[0])[:, None]
     return slope
 
 
-def _positive_roots(poly: Array) -> Array:
+def _positive_roots(polynomial: Array) -> Array:
     """Return the zeros of a polynomial between 0 and `_MAX_FORCE`, ascending, shape (degree, n).
 
-    Infinite where a sample has fewer. Between the zeros of its derivative a polynomial is monotone,
-    so that a bisection finds the one zero of each stretch at whose ends the signs differ.
+    Missing zeros are infinite. Between the zeros of its derivative, a polynomial is monotonic, and
+    bisection finds its zero if the signs at the ends differ.
     """
-    if poly.shape[0] == 2:
+    if polynomial.shape[0] == 2:
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            root = -poly[:1] / poly[1:]
+            root = -polynomial[:1] / polynomial[1:]
         return np.where((root > 0.0) & (root <= _MAX_FORCE), root, np.inf)
-    intervals = np.empty((poly.shape[0] + 1, poly.shape[1]))
+    intervals = np.empty((polynomial.shape[0] + 1, polynomial.shape[1]))
     intervals[0], intervals[-1] = 0.0, _MAX_FORCE
-    intervals[1:-1] = np.minimum(_positive_roots(_derivative(poly)), _MAX_FORCE)
+    intervals[1:-1] = np.minimum(_positive_roots(_derivative(polynomial)), _MAX_FORCE)
     low, high = intervals[:-1], intervals[1:]
-    interval_poly = poly[:, None]
+    interval_polynomial = polynomial[:, None]
     low_is_positive, high_is_positive = (
-        _evaluate_polynomial(interval_poly, at) > 0.0 for at in (low, high)
+        _evaluate(interval_polynomial, at) > 0.0 for at in (low, high)
     )
-    crosses = low_is_positive != high_is_positive
-    root = np.where(crosses, 0.5 * (low + high), np.inf)
-    for _ in range(_MAX_STEPS if crosses.any() else 0):
-        root_is_positive = _evaluate_polynomial(interval_poly, np.where(crosses, root, 0.0)) > 0.0
+    has_root = low_is_positive != high_is_positive
+    root = np.where(has_root, 0.5 * (low + high), np.inf)
+    for _ in range(_MAX_ITERATIONS if has_root.any() else 0):
+        root_is_positive = _evaluate(interval_polynomial, np.where(has_root, root, 0.0)) > 0.0
         low, high = (
             np.where(root_is_positive == low_is_positive, root, low),
             np.where(root_is_positive == low_is_positive, high, root),
         )
-        midpoint = np.where(crosses, 0.5 * (low + high), np.inf)
-        if np.all((midpoint == root) | ~crosses):
+        midpoint = np.where(has_root, 0.5 * (low + high), np.inf)
+        if np.all((midpoint == root) | ~has_root):
             break
         root = midpoint
     return np.sort(root, axis=0)
 
 
-def _first_parabola_root(poly: Array) -> Array:
+def _first_parabola_root(polynomial: Array) -> Array:
     """Return the first zero beyond zero of a + b x + c x^2, a > 0; infinite if there is none."""
-    a, b, c = poly
+    a, b, c = polynomial
     discriminant = b * b - 4.0 * a * c
     # This form of the root keeps its digits as c goes to zero.
     divisor = -b + np.sqrt(np.maximum(discriminant, 0.0))
@@ -215,46 +212,46 @@ def _first_parabola_root(poly: Array) -> Array:
     return root
 
 
-def _evaluate_polynomial(poly: Array, x: Array) -> Array:
-    value: Array = poly[-1]
-    for row in poly[-2::-1]:
+def _evaluate(polynomial: Array, x: Array) -> Array:
+    value: Array = polynomial[-1]
+    for row in polynomial[-2::-1]:
         value = value * x + row
     return value
 
 
-def _slope(poly: Array, x: Array) -> Array:
-    return _evaluate_polynomial(_derivative(poly), x)
+def _evaluate_slope(polynomial: Array, x: Array) -> Array:
+    return _evaluate(_derivative(polynomial), x)
 
 
-def _rounding_bound(poly: Array, x: Array, y: Array) -> Array:
+def _rounding_bound(polynomial: Array, x: Array, y: Array) -> Array:
     """Return the bound of the rounding error of the polynomial minus y."""
-    return 2.0 * _EPSILON * (_evaluate_polynomial(np.abs(poly), x) + np.abs(y))
+    return 2.0 * _EPSILON * (_evaluate(np.abs(polynomial), x) + np.abs(y))
 
 
-def _root(poly: Array, high: Array, y: Array, rows: np.ndarray) -> Array:
+def _find_root(polynomial: Array, high: Array, y: Array, rows: np.ndarray) -> Array:
     low = np.zeros_like(high)
-    x = np.minimum(-poly[0] / poly[1], high)
-    for _ in range(_MAX_STEPS):
-        value, slope = _evaluate_polynomial(poly, x), _slope(poly, x)
+    x = np.minimum(-polynomial[0] / polynomial[1], high)
+    for _ in range(_MAX_ITERATIONS):
+        value, slope = _evaluate(polynomial, x), _evaluate_slope(polynomial, x)
         low, high = np.where(value < 0.0, x, low), np.where(value < 0.0, high, x)
         step = np.divide(-value, slope, out=np.full_like(x, np.inf), where=slope > 0.0)
         next_guess = x + step
         next_guess = np.where(
             (next_guess >= low) & (next_guess <= high), next_guess, 0.5 * (low + high)
         )
-        has_converged = (np.abs(value) <= _rounding_bound(poly, x, y)) | (
+        has_converged = (np.abs(value) <= _rounding_bound(polynomial, x, y)) | (
             np.abs(next_guess - x) <= 2.0 * _EPSILON * x
         )
         x = next_guess
         if has_converged.all():
             return x
     row = int(rows[int(np.flatnonzero(~has_converged)[0])])
-    raise NotInvertibleError(row, f"did not converge in {_MAX_STEPS} steps.")
+    raise NotInvertibleError(row, f"did not converge in {_MAX_ITERATIONS} steps.")
 
 
 # Accelerometers together -----------------------------------------------------------------------
 
-#: Rounds of correcting each accelerometer with the others; a misalignment of 1e-2 needs eight.
+#: Largest number of mutual corrections; a misalignment of 1e-2 requires eight.
 _MAX_ROUNDS: Final = 100
 
 #: Projections below this are rounding of the mountings (directions are unit vectors).
@@ -265,15 +262,15 @@ _PROJECTION_ROUNDING: Final = 1e-9
 class CalibratedAccelerometer:
     """A calibrated accelerometer."""
 
-    name: str  #: For messages.
-    mounting: Mounting  #: Its axes on the platform.
-    #: Symbol of a product, or of a slope with temperature -> value in g-units; terms not named have
-    #: their nominal value, known exactly.
+    name: str  #: Name in messages.
+    mounting: Mounting  #: Axes on the platform.
+    #: Symbol of a product, or of a slope with temperature -> value in g-units; exactly nominal by
+    #: default.
     coefficients: Mapping[str, float]
-    covariance: Array  #: Of these coefficients in their order, shape (t, t).
+    covariance: Array  #: Covariance of these coefficients in their order, shape (t, t).
 
     def symbols_using(self, axis: str) -> tuple[str, ...]:
-        """Return the symbols whose value or variance needs the specific force along P or O."""
+        """Return the symbols whose value or variance requires the force along an axis, P or O."""
         return tuple(
             symbol
             for index, (symbol, value) in enumerate(self.coefficients.items())
@@ -283,7 +280,7 @@ class CalibratedAccelerometer:
 
     @property
     def slopes(self) -> dict[str, Slope]:
-        """Slopes of its coefficients with the conditions, by symbol."""
+        """Symbol -> slope of a coefficient with a condition."""
         return {s: CONDITION_TERMS[s].effect for s in self.coefficients if s in CONDITION_TERMS}
 
     def at(self, temperature_offset: Array | float) -> dict[str, Array | float]:
@@ -301,7 +298,7 @@ class CalibratedAccelerometer:
 
 
 def product_of_symbol(symbol: str) -> SpecificForceProduct:
-    """Return the product of a term, or of that whose coefficient a slope changes."""
+    """Return the product of a term, or of the coefficient that a slope changes."""
     return TERMS[coefficient_of(symbol)].effect
 
 
@@ -315,22 +312,22 @@ class KnownForce:
     """A direction along which the specific force is known without an accelerometer."""
 
     direction: Array  #: Unit vector in the frame of the mountings, shape (3,).
-    force: Array | float  #: Specific force along it in g, shape (n,) or one for all samples.
-    u: float = 0.0  #: Its standard uncertainty in g, common to all samples.
+    force: Array | float  #: Specific force in this direction, g, shape (n,) or a number.
+    u: float = 0.0  #: Standard uncertainty of the force, g, common to all samples.
 
 
 @frozen(eq=False)
 class TemperatureOffset:
     """Temperature minus the temperature of the stated coefficients, K."""
 
-    value: Array | float = 0.0  #: Shape (n,), or one for all samples.
-    u: float = 0.0  #: Its standard uncertainty, common to all samples.
+    value: Array | float = 0.0  #: Shape (n,) or a number.
+    u: float = 0.0  #: Standard uncertainty, common to all samples.
 
     @property
     def nodes(self) -> list[tuple[float, Array | float]]:
-        """Weights and temperatures that give means of polynomials over what it may have been.
+        """Weights and temperatures for means over a normal temperature.
 
-        Three, exact for powers of a normal temperature up to the fifth.
+        Three nodes, exact for polynomials up to the fifth degree.
         """
         if self.u == 0.0:
             return [(1.0, self.value)]
@@ -347,8 +344,8 @@ class CorrectedForces:
     """Specific forces that the accelerometers' indications represent."""
 
     force: Array  #: Specific force along each input axis in g, shape (n, m).
-    #: Its standard uncertainty from coefficients and known forces, shape (n, m); the noise of the
-    #: indications is no part of it.
+    #: Standard uncertainty due to coefficients and known forces, without the noise of the
+    #: indications, shape (n, m).
     u: Array
 
 
@@ -423,10 +420,8 @@ def correct(
     for (k, column), covariance in cross_covariances.items():
         for weight, value in temperature_offset.nodes:
             row_products, column_products = (
-                _coefficient_sensitivities(
-                    instruments[coefficients_at], a_ipo[coefficients_at], value
-                )
-                for coefficients_at in (k, column)
+                _coefficient_sensitivities(instruments[index], a_ipo[index], value)
+                for index in (k, column)
             )
             variance[:, k, column] += weight * np.sum(
                 (row_products @ covariance) * column_products, axis=1
@@ -438,7 +433,7 @@ def correct(
     force_variance = np.sum((inverse @ variance) * inverse, axis=2)
     sds = inverse @ known_sensitivity * [*(item.u for item in known_forces), temperature_offset.u]
     force_variance += np.sum(sds**2, axis=2)
-    # Rounding alone may leave less than nothing where errors of two accelerometers cancel.
+    # Rounding may give negative variances if the errors of two accelerometers cancel.
     return CorrectedForces(force, np.sqrt(np.maximum(force_variance, 0.0)))
 
 
@@ -447,10 +442,10 @@ class Prediction:
     """Predicted indications of an accelerometer at specific forces."""
 
     indicated: Array  #: In g, shape (n,).
-    #: Standard uncertainty from the coefficients, with what nothing states at its typical size; the
-    #: noise of an indication is no part of it. In g, shape (n,).
+    #: Standard uncertainty due to the coefficients, including default priors, without the noise of
+    #: an indication, g, shape (n,).
     u: Array
-    unit: str = "g"  #: Of both.
+    unit: str = "g"  #: Unit of both.
 
     def __repr__(self) -> str:
         """Return the number of indications and their extremes."""
@@ -461,18 +456,18 @@ class Prediction:
 
 
 def indication(instrument: CalibratedAccelerometer, a_ipo: Array) -> tuple[Array, Array]:
-    """Return the indication (Eq. 7) and its u from the coefficients, both in g.
+    """Return the indication (Eq. 7) and its u due to the coefficients, both in g.
 
-    It is as warm as where its coefficients are those that are named.
+    The temperature is that of the stated coefficients.
 
-    a_ipo: Specific force along its axes I, P, O in g, shape (3, n).
+    a_ipo: Specific force along the axes I, P, O in g, shape (3, n).
     """
-    total = np.zeros(a_ipo.shape[1])
+    output = np.zeros(a_ipo.shape[1])
     for row in TERMS.values():
         value = instrument.coefficients.get(row.symbol, row.nominal)
         if value != 0.0:
-            total += value * row.effect.evaluate(a_ipo)
-    return total, np.sqrt(_variance(instrument, a_ipo, _AS_CALIBRATED))
+            output += value * row.effect.evaluate(a_ipo)
+    return output, np.sqrt(_variance(instrument, a_ipo, _AS_CALIBRATED))
 
 
 def _projections(
@@ -480,7 +475,8 @@ def _projections(
 ) -> tuple[Array, np.ndarray]:
     """Return the weights of forces along the known directions that give a_P and a_O.
 
-    Shape (m, 2, m + len(known)); and whether they determine a_P and a_O, shape (m, 2).
+    Returns: weights, shape (m, 2, m + len(known_forces)), and whether they determine a_P and a_O,
+        shape (m, 2).
     """
     rows = [instrument.mounting.input_axis for instrument in instruments]
     directions = np.stack([*rows, *(item.direction for item in known_forces)])
@@ -499,7 +495,7 @@ def _projections(
 
 
 def _forces_along_axes(force: Array, known_values: Array, weights: Array) -> Array:
-    """Return the forces along I, P, O of each instrument, shape (m, 3, n)."""
+    """Return the forces along I, P, O of each accelerometer, shape (m, 3, n)."""
     all_known = np.concatenate([force, known_values], axis=1).T
     return np.concatenate([force.T[:, None], weights @ all_known], axis=1)
 
@@ -511,9 +507,9 @@ def _correct_jointly(
     weights: Array,
     temperature_offset: Array | float,
 ) -> Array:
-    """Correct each accelerometer with the others' corrected forces until none moves."""
+    """Return the forces from iterative corrections of each accelerometer with the others."""
     force = np.array(indications, dtype=np.float64)
-    # A sample that one accelerometer misses is missing altogether.
+    # A sample that is missing for one accelerometer is missing for all.
     is_finite = np.isfinite(np.concatenate([force, known_values], axis=1)).all(axis=1)
     force[~(is_finite & np.isfinite(temperature_offset))] = np.nan
     m = len(instruments)
@@ -524,9 +520,9 @@ def _correct_jointly(
         a_ipo = _forces_along_axes(force, known_values, weights)
         new_force = np.empty_like(force)
         for k, (instrument, (_, p, o)) in enumerate(zip(instruments, a_ipo, strict=True)):
-            target = np.where(np.isnan(force[:, k]), np.nan, indications[:, k])
+            target_indications = np.where(np.isnan(force[:, k]), np.nan, indications[:, k])
             try:
-                new_force[:, k] = invert(coefficients[k], target, p, o)
+                new_force[:, k] = invert(coefficients[k], target_indications, p, o)
             except NotInvertibleError as error:
                 raise NotInvertibleError(
                     error.row, f"of {instrument.name} {error.reason}"
@@ -544,31 +540,31 @@ def _correct_jointly(
 
 
 def _total_slope(coefficients: Mapping[str, Array | float], a_ipo: Array, axis: str) -> Array:
-    total = np.zeros(a_ipo.shape[1])
+    slope = np.zeros(a_ipo.shape[1])
     for row in TERMS.values():
         value = coefficients.get(row.symbol, row.nominal)
         if np.any(value):
-            total += value * row.effect.slope(a_ipo, axis)
-    return total
+            slope += value * row.effect.slope(a_ipo, axis)
+    return slope
 
 
 def _temperature_sensitivity(
     instrument: CalibratedAccelerometer, a_ipo: Array, temperature_offset: Array | float
 ) -> Array:
-    """Return the change of the indication by an error of the temperature, g/K, shape (n,)."""
-    total = np.zeros(a_ipo.shape[1])
+    """Return the change of the indication with temperature, g/K, shape (n,)."""
+    sensitivity_sum = np.zeros(a_ipo.shape[1])
     for symbol, slope in instrument.slopes.items():
         if slope.condition == "temperature":
             sensitivity = slope.power * np.asarray(temperature_offset) ** (slope.power - 1)
             value = instrument.coefficients[symbol]
-            total += value * sensitivity * product_of_symbol(symbol).evaluate(a_ipo)
-    return total
+            sensitivity_sum += value * sensitivity * product_of_symbol(symbol).evaluate(a_ipo)
+    return sensitivity_sum
 
 
 def _coefficient_sensitivities(
     instrument: CalibratedAccelerometer, a_ipo: Array, temperature_offset: Array | float
 ) -> Array:
-    """Return the change of the indication by an error of each coefficient, shape (n, t)."""
+    """Return the change of the indication per unit of each coefficient, shape (n, t)."""
     slopes = instrument.slopes
     columns = [product_of_symbol(symbol).evaluate(a_ipo) for symbol in instrument.coefficients]
     for index, symbol in enumerate(instrument.coefficients):
@@ -581,10 +577,10 @@ def _variance(
     instrument: CalibratedAccelerometer, a_ipo: Array, temperature_offset: TemperatureOffset
 ) -> Array:
     sqrt_covariance = semidefinite_root(instrument.covariance)
-    total = np.zeros(a_ipo.shape[1])
+    variance = np.zeros(a_ipo.shape[1])
     for weight, value in temperature_offset.nodes:
-        # A sum of squares: no error of the covariance makes it less than nothing.
-        total += weight * np.sum(
+        # A sum of squares is never negative.
+        variance += weight * np.sum(
             (_coefficient_sensitivities(instrument, a_ipo, value) @ sqrt_covariance) ** 2, axis=1
         )
-    return total
+    return variance

@@ -29,7 +29,7 @@ class SpecificForceProduct:
     @property
     def text(self) -> str:
         """The product in plain text, such as ``a_I^2``; ``1`` for the bias."""
-        powers = Counter(_TEXTS.get(factor, f"a_{factor}") for factor in self.factors)
+        powers = Counter(_FACTOR_TEXTS.get(factor, f"a_{factor}") for factor in self.factors)
         product = "*".join(name + (f"^{n}" if n > 1 else "") for name, n in powers.items()) or "1"
         return product if abs(self.weight) == 1.0 else f"{product}/{1.0 / abs(self.weight):g}"
 
@@ -114,7 +114,7 @@ ROTATIONS: Final = ("w_I", "w_P", "dw_O/dt")
 #: because the sign of a_I in a position at right angles to gravity is unknown.
 SIGN_WIDTH: Final = 1e-3
 
-_TEXTS: Final = {"|I|": "|a_I|", "sign_I": "sign(a_I)"} | {name: name for name in ROTATIONS}
+_FACTOR_TEXTS: Final = {"|I|": "|a_I|", "sign_I": "sign(a_I)"} | {name: name for name in ROTATIONS}
 
 
 def _component(a_ipo: Array, factor: str) -> Array:
@@ -196,8 +196,8 @@ class AttitudeError:
             return float(np.linalg.norm(np.cross(attitude[self.axis], input_axis))) > _ROUNDING
         if self.part == "gyros" and self.force_axis is not None:
             is_steady = abs(float(attitude[self.force_axis] @ _UP)) > _ROUNDING
-            turned = np.cross(self._turn_axis(attitude), input_axis)
-            if is_steady and abs(float(turned @ _UP)) > _ROUNDING:
+            axis_change = np.cross(self._turn_axis(attitude), input_axis)
+            if is_steady and abs(float(axis_change @ _UP)) > _ROUNDING:
                 return True  # as a drift
         return self.leaves_mean(input_axis, attitude)
 
@@ -210,8 +210,8 @@ class AttitudeError:
         """
         if self.kind == "table_axis":
             return True  # its axis takes every level direction
-        turned = np.cross(self._turn_axis(attitude), input_axis)
-        return float(np.linalg.norm(turned)) > _ROUNDING
+        axis_change = np.cross(self._turn_axis(attitude), input_axis)
+        return float(np.linalg.norm(axis_change)) > _ROUNDING
 
     def leaves_mean(self, input_axis: Array, attitude: Array, start: Array | None = None) -> bool:
         """Return True if the error leaves an acceleration over whole revolutions.
@@ -224,21 +224,21 @@ class AttitudeError:
             # The centripetal force leaks into an upright axis; gravity leaks in as a wave.
             return self.axis == 1 and abs(float(input_axis @ _UP)) > _ROUNDING
         # Gravity leaks in by its vertical part.
-        turned = np.cross(self._turn_axis(attitude), input_axis)
+        axis_change = np.cross(self._turn_axis(attitude), input_axis)
         if self.kind == "table":
-            return float(np.linalg.norm(turned)) > _ROUNDING
-        leaning = abs(float(turned @ _UP))
+            return float(np.linalg.norm(axis_change)) > _ROUNDING
+        vertical_change = abs(float(axis_change @ _UP))
         if self.force_axis is None:
-            return leaning > _ROUNDING
+            return vertical_change > _ROUNDING
         # The vertical force is steady: a sensitivity to it is a drift or a tilt, the same in all
         # runs.
         force = attitude[self.force_axis] * (1.0 - _UP)
         if self.kind == "compliance":
-            return abs(float(turned @ force)) > _ROUNDING
+            return abs(float(axis_change @ force)) > _ROUNDING
         # The force's integral is the velocity, a quarter turn behind it.
-        across = abs(float(np.cross(_UP, force) @ turned))
-        moving = float(np.linalg.norm(force)) if start is None else abs(float(force @ start))
-        return max(across, min(leaning, moving)) > _ROUNDING
+        cross_change = abs(float(np.cross(_UP, force) @ axis_change))
+        level_force = float(np.linalg.norm(force)) if start is None else abs(float(force @ start))
+        return max(cross_change, min(vertical_change, level_force)) > _ROUNDING
 
     def _turn_axis(self, attitude: Array) -> Array:
         """Return the axis about which the error turns, east-north-up, shape (3,).
@@ -276,8 +276,8 @@ class TrajectoryError:
     def acts_on(self, input_axis: Array, attitude: Array) -> bool:  # noqa: ARG002
         """Return True if the error reaches an accelerometer; parameters as in `AttitudeError`."""
         # A tilted axis lifts the platform; all else moves it in the level plane.
-        moved = input_axis[2:] if self.kind == "axis_tilt" else input_axis[:2]
-        return float(np.linalg.norm(moved)) > _ROUNDING
+        affected_components = input_axis[2:] if self.kind == "axis_tilt" else input_axis[:2]
+        return float(np.linalg.norm(affected_components)) > _ROUNDING
 
     shows_in = acts_on
 

@@ -26,7 +26,7 @@ from counterspin.physics.spindle import Spindle
 ComplexArray = npt.NDArray[np.complex128]
 
 #: Harmonics of the rotation for which the response is approximated.
-_HARMONIC_COUNT: Final = 8
+_N_HARMONICS: Final = 8
 
 #: Frequencies per harmonic at which it is approximated.
 _POINTS_PER_HARMONIC: Final = 4
@@ -45,7 +45,7 @@ _SHIFT_SPACING: Final = 0.125
 
 
 #: Relative step of derivatives with respect to inputs.
-_STEP: Final = 1e-4
+_RELATIVE_STEP: Final = 1e-4
 
 
 @frozen
@@ -150,7 +150,7 @@ class FrequencyResponse:
     def step(self, symbol: str) -> float:
         """Return the step of a derivative with respect to an input."""
         value: float = getattr(self, RESPONSE_INPUTS[symbol])
-        return _STEP * max(abs(value), 1.0)
+        return _RELATIVE_STEP * max(abs(value), 1.0)
 
     def filter_record(
         self,
@@ -206,15 +206,15 @@ def _time_shifts(response: FrequencyResponse, rate: float, *, recorder: bool) ->
         return TimeShifts((0.0,), (1.0,))
     two_pi = 2.0 * math.pi
     delay = -float(np.angle(evaluate(np.array([rate / two_pi])))[0]) / rate
-    spacing = two_pi * _SHIFT_SPACING / (_HARMONIC_COUNT * rate)
-    orders = np.arange(1, _HARMONIC_COUNT * _POINTS_PER_HARMONIC + 1) / _POINTS_PER_HARMONIC
+    spacing = two_pi * _SHIFT_SPACING / (_N_HARMONICS * rate)
+    orders = np.arange(1, _N_HARMONICS * _POINTS_PER_HARMONIC + 1) / _POINTS_PER_HARMONIC
     frequencies = rate * orders  # rad/s
     undelayed_response = evaluate(frequencies / two_pi) * np.exp(1j * frequencies * delay) - 1.0
     targets = np.concatenate([undelayed_response.real, undelayed_response.imag])
-    for count in range(1, _MAX_SHIFTS + 1):
-        steps = np.array([*range(-count, 0), *range(1, count + 1)])
-        waves = np.exp(1j * np.outer(frequencies, steps) * spacing) - 1.0
-        design = np.vstack([waves.real, waves.imag])
+    for n_shifts in range(1, _MAX_SHIFTS + 1):
+        steps = np.array([*range(-n_shifts, 0), *range(1, n_shifts + 1)])
+        shift_responses = np.exp(1j * np.outer(frequencies, steps) * spacing) - 1.0
+        design = np.vstack([shift_responses.real, shift_responses.imag])
         weights = np.linalg.lstsq(design, targets, rcond=1e-13)[0]
         error = np.abs(design @ weights - targets).max()
         if error < _TOLERANCE:
@@ -236,10 +236,10 @@ def _interpolate(
     rate: rad/s.
     delay: About which the shifts lie, s.
     """
-    orders = np.arange(-_HARMONIC_COUNT, _HARMONIC_COUNT + 1)
-    positive = evaluate(np.arange(1.0, _HARMONIC_COUNT + 1.0) * (rate / (2.0 * math.pi)))
-    gains = np.concatenate([positive[::-1].conj(), [1.0], positive])
+    orders = np.arange(-_N_HARMONICS, _N_HARMONICS + 1)
+    positive_gains = evaluate(np.arange(1.0, _N_HARMONICS + 1.0) * (rate / (2.0 * math.pi)))
+    gains = np.concatenate([positive_gains[::-1].conj(), [1.0], positive_gains])
     angles = 2.0 * math.pi * orders / orders.size
-    waves = np.exp(1j * np.outer(orders, rate * delay - angles))
-    weights = (gains @ waves).real / orders.size
+    phasors = np.exp(1j * np.outer(orders, rate * delay - angles))
+    weights = (gains @ phasors).real / orders.size
     return TimeShifts(tuple((angles / rate - delay).tolist()), tuple(weights.tolist()))

@@ -38,30 +38,30 @@ class Size:
     source: str  #: What `typical` rests on.
 
 
-_NONE: Final = "order-of-magnitude estimate, no source"
-_FIFTH: Final = (
+_NO_SOURCE: Final = "order-of-magnitude estimate, no source"
+_FIFTH_OF_K_II: Final = (
     "order-of-magnitude estimate: a fifth of K_II, the same ratio as for navigation grade"
 )
-_TENTH: Final = (
+_TENTH_OF_K_II: Final = (
     "order-of-magnitude estimate: a tenth of K_II, the same ratio as for navigation grade"
 )
-_TWENTIETH: Final = (
+_TWENTIETH_OF_K_F: Final = (
     "order-of-magnitude estimate: a twentieth of K_F, the same ratio as for navigation grade"
 )
-_OF_PAPER: Final = (
+_PAPER_SOURCE: Final = (
     "a third of K_IP in the paper's Table 1 (6e-6 g/g²); same value for the other terms"
 )
 
-_CROSS: Final = (
-    (1e-4, 2e-6, _OF_PAPER),
-    (1e-3, 6e-5, _FIFTH),
-    (1e-2, 2e-4, _FIFTH),
+_CROSS_TERM_SIZES: Final = (
+    (1e-4, 2e-6, _PAPER_SOURCE),
+    (1e-3, 6e-5, _FIFTH_OF_K_II),
+    (1e-2, 2e-4, _FIFTH_OF_K_II),
 )
-_AS_SECOND: Final = "order-of-magnitude estimate: same effect as K_II at 1 g"
-_PENDULUM: Final = (
+_SECOND_ORDER_SOURCE: Final = "order-of-magnitude estimate: same effect as K_II at 1 g"
+_PENDULUM_SIZES: Final = (
     (0.1, 1e-3, "order-of-magnitude estimate: a pendulum length of 10 mm, divided by g"),
 ) * 3
-_MISALIGNMENT: Final = (
+_MISALIGNMENT_SIZES: Final = (
     (
         1e-2,
         5e-5,
@@ -73,12 +73,12 @@ _MISALIGNMENT: Final = (
 )
 
 #: HASI's bias has 0.6 µg/K at 293 K and 2.3 µg/K at 100 K: 4e-9 g/K^2.
-_OF_POWER: Final = {
+_POWER_SOURCES: Final = {
     2: "order-of-magnitude estimate, no source: 1 % of the linear coefficient, per kelvin",
     3: "order-of-magnitude estimate, no source: 1 % of the quadratic coefficient, per kelvin",
 }
 
-_ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
+_SIZE_ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
     "K_F": (
         (
             0.1,
@@ -114,31 +114,35 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
         (1e-3, 3e-5, "MS1010: nonlinearity 0.3 % of 10 g, attributed entirely to third order"),
         (1e-2, 1e-4, "ADXL350: nonlinearity ±0.5 % of 8 g, attributed entirely to third order"),
     ),
-    "K_4": ((1e-5, 1e-9, _NONE), (1e-4, 1e-7, _NONE), (1e-3, 1e-6, _NONE)),
+    "K_4": ((1e-5, 1e-9, _NO_SOURCE), (1e-4, 1e-7, _NO_SOURCE), (1e-3, 1e-6, _NO_SOURCE)),
     "K_5": (
         (1e-5, 1e-8, "order-of-magnitude estimate: effect of 1 mg at 10 g, as for K_II and K_III"),
         (1e-4, 3e-7, "MS1010: nonlinearity 0.3 % of 10 g, attributed entirely to fifth order"),
         (1e-3, 1e-6, "ADXL350: nonlinearity ±0.5 % of 8 g, attributed entirely to fifth order"),
     ),
     "K_0_asym": (
-        (1e-2, 5e-6, f"{_NONE}: a twentieth of K_F"),
-        (5e-2, 6e-5, _TWENTIETH),
-        (0.1, 2.5e-3, _TWENTIETH),
+        (1e-2, 5e-6, f"{_NO_SOURCE}: a twentieth of K_F"),
+        (5e-2, 6e-5, _TWENTIETH_OF_K_F),
+        (0.1, 2.5e-3, _TWENTIETH_OF_K_F),
     ),
-    "K_I_asym": ((1e-2, 1e-5, _AS_SECOND), (5e-2, 3e-4, _AS_SECOND), (0.1, 1e-3, _AS_SECOND)),
-    "K_spin": _PENDULUM,
-    "K_ang": _PENDULUM,
-    "K_IP": _CROSS,
-    "K_IO": _CROSS,
-    "K_PO": _CROSS,
-    "K_PP": _CROSS,
-    "K_OO": _CROSS,
-    "K_OQ": ((1e-4, 1e-6, _NONE), (1e-3, 3e-5, _TENTH), (1e-2, 1e-4, _TENTH)),
-    "delta_O": _MISALIGNMENT,
-    "delta_P": _MISALIGNMENT,
+    "K_I_asym": (
+        (1e-2, 1e-5, _SECOND_ORDER_SOURCE),
+        (5e-2, 3e-4, _SECOND_ORDER_SOURCE),
+        (0.1, 1e-3, _SECOND_ORDER_SOURCE),
+    ),
+    "K_spin": _PENDULUM_SIZES,
+    "K_ang": _PENDULUM_SIZES,
+    "K_IP": _CROSS_TERM_SIZES,
+    "K_IO": _CROSS_TERM_SIZES,
+    "K_PO": _CROSS_TERM_SIZES,
+    "K_PP": _CROSS_TERM_SIZES,
+    "K_OO": _CROSS_TERM_SIZES,
+    "K_OQ": ((1e-4, 1e-6, _NO_SOURCE), (1e-3, 3e-5, _TENTH_OF_K_II), (1e-2, 1e-4, _TENTH_OF_K_II)),
+    "delta_O": _MISALIGNMENT_SIZES,
+    "delta_P": _MISALIGNMENT_SIZES,
     "K_F.temperature": (
         (1e-2, 5e-6, "order-of-magnitude estimate; HASI: 0.6 µg/K at 293 K, 2.3 µg/K at 100 K"),
-        (1e-2, 1e-4, _NONE),
+        (1e-2, 1e-4, _NO_SOURCE),
         (1e-2, 2e-4, "ADXL350: typical 0 g offset of ±0.17 mg/K (X, Y) and ±0.24 mg/K (Z)"),
     ),
     "K_I.temperature": (
@@ -148,7 +152,7 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
     ),
     **{
         f"{symbol}.temperature.{n}": tuple(
-            (limit / 100.0 ** (n - 1), typical / 100.0 ** (n - 1), _OF_POWER[n])
+            (limit / 100.0 ** (n - 1), typical / 100.0 ** (n - 1), _POWER_SOURCES[n])
             for limit, typical in sizes
         )
         for symbol, sizes in (
@@ -157,7 +161,11 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
         )
         for n in (2, 3)
     },
-    "K_II.temperature": ((1e-5, 1e-8, _NONE), (1e-4, 3e-7, _NONE), (1e-3, 1e-6, _NONE)),
+    "K_II.temperature": (
+        (1e-5, 1e-8, _NO_SOURCE),
+        (1e-4, 3e-7, _NO_SOURCE),
+        (1e-3, 1e-6, _NO_SOURCE),
+    ),
     "K_F.hysteresis": tuple(
         (limit, typical, "order-of-magnitude estimate, no source: effect of 4 K on K_F")
         for limit, typical in ((1e-2, 2e-5), (1e-2, 4e-4), (5e-2, 8e-4))
@@ -167,11 +175,11 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
         (1e-3, 1.7e-8, "order-of-magnitude estimate, no source: 1 µg/min"),
         (1e-3, 1.7e-7, "order-of-magnitude estimate, no source: 10 µg/min"),
     ),
-    "K_F.heating": ((1e-4, 1e-7, _NONE), (1e-3, 1e-6, _NONE), (1e-2, 1e-5, _NONE)),
+    "K_F.heating": ((1e-4, 1e-7, _NO_SOURCE), (1e-3, 1e-6, _NO_SOURCE), (1e-2, 1e-5, _NO_SOURCE)),
 }
 
 #: Symbol of a term of an accelerometer -> grade -> size.
 SIZES: Final[Mapping[str, Mapping[str, Size]]] = {
     symbol: {grade: Size(*size) for grade, size in zip(GRADES, sizes, strict=True)}
-    for symbol, sizes in _ROWS.items()
+    for symbol, sizes in _SIZE_ROWS.items()
 }

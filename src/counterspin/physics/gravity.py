@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 from typing import Final
 
-_EQUATOR: Final = 9.7803253359  #: m/s^2
-_SOMIGLIANA: Final = 0.00193185265241
+_EQUATORIAL_GRAVITY: Final = 9.7803253359  #: m/s^2
+_SOMIGLIANA_CONSTANT: Final = 0.00193185265241
 _ECCENTRICITY_SQUARED: Final = 0.00669437999013
 _SEMI_MAJOR_AXIS: Final = 6378137.0  #: m
 _FLATTENING: Final = 1.0 / 298.257223563
-_RATIO: Final = 0.00344978650684  #: of centrifugal force and gravity at the equator
+_CENTRIFUGAL_RATIO: Final = 0.00344978650684  #: of centrifugal force and gravity at the equator
 
 #: Heights between which a laboratory is expected, m: a mine, and a town in the mountains.
-HEIGHTS: Final = (-500.0, 3000.0)
+HEIGHT_RANGE: Final = (-500.0, 3000.0)
 
 #: Latitudes that are tried between the equator and a pole: every tenth of a degree.
-_STEPS: Final = 900
+_LATITUDE_STEPS: Final = 900
 
 
 def normal_gravity(latitude: float, height: float = 0.0) -> float:
@@ -30,31 +30,32 @@ def normal_gravity(latitude: float, height: float = 0.0) -> float:
     height: Above the ellipsoid, m.
     Returns: m/s^2.
     """
-    square = math.sin(latitude) ** 2
-    on_ellipsoid = (
-        _EQUATOR * (1.0 + _SOMIGLIANA * square) / math.sqrt(1.0 - _ECCENTRICITY_SQUARED * square)
+    sin_squared = math.sin(latitude) ** 2
+    ellipsoid_gravity = (
+        _EQUATORIAL_GRAVITY
+        * (1.0 + _SOMIGLIANA_CONSTANT * sin_squared)
+        / math.sqrt(1.0 - _ECCENTRICITY_SQUARED * sin_squared)
     )
-    ratio = height / _SEMI_MAJOR_AXIS
-    slope = 2.0 * (1.0 + _FLATTENING + _RATIO - 2.0 * _FLATTENING * square)
-    return on_ellipsoid * (1.0 - slope * ratio + 3.0 * ratio**2)
+    height_ratio = height / _SEMI_MAJOR_AXIS
+    slope = 2.0 * (1.0 + _FLATTENING + _CENTRIFUGAL_RATIO - 2.0 * _FLATTENING * sin_squared)
+    return ellipsoid_gravity * (1.0 - slope * height_ratio + 3.0 * height_ratio**2)
 
 
 def gravity_range(latitude: float) -> tuple[float, float]:
-    """Return the smallest and the largest gravity of `HEIGHTS` at a latitude (rad), m/s^2."""
-    lowest, highest = HEIGHTS
-    return normal_gravity(latitude, highest), normal_gravity(latitude, lowest)
+    """Return the smallest and largest gravity in `HEIGHT_RANGE` at a latitude (rad), m/s^2."""
+    min_height, max_height = HEIGHT_RANGE
+    return normal_gravity(latitude, max_height), normal_gravity(latitude, min_height)
 
 
-def latitudes_with(gravity: float, anomaly: float) -> tuple[float, float]:
-    """Return the smallest and the largest latitude (rad), of either sign, with a gravity, m/s^2.
+def latitude_range(gravity: float, anomaly: float) -> tuple[float, float]:
+    """Return the smallest and largest latitude (rad), of either sign, with a gravity, m/s^2.
 
-    At one of `HEIGHTS`, and but for an anomaly of the ground (m/s^2). Not a number where there is
-    none.
+    At a height in `HEIGHT_RANGE`, within a gravity anomaly (m/s^2); NaN if there is none.
     """
     latitudes = [
         latitude
-        for step in range(_STEPS + 1)
-        for latitude in [0.5 * math.pi * step / _STEPS]
+        for step in range(_LATITUDE_STEPS + 1)
+        for latitude in [0.5 * math.pi * step / _LATITUDE_STEPS]
         if gravity_range(latitude)[0] - anomaly <= gravity <= gravity_range(latitude)[1] + anomaly
     ]
     return min(latitudes, default=math.nan), max(latitudes, default=math.nan)

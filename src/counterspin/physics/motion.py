@@ -31,7 +31,7 @@ from counterspin.physics.spindle import Spindle
 from counterspin.physics.table import TableMotion
 from counterspin.physics.terms import MOTION_TERMS
 
-_TINY: Final = float(np.finfo(float).tiny)
+_MIN_DURATION: Final = float(np.finfo(float).tiny)
 
 #: Times up to which the motion at them is kept for a while.
 _CACHE_SIZE: Final = 16384
@@ -311,12 +311,12 @@ class Motion:
             acceleration += _vectors(outward * cos - forward * sin, outward * sin + forward * cos)
         return self._tilt_level_vector(acceleration)
 
-    def _tilt_level_vector(self, level_vector: Array) -> Array:
+    def _tilt_level_vector(self, vector: Array) -> Array:
         """Return a vector of the level plane, or its derivative, as the tilted axis lifts it."""
         east, north = self.trajectory.axis_tilt
         if east or north:
-            level_vector[..., 2] = east * level_vector[..., 1] - north * level_vector[..., 0]
-        return level_vector
+            vector[..., 2] = east * vector[..., 1] - north * vector[..., 0]
+        return vector
 
     @cached_property
     def harmful_acceleration(self) -> Array:
@@ -375,7 +375,7 @@ class Motion:
 
     def _integrate(self, function: Callable[[Motion], Array]) -> Array:
         """Return integrals of k functions of the motion from t = 0, shape (n, k)."""
-        end = max(float(np.max(self.t, initial=0.0)), _TINY)
+        end = max(float(np.max(self.t, initial=0.0)), _MIN_DURATION)
         edges = quadrature.panel_edges(self.trajectory.spindle, end, coarse=self.trajectory.coarse)
         return quadrature.integrate(lambda t: function(self.trajectory.at(t)), edges, self.t, 1)
 
@@ -399,33 +399,31 @@ def _vectors(east: Array, north: Array, up: Array | None = None) -> Array:
 # Errors of the path ----------------------------------------------------------------------------
 
 
-def perturb_trajectory(trajectory: Trajectory, shared_values: Mapping[str, float]) -> Trajectory:
+def perturb_trajectory(trajectory: Trajectory, values: Mapping[str, float]) -> Trajectory:
     """Return the trajectory with errors of radius and axis applied."""
-    errors = [
-        (MOTION_TERMS[s].effect, value) for s, value in shared_values.items() if s in MOTION_TERMS
-    ]
+    errors = [(MOTION_TERMS[s].effect, value) for s, value in values.items() if s in MOTION_TERMS]
     imbalance = tuple(
         (error.harmonic, value, 0.0) if error.quadrature == "cos" else (error.harmonic, 0.0, value)
         for error, value in errors
         if error.kind == "imbalance" and value != 0.0
     )
-    stretch = shared_values.get("centrifuge.stretch", 0.0)
+    stretch = values.get("centrifuge.stretch", 0.0)
     axis_tilt = (
-        shared_values.get("centrifuge.axis_tilt.east", 0.0),
-        shared_values.get("centrifuge.axis_tilt.north", 0.0),
+        values.get("centrifuge.axis_tilt.east", 0.0),
+        values.get("centrifuge.axis_tilt.north", 0.0),
     )
     if not imbalance and stretch == 0.0 and axis_tilt == (0.0, 0.0):
         return trajectory
     return replace(trajectory, stretch=stretch, imbalance=imbalance, axis_tilt=axis_tilt)
 
 
-def encoder_error(shared_values: Mapping[str, float], angle: Array) -> Array:
+def encoder_error(values: Mapping[str, float], angle: Array) -> Array:
     """Return the recorded angle minus the true angle in rad, shape (n,).
 
     angle: The true angle, rad, shape (n,).
     """
     total = np.zeros_like(angle)
-    for symbol, value in shared_values.items():
+    for symbol, value in values.items():
         if symbol not in MOTION_TERMS or value == 0.0:
             continue
         error = MOTION_TERMS[symbol].effect
@@ -464,10 +462,10 @@ def _encoder_sensitivity(error: TrajectoryError, circle: Motion, order: int) -> 
     trajectory, n, spindle_state = circle.trajectory, error.harmonic, circle.spindle_state
     rate, acceleration = circle.rate, circle.angular_acceleration
     phasor = spindle_state.cosine + 1j * spindle_state.sine
-    times_n = phasor
+    phasor_n = phasor
     for _ in range(n - 1):
-        times_n = times_n * phasor
-    cos, sin = times_n.real, times_n.imag
+        phasor_n = phasor_n * phasor
+    cos, sin = phasor_n.real, phasor_n.imag
     # wave and its derivative by the angle's n-fold
     wave, slope = (cos, -sin) if error.quadrature == "cos" else (sin, cos)
 
@@ -477,8 +475,9 @@ def _encoder_sensitivity(error: TrajectoryError, circle: Motion, order: int) -> 
         elif order == 1:
             tangential = n * rate * slope + 1j * rate * wave
         else:
-            second = n * acceleration * slope - (n * rate) ** 2 * wave
-            tangential = second + 2j * n * rate**2 * slope + (1j * acceleration - rate**2) * wave
+            curvature = n * acceleration * slope - (n * rate) ** 2 * wave
+            tangential = curvature + 2j * n * rate**2 * slope
+            tangential += (1j * acceleration - rate**2) * wave
         level_vector = -1j * trajectory.radius * tangential * phasor
         return np.column_stack([level_vector.real, level_vector.imag, np.zeros(wave.size)])
 

@@ -71,18 +71,18 @@ def reference(
     if mounting.response is not None:
         static = replace(mounting, response=None)
 
-        def sensed(spindle: Spindle) -> Array:
+        def sensed_record(spindle: Spindle) -> Array:
             path = replace(trajectory, spindle=spindle)
             return columns(path, static, ["K_I"], times, observable, attitude=attitude)[:, 0]
 
-        def recorded(spindle: Spindle) -> Array:
+        def static_record(spindle: Spindle) -> Array:
             path = replace(trajectory, spindle=spindle)
             return reference(path, static, times, observable, attitude)
 
-        return mounting.response.filter_record(trajectory.spindle, recorded, sensed)
+        return mounting.response.filter_record(trajectory.spindle, static_record, sensed_record)
     axis = mounting.turned(attitude).input_axis
-    ideal = {"displacement": "position"}.get(observable, observable)
-    result: Array = getattr(motion_at(trajectory, times), ideal) @ axis
+    quantity = {"displacement": "position"}.get(observable, observable)
+    result: Array = getattr(motion_at(trajectory, times), quantity) @ axis
     if trajectory.site.gravity_left:
         result = result + residual_gravity(trajectory.site, axis, times, observable)
     return result
@@ -165,7 +165,7 @@ def columns(
     order = ORDERS[observable]
     effects = [term(symbol).effect for symbol in symbols]
     integrals = _TimeIntegrals(trajectory, mounting.turned(attitude), attitude, times, order)
-    linear = {
+    linear_vectors = {
         i: vector
         for i, effect in enumerate(effects)
         if (vector := integrals.linear_vector(effect)) is not None
@@ -182,7 +182,7 @@ def columns(
         for i, effect in enumerate(effects)
         if isinstance(effect, Slope) and effect.condition not in trajectory.conditions.changing
     }
-    evaluated_indices = {*linear, *bias_indices, *kinked_effects, *motion_errors, *slopes}
+    evaluated_indices = {*linear_vectors, *bias_indices, *kinked_effects, *motion_errors, *slopes}
     smooth_effects = {
         i: effect
         for i, effect in enumerate(effects)
@@ -198,7 +198,7 @@ def columns(
         result[list(kinked_effects)] = integrals.kinked(list(kinked_effects.values()))
     if smooth_effects:
         result[list(smooth_effects)] = integrals.smooth(list(smooth_effects.values()))
-    for i, vector in linear.items():
+    for i, vector in linear_vectors.items():
         result[i] = vector @ integrals.force
     for i in motion_errors:
         result[i] = integrals.trajectory_error(symbols[i])
@@ -222,7 +222,7 @@ def columns(
     return result.T
 
 
-def block_average(function: Callable[[Array], Array], times: Array, spread: Array) -> Array:
+def block_average(function: Callable[[Array], Array], times: Array, time_sd: Array) -> Array:
     """Return a function of time averaged over blocks of samples.
 
     Two points at the mean time plus and minus its standard deviation inside the block have the
@@ -230,13 +230,13 @@ def block_average(function: Callable[[Array], Array], times: Array, spread: Arra
     than 1e-7 of the first harmonic.
 
     function: Maps times (m,) in s to values (m, ...).
-    times, spread: Mean time of each block and standard deviation of its samples' times, s, shape
+    times, time_sd: Mean time of each block and standard deviation of its samples' times, s, shape
         (n,).
     Returns: shape (n, ...).
     """
-    if not np.any(spread):
+    if not np.any(time_sd):
         return function(times)
-    end_values = function(np.concatenate([times - spread, times + spread]))
+    end_values = function(np.concatenate([times - time_sd, times + time_sd]))
     mean: Array = end_values[: times.size] + end_values[times.size :]
     mean *= 0.5
     return mean
@@ -294,7 +294,8 @@ def _trajectory_integrals(
     """
     edges = quadrature.panel_edges(trajectory.spindle, duration, coarse=trajectory.coarse)
     is_cacheable = edges.size * quadrature.NODES <= _MAX_NODES
-    return (_along_short if is_cacheable else _along_long)(trajectory, duration, kink_axis)
+    make = _short_integrals if is_cacheable else _long_integrals
+    return make(trajectory, duration, kink_axis)
 
 
 def _make_integrals(
@@ -312,7 +313,7 @@ def _make_integrals(
     return _Integrals(trajectory, Panels(edges))
 
 
-_along_short, _along_long = (
+_short_integrals, _long_integrals = (
     lru_cache(maxsize=48)(_make_integrals),
     lru_cache(maxsize=8)(_make_integrals),
 )
@@ -370,9 +371,9 @@ class _TimeIntegrals:
             case SpecificForceProduct(is_linear=True, factors=(factor,), weight=weight):
                 axis: Array = weight * self._axes.matrix["IPO".index(factor)]
                 return axis
-            case AttitudeError(kind="tilt", axis=about) if self._trajectory.table_ratio == -1.0:
+            case AttitudeError(kind="tilt", axis=i) if self._trajectory.table_ratio == -1.0:
                 # (-psi x f) . I = f . (psi x I)
-                return np.cross(np.eye(3)[about], self._axes.input_axis)
+                return np.cross(np.eye(3)[i], self._axes.input_axis)
         return None
 
     @property

@@ -19,13 +19,13 @@ from counterspin.frozen import frozen
 from counterspin.physics.motion import Site
 
 #: Observables in which the navigation computer's velocity shows.
-NAVIGATED: Final = ("displacement", "velocity")
+NAVIGATION_OBSERVABLES: Final = ("displacement", "velocity")
 
 #: Part of the largest below which a combination of input axes counts as not recorded.
 _MIN_RECORDED_FRACTION: Final = 0.05
 
 #: Terms of the solution's series in 2 Omega t: in two hours the next one is below 1e-15.
-_TERM_COUNT: Final = 20
+_N_TERMS: Final = 20
 
 #: Degree of the polynomial that is integrated exactly; only waves and noise remain.
 _DEGREE: Final = 7
@@ -71,13 +71,13 @@ def coriolis(site: Site) -> Array:
 
 def unobserved_projection(errors: Sequence[AxisError]) -> Array:
     """Return the projection on the directions in which no displacement or velocity is recorded."""
-    axes = _axes(errors)
+    axes = _navigation_axes(errors)
     projection: Array = np.eye(3) - np.linalg.pinv(axes, rcond=_MIN_RECORDED_FRACTION) @ axes
     return projection
 
 
-def _axes(errors: Sequence[AxisError]) -> Array:
-    axes = [record.input_axis for record in errors if record.observable in NAVIGATED]
+def _navigation_axes(errors: Sequence[AxisError]) -> Array:
+    axes = [record.input_axis for record in errors if record.observable in NAVIGATION_OBSERVABLES]
     return np.reshape(axes, (len(axes), 3))
 
 
@@ -85,23 +85,23 @@ def _coriolis_projections(
     site: Site, errors: Sequence[AxisError], coriolis_matrix: Array
 ) -> list[Array]:
     """Return the Coriolis part of each error, from d = d(recorded) - integral of acting @ d."""
-    navigated_errors = [record for record in errors if record.observable in NAVIGATED]
+    navigated_errors = [record for record in errors if record.observable in NAVIGATION_OBSERVABLES]
     if not navigated_errors:
         return [np.zeros(record.time.size) for record in errors]
     grid = np.unique(np.concatenate([record.time for record in navigated_errors]))
-    integral = _make_integrator(grid)
-    recorded_positions = np.linalg.pinv(_axes(errors), rcond=_MIN_RECORDED_FRACTION) @ [
+    integrate = _make_integrator(grid)
+    recorded_positions = np.linalg.pinv(_navigation_axes(errors), rcond=_MIN_RECORDED_FRACTION) @ [
         _position_error(record, grid) for record in navigated_errors
     ]
     positions, term = recorded_positions, recorded_positions
-    for _ in range(_TERM_COUNT):
-        term = -coriolis_matrix @ integral(term)
+    for _ in range(_N_TERMS):
+        term = -coriolis_matrix @ integrate(term)
         positions = positions + term
     velocity = coriolis(site) @ positions
-    coriolis_errors = {"velocity": velocity, "displacement": integral(velocity)}
+    coriolis_errors = {"velocity": velocity, "displacement": integrate(velocity)}
     return [
         np.interp(record.time, grid, record.input_axis @ coriolis_errors[record.observable])
-        if record.observable in NAVIGATED
+        if record.observable in NAVIGATION_OBSERVABLES
         else np.zeros(record.time.size)
         for record in errors
     ]
@@ -109,8 +109,8 @@ def _coriolis_projections(
 
 def _position_error(record: AxisError, grid: Array) -> Array:
     """Return an accelerometer's error in position since the start of the record, m."""
-    finite = np.isfinite(record.error)
-    time, error = record.time[finite], record.error[finite]
+    is_finite = np.isfinite(record.error)
+    time, error = record.time[is_finite], record.error[is_finite]
     if record.observable == "velocity":
         error = _make_integrator(time)(error[None])[0]
     displacement: Array = np.interp(grid, time, error - error[0])
@@ -123,20 +123,20 @@ def _make_integrator(time: Array) -> Callable[[Array], Array]:
     A polynomial is integrated exactly, and trapezoids only what it leaves: a gap in the record
     then costs next to nothing, for across it the error is not straight.
     """
-    half = 0.5 * float(time[-1] - time[0])
-    scaled_time = (time - time[0]) / half - 1.0 if half else np.zeros_like(time)
+    half_duration = 0.5 * float(time[-1] - time[0])
+    scaled_time = (time - time[0]) / half_duration - 1.0 if half_duration else np.zeros_like(time)
     powers = chebvander(scaled_time, min(_DEGREE, time.size - 1))
     inverse = np.linalg.pinv(powers)
-    integrated_basis = half * chebint(np.eye(powers.shape[1]), lbnd=-1.0, axis=1)
+    integrated_basis = half_duration * chebint(np.eye(powers.shape[1]), lbnd=-1.0, axis=1)
     integrals = chebvander(scaled_time, powers.shape[1]) @ integrated_basis.T
     steps = 0.5 * np.diff(time)
 
-    def integral(values: Array) -> Array:
-        smooth = values @ inverse.T
-        remainder = values - smooth @ powers.T
+    def integrate(values: Array) -> Array:
+        polynomial_coefficients = values @ inverse.T
+        remainder = values - polynomial_coefficients @ powers.T
         remainder_integral = np.cumsum(steps * (remainder[:, 1:] + remainder[:, :-1]), axis=1)
-        result: Array = smooth @ integrals.T
+        result: Array = polynomial_coefficients @ integrals.T
         result[:, 1:] += remainder_integral
         return result
 
-    return integral
+    return integrate

@@ -22,32 +22,32 @@ NODES: Final = 16  #: Gauss-Legendre nodes in a panel
 _CHUNK_TIMES: Final = 65536  #: sample times evaluated at once, which bounds the memory
 #: Part of a panel by which times may lie before it: corrected time stamps do. Its polynomials are
 #: as good there, to 1e-9 of a third harmonic.
-_EXTRAPOLATION: Final = 0.1
+_MAX_EXTRAPOLATION: Final = 0.1
 _CACHE_SIZE: Final = 16384  #: sample times, or panel edges, up to which places in panels are kept
 
 # The highest harmonic of the smooth products is the third (a_I^3); ripple adds its own.
 # Sixteen nodes reach 1e-12 while a panel spans at most 3/4 of a period of the highest harmonic.
 # Over twice that they still integrate a whole panel to rounding, but what lies between the edges
 # to 1e-6 only, and to 1e-4 of a fourth harmonic.
-_PRODUCT_HARMONIC: Final = 3
+_MAX_PRODUCT_HARMONIC: Final = 3
 _PANELS_PER_PERIOD: Final = 4.0 / 3.0
 _COARSE_PANELS_PER_PERIOD: Final = 2.0 / 3.0
 
 
-def _series_of_integral(times_integrated: int) -> Array:
+def _integral_series(times_integrated: int) -> Array:
     """Matrix from node values to the Chebyshev series of the integral, (NODES + 2, NODES)."""
-    series = np.linalg.inv(chebyshev.chebvander(_X, NODES - 1))
+    series = np.linalg.inv(chebyshev.chebvander(_NODE_POSITIONS, NODES - 1))
     integral = chebyshev.chebint(series, m=times_integrated, lbnd=-1.0, axis=0)
     padded_integral = np.zeros((NODES + 2, NODES))
     padded_integral[: len(integral)] = integral
     return padded_integral
 
 
-_X, _WEIGHTS = legendre.leggauss(NODES)
-_SINGLE_INTEGRAL: Final[Array] = _series_of_integral(1)
-_DOUBLE_INTEGRAL: Final[Array] = _series_of_integral(2)
+_NODE_POSITIONS, _WEIGHTS = legendre.leggauss(NODES)
+_SINGLE_INTEGRAL: Final[Array] = _integral_series(1)
+_DOUBLE_INTEGRAL: Final[Array] = _integral_series(2)
 #: From node values to the double integral over a whole panel, which is that of (1 - x) f.
-_WEIGHTS_TWICE: Final[Array] = _WEIGHTS * (1.0 - _X)
+_DOUBLE_WEIGHTS: Final[Array] = _WEIGHTS * (1.0 - _NODE_POSITIONS)
 
 
 def panel_edges(
@@ -62,8 +62,8 @@ def panel_edges(
     revolutions = duration * abs(spindle.rate) * (1 + max(0.0, spindle.drift * duration))
     revolutions /= 2.0 * math.pi
     density = _COARSE_PANELS_PER_PERIOD if coarse else _PANELS_PER_PERIOD
-    per_revolution = density * (_PRODUCT_HARMONIC + spindle.highest_harmonic)
-    edges = np.linspace(0.0, duration, max(2, math.ceil(revolutions * per_revolution) + 1))
+    panels_per_revolution = density * (_MAX_PRODUCT_HARMONIC + spindle.highest_harmonic)
+    edges = np.linspace(0.0, duration, max(2, math.ceil(revolutions * panels_per_revolution) + 1))
     if breaks is None or breaks.size == 0:
         return edges
     edges = np.sort(np.append(edges, breaks[(breaks > 0.0) & (breaks < duration)]))
@@ -100,11 +100,11 @@ def sign_changes(function: Callable[[Array], Array], edges: Array) -> Array:
         )
         next_time = right - step
         next_value = function(next_time)
-        same_sign_as_right = (next_value > 0.0) == (f_right > 0.0)
+        has_sign_of_right = (next_value > 0.0) == (f_right > 0.0)
         # Where the left end stays, half its value moves the next step beyond the root.
         left, f_left = (
-            np.where(same_sign_as_right, left, right),
-            np.where(same_sign_as_right, 0.5 * f_left, f_right),
+            np.where(has_sign_of_right, left, right),
+            np.where(has_sign_of_right, 0.5 * f_left, f_right),
         )
         right, f_right = next_time, next_value
         if np.all(np.abs(step) <= rounding):
@@ -134,7 +134,9 @@ class Panels:
     def __init__(self, edges: Array) -> None:
         self._edges = edges
         self._half = 0.5 * np.diff(edges)
-        self.nodes: Array = (edges[:-1, None] + self._half[:, None] * (1.0 + _X)).ravel()
+        self.nodes: Array = (
+            edges[:-1, None] + self._half[:, None] * (1.0 + _NODE_POSITIONS)
+        ).ravel()
 
     def series(self, values: Array, order: int) -> Array:
         """Return Chebyshev series of the integrals of functions, (k, panels, NODES + 2).
@@ -146,12 +148,12 @@ class Panels:
         series = np.empty((len(f), half.size, NODES + 2))
         if order == 1:
             np.matmul(f * half[:, None], _SINGLE_INTEGRAL.T, out=series)
-            series[..., 0] += _running_sum((f @ _WEIGHTS) * half)
+            series[..., 0] += _cumulative_sum((f @ _WEIGHTS) * half)
             return series
         # The slope at the panel's start goes on through it, as slope x half x (1 + x).
-        increments = _running_sum((f @ _WEIGHTS) * half) * half
+        increments = _cumulative_sum((f @ _WEIGHTS) * half) * half
         np.matmul(f * half[:, None] ** 2, _DOUBLE_INTEGRAL.T, out=series)
-        start = _running_sum((f @ _WEIGHTS_TWICE) * half**2 + 2.0 * increments)
+        start = _cumulative_sum((f @ _DOUBLE_WEIGHTS) * half**2 + 2.0 * increments)
         series[..., 0] += start + increments
         series[..., 1] += increments
         return series
@@ -164,11 +166,11 @@ class Panels:
         over the rest is neglected: a few milliseconds of a product whose sign just changes.
         """
         edges = self._edges
-        min_time = edges[0] - _EXTRAPOLATION * 2.0 * self._half.max()
+        min_time = edges[0] - _MAX_EXTRAPOLATION * 2.0 * self._half.max()
         max_time = edges[-1] + 1e-12 * (edges[-1] - edges[0])
         if times.size and (times.min() < min_time or times.max() > max_time):
             raise ValueError("times lie outside the panels")
-        times = np.maximum(times, edges[0] - _EXTRAPOLATION * (edges[1] - edges[0]))
+        times = np.maximum(times, edges[0] - _MAX_EXTRAPOLATION * (edges[1] - edges[0]))
         chunks = []
         for chunk_start in range(0, times.size if len(series) else 0, _CHUNK_TIMES):
             t = times[chunk_start : chunk_start + _CHUNK_TIMES]
@@ -195,33 +197,37 @@ class _PanelPositions:
 
     def __init__(self, edges: Array, times: Array) -> None:
         half_width = 0.5 * np.diff(edges)
-        panel = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, half_width.size - 1)
-        order = np.argsort(panel, kind="stable")
-        counts = np.bincount(panel)
+        panel_indices = np.clip(
+            np.searchsorted(edges, times, side="right") - 1, 0, half_width.size - 1
+        )
+        order = np.argsort(panel_indices, kind="stable")
+        counts = np.bincount(panel_indices)
         occupied_panels = np.flatnonzero(counts)
         counts = counts[occupied_panels]
         width = times.size // occupied_panels.size + 2
-        rows = -(-counts // width)
+        n_rows = -(-counts // width)
         slots = np.arange(times.size) - np.repeat(np.cumsum(counts) - counts, counts)
         self._slots = np.empty(times.size, dtype=np.intp)
-        self._slots[order] = slots + np.repeat(width * (np.cumsum(rows) - rows), counts)
-        slot_positions = np.zeros(width * rows.sum())
-        slot_positions[self._slots] = (times - edges[panel]) / half_width[panel] - 1.0
+        self._slots[order] = slots + np.repeat(width * (np.cumsum(n_rows) - n_rows), counts)
+        slot_positions = np.zeros(width * n_rows.sum())
+        slot_positions[self._slots] = (times - edges[panel_indices]) / half_width[
+            panel_indices
+        ] - 1.0
         values = chebyshev.chebvander(slot_positions.reshape(-1, width), NODES + 1)
         self._powers = np.moveaxis(values, 2, 1)
         # The panel of each row, where that is not simply the next one.
-        all_single = occupied_panels.size == half_width.size and rows.max() == 1
-        self._panels = None if all_single else np.repeat(occupied_panels, rows)
+        has_one_row_per_panel = occupied_panels.size == half_width.size and n_rows.max() == 1
+        self._panels = None if has_one_row_per_panel else np.repeat(occupied_panels, n_rows)
 
     def evaluate(self, series: Array) -> Array:
         """Return the values of series (k, panels, NODES + 2) at the times, shape (k, n)."""
         row_series = series.transpose(1, 0, 2)
         if self._panels is not None:
             row_series = row_series[self._panels]
-        rows, _, width = self._powers.shape
+        n_rows, _, width = self._powers.shape
         # Written where they are taken from: memory that a process has not had yet takes longer to
         # get than it takes to fill.
-        slot_values = np.empty((len(series), rows, width))
+        slot_values = np.empty((len(series), n_rows, width))
         np.matmul(row_series, self._powers, out=slot_values.transpose(1, 0, 2))
         return slot_values.reshape(len(series), -1).take(self._slots, axis=1)
 
@@ -231,7 +237,7 @@ def _cached_positions(edges: bytes, times: bytes) -> _PanelPositions:
     return _PanelPositions(np.frombuffer(edges), np.frombuffer(times))
 
 
-def _running_sum(increments: Array) -> Array:
+def _cumulative_sum(increments: Array) -> Array:
     """Return the sums before each panel, (k, m), of the increments over the panels, (k, m)."""
     sums = np.zeros_like(increments)
     np.cumsum(increments[:, :-1], axis=1, out=sums[:, 1:])

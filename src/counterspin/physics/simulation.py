@@ -29,7 +29,7 @@ from counterspin.physics.terms import (
 
 def attitude_error(
     trajectory: Trajectory,
-    platform: Mapping[str, float],
+    platform_values: Mapping[str, float],
     times: Array,
     attitude: Array = observation.LEVEL,
 ) -> Array:
@@ -45,7 +45,7 @@ def attitude_error(
     """
     psi = np.zeros((times.size, 3))
     motion, g = trajectory.at(times), trajectory.site.gravity
-    for symbol, value in platform.items():
+    for symbol, value in platform_values.items():
         row = PLATFORM_TERMS[symbol].effect
         if row.kind in ("tilt", "table_axis"):
             psi += value * motion.table.tilt_axis(row)
@@ -94,38 +94,42 @@ def simulate_record(
     order = observation.ORDERS[observable]
     axes = mounting.turned(attitude)
     trajectory = perturb_trajectory(trajectory, shared_values)
-    platform = {
+    platform_values = {
         symbol: value for symbol, value in shared_values.items() if symbol in PLATFORM_TERMS
     }
     g = trajectory.site.gravity
-    trend = sum(slope for symbol, slope in coefficients.items() if condition_of(symbol) == "time")
+    trend_slope = sum(
+        slope for symbol, slope in coefficients.items() if condition_of(symbol) == "time"
+    )
     conditions, all_coefficients = trajectory.conditions, coefficients
     coefficients = run_coefficients(coefficients, conditions, trajectory.centripetal)
     scale_error = coefficients.get("K_I", 1.0) - 1.0
     lever_arm = shared_values.get(LEVER_ARM, 0.0)
 
-    def residual(t: Array) -> Array:
+    def residual_force(t: Array) -> Array:
         """Return the indicated force's error less that of the scale factor, m/s^2."""
         motion = trajectory.at(t)
         force = proof_mass_force = motion.specific_force
         if lever_arm != 0.0:
             lever_arm_force = lever_arm * motion.table.lever_arm_force(axes.input_axis)
             proof_mass_force = force + lever_arm_force
-        psi = attitude_error(trajectory, platform, t, attitude)
+        psi = attitude_error(trajectory, platform_values, t, attitude)
         sensed_force = _rotate_force(proof_mass_force, psi) / g
         rotation = motion.table.instrument_rotation(axes)
         sensor_output = indicated(axes, coefficients, sensed_force, rotation) + _change_since_start(
             all_coefficients, conditions, axes, sensed_force, t
         )
-        return g * (sensor_output + trend * t) - (1.0 + scale_error) * (force @ axes.input_axis)
+        return g * (sensor_output + trend_slope * t) - (1.0 + scale_error) * (
+            force @ axes.input_axis
+        )
 
     # The scale factor's own part has an exact integral, which a quadrature would spoil.
     exact_output = observation.columns(
         trajectory, mounting, ["K_I"], times, observable, attitude=attitude
     )[:, 0]
-    base = observation.reference(trajectory, mounting, times, observable, attitude)
+    reference = observation.reference(trajectory, mounting, times, observable, attitude)
     if order == 0:
-        return base + scale_error * exact_output + residual(times)
+        return reference + scale_error * exact_output + residual_force(times)
     duration = max(float(times.max(initial=0.0)), np.finfo(float).tiny)
     breaks = conditions.breaks
     edges = quadrature.panel_edges(trajectory.spindle, duration, breaks)
@@ -134,8 +138,8 @@ def simulate_record(
             lambda t: trajectory.specific_force(t) @ axes.input_axis, edges
         )
         edges = quadrature.panel_edges(trajectory.spindle, duration, np.append(breaks, kinks))
-    error = quadrature.integrate(lambda t: residual(t)[None], edges, times, order)[:, 0]
-    return base + scale_error * exact_output + error
+    error = quadrature.integrate(lambda t: residual_force(t)[None], edges, times, order)[:, 0]
+    return reference + scale_error * exact_output + error
 
 
 def _filtered_record(
@@ -149,14 +153,20 @@ def _filtered_record(
 ) -> Array:
     """Return the record of an accelerometer with a frequency response, shape (n,)."""
     assert mounting.response is not None
-    ideal = replace(mounting, response=None)
+    ideal_mounting = replace(mounting, response=None)
 
     def error(spindle: Spindle) -> Array:
         motion = replace(trajectory, spindle=spindle)
         record = simulate_record(
-            motion, ideal, coefficients, shared_values, times, observable, attitude=attitude
+            motion,
+            ideal_mounting,
+            coefficients,
+            shared_values,
+            times,
+            observable,
+            attitude=attitude,
         )
-        return record - observation.reference(motion, ideal, times, observable, attitude)
+        return record - observation.reference(motion, ideal_mounting, times, observable, attitude)
 
     shifts = mounting.response.total_shifts(trajectory.spindle.rate)
     filtered_error = shifts.apply(trajectory.spindle, error)
@@ -176,17 +186,17 @@ def _change_since_start(
     times: s from the run's start, shape (n,).
     Returns: g, shape (n,), or 0.
     """
-    further_change: Array | float = 0.0
+    change_sum: Array | float = 0.0
     for symbol, slope in coefficients.items():
         row = CONDITION_TERMS.get(symbol)
         if row is None or slope == 0.0 or row.effect.condition not in conditions.changing:
             continue
         factors = row.effect.design_factors(conditions.at(times, 0.0))
         change = factors - row.effect.design_factor(conditions, 0.0)
-        further_change = further_change + slope * change * TERMS[
-            row.effect.coefficient
-        ].effect.evaluate(axes.matrix @ force.T)
-    return further_change
+        change_sum = change_sum + slope * change * TERMS[row.effect.coefficient].effect.evaluate(
+            axes.matrix @ force.T
+        )
+    return change_sum
 
 
 def run_coefficients(

@@ -24,11 +24,11 @@ from counterspin.arrays import (
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.physics.angle_error import (
-    HARMONICS,
-    SLOW,
+    N_UNCERTAIN_HARMONICS,
+    POLYNOMIAL_NAMES,
     UNRESOLVED_SD,
     AngleError,
-    convert_slow_coefficients,
+    convert_polynomial_coefficients,
 )
 
 TURN: Final = 2.0 * math.pi  #: rad
@@ -39,7 +39,7 @@ _CHUNK_ROWS: Final = 65536
 MAX_HARMONICS: Final = 8  #: highest ripple harmonic that `fit_spindle` tries by itself
 
 #: Fits by which the noise of the angle, and so the weight of the default priors, converges.
-_PRIOR_ROUNDS: Final = 4
+_PRIOR_ITERATIONS: Final = 4
 
 
 @frozen
@@ -180,7 +180,7 @@ class Spindle:
         functions_at_zero, rates_at_zero, _ = (
             component[0] for component in error.functions(np.zeros(1))
         )
-        slow = len(SLOW)
+        slow = len(POLYNOMIAL_NAMES)
         start_rate = self.rate + float(rates_at_zero[:slow] @ coefficients[:slow])
         curvature = self.rate * self.drift + error.rate * float(coefficients[2])
         wave_coefficients = {r.harmonic: self._wave(r) for r in self.ripples}
@@ -206,7 +206,7 @@ class Spindle:
         """
         value, first_derivative, second_derivative = error.functions(t)
         # What a coefficient changes of the rate at t = 0, to which the ripples belong.
-        rate_change = error.functions(np.zeros(1))[1][0, : len(SLOW)]
+        rate_change = error.functions(np.zeros(1))[1][0, : len(POLYNOMIAL_NAMES)]
         for ripple in self.ripples:
             angular_frequency = 1j * ripple.harmonic * self.rate
             wave = 1j * ripple.harmonic * self._wave(ripple) * np.exp(angular_frequency * t)
@@ -215,7 +215,7 @@ class Spindle:
                 (first_derivative, (1.0 + angular_frequency * t) * wave),
                 (second_derivative, (2.0 + angular_frequency * t) * angular_frequency * wave),
             ):
-                component[:, : len(SLOW)] += slope.real[:, None] * rate_change
+                component[:, : len(POLYNOMIAL_NAMES)] += slope.real[:, None] * rate_change
         return value, first_derivative, second_derivative
 
     def _wave(self, ripple: Ripple) -> complex:
@@ -285,7 +285,7 @@ def fit_spindle(
     Linear least squares in (theta0, w0, C w0/2, a_n, b_n) with the harmonics taken at the
     current w0, iterated; the noise of the angle is estimated from the residuals. Of the first
     `MAX_HARMONICS` harmonics those are kept that an information criterion supports. Those of the
-    first `HARMONICS` that the samples of a revolution do not resolve have a default prior.
+    first `N_UNCERTAIN_HARMONICS` that the samples do not resolve have a default prior.
 
     Parameters
     ----------
@@ -320,31 +320,31 @@ def fit_spindle(
     root_weight = np.ones_like(time) if weights is None else np.sqrt(weights / np.mean(weights))
     samples = _FitSamples(time, theta, root_weight, spread if np.any(spread) else None)
     if harmonics is not None:
-        return _fit(samples, nominal_rate, range(1, harmonics + 1))[0]
-    resolved_count = _count_resolvable_harmonics(time, nominal_rate)
-    all_harmonics, all_coefficients = _fit(samples, nominal_rate, range(1, resolved_count + 1))
+        return _fit_harmonics(samples, nominal_rate, range(1, harmonics + 1))[0]
+    n_resolved = _count_resolvable_harmonics(time, nominal_rate)
+    full_fit, full_coefficients = _fit_harmonics(samples, nominal_rate, range(1, n_resolved + 1))
     # The first harmonics reach a coefficient even where the samples do not resolve them.
-    max_harmonic = max(resolved_count, _count_harmonics(time, HARMONICS))
+    max_harmonic = max(n_resolved, _count_harmonics(time, N_UNCERTAIN_HARMONICS))
     prior = None
-    for _ in range(_PRIOR_ROUNDS if max_harmonic > resolved_count else 0):
-        prior = _UnresolvedPrior(resolved_count, all_harmonics.rms)
-        all_harmonics, all_coefficients = _fit(
+    for _ in range(_PRIOR_ITERATIONS if max_harmonic > n_resolved else 0):
+        prior = _UnresolvedPrior(n_resolved, full_fit.rms)
+        full_fit, full_coefficients = _fit_harmonics(
             samples, nominal_rate, range(1, max_harmonic + 1), prior
         )
     significant_harmonics = [
         ripple.harmonic
-        for ripple, u_ripple in zip(
-            all_harmonics.spindle.ripples, all_harmonics.u_ripples, strict=True
-        )
+        for ripple, u_ripple in zip(full_fit.spindle.ripples, full_fit.u_ripples, strict=True)
         if _is_significant(ripple, u_ripple, time.size)
     ]
-    fit, selected_coefficients = _fit(
-        samples, all_harmonics.spindle.rate, significant_harmonics, prior
+    fit, selected_coefficients = _fit_harmonics(
+        samples, full_fit.spindle.rate, significant_harmonics, prior
     )
     # What the criterion has left out may be there all the same, as far as its noise allows.
-    error_harmonics = sorted({*significant_harmonics, *range(1, min(HARMONICS, max_harmonic) + 1)})
+    error_harmonics = sorted(
+        {*significant_harmonics, *range(1, min(N_UNCERTAIN_HARMONICS, max_harmonic) + 1)}
+    )
     return replace(
-        fit, error=_angle_error(time, error_harmonics, all_coefficients, selected_coefficients)
+        fit, error=_angle_error(time, error_harmonics, full_coefficients, selected_coefficients)
     )
 
 
@@ -356,7 +356,7 @@ def forecast_angle_error(time: Array, rate: float, noise: float, weights: Array)
     noise: Standard deviation of one sample's angle, rad.
     weights: Samples in each block, shape (n,).
     """
-    harmonics = range(1, _count_harmonics(time, HARMONICS) + 1)
+    harmonics = range(1, _count_harmonics(time, N_UNCERTAIN_HARMONICS) + 1)
     root_weight, scaled_time = np.sqrt(weights), time / float(np.ptp(time))
     columns = np.empty((3 + 2 * len(harmonics), time.size))
     columns[:3] = root_weight, root_weight * scaled_time, root_weight * scaled_time**2
@@ -377,12 +377,12 @@ def _count_resolvable_harmonics(time: Array, rate: float) -> int:
     return min(_count_harmonics(time, MAX_HARMONICS), resolvable)
 
 
-def _count_harmonics(time: Array, largest: int) -> int:
+def _count_harmonics(time: Array, max_count: int) -> int:
     """Return the largest number of harmonics for which a fit has samples enough."""
-    return min(largest, (time.size - 8) // 2)
+    return min(max_count, (time.size - 8) // 2)
 
 
-def _is_significant(ripple: Ripple, u_ripple: tuple[float, float], samples: int) -> bool:
+def _is_significant(ripple: Ripple, u_ripple: tuple[float, float], n_samples: int) -> bool:
     """Return True if the extended Bayesian information criterion keeps a harmonic.
 
     Two more parameters, chosen among `MAX_HARMONICS` pairs, must gain more than
@@ -390,7 +390,7 @@ def _is_significant(ripple: Ripple, u_ripple: tuple[float, float], samples: int)
     harmonic, whose two coefficients are as good as uncorrelated, the gain is the square of its
     signal-to-noise ratio. Pure noise then keeps one in about 1/n of the fits.
     """
-    return ripple.amplitude**2 > 2.0 * math.log(samples * MAX_HARMONICS) * u_ripple[0] ** 2
+    return ripple.amplitude**2 > 2.0 * math.log(n_samples * MAX_HARMONICS) * u_ripple[0] ** 2
 
 
 class _FitSamples(NamedTuple):
@@ -432,9 +432,11 @@ def _angle_error(
 ) -> AngleError:
     """Return the angle error of `reduced_fit`, given the coefficients of `full_fit`."""
     start, span = float(np.min(time)), float(np.ptp(time))
-    rows = [convert_slow_coefficients(full_fit.factor[:3], reduced_fit.rate, start, span)]
-    differences = [
-        convert_slow_coefficients(
+    factor_rows = [
+        convert_polynomial_coefficients(full_fit.factor[:3], reduced_fit.rate, start, span)
+    ]
+    deviations = [
+        convert_polynomial_coefficients(
             (full_fit.value[:3] - reduced_fit.value[:3])[:, None], reduced_fit.rate, start, span
         )[:, 0]
     ]
@@ -445,31 +447,31 @@ def _angle_error(
         if n in reduced_fit.harmonics:
             offset = 3 + 2 * list(reduced_fit.harmonics).index(n)
             quadratures = quadratures - reduced_fit.value[offset : offset + 2]
-        rows.append(frequency * full_fit.factor[index : index + 2])
-        differences.append(frequency * quadratures)
+        factor_rows.append(frequency * full_fit.factor[index : index + 2])
+        deviations.append(frequency * quadratures)
     return AngleError(
         rate=reduced_fit.rate,
         start=start,
         span=span,
         harmonics=tuple(harmonics),
-        deviation=np.concatenate(differences),
-        root=triangular_root(np.concatenate(rows)),
+        deviation=np.concatenate(deviations),
+        root=triangular_root(np.concatenate(factor_rows)),
     )
 
 
-def _fit(
+def _fit_harmonics(
     samples: _FitSamples,
     start_rate: float,
     harmonics: Sequence[int],
     prior: _UnresolvedPrior | None = None,
 ) -> tuple[SpindleFit, _Coefficients]:
-    time, theta, root_weight, spread = samples
-    harmonic_count = len(harmonics)
-    n, unknown_count = time.size, 3 + 2 * harmonic_count
-    if n <= unknown_count:
+    time, theta, root_weight, time_sd = samples
+    n_harmonics = len(harmonics)
+    n, n_unknowns = time.size, 3 + 2 * n_harmonics
+    if n <= n_unknowns:
         raise NotIdentifiableError(
-            f"{n} angle samples cannot determine the rotation with {harmonic_count} harmonics "
-            f"({unknown_count} unknowns); use a longer record or request fewer harmonics"
+            f"{n} angle samples cannot determine the rotation with {n_harmonics} harmonics "
+            f"({n_unknowns} unknowns); use a longer record or request fewer harmonics"
         )
     span = float(np.ptp(time))
     scaled_time = time / span  # keeps the columns of one size
@@ -477,31 +479,31 @@ def _fit(
     target = theta - start_rate * time
     w0 = start_rate
     # One row for each unknown's column of the design, and the target's; all of them weighted.
-    columns = np.empty((unknown_count + 1, n))
+    columns = np.empty((n_unknowns + 1, n))
     columns[:3] = root_weight, root_weight * scaled_time, root_weight * scaled_time**2
-    if spread is not None:
-        columns[2] += root_weight * (spread / span) ** 2
+    if time_sd is not None:
+        columns[2] += root_weight * (time_sd / span) ** 2
     columns[-1] = root_weight * target
     for _ in range(20):
         _fill_harmonics(w0 * time, harmonics, root_weight, columns[3:-1])
-        if spread is not None:
+        if time_sd is not None:
             # As `observation.block_average`: the mean of the waves at both ends of the spread.
             for index, harmonic in enumerate(harmonics):
-                columns[3 + 2 * index : 5 + 2 * index] *= np.cos(harmonic * w0 * spread)
+                columns[3 + 2 * index : 5 + 2 * index] *= np.cos(harmonic * w0 * time_sd)
         triangle = triangular_factor(qr_blocks(columns.T))
         if prior is not None:
             rows = np.pad(prior.rows(harmonics), ((0, 0), (0, 1)))
             triangle = triangular_factor(np.vstack([triangle, rows]))
-        r = triangle[:unknown_count, :unknown_count]
+        r = triangle[:n_unknowns, :n_unknowns]
         # R's columns are as long as the design's.
         column_norms = np.maximum(np.linalg.norm(r, axis=0), math.sqrt(n))
         if np.any(np.abs(np.diag(r)) < 1e-12 * column_norms):
             raise NotIdentifiableError(
-                f"the angle samples do not separate {harmonic_count} harmonics: there are too few "
+                f"the angle samples do not separate {n_harmonics} harmonics: there are too few "
                 "samples per revolution, or the samples repeat the same angles; request fewer "
                 "harmonics"
             )
-        solution = np.asarray(np.linalg.solve(r, triangle[:unknown_count, -1]))
+        solution = np.asarray(np.linalg.solve(r, triangle[:n_unknowns, -1]))
         previous_rate, w0 = w0, start_rate + float(solution[1]) / span
         # Once the harmonics turn by less than 1e-9 rad over the record they are settled.
         if abs(w0 - previous_rate) * span * max(harmonics, default=0) < 1e-9:
@@ -512,7 +514,7 @@ def _fit(
             "Check the nominal rate of the run"
         )
     residuals = columns[-1] - solution @ columns[:-1]
-    dof = n - unknown_count
+    dof = n - n_unknowns
     variance = float(residuals @ residuals) / dof
     inverse = np.asarray(np.linalg.inv(r))
     covariance = variance * inverse @ inverse.T
@@ -522,15 +524,15 @@ def _fit(
     ripples, u_ripples = _to_ripples(w0, harmonics, solution[3:], covariance[3:, 3:])
     half_drift = float(solution[2]) / span**2
     # start_angle is theta(0); the model's own ripple vanishes at t = 0, so the cosines add here.
-    at_zero = np.zeros(unknown_count)
-    at_zero[0] = 1.0
-    at_zero[3::2] = 1.0
+    start_weights = np.zeros(n_unknowns)
+    start_weights[0] = 1.0
+    start_weights[3::2] = 1.0
     fit = SpindleFit(
         spindle=Spindle(
             rate=w0,
             drift=2.0 * half_drift / w0,
             ripples=ripples,
-            start_angle=float(at_zero @ solution),
+            start_angle=float(start_weights @ solution),
         ),
         u_rate=math.sqrt(covariance[1, 1]) / span,
         u_drift=2.0 * math.sqrt(covariance[2, 2]) / span**2 / abs(w0),
@@ -550,12 +552,12 @@ def _fill_harmonics(angle: Array, harmonics: Sequence[int], weights: Array, rows
     """
     phasor = np.empty(angle.shape, dtype=complex)
     phasor.real, phasor.imag = np.cos(angle), np.sin(angle)
-    power = weights.astype(complex)
+    phasor_power = weights.astype(complex)
     row = 0
     for harmonic in range(1, max(harmonics, default=0) + 1):
-        power *= phasor
+        phasor_power *= phasor
         if harmonic in harmonics:
-            rows[row], rows[row + 1] = power.real, power.imag
+            rows[row], rows[row + 1] = phasor_power.real, phasor_power.imag
             row += 2
 
 
@@ -573,12 +575,12 @@ def _to_ripples(
         if amplitude == 0.0:
             uncertainties.append((abs(n_w0) * math.sqrt(block[0, 0]), math.inf))
             continue
-        radial = np.array([a, b]) / amplitude
-        tangential = np.array([-b, a]) / amplitude**2
+        amplitude_gradient = np.array([a, b]) / amplitude
+        phase_gradient = np.array([-b, a]) / amplitude**2
         uncertainties.append(
             (
-                abs(n_w0) * math.sqrt(float(radial @ block @ radial)),
-                math.sqrt(float(tangential @ block @ tangential)),
+                abs(n_w0) * math.sqrt(float(amplitude_gradient @ block @ amplitude_gradient)),
+                math.sqrt(float(phase_gradient @ block @ phase_gradient)),
             )
         )
     return tuple(ripples), tuple(uncertainties)

@@ -54,7 +54,7 @@ FRAMES: Final[Mapping[str, Mapping[str, tuple[float, float, float]]]] = {
 }
 
 #: Motion, or ``poses`` -> the name of its readings.
-READINGS: Final = {
+READING_LABELS: Final = {
     "static": "readings at rest",
     "vibration": "readings during vibration",
     "arm": "readings on the arm",
@@ -63,7 +63,7 @@ READINGS: Final = {
 }
 
 #: Angles of a revolution at which the mean is taken: exact for products of degree below this.
-_ANGLE_COUNT: Final = 16
+_N_ANGLES: Final = 16
 
 
 @frozen
@@ -105,12 +105,21 @@ class Stations:
 
     def take(self, rows: npt.NDArray[np.intp]) -> Stations:
         """Return some of the stations."""
-        arrays = ("axes", "rate", "radius", "stretch", "droop", "axis_tilt", "turn", "amplitude")
+        field_names = (
+            "axes",
+            "rate",
+            "radius",
+            "stretch",
+            "droop",
+            "axis_tilt",
+            "turn",
+            "amplitude",
+        )
         return replace(
             self,
             table={n: components[rows] for n, components in self.table.items()},
             bias_acceleration=self.bias_acceleration[rows],
-            **{name: getattr(self, name)[rows] for name in arrays},
+            **{name: getattr(self, name)[rows] for name in field_names},
         )
 
     def forces(
@@ -146,24 +155,30 @@ class Stations:
         if self.motion == "arm":
             # The machine's axes lean with its spindle: gravity and the Earth's rotation as they
             # see them.
-            leaning = np.column_stack([self.axis_tilt, np.zeros(len(self.rate))])
-            machine = _rotate_axes(np.broadcast_to(np.eye(3), (len(self.rate), 3, 3)), leaning)
-            earth = (machine @ site.earth_rotation)[:, :, None]
-            plumb = site.gravity * machine[:, :, 2, None]
-            outward = plumb[:, 0] * cos + plumb[:, 1] * sin
-            outward = outward - radius * (w * w + 2.0 * w * earth[:, 2])
-            forward = plumb[:, 1] * cos - plumb[:, 0] * sin
+            rotation_vectors = np.column_stack([self.axis_tilt, np.zeros(len(self.rate))])
+            machine_axes = _rotate_axes(
+                np.broadcast_to(np.eye(3), (len(self.rate), 3, 3)), rotation_vectors
+            )
+            earth_rotation = (machine_axes @ site.earth_rotation)[:, :, None]
+            gravity = site.gravity * machine_axes[:, :, 2, None]
+            outward = gravity[:, 0] * cos + gravity[:, 1] * sin
+            outward = outward - radius * (w * w + 2.0 * w * earth_rotation[:, 2])
+            forward = gravity[:, 1] * cos - gravity[:, 0] * sin
             forward = forward + self.radius[:, None] * acceleration
-            up = plumb[:, 2] + 2.0 * radius * w * (earth[:, 0] * cos + earth[:, 1] * sin)
+            up = gravity[:, 2] + 2.0 * radius * w * (
+                earth_rotation[:, 0] * cos + earth_rotation[:, 1] * sin
+            )
             return np.stack([outward, forward, up], axis=-1)
         _, north, up = site.earth_rotation
         # 2 Omega x v of the velocity R w forward; the part along the arm is the same everywhere.
         # The platform stays level; a tilted axis lifts and lowers it.
         radial = -radius * (w * w + 2.0 * w * up)
-        rises = radius * (about_east * sin - about_north * cos)
-        speed = radius * w * (about_east * cos + about_north * sin)
-        vertical = site.gravity + 2.0 * radius * w * north * sin - w * w * rises
-        forces = np.stack([radial * cos + 2.0 * north * speed, radial * sin, vertical], axis=-1)
+        height = radius * (about_east * sin - about_north * cos)
+        vertical_speed = radius * w * (about_east * cos + about_north * sin)
+        vertical = site.gravity + 2.0 * radius * w * north * sin - w * w * height
+        forces = np.stack(
+            [radial * cos + 2.0 * north * vertical_speed, radial * sin, vertical], axis=-1
+        )
         return rotate_about_up(forces, self.table_errors(angles)) if self.table else forces
 
     def products(self, site: Site, forces: Array) -> Array:
@@ -173,14 +188,14 @@ class Stations:
         """
         axes = self.axes_under_load()
         a_ipo = np.einsum("nij,nmj->inm", axes, forces) / site.gravity
-        return _products(a_ipo, np.moveaxis(self.rotations(axes), 0, 1))
+        return _term_products(a_ipo, np.moveaxis(self.rotations(axes), 0, 1))
 
     def table_errors(self, angles: Array) -> Array:
         """Return the turn of the counter-rotating table about up, rad, shape (n, angles)."""
-        total = np.zeros((len(self.rate), angles.size))
+        errors = np.zeros((len(self.rate), angles.size))
         for n, components in self.table.items():
-            total += components @ np.stack([np.cos(n * angles), np.sin(n * angles)])
-        return total
+            errors += components @ np.stack([np.cos(n * angles), np.sin(n * angles)])
+        return errors
 
     def axes_under_load(self) -> Array:
         """Return the axes I, P, O with droop and turn, rows, shape (n, 3, 3)."""
@@ -229,7 +244,7 @@ class Stations:
                 changed_fields = {"table": {**self.table, n: self.table.get(n, 0.0) + components}}
             case SetupError("misalignment", axis):
                 changed_fields = {
-                    "turn": self.turn + np.outer(change, _named_axis(axis, self.motion))
+                    "turn": self.turn + np.outer(change, _unit_vector(axis, self.motion))
                 }
             case SetupError("zero" | "wave", harmonic=n, quadrature=quadrature):
                 # The zero is a wave of no turns.
@@ -266,17 +281,19 @@ def mean_products(stations: Stations, site: Site) -> Array:
     """
     # At rest the force is the same at all angles.
     is_static = stations.motion == "static" and not stations.rate.any()
-    angles = np.linspace(0.0, 2.0 * np.pi, 1 if is_static else _ANGLE_COUNT, endpoint=False)
+    angles = np.linspace(0.0, 2.0 * np.pi, 1 if is_static else _N_ANGLES, endpoint=False)
     forces, axes = stations.forces(site, angles), stations.axes_under_load()
     a_ipo = np.einsum("nij,nmj->inm", axes, forces)
     a_ipo /= site.gravity
     rotations = np.moveaxis(stations.rotations(axes), 0, 1)
-    means: Array = _products(a_ipo, rotations).mean(axis=2).T
+    means: Array = _term_products(a_ipo, rotations).mean(axis=2).T
     if is_static:
         return means
-    lowest, highest = a_ipo[0].min(axis=1), a_ipo[0].max(axis=1)
-    has_kink = (lowest < SIGN_WIDTH) & (highest > -SIGN_WIDTH) & (highest - lowest > _ROUNDING)
-    harmonics = np.fft.rfft(a_ipo[0]) / _ANGLE_COUNT
+    min_force, max_force = a_ipo[0].min(axis=1), a_ipo[0].max(axis=1)
+    has_kink = (
+        (min_force < SIGN_WIDTH) & (max_force > -SIGN_WIDTH) & (max_force - min_force > _ROUNDING)
+    )
+    harmonics = np.fft.rfft(a_ipo[0]) / _N_ANGLES
     is_sine = np.abs(harmonics[:, 2:]).max(axis=1) <= _ROUNDING
     means[np.ix_(has_kink & is_sine, _KINKED_INDICES)] = _kinked_sine_means(
         harmonics[has_kink & is_sine, 0].real, 2.0 * np.abs(harmonics[has_kink & is_sine, 1])
@@ -293,7 +310,7 @@ _KINKED_INDICES: Final = [place for place, row in enumerate(TERMS.values()) if r
 _ROUNDING: Final = 1e-12
 
 #: Panels of a revolution in which sign changes are sought.
-_PANEL_COUNT: Final = 8
+_N_PANELS: Final = 8
 
 
 def _kinked_sine_means(mean: Array, amplitude: Array) -> Array:
@@ -316,27 +333,29 @@ def _kinked_sine_means(mean: Array, amplitude: Array) -> Array:
         moments_above, (-SIGN_WIDTH, SIGN_WIDTH)
     )
     _, first_moment, second_moment = moments_above(0.0)
-    by_factors = {
+    means_by_factors = {
         ("sign_I",): high_fraction + low_fraction - 1.0 + (first_low - first_high) / SIGN_WIDTH,
         ("|I|",): 2.0 * first_moment - mean,
         ("I", "|I|"): 2.0 * second_moment - mean**2 - 0.5 * amplitude**2,
     }
     effects = [row.effect for row in TERMS.values() if row.effect.has_kink]
-    return np.stack([effect.weight * by_factors[effect.factors] for effect in effects], axis=-1)
+    return np.stack(
+        [effect.weight * means_by_factors[effect.factors] for effect in effects], axis=-1
+    )
 
 
 def _means_with_kinks(stations: Stations, site: Site) -> Array:
     """Return one station's means of products that have a kink, by panels between sign changes."""
     axes, end = stations.axes_under_load(), 2.0 * np.pi
     axis, rotation = axes[0, 0] / site.gravity, stations.rotations(axes)[0]
-    edges = np.linspace(0.0, end, _PANEL_COUNT + 1)
+    edges = np.linspace(0.0, end, _N_PANELS + 1)
 
-    def above(threshold: float, angle: Array) -> Array:
+    def excess_force(threshold: float, angle: Array) -> Array:
         excess: Array = stations.forces(site, angle)[0] @ axis - threshold
         return excess
 
     changes = [
-        quadrature.sign_changes(partial(above, threshold), edges)
+        quadrature.sign_changes(partial(excess_force, threshold), edges)
         for threshold in (-SIGN_WIDTH, 0.0, SIGN_WIDTH)
     ]
     edges = np.unique(np.concatenate([edges, *changes]))
@@ -350,13 +369,13 @@ def _means_with_kinks(stations: Stations, site: Site) -> Array:
     return np.asarray(quadrature.integrate(kinked_products, edges, edges[-1:], 1)[0] / end)
 
 
-def _products(a_ipo: Array, rotation: Array) -> Array:
+def _term_products(a_ipo: Array, rotation: Array) -> Array:
     """Return the signed products in the order of `TERMS`, shape (terms, *a_ipo.shape[1:])."""
     rows = (row.effect for row in TERMS.values())
     return np.stack([effect.evaluate(a_ipo, rotation, SIGN_WIDTH) for effect in rows])
 
 
-def _named_axis(name: str, motion: str) -> Array:
+def _unit_vector(name: str, motion: str) -> Array:
     """Return the unit vector of a named axis in a motion's frame; zero where it has none."""
-    names = ("outward", "forward", "up") if motion == "arm" else ("east", "north", "up")
-    return np.array([float(name == axis_name) for axis_name in names])
+    axis_names = ("outward", "forward", "up") if motion == "arm" else ("east", "north", "up")
+    return np.array([float(name == axis_name) for axis_name in axis_names])

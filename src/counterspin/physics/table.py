@@ -55,19 +55,21 @@ class TableMotion:
         angle = (self.turns - 1.0) * self.angle
         return rotate_about_up(np.broadcast_to(axis, (angle.size, 3)), angle)
 
-    def force_change(self, force: Array, change: Array, angle_change: Array) -> Array:
+    def force_change(self, force: Array, force_change_enu: Array, angle_change: Array) -> Array:
         """Return the change of the specific force by a change of the spindle's angle.
 
         force: In the frame of the table, shape (n, 3).
-        change: Of the force in east-north-up, shape (n, ..., 3).
+        force_change_enu: Of the force in east-north-up, shape (n, ..., 3).
         angle_change: With which the table turns too, rad, shape (n, ...).
         Returns: in the frame of the table, shape (n, ..., 3).
         """
         if self.turns == 0.0:
-            return change
+            return force_change_enu
         force_derivative = np.cross([0.0, 0.0, self.turns], force)
-        force_derivative = force_derivative.reshape(-1, *[1] * (change.ndim - 2), 3)
-        rotated_change: Array = self.rotate(change) - angle_change[..., None] * force_derivative
+        force_derivative = force_derivative.reshape(-1, *[1] * (force_change_enu.ndim - 2), 3)
+        rotated_change: Array = (
+            self.rotate(force_change_enu) - angle_change[..., None] * force_derivative
+        )
         return rotated_change
 
     def lever_arm_force(self, direction: Array) -> Array:

@@ -121,10 +121,10 @@ def _accelerometer_term(
 
 
 #: IEEE Std 1293 halves the asymmetries: K0' is the bias at positive less that at negative input.
-_WEIGHTS: Final = {"delta_P": -1.0, "K_0_asym": 0.5, "K_I_asym": 0.5}
+_PRODUCT_WEIGHTS: Final = {"delta_P": -1.0, "K_0_asym": 0.5, "K_I_asym": 0.5}
 
 #: Units that are not g over a power of g.
-_UNITS: Final = {
+_SPECIAL_UNITS: Final = {
     **{"delta_O": "rad", "delta_P": "rad"},
     **{"K_spin": "g s^2/rad^2", "K_ang": "g s^2/rad"},
 }
@@ -153,19 +153,19 @@ def _product_rows() -> Iterator[Term[SpecificForceProduct]]:
         ("delta_P", "O", "delta_p", "misalignment about the pendulous axis"),
     ):
         product = SpecificForceProduct(
-            tuple(factors.split()), ieee_symbol, _WEIGHTS.get(symbol, 1.0)
+            tuple(factors.split()), ieee_symbol, _PRODUCT_WEIGHTS.get(symbol, 1.0)
         )
         degree = product.degree
         unit = "g" if degree == 0 else "g/g" if degree == 1 else f"g/g^{degree}"
-        unit = _UNITS.get(symbol, unit)
+        unit = _SPECIAL_UNITS.get(symbol, unit)
         yield _accelerometer_term(
             symbol, product, description, unit, 1.0 if symbol == "K_I" else 0.0
         )
 
 
 def _slope_rows() -> Iterator[Term[Slope]]:
-    heating = "increase in K_F proportional to the square of the centripetal force"
-    warming = "change in {} with {}temperature"
+    heating_text = "increase in K_F proportional to the square of the centripetal force"
+    temperature_text = "change in {} with {}temperature"
     powers = ((1, ""), (2, "the square of "), (3, "the cube of "))
     for symbol, condition, unit, description in (
         *(
@@ -173,7 +173,7 @@ def _slope_rows() -> Iterator[Term[Slope]]:
                 f"{coefficient}.temperature{f'.{n}' if n > 1 else ''}",
                 "temperature",
                 f"{unit}/K{f'^{n}' if n > 1 else ''}",
-                warming.format(coefficient, power),
+                temperature_text.format(coefficient, power),
             )
             for coefficient, unit, degree in (
                 ("K_F", "g", 3),
@@ -184,7 +184,7 @@ def _slope_rows() -> Iterator[Term[Slope]]:
         ),
         ("K_F.hysteresis", "direction", "g", "difference in K_F between warming and cooling"),
         ("K_F.trend", "time", "g/s", "change in K_F with time"),
-        ("K_F.heating", "force", "g/g^2", heating),
+        ("K_F.heating", "force", "g/g^2", heating_text),
     ):
         motions = _ROTATING_MOTIONS if condition == "force" else _ALL_MOTIONS
         power = symbol.rpartition(".")[2]
@@ -321,15 +321,15 @@ def _harmonic_terms(orders: tuple[int, ...], template: str) -> Iterator[tuple[in
 
 
 def _setup_rows() -> Iterator[Term[SetupError]]:
-    radius = "fixture drawing; measured radii have relative uncertainties of 1e-7 to 4e-6"
+    drawing = "fixture drawing; measured radii have relative uncertainties of 1e-7 to 4e-6"
     proof_mass = "centrifuge.radius.ACCELEROMETER.MOUNTING"
-    head = f"{_NO_SOURCE}: 5 arcsec"
-    rate = f"{_NO_SOURCE}: typical mean rate error of a precision centrifuge"
+    head_source = f"{_NO_SOURCE}: 5 arcsec"
+    rate_source = f"{_NO_SOURCE}: typical mean rate error of a precision centrifuge"
     iso = "ISO 16063-21: 1 % (k = 2) for transducers calibrated by comparison"
     for symbol, description, unit, limit, typical_size, source, motions in (
-        ("centrifuge.radius.MOUNTING", "radius of the mounting", "m", 0.1, 1e-3, radius, ("arm",)),
-        (proof_mass, "radius to the proof mass", "m", 0.1, 1e-3, radius, ("arm",)),
-        ("centrifuge.rate", "random error of the rate", "1", 1e-2, 1e-7, rate, ()),
+        ("centrifuge.radius.MOUNTING", "radius of the mounting", "m", 0.1, 1e-3, drawing, ("arm",)),
+        (proof_mass, "radius to the proof mass", "m", 0.1, 1e-3, drawing, ("arm",)),
+        ("centrifuge.rate", "random error of the rate", "1", 1e-2, 1e-7, rate_source, ()),
         ("centrifuge.droop", "droop of the arm", "rad s^2", 1e-3, 1e-8, _NO_SOURCE, ("arm",)),
         *(
             (
@@ -356,7 +356,7 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
             for axis in ("east", "north")
         ),
         ("vibration.amplitude", "common amplitude error", "1", 0.1, 5e-3, iso, ("vibration",)),
-        ("head.zero", "zero of the dividing head", "rad", 1e-2, 2.5e-5, head, ("static",)),
+        ("head.zero", "zero of the dividing head", "rad", 1e-2, 2.5e-5, head_source, ("static",)),
     ):
         scope = next(
             (owner for owner in ("mounting", "position") if owner.upper() in symbol), "machine"
@@ -368,11 +368,11 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
         yield Term(
             symbol, effect, description, unit, limit, typical_size, source, scope, motions=motions
         )
-    arcseconds = (
+    harmonic_source = (
         "order-of-magnitude estimate: mounting errors of arcseconds (Lu et al.), ±5 arcsec "
         "distributed over the harmonics"
     )
-    size_fields = (1e-3, 1e-5, arcseconds)
+    size_fields = (1e-3, 1e-5, harmonic_source)
     for n, quadrature, harmonic_description in _harmonic_terms(
         (1, 2, 3, 4), "dividing head error, {} per revolution"
     ):
@@ -390,42 +390,66 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
 
 
 def _input_rows() -> Iterator[Term[Input]]:
-    radius = "largest relative uncertainty of measured radii (4e-6), at a radius of 2.5 m"
+    radii = "largest relative uncertainty of measured radii (4e-6), at a radius of 2.5 m"
     # An absolute gravimeter does better by 1000.
-    gravity = f"{_NO_SOURCE}: value from a gravity map, corrected for height"
+    gravity_source = f"{_NO_SOURCE}: value from a gravity map, corrected for height"
     delay, cutoff = "delay of the recorded angle", "low-pass cutoff frequency of the recorder"
-    natural, low_pass = f"{_NO_SOURCE}: 5 % of 400 Hz", f"{_NO_SOURCE}: 5 % of 100 Hz"
-    table, multiples = "standard uncertainty in the response table", (-100.0, 100.0)
+    frequency_source, cutoff_source = f"{_NO_SOURCE}: 5 % of 400 Hz", f"{_NO_SOURCE}: 5 % of 100 Hz"
+    table_source, multiples = "standard uncertainty in the response table", (-100.0, 100.0)
     poles, position = (-0.5 * math.pi, 0.5 * math.pi), "position error of 30 m on the ground"
-    quartz = "a free-running quartz oscillator"
+    clock_source = "a free-running quartz oscillator"
     # symbol, words, unit, what is possible, largest credible and typical error, source
     for symbol, description, unit, bounds, limit, typical_size, source in (
-        ("centrifuge.radius", "radius of the centrifuge", "m", (0.01, 100.0), 0.1, 1e-5, radius),
+        ("centrifuge.radius", "radius of the centrifuge", "m", (0.01, 100.0), 0.1, 1e-5, radii),
         # On Earth, from Huascaran to the Arctic Ocean.
-        ("site.gravity", "gravity of the site", "m/s^2", (9.76, 9.84), 0.08, 1e-4, gravity),
+        ("site.gravity", "gravity of the site", "m/s^2", (9.76, 9.84), 0.08, 1e-4, gravity_source),
         ("site.latitude", "latitude of the site", "rad", poles, math.pi, 5e-6, position),
         ("records.timing_offset", delay, "s", (-1.0, 1.0), 10.0, 1e-5, "one sample at 100 kHz"),
-        ("records.clock", "recorder clock error", "1", (-1e-2, 1e-2), 1e-2, 2e-5, quartz),
-        ("centrifuge.clock", "rate counter clock error", "1", (-1e-2, 1e-2), 1e-2, 2e-5, quartz),
-        ("sensor.natural_frequency", "natural frequency", "Hz", (1e-2, 1e6), 1e4, 20.0, natural),
+        ("records.clock", "recorder clock error", "1", (-1e-2, 1e-2), 1e-2, 2e-5, clock_source),
+        (
+            "centrifuge.clock",
+            "rate counter clock error",
+            "1",
+            (-1e-2, 1e-2),
+            1e-2,
+            2e-5,
+            clock_source,
+        ),
+        (
+            "sensor.natural_frequency",
+            "natural frequency",
+            "Hz",
+            (1e-2, 1e6),
+            1e4,
+            20.0,
+            frequency_source,
+        ),
         ("sensor.damping", "damping ratio", "1", (0.0, 100.0), 10.0, 0.1, f"{_NO_SOURCE}: 0.1"),
-        ("sensor.gain", "gain error, as a multiple of u", "1", multiples, 100.0, 1.0, table),
-        ("sensor.phase", "phase error, as a multiple of u", "1", multiples, 100.0, 1.0, table),
-        ("records.cutoff_frequency", cutoff, "Hz", (1e-2, 1e6), 1e4, 5.0, low_pass),
+        ("sensor.gain", "gain error, as a multiple of u", "1", multiples, 100.0, 1.0, table_source),
+        (
+            "sensor.phase",
+            "phase error, as a multiple of u",
+            "1",
+            multiples,
+            100.0,
+            1.0,
+            table_source,
+        ),
+        ("records.cutoff_frequency", cutoff, "Hz", (1e-2, 1e6), 1e4, 5.0, cutoff_source),
     ):
         effect = Input(symbol.partition(".")[2], bounds)
         yield Term(symbol, effect, description, unit, limit, typical_size, source, "input")
 
 
-def _by_symbol(rows: Iterator[Term[EffectT]]) -> Mapping[str, Term[EffectT]]:
+def _index_by_symbol(rows: Iterator[Term[EffectT]]) -> Mapping[str, Term[EffectT]]:
     return {row.symbol: row for row in rows}
 
 
-TERMS: Final = _by_symbol(_product_rows())
-CONDITION_TERMS: Final = _by_symbol(_slope_rows())
-PLATFORM_TERMS: Final = _by_symbol(_attitude_rows())
-MOTION_TERMS: Final = _by_symbol(_trajectory_rows())
-INPUTS: Final = _by_symbol(_input_rows())
+TERMS: Final = _index_by_symbol(_product_rows())
+CONDITION_TERMS: Final = _index_by_symbol(_slope_rows())
+PLATFORM_TERMS: Final = _index_by_symbol(_attitude_rows())
+MOTION_TERMS: Final = _index_by_symbol(_trajectory_rows())
+INPUTS: Final = _index_by_symbol(_input_rows())
 
 ACCELEROMETER_TERMS: Final[Mapping[str, Term[SpecificForceProduct | Slope]]] = {
     **TERMS,
@@ -440,7 +464,7 @@ SHARED_TERMS: Final[Mapping[str, Term[AttitudeError | TrajectoryError]]] = {
 TABLE: Final[Mapping[str, Term[Effect]]] = {
     **ACCELEROMETER_TERMS,
     **SHARED_TERMS,
-    **_by_symbol(_setup_rows()),
+    **_index_by_symbol(_setup_rows()),
     **INPUTS,
 }
 
@@ -449,7 +473,7 @@ READING_TERMS: Final = {symbol: row for symbol, row in TABLE.items() if row.moti
 
 #: Terms of the vector along which an accelerometer senses -> its component along I, P or O,
 #: numbered from 0, and the sign.
-LINEAR: Final = {
+SENSITIVITY_TERMS: Final = {
     symbol: ("IPO".index(row.effect.factors[0]), row.effect.weight)
     for symbol, row in TERMS.items()
     if row.effect.is_linear
@@ -513,7 +537,7 @@ def accelerometer_name(symbol: str) -> str:
     return _find_row(symbol)[1].rpartition(".")[0]
 
 
-def same_for_all(symbol: str) -> str:
+def shared_symbol(symbol: str) -> str:
     """Return the symbol of the same term for all accelerometers of a mounting."""
     owner = accelerometer_name(symbol)
     return symbol.replace(f".{owner}.", ".", 1) if owner else symbol

@@ -34,7 +34,7 @@ from counterspin.campaign.settings import (
 from counterspin.campaign.truth import TruthSettings
 from counterspin.campaign.validation import Section
 from counterspin.errors import OutOfRangeError
-from counterspin.readings.entries import MOST_READINGS, MOST_RECORDS
+from counterspin.readings.entries import MAX_READINGS, MAX_RECORDS
 from counterspin.readings.section import ReadingsSettings
 from counterspin.triads.section import TriadSettings
 
@@ -78,7 +78,7 @@ class LimitsSettings(SettingsSection):
     lowest_rate: Rate | None = key_field(
         "lowest rate (magnitude)", "0.5 rad/s", None, absent="highest / 8"
     )
-    rates: Annotated[list[Rate], Field(min_length=1, max_length=MOST_RECORDS)] | None = key_field(
+    rates: Annotated[list[Rate], Field(min_length=1, max_length=MAX_RECORDS)] | None = key_field(
         "list of the available rates",
         ["0.25 rev/s", "0.5 rev/s"],
         None,
@@ -110,7 +110,7 @@ class LimitsSettings(SettingsSection):
     longest_run: Seconds | None = key_field(
         "maximum duration of a record", "400 s", None, absent="the total time"
     )
-    runs: Annotated[int, Field(le=MOST_RECORDS), AfterValidator(check_positive)] = key_field(
+    runs: Annotated[int, Field(le=MAX_RECORDS), AfterValidator(check_positive)] = key_field(
         "maximum number of runs, up to 60", 14, 8
     )
     fewest_rates: Annotated[int, AfterValidator(check_positive)] | None = key_field(
@@ -193,7 +193,7 @@ class StationsSettings(SettingsSection):
 class ReadingLimitsSettings(SettingsSection):
     """[limits]: limits on the number and order of readings."""
 
-    readings: Annotated[int, Field(le=MOST_READINGS), AfterValidator(check_positive)] | None = (
+    readings: Annotated[int, Field(le=MAX_READINGS), AfterValidator(check_positive)] | None = (
         key_field("maximum number of readings", 60, None, absent="limited only by the time")
     )
     total_time: Seconds | None = key_field(

@@ -35,7 +35,7 @@ from counterspin.planning.result import (
 )
 from counterspin.planning.search import describe_missed_target, describe_undetermined
 from counterspin.planning.stations import CandidateReading, ReadingPlan
-from counterspin.readings.entries import MOST_READINGS
+from counterspin.readings.entries import MAX_READINGS
 from counterspin.readings.groups import group_readings
 from counterspin.readings.known_attitudes import Readings
 from counterspin.readings.linear import rows_at
@@ -268,10 +268,10 @@ class ReadingSearch:
 
     def _ordered_readings(self, counts: Counts) -> list[CandidateReading]:
         """Return the readings in measurement order; refuse too many readings."""
-        if counts.sum() > MOST_READINGS:
+        if counts.sum() > MAX_READINGS:
             raise CounterspinError(
                 f"{self.plan.path}: limits.total_time leaves time for {counts.sum():.3g} "
-                f"readings, but a campaign may have at most {MOST_READINGS}; give "
+                f"readings, but a campaign may have at most {MAX_READINGS}; give "
                 "limits.readings, or reduce the time",
                 code="too-many-rows",
             )

@@ -1,8 +1,8 @@
-"""Agreement of the data of each test method with those of the others.
+"""Agreement of the test methods.
 
-The data of a method are compared with the prediction of the others and of everything that is known
-beforehand. That is a test of all unknowns together, which no method alone has to determine.
-The shift of each unknown without the method is stated in addition.
+The data of a method are compared with the prediction from the other methods and the priors. This
+tests all unknowns together, even if no method determines all of them. The shift of each unknown
+without the method is computed in addition.
 """
 
 from __future__ import annotations
@@ -23,68 +23,68 @@ from counterspin.inference.joint.fit import (
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Block, Solution
 
-#: A direction in which a credible change moves data by less than this part of their noise tells
-#: nothing; one that the others predict this many times worse than the data see it tests nothing.
+#: Directions in which a credible change of the unknowns is below this fraction of the noise are
+#: ignored.
 _MIN_SINGULAR_VALUE: Final = 1e-2
+
+#: Directions that the other methods predict worse than this, in units of the noise, are ignored.
 _MAX_PREDICTION_SD: Final = 1e3
 
-#: Variances that differ by less than this part are the same but for rounding.
+#: Relative difference of variances that is rounding error.
 _ROUNDING: Final = 1e-9
 
 
 @frozen
 class MethodFit:
-    """One kind of data against the others."""
+    """Fits with and without a test method, and their agreement."""
 
-    #: What it says by itself, and what the others say, each with all that is known beforehand.
-    alone: JointFit
-    without: Solution
-    shift: Array  #: Estimates without it less those of everything, shape (p,).
-    #: Standard uncertainty of these, what both share counted once, shape (p,); NaN where leaving
-    #: the kind out changes nothing.
+    alone: JointFit  #: Fit of this method alone, with the priors.
+    without: Solution  #: Solution of the other methods, with the priors.
+    shift: Array  #: Estimates without the method minus estimates from all data, shape (p,).
+    #: Standard uncertainty of the shift, shape (p,); NaN if omitting the method changes nothing.
     u_shift: Array
-    #: Squares of what the kind says less what the others predict, over their variances, in as many
-    #: directions as both know something of.
+    #: Chi-square of the differences between the data of the method and the prediction of the other
+    #: methods, in all directions that both determine.
     chi2: float
     dof: int
 
 
 def compare_motions(fit: JointFit) -> dict[str, MethodFit]:
-    """Compare the data of each motion with all the others; empty where all are of one."""
+    """Compare the data of each motion with all others; empty if there is only one motion."""
     motions = list(dict.fromkeys(observation.motion for observation in fit.observations))
     return {motion: _compare_motion(fit, motion) for motion in motions} if len(motions) > 1 else {}
 
 
 def _compare_motion(fit: JointFit, motion: str) -> MethodFit:
     model, solution = fit.model, fit.solution
-    alone = fit.subset([observation.motion == motion for observation in fit.observations])
+    method_fit = fit.subset([observation.motion == motion for observation in fit.observations])
     other_blocks = [
         block
         for block, observation in zip(fit.blocks, fit.observations, strict=True)
         if observation.motion != motion
     ]
-    without = solve_blocks(other_blocks, model)
-    # The whole is the better estimate of the two, so that variances subtract (Hausman); what is
-    # considered moves both, and the shift by the difference.
-    variance_without, variance = (
-        np.diag(without.weighted_covariance),
+    other_solution = solve_blocks(other_blocks, model)
+    # The estimate from all data is efficient, so that the variances subtract (Hausman). Considered
+    # terms shift both estimates, and the shift by the difference.
+    other_variances, variances = (
+        np.diag(other_solution.weighted_covariance),
         np.diag(solution.weighted_covariance),
     )
     considered_shift = (
-        without.sensitivity_considered - solution.sensitivity_considered
+        other_solution.sensitivity_considered - solution.sensitivity_considered
     ) * solution.considered_sd
-    shift_variance = np.maximum(variance_without - variance, 0.0) + np.sum(
+    shift_variance = np.maximum(other_variances - variances, 0.0) + np.sum(
         considered_shift**2, axis=1
     )
     if solution.covariance_undetected is not None:
         shift_variance = shift_variance + np.diag(solution.covariance_undetected)
-    chi2, dof = _prediction_chi2(alone.blocks, other_blocks, model)
+    chi2, dof = _prediction_chi2(method_fit.blocks, other_blocks, model)
     return MethodFit(
-        alone=alone,
-        without=without,
-        shift=without.estimate - solution.estimate,
+        alone=method_fit,
+        without=other_solution,
+        shift=other_solution.estimate - solution.estimate,
         u_shift=np.sqrt(
-            np.where(shift_variance > _ROUNDING * variance_without, shift_variance, np.nan)
+            np.where(shift_variance > _ROUNDING * other_variances, shift_variance, np.nan)
         ),
         chi2=chi2,
         dof=dof,
@@ -94,26 +94,26 @@ def _compare_motion(fit: JointFit, motion: str) -> MethodFit:
 def _prediction_chi2(
     method_blocks: Sequence[Block], other_blocks: Sequence[Block], model: Unknowns
 ) -> tuple[float, int]:
-    """Return chi-square of what a kind says against the others' prediction, and its freedom."""
-    predicted = solve_with_considered(other_blocks, model)
+    """Return chi-square of a method against the prediction of the others, and its dof."""
+    prediction = solve_with_considered(other_blocks, model)
     blocks = [estimate_considered_in_block(block) for block in method_blocks]
     rows = np.vstack([block.factor for block in blocks])
     target = np.concatenate([block.target for block in blocks])
     terms = (*model.unknowns, *model.considered)
     prior_sds = np.array([term.prior_sd for term in terms])
     limits = np.array([term.limit for term in terms])
-    directions_seen, singular_values, _ = np.linalg.svd(
+    data_directions, singular_values, _ = np.linalg.svd(
         rows * np.minimum(prior_sds, limits), full_matrices=False
     )
-    directions_seen = directions_seen[:, singular_values > _MIN_SINGULAR_VALUE]
-    # Only what the kind says of the unknowns; its own scatter has tests of its own.
-    innovation = directions_seen.T @ (target - rows @ predicted.estimate)
+    data_directions = data_directions[:, singular_values > _MIN_SINGULAR_VALUE]
+    # Only the information on the unknowns is tested here, not the scatter of the method.
+    innovation = data_directions.T @ (target - rows @ prediction.estimate)
     directions, prediction_sd, _ = np.linalg.svd(
-        predicted.covariance_root(directions_seen.T @ rows), full_matrices=True
+        prediction.covariance_root(data_directions.T @ rows), full_matrices=True
     )
     prediction_sd = np.append(prediction_sd, np.zeros(innovation.size - prediction_sd.size))
-    predicted_directions = prediction_sd < _MAX_PREDICTION_SD
-    pulls = (directions.T @ innovation)[predicted_directions] / np.sqrt(
-        1.0 + prediction_sd[predicted_directions] ** 2
+    is_predicted = prediction_sd < _MAX_PREDICTION_SD
+    standardised_innovations = (directions.T @ innovation)[is_predicted] / np.sqrt(
+        1.0 + prediction_sd[is_predicted] ** 2
     )
-    return float(pulls @ pulls), int(predicted_directions.sum())
+    return float(standardised_innovations @ standardised_innovations), int(is_predicted.sum())

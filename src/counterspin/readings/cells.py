@@ -16,34 +16,36 @@ from counterspin.errors import OutOfRangeError
 from counterspin.frozen import frozen
 from counterspin.units import unit_factor
 
-#: Stands where a reading has no value yet: before it is taken, or simulated.
+#: Placeholder of a reading that has not been taken or simulated yet.
 BLANK: Final = "?"
 
-#: A number whose decimals are parted by a comma.
-WITH_COMMA: Final = r"^\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*$"
+#: Pattern of a number with a decimal comma.
+DECIMAL_COMMA_PATTERN: Final = r"^\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*$"
 
 _UTC: Final = datetime.UTC
 
 
-def with_points(frame: Any) -> Any:
-    """Return a table whose numbers with a comma have a point; other text stays."""
+def replace_decimal_commas(frame: Any) -> Any:
+    """Return a table with decimal points in place of decimal commas; other text is unchanged."""
     import polars as pl
 
     text = pl.col(pl.String())
     return frame.with_columns(
-        pl.when(text.str.contains(WITH_COMMA)).then(text.str.replace(",", ".")).otherwise(text)
+        pl.when(text.str.contains(DECIMAL_COMMA_PATTERN))
+        .then(text.str.replace(",", "."))
+        .otherwise(text)
     )
 
 
 def is_empty(value: Any) -> bool:
-    """Return whether a cell is empty, or has a placeholder for a later value."""
+    """Return whether a cell is empty, or contains a placeholder for a later value."""
     if isinstance(value, str):
         return value.strip().lower() in ("", "nan", BLANK)
     return value is None or (isinstance(value, float) and math.isnan(value))
 
 
-def as_number(value: Any) -> float | None:
-    """Return a cell as a number, None if it is not a number."""
+def parse_number(value: Any) -> float | None:
+    """Return a cell as a number; None if it is not a number."""
     if isinstance(value, bool):
         return None
     try:
@@ -53,19 +55,19 @@ def as_number(value: Any) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def words_of(value: Any) -> str:
-    """Return a cell as text; a whole number without its point."""
+def cell_text(value: Any) -> str:
+    """Return a cell as text; whole numbers have no decimal point."""
     if isinstance(value, float) and value.is_integer():
         return str(int(value))
     return "" if value is None else str(value).strip()
 
 
-def mounting_of(value: Any) -> str:
-    """Return a cell as the name of a mounting; a dot in it would split the name of a term."""
-    return re.sub(r"\.(?=\s|$)", "", words_of(value)).replace(".", ",")
+def mounting_name(value: Any) -> str:
+    """Return a cell as the name of a mounting, without dots, which separate parts of symbols."""
+    return re.sub(r"\.(?=\s|$)", "", cell_text(value)).replace(".", ",")
 
 
-#: How tables write in which sense a machine turns, in lower case.
+#: Text of a sense of rotation in a table, in lower case -> sense.
 SENSE_WORDS: Final[Mapping[str, Sense]] = {
     "counterclockwise": "counterclockwise",
     "counter-clockwise": "counterclockwise",
@@ -77,8 +79,8 @@ SENSE_WORDS: Final[Mapping[str, Sense]] = {
 }
 
 
-def seconds_of(value: Any) -> Any:
-    """Return a date and time in seconds, of which only differences matter; else the value."""
+def to_seconds(value: Any) -> Any:
+    """Return a date and time in seconds from an arbitrary origin; other values are unchanged."""
     if isinstance(value, str):
         try:
             value = datetime.datetime.fromisoformat(value.strip())
@@ -89,23 +91,23 @@ def seconds_of(value: Any) -> Any:
     return value
 
 
-#: Unit of a rate that counts revolutions -> how it is written where angles are a unit.
-_REVOLUTIONS: Final = {"1/min": "rpm", "min^-1": "rpm", "Hz": "rev/s"}
+#: Unit of a rate in revolutions -> unit with explicit revolutions.
+_REVOLUTION_UNITS: Final = {"1/min": "rpm", "min^-1": "rpm", "Hz": "rev/s"}
 
 
 class RateSettings(Protocol):
-    """The statements of a table's section about its column of rates."""
+    """Settings of the column of rates."""
 
-    rate_unit: str  #: Of the column and of its uncertainties.
-    u_rate: str | None  #: Of rates without an uncertainty in the table.
+    rate_unit: str  #: Unit of the column and of its uncertainties.
+    u_rate: str | None  #: Uncertainty of rates without an uncertainty in the table.
 
 
 @frozen
 class RateColumn:
-    """The conversion of the column's numbers to rates."""
+    """Conversion of a column of numbers to rates."""
 
-    settings: RateSettings  #: The section.
-    document: Mapping[str, Any]  #: In which it stands.
+    settings: RateSettings  #: Section of the table.
+    document: Mapping[str, Any]  #: Document with this section.
 
     def read(self, value: float, u: float | None) -> tuple[float, float, str]:
         """Return a rate, its standard uncertainty and their unit; ValueError if it is not a rate.
@@ -115,18 +117,18 @@ class RateColumn:
         if u is not None and u < 0.0:
             raise OutOfRangeError("a standard uncertainty cannot be negative")
         rate, unit, power = self._exact(value)
-        stated = self.settings.u_rate
-        if u is None and stated is not None:
-            return rate, parse_exact(stated, "rad/s") / unit_factor(unit, "rad/s"), unit
+        stated_u = self.settings.u_rate
+        if u is None and stated_u is not None:
+            return rate, parse_exact(stated_u, "rad/s") / unit_factor(unit, "rad/s"), unit
         return rate, abs(power * rate * (u or 0.0) / value), unit
 
     def _exact(self, value: float) -> tuple[float, str, float]:
         """Return a rate, its unit, and the exponent of the number in the rate."""
-        unit = _REVOLUTIONS.get(self.settings.rate_unit, self.settings.rate_unit)
-        if _converts(unit, "s"):
+        unit = _REVOLUTION_UNITS.get(self.settings.rate_unit, self.settings.rate_unit)
+        if _is_convertible(unit, "s"):
             return 1.0 / (value * unit_factor(unit, "s")), "rev/s", -1.0
         gravity = self._gravity
-        if not _converts(unit, "m/s^2", gravity=gravity):
+        if not _is_convertible(unit, "m/s^2", gravity=gravity):
             unit_factor(unit, "rad/s")
             return value, unit, 1.0
         if value < 0.0:
@@ -150,8 +152,8 @@ class RateColumn:
 
 
 @lru_cache(maxsize=64)
-def _converts(unit: str, wanted: str, *, gravity: float | None = None) -> bool:
+def _is_convertible(unit: str, target_unit: str, *, gravity: float | None = None) -> bool:
     try:
-        return unit_factor(unit, wanted, gravity=gravity) > 0.0
+        return unit_factor(unit, target_unit, gravity=gravity) > 0.0
     except ValueError:
         return False

@@ -1,4 +1,4 @@
-"""Tests of the residuals of readings, and remarks on their noise."""
+"""Tests of the residuals of readings, and remarks on the noise of readings."""
 
 from __future__ import annotations
 
@@ -51,40 +51,40 @@ from counterspin.readings.patterns import (
 from counterspin.readings.reading_groups import groups_of_view, pose_groups, reading_groups
 from counterspin.reports.numbers import format_number
 
-#: Up to so many positions that are off may each be a mistake. More, and more than this share of
-#: all, point to the model.
+#: Largest number of outlying positions that are reported individually, and this as a fraction of
+#: all readings. More outliers indicate an error of the model.
 _MAX_SINGLE_POSITIONS: Final = 3
 _MAX_SINGLE_SHARE: Final = 0.25
 
-#: What hysteresis goes with, in words.
+#: Kind of hysteresis -> its cause in a message.
 _HYSTERESIS_CAUSES: Final = {
     APPROACH: "the direction from which a position was approached",
     FORCE: "the sense in which the specific force along the input axis changed before the reading",
 }
 
-#: More standard deviations than this say no more: the others have hardly any noise.
+#: Largest number of standard deviations in a message.
 _MAX_SHOWN_SIGMAS: Final = 1000
 
-#: Columns that the residuals of poses may follow.
-POSE_PATTERNS: Final = "counterspin.triads.patterns:pose_candidates"
+#: Function that yields the candidate patterns of poses.
+POSE_CANDIDATES: Final = "counterspin.triads.patterns:pose_candidates"
 
-#: What findings about the poses of a triad are about.
+#: Subject of findings about the poses of a triad.
 TRIAD: Final = "triad"
 
-#: Noise that is smaller than stated by this factor is worth a remark.
+#: Ratio of stated to observed noise above which there is a remark.
 _MAX_NOISE_RATIO: Final = 1.1
 
-#: Fewest degrees of freedom by which the size of residuals is compared with the stated noise.
+#: Smallest degrees of freedom for a comparison of the residuals with the stated noise.
 _MIN_DOF_FOR_SIZE: Final = 0.5
 
 
 def check_readings(view: AccelerometerView) -> list[Finding]:
-    """Return a finding for each motion whose residuals are not noise, or cannot be tested.
+    """Return findings of each motion whose residuals are not noise, or cannot be tested.
 
-    Noise that was stated is what they are compared with; noise that was estimated shows a misfit
-    where positions were read more than once. Beside that, whatever the noise, it is asked what the
-    residuals follow. Both share the significance, and so do the motions. Single readings that stand
-    out have findings of their own, but where many do and it is known what they follow.
+    Residuals are compared with the stated noise, or with the scatter of repeated positions if the
+    noise was estimated. In addition, they are tested for patterns. These tests share the
+    significance level, also among the motions. Outlying readings have findings of their own,
+    unless there are many and a pattern explains them.
     """
     groups = reading_groups(view)
     level = 0.5 * SIGNIFICANCE
@@ -93,35 +93,35 @@ def check_readings(view: AccelerometerView) -> list[Finding]:
         for index, pattern in find_patterns(view.fit, reading_groups(view))
         if pattern.p * pattern.tests < level
     }
-    too_few = _check_redundancy(view) or _check_residual_dof(view)
-    findings = [*too_few]
+    redundancy_findings = _check_redundancy(view) or _check_residual_dof(view)
+    findings = [*redundancy_findings]
     for index, group in enumerate(groups):
-        if not (too_few or group.stated) and group.tested_dof < MIN_DOF:
+        if not (redundancy_findings or group.stated) and group.tested_dof < MIN_DOF:
             findings.append(untestable_finding(view.name, group))
         residual = summarize_group_residuals([group])
-        noise_stated = math.isinf(group.noise_dof)
-        p = residual.lack_of_fit_p if noise_stated else group.position_misfit_p
+        is_noise_stated = math.isinf(group.noise_dof)
+        p = residual.lack_of_fit_p if is_noise_stated else group.position_misfit_p
         sentences = []
         if p is not None and p < level / len(groups):
             statement = (
                 f"The residuals of the {group.label} are not consistent with the stated noise"
-                if noise_stated
+                if is_noise_stated
                 else f"In the {group.label}, the positions deviate more from the model than "
                 "repeated readings of the same position differ from each other"
             )
             sentences = [f"{statement} (p = {p:.2g})."]
-        general = lack_of_fit_finding(view.name, sentences, residual) if sentences else None
+        lack_of_fit = lack_of_fit_finding(view.name, sentences, residual) if sentences else None
         outlier_list = outlier_findings(view.name, group)
         if index in patterns:
-            general = _pattern_finding(view.name, group, patterns[index], general)
+            lack_of_fit = _pattern_finding(view.name, group, patterns[index], lack_of_fit)
             if _count_positions(group.outliers()) > _max_single_outliers(group):
-                general, outlier_list = _merge_outliers(general, group, outlier_list[0]), []
-        findings += [general, *outlier_list] if general else outlier_list
+                lack_of_fit, outlier_list = _merge_outliers(lack_of_fit, group, outlier_list[0]), []
+        findings += [lack_of_fit, *outlier_list] if lack_of_fit else outlier_list
     return findings
 
 
 def _check_redundancy(view: AccelerometerView) -> list[Finding]:
-    """Return a finding where readings are no more than the coefficients that they alone tell."""
+    """Return a finding if the number of readings does not exceed that of free coefficients."""
     free_symbols = [
         unknown.symbol
         for unknown in view.fit.model.unknowns
@@ -144,17 +144,17 @@ def _check_redundancy(view: AccelerometerView) -> list[Finding]:
 
 
 def _check_residual_dof(view: AccelerometerView) -> list[Finding]:
-    """Return a finding where readings of stated noise leave too little to test them by."""
-    stated = [group for group in reading_groups(view) if math.isinf(group.noise_dof)]
-    dof = sum(group.residual_dof for group in stated)
-    if any(any(group.readings.position) for group in stated):
-        # Errors of setting a position take up residuals, but they are held to their stated size.
-        dof = sum(group.readings.size for group in stated) - _parameter_dof(view)
-    if view.has_records or pose_groups(view) or len(stated) < len(reading_groups(view)):
+    """Return a finding if readings with stated noise leave too few degrees of freedom."""
+    stated_groups = [group for group in reading_groups(view) if math.isinf(group.noise_dof)]
+    dof = sum(group.residual_dof for group in stated_groups)
+    if any(any(group.readings.position) for group in stated_groups):
+        # Positioning errors absorb residuals, but their priors limit them.
+        dof = sum(group.readings.size for group in stated_groups) - _parameter_dof(view)
+    if view.has_records or pose_groups(view) or len(stated_groups) < len(reading_groups(view)):
         return []
     if dof >= MIN_DOF:
         return []
-    count = sum(group.readings.size for group in stated)
+    count = sum(group.readings.size for group in stated_groups)
     dof_text = format_number(dof, 2)
     remaining = "degree of freedom remains" if dof_text == "1" else "degrees of freedom remain"
     text = (
@@ -167,9 +167,9 @@ def _check_residual_dof(view: AccelerometerView) -> list[Finding]:
 
 
 def _parameter_dof(view: AccelerometerView) -> float:
-    """Return how many degrees of freedom an accelerometer's own unknowns take up.
+    """Return the degrees of freedom of an accelerometer's own unknowns.
 
-    Of one with a prior the part by which the readings lessen its variance.
+    An unknown with a prior counts by the relative reduction of its variance.
     """
     pairs = zip(view.fit.model.unknowns, view.fit.solution.u.tolist(), strict=True)
     return sum(
@@ -180,7 +180,7 @@ def _parameter_dof(view: AccelerometerView) -> float:
 
 
 def _detection_clause(dof: float) -> str:
-    """Return in words how large residuals must be for chi-square to call them no noise."""
+    """Return a clause on the smallest residuals that chi-square detects."""
     if dof <= 0.5:
         return ", nor can the scatter be compared with the stated uncertainty"
     from scipy.special import chdtri
@@ -191,7 +191,7 @@ def _detection_clause(dof: float) -> str:
 
 
 def untestable_finding(name: str, group: FittedReadings) -> Finding:
-    """Return the finding that hardly any freedom is left to test residuals by."""
+    """Return the finding that too few degrees of freedom remain to test the residuals."""
     text = (
         f"After the fit of {group.readings.size} {group.label} without a stated uncertainty, "
         f"{format_number(group.tested_dof, 2)} degrees of freedom remain, so the residuals "
@@ -201,12 +201,12 @@ def untestable_finding(name: str, group: FittedReadings) -> Finding:
 
 
 def find_patterns(fit: JointFit, groups: Sequence[FittedReadings]) -> Iterator[tuple[int, Pattern]]:
-    """Yield the index of each group of readings or poses, and the pattern of its residuals."""
+    """Yield the index of each group with a pattern in its residuals, and the pattern."""
     fit = estimate_considered(fit)
     residual_groups = {
-        index: residual_group(group, place)
+        index: residual_group(group, observation_index)
         for index, group in enumerate(groups)
-        if (place := group.index_in(fit)) is not None and group.tested_dof >= MIN_DOF
+        if (observation_index := group.index_in(fit)) is not None and group.tested_dof >= MIN_DOF
     }
     if not residual_groups:
         return
@@ -217,82 +217,90 @@ def find_patterns(fit: JointFit, groups: Sequence[FittedReadings]) -> Iterator[t
 
 
 def pattern_columns(fit: JointFit, group: ResidualGroup) -> tuple[Alternative, ...]:
-    """Return the columns that the residuals of readings or poses may follow, beside a fit."""
+    """Return the candidate patterns of the residuals of readings or poses."""
     readings = group.readings
-    unknown = {
+    has_prior = {
         (term.owner, term.symbol): math.isfinite(term.prior[1]) for term in fit.model.unknowns
     }
     if readings.triad:
-        stated_keys = {key for key, stated in unknown.items() if stated}
-        return tuple(load_name(POSE_PATTERNS)(readings, group.index, fit, unknown, stated_keys))
+        stated_keys = {key for key, stated in has_prior.items() if stated}
+        return tuple(load_name(POSE_CANDIDATES)(readings, group.index, fit, has_prior, stated_keys))
     assert isinstance(readings, Readings)
     name = readings.accelerometer
-    present = {symbol for owner, symbol in unknown if owner in (name, "")}
+    estimated_symbols = {symbol for owner, symbol in has_prior if owner in (name, "")}
     stated_symbols = {
-        symbol for (owner, symbol), stated in unknown.items() if owner == name and stated
+        symbol for (owner, symbol), stated in has_prior.items() if owner == name and stated
     }
-    return tuple(candidate_columns(readings, group.index, present, stated_symbols))
+    return tuple(candidate_columns(readings, group.index, estimated_symbols, stated_symbols))
 
 
 def residual_group(group: FittedReadings, index: int) -> ResidualGroup:
-    """Return readings or poses as they are tested.
+    """Return the residuals of readings or poses for pattern tests.
 
     index: Index of the group among the observations of the fit.
     """
     readings, is_estimated = group.readings, not group.has_external_noise
-    outlying = tuple(sorted({index for outlier in group.outliers() for index in outlier.indices}))
+    outlier_indices = tuple(
+        sorted({index for outlier in group.outliers() for index in outlier.indices})
+    )
     return ResidualGroup(
         readings,
         index,
         group.sigma,
         group.linear.noise_share if is_estimated else np.ones(readings.size),
-        # The noise that is estimated is such that they are what is expected.
+        # With estimated noise, chi-square equals its degrees of freedom.
         group.noise_dof if is_estimated else group.chi2,
         group.noise_dof if is_estimated else group.residual_dof,
         is_estimated,
         float(readings.scatter.sum()) / group.noise**2 if is_estimated else 0.0,
-        outlying if len(outlying) <= _max_single_outliers(group) else (),
+        outlier_indices if len(outlier_indices) <= _max_single_outliers(group) else (),
     )
 
 
 def _pattern_finding(
-    name: str, group: FittedReadings, pattern: Pattern, general: Finding | None
+    name: str, group: FittedReadings, pattern: Pattern, lack_of_fit: Finding | None
 ) -> Finding:
-    """Return the finding that residuals follow something, the best explanation first."""
+    """Return the finding of a pattern in the residuals, the best explanation first."""
     first = pattern.alternatives[0]
     deviations = two_sided_z(pattern.p)
     text = f"The residuals of the {group.label} {pattern_clause(first)} (p = {pattern.p:.2g})."
-    terms = [alternative.symbol for alternative in pattern.alternatives if alternative.kind == TERM]
+    alternative_terms = [
+        alternative.symbol for alternative in pattern.alternatives if alternative.kind == TERM
+    ]
     if first.kind == TERM:
-        terms = terms[1:]
+        alternative_terms = alternative_terms[1:]
     if first.kind == WAVE:
-        alternatives_text = f", or {' or '.join(terms)} in the accelerometer," if terms else ""
+        alternatives_text = (
+            f", or {' or '.join(alternative_terms)} in the accelerometer,"
+            if alternative_terms
+            else ""
+        )
         text += (
             f" A head error that varies with the angle{alternatives_text} would have this effect."
         )
-    elif terms:
-        text += f" {' or '.join(terms)} would have the same effect."
+    elif alternative_terms:
+        text += f" {' or '.join(alternative_terms)} would have the same effect."
     clauses = dict.fromkeys(
         pattern_clause(alternative)
         for alternative in pattern.alternatives[1:]
         if alternative.kind not in (TERM, WAVE)
     )
     text += "".join(f" Alternatively, the residuals {clause}." for clause in clauses)
-    if general is not None:
-        text += f" {general.text}"
+    if lack_of_fit is not None:
+        text += f" {lack_of_fit.text}"
     return Finding(
         code="lack-of-fit",
         subject=name,
         text=text,
         size=deviations,
         contradicts=deviations > CONTRADICTION_SIGMAS
-        or (general is not None and general.contradicts),
+        or (lack_of_fit is not None and lack_of_fit.contradicts),
     )
 
 
 def pattern_clause(alternative: Alternative) -> str:
-    """Return the description of residuals that follow a column, as the end of a sentence."""
-    when = {
+    """Return the predicate of a sentence on residuals that have a pattern."""
+    basis = {
         "order": "the order of the readings",
         "angle": "the head angle",
     }.get(alternative.symbol.rpartition(" ")[2], "the time of reading")
@@ -304,13 +312,13 @@ def pattern_clause(alternative: Alternative) -> str:
         HEAD: f"have the pattern of a head error {alternative.symbol.partition(' ')[2]} per "
         "revolution",
         TERM: f"follow {alternative.symbol}, more than the model allows",
-        DRIFT: f"drift with {when}",
-        WARM_UP: f"settle with {when}, as during a warm-up",
-        BEND: f"drift with {when} and reverse",
-        SCALE: f"have a scale factor that drifts with {when}",
-        TURN: f"have the pattern of positions that rotate more and more with {when}",
+        DRIFT: f"drift with {basis}",
+        WARM_UP: f"settle with {basis}, as during a warm-up",
+        BEND: f"drift with {basis} and reverse",
+        SCALE: f"have a scale factor that drifts with {basis}",
+        TURN: f"have the pattern of positions that rotate more and more with {basis}",
         SWING: (
-            f"oscillate {alternative.symbol.partition(' ')[2].partition(' ')[0]} times with {when}"
+            f"oscillate {alternative.symbol.partition(' ')[2].partition(' ')[0]} times with {basis}"
         ),
         ASYMMETRY: (
             f"have the pattern of a {alternative.symbol} that is different for negative "
@@ -326,23 +334,21 @@ def pattern_clause(alternative: Alternative) -> str:
 
 
 def outlier_findings(name: str, group: FittedReadings) -> list[Finding]:
-    """Return a finding for each position that stands out, or one where many do."""
+    """Return a finding for each outlying position, or a single finding if there are many."""
     outliers = group.outliers()
     if _count_positions(outliers) <= _max_single_outliers(group):
         return [_outlier_finding(group, name, outlier) for outlier in outliers]
-    largest_finding = _outlier_finding(
-        group, name, max(outliers, key=lambda outlier: abs(outlier.z))
-    )
+    worst_finding = _outlier_finding(group, name, max(outliers, key=lambda outlier: abs(outlier.z)))
     text = (
         f"{_count_readings(outliers)} of {group.readings.size} {group.label} deviate from the "
         "model, which suggests an error in the model rather than in individual readings. "
-        f"{largest_finding.text}"
+        f"{worst_finding.text}"
     )
-    return [largest_finding.model_copy(update={"text": text})]
+    return [worst_finding.model_copy(update={"text": text})]
 
 
 def _merge_outliers(finding: Finding, group: FittedReadings, outlier: Finding) -> Finding:
-    """Return a misfit of known shape with the many positions that it puts off the model."""
+    """Return the finding of a pattern, extended by the outliers that it explains."""
     count = _count_readings(group.outliers())
     count_text = f"{count} of {group.readings.size} {group.label} deviate from the model."
     changes = {
@@ -363,7 +369,7 @@ def _count_readings(outliers: Sequence[OutlyingReadings]) -> int:
 
 
 def _count_positions(outliers: Sequence[OutlyingReadings]) -> int:
-    """Return how many positions are off: a reading that is named beside its own is none more."""
+    """Count the outlying positions; a reading within an outlying position does not count."""
     index_sets = [set(outlier.indices) for outlier in outliers]
     return sum(1 for outlier in index_sets if not any(outlier < larger for larger in index_sets))
 
@@ -391,22 +397,22 @@ def _rate_clause(group: FittedReadings) -> str:
 
 
 def rounding_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
-    """Yield a remark for each motion in which readings show no more noise than their digits."""
+    """Yield a remark for each motion in which the noise is only rounding."""
     for view in views:
         for group in reading_groups(view):
             if group.readings.u is None and group.has_external_noise:
-                size = format_number(group.readings.noise_floor * 1e6, 2)
+                noise_text = format_number(group.readings.noise_floor * 1e6, 2)
                 yield (
                     f"{view.name}: the {group.label} fit the model to the last digit, so "
-                    f"counterspin assumes that the noise is a rounding error of {size} ug. If "
-                    "the noise is larger, state it with each reading (±)."
+                    f"counterspin assumes that the noise is a rounding error of {noise_text} ug. "
+                    "If the noise is larger, state it with each reading (±)."
                 )
 
 
 def record_outlier_findings(
     name: str, means: Mapping[tuple[str, str], RecordMean]
 ) -> list[Finding]:
-    """Return a finding for each record whose mean is a reading and that lost many rows."""
+    """Return a finding for each averaged record that lost many rows."""
     return [
         finding
         for (owner, reading), mean in means.items()
@@ -416,24 +422,24 @@ def record_outlier_findings(
 
 
 def overstated_noise_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
-    """Yield a remark for each group of readings or poses that scatters less than is stated.
+    """Yield a remark for each group of readings or poses with overstated noise.
 
-    u is then too large, which speaks against nothing.
+    u is then too large, which is no reason to reject the result.
     """
-    stated = {
+    stated_groups = {
         id(group.readings): group
         for view in views
         for group in groups_of_view(view)
         if group.stated
     }
-    for group in stated.values():
+    for group in stated_groups.values():
         scale, dof = group.linear.noise_moments(views[0].fit.solution)
         if dof < _MIN_DOF_FOR_SIZE:
             continue
         chi2 = float(np.sum((group.residuals / group.sigma) ** 2))
         ratio = math.sqrt(chi2 / (scale * dof))
         p = 1.0 - chi_square_tail(dof, chi2 / scale)
-        if p >= CHI_SQUARE_SIGNIFICANCE / len(stated) or ratio * _MAX_NOISE_RATIO > 1.0:
+        if p >= CHI_SQUARE_SIGNIFICANCE / len(stated_groups) or ratio * _MAX_NOISE_RATIO > 1.0:
             continue
         u = median(group.sigma)
         scatter_text, stated_text = (

@@ -16,9 +16,9 @@ from counterspin.campaign.validation import Problems
 from counterspin.loading import is_installed, load_name
 from counterspin.readings.entries import (
     collect_readings,
+    mark_recorded_angles,
     number_positions,
     resolve_readings,
-    with_recorded_angles,
 )
 from counterspin.readings.table import read_table
 from counterspin.records.dialect import Dialect
@@ -26,14 +26,14 @@ from counterspin.records.dialect import Dialect
 #: Reader of [triad] and of poses; signature of `counterspin.triads.section.resolve_triad`.
 TRIAD: Final = "counterspin.triads.section:resolve_triad"
 
-#: Entries of readings, each with its place in the description.
+#: Entries of readings with their paths in the description.
 _Entries = Sequence[tuple[Any, KeyPath]]
 
 
 def read_readings(
     reader: DescriptionReader, turns: float | None, *, has_records: bool
 ) -> DescribedReadings:
-    """Return the readings, poses and triad of a description, and note every mistake in them.
+    """Return the readings, poses and triad of a description, and collect all their errors.
 
     turns: Revolutions of a simulated record; None without a simulation.
     has_records: Whether there are runs of a double turntable.
@@ -58,11 +58,11 @@ def read_readings(
     readings = number_positions(readings, fixture.position)
     records = reader.sections.get("records")
     if records and records.recording.angle is not None:
-        readings = with_recorded_angles(readings)
+        readings = mark_recorded_angles(readings)
     is_valid = len(problems.lines) == error_count
     section = table_of(reader.raw, "records")
     pose_entries = [
-        (_with_common_records(raw, path, section, problems), path)
+        (_merge_records_section(raw, path, section, problems), path)
         for raw, path in entries
         if is_pose(raw)
     ]
@@ -83,7 +83,7 @@ def read_readings(
 def _reading_entries(
     reader: DescriptionReader, checksums: dict[Path, str]
 ) -> list[tuple[Any, KeyPath]]:
-    """Return the runs that are readings, including rows of the table, with their places."""
+    """Return the runs that are readings, including rows of the table, with their paths."""
     runs: list[tuple[Any, KeyPath]] = [
         (raw, ("runs", index)) for index, raw in reader.sections["indexed_runs"] if is_reading(raw)
     ]
@@ -96,19 +96,19 @@ def _reading_entries(
     return runs
 
 
-def _with_common_records(
+def _merge_records_section(
     raw: Mapping[str, Any], path: KeyPath, section: Mapping[str, Any], problems: Problems
 ) -> Mapping[str, Any]:
-    """Return the entry of a record of poses, its `records` completed by the section."""
-    stated = raw.get("records")
-    if not isinstance(stated, Mapping):
+    """Return the entry of a record of poses, with defaults of `records` from the section."""
+    own_settings = raw.get("records")
+    if not isinstance(own_settings, Mapping):
         return raw
     known_keys = Dialect.__dataclass_fields__
-    for key in stated:
+    for key in own_settings:
         if key not in known_keys:
-            problem = f"cannot be set for a record of poses; known keys: {', '.join(known_keys)}"
-            problems.add((*path, "records", key), problem)
-    return {**raw, "records": merge_patch(section, stated)}
+            message = f"cannot be set for a record of poses; known keys: {', '.join(known_keys)}"
+            problems.add((*path, "records", key), message)
+    return {**raw, "records": merge_patch(section, own_settings)}
 
 
 def _resolve_triad(
@@ -118,7 +118,7 @@ def _resolve_triad(
     pose_readings: Iterator[Mapping[str, Reading]],
     default_priors: Mapping[str, Any] | None,
 ) -> Triad | None:
-    """Return the triad with its poses; None without them."""
+    """Return the triad with its poses; None without a triad."""
     section = reader.raw.get("triad")
     if section is None and not pose_entries:
         return None
@@ -135,7 +135,7 @@ def _resolve_triad(
         pose_entries,
         folder,
         pose_readings,
-        given=default_priors,
+        own_priors=default_priors,
         problems=problems,
     )
     return cast("Triad | None", triad)

@@ -1,8 +1,7 @@
-"""Readings in a campaign: runs with one value each, at rest, on an arm or on a double turntable.
+"""Readings of a campaign: runs with one value each, at rest, on an arm or on a double turntable.
 
-They stated_attitude in ``[[runs]]`` with a ``reading``, or in a table that ``[readings]`` names
-(`counterspin.readings.table`): every row of the table becomes such a run, so that both are
-checked alike.
+They are entries of ``[[runs]]`` with a ``reading``, or rows of the table that ``[readings]`` names
+(`counterspin.readings.table`). Each row becomes such a run, so that both are validated alike.
 """
 
 from __future__ import annotations
@@ -30,21 +29,23 @@ from counterspin.physics.station import FRAMES
 from counterspin.readings.cells import BLANK
 from counterspin.readings.similar_rows import attitude_keys, convert_rows, row_pattern
 
-#: Most readings of a campaign, and most records, one for each run and accelerometer, of which a
-#: forecast or a study is made.
-MOST_READINGS: Final = 10_000
-MOST_RECORDS: Final = 60
+#: Largest number of readings of a campaign, and largest number of records (one for each run and
+#: accelerometer) of a forecast or a study.
+MAX_READINGS: Final = 10_000
+MAX_RECORDS: Final = 60
 
 
-def contradictions(run: Run) -> Iterator[Contradiction]:
-    """Yield what is missing, too much, or contradicts itself in a run that is a reading."""
-    is_pose, rotates = run.stated_attitude.is_unknown, run.rate != 0.0
-    static, vibrates = run.motion == "static", run.motion == "vibration"
-    has_attitude, no_axes = "stated_attitude" in run.model_fields_set, run.axes is None
-    single_temperature = len(run.temperature or ()) < 2
-    no_meaning = "does not apply to an unknown attitude"
-    arm = 'a run on an arm has no attitude; write axes = { input = "inward", pendulous = "up" }'
-    # Whether it is wrong, its key, and further ones on which that hangs.
+def find_contradictions(run: Run) -> Iterator[Contradiction]:
+    """Yield missing, superfluous and contradictory keys of a run that is a reading."""
+    is_pose, is_rotating = run.stated_attitude.is_unknown, run.rate != 0.0
+    is_static, is_vibration = run.motion == "static", run.motion == "vibration"
+    has_attitude, has_no_axes = "stated_attitude" in run.model_fields_set, run.axes is None
+    has_single_temperature = len(run.temperature or ()) < 2
+    not_applicable = "does not apply to an unknown attitude"
+    arm_message = (
+        'a run on an arm has no attitude; write axes = { input = "inward", pendulous = "up" }'
+    )
+    # Condition of the error, message, key and related keys.
     rows: Iterable[tuple[object, str, str]] = (
         (
             (run.reading is None) == (run.file is None),
@@ -52,46 +53,46 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
             " reading record",
         ),
         (
-            is_pose and not static,
+            is_pose and not is_static,
             'an attitude can be unknown only at rest; write "static"',
             "motion attitude",
         ),
-        (is_pose and not no_axes, no_meaning, "axes attitude"),
-        (is_pose and run.mounting, no_meaning, "mounting attitude"),
-        # Terms of the machine have it between dots: centrifuge.radius.MOUNTING.
+        (is_pose and not has_no_axes, not_applicable, "axes attitude"),
+        (is_pose and run.mounting, not_applicable, "mounting attitude"),
+        # Symbols of machine terms contain the mounting between dots: centrifuge.radius.MOUNTING.
         (
             "." in run.mounting,
             Problem(f'"{run.mounting}" contains a dot; remove it', "invalid-name"),
             "mounting",
         ),
-        (static and rotates, "a static run does not rotate; omit the rate", "rate motion"),
+        (is_static and is_rotating, "a static run does not rotate; omit the rate", "rate motion"),
         (
-            vibrates and rotates,
+            is_vibration and is_rotating,
             "a run on a shaker does not rotate; omit the rate",
             "rate motion",
         ),
         (
-            vibrates and run.amplitude is None,
+            is_vibration and run.amplitude is None,
             Problem("is missing: a vibration requires a peak acceleration", "missing-key"),
             "amplitude motion",
         ),
         (
-            not vibrates and run.amplitude is not None,
+            not is_vibration and run.amplitude is not None,
             'applies only to a vibration; write motion = "vibration"',
             "amplitude motion",
         ),
         (
-            not vibrates and run.bias_acceleration,
+            not is_vibration and run.bias_acceleration,
             'applies only to a vibration; write motion = "vibration"',
             "bias_acceleration motion",
         ),
         (
-            vibrates and run.file is not None,
+            is_vibration and run.file is not None,
             "is not averaged over vibration cycles; give the mean output as reading",
             "record motion",
         ),
         (
-            (static or vibrates) and run.truth,
+            (is_static or is_vibration) and run.truth,
             "a static run does not rotate, but truth describes the spindle; omit this key",
             "truth motion",
         ),
@@ -101,23 +102,23 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
             "truth motion reading",
         ),
         (
-            not static and not vibrates and not rotates,
+            not is_static and not is_vibration and not is_rotating,
             Problem(f"is missing: a run with motion {run.motion} requires a rate", "missing-key"),
             "rate motion",
         ),
         (
-            (static or vibrates) and no_axes and not has_attitude,
+            (is_static or is_vibration) and has_no_axes and not has_attitude,
             Problem("is missing: a reading at rest requires a position", "missing-key"),
             "attitude axes motion",
         ),
-        (no_axes and not is_pose and run.motion == "arm", arm, " axes motion"),
+        (has_no_axes and not is_pose and run.motion == "arm", arm_message, " axes motion"),
         (
-            not no_axes and has_attitude and not is_pose,
+            not has_no_axes and has_attitude and not is_pose,
             "has axes and an attitude; keep only one of them",
             " axes attitude",
         ),
         (
-            run.head is not None and not (static and any(run.stated_attitude.head_axis)),
+            run.head is not None and not (is_static and any(run.stated_attitude.head_axis)),
             (
                 'requires an attitude that is a rotation about an axis, such as attitude = "30 deg '
                 'about north"'
@@ -125,12 +126,12 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
             "head attitude motion",
         ),
         (
-            run.revolutions is not None and run.duration is None and not rotates,
+            run.revolutions is not None and run.duration is None and not is_rotating,
             Problem("a run at rest requires a duration", "missing-key"),
             "revolutions duration rate",
         ),
         (
-            run.file is None and not single_temperature,
+            run.file is None and not has_single_temperature,
             "a reading has only one temperature; a list of temperatures applies to a record",
             "temperature record",
         ),
@@ -154,7 +155,7 @@ def contradictions(run: Run) -> Iterator[Contradiction]:
 def collect_readings(
     resolved: Iterable[tuple[KeyPath, Sequence[Reading]]], problems: Problems, turns: float | None
 ) -> tuple[Reading, ...]:
-    """Return the readings that `resolve_readings` yields; note those without a value."""
+    """Return the readings that `resolve_readings` yields; report those without a value."""
     blank_paths: list[KeyPath] = []
     readings: list[Reading] = []
     for path, run_readings in resolved:
@@ -179,39 +180,38 @@ def resolve_readings(
     gravity: float,
     turns: float | None,
 ) -> Iterator[tuple[KeyPath, Sequence[Reading]]]:
-    """Yield the place of each run and its readings, one for each accelerometer that was read.
+    """Yield the path of each run and its readings, one for each accelerometer that was read.
 
-    A run with a mistake has none.
+    An invalid run has no readings.
 
-    runs: With their places.
-    mountings: Accelerometer -> its axes in the level attitude; None where they are a mistake.
-    outputs: Accelerometer -> unit of its readings, None: g; absent where that is a mistake.
-    gravity: Of the site, m/s^2.
-    turns: Revolutions of a record that is simulated on a machine; None without a simulation, in
-        which case every reading has its value.
+    runs: Runs with their paths in the description.
+    mountings: Accelerometer -> its axes in the level attitude; None if they are invalid.
+    outputs: Accelerometer -> unit of its readings, None: g; no entry if the unit is invalid.
+    gravity: Gravity of the site, m/s^2.
+    turns: Revolutions of a simulated record; None without a simulation.
     """
     patterns = [row_pattern(raw) for raw, _ in runs]
-    similar: dict[Hashable, list[int]] = {}
+    indices_by_pattern: dict[Hashable, list[int]] = {}
     for index, pattern in enumerate(patterns):
-        similar.setdefault(pattern, []).append(index)
-    similar.pop(None, None)
+        indices_by_pattern.setdefault(pattern, []).append(index)
+    indices_by_pattern.pop(None, None)
     converted_readings: dict[int, Sequence[Reading]] = {}
     for index, (raw, path) in enumerate(runs):
         readings = converted_readings.pop(index, None)
         if readings is None:
             readings = _resolve_run(raw, path, mountings, outputs, folder, problems, gravity)
-            members = similar.pop(patterns[index], []) if readings else []
-            members = [member for member in members if member > index]
-            if members:
-                rows = [runs[member][0] for member in members]
-                columns = convert_rows(rows, readings, mountings, outputs, gravity)
-                pairs = zip(members, columns, strict=True)
+            similar_indices = indices_by_pattern.pop(patterns[index], []) if readings else []
+            similar_indices = [member for member in similar_indices if member > index]
+            if similar_indices:
+                rows = [runs[member][0] for member in similar_indices]
+                row_readings = convert_rows(rows, readings, mountings, outputs, gravity)
+                pairs = zip(similar_indices, row_readings, strict=True)
                 converted_readings |= {
                     member: member_readings
                     for member, member_readings in pairs
                     if member_readings is not None
                 }
-        yield path, [_with_duration(reading, turns) for reading in readings]
+        yield path, [_set_duration(reading, turns) for reading in readings]
 
 
 def _resolve_run(
@@ -223,7 +223,7 @@ def _resolve_run(
     problems: Problems,
     gravity: float,
 ) -> Sequence[Reading]:
-    """Return the readings of a run; none of a run with a mistake."""
+    """Return the readings of a run; none if the run is invalid."""
     error_count = len(problems.lines)
     units = {name: output.unit if output else "g" for name, output in outputs.items()}
     run, invalid_keys = problems.validate_partial(
@@ -242,8 +242,8 @@ def _resolve_run(
     return readings if len(problems.lines) == error_count else ()
 
 
-def _with_duration(reading: Reading, turns: float | None) -> Reading:
-    """Return a reading with the length of its record, if it is simulated on a machine."""
+def _set_duration(reading: Reading, turns: float | None) -> Reading:
+    """Return a reading with the duration of its record, if it is simulated on a machine."""
     if reading.duration is not None or not reading.rate or turns is None:
         return reading
     return replace(reading, duration=turns * 2.0 * math.pi / abs(reading.rate))
@@ -252,21 +252,21 @@ def _with_duration(reading: Reading, turns: float | None) -> Reading:
 def _accelerometer_readings(
     run: Run, path: KeyPath, names: Collection[str], problems: Problems
 ) -> Iterator[tuple[str, Sequence[str | Quantity], KeyPath]]:
-    """Yield each accelerometer that was read, what was (nothing of a record), and its place."""
-    path_of_reading, values = (*path, "reading"), run.reading
+    """Yield each accelerometer that was read, its values (none for a record), and their path."""
+    reading_path, values = (*path, "reading"), run.reading
     if run.file is not None:
         values = {name: [] for name in names}
     elif not isinstance(values, dict):
         if len(names) > 1:
             problems.add(
-                path_of_reading,
+                reading_path,
                 "the campaign has several accelerometers; write reading = { NAME = ... }",
                 "missing-value",
             )
             return
         values = dict.fromkeys(names, values or [])
     for name, texts in values.items():
-        value_path = (*path_of_reading, name) if isinstance(run.reading, dict) else path_of_reading
+        value_path = (*reading_path, name) if isinstance(run.reading, dict) else reading_path
         if name in names:
             yield name, texts if isinstance(texts, list) else [texts], value_path
         elif names:
@@ -276,7 +276,7 @@ def _accelerometer_readings(
             )
 
 
-def _make_reading(run: Run, name: str, parsed: _ParsedValue, axes: Mounting) -> Reading:
+def _make_reading(run: Run, name: str, parsed_value: _ParsedValue, axes: Mounting) -> Reading:
     """Return the reading of one accelerometer."""
     return Reading(
         name=run.name,
@@ -286,18 +286,18 @@ def _make_reading(run: Run, name: str, parsed: _ParsedValue, axes: Mounting) -> 
         axes=axes,
         rate=run.rate,
         u_rate=run.u_rate,
-        value=parsed.mean,
-        u=parsed.u,
+        value=parsed_value.mean,
+        u=parsed_value.u,
         head=run.stated_attitude.head_axis,
         u_head=run.stated_attitude.u,
         head_angle=run.stated_attitude.angle if run.head is None else run.head,
         **stated_conditions(run),
         record=run.file,
         duration=run.length,
-        repeats=parsed.repeats,
-        scatter=parsed.scatter,
-        resolution=parsed.resolution,
-        in_si=parsed.in_si,
+        repeats=parsed_value.repeats,
+        scatter=parsed_value.scatter,
+        resolution=parsed_value.resolution,
+        in_si=parsed_value.in_si,
         position=_position_key(run),
         amplitude=run.amplitude.value if run.amplitude else 0.0,
         u_amplitude=run.amplitude.u / run.amplitude.value if run.amplitude else 0.0,
@@ -307,18 +307,17 @@ def _make_reading(run: Run, name: str, parsed: _ParsedValue, axes: Mounting) -> 
 
 def _mounting_name(axes: Mounting) -> str:
     """Return the name of a mounting on the arm that the description does not name."""
-    names = FRAMES["arm"]
-    projections = np.array(list(names.values())) @ axes.matrix[:2].T
-    return "-".join(list(names)[index] for index in np.argmax(projections, axis=0))
+    directions = FRAMES["arm"]
+    projections = np.array(list(directions.values())) @ axes.matrix[:2].T
+    return "-".join(list(directions)[index] for index in np.argmax(projections, axis=0))
 
 
-def number_positions(readings: Sequence[Reading], setting: Quantity | None) -> tuple[Reading, ...]:
-    """Return readings with their positions at rest numbered, where an error of setting is stated.
-
-    setting: That error.
-    """
+def number_positions(
+    readings: Sequence[Reading], positioning_error: Quantity | None
+) -> tuple[Reading, ...]:
+    """Return readings with numbered positions at rest if a positioning error is stated."""
     keys = dict.fromkeys(
-        reading.position for reading in readings if setting and reading.motion == "static"
+        reading.position for reading in readings if positioning_error and reading.motion == "static"
     )
     numbers = {key: str(index) for index, key in enumerate(keys, start=1)}
     return tuple(
@@ -326,8 +325,8 @@ def number_positions(readings: Sequence[Reading], setting: Quantity | None) -> t
     )
 
 
-def with_recorded_angles(readings: Sequence[Reading]) -> tuple[Reading, ...]:
-    """Return readings of which those with a record on the arm have an angle in it."""
+def mark_recorded_angles(readings: Sequence[Reading]) -> tuple[Reading, ...]:
+    """Mark readings whose record on the arm contains the angle."""
     return tuple(
         replace(reading, uses_recorder_clock=True) if reading.record and reading.rate else reading
         for reading in readings
@@ -335,7 +334,7 @@ def with_recorded_angles(readings: Sequence[Reading]) -> tuple[Reading, ...]:
 
 
 def _position_key(run: Run) -> str:
-    """Return the key that two readings at one position of the fixture share."""
+    """Return the key that readings at the same position of the fixture share."""
     if run.motion != "static":
         return ""
     if run.axes is not None:
@@ -345,7 +344,7 @@ def _position_key(run: Run) -> str:
 
 @frozen
 class _ParsedValue:
-    """Mean of repeats in g by the nominal sensitivity, its u where all state theirs."""
+    """Mean of repeats in g by the nominal sensitivity, with its u if all repeats state theirs."""
 
     mean: float
     u: float | None
@@ -362,48 +361,48 @@ def _parse_value(
     unit, sensitivity, zero = "g", 1.0, 0.0
     if output is not None:
         unit, sensitivity, zero = output.unit, output.sensitivity, output.zero
-    conversion = gravity if output is None else None
+    gravity_in_unit = gravity if output is None else None
     texts = [
         f"0 {written_value.removeprefix(BLANK) or unit}"
         if isinstance(written_value, str) and written_value.startswith(BLANK)
         else written_value
         for written_value in repeats
     ]
-    quantities = [parse_quantity(text, unit, gravity=conversion) for text in texts]
+    quantities = [parse_quantity(text, unit, gravity=gravity_in_unit) for text in texts]
     values = (np.array([quantity.value for quantity in quantities]) - zero) / sensitivity
     u = np.array([quantity.u for quantity in quantities]) / abs(sensitivity)
     mean = float(values.mean()) if texts == list(repeats) else math.nan
     in_si = False
-    if conversion is not None:
-        rescaled = parse_quantity(texts[0], unit, gravity=2.0 * conversion)
-        in_si = rescaled != quantities[0]
+    if gravity_in_unit is not None:
+        rescaled_quantity = parse_quantity(texts[0], unit, gravity=2.0 * gravity_in_unit)
+        in_si = rescaled_quantity != quantities[0]
     if (u > 0.0).all():
         return _ParsedValue(mean, float(np.linalg.norm(u)) / len(u), len(u), in_si=in_si)
     scatter = float(np.sum((values - mean) ** 2))
     last_digit_size = 0.0
     if not math.isnan(mean):
         last_digit_size = min(
-            parse_quantity(last_digit_step(written_value), unit, gravity=conversion).value
+            parse_quantity(last_digit_step(written_value), unit, gravity=gravity_in_unit).value
             for written_value in texts
         )
     return _ParsedValue(mean, None, len(u), scatter, in_si, last_digit_size / abs(sensitivity))
 
 
 def _resolve_axes(run: Run, mounting: Mounting | None) -> Mounting | None:
-    """Return the accelerometer's axes in the frame of the motion; None where they are a mistake."""
+    """Return the accelerometer's axes in the frame of the motion; None if they are invalid."""
     if run.axes is None:
         return None if mounting is None else mounting.turned(run.attitude)
-    names = FRAMES[run.motion]
+    directions = FRAMES[run.motion]
     return Mounting.from_axes(
-        *(_resolve_direction(value, names) for value in (run.axes.input, run.axes.pendulous))
+        *(_resolve_direction(value, directions) for value in (run.axes.input, run.axes.pendulous))
     )
 
 
-def _resolve_direction(value: str | list[float], names: Mapping[str, Any]) -> list[float]:
+def _resolve_direction(value: str | list[float], directions: Mapping[str, Any]) -> list[float]:
     if isinstance(value, str):
-        if value not in names:
+        if value not in directions:
             raise ValueError(
-                f'unknown direction "{value}" for this motion' + suggest_name(value, names)
+                f'unknown direction "{value}" for this motion' + suggest_name(value, directions)
             )
-        return list(names[value])
+        return list(directions[value])
     return value

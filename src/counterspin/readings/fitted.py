@@ -17,44 +17,41 @@ from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.mixture_distribution import mixture_tail
-from counterspin.physics.station import READINGS
+from counterspin.physics.station import READING_LABELS
 from counterspin.readings.linear import LinearReadings, ReadingGroup
 
-#: Least degrees of freedom from which residuals are judged, and repeats tell the noise alone: five,
-#: effective ones rounded, as twelve positions on a well-known head have. Of twenty columns that are
-#: tried, one is then told from chance every other time if it is 15 of its standard deviations; with
-#: four left it must be 26, with three 89, with two 5100 (Student's t).
+#: Smallest degrees of freedom for tests of residuals, and for noise from repeats alone: five
+#: rounded effective ones, as for twelve positions on a well-known head. With twenty candidate
+#: patterns, a pattern of 15 of its standard deviations is then detected in half of the cases; with
+#: four degrees of freedom it must have 26, with three 89, with two 5100 (Student's t).
 MIN_DOF: Final = 4.5
 
-#: Readings without any noise, but for one that is off, leave this chi-square of the others.
+#: Smallest chi-square of the other readings if a single one deviates from noiseless readings.
 _MIN_REMAINDER: Final = 1e-6
 
-#: Below this part of its readings' variance the fit follows a combination of them wholly.
-_LEAST_VARIANCE: Final = 1e-9
+#: Variance of a combined residual relative to its readings below which the fit absorbs it.
+_MIN_RELATIVE_VARIANCE: Final = 1e-9
 
-#: In so many of good campaigns a position, or a reading, is called off.
-_SINGLE_LEVEL: Final = 0.5 * SIGNIFICANCE
+#: Fraction of good campaigns in which a position or a reading is reported as an outlier.
+_POSITION_SIGNIFICANCE: Final = 0.5 * SIGNIFICANCE
 
 
 @frozen
 class Position:
-    """Readings of one position, or one reading, beside the others."""
+    """Residual of a position with its readings, or of a single reading."""
 
-    #: Of the readings; their mean residual, g.
-    indices: tuple[int, ...]
-    residual: float
-    #: The mean residual over its own standard deviation, with leverages and considered terms
-    #: counted; NaN where the fit follows these readings wholly.
+    indices: tuple[int, ...]  #: Indices of the readings.
+    residual: float  #: Mean residual, g.
+    #: Mean residual over its standard deviation, with leverages and considered terms; NaN if the
+    #: fit absorbs these readings completely.
     standardized: float
-    #: The same with an estimated noise as the others tell it (externally studentised), the part of
-    #: its variance from that noise, and the noise's degrees of freedom.
-    studentized: float
-    noise_fraction: float
-    noise_dof: float
+    studentized: float  #: Externally studentised residual: with the noise of the other readings.
+    noise_fraction: float  #: Fraction of the noise in the variance of the residual.
+    noise_dof: float  #: Degrees of freedom of this noise.
 
     @property
     def p(self) -> float:
-        """Probability of as large a deviation by chance, to either side; NaN if undetermined."""
+        """Two-sided probability of a residual this large by chance; NaN if undetermined."""
         if math.isnan(self.studentized):
             return math.nan
         return 2.0 * mixture_tail(self.noise_fraction, self.noise_dof, abs(self.studentized))
@@ -62,32 +59,31 @@ class Position:
 
 @frozen
 class OutlyingReadings:
-    """A reading, or the readings of one position together, that the noise does not explain."""
+    """An outlying reading, or the readings of an outlying position."""
 
-    indices: tuple[int, ...]  #: Among the readings.
-    name: str  #: Of the reading, or of each of them.
-    residual: float  #: g.
-    z: float  #: Residual over its standard deviation, by the noise of the others.
+    indices: tuple[int, ...]  #: Indices of the readings.
+    name: str  #: Name of the reading, or names of the readings.
+    residual: float  #: Mean residual, g.
+    z: float  #: Externally studentised residual.
 
 
 @frozen
 class FittedReadings:
-    """A group of readings or poses, and how it fits a solution that has followed it."""
+    """A group of readings or poses in a fit, with its residuals."""
 
-    readings: ReadingGroup  #: What was read.
-    linear: LinearReadings  #: The same linearised at the estimate, each with its uncertainty.
-    noise: float  #: Of one repeat where it was estimated, g; elsewhere it means nothing.
-    noise_dof: float  #: Degrees of freedom of an estimated noise; infinite where it was stated.
-    residual_dof: float = math.nan  #: Readings less what the fit follows of them.
-    #: Reading less model at the estimate, g, shape (n,).
+    readings: ReadingGroup  #: Readings or poses.
+    linear: LinearReadings  #: The readings linearised at the estimate.
+    noise: float  #: Estimated noise of a repeat, g; meaningless if the noise was stated.
+    noise_dof: float  #: Degrees of freedom of the estimated noise; infinite if it was stated.
+    residual_dof: float = math.nan  #: Number of readings minus their leverages.
+    #: Residuals at the estimate, g, shape (n,).
     residuals: Array = field(default_factory=lambda: np.empty(0))
-    chi2: float = math.nan  #: Chi-square of the residuals, by noise and considered terms.
-    #: Each reading by itself, and for each position that was read more than once its readings.
-    single: tuple[Position, ...] = ()
-    positions: tuple[Position, ...] = ()
+    chi2: float = math.nan  #: Chi-square of the residuals, with noise and considered terms.
+    single: tuple[Position, ...] = ()  #: Each reading by itself.
+    positions: tuple[Position, ...] = ()  #: Each position with several readings.
 
     def index_in(self, fit: JointFit) -> int | None:
-        """Return which of a fit's observations they are; None if it is without them."""
+        """Return the index among the observations of a fit; None if the fit lacks the group."""
         for index, observation in enumerate(fit.observations):
             if isinstance(observation, LinearReadings) and observation.group is self.readings:
                 return index
@@ -110,27 +106,24 @@ class FittedReadings:
 
     @property
     def stated(self) -> bool:
-        """Whether the uncertainty of the readings was stated."""
+        """True if the uncertainty of the readings was stated."""
         return self.readings.u is not None
 
     @property
     def has_external_noise(self) -> bool:
-        """Whether residuals are held against a noise that they did not tell: stated, or the least.
-
-        Those that are no more than rounding say nothing of each other's size.
-        """
+        """True if the noise was not estimated from the residuals, but stated or only rounding."""
         return self.stated or self.noise <= self.readings.noise_floor
 
     @property
     def tested_dof(self) -> float:
-        """The degrees of freedom by which residuals are tested.
+        """Degrees of freedom for tests of the residuals.
 
-        A noise that was estimated without some terms has more than the fit with these terms leaves.
+        Noise that was estimated without some terms has more degrees of freedom than the residuals.
         """
         return min(self.noise_dof, self.residual_dof)
 
     def evaluate(self, fit: JointFit) -> Self:
-        """Evaluate the same readings under another fit that includes them."""
+        """Return the group evaluated with another fit that includes it."""
         group, solution, model = self.readings, fit.solution, fit.model
         index = self.index_in(fit)
         assert index is not None
@@ -138,12 +131,12 @@ class FittedReadings:
         assert isinstance(linear, LinearReadings)
         noise = None
         if not self.has_external_noise:
-            # Noise is estimated with what is considered among the unknowns.
-            considered_estimated = linear.with_considered_estimated(len(model.unknowns))
-            noise = (considered_estimated, fit.solution_with_considered, group.repeat_dof)
-        readings = [(index,) for index in range(group.size)]
+            # The noise was estimated with considered terms as unknowns.
+            relaxed = linear.with_considered_estimated(len(model.unknowns))
+            noise = (relaxed, fit.solution_with_considered, group.repeat_dof)
+        single_readings = [(index,) for index in range(group.size)]
         positions = evaluate_positions(
-            linear, [*readings, *group.replicates], solution, model, noise
+            linear, [*single_readings, *group.replicates], solution, model, noise
         )
         return replace(
             self,
@@ -157,48 +150,50 @@ class FittedReadings:
 
     @property
     def label(self) -> str:
-        """The name of these readings."""
-        return READINGS[self.readings.motion]
+        """Name of these readings in messages."""
+        return READING_LABELS[self.readings.motion]
 
     def outliers(self) -> list[OutlyingReadings]:
         """Return the outliers among readings and positions.
 
-        Each reading, and the readings of each position that was read more than once together, are
-        compared with the noise of the others (externally studentised), at the level of the other
-        tests shared out among them. Noise that is hardly known judges nothing.
+        Each reading, and each position with several readings, is compared with the noise of the
+        other readings (externally studentised). All these tests share the significance level.
+        Without sufficient degrees of freedom of the noise, there are no outliers.
         """
         if self.noise_dof < MIN_DOF:
             return []
-        tested_sets = [*self.positions, *self.single]
-        z, level = [item.studentized for item in tested_sets], _SINGLE_LEVEL / len(tested_sets)
+        positions = [*self.positions, *self.single]
+        z, significance = (
+            [item.studentized for item in positions],
+            _POSITION_SIGNIFICANCE / len(positions),
+        )
         outliers: list[OutlyingReadings] = []
         z_by_index: dict[int, float] = {}
-        # The tails of the distributions of the tests are not below those of the normal one.
-        for i in np.flatnonzero(np.abs(z) > -normal_quantile(0.5 * level)).tolist():
-            if tested_sets[i].p >= level:
+        # The tails of the test distributions are not below those of the normal distribution.
+        for i in np.flatnonzero(np.abs(z) > -normal_quantile(0.5 * significance)).tolist():
+            if positions[i].p >= significance:
                 continue
-            indices, size = tested_sets[i].indices, abs(z[i])
-            # A reading is named beside its position only where it alone is the worse.
-            if any(size <= z_by_index.get(index, 0.0) for index in indices):
+            indices, magnitude = positions[i].indices, abs(z[i])
+            # A reading in an outlying position is reported only if it deviates more by itself.
+            if any(magnitude <= z_by_index.get(index, 0.0) for index in indices):
                 continue
-            z_by_index |= dict.fromkeys(indices, size)
+            z_by_index |= dict.fromkeys(indices, magnitude)
             names = ", ".join(dict.fromkeys(self.readings.names[index] for index in indices))
-            outliers.append(OutlyingReadings(tuple(indices), names, tested_sets[i].residual, z[i]))
+            outliers.append(OutlyingReadings(tuple(indices), names, positions[i].residual, z[i]))
         return outliers
 
     @property
     def position_misfit_p(self) -> float | None:
-        """Probability of residuals beside the repeats' scatter as large as these; None without.
+        """p-value of the F test of lack of fit against pure error; None without repeats.
 
-        The F test of lack of fit against pure error: Draper and Smith, Applied Regression
-        Analysis, 3rd ed., section 2.1.
+        Draper and Smith, Applied Regression Analysis, 3rd ed., section 2.1.
         """
         normalized = self.residuals / self.sigma
-        # Each repeat at one setting has the noise alone, each reading the head's part as well,
-        # which is known: of what the residuals should be, only the noise's share is to be found.
+        # Repeats at one setting contain only the noise; readings also contain the known variance of
+        # the head. Only the noise share is unknown.
         repeat_dof = float(np.sum(self.readings.repeats - 1.0))
         scatter = float(np.sum(self.readings.scatter)) / self.noise**2
-        share = float(np.mean(self.linear.noise_share))
+        noise_share = float(np.mean(self.linear.noise_share))
         position_dof = position_squares = 0.0
         for position in self.positions:
             indices = list(position.indices)
@@ -216,24 +211,24 @@ class FittedReadings:
             return None
         from scipy.special import fdtrc
 
-        weight = repeat_dof / share**2 + position_dof
-        expected = (
-            ((1.0 - share) + share * scatter / repeat_dof) * repeat_dof / share**2
+        pure_error_dof = repeat_dof / noise_share**2 + position_dof
+        expected_mean_square = (
+            ((1.0 - noise_share) + noise_share * scatter / repeat_dof) * repeat_dof / noise_share**2
             if repeat_dof
             else 0.0
         )
-        expected = (expected + position_squares) / weight
+        expected_mean_square = (expected_mean_square + position_squares) / pure_error_dof
         return float(
             fdtrc(
                 remaining_dof,
-                weight,
-                max(self.chi2 - position_squares, 0.0) / remaining_dof / expected,
+                pure_error_dof,
+                max(self.chi2 - position_squares, 0.0) / remaining_dof / expected_mean_square,
             )
         )
 
 
 class _ReadingSets:
-    """Sets of readings, k of them, whose members stand one after the other in `readings`."""
+    """k sets of readings, concatenated in `readings`."""
 
     def __init__(self, sets: Sequence[Sequence[int]]) -> None:
         self.lengths = [len(indices) for indices in sets]
@@ -246,19 +241,19 @@ class _ReadingSets:
 
 
 class _CombinedResiduals:
-    """Residuals of a fit in combinations of its n readings, one for each of k sets.
+    """Combined residuals of k sets of the n readings of a fit.
 
-    With r = s - H s of a combination s in standard uncertainties, and H the hat matrix of the
-    readings: sums over r need the q unknowns only, and not the n x n hat matrix.
+    For a combination s in standard uncertainties, r = s - H s with the hat matrix H. Sums over r
+    are computed with the q unknowns, without the n x n matrix.
     """
 
     def __init__(
-        self, part: LinearReadings, solution: Solution, sets: _ReadingSets, s: Array
+        self, linear_group: LinearReadings, solution: Solution, sets: _ReadingSets, weights: Array
     ) -> None:
-        """Project combinations; s: weights of the members of all sets."""
-        self._rows = part.design / part.sigma[:, None]
-        self._sets, self._s = sets, s
-        self._covariance = part.covariance(solution)
+        """Project combinations; weights: weights of the members of all sets."""
+        self._rows = linear_group.design / linear_group.sigma[:, None]
+        self._sets, self._s = sets, weights
+        self._covariance = linear_group.covariance(solution)
         self._row_sums = self._weighted_rows(np.ones(len(self._rows)))
         self._projection = self._row_sums @ self._covariance
 
@@ -274,7 +269,7 @@ class _CombinedResiduals:
 
     @property
     def variance(self) -> Array:
-        """The products r . s, the variances of the combined residuals, shape (k,)."""
+        """Products r . s, the variances of the combined residuals, shape (k,)."""
         projected: Array = np.sum(self._row_sums * self._projection, axis=1)
         return np.asarray(np.maximum(self._sets.sum(self._s**2) - projected, 0.0))
 
@@ -297,71 +292,83 @@ class _CombinedResiduals:
 
 
 def evaluate_positions(
-    part: LinearReadings,
+    linear_group: LinearReadings,
     sets: Sequence[Sequence[int]],
     solution: Solution,
     model: Unknowns,
     noise: tuple[LinearReadings, Solution, float] | None,
 ) -> list[Position]:
-    """Return the weighted mean residual of each set of readings over its standard deviation.
+    """Return the standardised weighted mean residual of each set of readings.
 
-    sets: Places of the readings of each set, k of them.
-    noise: Readings and solution by which their noise was estimated, and the repeats' degrees of
-        freedom; None: it was not.
+    sets: Indices of the readings of each of k sets.
+    noise: Readings and solution of the noise estimate, and degrees of freedom of the repeats; None:
+        the noise was not estimated.
     """
-    members = _ReadingSets(sets)
-    sigma = part.sigma[members.readings]
+    reading_sets = _ReadingSets(sets)
+    sigma = linear_group.sigma[reading_sets.readings]
     weights = sigma**-2.0
-    weights /= np.repeat(members.sum(weights), members.lengths)
-    combined = weights * sigma
-    r = _CombinedResiduals(part, solution, members, combined)
-    sensitivity = part.considered_sensitivity(solution)[members.readings] * model.considered_sds
-    shifts = members.sum(weights[:, None] * sensitivity)
-    variance = r.variance + np.sum(shifts**2, axis=1)
-    residual = members.sum(weights * part.residuals(solution, model)[members.readings])
-    is_undetermined = variance <= _LEAST_VARIANCE * members.sum(combined**2)
+    weights /= np.repeat(reading_sets.sum(weights), reading_sets.lengths)
+    standardised_weights = weights * sigma
+    combined_residuals = _CombinedResiduals(
+        linear_group, solution, reading_sets, standardised_weights
+    )
+    sensitivity = (
+        linear_group.considered_sensitivity(solution)[reading_sets.readings] * model.considered_sds
+    )
+    shifts = reading_sets.sum(weights[:, None] * sensitivity)
+    variance = combined_residuals.variance + np.sum(shifts**2, axis=1)
+    residual = reading_sets.sum(
+        weights * linear_group.residuals(solution, model)[reading_sets.readings]
+    )
+    is_undetermined = variance <= _MIN_RELATIVE_VARIANCE * reading_sets.sum(standardised_weights**2)
     variance[is_undetermined] = 1.0
     z = residual / np.sqrt(variance)
-    studentized, share, dof = z, np.zeros(len(sets)), np.full(len(sets), math.inf)
+    studentized, noise_fraction, dof = z, np.zeros(len(sets)), np.full(len(sets), math.inf)
     if noise is not None:
-        # The head, priors and what is considered have their parts of the variance too.
-        fraction = np.minimum(r.squares(part.noise_share) / variance, 1.0)
-        scale, dof = _deleted_noise(*noise, members, combined)
+        # The head, priors and considered terms also contribute to the variance.
+        fraction = np.minimum(combined_residuals.squares(linear_group.noise_share) / variance, 1.0)
+        scale, dof = _deleted_noise(*noise, reading_sets, standardised_weights)
         ratio = 1.0 - fraction + fraction * scale
-        studentized, share = z / np.sqrt(ratio), fraction * scale / ratio
+        studentized, noise_fraction = z / np.sqrt(ratio), fraction * scale / ratio
     z[is_undetermined] = studentized[is_undetermined] = math.nan
-    columns = (column.tolist() for column in (residual, z, studentized, share, dof))
+    columns = (column.tolist() for column in (residual, z, studentized, noise_fraction, dof))
     return [Position(tuple(s), *row) for s, *row in zip(sets, *columns, strict=True)]
 
 
 def _deleted_noise(
-    part: LinearReadings,
+    linear_group: LinearReadings,
     solution: Solution,
     repeat_dof: float,
     sets: _ReadingSets,
-    combined: Array,
+    standardised_weights: Array,
 ) -> tuple[Array, Array]:
-    """Return the noise variance estimated without each set, over that with it, and its dof.
+    """Return the noise variance estimated without each set over that with it, and its dof.
 
-    All else being equal. Arguments as in `evaluate_positions`; combined: the weights of the
-    readings in standard uncertainties.
+    standardised_weights: Weights of the readings in standard uncertainties; for other parameters,
+        see `evaluate_positions`.
     """
-    r = _CombinedResiduals(part, solution, sets, combined)
-    share, variance = part.noise_share, r.variance
-    residual = part.residuals_at(solution.estimate) / part.sigma
-    total_dof = part.noise_dof(solution) + repeat_dof
-    # The noise is such that the squares of residuals and repeats are what is expected.
-    total_squares = float(share @ (1.0 - part.leverages(solution))) + repeat_dof
-    is_undetermined = variance <= _LEAST_VARIANCE * sets.sum(combined**2)
+    combined_residuals = _CombinedResiduals(linear_group, solution, sets, standardised_weights)
+    noise_share, variance = linear_group.noise_share, combined_residuals.variance
+    residual = linear_group.residuals_at(solution.estimate) / linear_group.sigma
+    total_dof = linear_group.noise_dof(solution) + repeat_dof
+    # With the estimated noise, the squares of residuals and repeats equal their expectation.
+    total_squares = float(noise_share @ (1.0 - linear_group.leverages(solution))) + repeat_dof
+    is_undetermined = variance <= _MIN_RELATIVE_VARIANCE * sets.sum(standardised_weights**2)
     variance[is_undetermined] = 1.0
-    removed = sets.sum(combined * residual[sets.readings]) / variance
-    removed_squares = r.squares(share)
-    removed_dof = removed_squares / variance
-    squares = total_squares - removed * (2.0 * r.dot(share * residual) - removed * removed_squares)
-    scale = np.maximum(squares, _MIN_REMAINDER) / np.maximum(
-        total_squares - removed_dof, _MIN_REMAINDER
+    deleted_residuals = sets.sum(standardised_weights * residual[sets.readings]) / variance
+    deleted_squares = combined_residuals.squares(noise_share)
+    deleted_dof = deleted_squares / variance
+    remaining_squares = total_squares - deleted_residuals * (
+        2.0 * combined_residuals.dot(noise_share * residual) - deleted_residuals * deleted_squares
     )
-    dof = total_dof - 2.0 * r.weighted_variance(share) / variance + removed_dof**2
+    scale = np.maximum(remaining_squares, _MIN_REMAINDER) / np.maximum(
+        total_squares - deleted_dof, _MIN_REMAINDER
+    )
+    dof = (
+        total_dof
+        - 2.0 * combined_residuals.weighted_variance(noise_share) / variance
+        + deleted_dof**2
+    )
     return (
         np.where(is_undetermined, 1.0, scale),
         np.where(is_undetermined, total_dof, np.maximum(dof, 1.0)),

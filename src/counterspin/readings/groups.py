@@ -20,15 +20,15 @@ from counterspin.readings.known_attitudes import Readings
 
 
 def group_readings(campaign: Campaign, readings: Sequence[Reading]) -> list[Readings]:
-    """Return the readings by accelerometer, motion and whether their noise was stated."""
+    """Return readings grouped by accelerometer, motion and whether their noise was stated."""
     return [group for group, _ in numbered_groups(campaign, readings)]
 
 
 def numbered_groups(
     campaign: Campaign, readings: Sequence[Reading]
 ) -> list[tuple[Readings, list[int]]]:
-    """Return the groups of `group_readings`, each with the places of its members."""
-    assumed = dict(assumed_reading_temperatures(campaign, readings))
+    """Return the groups of `group_readings`, each with the indices of its members."""
+    assumed_temperatures = dict(assumed_reading_temperatures(campaign, readings))
     indices_by_group: dict[tuple[str, str, bool], list[int]] = {}
     for index, reading in enumerate(readings):
         indices_by_group.setdefault(
@@ -39,7 +39,7 @@ def numbered_groups(
             _make_group(
                 campaign,
                 [readings[member] for member in indices],
-                [assumed.get(member, 0.0) for member in indices],
+                [assumed_temperatures.get(member, 0.0) for member in indices],
             ),
             indices,
         )
@@ -91,24 +91,24 @@ def _make_group(
 
 
 def _rate_factor(campaign: Campaign, reading: Reading) -> float:
-    """Return the rate by a clock whose stated error is corrected over the stated rate."""
+    """Return the ratio of the rate with corrected clock error to the stated rate."""
     clock = campaign.rate_clock or campaign.clock
     return 1.0 if clock is None or reading.uses_recorder_clock else 1.0 + clock.value
 
 
 def clock_name(campaign: Campaign, reading: Reading) -> str:
-    """Return the name of that input; empty where nothing turns."""
+    """Return the name of the input of the rate clock; empty at rest."""
     return ".".join(filter(None, rate_clock_input(campaign, reading))) if reading.rate else ""
 
 
 def _relative_u_rate(campaign: Campaign, reading: Reading) -> float:
-    """Return the random standard uncertainty of a rate, relative."""
+    """Return the relative random standard uncertainty of a rate."""
     if not reading.rate:
         return 0.0
     if reading.measured_rate is not None:
         return reading.measured_rate.u / abs(reading.measured_rate.value)
     if reading.u_rate is not None:
         return reading.u_rate / abs(reading.rate)
-    # An estimated noise contains the errors of the rates already.
-    unknown = reading.u is not None and not campaign.model.assumes(RATE)
-    return campaign.typical_of(RATE) if unknown else 0.0
+    # Estimated noise already contains the errors of the rates.
+    is_unknown = reading.u is not None and not campaign.model.assumes(RATE)
+    return campaign.typical_of(RATE) if is_unknown else 0.0

@@ -1,4 +1,4 @@
-"""Readings of a campaign in the joint fit: at rest, on an arm, on a double turntable, in poses."""
+"""Readings and poses of a campaign in the joint fit."""
 
 from __future__ import annotations
 
@@ -44,31 +44,31 @@ from counterspin.readings.methods import compare_methods
 from counterspin.readings.reading_groups import pose_groups, reading_groups
 from counterspin.readings.undetected_faults import fault_remarks, find_undetected_faults
 
-#: Poses of a triad, loaded for a campaign that has one: signature of `TriadData`.
+#: Class of the poses of a triad, loaded for a campaign with a triad; see `TriadData`.
 TRIAD: Final = "counterspin.triads.joint_data:TriadInFit"
 
 
 class TriadData(Protocol):
-    """Poses of a campaign's triad, and the triad's part of the result."""
+    """Poses of a triad, and the results of the triad."""
 
     def groups(self) -> Sequence[ReadingGroup]:
-        """Return the poses in groups with noise of one kind."""
+        """Return the poses grouped by kind of noise."""
 
-    def findings(self, fit: JointFit, posed: Sequence[FittedReadings]) -> list[Finding]:
+    def findings(self, fit: JointFit, groups: Sequence[FittedReadings]) -> list[Finding]:
         """Return the findings of tests of the residuals of poses."""
 
     def advice(self, view: AccelerometerView) -> str:
-        """Return the poses that would determine more of an accelerometer with poses only."""
+        """Return advice on poses that would determine more of an accelerometer."""
 
-    def result(self, estimated: Estimate, parts: Sequence[FittedReadings]) -> TriadResult:
-        """Return the triad as the result states it."""
+    def result(self, estimate: Estimate, groups: Sequence[FittedReadings]) -> TriadResult:
+        """Return the results of the triad."""
 
 
 @frozen(eq=False)
 class ReadingsAndPoses(ReadingData):
-    """Readings and poses of a campaign in a fit, and the records that they are means of."""
+    """Readings and poses of a campaign in a fit, and the averaged records."""
 
-    groups: tuple[FittedReadings, ...] = ()  #: With noise of one kind each.
+    groups: tuple[FittedReadings, ...] = ()  #: Groups by kind of noise.
     recorded: MeanRecords = field(default_factory=MeanRecords)
     triad: TriadData | None = None
 
@@ -78,7 +78,7 @@ class ReadingsAndPoses(ReadingData):
         return {"triad": triad, "arm_rates": self.recorded.rates}
 
     def contributions(self, views: Sequence[AccelerometerView]) -> dict[str, Contribution]:
-        """Return readings, test methods and unseen faults for the results of accelerometers."""
+        """Return readings, test methods and undetected faults for the results of accelerometers."""
         comparisons, faults = compare_methods(views), find_undetected_faults(views)
         means = self.recorded.means
         return {
@@ -108,7 +108,7 @@ class ReadingsAndPoses(ReadingData):
         return [*check_readings(view), *pose_findings]
 
     def remarks(self, views: Sequence[AccelerometerView]) -> Iterator[str]:
-        """Yield remarks on the noise, and on records without an angle."""
+        """Yield remarks on noise, and on records without an angle."""
         yield from rounding_remarks(views)
         yield from overstated_noise_remarks(views)
         if self.recorded.without_angle:
@@ -118,10 +118,10 @@ class ReadingsAndPoses(ReadingData):
             )
 
     def advice(self, view: AccelerometerView, symbol: str) -> tuple[str, str]:
-        """Return poses or records, and advice on poses, or on readings at rest only."""
+        """Return ``poses`` or ``records``, and advice on poses or on readings at rest."""
         if self.triad and pose_groups(view) and not reading_groups(view) and not view.has_records:
             return "poses", self.triad.advice(view)
-        if only_at_rest(view.campaign) and symbol in ("K_F", "K_II", *SQUARE_TERMS):
+        if is_only_at_rest(view.campaign) and symbol in ("K_F", "K_II", *SQUARE_TERMS):
             return "records", (
                 " At 1 g, the squares of the specific force components add up to one, so no "
                 "set of positions can determine K_F, K_II, K_PP and K_OO all at once. State "
@@ -136,28 +136,30 @@ class ReadingsAndPoses(ReadingData):
         name: str,
         rotate: Callable[[Mounting], Mounting],
     ) -> tuple[JointFit, tuple[FittedGroup, ...]]:
-        """Return the fit of groups with an accelerometer mounted otherwise, beside records."""
-        groups: list[ReadingGroup] = []
+        """Return the fit of groups and records with a rotated accelerometer."""
+        rotated_groups: list[ReadingGroup] = []
         for fitted_group in parts:
             assert isinstance(fitted_group, FittedReadings)
             group = fitted_group.readings
             if not math.isinf(fitted_group.noise_dof):
                 group = group.with_noise(fitted_group.noise)
-            groups.append(group.with_rotated_mounting(name, rotate))
-        if not groups:
+            rotated_groups.append(group.with_rotated_mounting(name, rotate))
+        if not rotated_groups:
             return estimate.fit, ()
         records = estimate if estimate.fit.design_blocks else None
-        updated, fitted = estimate_with_groups(records, estimate.fit.model, groups)
-        return updated.fit, fitted
+        rotated_estimate, fitted_groups = estimate_with_groups(
+            records, estimate.fit.model, rotated_groups
+        )
+        return rotated_estimate.fit, fitted_groups
 
 
 def join_readings(problem: JointProblem) -> tuple[Estimate, ReadingsAndPoses]:
-    """Return the estimate from all data of a campaign, with its readings and poses in it."""
+    """Return the estimate from all data of a campaign, and its readings and poses."""
     campaign = problem.campaign
     has_readings = campaign.readings or campaign.posed
     if not has_readings:
-        records = estimate(problem.series, problem.model, problem.noise)
-        return records, ReadingsAndPoses(triad=make_triad(campaign))
+        joint_estimate = estimate(problem.series, problem.model, problem.noise)
+        return joint_estimate, ReadingsAndPoses(triad=make_triad(campaign))
     record_estimate = None
     if problem.observed_runs:
         record_estimate = estimate(problem.series, problem.model, problem.noise)
@@ -165,24 +167,24 @@ def join_readings(problem: JointProblem) -> tuple[Estimate, ReadingsAndPoses]:
 
 
 def estimate_with_readings(
-    estimated: Estimate | None, model: Unknowns, campaign: Campaign
+    record_estimate: Estimate | None, model: Unknowns, campaign: Campaign
 ) -> tuple[Estimate, ReadingsAndPoses]:
-    """Return the estimate with the campaign's readings and poses, and how these fit.
+    """Return the estimate with readings and poses of a campaign, and the fitted groups.
 
-    estimated: From records; None if there are none.
+    record_estimate: From records; None if there are none.
     """
     _check_values(campaign)
-    if estimated is None:
+    if record_estimate is None:
         _check_reading_count(campaign, model)
-    readings, recorded = average_records(campaign)
+    readings, mean_records = average_records(campaign)
     triad = make_triad(campaign)
     groups = [*group_readings(campaign, readings), *(triad.groups() if triad else ())]
-    estimated, parts = estimate_with_groups(estimated, model, groups)
-    return estimated, ReadingsAndPoses(parts, recorded, triad)
+    record_estimate, fitted_groups = estimate_with_groups(record_estimate, model, groups)
+    return record_estimate, ReadingsAndPoses(fitted_groups, mean_records, triad)
 
 
 def make_triad(campaign: Campaign) -> TriadData | None:
-    """Return the triad of a campaign with the poses in its records; None: it has no triad."""
+    """Return the triad of a campaign with the poses in its records; None without a triad."""
     if campaign.triad is None:
         return None
     if not is_installed(TRIAD):
@@ -195,22 +197,24 @@ def make_triad(campaign: Campaign) -> TriadData | None:
     return triad
 
 
-def only_at_rest(campaign: Campaign) -> bool:
-    """Return whether readings at rest are all that a campaign has, poses among them."""
+def is_only_at_rest(campaign: Campaign) -> bool:
+    """Return whether a campaign only has readings or poses at rest."""
     motions = {reading.motion for reading in campaign.readings}
     return motions <= {"static"} and not campaign.runs
 
 
 def reading_results(
-    part: FittedReadings, means: Mapping[tuple[str, str], RecordMean]
+    fitted_group: FittedReadings, means: Mapping[tuple[str, str], RecordMean]
 ) -> list[ReadingResult]:
-    """Return each reading as a result shows it."""
-    group = part.readings
+    """Return the results of the readings of a group."""
+    group = fitted_group.readings
     assert isinstance(group, Readings)
     stations = group.stations
     columns = (stations.axes, stations.rate, stations.amplitude, group.value)
-    lists = (column.tolist() for column in (*columns, part.sigma, part.residuals))
-    rows = zip(group.names, group.mountings, part.single, *lists, strict=True)
+    row_values = (
+        column.tolist() for column in (*columns, fitted_group.sigma, fitted_group.residuals)
+    )
+    rows = zip(group.names, group.mountings, fitted_group.single, *row_values, strict=True)
     return [
         ReadingResult(
             name=name,
@@ -231,7 +235,7 @@ def reading_results(
 
 
 def _record_fields(mean: RecordMean | None) -> dict[str, Any]:
-    """Return the fields of a result that describe the record averaged in a reading."""
+    """Return the fields of a result that describe the averaged record of a reading."""
     if mean is None:
         return {}
     report = mean.report
@@ -239,25 +243,25 @@ def _record_fields(mean: RecordMean | None) -> dict[str, Any]:
 
 
 def estimate_with_groups(
-    estimated: Estimate | None, model: Unknowns, groups: Sequence[ReadingGroup]
+    record_estimate: Estimate | None, model: Unknowns, groups: Sequence[ReadingGroup]
 ) -> tuple[Estimate, tuple[FittedReadings, ...]]:
-    """Return the estimate with readings and poses, and how these fit.
+    """Return the estimate with groups of readings and poses, and the fitted groups.
 
-    estimated: From records; None if there are none.
+    record_estimate: From records; None if there are none.
     """
-    if estimated is None:
-        fit = solve_readings(groups, model)
-        estimated = Estimate(fit.fit, {}, np.full(len(model.unknowns), np.inf))
+    if record_estimate is None:
+        readings_fit = solve_readings(groups, model)
+        record_estimate = Estimate(readings_fit.fit, {}, np.full(len(model.unknowns), np.inf))
     else:
-        fit = solve_readings(groups, estimated.fit.model, estimated.fit)
-    dof = _effective_dof(estimated.dof, fit)
+        readings_fit = solve_readings(groups, record_estimate.fit.model, record_estimate.fit)
+    dof = _effective_dof(record_estimate.dof, readings_fit)
     return replace(
-        estimated, fit=fit.fit, dof=dof, compressed_fit=None, information_losses={}
-    ), fit.groups
+        record_estimate, fit=readings_fit.fit, dof=dof, compressed_fit=None, information_losses={}
+    ), readings_fit.groups
 
 
 def _check_reading_count(campaign: Campaign, model: Unknowns) -> None:
-    """Refuse fewer readings of an accelerometer than coefficients of which nothing is known."""
+    """Raise if an accelerometer has fewer readings than coefficients without a prior."""
     pose_accelerometers = campaign.triad.accelerometers if campaign.triad and campaign.posed else ()
     for name in campaign.accelerometers:
         if name in pose_accelerometers:
@@ -276,10 +280,10 @@ def _check_reading_count(campaign: Campaign, model: Unknowns) -> None:
 
 
 def _effective_dof(dof: np.ndarray, fit: ReadingsFit) -> np.ndarray:
-    """Return the degrees of freedom of each unknown with the readings' estimated noise counted.
+    """Return the degrees of freedom of each unknown with the estimated noise of readings.
 
-    Satterthwaite's, or fewer where few readings tell a noise, so that the intervals cover. What the
-    records' noise adds keeps the records' own degrees of freedom.
+    They are Satterthwaite's, or fewer if few readings determine a noise, so that the intervals have
+    their coverage. The noise of records keeps its own degrees of freedom.
     """
     noise_dofs = [group.noise_dof for group in fit.groups]
     record_dofs = dof if fit.fit.design_blocks else np.full(dof.size, math.inf)
@@ -293,35 +297,42 @@ def _effective_dof(dof: np.ndarray, fit: ReadingsFit) -> np.ndarray:
 
 
 def combination_dof(
-    weights: np.ndarray, fit: JointFit, dof: Sequence[float], record_dof: float
+    weights: np.ndarray, fit: JointFit, reading_dofs: Sequence[float], record_dof: float
 ) -> float:
     """Return the degrees of freedom of a combination of the unknowns.
 
-    dof: Of the noise of readings and poses, in the order of the fit.
+    reading_dofs: Of the noise of readings and poses, in the order of the fit.
     record_dof: Of the noise of records.
     """
-    combined = fit.solution.combine(weights)
-    rows, total = combined.noise_rows, float(weights @ fit.solution.covariance @ weights)
-    sizes = [block.factor.shape[0] for block in fit.blocks[len(fit.design_blocks) :]]
-    boundaries = np.cumsum([rows.size - sum(sizes), *sizes])
-    inverse = 1.0 / mixture_dof(_variance_share(rows[: boundaries[0]], total), record_dof)
-    for part, noise_dof in zip(np.split(rows, boundaries[:-1])[1:], dof, strict=True):
-        inverse += 1.0 / mixture_dof(_variance_share(part, total), noise_dof)
-    return 1.0 / inverse if inverse > 0.0 else math.inf
+    combination = fit.solution.combine(weights)
+    row_contributions, total_variance = (
+        combination.noise_rows,
+        float(weights @ fit.solution.covariance @ weights),
+    )
+    block_sizes = [block.factor.shape[0] for block in fit.blocks[len(fit.design_blocks) :]]
+    block_ends = np.cumsum([row_contributions.size - sum(block_sizes), *block_sizes])
+    inverse_dof = 1.0 / mixture_dof(
+        _variance_share(row_contributions[: block_ends[0]], total_variance), record_dof
+    )
+    for block_rows, noise_dof in zip(
+        np.split(row_contributions, block_ends[:-1])[1:], reading_dofs, strict=True
+    ):
+        inverse_dof += 1.0 / mixture_dof(_variance_share(block_rows, total_variance), noise_dof)
+    return 1.0 / inverse_dof if inverse_dof > 0.0 else math.inf
 
 
-def _variance_share(rows: np.ndarray, total: float) -> float:
-    return min(float(rows @ rows) / total, 1.0) if total > 0.0 else 0.0
+def _variance_share(rows: np.ndarray, total_variance: float) -> float:
+    return min(float(rows @ rows) / total_variance, 1.0) if total_variance > 0.0 else 0.0
 
 
 def _check_values(campaign: Campaign) -> None:
-    empty = [reading.name for reading in campaign.all_readings if math.isnan(reading.value)]
-    if empty:
+    empty_names = [reading.name for reading in campaign.all_readings if math.isnan(reading.value)]
+    if empty_names:
         raise CampaignError(
             str(campaign.path),
             [
-                f'"{empty[0]}" and {len(empty) - 1} other readings have no value yet: enter '
-                "the readings, or simulate them from [truth] with `counterspin simulate`"
+                f'"{empty_names[0]}" and {len(empty_names) - 1} other readings have no value yet: '
+                "enter the readings, or simulate them from [truth] with `counterspin simulate`"
             ],
             code="missing-value",
         )

@@ -1,6 +1,6 @@
-"""Readings of one accelerometer at known attitudes: at rest, on an arm or on a turntable.
+"""Readings of an accelerometer at known attitudes: at rest, on an arm or on a turntable.
 
-A reading is linear in the coefficients and nearly so in the terms of the machine.
+A reading is linear in the coefficients, and nearly linear in the terms of the machine.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ from counterspin.physics.terms import (
 )
 from counterspin.readings.linear import MIN_RELATIVE_NOISE, LinearReadings
 
-#: Step of a machine term's derivative, of its largest credible size: large, for little rounding.
-_STEP: Final = 1e-2
+#: Step of derivatives by machine terms, relative to their largest credible sizes.
+_RELATIVE_STEP: Final = 1e-2
 
-#: Uncertain inputs that act on readings, and the step of each derivative: m, m/s^2, rad.
+#: Uncertain input of readings -> step of its derivative, m, m/s^2, rad.
 INPUT_STEPS: Final = {"centrifuge.radius": 1e-4, "site.gravity": 1e-3, "site.latitude": 1e-3}
 
-#: Error of all amplitudes of a vibration, and the random one of each, relative.
+#: Symbol of the relative error of amplitudes of vibration.
 AMPLITUDE: Final = "vibration.amplitude"
 
-#: Step of the derivatives by clocks and by the random errors of settings, relative.
+#: Relative step of derivatives by clocks, rates and amplitudes.
 _RATE_STEP: Final = 1e-4
 
-#: Step of the derivative by the dividing head's angle, rad.
+#: Step of derivatives by the angle of the dividing head, rad.
 _HEAD_STEP: Final = 1e-5
 
 _SYMBOLS: Final = tuple(TERMS)
@@ -55,69 +55,56 @@ _SYMBOLS: Final = tuple(TERMS)
 
 @frozen
 class Readings:
-    """Readings of one accelerometer in one motion, n of them, with noise of one kind."""
+    """n readings of an accelerometer in one motion, with one kind of noise."""
 
-    #: Its name, and the motion of every station.
-    accelerometer: str
-    motion: str
-    names: tuple[str, ...]  #: Of the readings.
-    site: Site  #: Where they were taken.
-    stations: Stations  #: Axes and machine of each.
-    mountings: tuple[str, ...]  #: Name of each reading's mounting; empty where it has none.
-    #: Axis about which the dividing head turned, in the station's frame, shape (n, 3); zero without
-    #: one.
+    accelerometer: str  #: Name of the accelerometer.
+    motion: str  #: Motion of all stations.
+    names: tuple[str, ...]  #: Names of the readings.
+    site: Site  #: Site of the test.
+    stations: Stations  #: Axes of the instrument, and state of the machine.
+    mountings: tuple[str, ...]  #: Mounting of each reading; empty: none.
+    #: Axis of the dividing head in the frame of the station, shape (n, 3); zero without a head.
     head: Array
-    #: Random standard uncertainty of the head's angle at each position, rad, shape (n,).
-    u_head: Array
-    #: Indication in g by the nominal sensitivity, and its standard uncertainty, shape (n,); None:
-    #: one for all, estimated from the residuals.
-    value: Array
-    u: Array | None
+    u_head: Array  #: Random standard uncertainty of the head angle, rad, shape (n,).
+    value: Array  #: Indications in g by the nominal sensitivity, shape (n,).
+    u: Array | None  #: Their standard uncertainties, shape (n,); None: estimated, common to all.
     #: Conditions relative to the reference, as in `relative_conditions`, each of shape (n,).
     conditions: Mapping[str, Array]
-    #: How many repeats at one setting each value is the mean of, and the sum of their squares about
-    #: it, g^2, shape (n,). Where `u` is None.
-    repeats: Array
-    scatter: Array
-    #: One of the last digit that any of them has, g; 0 where it is not known.
-    resolution: float = 0.0
-    #: Name of the position of each whose setting error is an unknown; empty where none is.
-    position: tuple[str, ...] = ()
-    #: 1 where a value was written in m/s^2 and became g by the gravity assumed, else 0.
-    in_si: Array | float = 0.0
-    #: What the dividing head shows, rad, shape (n,).
-    head_angle: Array | float = 0.0
-    #: 1 where the description states the sense of the rotation, 0 where an angle shows it, (n,).
+    repeats: Array  #: Number of repeats at one setting, shape (n,); used if `u` is None.
+    scatter: Array  #: Sum of squares of the repeats about their mean, g^2, shape (n,).
+    resolution: float = 0.0  #: Smallest unit of the last digit, g; 0: unknown.
+    position: tuple[str, ...] = ()  #: Positions whose positioning error is an unknown; empty: none.
+    in_si: Array | float = 0.0  #: 1 for a value in m/s^2 that was converted to g, else 0.
+    head_angle: Array | float = 0.0  #: Indicated angle of the dividing head, rad, shape (n,).
+    #: 1 if the sense of rotation was stated, 0 if it was measured by an angle, shape (n,).
     stated_sense: Array | float = 1.0
-    #: Rates that the description states, rad/s, shape (n,); None: those of the stations.
+    #: Stated rates, rad/s, shape (n,); None: those of the stations.
     stated_rates: tuple[float, ...] | None = None
-    #: Random standard uncertainty of each rate, relative, and 1 where it is the default one, else
-    #: 0, shape (n,).
-    u_rate: Array | float = 0.0
-    default_rate: Array | float = 0.0
-    #: Random standard uncertainty of each amplitude of vibration, relative, shape (n,).
+    u_rate: Array | float = 0.0  #: Relative random standard uncertainty of each rate, shape (n,).
+    default_rate: Array | float = 0.0  #: 1 if `u_rate` is the default, else 0, shape (n,).
+    #: Relative random standard uncertainty of each amplitude of vibration, shape (n,).
     u_amplitude: Array | float = 0.0
-    #: Name of the input that is the error of the clock of each rate; empty where nothing turns.
+    #: Name of the input that is the clock error of each rate; empty at rest.
     clocks: tuple[str, ...] = ()
 
-    def products(self, machine: Mapping[str, float]) -> Array:
-        """Return every term's mean product at each reading, shape (n, number of `TERMS`).
+    def products(self, machine_terms: Mapping[str, float]) -> Array:
+        """Return the mean product of each term at each reading, shape (n, number of `TERMS`).
 
-        machine: The machine's terms that move stations, less nominal, by symbol.
+        machine_terms: Symbol of a machine term -> its deviation from nominal.
         """
-        return mean_products(self.stations_with(machine), self.site)
+        return mean_products(self.stations_with(machine_terms), self.site)
 
-    def stations_with(self, machine: Mapping[str, float]) -> Stations:
-        """Return where the readings were taken, with the machine's terms as given."""
+    def stations_with(self, machine_terms: Mapping[str, float]) -> Stations:
+        """Return the stations of the readings with given machine terms."""
         stations = self.stations
-        for symbol, size in machine.items():
-            if size != 0.0:
-                stations = self.perturb(stations, symbol, size)
+        for symbol, deviation in machine_terms.items():
+            if deviation != 0.0:
+                stations = self.perturb(stations, symbol, deviation)
         return stations
 
-    def perturb(self, stations: Stations, symbol: str, size: float) -> Stations:
-        """Return the readings' stations, moved already, with one more of the machine's terms."""
-        steps = size * self.acts_mask(symbol)
+    def perturb(self, stations: Stations, symbol: str, deviation: float) -> Stations:
+        """Return stations of the readings with the effect of another machine term."""
+        steps = deviation * self.acts_mask(symbol)
         return (
             stations.perturb(symbol, steps, self.head, self.head_angles)
             if steps.any()
@@ -130,10 +117,10 @@ class Readings:
         return np.broadcast_to(self.head_angle, self.size)
 
     def rotate_head(self, stations: Stations, angles: Array) -> Stations:
-        """Return stations with the head's angle off by so much at each, rad, shape (n,)."""
+        """Return stations with errors of the head angle, rad, shape (n,)."""
         return stations.perturb("head.zero", angles, self.head, self.head_angles)
 
-    def with_setting_errors(self, errors: Array) -> Readings:
+    def with_rate_errors(self, errors: Array) -> Readings:
         """Return readings at rates or amplitudes larger by relative errors, shape (n,)."""
         rate, amplitude = (
             setting * (1.0 + errors) for setting in (self.stations.rate, self.stations.amplitude)
@@ -142,27 +129,31 @@ class Readings:
 
     @property
     def noise_floor(self) -> float:
-        """The least noise that one repeat can be said to have, g: rounding to the last digit.
+        """Smallest credible noise of a repeat, g: the rounding of the last digit (GUM F.2.2.1).
 
-        Its standard deviation: GUM F.2.2.1. Where more digits were written than any readout has,
-        `FINEST` of the largest one. Repeats whose scatter is below the digit are rounded alike.
+        If more digits were written than a readout has, it is `MIN_RELATIVE_NOISE` times the largest
+        value. Repeats that scatter by less than the last digit have the same rounding error.
         """
-        largest = float(np.max(np.abs(self.value), initial=1e-3))
-        floor = max(self.resolution / math.sqrt(12.0), MIN_RELATIVE_NOISE * largest)
+        max_value = float(np.max(np.abs(self.value), initial=1e-3))
+        rounding_sd = max(self.resolution / math.sqrt(12.0), MIN_RELATIVE_NOISE * max_value)
         repeat_dof = float(np.sum(self.repeats - 1.0))
         is_below_resolution = float(self.scatter.sum()) < repeat_dof * (self.resolution / 2.0) ** 2
-        return floor * math.sqrt(float(self.repeats.max())) if is_below_resolution else floor
+        return (
+            rounding_sd * math.sqrt(float(self.repeats.max()))
+            if is_below_resolution
+            else rounding_sd
+        )
 
     @property
     def replicates(self) -> tuple[tuple[int, ...], ...]:
-        """Places of the readings of each position that was read more than once."""
+        """Indices of the readings of each position with several readings."""
         groups: dict[tuple[object, ...], list[int]] = {}
         angles = self.head_angles
-        # Where an axis points is known to rounding only.
+        # Directions of axes have rounding errors.
         axes = np.column_stack(
             [self.stations.axes.reshape(self.size, 9), np.cos(angles), np.sin(angles)]
         )
-        # A repeat is set to the same rate and turns at nearly the same.
+        # A repeat has the same stated rate, but not exactly the same measured rate.
         rates = self.stated_rates or self.stations.rate.tolist()
         rows = zip(np.round(axes, 9).tolist(), rates, self.mountings, strict=True)
         for index, (row, rate, mounting) in enumerate(rows):
@@ -186,13 +177,13 @@ class Readings:
 
     @property
     def repeat_dof(self) -> float:
-        """Degrees of freedom that repeats at one setting have among themselves."""
+        """Degrees of freedom of repeats at one setting."""
         return float(np.sum(self.repeats - 1.0))
 
     def linearize(
         self, model: Unknowns, estimate: Array, variance: Array | None = None
     ) -> LinearReadings:
-        """Return their rows at an estimate; parameters as in `linearise`."""
+        """Return the readings linearised at an estimate; see `linearize`."""
         return linearize(self, model, estimate, variance)
 
     @property
@@ -201,11 +192,11 @@ class Readings:
         return ()
 
     def start(self, unknowns: Sequence[Unknown], point: Array) -> Array:  # noqa: ARG002
-        """Return the point that is given: readings need no other."""
+        """Return the given point, because readings need no other start."""
         return point
 
-    def without_setting_errors(self) -> Readings:
-        """Return the readings without errors of setting their positions."""
+    def without_positioning_errors(self) -> Readings:
+        """Return the readings without positioning errors."""
         return replace(self, position=())
 
     def with_noise(self, noise: float) -> Readings:
@@ -213,7 +204,7 @@ class Readings:
         return replace(self, u=noise / np.sqrt(self.repeats))
 
     def with_rotated_mounting(self, name: str, rotate: Callable[[Mounting], Mounting]) -> Readings:
-        """Return the readings with an accelerometer mounted otherwise."""
+        """Return the readings with a rotated accelerometer."""
         if self.accelerometer != name:
             return self
         mountings = (Mounting(tuple(map(tuple, axes))) for axes in self.stations.axes.tolist())
@@ -244,7 +235,7 @@ class Readings:
         solution: Solution,  # noqa: ARG002
         model: Unknowns,  # noqa: ARG002
     ) -> str:
-        """Return the error that the residuals do not determine their noise; empty: they do."""
+        """Return an error message if the residuals do not determine the noise, else ''."""
         if freedom >= 0.5:
             return ""
         return (
@@ -254,11 +245,11 @@ class Readings:
         )
 
     def divergence(self, rounds: int) -> str:  # noqa: ARG002
-        """Return no cause: the fit names the reading that is furthest off."""
+        """Return no cause, because the fit names the reading with the largest residual."""
         return ""
 
     def acts_mask(self, symbol: str) -> Array:
-        """Return 1 for each reading on which a term of the machine acts, else 0, shape (n,)."""
+        """Return 1 for each reading that a machine term affects, else 0, shape (n,)."""
         if not is_term(symbol) or self.motion not in term(symbol).motions:
             return np.zeros(self.size)
         name = mounting_name(symbol)
@@ -281,68 +272,76 @@ class Readings:
 def linearize(
     group: Readings, model: Unknowns, estimate: Array, variance: Array | None = None
 ) -> LinearReadings:
-    """Return the columns at an estimate; considered terms that it lacks are as assumed.
+    """Return readings linearised at an estimate; missing considered terms have prior means.
 
-    variance: What is left open of each unknown, as far as it is known; else its prior's.
+    variance: Variance of each unknown; None: that of its prior.
     """
     unknowns = [*model.unknowns, *model.considered]
     variances = np.array([term.prior[1] ** 2 for term in unknowns])
     if variance is not None:
         variances[: variance.size] = variance
-    at = np.append(estimate, [term.prior_mean for term in unknowns[len(estimate) :]])
+    values = np.append(estimate, [term.prior_mean for term in unknowns[len(estimate) :]])
     symbols = {
         index: unknown.symbol
         for index, unknown in enumerate(unknowns)
         if unknown.owner in ("", group.accelerometer)
     }
-    machine = {
-        symbol: float(at[index])
+    machine_terms = {
+        symbol: float(values[index])
         for index, symbol in symbols.items()
         if not unknowns[index].owner and group.acts_mask(symbol).any()
     }
-    factors = dict(_design_factors(group, symbols))
-    point = _OperatingPoint.at(group, group.stations_with(machine), at, factors)
+    design_factors = dict(_design_factors(group, symbols))
+    operating_point = _OperatingPoint.at(
+        group, group.stations_with(machine_terms), values, design_factors
+    )
     columns = np.zeros((group.size, len(unknowns)))
-    for index, (term_index, factor) in factors.items():
-        columns[:, index] = point.products[:, term_index] * factor
-    rows: dict[str, list[int]] = {}
+    for index, (term_index, factor) in design_factors.items():
+        columns[:, index] = operating_point.products[:, term_index] * factor
+    indices_by_row: dict[str, list[int]] = {}
     for index, symbol in symbols.items():
-        if symbol in machine:
-            rows.setdefault(term(symbol).symbol, []).append(index)
-    rate_u = point.setting_uncertainty(RATE, group.u_rate)
-    shift, unseen = np.zeros(group.size), point.head_variance() + rate_u**2
-    unseen += point.setting_uncertainty(AMPLITUDE, group.u_amplitude) ** 2
-    for row, indices in rows.items():
+        if symbol in machine_terms:
+            indices_by_row.setdefault(term(symbol).symbol, []).append(index)
+    rate_noise = operating_point.rate_uncertainty(RATE, group.u_rate)
+    shift, extra_variance = np.zeros(group.size), operating_point.head_variance() + rate_noise**2
+    extra_variance += operating_point.rate_uncertainty(AMPLITUDE, group.u_amplitude) ** 2
+    for row, indices in indices_by_row.items():
         # Each of the mountings, or positions, of a row has readings of its own.
         owner_index = np.full(group.size, -1)
         for index in indices:
             owner_index[group.acts_mask(symbols[index]) > 0.0] = index
-        affected = np.flatnonzero(owner_index >= 0)
-        owner_index, step = owner_index[affected], _STEP * unknowns[indices[0]].limit
-        ahead_products, behind_products = point.perturb_both(affected, symbols[indices[0]], step)
-        columns[affected, owner_index] = point.slope(
-            ahead_products, behind_products, step, affected
+        affected_rows = np.flatnonzero(owner_index >= 0)
+        owner_index, step = owner_index[affected_rows], _RELATIVE_STEP * unknowns[indices[0]].limit
+        upper_products, lower_products = operating_point.perturb_both(
+            affected_rows, symbols[indices[0]], step
+        )
+        columns[affected_rows, owner_index] = operating_point.slope(
+            upper_products, lower_products, step, affected_rows
         )
         if TABLE[row].scope == "position":
-            # A cosine falls whichever way a position is off: a square has a mean and a
-            # variance. It is common to all readings there, whose mean is to have it whole.
+            # A positioning error of either sign reduces the cosine. Its square has a mean and a
+            # variance, which is common to all readings of the position.
             curvature_term = (
-                point.half_curvature(ahead_products, behind_products, step, affected)
+                operating_point.half_curvature(upper_products, lower_products, step, affected_rows)
                 * variances[owner_index]
             )
-            shift[affected] += curvature_term
-            unseen[affected] += np.bincount(owner_index)[owner_index] * 2.0 * curvature_term**2
-    indications = np.sum(point.products * point.effective, axis=1)
-    offset = indications - columns @ at
-    # Derivatives by inputs are taken at what is stated of them, and not at the estimate.
-    replaced = [s for i, s in symbols.items() if s in machine and not unknowns[i].has_default_prior]
+            shift[affected_rows] += curvature_term
+            extra_variance[affected_rows] += (
+                np.bincount(owner_index)[owner_index] * 2.0 * curvature_term**2
+            )
+    indications = np.sum(operating_point.products * operating_point.effective, axis=1)
+    offset = indications - columns @ values
+    # Derivatives by inputs are computed at their stated values, not at the estimate.
+    stated_symbols = [
+        s for i, s in symbols.items() if s in machine_terms and not unknowns[i].has_default_prior
+    ]
     steps = {**INPUT_STEPS, **dict.fromkeys(group.clocks, _RATE_STEP)}
     for index, name in enumerate(unknown.name for unknown in unknowns):
         if name in steps:
             step = steps[name]
-            ahead, behind = (with_input(group, name, s, replaced) for s in (step, -step))
-            sides = ahead.products(machine), behind.products(machine)
-            columns[:, index] = point.slope(*sides, step)
+            upper, lower = (perturb_input(group, name, s, stated_symbols) for s in (step, -step))
+            products = upper.products(machine_terms), lower.products(machine_terms)
+            columns[:, index] = operating_point.slope(*products, step)
         if name == "site.gravity":
             columns[:, index] += group.in_si * indications / group.site.gravity
     linear = LinearReadings.from_columns(
@@ -352,12 +351,12 @@ def linearize(
         group.value - offset - shift,
         group.u,
         group.repeats,
-        np.sqrt(unseen),
+        np.sqrt(extra_variance),
     )
-    return replace(linear, rate=rate_u, u_rate=group.u_rate, default_rate=group.default_rate)
+    return replace(linear, rate=rate_noise, u_rate=group.u_rate, default_rate=group.default_rate)
 
 
-#: Of an unknown of the accelerometer: the place of its product, and what that is times, (n,).
+#: Index of an unknown of the accelerometer -> index of its product, and its factor, shape (n,).
 _DesignFactors = dict[int, tuple[int, Array]]
 
 
@@ -372,28 +371,28 @@ def _design_factors(
 
 @frozen
 class _OperatingPoint:
-    """A group of readings at the point where derivatives are taken."""
+    """A group of readings at the point of linearisation."""
 
     group: Readings
-    stations: Stations  #: As the machine has moved them.
-    products: Array  #: Of every term, shape (n, number of `TERMS`).
-    effective: Array  #: The coefficients under each reading's conditions, of the same shape.
+    stations: Stations  #: Stations with the effects of the machine terms.
+    products: Array  #: Mean product of each term, shape (n, number of `TERMS`).
+    effective: Array  #: Coefficients under the conditions of each reading, of the same shape.
 
     @classmethod
     def at(
-        cls, group: Readings, stations: Stations, values: Array, levers: _DesignFactors
+        cls, group: Readings, stations: Stations, values: Array, design_factors: _DesignFactors
     ) -> _OperatingPoint:
         effective = np.tile([row.nominal for row in TERMS.values()], (group.size, 1))
-        for index, (term_index, factor) in levers.items():
+        for index, (term_index, factor) in design_factors.items():
             effective[:, term_index] += values[index] * factor
         return cls(group, stations, mean_products(stations, group.site), effective)
 
     def perturb_both(
         self, rows: npt.NDArray[np.intp], symbol: str, step: float
     ) -> tuple[Array, Array]:
-        """Return the products where some readings are moved by a step of a term, and back."""
+        """Return the products of some readings after a positive and a negative step of a term."""
         stations, group = self.stations.take(rows), self.group
-        ahead, behind = (
+        upper_products, lower_products = (
             mean_products(
                 stations.perturb(
                     symbol, np.full(rows.size, change), group.head[rows], group.head_angles[rows]
@@ -402,50 +401,66 @@ class _OperatingPoint:
             )
             for change in (step, -step)
         )
-        return ahead, behind
+        return upper_products, lower_products
 
-    def slope(self, ahead: Array, behind: Array, step: float, rows: Any = slice(None)) -> Array:
-        """Return the derivative of the indications, of products a step ahead and behind."""
-        derivative: Array = np.sum((ahead - behind) * self.effective[rows], axis=1) / (2.0 * step)
+    def slope(
+        self, upper_products: Array, lower_products: Array, step: float, rows: Any = slice(None)
+    ) -> Array:
+        """Return the derivative of the indications from products after both steps."""
+        derivative: Array = np.sum(
+            (upper_products - lower_products) * self.effective[rows], axis=1
+        ) / (2.0 * step)
         return derivative
 
-    def half_curvature(self, ahead: Array, behind: Array, step: float, rows: Any) -> Array:
+    def half_curvature(
+        self, upper_products: Array, lower_products: Array, step: float, rows: Any
+    ) -> Array:
         """Return half the second derivative of the indications."""
-        return self.slope(ahead + behind, 2.0 * self.products[rows], step, rows) / step
+        return (
+            self.slope(upper_products + lower_products, 2.0 * self.products[rows], step, rows)
+            / step
+        )
 
-    def setting_uncertainty(self, symbol: str, relative_u: Array | float) -> Array:
-        """Return the standard uncertainty from random relative errors of settings, g, shape (n,).
+    def rate_uncertainty(self, symbol: str, relative_u: Array | float) -> Array:
+        """Return the standard uncertainty due to random errors of rates or amplitudes, g, (n,).
 
-        symbol: Of the setting.
-        relative_u: Standard uncertainties of the settings, shape (n,).
+        symbol: Symbol of the rate or amplitude error.
+        relative_u: Relative standard uncertainties of the rates or amplitudes, shape (n,).
         """
         group = self.group
         relative_u = np.broadcast_to(relative_u, group.size)
         rows = np.flatnonzero(relative_u)
         uncertainty = np.zeros(group.size)
         if rows.size:
-            ahead, behind = self.perturb_both(rows, symbol, _RATE_STEP)
+            upper_products, lower_products = self.perturb_both(rows, symbol, _RATE_STEP)
             uncertainty[rows] = (
-                np.abs(self.slope(ahead, behind, _RATE_STEP, rows)) * relative_u[rows]
+                np.abs(self.slope(upper_products, lower_products, _RATE_STEP, rows))
+                * relative_u[rows]
             )
         return uncertainty
 
     def head_variance(self) -> Array:
-        """Return the variance from the random error of the head's angle, g^2, shape (n,)."""
+        """Return the variance due to random errors of the head angle, g^2, shape (n,)."""
         group = self.group
         if not group.u_head.any():
             return np.zeros(group.size)
-        turn = np.full(group.size, _HEAD_STEP)
-        station_sets = (group.rotate_head(self.stations, angle) for angle in (turn, -turn))
-        ahead, behind = (mean_products(stations, group.site) for stations in station_sets)
-        return np.square(self.slope(ahead, behind, _HEAD_STEP) * group.u_head)
+        angle_step = np.full(group.size, _HEAD_STEP)
+        station_sets = (
+            group.rotate_head(self.stations, angle) for angle in (angle_step, -angle_step)
+        )
+        upper_products, lower_products = (
+            mean_products(stations, group.site) for stations in station_sets
+        )
+        return np.square(self.slope(upper_products, lower_products, _HEAD_STEP) * group.u_head)
 
 
-def with_input(group: Readings, name: str, change: float, replaced: Collection[str]) -> Readings:
-    """Return readings with an input changed.
+def perturb_input(
+    group: Readings, name: str, change: float, stated_symbols: Collection[str]
+) -> Readings:
+    """Return readings with a changed input.
 
-    name: Of the input; of a clock with its recorder.
-    replaced: Radii of mountings that are known in place of the centrifuge's.
+    name: Name of the input, for a clock including the recorder.
+    stated_symbols: Radii of mountings that replace the radius of the centrifuge.
     """
     if name == "site.gravity":
         return replace(group, site=replace(group.site, gravity=group.site.gravity + change))
@@ -453,11 +468,11 @@ def with_input(group: Readings, name: str, change: float, replaced: Collection[s
         return replace(group, site=replace(group.site, latitude=group.site.latitude + change))
     if name in group.clocks:
         is_timed = np.array([clock == name for clock in group.clocks])
-        return group.with_setting_errors(change * is_timed)
+        return group.with_rate_errors(change * is_timed)
     if name != "centrifuge.radius":
         return group
-    radius_owned = np.zeros(group.size)
-    for symbol in replaced:
-        radius_owned += group.acts_mask(symbol) if symbol.startswith(f"{name}.") else 0.0
-    radius = group.stations.radius + np.where(radius_owned, 0.0, change)
+    has_own_radius = np.zeros(group.size)
+    for symbol in stated_symbols:
+        has_own_radius += group.acts_mask(symbol) if symbol.startswith(f"{name}.") else 0.0
+    radius = group.stations.radius + np.where(has_own_radius, 0.0, change)
     return replace(group, stations=replace(group.stations, radius=radius))

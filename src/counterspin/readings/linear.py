@@ -1,4 +1,4 @@
-"""Readings and poses linearised at an estimate: rows of square-root information, as for records."""
+"""Readings and poses linearised at an estimate, as observations of the joint fit."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from counterspin.inference.joint.unknowns import Observation, Unknown, Unknowns
 from counterspin.inference.least_squares import Block, Solution, reduce_block
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.station import READINGS
+from counterspin.physics.station import READING_LABELS
 
-#: No readout resolves more of its range: one of 8.5 digits has ten times as much.
+#: Smallest relative noise of a readout; a readout with 8.5 digits has ten times as much.
 MIN_RELATIVE_NOISE: Final = 1e-9 / math.sqrt(12.0)
 
 
 class ReadingGroup(Protocol):
-    """A group of n readings, or of poses of a triad, with noise of one kind."""
+    """A group of n readings, or of poses of a triad, with one kind of noise."""
 
     @property
     def accelerometer(self) -> str:
@@ -55,7 +55,7 @@ class ReadingGroup(Protocol):
 
     @property
     def u(self) -> Array | None:
-        """Stated standard uncertainties, g; None: one for all, from the residuals."""
+        """Stated standard uncertainties, g; None: estimated, common to all readings."""
 
     @property
     def time(self) -> Array:
@@ -63,7 +63,7 @@ class ReadingGroup(Protocol):
 
     @property
     def repeats(self) -> Array:
-        """Number of repeats at one setting of each, shape (n,)."""
+        """Number of repeats at one setting, shape (n,)."""
 
     @property
     def scatter(self) -> Array:
@@ -71,30 +71,30 @@ class ReadingGroup(Protocol):
 
     @property
     def position(self) -> tuple[str, ...]:
-        """Names of the positions whose setting error is an unknown."""
+        """Names of the positions whose positioning error is an unknown."""
 
     @property
     def noise_floor(self) -> float:
-        """The least credible noise of one repeat, g."""
+        """Smallest credible noise of a repeat, g."""
 
     @property
     def replicates(self) -> tuple[tuple[int, ...], ...]:
-        """Places of the readings of each position that was read more than once."""
+        """Indices of the readings of each position with several readings."""
 
     @property
     def repeat_dof(self) -> float:
-        """Degrees of freedom of repeats at one setting among themselves."""
+        """Degrees of freedom of repeats at one setting."""
 
     def linearize(
         self, model: Unknowns, estimate: Array, variance: Array | None = None
     ) -> LinearReadings:
-        """Return the rows at an estimate; parameters as in `linearise`."""
+        """Return the group linearised at an estimate; see `known_attitudes.linearize`."""
 
     def start(self, unknowns: Sequence[Unknown], point: Array) -> Array:
-        """Return the point at which to begin, shape (p,)."""
+        """Return the start of the iteration, shape (p,)."""
 
-    def without_setting_errors(self) -> ReadingGroup:
-        """Return the group without errors of setting its positions."""
+    def without_positioning_errors(self) -> ReadingGroup:
+        """Return the group without positioning errors."""
 
     def with_noise(self, noise: float) -> ReadingGroup:
         """Return the group with a stated noise of one repeat, g."""
@@ -102,7 +102,7 @@ class ReadingGroup(Protocol):
     def with_rotated_mounting(
         self, name: str, turn: Callable[[Mounting], Mounting]
     ) -> ReadingGroup:
-        """Return the group with an accelerometer mounted otherwise."""
+        """Return the group with a rotated accelerometer."""
 
     def default_candidates(self, model: Unknowns) -> Sequence[Unknown]:
         """Return the requested parameters that the directions of poses may leave undetermined."""
@@ -112,31 +112,31 @@ class ReadingGroup(Protocol):
     ) -> Sequence[Unknown]:
         """Return the candidates that the directions of poses do not determine.
 
-        fit: Of the model with the default priors of all candidates.
-        model: Without these priors.
+        fit: Fit of the model with the default priors of all candidates.
+        model: Model without these priors.
         """
 
     def curvature(self, model: Unknowns, estimate: Array, moves: Array) -> Array:
-        """Return the second-order change of each row as the unknowns move, shape (n, m).
+        """Return the second-order change of each row for steps of the unknowns, shape (n, m).
 
-        moves: Of the unknowns from the estimate, shape (p, m).
+        moves: Steps of the unknowns from the estimate, shape (p, m).
         """
 
     def lack_of_noise(self, freedom: float, free: int, solution: Solution, model: Unknowns) -> str:
-        """Return the error that the residuals do not determine their noise; empty: they do.
+        """Return an error message if the residuals do not determine the noise, else ''.
 
         freedom: Degrees of freedom of the residuals and of repeats.
         free: Number of unknowns that the group alone determines.
         """
 
     def divergence(self, rounds: int) -> str:
-        """Return the error that the fit did not converge in so many rounds; empty: no cause."""
+        """Return an error message on a fit that did not converge; empty: unknown cause."""
 
 
 def noise_source(group: ReadingGroup) -> str:
-    """Return the name of a group in a budget: accelerometer, motion and kind of noise."""
+    """Return the name of the noise of a group: accelerometer, motion and kind of noise."""
     estimated = "" if group.u is not None else " (estimated)"
-    return f"{group.accelerometer}: {READINGS[group.motion]}{estimated}"
+    return f"{group.accelerometer}: {READING_LABELS[group.motion]}{estimated}"
 
 
 @frozen
@@ -144,25 +144,25 @@ class LinearReadings(Observation):
     """Readings linearised at an estimate: target = design @ unknowns + fixed @ considered."""
 
     group: ReadingGroup
-    target: Array  # (n,), g, less what a perfect system indicates
-    stated: Array | None  # (n,), g, without the head's part
-    repeats: Array  # (n,)
-    head: Array  # (n,), what head, rates and squares of setting errors add, g
-    sigma: Array  # (n,), g, both together
-    rate: Array | float = 0.0  # (n,), the part of the rates in `head`, g
+    target: Array  # (n,), g, readings minus the indications of a perfect system
+    stated: Array | None  # (n,), g, stated noise without the contributions in `head`
+    repeats: Array  # (n,), number of repeats
+    head: Array  # (n,), g, contribution of head, rates and squares of positioning errors
+    sigma: Array  # (n,), g, total standard uncertainty
+    rate: Array | float = 0.0  # (n,), g, contribution of the rates in `head`
     u_rate: Array | float = 0.0  # (n,), as in `Readings`
-    default_rate: Array | float = 0.0
+    default_rate: Array | float = 0.0  # (n,), as in `Readings`
 
     @property
     def source(self) -> str:
-        """The name of the readings."""
+        """Name of the noise of the readings."""
         return noise_source(self.group)
 
     run = source
 
     @property
     def motion(self) -> str:
-        """That of every station; ``poses`` of those."""
+        """Motion of every station; ``poses`` of poses."""
         return self.group.motion
 
     @classmethod
@@ -172,55 +172,55 @@ class LinearReadings(Observation):
         model: Unknowns,
         columns: Array,
         target: Array,
-        stated: Array | None,
+        stated_sd: Array | None,
         repeats: Array,
-        head: Array,
+        other_sd: Array,
     ) -> LinearReadings:
-        """Return rows with columns of all that is estimated and considered, (n, p + q)."""
+        """Make linear readings from the columns of unknowns and considered terms, (n, p + q)."""
         p, q = len(model.unknowns), len(model.considered)
-        sigma = head if stated is None else np.hypot(stated, head)
-        split = tuple(range(p)), columns[:, :p], tuple(range(q)), columns[:, p:]
-        return cls(*split, group, target, stated, repeats, head, sigma)
+        sigma = other_sd if stated_sd is None else np.hypot(stated_sd, other_sd)
+        blocks = tuple(range(p)), columns[:, :p], tuple(range(q)), columns[:, p:]
+        return cls(*blocks, group, target, stated_sd, repeats, other_sd, sigma)
 
     def with_noise(self, noise: float) -> LinearReadings:
-        """Return the same with a noise, of one repeat, for readings that state none."""
+        """Return the readings with a noise of one repeat, unless they state their noise."""
         noise_sd = noise / np.sqrt(self.repeats) if self.stated is None else self.stated
         return replace(self, sigma=np.hypot(noise_sd, self.head))
 
     def block(self, noise: Mapping[str, Noise]) -> Block:
-        """Return their square-root information; a noise counts where none is stated."""
+        """Return the square-root information with the noise of the source, unless it is stated."""
         noise_model = noise.get(self.source)
         return (
             self if noise_model is None else self.with_noise(noise_model.white)
         ).whitened_block()
 
     def whitened_block(self) -> Block:
-        """Return their square-root information by the noise that they have."""
+        """Return the square-root information with the current noise."""
         weight = 1.0 / self.sigma[:, None]
         return reduce_block(
             self.design * weight, self.target / self.sigma, None, self.fixed * weight
         )
 
     def gains(self, solution: Solution, weights: Array) -> Array:
-        """Return the change of a combination of the unknowns per 1 g in a reading, shape (n,)."""
+        """Return the change of a combination of the unknowns per g in a reading, shape (n,)."""
         sensitivity = weights @ solution.weighted_covariance[:, list(self.unknowns)]
         gains: Array = (self.design @ sensitivity) / self.sigma**2
         return gains
 
     def rate_variances(self, solution: Solution, weights: Array) -> tuple[float, float]:
-        """Return the variances of a combination by random errors of rates: stated, and default."""
-        squares = (self.gains(solution, weights) * self.rate) ** 2
-        default = float(np.sum(squares * self.default_rate))
-        return float(np.sum(squares)) - default, default
+        """Return the variances of a combination due to random rate errors: stated, and default."""
+        variances = (self.gains(solution, weights) * self.rate) ** 2
+        default_variance = float(np.sum(variances * self.default_rate))
+        return float(np.sum(variances)) - default_variance, default_variance
 
     @property
     def rate_uncertainties(self) -> tuple[Array, Array]:
-        """Relative standard uncertainties of its rates: stated, and default; else 0, shape (n,)."""
-        default = np.broadcast_to(self.default_rate, self.target.shape)
-        return self.u_rate * (default == 0.0), self.u_rate * default
+        """Relative standard uncertainties of the rates: stated, and default; else 0, shape (n,)."""
+        is_default = np.broadcast_to(self.default_rate, self.target.shape)
+        return self.u_rate * (is_default == 0.0), self.u_rate * is_default
 
     def residuals(self, solution: Solution, model: Unknowns) -> Array:
-        """Return the residuals, the considered terms at their assumed values."""
+        """Return the residuals with considered terms at their assumed values, shape (n,)."""
         means = np.array([term.prior_mean for term in model.considered])
         residuals: Array = (
             self.residuals_at(solution.estimate) - self.fixed @ means[list(self.considered)]
@@ -228,16 +228,16 @@ class LinearReadings(Observation):
         return residuals
 
     def residuals_at(self, estimate: Array) -> Array:
-        """Return the residuals beside held terms of nothing, at an estimate."""
+        """Return the residuals at an estimate with considered terms at zero, shape (n,)."""
         residuals: Array = self.target - self.design @ estimate[list(self.unknowns)]
         return residuals
 
     def chi2(self, solution: Solution, model: Unknowns) -> float:
-        """Return chi-square of the residuals, whose covariance the considered terms are part of.
+        """Return chi-square of the residuals, with considered terms in their covariance.
 
-        A considered term that is not what was assumed is no misfit as long as its u allows it: the
-        least sum of squares of what is left and of the considered terms over their u (Searle,
-        Matrix Algebra Useful for Statistics, 1982, section 10.7, has the identity).
+        An error of a considered term within its u is no misfit: chi-square is the smallest sum of
+        the squares of residuals and of considered terms over their u (Searle, Matrix Algebra Useful
+        for Statistics, 1982, section 10.7).
         """
         residuals = self.residuals(solution, model) / self.sigma
         considered_columns = (
@@ -252,69 +252,73 @@ class LinearReadings(Observation):
         return float(remainder @ remainder + coefficients @ coefficients)
 
     def considered_sensitivity(self, solution: Solution) -> Array:
-        """Return the residual columns of the considered terms, shape (n, q)."""
+        """Return d(residuals)/d(considered terms), shape (n, q), except for the sign."""
         columns: Array = self.design @ solution.sensitivity_considered[list(self.unknowns)]
         columns[:, list(self.considered)] += self.fixed
         return columns
 
     def covariance(self, solution: Solution) -> Array:
-        """Return the covariance that the weights minimise, of the own unknowns."""
+        """Return the weighted covariance of the unknowns of the readings."""
         covariance: Array = solution.weighted_covariance[np.ix_(self.unknowns, self.unknowns)]
         return covariance
 
     def leverages(self, solution: Solution) -> Array:
-        """Return the leverage of each reading, from 0 to 1."""
+        """Return the leverage of each reading, from 0 to 1, shape (n,)."""
         rows = self.design / self.sigma[:, None]
-        raw: Array = np.sum((rows @ self.covariance(solution)) * rows, axis=1)
-        clipped: Array = np.clip(raw, 0.0, 1.0)
-        return clipped
+        leverages: Array = np.sum((rows @ self.covariance(solution)) * rows, axis=1)
+        clipped_leverages: Array = np.clip(leverages, 0.0, 1.0)
+        return clipped_leverages
 
     def residual_dof(self, solution: Solution) -> float:
-        """Return the readings less what the fit follows of them."""
+        """Return the number of readings minus their leverages."""
         return float(np.sum(1.0 - self.leverages(solution)))
 
     def noise_moments(self, solution: Solution) -> tuple[float, float]:
-        """Return scale and degrees of freedom of the squares that noise alone leaves.
+        """Return scale and degrees of freedom of the sum of squares due to noise alone.
 
-        The residuals are R e, of noise e with unit variance and R = 1 - rows C rows'. Their sum of
-        squares is distributed as scale times chi-square (Satterthwaite, Biometrics Bulletin 2
-        (1946) 110): tr R^4 / tr R^2 and (tr R^2)^2 / tr R^4. Errors of the machine only add to it.
+        For noise e with unit variance, the residuals are R e with R = 1 - rows C rows'. Their sum
+        of squares is distributed as scale times chi-square (Satterthwaite, Biometrics Bulletin 2
+        (1946) 110), with the scale tr R^4 / tr R^2 and (tr R^2)^2 / tr R^4 degrees of freedom.
+        Errors of the machine only increase it.
         """
         rows = self.design / self.sigma[:, None]
-        hat = self.covariance(solution) @ (rows.T @ rows)
-        square = hat @ hat
+        hat_matrix = self.covariance(solution) @ (rows.T @ rows)
+        squared_hat = hat_matrix @ hat_matrix
         # tr H^k of H = rows C rows' is that of the smaller matrix C rows' rows.
-        first, second = float(np.trace(hat)), float(np.trace(square))
-        third, fourth = float(np.sum(square * hat.T)), float(np.sum(square * square.T))
-        second_moment = len(rows) - 2.0 * first + second
-        fourth_moment = len(rows) - 4.0 * first + 6.0 * second - 4.0 * third + fourth
+        trace_1, trace_2 = float(np.trace(hat_matrix)), float(np.trace(squared_hat))
+        trace_3, trace_4 = (
+            float(np.sum(squared_hat * hat_matrix.T)),
+            float(np.sum(squared_hat * squared_hat.T)),
+        )
+        second_moment = len(rows) - 2.0 * trace_1 + trace_2
+        fourth_moment = len(rows) - 4.0 * trace_1 + 6.0 * trace_2 - 4.0 * trace_3 + trace_4
         if not (second_moment > 1e-9 and fourth_moment > 1e-9):
             return 1.0, 0.0
         return fourth_moment / second_moment, second_moment**2 / fourth_moment
 
     def noise_dof(self, solution: Solution) -> float:
-        """Return the degrees of freedom of an estimated noise that the residuals give it.
+        """Return the degrees of freedom of the noise estimated from the residuals.
 
-        Twice Fisher's information of the logarithm of its variance in the restricted likelihood
-        (Searle, Casella and McCulloch, Variance Components, 1992, section 6.6): the readings less
-        the unknowns where nothing is known beforehand and the head adds nothing.
+        They are twice the Fisher information of the log variance in the restricted likelihood
+        (Searle, Casella and McCulloch, Variance Components, 1992, section 6.6). Without priors and
+        without a head, this is the number of readings minus the number of unknowns.
         """
-        rows, share = self.design / self.sigma[:, None], self.noise_share
-        weighted = self.covariance(solution) @ (rows.T @ (share[:, None] * rows))
-        linear_part = float(share**2 @ (1.0 - 2.0 * self.leverages(solution)))
-        return linear_part + float(np.sum(weighted * weighted.T))
+        rows, noise_share = self.design / self.sigma[:, None], self.noise_share
+        weighted_hat = self.covariance(solution) @ (rows.T @ (noise_share[:, None] * rows))
+        linear_part = float(noise_share**2 @ (1.0 - 2.0 * self.leverages(solution)))
+        return linear_part + float(np.sum(weighted_hat * weighted_hat.T))
 
     @property
     def noise_share(self) -> Array:
-        """The part that noise has in the variance of each reading, the head having the rest."""
+        """Fraction of the noise in the variance of each reading, shape (n,)."""
         share: Array = 1.0 - (self.head / self.sigma) ** 2
         return share
 
 
 def blocks_at(readings: Sequence[ReadingGroup], model: Unknowns, estimate: Array) -> list[Block]:
-    """Return the square-root information of readings whose noise is stated.
+    """Return the square-root information of readings with stated noise.
 
-    estimate: Where the derivatives are taken: the unknowns less nominal, shape (p,).
+    estimate: Point of linearisation: unknowns minus nominal values, shape (p,).
     """
     return [group.linearize(model, estimate).whitened_block() for group in readings]
 
@@ -323,5 +327,8 @@ def rows_at(
     readings: Sequence[ReadingGroup], model: Unknowns, estimate: Array
 ) -> list[tuple[Array, Array]]:
     """Return the rows of `blocks_at`, reading by reading, with unit variance."""
-    parts = [group.linearize(model, estimate) for group in readings]
-    return [(part.design / part.sigma[:, None], part.fixed / part.sigma[:, None]) for part in parts]
+    linear_groups = [group.linearize(model, estimate) for group in readings]
+    return [
+        (part.design / part.sigma[:, None], part.fixed / part.sigma[:, None])
+        for part in linear_groups
+    ]

@@ -1,7 +1,7 @@
-"""Records whose means are readings: at rest, and on an arm, with the rotation that the angle shows.
+"""Records whose means are readings: at rest, and on an arm, with the recorded angle.
 
-The mean of R w^2 is R times the mean of w^2, so the reading is that at the root mean square of the
-rate, with drift and ripple included. The variance of w^2, which acts through K_II, is neglected: a
+The mean of R w^2 is R times the mean of w^2, so the reading belongs to the root mean square of the
+rate, including drift and ripple. The variance of w^2, which acts through K_II, is neglected: a
 ripple of 1e-3 adds 2e-6 of the squared force.
 """
 
@@ -35,25 +35,25 @@ from counterspin.records.reduction import BlockAverager, BlockMeans, block_size
 class AveragedRecord:
     """A record whose mean is a reading."""
 
-    reading: Reading  #: With the mean as its value, and the rate that was measured.
-    mean: RecordMean  #: Of the record.
-    record: Record  #: All its rows.
-    rotation: SpindleFit | None = None  #: By the recorded angle; None: at rest, or no angle.
+    reading: Reading  #: Reading with the mean as its value, and the measured rate.
+    mean: RecordMean  #: Mean of the record.
+    record: Record  #: All rows of the record.
+    rotation: SpindleFit | None = None  #: Fit of the recorded angle; None: at rest, or no angle.
 
 
 @frozen(eq=False)
 class MeanRecords:
-    """Findings in the records whose means are readings."""
+    """Means and rates of the averaged records."""
 
-    #: By accelerometer and reading.
+    #: (accelerometer, reading) -> mean.
     means: Mapping[tuple[str, str], RecordMean] = field(default_factory=dict)
-    #: Run on the arm -> its rate by the recorded angle, and the stated rate, rad/s.
+    #: Run on the arm -> rate from the recorded angle, and stated rate, rad/s.
     rates: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    without_angle: tuple[str, ...] = ()  #: Runs on the arm whose record has no angle.
+    without_angle: tuple[str, ...] = ()  #: Runs on the arm without a recorded angle.
 
 
 def average_records(campaign: Campaign) -> tuple[list[Reading], MeanRecords]:
-    """Return a campaign's readings with their values, and what was found in their records."""
+    """Return the readings of a campaign with values from their records, and the means."""
     readings: list[Reading] = []
     means: dict[tuple[str, str], RecordMean] = {}
     rates: dict[str, tuple[float, float]] = {}
@@ -63,22 +63,22 @@ def average_records(campaign: Campaign) -> tuple[list[Reading], MeanRecords]:
         if reading.record is None:
             readings.append(reading)
             continue
-        averaged = average_record(campaign, reading)
-        digest = averaged.mean.digest
+        averaged_record = average_record(campaign, reading)
+        digest = averaged_record.mean.digest
         first_reading = first_readings.setdefault(digest, reading) if digest else reading
         if first_reading.name != reading.name:
             raise duplicate_record_error(campaign, first_reading, reading)
-        readings.append(averaged.reading)
-        means[reading.accelerometer, reading.name] = averaged.mean
-        if averaged.reading.measured_rate is not None:
-            rates[reading.name] = averaged.reading.measured_rate.value, reading.rate
+        readings.append(averaged_record.reading)
+        means[reading.accelerometer, reading.name] = averaged_record.mean
+        if averaged_record.reading.measured_rate is not None:
+            rates[reading.name] = averaged_record.reading.measured_rate.value, reading.rate
         elif reading.rate:
             without_angle.append(reading.name)
     return readings, MeanRecords(means, rates, tuple(dict.fromkeys(without_angle)))
 
 
 def average_record(campaign: Campaign, reading: Reading) -> AveragedRecord:
-    """Return the mean of a reading's record, and the rotation that its angle shows."""
+    """Return the mean of the record of a reading, and the rotation from the recorded angle."""
     assert reading.record is not None
     channel = campaign.accelerometers[reading.accelerometer].force
     assert channel is not None
@@ -91,15 +91,15 @@ def average_record(campaign: Campaign, reading: Reading) -> AveragedRecord:
         needs_angle=False,
     )
     record = read_rows(source, columns, reading.rate)
-    rotation, at_rows = None, stated_rotation(record.time, reading.rate)
+    rotation, row_rotation = None, stated_rotation(record.time, reading.rate)
     if record.angle is not None:
-        rotation = _rotation(campaign, reading, record)
-        at_rows = _rotation_at(campaign, reading, rotation, record.time)
-    mean, rows = mean_of_record(record, channel.name, at_rows)
-    measured = None
+        rotation = _fit_record_rotation(campaign, reading, record)
+        row_rotation = _row_rotation(campaign, reading, rotation, record.time)
+    mean, rows = mean_of_record(record, channel.name, row_rotation)
+    measured_rate = None
     if rotation is not None:
-        measured = MeasuredRate(*rotation.rate_at(record.time[rows]))
-    # In g, or by a sensitivity, it was turned into m/s^2 with the gravity assumed; here back.
+        measured_rate = MeasuredRate(*rotation.rate_at(record.time[rows]))
+    # The conversion from g or by a sensitivity to m/s^2 used the assumed gravity; it is reversed.
     g, in_si = campaign.gravity.value, not channel.in_g
     reading = replace(
         reading,
@@ -107,13 +107,13 @@ def average_record(campaign: Campaign, reading: Reading) -> AveragedRecord:
         u=mean.u / g,
         in_si=in_si,
         uses_recorder_clock=rotation is not None,
-        measured_rate=measured,
+        measured_rate=measured_rate,
     )
     return AveragedRecord(reading, mean, record, rotation)
 
 
-def _rotation(campaign: Campaign, reading: Reading, record: Record) -> SpindleFit:
-    """Return the rotation that the angle of a record shows, identified from block means."""
+def _fit_record_rotation(campaign: Campaign, reading: Reading, record: Record) -> SpindleFit:
+    """Return the rotation identified from block means of the recorded angle."""
     blocks = _angle_blocks(record, reading.rate)
     assert blocks.angle is not None
     try:
@@ -125,20 +125,20 @@ def _rotation(campaign: Campaign, reading: Reading, record: Record) -> SpindleFi
 
 
 def _angle_blocks(record: Record, rate: float) -> BlockMeans:
-    """Return the means of times and angles over blocks, as records of the double turntable have."""
+    """Return the block means of times and angles, as for records of the double turntable."""
     step = record.report.step
-    reducer = BlockAverager(block_size(step, rate), step, rate, reject_outliers=False)
-    uneven = float(np.abs(np.diff(record.time) / step - 1.0).max(initial=0.0))
-    return reducer.average(Chunk(record.time, record.angle, []), uneven).blocks
+    averager = BlockAverager(block_size(step, rate), step, rate, reject_outliers=False)
+    max_relative_deviation = float(np.abs(np.diff(record.time) / step - 1.0).max(initial=0.0))
+    return averager.average(Chunk(record.time, record.angle, []), max_relative_deviation).blocks
 
 
-def _rotation_at(
+def _row_rotation(
     campaign: Campaign, reading: Reading, rotation: SpindleFit, time: Array
 ) -> RowRotation:
-    """Return the rotation of an arm at times, s, with the nominal output that it makes."""
+    """Return the rotation of an arm at times, s, with the nominal output."""
     spindle = rotation.spindle
     outward = float(reading.axes.input_axis[0])
     centripetal = -outward * campaign.radius.value * spindle.angular_rate(time) ** 2
-    # A ripple below the noise of the angle may be far above that of the output.
-    highest = max(rotation.error.harmonics, default=0)
-    return RowRotation(spindle.angle(time), centripetal, highest)
+    # A ripple below the noise of the angle may exceed the noise of the output.
+    max_harmonic = max(rotation.error.harmonics, default=0)
+    return RowRotation(spindle.angle(time), centripetal, max_harmonic)

@@ -1,16 +1,15 @@
-"""The mean of a signal in a record, with its uncertainty.
+"""Mean of a signal in a record, with its uncertainty.
 
-The mean is that over whole revolutions, which are those of the recorded angle where there is one.
-The record passes what any record passes: its clock, repeated rows, empty cells, gaps and outliers
+The mean is taken over whole revolutions, those of the recorded angle if there is one. The checks of
+the record are those of every record: clock, repeated rows, empty cells, gaps and outliers
 (`counterspin.records.reading`).
 
-The scatter of a record's own stretches tells u of its mean where they are independent. Where the
-level wanders they are alike, and u would be too small, of a walk by a factor of ten. So u is
-what two records of this length, one after the other, differ by (over sqrt 2: the Allan deviation
-at the record's length), of white noise with flicker (1/f) or with a random walk beside it, in all
-proportions, each weighted with the restricted likelihood that the stretches' means give it
-(Patterson and Thompson, Biometrika 58 (1971) 545). Flicker is that of Kasdin, Proc. IEEE 83
-(1995) 802.
+The scatter of the segment means determines u of the mean if the segments are independent. For
+correlated noise, this u would be too small, for a random walk by a factor of ten. Therefore u is
+the Allan deviation at the length of the record: the rms difference of two successive records over
+sqrt 2. The noise is white noise plus flicker (1/f) or plus a random walk, averaged over their
+variance ratios with the restricted likelihood of the segment means (Patterson and Thompson,
+Biometrika 58 (1971) 545). The model of flicker is that of Kasdin, Proc. IEEE 83 (1995) 802.
 """
 
 from __future__ import annotations
@@ -32,38 +31,38 @@ from counterspin.records.outliers import MIN_SAMPLES, detect_outliers
 from counterspin.records.reading import read_record
 from counterspin.records.record import NominalMotion, Record, RecordColumns, RecordReport
 
-#: Most stretches of a record whose means tell its noise; fewest samples of one.
+#: Largest number of segments of a record, and smallest number of samples in a segment.
 _MAX_SEGMENTS: Final = 64
 _MIN_SEGMENT_ROWS: Final = 3
 
-#: Waves that a revolution may make in the output beside its mean, such as the Earth's rate does.
-_HARMONICS: Final = 2
+#: Number of harmonics of a revolution in the output, such as those due to the Earth's rate.
+_N_HARMONICS: Final = 2
 
-#: Samples of a burst or of a dead stretch, whose mean stands off where no single one does.
+#: Number of samples in a burst or a dead interval, whose mean is tested for outliers.
 _BURST_ROWS: Final = 64
 
-#: Weight of white noise alone before the record is looked at; the rest is shared out evenly among
-#: the logarithms of the proportions. With it u of white noise is 1.4 times too large in the
-#: median, and covers a walk that a record hardly shows in four of five records.
+#: Prior probability of white noise alone; the rest is uniform in the logarithm of the variance
+#: ratio. With this prior, u for white noise is 1.4 times too large in the median, and covers a
+#: barely detectable walk in four of five records.
 _WHITE_PRIOR: Final = 0.5
 
-#: Variance of the mean by the wander over that by white noise.
-_PROPORTIONS: Final = np.geomspace(0.1, 1e5, 13)
+#: Variance of the mean due to coloured noise over that due to white noise.
+_VARIANCE_RATIOS: Final = np.geomspace(0.1, 1e5, 13)
 
 
 @frozen(eq=False)
 class RowRotation:
     """The rotation of the spindle at the n rows of a record."""
 
-    angle: Array  #: rad, shape (n,); the same everywhere at rest.
-    #: The nominal signal of the centripetal force, in the signal's unit, shape (n,). Its variation
-    #: about its mean is removed before the noise is judged, since drift and ripple are not noise.
+    angle: Array  #: Spindle angle, rad, shape (n,); constant at rest.
+    #: Nominal signal of the centripetal force, in the unit of the signal, shape (n,). Its variation
+    #: is removed before the noise is estimated, because drift and ripple are not noise.
     centripetal: Array
-    highest_harmonic: int = 0  #: Of the ripple that the rate may have.
+    highest_harmonic: int = 0  #: Highest harmonic of the ripple.
 
     @property
     def turns(self) -> bool:
-        """Whether the spindle turns."""
+        """True if the spindle turns."""
         return bool(np.ptp(self.angle) > 0.0)
 
     def __getitem__(self, rows: np.ndarray) -> RowRotation:
@@ -74,7 +73,7 @@ class RowRotation:
 def stated_rotation(time: Array, rate: float) -> RowRotation:
     """Return a rotation at the stated rate.
 
-    time: Of the rows, s, shape (n,).
+    time: Times of the rows, s, shape (n,).
     rate: rad/s; 0 at rest.
     """
     return RowRotation(rate * time, np.zeros_like(time))
@@ -84,22 +83,20 @@ def stated_rotation(time: Array, rate: float) -> RowRotation:
 class RecordMean:
     """The mean of a record."""
 
-    #: Mean and its standard uncertainty, in the signal's unit.
-    value: float
-    u: float
-    samples: int  #: That were used.
-    revolutions: int  #: Whole ones that were used; 0 at rest.
-    report: RecordReport  #: What reading found; samples left out here are among its outliers.
-    #: What another record has too only if all its samples are the same; None where they do not
-    #: differ among themselves, as those of a meter of few digits, and so tell nothing.
+    value: float  #: Mean, in the unit of the signal.
+    u: float  #: Standard uncertainty of the mean.
+    samples: int  #: Number of samples used.
+    revolutions: int  #: Number of whole revolutions used; 0 at rest.
+    report: RecordReport  #: Report of the record; its outliers include those rejected here.
+    #: Digest of all samples, to detect duplicate records; None if all samples are equal.
     digest: bytes | None = None
 
 
 def read_rows(path: Path | MemoryTable, columns: RecordColumns, rate: float) -> Record:
     """Return all rows of a record whose mean is a reading.
 
-    columns: Time, the angle where it is recorded, and one signal.
-    rate: The stated rate, rad/s; 0 at rest, where no angle is read.
+    columns: Time, the angle if it was recorded, and one signal.
+    rate: Stated rate, rad/s; 0 at rest, where no angle is read.
     """
     return read_record(path, columns, NominalMotion(rate, constant_input=True), block=None)
 
@@ -109,117 +106,117 @@ def mean_of_record(
 ) -> tuple[RecordMean, np.ndarray]:
     """Return the mean of a signal over whole revolutions, and the rows that were used.
 
-    The waves of a revolution are fitted together with the mean, so that samples that do not divide
-    a revolution evenly do no harm. The uncertainty is that by which the next record of the same
-    length would differ, as far as this record shows it.
+    Harmonics of a revolution are fitted together with the mean, because the samples may not divide
+    a revolution evenly. The uncertainty is the expected difference of the next record of the same
+    length, over sqrt 2.
 
     record: All rows, with one signal.
-    column: The signal's, under whose name outliers are counted.
-    rotation: The rotation at these rows; at rest the whole record counts.
-    Returns: the mean, and the places of the rows, shape (m,).
+    column: Name of the signal in the count of outliers.
+    rotation: Rotation at these rows; at rest, the whole record is used.
+    Returns: the mean, and the indices of the rows, shape (m,).
     """
     ((_, signal),) = record.signals.items()
     rows = np.flatnonzero(np.isfinite(signal))
     t, y = record.time[rows], signal[rows]
-    # Of all rows: the rate decides how many of them count.
-    varies = y.size and np.ptp(y) > 0.0
-    digest = sha256(t.tobytes() + y.tobytes()).digest() if varies else None
-    turns = 0
+    # The digest covers all rows, because the rows used depend on the rate.
+    has_variation = y.size and np.ptp(y) > 0.0
+    digest = sha256(t.tobytes() + y.tobytes()).digest() if has_variation else None
+    revolutions = 0
     if y.size and rotation.turns:
         angles = np.abs(rotation.angle[rows] - rotation.angle[rows[0]])
-        turns = math.floor(angles[-1] / (2.0 * math.pi) + 1e-9)
-        rows = rows[angles < turns * 2.0 * math.pi * (1.0 + 1e-12)]
+        revolutions = math.floor(angles[-1] / (2.0 * math.pi) + 1e-9)
+        rows = rows[angles < revolutions * 2.0 * math.pi * (1.0 + 1e-12)]
     if rows.size < MIN_SAMPLES:
         raise RecordError(
             f"{record.report.path}: {rows.size} samples are too few for a mean and its "
             "uncertainty.",
             code="record-too-short",
         )
-    burst = _burst_mask(record.time[rows], signal[rows], rotation[rows])
-    rows = rows[~burst]
+    is_burst = _burst_mask(record.time[rows], signal[rows], rotation[rows])
+    rows = rows[~is_burst]
     value, residuals = _fit_offset(signal[rows], rotation[rows])
-    segments = np.array_split(residuals, segment_count(rows.size))
-    outliers = record.report.outliers[column] + int(burst.sum())
+    segments = np.array_split(residuals, count_segments(rows.size))
+    outliers = record.report.outliers[column] + int(is_burst.sum())
     mean = RecordMean(
         value=value,
         u=u_of_mean(np.array([segment.mean() for segment in segments])),
         samples=int(rows.size),
-        revolutions=turns,
+        revolutions=revolutions,
         report=replace(record.report, outliers={**record.report.outliers, column: outliers}),
         digest=digest,
     )
     return mean, rows
 
 
-def segment_count(samples: int) -> int:
-    """Return into how many stretches a record is divided."""
-    return min(_MAX_SEGMENTS, samples // _MIN_SEGMENT_ROWS)
+def count_segments(n_samples: int) -> int:
+    """Return the number of segments of a record."""
+    return min(_MAX_SEGMENTS, n_samples // _MIN_SEGMENT_ROWS)
 
 
 def _fit_offset(y: Array, rotation: RowRotation) -> tuple[float, Array]:
-    """Return the mean of a signal without the waves of a revolution, and the residuals, (n,)."""
+    """Return the mean of a signal without harmonics of a revolution, and the residuals, (n,)."""
     y = y - (rotation.centripetal - rotation.centripetal.mean())
     angle = rotation.angle - rotation.angle[0]
-    waves = [np.ones_like(y)]
-    highest = max(_HARMONICS, rotation.highest_harmonic)
-    for n in range(1, highest + 1) if rotation.turns else ():
-        waves += [np.cos(n * angle), np.sin(n * angle)]
-    design = np.column_stack(waves)
+    columns = [np.ones_like(y)]
+    max_harmonic = max(_N_HARMONICS, rotation.highest_harmonic)
+    for n in range(1, max_harmonic + 1) if rotation.turns else ():
+        columns += [np.cos(n * angle), np.sin(n * angle)]
+    design = np.column_stack(columns)
     coefficients = np.linalg.lstsq(design, y, rcond=None)[0]
     return float(coefficients[0]), y - design @ coefficients
 
 
 def _burst_mask(t: Array, y: Array, rotation: RowRotation) -> np.ndarray:
-    """Return a mask of the samples in stretches whose mean is an outlier, shape (n,)."""
+    """Return the mask of the samples in intervals whose mean is an outlier, shape (n,)."""
     count = y.size // _BURST_ROWS
     mask = np.zeros(y.size, dtype=bool)
     if count < MIN_SAMPLES:
         return mask
-    edges = np.linspace(0, y.size, count + 1).astype(int)
-    lengths = np.diff(edges)
-    # Medians: a burst of a third of the record must not make waves.
+    boundaries = np.linspace(0, y.size, count + 1).astype(int)
+    lengths = np.diff(boundaries)
+    # At rest, the median is not affected by a burst of a third of the record.
     residuals = _fit_offset(y, rotation)[1] if rotation.turns else y - median(y)
-    means, times = (np.add.reduceat(column, edges[:-1]) / lengths for column in (residuals, t))
+    means, times = (np.add.reduceat(column, boundaries[:-1]) / lengths for column in (residuals, t))
     steps = np.diff(times)
     step = median(steps)
-    uneven = float(np.abs(steps / step - 1.0).max())
-    for index in detect_outliers(times, means, 0.0, step, uneven):
-        mask[edges[index] : edges[index + 1]] = True
+    max_relative_deviation = float(np.abs(steps / step - 1.0).max())
+    for index in detect_outliers(times, means, 0.0, step, max_relative_deviation):
+        mask[boundaries[index] : boundaries[index + 1]] = True
     return mask
 
 
 def u_of_mean(means: Array) -> float:
     """Return the standard uncertainty of the mean of a record.
 
-    means: Of its stretches, equally long, one after the other, shape (n,), n >= 3.
+    means: Means of its successive segments of equal length, shape (n,), n >= 3.
     """
     count = means.size
     dof = count - 1
     if not np.ptp(means) > 0.0:
         return 0.0
     scaled_means = means / means.std()
-    weight, variance = [], []
-    proportions = np.append(0.0, _PROPORTIONS)
-    prior = np.append(_WHITE_PRIOR, np.full(_PROPORTIONS.size, 0.5 * (1.0 - _WHITE_PRIOR)))
-    prior[1:] /= _PROPORTIONS.size
-    for sizes, contrasts in _colored_noise_contrasts(count):
-        spread = 1.0 + proportions[:, None] * sizes
-        squares = np.sum((scaled_means @ contrasts) ** 2 / spread, axis=1)
-        log = -0.5 * np.log(spread).sum(axis=1) - 0.5 * dof * np.log(squares)
-        # White noise alone stands once in each of the two kinds.
-        weight.append(log + np.log(np.append(0.5 * prior[0], prior[1:])))
-        variance.append(squares / dof * (1.0 + proportions) / count)
-    posterior = np.exp(np.concatenate(weight) - np.max(weight))
-    variance_of_mean = float(posterior @ np.concatenate(variance)) / float(posterior.sum())
+    log_weights, mean_variances = [], []
+    variance_ratios = np.append(0.0, _VARIANCE_RATIOS)
+    prior = np.append(_WHITE_PRIOR, np.full(_VARIANCE_RATIOS.size, 0.5 * (1.0 - _WHITE_PRIOR)))
+    prior[1:] /= _VARIANCE_RATIOS.size
+    for eigenvalues, contrasts in _colored_noise_contrasts(count):
+        variances = 1.0 + variance_ratios[:, None] * eigenvalues
+        sums_of_squares = np.sum((scaled_means @ contrasts) ** 2 / variances, axis=1)
+        log_likelihoods = -0.5 * np.log(variances).sum(axis=1) - 0.5 * dof * np.log(sums_of_squares)
+        # White noise alone is contained in both kinds.
+        log_weights.append(log_likelihoods + np.log(np.append(0.5 * prior[0], prior[1:])))
+        mean_variances.append(sums_of_squares / dof * (1.0 + variance_ratios) / count)
+    posterior = np.exp(np.concatenate(log_weights) - np.max(log_weights))
+    variance_of_mean = float(posterior @ np.concatenate(mean_variances)) / float(posterior.sum())
     return math.sqrt(variance_of_mean) * float(means.std())
 
 
 @lru_cache(maxsize=8)
 def _colored_noise_contrasts(count: int) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Return flicker and walk of n means: n-1 variances of uncorrelated contrasts, and these.
+    """Return for flicker and walk the variances of uncorrelated contrasts of n means, and these.
 
-    Their scale is that at which the mean of all has the variance that white noise of unit
-    variance gives it; shapes (n-1,) and (n, n-1).
+    They are scaled such that the mean of all has the same variance as for white noise of unit
+    variance; shapes (n-1,) and (n, n-1).
     """
     steps = np.arange(1.0, 2.0 * count)
     response = np.append(1.0, np.cumprod((steps - 0.5) / steps))
@@ -227,14 +224,14 @@ def _colored_noise_contrasts(count: int) -> tuple[tuple[Array, Array], tuple[Arr
     flicker = np.where(lag >= 0, response[np.abs(lag)], 0.0)
     walk = np.tril(np.ones((2 * count, 2 * count)))
     difference = np.repeat([-1.0 / count, 1.0 / count], count)
-    # Whatever has no mean: the last rows of an orthogonal matrix whose first is even.
+    # Contrasts: the last rows of an orthogonal matrix whose first row is constant.
     contrasts = np.linalg.svd(np.ones((1, count)))[2][1:].T
-    results = []
-    for shape in (flicker, walk):
-        covariance = shape @ shape.T
-        unit = 0.5 * float(difference @ covariance @ difference) * count
+    contrast_sets = []
+    for process_matrix in (flicker, walk):
+        covariance = process_matrix @ process_matrix.T
+        unit_variance = 0.5 * float(difference @ covariance @ difference) * count
         eigenvalues, rotation = np.linalg.eigh(
-            contrasts.T @ covariance[:count, :count] @ contrasts / unit
+            contrasts.T @ covariance[:count, :count] @ contrasts / unit_variance
         )
-        results.append((np.maximum(eigenvalues, 0.0), contrasts @ rotation))
-    return results[0], results[1]
+        contrast_sets.append((np.maximum(eigenvalues, 0.0), contrasts @ rotation))
+    return contrast_sets[0], contrast_sets[1]

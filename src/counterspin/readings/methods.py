@@ -1,4 +1,4 @@
-"""The test methods of one accelerometer beside each other: at rest, arm, double turntable."""
+"""Comparison of the test methods of an accelerometer: at rest, arm, double turntable."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from counterspin.readings.agreement import MethodFit, compare_motions
 from counterspin.readings.reading_groups import groups_of_view
 from counterspin.reports.numbers import find_display_unit, format_number
 
-#: What the methods are called, by motion.
+#: Motion -> name of the test method.
 _NAMES: Final[Mapping[str, str]] = {
     "counter-rotating": "double turntable",
     "arm": "arm",
@@ -40,19 +40,19 @@ _NAMES: Final[Mapping[str, str]] = {
 
 @frozen
 class MethodComparison:
-    """The test methods of one accelerometer."""
+    """Comparison of the test methods of an accelerometer."""
 
-    #: What each says alone, and how far it agrees with the others; empty where there is one only.
+    #: Estimate of each method alone, and its agreement with the others; empty for a single method.
     results: list[MethodAgreement]
-    findings: list[Finding]  #: One where they do not agree.
-    #: The accelerometer as its residuals are to be tested: where the methods disagree, by the fit
-    #: of each method alone, since the disagreement is a finding of its own.
+    findings: list[Finding]  #: A finding if the methods do not agree.
+    #: View for tests of the residuals: if the methods disagree, with the fit of each method alone,
+    #: because the disagreement has a finding of its own.
     residual_view: AccelerometerView
 
 
 def compare_methods(views: Sequence[AccelerometerView]) -> dict[str, MethodComparison]:
-    """Return by accelerometer what each test method says."""
-    compared = compare_motions(views[0].fit)
+    """Return accelerometer -> comparison of its test methods."""
+    method_fits = compare_motions(views[0].fit)
     methods = {}
     for view in views:
         counts = _count_by_motion(view)
@@ -60,34 +60,34 @@ def compare_methods(views: Sequence[AccelerometerView]) -> dict[str, MethodCompa
             methods[view.name] = MethodComparison([], [], view)
             continue
         results = [
-            _method_agreement(view, motion, count, compared[motion])
+            _method_agreement(view, motion, count, method_fits[motion])
             for motion, count in counts.items()
         ]
-        separate = view.select_groups(
+        separate_view = view.select_groups(
             [
-                group.evaluate(compared[group.readings.motion].alone)
+                group.evaluate(method_fits[group.readings.motion].alone)
                 for group in groups_of_view(view)
             ]
         )
-        findings = _disagreement_findings(view, results, _residual_ratio(separate))
+        findings = _disagreement_findings(view, results, _residual_ratio(separate_view))
         methods[view.name] = MethodComparison(
-            results, findings, _with_record_fit(separate, compared) if findings else view
+            results, findings, _select_record_fit(separate_view, method_fits) if findings else view
         )
     return methods
 
 
-def _with_record_fit(
-    view: AccelerometerView, compared: Mapping[str, MethodFit]
+def _select_record_fit(
+    view: AccelerometerView, method_fits: Mapping[str, MethodFit]
 ) -> AccelerometerView:
-    """Return a view, whose readings are fitted apart, in which records are too."""
+    """Return a view with the fit of the records alone."""
     if not view.fit.design_blocks:
         return view
-    recorded = compared["counter-rotating"].alone
-    return replace(view, estimate=replace(view.estimate, fit=recorded))
+    record_fit = method_fits["counter-rotating"].alone
+    return replace(view, estimate=replace(view.estimate, fit=record_fit))
 
 
 def _count_by_motion(view: AccelerometerView) -> dict[str, int]:
-    """Return by motion how many records and readings an accelerometer has."""
+    """Return motion -> number of records and readings of an accelerometer."""
     counts: dict[str, int] = {}
     if view.has_records:
         counts["counter-rotating"] = sum(1 for _ in view.records())
@@ -98,42 +98,45 @@ def _count_by_motion(view: AccelerometerView) -> dict[str, int]:
 
 
 def _method_agreement(
-    view: AccelerometerView, motion: str, count: int, compared: MethodFit
+    view: AccelerometerView, motion: str, count: int, method_fit: MethodFit
 ) -> MethodAgreement:
-    alone, without = (
-        _determined(view, solution) for solution in (compared.alone.solution, compared.without)
+    is_determined_alone, is_determined_without = (
+        _find_determined(view, solution)
+        for solution in (method_fit.alone.solution, method_fit.without)
     )
     if motion == "static" and not _has_square_terms(view):
-        # At rest the squares' sum is that of gravity: what K_II seems to be is K_PP and K_OO too.
-        alone["K_II"] = False
+        # At rest, the squared components add up to g^2, so K_II includes K_PP and K_OO.
+        is_determined_alone["K_II"] = False
     return MethodAgreement(
         kind=_NAMES[motion],
         count=count,
         coefficients={
-            symbol: _coefficient(view, compared.alone.solution, symbol, alone[symbol])
+            symbol: _coefficient(
+                view, method_fit.alone.solution, symbol, is_determined_alone[symbol]
+            )
             for symbol in view.indices
         },
         without={
-            symbol: _method_shift(compared, index)
+            symbol: _method_shift(method_fit, index)
             for symbol, index in view.indices.items()
-            if without[symbol] and math.isfinite(compared.u_shift[index])
+            if is_determined_without[symbol] and math.isfinite(method_fit.u_shift[index])
         },
-        chi2=compared.chi2,
-        dof=compared.dof,
-        p=chi_square_tail(compared.dof, compared.chi2) if compared.dof else None,
+        chi2=method_fit.chi2,
+        dof=method_fit.dof,
+        p=chi_square_tail(method_fit.dof, method_fit.chi2) if method_fit.dof else None,
     )
 
 
-def _determined(view: AccelerometerView, solution: Solution) -> dict[str, bool]:
-    """Return which of an accelerometer's own terms a solution determines."""
+def _find_determined(view: AccelerometerView, solution: Solution) -> dict[str, bool]:
+    """Return symbol of an accelerometer's own term -> whether a solution determines it."""
     unknowns = view.fit.model.unknowns
     names = [unknown.name for unknown in view.fit.model.of_interest]
-    flags = assess(solution, names).determined
-    return {symbol: flags[unknowns[index].name] for symbol, index in view.indices.items()}
+    is_determined = assess(solution, names).determined
+    return {symbol: is_determined[unknowns[index].name] for symbol, index in view.indices.items()}
 
 
 def _has_square_terms(view: AccelerometerView) -> bool:
-    """Return whether the model says something of the squares that 1 g cannot tell from K_II."""
+    """Return whether the model has the square terms that 1 g cannot separate from K_II."""
     model = view.fit.model
     terms = {
         parameter.symbol
@@ -144,54 +147,56 @@ def _has_square_terms(view: AccelerometerView) -> bool:
 
 
 def _coefficient(
-    view: AccelerometerView, alone: Solution, symbol: str, determined: bool
+    view: AccelerometerView, solution: Solution, symbol: str, is_determined: bool
 ) -> Coefficient:
     index = view.indices[symbol]
     unknown = view.fit.model.unknowns[index]
     return Coefficient(
-        value=float(alone.estimate[index]) + unknown.nominal if determined else None,
-        u=float(alone.u[index]) if determined else None,
+        value=float(solution.estimate[index]) + unknown.nominal if is_determined else None,
+        u=float(solution.u[index]) if is_determined else None,
         unit=unit_of(symbol),
-        estimated=determined,
+        estimated=is_determined,
     )
 
 
-def _method_shift(compared: MethodFit, index: int) -> Shift:
-    shift, u = float(compared.shift[index]), float(compared.u_shift[index])
+def _method_shift(method_fit: MethodFit, index: int) -> Shift:
+    shift, u = float(method_fit.shift[index]), float(method_fit.u_shift[index])
     return Shift(shift=shift, u=u, z=shift / u)
 
 
 def _disagreement_findings(
-    view: AccelerometerView, methods: Sequence[MethodAgreement], excess: float
+    view: AccelerometerView, methods: Sequence[MethodAgreement], residual_ratio: float
 ) -> list[Finding]:
-    """Return a finding where the test methods do not agree; it names the one that is odd.
+    """Return a finding if the test methods do not agree; it names the most deviating method.
 
-    All tests of all methods share the significance. Where residuals are far beyond the stated
-    noise, which is a finding of its own, the differences are taken to be too large by as much.
+    All tests of all methods share the significance level. If the residuals far exceed the stated
+    noise, which has a finding of its own, the differences are divided by the same ratio.
     """
-    sizes = [abs(shift.z) / excess for method in methods for shift in method.without.values()]
-    sizes += [
-        two_sided_z(chi_square_tail(method.dof, method.chi2 / excess**2))
+    deviations = [
+        abs(shift.z) / residual_ratio for method in methods for shift in method.without.values()
+    ]
+    deviations += [
+        two_sided_z(chi_square_tail(method.dof, method.chi2 / residual_ratio**2))
         for method in methods
         if method.p is not None
     ]
-    size = max(sizes, default=0.0)
-    if 2.0 * normal_cdf(-size) >= method_test_level(methods):
+    max_deviation = max(deviations, default=0.0)
+    if 2.0 * normal_cdf(-max_deviation) >= method_test_level(methods):
         return []
-    # Without the one of the largest chi-square the others are least at odds among themselves.
-    method = max(methods, key=lambda method: method.chi2)
+    # Omitting the method with the largest chi-square reduces the disagreement most.
+    worst_method = max(methods, key=lambda method: method.chi2)
     symbol_of_shift = max(
-        method.without, key=lambda symbol: abs(method.without[symbol].z), default=""
+        worst_method.without, key=lambda symbol: abs(worst_method.without[symbol].z), default=""
     )
     other_kinds = " and ".join(
-        alternative.kind for alternative in methods if alternative is not method
+        alternative.kind for alternative in methods if alternative is not worst_method
     )
-    text = f"The test methods are not consistent: {method.kind} compared with {other_kinds}"
+    text = f"The test methods are not consistent: {worst_method.kind} compared with {other_kinds}"
     if symbol_of_shift:
         unit, factor = find_display_unit(unit_of(symbol_of_shift))
-        shift = method.without[symbol_of_shift]
+        shift = worst_method.without[symbol_of_shift]
         text += (
-            f". Omitting {method.kind} shifts {symbol_of_shift} by "
+            f". Omitting {worst_method.kind} shifts {symbol_of_shift} by "
             f"{format_number(shift.shift * factor, 2)} {unit}, "
             f"{format_number(abs(shift.z), 2)} times the standard uncertainty of the shift"
         )
@@ -201,14 +206,14 @@ def _disagreement_findings(
             subject=f"{view.name}.{symbol_of_shift}" if symbol_of_shift else view.name,
             text=f"{text}. Look for an effect in one of the test methods that is missing from "
             "the model.",
-            size=size,
-            contradicts=size > CONTRADICTION_SIGMAS,
+            size=max_deviation,
+            contradicts=max_deviation > CONTRADICTION_SIGMAS,
         )
     ]
 
 
 def _residual_ratio(view: AccelerometerView) -> float:
-    """Return how many times as large as the stated noise the residuals are, where that is much."""
+    """Return the ratio of residuals to stated noise if it is large, else 1."""
     ratios = [1.0]
     for group in groups_of_view(view):
         residual = summarize_group_residuals([group])
@@ -216,5 +221,5 @@ def _residual_ratio(view: AccelerometerView) -> float:
             ratios.append(math.sqrt(residual.chi2 / residual.dof))
     if view.has_records and view.diagnostics.noise_given:
         ratios.append(math.sqrt(view.diagnostics.chi2 / view.diagnostics.dof))
-    largest = float(np.max(ratios))
-    return largest if largest > RESIDUAL_RATIO_LIMIT else 1.0
+    max_ratio = float(np.max(ratios))
+    return max_ratio if max_ratio > RESIDUAL_RATIO_LIMIT else 1.0

@@ -1,13 +1,12 @@
-"""Tests for patterns in the residuals of readings, which need neither repeats nor a stated noise.
+"""Tests for patterns in the residuals of readings, without repeats or stated noise.
 
-Each is one further column beside the fit (`counterspin.inference.joint.alternatives`): a wave of
-the dividing head's angle, its error where it has been mounted on in several ways, a term of the
-accelerometer, a drift of bias, scale or angle, a swing of the room's temperature, a warm-up, a
-step, an output that is another on either side of zero, the side of approach, the sense of rotation.
-Of poses it is a term of one of the accelerometers, or what changes in time, with the columns that
-are left once a pose's two angles are eliminated. Where the noise is estimated from the same
-residuals it is an F test of the column (Draper and Smith, Applied Regression Analysis, 3rd ed.,
-section 6.1), with the freedom that is left.
+Each pattern is an additional column of the fit (`counterspin.inference.joint.alternatives`):
+harmonics of the head angle, errors of the dividing head with several mountings, terms of the
+accelerometer, drifts of bias, scale factor or angle, oscillations with the room temperature,
+warm-up, steps, asymmetry, hysteresis, sense of rotation. For poses, the candidates are terms of the
+accelerometers and changes with time, after elimination of the two angles of each pose. If the noise
+is estimated from the same residuals, the test is an F test (Draper and Smith, Applied Regression
+Analysis, 3rd ed., section 6.1).
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from counterspin.physics.terms import CONDITION_TERMS, TERMS
 from counterspin.readings.known_attitudes import Readings
 from counterspin.readings.linear import ReadingGroup
 
-#: Kinds of columns, the likelier first, for where the residuals cannot tell.
+#: Kinds of patterns, the most likely first, for patterns that the residuals cannot separate.
 (
     WAVE,
     HEAD,
@@ -65,80 +64,76 @@ from counterspin.readings.linear import ReadingGroup
     "step",
 )
 
-#: What hysteresis goes with: from where the head, or the rate, came; whether force rose or fell.
+#: Symbols of hysteresis: sense of approach of head or rate, and sense of change of the force.
 APPROACH: Final = "sense of approach"
 FORCE: Final = "sense of force"
 
-#: Waves a revolution of the head, up to this many.
-_HARMONICS: Final = 4
+#: Number of harmonics of the head angle.
+_N_HARMONICS: Final = 4
 
-#: How often a turn a head errs, in words.
-_TIMES: Final = {1: "once", 2: "twice", 3: "three times", 4: "four times"}
+#: Order of a harmonic of the head -> its name.
+_FREQUENCY_NAMES: Final = {1: "once", 2: "twice", 3: "three times", 4: "four times"}
 
-#: rad, by which the head's angle is changed to see what that does.
+#: Step of derivatives by the head angle, rad.
 _ANGLE_STEP: Final = 1e-4
 
-#: At most so many steps are tried, evenly spread; readings on each side of one, at least.
-_STEPS: Final = 24
+#: Largest number of steps to test, and smallest number of readings on each side of a step.
+_MAX_STEPS: Final = 24
 _MIN_READINGS_PER_SIDE: Final = 2
 
-#: Digits after the point, of g, to which two sizes of the force are one.
-_DIGITS: Final = 3
+#: Decimal places, in g, to which magnitudes of the force are rounded.
+_FORCE_DIGITS: Final = 3
 
-#: Time constants of a warm-up, in parts of the whole series.
-_WARM_UPS: Final = (0.1, 0.3)
+#: Time constants of a warm-up, relative to the duration of the series.
+_WARM_UP_TIME_CONSTANTS: Final = (0.1, 0.3)
 
-#: Swings over the whole series that are tried, and how many readings each takes at least.
+#: Numbers of oscillation periods in a series, and smallest number of readings per period.
 _OSCILLATION_PERIODS: Final = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
 _MIN_READINGS_PER_PERIOD: Final = 4
 
-#: What is another where the force along the input axis is negative (IEEE Std 1293, K0' and K1').
-BIAS: Final = "bias"
-SCALE_FACTOR: Final = "scale factor"
+#: Quantities with an asymmetry for negative forces (IEEE Std 1293, K0' and K1').
+BIAS_LABEL: Final = "bias"
+SCALE_FACTOR_LABEL: Final = "scale factor"
 
-#: Columns are alike where what the fit leaves of them has a correlation above this.
+#: Correlation of projected columns above which they are equivalent.
 _COLLINEAR: Final = 0.999
 
-#: Chi-square by which one column must be better than another to exclude it.
+#: Difference in chi-square by which a column excludes another.
 _DECISIVE_CHI2: Final = 6.0
 
 
 @frozen
 class ResidualGroup:
-    """Readings as they are tested."""
+    """Residuals of a group of readings for pattern tests."""
 
-    readings: ReadingGroup  #: What was read.
-    index: int  #: Among the observations of the fit.
-    #: Standard uncertainty of each reading (g), and the part that noise has in its square, (n,).
-    sigma: Array
-    noise_fraction: Array
-    chi2: float  #: Sum of the squares of their residuals over the uncertainties.
-    residual_dof: (
-        float  #: Of the residuals; where the noise was estimated, of that, repeats counted.
-    )
-    estimated: bool  #: Whether the noise was estimated.
-    #: Of the squares, those of repeats at one setting about their mean, which follow no column.
-    repeat_squares: float
-    #: Places of readings that stand out by themselves, which the tests must not follow.
+    readings: ReadingGroup  #: Readings or poses.
+    index: int  #: Index among the observations of the fit.
+    sigma: Array  #: Standard uncertainty of each reading, g, shape (n,).
+    noise_fraction: Array  #: Fraction of the noise in the variance of each reading, shape (n,).
+    chi2: float  #: Sum of the squared residuals over the squared uncertainties.
+    residual_dof: float  #: Degrees of freedom of the residuals, or of an estimated noise.
+    estimated: bool  #: True if the noise was estimated.
+    repeat_squares: float  #: Contribution of repeats at one setting to `chi2`.
+    #: Indices of outliers, which the tests ignore.
     left_out: tuple[int, ...] = ()
 
 
 @frozen
 class Pattern:
-    """One column that the residuals of a group follow, with those that do as well."""
+    """Best pattern of the residuals of a group, with equivalent patterns."""
 
-    group: int  #: Place of the group.
-    alternatives: tuple[Alternative, ...]  #: The likeliest first: all that explain as much.
-    p: float  #: Probability of as much by chance, for this column alone.
-    tests: int  #: How many columns were tested, those that are alike counted once.
+    group: int  #: Index of the group.
+    alternatives: tuple[Alternative, ...]  #: Equivalent patterns, the most likely first.
+    p: float  #: Probability of this gain by chance, for this pattern alone.
+    tests: int  #: Number of tested patterns; equivalent patterns count once.
 
 
 def head_angle(group: Readings) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Return the angle of the dividing head from where the input axis points up, and where it is.
+    """Return the angle of the dividing head relative to the position with the input axis up.
 
-    Returns: rad, shape (n,), and whether the reading was taken at an angle about the axis that most
-        readings have in common, shape (n,). About an upright axis the angle is from north; of an
-        input axis along the head's, it is that of the pendulous axis.
+    Returns: rad, shape (n,), and the mask of the readings about the most common head axis, shape
+        (n,). For a vertical head axis, the angle is relative to north. For an input axis along the
+        head axis, it is the angle of the pendulous axis.
     """
     n = group.size
     angle, on_axis = np.zeros(n), np.zeros(n, dtype=bool)
@@ -170,7 +165,7 @@ def candidate_columns(
     estimated_symbols: Collection[str],
     tested_symbols: Collection[str],
 ) -> Iterator[Alternative]:
-    """Yield the columns that the residuals of readings may follow.
+    """Yield the candidate patterns of the residuals of readings.
 
     index: Index of the readings among the observations of the fit.
     estimated_symbols: Symbols of the accelerometer's and the machine's terms that are estimated.
@@ -197,16 +192,16 @@ _Column = tuple[str, str, Array]
 
 def _head_harmonics(readings: Readings) -> Iterator[_Column]:
     angle, on_axis = head_angle(readings)
-    for order in range(1, _HARMONICS + 1) if on_axis.any() else ():
+    for order in range(1, _N_HARMONICS + 1) if on_axis.any() else ():
         multiple = f"{order} phi" if order > 1 else "phi"
         yield WAVE, f"cos {multiple}", on_axis.astype(float) * np.cos(order * angle)
         yield WAVE, f"sin {multiple}", on_axis.astype(float) * np.sin(order * angle)
 
 
 def _head_errors(readings: Readings, estimated_symbols: Collection[str]) -> Iterator[_Column]:
-    """Yield what waves of the head make where it shows another angle than that of the axes.
+    """Yield errors of the dividing head if its indicated angle differs from that of the axes.
 
-    In one mounting they are waves of the angle, and cannot be told from the accelerometer's terms.
+    With a single mounting, they are harmonics of the angle, like terms of the accelerometer.
     """
     angle, on_axis = head_angle(readings)
     nominal_angle = np.broadcast_to(readings.head_angle, readings.size)
@@ -214,7 +209,7 @@ def _head_errors(readings: Readings, estimated_symbols: Collection[str]) -> Iter
     if not offsets.size or np.abs(offsets - offsets[0]).max() < _ANGLE_STEP:
         return
     slope = _head_derivative(readings, on_axis)
-    for order, multiple in _TIMES.items():
+    for order, multiple in _FREQUENCY_NAMES.items():
         for name, harmonic in (
             ("cos", np.cos(order * nominal_angle)),
             ("sin", np.sin(order * nominal_angle)),
@@ -226,10 +221,10 @@ def _head_errors(readings: Readings, estimated_symbols: Collection[str]) -> Iter
 def _head_derivative(readings: Readings, on_axis: npt.NDArray[np.bool_]) -> Array:
     """Return the derivative of the force along the input axis with respect to head angle, (n,)."""
     index = [*TERMS].index("K_I")
-    ahead, behind = (
+    upper, lower = (
         readings.products({"head.zero": step})[:, index] for step in (_ANGLE_STEP, -_ANGLE_STEP)
     )
-    slope: Array = on_axis * (ahead - behind) / (2.0 * _ANGLE_STEP)
+    slope: Array = on_axis * (upper - lower) / (2.0 * _ANGLE_STEP)
     return slope
 
 
@@ -252,15 +247,15 @@ def _missing_terms(
 
 
 def time_patterns(readings: ReadingGroup, forces: Array) -> Iterator[_Column]:
-    """Yield what changes with the time of reading, or with the order where no times are stated.
+    """Yield changes with the time of reading, or with the order if no times are stated.
 
-    forces: Along the input axis, g, shape (n,).
+    forces: Specific force along the input axis, g, shape (n,).
     """
     progress, basis = _series_progress(readings)
     yield DRIFT, basis, progress - 0.5
-    for time_constant in _WARM_UPS:
+    for time_constant in _WARM_UP_TIME_CONSTANTS:
         yield WARM_UP, basis, np.exp(-progress / time_constant)
-    # A mirrored order cancels a line, and no parabola.
+    # A symmetric order cancels a linear drift, but not a parabola.
     yield BEND, basis, (progress - 0.5) ** 2
     yield SCALE, basis, (progress - 0.5) * forces
     for periods in _OSCILLATION_PERIODS:
@@ -270,7 +265,9 @@ def time_patterns(readings: ReadingGroup, forces: Array) -> Iterator[_Column]:
     order = np.argsort(progress, kind="stable")
     last_position = readings.size - _MIN_READINGS_PER_SIDE
     step_positions = (
-        np.linspace(_MIN_READINGS_PER_SIDE, last_position, min(max(last_position - 1, 0), _STEPS))
+        np.linspace(
+            _MIN_READINGS_PER_SIDE, last_position, min(max(last_position - 1, 0), _MAX_STEPS)
+        )
         .round()
         .astype(int)
     )
@@ -288,7 +285,7 @@ def _series_progress(readings: ReadingGroup) -> tuple[Array, str]:
 
 
 def _tilt_drifts(readings: Readings) -> Iterator[_Column]:
-    """Yield that the positions themselves drift: a floor that tilts, a scale of the head."""
+    """Yield drifts of the positions: tilt of the floor, scale error of the head."""
     angle, on_axis = head_angle(readings)
     if on_axis.any():
         progress, basis = _series_progress(readings)
@@ -298,36 +295,36 @@ def _tilt_drifts(readings: Readings) -> Iterator[_Column]:
 
 
 def _asymmetries(forces: Array) -> Iterator[_Column]:
-    """Yield that bias or scale factor is another where the force is negative; forces in g, (n,)."""
+    """Yield asymmetries of bias and scale factor; forces in g, shape (n,)."""
     sense = np.where(np.abs(forces) > 1e-9, np.sign(forces), 0.0)
     if (sense > 0.0).any() and (sense < 0.0).any():
-        yield ASYMMETRY, BIAS, sense
-        yield ASYMMETRY, SCALE_FACTOR, np.abs(forces)
+        yield ASYMMETRY, BIAS_LABEL, sense
+        yield ASYMMETRY, SCALE_FACTOR_LABEL, np.abs(forces)
 
 
 def _gain_steps(forces: Array) -> Iterator[_Column]:
-    """Yield that the gain changes above a size of the force, as between two ranges of a meter.
+    """Yield changes of the gain above a magnitude of the force, as between ranges of a meter.
 
     forces: g, shape (n,).
     """
-    levels = np.unique(np.round(np.abs(forces), _DIGITS))
-    midpoints = 0.5 * (levels[1:] + levels[:-1])
-    for level in midpoints[:: max(math.ceil(midpoints.size / _STEPS), 1)].tolist():
-        yield RANGE, f"{level:.2g} g", forces * (np.abs(forces) > level)
+    magnitudes = np.unique(np.round(np.abs(forces), _FORCE_DIGITS))
+    midpoints = 0.5 * (magnitudes[1:] + magnitudes[:-1])
+    for magnitude in midpoints[:: max(math.ceil(midpoints.size / _MAX_STEPS), 1)].tolist():
+        yield RANGE, f"{magnitude:.2g} g", forces * (np.abs(forces) > magnitude)
 
 
 def _hysteresis(readings: Readings) -> Iterator[_Column]:
-    """Yield from which side each position was come to: that of the head, or of the rate's size.
+    """Yield hysteresis with the sense of approach of the head angle or of the rate.
 
-    And at rest whether the force along the input axis had risen or fallen, which one turn shows.
+    At rest, also with the sense in which the force along the input axis changed.
     """
     angle, on_axis = head_angle(readings)
     if on_axis.all():
-        # Half a turn may be made either way.
+        # Half a turn has no defined sense.
         steps = np.angle(np.exp(1j * np.diff(angle)))
         steps[np.abs(steps) > math.pi * (1.0 - 1e-6)] = 0.0
         force_signs = _step_signs(np.diff(readings.products({})[:, [*TERMS].index("K_I")]))
-        # The first position may have been come to from either side.
+        # The first position may have been approached from either side.
         reversed_start = np.append(-force_signs[:1], force_signs[1:])
         columns = [(APPROACH, _step_signs(steps)), (FORCE, force_signs), (FORCE, reversed_start)]
     else:
@@ -339,7 +336,7 @@ def _hysteresis(readings: Readings) -> Iterator[_Column]:
 
 
 def _step_signs(steps: Array) -> Array:
-    """Return the sign of the step that led to each reading, that of the last one that was none."""
+    """Return the sign of the step to each reading; without a step, that of the previous step."""
     signs, sign = np.zeros(len(steps) + 1), 0.0
     for index, step in enumerate(steps.tolist(), start=1):
         sign = math.copysign(1.0, step) if abs(step) > 1e-9 else sign
@@ -349,16 +346,16 @@ def _step_signs(steps: Array) -> Array:
 
 
 def _rotation_senses(readings: Readings) -> Iterator[_Column]:
-    """Yield which way the machine turned, where it turned both ways."""
+    """Yield the sense of rotation, if the machine rotated in both senses."""
     sense = np.sign(readings.stations.rate)
     if (sense > 0.0).any() and (sense < 0.0).any():
         yield SENSE, "sense of rotation", sense
 
 
 def _reversed_rotation(readings: Readings, forces: Array) -> Iterator[_Column]:
-    """Yield the change of the Coriolis force if the machine turned in the other sense than stated.
+    """Yield the change of the Coriolis force for a rotation opposite to the stated sense.
 
-    forces: Along the input axis, g, shape (n,).
+    forces: Specific force along the input axis, g, shape (n,).
     """
     rate = (1.0 - 2.0 * np.asarray(readings.stated_sense)) * readings.stations.rate
     reversed_readings = replace(readings, stations=replace(readings.stations, rate=rate))
@@ -367,13 +364,13 @@ def _reversed_rotation(readings: Readings, forces: Array) -> Iterator[_Column]:
         yield REVERSED, "other sense of rotation", change
 
 
-# Which of them is followed ---------------------------------------------------------------------
+# Selection of the best pattern -----------------------------------------------------------------
 
 
 def best_patterns(
     fit: JointFit, groups: Sequence[ResidualGroup], alternatives: Sequence[Sequence[Alternative]]
 ) -> list[Pattern]:
-    """Return of each group the column that its residuals follow most, with those like it."""
+    """Return the best pattern of each group, with equivalent patterns."""
     outlier_columns = [
         Alternative("left out", "", str(member), {group.index: np.eye(group.readings.size)[member]})
         for group in groups
@@ -388,7 +385,7 @@ def best_patterns(
     projection = project_columns(fit, all_columns)
     columns, residual = projection.columns, projection.residual
     is_usable = np.sum(columns**2, axis=0) > MIN_RESIDUAL_FRACTION * projection.squared_norms
-    patterns, tests = [], 0
+    patterns, n_tests = [], 0
     start = len(outlier_columns)
     for index, (group, group_columns) in enumerate(zip(groups, alternatives, strict=True)):
         outlier_indices = [
@@ -396,17 +393,17 @@ def best_patterns(
             for member, outlier_column in enumerate(outlier_columns)
             if group.index in outlier_column.columns
         ]
-        block, usable = (
+        group_block, is_usable_in_group = (
             columns[:, start : start + len(group_columns)],
             is_usable[start : start + len(group_columns)],
         )
         start += len(group_columns)
         basis = np.linalg.qr(columns[:, outlier_indices])[0]
         outlier_projection = basis.T @ residual
-        if outlier_indices and usable.any():
-            # Readings that a column explains better than each by itself stand out for its sake.
-            norms = np.linalg.norm(block[:, usable], axis=0)
-            if np.max(np.abs(block[:, usable].T @ residual) / norms) ** 2 > float(
+        if outlier_indices and is_usable_in_group.any():
+            # If a pattern explains more than the individual outliers, it explains them too.
+            norms = np.linalg.norm(group_block[:, is_usable_in_group], axis=0)
+            if np.max(np.abs(group_block[:, is_usable_in_group].T @ residual) / norms) ** 2 > float(
                 outlier_projection @ outlier_projection
             ):
                 outlier_indices, basis, outlier_projection = (
@@ -414,23 +411,25 @@ def best_patterns(
                     basis[:, :0],
                     outlier_projection[:0],
                 )
-        remainder = block - basis @ (basis.T @ block)
+        remainder = group_block - basis @ (basis.T @ group_block)
         residual_without_outliers = residual - basis @ outlier_projection
         norms = np.linalg.norm(remainder, axis=0)
-        usable &= norms**2 > MIN_RESIDUAL_FRACTION
-        if not usable.any():
+        is_usable_in_group &= norms**2 > MIN_RESIDUAL_FRACTION
+        if not is_usable_in_group.any():
             continue
         usable_columns = [
-            column for column, flag in zip(group_columns, usable.tolist(), strict=True) if flag
+            column
+            for column, flag in zip(group_columns, is_usable_in_group.tolist(), strict=True)
+            if flag
         ]
-        unit = remainder[:, usable] / norms[usable]
-        collinear = np.abs(unit.T @ unit) > _COLLINEAR
+        unit_columns = remainder[:, is_usable_in_group] / norms[is_usable_in_group]
+        is_collinear = np.abs(unit_columns.T @ unit_columns) > _COLLINEAR
         combinations = [
             *((member,) for member in range(len(usable_columns))),
             *_harmonic_pairs(usable_columns),
         ]
-        tests += (
-            int(np.sum(~np.any(np.triu(collinear, 1), axis=0)))
+        n_tests += (
+            int(np.sum(~np.any(np.triu(is_collinear, 1), axis=0)))
             + len(combinations)
             - len(usable_columns)
         )
@@ -439,50 +438,55 @@ def best_patterns(
         reductions, p_values, rows = [], [], projection.row_slices[group.index]
         for members in combinations:
             reductions.append(
-                _chi2_reduction(np.linalg.qr(unit[:, members])[0], residual_without_outliers, rows)
+                _chi2_reduction(
+                    np.linalg.qr(unit_columns[:, members])[0], residual_without_outliers, rows
+                )
             )
             noise_share = max(
-                _noise_fraction(group, usable_columns[member], unit[rows, member])
+                _noise_fraction(group, usable_columns[member], unit_columns[rows, member])
                 for member in members
             )
             reduced_group = replace(group, chi2=chi2, residual_dof=residual_dof)
             p_values.append(_p_value(reduced_group, reductions[-1], len(members), noise_share))
         best_index = min(range(len(combinations)), key=lambda member: p_values[member][0])
         p, scale = p_values[best_index]
-        equivalent = [
+        equivalent_columns = [
             column
             for member, column in enumerate(usable_columns)
-            if collinear[member, combinations[best_index]].all()
+            if is_collinear[member, combinations[best_index]].all()
             or reductions[member] > reductions[best_index] - _DECISIVE_CHI2 * scale
         ]
-        # Steps differ by where they are only, and so do ranges: the best one stands for all.
+        # Steps, and ranges, differ only in position: only the best one is kept.
         for kind in (STEP, RANGE):
-            same_kind = [
+            indices_of_kind = [
                 member for member, column in enumerate(usable_columns) if column.kind == kind
             ]
-            best_of_kind = max(same_kind, key=lambda member: reductions[member], default=None)
-            equivalent = [
+            best_of_kind = max(indices_of_kind, key=lambda member: reductions[member], default=None)
+            equivalent_columns = [
                 candidate
-                for candidate in equivalent
+                for candidate in equivalent_columns
                 if candidate.kind != kind
                 or (best_of_kind is not None and candidate is usable_columns[best_of_kind])
             ]
-        equivalent.sort(key=lambda column: KINDS.index(column.kind))
+        equivalent_columns.sort(key=lambda column: KINDS.index(column.kind))
         patterns.append(
             Pattern(
                 index,
-                tuple(equivalent) or (_join_harmonics(usable_columns, combinations[best_index]),),
+                tuple(equivalent_columns)
+                or (_join_harmonics(usable_columns, combinations[best_index]),),
                 p,
                 0,
             )
         )
-    return [Pattern(pattern.group, pattern.alternatives, pattern.p, tests) for pattern in patterns]
+    return [
+        Pattern(pattern.group, pattern.alternatives, pattern.p, n_tests) for pattern in patterns
+    ]
 
 
 def _harmonic_pairs(columns: Sequence[Alternative]) -> Iterator[tuple[int, ...]]:
-    """Yield the places of cosine and sine of one wave, where both are there.
+    """Yield the indices of cosine and sine of each harmonic that has both.
 
-    Those of the first two together as well: a head that errs once and twice a turn makes both.
+    Those of the first two harmonics are also combined, for a head with both errors.
     """
     for kind in (WAVE, HEAD, SWING):
         members_by_name: dict[str, tuple[int, ...]] = {}
@@ -501,7 +505,7 @@ def _harmonic_name(wave: Alternative) -> str:
 
 
 def _join_harmonics(columns: Sequence[Alternative], members: tuple[int, ...]) -> Alternative:
-    """Return the alternative that joins the cosine and sine of one wave, or of two."""
+    """Return the alternative that joins cosine and sine of one or two harmonics."""
     column = columns[members[0]]
     names = " and ".join(dict.fromkeys(_harmonic_name(columns[member]) for member in members))
     label = {WAVE: "waves of", HEAD: "error", SWING: "wave"}[column.kind]
@@ -509,19 +513,19 @@ def _join_harmonics(columns: Sequence[Alternative], members: tuple[int, ...]) ->
 
 
 def _chi2_reduction(basis: Array, residual: Array, rows: slice) -> float:
-    """Return by how much columns, in a basis of theirs, lessen the squares of readings themselves.
+    """Return the reduction of the sum of squares of the readings by columns with a given basis.
 
-    What lessens those of priors is a conflict with a prior, and no pattern of the readings.
+    A reduction of the squares of priors is a conflict with a prior, not a pattern of the readings.
     """
-    own_residual = residual[rows]
-    remainder = own_residual - basis[rows] @ (basis.T @ residual)
-    return max(float(own_residual @ own_residual) - float(remainder @ remainder), 0.0)
+    group_residual = residual[rows]
+    remainder = group_residual - basis[rows] @ (basis.T @ residual)
+    return max(float(group_residual @ group_residual) - float(remainder @ remainder), 0.0)
 
 
 def _noise_fraction(group: ResidualGroup, alternative: Alternative, combination: Array) -> float:
-    """Return the part that noise has in the variance of what a column is weighed against.
+    """Return the fraction of the noise in the variance of the estimate of a column.
 
-    The head has another part, and priors have what is not in the readings' `own` rows.
+    The remaining variance is that of the head, and of priors outside the rows of the readings.
     """
     column = (alternative.columns[group.index] / group.sigma) ** 2
     noise_part = float(column @ group.noise_fraction) / float(column.sum())
@@ -529,41 +533,47 @@ def _noise_fraction(group: ResidualGroup, alternative: Alternative, combination:
 
 
 def _p_value(
-    group: ResidualGroup, gain: float, columns: int, noise_share: float
+    group: ResidualGroup, chi2_gain: float, n_columns: int, noise_share: float
 ) -> tuple[float, float]:
     """Return the probability of a gain in chi-square, and the scale of the residuals without it.
 
-    columns: How many of them gain it, as in `_tail`.
-    noise_share: Part of the combination that comes from the noise of the readings.
+    n_columns: Number of columns of the pattern, as in `_tail_probability`.
+    noise_share: Fraction of the variance due to the noise of the readings.
     """
-    other_dof = max(group.residual_dof - columns, 0.5)
-    p_without_scale = _tail_probability(columns, math.inf, gain)
+    other_dof = max(group.residual_dof - n_columns, 0.5)
+    p_without_scale = _tail_probability(n_columns, math.inf, chi2_gain)
     if not group.estimated:
-        remaining_chi2 = max(group.chi2 - gain, 0.0)
+        remaining_chi2 = max(group.chi2 - chi2_gain, 0.0)
         scale = max(remaining_chi2 / other_dof, 1e-12)
-        # Where more is wrong than these columns, they must be more than the others.
+        # If there are other errors, the gain must exceed their scale.
         if chi_square_tail(other_dof, remaining_chi2) > SIGNIFICANCE:
             return p_without_scale, 1.0
-        return max(p_without_scale, _tail_probability(columns, other_dof, gain / scale)), scale
-    # The head's part of the variance is known, so that only the noise's has a scale to find. What
-    # the head made has not gone into it, nor do the repeats at one setting follow a column.
-    remaining_chi2 = max(group.chi2 - noise_share * gain, group.repeat_squares)
+        return max(
+            p_without_scale, _tail_probability(n_columns, other_dof, chi2_gain / scale)
+        ), scale
+    # The variance of the head is known, so only the noise has an estimated scale. Repeats at one
+    # setting contain no pattern.
+    remaining_chi2 = max(group.chi2 - noise_share * chi2_gain, group.repeat_squares)
     scale = (1.0 - noise_share) + noise_share * max(remaining_chi2 / other_dof, 1e-12)
-    return _tail_probability(columns, other_dof / max(noise_share, 1e-6) ** 2, gain / scale), scale
+    return _tail_probability(
+        n_columns, other_dof / max(noise_share, 1e-6) ** 2, chi2_gain / scale
+    ), scale
 
 
-def _tail_probability(columns: int, dof: float, gain: float) -> float:
-    """Return the probability of a larger gain: that of `columns` times Fisher's F.
+def _tail_probability(n_columns: int, dof: float, chi2_gain: float) -> float:
+    """Return the probability of a larger gain, distributed as `n_columns` times Fisher's F.
 
-    columns: 1, 2 or 4, for which it has a closed form (NIST DLMF 8.17.2).
+    n_columns: 1, 2 or 4, for which there is a closed form (NIST DLMF 8.17.2).
     """
-    if columns == 1:
-        return 2.0 * student_cdf(dof, -math.sqrt(gain))
-    half = 0.5 * gain
-    log, more = (-half, half) if math.isinf(dof) else _beta_terms(0.5 * dof, half)
-    return math.exp(log) * (1.0 if columns == 2 else 1.0 + more)
+    if n_columns == 1:
+        return 2.0 * student_cdf(dof, -math.sqrt(chi2_gain))
+    half_gain = 0.5 * chi2_gain
+    log_factor, second_term = (
+        (-half_gain, half_gain) if math.isinf(dof) else _beta_terms(0.5 * dof, half_gain)
+    )
+    return math.exp(log_factor) * (1.0 if n_columns == 2 else 1.0 + second_term)
 
 
-def _beta_terms(a: float, half: float) -> tuple[float, float]:
-    """Return the logarithm of x^a and a (1 - x), x being a / (a + half)."""
-    return -a * math.log1p(half / a), a * half / (a + half)
+def _beta_terms(a: float, half_gain: float) -> tuple[float, float]:
+    """Return the logarithm of x^a, and a (1 - x), for x = a / (a + half_gain)."""
+    return -a * math.log1p(half_gain / a), a * half_gain / (a + half_gain)

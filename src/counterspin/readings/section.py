@@ -14,7 +14,7 @@ from counterspin.physics.terms import MotionKind
 from counterspin.records.format_registry import RECORD_FORMATS
 
 #: A column's name, or those of the repeats of one reading.
-_Repeats = str | list[str]
+_ColumnNames = str | list[str]
 
 #: Endings of the files of such a table.
 TABLE_ENDINGS: Final = tuple(e for e, form in RECORD_FORMATS.items() if form.holds_readings)
@@ -61,7 +61,7 @@ class MountingSettings(ReadingAxes):
 class ReadingsSettings(TableDialect, _TableFile):
     """[readings]: a table of readings, in place of many [[runs]]."""
 
-    columns: dict[str, _Repeats | dict[str, _Repeats]] = key_field(
+    columns: dict[str, _ColumnNames | dict[str, _ColumnNames]] = key_field(
         f"column names, by key: `reading`, `u`, {', '.join(f'`{key}`' for key in COLUMNS)}",
         {"attitude": "angle_deg", "reading": "mA"},
         min_length=1,

@@ -1,8 +1,8 @@
-"""Rows of a table that differ from a checked row only in numbers, converted as columns.
+"""Vectorised conversion of table rows that differ from a validated row only in numbers.
 
-The first row with the same keys, units and texts passes the model of a run. The numbers of the
-others are converted and checked as columns. A row with a number outside the limits is left to the
-model of a run, which words the error.
+The model of a run validates the first row with the same keys, units and texts. The numbers of the
+other rows are converted and validated as columns. A row with a number outside the limits is passed
+to the model of a run, which writes the error message.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from counterspin.physics.accelerometer import Mounting
 from counterspin.units import OPERATING_TEMPERATURES, TEMPERATURE_SCALES, unit_factor
 
 #: Keys whose quantities may differ among similar rows.
-_NUMBERS: Final = {"rate", "temperature", "time"}
+_NUMERIC_KEYS: Final = {"rate", "temperature", "time"}
 
 
 def row_pattern(row: Mapping[str, Any]) -> Hashable:
-    """Return the key that similar rows share; None for a row whose readings are not numbers."""
+    """Return the key that similar rows share; None for a row with non-numeric readings."""
     readings = row.get("reading")
     if not isinstance(readings, dict) or not row.get("name"):
         return None
@@ -39,7 +39,7 @@ def row_pattern(row: Mapping[str, Any]) -> Hashable:
 def _cell_pattern(key: str, value: Any) -> Hashable:
     if key == "reading":
         return tuple((name, _cell_pattern("time", number)) for name, number in value.items())
-    if isinstance(value, Quantity) and key in _NUMBERS:
+    if isinstance(value, Quantity) and key in _NUMERIC_KEYS:
         return value.unit, value.value == 0.0, value.u > 0.0, value.distribution
     if isinstance(value, HeadTurn):
         return value.angle.unit, value.angle.u, value.about
@@ -48,43 +48,48 @@ def _cell_pattern(key: str, value: Any) -> Hashable:
 
 def convert_rows(
     rows: Sequence[Mapping[str, Any]],
-    checked: Sequence[Reading],
+    reference_readings: Sequence[Reading],
     mountings: Mapping[str, Mounting | None],
     outputs: Mapping[str, Output | None],
     gravity: float,
 ) -> Iterator[tuple[Reading, ...] | None]:
     """Yield the readings of similar rows; None for a row with a number outside the limits.
 
-    checked: Readings of a row that is similar to them and passed the model of a run.
-    mountings, outputs, gravity: As in `resolve_readings`.
+    reference_readings: Readings of a similar row that was validated.
+    mountings, outputs, gravity: See `resolve_readings`.
     """
     columns = _RowColumns(rows)
-    common = columns.common_fields()
+    common_fields = columns.common_fields()
     readings = []
-    for reading in checked:
+    for reading in reference_readings:
         name = reading.accelerometer
-        fields = dict(common)
+        fields = dict(common_fields)
         if name in outputs:
             fields |= columns.value_fields(name, outputs[name], gravity)
         fields |= columns.axes_fields(reading, mountings[name])
-        cells = zip(*fields.values(), strict=True)
-        readings.append([copy_with(reading, dict(zip(fields, row, strict=True))) for row in cells])
+        field_values = zip(*fields.values(), strict=True)
+        readings.append(
+            [copy_with(reading, dict(zip(fields, row, strict=True))) for row in field_values]
+        )
     for is_valid, row_readings in zip(columns.valid, zip(*readings, strict=True), strict=True):
         yield row_readings if is_valid else None
 
 
 def attitude_keys(mounting: str, attitudes: Array) -> list[str]:
-    """Return keys that readings in one attitude and mounting share; attitudes: shape (n, 3, 3)."""
+    """Return keys that readings with the same attitude and mounting share.
+
+    attitudes: Shape (n, 3, 3).
+    """
     # Adding zero makes -0 the same as 0.
     return [f"{mounting}: {rows}" for rows in (np.round(attitudes, 9) + 0.0).tolist()]
 
 
 class _RowColumns:
-    """Columns of similar rows, n of them, as fields of readings."""
+    """Columns of n similar rows, as fields of readings."""
 
     def __init__(self, rows: Sequence[Mapping[str, Any]]) -> None:
         self._rows = rows
-        self.valid = np.ones(len(rows), dtype=bool)  #: Whether all numbers are within the limits.
+        self.valid = np.ones(len(rows), dtype=bool)  #: True for rows within the limits.
 
     def common_fields(self) -> dict[str, list[Any]]:
         """Return the fields that all accelerometers share."""
@@ -108,20 +113,22 @@ class _RowColumns:
         unit, zero, sensitivity = "g", 0.0, 1.0
         if output is not None:
             unit, zero, sensitivity = output.unit, output.zero, output.sensitivity
-        conversion = gravity if output is None else None
+        gravity_in_unit = gravity if output is None else None
         numbers = [row["reading"][name] for row in self._rows]
-        value, u = self._convert(numbers, unit, conversion)
+        value, u = self._convert(numbers, unit, gravity_in_unit)
         fields = {"value": ((value - zero) / sensitivity).tolist()}
         if u[0] > 0.0:
             return fields | {"u": (u / abs(sensitivity)).tolist()}
         digits = [
             Quantity(float(quantity.last_digit_step(repr(q.value))), 0.0, q.unit) for q in numbers
         ]
-        resolution, _ = self._convert(digits, unit, conversion)
+        resolution, _ = self._convert(digits, unit, gravity_in_unit)
         return fields | {"resolution": (resolution / abs(sensitivity)).tolist()}
 
-    def axes_fields(self, checked: Reading, mounting: Mounting | None) -> dict[str, list[Any]]:
-        """Return the fields that follow from the angle of the dividing head; none without it."""
+    def axes_fields(
+        self, reference_reading: Reading, mounting: Mounting | None
+    ) -> dict[str, list[Any]]:
+        """Return the fields that depend on the angle of the dividing head; none without a head."""
         first_row = self._rows[0]
         if mounting is None or not isinstance(turn := first_row.get("attitude"), HeadTurn):
             return {}
@@ -134,7 +141,7 @@ class _RowColumns:
         }
         if "head" not in first_row:
             fields["head_angle"] = angles.tolist()
-        if checked.position:
+        if reference_reading.position:
             fields["position"] = attitude_keys(first_row.get("mounting", ""), attitudes)
         return fields
 

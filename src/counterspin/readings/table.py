@@ -1,4 +1,4 @@
-"""A table of readings, in place of many ``[[runs]]``: each of its rows becomes such a run."""
+"""Table of readings, in place of many ``[[runs]]``: each row becomes a run."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from counterspin.frozen import frozen
 from counterspin.physics.conditions import STATED_CONDITIONS
 from counterspin.readings.cells import (
     BLANK,
+    DECIMAL_COMMA_PATTERN,
     SENSE_WORDS,
-    WITH_COMMA,
     RateColumn,
-    as_number,
+    cell_text,
     is_empty,
-    mounting_of,
-    seconds_of,
-    with_points,
-    words_of,
+    mounting_name,
+    parse_number,
+    replace_decimal_commas,
+    to_seconds,
 )
-from counterspin.readings.entries import MOST_READINGS
+from counterspin.readings.entries import MAX_READINGS
 from counterspin.readings.section import COLUMNS, TABLE_ENDINGS, MountingSettings, ReadingsSettings
 from counterspin.records.dialect import Dialect
 from counterspin.records.memory import iter_columns
@@ -41,14 +41,14 @@ from counterspin.units import is_same_unit, unit_factor
 if TYPE_CHECKING:
     from counterspin.records.formats import StoredTable
 
-#: What messages call a table of readings without a file.
-_IN_MEMORY: Final = "readings in memory"
+#: Name of a table without a file in messages.
+_MEMORY_TABLE_NAME: Final = "readings in memory"
 
-#: No cell has more characters.
+#: Largest number of characters in a cell.
 _MAX_CHARACTERS: Final = 1000
 
-#: What says where a reading is taken.
-_STATIONS: Final = {"rate", "attitude", "head", "input"}
+#: Keys that state the position or rate of a reading.
+_STATION_KEYS: Final = {"rate", "attitude", "head", "input"}
 
 
 def read_table(
@@ -58,19 +58,19 @@ def read_table(
     problems: Problems,
     checksums: dict[Path, str],
 ) -> Iterator[tuple[dict[str, Any], KeyPath]]:
-    """Yield the rows of the table that ``[readings]`` names, as runs, with where each stands.
+    """Yield the rows of the table that ``[readings]`` names, as runs with their paths.
 
-    Numbers are quantities and turns; only what is text in the table is text.
+    Numbers become quantities and rotations; text remains text.
     """
     settings = problems.check(ReadingsSettings, document["readings"], ("readings",))
     if settings is None:
         return
-    table_data = problems.collect(
+    loaded_table = problems.collect(
         ("readings", "file"), load_table, folder / settings.file, settings.dialect
     )
-    if table_data is None:
+    if loaded_table is None:
         return
-    table, places, checksums[folder / settings.file] = table_data
+    table, locations, checksums[folder / settings.file] = loaded_table
     frame = table.frame
     if frame.is_empty():
         problems.add(
@@ -87,13 +87,13 @@ def read_table(
     rows = ReadingsTable(settings, accelerometers, problems, document)
     if table.units:
         rows.check_units(table.units)
-    yield from rows.runs(frame.columns, frame.iter_rows(named=True), places)
+    yield from rows.runs(frame.columns, frame.iter_rows(named=True), locations)
 
 
 def load_table(path: Path, dialect: Dialect) -> tuple[StoredTable, list[str], str]:
-    """Return a table, the places of its rows, and its checksum; ValueError if it is not a table.
+    """Return a table, the locations of its rows, and its checksum.
 
-    With a stated decimal comma, its numbers are returned with points.
+    Raises ValueError if the file is not a table. Stated decimal commas are replaced by points.
     """
     from counterspin.records.formats import has_sheets, read_small_table
 
@@ -105,21 +105,21 @@ def load_table(path: Path, dialect: Dialect) -> tuple[StoredTable, list[str], st
     if dialect.sheet is not None and not has_sheets(path):
         raise InputError(f"{path.name}: only a workbook (.xlsx) has sheets", "conflicting-keys")
     try:
-        table, places, checksum = read_small_table(path, dialect)
+        table, locations, checksum = read_small_table(path, dialect)
     except RecordError as error:
         raise InputError(str(error).rstrip("."), error_code(error)) from error
-    if (rows := table.frame.height) > MOST_READINGS:
+    if (rows := table.frame.height) > MAX_READINGS:
         raise InputError(
-            f"{path.name} has {rows} rows; a table of readings may have at most {MOST_READINGS}",
+            f"{path.name} has {rows} rows; a table of readings may have at most {MAX_READINGS}",
             "too-many-rows",
         )
     if dialect.decimal == ",":
-        table = replace(table, frame=with_points(table.frame))
-    return table, places, checksum
+        table = replace(table, frame=replace_decimal_commas(table.frame))
+    return table, locations, checksum
 
 
 def insert_readings(document: dict[str, Any], frame: Any, problems: Problems) -> None:
-    """Put the rows of a frame among a document's runs, by what its section of readings says."""
+    """Insert the rows of a data frame into the runs of a document, using its [readings]."""
     raw = document.pop("readings", None)
     if not isinstance(raw, Mapping) or "file" in raw:
         reason = "names a file; omit this key" if isinstance(raw, Mapping) else "is missing"
@@ -128,10 +128,10 @@ def insert_readings(document: dict[str, Any], frame: Any, problems: Problems) ->
             f"{reason}: the table is given as a frame, and `columns` assigns its columns",
         )
         return
-    settings = problems.check(ReadingsSettings, {**raw, "file": _IN_MEMORY}, ("readings",))
+    settings = problems.check(ReadingsSettings, {**raw, "file": _MEMORY_TABLE_NAME}, ("readings",))
     columns = {
         name: values.to_list() if hasattr(values, "to_list") else list(values)
-        for name, values in iter_columns(_IN_MEMORY, frame)
+        for name, values in iter_columns(_MEMORY_TABLE_NAME, frame)
     }
     if settings is None:
         return
@@ -154,7 +154,7 @@ def insert_readings(document: dict[str, Any], frame: Any, problems: Problems) ->
 
 
 def _stated_output(table: Any) -> Output | None:
-    """Return the unit of an accelerometer's readings, if it is known."""
+    """Return the stated unit of an accelerometer's readings; None: not stated."""
     output = table.get("output") if isinstance(table, Mapping) else None
     unit = output.get("unit") if isinstance(output, Mapping) else None
     return Output.model_construct(unit=unit) if isinstance(unit, str) else None
@@ -162,12 +162,12 @@ def _stated_output(table: Any) -> Output | None:
 
 @frozen
 class ReadingsTable:
-    """The conversion of a table's columns to runs."""
+    """Conversion of the rows of a table to runs."""
 
-    settings: ReadingsSettings  #: The section.
-    accelerometers: Mapping[str, Output | None]  #: Names, and what their readings are in.
-    problems: Problems  #: Where mistakes are noted.
-    document: Mapping[str, Any]  #: In which it stands.
+    settings: ReadingsSettings  #: Section of the table.
+    accelerometers: Mapping[str, Output | None]  #: Name -> unit of its readings.
+    problems: Problems  #: Collector of errors.
+    document: Mapping[str, Any]  #: Document with the section.
 
     def runs(
         self,
@@ -175,9 +175,9 @@ class ReadingsTable:
         rows: Iterable[Mapping[str, Any]],
         locations: Sequence[str] | None = None,
     ) -> Iterator[tuple[dict[str, Any], KeyPath]]:
-        """Yield the rows of a table as runs, with their places.
+        """Yield the rows of a table as runs, with their paths.
 
-        names: Of the table's columns.
+        names: Column names of the table.
         locations: Locations of the rows; None: the rows are counted.
         """
         problems = self.problems
@@ -213,12 +213,12 @@ class ReadingsTable:
                 yield from ((run, path) for run in new_runs)
 
     def is_reading_row(self, row: Mapping[str, Any]) -> bool:
-        """Return whether a row has a reading, or requests one.
+        """Return whether a row contains a reading, or a placeholder of one.
 
         Many tables end with empty rows or remarks.
         """
         required_names = set(row)
-        if _STATIONS & self.columns.keys():
+        if _STATION_KEYS & self.columns.keys():
             required_names = set().union(
                 *(view.required_columns for view in self.mounting_views(row))
             )
@@ -226,17 +226,17 @@ class ReadingsTable:
 
     @cached_property
     def required_columns(self) -> set[str]:
-        """Columns; each row with a reading fills at least one of them."""
+        """Columns of which each row with a reading fills at least one."""
         readings = self.value_columns("reading").values()
-        stations = {self.columns[key] for key in _STATIONS & self.columns.keys()}
+        stations = {self.columns[key] for key in _STATION_KEYS & self.columns.keys()}
         return stations.union(*readings)
 
     def mounting_views(self, row: Mapping[str, Any]) -> list[ReadingsTable]:
-        """Return the table as each mounting reads a row, where each has a column of its own."""
+        """Return the table for each mounting of a row, if each mounting has its own column."""
         settings = self.settings
         entries = {name: entry for name, entry in settings.mountings.items() if entry.reading}
-        # Not all mountings need have been read at each rate; those to come are all blank.
-        read = [
+        # Not every mounting must have a reading at each rate; future readings are blank.
+        filled_mountings = [
             name for name, entry in entries.items() if not is_empty(row.get(entry.reading or ""))
         ]
         return [
@@ -251,24 +251,24 @@ class ReadingsTable:
                 ),
             )
             for name, entry in entries.items()
-            if name in read or not read
+            if name in filled_mountings or not filled_mountings
         ] or [self]
 
     @cached_property
     def columns(self) -> dict[str, str]:
-        """Key -> name, of what a row says once."""
+        """Key -> column name, for keys with a single column."""
         columns = self.settings.columns
         return {
             key: name for key, name in columns.items() if isinstance(name, str) and key in COLUMNS
         }
 
     def value_columns(self, key: str) -> dict[str, list[str]]:
-        """Return accelerometer -> columns, of ``reading`` or of ``u``."""
+        """Return accelerometer -> columns of ``reading`` or ``u``."""
         return self._reading_columns if key == "reading" else self._u_columns
 
     @cached_property
     def _reading_columns(self) -> dict[str, list[str]]:
-        # Where no accelerometer is described, that is the mistake.
+        # Without accelerometers, another error is reported.
         return self._resolve_columns("reading", islice(self.accelerometers, 1))
 
     @cached_property
@@ -286,7 +286,7 @@ class ReadingsTable:
         }
 
     def check_columns(self, names: Sequence[str]) -> None:
-        """Note errors of the columns that are requested."""
+        """Report errors of the configured columns."""
         path: KeyPath = ("readings", "columns")
         stated_columns, problems = self.settings.columns, self.problems
         for key, value in stated_columns.items():
@@ -316,8 +316,12 @@ class ReadingsTable:
                     f"{key} is missing; give the column with the {key} of each reading",
                     "missing-key",
                 )
-        stated = self.settings.axes is not None or self.settings.attitude is not None
-        if is_static and not {"attitude", "input"} & set(stated_columns) and not stated:
+        has_stated_position = self.settings.axes is not None or self.settings.attitude is not None
+        if (
+            is_static
+            and not {"attitude", "input"} & set(stated_columns)
+            and not has_stated_position
+        ):
             problems.add(
                 path,
                 "attitude is missing; give the column with the position of each reading",
@@ -337,7 +341,7 @@ class ReadingsTable:
         self._check_existence(required_names, names)
 
     def _check_mounting_columns(self, names: Sequence[str]) -> None:
-        """Note errors of tables with a column for each mounting."""
+        """Report errors of tables with a column for each mounting."""
         columns = [entry.reading for entry in self.settings.mountings.values()]
         if len(self.accelerometers) != 1 or not all(columns) or "reading" in self.settings.columns:
             message = (
@@ -361,7 +365,7 @@ class ReadingsTable:
         )
 
     def _check_existence(self, required_names: Iterable[str], names: Sequence[str]) -> None:
-        """Note columns that the table does not have."""
+        """Report missing columns."""
         for column in dict.fromkeys(required_names):
             if column not in names:
                 message = f'{self.settings.file} has no column "{column}"'
@@ -370,7 +374,7 @@ class ReadingsTable:
                 )
 
     def _check_quantities(self) -> None:
-        """Note what is wrong with quantities and units of the section."""
+        """Report invalid quantities and units of the section."""
         settings, problems = self.settings, self.problems
         if settings.u_attitude is not None:
             problems.collect(("readings", "u_attitude"), parse_exact, settings.u_attitude, "rad")
@@ -385,7 +389,7 @@ class ReadingsTable:
             problems.collect(("readings", "u_rate"), parse_exact, settings.u_rate, "rad/s")
 
     def check_units(self, units: Mapping[str, str]) -> None:
-        """Note columns that are in other units by the table's row of units."""
+        """Report columns whose unit in the units row differs from the description."""
         described_units = {
             self.columns.get("attitude"): self.settings.attitude_unit,
             self.columns.get("head"): self.settings.attitude_unit,
@@ -411,14 +415,14 @@ class ReadingsTable:
                 )
 
     def make_run(self, row: Mapping[str, Any], index: int, path: KeyPath) -> dict[str, Any]:
-        """Return a row in the form of a run; note its mistakes."""
+        """Return a row as a run, and report its errors."""
         settings, columns = self.settings, self.columns
 
         def cell(key: str) -> Any:
             value = row[columns[key]] if key in columns else None
             return None if is_empty(value) else value
 
-        run: dict[str, Any] = {"name": words_of(cell("name")) or f"reading {index + 1}"}
+        run: dict[str, Any] = {"name": cell_text(cell("name")) or f"reading {index + 1}"}
         motion, rate = self._motion_and_rate(cell, (*path, "rate"))
         run["motion"] = motion
         if rate is not None:
@@ -427,13 +431,13 @@ class ReadingsTable:
         head_reading = self._parse_number(cell("head"), (*path, "head"))
         if head_reading is not None:
             run["head"] = Quantity(head_reading, 0.0, settings.attitude_unit)
-        mounting = run["mounting"] = mounting_of(cell("mounting")) or settings.mounting
-        axes = {key: words_of(cell(key)) for key in ("input", "pendulous") if cell(key)}
-        stated = self._stated_axes(motion, mounting)
+        mounting = run["mounting"] = mounting_name(cell("mounting")) or settings.mounting
+        axes = {key: cell_text(cell(key)) for key in ("input", "pendulous") if cell(key)}
+        stated_axes = self._stated_axes(motion, mounting)
         if axes:
             run["axes"] = axes
-        elif stated is not None and (motion != "static" or "attitude" not in columns):
-            run["axes"] = stated.model_dump(include={"input", "pendulous"})
+        elif stated_axes is not None and (motion != "static" or "attitude" not in columns):
+            run["axes"] = stated_axes.model_dump(include={"input", "pendulous"})
         elif settings.mountings and motion != "static":
             hint = suggest_name(mounting, settings.mountings)
             self.problems.add(
@@ -442,16 +446,16 @@ class ReadingsTable:
         attitude = settings.attitude if cell("attitude") is None else cell("attitude")
         if "axes" in run or attitude is None:
             pass
-        elif (angle := as_number(attitude)) is not None:
+        elif (angle := parse_number(attitude)) is not None:
             run["attitude"] = self._head_turn(angle)
         else:
-            run["attitude"] = words_of(attitude)
+            run["attitude"] = cell_text(attitude)
         for key, unit in STATED_CONDITIONS.items():
             if (value := cell(key)) is not None:
                 if key == "time":
-                    value = seconds_of(value)
-                number = as_number(value)
-                run[key] = words_of(value) if number is None else Quantity(number, 0.0, unit)
+                    value = to_seconds(value)
+                number = parse_number(value)
+                run[key] = cell_text(value) if number is None else Quantity(number, 0.0, unit)
         readings = self.value_columns("reading")
         run["reading"] = {name: self._reading(row, name, path) for name in readings}
         return run
@@ -460,9 +464,9 @@ class ReadingsTable:
         self, cell: Callable[[str], Any], path: KeyPath
     ) -> tuple[str, Quantity | None]:
         """Return the motion of a row, and its rate; None for a row at rest."""
-        stated, motion = cell("rate"), words_of(cell("motion")) or self.settings.motion
-        if rate := self._parse_number(stated, path):
-            sense = words_of(cell("sense")).lower() or self.settings.sense
+        rate_cell, motion = cell("rate"), cell_text(cell("motion")) or self.settings.motion
+        if rate := self._parse_number(rate_cell, path):
+            sense = cell_text(cell("sense")).lower() or self.settings.sense
             if sense not in SENSE_WORDS:
                 message = f"'{sense}' is not one of {', '.join(SENSE_WORDS)}"
                 self.problems.add((*path[:-1], "sense"), message, "unknown-choice")
@@ -473,7 +477,7 @@ class ReadingsTable:
             )
         if motion != "arm" or "motion" in self.columns:
             return motion, None
-        if stated is None:
+        if rate_cell is None:
             message = (
                 "is missing: a reading on an arm requires a rate; write 0 for readings at rest"
             )
@@ -493,54 +497,54 @@ class ReadingsTable:
         }
 
     def _stated_axes(self, motion: str, mounting: str) -> ReadingAxes | None:
-        """Return the axes that the section states of a row."""
+        """Return the axes that the section states for a row."""
         settings = self.settings
-        at_rest = settings.axes_at_rest if motion == "static" else None
-        return settings.mountings.get(mounting) or at_rest or settings.axes
+        axes_at_rest = settings.axes_at_rest if motion == "static" else None
+        return settings.mountings.get(mounting) or axes_at_rest or settings.axes
 
     def _parse_rate(self, number: float, sense: Sense, u: float | None = None) -> Quantity:
         """Return a rate from its cell and that of its uncertainty; ValueError if it is not one."""
-        size, u_rate, unit = self._rate_column.read(number, u)
-        return Quantity(-size if sense == "clockwise" else size, u_rate, unit)
+        magnitude, u_rate, unit = self._rate_column.read(number, u)
+        return Quantity(-magnitude if sense == "clockwise" else magnitude, u_rate, unit)
 
     @cached_property
     def _rate_column(self) -> RateColumn:
         return RateColumn(self.settings, self.document)
 
     def _head_turn(self, angle: float) -> HeadTurn:
-        """Return the turn that an angle of the head is."""
+        """Return the rotation of the dividing head by an angle."""
         return HeadTurn(
             Quantity(angle, self._u_attitude, self.settings.attitude_unit), self.settings.about
         )
 
     @cached_property
     def _u_attitude(self) -> float:
-        """Standard uncertainty of an angle of the head, in its unit."""
-        unit, stated = self.settings.attitude_unit, self.settings.u_attitude
-        return 0.0 if stated is None else parse_exact(stated, "rad") / unit_factor(unit, "rad")
+        """Standard uncertainty of a head angle, in the unit of the angle."""
+        unit, stated_u = self.settings.attitude_unit, self.settings.u_attitude
+        return 0.0 if stated_u is None else parse_exact(stated_u, "rad") / unit_factor(unit, "rad")
 
     def _reading(self, row: Mapping[str, Any], name: str, path: KeyPath) -> Any:
-        """Return the readings of an accelerometer: quantities, and text where there is text."""
+        """Return the readings of an accelerometer: quantities for numbers, otherwise text."""
         columns = self.value_columns("reading")[name]
         unit = output.unit if (output := self.accelerometers[name]) else "g"
         u = self.u(row, name, path)
-        written: list[Quantity | str] = []
+        cells: list[Quantity | str] = []
         for column in columns:
             value = row[column]
             if is_empty(value):
-                # Not all readings need have been repeated as often.
+                # The number of repeats may differ between readings.
                 continue
-            number = as_number(value)
+            number = parse_number(value)
             if number is None:
                 self._check_decimal_comma(value, (*path, column))
-            read = words_of(value) if number is None else Quantity(number, u or 0.0, unit)
-            written.append(read)
-        spread = f" ± {u!r}" if u is not None else ""
-        written = written or [f"{BLANK}{spread} {unit}"] * len(columns)
-        return written[0] if len(columns) == 1 and written else written
+            cell = cell_text(value) if number is None else Quantity(number, u or 0.0, unit)
+            cells.append(cell)
+        u_text = f" ± {u!r}" if u is not None else ""
+        cells = cells or [f"{BLANK}{u_text} {unit}"] * len(columns)
+        return cells[0] if len(columns) == 1 and cells else cells
 
     def u(self, row: Mapping[str, Any], name: str, path: KeyPath) -> float | None:
-        """Return the stated uncertainty of an accelerometer's reading, in its output's unit."""
+        """Return the stated uncertainty of a reading, in the unit of the output."""
         u_columns = self.value_columns("u").get(name, [])
         if u_columns and not is_empty(row[u_columns[0]]):
             return self._parse_number(row[u_columns[0]], (*path, u_columns[0]))
@@ -552,14 +556,14 @@ class ReadingsTable:
         )
 
     def _parse_number(self, value: Any, path: KeyPath) -> float | None:
-        number = None if value is None else as_number(value)
+        number = None if value is None else parse_number(value)
         if value is not None and number is None and not self._check_decimal_comma(value, path):
             self.problems.add(path, f"{value!r} is not a number", "not-numeric")
         return number
 
     def _check_decimal_comma(self, value: Any, path: KeyPath) -> bool:
-        """Note a number with a decimal comma that is not stated."""
-        has_comma = isinstance(value, str) and re.match(WITH_COMMA, value) is not None
+        """Report a number with a decimal comma that is not configured."""
+        has_comma = isinstance(value, str) and re.match(DECIMAL_COMMA_PATTERN, value) is not None
         if has_comma:
             message = 'has a decimal comma; write decimal = "," in [readings]'
             self.problems.add(path, f"{value!r} {message}", "missing-key")
@@ -567,6 +571,6 @@ class ReadingsTable:
 
 
 def _mounting_columns(mounting: MountingSettings) -> dict[str, str]:
-    """Return the columns of a mounting by what they hold."""
+    """Return key -> column of a mounting."""
     columns = {"reading": mounting.reading, "u": mounting.u}
     return {key: column for key, column in columns.items() if column}

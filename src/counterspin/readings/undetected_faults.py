@@ -1,4 +1,4 @@
-"""Single faults of typical size that readings and poses would not show, and their effects.
+"""Single faults of typical size that readings and poses would not reveal, and their effects.
 
 With few degrees of freedom, the fit absorbs a bias step or a change of meter range almost
 completely, and the residuals show little of it. Each fault is a column that is tested in addition
@@ -32,43 +32,42 @@ from counterspin.readings.fitted import FittedReadings
 from counterspin.readings.patterns import DRIFT, RANGE, REVERSED, STEP, TURN
 from counterspin.readings.reading_groups import groups_of_view
 
-#: A fault that moves a coefficient by so many of its u is stated.
-_MIN_SHIFT: Final = 2.0
+#: Smallest shift of a coefficient, in its u, of a reported fault.
+_MIN_SHIFT_RATIO: Final = 2.0
 
 _METER_GAIN: Final = "a meter gain change"
 
-#: Typical difference between the gains of two ranges of a meter: order of magnitude, as two ranges
-#: of a voltmeter of 6.5 digits that are each within 40 ppm after a year.
-_RANGE: Final = 5e-5
+#: Typical difference between the gains of two ranges of a meter: order of magnitude, for a
+#: voltmeter with 6.5 digits and ranges within 40 ppm after a year.
+_TYPICAL_RANGE_DIFFERENCE: Final = 5e-5
 
-#: Typical error of a head error that grows by
-#: or loses angle, rad in a turn: order of magnitude, no source.
-_HEAD: Final = 36.0 * ARCSEC
+#: Typical scale error of a dividing head, rad per revolution: order of magnitude, no source.
+_TYPICAL_HEAD_ERROR: Final = 36.0 * ARCSEC
 
-#: Fewest readings that a fault can begin among.
+#: Smallest number of readings of a group.
 _MIN_READINGS: Final = 4
 
 
 class _UndetectedFault(NamedTuple):
-    """Faults of one kind that the residuals would not show."""
+    """Faults of one kind that the residuals would not reveal."""
 
     expected_ratio: float  #: Largest expected shift of a coefficient over its u.
     ratio: float  #: Largest shift over u at the size that the tests do not detect.
     clause: str  #: Description of the fault with the largest shift.
 
-    def merge(self, known: _UndetectedFault) -> _UndetectedFault:
-        """Return the faults of both, which are of the same kind."""
-        expected_ratio = max(self.expected_ratio, known.expected_ratio)
-        return max(self, known, key=lambda fault: fault.ratio)._replace(
+    def merge(self, other: _UndetectedFault) -> _UndetectedFault:
+        """Return this fault merged with another fault of the same kind."""
+        expected_ratio = max(self.expected_ratio, other.expected_ratio)
+        return max(self, other, key=lambda fault: fault.ratio)._replace(
             expected_ratio=expected_ratio
         )
 
 
 def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list[str]]:
-    """Return for each accelerometer the faults that it would not show, in order of expected shift.
+    """Return accelerometer -> undetected faults, in descending order of the expected shift.
 
-    Of each kind of fault the one that moves a coefficient most. The expected shift of a kind is the
-    largest root mean square of a shift given the residuals, in u.
+    For each kind of fault, only the one with the largest shift is returned. The expected shift of
+    a kind is the largest root mean square of a shift given the residuals, in u.
     """
     fit = estimate_considered(views[0].fit)
     groups = {id(group.readings): group for view in views for group in groups_of_view(view)}
@@ -85,38 +84,43 @@ def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list
         }
         if not faults:
             continue
-        detectable = _detectable_effect(group, len(columns))
+        detectable_effect = _detectable_effect(group, len(columns))
         residual_norms, shifts = undetected_effects(fit, tuple(faults))
         tests = run_score_tests(fit, tuple(faults), noise_given=group.has_external_noise)
-        for column_index, (column, typical) in enumerate(faults.items()):
-            size = min(typical, detectable / max(float(residual_norms[column_index]), 1e-300))
-            if column.kind == REVERSED and size < typical:
-                continue  # There is no part of it: the tests would notice the whole.
+        for column_index, (column, typical_size) in enumerate(faults.items()):
+            size = min(
+                typical_size, detectable_effect / max(float(residual_norms[column_index]), 1e-300)
+            )
+            if column.kind == REVERSED and size < typical_size:
+                continue  # The fault is all or nothing, and the tests would detect it.
             for view in views:
                 symbol, shift, ratio = largest_shift(view, (), size * shifts[:, column_index])
                 ratio *= _noise_shrinkage(
                     view, fit, symbol, group, size * float(residual_norms[column_index])
                 )
                 expected_size = _expected_size(
-                    column, typical, float(tests.value[column_index]), float(tests.u[column_index])
+                    column,
+                    typical_size,
+                    float(tests.value[column_index]),
+                    float(tests.u[column_index]),
                 )
                 clause = f"{_describe_fault(column, size)} shifts {symbol} by "
                 clause += f"{format_magnitude(symbol, abs(shift), 3)} ({ratio:.2g} u({symbol}))"
                 fault = _UndetectedFault(ratio * expected_size / size, ratio, clause)
-                kinds = faults_by_name[view.name]
-                kinds[column.kind] = fault.merge(kinds.get(column.kind, fault))
+                faults_by_kind = faults_by_name[view.name]
+                faults_by_kind[column.kind] = fault.merge(faults_by_kind.get(column.kind, fault))
     return {
         name: [
             fault.clause
             for fault in sorted(kinds.values(), reverse=True)
-            if fault.ratio > _MIN_SHIFT
+            if fault.ratio > _MIN_SHIFT_RATIO
         ]
         for name, kinds in faults_by_name.items()
     }
 
 
 def fault_remarks(faults: Mapping[str, Sequence[str]]) -> Iterator[str]:
-    """Yield a remark for each accelerometer whose data would not show some faults."""
+    """Yield a remark for each accelerometer with undetected faults."""
     for name, clauses in faults.items():
         if clauses:
             these, them = ("this fault", "it") if len(clauses) == 1 else ("these faults", "them")
@@ -128,34 +132,34 @@ def fault_remarks(faults: Mapping[str, Sequence[str]]) -> Iterator[str]:
             )
 
 
-def _detectable_effect(group: FittedReadings, tests: int) -> float:
-    """Return the smallest effect that the tests notice, in standard deviations, for all tests.
+def _detectable_effect(group: FittedReadings, n_tests: int) -> float:
+    """Return the smallest effect that the tests detect, in standard deviations.
 
-    An estimated noise is compared with what the other residuals tell of it.
+    Estimated noise is that of the other residuals.
     """
-    level = 0.5 * SIGNIFICANCE / max(tests, 1)
+    level = 0.5 * SIGNIFICANCE / max(n_tests, 1)
     dof = group.noise_dof - 1.0
     return -student_quantile(dof, 0.5 * level) if dof >= 1.0 else math.inf
 
 
-def _expected_size(fault: Alternative, typical: float, value: float, u: float) -> float:
+def _expected_size(fault: Alternative, typical_size: float, value: float, u: float) -> float:
     """Return the root mean square of the size of a fault given the residuals.
 
-    The prior has the mean 0 and the standard deviation `typical`. A sense of rotation is right or
-    wrong, with equal prior probabilities.
+    The prior has the mean 0 and the standard deviation `typical_size`. A sense of rotation is right
+    or wrong, with equal prior probabilities.
 
-    value, u: Estimate of the size from the residuals; u is infinite where they show nothing of it.
+    value, u: Estimate of the size from the residuals; u is infinite without information.
     """
     if fault.kind == REVERSED:
-        return typical * math.sqrt(0.5 * (1.0 + math.tanh((value - 0.5) / (2.0 * u**2))))
-    weight = 1.0 / (1.0 + (u / typical) ** 2)
-    return math.sqrt((weight * value) ** 2 + (1.0 - weight) * typical**2)
+        return typical_size * math.sqrt(0.5 * (1.0 + math.tanh((value - 0.5) / (2.0 * u**2))))
+    weight = 1.0 / (1.0 + (u / typical_size) ** 2)
+    return math.sqrt((weight * value) ** 2 + (1.0 - weight) * typical_size**2)
 
 
 def _noise_shrinkage(
     view: AccelerometerView, fit: JointFit, symbol: str, group: FittedReadings, effect: float
 ) -> float:
-    """Return u over what it becomes where an estimated noise takes up what is left of a fault.
+    """Return u over its value if the estimated noise contains the remainder of a fault.
 
     effect: Remainder of the fault in the residuals, in standard deviations.
     """
@@ -163,25 +167,25 @@ def _noise_shrinkage(
         return 1.0
     index = view.indices[symbol]
     variance = float(view.fit.solution.covariance[index, index])
-    noise_part = float(fit.solution.covariance_noise[index, index]) / variance
-    return 1.0 / math.sqrt(1.0 + min(noise_part, 1.0) * effect**2 / max(group.noise_dof, 1.0))
+    noise_fraction = float(fit.solution.covariance_noise[index, index]) / variance
+    return 1.0 / math.sqrt(1.0 + min(noise_fraction, 1.0) * effect**2 / max(group.noise_dof, 1.0))
 
 
-def _typical_size(campaign: Campaign, part: FittedReadings, fault: Alternative) -> float | None:
-    """Return the typical size of a fault in the unit of its column; None where it is none."""
+def _typical_size(campaign: Campaign, group: FittedReadings, fault: Alternative) -> float | None:
+    """Return the typical size of a fault in the unit of its column; None if it is no fault."""
     name = fault.owner
     if fault.kind == STEP:
         return campaign.typical_of("K_F.hysteresis", name)
     if fault.kind == RANGE:
-        return _RANGE
+        return _TYPICAL_RANGE_DIFFERENCE
     if fault.kind == REVERSED:
         return 1.0
     if fault.kind == TURN and fault.symbol == "angle":
-        return _HEAD / (2.0 * math.pi)
+        return _TYPICAL_HEAD_ERROR / (2.0 * math.pi)
     if fault.kind == DRIFT:
-        lasts = float(np.ptp(part.readings.time))
-        by_time = lasts * campaign.typical_of("K_F.trend", name)
-        return max(by_time, DEFAULT_WARMING * campaign.typical_of("K_F.temperature", name))
+        duration = float(np.ptp(group.readings.time))
+        trend_size = duration * campaign.typical_of("K_F.trend", name)
+        return max(trend_size, DEFAULT_WARMING * campaign.typical_of("K_F.temperature", name))
     return None
 
 

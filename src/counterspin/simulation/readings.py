@@ -82,7 +82,7 @@ def head_errors(readings: Sequence[Reading], generator: np.random.Generator) -> 
     return draw_by_run(readings, generator) * [reading.u_head for reading in readings]
 
 
-def setting_errors(campaign: Campaign) -> Array:
+def rate_errors(campaign: Campaign) -> Array:
     """Return relative errors of rates and amplitudes, shape (n,).
 
     The accelerometers of a run have the same error.
@@ -111,16 +111,19 @@ def draw_by_run(readings: Sequence[Reading], generator: np.random.Generator) -> 
     return numbers
 
 
-def setting_uncertainties(campaign: Campaign) -> dict[str, float]:
-    """Return the standard uncertainties of position settings, rad, by symbol."""
+def positioning_uncertainties(campaign: Campaign) -> dict[str, float]:
+    """Return symbol -> standard uncertainty of the positioning error, rad."""
     priors = campaign.model.priors.items()
     return {symbol: prior.u for symbol, prior in priors if symbol.startswith(f"{POSITION}.")}
 
 
 def true_machine(campaign: Campaign) -> dict[str, float]:
-    """Return the true machine terms, including random errors of position settings."""
+    """Return the true machine terms, including random positioning errors."""
     assert campaign.simulation is not None
-    generator, uncertainties = reading_generator(campaign, 0, 1), setting_uncertainties(campaign)
+    generator, uncertainties = (
+        reading_generator(campaign, 0, 1),
+        positioning_uncertainties(campaign),
+    )
     errors = {symbol: u * float(generator.standard_normal()) for symbol, u in uncertainties.items()}
     return errors | dict(campaign.simulation.truth.machine)
 
@@ -135,11 +138,11 @@ def true_readings(campaign: Campaign) -> tuple[tuple[Reading, ...], Array]:
     truth, readings = campaign.simulation.truth, campaign.readings
     angle_errors = head_errors(readings, reading_generator(campaign, 0))
     values, machine_terms = np.zeros(len(readings)), true_machine(campaign)
-    rates, relative_errors = true_rates(campaign), setting_errors(campaign)
+    rates, relative_errors = true_rates(campaign), rate_errors(campaign)
     for group, indices in numbered_groups(campaign, campaign.readings):
         coefficients = truth.coefficients.get(group.accelerometer, {})
         true_group = apply_rates(apply_inputs_to_readings(campaign, group), rates[indices])
-        true_group = true_group.with_setting_errors(relative_errors[indices])
+        true_group = true_group.with_rate_errors(relative_errors[indices])
         values[indices] = compute_indications(
             true_group, coefficients, machine_terms, angle_errors[indices]
         )
@@ -188,7 +191,7 @@ def apply_rates(group: Readings, rates: Array) -> Readings:
     relative_errors = (
         np.divide(rates, stated_rates, out=np.ones_like(rates), where=stated_rates != 0.0) - 1.0
     )
-    return group.with_setting_errors(relative_errors)
+    return group.with_rate_errors(relative_errors)
 
 
 def true_poses(campaign: Campaign) -> tuple[tuple[Reading, ...], ...]:

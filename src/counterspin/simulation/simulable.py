@@ -19,8 +19,8 @@ from counterspin.errors import CampaignError
 from counterspin.inference.joint.series import CLOCK, RATE_CLOCK, TIMING
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import term
-from counterspin.readings.entries import MOST_RECORDS
-from counterspin.readings.known_attitudes import Readings, with_input
+from counterspin.readings.entries import MAX_RECORDS
+from counterspin.readings.known_attitudes import Readings, perturb_input
 from counterspin.records.record import ColumnSpec
 from counterspin.simulation.pose_record import record_duration
 
@@ -260,10 +260,8 @@ def check_size(
     ]
     total_rows = sum(rows for rows, _ in sizes)
     n_records = len(campaign.runs) * len(campaign.accelerometers)
-    if purpose != "simulation" and n_records > MOST_RECORDS:
-        text = (
-            f"runs: {n_records} records are too many; a {purpose} can have at most {MOST_RECORDS}"
-        )
+    if purpose != "simulation" and n_records > MAX_RECORDS:
+        text = f"runs: {n_records} records are too many; a {purpose} can have at most {MAX_RECORDS}"
         raise CampaignError(str(campaign.path), [text], code="too-many-rows")
     max_rows = MAX_SIMULATED_ROWS if purpose == "simulation" else MAX_COMPUTED_ROWS
     advice = (
@@ -328,7 +326,7 @@ def apply_inputs_to_readings(campaign: Campaign, group: Readings) -> Readings:
         "site.gravity": (true_campaign.gravity, campaign.gravity),
         "site.latitude": (true_campaign.latitude, campaign.latitude),
     }.items():
-        group = with_input(group, symbol, true_value.value - stated_value.value, symbols)
+        group = perturb_input(group, symbol, true_value.value - stated_value.value, symbols)
     inputs = campaign.simulation.truth.inputs
     for owner, symbol in dict.fromkeys(
         rate_clock_input(campaign, reading) for reading in campaign.readings
@@ -336,7 +334,7 @@ def apply_inputs_to_readings(campaign: Campaign, group: Readings) -> Readings:
         stated_clock = campaign.rate_clock if symbol == RATE_CLOCK else campaign.clock
         assumed = stated_clock.value if stated_clock else 0.0
         name = f"{owner}.{symbol}" if owner else symbol
-        group = with_input(group, name, inputs.get((owner, symbol), assumed) - assumed, symbols)
+        group = perturb_input(group, name, inputs.get((owner, symbol), assumed) - assumed, symbols)
     return group
 
 

@@ -26,8 +26,8 @@ from counterspin.inference.two_stage.first_stage import Strobes, by_angle, strob
 from counterspin.inference.two_stage.model import TwoStageRequest
 from counterspin.inference.two_stage.second_stage import (
     StrobedRun,
+    apply_noise_uncertainty,
     second_stage,
-    with_estimated_noise,
 )
 from counterspin.physics import observation, simulation
 from counterspin.physics.motion import encoder_error
@@ -35,8 +35,8 @@ from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
 from counterspin.physics.terms import affects_readings, find_symbol
 from counterspin.readings.groups import numbered_groups
 from counterspin.readings.joint_data import estimate_with_groups
-from counterspin.readings.known_attitudes import INPUT_STEPS, Readings, with_input
-from counterspin.readings.means import segment_count
+from counterspin.readings.known_attitudes import INPUT_STEPS, Readings, perturb_input
+from counterspin.readings.means import count_segments
 from counterspin.simulation.readings import (
     apply_rates,
     compute_indications,
@@ -314,11 +314,11 @@ class TrialReadings:
     ) -> Iterator[Readings]:
         """Yield the readings of one trial."""
         angle_errors = head_errors(self.readings, generator)
-        setting_sds = [group.u_rate + group.u_amplitude for group, _ in self.numbered_groups]
-        has_setting_errors = any(np.any(setting_sd) for setting_sd in setting_sds)
-        setting_errors = (
+        rate_sds = [group.u_rate + group.u_amplitude for group, _ in self.numbered_groups]
+        has_rate_errors = any(np.any(rate_sd) for rate_sd in rate_sds)
+        rate_errors = (
             draw_by_run(self.readings, generator)
-            if has_setting_errors
+            if has_rate_errors
             else np.zeros_like(angle_errors)
         )
         noise = self.noise_sds * generator.standard_normal(self.noise_sds.size)
@@ -335,7 +335,7 @@ class TrialReadings:
         known_symbols -= {
             parameter.symbol for parameter in parameters if parameter.has_default_prior
         }
-        for (group, index_tuple), setting_sd in zip(self.numbered_groups, setting_sds, strict=True):
+        for (group, index_tuple), rate_sd in zip(self.numbered_groups, rate_sds, strict=True):
             indices = list(index_tuple)
             coefficients = {
                 symbol: value
@@ -345,14 +345,14 @@ class TrialReadings:
             # The analysis assumes the stated values of the inputs, not the true ones.
             true_group = apply_rates(group, self.rates[indices])
             for symbol, input_error in input_errors.items():
-                true_group = with_input(true_group, symbol, input_error, known_symbols)
+                true_group = perturb_input(true_group, symbol, input_error, known_symbols)
             for name in dict.fromkeys(filter(None, group.clocks)):
                 symbol = find_symbol(name)
                 clock_error = draws.input_error(
                     symbol, name.removesuffix(symbol).removesuffix(".")
                 )[0]
-                true_group = with_input(true_group, name, float(clock_error), known_symbols)
-            true_group = true_group.with_setting_errors(setting_errors[indices] * setting_sd)
+                true_group = perturb_input(true_group, name, float(clock_error), known_symbols)
+            true_group = true_group.with_rate_errors(rate_errors[indices] * rate_sd)
             value = compute_indications(
                 true_group, coefficients, shared_values, angle_errors[indices]
             )
@@ -417,7 +417,7 @@ def _record_noise(campaign: Campaign, reading: Reading) -> tuple[float, float]:
     revolutions = math.floor(duration * abs(reading.rate) / (2.0 * math.pi) + 1e-9)
     if reading.rate and revolutions:
         duration = revolutions * 2.0 * math.pi / abs(reading.rate)
-    dof = max(segment_count(math.floor(duration * sampling_rate)) - 1.0, 1.0)
+    dof = max(count_segments(math.floor(duration * sampling_rate)) - 1.0, 1.0)
     return mean_noise(campaign, duration), dof
 
 
@@ -492,7 +492,7 @@ class FullEngine:
             runs = [records.strobed_run(run, self.owner, request) for run in range(len(setup.runs))]
         second_stage_result = second_stage(runs, setup.mountings[self.owner], request, ignored=())
         if estimated_noise is not None:
-            second_stage_result = with_estimated_noise(
+            second_stage_result = apply_noise_uncertainty(
                 second_stage_result, estimated_noise.noise, estimated_noise
             )
         solution = second_stage_result.fit.solution

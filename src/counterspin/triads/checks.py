@@ -26,7 +26,7 @@ from counterspin.readings.patterns import STEP, TERM, Pattern
 from counterspin.reports.numbers import format_number
 
 #: So many terms are named that explain residuals of poses as well as the first.
-_MOST_NAMED: Final = 4
+_MAX_TERMS: Final = 4
 
 
 def pose_findings(fit: JointFit, groups: Sequence[FittedReadings]) -> list[Finding]:
@@ -48,10 +48,8 @@ def pose_findings(fit: JointFit, groups: Sequence[FittedReadings]) -> list[Findi
         residual = summarize_group_residuals([group])
         p = residual.lack_of_fit_p
         if p is not None and p < 0.5 * SIGNIFICANCE / len(groups):
-            statement = (
-                f"The residuals of the {group.label} are not consistent with the stated noise"
-            )
-            findings.append(lack_of_fit_finding(TRIAD, [f"{statement} (p = {p:.2g})."], residual))
+            clause = f"The residuals of the {group.label} are not consistent with the stated noise"
+            findings.append(lack_of_fit_finding(TRIAD, [f"{clause} (p = {p:.2g})."], residual))
         findings += [_pattern_finding(group, patterns[index])] if index in patterns else []
         findings += outlier_findings(TRIAD, group)
     return findings
@@ -68,7 +66,7 @@ def _pattern_finding(group: FittedReadings, pattern: Pattern) -> Finding:
             alternative.name for alternative in pattern.alternatives[1:] if alternative.kind == TERM
         ]
         remedy = (
-            f" {' or '.join(other_terms[:_MOST_NAMED])} would have the same effect."
+            f" {' or '.join(other_terms[:_MAX_TERMS])} would have the same effect."
             if other_terms
             else ""
         )

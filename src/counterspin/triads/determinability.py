@@ -22,10 +22,10 @@ from counterspin.inference.least_squares import Solution
 from counterspin.readings.linear import LinearReadings
 
 #: Standard uncertainties by which a parameter is moved to test whether the poses are linear in it.
-_STEP: Final = 2.0
+_MOVE_SDS: Final = 2.0
 
 #: A parameter follows default priors of others if they contribute more than this part of its own.
-_PART: Final = 0.5
+_MIN_PRIOR_FRACTION: Final = 0.5
 
 
 def default_candidates(model: Unknowns, accelerometers: Collection[str]) -> tuple[Unknown, ...]:
@@ -52,25 +52,31 @@ def undetermined_parameters(
     """
     undetermined_unknowns: list[Unknown] = []
     while len(undetermined_unknowns) < len(candidates):
-        current = model.with_default_priors(undetermined_unknowns)
-        solution = solve_blocks(fit.blocks, current)
+        current_model = model.with_default_priors(undetermined_unknowns)
+        solution = solve_blocks(fit.blocks, current_model)
         remaining = [unknown for unknown in candidates if unknown not in undetermined_unknowns]
         indices = [model.unknowns.index(unknown) for unknown in remaining]
         limits = np.array([unknown.limit for unknown in remaining])
         is_undetermined = solution.u[indices] >= limits
-        default = np.array([unknown.default_sd for unknown in remaining])
+        default_sds = np.array([unknown.default_sd for unknown in remaining])
         if not is_undetermined.any():
             curvature = _curvature(fit, solution, indices)
             # A bend that moves a parameter by little of its default prior leaves it determined.
-            is_significant = solution.u[indices] * np.sqrt(curvature) / _STEP > _PART * default
-            is_undetermined = (curvature > _STEP**2) & is_significant
+            is_significant = (
+                solution.u[indices] * np.sqrt(curvature) / _MOVE_SDS
+                > _MIN_PRIOR_FRACTION * default_sds
+            )
+            is_undetermined = (curvature > _MOVE_SDS**2) & is_significant
         if not is_undetermined.any() and undetermined_unknowns:
-            is_undetermined = _prior_contributions(solution, current, indices) > _PART * default
+            is_undetermined = (
+                _prior_contributions(solution, current_model, indices)
+                > _MIN_PRIOR_FRACTION * default_sds
+            )
         if not is_undetermined.any():
             break
-        size = solution.u[indices] / default
+        relative_u = solution.u[indices] / default_sds
         undetermined_unknowns.append(
-            remaining[int(np.argmax(np.where(is_undetermined, size, -1.0)))]
+            remaining[int(np.argmax(np.where(is_undetermined, relative_u, -1.0)))]
         )
     return undetermined_unknowns
 
@@ -87,14 +93,16 @@ def _prior_contributions(solution: Solution, model: Unknowns, indices: Sequence[
 def _curvature(fit: JointFit, solution: Solution, indices: Sequence[int]) -> Array:
     """Return the chi-square of the second-order changes over each parameter's own uncertainty.
 
-    The linear change has the chi-square `_STEP` squared. The steps are those of the noise alone.
+    The linear change has the chi-square `_MOVE_SDS` squared. The steps are those of noise alone.
     """
     noise = solution.covariance_noise
     u = np.sqrt(np.diag(noise)[indices])
-    moves = _STEP * np.divide(noise[:, indices], u, out=np.zeros((len(noise), len(u))), where=u > 0)
+    steps = _MOVE_SDS * np.divide(
+        noise[:, indices], u, out=np.zeros((len(noise), len(u))), where=u > 0
+    )
     chi2 = np.zeros(len(indices))
     for observation in fit.observations:
         if isinstance(observation, LinearReadings) and observation.group.triad:
-            changes = observation.group.curvature(fit.model, fit.solution.estimate, moves)
+            changes = observation.group.curvature(fit.model, fit.solution.estimate, steps)
             chi2 += np.sum((changes / observation.sigma[:, None]) ** 2, axis=0)
     return chi2

@@ -25,19 +25,23 @@ def all_groups(campaign: Campaign) -> list[Readings | TriadPoses]:
 
 
 def group_poses(
-    campaign: Campaign, poses: Sequence[Sequence[Reading]], within: float = 0.0
+    campaign: Campaign, poses: Sequence[Sequence[Reading]], noise_within_poses: float = 0.0
 ) -> list[TriadPoses]:
     """Return poses grouped by whether their noise was stated, for all three axes.
 
-    within: Noise from the rows within poses, for poses that state none, g.
+    noise_within_poses: Noise from the rows within poses, for poses that state none, g.
     """
-    stated = [all(reading.u is not None for reading in pose) for pose in poses]
+    is_stated_by_pose = [all(reading.u is not None for reading in pose) for pose in poses]
     by_noise_kind = {
-        is_stated: [pose for pose, has_u in zip(poses, stated, strict=True) if has_u is is_stated]
+        is_stated: [
+            pose for pose, has_u in zip(poses, is_stated_by_pose, strict=True) if has_u is is_stated
+        ]
         for is_stated in (True, False)
     }
     return [
-        make_group(campaign, has_u, 0.0 if is_stated else within, [pose[0] for pose in poses])
+        make_group(
+            campaign, has_u, 0.0 if is_stated else noise_within_poses, [pose[0] for pose in poses]
+        )
         for is_stated, has_u in by_noise_kind.items()
         if has_u
     ]
@@ -46,17 +50,19 @@ def group_poses(
 def make_group(
     campaign: Campaign,
     poses: Sequence[Sequence[Reading]],
-    within: float = 0.0,
-    series: Sequence[Reading] = (),
+    noise_within_poses: float = 0.0,
+    all_readings: Sequence[Reading] = (),
 ) -> TriadPoses:
     """Return poses as one group, whose noise is stated if the noise of all of them is.
 
-    series: One reading of every existing pose, if these are not all.
+    all_readings: One reading of every existing pose, if these are not all.
     """
     first_readings = [pose[0] for pose in poses]
-    directions = temperature_directions(campaign, series or first_readings)
-    assumed_offsets = assumed_temperatures(series or first_readings)
-    assumed = [assumed_offsets.get((reading.name, 0), 0.0) for reading in first_readings]
+    directions = temperature_directions(campaign, all_readings or first_readings)
+    assumed_offsets = assumed_temperatures(all_readings or first_readings)
+    assumed_temperatures_of_poses = [
+        assumed_offsets.get((reading.name, 0), 0.0) for reading in first_readings
+    ]
     is_stated = all(reading.u is not None for pose in poses for reading in pose)
     return TriadPoses(
         accelerometers=tuple(reading.accelerometer for reading in poses[0]),
@@ -65,10 +71,12 @@ def make_group(
         gravity=campaign.site.gravity,
         value=np.array([[reading.value for reading in pose] for pose in poses]),
         u=np.array([[r.u for r in pose] for pose in poses], dtype=float) if is_stated else None,
-        conditions=relative_conditions(campaign, first_readings, assumed, directions),
+        conditions=relative_conditions(
+            campaign, first_readings, assumed_temperatures_of_poses, directions
+        ),
         repeats=np.array([float(min(reading.repeats for reading in pose)) for pose in poses]),
         scatter=np.array([sum(reading.scatter for reading in pose) for pose in poses]),
         in_si=np.array([[float(reading.in_si) for reading in pose] for pose in poses]),
-        noise_within_poses=within,
+        noise_within_poses=noise_within_poses,
         resolution=min(reading.resolution for pose in poses for reading in pose),
     )

@@ -25,7 +25,7 @@ from counterspin.triads.record_poses import LocatedPose, campaign_poses, pooled_
 from counterspin.triads.result import triad_result
 
 #: An input axis that no pose turns below the level by more than asin of this was never down.
-_MAX_COSINE: Final = 0.3
+_MIN_VERTICAL_COSINE: Final = 0.3
 
 #: Poses whose directions differ by less count as one direction in words, rad (3 deg).
 _MIN_SEPARATION: Final = math.radians(3.0)
@@ -46,15 +46,15 @@ class TriadInFit:
         """Return the poses in groups with noise of one kind."""
         if not self.poses:
             return ()
-        within = pooled_noise(self.poses, self.campaign.gravity.value)
-        return group_poses(self.campaign, [pose.pose for pose in self.poses], within)
+        noise_within_poses = pooled_noise(self.poses, self.campaign.gravity.value)
+        return group_poses(self.campaign, [pose.pose for pose in self.poses], noise_within_poses)
 
-    def findings(self, fit: JointFit, posed: Sequence[FittedReadings]) -> list[Finding]:
+    def findings(self, fit: JointFit, groups: Sequence[FittedReadings]) -> list[Finding]:
         """Return the findings of tests of the residuals of poses."""
         # All accelerometers usually share the fit and the groups.
-        key = (id(fit), *map(id, posed))
+        key = (id(fit), *map(id, groups))
         if key not in self._tested:
-            self._tested[key] = fit, posed, pose_findings(fit, posed)
+            self._tested[key] = fit, groups, pose_findings(fit, groups)
         return self._tested[key][2]
 
     @cached_property
@@ -66,39 +66,41 @@ class TriadInFit:
         """Return the poses that would determine more of an accelerometer with poses only."""
         return pose_advice(view)
 
-    def result(self, estimated: Estimate, parts: Sequence[FittedReadings]) -> TriadResult:
+    def result(self, estimate: Estimate, groups: Sequence[FittedReadings]) -> TriadResult:
         """Return the triad as the result states it."""
-        poses = {poses.pose[0].name: poses for poses in self.poses}
-        return triad_result(self.campaign, estimated, parts, poses)
+        poses_by_name = {poses.pose[0].name: poses for poses in self.poses}
+        return triad_result(self.campaign, estimate, groups, poses_by_name)
 
 
 def pose_advice(view: AccelerometerView) -> str:
     """Return the poses that would determine more of an accelerometer that has poses only."""
     axes: dict[str, list[Array]] = {}
-    for fitted in pose_groups(view):
-        group = fitted.readings
+    for fitted_group in pose_groups(view):
+        group = fitted_group.readings
         assert isinstance(group, TriadPoses)
-        evaluated = group.at(view.fit.model, view.fit.solution.estimate)
+        solved_poses = group.at(view.fit.model, view.fit.solution.estimate)
         for name, projections in zip(group.accelerometers, group.axes, strict=True):
-            axes.setdefault(name, []).append(evaluated.direction @ projections[0])
-    count, distinct = _count_directions(view)
+            axes.setdefault(name, []).append(solved_poses.direction @ projections[0])
+    n_poses, n_directions = _count_directions(view)
     free_count = sum(
         math.isinf(unknown.prior[1]) or unknown.uses_fallback_prior
         for unknown in view.fit.model.unknowns
     )
     sentences = []
-    if count < free_count:
-        sentences.append(f" {count} poses cannot determine {free_count} unknowns without a prior.")
-    elif distinct < free_count:
+    if n_poses < free_count:
         sentences.append(
-            f" The {count} poses have only {distinct} different directions, which cannot "
+            f" {n_poses} poses cannot determine {free_count} unknowns without a prior."
+        )
+    elif n_directions < free_count:
+        sentences.append(
+            f" The {n_poses} poses have only {n_directions} different directions, which cannot "
             f"determine {free_count} unknowns without a prior."
         )
     for direction, sign in (("up", -1.0), ("down", 1.0)):
         missing_directions = [
             name
             for name, projections in axes.items()
-            if np.min(sign * np.concatenate(projections)) > -_MAX_COSINE
+            if np.min(sign * np.concatenate(projections)) > -_MIN_VERTICAL_COSINE
         ]
         if missing_directions:
             sentences.append(
@@ -114,15 +116,15 @@ def pose_advice(view: AccelerometerView) -> str:
 def _count_directions(view: AccelerometerView) -> tuple[int, int]:
     """Return the number of poses, and of directions that differ by more than `_APART`."""
     directions: list[Array] = []
-    count = 0
-    for fitted in pose_groups(view):
-        group = fitted.readings
+    n_poses = 0
+    for fitted_group in pose_groups(view):
+        group = fitted_group.readings
         assert isinstance(group, TriadPoses)
-        count += group.size
+        n_poses += group.size
         for direction in group.at(view.fit.model, view.fit.solution.estimate).direction:
             if all(
                 direction @ counted_direction < math.cos(_MIN_SEPARATION)
                 for counted_direction in directions
             ):
                 directions.append(direction)
-    return count, len(directions)
+    return n_poses, len(directions)

@@ -25,23 +25,23 @@ from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import SIGN_WIDTH, SpecificForceProduct
-from counterspin.physics.terms import ACCELEROMETER_TERMS, LINEAR, TERMS, coefficient_of
+from counterspin.physics.terms import ACCELEROMETER_TERMS, SENSITIVITY_TERMS, TERMS, coefficient_of
 from counterspin.readings.linear import MIN_RELATIVE_NOISE, LinearReadings
 from counterspin.triads.determinability import default_candidates, undetermined_parameters
 
 _SYMBOLS: Final = tuple(TERMS)
 
 #: Rounds in which a pose's two angles settle; each leaves a residual's part of the last error.
-_ROUNDS: Final = 40
+_MAX_ITERATIONS: Final = 40
 
 #: Settled: no direction moves by more, rad.
-_CONVERGED: Final = 1e-14
+_CONVERGENCE_TOLERANCE: Final = 1e-14
 
 #: Sensitivities that a start without a guess may find, of the nominal one.
-_CREDIBLE: Final = (0.2, 5.0)
+_CREDIBLE_SENSITIVITIES: Final = (0.2, 5.0)
 
 #: A quadric whose columns are worse conditioned says nothing of poses.
-_WORST_CONDITION: Final = 1e4
+_MAX_CONDITION_NUMBER: Final = 1e4
 
 
 @frozen
@@ -87,9 +87,11 @@ class TriadPoses:
     @property
     def noise_floor(self) -> float:
         """The least noise that they can be said to have, g; see `Readings.noise_floor`."""
-        largest = float(np.max(np.abs(self.value), initial=1e-3))
+        max_value = float(np.max(np.abs(self.value), initial=1e-3))
         return max(
-            self.noise_within_poses, self.resolution / math.sqrt(12.0), MIN_RELATIVE_NOISE * largest
+            self.noise_within_poses,
+            self.resolution / math.sqrt(12.0),
+            MIN_RELATIVE_NOISE * max_value,
         )
 
     @property
@@ -136,24 +138,24 @@ class TriadPoses:
             columns[:, axis_index, index] = point.products[:, axis_index, term] * factor
         return columns
 
-    def curvature(self, model: Unknowns, estimate: Array, moves: Array) -> Array:
+    def curvature(self, model: Unknowns, estimate: Array, steps: Array) -> Array:
         """Return the second-order change of each row as the unknowns move, shape (n, m).
 
         A move turns the force that the indications give. Its length, which is known, then changes
         by half the square of the turn.
 
-        moves: Of the unknowns from the estimate, shape (p, m).
+        steps: Of the unknowns from the estimate, shape (p, m).
         """
         point = self.at(model, estimate)
         _, slopes = _indications_and_slopes(
             self.axes, point.direction, _active_terms(point.effective)
         )
-        columns = self._columns(point)[:, :, : len(moves)]
-        change = np.linalg.solve(slopes, columns @ moves)
+        columns = self._columns(point)[:, :, : len(steps)]
+        change = np.linalg.solve(slopes, columns @ steps)
         radial = np.einsum("nj,njm->nm", point.direction, change)
         tangential = change - point.direction[:, :, None] * radial[:, None, :]
-        squares: Array = np.sum(tangential**2, axis=1)
-        return 0.5 * point.gain[:, None] * squares
+        squared_rotation: Array = np.sum(tangential**2, axis=1)
+        return 0.5 * point.gain[:, None] * squared_rotation
 
     def at(self, model: Unknowns, estimate: Array) -> SolvedPoses:
         """Return the poses under the coefficients of an estimate, their angles found.
@@ -166,13 +168,13 @@ class TriadPoses:
         # A fit and the tests of its residuals need the poses at the same values.
         key = tuple((unknown.owner, unknown.symbol) for unknown in unknowns), values.tobytes()
         if self._last_solved.get("key") != key:
-            effective = np.tile([row.nominal for row in TERMS.values()], (self.size, 3, 1))
+            coefficients = np.tile([row.nominal for row in TERMS.values()], (self.size, 3, 1))
             for index, axis_index, term, factor in design_factors(self, unknowns):
-                effective[:, axis_index, term] += values[index] * factor
-            solved = SolvedPoses.solve_directions(self, unknowns, values, effective)
-            self._last_solved.update(key=key, solved=solved)
-        last: SolvedPoses = self._last_solved["solved"]
-        return replace(last, unknowns=unknowns)
+                coefficients[:, axis_index, term] += values[index] * factor
+            new_poses = SolvedPoses.solve_directions(self, unknowns, values, coefficients)
+            self._last_solved.update(key=key, solved=new_poses)
+        solved_poses: SolvedPoses = self._last_solved["solved"]
+        return replace(solved_poses, unknowns=unknowns)
 
     @cached_property
     def _last_solved(self) -> dict[str, Any]:
@@ -183,7 +185,7 @@ class TriadPoses:
         """Return a place to begin at without a guess: of biases, sensitivities and angles."""
         bias, rows = _fit_ellipsoid(self.value, self.axes)
         initial_values = {"K_F": bias}
-        for symbol, (axis, sign) in LINEAR.items():
+        for symbol, (axis, sign) in SENSITIVITY_TERMS.items():
             initial_values[symbol] = sign * np.sum(rows * self.axes[:, axis], axis=1)
         initial_point = point.copy()
         for index, unknown in enumerate(unknowns):
@@ -197,7 +199,7 @@ class TriadPoses:
         """Names of the accelerometers."""
         return self.accelerometers
 
-    def without_setting_errors(self) -> TriadPoses:
+    def without_positioning_errors(self) -> TriadPoses:
         """Return the poses: no position was set."""
         return self
 
@@ -262,7 +264,7 @@ class SolvedPoses:
         """Return the poses with the directions that fit their indications best."""
         weight = np.ones((poses.size, 3)) if poses.u is None else 1.0 / poses.u
         direction, terms = _initial_directions(poses, effective), _active_terms(effective)
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ITERATIONS):
             indications, slopes = _indications_and_slopes(poses.axes, direction, terms)
             residuals = weight * (poses.value - indications)
             basis = _tangent_basis(direction)
@@ -271,9 +273,9 @@ class SolvedPoses:
             step = np.linalg.solve(gram, np.swapaxes(tangent_slopes, 1, 2) @ residuals[:, :, None])
             new_direction = direction + (basis @ step)[:, :, 0]
             direction = new_direction / np.linalg.norm(new_direction, axis=1)[:, None]
-            if np.max(np.abs(step), initial=0.0) < _CONVERGED:
+            if np.max(np.abs(step), initial=0.0) < _CONVERGENCE_TOLERANCE:
                 break
-        products = _products(poses.axes, direction)
+        products = _term_products(poses.axes, direction)
         indications, slopes = _indications_and_slopes(poses.axes, direction, terms)
         tangent_slopes = slopes @ _tangent_basis(direction)
         projection = np.cross(tangent_slopes[:, :, 0], tangent_slopes[:, :, 1])
@@ -330,7 +332,7 @@ def design_factors(
             yield index, axis_index, _term_index(symbol), design_factor(poses, symbol)
 
 
-def _products(axes: Array, direction: Array) -> Array:
+def _term_products(axes: Array, direction: Array) -> Array:
     """Return every term's product at poses, shape (n, 3, number of `TERMS`)."""
     a_ipo = _force_along_axes(axes, direction)
     effects = (row.effect for row in TERMS.values())
@@ -360,13 +362,13 @@ def _indications_and_slopes(
     Returns: shapes (n, 3) and (n, 3, 3).
     """
     a_ipo = _force_along_axes(axes, direction)
-    indications, by_axis = np.zeros(a_ipo.shape[1:]), np.zeros((3, *a_ipo.shape[1:]))
+    indications, slopes_by_axis = np.zeros(a_ipo.shape[1:]), np.zeros((3, *a_ipo.shape[1:]))
     for effect, coefficient in terms:
         indications += coefficient * effect.evaluate(a_ipo, sign_width=SIGN_WIDTH)
         for axis, name in enumerate("IPO"):
             if not {name, f"|{name}|"}.isdisjoint(effect.factors):
-                by_axis[axis] += coefficient * effect.slope(a_ipo, name)
-    return indications, np.moveaxis(np.moveaxis(by_axis, (0, 2), (2, 0)) @ axes, 0, 1)
+                slopes_by_axis[axis] += coefficient * effect.slope(a_ipo, name)
+    return indications, np.moveaxis(np.moveaxis(slopes_by_axis, (0, 2), (2, 0)) @ axes, 0, 1)
 
 
 def _tangent_basis(direction: Array) -> Array:
@@ -380,7 +382,7 @@ def _tangent_basis(direction: Array) -> Array:
 def _initial_directions(poses: TriadPoses, effective: Array) -> Array:
     """Return the directions that bias, sensitivity and misalignments alone give."""
     bias, rows = effective[:, :, _SYMBOLS.index("K_F")], np.zeros((poses.size, 3, 3))
-    for symbol, (axis, sign) in LINEAR.items():
+    for symbol, (axis, sign) in SENSITIVITY_TERMS.items():
         coefficient = sign * effective[:, :, _SYMBOLS.index(symbol)]
         rows += coefficient[:, :, None] * poses.axes[:, axis]
     directions = np.asarray(
@@ -397,40 +399,49 @@ def _fit_ellipsoid(value: Array, axes: Array) -> tuple[Array, Array]:
 
     Returns: g, shape (3,); in the triad's frame, g/g, shape (3, 3).
     """
-    nominal = axes[:, 0]
-    nominal_force: Array = np.asarray(np.linalg.solve(nominal, value.T).T, np.float64)
+    nominal_axes = axes[:, 0]
+    nominal_force: Array = np.asarray(np.linalg.solve(nominal_axes, value.T).T, np.float64)
     rms_force = float(np.sqrt(np.mean(np.sum(nominal_force**2, axis=1))))
     bias, gram = np.zeros(3), rms_force**2 * np.eye(3)
-    sphere = _least_squares(2.0 * nominal_force, np.sum(nominal_force**2, axis=1), constant=True)
-    if sphere is not None:
-        square = sphere[3] + float(sphere[:3] @ sphere[:3])
-        if _are_credible(np.array([square])) and np.linalg.norm(sphere[:3]) < _CREDIBLE[1]:
-            bias, gram = sphere[:3], square * np.eye(3)
+    sphere_coefficients = _least_squares(
+        2.0 * nominal_force, np.sum(nominal_force**2, axis=1), constant=True
+    )
+    if sphere_coefficients is not None:
+        squared_sensitivity = sphere_coefficients[3] + float(
+            sphere_coefficients[:3] @ sphere_coefficients[:3]
+        )
+        if (
+            _all_credible(np.array([squared_sensitivity]))
+            and np.linalg.norm(sphere_coefficients[:3]) < _CREDIBLE_SENSITIVITIES[1]
+        ):
+            bias, gram = sphere_coefficients[:3], squared_sensitivity * np.eye(3)
     x, y, z = (nominal_force - bias).T
     columns = np.column_stack(
         [x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z]
     )
-    quadric = _least_squares(columns, np.ones(len(nominal_force)))
-    if quadric is not None:
-        xx, yy, zz, xy, xz, yz = quadric[:6]
-        form = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        if np.linalg.eigvalsh(form)[0] > 0.0:
-            centre = -np.linalg.solve(form, quadric[6:])
-            spread = (1.0 + centre @ form @ centre) * np.linalg.inv(form)
-            if _are_credible(np.linalg.eigvalsh(spread)):
-                bias, gram = bias + centre, np.asarray(spread, np.float64)
-    gram = nominal @ gram @ nominal.T
-    frame = np.stack([nominal[0], np.zeros(3), np.cross(nominal[0], nominal[1])])
+    quadric_coefficients = _least_squares(columns, np.ones(len(nominal_force)))
+    if quadric_coefficients is not None:
+        xx, yy, zz, xy, xz, yz = quadric_coefficients[:6]
+        quadratic_form = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if np.linalg.eigvalsh(quadratic_form)[0] > 0.0:
+            centre = -np.linalg.solve(quadratic_form, quadric_coefficients[6:])
+            ellipsoid_gram = (1.0 + centre @ quadratic_form @ centre) * np.linalg.inv(
+                quadratic_form
+            )
+            if _all_credible(np.linalg.eigvalsh(ellipsoid_gram)):
+                bias, gram = bias + centre, np.asarray(ellipsoid_gram, np.float64)
+    gram = nominal_axes @ gram @ nominal_axes.T
+    frame = np.stack([nominal_axes[0], np.zeros(3), np.cross(nominal_axes[0], nominal_axes[1])])
     frame[2] /= np.linalg.norm(frame[2])
     frame[1] = np.cross(frame[2], frame[0])
-    lower = np.linalg.cholesky(np.asarray(gram, np.float64))
-    lower[:, 2] *= 1.0 if nominal[2] @ frame[2] > 0.0 else -1.0
-    return nominal @ bias, lower @ frame
+    cholesky_factor = np.linalg.cholesky(np.asarray(gram, np.float64))
+    cholesky_factor[:, 2] *= 1.0 if nominal_axes[2] @ frame[2] > 0.0 else -1.0
+    return nominal_axes @ bias, cholesky_factor @ frame
 
 
-def _are_credible(squares: npt.NDArray[np.float64]) -> bool:
-    low, high = _CREDIBLE
-    return bool(np.all((squares > low**2) & (squares < high**2)))
+def _all_credible(squared_sensitivities: npt.NDArray[np.float64]) -> bool:
+    low, high = _CREDIBLE_SENSITIVITIES
+    return bool(np.all((squared_sensitivities > low**2) & (squared_sensitivities < high**2)))
 
 
 def _least_squares(columns: Array, target: Array, *, constant: bool = False) -> Array | None:
@@ -440,7 +451,7 @@ def _least_squares(columns: Array, target: Array, *, constant: bool = False) -> 
     norms = np.linalg.norm(design, axis=0)
     if design.shape[0] < design.shape[1] or not norms.all():
         return None
-    if np.linalg.cond(design / norms) > _WORST_CONDITION:
+    if np.linalg.cond(design / norms) > _MAX_CONDITION_NUMBER:
         return None
     return np.asarray(np.linalg.lstsq(design, target, rcond=None)[0], np.float64)
 
@@ -475,13 +486,13 @@ def _divergence_error(poses: TriadPoses, rounds: int) -> str:
     """Return why poses may leave a fit without an end: they lie too near each other."""
     unit_vectors = poses.value / np.linalg.norm(poses.value, axis=1)[:, None]
     mean_direction = unit_vectors.mean(axis=0)
-    largest_angle = math.degrees(
+    max_angle = math.degrees(
         math.acos(
             np.clip(np.min(unit_vectors @ mean_direction) / np.linalg.norm(mean_direction), -1, 1)
         )
     )
     return (
         f"{poses.accelerometer}: the fit of {poses.size} poses did not converge in {rounds} "
-        f"rounds. Their directions lie within {largest_angle:.0f} deg of each other; take poses "
+        f"rounds. Their directions lie within {max_angle:.0f} deg of each other; take poses "
         "in all directions, or state priors for the coefficients."
     )

@@ -17,7 +17,7 @@ from counterspin.triads.static_intervals import StaticIntervals, read_poses
 
 
 @frozen(eq=False)
-class PosesOfRecord:
+class RecordWithPoses:
     """A record with poses in it, and what was found."""
 
     name: str  #: Of the run.
@@ -30,7 +30,7 @@ class LocatedPose:
     """A pose: the readings of all three, and where it was found."""
 
     pose: tuple[Reading, ...]  #: In the order of the triad's accelerometers.
-    record: PosesOfRecord | None = None  #: The record that it was found in; None: it was read.
+    record: RecordWithPoses | None = None  #: The record that it was found in; None: it was read.
     index: int = 0  #: Among the poses of the record.
 
     @property
@@ -38,9 +38,9 @@ class LocatedPose:
         """Standard deviation of the means of a record if its rows are independent, m/s^2."""
         if self.record is None:
             return 0.0
-        detected = self.record.poses
+        intervals = self.record.poses
         return float(
-            np.sqrt(np.mean(detected.scatter[self.index] ** 2) / detected.count[self.index])
+            np.sqrt(np.mean(intervals.scatter[self.index] ** 2) / intervals.count[self.index])
         )
 
 
@@ -61,10 +61,10 @@ def campaign_poses(campaign: Campaign) -> list[LocatedPose]:
 
 def pooled_noise(poses: Sequence[LocatedPose], gravity: float) -> float:
     """Return the noise estimated within the poses found in records, g."""
-    noise_values = [pose.scatter_noise for pose in poses if pose.record is not None]
+    pose_noises = [pose.scatter_noise for pose in poses if pose.record is not None]
     return (
-        math.sqrt(sum(noise**2 for noise in noise_values) / len(noise_values)) / gravity
-        if noise_values
+        math.sqrt(sum(noise**2 for noise in pose_noises) / len(pose_noises)) / gravity
+        if pose_noises
         else 0.0
     )
 
@@ -90,15 +90,15 @@ def extract_poses(campaign: Campaign, record: PoseRecord) -> Iterator[LocatedPos
     in_si = {name: not channel.in_g for name, channel in _force_columns(campaign).items()}
     columns = pose_columns(campaign, record)
     detected, table = read_poses(source, columns, record.rest, record.threshold)
-    source_record = PosesOfRecord(record.name, detected, table.report)
-    temperatures, middles = record.temperature, 0.5 * (detected.start + detected.end)
-    knots = np.linspace(detected.time[0], detected.time[-1], len(temperatures or ()))
-    intervals = zip(detected.start, middles, detected.mean / g, strict=True)
-    for index, (start, middle, mean) in enumerate(intervals):
+    source_record = RecordWithPoses(record.name, detected, table.report)
+    temperatures, mid_times = record.temperature, 0.5 * (detected.start + detected.end)
+    knot_times = np.linspace(detected.time[0], detected.time[-1], len(temperatures or ()))
+    rows = zip(detected.start, mid_times, detected.mean / g, strict=True)
+    for index, (start, mid_time, mean) in enumerate(rows):
         conditions = stated_conditions(record)
         conditions["time"] = start_time + float(start - detected.time[0])
         if temperatures:
-            conditions["temperature"] = (float(np.interp(middle, knots, temperatures)),)
+            conditions["temperature"] = (float(np.interp(mid_time, knot_times, temperatures)),)
         pose = tuple(
             Reading(
                 name=f"{record.name} {start:.6g} s",

@@ -31,7 +31,7 @@ from counterspin.inference.joint.budget import combination_budget, u_by_category
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import Combination
-from counterspin.physics.terms import LINEAR, TERMS, condition_of
+from counterspin.physics.terms import SENSITIVITY_TERMS, TERMS, condition_of
 from counterspin.readings.fitted import FittedReadings
 from counterspin.readings.joint_data import combination_dof
 from counterspin.triads.poses import SolvedPoses, TriadPoses, design_factors
@@ -47,7 +47,7 @@ _SYMBOLS: Final = tuple(TERMS)
 _DEFAULT_FRACTION: Final = 0.5
 
 #: An angle depends no more on where the axes point than by rounding.
-_NEGLIGIBLE: Final = 1e-12
+_NEGLIGIBLE_SLOPE: Final = 1e-12
 
 
 @frozen
@@ -62,62 +62,68 @@ class _DerivedParameter:
 
 def triad_result(
     campaign: Campaign,
-    estimated: Estimate,
-    parts: Sequence[FittedReadings],
-    found_poses: Mapping[str, LocatedPose],
+    estimate: Estimate,
+    fitted_groups: Sequence[FittedReadings],
+    poses_by_name: Mapping[str, LocatedPose],
 ) -> TriadResult:
     """Return the campaign's triad.
 
-    parts: Readings and poses in the fit.
-    found_poses: By name.
+    fitted_groups: Readings and poses in the fit.
+    poses_by_name: By name.
     """
     assert campaign.triad is not None
     names = campaign.triad.accelerometers
     indices = {
         (unknown.owner, unknown.symbol): index
-        for index, unknown in enumerate(estimated.fit.model.unknowns)
+        for index, unknown in enumerate(estimate.fit.model.unknowns)
     }
-    linear = _LinearModel.at(campaign, estimated, indices)
-    parameters = dict(_derive_parameters(campaign, linear, estimated))
+    linear_model = _LinearModel.at(campaign, estimate, indices)
+    parameters = dict(_derive_parameters(campaign, linear_model, estimate))
     coefficients = {
-        name: _make_coefficient(estimated, parameter, parts)
+        name: _make_coefficient(estimate, parameter, fitted_groups)
         for name, parameter in parameters.items()
     }
-    determined = [name for name, coefficient in coefficients.items() if coefficient.estimated]
-    undetermined = [name for name, coefficient in coefficients.items() if coefficient.value is None]
-    matrix = None if undetermined else linear.inverse()
+    determined_names = [name for name, coefficient in coefficients.items() if coefficient.estimated]
+    undetermined_names = [
+        name for name, coefficient in coefficients.items() if coefficient.value is None
+    ]
+    matrix = None if undetermined_names else linear_model.inverse()
     poses: list[PoseResult] = []
     norms_before, norms_after = [], []
-    model = estimated.fit.model
-    for fitted in parts:
-        group = fitted.readings
+    model = estimate.fit.model
+    for fitted_group in fitted_groups:
+        group = fitted_group.readings
         if not isinstance(group, TriadPoses):
             continue
-        solved = group.at(model, estimated.fit.solution.estimate)
-        poses += _pose_results(group, fitted, solved, found_poses)
-        nominal = np.linalg.inv(group.axes[:, 0])
-        norms_before.append(np.linalg.norm(group.value @ nominal.T, axis=1) - 1.0)
+        solved = group.at(model, estimate.fit.solution.estimate)
+        poses += _pose_results(group, fitted_group, solved, poses_by_name)
+        nominal_inverse = np.linalg.inv(group.axes[:, 0])
+        norms_before.append(np.linalg.norm(group.value @ nominal_inverse.T, axis=1) - 1.0)
         if matrix is not None:
-            corrected_values = group.value - _nonlinear_part(campaign, solved) - linear.bias
-            corrected_values -= _slope_part(group, solved, model.of_interest)
+            corrected_values = (
+                group.value - _nonlinear_effects(campaign, solved) - linear_model.bias
+            )
+            corrected_values -= _slope_effects(group, solved, model.of_interest)
             norms_after.append(np.linalg.norm(corrected_values @ matrix.T, axis=1) - 1.0)
     gravity = campaign.gravity.value
     return TriadResult(
         accelerometers=list(names),
         parameters=coefficients,
-        correlation=_correlation(estimated, {n: parameters[n] for n in determined}),
-        budget={n: combination_budget(estimated.fit, parameters[n].slopes) for n in determined},
-        by_gravity=_gravity_sensitivities(estimated, {n: parameters[n] for n in determined}),
+        correlation=_correlation(estimate, {n: parameters[n] for n in determined_names}),
+        budget={
+            n: combination_budget(estimate.fit, parameters[n].slopes) for n in determined_names
+        },
+        by_gravity=_gravity_sensitivities(estimate, {n: parameters[n] for n in determined_names}),
         matrix=None if matrix is None else matrix.tolist(),
-        u_matrix=None if matrix is None else _u_matrix(estimated, linear, matrix),
-        bias=None if matrix is None else linear.bias.tolist(),
-        why_no_matrix=f"The poses do not determine {', '.join(undetermined)}."
-        if undetermined
+        u_matrix=None if matrix is None else _u_matrix(estimate, linear_model, matrix),
+        bias=None if matrix is None else linear_model.bias.tolist(),
+        why_no_matrix=f"The poses do not determine {', '.join(undetermined_names)}."
+        if undetermined_names
         else None,
         rms_before=_rms(norms_before, gravity),
         rms_after=_rms(norms_after, gravity),
         poses=poses,
-        records=_record_results(found_poses.values()),
+        records=_record_results(poses_by_name.values()),
     )
 
 
@@ -151,7 +157,7 @@ class _LinearModel:
             sum(
                 (
                     sign * value(name, symbol) * axes_of_one[axis]
-                    for symbol, (axis, sign) in LINEAR.items()
+                    for symbol, (axis, sign) in SENSITIVITY_TERMS.items()
                 ),
                 np.zeros(3),
             )
@@ -173,10 +179,10 @@ class _LinearModel:
         )  # which leaves no -0.0
         return inverse_matrix
 
-    def slopes(self, name: str, by_symbol: Mapping[str, float]) -> Array:
+    def slopes(self, name: str, slopes_by_symbol: Mapping[str, float]) -> Array:
         """Return slopes by the unknowns, (p,), of what has slopes by an accelerometer's terms."""
         derivatives = np.zeros(self.count)
-        for symbol, slope in by_symbol.items():
+        for symbol, slope in slopes_by_symbol.items():
             if (name, symbol) in self.places:
                 derivatives[self.places[name, symbol]] = slope
         return derivatives
@@ -188,38 +194,41 @@ class _LinearModel:
             self.names[index],
             {
                 symbol: sign * float(slope @ axes_rows[axis])
-                for symbol, (axis, sign) in LINEAR.items()
+                for symbol, (axis, sign) in SENSITIVITY_TERMS.items()
             },
         )
 
 
 def _derive_parameters(
-    campaign: Campaign, linear: _LinearModel, estimated: Estimate
+    campaign: Campaign, linear_model: _LinearModel, estimate: Estimate
 ) -> Iterator[tuple[str, _DerivedParameter]]:
     """Yield the nine parameters, and the terms of second order that were asked for."""
-    names, indices = linear.names, linear.places
+    names, indices = linear_model.names, linear_model.places
     for index, name in enumerate(names):
         limit = campaign.limit_of("K_F", name)
-        slopes = linear.slopes(name, {"K_F": 1.0})
-        yield f"offset.{name}", _DerivedParameter(float(linear.bias[index]), slopes, "g", limit)
-    norms = np.linalg.norm(linear.rows, axis=1)
-    units = linear.rows / norms[:, None]
+        slopes = linear_model.slopes(name, {"K_F": 1.0})
+        yield (
+            f"offset.{name}",
+            _DerivedParameter(float(linear_model.bias[index]), slopes, "g", limit),
+        )
+    norms = np.linalg.norm(linear_model.rows, axis=1)
+    unit_vectors = linear_model.rows / norms[:, None]
     for index, name in enumerate(names):
         limit = campaign.limit_of("K_I", name)
-        slopes = linear.row_slopes(index, units[index])
+        slopes = linear_model.row_slopes(index, unit_vectors[index])
         slopes = slopes + _misalignment_slopes(
-            linear, name, float(norms[index]), estimated.fit.model.of_interest
+            linear_model, name, float(norms[index]), estimate.fit.model.of_interest
         )
         yield f"sensitivity.{name}", _DerivedParameter(float(norms[index]), slopes, "g/g", limit)
     for first, second in combinations(range(len(names)), 2):
-        first_unit, second_unit = units[first], units[second]
+        first_unit, second_unit = unit_vectors[first], unit_vectors[second]
         cosine = float(first_unit @ second_unit)
         angle = math.acos(max(-1.0, min(1.0, cosine)))
         sine = math.sin(angle)
-        angle_slopes = linear.row_slopes(
+        angle_slopes = linear_model.row_slopes(
             first, -(second_unit - cosine * first_unit) / (sine * norms[first])
         )
-        angle_slopes = angle_slopes + linear.row_slopes(
+        angle_slopes = angle_slopes + linear_model.row_slopes(
             second, -(first_unit - cosine * second_unit) / (sine * norms[second])
         )
         limit = max(campaign.limit_of("delta_O", names[k]) for k in (first, second))
@@ -229,11 +238,15 @@ def _derive_parameters(
         )
     for name in names:
         for symbol in campaign.model.terms:
-            if symbol in TERMS and symbol not in ("K_F", *LINEAR) and (name, symbol) in indices:
+            if (
+                symbol in TERMS
+                and symbol not in ("K_F", *SENSITIVITY_TERMS)
+                and (name, symbol) in indices
+            ):
                 index = indices[name, symbol]
-                value = TERMS[symbol].nominal + float(estimated.fit.solution.estimate[index])
+                value = TERMS[symbol].nominal + float(estimate.fit.solution.estimate[index])
                 limit = campaign.limit_of(symbol, name)
-                slopes = linear.slopes(name, {symbol: 1.0})
+                slopes = linear_model.slopes(name, {symbol: 1.0})
                 yield (
                     f"{name}.{symbol}",
                     _DerivedParameter(value, slopes, TERMS[symbol].unit, limit),
@@ -241,7 +254,7 @@ def _derive_parameters(
 
 
 def _misalignment_slopes(
-    linear: _LinearModel, name: str, size: float, requested: Sequence[Unknown]
+    linear: _LinearModel, name: str, sensitivity: float, requested: Sequence[Unknown]
 ) -> Array:
     """Return slopes of a sensitivity, (p,), that stand for the squares of its misalignments.
 
@@ -249,17 +262,23 @@ def _misalignment_slopes(
     the mean s^2/2 and the variance s^4/2 over its default prior s; the slope times s is the root
     mean square.
     """
-    default = {
+    default_sds = {
         unknown.symbol: unknown.default_sd
         for unknown in requested
         if unknown.owner == name and unknown.uses_fallback_prior
     }
     misalignments = {
-        symbol: default_sd for symbol, default_sd in default.items() if symbol.startswith("delta_")
+        symbol: default_sd
+        for symbol, default_sd in default_sds.items()
+        if symbol.startswith("delta_")
     }
-    share = math.sqrt(len(misalignments) / 4.0 + 0.5)
+    rms_factor = math.sqrt(len(misalignments) / 4.0 + 0.5)
     return linear.slopes(
-        name, {symbol: share * default_sd / size for symbol, default_sd in misalignments.items()}
+        name,
+        {
+            symbol: rms_factor * default_sd / sensitivity
+            for symbol, default_sd in misalignments.items()
+        },
     )
 
 
@@ -268,48 +287,51 @@ def _make_coefficient(
 ) -> Coefficient:
     """Return a parameter as a result shows it; one that is not determined has no value."""
     fit = estimated.fit
-    if np.max(np.abs(parameter.slopes), initial=0.0) < _NEGLIGIBLE:
+    if np.max(np.abs(parameter.slopes), initial=0.0) < _NEGLIGIBLE_SLOPE:
         return Coefficient(value=parameter.value, u=0.0, unit=parameter.unit, estimated=False)
-    combined = fit.solution.combine(parameter.slopes)
-    if not combined.u < parameter.limit or _is_default_only(estimated, parameter, combined):
+    combination = fit.solution.combine(parameter.slopes)
+    if not combination.u < parameter.limit or _is_default_only(estimated, parameter, combination):
         return Coefficient(value=None, u=None, unit=parameter.unit, estimated=False)
-    indices = np.flatnonzero(np.abs(parameter.slopes) > _NEGLIGIBLE)
+    indices = np.flatnonzero(np.abs(parameter.slopes) > _NEGLIGIBLE_SLOPE)
     prior_u = float(np.linalg.norm(parameter.slopes[indices] * fit.solution.prior_sd[indices]))
-    if combined.u**2 > MAX_VARIANCE_RATIO * prior_u**2:
+    if combination.u**2 > MAX_VARIANCE_RATIO * prior_u**2:
         # What is known beforehand is all there is.
         return Coefficient(
-            value=parameter.value, u=combined.u, unit=parameter.unit, estimated=False
+            value=parameter.value, u=combination.u, unit=parameter.unit, estimated=False
         )
-    noise, stated, unstated = u_by_category(fit, parameter.slopes)
+    u_noise, u_stated, u_unstated = u_by_category(fit, parameter.slopes)
     return Coefficient(
         value=parameter.value,
-        u=math.hypot(noise, stated, unstated),
-        u_noise=noise,
-        u_stated=stated,
-        u_unstated=unstated,
-        dof=finite_dof(_dof(estimated, parameter.slopes, groups)),
+        u=math.hypot(u_noise, u_stated, u_unstated),
+        u_noise=u_noise,
+        u_stated=u_stated,
+        u_unstated=u_unstated,
+        dof=finite_dof(_parameter_dof(estimated, parameter.slopes, groups)),
         unit=parameter.unit,
         estimated=True,
     )
 
 
 def _is_default_only(
-    estimated: Estimate, parameter: _DerivedParameter, combined: Combination
+    estimated: Estimate, parameter: _DerivedParameter, combination: Combination
 ) -> bool:
     """Return whether a parameter is known only by default priors of undetermined unknowns."""
     fit = estimated.fit
     has_fallback_prior = [unknown.uses_fallback_prior for unknown in fit.model.unknowns]
-    slopes, contributed = parameter.slopes[has_fallback_prior], combined.prior[has_fallback_prior]
+    slopes, contributions = (
+        parameter.slopes[has_fallback_prior],
+        combination.prior[has_fallback_prior],
+    )
     prior_norm = np.linalg.norm(slopes * fit.solution.prior_sd[has_fallback_prior])
-    depends = np.max(np.abs(slopes), initial=0.0) > _DEFAULT_FRACTION
-    return bool(depends and np.linalg.norm(contributed) > _DEFAULT_FRACTION * prior_norm)
+    is_dependent = np.max(np.abs(slopes), initial=0.0) > _DEFAULT_FRACTION
+    return bool(is_dependent and np.linalg.norm(contributions) > _DEFAULT_FRACTION * prior_norm)
 
 
-def _dof(estimated: Estimate, slopes: Array, groups: Sequence[FittedReadings]) -> float:
+def _parameter_dof(estimated: Estimate, slopes: Array, groups: Sequence[FittedReadings]) -> float:
     """Return the degrees of freedom of a parameter; of records' noise the least of its parts."""
     fit, record_dof = estimated.fit, math.inf
     if fit.design_blocks:
-        record_dof = float(np.min(estimated.dof[np.abs(slopes) > _NEGLIGIBLE]))
+        record_dof = float(np.min(estimated.dof[np.abs(slopes) > _NEGLIGIBLE_SLOPE]))
     dof = [group.noise_dof for group in groups]
     return combination_dof(slopes, fit, dof, record_dof)
 
@@ -335,9 +357,9 @@ def _gravity_sensitivities(
             if term.symbol == "site.gravity" and term.prior[1] > 0.0:
                 shifts = {}
                 for name, parameter in parameters.items():
-                    combined = estimated.fit.solution.combine(parameter.slopes)
+                    combination = estimated.fit.solution.combine(parameter.slopes)
                     shifts[name] = float(
-                        (combined.considered if is_considered else combined.prior)[index]
+                        (combination.considered if is_considered else combination.prior)[index]
                     )
                 return {name: shift / term.prior[1] for name, shift in shifts.items()}
     return {}
@@ -360,57 +382,63 @@ def _u_matrix(estimated: Estimate, linear: _LinearModel, matrix: Array) -> list[
 
 def _pose_results(
     group: TriadPoses,
-    fitted: FittedReadings,
-    solved: SolvedPoses,
+    fitted_group: FittedReadings,
+    solved_poses: SolvedPoses,
     poses_by_name: Mapping[str, LocatedPose],
 ) -> Iterator[PoseResult]:
     """Yield the poses as a result shows them, and where they were found."""
     for k, name in enumerate(group.names):
-        pose, z = poses_by_name[name], fitted.single[k].standardized
+        pose, z = poses_by_name[name], fitted_group.single[k].standardized
         start = end = samples = None
         if pose.record is not None:
             poses, index = pose.record.poses, pose.index
             start, end = float(poses.start[index]), float(poses.end[index])
             samples = int(poses.count[index])
-        gain = float(solved.gain[k])
+        gain = float(solved_poses.gain[k])
         yield PoseResult(
             name=name,
             start=start,
             end=end,
             samples=samples,
             values=tuple(group.value[k].tolist()),
-            direction=tuple(solved.direction[k].tolist()),
-            residual=float(fitted.residuals[k]) / gain,
-            u=float(fitted.sigma[k]) / gain,
+            direction=tuple(solved_poses.direction[k].tolist()),
+            residual=float(fitted_group.residuals[k]) / gain,
+            u=float(fitted_group.sigma[k]) / gain,
             z=None if math.isnan(z) else z,
         )
 
 
-def _nonlinear_part(campaign: Campaign, solved: SolvedPoses) -> Array:
+def _nonlinear_effects(campaign: Campaign, solved_poses: SolvedPoses) -> Array:
     """Return the effect of the requested nonlinear terms on the indications, shape (n, 3)."""
-    symbols = [s for s in campaign.model.terms if s in TERMS and s not in ("K_F", *LINEAR)]
+    symbols = [
+        s for s in campaign.model.terms if s in TERMS and s not in ("K_F", *SENSITIVITY_TERMS)
+    ]
     indices = [_SYMBOLS.index(symbol) for symbol in symbols]
-    effect: Array = np.sum(solved.products[:, :, indices] * solved.effective[:, :, indices], axis=2)
+    effect: Array = np.sum(
+        solved_poses.products[:, :, indices] * solved_poses.effective[:, :, indices], axis=2
+    )
     return effect
 
 
-def _slope_part(poses: TriadPoses, solved: SolvedPoses, parameters: Sequence[Unknown]) -> Array:
+def _slope_effects(
+    poses: TriadPoses, solved_poses: SolvedPoses, parameters: Sequence[Unknown]
+) -> Array:
     """Return the effect of the requested slopes on the indications, shape (n, 3)."""
     effect, requested = np.zeros_like(poses.value), set(parameters)
-    for index, axis_index, term, factor in design_factors(poses, solved.unknowns):
-        unknown = solved.unknowns[index]
+    for index, axis_index, term, factor in design_factors(poses, solved_poses.unknowns):
+        unknown = solved_poses.unknowns[index]
         if condition_of(unknown.symbol) and unknown in requested:
             effect[:, axis_index] += (
-                solved.products[:, axis_index, term] * factor * solved.values[index]
+                solved_poses.products[:, axis_index, term] * factor * solved_poses.values[index]
             )
     return effect
 
 
-def _rms(parts: Sequence[Array], gravity: float) -> float | None:
+def _rms(norm_deviations: Sequence[Array], gravity: float) -> float | None:
     """Return the root mean square of |f| - g, m/s^2."""
-    if not parts:
+    if not norm_deviations:
         return None
-    return gravity * float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+    return gravity * float(np.sqrt(np.mean(np.concatenate(norm_deviations) ** 2)))
 
 
 def _record_results(poses: Iterable[LocatedPose]) -> dict[str, PosesInRecord]:

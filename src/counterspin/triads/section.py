@@ -20,16 +20,16 @@ from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.conditions import stated_conditions
 
 #: Smallest volume that three input axes may span: below it they do not feel all directions.
-_LEAST_VOLUME: Final = 0.1
+_MIN_VOLUME: Final = 0.1
 
 #: Input and pendulous axes of the three where they state none: X, Y and Z of one body frame.
-USUAL_AXES: Final = (("east", "north"), ("north", "up"), ("up", "east"))
+DEFAULT_AXES: Final = (("east", "north"), ("north", "up"), ("up", "east"))
 
 #: Keys of an accelerometer's axes.
 _AXES_KEYS: Final = {"input_axis", "pendulous_axis", "output_axis"}
 
 #: A unit vector is along another, or at right angles to it, within this.
-_ALONG: Final = 1e-6
+_ALIGNMENT_TOLERANCE: Final = 1e-6
 
 
 class TriadSettings(SettingsSection):
@@ -43,19 +43,21 @@ class TriadSettings(SettingsSection):
     )
 
 
-def with_usual_axes(tables: Mapping[str, Any], triad: Any) -> Mapping[str, Any]:
+def apply_default_axes(tables: Mapping[str, Any], triad: Any) -> Mapping[str, Any]:
     """Return the tables of accelerometers, with the axes of a triad if none are stated.
 
     triad: The section; its errors are reported elsewhere.
     """
-    named = triad.get("accelerometers") if isinstance(triad, Mapping) else None
-    names = [n for n in named if isinstance(n, str)] if isinstance(named, list) else []
-    own = [tables.get(name) for name in names]
-    if len(names) != len(USUAL_AXES) or any(
-        not isinstance(table, Mapping) or _AXES_KEYS & table.keys() for table in own
+    listed_names = triad.get("accelerometers") if isinstance(triad, Mapping) else None
+    names = (
+        [n for n in listed_names if isinstance(n, str)] if isinstance(listed_names, list) else []
+    )
+    own_tables = [tables.get(name) for name in names]
+    if len(names) != len(DEFAULT_AXES) or any(
+        not isinstance(table, Mapping) or _AXES_KEYS & table.keys() for table in own_tables
     ):
         return tables
-    axes = [{"input_axis": one, "pendulous_axis": other} for one, other in USUAL_AXES]
+    axes = [{"input_axis": one, "pendulous_axis": other} for one, other in DEFAULT_AXES]
     return {**tables, **{n: {**a, **tables[n]} for n, a in zip(names, axes, strict=True)}}
 
 
@@ -66,7 +68,7 @@ def resolve_triad(
     folder: Path,
     pose_readings: Iterator[Mapping[str, Reading]],
     *,
-    given: Mapping[str, Mapping[str, Quantity]] | None,
+    own_priors: Mapping[str, Mapping[str, Quantity]] | None,
     problems: Problems,
 ) -> Triad | None:
     """Return the triad of [triad] and the runs at unknown attitudes.
@@ -76,8 +78,8 @@ def resolve_triad(
     runs: Those at unknown attitudes, with where each stands.
     folder: Of records.
     pose_readings: Readings of the runs without a record, by accelerometer, resolved on demand.
-    given: Accelerometer -> symbol -> prior of its own table, where no reading or record says how
-        the triad stands; else None.
+    own_priors: Accelerometer -> symbol -> prior of its own table, if nothing determines the
+        attitude of the triad; else None.
     """
     if raw is None:
         for _, path in runs:
@@ -90,12 +92,12 @@ def resolve_triad(
         return None
     settings = problems.check(TriadSettings, raw, ("triad",))
     names = () if settings is None else tuple(settings.accelerometers)
-    axes = _axes_of(names, mountings, problems)
+    axes = _resolve_axes(names, mountings, problems)
     frame_misalignments = (
-        () if given is None or not axes else _frame_misalignments(names, axes, problems)
+        () if own_priors is None or not axes else _frame_misalignments(names, axes, problems)
     )
     for name, symbol in frame_misalignments:
-        if symbol in (given or {}).get(name, {}):
+        if symbol in (own_priors or {}).get(name, {}):
             problems.add(
                 ("accelerometers", name, symbol),
                 "is zero by definition of the frame of the triad if all attitudes are unknown; "
@@ -111,11 +113,11 @@ def resolve_triad(
     return Triad(names, tuple(poses), tuple(records), frame_misalignments) if axes else None
 
 
-def _axes_of(
+def _resolve_axes(
     names: Sequence[str], mountings: Mapping[str, Mounting | None], problems: Problems
 ) -> list[Mounting]:
     """Return the axes of the three, none where they are no triad."""
-    before = len(problems.lines)
+    error_count = len(problems.lines)
     for index, name in enumerate(names if mountings else ()):
         if name not in mountings:
             suggestion = suggest_name(name, mountings)
@@ -129,9 +131,9 @@ def _axes_of(
                 ("triad", "accelerometers", index), f'"{name}" is listed twice', "duplicate-entry"
             )
     axes = [own for own in map(mountings.get, names) if own is not None]
-    if len(problems.lines) > before or len(axes) < len(names):
+    if len(problems.lines) > error_count or len(axes) < len(names):
         return []
-    if names and abs(np.linalg.det([own.input_axis for own in axes])) < _LEAST_VOLUME:
+    if names and abs(np.linalg.det([own.input_axis for own in axes])) < _MIN_VOLUME:
         problems.add(
             ("triad", "accelerometers"),
             "the input axes of the three accelerometers lie (nearly) in one plane",
@@ -151,8 +153,8 @@ def _frame_misalignments(
     first, second = axes[0].matrix, axes[1].matrix
     normal = np.cross(first[0], second[0])
     normal /= np.linalg.norm(normal)
-    upright = [abs(abs(float(axis @ normal)) - 1.0) < _ALONG for axis in second[1:]]
-    if not any(upright):
+    is_normal = [abs(abs(float(axis @ normal)) - 1.0) < _ALIGNMENT_TOLERANCE for axis in second[1:]]
+    if not any(is_normal):
         problems.add(
             ("accelerometers", names[1], "pendulous_axis"),
             f"must lie in the plane of the input axes of {names[0]} and {names[1]}, or at right "
@@ -163,7 +165,7 @@ def _frame_misalignments(
     return (
         (names[0], "delta_O"),
         (names[0], "delta_P"),
-        (names[1], "delta_O" if upright[0] else "delta_P"),
+        (names[1], "delta_O" if is_normal[0] else "delta_P"),
     )
 
 

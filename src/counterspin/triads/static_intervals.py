@@ -20,7 +20,6 @@ from counterspin.arrays import MAD_TO_SIGMA, Array, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.memory import MemoryTable
-from counterspin.records.outliers import estimate_resolution
 from counterspin.records.reading import read_record
 from counterspin.records.record import NominalMotion, Record, RecordColumns
 
@@ -29,7 +28,7 @@ MIN_DURATION: Final = 1.5
 
 #: Span over which the level is taken, s, and the fewest rows in it; no longer than a pose.
 _WINDOW: Final = 1.0
-_FEWEST_ROWS: Final = 8
+_MIN_ROWS: Final = 8
 
 #: The threshold over the usual level at rest: twice, or four times in the variance.
 _THRESHOLD_RATIO: Final = 2.0
@@ -43,13 +42,13 @@ _DRIFT_RATIO: Final = 3.0
 #: Standard deviations beyond which one or two rows among their neighbours are spikes.
 _SPIKE_SDS: Final = 10.0
 #: Fewest rows whose scatter tells how far that is.
-_SPIKE_ROWS: Final = 64
+_MIN_SPIKE_ROWS: Final = 64
 
 #: Part of a pose's rows at the largest or smallest value of an axis from which it is saturated.
 _SATURATED_FRACTION: Final = 0.25
 
 #: Bins of the logarithm of the level in which rest and motion are told apart.
-_BINS: Final = 256
+_N_BINS: Final = 256
 
 
 @frozen(eq=False)
@@ -142,22 +141,24 @@ def find_poses(
     rest: Shortest pose, s.
     threshold: Highest level at rest, in the values' unit; found if None.
     """
-    valid = np.flatnonzero(np.isfinite(time) & np.isfinite(values).all(axis=1))
-    step = _sampling_step(time[valid], rest)
-    window = min(max(_WINDOW, _FEWEST_ROWS * step), rest)
-    resolutions = np.array([estimate_resolution(axis) for axis in values[valid].T])
-    spikes = _outlier_mask(values[valid], max(_SPIKE_ROWS, round(window / step)), resolutions)
+    valid_rows = np.flatnonzero(np.isfinite(time) & np.isfinite(values).all(axis=1))
+    step = _sampling_step(time[valid_rows], rest)
+    window = min(max(_WINDOW, _MIN_ROWS * step), rest)
+    resolutions = np.array([estimate_resolution(axis) for axis in values[valid_rows].T])
+    spikes = _outlier_mask(
+        values[valid_rows], max(_MIN_SPIKE_ROWS, round(window / step)), resolutions
+    )
     is_regular = ~spikes.any(axis=1)
-    spike_times, valid = time[valid[~is_regular]], valid[is_regular]
-    t, x = time[valid], values[valid]
+    spike_times, valid_rows = time[valid_rows[~is_regular]], valid_rows[is_regular]
+    t, x = time[valid_rows], values[valid_rows]
     level = _rolling_sd(t, x, window)
-    used_threshold = _default_threshold(level, resolutions) if threshold is None else threshold
-    starts, ends = _find_intervals(t, level, used_threshold, rest, window, step)
+    level_threshold = _default_threshold(level, resolutions) if threshold is None else threshold
+    starts, ends = _find_intervals(t, level, level_threshold, rest, window, step)
     if not len(starts):
         raise RecordError(
-            _no_interval_message(t, level, used_threshold, rest, window, step), code="no-rest"
+            _no_interval_message(t, level, level_threshold, rest, window, step), code="no-rest"
         )
-    contrast = _contrast(level, used_threshold, starts, ends)
+    contrast = _contrast(level, level_threshold, starts, ends)
     faults = _interval_faults(x, starts, ends, resolutions)
     rejections = tuple(
         f"The rest interval from {t[starts[index]]:.6g} s to {t[ends[index] - 1]:.6g} s was "
@@ -169,22 +170,24 @@ def find_poses(
             "all rest intervals were rejected. " + " ".join(rejections), code="no-rest"
         )
     starts, ends = np.delete(starts, list(faults)), np.delete(ends, list(faults))
-    rows = [x[first:last] for first, last in zip(starts, ends, strict=True)]
-    interval = np.searchsorted(t[starts], spike_times) - 1
-    is_inside = (interval >= 0) & (spike_times < t[ends - 1][np.maximum(interval, 0)])
+    interval_rows = [x[first:last] for first, last in zip(starts, ends, strict=True)]
+    interval_indices = np.searchsorted(t[starts], spike_times) - 1
+    is_in_interval = (interval_indices >= 0) & (
+        spike_times < t[ends - 1][np.maximum(interval_indices, 0)]
+    )
     levels = np.full(len(time), np.nan)
-    levels[valid] = level
+    levels[valid_rows] = level
     return StaticIntervals(
         start=t[starts],
         end=t[ends - 1],
-        mean=np.array([interval_values.mean(axis=0) for interval_values in rows]),
-        scatter=np.array([interval_values.std(axis=0) for interval_values in rows]),
+        mean=np.array([interval_values.mean(axis=0) for interval_values in interval_rows]),
+        scatter=np.array([interval_values.std(axis=0) for interval_values in interval_rows]),
         count=(ends - starts).astype(float),
-        threshold=float(used_threshold),
+        threshold=float(level_threshold),
         time=time,
         level=levels,
         contrast=contrast,
-        spikes=spikes[~is_regular][is_inside].sum(axis=0).astype(float),
+        spikes=spikes[~is_regular][is_in_interval].sum(axis=0).astype(float),
         rejected=rejections,
     )
 
@@ -199,7 +202,7 @@ def _sampling_step(time: Array, rest: float) -> float:
             f"the duration of a rest interval must be positive, but it is {rest:g} s.",
             code="wrong-usage",
         )
-    if len(time) < _FEWEST_ROWS:
+    if len(time) < _MIN_ROWS:
         raise RecordError(
             f"Only {len(time)} rows have all three values, which is too few to detect a pose.",
             code="record-too-short",
@@ -220,10 +223,10 @@ def _sampling_step(time: Array, rest: float) -> float:
             "shorter rest interval.",
             code="record-too-short",
         )
-    if not _FEWEST_ROWS * step <= rest * (1.0 + 1e-9):
+    if not _MIN_ROWS * step <= rest * (1.0 + 1e-9):
         raise RecordError(
             f"the rows are {step:.4g} s apart, so a rest interval of {rest:g} s contains fewer "
-            f"than {_FEWEST_ROWS} rows. Check the unit of the time or the sampling rate, or "
+            f"than {_MIN_ROWS} rows. Check the unit of the time or the sampling rate, or "
             "specify a longer rest interval.",
             code="too-few-rows",
         )
@@ -241,14 +244,16 @@ def _outlier_mask(values: Array, rows: int, resolutions: Array) -> np.ndarray:
     padded_values = np.pad(values, ((2, 2), (0, 0)), mode="reflect")
     a, b, c, d, e = (padded_values[offset : offset + len(values)] for offset in range(5))
     # The median of five is that of the fifth and of the two middle ones of the others.
-    low = np.maximum(np.minimum(a, b), np.minimum(d, e))
-    high = np.minimum(np.maximum(a, b), np.maximum(d, e))
-    deviation = np.abs(c - np.clip(c, np.minimum(low, high), np.maximum(low, high)))
+    low_median = np.maximum(np.minimum(a, b), np.minimum(d, e))
+    high_median = np.minimum(np.maximum(a, b), np.maximum(d, e))
+    deviation = np.abs(
+        c - np.clip(c, np.minimum(low_median, high_median), np.maximum(low_median, high_median))
+    )
     rows = min(rows, len(deviation))
     blocks = deviation[: len(deviation) // rows * rows].reshape(-1, rows, 3)
     # From the upper quartile: every fifth value is the median itself, and so not off at all.
-    offset = 3 * rows // 4
-    scale = np.partition(blocks, offset, axis=1)[:, offset] * MAD_TO_SIGMA / 2.0
+    quantile_index = 3 * rows // 4
+    scale = np.partition(blocks, quantile_index, axis=1)[:, quantile_index] * MAD_TO_SIGMA / 2.0
     # A smooth motion is its own median: where one fills most of a stretch, the next one tells.
     scale = np.maximum(scale, np.maximum(np.roll(scale, 1, axis=0), np.roll(scale, -1, axis=0)))
     limits = _SPIKE_SDS * scale + 1.5 * resolutions
@@ -263,10 +268,10 @@ def _rolling_sd(time: Array, values: Array, window: float) -> Array:
     count from its own mean: sums over a whole long record would lose the noise in rounding.
     """
     # Rows half a window off are in, whatever rounding does to their times.
-    half = 0.5 * window * (1.0 + 1e-9)
-    low = np.searchsorted(time, time - half, side="left")
-    high = np.searchsorted(time, time + half, side="right")
-    block_size = int((high - low).max())
+    half_width = 0.5 * window * (1.0 + 1e-9)
+    first_row = np.searchsorted(time, time - half_width, side="left")
+    end_row = np.searchsorted(time, time + half_width, side="right")
+    block_size = int((end_row - first_row).max())
     block_count = -(-len(time) // block_size)
     edges = np.minimum(np.arange(block_count + 1) * block_size, len(time))
     means = np.add.reduceat(values, edges[:-1], axis=0) / np.diff(edges)[:, None]
@@ -277,32 +282,34 @@ def _rolling_sd(time: Array, values: Array, window: float) -> Array:
     padded[: len(time), 3] = (deviations**2).sum(axis=1)
     sums = np.zeros((block_count, block_size + 1, 4))
     np.cumsum(padded.reshape(block_count, block_size, 4), axis=1, out=sums[:, 1:])
-    first_block = low // block_size
-    middle = np.minimum(high, (first_block + 1) * block_size)
+    first_block = first_row // block_size
+    boundary_row = np.minimum(end_row, (first_block + 1) * block_size)
     first_sums = (
-        sums[first_block, middle - first_block * block_size]
-        - sums[first_block, low - first_block * block_size]
+        sums[first_block, boundary_row - first_block * block_size]
+        - sums[first_block, first_row - first_block * block_size]
     )
-    second = np.minimum(first_block + 1, block_count - 1)
-    second_sums = sums[second, np.maximum(high - second * block_size, 0)]
-    second_sums[high == middle] = 0.0
+    second_block = np.minimum(first_block + 1, block_count - 1)
+    second_sums = sums[second_block, np.maximum(end_row - second_block * block_size, 0)]
+    second_sums[end_row == boundary_row] = 0.0
     # Two groups as one: the squares about each mean, and those of the means about each other.
-    first_count, second_count = middle - low, high - middle
-    squares = first_sums[:, 3] - (first_sums[:, :3] ** 2).sum(axis=1) / first_count
-    squares += second_sums[:, 3] - (second_sums[:, :3] ** 2).sum(axis=1) / np.maximum(
+    first_count, second_count = boundary_row - first_row, end_row - boundary_row
+    sum_of_squares = first_sums[:, 3] - (first_sums[:, :3] ** 2).sum(axis=1) / first_count
+    sum_of_squares += second_sums[:, 3] - (second_sums[:, :3] ** 2).sum(axis=1) / np.maximum(
         second_count, 1
     )
     mean_difference = means[first_block] + first_sums[:, :3] / first_count[:, None]
     mean_difference = (
-        mean_difference - means[second] - second_sums[:, :3] / np.maximum(second_count, 1)[:, None]
+        mean_difference
+        - means[second_block]
+        - second_sums[:, :3] / np.maximum(second_count, 1)[:, None]
     )
-    squares += (
+    sum_of_squares += (
         (mean_difference**2).sum(axis=1) * first_count * second_count / (first_count + second_count)
     )
-    rows = high - low
-    level = np.sqrt(np.maximum(squares, 0.0) / np.maximum(rows - 1, 1))
+    n_rows = end_row - first_row
+    level = np.sqrt(np.maximum(sum_of_squares, 0.0) / np.maximum(n_rows - 1, 1))
     # So few rows may be alike by chance.
-    level[rows < _FEWEST_ROWS // 2] = np.inf
+    level[n_rows < _MIN_ROWS // 2] = np.inf
     return np.asarray(level)
 
 
@@ -312,28 +319,28 @@ def _default_threshold(level: Array, resolutions: Array) -> float:
     Rest and motion are the two groups of the level's logarithm that lie apart most (Otsu, IEEE
     Trans. Syst. Man Cybern. 9 (1979) 62), however much of the record either takes.
     """
-    finite = level[np.isfinite(level)]
+    finite_levels = level[np.isfinite(level)]
     # A step of the last digit to and fro in every axis is no motion.
     resolution_floor = float(np.sqrt((resolutions**2).sum()))
-    positive = finite[finite > 0.0]
-    if not len(positive):
+    positive_levels = finite_levels[finite_levels > 0.0]
+    if not len(positive_levels):
         return resolution_floor
     # Values that stand still for once are no group of their own.
-    logs = np.log(np.maximum(finite, 0.1 * np.quantile(positive, 0.05)))
-    counts, edges = np.histogram(logs, bins=_BINS)
+    log_levels = np.log(np.maximum(finite_levels, 0.1 * np.quantile(positive_levels, 0.05)))
+    counts, edges = np.histogram(log_levels, bins=_N_BINS)
     centres = 0.5 * (edges[1:] + edges[:-1])
     lower_counts, sums = np.cumsum(counts)[:-1], np.cumsum(counts * centres)[:-1]
-    upper_counts, upper_sums = len(logs) - lower_counts, (counts * centres).sum() - sums
+    upper_counts, upper_sums = len(log_levels) - lower_counts, (counts * centres).sum() - sums
     with np.errstate(invalid="ignore", divide="ignore"):
         between_variance = (
             lower_counts * upper_counts * (sums / lower_counts - upper_sums / upper_counts) ** 2
         )
-    split = (
+    boundary = (
         edges[1 + int(np.nanargmax(between_variance))]
         if np.isfinite(between_variance).any()
         else edges[-1]
     )
-    static_level = math.exp(median(logs[logs <= split]))
+    static_level = math.exp(median(log_levels[log_levels <= boundary]))
     return max(_THRESHOLD_RATIO * static_level, resolution_floor)
 
 
@@ -343,21 +350,21 @@ def _find_intervals(
     """Return the first row of each rest, and the one after its last."""
     is_quiet = level <= threshold
     is_gap = np.append(np.diff(time) > 0.5 * window, True)
-    first = is_quiet & np.append(True, is_gap[:-1] | ~is_quiet[:-1])
-    last = is_quiet & (is_gap | ~np.append(is_quiet[1:], False))
-    starts, ends = np.flatnonzero(first), np.flatnonzero(last) + 1
+    is_first = is_quiet & np.append(True, is_gap[:-1] | ~is_quiet[:-1])
+    is_last = is_quiet & (is_gap | ~np.append(is_quiet[1:], False))
+    starts, ends = np.flatnonzero(is_first), np.flatnonzero(is_last) + 1
     is_long = time[ends - 1] - time[starts] + step >= rest * (1.0 - 1e-9)
     return starts[is_long], ends[is_long]
 
 
 def _contrast(level: Array, threshold: float, starts: np.ndarray, ends: np.ndarray) -> float:
     """Return the level in motion over that at rest, in the median; infinite where nothing moves."""
-    moving = level[(level > threshold) & np.isfinite(level)]
-    inside = np.zeros(len(level) + 1)
-    np.add.at(inside, starts, 1.0)
-    np.add.at(inside, ends, -1.0)
-    static_level = median(level[np.cumsum(inside)[:-1] > 0.0])
-    return median(moving) / static_level if len(moving) and static_level else math.inf
+    motion_levels = level[(level > threshold) & np.isfinite(level)]
+    interval_edges = np.zeros(len(level) + 1)
+    np.add.at(interval_edges, starts, 1.0)
+    np.add.at(interval_edges, ends, -1.0)
+    static_level = median(level[np.cumsum(interval_edges)[:-1] > 0.0])
+    return median(motion_levels) / static_level if len(motion_levels) and static_level else math.inf
 
 
 def _no_interval_message(
@@ -393,22 +400,24 @@ def _interval_faults(
     is_testable = median_scatter > 2.0 * resolutions
     extremes = np.stack([values.min(axis=0), values.max(axis=0)])
     faults = {}
-    for index, (a, b) in enumerate(zip(starts, ends, strict=True)):
-        if median_scatter.any() and (values[a:b] == values[a]).all():
+    for index, (start, end) in enumerate(zip(starts, ends, strict=True)):
+        if median_scatter.any() and (values[start:end] == values[start]).all():
             faults[index] = (
                 "all values are identical, which suggests that the recorder had stopped."
             )
             continue
-        share_at_ends = (values[a:b, None] == extremes).mean(axis=0).max(axis=0)
-        saturated = np.flatnonzero(is_testable & (share_at_ends > _SATURATED_FRACTION))
-        if len(saturated):
-            axis = saturated[0]
+        extreme_fraction = (values[start:end, None] == extremes).mean(axis=0).max(axis=0)
+        saturated_axes = np.flatnonzero(is_testable & (extreme_fraction > _SATURATED_FRACTION))
+        if len(saturated_axes):
+            axis = saturated_axes[0]
             faults[index] = (
-                f"{100 * share_at_ends[axis]:.0f} % of the values along axis {axis + 1} are the "
+                f"{100 * extreme_fraction[axis]:.0f} % of the values along axis {axis + 1} are the "
                 "largest or smallest of the record, which suggests that the range was exceeded."
             )
             continue
-        constant_axes = np.flatnonzero(is_testable & (values[a:b] == values[a]).all(axis=0))
+        constant_axes = np.flatnonzero(
+            is_testable & (values[start:end] == values[start]).all(axis=0)
+        )
         if len(constant_axes):
             faults[index] = (
                 f"axis {constant_axes[0] + 1} does not change while other axes do, which "

@@ -98,7 +98,9 @@ def test_whitened_rows_have_unit_covariance(order, walk):
     whitener = make_whitener(times, order, noise, walk_duration=before)
     operator = whitener.apply(np.eye(times.size))
     covariance = dense(order, noise, times, before)
-    np.testing.assert_allclose(operator @ covariance @ operator.T, np.eye(whitener.rows), atol=6e-3)
+    np.testing.assert_allclose(
+        operator @ covariance @ operator.T, np.eye(whitener.n_rows), atol=6e-3
+    )
     rows = whitener.differences.apply(np.eye(times.size))
     _, log_det = np.linalg.slogdet(rows @ covariance @ rows.T)
     assert whitener.log_det == pytest.approx(log_det, abs=3e-3 * times.size)

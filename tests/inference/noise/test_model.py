@@ -170,7 +170,7 @@ def test_start_errors_are_eliminated_or_estimated(order):
     np.testing.assert_allclose(mixed.apply(start_errors), 0, atol=1e-12)
     white = make_whitener(times, order, Noise(1), count)
     assert white.polynomials == order
-    assert white.rows == len(times)
+    assert white.n_rows == len(times)
 
 
 def test_information_matches_cramer_rao_bound():

@@ -16,7 +16,7 @@ def test_sequential_solution_matches_scan(ratio, samples, rows):
     time = np.cumsum(rng.uniform(0.5, 1.5, rows))
     blocks = BlockSpans.of(time, np.full(rows, samples), np.full(rows, 0.04))
     white, walk = (1.0, ratio) if ratio < math.inf else (0.0, 1.0)
-    in_turn, scan = (filter_walk(blocks, white, walk, few_rows=few) for few in (rows, 0))
+    in_turn, scan = (filter_walk(blocks, white, walk, max_sequential_rows=few) for few in (rows, 0))
     np.testing.assert_allclose(in_turn.variance, scan.variance, rtol=1e-11)
     np.testing.assert_allclose(in_turn.gain, scan.gain, rtol=1e-11)
     np.testing.assert_array_equal((in_turn.ahead, in_turn.step), (scan.ahead, scan.step))
@@ -32,7 +32,9 @@ def test_segments_of_equal_rows_match_scan(ratio, samples):
     time = np.round(rows * 0.4 * samples, 9)
     blocks = BlockSpans.of(time, count, np.full(rows.size, 0.05))
     white, walk = (1.0, ratio) if ratio < math.inf else (0.0, 1.0)
-    alike, scan = (filter_walk(blocks, white, walk, few_rows=few) for few in (rows.size, -1))
+    alike, scan = (
+        filter_walk(blocks, white, walk, max_sequential_rows=few) for few in (rows.size, -1)
+    )
     # A large walk multiplies what rounding the times has moved.
     np.testing.assert_allclose(alike.variance, scan.variance, rtol=2e-9)
     np.testing.assert_allclose(alike.gain, scan.gain, rtol=2e-9)

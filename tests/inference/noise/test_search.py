@@ -16,7 +16,7 @@ from counterspin.inference.noise.model import (
     make_whitener,
 )
 from counterspin.inference.noise.search import (
-    KEEPING_GAIN,
+    MIN_LIKELIHOOD_GAIN,
     _newton_step,
     effective_dof,
     estimate_noise,
@@ -197,7 +197,7 @@ def test_absent_walk_is_rarely_estimated():
 def test_threshold_matches_chi_square_mixture():
     from scipy.special import chdtrc
 
-    assert 0.5 * chdtrc(1, KEEPING_GAIN) == pytest.approx(0.05, rel=1e-12)
+    assert 0.5 * chdtrc(1, MIN_LIKELIHOOD_GAIN) == pytest.approx(0.05, rel=1e-12)
 
 
 def test_present_walk_is_estimated():

@@ -48,7 +48,9 @@ def test_flicker_and_random_walk_have_closed_form_moments():
     )
     # A variance of some 3.5 is known to 1.8 %.
     np.testing.assert_allclose(found, exact, atol=0.07 * exact[0, 0])
-    walks = np.array([draw_bias_noise(rng, times, walk, 0, elapsed=40.0) for _ in range(3000)])
+    walks = np.array(
+        [draw_bias_noise(rng, times, walk, 0, walk_duration=40.0) for _ in range(3000)]
+    )
     expected = 0.01 * (40.0 + times)
     np.testing.assert_allclose(np.mean(walks**2, axis=0), expected, rtol=0.15)
 
@@ -58,7 +60,7 @@ def test_wander_is_integrated_once_per_observable_order():
 
     def draw_wander(order):
         noise = Noise(0.0, flicker=2.0, bias_walk=0.5)
-        return draw_bias_noise(np.random.default_rng(3), times, noise, order, elapsed=9.0)
+        return draw_bias_noise(np.random.default_rng(3), times, noise, order, walk_duration=9.0)
 
     bias, velocity, position = (draw_wander(order) for order in (0, 1, 2))
     linear = np.concatenate([[0.0], np.cumsum(0.05 * (bias[1:] + bias[:-1]))])

@@ -16,7 +16,7 @@ from counterspin.inference.joint.summary import NOISE
 from counterspin.inference.joint.unknowns import Considered, Unknowns
 from counterspin.inference.noise import undetected_walk
 from counterspin.inference.noise.model import ESTIMATE, Noise
-from counterspin.inference.noise.search import KEEPING_GAIN
+from counterspin.inference.noise.search import MIN_LIKELIHOOD_GAIN
 from counterspin.inference.noise.undetected_walk import (
     PRIOR_EXPONENT,
     UndetectedWalk,
@@ -114,7 +114,7 @@ class Slow:
 
         grid = np.linspace(-4.0, 14.0, 40)
         values = np.array([likelihood(math.exp(point)) for point in grid])
-        if 2.0 * (values.max() - likelihood(0.0)) > KEEPING_GAIN:
+        if 2.0 * (values.max() - likelihood(0.0)) > MIN_LIKELIHOOD_GAIN:
             return None
         unseen = walk_posterior(lambda x: (likelihood(math.exp(x)), x), -3.0, likelihood(0.0))
         level, inverse = marginal_walk(unseen, np.ones(1), np.array([self.felt]))

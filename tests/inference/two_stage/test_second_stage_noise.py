@@ -14,8 +14,8 @@ from counterspin.inference.two_stage.first_stage import Strobes
 from counterspin.inference.two_stage.model import TwoStageRequest
 from counterspin.inference.two_stage.second_stage import (
     StrobedRun,
+    apply_noise_uncertainty,
     second_stage,
-    with_estimated_noise,
 )
 from counterspin.physics.accelerometer import QX
 from counterspin.physics.motion import Site, Trajectory
@@ -57,7 +57,7 @@ def solve_second_stage(noise):
 def test_degrees_of_freedom_match_refit_with_other_noise():
     components = estimated_noise(0.01, 1e-3)
     _, second = solve_second_stage(components.noise)
-    wider = with_estimated_noise(second, components.noise, components)
+    wider = apply_noise_uncertainty(second, components.noise, components)
 
     def variance(white=1.0, walk=1.0):
         level = Noise(0.01 * math.sqrt(white), 1e-3 * math.sqrt(walk))
@@ -79,7 +79,7 @@ def test_undetected_walk_is_propagated_with_same_weights():
     unseen = UndetectedWalk(np.array([1e-8, 1e-7, 1e-6]), np.array([0.5, 0.3, 0.2]))
     components = estimated_noise(0.01, 0.0, estimated=("white",), unseen=unseen)
     runs, second = solve_second_stage(components.noise)
-    wider = with_estimated_noise(second, components.noise, components)
+    wider = apply_noise_uncertainty(second, components.noise, components)
     # The same gains on strobes with the walk's covariance, an integral over the white noise.
     slope = np.zeros((2, 2))
     for place, run in enumerate(runs):
@@ -111,7 +111,7 @@ def test_exactly_known_unknown_is_fixed():
     request = request.with_noise(components.noise)
     runs, _ = solve_second_stage(components.noise)
     second = second_stage(runs, QX, request)
-    wider = with_estimated_noise(second, components.noise, components)
+    wider = apply_noise_uncertainty(second, components.noise, components)
     assert wider.estimate("K_II") == (2e-5, 0.0)
     assert wider.estimate("K_F")[1] > 0.0
 

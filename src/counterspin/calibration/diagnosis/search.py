@@ -70,7 +70,7 @@ from counterspin.inference.joint.series import TIMING
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.inference.noise.model import Noise
-from counterspin.physics.gravity import gravity_range, latitudes_with
+from counterspin.physics.gravity import gravity_range, latitude_range
 from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS
 
 #: p-value below which the alternatives are tested.
@@ -310,7 +310,7 @@ def _add_input_ranges(
     gravity_limits, excluded_range = (low - _GRAVITY_ANOMALY, high + _GRAVITY_ANOMALY), (0.0, 0.0)
     if gravity_limits[0] <= gravity <= gravity_limits[1]:  # otherwise either may be wrong
         ranges["site.gravity"] = gravity_limits
-        min_latitude, max_latitude = latitudes_with(gravity, _GRAVITY_ANOMALY)
+        min_latitude, max_latitude = latitude_range(gravity, _GRAVITY_ANOMALY)
         # On both hemispheres, because the sign may be wrong.
         ranges["site.latitude"] = -max_latitude, max_latitude
         excluded_range = -min_latitude - latitude, min_latitude - latitude

@@ -61,7 +61,11 @@ from counterspin.inference.two_stage.model import (
     select_strobes,
     two_stage_model,
 )
-from counterspin.inference.two_stage.second_stage import SecondStage, resolve, with_estimated_noise
+from counterspin.inference.two_stage.second_stage import (
+    SecondStage,
+    apply_noise_uncertainty,
+    resolve,
+)
 from counterspin.loading import load_name
 from counterspin.physics.terms import ACCELEROMETER_TERMS, SHARED_TERMS, TERMS
 
@@ -219,7 +223,7 @@ def two_stage_view(
     joint_model = replace(joint_model, considered=(*joint_model.considered, *rotation))
     model = two_stage_model(joint_model, request, selected_series)
     second_stage = resolve(selected_series, parabolas, model, request)
-    second_stage = with_estimated_noise(second_stage, problem.noise[name], components)
+    second_stage = apply_noise_uncertainty(second_stage, problem.noise[name], components)
     assessment = assess(second_stage.fit.solution, [unknown.name for unknown in model.unknowns])
     # A term is not determined if a requested term has the same effect.
     unstated_symbols = unstated_considered(problem.campaign, name, second_stage)

@@ -21,13 +21,13 @@ from counterspin.inference.joint.series import ResidualSeries
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import Noise
 from counterspin.physics import observation, quadrature
-from counterspin.physics.angle_error import SLOW, AngleError, angle_sensitivity
+from counterspin.physics.angle_error import POLYNOMIAL_NAMES, AngleError, angle_sensitivity
 from counterspin.physics.effects import SpecificForceProduct
 from counterspin.physics.spindle import MAX_HARMONICS
 from counterspin.physics.terms import TERMS
 
 #: Symbols of the terms: angle, rate and drift, and two quadratures of each ripple.
-SYMBOLS: Final = tuple(f"encoder.{part}" for part in SLOW) + tuple(
+SYMBOLS: Final = tuple(f"encoder.{part}" for part in POLYNOMIAL_NAMES) + tuple(
     f"encoder.ripple{n}.{phase}" for n in range(1, MAX_HARMONICS + 1) for phase in ("cos", "sin")
 )
 
@@ -46,7 +46,9 @@ def rotation_component(symbol: str) -> str:
 
 def _angle_error_symbols(angle_error: AngleError) -> tuple[str, ...]:
     ripples = (f"encoder.ripple{n}." for n in angle_error.harmonics)
-    return SYMBOLS[: len(SLOW)] + tuple(r + phase for r in ripples for phase in ("cos", "sin"))
+    return SYMBOLS[: len(POLYNOMIAL_NAMES)] + tuple(
+        r + phase for r in ripples for phase in ("cos", "sin")
+    )
 
 
 def columns(

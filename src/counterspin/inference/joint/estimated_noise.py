@@ -135,7 +135,7 @@ def noise_level_dof(fit: JointFit, name: str) -> float:
         np.array(noise.variances[: _WALK_INDEX + 1]),
     )
     np.divide(row_equivalents, variances, out=gradient[0, : _WALK_INDEX + 1], where=variances > 0.0)
-    n_rows = sum(series.differences.rows for series in series_list)
+    n_rows = sum(series.differences.n_rows for series in series_list)
     return float(effective_dof([n_rows], gradient, np.array(noise.covariance))[0])
 
 

@@ -1,15 +1,14 @@
-"""Noise of a record: its models, whitening, and its size estimated from the records.
+"""Noise of records: models, whitening, and estimation.
 
 - `components`: table of the noise components
 - `simulation`: simulated noise of records
-- `model`, `riccati`: models of a record's noise, whitening with them, and what more noise takes
-  from what a record says
+- `model`, `riccati`: noise models of records, whitening, and information loss by noise
 - `bias_instability`: flicker and random walk of the bias
-- `likelihood`: records reduced to what the restricted likelihood of their noise needs, and it;
-  `even_sampling`: of an even record at rest, by its cosine transform
-- `search`: the noise's size, estimated from the records
-- `static_noise`: a record at rest, cleaned; its noise, each component with an interval
-- `samples`: the samples of a sensor in a record at rest, where its log repeats values or stamps
-- `spectrum`: its spectrum, the lines in it, and its Allan deviation
-- `undetected_walk`: uncertainty from a random walk that the records do not show
+- `likelihood`: restricted likelihood of the noise of records; `even_sampling`: cosine transform of
+  regularly sampled records at rest
+- `search`: estimation of the noise variances
+- `static_noise`: noise components of a record at rest, with intervals
+- `samples`: samples of a sensor in a log with repeated values or time stamps
+- `spectrum`: spectrum, spectral lines and Allan deviation
+- `undetected_walk`: uncertainty due to an undetected random walk
 """

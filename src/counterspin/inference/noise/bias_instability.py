@@ -1,16 +1,16 @@
-"""Coloured noise of an accelerometer's bias: flicker (bias instability) and a random walk.
+"""Coloured noise of the bias: flicker (bias instability) and a random walk.
 
 The bias has two-sided spectral densities B^2/(2 pi f) and K^2/(2 pi f)^2, those of IEEE Std 952:
 the Allan deviation has a floor of 0.664 B, and the variance of the walk grows by K^2 a second.
-Flicker slower than `MIN_FLICKER_FREQUENCY` counts as the bias itself. The noise of different
-runs is independent; the walk starts with its variance accumulated since the start of the campaign.
+Flicker below `MIN_FLICKER_FREQUENCY` is part of the bias. The noise of different runs is
+independent; the walk starts with its variance accumulated since the start of the campaign.
 
-Over a record of length T the bias is a sum of cosines, cos(k pi t/T), k < r: what is left out lies
-above r/(2T), where the other noise covers it a thousandfold (`basis_size`). Their
-covariance is that of the process on a grid four times as fine, with the exact autocovariance
-of a spectrum 1/f between two frequencies, a difference of cosine integrals. Integrated as often as
-the record is, the cosines add a covariance U U' of low rank to whitened rows, and
-(1 + U U')^(-1/2) whitens them again.
+Over a record of length T, the bias is a sum of cosines, cos(k pi t/T), k < r. The omitted part is
+above r/(2T), where the other noise exceeds it a thousandfold (`basis_size`). The covariance of the
+cosines is that of the process on a grid four times as fine, with the exact autocovariance of a 1/f
+spectrum between two frequencies, a difference of cosine integrals. After the integrations of the
+record, the cosines add a low-rank covariance U U' to whitened rows, which (1 + U U')^(-1/2)
+whitens again.
 """
 
 from __future__ import annotations
@@ -25,30 +25,31 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.noise.components import BIAS_COMPONENTS
 
-#: At the highest frequency that is taken along, the wander is this part of the other noise.
+#: Ratio of bias noise to other noise at the highest frequency of the cosines.
 _MIN_RELATIVE_DENSITY: Final = 1e-3
 
-#: Fewest and most functions.
+#: Smallest and largest number of cosines.
 _BASIS_SIZE_RANGE: Final = (12, 256)
 
 #: Grid points for each function.
 _POINTS_PER_FUNCTION: Final = 4
 
-#: The cosines are level at both ends: these lie beyond the record by this part of it.
+#: Extension of the cosines beyond the record, relative to its length, because their slopes are
+#: zero at both ends.
 _OVERHANG_FRACTION: Final = 0.02
 
-#: Shares of a whitened direction below this are rounding.
-_ROUNDING: Final = 1e-9
+#: Eigenvalue of a whitened direction below which it is rounding error.
+_MIN_EIGENVALUE: Final = 1e-9
 
 
-#: Variances of a record's noise: of what is white in a sample, quantisation included, in the
-#: observable's unit squared; N^2 of the accelerometer's white noise; B^2 and K^2.
+#: Variances of the noise of a record: white noise of a sample with quantisation, in the squared
+#: unit of the observable; N^2 of the accelerometer's white noise; B^2 and K^2.
 Variances = tuple[float, ...]
 
 
-def basis_length(last: float) -> float:
-    """Return the length of the cosines for a record whose last row is at `last` s."""
-    return (1.0 + _OVERHANG_FRACTION) * last
+def basis_length(last_time: float) -> float:
+    """Return the length of the cosines for a record whose last row is at `last_time` s."""
+    return (1.0 + _OVERHANG_FRACTION) * last_time
 
 
 def basis_size(variances: Variances, spacing: float, length: float, order: int) -> int:
@@ -57,12 +58,12 @@ def basis_size(variances: Variances, spacing: float, length: float, order: int) 
     spacing: Time between samples, s.
     length: Of the record, s.
     """
-    lower_limit, upper_limit = _BASIS_SIZE_RANGE
+    min_size, max_size = _BASIS_SIZE_RANGE
     white, white_force, *bias_variances = variances
-    # No more than the samples can show.
-    upper_limit = max(lower_limit, min(upper_limit, math.floor(0.9 * length / spacing)))
-    count = lower_limit
-    while count < upper_limit:
+    # The samples limit the number of cosines.
+    max_size = max(min_size, min(max_size, math.floor(0.9 * length / spacing)))
+    count = min_size
+    while count < max_size:
         w = math.pi * count / length
         bias_density = sum(
             variance / component.inverse_density(w)
@@ -72,9 +73,9 @@ def basis_size(variances: Variances, spacing: float, length: float, order: int) 
             white * spacing * w ** (2 * order) + white_force
         ):
             break
-        # Few different numbers: what was worked out for one of them serves again.
+        # A coarse sequence of numbers, so that covariances are reused from the cache.
         count = math.ceil(1.25 * count)
-    return min(count, upper_limit)
+    return min(count, max_size)
 
 
 def integrated_cosines(
@@ -106,13 +107,14 @@ def _coefficient_covariances(count: int, length: float) -> tuple[Array, ...]:
     """Return the cosines' covariance for each bias component of unit size, (count, count)."""
     points = _POINTS_PER_FUNCTION * count
     positions = (np.arange(points) + 0.5) / points
-    project = 2.0 / points * np.cos(math.pi * np.outer(np.arange(count), positions))
-    project[0] *= 0.5
-    high = points / (2.0 * length)
+    projection = 2.0 / points * np.cos(math.pi * np.outer(np.arange(count), positions))
+    projection[0] *= 0.5
+    max_frequency = points / (2.0 * length)
     covariances = (
-        component.covariance(length * positions, high) for component in BIAS_COMPONENTS.values()
+        component.covariance(length * positions, max_frequency)
+        for component in BIAS_COMPONENTS.values()
     )
-    return tuple(project @ covariance @ project.T for covariance in covariances)
+    return tuple(projection @ covariance @ projection.T for covariance in covariances)
 
 
 def coefficient_covariance(
@@ -153,7 +155,7 @@ class LowRankWhitener:
     def of(cls, root: Array) -> LowRankWhitener:
         """Return the whitener for U, shape (m, r)."""
         eigenvalues, vectors = np.linalg.eigh(root.T @ root)
-        is_significant = eigenvalues > _ROUNDING
+        is_significant = eigenvalues > _MIN_EIGENVALUE
         eigenvalues, vectors = eigenvalues[is_significant], vectors[:, is_significant]
         roots = np.sqrt(1.0 + eigenvalues)
         return cls(

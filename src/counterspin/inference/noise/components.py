@@ -1,4 +1,4 @@
-"""The table of noise components: unit, description, spectrum, covariance and simulation of each.
+"""Table of noise components: unit, description, spectrum, covariance and simulation of each.
 
 A record contains the white noise of its samples, the white noise of the accelerometer, and the
 noise of the accelerometer's bias. The conventions are those of IEEE Std 952. White noise has a
@@ -25,11 +25,11 @@ MIN_FLICKER_FREQUENCY: Final = 1.0 / 86400.0
 #: Number of the slowest rows of a cosine transform whose covariance is computed.
 SLOW_ROWS: Final = 64
 
-#: Number of points on which this covariance is computed, at most: 32 on the shortest wave.
-_POINTS: Final = 2048
+#: Largest number of points of this covariance: 32 points per shortest period.
+_MAX_POINTS: Final = 2048
 
-#: Number of times for which slow waves are summed at once: there may be a hundred waves.
-_WAVES_PER_BATCH: Final = 100_000
+#: Number of times for which slow harmonics are summed at once: there may be a hundred harmonics.
+_TIMES_PER_BATCH: Final = 100_000
 
 
 @frozen
@@ -141,10 +141,10 @@ class Flicker(BiasComponent):
 
     def transform_covariance(self, n: int, averaging_order: int) -> Array:
         """Return the covariance with the attenuation by the means."""
-        covariance = _flicker_transform_covariance(min(n, _POINTS))
+        covariance = _flicker_transform_covariance(min(n, _MAX_POINTS))
         angle = math.pi / n * np.arange(1.0, len(covariance) + 1.0)
         gain = _averaging_gain(angle, averaging_order)
-        return (n / min(n, _POINTS)) * gain[:, None] * covariance * gain
+        return (n / min(n, _MAX_POINTS)) * gain[:, None] * covariance * gain
 
     def draw(
         self,
@@ -153,28 +153,32 @@ class Flicker(BiasComponent):
         size: float,
         elapsed: float,  # noqa: ARG002 -- the process is stationary
     ) -> Array:
-        """Draw a sum of waves whose variances are those of the spectrum.
+        """Draw a sum of harmonics with the variances of the spectrum.
 
-        The waves reach from a day's period to half the sampling rate: line by line of eight times
-        the record's length, and slower ones in bands of a tenth of a decade.
+        The periods range from a day to two samples: all lines of a record of eight times the
+        length, and slower ones in bands of a tenth of a decade.
         """
         n, step = times.size, float(times[1] - times[0])
-        lines = 8 * n
-        k = np.arange(1, lines // 2)
-        # Variance between the middles of the gaps to the neighbours: B^2/pi ln(f2/f1).
+        n_lines = 8 * n
+        k = np.arange(1, n_lines // 2)
+        # Variance between the midpoints to the neighbouring lines: B^2/pi ln(f2/f1).
         sds = size * np.sqrt(np.log((k + 0.5) / (k - 0.5)) / math.pi)
-        waves = np.zeros(lines // 2 + 1, dtype=complex)
-        waves[k] = 0.5 * sds * (generator.standard_normal((2, k.size)).T @ [1.0, 1j])
-        bias = np.fft.irfft(waves * lines, lines)[:n]
-        first = 0.5 / (lines * step)
-        low = min(MIN_FLICKER_FREQUENCY, 0.1 * first)
-        edges = np.geomspace(low, first, 2 + math.ceil(10.0 * math.log10(first / low)))
+        spectrum = np.zeros(n_lines // 2 + 1, dtype=complex)
+        spectrum[k] = 0.5 * sds * (generator.standard_normal((2, k.size)).T @ [1.0, 1j])
+        bias = np.fft.irfft(spectrum * n_lines, n_lines)[:n]
+        min_frequency = 0.5 / (n_lines * step)
+        lowest_frequency = min(MIN_FLICKER_FREQUENCY, 0.1 * min_frequency)
+        edges = np.geomspace(
+            lowest_frequency,
+            min_frequency,
+            2 + math.ceil(10.0 * math.log10(min_frequency / lowest_frequency)),
+        )
         sds = size * np.sqrt(np.diff(np.log(edges)) / math.pi)
         w = 2.0 * math.pi * np.sqrt(edges[1:] * edges[:-1])[:, None]
         a, b = sds * generator.standard_normal((2, sds.size))
-        for start in range(0, n, _WAVES_PER_BATCH):
-            phases = w * (times[start : start + _WAVES_PER_BATCH] - times[0])
-            bias[start : start + _WAVES_PER_BATCH] += a @ np.cos(phases) + b @ np.sin(phases)
+        for start in range(0, n, _TIMES_PER_BATCH):
+            phases = w * (times[start : start + _TIMES_PER_BATCH] - times[0])
+            bias[start : start + _TIMES_PER_BATCH] += a @ np.cos(phases) + b @ np.sin(phases)
         return bias
 
 
@@ -232,7 +236,7 @@ BIAS_COMPONENTS_BY_KEY: Final = {row.key: row for row in BIAS_COMPONENTS.values(
 def sampled_densities(angle: Array, step: float, sampling: Sampling) -> Array:
     """Return the densities of samples of the specific force for each component of unit size.
 
-    angle, step: As in `NoiseComponent.sampled_density`.
+    angle, step: See `NoiseComponent.sampled_density`.
     Returns: (4, m).
     """
     rows = NOISE_COMPONENTS.values()
@@ -266,11 +270,11 @@ def _flicker_transform_covariance(points: int) -> Array:
     """Return the covariance of the slowest rows of the transform of points of flicker."""
     from scipy.fft import dct
 
-    # Slower flicker than this shows as the mean, which is unknown.
+    # Slower flicker is part of the mean, which is unknown.
     lags = flicker_autocovariance(np.arange(points, dtype=float), 1e-3 / points, 0.5)
     rows = min(SLOW_ROWS, points - 1)
-    half = dct(_toeplitz(lags), type=2, norm="ortho", axis=0)[1 : rows + 1]
-    covariance: Array = dct(half, type=2, norm="ortho", axis=1)[:, 1 : rows + 1]
+    half_transform = dct(_toeplitz(lags), type=2, norm="ortho", axis=0)[1 : rows + 1]
+    covariance: Array = dct(half_transform, type=2, norm="ortho", axis=1)[:, 1 : rows + 1]
     return covariance
 
 

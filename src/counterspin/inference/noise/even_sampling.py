@@ -1,14 +1,14 @@
-"""The cosine transform of an evenly sampled record at rest, whose rows are nearly independent.
+"""Cosine transform of a regularly sampled record at rest, with nearly independent rows.
 
-The transform of type II is that of a record continued by its mirror image. White noise is exactly
-independent in it from row to row, and so is a random walk whose mean is unknown: its steps' inverse
-covariance has just these vectors (Strang, SIAM Review 41 (1999) 135). Flicker lies between the two:
-its slowest `SLOW_ROWS` rows have their covariance, the others are less than 0.5 % correlated in
-all. What is white in a velocity or a displacement is differences of white noise here, independent
-but for the first and last `order` rows: those are given up, each an unknown of its own.
+In the cosine transform of type II, the rows of white noise are exactly independent. So are those of
+a random walk with unknown mean, because the inverse covariance of its steps has these eigenvectors
+(Strang, SIAM Review 41 (1999) 135). For flicker, the slowest `SLOW_ROWS` rows have their
+covariance; the other rows are correlated by less than 0.5 % in total. White noise of a velocity or
+displacement becomes differences of white noise, independent except for the first and last `order`
+rows, each of which has an unknown of its own.
 
-The fast rows have variances that change little from one to the next, so that the triangle of a
-group says all that the group does: a hundred thousand rows cost what three thousand cost.
+Neighbouring fast rows have nearly equal variances, so that the triangle of a group contains all
+its information: a hundred thousand rows cost as much as three thousand.
 """
 
 from __future__ import annotations
@@ -31,38 +31,44 @@ from counterspin.inference.noise.components import (
     sampled_densities,
 )
 
-#: Rows beyond which neighbours within this part of their number are one group.
+#: Number of rows without groups, and width of a group relative to its first row.
 _UNGROUPED_ROWS: Final = 400
 _GROUP_FRACTION: Final = 0.02
 
 
 @frozen(eq=False)
 class EvenlySampledData:
-    """Means of the specific force between the samples of a record at rest."""
+    """Mean specific force between the samples of a record at rest."""
 
-    step: float  #: s.
+    step: float  #: Time between samples, s.
     kind: Sampling
-    design: Array  #: (n, k) columns of unknowns; not their common constant.
-    observations: Array  #: (n,) m/s^2: differences of that order, over step^order.
-    places: NDArray[np.intp]  #: (k,) of the columns among the unknowns of all records.
+    design: Array  #: Columns of the unknowns without the constant, shape (n, k).
+    observations: Array  #: Differences over step^order, m/s^2, shape (n,).
+    places: NDArray[np.intp]  #: Indices of the columns among the unknowns of all records, (k,).
 
     @classmethod
     def of(
-        cls, values: Array, step: float, kind: Sampling, slow: Array, first: int
+        cls, values: Array, step: float, kind: Sampling, shared_columns: Array, first_index: int
     ) -> EvenlySampledData:
-        """Return a record of an observable without gaps.
+        """Return the data of a record without gaps.
 
-        values: (n,) as recorded, SI.
-        slow: (n - order, k) columns of what all records share, of the specific force.
-        first: Number that this record's own unknowns begin with.
+        values: Recorded values, SI, shape (n,).
+        shared_columns: Columns of the common unknowns of all records, shape (n - order, k).
+        first_index: Index of the first unknown of this record alone.
         """
         order = kind.order
         force = np.diff(values, n=order) / step**order
-        ends = np.zeros((force.size, 2 * order))
-        for place in range(order):
-            ends[place, place] = ends[-1 - place, order + place] = 1.0
-        places = [*range(slow.shape[1]), *range(first, first + 2 * order)]
-        return cls(step, kind, np.column_stack([slow, ends]), force, np.array(places, np.intp))
+        end_columns = np.zeros((force.size, 2 * order))
+        for row in range(order):
+            end_columns[row, row] = end_columns[-1 - row, order + row] = 1.0
+        places = [*range(shared_columns.shape[1]), *range(first_index, first_index + 2 * order)]
+        return cls(
+            step,
+            kind,
+            np.column_stack([shared_columns, end_columns]),
+            force,
+            np.array(places, np.intp),
+        )
 
     def reduce(self) -> TransformedRecord:
         """Return the cosine transform of the record."""
@@ -75,26 +81,26 @@ class EvenlySampledData:
         edges = [min(n - 1, _UNGROUPED_ROWS)]
         while edges[-1] < n - 1:
             edges.append(min(n - 1, math.ceil(edges[-1] * (1.0 + _GROUP_FRACTION))))
-        stack, variances = [rows[: edges[0]]], [row_variances[:, : edges[0]]]
+        row_groups, variances = [rows[: edges[0]]], [row_variances[:, : edges[0]]]
         for begin, end in pairwise(edges):
             group_triangle = triangular_factor(rows[begin:end])
-            stack.append(group_triangle)
+            row_groups.append(group_triangle)
             variances.append(
                 np.repeat(
                     row_variances[:, begin:end].mean(axis=1)[:, None], len(group_triangle), axis=1
                 )
             )
         counts = np.append(np.ones(edges[0]), np.diff(edges).astype(float))
-        first = np.cumsum([0, edges[0], *map(len, stack[1:])])[1:-1]
-        places = np.append(np.arange(edges[0]), first).astype(np.intp)
+        group_starts = np.cumsum([0, edges[0], *map(len, row_groups[1:])])[1:-1]
+        first_rows = np.append(np.arange(edges[0]), group_starts).astype(np.intp)
         return TransformedRecord(
             self.step,
             self.kind,
             n,
-            np.concatenate(stack),
+            np.concatenate(row_groups),
             np.concatenate(variances, axis=1),
             counts,
-            places,
+            first_rows,
             _slow_covariances(n, self.kind),
         )
 
@@ -103,14 +109,14 @@ class EvenlySampledData:
 class TransformedRecord:
     """Rows of the cosine transform, with rows of high frequency in groups."""
 
-    step: float  #: s.
+    step: float  #: Time between samples, s.
     kind: Sampling
-    samples: int  #: Of the specific force.
+    samples: int  #: Number of samples of the specific force.
     stack: Array  #: [design | observations], (m, k + 1).
     row_variances: Array  #: Variance of each row per unit of each of `COMPONENTS`, (4, m).
-    counts: Array  #: How many rows of the transform each group has, (g,).
-    places: NDArray[np.intp]  #: Of each group's first row in `stack`, (g,).
-    #: Covariance of the slowest rows for each bias component; None: they are independent.
+    counts: Array  #: Number of rows of the transform in each group, (g,).
+    places: NDArray[np.intp]  #: Index of the first row of each group in `stack`, (g,).
+    #: Covariance of the slowest rows for each bias component; None: independent.
     slow_covariances: tuple[Array | None, ...]
     walk_duration: float = 0.0
     added_variance: float = 0.0
@@ -121,7 +127,7 @@ class TransformedRecord:
         return self.kind.order
 
     @property
-    def rows(self) -> int:
+    def n_rows(self) -> int:
         """Number of rows of the transform, without the mean."""
         return self.samples - 1
 
@@ -140,9 +146,9 @@ class TransformedRecord:
         """Time between samples, s, and the number of samples per row, which is 1."""
         return np.array([self.step]), np.ones(1)
 
-    def with_columns(self, kept: NDArray[np.bool_]) -> TransformedRecord:
+    def with_columns(self, mask: NDArray[np.bool_]) -> TransformedRecord:
         """Return the transform with some of the design columns."""
-        return replace(self, stack=np.asfortranarray(self.stack[:, np.append(kept, True)]))
+        return replace(self, stack=np.asfortranarray(self.stack[:, np.append(mask, True)]))
 
     def without_added_variance(self) -> TransformedRecord:
         """Return the record itself, because it has no known additional variance."""
@@ -153,27 +159,27 @@ class TransformedRecord:
         variance = np.asarray(ratios) @ self.row_variances
         rows = self.stack / np.sqrt(variance)[:, None]
         log_det = float(self.counts @ np.log(variance[self.places]))
-        coloured = [
+        covariances = [
             ratio * part
             for ratio, part in zip(ratios[2:], self.slow_covariances, strict=True)
             if part is not None and ratio > 0.0
         ]
-        if coloured:
-            slow = slice(0, min(SLOW_ROWS, self.rows))
-            covariance = np.sum(coloured, axis=0)
-            covariance.flat[:: len(covariance) + 1] = variance[slow]
+        if covariances:
+            slow_rows = slice(0, min(SLOW_ROWS, self.n_rows))
+            covariance = np.sum(covariances, axis=0)
+            covariance.flat[:: len(covariance) + 1] = variance[slow_rows]
             factor = np.linalg.cholesky(covariance)
-            rows[slow] = np.linalg.solve(factor, self.stack[slow])
+            rows[slow_rows] = np.linalg.solve(factor, self.stack[slow_rows])
             log_det += 2.0 * float(np.log(np.diagonal(factor)).sum())
-            log_det -= float(np.log(variance[slow]).sum())
+            log_det -= float(np.log(variance[slow_rows]).sum())
         return rows, log_det
 
 
 def _row_variances(k: Array, n: int, step: float, kind: Sampling) -> Array:
     """Return the variance of each row of the transform per unit of each of `COMPONENTS`.
 
-    k: Number of each row, from 1, shape (m,).
-    n: Samples of the specific force.
+    k: Index of each row, from 1, shape (m,).
+    n: Number of samples of the specific force.
     Returns: (4, m).
     """
     row_variances = sampled_densities(math.pi * k / n, step, kind)

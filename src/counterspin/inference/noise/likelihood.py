@@ -1,13 +1,12 @@
-"""The restricted likelihood of a noise model: what records say of it, whatever the unknowns are.
+"""Restricted likelihood of a noise model, which does not depend on the unknowns.
 
-Differencing removes start offset and velocity, whitening for trial ratios of the variances and one
-QR leave a triangle that serves every scale of the noise (Patterson and Thompson, Biometrika 58
-(1971) 545; Harville, JASA 72 (1977) 320).
+Differences remove start offset and velocity. Whitening with trial ratios of the variances and a QR
+decomposition give a triangle that is valid for every scale of the noise (Patterson and Thompson,
+Biometrika 58 (1971) 545; Harville, JASA 72 (1977) 320).
 
-For coloured bias noise, its cosines (`counterspin.inference.noise.bias_instability`) and the
-record's columns are reduced to one triangle, once for each ratio of the white noise.
-Trial variances of the bias noise then cost what the triangle's few hundred rows cost, however long
-the record is.
+For bias noise, its cosines (`counterspin.inference.noise.bias_instability`) and the columns of the
+record are reduced to a triangle, once for each ratio of the white noise. Trial variances of the
+bias noise then only require the few hundred rows of the triangle, not the record.
 """
 
 from __future__ import annotations
@@ -40,10 +39,10 @@ from counterspin.inference.noise.model import (
 if TYPE_CHECKING:
     from counterspin.inference.noise.even_sampling import EvenlySampledData, TransformedRecord
 
-#: White noise alone.
+#: Variances of white noise alone.
 WHITE: Final = (1.0, *(0.0 for _ in COMPONENTS[1:]))
 
-#: Rows less what the unknowns follow of them, below which rounding is all that is left.
+#: Degrees of freedom per row below which only rounding errors remain.
 _MIN_DOF: Final = 1e-9
 
 
@@ -51,21 +50,21 @@ _MIN_DOF: Final = 1e-9
 class RecordData:
     """A record of an observable, as input of the noise estimation."""
 
-    times: ArrayLike  #: (n,) s, increasing.
+    times: ArrayLike  #: s, increasing, shape (n,).
     order: int  #: 2 displacement, 1 velocity, 0 specific force.
-    #: (n, k) columns of the unknowns that the record sees. Start offset and velocity may be left
-    #: out: differencing removes them.
+    #: Columns of the unknowns of the record, shape (n, k), without start offset and velocity, which
+    #: differences remove.
     design: ArrayLike
-    observations: ArrayLike  #: (n,).
+    observations: ArrayLike  #: Shape (n,).
     #: Samples per row and the time between them, as in `make_whitener`.
     count: ArrayLike | None = None
     spacing: ArrayLike | None = None
-    #: (k,) which of the p unknowns of all records the columns belong to; absent: all of them.
+    #: Indices of the columns among the p unknowns of all records, shape (k,); None: all of them.
     places: ArrayLike | None = None
-    walk_duration: float = 0.0  #: For how long a bias had walked when the record began, s.
-    #: (n,) or a number: a variance of each row's samples that is known, beside what is estimated.
+    walk_duration: float = 0.0  #: Duration of the bias walk before the record, s.
+    #: Known additional variance of the samples, shape (n,) or a number.
     added_variance: float | Array = 0.0
-    variance_ratio: float = 1.0  #: Its white variance over that of records that are alike.
+    variance_ratio: float = 1.0  #: White-noise variance over that of the accelerometer.
 
     def reduce(self) -> DifferencedRecord:
         """Return the differenced record."""
@@ -91,9 +90,9 @@ class DifferencedRecord:
     triangles: dict[Any, tuple[Array, float]] = field(default_factory=dict)
 
     @property
-    def rows(self) -> int:
+    def n_rows(self) -> int:
         """Number of rows of the differences."""
-        return self.differences.rows
+        return self.differences.n_rows
 
     @property
     def length(self) -> float:
@@ -111,9 +110,9 @@ class DifferencedRecord:
         blocks = self.differences.blocks
         return np.diff(blocks.time), blocks.count
 
-    def with_columns(self, kept: NDArray[np.bool_]) -> DifferencedRecord:
+    def with_columns(self, mask: NDArray[np.bool_]) -> DifferencedRecord:
         """Return the record with some of the design columns."""
-        stack = np.asfortranarray(self.stack[:, np.append(kept, True)])
+        stack = np.asfortranarray(self.stack[:, np.append(mask, True)])
         return replace(self, stack=stack, triangles={})
 
     def without_added_variance(self) -> DifferencedRecord:
@@ -134,19 +133,21 @@ class DifferencedRecord:
             float(ratios[0] + np.mean(self.added_variance)) * self.differences.variance_ratio
         )
         length = basis_length(self.length)
-        count = basis_size((white_variance, *ratios[1:]), self.spacing, length, self.order)
+        n_cosines = basis_size((white_variance, *ratios[1:]), self.spacing, length, self.order)
         scale = self._scale(ratios)
-        triangle, log_det = self._triangle(ratios[0] / scale, ratios[1] / scale, count)
-        covariance = coefficient_covariance(ratios, count, length, self.walk_duration) / scale
-        cosines = triangle[:count, :count]
-        rows = triangle[:, count:] / math.sqrt(scale)
-        inner = cosines @ covariance @ cosines.T
-        inner.flat[:: len(inner) + 1] += 1.0
-        factor = np.linalg.cholesky(inner)
+        triangle, log_det = self._triangle(ratios[0] / scale, ratios[1] / scale, n_cosines)
+        covariance = coefficient_covariance(ratios, n_cosines, length, self.walk_duration) / scale
+        cosines = triangle[:n_cosines, :n_cosines]
+        rows = triangle[:, n_cosines:] / math.sqrt(scale)
+        inner_covariance = cosines @ covariance @ cosines.T
+        inner_covariance.flat[:: len(inner_covariance) + 1] += 1.0
+        factor = np.linalg.cholesky(inner_covariance)
         from scipy.linalg import solve_triangular
 
-        rows[:count] = solve_triangular(factor, rows[:count], lower=True, check_finite=False)
-        log_det += self.rows * math.log(scale) + 2.0 * float(np.log(np.diagonal(factor)).sum())
+        rows[:n_cosines] = solve_triangular(
+            factor, rows[:n_cosines], lower=True, check_finite=False
+        )
+        log_det += self.n_rows * math.log(scale) + 2.0 * float(np.log(np.diagonal(factor)).sum())
         return rows, log_det
 
     @property
@@ -163,17 +164,22 @@ class DifferencedRecord:
             return float(ratios[0] + ratios[1] / spacing[0])
         return ratios[0] or ratios[1]
 
-    def _triangle(self, white: float, walk: float, count: int) -> tuple[Array, float]:
+    def _triangle(self, white: float, walk: float, n_cosines: int) -> tuple[Array, float]:
         """Return the triangle of whitened [cosines | stack], and the log-determinant."""
-        even = self.order == SPECIFIC_FORCE and np.ptp(self.differences.spacing) == 0.0
-        if even and not self._is_heteroscedastic:
-            white, walk = 1.0, 0.0  # what is white in a sample cannot be told from it
-        key = (white, walk, count)
+        is_even = self.order == SPECIFIC_FORCE and np.ptp(self.differences.spacing) == 0.0
+        if is_even and not self._is_heteroscedastic:
+            white, walk = 1.0, 0.0  # both are white noise of a sample
+        key = (white, walk, n_cosines)
         if key not in self.triangles:
             blocks, length = self.differences.blocks, basis_length(self.length)
             cosines = self.differences.apply(
                 integrated_cosines(
-                    blocks.time, blocks.count, self.differences.spacing, self.order, count, length
+                    blocks.time,
+                    blocks.count,
+                    self.differences.spacing,
+                    self.order,
+                    n_cosines,
+                    length,
                 )
             )
             bands, log_det = self.differences.factor(white + self.added_variance, walk)
@@ -184,17 +190,17 @@ class DifferencedRecord:
 
 @dataclass
 class RestrictedLikelihood:
-    """The restricted likelihood of noise of variances exp(log scale) x ratios, and priors.
+    """Restricted likelihood of noise with the variances exp(log scale) x ratios, and priors.
 
-    Whitened rows are reduced to a triangle that is kept for each set of ratios. Where records
-    have a known additional variance, the ratios are the variances themselves, and the scale is 1.
+    Whitened rows are reduced to a triangle, which is cached for each set of ratios. If records have
+    a known additional variance, the ratios are the variances themselves, and the scale is 1.
     """
 
     records: list[DifferencedRecord | TransformedRecord]
-    places: list[NDArray[np.intp]]  # of each record's columns among all unknowns
+    places: list[NDArray[np.intp]]  # indices of each record's columns among all unknowns
     prior: Array  # [rows | values]
     triangles: dict[Variances, tuple[Array, float]] = field(default_factory=dict)
-    scales: dict[Variances, float] = field(default_factory=dict)  # the best of each unit
+    scales: dict[Variances, float] = field(default_factory=dict)  # best log scale of the ratios
 
     @classmethod
     def of(
@@ -203,49 +209,49 @@ class RestrictedLikelihood:
         prior_rows: ArrayLike | None,
         prior_values: ArrayLike | None,
     ) -> RestrictedLikelihood:
-        """Difference the records; arguments as in `search.estimate_noise`."""
+        """Return the likelihood of differenced records; see `search.estimate_noise`."""
         if not records:
             raise ValueError("noise cannot be estimated without records")
-        rows = [np.asarray(r.design, float) for r in records]
+        design_matrices = [np.asarray(r.design, float) for r in records]
         reduced = [r.reduce() for r in records]
         if len({record.order for record in reduced}) > 1:
             raise ValueError("records of different observables have different noise components")
-        places = [
+        column_indices = [
             np.arange(design.shape[1]) if r.places is None else np.asarray(r.places, np.intp)
-            for r, design in zip(records, rows, strict=True)
+            for r, design in zip(records, design_matrices, strict=True)
         ]
-        p = 1 + max((int(place.max()) for place in places if place.size), default=-1)
+        p = 1 + max((int(place.max()) for place in column_indices if place.size), default=-1)
         prior_factor = np.zeros((0, p)) if prior_rows is None else np.asarray(prior_rows, float)
         values = (
             np.zeros(len(prior_factor)) if prior_values is None else np.asarray(prior_values, float)
         )
-        likelihood = cls(reduced, places, np.column_stack([prior_factor, values]))
-        # What differencing leaves of a start error in the design is rounding, not an unknown.
-        before, after = np.zeros(prior_factor.shape[1]), np.zeros(prior_factor.shape[1])
+        likelihood = cls(reduced, column_indices, np.column_stack([prior_factor, values]))
+        # Differences reduce a start error in the design to rounding errors.
+        norms_before, norms_after = np.zeros(prior_factor.shape[1]), np.zeros(prior_factor.shape[1])
         for squared_norms, designs in (
-            (before, rows),
-            (after, [record.stack[:, :-1] for record in reduced]),
+            (norms_before, design_matrices),
+            (norms_after, [record.stack[:, :-1] for record in reduced]),
         ):
-            for place, design in zip(places, designs, strict=True):
-                squared_norms[place] += np.square(design).sum(axis=0)
-        is_visible = (after > 1e-28 * before) | (prior_factor != 0).any(axis=0)
+            for indices, design in zip(column_indices, designs, strict=True):
+                squared_norms[indices] += np.square(design).sum(axis=0)
+        is_visible = (norms_after > 1e-28 * norms_before) | (prior_factor != 0).any(axis=0)
         likelihood._select_unknowns(np.flatnonzero(is_visible))
         likelihood._select_unknowns(likelihood._independent_unknowns())
-        unknowns = likelihood.prior.shape[1] - 1
-        if likelihood.rows + len(prior_factor) <= unknowns:
+        n_unknowns = likelihood.prior.shape[1] - 1
+        if likelihood.n_rows + len(prior_factor) <= n_unknowns:
             raise NotIdentifiableError(
-                f"{likelihood.rows} differenced rows are too few to estimate the noise together "
-                f"with {unknowns} unknowns; state the noise, or use longer records"
+                f"{likelihood.n_rows} differenced rows are too few to estimate the noise together "
+                f"with {n_unknowns} unknowns; state the noise, or use longer records"
             )
         return likelihood
 
     def _select_unknowns(self, unknowns: NDArray[np.intp]) -> None:
-        new_places = np.full(self.prior.shape[1] - 1, -1)
-        new_places[unknowns] = np.arange(unknowns.size)
-        for index, place in enumerate(self.places):
-            kept = new_places[place] >= 0
-            self.places[index] = new_places[place[kept]]
-            self.records[index] = self.records[index].with_columns(kept)
+        new_indices = np.full(self.prior.shape[1] - 1, -1)
+        new_indices[unknowns] = np.arange(unknowns.size)
+        for index, columns in enumerate(self.places):
+            is_kept = new_indices[columns] >= 0
+            self.places[index] = new_indices[columns[is_kept]]
+            self.records[index] = self.records[index].with_columns(is_kept)
         self.prior = self.prior[:, np.append(unknowns, self.prior.shape[1] - 1)]
         self.triangles.clear()
         self.scales.clear()
@@ -260,9 +266,9 @@ class RestrictedLikelihood:
         return np.sort(order[: factor.shape[0]][np.abs(np.diagonal(factor)) > 1e-11])
 
     @property
-    def rows(self) -> int:
+    def n_rows(self) -> int:
         """Number of differenced rows."""
-        return sum(record.rows for record in self.records)
+        return sum(record.n_rows for record in self.records)
 
     @property
     def evaluations(self) -> int:
@@ -286,12 +292,12 @@ class RestrictedLikelihood:
 
     @property
     def log_walk_floor(self) -> float:
-        """Log ratio of N^2 to the white variance below which the records cannot show the walk."""
+        """Log ratio of N^2 to the white variance below which the walk is undetectable."""
         steps, counts = map(
             np.concatenate, zip(*(record.row_steps for record in self.records), strict=True)
         )
-        unit = 1 / (median(counts) * median(steps) ** (2 * self.order - 1))
-        return math.log(0.1 * unit * self._longest ** (-2.0 * self.order))
+        unit_ratio = 1 / (median(counts) * median(steps) ** (2 * self.order - 1))
+        return math.log(0.1 * unit_ratio * self._longest ** (-2.0 * self.order))
 
     @property
     def walk_range(self) -> float:
@@ -300,7 +306,7 @@ class RestrictedLikelihood:
 
     @property
     def _longest(self) -> int:
-        return max(record.rows for record in self.records)
+        return max(record.n_rows for record in self.records)
 
     def without_added_variance(self) -> RestrictedLikelihood:
         """Return the likelihood without the known additional variances."""
@@ -312,14 +318,14 @@ class RestrictedLikelihood:
     def value(self, log_scale: float, ratios: Variances) -> float:
         """Return the restricted log-likelihood, except for a constant of the records."""
         triangle, _ = self._joint_triangle(log_scale, ratios)
-        log_det = self._triangle(ratios)[1] + self.rows * log_scale
+        log_det = self._triangle(ratios)[1] + self.n_rows * log_scale
         log_information = 2 * float(np.log(np.abs(np.diagonal(triangle)[:-1])).sum())
         return -(log_det + log_information + float(triangle[-1, -1]) ** 2) / 2
 
     def slope(self, log_scale: float, ratios: Variances) -> float:
         """Return the derivative of `value` with respect to the log scale."""
-        freedom, rss = self._dof_and_rss(log_scale, ratios)
-        return (rss - freedom) / 2
+        dof, rss = self._dof_and_rss(log_scale, ratios)
+        return (rss - dof) / 2
 
     def dof(self, log_scale: float, ratios: Variances) -> float:
         """Return the number of rows minus the effective number of unknowns."""
@@ -339,54 +345,58 @@ class RestrictedLikelihood:
 
     def _best_scale(self, ratios: Variances) -> float:
         values = self._triangle(ratios)[0][:, -1]
-        dof = self.rows - self.prior.shape[1] + 1
-        # Where unknowns can follow all rows, only their priors leave anything: from above.
+        dof = self.n_rows - self.prior.shape[1] + 1
+        # If the unknowns can follow all rows, residuals are due to priors: start from above.
         rss = float(values[-1]) ** 2 if dof > 0 else float(values @ values)
         if rss == 0:
             raise NotIdentifiableError(
                 "all residuals are zero, so the noise cannot be estimated; state the noise"
             )
-        log_scale = math.log(rss / (dof if dof > 0 else self.rows))
+        log_scale = math.log(rss / (dof if dof > 0 else self.n_rows))
         for _ in range(100 if len(self.prior) else 0):
-            freedom, scaled = self._dof_and_rss(log_scale, ratios)
-            if freedom <= _MIN_DOF * self.rows or scaled <= 0.0:
+            effective_dof, scaled_rss = self._dof_and_rss(log_scale, ratios)
+            if effective_dof <= _MIN_DOF * self.n_rows or scaled_rss <= 0.0:
                 raise NotIdentifiableError(
-                    f"the unknowns fit all {self.rows} rows exactly, so the noise cannot be "
+                    f"the unknowns fit all {self.n_rows} rows exactly, so the noise cannot be "
                     "estimated; state the noise, or use longer records"
                 )
-            change = math.log(scaled / freedom)
+            change = math.log(scaled_rss / effective_dof)
             log_scale += change
             if abs(change) < 1e-12:
                 break
         return log_scale
 
     def _dof_and_rss(self, log_scale: float, ratios: Variances) -> tuple[float, float]:
-        joined, data = self._joint_triangle(log_scale, ratios)
+        joint_triangle, data_triangle = self._joint_triangle(log_scale, ratios)
         if len(self.prior) == 0:
-            return self.rows - data.shape[1] + 1.0, float(data[-1, -1]) ** 2
-        inverse = np.linalg.inv(joined[:-1, :-1])
-        leverage = data[:, :-1] @ inverse
-        residual = data[:, -1] - leverage @ joined[:-1, -1]
-        return self.rows - float(np.sum(leverage**2)), float(residual @ residual)
+            return self.n_rows - data_triangle.shape[1] + 1.0, float(data_triangle[-1, -1]) ** 2
+        inverse = np.linalg.inv(joint_triangle[:-1, :-1])
+        leverage = data_triangle[:, :-1] @ inverse
+        residual = data_triangle[:, -1] - leverage @ joint_triangle[:-1, -1]
+        return self.n_rows - float(np.sum(leverage**2)), float(residual @ residual)
 
     def _joint_triangle(self, log_scale: float, ratios: Variances) -> tuple[Array, Array]:
         """Return the triangle of [unknowns | observations] with and without the priors."""
-        data = self._triangle(ratios)[0] * math.exp(-log_scale / 2)
-        return (triangular_factor(np.vstack([data, self.prior])) if len(self.prior) else data), data
+        data_triangle = self._triangle(ratios)[0] * math.exp(-log_scale / 2)
+        return (
+            triangular_factor(np.vstack([data_triangle, self.prior]))
+            if len(self.prior)
+            else data_triangle
+        ), data_triangle
 
     def _triangle(self, ratios: Variances) -> tuple[Array, float]:
         """Return the triangle of the whitened rows at unit scale, and the log-determinant."""
         if ratios not in self.triangles:
             width = self.prior.shape[1]
-            log_det, parts = 0.0, [np.zeros((width, width))]
-            for record, place in zip(self.records, self.places, strict=True):
-                rows, part = record.whitened(ratios)
-                log_det += part
-                # The triangle of all, of one record or of many, is taken at the end.
+            log_det, triangles = 0.0, [np.zeros((width, width))]
+            for record, indices in zip(self.records, self.places, strict=True):
+                rows, record_log_det = record.whitened(ratios)
+                log_det += record_log_det
+                # The triangle of all records is computed at the end.
                 triangle = qr_blocks(rows)
                 triangle = triangular_factor(triangle) if len(self.records) > 1 else triangle
                 stacked = np.zeros((triangle.shape[0], width))
-                stacked[:, np.append(place, width - 1)] = triangle
-                parts.append(stacked)
-            self.triangles[ratios] = triangular_factor(np.vstack(parts)), log_det
+                stacked[:, np.append(indices, width - 1)] = triangle
+                triangles.append(stacked)
+            self.triangles[ratios] = triangular_factor(np.vstack(triangles)), log_det
         return self.triangles[ratios]

@@ -1,24 +1,24 @@
-"""Noise of a record, and whitening: rows go in correlated, and come out with unit covariance.
+"""Noise of a record, and whitening of its rows.
 
-Three sources, each given per sample, and wander of the bias beside them
+Noise has three components per sample, and the noise of the bias
 (`counterspin.inference.noise.bias_instability`):
 
-- white noise of standard deviation `white` in the observable;
-- quantisation of step q, which adds q^2/12 and cannot be told from white noise;
-- white accelerometer noise of random-walk coefficient N: velocity wanders with variance N^2 t
-  (two-sided density; IEEE 952's convention). In specific force it is white, in velocity a random
-  walk, in displacement a doubly integrated one.
+- white noise with standard deviation `white` in the observable;
+- quantisation with step q, which adds the variance q^2/12 and is treated as white noise;
+- white accelerometer noise with random-walk coefficient N: the variance of the velocity grows by
+  N^2 per second (two-sided density; IEEE Std 952). In specific force it is white, in velocity a
+  random walk, in displacement a doubly integrated one.
 
-`order` says how often the observable integrates acceleration: 2 displacement, 1 velocity,
-0 specific force. A row may be the mean of a block of samples, and rows may be missing.
+`order` is the number of integrations from acceleration to the observable: 2 displacement,
+1 velocity, 0 specific force. A row may be the mean of a block of samples, and rows may be missing.
 
-With a random walk, differences of the rows (second ones for displacement, first for velocity,
-divided by uneven steps) remove the start offset and the start velocity for good and leave a
-covariance of `order` off-diagonals: its banded Cholesky factor whitens in O(n), exactly for blocks,
-gaps and uneven steps, because means over blocks of a walk's covariance are polynomials in their
-distance and widths. The walk's share for second differences is N^2 h^3 (2/3, 1/6) on even point
-samples and N^2 h^3 (11/20, 13/60, 1/120) on adjoining long blocks.
-Without a random walk a row is divided by its standard deviation, and nothing is removed.
+With a random walk, differences of the rows (second differences for displacement, first for
+velocity, divided by irregular steps) remove start offset and start velocity, and have a covariance
+with `order` off-diagonals. Its banded Cholesky factor whitens in O(n). This is exact for blocks,
+gaps and irregular steps, because block means of the walk's covariance are polynomials. For second
+differences, the walk contributes N^2 h^3 (2/3, 1/6) for regular samples and
+N^2 h^3 (11/20, 13/60, 1/120) for adjoining long blocks.
+Without a random walk, rows are divided by their standard deviations, without differences.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ from counterspin.inference.noise.riccati import BlockSpans, filter_walk
 DISPLACEMENT, VELOCITY, SPECIFIC_FORCE = 2, 1, 0
 
 
-class _Estimate(float):
-    """Sentinel for a size to be estimated; the same object in all processes."""
+class _EstimateSentinel(float):
+    """Sentinel for a component to be estimated; the same object in all processes."""
 
     def __repr__(self) -> str:
         return "ESTIMATE"
@@ -57,13 +57,13 @@ class _Estimate(float):
         return "ESTIMATE"
 
 
-#: In place of a size of `Noise`: to be estimated from the records.
-ESTIMATE: Final = _Estimate("nan")
+#: Value of a component of `Noise` that is to be estimated from the records.
+ESTIMATE: Final = _EstimateSentinel("nan")
 
 
 @frozen
 class Noise:
-    """Noise of one accelerometer's records; each of `COMPONENTS` is a number or `ESTIMATE`."""
+    """Noise of the records of an accelerometer; each of `COMPONENTS` is a number or `ESTIMATE`."""
 
     white: float  #: Standard deviation per sample, in the observable's unit (m, m/s or m/s^2).
     random_walk: float = 0.0  #: N, (m/s^2)/Hz^0.5: velocity variance N^2 t.
@@ -72,7 +72,7 @@ class Noise:
     #: `counterspin.inference.noise.bias_instability`.
     flicker: float = 0.0
     bias_walk: float = 0.0
-    #: Of the variances, 4 by 4, of given sizes that another record said; empty: they are exact.
+    #: Covariance of the variances, 4 by 4, if they come from another record; empty: exact.
     covariance: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
@@ -87,11 +87,11 @@ class Noise:
     def from_sizes(cls, sizes: Mapping[str, Any], observable: str) -> Noise:
         """Return the noise of records of an observable.
 
-        sizes: By the keys of a description, which are those of `size_keys` and ``quantisation``.
+        sizes: Key of a description (`size_keys` or ``quantisation``) -> size.
         """
-        step = sizes["quantisation"] if observable == "displacement" else 0.0
+        quantisation = sizes["quantisation"] if observable == "displacement" else 0.0
         components = {name: sizes[key] for name, key in size_keys(observable).items()}
-        return cls(quantisation=step, **components)
+        return cls(quantisation=quantisation, **components)
 
     @property
     def to_estimate(self) -> tuple[str, ...]:
@@ -131,18 +131,18 @@ class Noise:
 
     def with_sizes(self, sizes: Mapping[str, float]) -> Noise:
         """Return the noise with other sizes of some of `COMPONENTS`."""
-        changed: Mapping[str, Any] = sizes
-        return replace(self, **changed)
+        changes: Mapping[str, Any] = sizes
+        return replace(self, **changes)
 
 
 @frozen
 class Differences:
-    """Differences of a record's rows, and the factor of their covariance."""
+    """Differences of the rows of a record, and the factor of their covariance."""
 
-    order: int  #: 2, 1 or 0: how many rows fewer, and how many off-diagonals.
-    blocks: BlockSpans  #: The samples of each row.
-    spacing: Array  #: (n,) time between the samples of a block, s.
-    #: Variance of this record's white noise over that of the accelerometer's.
+    order: int  #: Order of the differences, and number of off-diagonals: 2, 1 or 0.
+    blocks: BlockSpans  #: Samples of each row.
+    spacing: Array  #: Time between the samples of a block, s, shape (n,).
+    #: White-noise variance of this record over that of the accelerometer.
     variance_ratio: float = 1.0
 
     @classmethod
@@ -152,7 +152,7 @@ class Differences:
         order: int,
         count: ArrayLike | None = None,
         sample_spacing: ArrayLike | None = None,
-        relative: float = 1.0,
+        variance_ratio: float = 1.0,
     ) -> Differences:
         """Return the differences of rows at `times`; arguments and errors as in `make_whitener`."""
         if order not in (DISPLACEMENT, VELOCITY, SPECIFIC_FORCE):
@@ -171,9 +171,9 @@ class Differences:
         if not (steps > 0).all():
             raise ValueError("times must increase from row to row")
         if sample_spacing is None:
-            # Adjoining blocks of c and c' samples have their means (c + c')/2 spacings apart.
-            shared = steps / (counts[1:] + counts[:-1]) * 2
-            sample_spacing = median(shared) if len(shared) else 1.0
+            # The means of adjoining blocks of c and c' samples are (c + c')/2 spacings apart.
+            adjoining_spacings = steps / (counts[1:] + counts[:-1]) * 2
+            sample_spacing = median(adjoining_spacings) if len(adjoining_spacings) else 1.0
         spacing = np.broadcast_to(np.asarray(sample_spacing, float), time.shape)
         if not (spacing > 0).all():
             raise ValueError("the sample spacing must be positive")
@@ -184,15 +184,15 @@ class Differences:
                 f"blocks {row} and {row + 1} overlap: {counts[row]:g} and {counts[row + 1]:g} "
                 f"samples {spacing[row]:g} s apart do not fit into {steps[row]:g} s"
             )
-        return cls(order, blocks, spacing, relative)
+        return cls(order, blocks, spacing, variance_ratio)
 
     @property
-    def rows(self) -> int:
+    def n_rows(self) -> int:
         """Number of rows of the differences."""
         return len(self.blocks.time) - self.order
 
     def apply(self, rows: ArrayLike) -> Array:
-        """(n,) or (n, k) rows -> (n - order, ...) differences; these column by column in memory."""
+        """Return differences (n - order, ...) of rows (n,) or (n, k), in column-major order."""
         if self.order == 0:
             return np.asarray(rows, dtype=float)
         values = np.asfortranarray(rows, dtype=float)
@@ -202,11 +202,11 @@ class Differences:
         first, second = self._weights()
         if values.ndim == 2:
             first, second = first[:, None], second[:, None]
-        # Steps first: the weights then multiply small numbers, and lose fewer digits.
+        # Steps come first, so that the weights multiply small numbers and lose fewer digits.
         return np.asfortranarray(second * steps[1:] - first * steps[:-1])
 
     def apply_transposed(self, rows: Array) -> Array:
-        """(n - order, k) rows -> (n, k): `apply` transposed."""
+        """Return the transposed operator of `apply` on rows (n - order, k), shape (n, k)."""
         if self.order == 0:
             return rows
         transposed = np.zeros((len(self.blocks.time), rows.shape[1]))
@@ -218,24 +218,27 @@ class Differences:
         return transposed
 
     def bias_columns(self, order: int, variances: Variances, walk_duration: float) -> list[Array]:
-        """Return differences of the effect of the bias components, one column per direction.
+        """Return differences of the effect of the bias noise, for a root of its covariance.
 
-        Of all components together, and of each component of unit size by the same cosines.
+        The first array is for all components together, the others for each unit component.
 
-        walk_duration: For how long the bias had walked when the record began, s.
+        walk_duration: Duration of the bias walk before the record, s.
         """
         length = basis_length(float(self.blocks.time[-1]))
-        count = basis_size(variances, median(self.spacing), length, order)
+        n_cosines = basis_size(variances, median(self.spacing), length, order)
         cosines = self.apply(
             integrated_cosines(
-                self.blocks.time, self.blocks.count, self.spacing, order, count, length
+                self.blocks.time, self.blocks.count, self.spacing, order, n_cosines, length
             )
         )
-        sizes = (variances, *map(tuple, np.eye(len(COMPONENTS))[2:].tolist()))
-        return [cosines @ coefficient_root(size, count, length, walk_duration) for size in sizes]
+        variance_sets = (variances, *map(tuple, np.eye(len(COMPONENTS))[2:].tolist()))
+        return [
+            cosines @ coefficient_root(size, n_cosines, length, walk_duration)
+            for size in variance_sets
+        ]
 
     def _weights(self) -> tuple[Array, Array]:
-        """(n-2,) weights of the earliest and latest of three rows; the middle one has -2."""
+        """Return the weights of the first and last of three rows, (n-2,); the middle one has -2."""
         steps = np.diff(self.blocks.time)
         span = steps[:-1] + steps[1:]
         return 2 * steps[1:] / span, 2 * steps[:-1] / span
@@ -243,12 +246,12 @@ class Differences:
     def factor(self, white: float | Array, walk: float) -> tuple[Array, float]:
         """Return the banded Cholesky factor of the covariance, and the log-determinant.
 
-        white: Variance per sample where records are alike: this one has `relative` times as much.
+        white: White-noise variance of a sample of the accelerometer, without `variance_ratio`.
         walk: N^2; not both zero.
         """
         white = white * self.variance_ratio
         if self.order == SPECIFIC_FORCE:
-            # A sample is taken as the mean over its own spacing: variance N^2/h.
+            # A sample is the mean over its spacing h: variance N^2/h.
             bands = np.sqrt((white + walk / self.spacing) / self.blocks.count)[None, :]
         elif self.order == VELOCITY:
             bands = self._velocity_factor(white, walk)
@@ -260,30 +263,31 @@ class Differences:
         from scipy.linalg.lapack import dpbtrf
 
         variance = white / self.blocks.count - walk * self.blocks.mean_distance / 2
-        covariance = np.zeros((2, self.rows))
+        covariance = np.zeros((2, self.n_rows))
         covariance[0] = walk * np.diff(self.blocks.time) + variance[1:] + variance[:-1]
         covariance[1, :-1] = -variance[1:-1]
-        bands, failed = dpbtrf(covariance, lower=1)
-        if failed:  # cannot be for positive variances; never let a broken factor through
+        bands, info = dpbtrf(covariance, lower=1)
+        if info:  # cannot be for positive variances; never let a broken factor through
             raise ArithmeticError("the covariance of the first differences has no Cholesky factor")
         return np.asarray(bands)
 
     def _displacement_factor(self, white: float | Array, walk: float) -> Array:
         innovations = filter_walk(self.blocks, white, walk)
         first, second = self._weights()
-        spread = np.sqrt(innovations.variance)
-        position, velocity = innovations.gain
-        bands = np.zeros((3, self.rows))
-        bands[0] = second * spread
-        # What a row's innovation leaves in the next two differences.
-        first_effect = position[:-1] + innovations.ahead[3:] * velocity[:-1]
+        innovation_sd = np.sqrt(innovations.variance)
+        position_gain, velocity_gain = innovations.gain
+        bands = np.zeros((3, self.n_rows))
+        bands[0] = second * innovation_sd
+        # Effect of the innovation of a row on the next two differences.
+        first_effect = position_gain[:-1] + innovations.ahead[3:] * velocity_gain[:-1]
         second_effect = (
-            position[:-2] + (innovations.step[3:-1] + innovations.ahead[4:]) * velocity[:-2]
+            position_gain[:-2]
+            + (innovations.step[3:-1] + innovations.ahead[4:]) * velocity_gain[:-2]
         )
-        bands[1, :-1] = (second[1:] * first_effect - 2) * spread[:-1]
-        bands[2, :-2] = (second[2:] * second_effect - 2 * first_effect[:-1] + first[2:]) * spread[
-            :-2
-        ]
+        bands[1, :-1] = (second[1:] * first_effect - 2) * innovation_sd[:-1]
+        bands[2, :-2] = (
+            second[2:] * second_effect - 2 * first_effect[:-1] + first[2:]
+        ) * innovation_sd[:-2]
         return bands
 
 
@@ -291,23 +295,22 @@ class Differences:
 class Whitener:
     """Linear operator that whitens the rows of a record."""
 
-    #: The record's differences; of order 0 where nothing has to be differenced.
-    differences: Differences
+    differences: Differences  #: Differences of the record; order 0: none.
     bands: Array  #: Banded lower Cholesky factor of their covariance.
-    log_det: float  #: Log-determinant of that covariance.
-    #: How many columns 1, t of start errors must still be estimated: `order` without a random walk,
-    #: 0 with one (the differences have removed them).
+    log_det: float  #: Log-determinant of this covariance.
+    #: Number of start-error columns 1, t that must be estimated: `order` without a random walk, 0
+    #: with a random walk, because the differences remove them.
     polynomials: int
-    #: Whitens what is then left of a wandering bias; None without one.
+    #: Whitener of the bias noise after this factor; None without bias noise.
     bias_whitener: LowRankWhitener | None = None
 
     @property
-    def rows(self) -> int:
+    def n_rows(self) -> int:
         """Number of output rows."""
-        return self.differences.rows
+        return self.differences.n_rows
 
     def apply(self, rows: ArrayLike) -> Array:
-        """Return whitened rows, (m,) or (m, k), of (n,) or (n, k) rows; m is `rows`."""
+        """Return whitened rows, (m,) or (m, k), of (n,) or (n, k) rows; m is `n_rows`."""
         white = solve_banded_factor(self.bands, self.differences.apply(rows))
         return white if self.bias_whitener is None else self.bias_whitener.apply(white)
 
@@ -336,13 +339,13 @@ def make_whitener(
 ) -> Whitener:
     """Return the whitener of a record of an observable.
 
-    times: (n,) s, increasing: of each sample, or the mean time of each block. Leave missing rows
-        out.
+    times: Times of samples, or mean times of blocks, s, increasing, shape (n,), without missing
+        rows.
     order: 2 displacement, 1 velocity, 0 specific force.
-    count: (n,) or a number: how many evenly spaced samples a row is the mean of; absent: 1.
-    sample_spacing: s, (n,) or a number: time between the samples of a block; absent: what makes
-        most blocks adjoin.
-    walk_duration, added_variance: As in `build_whitener`.
+    count: Number of samples in each row, shape (n,) or a number; None: 1.
+    sample_spacing: Time between the samples of a block, s, shape (n,) or a number; None: most
+        blocks adjoin.
+    walk_duration, added_variance: See `build_whitener`.
     """
     return build_whitener(
         Differences.of(times, order, count, sample_spacing), noise, walk_duration, added_variance
@@ -386,14 +389,14 @@ def information_loss(
 ) -> Array:
     """Return the loss of information per unit variance of each of `COMPONENTS`, (4, m, m).
 
-    Where its noise has the covariance V, a record says X' V^-1 X of unknowns with the columns X. A
-    variance that grows by one adds a matrix B to V, and takes X' V^-1 B V^-1 X from that. Between
-    C, the inverse of all information, this is what it adds to the covariance of estimates whose
-    weights stay as they are; at the optimum their moving has no part of first order (envelope
-    theorem). Each part is positive semi-definite; those of a wander are zero where there is none.
+    With the noise covariance V, the information on unknowns with columns X is X' V^-1 X. A unit
+    increase of a variance adds a matrix B to V, and reduces the information by X' V^-1 B V^-1 X.
+    Multiplied by the inverse of the total information on both sides, this is the increase of the
+    covariance of estimates with constant weights. By the envelope theorem, a change of optimal
+    weights has no first-order effect. Losses of absent bias components are zero.
 
-    columns: (n, m).
-    walk_duration, added_variance: As in `make_whitener`.
+    columns: Shape (n, m).
+    walk_duration, added_variance: See `build_whitener`.
     """
     white, walk = noise.sample_variance + added_variance, noise.random_walk**2
     bands, _ = differences.factor(white, walk)
@@ -401,19 +404,19 @@ def information_loss(
     bias_columns: list[Array] = []
     if noise.has_bias_instability:
         variances = (float(np.mean(white)) * differences.variance_ratio, *noise.variances[1:])
-        combined, *bias_columns = differences.bias_columns(
+        bias_root, *bias_columns = differences.bias_columns(
             differences.order, variances, walk_duration
         )
-        bias_whitener = LowRankWhitener.of(solve_banded_factor(bands, combined))
+        bias_whitener = LowRankWhitener.of(solve_banded_factor(bands, bias_root))
         rows = bias_whitener.apply(bias_whitener.apply(rows))
     weighted = solve_banded_factor(bands, rows, transposed=True)
-    size = np.sqrt(differences.variance_ratio / differences.blocks.count)
-    sample = differences.apply_transposed(weighted) * size[:, None]
-    parts = [sample, _multiply_transposed(differences.factor(0.0, 1.0)[0], weighted)]
-    parts += [columns_of_component.T @ weighted for columns_of_component in bias_columns]
+    row_scale = np.sqrt(differences.variance_ratio / differences.blocks.count)
+    sample_part = differences.apply_transposed(weighted) * row_scale[:, None]
+    components = [sample_part, _multiply_transposed(differences.factor(0.0, 1.0)[0], weighted)]
+    components += [columns_of_component.T @ weighted for columns_of_component in bias_columns]
     losses = np.zeros((len(COMPONENTS), columns.shape[1], columns.shape[1]))
-    for place, part in enumerate(parts):
-        losses[place] = part.T @ part
+    for index, component in enumerate(components):
+        losses[index] = component.T @ component
     return losses
 
 

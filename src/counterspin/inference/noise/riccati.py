@@ -1,18 +1,16 @@
-"""The Kalman filter of a doubly integrated walk, for all samples at once.
+"""Vectorised Kalman filter of a doubly integrated random walk.
 
-Second differences of (walk + white noise) have a five-diagonal covariance. Its Cholesky factor
-could be computed from its entries, but those forget the walk: where its share of an entry,
-N^2 h^3 against 6 sigma^2, nears 1e-16 the factor is wrong or does not exist, while over 1e4 samples
-the walk still matters at 1e-16. The Kalman filter computes the same factor from the *state's*
-covariance and loses nothing at any ratio, zero and infinity included. Its Riccati recursion is a
-chain of associative steps (Sarkka and Garcia-Fernandez, "Temporal parallelization of Bayesian
-smoothers", IEEE Trans. Automatic Control 66 (2021) 299, Lemma 8), so a prefix scan runs it in
-O(n) whole-array operations. Of few rows, where each such operation costs more than its numbers,
-row after row is quicker. Rows alike, which are most of a usual record, need less: k of them in a
-row are one stretch wherever they stand, which takes the covariances after the first k rows, all at
-once, to those after the next k; and once the covariance has settled, it stays.
+Second differences of (walk + white noise) have a five-diagonal covariance. A Cholesky factor from
+its entries loses the walk: if its contribution N^2 h^3 relative to 6 sigma^2 is near 1e-16, the
+factor is wrong or does not exist, although the walk still matters over 1e4 samples. The Kalman
+filter computes the same factor from the covariance of the state, accurately for any ratio including
+zero and infinity. Its Riccati recursion is associative (Sarkka and Garcia-Fernandez, "Temporal
+parallelization of Bayesian smoothers", IEEE Trans. Automatic Control 66 (2021) 299, Lemma 8), so a
+prefix scan computes it in O(n) array operations. For few rows, a sequential loop is faster. Equal
+successive rows, which most records consist of, need less: the element of k equal rows maps the
+covariances after the first k rows to those after the next k rows, until the covariance converges.
 
-State: position and velocity at a block's last sample. Nothing is assumed of the first state.
+State: position and velocity at the last sample of a block, with no prior information.
 """
 
 from __future__ import annotations
@@ -27,47 +25,47 @@ from numpy.typing import NDArray
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 
-#: Rows without others alike beside them up to which the filter runs row after row.
-FEW_ROWS: Final = 1000
+#: Largest number of unequal rows for the sequential loop.
+MAX_SEQUENTIAL_ROWS: Final = 1000
 
-#: Fewest rows alike that are taken as such: one, so many times doubled.
-_DOUBLINGS: Final = 6
-_MIN_SEGMENT_ROWS: Final = 2**_DOUBLINGS
+#: Smallest number of equal rows for doubling: 2 to this power.
+_N_DOUBLINGS: Final = 6
+_MIN_SEGMENT_ROWS: Final = 2**_N_DOUBLINGS
 
-#: Steps and blocks are alike to this part: times have been rounded.
+#: Relative tolerance of equal steps and blocks, because times are rounded.
 _RELATIVE_TOLERANCE: Final = 1e-9
 
-#: The covariance has settled when a stretch changes it by less than this part.
-_SETTLED: Final = 1e-15
+#: Relative change of the covariance below which it has converged.
+_CONVERGENCE_TOLERANCE: Final = 1e-15
 
 
 @frozen
 class BlockSpans:
     """Sample positions of each row; a row is the mean of the samples of its block."""
 
-    time: Array  #: (n,) mean time of the samples, s, increasing.
-    count: Array  #: (n,) how many samples.
-    half: Array  #: (n,) from the mean time to the last sample, s.
-    variance: Array  #: (n,) mean of u^2, u being a sample's time from the block's mean time, s^2.
-    mean_distance: Array  #: (n,) mean of abs(u - u') over all pairs of samples of the block, s.
-    mean_cube: Array  #: (n,) mean of abs(u - u')^3, s^3.
+    time: Array  #: Mean time of the samples, s, increasing, shape (n,).
+    count: Array  #: Number of samples, shape (n,).
+    half: Array  #: Time from the mean time to the last sample, s, shape (n,).
+    variance: Array  #: Variance of the times u of the samples about the mean time, s^2, shape (n,).
+    mean_distance: Array  #: Mean of abs(u - u') over all pairs of samples, s, shape (n,).
+    mean_cube: Array  #: Mean of abs(u - u')^3, s^3, shape (n,).
 
     @classmethod
     def of(cls, time: Array, count: Array, spacing: Array) -> BlockSpans:
-        """Blocks of `count` evenly spaced samples about `time`."""
-        squared = count**2
+        """Return blocks of `count` regular samples about `time`."""
+        squared_count = count**2
         return cls(
             time=time,
             count=count,
             half=(count - 1) * spacing / 2,
-            variance=(squared - 1) * spacing**2 / 12,
-            mean_distance=(squared - 1) / (3 * count) * spacing,
-            mean_cube=(squared - 1) * (3 * squared - 2) / (30 * count) * spacing**3,
+            variance=(squared_count - 1) * spacing**2 / 12,
+            mean_distance=(squared_count - 1) / (3 * count) * spacing,
+            mean_cube=(squared_count - 1) * (3 * squared_count - 2) / (30 * count) * spacing**3,
         )
 
     @cached_property
     def since_last(self) -> tuple[Array, Array]:
-        """From the last sample before each row to its mean time and its last sample, s, (n,)."""
+        """Times from the last sample before a row to its mean time and its last sample, s, (n,)."""
         last = self.time + self.half
         before = np.concatenate(([self.time[0] - self.half[0]], last[:-1]))
         return self.time - before, last - before
@@ -76,74 +74,84 @@ class BlockSpans:
     def changes(self) -> NDArray[np.bool_]:
         """Mask of the rows from the second on that differ from the previous row, (n-1,)."""
         _, step = self.since_last
-        new: NDArray[np.bool_] = np.diff(self.count) != 0.0
-        for part in (step, self.half):
-            new |= np.abs(np.diff(part)) > _RELATIVE_TOLERANCE * step[1:]
-        new[:2] = True
-        return new
+        is_change: NDArray[np.bool_] = np.diff(self.count) != 0.0
+        for durations in (step, self.half):
+            is_change |= np.abs(np.diff(durations)) > _RELATIVE_TOLERANCE * step[1:]
+        is_change[:2] = True
+        return is_change
 
 
 @frozen
 class Innovations:
-    """The filter of rows 2 .. n-1 (the first two rows only find the state)."""
+    """Innovations of rows 2 .. n-1; the first two rows determine the state."""
 
-    variance: Array  #: (n-2,) variance of a row about its prediction from the rows before it.
-    gain: Array  #: (2, n-2) what one unit of that difference adds to position and velocity.
-    ahead: Array  #: (n,) time from the last sample of the row before to this row's mean time, s.
-    step: Array  #: (n,) time from the last sample of the row before to this row's last sample, s.
+    variance: Array  #: Variance of a row about its prediction, shape (n-2,).
+    gain: Array  #: Change of position and velocity per unit of innovation, shape (2, n-2).
+    ahead: Array  #: Time from the previous last sample to the mean time of the row, s, (n,).
+    step: Array  #: Time from the previous last sample to the last sample of the row, s, (n,).
 
 
 def filter_walk(
-    blocks: BlockSpans, white: float | Array, walk: float, few_rows: int = FEW_ROWS
+    blocks: BlockSpans,
+    white: float | Array,
+    walk: float,
+    max_sequential_rows: int = MAX_SEQUENTIAL_ROWS,
 ) -> Innovations:
-    """Innovation variances and gains for a doubly integrated walk seen through white noise.
+    """Return innovation variances and gains of a doubly integrated walk with white noise.
 
     blocks: n >= 3 rows.
-    white: White variance per sample, m^2, of all rows or of each, (n,).
+    white: White-noise variance of a sample, m^2, of all rows or of each, (n,).
     walk: Square of the random-walk coefficient, N^2, (m/s^2)^2/Hz; not both zero.
     """
-    ahead, step = blocks.since_last
+    to_mean, to_end = blocks.since_last
     row_variance = white / blocks.count
-    # Each of the first two rows is a stretch of its own.
+    # Each of the first two rows is a segment of its own.
     changes = (
         blocks.changes if np.ndim(white) == 0 else blocks.changes | (np.diff(row_variance) != 0.0)
     )
     starts = np.append(0, 1 + np.flatnonzero(changes))
-    sizes = np.diff(starts, append=step.size)
-    scanned = sizes[sizes < _MIN_SEGMENT_ROWS].sum() > few_rows
-    if scanned:
-        starts, sizes = np.arange(step.size), np.ones(step.size, dtype=np.intp)
-    first, final = starts, starts + sizes - 1
-    d, s = (ahead[first] + ahead[final]) / 2, (step[first] + step[final]) / 2
+    sizes = np.diff(starts, append=to_end.size)
+    uses_scan = sizes[sizes < _MIN_SEGMENT_ROWS].sum() > max_sequential_rows
+    if uses_scan:
+        starts, sizes = np.arange(to_end.size), np.ones(to_end.size, dtype=np.intp)
+    first_rows, last_rows = starts, starts + sizes - 1
+    d, s = (
+        (to_mean[first_rows] + to_mean[last_rows]) / 2,
+        (to_end[first_rows] + to_end[last_rows]) / 2,
+    )
 
-    # For a walk that starts at rest at `before`, z(s) its double integral:
+    # For a walk z(s) that starts at rest at the previous last sample:
     # E z(s) z(s') = [|s - s'|^3 - s^3 - s'^3 + 3 s s' (s + s')]/12, averaged over the block.
-    spread = blocks.variance[first]
-    second_moment = d**2 + spread
-    noise = row_variance[first] + walk * (d**3 / 3 + blocks.mean_cube[first] / 12)
-    cross_position = walk * (s * second_moment / 2 - d**3 / 6 - d * spread / 2)
+    block_variance = blocks.variance[first_rows]
+    second_moment = d**2 + block_variance
+    noise = row_variance[first_rows] + walk * (d**3 / 3 + blocks.mean_cube[first_rows] / 12)
+    cross_position = walk * (s * second_moment / 2 - d**3 / 6 - d * block_variance / 2)
     cross_velocity = walk * second_moment / 2
-    if not noise[0] > 0:  # a single first sample without white noise tells its position exactly
+    if not noise[0] > 0:  # a single first sample without white noise determines its position
         noise[0] = np.finfo(float).tiny ** 0.5
 
-    # What the walk adds to position and velocity over the step.
-    added = (walk * s**3 / 3, walk * s**2 / 2, walk * s)
-    parameters = np.stack([d, s, noise, cross_position, cross_velocity, *added])
-    if scanned:
-        states = _covariance(_prefix(np.stack(_elements(*parameters)))[:, 1:-1])
-        return Innovations(*_innovations(states, list(parameters[:5, 2:])), ahead, step)
-    state = _covariance(
-        _combine(_elements(*parameters[:, 0]), _elements(*parameters[:, 1]))
+    # Covariance of position and velocity that the walk adds over the step.
+    process_noise = (walk * s**3 / 3, walk * s**2 / 2, walk * s)
+    parameters = np.stack([d, s, noise, cross_position, cross_velocity, *process_noise])
+    if uses_scan:
+        covariances = _state_covariance(
+            _prefix_scan(np.stack(_scan_elements(*parameters)))[:, 1:-1]
+        )
+        return Innovations(*_innovations(covariances, list(parameters[:5, 2:])), to_mean, to_end)
+    initial_covariance = _state_covariance(
+        _combine(_scan_elements(*parameters[:, 0]), _scan_elements(*parameters[:, 1]))
     ).tolist()
-    states = _predicted_covariances(state, parameters.T[2:].tolist(), sizes[2:].tolist())
-    innovations = _innovations(states, list(np.repeat(parameters[:5, 2:], sizes[2:], axis=1)))
-    return Innovations(*innovations, ahead, step)
+    covariances = _predicted_covariances(
+        initial_covariance, parameters.T[2:].tolist(), sizes[2:].tolist()
+    )
+    innovations = _innovations(covariances, list(np.repeat(parameters[:5, 2:], sizes[2:], axis=1)))
+    return Innovations(*innovations, to_mean, to_end)
 
 
-def _innovations(states: Array, row: Sequence[Any]) -> tuple[Array, Array]:
-    """Return variances and gains of rows, from the covariance before each of them."""
-    p11, p12, p22 = states
-    d, s, noise, cross_position, cross_velocity = row
+def _innovations(covariances: Array, row_parameters: Sequence[Any]) -> tuple[Array, Array]:
+    """Return innovation variances and gains of rows from the covariance before each row."""
+    p11, p12, p22 = covariances
+    d, s, noise, cross_position, cross_velocity = row_parameters
     position = p11 + d * p12
     velocity = p12 + d * p22
     variance = position + d * velocity + noise
@@ -151,30 +159,35 @@ def _innovations(states: Array, row: Sequence[Any]) -> tuple[Array, Array]:
     return variance, gain / variance
 
 
-def _elements(
-    ahead: Any, step: Any, noise: Any, cross_position: Any, cross_velocity: Any, *added: Any
+def _scan_elements(
+    to_mean: Any,
+    to_end: Any,
+    noise: Any,
+    cross_position: Any,
+    cross_velocity: Any,
+    *process_noise: Any,
 ) -> list[Any]:
-    """Return each row as a stretch of the record, ten numbers or arrays: its A, C and J."""
+    """Return the scan element of each row, ten numbers or arrays: A, C and J of `_combine`."""
     return [
         1 - cross_position / noise,
-        step - cross_position * ahead / noise,
+        to_end - cross_position * to_mean / noise,
         -cross_velocity / noise,
-        1 - cross_velocity * ahead / noise,
-        added[0] - cross_position**2 / noise,
-        added[1] - cross_position * cross_velocity / noise,
-        added[2] - cross_velocity**2 / noise,
+        1 - cross_velocity * to_mean / noise,
+        process_noise[0] - cross_position**2 / noise,
+        process_noise[1] - cross_position * cross_velocity / noise,
+        process_noise[2] - cross_velocity**2 / noise,
         1 / noise,
-        ahead / noise,
-        ahead**2 / noise,
+        to_mean / noise,
+        to_mean**2 / noise,
     ]
 
 
-def _covariance(running: Any) -> Array:
-    """Return the state's covariance after each row, from nothing known: A J^-1 A' + C, (3, n).
+def _state_covariance(combined_elements: Any) -> Array:
+    """Return the covariance of the state after each row, A J^-1 A' + C, shape (3, n).
 
-    running: The stretch from the first row to each, as `_combine` makes them.
+    combined_elements: Combined elements of the rows up to each row.
     """
-    a11, a12, a21, a22, c11, c12, c22, j11, j12, j22 = running
+    a11, a12, a21, a22, c11, c12, c22, j11, j12, j22 = combined_elements
     determinant = j11 * j22 - j12**2
     i11, i12, i22 = j22 / determinant, -j12 / determinant, j11 / determinant
     return np.stack(
@@ -186,80 +199,86 @@ def _covariance(running: Any) -> Array:
     )
 
 
-def _predicted_covariances(state: list[float], rows: list[list[float]], sizes: list[int]) -> Array:
-    """Return the covariance before each row of stretches of rows alike, (3, n).
+def _predicted_covariances(
+    covariance: list[float], segment_parameters: list[list[float]], segment_sizes: list[int]
+) -> Array:
+    """Return the covariance before each row of segments of equal rows, shape (3, n).
 
-    state: Before the first row.
-    rows: What `_elements` takes, of each stretch.
-    sizes: How many rows each stretch has.
+    covariance: Covariance before the first row.
+    segment_parameters: Parameters of `_scan_elements` for each segment.
+    segment_sizes: Number of rows of each segment.
     """
-    parts: list[Array] = []
+    finished: list[Array] = []
     pending: list[list[float]] = []
-    for row, size in zip(rows, sizes, strict=True):
+    for parameters, size in zip(segment_parameters, segment_sizes, strict=True):
         if size <= _MIN_SEGMENT_ROWS:
-            stepwise = _stepwise_covariances(state, row, size)
-            state = stepwise.pop()
+            stepwise = _stepwise_covariances(covariance, parameters, size)
+            covariance = stepwise.pop()
             pending += stepwise
         else:
-            repeated = _repeated_covariances(state, row, size)
-            parts += [np.reshape(pending, (-1, 3)).T, repeated[:, :-1]]
-            pending, state = [], repeated[:, -1].tolist()
-    return np.hstack([*parts, np.reshape(pending, (-1, 3)).T])
+            repeated = _repeated_covariances(covariance, parameters, size)
+            finished += [np.reshape(pending, (-1, 3)).T, repeated[:, :-1]]
+            pending, covariance = [], repeated[:, -1].tolist()
+    return np.hstack([*finished, np.reshape(pending, (-1, 3)).T])
 
 
-def _repeated_covariances(state: list[float], row: list[float], size: int) -> Array:
-    """Return the covariance before each of many rows alike, and after them, (3, size + 1).
+def _repeated_covariances(covariance: list[float], parameters: list[float], size: int) -> Array:
+    """Return the covariance before each of many equal rows, and after them, (3, size + 1).
 
-    Of the first rows one by one, then of as many more at once as there are.
+    The first rows are computed sequentially; then the number of rows doubles in each step.
 
-    row: What `_elements` takes.
+    parameters: Parameters of `_scan_elements`.
     """
-    states = np.empty((3, size + 1))
-    states[:, : _MIN_SEGMENT_ROWS + 1] = np.transpose(
-        _stepwise_covariances(state, row, _MIN_SEGMENT_ROWS)
+    covariances = np.empty((3, size + 1))
+    covariances[:, : _MIN_SEGMENT_ROWS + 1] = np.transpose(
+        _stepwise_covariances(covariance, parameters, _MIN_SEGMENT_ROWS)
     )
-    stretch, done = _elements(*row), _MIN_SEGMENT_ROWS
-    for _ in range(_DOUBLINGS):
-        stretch = _combine(stretch, stretch)
-    while done <= size:
-        count = min(done, size + 1 - done)
-        states[:, done : done + count] = _propagate(states[:, :count], stretch)
-        done += count
-        current, previous = states[:, done - 1], states[:, done - count]
-        if np.all(np.abs(current - previous) <= _SETTLED * np.abs(current)):
-            states[:, done:] = current[:, None]
+    element, n_computed = _scan_elements(*parameters), _MIN_SEGMENT_ROWS
+    for _ in range(_N_DOUBLINGS):
+        element = _combine(element, element)
+    while n_computed <= size:
+        count = min(n_computed, size + 1 - n_computed)
+        covariances[:, n_computed : n_computed + count] = _propagate(
+            covariances[:, :count], element
+        )
+        n_computed += count
+        current, previous = covariances[:, n_computed - 1], covariances[:, n_computed - count]
+        if np.all(np.abs(current - previous) <= _CONVERGENCE_TOLERANCE * np.abs(current)):
+            covariances[:, n_computed:] = current[:, None]
             break
-        stretch = _combine(stretch, stretch)
-    return states
+        element = _combine(element, element)
+    return covariances
 
 
-def _stepwise_covariances(state: list[float], row: list[float], size: int) -> list[list[float]]:
-    """Return the covariance before each of some rows alike, and after them, one by one.
+def _stepwise_covariances(
+    covariance: list[float], parameters: list[float], size: int
+) -> list[list[float]]:
+    """Return the covariance before each of some equal rows, and after them, sequentially.
 
-    In numbers of Python, which are quicker than arrays of a few.
+    Python numbers are faster here than small arrays.
     """
-    p11, p12, p22 = state
-    d, s, noise, cross_position, cross_velocity, q11, q12, q22 = row
-    states = [state]
+    p11, p12, p22 = covariance
+    d, s, noise, cross_position, cross_velocity, q11, q12, q22 = parameters
+    covariances = [covariance]
     for _ in range(size):
-        seen_position = p11 + d * p12
-        seen_velocity = p12 + d * p22
-        variance = seen_position + d * seen_velocity + noise
-        position_gain = (seen_position + s * seen_velocity + cross_position) / variance
-        velocity_gain = (seen_velocity + cross_velocity) / variance
+        position_covariance = p11 + d * p12
+        velocity_covariance = p12 + d * p22
+        variance = position_covariance + d * velocity_covariance + noise
+        position_gain = (position_covariance + s * velocity_covariance + cross_position) / variance
+        velocity_gain = (velocity_covariance + cross_velocity) / variance
         p11 += s * (2.0 * p12 + s * p22) + q11 - position_gain**2 * variance
         p12 += s * p22 + q12 - position_gain * velocity_gain * variance
         p22 += q22 - velocity_gain**2 * variance
-        states.append([p11, p12, p22])
-    return states
+        covariances.append([p11, p12, p22])
+    return covariances
 
 
-def _prefix(elements: Array) -> Array:
-    """(10, n) elements -> (10, n) their running combinations."""
+def _prefix_scan(elements: Array) -> Array:
+    """Return the cumulative combinations of elements, shape (10, n)."""
     n = elements.shape[1]
     if n == 1:
         return elements
-    pairs = _prefix(np.stack(_combine(elements[:, 0 : n - 1 : 2], elements[:, 1::2])))
+    pairs = _prefix_scan(np.stack(_combine(elements[:, 0 : n - 1 : 2], elements[:, 1::2])))
     running = np.empty_like(elements)
     running[:, 0] = elements[:, 0]
     running[:, 1::2] = pairs
@@ -268,14 +287,14 @@ def _prefix(elements: Array) -> Array:
     return running
 
 
-def _combine(early: Any, late: Any) -> list[Any]:
-    """Two stretches of the record become one.
+def _combine(first: Any, second: Any) -> list[Any]:
+    """Combine the elements of two successive intervals of the record.
 
-    A stretch is (A, C, J): state after = A x state before + noise of covariance C; the stretch
-    tells J of the state before. C and J are symmetric and stored as (11, 12, 22).
+    An element is (A, C, J): state after = A x state before + noise with covariance C; J is the
+    information on the state before. C and J are symmetric and stored as (11, 12, 22).
     """
-    a11, a12, a21, a22, c11, c12, c22, j11, j12, j22 = early
-    b11, b12, b21, b22, _, _, _, k11, k12, k22 = late
+    a11, a12, a21, a22, c11, c12, c22, j11, j12, j22 = first
+    b11, b12, b21, b22, _, _, _, k11, k12, k22 = second
     m11 = 1 + c11 * k11 + c12 * k12
     m12 = c11 * k12 + c12 * k22
     m21 = c12 * k11 + c22 * k12
@@ -299,17 +318,17 @@ def _combine(early: Any, late: Any) -> list[Any]:
         e11 * a12 + e12 * a22,
         e21 * a11 + e22 * a21,
         e21 * a12 + e22 * a22,
-        *_propagate(early[4:7], late),
+        *_propagate(first[4:7], second),
         j11 + a11 * (a11 * g11 + 2 * a21 * g12) + a21**2 * g22,
         j12 + a12 * (a11 * g11 + a21 * g12) + a22 * (a11 * g12 + a21 * g22),
         j22 + a12 * (a12 * g11 + 2 * a22 * g12) + a22**2 * g22,
     ]
 
 
-def _propagate(states: Any, stretch: Any) -> list[Any]:
-    """Return covariances of the state as they are a stretch later: A (P^-1 + J)^-1 A' + C."""
-    p11, p12, p22 = states
-    a11, a12, a21, a22, c11, c12, c22, j11, j12, j22 = stretch
+def _propagate(covariances: Any, element: Any) -> list[Any]:
+    """Return covariances of the state after an element: A (P^-1 + J)^-1 A' + C."""
+    p11, p12, p22 = covariances
+    a11, a12, a21, a22, c11, c12, c22, j11, j12, j22 = element
     det_p = p11 * p22 - p12**2
     det_j = j11 * j22 - j12**2
     scale = 1 / (1 + p11 * j11 + 2 * p12 * j12 + p22 * j22 + det_p * det_j)

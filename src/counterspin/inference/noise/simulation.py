@@ -15,20 +15,20 @@ def add_noise(
     signal: Array,
     noise: Noise,
     order: int,
-    elapsed: float = 0.0,
+    walk_duration: float = 0.0,
 ) -> Array:
     """Return a signal with all components of the noise, then quantised.
 
-    times, signal: s, evenly spaced, and SI, shape (n,).
+    times, signal: Regular times, s, and signal, SI, shape (n,).
     order: 2 for displacement, 1 for velocity, 0 for specific force.
-    elapsed: Time from the start of the bias's random walk to the first sample, s.
+    walk_duration: Time from the start of the bias's random walk to the first sample, s.
     """
     if noise.has_bias_instability and times.size > 1:
-        signal = signal + draw_bias_noise(generator, times, noise, order, elapsed)
+        signal = signal + draw_bias_noise(generator, times, noise, order, walk_duration)
     signal = signal + draw_accelerometer_noise(generator, times, noise.random_walk, order)
     signal = add_white_noise(generator, signal, noise.white)
-    step = noise.quantisation
-    return np.round(signal / step) * step if step > 0.0 else signal
+    quantisation = noise.quantisation
+    return np.round(signal / quantisation) * quantisation if quantisation > 0.0 else signal
 
 
 def add_white_noise(generator: np.random.Generator, values: Array, sd: float) -> Array:
@@ -64,27 +64,31 @@ def draw_accelerometer_noise(
 
 
 def draw_bias_noise(
-    generator: np.random.Generator, times: Array, noise: Noise, order: int, elapsed: float = 0.0
+    generator: np.random.Generator,
+    times: Array,
+    noise: Noise,
+    order: int,
+    walk_duration: float = 0.0,
 ) -> Array:
     """Draw the effect of the noise of the bias on the observable.
 
     times: s, evenly spaced, shape (n,), at least 2.
     order: As for `draw_accelerometer_noise`; 0 is the bias itself.
-    elapsed: Duration of the walk of the bias before the first time, s.
+    walk_duration: Duration of the walk of the bias before the first time, s.
     Returns: shape (n,), zero at the first time for orders 1 and 2.
     """
     bias, step = np.zeros(times.size), float(times[1] - times[0])
     for name, component in BIAS_COMPONENTS.items():
         size = getattr(noise, name)
         if size > 0.0:
-            bias += component.draw(generator, times, size, elapsed)
+            bias += component.draw(generator, times, size, walk_duration)
     if order == 0:
         return bias
-    # The bias is taken as linear between samples.
+    # The bias is linear between samples.
     velocity_change = 0.5 * step * (bias[1:] + bias[:-1])
     velocity = np.concatenate([[0.0], np.cumsum(velocity_change)])
     if order == 1:
         return velocity
-    displacement = velocity[:-1] * step + (2.0 * bias[:-1] + bias[1:]) * step**2 / 6.0
-    position: Array = np.concatenate([[0.0], np.cumsum(displacement)])
+    displacement_change = velocity[:-1] * step + (2.0 * bias[:-1] + bias[1:]) * step**2 / 6.0
+    position: Array = np.concatenate([[0.0], np.cumsum(displacement_change)])
     return position

@@ -1,11 +1,9 @@
-"""A record of a sensor at rest: cleaned, cut at its gaps, and each component of its noise.
+"""Noise components of a record of a sensor at rest, which is cleaned and split at its gaps.
 
-The likelihood and its search are those of every other record. Beside the sizes the drift of the
-bias, a straight line, is unknown; the bias itself is. A component is kept where the records ask for
-it (`KEEPING_GAIN`). Intervals are those of the profile likelihood: sizes at which the best of all
-else is no less likely than chi-square with one degree of freedom allows (Venzon and Moolgavkar,
-Applied Statistics 37 (1988) 87), whose ends are as uneven as what a short record says. All else is
-every other component, shown or not: what a record does not show may be a part of what it does.
+The likelihood and its search are those of all other records. Bias and linear drift are unknown too.
+A component is kept if its gain in likelihood reaches `MIN_LIKELIHOOD_GAIN`. Intervals are those of
+the profile likelihood, by chi-square with one degree of freedom (Venzon and Moolgavkar, Applied
+Statistics 37 (1988) 87). The profile varies all other components, including undetected ones.
 """
 
 from __future__ import annotations
@@ -26,73 +24,73 @@ from counterspin.inference.noise.even_sampling import EvenlySampledData, Transfo
 from counterspin.inference.noise.likelihood import RestrictedLikelihood
 from counterspin.inference.noise.model import ESTIMATE, SPECIFIC_FORCE, Noise
 from counterspin.inference.noise.samples import SensorSamples
-from counterspin.inference.noise.search import KEEPING_GAIN, Maximum, NoiseModelCandidate
+from counterspin.inference.noise.search import MIN_LIKELIHOOD_GAIN, Maximum, NoiseModelCandidate
 from counterspin.inference.noise.spectrum import SpectralLine, find_lines
 from counterspin.records.outliers import detect_outliers
 
-#: Most samples missing in a row within a part; more are a gap. Where many samples are lost, more in
-#: a row are, up to a number that a record of so many exceeds with a small probability.
+#: Largest number of successive missing samples in a segment. If samples are lost at random, the
+#: limit is the number that a record exceeds with a small probability, up to a maximum.
 _MAX_MISSING: Final = 3
-_MAX_LOST: Final = 30
-_FAR_PROBABILITY: Final = 0.01
-#: Part of the samples that may be lost, and still be no gaps.
+_MAX_LOST_SAMPLES: Final = 30
+_LONG_GAP_PROBABILITY: Final = 0.01
+#: Largest fraction of samples lost at random.
 _MAX_LOST_FRACTION: Final = 0.35
-#: Missing samples are put in from their neighbours if that changes N by less than this part of its
-#: standard uncertainty; where more are missing, the samples that were recorded follow one another.
+#: Missing samples are interpolated if this changes N by less than this fraction of its u;
+#: otherwise, they are omitted.
 _MAX_FILLING_EFFECT: Final = 0.2
 
-#: Part of a step by which a sample may stand off from an even clock.
+#: Largest deviation of a sample from a regular clock, in steps.
 _MAX_CLOCK_DEVIATION: Final = 0.3
 
-#: Fewest samples of a stretch that is used.
+#: Smallest number of samples of a segment.
 _MIN_SAMPLES: Final = 32
 
-#: Most samples that the noise is looked for in: of longer records velocities at longer steps.
+#: Largest number of samples; longer records are decimated.
 MAX_SAMPLES: Final = 300_000
 
-#: Changes of 2 log L at the ends of a 95 % interval, and at the upper limit of what is not seen.
-_TWO_SIDED: Final = 3.841458820694124
-_ONE_SIDED: Final = KEEPING_GAIN
+#: Changes of 2 log L at the limits of a 95 % interval, and at the upper limit of an undetected
+#: component.
+_TWO_SIDED_CHANGE: Final = 3.841458820694124
+_ONE_SIDED_CHANGE: Final = MIN_LIKELIHOOD_GAIN
 
-#: Passes in which first sizes are found, and steps in which an end of an interval is.
+#: Steps of the initial variances, and largest number of steps to a limit of an interval.
 _MULTIPLICATIVE_STEPS: Final = 60
-_END_STEPS: Final = 12
+_MAX_LIMIT_STEPS: Final = 12
 
-#: Part of sqrt(2 log L) to which an end is found.
-_END_TOLERANCE: Final = 0.05
+#: Tolerance of a limit, in sqrt(2 log L).
+_LIMIT_TOLERANCE: Final = 0.05
 
-#: Bands of the spectrum, a decade, in which the noise found is held against the record.
+#: Number of bands per decade in the comparison of spectrum and noise.
 _BANDS_PER_DECADE: Final = 4.0
 
 
 @frozen(eq=False)
 class Segments:
-    """The segments of a record between gaps."""
+    """Segments of a record between gaps."""
 
-    step: float  #: Mean time from sample to sample in the parts, s.
+    step: float  #: Mean time between samples in the segments, s.
     recorded_fraction: (
-        float  #: Part of the samples that was recorded, where none is put in; otherwise 1.
+        float  #: Fraction of recorded samples; 1 if missing samples are interpolated.
     )
-    #: Of each: the time of its first sample, s, and its samples, SI.
-    segments: tuple[tuple[float, Array], ...]
-    rows: int  #: Of the record.
-    outliers: int  #: Left out.
-    filled: int  #: Samples missing in the parts, outliers among them.
-    gaps: int  #: Between the parts.
-    unused: int  #: Samples of parts that are too short.
-    resolution: float  #: Least step between different samples, SI.
+    segments: tuple[tuple[float, Array], ...]  #: Time of the first sample, s, and samples, SI.
+    rows: int  #: Number of rows of the record.
+    outliers: int  #: Number of rejected outliers.
+    filled: int  #: Number of missing samples in the segments, including outliers.
+    gaps: int  #: Number of gaps between the segments.
+    unused: int  #: Number of samples in segments that are too short.
+    resolution: float  #: Smallest difference between samples, SI.
     repeated: int = 0  #: Rows that repeat the previous value, as in a log faster than the sensor.
-    restamped: int = 0  #: Rows that repeat the time of the row before with another value.
-    stuck: int = 0  #: Rows in long stretches of one value, which are not used.
+    restamped: int = 0  #: Rows that repeat the previous time with another value.
+    stuck: int = 0  #: Rows in long intervals of a constant value, which are not used.
 
     @property
     def sample_interval(self) -> float:
-        """The time from one sample of the sensor to the next, s."""
+        """Time between samples of the sensor, s."""
         return self.step * self.recorded_fraction
 
     @property
     def longest(self) -> tuple[float, Array]:
-        """The longest part."""
+        """Longest segment."""
         return max(self.segments, key=lambda part: part[1].size)
 
 
@@ -103,8 +101,8 @@ class StaticAnalysis:
     noise: StaticNoise
     recorded: Variances  #: Variances of the series of recorded samples, as in `StaticNoise`.
     lines: tuple[SpectralLine, ...]
-    step: float  #: Of the samples that it rests on, s.
-    velocity: Array  #: Integral of the specific force of the longest part, without lines, m/s.
+    step: float  #: Time between the samples used, s.
+    velocity: Array  #: Integral of the specific force of the longest segment, without lines, m/s.
     kind: Sampling
 
 
@@ -112,13 +110,12 @@ class StaticAnalysis:
 class StaticSignal:
     """One column of a record at rest."""
 
-    name: str  #: Of the accelerometer, or of the column.
-    column: str  #: In the file.
+    name: str  #: Name of the accelerometer, or of the column.
+    column: str  #: Name of the column in the file.
     order: int  #: 2 displacement, 1 velocity, 0 specific force.
-    in_g: bool  #: Whether gravity is in its numbers.
-    #: s and SI, NaN where there is none, shape (n,).
-    time: Array
-    values: Array
+    in_g: bool  #: True if the values are in g.
+    time: Array  #: s, shape (n,); NaN: missing.
+    values: Array  #: SI, shape (n,); NaN: missing.
 
 
 @frozen(eq=False)
@@ -130,27 +127,27 @@ class StaticRecord:
     analysis: StaticAnalysis
 
 
-def analyse_static_record(record: object, signal: StaticSignal) -> StaticRecord:
+def analyse_static_record(record_name: object, signal: StaticSignal) -> StaticRecord:
     """Return the noise estimates from a column; RecordError if they are not possible.
 
-    record: What messages call the record.
+    record_name: Name of the record in messages.
     """
     try:
-        stretches = split_segments(signal.time, signal.values)
-        if np.ptp(stretches.longest[1]) == 0.0:
+        segments = split_segments(signal.time, signal.values)
+        if np.ptp(segments.longest[1]) == 0.0:
             raise ValueError("all samples are equal: no signal was recorded")
-        analysis = analyse(stretches, signal.order)
+        analysis = analyse(segments, signal.order)
     except (ValueError, NotIdentifiableError) as error:
         raise RecordError(
-            f"{record}: column '{signal.column}': {error}.", code="not-evaluable"
+            f"{record_name}: column '{signal.column}': {error}.", code="not-evaluable"
         ) from error
-    return StaticRecord(signal, stretches, analysis)
+    return StaticRecord(signal, segments, analysis)
 
 
 def split_segments(time: Array, values: Array) -> Segments:
-    """Return a record without outliers, cut where samples are missing.
+    """Return a record without outliers, split at its gaps.
 
-    time, values: s and SI, NaN where there is none, shape (n,).
+    time, values: s and SI, shape (n,); NaN: missing.
     """
     rows = time.size
     is_finite = np.isfinite(time)
@@ -159,7 +156,7 @@ def split_segments(time: Array, values: Array) -> Segments:
         raise ValueError("the time decreases")
     has_value = np.isfinite(values)
     if has_value.sum() > 1 and median(np.diff(time[has_value])) > 1.5 * median(np.diff(time)):
-        # Rows of other sensors stand between those of this one.
+        # The log also contains rows of other sensors.
         time, values = time[has_value], values[has_value]
     samples = SensorSamples.of(time, values)
     time, values = samples.time, samples.values
@@ -167,32 +164,34 @@ def split_segments(time: Array, values: Array) -> Segments:
         raise ValueError(f"{time.size} samples are too few: {_MIN_SAMPLES} are required")
     steps = np.diff(time)
     step = median(steps)
-    # The median of rounded times is off; their mean over steps that are one is not.
-    single = steps < 1.5 * step
-    step = float(steps[single].mean())
-    outliers = detect_outliers(time, values, 0.0, step, float(steps[single].std() / step))
+    # The median of rounded times is biased; the mean over single steps is not.
+    is_single_step = steps < 1.5 * step
+    step = float(steps[is_single_step].mean())
+    outliers = detect_outliers(time, values, 0.0, step, float(steps[is_single_step].std() / step))
     outliers = outliers[np.isfinite(values[outliers])]
-    clean = values.copy()
-    clean[outliers] = np.nan
-    good = np.isfinite(clean)
-    good_times, kept = time[good], clean[good]
-    if kept.size < _MIN_SAMPLES:
-        raise ValueError(f"{kept.size} samples are too few: {_MIN_SAMPLES} are required")
+    clean_values = values.copy()
+    clean_values[outliers] = np.nan
+    is_good = np.isfinite(clean_values)
+    good_times, good_values = time[is_good], clean_values[is_good]
+    if good_values.size < _MIN_SAMPLES:
+        raise ValueError(f"{good_values.size} samples are too few: {_MIN_SAMPLES} are required")
     relative_steps = np.diff(good_times) / step
     cuts = np.flatnonzero(relative_steps > _max_missing_rows(relative_steps) + 1.5) + 1
-    parts: list[tuple[float, Array, Array]] = []
-    unused = 0
-    for own_time, segment_values in zip(
-        np.split(good_times, cuts), np.split(kept, cuts), strict=True
+    segments: list[tuple[float, Array, Array]] = []
+    n_unused = 0
+    for segment_times, segment_values in zip(
+        np.split(good_times, cuts), np.split(good_values, cuts), strict=True
     ):
         if segment_values.size < _MIN_SAMPLES:
-            unused += segment_values.size
+            n_unused += segment_values.size
             continue
-        place = np.round(np.concatenate([[0.0], np.cumsum(np.diff(own_time) / step)]))
-        span = own_time[-1] - own_time[0]
-        # Each part has a clock of its own: over many rows a step that is off a little adds up.
-        sample_index = np.round((own_time - own_time[0]) / (span / place[-1]))
-        clock_deviation = (own_time - own_time[0]) / (span / place[-1]) - sample_index
+        nominal_index = np.round(np.concatenate([[0.0], np.cumsum(np.diff(segment_times) / step)]))
+        duration = segment_times[-1] - segment_times[0]
+        # Each segment has its own step, because a small error of the step accumulates.
+        sample_index = np.round((segment_times - segment_times[0]) / (duration / nominal_index[-1]))
+        clock_deviation = (segment_times - segment_times[0]) / (
+            duration / nominal_index[-1]
+        ) - sample_index
         if (
             np.abs(clock_deviation).max() > _MAX_CLOCK_DEVIATION
             or (np.diff(sample_index) < 1.0).any()
@@ -202,34 +201,34 @@ def split_segments(time: Array, values: Array) -> Segments:
                 "sensor samples at a constant rate and no sample is missing, give "
                 "`sampling_rate`; otherwise, resample the record"
             )
-        parts.append((float(own_time[0]), sample_index, segment_values))
-    if not parts:
+        segments.append((float(segment_times[0]), sample_index, segment_values))
+    if not segments:
         raise ValueError(f"there are no {_MIN_SAMPLES} successive samples without a gap")
-    count = sum(int(sample_index[-1]) + 1 for _, sample_index, _ in parts)
-    recorded = sum(segment_values.size for _, _, segment_values in parts)
-    share = recorded / count
-    fills = (1.0 - share) * math.sqrt(2.0 * recorded) < _MAX_FILLING_EFFECT
-    series = [
+    n_expected = sum(int(sample_index[-1]) + 1 for _, sample_index, _ in segments)
+    n_recorded = sum(segment_values.size for _, _, segment_values in segments)
+    recorded_fraction = n_recorded / n_expected
+    is_filled = (1.0 - recorded_fraction) * math.sqrt(2.0 * n_recorded) < _MAX_FILLING_EFFECT
+    filled_segments = [
         (
             start,
             np.interp(np.arange(sample_index[-1] + 1), sample_index, segment_values)
-            if fills
+            if is_filled
             else segment_values,
         )
-        for start, sample_index, segment_values in parts
+        for start, sample_index, segment_values in segments
     ]
-    share = 1.0 if fills else share
-    different = np.diff(np.unique(kept[:4096]))
-    resolution = float(different.min()) if different.size else 0.0
+    recorded_fraction = 1.0 if is_filled else recorded_fraction
+    value_steps = np.diff(np.unique(good_values[:4096]))
+    resolution = float(value_steps.min()) if value_steps.size else 0.0
     return Segments(
-        step=step / share,
-        recorded_fraction=share,
-        segments=tuple(series),
+        step=step / recorded_fraction,
+        recorded_fraction=recorded_fraction,
+        segments=tuple(filled_segments),
         rows=rows,
         outliers=outliers.size,
-        filled=count - recorded,
-        gaps=len(series) - 1,
-        unused=unused,
+        filled=n_expected - n_recorded,
+        gaps=len(filled_segments) - 1,
+        unused=n_unused,
         resolution=resolution,
         repeated=samples.repeated,
         restamped=samples.restamped,
@@ -238,16 +237,18 @@ def split_segments(time: Array, values: Array) -> Segments:
 
 
 def _max_missing_rows(relative_steps: Array) -> int:
-    """Return the number of missing samples in a row beyond which a record is cut.
+    """Return the largest number of successive missing samples in a segment.
 
-    relative_steps: Steps of the clock from one sample to the next.
+    relative_steps: Time steps between samples, in median steps.
     """
-    near = relative_steps[relative_steps < _MAX_LOST + 1.5]
-    lost = 1.0 - near.size / max(float(np.round(near).sum()), 1.0)
-    if not 0.0 < lost < _MAX_LOST_FRACTION:
+    short_steps = relative_steps[relative_steps < _MAX_LOST_SAMPLES + 1.5]
+    lost_fraction = 1.0 - short_steps.size / max(float(np.round(short_steps).sum()), 1.0)
+    if not 0.0 < lost_fraction < _MAX_LOST_FRACTION:
         return _MAX_MISSING
-    far = math.ceil(math.log(_FAR_PROBABILITY / near.size) / math.log(lost))
-    return min(max(far, _MAX_MISSING), _MAX_LOST)
+    max_missing = math.ceil(
+        math.log(_LONG_GAP_PROBABILITY / short_steps.size) / math.log(lost_fraction)
+    )
+    return min(max(max_missing, _MAX_MISSING), _MAX_LOST_SAMPLES)
 
 
 def analyse(segments: Segments, order: int) -> StaticAnalysis:
@@ -256,54 +257,56 @@ def analyse(segments: Segments, order: int) -> StaticAnalysis:
     order: 2 displacement, 1 velocity, 0 specific force.
     """
     step = segments.step
-    _, longest = segments.longest
-    decimation = math.ceil(longest.size / MAX_SAMPLES)
-    middle = np.mean([start + 0.5 * step * part.size for start, part in segments.segments])
-    # Specific force is taken as the velocity between its samples: what is white in that is
-    # quantisation noise (IEEE Std 952, C.1.3), and what is white in the force is N.
-    kind = Sampling(max(order, 1), order)
-    noise_order = kind.order
+    _, longest_segment = segments.longest
+    decimation = math.ceil(longest_segment.size / MAX_SAMPLES)
+    mean_time = np.mean([start + 0.5 * step * part.size for start, part in segments.segments])
+    # Specific force is integrated to velocity. White noise of the velocity is quantisation noise
+    # (IEEE Std 952, C.1.3), white noise of the force is N.
+    sampling = Sampling(max(order, 1), order)
+    noise_order = sampling.order
     records: list[EvenlySampledData] = []
     lines: list[SpectralLine] = []
     velocity = np.zeros(0)
     first = 1
-    for start, part in segments.segments:
-        recorded = part
+    for start, samples in segments.segments:
+        integrated = samples
         if order == SPECIFIC_FORCE:
-            recorded = np.concatenate([[0.0], np.cumsum(part - part.mean()) * step])
-        recorded = recorded[::decimation]
+            integrated = np.concatenate([[0.0], np.cumsum(samples - samples.mean()) * step])
+        integrated = integrated[::decimation]
         decimated_step = step * decimation
-        force = np.diff(recorded, n=noise_order) / decimated_step**noise_order
+        force = np.diff(integrated, n=noise_order) / decimated_step**noise_order
         if force.size < _MIN_SAMPLES:
             continue
-        own_lines, rest = find_lines(force, decimated_step)
+        segment_lines, residual = find_lines(force, decimated_step)
         for _ in range(noise_order):
-            rest = np.concatenate([[0.0], np.cumsum(rest) * decimated_step])
-        time = start - middle + decimated_step * (np.arange(force.size) + 0.5 * noise_order)
-        records.append(EvenlySampledData.of(rest, decimated_step, kind, time[:, None], first))
+            residual = np.concatenate([[0.0], np.cumsum(residual) * decimated_step])
+        time = start - mean_time + decimated_step * (np.arange(force.size) + 0.5 * noise_order)
+        records.append(
+            EvenlySampledData.of(residual, decimated_step, sampling, time[:, None], first)
+        )
         first += 2 * noise_order
-        if part is longest:
-            lines = own_lines
-            velocity = rest if noise_order == 1 else np.diff(rest) / decimated_step
+        if samples is longest_segment:
+            lines = segment_lines
+            velocity = residual if noise_order == 1 else np.diff(residual) / decimated_step
     if not records:
         raise NotIdentifiableError("the record is too short to estimate the noise")
     noise = estimate_static_noise(records)
-    # A sample of a specific force holds the noise of one step, also where others are lost.
+    # A sample of specific force contains the noise of one step, even if other samples are lost.
     noise_per_sample = (
         noise.with_white(segments.recorded_fraction) if order == SPECIFIC_FORCE else noise
     )
     return StaticAnalysis(
-        noise_per_sample, noise.variances, tuple(lines), step * decimation, velocity, kind
+        noise_per_sample, noise.variances, tuple(lines), step * decimation, velocity, sampling
     )
 
 
 @frozen
 class SizedComponent:
-    """One component of a noise: its variance, as in `Noise.variances`, and a 95 % interval."""
+    """Variance of a noise component, as in `Noise.variances`, with a 95 % interval."""
 
-    variance: float  #: Zero where the records do not show it.
-    low: float  #: Zero: they may be without it.
-    high: float  #: Of what is not shown: an upper limit at 95 %.
+    variance: float  #: 0 if the component is not detected.
+    low: float  #: 0 if the component may be absent.
+    high: float  #: Upper limit, for an undetected component at 95 %.
 
 
 @frozen(eq=False)
@@ -312,17 +315,17 @@ class Band:
 
     low: float  #: Hz.
     high: float  #: Hz.
-    ratio: float  #: Power over what the noise lets expect.
+    ratio: float  #: Observed over expected power.
     count: float  #: Degrees of freedom.
 
 
 @frozen(eq=False)
 class StaticNoise:
-    """The noise of records at rest."""
+    """Noise of records at rest."""
 
-    components: dict[str, SizedComponent]  #: By the names of `COMPONENTS`.
-    covariance: Array  #: Of the variances, (4, 4): inverse observed information.
-    drift: float  #: Of the bias, m/s^2/s.
+    components: dict[str, SizedComponent]  #: Name in `COMPONENTS` -> component.
+    covariance: Array  #: Covariance of the variances, (4, 4): inverse observed information.
+    drift: float  #: Drift of the bias, m/s^2/s.
     u_drift: float
     bands: tuple[Band, ...]
 
@@ -345,29 +348,31 @@ class StaticNoise:
 
 
 def estimate_static_noise(records: Sequence[EvenlySampledData]) -> StaticNoise:
-    """Estimate the noise that records at rest share.
+    """Estimate the common noise of records at rest.
 
-    records: Their first unknown is the drift, by a column of time in s.
+    records: Their first unknown is the drift, with a column of time in s.
     """
     if sum(record.observations.size for record in records) < 4 * (2 + len(COMPONENTS)):
         raise NotIdentifiableError("the record is too short to estimate the noise")
     likelihood = RestrictedLikelihood.of(records, None, None)
-    best, full_maximum, without = _eliminate_components(likelihood)
+    best_maximum, full_maximum, log_likelihoods_without = _eliminate_components(likelihood)
     components: dict[str, SizedComponent] = {}
     for name in COMPONENTS:
-        if name in best.names:
-            components[name] = _interval(likelihood, best, full_maximum, name, without[name])
+        if name in best_maximum.names:
+            components[name] = _profile_interval(
+                likelihood, best_maximum, full_maximum, name, log_likelihoods_without[name]
+            )
         else:
             components[name] = SizedComponent(
                 0.0, 0.0, _upper_limit(likelihood, full_maximum, name)
             )
-    estimate, covariance = likelihood.estimate(best.log_scale, best.ratios)
+    estimate, covariance = likelihood.estimate(best_maximum.log_scale, best_maximum.ratios)
     return StaticNoise(
         components,
-        best.covariance,
+        best_maximum.covariance,
         float(estimate[0]),
         math.sqrt(covariance[0, 0]),
-        _compare_bands(likelihood, best),
+        _compare_bands(likelihood, best_maximum),
     )
 
 
@@ -377,21 +382,30 @@ def _eliminate_components(
     """Return the best maximum, the maximum of all components, and likelihoods without each."""
     full_maximum = _candidate(likelihood, COMPONENTS).maximum(None, _initial_variances(likelihood))
     names, value, start = full_maximum.names, full_maximum.value, full_maximum.variances
-    without: dict[str, float] = {}
+    log_likelihoods_without: dict[str, float] = {}
     while True:
-        smaller: dict[str, tuple[float, Variances]] = {}
+        reduced_maxima: dict[str, tuple[float, Variances]] = {}
         for name in names:
-            rest = tuple(component for component in names if component != name)
-            # Something has to be white, in the record or in its sensor.
-            if set(rest) & set(COMPONENTS[:2]):
-                smaller[name] = _candidate(likelihood, rest).maximize(start)
-        without = without or {name: log_likelihood for name, (log_likelihood, _) in smaller.items()}
-        least = max(smaller, key=lambda name: smaller[name][0], default="")
-        if not smaller or 2.0 * (value - smaller[least][0]) >= KEEPING_GAIN:
-            best = full_maximum if names == full_maximum.names else None
-            return best or _candidate(likelihood, names).maximum(None, start), full_maximum, without
-        names = tuple(name for name in names if name != least)
-        value, start = smaller[least]
+            remaining = tuple(component for component in names if component != name)
+            # A white component of samples or sensor is required.
+            if set(remaining) & set(COMPONENTS[:2]):
+                reduced_maxima[name] = _candidate(likelihood, remaining).maximize(start)
+        log_likelihoods_without = log_likelihoods_without or {
+            name: log_likelihood for name, (log_likelihood, _) in reduced_maxima.items()
+        }
+        least_important = max(reduced_maxima, key=lambda name: reduced_maxima[name][0], default="")
+        if (
+            not reduced_maxima
+            or 2.0 * (value - reduced_maxima[least_important][0]) >= MIN_LIKELIHOOD_GAIN
+        ):
+            final_maximum = full_maximum if names == full_maximum.names else None
+            return (
+                final_maximum or _candidate(likelihood, names).maximum(None, start),
+                full_maximum,
+                log_likelihoods_without,
+            )
+        names = tuple(name for name in names if name != least_important)
+        value, start = reduced_maxima[least_important]
 
 
 def _candidate(likelihood: RestrictedLikelihood, names: tuple[str, ...]) -> NoiseModelCandidate:
@@ -401,75 +415,90 @@ def _candidate(likelihood: RestrictedLikelihood, names: tuple[str, ...]) -> Nois
 
 
 def _initial_variances(likelihood: RestrictedLikelihood) -> Variances:
-    """Return sizes near the most likely ones, without unknowns.
+    """Return variances near the most likely ones, ignoring the unknowns.
 
-    Multiplicative steps uphill, whose sizes stay positive (Fevotte, Bertin and Durrieu, Neural
+    Multiplicative updates keep the variances positive (Fevotte, Bertin and Durrieu, Neural
     Computation 21 (2009) 793, eq. 2.13 and 2.14).
     """
-    parts, power, count = [], [], []
+    row_variances, group_energies, group_counts = [], [], []
     for record in likelihood.records:
         assert isinstance(record, TransformedRecord)
-        first = record.places
-        parts.append(record.row_variances[:, first])
-        power.append(np.add.reduceat(record.stack[:, -1] ** 2, first))
-        count.append(record.counts)
-    part, energy, rows = np.concatenate(parts, axis=1), np.concatenate(power), np.concatenate(count)
-    sizes = energy.sum() / (part @ rows) / len(part)
+        first_rows = record.places
+        row_variances.append(record.row_variances[:, first_rows])
+        group_energies.append(np.add.reduceat(record.stack[:, -1] ** 2, first_rows))
+        group_counts.append(record.counts)
+    unit_variances, energy, rows = (
+        np.concatenate(row_variances, axis=1),
+        np.concatenate(group_energies),
+        np.concatenate(group_counts),
+    )
+    variances = energy.sum() / (unit_variances @ rows) / len(unit_variances)
     for _ in range(_MULTIPLICATIVE_STEPS):
-        expected = sizes @ part
-        sizes = sizes * np.sqrt((part @ (energy / expected**2)) / (part @ (rows / expected)))
-    # From nothing no step leads back.
-    floor = 1e-6 * (energy.sum() / (part @ rows))
-    return tuple(np.maximum(sizes, floor).tolist())
+        expected = variances @ unit_variances
+        variances = variances * np.sqrt(
+            (unit_variances @ (energy / expected**2)) / (unit_variances @ (rows / expected))
+        )
+    # Multiplicative updates cannot leave zero.
+    floor = 1e-6 * (energy.sum() / (unit_variances @ rows))
+    return tuple(np.maximum(variances, floor).tolist())
 
 
-def _interval(
+def _profile_interval(
     likelihood: RestrictedLikelihood,
-    best: Maximum,
+    best_maximum: Maximum,
     full_maximum: Maximum,
     name: str,
-    without: float,
+    log_likelihood_without: float,
 ) -> SizedComponent:
     """Return a detected component with its interval."""
-    place = COMPONENTS.index(name)
-    size = best.variances[place]
-    spread = math.sqrt(best.covariance[place, place]) / size
+    index = COMPONENTS.index(name)
+    variance = best_maximum.variances[index]
+    relative_u = math.sqrt(best_maximum.covariance[index, index]) / variance
     profile = _profile_likelihood(likelihood, full_maximum, name)
-    middle, step = math.log(max(size, full_maximum.variances[place])), min(1.96 * spread, 2.0)
-    top = max(full_maximum.value, profile(middle))
-    high = _interval_end(profile, top, middle, step, _TWO_SIDED)
+    log_variance, step = (
+        math.log(max(variance, full_maximum.variances[index])),
+        min(1.96 * relative_u, 2.0),
+    )
+    max_log_likelihood = max(full_maximum.value, profile(log_variance))
+    high = _interval_end(profile, max_log_likelihood, log_variance, step, _TWO_SIDED_CHANGE)
     low = None
-    if 2.0 * (top - without) >= _TWO_SIDED:
+    if 2.0 * (max_log_likelihood - log_likelihood_without) >= _TWO_SIDED_CHANGE:
         low = _interval_end(
-            profile, top, math.log(min(size, full_maximum.variances[place])), -step, _TWO_SIDED
+            profile,
+            max_log_likelihood,
+            math.log(min(variance, full_maximum.variances[index])),
+            -step,
+            _TWO_SIDED_CHANGE,
         )
     return SizedComponent(
-        size, 0.0 if low is None else math.exp(low), math.inf if high is None else math.exp(high)
+        variance,
+        0.0 if low is None else math.exp(low),
+        math.inf if high is None else math.exp(high),
     )
 
 
 def _upper_limit(likelihood: RestrictedLikelihood, full_maximum: Maximum, name: str) -> float:
     """Return the upper limit of the variance of an undetected component."""
-    place = COMPONENTS.index(name)
-    first = math.log(
-        max(_undetectable_variances(likelihood, full_maximum)[place], full_maximum.variances[place])
+    index = COMPONENTS.index(name)
+    start = math.log(
+        max(_undetectable_variances(likelihood, full_maximum)[index], full_maximum.variances[index])
     )
     profile = _profile_likelihood(likelihood, full_maximum, name)
-    top = max(full_maximum.value, profile(first))
-    end = _interval_end(profile, top, first, 1.0, _ONE_SIDED)
-    return math.inf if end is None else math.exp(end)
+    max_log_likelihood = max(full_maximum.value, profile(start))
+    log_limit = _interval_end(profile, max_log_likelihood, start, 1.0, _ONE_SIDED_CHANGE)
+    return math.inf if log_limit is None else math.exp(log_limit)
 
 
 def _undetectable_variances(likelihood: RestrictedLikelihood, full_maximum: Maximum) -> Variances:
     """Return variances of components that contribute at most 1 % of the noise in any row."""
-    shares = [
+    variances = [
         np.min(
             np.asarray(full_maximum.variances) @ record.row_variances / record.row_variances, axis=1
         )
         for record in likelihood.records
         if isinstance(record, TransformedRecord)
     ]
-    return tuple((0.01 * np.min(shares, axis=0)).tolist())
+    return tuple((0.01 * np.min(variances, axis=0)).tolist())
 
 
 def _profile_likelihood(
@@ -477,84 +506,95 @@ def _profile_likelihood(
 ) -> Callable[[float], float]:
     """Return the profile likelihood as a function of the log variance of a component.
 
-    Those that the records do not ask for are among them: they may be there.
+    Undetected components are varied too, because they may be present.
     """
     free_components = tuple(component for component in COMPONENTS if component != name)
-    # From where nothing of it shows no step leads back.
-    least = _undetectable_variances(likelihood, full_maximum)
+    # The search cannot leave variances far below these.
+    undetectable = _undetectable_variances(likelihood, full_maximum)
     free_noise = Noise(0.0).with_sizes(dict.fromkeys(free_components, ESTIMATE))
-    start = [full_maximum.variances]
+    last_variances = [full_maximum.variances]
 
-    def value(log_size: float) -> float:
-        given = free_noise.with_sizes({name: math.exp(0.5 * log_size)})
-        begin = tuple(map(max, start[0], least))
-        log_likelihood, start[0] = NoiseModelCandidate(likelihood, given, free_components).maximize(
-            begin
-        )
+    def profile(log_variance: float) -> float:
+        fixed_noise = free_noise.with_sizes({name: math.exp(0.5 * log_variance)})
+        initial = tuple(map(max, last_variances[0], undetectable))
+        log_likelihood, last_variances[0] = NoiseModelCandidate(
+            likelihood, fixed_noise, free_components
+        ).maximize(initial)
         return log_likelihood
 
-    return value
+    return profile
 
 
 def _interval_end(
-    profile: Callable[[float], float], top: float, start: float, step: float, change: float
+    profile: Callable[[float], float],
+    max_log_likelihood: float,
+    start: float,
+    step: float,
+    change: float,
 ) -> float | None:
-    """Return where 2 log L is below its maximum by a change; None if nowhere.
+    """Return the point at which 2 log L is below its maximum by a change; None if there is none.
 
-    sqrt(2 log L) goes nearly as the distance from the top: false position in that.
+    False position in sqrt(2 log L), which is nearly linear in the distance from the maximum.
     """
     target = math.sqrt(change)
 
     def excess(x: float) -> float:
-        return math.sqrt(max(2.0 * (top - profile(x)), 0.0)) - target
+        return math.sqrt(max(2.0 * (max_log_likelihood - profile(x)), 0.0)) - target
 
-    inner, below = start, -target
+    inner, inner_excess = start, -target
     outer = start + step
-    above = excess(outer)
-    for _ in range(_END_STEPS):
-        if above > 0.0:
+    outer_excess = excess(outer)
+    for _ in range(_MAX_LIMIT_STEPS):
+        if outer_excess > 0.0:
             break
-        inner, below = outer, above
+        inner, inner_excess = outer, outer_excess
         step *= 2.0
         outer = inner + step
-        above = excess(outer)
+        outer_excess = excess(outer)
     else:
         return None
-    for _ in range(_END_STEPS):
-        if above < _END_TOLERANCE:
+    for _ in range(_MAX_LIMIT_STEPS):
+        if outer_excess < _LIMIT_TOLERANCE:
             return outer
-        if below > -_END_TOLERANCE:
+        if inner_excess > -_LIMIT_TOLERANCE:
             return inner
-        part = min(max(-below / (above - below), 0.1), 0.9)
-        between = inner + part * (outer - inner)
-        value = excess(between)
+        fraction = min(max(-inner_excess / (outer_excess - inner_excess), 0.1), 0.9)
+        trial = inner + fraction * (outer - inner)
+        value = excess(trial)
         if value > 0.0:
-            outer, above = between, value
+            outer, outer_excess = trial, value
         else:
-            inner, below = between, value
+            inner, inner_excess = trial, value
     return 0.5 * (inner + outer)
 
 
-def _compare_bands(likelihood: RestrictedLikelihood, best: Maximum) -> tuple[Band, ...]:
+def _compare_bands(likelihood: RestrictedLikelihood, best_maximum: Maximum) -> tuple[Band, ...]:
     """Return the ratio of the records' spectrum to that of the noise in each band."""
-    estimate, _ = likelihood.estimate(best.log_scale, best.ratios)
+    estimate, _ = likelihood.estimate(best_maximum.log_scale, best_maximum.ratios)
     frequency, power, count = [], [], []
-    for record, places in zip(likelihood.records, likelihood.places, strict=True):
+    for record, indices in zip(likelihood.records, likelihood.places, strict=True):
         assert isinstance(record, TransformedRecord)
-        rows, _ = record.whitened(best.variances)
-        residuals = rows[:, -1] - rows[:, :-1] @ estimate[places]
+        rows, _ = record.whitened(best_maximum.variances)
+        residuals = rows[:, -1] - rows[:, :-1] @ estimate[indices]
         power.append(np.add.reduceat(residuals**2, record.places))
         count.append(record.counts)
         number = np.cumsum(record.counts) - 0.5 * (record.counts - 1.0)
         frequency.append(number / (2.0 * record.length))
     frequencies, energy, rows = map(np.concatenate, (frequency, power, count))
-    bin_of = np.floor(_BANDS_PER_DECADE * np.log10(frequencies / frequencies.min())).astype(int)
+    band_numbers = np.floor(_BANDS_PER_DECADE * np.log10(frequencies / frequencies.min())).astype(
+        int
+    )
     bands = []
-    for number in np.unique(bin_of):
-        in_band = bin_of == number
-        total = float(rows[in_band].sum())
-        ratio = float(energy[in_band].sum()) / total
+    for number in np.unique(band_numbers):
+        is_in_band = band_numbers == number
+        total_count = float(rows[is_in_band].sum())
+        ratio = float(energy[is_in_band].sum()) / total_count
         bands.append(
-            Band(float(frequencies[in_band].min()), float(frequencies[in_band].max()), ratio, total)
+            Band(
+                float(frequencies[is_in_band].min()),
+                float(frequencies[is_in_band].max()),
+                ratio,
+                total_count,
+            )
         )
     return tuple(bands)

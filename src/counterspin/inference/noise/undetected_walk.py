@@ -1,14 +1,14 @@
-"""Uncertainty of the coefficients due to a walk that the records do not show.
+"""Uncertainty of the coefficients due to an undetected random walk.
 
-Near the limit of what records can show, the criterion drops a random walk that is there. Estimates
-are none the worse for it, but their intervals are: K_F and K_II rest on the slowest changes of a
-record, where the walk is greatest, and a walk that nobody sees can triple their standard deviation.
-No rule could tell such records from records without a walk. So the weights are those without it,
-and the uncertainty is that of these weights averaged over the walks that the records allow.
+Near the detection limit, the criterion drops an existing random walk. This hardly changes the
+estimates, but their intervals: K_F and K_II depend on the slowest changes of a record, where the
+walk is largest, and an undetected walk can triple their standard deviation. No criterion can
+distinguish such records from records without a walk. Therefore the weights are those without a
+walk, and the uncertainty of these weights is averaged over the posterior of the walk.
 
-The density of N^2, given the records, is the restricted likelihood times (N^2)^(-2/3), which is
-N^(-1/3) for N. With this power intervals cover 95 % or more at any size of the walk: just that at
-the detection limit, and more near zero, where nothing is wrong and the records cannot know it.
+The posterior density of N^2 is the restricted likelihood times (N^2)^(-2/3), which is N^(-1/3) for
+N. With this power, intervals cover 95 % or more for any walk: 95 % at the detection limit, and more
+near zero.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import normal_cdf, student_quantile
 
-#: The density of log N^2 before the records are looked at goes with this power of N^2.
+#: Power of N^2 in the prior density of log N^2.
 PRIOR_EXPONENT: Final = 1.0 / 3.0
 
-#: Steps of log N^2, in which likelihoods change smoothly.
+#: Step of log N^2.
 _LOG_STEP: Final = 1.0
 
-#: Change of the log-likelihood by which a walk shows, and by which it is out of the question.
-_VISIBLE_CHANGE: Final = 0.05
-_EXCLUDING_CHANGE: Final = 8.0
+#: Change of the log-likelihood at which a walk becomes visible, and at which it is excluded.
+_DETECTION_CHANGE: Final = 0.05
+_EXCLUSION_CHANGE: Final = 8.0
 
 _MAX_STEPS: Final = 60
 
-#: Levels at which the mixture and Student's distribution are made to agree: one u, and 95 %.
+#: Levels at which the mixture and Student's distribution agree: one u, and 95 %.
 _ONE_SD_LEVEL: Final = normal_cdf(1.0)
-_HALF_INTERVAL: Final = 0.975
+_INTERVAL_LEVEL: Final = 0.975
 
 
 @frozen
 class UndetectedWalk:
-    """The posterior of a random walk that the records do not show."""
+    """Posterior of an undetected random walk."""
 
     levels: Array  #: N^2, (m/s^2)^2/Hz, increasing, shape (g,).
-    weights: Array  #: Probability of each, shape (g,).
+    weights: Array  #: Probability of each level, shape (g,).
 
     @property
     def step(self) -> float:
@@ -54,7 +54,7 @@ class UndetectedWalk:
 
 
 def walk_posterior(
-    profile: Callable[[float], tuple[float, float]], first: float, without: float
+    profile: Callable[[float], tuple[float, float]], start: float, log_likelihood_without: float
 ) -> UndetectedWalk:
     """Return the posterior of a random walk from the profile likelihood of the records.
 
@@ -62,63 +62,66 @@ def walk_posterior(
         noise, log N^2).
     """
     for _ in range(_MAX_STEPS):
-        if abs(profile(first)[0] - without) < _VISIBLE_CHANGE:
+        if abs(profile(start)[0] - log_likelihood_without) < _DETECTION_CHANGE:
             break
-        first -= 2.0 * _LOG_STEP
-    values, levels = [], []
+        start -= 2.0 * _LOG_STEP
+    log_likelihoods, log_levels = [], []
     for step in range(_MAX_STEPS):
-        value, log_level = profile(first + step * _LOG_STEP)
-        values.append(value)
-        levels.append(log_level)
-        if value < max(without, *values) - _EXCLUDING_CHANGE:
+        log_likelihood, log_level = profile(start + step * _LOG_STEP)
+        log_likelihoods.append(log_likelihood)
+        log_levels.append(log_level)
+        if log_likelihood < max(log_likelihood_without, *log_likelihoods) - _EXCLUSION_CHANGE:
             break
-    log_density = np.array(values) + PRIOR_EXPONENT * np.array(levels)
+    log_density = np.array(log_likelihoods) + PRIOR_EXPONENT * np.array(log_levels)
     weights = _LOG_STEP * np.exp(log_density - log_density.max())
-    # Below the first level the likelihood is constant: the power is integrated, and so is N^2.
-    tail = weights[0] / _LOG_STEP / PRIOR_EXPONENT
+    # Below the first level, the likelihood is constant, and the power is integrated.
+    tail_weight = weights[0] / _LOG_STEP / PRIOR_EXPONENT
     weights[0] *= 0.5
-    smallest = math.exp(levels[0]) * PRIOR_EXPONENT / (1.0 + PRIOR_EXPONENT)
-    probabilities = np.append(tail, weights)
-    return UndetectedWalk(np.append(smallest, np.exp(levels)), probabilities / probabilities.sum())
+    lowest_level = math.exp(log_levels[0]) * PRIOR_EXPONENT / (1.0 + PRIOR_EXPONENT)
+    probabilities = np.append(tail_weight, weights)
+    return UndetectedWalk(
+        np.append(lowest_level, np.exp(log_levels)), probabilities / probabilities.sum()
+    )
 
 
 def marginal_walk(
-    unseen: UndetectedWalk, variance: Array, slope: Array, inverse: Array | float = 0.0
+    walk: UndetectedWalk, variances: Array, sensitivities: Array, inverse_dof: Array | float = 0.0
 ) -> tuple[float, Array]:
     """Return a level of the walk that is equivalent to its posterior, with degrees of freedom.
 
-    The coefficient that feels the walk most has Student's distribution fitted to its own: a
-    normal one for each level, of variance + slope x level, weighted. For the others, which get
-    the same level, the degrees of freedom are those at which the 95 % interval is right.
+    The distribution of a coefficient is a mixture of normal distributions with the variances
+    variance + sensitivity x level. Student's distribution is fitted to that of the most sensitive
+    coefficient. The other coefficients have the same level, and degrees of freedom with a correct
+    95 % interval.
 
-    variance: u^2 of each coefficient without the walk, shape (p,).
-    slope: What N^2 adds to it, per unit, shape (p,).
-    inverse: Of the degrees of freedom without the walk.
+    variances: u^2 of each coefficient without the walk, shape (p,).
+    sensitivities: What N^2 adds to it, per unit, shape (p,).
+    inverse_dof: Of the degrees of freedom without the walk.
     Returns: N^2; inverse degrees of freedom of u^2 with it (Welch and Satterthwaite), shape (p,).
     """
-    mixture_sds = np.sqrt(variance[:, None] + slope[:, None] * unseen.levels)
-    most_affected = int(np.argmax(slope / variance))
-    narrow, wide = (
-        _quantile(mixture_sds, unseen.weights, level) for level in (_ONE_SD_LEVEL, _HALF_INTERVAL)
+    mixture_sds = np.sqrt(variances[:, None] + sensitivities[:, None] * walk.levels)
+    most_affected = int(np.argmax(sensitivities / variances))
+    sd_quantiles, interval_quantiles = (
+        _quantile(mixture_sds, walk.weights, level) for level in (_ONE_SD_LEVEL, _INTERVAL_LEVEL)
     )
-    dof = _dof_from_ratio(float(wide[most_affected] / narrow[most_affected]))
-    u = float(narrow[most_affected]) / student_quantile(dof, _ONE_SD_LEVEL)
-    level = max(u**2 - variance[most_affected], 0.0) / slope[most_affected]
-    total = variance + slope * level
-    quantile_ratios = wide / np.sqrt(total)
-    inverse_of_walk = np.array([1.0 / _dof_from_quantile(float(size)) for size in quantile_ratios])
-    return level, (variance / total) ** 2 * inverse + inverse_of_walk
+    dof = _dof_from_ratio(float(interval_quantiles[most_affected] / sd_quantiles[most_affected]))
+    u = float(sd_quantiles[most_affected]) / student_quantile(dof, _ONE_SD_LEVEL)
+    level = max(u**2 - variances[most_affected], 0.0) / sensitivities[most_affected]
+    total_variances = variances + sensitivities * level
+    quantile_ratios = interval_quantiles / np.sqrt(total_variances)
+    walk_inverse_dof = np.array([1.0 / _dof_from_quantile(float(size)) for size in quantile_ratios])
+    return level, (variances / total_variances) ** 2 * inverse_dof + walk_inverse_dof
 
 
-def _quantile(spread: Array, weights: Array, level: float) -> Array:
+def _quantile(sds: Array, weights: Array, level: float) -> Array:
     """Return a quantile of each mixture of normal distributions, by bisection, shape (p,)."""
     from scipy.special import ndtr
 
-    low, high = np.zeros(len(spread)), 10.0 * spread.max(axis=1)
+    low, high = np.zeros(len(sds)), 10.0 * sds.max(axis=1)
     for _ in range(60):
         middle = 0.5 * (low + high)
-        below = ndtr(middle[:, None] / spread) @ weights < level
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
+        is_below = ndtr(middle[:, None] / sds) @ weights < level
+        low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)
     return np.asarray(high)
 
 
@@ -126,8 +129,8 @@ def _dof_from_ratio(ratio: float) -> float:
     """Return the degrees of freedom at which Student's two quantiles have this ratio."""
     from scipy.special import stdtrit
 
-    return _root(
-        lambda dof: float(stdtrit(dof, _HALF_INTERVAL) / stdtrit(dof, _ONE_SD_LEVEL)), ratio
+    return _solve_for_dof(
+        lambda dof: float(stdtrit(dof, _INTERVAL_LEVEL) / stdtrit(dof, _ONE_SD_LEVEL)), ratio
     )
 
 
@@ -135,10 +138,10 @@ def _dof_from_quantile(quantile: float) -> float:
     """Return the degrees of freedom of a given 97.5 % quantile."""
     from scipy.special import stdtrit
 
-    return _root(lambda dof: float(stdtrit(dof, _HALF_INTERVAL)), quantile)
+    return _solve_for_dof(lambda dof: float(stdtrit(dof, _INTERVAL_LEVEL)), quantile)
 
 
-def _root(function: Callable[[float], float], value: float) -> float:
+def _solve_for_dof(function: Callable[[float], float], value: float) -> float:
     """Return the degrees of freedom, at least 1, at which a decreasing function has a value."""
     low, high = 0.0, math.log(1e6)
     if function(math.exp(high)) >= value:

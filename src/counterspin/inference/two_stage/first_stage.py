@@ -1,8 +1,8 @@
-"""The first stage: a parabola through the strobes of one run (Eq. 15-18, 31).
+"""First stage: a parabola through the strobes of a run (Eq. 15-18, 31).
 
-Strobes are one sample a revolution, where the reference displacement is zero. At these angles every
-harmonic of the revolution has the same phase, so that only what accumulates shows: a parabola in
-time, and around it noise.
+Strobes are one sample per revolution, at an angle with zero reference displacement. At this angle,
+each harmonic of the revolution has a constant phase, so that the strobes only contain a parabola in
+time and noise.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from counterspin.frozen import frozen
 from counterspin.inference.noise.model import DISPLACEMENT, Noise, make_whitener
 from counterspin.physics.spindle import TURN
 
-FEWEST_STROBES: Final = 4  #: strobes that a parabola and one degree of freedom need
+MIN_STROBES: Final = 4  #: strobes that a parabola and one degree of freedom need
 
-#: A strobe this near to a sample is on it: of a sample's spacing, and of a turn at the ends.
+#: Tolerance for a strobe that coincides with a sample, in sample spacings or in revolutions.
 _ROUNDING: Final = 1e-9
 
 
 @frozen
 class Strobes:
-    """The strobed displacement error of one run."""
+    """Strobed displacement error of a run."""
 
     time: Array  #: s, shape (m,).
     error: Array  #: Displacement error S - S_ref at the strobes, m, shape (m,).
-    #: Standard deviation of each strobe's error per standard deviation of one sample, shape (m,): 1
-    #: on a sample, 0.71 midway between two.
+    #: Standard deviation of each strobe over that of a sample, shape (m,): 1 on a sample, 0.71
+    #: midway between two samples.
     noise_factor: Array
-    lost: int  #: Strobes that the record passes but cannot give, because samples are missing there.
+    lost: int  #: Number of strobes that are lost because samples are missing.
 
 
 def strobe_angle(input_axis: Array) -> float:
@@ -91,7 +91,7 @@ def by_angle(
     Raises
     ------
     RecordError
-        If fewer than `FEWEST_STROBES` strobes are found.
+        If fewer than `MIN_STROBES` strobes are found.
     """
     revolutions = (angle - phase) / TURN
     revolutions = revolutions * (
@@ -101,14 +101,14 @@ def by_angle(
         math.ceil(revolutions[0] - _ROUNDING),
         math.floor(revolutions[-1] + _ROUNDING),
     )
-    target = np.arange(first_turn, last_turn + 1.0)
-    # A noisy angle may pass a strobe to and fro: the first time counts.
-    rows = np.searchsorted(np.maximum.accumulate(revolutions), target)
+    strobe_turns = np.arange(first_turn, last_turn + 1.0)
+    # A noisy angle may pass a strobe several times; the first time is used.
+    rows = np.searchsorted(np.maximum.accumulate(revolutions), strobe_turns)
     row_before = np.clip(rows, 1, revolutions.size - 1) - 1
-    share = (target - revolutions[row_before]) / (
+    fraction = (strobe_turns - revolutions[row_before]) / (
         revolutions[row_before + 1] - revolutions[row_before]
     )
-    return _interpolate(time, error, row_before, share, count)
+    return _interpolate(time, error, row_before, fraction, count)
 
 
 def by_nominal_rate(
@@ -130,39 +130,47 @@ def by_nominal_rate(
     Raises
     ------
     RecordError
-        If fewer than `FEWEST_STROBES` strobes are found.
+        If fewer than `MIN_STROBES` strobes are found.
     """
     return by_angle(time, rate * time, error, phase, count)
 
 
 def _interpolate(
-    time: Array, error: Array, row_before: npt.NDArray[np.intp], share: Array, count: Array | None
+    time: Array,
+    error: Array,
+    row_before: npt.NDArray[np.intp],
+    fraction: Array,
+    count: Array | None,
 ) -> Strobes:
     spacing = np.diff(time)
-    # Across a gap a straight line is no interpolation any more.
+    # Linear interpolation is not valid across a gap.
     is_inside = spacing[row_before] <= 1.5 * median(spacing)
-    # On a sample the other neighbour does not matter, even if it is missing or far away.
-    share = np.where(np.abs(share) < _ROUNDING, 0.0, share)
-    share = np.where(np.abs(share - 1.0) < _ROUNDING, 1.0, share)
-    before, after = error[row_before], error[row_before + 1]
-    value = np.where(share == 0.0, before, (1.0 - share) * before + share * after)
-    value = np.where(share == 1.0, after, value)
+    # If a strobe coincides with a sample, the other neighbour is not used, even if it is missing.
+    fraction = np.where(np.abs(fraction) < _ROUNDING, 0.0, fraction)
+    fraction = np.where(np.abs(fraction - 1.0) < _ROUNDING, 1.0, fraction)
+    error_before, error_after = error[row_before], error[row_before + 1]
+    value = np.where(
+        fraction == 0.0, error_before, (1.0 - fraction) * error_before + fraction * error_after
+    )
+    value = np.where(fraction == 1.0, error_after, value)
     samples = np.ones(time.size) if count is None else count
-    variance = (1.0 - share) ** 2 / samples[row_before] + share**2 / samples[row_before + 1]
-    keep = (is_inside | (share == 0.0) | (share == 1.0)) & np.isfinite(value)
-    if np.count_nonzero(keep) < FEWEST_STROBES:
+    variance = (1.0 - fraction) ** 2 / samples[row_before] + fraction**2 / samples[row_before + 1]
+    is_kept = (is_inside | (fraction == 0.0) | (fraction == 1.0)) & np.isfinite(value)
+    if np.count_nonzero(is_kept) < MIN_STROBES:
         raise RecordError(
-            f"only {np.count_nonzero(keep)} of the {FEWEST_STROBES} strobes required for the "
+            f"only {np.count_nonzero(is_kept)} of the {MIN_STROBES} strobes required for the "
             "parabola of the first stage could be read: record more revolutions, or fill the gaps",
             code="strobes-lost",
         )
-    at = time[row_before] + share * spacing[row_before]
-    return Strobes(at[keep], value[keep], np.sqrt(variance[keep]), int(np.sum(~keep)))
+    strobe_times = time[row_before] + fraction * spacing[row_before]
+    return Strobes(
+        strobe_times[is_kept], value[is_kept], np.sqrt(variance[is_kept]), int(np.sum(~is_kept))
+    )
 
 
 # The parabola ----------------------------------------------------------------------------------
 
-#: A strobe is no block of samples: its extent, in parts of the time between two.
+#: Sample spacing of a strobe, relative to the time between strobes: a strobe is not a block.
 _STROBE_EXTENT: Final = 1e-9
 
 
@@ -179,18 +187,18 @@ class Parabola:
     sigma
         Standard deviation of one sample's displacement, m: given, or from the residuals.
     sigma_from_residuals
-        Which of the two it is.
+        True if sigma was estimated from the residuals.
     dof
         Degrees of freedom of the residuals, m - 3.
     chi2
-        Sum of squared residuals, whitened: divided by its strobe's standard deviation, or by the
-        factor of their covariance where they have a random walk.
+        Sum of squared whitened residuals: divided by the standard deviation of the strobe, or
+        multiplied by the inverse factor of the covariance with a random walk.
     residuals
         m, shape (m,).
     gain
         d(b0, b1, b2)/d(strobes), shape (3, m): the matrix P of Eq. 31.
     strobes
-        What was fitted.
+        The fitted strobes.
     """
 
     coefficients: Array
@@ -210,7 +218,7 @@ class Parabola:
 
     @property
     def u_b2(self) -> float:
-        """Its standard uncertainty (Eq. 31), m/s^2."""
+        """Standard uncertainty of b2 (Eq. 31), m/s^2."""
         return math.sqrt(self.covariance[2, 2])
 
     @property
@@ -222,10 +230,10 @@ class Parabola:
 
 
 def first_stage(strobes: Strobes, sigma: float | None = None, random_walk: float = 0.0) -> Parabola:
-    """Fit the strobes with a parabola (Eq. 16-18) and give its uncertainty (Eq. 31).
+    """Fit a parabola to the strobes (Eq. 16-18), with its uncertainty (Eq. 31).
 
-    Without a random walk of the accelerometer's velocity the weights are those of white noise, as
-    in the paper; with one b2 is the generalised least-squares estimate.
+    Without a random walk of the velocity, the weights are those of white noise, as in the paper;
+    with a random walk, b2 is the generalised least-squares estimate.
 
     Parameters
     ----------
@@ -246,35 +254,37 @@ def first_stage(strobes: Strobes, sigma: float | None = None, random_walk: float
         If there are fewer than four strobes.
     """
     m = strobes.time.size
-    if m < FEWEST_STROBES:
+    if m < MIN_STROBES:
         raise NotIdentifiableError(f"{m} strobes cannot determine a parabola and its noise")
-    span = float(np.ptp(strobes.time))
-    powers = span ** -np.arange(3.0)
-    design = np.vander(strobes.time / span, 3, increasing=True)
+    duration = float(np.ptp(strobes.time))
+    powers = duration ** -np.arange(3.0)
+    design = np.vander(strobes.time / duration, 3, increasing=True)
     weight = 1.0 / strobes.noise_factor
     gain = powers[:, None] * _gain(design, weight)
     residuals = strobes.error - np.vander(strobes.time, 3, increasing=True) @ (gain @ strobes.error)
-    squares = float(np.sum((residuals * weight) ** 2))
-    used_sigma = math.sqrt(squares / (m - 3)) if sigma is None else sigma
-    chi2 = squares / used_sigma**2 if used_sigma > 0.0 else math.nan
+    sum_of_squares = float(np.sum((residuals * weight) ** 2))
+    used_sigma = math.sqrt(sum_of_squares / (m - 3)) if sigma is None else sigma
+    chi2 = sum_of_squares / used_sigma**2 if used_sigma > 0.0 else math.nan
     if random_walk > 0.0:
-        # Differences remove b0 and b1, and with them what the walk was before the first strobe.
-        whiten = make_whitener(
+        # Differences remove b0 and b1, and with them the walk before the first strobe.
+        whitener = make_whitener(
             strobes.time,
             DISPLACEMENT,
             Noise(used_sigma, random_walk),
             strobes.noise_factor**-2.0,
             _STROBE_EXTENT * float(np.diff(strobes.time).min()),
         )
-        square = whiten.apply(strobes.time**2)
-        b2_gain = whiten.apply(np.eye(m)).T @ square / (square @ square)
-        line = powers[:2, None] * _gain(design[:, :2], weight)
-        gain = np.vstack([line @ (np.eye(m) - np.outer(strobes.time**2, b2_gain)), b2_gain])
+        whitened_square = whitener.apply(strobes.time**2)
+        b2_gain = (
+            whitener.apply(np.eye(m)).T @ whitened_square / (whitened_square @ whitened_square)
+        )
+        line_gain = powers[:2, None] * _gain(design[:, :2], weight)
+        gain = np.vstack([line_gain @ (np.eye(m) - np.outer(strobes.time**2, b2_gain)), b2_gain])
         residuals = strobes.error - np.vander(strobes.time, 3, True) @ (gain @ strobes.error)
-        residuals_b2 = whiten.apply(strobes.error - strobes.time**2 * (b2_gain @ strobes.error))
+        residuals_b2 = whitener.apply(strobes.error - strobes.time**2 * (b2_gain @ strobes.error))
         chi2 = float(residuals_b2 @ residuals_b2)
-    spread = gain * (used_sigma * strobes.noise_factor)
-    covariance = spread @ spread.T
+    weighted_gain = gain * (used_sigma * strobes.noise_factor)
+    covariance = weighted_gain @ weighted_gain.T
     if random_walk > 0.0:
         covariance += random_walk**2 * (gain @ walk_covariance(strobes.time) @ gain.T)
     return Parabola(
@@ -298,7 +308,7 @@ def _gain(columns: Array, weight: Array) -> Array:
 
 
 def walk_covariance(time: Array) -> Array:
-    """Return the strobes' covariance by N^2: that of a twice integrated white noise, (m, m)."""
+    """Return the covariance of the strobes per unit N^2, (m, m): doubly integrated white noise."""
     earlier_time = np.minimum(time[:, None], time)
     later_time = np.maximum(time[:, None], time)
     covariance: Array = earlier_time**2 * (later_time / 2.0 - earlier_time / 6.0)

@@ -1,9 +1,8 @@
 """Inputs of the two-stage method, and its records as rows of a joint fit.
 
-The joint fit reduces a record to square-root information by whitening it. The first stage reduces
-it to one number, the curvature b2 of a parabola through its strobes, which is linear in the
-coefficients as every sample is: what a coefficient does to b2 is the same functional of the
-coefficient's column.
+The joint fit reduces a record to square-root information by whitening. The first stage reduces it
+to a single number, the curvature b2 of a parabola through its strobes. Like the samples, b2 is
+linear in the coefficients, so the effect of a coefficient on b2 is the curvature of its column.
 """
 
 from __future__ import annotations
@@ -48,18 +47,18 @@ _SPINDLE_LIMIT: Final = 1e-2
 
 @frozen
 class TwoStageRequest:
-    """Estimated unknowns, known values and assumed noise of the two-stage method.
+    """Unknowns, known values and assumed noise of the two-stage method.
 
     Attributes
     ----------
     model
         ``exact`` or ``as-printed``.
     priors
-        Term -> (value, standard uncertainty) in g-units, known beforehand. K_II and K_F are
-        estimated with theirs; every other term is considered: taken at its value, with its
-        uncertainty carried into the result. Without a prior K_I is exactly nominal.
+        Term -> prior (value, standard uncertainty) in g-units. K_II and K_F are estimated with
+        their priors; every other term is considered: fixed at its value, with its uncertainty
+        propagated. Without a prior, K_I is exactly nominal.
     fit_bias
-        Whether K_F is estimated, with its prior (exact model only: the paper takes it as known).
+        Whether K_F is estimated, with its prior (exact model only; the paper assumes it known).
     nominal_angle
         Whether the reference displacement is that of the nominal rate; then the drift C, common
         to all runs, is an unknown of the exact model.
@@ -67,22 +66,22 @@ class TwoStageRequest:
         As printed: the ripple has the same ``amplitude`` w_p at all rates, or the same ``ratio``
         w_p/w0.
     weighted
-        Weight the runs by sigma(b2), or not, as the paper does. Priors then count like runs of
-        the mean sigma(b2).
+        Whether the runs are weighted by 1/sigma(b2)^2; the paper does not weight them. Without
+        weights, priors count like runs with the mean sigma(b2).
     sigma
         Standard deviation of a sample's displacement, m; None: from the residuals of each run, or
-        from where the random walk is found.
+        estimated together with the random walk.
     from_residuals
-        Whether sigma is taken from the residuals of each run whatever else is known of it.
+        Whether sigma is always estimated from the residuals of each run.
     random_walk
-        Coefficient N of the accelerometer's white noise, m/s^2/Hz^0.5; None: not known, to be
-        found in whole records before anything can be resolved.
+        Coefficient N of the accelerometer's white noise, m/s^2/Hz^0.5; None: unknown, to be
+        estimated from whole records before the second stage.
     timing
         Standard deviation of a time stamp, s.
     u_radius, u_gravity
         Relative standard uncertainties of radius and gravity.
     limits
-        Term -> largest credible size, where it is not the table's.
+        Term -> largest credible size, if it differs from the table.
     """
 
     model: Literal["exact", "as-printed"] = "exact"
@@ -101,7 +100,7 @@ class TwoStageRequest:
 
     @property
     def scale_factor(self) -> float:
-        """K_I with which the displacement errors are seen, g/g."""
+        """K_I in the columns of platform errors, g/g."""
         return self.considered["K_I"][0]
 
     @cached_property
@@ -119,14 +118,14 @@ class TwoStageRequest:
 
     @cached_property
     def considered(self) -> dict[str, tuple[float, float]]:
-        """Known values: (value, standard uncertainty), K_I included."""
+        """Considered terms, including K_I: (value, standard uncertainty)."""
         known_values = {"K_F": (0.0, 0.0), "K_I": (TERMS["K_I"].nominal, 0.0), **self.priors}
         return {
             symbol: prior for symbol, prior in known_values.items() if symbol not in self.unknowns
         }
 
     def with_noise(self, noise: Noise) -> TwoStageRequest:
-        """Return the request with noise that was found, where it states none."""
+        """Return the request with estimated noise, unless it states the noise."""
         if self.random_walk is not None:
             return self
         sigma = None if self.from_residuals else self.sigma or math.sqrt(noise.sample_variance)
@@ -137,12 +136,12 @@ class TwoStageRequest:
     ) -> Parabola:
         """Return the first stage of a run with this noise.
 
-        At a strobe the displacement passes at R w: a time stamp's error shows with that.
+        At a strobe, the velocity is R w, which determines the effect of time-stamp errors.
 
         timing: Standard deviation of the times of the rows, s.
         """
-        passing = trajectory.radius * trajectory.spindle.rate
-        sigma = None if self.sigma is None else math.hypot(self.sigma, passing * timing)
+        velocity = trajectory.radius * trajectory.spindle.rate
+        sigma = None if self.sigma is None else math.hypot(self.sigma, velocity * timing)
         return first_stage(strobes, sigma, self.random_walk or 0.0)
 
     def inputs(self, motion: Trajectory) -> dict[str, float]:
@@ -160,14 +159,14 @@ class TwoStageRequest:
         return self.limits.get(symbol) or term(symbol).limit
 
 
-# As rows of a joint fit ------------------------------------------------------------------------
+# Rows of a joint fit ---------------------------------------------------------------------------
 
-#: Where residuals vanish (a noise-free demonstration) any common weight serves: this sigma(b2).
-LEAST_SIGMA: Final = np.finfo(float).tiny ** 0.25
+#: sigma(b2) if all residuals are zero, as in a demonstration without noise.
+MIN_SIGMA: Final = np.finfo(float).tiny ** 0.25
 
 
 def select_strobes(series: ResidualSeries) -> tuple[ResidualSeries, Strobes]:
-    """Return a record at its strobes, each for as many samples as its noise allows, and these."""
+    """Return a record reduced to its strobes, with equivalent sample counts, and the strobes."""
     phase = strobe_angle(series.mounting.turned(series.attitude).input_axis)
     angle = series.trajectory.spindle.angle(series.time)
 
@@ -175,15 +174,15 @@ def select_strobes(series: ResidualSeries) -> tuple[ResidualSeries, Strobes]:
         return by_angle(series.time, angle, values, phase, series.count)
 
     strobes, sensitivity = at_strobes(series.error), series.latitude_sensitivity
-    by_latitude = None if sensitivity is None else at_strobes(sensitivity).error
+    latitude_sensitivity = None if sensitivity is None else at_strobes(sensitivity).error
     record = replace(
         series,
         time=strobes.time,
         time_sd=np.zeros_like(strobes.time),
         count=strobes.noise_factor**-2.0,
         error=strobes.error,
-        latitude_sensitivity=by_latitude,
-        integration_end=float(np.max(series.time + series.time_sd)),  # as all of it was
+        latitude_sensitivity=latitude_sensitivity,
+        integration_end=float(np.max(series.time + series.time_sd)),  # end of the full record
     )
     return record, strobes
 
@@ -191,10 +190,10 @@ def select_strobes(series: ResidualSeries) -> tuple[ResidualSeries, Strobes]:
 def considered_terms(
     model: Unknowns, estimated_symbols: Collection[str], series: Sequence[ResidualSeries]
 ) -> tuple[Considered, ...]:
-    """Return all terms of a model but those estimated as held: as known, or exactly ideal.
+    """Return all terms of a model except the estimated ones, as considered terms.
 
-    Without what cannot show in the series, and without the rotation of runs whose angle is not
-    recorded: at the strobes its drift alone shows.
+    Terms without a prior are exactly nominal. Terms that do not affect the series, and the rotation
+    of runs without a recorded angle, are omitted.
     """
     return tuple(
         Considered(
@@ -214,7 +213,7 @@ def considered_terms(
 def two_stage_model(
     model: Unknowns, request: TwoStageRequest, series: Sequence[ResidualSeries]
 ) -> Unknowns:
-    """Return a joint model as one accelerometer's two stages have it: the rest is held."""
+    """Return the model of the two-stage method for an accelerometer, from a joint model."""
     owner = series[0].accelerometer
     unknowns_by_symbol = {
         unknown.symbol: unknown for unknown in model.unknowns if unknown.owner in ("", owner)
@@ -237,20 +236,20 @@ def two_stage_model(
 
 @frozen
 class Curvature(DesignBlock):
-    """A record at its strobes, of which only the curvature counts."""
+    """Curvature of a record at its strobes, as an observation."""
 
-    parabola: Parabola  #: Through the strobes.
+    parabola: Parabola  #: Parabola through the strobes.
 
     @classmethod
     def of(cls, block: DesignBlock, parabola: Parabola) -> Curvature:
-        """Return the curvature of prepared strobes."""
+        """Return the curvature of a design block at its strobes."""
         values = {attribute.name: getattr(block, attribute.name) for attribute in fields(block)}
         return cls(**values, parabola=parabola)
 
     def block(self, noises: Mapping[str, Noise]) -> Block:  # noqa: ARG002 -- it has its own
-        """Return the strobes' information as one row of unit variance, and their residuals."""
+        """Return the information of the strobes as a row of unit variance."""
         parabola = self.parabola
-        sigma = max(parabola.u_b2, LEAST_SIGMA)
+        sigma = max(parabola.u_b2, MIN_SIGMA)
         curvature = parabola.gain[2][None, :] / sigma
         chi2 = parabola.chi2 if math.isfinite(parabola.chi2) else 0.0
         target = np.array([parabola.b2 / sigma])
@@ -261,10 +260,10 @@ class Curvature(DesignBlock):
 def exact_columns(
     series: Sequence[ResidualSeries], model: Unknowns, fit: JointFit | None
 ) -> Sequence[DesignBlock]:
-    """Return the columns; those that depend on the estimate where a fit has it.
+    """Return the columns of the exact model, at the estimate of a fit if there is one.
 
-    K_II grows with the rate's fourth power, and so along a drift that is known by then. The drift
-    itself is counted from none: its own column is that of the nominal rate, seen through K_I.
+    The column of K_II grows with the fourth power of the rate, and includes the estimated drift.
+    The column of the drift is that at the nominal rate, times K_I.
     """
     scale_factor = _scale_factor(model)
     scale_factors = {series[0].accelerometer: scale_factor}
@@ -276,8 +275,8 @@ def exact_columns(
         return update_design_blocks(fit.design_blocks, fit.model, model, scale_factors, estimates)
     estimate = None if fit is None else fit.solution.estimate
     drift = 0.0 if estimate is None else float(estimate[indices[0]])
-    drifting = [_with_drift(record, drift) for record in series]
-    blocks = build_design_blocks(drifting, model, scale_factors, estimate)
+    drifting_series = [_with_drift(record, drift) for record in series]
+    blocks = build_design_blocks(drifting_series, model, scale_factors, estimate)
     for block, record in zip(blocks, series, strict=True):
         block.design[:, block.unknowns.index(indices[0])] = scale_factor * rotation_column(
             record, DRIFT
@@ -296,35 +295,38 @@ def printed_columns(
     ripple: as_printed.RippleModel,
     fit: JointFit | None = None,
 ) -> DesignBlock:
-    """Return the columns of Eq. 26 and the K_F of Eq. 19; all else has no t^2 there.
+    """Return the columns of Eq. 26 and of K_F in Eq. 19; other terms have no t^2 there.
 
-    Of uncertain inputs the derivatives, where a fit has the estimate.
+    Columns of uncertain inputs are derivatives at the estimate of a fit.
     """
     motion, scale_factor = series.trajectory, _scale_factor(model)
     rate, radius, g = np.array([motion.spindle.rate]), motion.radius, motion.site.gravity
     columns = as_printed.second_stage_columns(rate, radius, g, scale_factor, ripple)[0]
-    factors = {"K_II": float(columns[0]), RIPPLE: float(columns[1]), "K_F": 0.5 * g}
+    quadratic_coefficients = {"K_II": float(columns[0]), RIPPLE: float(columns[1]), "K_F": 0.5 * g}
     symbols = [unknown.symbol for unknown in model.unknowns]
     if fit is not None:
         contributions = {
-            s: v * factors[s] for s, v in zip(symbols, fit.solution.estimate, strict=True)
+            s: v * quadratic_coefficients[s]
+            for s, v in zip(symbols, fit.solution.estimate, strict=True)
         }
-        factors["centrifuge.radius"] = (
+        quadratic_coefficients["centrifuge.radius"] = (
             2.0 * contributions["K_II"] + contributions[RIPPLE]
         ) / radius
-        factors["site.gravity"] = -contributions["K_II"] / g
+        quadratic_coefficients["site.gravity"] = -contributions["K_II"] / g
     considered_symbols = [term.symbol for term in model.considered]
-    square = series.time**2
+    squared_time = series.time**2
     return DesignBlock(
         tuple(range(len(symbols))),
-        np.outer(square, [factors[symbol] for symbol in symbols]),
+        np.outer(squared_time, [quadratic_coefficients[symbol] for symbol in symbols]),
         tuple(range(len(considered_symbols))),
-        np.outer(square, [factors.get(symbol, 0.0) for symbol in considered_symbols]),
+        np.outer(
+            squared_time, [quadratic_coefficients.get(symbol, 0.0) for symbol in considered_symbols]
+        ),
         series,
         scale_factor,
     )
 
 
 def _scale_factor(model: Unknowns) -> float:
-    """Return K_I with which the displacement errors are seen, g/g."""
+    """Return K_I in the columns of platform errors, g/g."""
     return next((c.prior[0] for c in model.considered if c.symbol == "K_I"), 1.0)

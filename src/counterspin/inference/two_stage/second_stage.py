@@ -1,10 +1,9 @@
 """The paper's two-stage identification (Eq. 19-27, 33-34), for one accelerometer.
 
-First stage, per run: the strobed displacement error is fitted with b0 + b1 t + b2 t^2
-(`first_stage` beside this module). Second stage, here: the b2 of all runs, at their different
-rates, are resolved into K_II and the unknowns beside it, by the joint fit's own solver on one row a
-run (`model` beside this module). So budgets, sensitivities and tests of priors are those of
-any fit.
+First stage: b0 + b1 t + b2 t^2 is fitted to the strobed displacement error of each run
+(`first_stage`). Second stage: K_II and other unknowns are estimated from the b2 of all runs at
+their different rates, by the solver of the joint fit with one row per run (`model`). Budgets,
+sensitivities and tests of priors are therefore those of any fit.
 
 Two observation models:
 """
@@ -34,7 +33,7 @@ from counterspin.inference.noise.search import NoiseEstimate
 from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.model import (
     DRIFT,
-    LEAST_SIGMA,
+    MIN_SIGMA,
     Curvature,
     TwoStageRequest,
     exact_columns,
@@ -47,11 +46,11 @@ from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import TURN
 from counterspin.physics.terms import term
 
-#: Rates closer than this (relative) do not help to tell unknowns apart.
-_SAME_RATE_WITHIN: Final = 1e-3
+#: Relative difference below which rates do not separate unknowns.
+_RATE_TOLERANCE: Final = 1e-3
 
-#: An effect below this many sigma(b2), at the term's largest credible size, is nothing to name.
-_SMALLEST_VISIBLE: Final = 0.5
+#: Smallest effect of a term at its largest credible size, in sigma(b2), to be reported.
+_MIN_VISIBLE_EFFECT: Final = 0.5
 
 
 @frozen
@@ -63,7 +62,7 @@ class StrobedRun:
     name
         The run's name.
     trajectory
-        The rotation along which the exact columns are taken.
+        The rotation for the exact columns.
     parabola
         The run's first stage.
     attitude
@@ -83,10 +82,9 @@ class SecondStage:
     Attributes
     ----------
     fit
-        The joint fit of the curvatures: one row a run, of unit variance. Its unknowns are K_II
-        first, then K_F (exact) and the spindle's second unknown, if any. Of runs that are not
-        weighted the solution is that of equal weights, with the uncertainty of the actual b2
-        (Eq. 34).
+        The joint fit of the curvatures: one row per run, with unit variance. Its unknowns are
+        K_II, then K_F (exact) and the second unknown of the spindle, if any. For runs without
+        weights, the solution has equal weights and the uncertainty of the actual b2 (Eq. 34).
     parabolas
         The first stages, in the order of the runs.
     dof
@@ -103,12 +101,12 @@ class SecondStage:
 
     @property
     def symbols(self) -> tuple[str, ...]:
-        """The unknowns."""
+        """Symbols of the unknowns."""
         return tuple(unknown.symbol for unknown in self.fit.model.unknowns)
 
     @property
     def runs(self) -> tuple[StrobedRun, ...]:
-        """The runs, along the rotation that was found."""
+        """The runs, with the estimated rotation."""
         return tuple(
             StrobedRun(block.run, block.series.trajectory, parabola, block.series.attitude)
             for block, parabola in zip(self.fit.design_blocks, self.parabolas, strict=True)
@@ -131,7 +129,7 @@ class SecondStage:
 
     @property
     def misfit(self) -> Array:
-        """Each run's b2 less the model's, in units of its standard uncertainty, shape (runs,)."""
+        """Residual of b2 of each run, in its standard uncertainties, shape (runs,)."""
         return np.concatenate(
             [
                 block.target
@@ -143,55 +141,55 @@ class SecondStage:
 
     @property
     def near_collinear(self) -> tuple[tuple[str, str, float], ...]:
-        """Pairs of columns whose correlation in the data exceeds `NEAR_COLLINEAR`, with it."""
+        """Pairs of columns whose correlation exceeds `NEAR_COLLINEAR`, and their correlation."""
         information, symbols = self.fit.solution.information, self.symbols
-        unit = information / np.linalg.norm(information, axis=0)
-        cosine = unit.T @ unit
+        unit_columns = information / np.linalg.norm(information, axis=0)
+        cosines = unit_columns.T @ unit_columns
         return tuple(
-            (symbols[i], symbols[j], float(cosine[i, j]))
+            (symbols[i], symbols[j], float(cosines[i, j]))
             for i in range(len(symbols))
             for j in range(i + 1, len(symbols))
-            if abs(cosine[i, j]) > NEAR_COLLINEAR
+            if abs(cosines[i, j]) > NEAR_COLLINEAR
         )
 
     def alike(self, symbol: str, other_symbols: Iterable[str]) -> dict[str, float]:
-        """Return the held terms that act exactly as an unknown does.
+        """Return the considered terms with the same effect as an unknown.
 
-        The estimate of the unknown is then one of the sum of all of them.
+        The estimate of the unknown then includes these terms.
 
         Parameters
         ----------
         symbol
             The unknown.
-        others
-            The terms that are asked about.
+        other_symbols
+            The terms to compare with.
 
         Returns
         -------
         dict
-            Term -> how much of the unknown one unit of it is like. Terms that cannot be seen at
-            their largest credible size are left out.
+            Term -> equivalent value of the unknown per unit of the term. Terms without a visible
+            effect at their largest credible size are omitted.
         """
         rows = np.vstack([block.factor for block in self.fit.blocks])
         considered = np.vstack([block.considered for block in self.fit.blocks])
         column = rows[:, self.symbols.index(symbol)]
-        alike = {}
+        weights = {}
         for considered_symbol in other_symbols:
             indices = self._places(considered_symbol)
             effect = considered[:, indices].sum(axis=1)
             norm, inner_product = float(np.linalg.norm(effect)), float(column @ effect)
             limit = max((self.fit.model.considered[k].limit for k in indices), default=0.0)
-            is_visible = norm * limit > _SMALLEST_VISIBLE
+            is_visible = norm * limit > _MIN_VISIBLE_EFFECT
             if is_visible and abs(inner_product) > COLLINEAR_CORRELATION * norm * float(
                 np.linalg.norm(column)
             ):
-                alike[considered_symbol] = inner_product / float(column @ column)
-        return alike
+                weights[considered_symbol] = inner_product / float(column @ column)
+        return weights
 
     def shift(self, symbol: str) -> Array:
         """Return the effect of one unit of an uncorrected considered term on the unknowns, (p,).
 
-        Of a term that every run has anew, the runs' effects are combined as independent ones.
+        For a term of each run, the effects of the runs are combined as independent.
         """
         sensitivities = -self.fit.solution.sensitivity_considered[:, self._places(symbol)]
         return np.asarray(
@@ -211,19 +209,19 @@ def resolve(
     model: Unknowns,
     request: TwoStageRequest,
 ) -> SecondStage:
-    """Resolve the curvatures of one accelerometer's runs, at their strobes.
+    """Estimate the unknowns from the curvatures of the runs of an accelerometer.
 
     The model is `model.two_stage_model`'s; errors are those of `second_stage`.
     """
     _check_rates(series, model, {DRIFT, RIPPLE} if request.ripple == "amplitude" else {DRIFT})
     noise = {series[0].accelerometer: Noise(parabolas[0].sigma, request.random_walk or 0.0)}
 
-    def solved(blocks: Sequence[DesignBlock], model: Unknowns) -> JointFit:
+    def solve(blocks: Sequence[DesignBlock], model: Unknowns) -> JointFit:
         rows = map(Curvature.of, blocks, parabolas)
         fit = solve_joint(tuple(rows), model, noise)
         if request.weighted:
             return fit
-        # Rows of one common variance, and then the uncertainty of the actual b2.
+        # Rows with a common variance, and then the uncertainty of the actual b2.
         sigma = _sigma(parabolas)
         ratios = sigma / math.sqrt(np.mean(sigma**2))
         equal_weights = [
@@ -237,29 +235,40 @@ def resolve(
             return [printed_columns(record, model, request.ripple, fit) for record in series]
         return exact_columns(series, model, fit)
 
-    # Some columns depend on the estimate: twice, and those of inputs the second time alone.
+    # Some columns depend on the estimate, so there are two iterations; inputs enter the second.
     reduced_model = model.without_inputs()
-    fit = solved(columns(solved(columns(None, reduced_model), reduced_model), model), model)
+    fit = solve(columns(solve(columns(None, reduced_model), reduced_model), model), model)
     return SecondStage(fit, tuple(parabolas), _effective_dof(fit, parabolas), request.weighted)
 
 
-def with_estimated_noise(
-    second: SecondStage, noise: Noise, noise_estimate: NoiseEstimate | None
+def apply_noise_uncertainty(
+    second_stage: SecondStage, noise: Noise, noise_estimate: NoiseEstimate | None
 ) -> SecondStage:
-    """Return the second stage with what is left open of its accelerometer's noise.
+    """Return the second stage with the uncertainty of the accelerometer's noise.
 
-    noise_estimate: How well it is known, if it was estimated.
+    noise_estimate: Estimate of the noise, if it was estimated.
     """
-    gain, by_noise = second.gain, np.array([parabola.by_noise for parabola in second.parabolas])
-    if second.parabolas[0].sigma_from_residuals:
+    gain, noise_sensitivities = (
+        second_stage.gain,
+        np.array([parabola.by_noise for parabola in second_stage.parabolas]),
+    )
+    if second_stage.parabolas[0].sigma_from_residuals:
         # The white noise has the degrees of freedom of the strobes' own residuals.
-        by_noise[:, 0] = 0.0
-    gains = np.zeros((len(COMPONENTS), len(gain), len(gain)))
-    gains[: by_noise.shape[1]] = [(gain * variances) @ gain.T for variances in by_noise.T]
-    name = second.fit.design_blocks[0].accelerometer
+        noise_sensitivities[:, 0] = 0.0
+    covariance_sensitivities = np.zeros((len(COMPONENTS), len(gain), len(gain)))
+    covariance_sensitivities[: noise_sensitivities.shape[1]] = [
+        (gain * variances) @ gain.T for variances in noise_sensitivities.T
+    ]
+    name = second_stage.fit.design_blocks[0].accelerometer
     estimates = {} if noise_estimate is None else {name: noise_estimate}
-    fit, dof = inflate_covariance(second.fit, {name: gains}, {name: noise}, estimates, second.dof)
-    return replace(second, fit=fit, dof=dof)
+    fit, dof = inflate_covariance(
+        second_stage.fit,
+        {name: covariance_sensitivities},
+        {name: noise},
+        estimates,
+        second_stage.dof,
+    )
+    return replace(second_stage, fit=fit, dof=dof)
 
 
 def second_stage(
@@ -269,7 +278,7 @@ def second_stage(
     *,
     ignored: Sequence[str] = ("K_III",),
 ) -> SecondStage:
-    """Resolve the b2 of several runs into K_II and the unknowns beside it.
+    """Estimate K_II and the other unknowns from the b2 of several runs.
 
     Parameters
     ----------
@@ -278,11 +287,10 @@ def second_stage(
     mounting
         The accelerometer's axes in the level attitude.
     request
-        Model, priors and weights; None: the exact model, and nothing known beforehand. Its noise
-        is the first stage's.
+        Model, priors and weights; None: the exact model without priors. The noise is that of the
+        first stage.
     ignored
-        Terms of which only the effect is wanted that they would have; those of which something is
-        known are passed over.
+        Terms without a prior whose effect on the estimates is computed, without estimating them.
 
     Returns
     -------
@@ -313,18 +321,18 @@ def second_stage(
         )
         for name, run in zip(names, runs, strict=True)
     ]
-    ideal = {symbol: (term(symbol).nominal, 0.0) for symbol in ignored}
+    ignored_priors = {symbol: (term(symbol).nominal, 0.0) for symbol in ignored}
     considered = tuple(
         Considered(owner, symbol, prior, term(symbol).limit)
-        for symbol, prior in {**ideal, **request.considered}.items()
+        for symbol, prior in {**ignored_priors, **request.considered}.items()
         for owner in (names if term(symbol).per_run else [""])
     )
     inputs = tuple(
         Considered("", symbol, (0.0, u), term(symbol).limit)
         for symbol, u in request.inputs(runs[0].trajectory).items()
     )
-    everything = Unknowns((), (*considered, *inputs))
-    model = two_stage_model(everything, request, series)
+    prior_model = Unknowns((), (*considered, *inputs))
+    model = two_stage_model(prior_model, request, series)
     return resolve(series, [run.parabola for run in runs], model, request)
 
 
@@ -335,26 +343,30 @@ def _check_rates(
 
     sense_dependent: Unknowns that change sign with the sense.
     """
-    free = [u.symbol for u in model.unknowns if math.isinf(u.prior[1])]
-    even = [symbol for symbol in free if symbol not in sense_dependent]
+    free_symbols = [u.symbol for u in model.unknowns if math.isinf(u.prior[1])]
+    even_symbols = [symbol for symbol in free_symbols if symbol not in sense_dependent]
     rates = [record.trajectory.spindle.rate for record in series]
-    for needed, different, description in (
-        (even, _distinct_rates([abs(rate) for rate in rates]), "rates, in either sense"),
-        (free, _distinct_rates(rates), "rates"),
+    for required, n_rates, description in (
+        (
+            even_symbols,
+            _count_distinct_rates([abs(rate) for rate in rates]),
+            "rates, in either sense",
+        ),
+        (free_symbols, _count_distinct_rates(rates), "rates"),
     ):
-        if different < len(needed):
+        if n_rates < len(required):
             raise NotIdentifiableError(
-                f"{len(needed)} unknowns without a prior ({', '.join(needed)}) require at "
-                f"least {len(needed)} different {description}, but the campaign has only "
-                f"{different}. Add runs at other rates, or state priors"
+                f"{len(required)} unknowns without a prior ({', '.join(required)}) require at "
+                f"least {len(required)} different {description}, but the campaign has only "
+                f"{n_rates}. Add runs at other rates, or state priors"
             )
 
 
-def _distinct_rates(rates: Sequence[float]) -> int:
+def _count_distinct_rates(rates: Sequence[float]) -> int:
     distinct_rates: list[float] = []
     for rate in rates:
         if all(
-            abs(rate - distinct) > _SAME_RATE_WITHIN * abs(distinct) for distinct in distinct_rates
+            abs(rate - distinct) > _RATE_TOLERANCE * abs(distinct) for distinct in distinct_rates
         ):
             distinct_rates.append(rate)
     return len(distinct_rates)
@@ -362,12 +374,12 @@ def _distinct_rates(rates: Sequence[float]) -> int:
 
 def _sigma(parabolas: Sequence[Parabola]) -> Array:
     """Return sigma(b2) of each run, m/s^2, shape (runs,)."""
-    return np.array([max(parabola.u_b2, LEAST_SIGMA) for parabola in parabolas])
+    return np.array([max(parabola.u_b2, MIN_SIGMA) for parabola in parabolas])
 
 
 def _contributions(fit: JointFit) -> Array:
-    unit = np.eye(len(fit.model.unknowns))
-    return np.array([fit.solution.combine(row).noise_rows for row in unit])
+    identity = np.eye(len(fit.model.unknowns))
+    return np.array([fit.solution.combine(row).noise_rows for row in identity])
 
 
 def _effective_dof(fit: JointFit, parabolas: Sequence[Parabola]) -> Array:
@@ -376,6 +388,6 @@ def _effective_dof(fit: JointFit, parabolas: Sequence[Parabola]) -> Array:
         return np.full(len(fit.model.unknowns), math.inf)
     variances = _contributions(fit) ** 2
     dof = np.array([parabola.dof for parabola in parabolas])
-    inverse = np.sum(variances**2 / dof, axis=1)
-    is_known = inverse == 0.0  # exactly, beforehand
-    return np.where(is_known, np.inf, fit.solution.u**4 / np.where(is_known, 1.0, inverse))
+    inverse_dof = np.sum(variances**2 / dof, axis=1)
+    is_known = inverse_dof == 0.0  # exactly, beforehand
+    return np.where(is_known, np.inf, fit.solution.u**4 / np.where(is_known, 1.0, inverse_dof))
