@@ -20,6 +20,7 @@ from counterspin.arrays import MAD_TO_SIGMA, Array, median
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.memory import MemoryTable
+from counterspin.records.outliers import estimate_resolution
 from counterspin.records.reading import read_record
 from counterspin.records.record import NominalMotion, Record, RecordColumns
 
