@@ -515,9 +515,7 @@ class Fit:
 
 
 def fit(
-    design: npt.ArrayLike,
-    observations: npt.ArrayLike,
-    sigma: float | npt.ArrayLike | None = None,
+    design: npt.ArrayLike, observations: npt.ArrayLike, sigma: float | npt.ArrayLike | None = None
 ) -> Fit:
     """Fit one set of observations by (weighted) least squares.
 

@@ -1,4 +1,4 @@
-"""Effects of error terms: the kinds that the rows of the table of terms use."""
+"""Effects of error terms, for the rows of the table of terms."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from counterspin.physics.conditions import RunConditions
 
 @frozen
 class SpecificForceProduct:
-    """Coefficient times a product of a_I, a_P, a_O: the accelerometer's own error model, Eq. 7.
+    """Coefficient times a product of a_I, a_P, a_O: the error model of the accelerometer, Eq. 7.
 
-    A factor of the instrument's rotation counts as well: w_I, w_P (rad/s) or dw_O/dt (rad/s^2).
+    Factors may also be w_I, w_P (rad/s) or dw_O/dt (rad/s^2) of the instrument's rotation.
     """
 
-    #: The product, factor by factor: ``("I", "I")`` is a_I^2, ``("I", "|I|")`` is a_I|a_I|;
-    #: ``sign_I`` is the sign of a_I, and `ROTATIONS` are those of the rotation.
+    #: Factors of the product: ``("I", "I")`` is a_I^2, ``("I", "|I|")`` is a_I|a_I|; ``sign_I`` is
+    #: the sign of a_I, and `ROTATIONS` are factors of the rotation.
     factors: tuple[str, ...]
-    ieee_symbol: str  #: Name in IEEE Std 1293, before that standard's division by K1.
-    weight: float = 1.0  #: The number with which the product enters Eq. 7.
+    ieee_symbol: str  #: Name in IEEE Std 1293, without the division by K1.
+    weight: float = 1.0  #: Factor of the product in Eq. 7.
 
     @property
     def text(self) -> str:
@@ -35,12 +35,12 @@ class SpecificForceProduct:
 
     @property
     def degree(self) -> int:
-        """The number of specific forces or rotations that are multiplied."""
+        """Number of specific forces or rotations in the product."""
         return sum(factor != "sign_I" for factor in self.factors)
 
     @property
     def power(self) -> int:
-        """The power of |a_I| to which the product is proportional on either side of zero."""
+        """Power of |a_I| in the product on either side of zero."""
         return sum(factor in ("I", "|I|") for factor in self.factors)
 
     @property
@@ -60,17 +60,17 @@ class SpecificForceProduct:
 
     @property
     def requires_rotation(self) -> bool:
-        """True if the instrument must rotate in space to show the coefficient."""
+        """True if the coefficient only acts while the instrument rotates in space."""
         return not set(self.factors).isdisjoint(ROTATIONS)
 
     def design_factors(self, conditions: Mapping[str, Array]) -> Array:
-        """Return ones: the coefficient itself does not depend on conditions; as in `Slope`."""
+        """Return ones, because the coefficient does not depend on conditions; see `Slope`."""
         return np.ones_like(conditions["time"])
 
     def evaluate(
         self, a_ipo: Array, rotation: Array | None = None, sign_width: float = 0.0
     ) -> Array:
-        """Return the signed product for specific force along the axes.
+        """Return the signed product for a specific force along the axes.
 
         a_ipo: Specific force along I, P, O in g, shape (3, ...).
         rotation: w_I, w_P (rad/s) and dw_O/dt (rad/s^2) of the instrument, shape (3, ...); None:
@@ -89,10 +89,10 @@ class SpecificForceProduct:
         return value
 
     def slope(self, a_ipo: Array, axis: str) -> Array:
-        """Return the signed product's derivative along one axis.
+        """Return the derivative of the signed product along an axis.
 
         a_ipo: Specific force along I, P, O in g, shape (3, ...).
-        Returns: shape ``a_ipo.shape[1:]``, in g to the power of the product's degree less one.
+        Returns: shape ``a_ipo.shape[1:]``, in g to the power of the degree minus 1.
         """
         derivative = np.zeros(a_ipo.shape[1:])
         for index, factor in enumerate(self.factors):
@@ -107,11 +107,11 @@ class SpecificForceProduct:
         return derivative
 
 
-#: Factors of the instrument's rotation, in the order in which `Product.evaluate` takes them.
+#: Factors of the instrument's rotation, in the order of `SpecificForceProduct.evaluate`.
 ROTATIONS: Final = ("w_I", "w_P", "dw_O/dt")
 
-#: Between minus and plus this, g, the sign of a_I counts as growing linearly in a reading,
-#: because the sign of a_I in a position at right angles to gravity is unknown.
+#: In a reading, the sign of a_I is replaced by a linear function between minus and plus this, g,
+#: because the sign in a position at right angles to gravity is unknown.
 SIGN_WIDTH: Final = 1e-3
 
 _FACTOR_TEXTS: Final = {"|I|": "|a_I|", "sign_I": "sign(a_I)"} | {name: name for name in ROTATIONS}
@@ -131,8 +131,8 @@ class Slope:
 
     coefficient: str  #: Symbol of the coefficient that changes.
     #: A key of `RunConditions.at`: ``temperature`` (K from the reference temperature), ``time`` (s
-    #: from the beginning of the campaign), ``direction`` (in which the temperature went) or
-    #: ``force`` (the square of the centripetal one at the run's rate, g^2).
+    #: from the beginning of the campaign), ``direction`` (of the temperature change) or ``force``
+    #: (square of the centripetal force at the run's rate, g^2).
     condition: str
     power: int = 1  #: Power of the condition that multiplies the slope.
 
@@ -154,40 +154,39 @@ _ROUNDING: Final = 1e-9  #: Of a unit vector: above roundoff, below any angle of
 
 @frozen
 class AttitudeError:
-    """An attitude error of the platform, and with it of the axes of every accelerometer.
+    """An attitude error of the platform, and of the axes of all accelerometers.
 
     The small attitude error psi (rad) starts at the tilt and obeys
-    d(psi)/dt = drift + D f/g + E |f|^2/g^2; a platform of compliance C leans by C f/g besides. It
-    then senses f - psi x f. Tilts are about the geographic axes of a run; all others belong to
-    gyros and frame and are about the platform's own axes x, y, z, which point east, north, up in
-    the level attitude.
+    d(psi)/dt = drift + D f/g + E |f|^2/g^2; compliance C adds C f/g. The sensed force is
+    f - psi x f. Tilts are about the geographic axes of a run; all other errors are about the axes
+    x, y, z of the platform, which point east, north, up in the level attitude.
 
-    An instrument that is strapped to the counter-rotating table turns about up by the error of the
-    table's angle, a wave of the spindle's angle. If the table's axis is not parallel to the
-    spindle's axis, the instrument leans about an axis that is fixed on the arm.
+    An instrument on the counter-rotating table rotates about up by the error of the table's angle,
+    a harmonic of the spindle angle. If the table axis is not parallel to the spindle axis, the
+    instrument is tilted about an axis that is fixed on the arm.
     """
 
     #: ``tilt``, ``drift``, ``g_sensitivity``, ``g2_sensitivity``, ``compliance``, ``table`` or
     #: ``table_axis``.
     kind: str
-    #: The axis about which the attitude turns: 0 east (x), 1 north (y), 2 up (z); of the table's
-    #: axis 0 outward along the arm, 1 forward.
+    #: Axis of the rotation: 0 east (x), 1 north (y), 2 up (z); for the table axis 0 outward along
+    #: the arm, 1 forward.
     axis: int
-    #: For g-sensitivity and compliance the axis of the force, else None.
+    #: Axis of the force for g-sensitivity and compliance, else None.
     force_axis: int | None = None
-    #: For the table n times a revolution n, and ``cos`` or ``sin``.
+    #: For the table: order of the harmonic, and ``cos`` or ``sin``.
     harmonic: int = 0
     quadrature: str = ""
 
     @property
     def part(self) -> str:
-        """The part of the machine that has the error: ``table``, ``gyros`` or ``platform``."""
+        """Part of the machine with the error: ``table``, ``gyros`` or ``platform``."""
         if self.kind in ("table", "table_axis"):
             return "table"
         return "platform" if self.kind in ("tilt", "compliance") else "gyros"
 
     def acts_on(self, input_axis: Array, attitude: Array) -> bool:
-        """Return True if the error reaches an accelerometer to first order in some run.
+        """Return True if the error affects an accelerometer to first order in some run.
 
         input_axis: In the run's attitude, east-north-up, shape (3,).
         attitude: Rows: where the platform's axes point in the run, shape (3, 3).
@@ -202,26 +201,24 @@ class AttitudeError:
         return self.leaves_mean(input_axis, attitude)
 
     def shows_in(self, input_axis: Array, attitude: Array) -> bool:
-        """Return True if the error shows in an accelerometer's output at all, in waves as well.
+        """Return True if the error affects the output of an accelerometer, including harmonics.
 
-        In displacement waves are negligible compared with the accelerations of `acts_on`. In
-        velocity and specific force they appear where the effect of K_II does. Parameters as of
-        `acts_on`.
+        In displacement, harmonics are negligible compared with the accelerations of `acts_on`. In
+        velocity and specific force, they resemble the effect of K_II. Parameters: see `acts_on`.
         """
         if self.kind == "table_axis":
-            return True  # its axis takes every level direction
+            return True  # its axis takes all horizontal directions
         axis_change = np.cross(self._turn_axis(attitude), input_axis)
         return float(np.linalg.norm(axis_change)) > _ROUNDING
 
     def leaves_mean(self, input_axis: Array, attitude: Array, start: Array | None = None) -> bool:
-        """Return True if the error leaves an acceleration over whole revolutions.
+        """Return True if the error causes a mean acceleration over whole revolutions.
 
-        input_axis, attitude: As in `acts_on`.
-        start: Direction in which the platform moves at t = 0, shape (3,); None: any level
-            direction.
+        input_axis, attitude: See `acts_on`.
+        start: Direction of motion at t = 0, shape (3,); None: any horizontal direction.
         """
         if self.kind == "table_axis":
-            # The centripetal force leaks into an upright axis; gravity leaks in as a wave.
+            # The centripetal force leaks into a vertical axis; gravity leaks in as a harmonic.
             return self.axis == 1 and abs(float(input_axis @ _UP)) > _ROUNDING
         # Gravity leaks in by its vertical part.
         axis_change = np.cross(self._turn_axis(attitude), input_axis)
@@ -230,8 +227,7 @@ class AttitudeError:
         vertical_change = abs(float(axis_change @ _UP))
         if self.force_axis is None:
             return vertical_change > _ROUNDING
-        # The vertical force is steady: a sensitivity to it is a drift or a tilt, the same in all
-        # runs.
+        # The vertical force is constant, so a sensitivity to it is a drift or a common tilt.
         force = attitude[self.force_axis] * (1.0 - _UP)
         if self.kind == "compliance":
             return abs(float(axis_change @ force)) > _ROUNDING
@@ -241,10 +237,9 @@ class AttitudeError:
         return max(cross_change, min(vertical_change, level_force)) > _ROUNDING
 
     def _turn_axis(self, attitude: Array) -> Array:
-        """Return the axis about which the error turns, east-north-up, shape (3,).
+        """Return the axis of the rotation, east-north-up, shape (3,).
 
-        Tilts are about geographic axes, the table about up, all others about the platform's own
-        axes.
+        Tilts are about geographic axes, the table about up, others about the platform's axes.
         """
         axes = np.eye(3) if self.kind in ("tilt", "table") else attitude
         axis: Array = axes[self.axis]
@@ -255,15 +250,14 @@ class AttitudeError:
 class TrajectoryError:
     """An error of the trajectory: of the centrifuge's radius or axis, or of the recorded angle.
 
-    With the spindle's angle theta and the radius R, the platform is at the distance
-    R (1 + stretch R w^2) + sum of c cos n theta + s sin n theta from the axis, and the encoder
-    records theta + sum of c cos n theta + s sin n theta. An axis that is tilted by a about east and
-    b about north carries the platform R (a sin theta - b cos theta) above the level. The platform
-    itself stays level: its own tilt is an `AttitudeError`. The errors are those of the machine, the
-    same in every run.
+    With the spindle angle theta and the radius R, the distance of the platform from the axis is
+    R (1 + stretch R w^2) + sum of c cos n theta + s sin n theta, and the encoder records theta plus
+    such a sum. A tilt of the axis by a about east and b about north raises
+    the platform by R (a sin theta - b cos theta). The platform itself stays level: its tilt is an
+    `AttitudeError`. These errors are the same in all runs.
 
-    The lever arm is the distance of an accelerometer's proof mass from the table's axis, along its
-    input axis. It acts only where the table turns in space.
+    The lever arm is the distance of the proof mass of an accelerometer from the table axis, along
+    the input axis. It only acts if the table rotates in space.
     """
 
     kind: str  #: ``stretch``, ``imbalance``, ``axis_tilt``, ``encoder`` or ``lever_arm``.
@@ -274,8 +268,8 @@ class TrajectoryError:
     part: ClassVar = "centrifuge"  #: As in `AttitudeError`.
 
     def acts_on(self, input_axis: Array, attitude: Array) -> bool:  # noqa: ARG002
-        """Return True if the error reaches an accelerometer; parameters as in `AttitudeError`."""
-        # A tilted axis lifts the platform; all else moves it in the level plane.
+        """Return True if the error affects an accelerometer; parameters as in `AttitudeError`."""
+        # A tilted axis changes the height; other errors change the horizontal position.
         affected_components = input_axis[2:] if self.kind == "axis_tilt" else input_axis[:2]
         return float(np.linalg.norm(affected_components)) > _ROUNDING
 
@@ -287,7 +281,7 @@ class TrajectoryError:
         attitude: Array,
         start: Array | None = None,  # noqa: ARG002
     ) -> bool:
-        """Return True if the error reaches an accelerometer, as in `acts_on`."""
+        """Return True if the error affects an accelerometer, as in `acts_on`."""
         return self.acts_on(input_axis, attitude)
 
 

@@ -1,12 +1,12 @@
-"""Exact motion of a platform carried by a double-turntable centrifuge, at a site.
+"""Exact motion of the platform of a double-turntable centrifuge.
 
-The second turntable keeps the platform's case from rotating, so every point of it moves on the
-same circle and the lever arm inside the case cancels. Vectors are east-north-up, SI, shape
-(n, 3); the spindle angle is measured from east towards north.
+The second turntable keeps the platform from rotating, so that all its points move on equal circles
+and lever arms cancel. Vectors are east-north-up, SI, shape (n, 3); the spindle angle is measured
+from east towards north.
 
-Errors of the path: a spindle out of balance and an arm that stretches change the radius; a spindle
-whose axis is tilted lifts and lowers the platform once a revolution; an eccentric encoder records
-another angle than the spindle's. None of these is in the reference, so all show in every record.
+Path errors: imbalance of the spindle and stretch of the arm change the radius; a tilt of the
+spindle axis lifts and lowers the platform once per revolution; an eccentric encoder records a wrong
+angle. The reference contains none of them, so every record does.
 
 The specific force is in the frame of the table (`counterspin.physics.table`), which is
 east-north-up unless the table turns in space.
@@ -33,7 +33,7 @@ from counterspin.physics.terms import MOTION_TERMS
 
 _MIN_DURATION: Final = float(np.finfo(float).tiny)
 
-#: Times up to which the motion at them is kept for a while.
+#: Largest number of times for which the motion is cached.
 _CACHE_SIZE: Final = 16384
 
 EARTH_RATE: Final = 7.292115e-5  #: rad/s, rotation rate of the Earth (WGS 84)
@@ -52,8 +52,7 @@ class Site:
     earth_rate
         Rotation rate of the Earth, rad/s; 0 leaves the Coriolis acceleration out.
     removed_gravity
-        Gravity that the navigation computer takes away, m/s^2; None: the very one of the site,
-        whatever that is.
+        Gravity that the navigation computer subtracts, m/s^2; None: exactly that of the site.
     """
 
     gravity: float
@@ -89,16 +88,16 @@ class Trajectory:
     stretch
         Relative growth of the radius per centripetal acceleration, s^2/m.
     imbalance
-        (n, c, s): the radius is longer by c cos n theta + s sin n theta, m.
+        (n, c, s): change of the radius, c cos n theta + s sin n theta, m.
     axis_tilt
-        Small right-handed turns of the spindle's axis about east and north, rad. To first order:
-        the platform is lifted by the tilt times its position, and its level position stays.
+        Small right-handed rotations of the spindle axis about east and north, rad. To first
+        order, they only change the height of the platform.
     conditions
-        When the run began, and how warm it was.
+        Start time and temperature of the run.
     coarse
-        Whether integrals along it are for shapes, `counterspin.physics.quadrature.panel_edges`.
+        Whether integrals use few panels; see `counterspin.physics.quadrature.panel_edges`.
     table_ratio
-        Angle by which the table turns on the arm over the spindle's angle; -1: it stands in space.
+        Angle of the table on the arm over the spindle angle; -1: no rotation in space.
     """
 
     spindle: Spindle
@@ -153,7 +152,7 @@ class Trajectory:
 
 
 class SpindleState:
-    """State of the spindle at given times, shape (n,) each; each quantity is computed once.
+    """State of the spindle at given times, shape (n,); each quantity is computed once.
 
     t: s, shape (n,).
     """
@@ -191,8 +190,7 @@ class SpindleState:
 def spindle_state(spindle: Spindle, t: Array) -> SpindleState:
     """Return the spindle state at given times; cached if the times are few.
 
-    The accelerometers of a run share it, and so do all paths along which the spindle may carry
-    them: what an error of the radius does, or of gravity, is the difference of two of them.
+    The accelerometers of a run share it, and so do trajectories with errors of radius or gravity.
     """
     if t.size > _CACHE_SIZE:
         return SpindleState(spindle, t)
@@ -312,7 +310,7 @@ class Motion:
         return self._tilt_level_vector(acceleration)
 
     def _tilt_level_vector(self, vector: Array) -> Array:
-        """Return a vector of the level plane, or its derivative, as the tilted axis lifts it."""
+        """Return a level vector, or its derivative, with the height due to the tilt of the axis."""
         east, north = self.trajectory.axis_tilt
         if east or north:
             vector[..., 2] = east * vector[..., 1] - north * vector[..., 0]
@@ -327,7 +325,7 @@ class Motion:
 
     @cached_property
     def specific_force(self) -> Array:
-        """m/s^2, in the table's frame; of a ratio of -1 that is east-north-up."""
+        """m/s^2, in the frame of the table, which is east-north-up for a ratio of -1."""
         return self.table.rotate(self.acceleration + self.harmful_acceleration)
 
     @property
@@ -348,11 +346,11 @@ class Motion:
 
     @cached_property
     def displacement_of_specific_force(self) -> Array:
-        """m, the double integral of the specific force from t = 0, by the identity of kinematics.
+        """m, the double integral of the specific force from t = 0.
 
-        The double integral of the acceleration is the position less its start value and slope:
-        as a quadrature it would be a small difference of large numbers. Only the Coriolis part,
-        2 Omega x (integral of the position), needs a quadrature.
+        The double integral of the acceleration is the position minus its initial value and slope; a
+        quadrature would be a small difference of large numbers. Only the Coriolis part, 2 Omega x
+        (integral of the position), requires a quadrature.
         """
         t, start = self.t, self.trajectory.at(np.zeros(1))
         displacement = self.position - start.position - start.velocity * t[:, None]
@@ -389,14 +387,14 @@ class Motion:
 
 
 def _vectors(east: Array, north: Array, up: Array | None = None) -> Array:
-    """Return components of shape (n,) as vectors, shape (n, 3); level ones without the third."""
+    """Return components of shape (n,) as vectors, shape (n, 3); `up` is zero by default."""
     components = np.empty((3, *east.shape))
     components[0], components[1] = east, north
     components[2] = 0.0 if up is None else up
     return components.transpose(*range(1, components.ndim), 0)
 
 
-# Errors of the path ----------------------------------------------------------------------------
+# Path errors -----------------------------------------------------------------------------------
 
 
 def perturb_trajectory(trajectory: Trajectory, values: Mapping[str, float]) -> Trajectory:
@@ -441,7 +439,7 @@ def trajectory_sensitivity(symbol: str, circle: Motion, order: int) -> Array:
     """
     if (error := MOTION_TERMS[symbol].effect).kind == "encoder":
         return _encoder_sensitivity(error, circle, order)
-    # The motion is linear in radius and tilt: a whole unit of the error shows its derivative.
+    # The motion is linear in radius and tilt, so a unit of the error gives its derivative.
     perturbed_motion = motion_at(perturb_trajectory(circle.trajectory, {symbol: 1.0}), circle.t)
     change: Array
     if order == 2:
@@ -454,10 +452,10 @@ def trajectory_sensitivity(symbol: str, circle: Motion, order: int) -> Array:
 
 
 def _encoder_sensitivity(error: TrajectoryError, circle: Motion, order: int) -> Array:
-    """Return the change of the motion by an encoder error: the true angle lags by it.
+    """Return the change of the motion by an encoder error, by which the true angle lags.
 
-    In the level the platform is at R e^(i theta), a unit of the error takes it by
-    -i R q e^(i theta), q being the wave, and its velocity and acceleration by the derivatives.
+    The horizontal position is R e^(i theta). A unit of the error with harmonic q changes it by
+    -i R q e^(i theta), and velocity and acceleration by the derivatives.
     """
     trajectory, n, spindle_state = circle.trajectory, error.harmonic, circle.spindle_state
     rate, acceleration = circle.rate, circle.angular_acceleration

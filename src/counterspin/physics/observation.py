@@ -30,13 +30,13 @@ from counterspin.physics.quadrature import Panels
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.terms import TERMS, term
 
-#: Nodes up to which integrals along a trajectory are kept: of some hundred revolutions.
+#: Largest number of nodes for which integrals are cached: about a hundred revolutions.
 _MAX_NODES: Final = 16384
 
-#: What is integrated along a trajectory.
+#: Effects that are integrated along a trajectory.
 Integrated = SpecificForceProduct | AttitudeError | Slope
 
-#: How often each observable integrates the specific force.
+#: Observable -> number of integrations of the specific force.
 ORDERS: Final = {"displacement": 2, "velocity": 1, "specific_force": 0}
 
 LEVEL: Final[Array] = np.eye(3)  #: attitude with x, y, z pointing east, north, up
@@ -91,7 +91,7 @@ def reference(
 def residual_gravity(site: Site, input_axis: Array, times: Array, observable: str) -> Array:
     """Return the contribution of residual gravity to a record, shape (n,).
 
-    input_axis: In the run's attitude, east-north-up, shape (3,).
+    input_axis: Input axis in the attitude of the run, east-north-up, shape (3,).
     """
     order = ORDERS[observable]
     if order == 0:  # gravity is not removed from a force
@@ -114,8 +114,7 @@ def columns(
     Parameters
     ----------
     trajectory
-        The motion from t = 0, the time at which the tilts are defined and where offset and
-        start velocity are zero.
+        The motion from t = 0, at which the tilts are defined and offset and start velocity are 0.
     mounting
         The accelerometer's axes in the level attitude.
     symbols
@@ -127,7 +126,7 @@ def columns(
     attitude
         Rows: where the platform's x, y, z axes point in east-north-up, shape (3, 3).
     scale_factor
-        K_I, with which the accelerometer sees the platform's errors, g/g.
+        K_I in the columns of platform errors, g/g.
 
     Returns
     -------
@@ -142,7 +141,7 @@ def columns(
 
     Examples
     --------
-    What a bias of 1 g does is g t^2/2, whatever the spindle does:
+    The effect of a bias of 1 g is g t^2/2 for any rotation:
 
     >>> import math
     >>> import numpy as np
@@ -212,9 +211,9 @@ def columns(
     for i, slope in slopes.items():
         factor = slope.design_factor(trajectory.conditions, trajectory.centripetal)
         result[i] = factor * product_columns[slope.coefficient]
-        if slope.condition == "time":  # it goes on changing within the run
+        if slope.condition == "time":  # it continues to change during the run
             result[i] += trajectory.site.gravity * times ** (order + 1) / math.factorial(order + 1)
-    # The accelerometer sees what is shared through its scale factor.
+    # Platform errors are multiplied by the scale factor.
     platform_indices = [
         i for i, effect in enumerate(effects) if isinstance(effect, AttitudeError | TrajectoryError)
     ]
@@ -225,13 +224,12 @@ def columns(
 def block_average(function: Callable[[Array], Array], times: Array, time_sd: Array) -> Array:
     """Return a function of time averaged over blocks of samples.
 
-    Two points at the mean time plus and minus its standard deviation inside the block have the
-    block's mean exactly up to the third power of time, which over 1/64 revolution leaves less
-    than 1e-7 of the first harmonic.
+    The mean of the values at the mean time plus and minus the standard deviation of the times is
+    exact up to the third power of time. Over 1/64 revolution, the error is less than 1e-7 of the
+    first harmonic.
 
     function: Maps times (m,) in s to values (m, ...).
-    times, time_sd: Mean time of each block and standard deviation of its samples' times, s, shape
-        (n,).
+    times, time_sd: Mean and standard deviation of the times of each block, s, shape (n,).
     Returns: shape (n, ...).
     """
     if not np.any(time_sd):
@@ -288,9 +286,9 @@ def _trajectory_integrals(
 ) -> _Integrals:
     """Return the cached integrals along a trajectory.
 
-    Accelerometers of one run share the motion, and a fit and its checks the integrals.
+    Accelerometers of a run share the motion; a fit and its checks share the integrals.
 
-    kink_axis: An axis; there is an edge wherever the specific force along it changes sign.
+    kink_axis: Axis; panels have an edge at each sign change of the specific force along it.
     """
     edges = quadrature.panel_edges(trajectory.spindle, duration, coarse=trajectory.coarse)
     is_cacheable = edges.size * quadrature.NODES <= _MAX_NODES
@@ -322,7 +320,7 @@ _short_integrals, _long_integrals = (
 def table_angle_error(effect: AttitudeError, motion: Motion) -> Array:
     """Return the angle error of the table per unit of its term, shape (n,).
 
-    The error is a wave of the table's angle on the arm, counted against the spindle's sense.
+    The error is a harmonic of the angle of the table on the arm, opposite to the spindle's sense.
     """
     wave = np.sin if effect.quadrature == "sin" else np.cos
     return np.asarray(wave(-motion.trajectory.table_ratio * effect.harmonic * motion.angle))
@@ -340,7 +338,7 @@ def _integrands(
 
 
 class _TimeIntegrals:
-    """The integrals along one trajectory at one set of times."""
+    """Integrals along a trajectory at given times."""
 
     def __init__(
         self, trajectory: Trajectory, axes: Mounting, attitude: Array, times: Array, order: int
@@ -361,12 +359,12 @@ class _TimeIntegrals:
         """Return the contribution of an error of the trajectory, (n,)."""
         axis, motion = self._axes.input_axis, self.motion
         if term(symbol).effect.kind == "lever_arm":
-            # Only a table that turns in space shows it, in records of specific force.
+            # It only acts if the table rotates in space, in records of specific force.
             return np.asarray(motion.table.lever_arm_force(axis) @ axis)
         return np.asarray(trajectory_sensitivity(symbol, motion, self._order) @ axis)
 
     def linear_vector(self, effect: Effect) -> Array | None:
-        """Return the vector whose product with the specific force is the term, if there is one."""
+        """Return the vector whose product with the specific force is the term; else None."""
         match effect:
             case SpecificForceProduct(is_linear=True, factors=(factor,), weight=weight):
                 axis: Array = weight * self._axes.matrix["IPO".index(factor)]
@@ -378,7 +376,7 @@ class _TimeIntegrals:
 
     @property
     def force(self) -> Array:
-        """The integral of the specific force, as often as the observable has it, (3, n)."""
+        """Specific force with the number of integrations of the observable, (3, n)."""
         attributes = (
             "specific_force",
             "velocity_of_specific_force",
@@ -413,7 +411,7 @@ class _SensorInputs:
     def __init__(self, motion: Motion, axes: Mounting, attitude: Array) -> None:
         self._motion = motion
         self._axes = axes
-        # The gyros turn with the platform: their axes are rows of the attitude.
+        # The axes of the gyros are rows of the attitude.
         self._attitude = attitude
         self._gravity = motion.trajectory.site.gravity
 
@@ -430,7 +428,7 @@ class _SensorInputs:
         if effect.kind in ("tilt", "table_axis"):
             lever_arms = np.cross(self._motion.table.tilt_axis(effect), self._axes.input_axis)
             return np.asarray(np.sum(lever_arms * self._motion.specific_force, axis=1))
-        # The table turns about up, all else about the platform's axes.
+        # The table rotates about up, other parts about the axes of the platform.
         sensitivity = (
             self._azimuth_sensitivity
             if effect.kind == "table"

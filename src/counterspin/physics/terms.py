@@ -1,7 +1,7 @@
-"""**The** table of terms: everything that counterspin knows may be wrong, in one place.
+"""Table of all error terms and uncertain inputs.
 
-Simulation, design matrices, planning, budgets, reports and documentation all read it; there is no
-other list of coefficients. A row says whose the term is, how large it may be and what it does.
+Simulation, design matrices, planning, budgets, reports and documentation use this table; there is
+no other list of coefficients. A row states the owner, the possible size and the effect of a term.
 
 Accelerometer coefficients are in g-units (g, g/g, g/g^2, ...), g being the site's own gravity.
 Eq. 7 does not divide by the scale factor K_I; IEEE Std 1293 factors it out, so that the paper's
@@ -35,7 +35,7 @@ MotionKind = Literal["counter-rotating", "arm", "static", "vibration"]
 #: Symbol of the distance of a proof mass from the axis of a table that turns in space.
 LEVER_ARM: Final = "table.lever_arm"
 
-#: What the symbols of those errors of a dividing head begin with that vary with its angle.
+#: Prefix of the symbols of dividing-head errors that depend on its angle.
 HEAD_HARMONICS: Final = "head.harmonic."
 
 EffectT = TypeVar("EffectT", bound=Effect)
@@ -44,25 +44,25 @@ EffectT_co = TypeVar("EffectT_co", bound=Effect, covariant=True)
 
 @frozen
 class Term(Generic[EffectT_co]):
-    """One row of the table: something that may differ from what is assumed."""
+    """A row of the table: a quantity that may differ from its assumed value."""
 
-    #: The paper's symbol for a coefficient, else a name of words with dots; used everywhere. The
-    #: words ``MOUNTING``, ``ACCELEROMETER.MOUNTING`` and ``POSITION`` stand for names.
+    #: Symbol of the paper for a coefficient, else words with dots. The placeholders ``MOUNTING``,
+    #: ``ACCELEROMETER.MOUNTING`` and ``POSITION`` stand for names.
     symbol: str
     effect: EffectT_co  #: Effect on an output.
     words: str  #: Description for readers.
     unit: str  #: g-units for coefficients of an accelerometer, else SI.
-    #: The largest credible size. A standard uncertainty that is not below it says that the data do
-    #: not determine the term. Of an accelerometer's term that of navigation grade: see `sizes`.
+    #: Largest credible size. The data do not determine a term if its standard uncertainty is not
+    #: below this size. For accelerometers: navigation grade, see `sizes`.
     limit: float
-    #: Standard uncertainty to assume where nothing is known of it; of an accelerometer's likewise.
+    #: Default standard uncertainty; for accelerometers: navigation grade.
     typical: float
-    source: str  #: What `typical` rests on, or that it is an order of magnitude.
-    #: Who has a value of its own: each ``accelerometer``, each ``run``, each ``mounting``, each
-    #: ``position``; or it is one for all, of the ``platform``, the ``machine`` or the ``input``.
+    source: str  #: Source of `typical`, or the remark that it is an order of magnitude.
+    #: Owner of a separate value: ``accelerometer``, ``run``, ``mounting`` or ``position``; or a
+    #: common value of the ``platform``, the ``machine`` or the ``input``.
     scope: str
-    nominal: float = 0.0  #: The value of a perfect system.
-    #: The motions in which a reading shows it, where it is of the machine or a slope.
+    nominal: float = 0.0  #: Value of a perfect system.
+    #: Motions in which a machine term or a slope affects a reading.
     motions: tuple[str, ...] = ()
 
     def sizes(self, grade: str = DEFAULT_GRADE) -> Size:
@@ -114,13 +114,13 @@ def _accelerometer_term(
     nominal: float = 0.0,
     motions: tuple[str, ...] = (),
 ) -> Term[EffectT]:
-    """Return the row of a term that every accelerometer has for itself."""
+    """Return the row of a term with a separate value for each accelerometer."""
     size = SIZES[symbol][DEFAULT_GRADE]
     size_fields = (size.limit, size.typical, size.source)
     return Term(symbol, effect, description, unit, *size_fields, "accelerometer", nominal, motions)
 
 
-#: IEEE Std 1293 halves the asymmetries: K0' is the bias at positive less that at negative input.
+#: IEEE Std 1293 halves the asymmetries: K0' is the bias at positive minus that at negative input.
 _PRODUCT_WEIGHTS: Final = {"delta_P": -1.0, "K_0_asym": 0.5, "K_I_asym": 0.5}
 
 #: Units that are not g over a power of g.
@@ -305,7 +305,10 @@ def _trajectory_rows() -> Iterator[Term[TrajectoryError]]:
 def _harmonic_rows(
     name: str, orders: tuple[int, ...], unit_and_sizes: tuple[str, float, float, str], template: str
 ) -> Iterator[Term[TrajectoryError]]:
-    """Yield both quadratures of harmonics; `sizes` are unit, credible and typical size, source."""
+    """Yield both quadratures of harmonics.
+
+    unit_and_sizes: Unit, largest credible size, default standard uncertainty, source.
+    """
     error_kind = "encoder" if name.startswith("encoder") else "imbalance"
     for n, quadrature, description in _harmonic_terms(orders, template):
         effect = TrajectoryError(error_kind, n, quadrature)
@@ -313,7 +316,7 @@ def _harmonic_rows(
 
 
 def _harmonic_terms(orders: tuple[int, ...], template: str) -> Iterator[tuple[int, str, str]]:
-    """Yield number, quadrature and words of both quadratures of harmonics."""
+    """Yield order, quadrature and description of both quadratures of harmonics."""
     frequencies = ("once", "twice", "three times", "four times")
     for n in orders:
         for quadrature, quadrature_name in (("cos", "cosine"), ("sin", "sine")):
@@ -391,14 +394,14 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
 
 def _input_rows() -> Iterator[Term[Input]]:
     radii = "largest relative uncertainty of measured radii (4e-6), at a radius of 2.5 m"
-    # An absolute gravimeter does better by 1000.
+    # An absolute gravimeter is better by a factor of 1000.
     gravity_source = f"{_NO_SOURCE}: value from a gravity map, corrected for height"
     delay, cutoff = "delay of the recorded angle", "low-pass cutoff frequency of the recorder"
     frequency_source, cutoff_source = f"{_NO_SOURCE}: 5 % of 400 Hz", f"{_NO_SOURCE}: 5 % of 100 Hz"
     table_source, multiples = "standard uncertainty in the response table", (-100.0, 100.0)
     poles, position = (-0.5 * math.pi, 0.5 * math.pi), "position error of 30 m on the ground"
     clock_source = "a free-running quartz oscillator"
-    # symbol, words, unit, what is possible, largest credible and typical error, source
+    # symbol, description, unit, possible range, largest credible and default error, source
     for symbol, description, unit, bounds, limit, typical_size, source in (
         ("centrifuge.radius", "radius of the centrifuge", "m", (0.01, 100.0), 0.1, 1e-5, radii),
         # On Earth, from Huascaran to the Arctic Ocean.
@@ -468,24 +471,23 @@ TABLE: Final[Mapping[str, Term[Effect]]] = {
     **INPUTS,
 }
 
-#: What the machine does to a reading; a slope of a coefficient is shown by readings as well.
+#: Terms that affect readings: machine terms and slopes of coefficients.
 READING_TERMS: Final = {symbol: row for symbol, row in TABLE.items() if row.motions}
 
-#: Terms of the vector along which an accelerometer senses -> its component along I, P or O,
-#: numbered from 0, and the sign.
+#: Terms of the sensitivity vector of an accelerometer -> index of the axis I, P or O, and sign.
 SENSITIVITY_TERMS: Final = {
     symbol: ("IPO".index(row.effect.factors[0]), row.effect.weight)
     for symbol, row in TERMS.items()
     if row.effect.is_linear
 }
 
-#: What files call the terms that everybody knows by a name.
+#: Common name of a term in files -> symbol.
 COMMON_NAMES: Final = {"bias": "K_F", "scale_factor": "K_I"}
 
-#: Words that stand for a name in the symbol of a row, the longest first.
+#: Placeholders for a name in a symbol, the longest first.
 _PLACEHOLDERS: Final = ("ACCELEROMETER.MOUNTING", "MOUNTING", "POSITION")
 
-#: Rows whose symbols have a name in them, and the word that stands for it.
+#: Rows with a placeholder in their symbols, and the placeholder.
 _PLACEHOLDER_ROWS: Final = [
     (row, word)
     for row in TABLE.values()
@@ -495,7 +497,7 @@ _PLACEHOLDER_ROWS: Final = [
 
 
 def _find_row(symbol: str) -> tuple[Term[Effect] | None, str]:
-    """Return the row that a symbol belongs to, if any, and the name in the symbol."""
+    """Return the row of a symbol, if any, and the name in the symbol."""
     if symbol in TABLE:
         return TABLE[symbol], ""
     for row, placeholder in _PLACEHOLDER_ROWS:
@@ -516,7 +518,7 @@ def is_term(symbol: str) -> bool:
 
 
 def condition_of(symbol: str) -> str:
-    """Return the condition with which a slope changes a coefficient; empty for all other terms."""
+    """Return the condition of a slope; empty for all other terms."""
     row = CONDITION_TERMS.get(symbol)
     return "" if row is None else row.effect.condition
 
@@ -550,7 +552,7 @@ def affects_readings(symbol: str) -> bool:
 
 
 def term(symbol: str) -> Term[Any]:
-    """Return the row of the table with this symbol, whatever mounting the symbol names."""
+    """Return the row of a symbol, for any mounting."""
     row, _ = _find_row(symbol)
     if row is None:
         raise ValueError(f"unknown term {symbol!r}; known: {', '.join(TABLE)}")

@@ -21,11 +21,7 @@ from counterspin.inference.joint.summary import (
     BudgetLine,
     Kind,
 )
-from counterspin.inference.joint.unknowns import (
-    Considered,
-    Unknown,
-    unit_of,
-)
+from counterspin.inference.joint.unknowns import Considered, Unknown, unit_of
 from counterspin.inference.noise.components import NOISE_COMPONENTS
 from counterspin.inference.priors import conditional_priors, prior_root
 
