@@ -69,10 +69,10 @@ ROWS = {
         ("more than {} % empty cells", 100.0 * reading.MAX_EMPTY_FRACTION),
         ("fewer than {} revolutions -", run_file.MIN_REVOLUTIONS),
         ("a gap of more than {} revolutions", clock._MAX_GAP_REVOLUTIONS),
-        ("more than {} revolutions, unless", run_file.MAX_REVOLUTIONS_ANY_ROWS),
+        ("more than {} revolutions, unless", run_file.MAX_REVOLUTIONS),
         (
             "unless the record has {} rows for each",
-            1.0 / run_file.MAX_REVOLUTIONS_PER_ROW_ANY_PHASE,
+            1.0 / run_file.EXTRA_REVOLUTIONS_PER_ROW,
         ),
         ("a record that is shorter than {} % of this duration", 100.0 * assembly.COMPLETE_FRACTION),
         ("the Allan deviation is {} B", math.sqrt(2.0 * math.log(2.0) / math.pi)),

@@ -25,7 +25,7 @@ from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import ORDERS, columns, reference
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.physics.terms import PLATFORM_TERMS, TERMS
-from counterspin.records.run_file import MAX_REVOLUTIONS_ANY_RECORD
+from counterspin.records.run_file import MAX_REVOLUTIONS
 from counterspin.validation.cases import load_document
 
 FOLDER = Path(__file__).parents[1] / "reference"
@@ -485,7 +485,7 @@ def test_uncompensated_gravity_is_in_reference(observable):
 
 def test_columns_of_longest_record_need_less_than_one_gigabyte():
     spindle = Spindle(2.0 * math.pi, 0.0, (Ripple(2, 1e-5, 0.0),))
-    times = np.linspace(0.0, MAX_REVOLUTIONS_ANY_RECORD, 100)
+    times = np.linspace(0.0, MAX_REVOLUTIONS, 100)
     tracemalloc.start()
     try:
         trajectory = Trajectory(spindle, 2.5, Site(9.8, 0.7))

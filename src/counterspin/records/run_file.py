@@ -21,8 +21,8 @@ MIN_REVOLUTIONS_OF_MEAN = 1.0
 MAX_REVOLUTIONS_PER_ROW = 20.0
 #: Largest number of revolutions of any record, and additional revolutions per row: the integration
 #: of the motion takes some 0.03 MB per revolution.
-MAX_REVOLUTIONS_ANY_ROWS = 5000.0
-MAX_REVOLUTIONS_PER_ROW_ANY_PHASE = 1.0 / 16.0
+MAX_REVOLUTIONS = 5000.0
+EXTRA_REVOLUTIONS_PER_ROW = 1.0 / 16.0
 
 #: Largest deviation of a pulse interval from a whole number of intervals.
 _MAX_PULSE_DEVIATION = 0.2
@@ -190,11 +190,11 @@ def check_length(path: object, rows: int, duration: float, motion: NominalMotion
             "follow the rotation. Check the unit of the time column.",
             code="too-few-rows",
         )
-    max_revolutions = MAX_REVOLUTIONS_ANY_ROWS + MAX_REVOLUTIONS_PER_ROW_ANY_PHASE * rows
+    max_revolutions = MAX_REVOLUTIONS + EXTRA_REVOLUTIONS_PER_ROW * rows
     if revolutions > max_revolutions and not is_constant:
         raise RecordError(
             f"{path}: the record has {rows} rows in {revolutions:.6g} revolutions. Each "
-            f"revolution after the first {MAX_REVOLUTIONS_ANY_ROWS:g} requires at least 16 rows. "
+            f"revolution after the first {MAX_REVOLUTIONS:g} requires at least 16 rows. "
             "Check the unit of the time column, or shorten the record.",
             code="too-few-rows",
         )
