@@ -3,7 +3,7 @@
 import pytest
 from campaigns import SMALL, replace_parts, write_and_read_campaign, write_description
 
-from counterspin.campaign.questions import questions
+from counterspin.campaign.questions import ask_questions
 from counterspin.cli import main
 
 #: A campaign without questions.
@@ -14,12 +14,12 @@ SURE = replace_parts(
 )
 
 
-def ask_questions(folder, text):
-    return [(q.code, q.subject) for q in questions(write_and_read_campaign(folder, text))]
+def collect_questions(folder, text):
+    return [(q.code, q.subject) for q in ask_questions(write_and_read_campaign(folder, text))]
 
 
 def test_complete_campaign_has_no_questions(tmp_path):
-    assert ask_questions(tmp_path, SURE) == []
+    assert collect_questions(tmp_path, SURE) == []
 
 
 @pytest.mark.parametrize(
@@ -41,13 +41,13 @@ def test_gravity_is_checked_against_latitude(tmp_path, gravity, latitude, fits):
     text = replace_parts(
         SURE, ("9.8066 m/s^2", f"{gravity} m/s^2"), ('"45.75 deg"', f'"{latitude}"')
     )
-    subjects = ask_questions(tmp_path, text)
+    subjects = collect_questions(tmp_path, text)
     assert subjects == ([] if fits else [("gravity-latitude", "site")])
 
 
 def test_question_states_range_of_gravity(tmp_path):
     text = replace_parts(SURE, ('"45.75 deg"', '"0.8 deg"'))
-    (question,) = questions(write_and_read_campaign(tmp_path, text))
+    (question,) = ask_questions(write_and_read_campaign(tmp_path, text))
     assert "heights from -500 to 3000 m, gravity is 9.7711 to 9.7819 m/s^2" in question.text
 
 
@@ -55,7 +55,7 @@ def test_removed_gravity_is_checked_against_latitude(tmp_path):
     for removed, fits in (("9.80665", True), ("9.8061", True), ("9.78033", False)):
         line = f'gravity = "9.8066 m/s^2"\nremoved_gravity = "{removed} m/s^2"'
         text = replace_parts(SURE, ('gravity = "9.8066 m/s^2"', line), ('"45.75 deg"', '"47 deg"'))
-        subjects = ask_questions(tmp_path, text)
+        subjects = collect_questions(tmp_path, text)
         assert subjects == ([] if fits else [("gravity-latitude", "site.removed_gravity")])
 
 
@@ -83,7 +83,7 @@ def test_remaining_gravity_of_upright_accelerometer(tmp_path, changes, asks):
     )
     if not any("specific_force = {" in new for _, new in changes):
         text = replace_parts(text, ('specific_force = "1 mg"\n', ""))
-    assert ask_questions(tmp_path, text) == ([("removed-gravity", "Qz.K_I")] if asks else [])
+    assert collect_questions(tmp_path, text) == ([("removed-gravity", "Qz.K_I")] if asks else [])
 
 
 OWN_VELOCITY = ('unit = "rad" }\n', 'unit = "rad" }\nreference = "own velocity"\n')
@@ -94,7 +94,7 @@ UPRIGHT = (
 
 
 def test_unrecorded_axis_of_own_velocity_is_a_question(tmp_path):
-    found = questions(write_and_read_campaign(tmp_path, replace_parts(SURE, OWN_VELOCITY)))
+    found = ask_questions(write_and_read_campaign(tmp_path, replace_parts(SURE, OWN_VELOCITY)))
     # An upward velocity error acts towards west through the Earth's rotation.
     assert [(q.code, q.subject) for q in found] == [("unrecorded-axis", "Qx.K_F")]
     # 2 Omega cos L x 1 mg x 100 s / 2
@@ -103,7 +103,7 @@ def test_unrecorded_axis_of_own_velocity_is_a_question(tmp_path):
         in found[0].text
     )
     whole = replace_parts(SURE, OWN_VELOCITY, ("[noise]\n", UPRIGHT))
-    assert ask_questions(tmp_path, whole) == []
+    assert collect_questions(tmp_path, whole) == []
 
 
 def test_own_velocity_has_no_effect_on_recorded_force(tmp_path):
@@ -114,7 +114,7 @@ def test_own_velocity_has_no_effect_on_recorded_force(tmp_path):
         ('unit = "m" }', 'unit = "m/s^2" }'),
         ('displacement = "0.01 m"', 'specific_force = "1 mg"'),
     )
-    (found,) = questions(write_and_read_campaign(tmp_path, text))
+    (found,) = ask_questions(write_and_read_campaign(tmp_path, text))
     assert found.subject == "records.reference"
     assert "has no effect here" in found.text
 
@@ -123,13 +123,13 @@ def test_values_without_uncertainty_are_questions(tmp_path):
     text = replace_parts(SMALL, ('"1.002 g/g"\ndisp', '"1.002 g/g"\nbias = "0.005 g"\ndisp'))
     priors = '[model.priors]\n"platform.tilt.north" = "0 arcsec"\n'
     text = replace_parts(text, ('assume = "all"\n', f'assume = ["K_I", "platform.*"]\n{priors}'))
-    assert ask_questions(tmp_path, text) == [
+    assert collect_questions(tmp_path, text) == [
         ("exact-prior", "Qx.K_F"),
         ("exact-prior", "Qx.K_I"),
         ("exact-prior", "Qy.K_I"),
         ("exact-prior", "platform.tilt.north"),
     ]
-    bias, scale_factor, *_ = questions(write_and_read_campaign(tmp_path / "again", text))
+    bias, scale_factor, *_ = ask_questions(write_and_read_campaign(tmp_path / "again", text))
     assert bias.text == (
         "Qx.K_F is stated as 0.005 g without an uncertainty, so counterspin uses it with the "
         'default uncertainty. How accurately is it known? Write "0.005 ± U g".'

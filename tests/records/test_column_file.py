@@ -69,14 +69,14 @@ def test_times_of_day_continue_after_midnight(tmp_path):
         for pieces in ([5], [1, 4], [3, 2], [1, 1, 1, 1, 1]):
             file.first_timestamp, place, seconds = None, 0, []
             for size in pieces:
-                seconds += file.seconds(stamps[place : place + size]).tolist()
+                seconds += file.elapsed_seconds(stamps[place : place + size]).tolist()
                 place += size
             assert seconds[0] == 0.0
             assert seconds[1] != seconds[1]
             assert seconds[2:] == pytest.approx([1.0, 64800.5, 86400.5], abs=1e-9)
         # A date that goes back is a clock that runs backwards.
         file.first_timestamp = None
-        dated = file.seconds(file.table().select(parse_nanoseconds("v"))["v"])
+        dated = file.elapsed_seconds(file.table().select(parse_nanoseconds("v"))["v"])
         assert dated[2] == -86399.0
 
 

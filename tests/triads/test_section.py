@@ -153,7 +153,7 @@ def test_pose_record_is_read(tmp_path):
         text = text.replace(plain, triads.format_accelerometer(name, more))
     campaign = _read(tmp_path, text)
     (record,) = campaign.triad.records
-    assert (record.rest, record.threshold) == (1.5, None)
+    assert (record.min_rest, record.threshold) == (1.5, None)
     assert campaign.files == (tmp_path / "a.csv",)
 
 

@@ -27,7 +27,7 @@ from counterspin.application.served_folder import TEXT_MAX_BYTES, PathForbiddenE
 from counterspin.calibration.result import Result
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, parse_document
-from counterspin.campaign.questions import questions
+from counterspin.campaign.questions import ask_questions
 from counterspin.campaign.validation import Problems
 from counterspin.certificates.completeness import (
     MissingEntry,
@@ -82,7 +82,7 @@ def parse_campaign_text(app: AppState, file: Path, text: str) -> EditedText:
     problems = Problems(document)
     campaign = resolve_campaign(document, file, problems)
     question_texts = (
-        () if campaign is None else tuple(question.text for question in questions(campaign))
+        () if campaign is None else tuple(question.text for question in ask_questions(campaign))
     )
     if "study" in document and not problems.lines:
         try:

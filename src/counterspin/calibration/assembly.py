@@ -20,7 +20,7 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Finding, Inputs, Provenance
 from counterspin.campaign.conditions import reference_point, temperatures_of
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.questions import questions
+from counterspin.campaign.questions import ask_questions
 from counterspin.records.signals import TREND_LABELS as REMOVED
 from counterspin.results import environment
 
@@ -186,7 +186,7 @@ def _record_end_findings(observed_runs: Sequence[ObservedRun]) -> list[Finding]:
 def _question_findings(campaign: Campaign) -> list[Finding]:
     return [
         Finding(code=question.code, subject=question.subject, text=question.text)
-        for question in questions(campaign)
+        for question in ask_questions(campaign)
     ]
 
 

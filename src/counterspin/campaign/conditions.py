@@ -81,16 +81,16 @@ def temperature_directions(
         names = {item.name for item in items}
         items = [item for item in items if not isinstance(item, PoseRecord)]
         items += [item for item in pose_readings if item.name not in names]
-    heated_items = [item for item in items if item.temperature]
-    if all(item.time is not None for item in heated_items):
-        heated_items.sort(key=lambda item: item.time or 0.0)
-    profiles = [item.temperature or () for item in heated_items]
+    items_with_temperature = [item for item in items if item.temperature]
+    if all(item.time is not None for item in items_with_temperature):
+        items_with_temperature.sort(key=lambda item: item.time or 0.0)
+    profiles = [item.temperature or () for item in items_with_temperature]
     directions = _change_directions(list(chain.from_iterable(profiles)))
     if len({direction for direction in directions if direction}) < 2:
         return {}
-    halves = (0.5 * direction for direction in directions)
-    pairs = zip(heated_items, profiles, strict=True)
-    return {item.name: tuple(islice(halves, len(profile))) for item, profile in pairs}
+    half_directions = (0.5 * direction for direction in directions)
+    pairs = zip(items_with_temperature, profiles, strict=True)
+    return {item.name: tuple(islice(half_directions, len(profile))) for item, profile in pairs}
 
 
 def _change_directions(temperatures: Sequence[float]) -> list[int]:

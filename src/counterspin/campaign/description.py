@@ -204,15 +204,15 @@ class Campaign:
         """
         limits = self.model.limits
         stated_limit = limits.get(symbol) or limits.get(shared_symbol(symbol))
-        return stated_limit or self._size(symbol, owner).limit
+        return stated_limit or self._grade_size(symbol, owner).limit
 
     def typical_of(self, symbol: str, owner: str = "") -> float:
         """Return the default standard uncertainty of a term; parameters as in `limit_of`."""
         typical = self.model.typical
         stated_typical = typical.get(symbol) or typical.get(shared_symbol(symbol))
-        return stated_typical or self._size(symbol, owner).typical
+        return stated_typical or self._grade_size(symbol, owner).typical
 
-    def _size(self, symbol: str, owner: str) -> Size:
+    def _grade_size(self, symbol: str, owner: str) -> Size:
         accelerometer = self.accelerometers.get(owner)
         return term(symbol).sizes(DEFAULT_GRADE if accelerometer is None else accelerometer.grade)
 

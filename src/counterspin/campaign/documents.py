@@ -69,18 +69,18 @@ KeyPath = tuple[str | int, ...]
 def format_key_path(path: KeyPath) -> str:
     """Format a key path as it is written in TOML."""
     text = ""
-    for part in path:
-        if isinstance(part, int):
-            text += f"[{part}]"
+    for key in path:
+        if isinstance(key, int):
+            text += f"[{key}]"
         else:
-            is_bare = part.replace("_", "").replace("-", "").isalnum()
-            text += ("." if text else "") + (part if is_bare else f'"{part}"')
+            is_bare = key.replace("_", "").replace("-", "").isalnum()
+            text += ("." if text else "") + (key if is_bare else f'"{key}"')
     return text
 
 
-def description_file(where: Path | str) -> Path:
+def description_file(location: Path | str) -> Path:
     """Return the description file of a campaign, given its folder or the file itself."""
-    path = to_path(where, "the folder or description file of a campaign")
+    path = to_path(location, "the folder or description file of a campaign")
     return path / DESCRIPTION_NAME if os.path.isdir(path) else path  # noqa: PTH112 -- any name
 
 
@@ -285,8 +285,8 @@ def key_lines(text: str) -> dict[str, int]:
         key = _KEY.match(line) if depth == 0 else None
         if key is not None:
             path = table
-            for part in _split_key(key[1]):
-                path = (*path, part)
+            for key_part in _split_key(key[1]):
+                path = (*path, key_part)
                 lines_by_key.setdefault(_unquoted_path(path), number)
         open_quotes = next(
             (delimiter for delimiter in ('"""', "'''") if line.count(delimiter) % 2), ""
@@ -302,8 +302,8 @@ def _open_table(
     """Return the path of the table that a header opens, and count the tables of each list."""
     path: tuple[str | int, ...] = ()
     *parent_keys, last_key = _split_key(header[2])
-    for part in parent_keys:
-        path = (*path, part)
+    for key_part in parent_keys:
+        path = (*path, key_part)
         path = (*path, table_counts[path]) if path in table_counts else path
     path = (*path, last_key)
     if header[1]:

@@ -80,7 +80,7 @@ def parse_exact(
     return quantity.value
 
 
-def _gravity(info: ValidationInfo) -> float | None:
+def _context_gravity(info: ValidationInfo) -> float | None:
     return (info.context or {}).get("gravity")
 
 
@@ -88,20 +88,20 @@ def _validate_quantity(
     unit: str, text: object, info: ValidationInfo, likely_unit: str | None = None
 ) -> Quantity:
     if isinstance(text, Mapping):
-        return parse_prior(text, unit, gravity=_gravity(info))
-    return parse_quantity(text, unit, gravity=_gravity(info), likely_unit=likely_unit)
+        return parse_prior(text, unit, gravity=_context_gravity(info))
+    return parse_quantity(text, unit, gravity=_context_gravity(info), likely_unit=likely_unit)
 
 
 def _validate_exact(
     unit: str, text: object, info: ValidationInfo, likely_unit: str | None = None
 ) -> float:
-    return parse_exact(text, unit, gravity=_gravity(info), likely_unit=likely_unit)
+    return parse_exact(text, unit, gravity=_context_gravity(info), likely_unit=likely_unit)
 
 
 def _validate_noise(unit: str, text: object, info: ValidationInfo) -> float | str:
     if text == ESTIMATE:
         return ESTIMATE
-    deviation = parse_exact(text, unit, _gravity(info))
+    deviation = parse_exact(text, unit, _context_gravity(info))
     if deviation < 0.0:
         raise OutOfRangeError('a standard deviation cannot be negative; give a value or "estimate"')
     return deviation
@@ -115,7 +115,7 @@ def _validate_coefficient(unit: str, text: object, info: ValidationInfo) -> floa
             return parse_exact(text, output.unit + unit.removeprefix("g")) / float(
                 output.sensitivity
             )
-    return parse_exact(text, unit, gravity=_gravity(info))
+    return parse_exact(text, unit, gravity=_context_gravity(info))
 
 
 def _quantity_pattern(unit: str, *, has_uncertainty: bool = False) -> Any:
@@ -288,7 +288,7 @@ def check_rate_error(value: float) -> float:
 
 
 def _check_unit(target_unit: str, unit: str, info: ValidationInfo) -> str:
-    unit_factor(unit, target_unit, gravity=_gravity(info))
+    unit_factor(unit, target_unit, gravity=_context_gravity(info))
     return unit
 
 
@@ -307,7 +307,7 @@ def check_output_unit(unit: str, info: ValidationInfo) -> str:
         with suppress(ValueError):
             unit_factor(unit, output)
             return unit
-    unit_factor(unit, "m/s^2", gravity=_gravity(info))
+    unit_factor(unit, "m/s^2", gravity=_context_gravity(info))
     return unit
 
 
@@ -361,11 +361,12 @@ def parse_temperature(value: object) -> float:
 def _to_kelvin(value: float, scale: str) -> float:
     """Convert a temperature to K; ValueError if it is not plausible for an accelerometer."""
     kelvin = value + TEMPERATURE_SCALES[scale]
-    coldest, warmest = OPERATING_TEMPERATURES
-    if not coldest <= kelvin <= warmest:
+    min_temperature, max_temperature = OPERATING_TEMPERATURES
+    if not min_temperature <= kelvin <= max_temperature:
         raise OutOfRangeError(
             f"{value:g} {scale} is not plausible for an accelerometer; check the unit "
-            f"({coldest - ZERO_CELSIUS:.5g} to {warmest - ZERO_CELSIUS:.5g} degC are accepted)"
+            f"({min_temperature - ZERO_CELSIUS:.5g} to {max_temperature - ZERO_CELSIUS:.5g} degC "
+            "are accepted)"
         )
     return kelvin
 

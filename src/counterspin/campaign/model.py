@@ -148,7 +148,11 @@ class MeasurementSetup:
         """
         symbols: list[str] = []
         for symbol, axis in (("delta_O", 1), ("delta_P", 2)):
-            at_rest = (r for r in self.readings if r.motion == "static")
+            at_rest = (
+                at_rest_reading
+                for at_rest_reading in self.readings
+                if at_rest_reading.motion == "static"
+            )
             vertical_components = {round(reading.axes.matrix[axis][2], 6) for reading in at_rest}
             if len(vertical_components) > 1 and len(self.readings) > term_count + len(symbols) + 1:
                 symbols.append(symbol)
@@ -165,22 +169,22 @@ class MeasurementSetup:
             if self.positioning_error
             else {}
         )
-        machine = self.centrifuge
-        if machine is None:
+        centrifuge = self.centrifuge
+        if centrifuge is None:
             return priors
-        priors |= {} if machine.stretch is None else {"centrifuge.stretch": machine.stretch}
-        if machine.axis_tilt is not None:
+        priors |= {} if centrifuge.stretch is None else {"centrifuge.stretch": centrifuge.stretch}
+        if centrifuge.axis_tilt is not None:
             axes = ("centrifuge.axis_tilt.east", "centrifuge.axis_tilt.north")
-            priors |= dict.fromkeys(axes, machine.axis_tilt)
-        if machine.droop is not None and self.has_readings:
-            priors["centrifuge.droop"] = machine.droop
-        if machine.radius.u:
+            priors |= dict.fromkeys(axes, centrifuge.axis_tilt)
+        if centrifuge.droop is not None and self.has_readings:
+            priors["centrifuge.droop"] = centrifuge.droop
+        if centrifuge.radius.u:
             radius_symbols = [
                 symbol
                 for symbol in self.observable_terms
                 if symbol.startswith("centrifuge.radius.") and symbol in set(requested)
             ]
-            deviation = replace(machine.radius, value=0.0)
+            deviation = replace(centrifuge.radius, value=0.0)
             priors |= dict.fromkeys(radius_symbols, deviation)
         return priors
 
@@ -471,14 +475,16 @@ def _resolve_sizes(
 ) -> dict[str, float]:
     """Return the stated largest credible magnitudes (``limits``) or ``typical`` ones."""
     sizes: dict[str, float] = {}
-    flat = flatten_keys(raw)
-    for key in _general_first(flat):
+    values_by_key = flatten_keys(raw)
+    for key in _general_first(values_by_key):
         path = ("model", section_key, key)
         symbols = [row.symbol for row in BARE_NAMES.get(key, ())] or [key]
         if not is_term(symbols[0]):
             _report_unknown_term(key, path, problems)
             continue
-        size = problems.collect(path, parse_exact, flat[key], term(symbols[0]).unit, gravity)
+        size = problems.collect(
+            path, parse_exact, values_by_key[key], term(symbols[0]).unit, gravity
+        )
         if size is not None and size <= 0.0:
             problems.add(path, "must be greater than zero", "value-out-of-range")
         elif size is not None:

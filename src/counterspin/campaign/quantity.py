@@ -218,7 +218,10 @@ def _convert(quantity: Quantity, unit: str, text: str, gravity: float | None) ->
     if u < 0.0:
         raise InputError(f"{text!r} has a negative uncertainty", "wrong-uncertainty")
     max_magnitude = _MAX_MAGNITUDES.get(unit, _MAGNITUDE_RANGE[1])
-    if any(size and not _MAGNITUDE_RANGE[0] < size < max_magnitude for size in (abs(value), u)):
+    if any(
+        magnitude and not _MAGNITUDE_RANGE[0] < magnitude < max_magnitude
+        for magnitude in (abs(value), u)
+    ):
         raise OutOfRangeError(
             f"{text!r} is implausibly large or small; {description} is required ({accepted_units})"
         )

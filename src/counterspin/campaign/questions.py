@@ -41,7 +41,7 @@ class Question:
     text: str  #: Question in complete sentences.
 
 
-def questions(campaign: Campaign) -> list[Question]:
+def ask_questions(campaign: Campaign) -> list[Question]:
     """Return the questions about a campaign's description."""
     return [
         *_question_gravity(campaign),

@@ -76,7 +76,7 @@ class PoseRecord(StatedConditions):
 
     name: str  #: Name of the run.
     record: Path  #: Absolute path.
-    rest: float  #: Shortest rest interval that is used as a pose, s.
+    min_rest: float  #: Shortest rest interval that is used as a pose, s.
     threshold: float | None  #: Scatter below which the sensor rests, m/s^2; None: detected.
     u: float | None = None  #: Standard uncertainty of an axis in a pose, m/s^2; None: not stated.
     dialect: Dialect | None = None  #: Format of the file; None: that of the other records.

@@ -321,8 +321,8 @@ class DescriptionReader:
     def _resolve_specifications(self) -> Specifications | None:
         if not isinstance(self.raw.get("specification"), dict):
             return None
-        resolve = load_name("counterspin.campaign.specification:resolve_specifications")
-        specifications: Specifications | None = resolve(
+        resolve_function = load_name("counterspin.campaign.specification:resolve_specifications")
+        specifications: Specifications | None = resolve_function(
             self.raw["specification"],
             self.accelerometers.raw,
             problems=self.problems,

@@ -387,9 +387,13 @@ class Run(SettingsSection):
                 yield (field.alias or name,), message, "motion", "reading"
         if self.duration is not None and self.revolutions is not None:
             yield ("duration",), "revolutions is also given; keep only one of them"
-        yield from load_name(_READING_CONTRADICTIONS)(self) if is_reading_run else self._of_record()
+        yield from (
+            load_name(_READING_CONTRADICTIONS)(self)
+            if is_reading_run
+            else self._find_record_contradictions()
+        )
 
-    def _of_record(self) -> Iterator[Contradiction]:
+    def _find_record_contradictions(self) -> Iterator[Contradiction]:
         if self.file is None:
             yield ("record",), Problem("is missing", "missing-key"), "motion", "reading"
         if self.rate == 0.0:

@@ -41,7 +41,7 @@ class _NoiseRequest:
     """A record at rest with the settings of its reading, as a cache key."""
 
     identity: FileIdentity | str  #: Identity of the file, or checksum of a record in memory.
-    read: tuple[object, ...]
+    cache_key: tuple[object, ...]
     campaign: Campaign = field(compare=False)
 
 
@@ -133,11 +133,11 @@ def _static_record_noise(campaign: Campaign) -> Mapping[str, StaticNoise]:
         # The cached request should not keep all records of the campaign in memory.
         record = campaign.record_at(file)
         frames = {file: record} if isinstance(record, MemoryTable) else {}
-        without_runs = replace(campaign, frames=frames, runs=(), readings=())
+        bare_campaign = replace(campaign, frames=frames, runs=(), readings=())
         identity = (
             record.checksum if isinstance(record, MemoryTable) else FileIdentity.from_file(record)
         )
-        return _analyse_record(_NoiseRequest(identity, cache_key, without_runs))
+        return _analyse_record(_NoiseRequest(identity, cache_key, bare_campaign))
     except OSError as error:
         raise RecordError(f"{label}: {file}: file not found", code="file-not-found") from error
     except RecordError as error:

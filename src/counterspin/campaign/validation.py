@@ -275,14 +275,14 @@ def _known_keys(model: type[BaseModel], path: Sequence[str | int]) -> list[str]:
     """Return the keys of the (nested) model at a path."""
     current_model: Any = model
     is_user_key = False  # whether the next key is a name chosen by the user
-    for part in path:
-        if isinstance(part, int) or current_model is None or is_user_key:
+    for key in path:
+        if isinstance(key, int) or current_model is None or is_user_key:
             is_user_key = False
             continue
         fields = current_model.model_fields
         annotations = {field.alias or name: field.annotation for name, field in fields.items()}
-        is_user_key = typing.get_origin(annotations.get(part)) is dict
-        current_model = find_model(annotations.get(part))
+        is_user_key = typing.get_origin(annotations.get(key)) is dict
+        current_model = find_model(annotations.get(key))
     if current_model is None:
         return []
     return [field.alias or name for name, field in current_model.model_fields.items()]

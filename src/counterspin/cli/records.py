@@ -40,14 +40,14 @@ def simulate(campaign: Path, /, *, output: OutputFolder, overwrite: bool = False
         Replace the files of an earlier simulation; other files are never replaced.
     """
     from counterspin.campaign.description import read_campaign
-    from counterspin.campaign.questions import questions
+    from counterspin.campaign.questions import ask_questions
     from counterspin.reports.text import show_progress
     from counterspin.simulation.simulate import simulate as run_simulation
 
     description = read_campaign(campaign)
     with show_progress(labels=("Simulating", "Files", "Files")) as advance:
         written_files = run_simulation(description, output, overwrite=overwrite, progress=advance)
-    print_output(*(f"Warning: {question.text}" for question in questions(description)))
+    print_output(*(f"Warning: {question.text}" for question in ask_questions(description)))
     files = (
         f"{len(written_files)} {'file' if len(written_files) == 1 else 'files'} and "
         if written_files

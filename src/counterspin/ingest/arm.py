@@ -111,7 +111,9 @@ def _make_radius_and_model(
 ) -> tuple[str, dict[str, Any]]:
     """Return the radius of the centrifuge, and [model] with the radii if there are several."""
     radius_answers = {
-        word: answers[f"{word} radius"] for word in table.mountings if f"{word} radius" in answers
+        mounting: answers[f"{mounting} radius"]
+        for mounting in table.mountings
+        if f"{mounting} radius" in answers
     }
     for mounting, mounting_radii in table.radii().items():
         if len(mounting_radii) > 1:
@@ -130,7 +132,7 @@ def _make_radius_and_model(
         model["terms"] = [*TERMS_ON_A_MACHINE, "centrifuge.radius"]
     if radius_answers:
         model["priors"] = {
-            f"centrifuge.radius.{word}": text for word, text in radius_answers.items()
+            f"centrifuge.radius.{mounting}": text for mounting, text in radius_answers.items()
         }
     return stated_radii[0], model
 

@@ -26,6 +26,7 @@ from counterspin.ingest.column_values import (
     has_even_steps,
     is_nondecreasing,
     is_row_counter,
+    round_counts,
     temperature_scale,
     unwrap_values,
 )
@@ -239,7 +240,7 @@ def guess_file(
             column, None if column in advancing_columns else frequencies[column.name], answers
         )
     ]
-    signal_frequencies = [swing for column in signal_columns if (swing := frequencies[column.name])]
+    signal_frequencies = [f for column in signal_columns if (f := frequencies[column.name])]
     rotation_frequency = float(np.median(signal_frequencies)) if signal_frequencies else None  # Hz
     angle, theta, is_increasing = None, None, True
     if angle_column is not None:
@@ -415,11 +416,11 @@ def merge_guesses(guesses: Sequence[FileGuess]) -> FileGuess:
 def _find_time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
     """Return the time column, by time stamps, name, unit or even steps; or None."""
     # Time stamps that repeat in most rows are not the times of the rows.
-    stamps = [
+    timestamp_columns = [
         column for column in columns if column.is_timestamp and has_distinct_times(column.values)
     ]
-    if stamps:
-        return stamps[0]
+    if timestamp_columns:
+        return timestamp_columns[0]
     even_columns = [column for column in columns if has_even_steps(column.values)]
     named_columns = [column for column in even_columns if _is_named_time(column.name)]
     time_unit_columns = [column for column in even_columns if _find_unit(column, "s")]
@@ -450,9 +451,10 @@ def _find_time_column(columns: Sequence[FileColumn]) -> FileColumn | None:
 
 def _find_shared_times(columns: Sequence[FileColumn]) -> FileColumn | None:
     """Return the times, s, that several rows share or that come in bursts; or None."""
+    all_values = [column.values for column in columns]
     for column in columns:
         unit = "s" if column.is_timestamp else _find_unit(column, "s")
-        if unit and has_shared_times(column.values, [c.values for c in columns]):
+        if unit and has_shared_times(column.values, all_values):
             return replace(column, values=column.values * unit_factor(unit, "s"))
     return None
 
@@ -529,18 +531,9 @@ def _guess_angle(
             and not is_convertible(column.unit, "count")
         ):
             return AngleGuess(column.name, name), unwrapped * 2.0 * np.pi / revolution
-    counts = _round_counts(period)
+    counts = round_counts(period)
     guess = AngleGuess(column.name, "count", counts, period=period)
     return guess, unwrapped * 2.0 * np.pi / (counts or period)
-
-
-def _round_counts(period: float) -> float | None:
-    """Return the counts per revolution, a power of two or a round number; None if none is near."""
-    round_numbers = [2.0**n for n in range(8, 33)] + [
-        digit * 10.0**n for n in range(2, 9) for digit in (1.0, 1.2, 1.8, 2.0, 2.5, 3.6, 4.0, 5.0)
-    ]
-    nearest = min(round_numbers, key=lambda counts: abs(counts / period - 1.0))
-    return nearest if abs(nearest / period - 1.0) < 1e-3 else None
 
 
 def _guess_pulses(

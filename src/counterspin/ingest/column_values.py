@@ -95,3 +95,12 @@ def unwrap_values(values: Array, time: Array) -> tuple[Array, float | None] | No
         [[0.0], np.cumsum(turn_counts)]
     )
     return unwrapped, period
+
+
+def round_counts(period: float) -> float | None:
+    """Return the counts per revolution, a power of two or a round number; None if none is near."""
+    round_numbers = [2.0**n for n in range(8, 33)] + [
+        digit * 10.0**n for n in range(2, 9) for digit in (1.0, 1.2, 1.8, 2.0, 2.5, 3.6, 4.0, 5.0)
+    ]
+    nearest = min(round_numbers, key=lambda counts: abs(counts / period - 1.0))
+    return nearest if abs(nearest / period - 1.0) < 1e-3 else None

@@ -76,15 +76,15 @@ class Draft(AnsweredDraft):
 
         folder: Folder of the campaign.
         """
-        common, answers = self.common_guess, self.complete()
+        common_guess, answers = self.common_guess, self.complete()
         sense, resolved_folder = answers["sense"], folder.resolve()
         document: dict[str, Any] = {
             "schema": 1,
             "campaign": {"title": resolved_folder.name},
             "site": {"gravity": answers["gravity"], "latitude": answers["latitude"]},
             "centrifuge": {"radius": answers["radius"]},
-            "records": _make_records(common, answers, sense),
-            "accelerometers": _make_accelerometers(common),
+            "records": _make_records(common_guess, answers, sense),
+            "accelerometers": _make_accelerometers(common_guess),
         }
         return document | {
             "runs": list(_make_runs(self.guesses, answers, sense, resolved_folder, []))

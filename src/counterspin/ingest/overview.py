@@ -132,7 +132,11 @@ def _describe_sampling(guess: FileGuess) -> str:
         return f"{guess.sampling_rate:.8g} rows per second" if guess.sampling_rate else ""
     if guess.time.unit is None:
         return ""
-    column = next(c for c in guess.contents.columns if c.name == guess.time.column)
+    column = next(
+        time_column
+        for time_column in guess.contents.columns
+        if time_column.name == guess.time.column
+    )
     steps = np.diff(column.values[np.isfinite(column.values)]) * guess.time.factor
     if guess.contents.is_mixed:  # rows of several sensors have no common step
         return f"about {1.0 / np.mean(steps):.4g} rows per second from all sensors together"

@@ -103,12 +103,12 @@ class PosesDraft(AnsweredDraft):
             "triad": {"accelerometers": list(AXES)},
             **_make_model(self.triad),
         } | (
-            self._table(columns, answers, resolved_folder)
+            self._make_table_keys(columns, answers, resolved_folder)
             if is_table
-            else self._records(answers, resolved_folder)
+            else self._make_record_keys(answers, resolved_folder)
         )
 
-    def _table(
+    def _make_table_keys(
         self, columns: Sequence[str], answers: Mapping[str, str], folder: Path
     ) -> dict[str, Any]:
         """Return the keys for a table of poses: file and column roles."""
@@ -122,7 +122,7 @@ class PosesDraft(AnsweredDraft):
         readings |= {"u": answers["u"]} if "u" in answers else {}
         return {"readings": readings | {"attitude": "unknown", "columns": role_columns}}
 
-    def _records(self, answers: Mapping[str, str], folder: Path) -> dict[str, Any]:
+    def _make_record_keys(self, answers: Mapping[str, str], folder: Path) -> dict[str, Any]:
         """Return the keys for records of poses: time, and one run per record."""
         time = self.guesses[0].time
         poses = {"rest": answers["rest"]} | ({"u": answers["u"]} if "u" in answers else {})
@@ -164,18 +164,18 @@ def make_poses_draft(
         raise UsageError("init", ["give the record of the poses"])
     guesses: tuple[FileGuess, ...] = ()
     questions: tuple[FileQuestion, ...] = ()
-    found: TriadColumns | None = None
+    triad: TriadColumns | None = None
 
     def make_questions(valid_answers: Mapping[str, str]) -> tuple[FileQuestion, ...]:
-        nonlocal guesses, questions, found
+        nonlocal guesses, questions, triad
         guesses = tuple(guess_pose_file(contents, valid_answers) for contents in all_contents)
-        found = find_triad(guesses, valid_answers)
-        questions = tuple(_make_questions(guesses[0], found, valid_answers))
+        triad = find_triad(guesses, valid_answers)
+        questions = tuple(_make_questions(guesses[0], triad, valid_answers))
         return questions
 
     valid_answers, problems = validate_answers(answers, make_questions)
-    statements = tuple(_make_statements(guesses, found, valid_answers))
-    return PosesDraft(statements, questions, valid_answers, problems, guesses, found)
+    statements = tuple(_make_statements(guesses, triad, valid_answers))
+    return PosesDraft(statements, questions, valid_answers, problems, guesses, triad)
 
 
 def looks_like_poses(all_contents: Sequence[FileContents]) -> bool:
@@ -249,7 +249,7 @@ def _make_questions(
 def _make_statements(
     guesses: Sequence[FileGuess], triad: TriadColumns | None, answers: Mapping[str, str]
 ) -> Iterator[str]:
-    time, sampling = guesses[0].time, guesses[0].sampling_rate
+    time, sampling_rate = guesses[0].time, guesses[0].sampling_rate
     if triad is not None and triad.is_table:
         yield from _make_table_statements(guesses[0], triad)
         return
@@ -266,7 +266,7 @@ def _make_statements(
         yield "no rest interval was found in the record"
         return
     condition = (
-        " if the record has 100 rows per second" if time is None and sampling is None else ""
+        " if the record has 100 rows per second" if time is None and sampling_rate is None else ""
     )
     condition = (
         ", first part of the record," + condition if len(poses.level) == MAX_ROWS else condition

@@ -286,7 +286,11 @@ def _make_angle_questions(
 
 def _make_signal_questions(common_guess: FileGuess) -> Iterator[FileQuestion]:
     signals = {signal.column: signal for signal in common_guess.signals}
-    other_columns = {part.column for part in (common_guess.time, common_guess.angle) if part}
+    other_columns = {
+        column_guess.column
+        for column_guess in (common_guess.time, common_guess.angle)
+        if column_guess
+    }
     for column in common_guess.contents.columns:
         name = column.name
         if name in other_columns or column.is_timestamp:

@@ -257,13 +257,18 @@ def make_columns_question(columns: Sequence[FileColumn]) -> Iterator[FileQuestio
 
 
 def make_role_question(
-    part: str, text: str, names: Sequence[str], roles: Mapping[str, str], *, is_required: bool
+    unique_role: str,
+    text: str,
+    names: Sequence[str],
+    roles: Mapping[str, str],
+    *,
+    is_required: bool,
 ) -> FileQuestion:
     """Return the question about the column of a unique role."""
-    column_name = next((name for name, role in roles.items() if role == part), None)
+    column_name = next((name for name, role in roles.items() if role == unique_role), None)
     if is_required:
-        return FileQuestion(part, text, names[0], tuple(names), column_name)
-    return FileQuestion(part, text, NO_COLUMN, (*names, NO_COLUMN), column_name or NO_COLUMN)
+        return FileQuestion(unique_role, text, names[0], tuple(names), column_name)
+    return FileQuestion(unique_role, text, NO_COLUMN, (*names, NO_COLUMN), column_name or NO_COLUMN)
 
 
 def make_column_questions(

@@ -130,7 +130,7 @@ def guess_pose_file(contents: FileContents, answers: Mapping[str, str]) -> FileG
     if guess.time is not None and guess.time.unit is None:
         column = next(column for column in contents.columns if column.name == guess.time.column)
         median_step = _median_step(column.values)
-        unit = next(unit for unit, least in _MIN_STEP_BY_UNIT.items() if median_step > least)
+        unit = next(unit for unit, minimum in _MIN_STEP_BY_UNIT.items() if median_step > minimum)
         guess = guess_file(contents, {**answers, "time": column.name, "time unit": unit})
     return guess
 
@@ -209,7 +209,7 @@ def _search_triad(
         triad.columns for triad in known_triads[1:] if _has_same_gravity(triad, known_triads[0])
     )
     further_columns = (
-        named for named in other_columns if not set(named) & set(known_triads[0].columns)
+        names for names in other_columns if not set(names) & set(known_triads[0].columns)
     )
     return (
         replace(known_triads[0], further_columns=tuple(further_columns)) if known_triads else None
@@ -263,7 +263,7 @@ def _concatenate_files(guesses: Sequence[FileGuess]) -> tuple[dict[str, FileColu
     ]
     times, start_time = [], 0.0
     for guess, length in zip(guesses, lengths, strict=True):
-        seconds = _times_of(guess, length)
+        seconds = _find_times(guess, length)
         times.append(seconds - np.nanmin(seconds) + start_time)
         start_time = float(np.nanmax(times[-1])) + _FILE_GAP
     columns = {
@@ -281,7 +281,7 @@ def _concatenate_files(guesses: Sequence[FileGuess]) -> tuple[dict[str, FileColu
     return columns, np.concatenate(times)
 
 
-def _times_of(guess: FileGuess, n_rows: int) -> Array:
+def _find_times(guess: FileGuess, n_rows: int) -> Array:
     if guess.time is None:
         return np.arange(n_rows) / (guess.sampling_rate or DEFAULT_SAMPLING_RATE)
     column = next(column for column in guess.contents.columns if column.name == guess.time.column)
@@ -415,7 +415,7 @@ def guess_grade(triad: TriadColumns, guess: FileGuess) -> str | None:
     scatter = float(np.median(triad.poses.scatter)) / triad.gravity
     density = scatter * math.sqrt(2.0 * _sample_interval(guess))
     return next(
-        (grade for grade, least in _MIN_NOISE_BY_GRADE.items() if density > least), GRADES[0]
+        (grade for grade, minimum in _MIN_NOISE_BY_GRADE.items() if density > minimum), GRADES[0]
     )
 
 
@@ -448,9 +448,9 @@ def candidate_triples(columns: Sequence[FileColumn]) -> Iterator[ColumnTriple]:
     """
     named_triples = _find_named_triples(columns)
     yield from sorted(
-        named_triples, key=lambda three: bool(_GRAVITY_FILTER_NAME.match(three[0].name))
+        named_triples, key=lambda triple: bool(_GRAVITY_FILTER_NAME.match(triple[0].name))
     )
-    used_names = {column.name for three in named_triples for column in three}
+    used_names = {column.name for triple in named_triples for column in triple}
     other_columns = [column for column in columns if column.name not in used_names]
     yield from zip(other_columns, other_columns[1:], other_columns[2:], strict=False)
 

@@ -357,8 +357,8 @@ def _wait_reason(run: RecordedRun, columns: RecordColumns, table: MemoryTable) -
     if isinstance(run, PoseRecord):
         return (
             None
-            if seconds >= run.rest
-            else (f"only {seconds:.1f} of {run.rest:g} s at rest so far")
+            if seconds >= run.min_rest
+            else (f"only {seconds:.1f} of {run.min_rest:g} s at rest so far")
         )
     revolutions = abs(run.rate) * seconds / (2.0 * math.pi)
     if revolutions >= MIN_REVOLUTIONS:

@@ -19,7 +19,7 @@ from counterspin.calibration.model import fixed_symbols, make_unknowns
 from counterspin.calibration.outcome import make_coefficient
 from counterspin.calibration.result_parts import Provenance
 from counterspin.campaign.description import Campaign
-from counterspin.campaign.questions import questions
+from counterspin.campaign.questions import ask_questions
 from counterspin.campaign.reading import Reading
 from counterspin.inference.identifiability import ConfoundedTerms
 from counterspin.inference.joint.budget import budget
@@ -198,7 +198,7 @@ def make_plan_result(
         assumed=list(fixed_symbols(campaign, make_unknowns(campaign))),
         warnings=[
             *_single_rate_warnings(campaign),
-            *(question.text for question in questions(campaign)),
+            *(question.text for question in ask_questions(campaign)),
         ],
         provenance=Provenance(version=__version__, inputs={}),
     )

@@ -98,7 +98,7 @@ def read_rows(path: Path | MemoryTable, columns: RecordColumns, rate: float) -> 
     columns: Time, the angle if it was recorded, and one signal.
     rate: Stated rate, rad/s; 0 at rest, where no angle is read.
     """
-    return read_record(path, columns, NominalMotion(rate, constant_input=True), block=None)
+    return read_record(path, columns, NominalMotion(rate, has_constant_input=True), block=None)
 
 
 def mean_of_record(

@@ -188,7 +188,7 @@ class ArrayFile(ColumnFile):
         import polars as pl
 
         stamps = np.asarray(array[start:stop]).astype("datetime64[ns]").astype(np.int64)
-        return self.seconds(pl.Series(stamps))
+        return self.elapsed_seconds(pl.Series(stamps))
 
     def _table(self) -> pl.DataFrame:
         """Return all arrays of the file, which must be columns of numbers of equal length."""

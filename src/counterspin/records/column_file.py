@@ -276,7 +276,7 @@ class ColumnFile(ABC):
         import polars as pl
 
         times, is_valid = split_time.nanoseconds(batch)
-        return self.seconds(
+        return self.elapsed_seconds(
             pl.select(pl.when(pl.Series(is_valid)).then(pl.Series(times))).to_series()
         )
 
@@ -381,7 +381,7 @@ class ColumnFile(ABC):
         """Describe the first lines of a text file, one line each; empty for other files."""
         return ""
 
-    def seconds(self, timestamps: pl.Series) -> np.ndarray:
+    def elapsed_seconds(self, timestamps: pl.Series) -> np.ndarray:
         """Return time stamps, ns with gaps, as seconds since the first one of the file.
 
         Times of day without a date continue after midnight.

@@ -440,7 +440,7 @@ class CsvFile(ColumnFile):
             if frame.select(self._is_invalid(name)).to_series().any():
                 raise RecordError(f"{self.path}: a cell is not a time.", code="not-numeric")
             times = frame.select(parse_nanoseconds(name)).to_series()
-            frame = frame.with_columns(pl.Series(name, self.seconds(times)))
+            frame = frame.with_columns(pl.Series(name, self.elapsed_seconds(times)))
         return frame
 
     def _check_quotation_marks(self) -> None:

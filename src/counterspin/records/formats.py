@@ -126,10 +126,10 @@ def locate(path: Path | MemoryTable, row: int, dialect: Dialect = AUTODETECT) ->
 
 def _read_table(path: Path, dialect: Dialect) -> StoredTable:
     with open_columns(path, dialect) as file:
-        return _stored_table(file)
+        return _make_stored_table(file)
 
 
-def _stored_table(file: ColumnFile) -> StoredTable:
+def _make_stored_table(file: ColumnFile) -> StoredTable:
     units = file.units if file.units_row else {}
     return StoredTable(file.table(), units, file.delimiter, file.decimal, file.format_description)
 
@@ -138,8 +138,8 @@ def _read_small_table(path: Path, dialect: Dialect) -> tuple[StoredTable, list[s
     try:
         with open_columns(path, dialect) as file:
             # The context manager checks that the file has not changed.
-            table = _stored_table(file)
-            return table, file.row_locations(table.frame.height), _checksum(file.content())
+            table = _make_stored_table(file)
+            return table, file.row_locations(table.frame.height), _sha256(file.content())
     except NoRowsError:  # a sheet of text, such as attitudes: the first row contains the names
         with record_errors(path):
             content = read_file(path)
@@ -147,10 +147,10 @@ def _read_small_table(path: Path, dialect: Dialect) -> tuple[StoredTable, list[s
         frame = read_text(path, dialect, content)
         text_table = StoredTable(frame, {}, ColumnFile.delimiter, ColumnFile.decimal, "")
         locations = [f"row {row + 1} below the names" for row in range(frame.height)]
-        return text_table, locations, _checksum(content)
+        return text_table, locations, _sha256(content)
 
 
-def _checksum(content: bytes) -> str:
+def _sha256(content: bytes) -> str:
     return f"sha256:{hashlib.sha256(content).hexdigest()}"
 
 

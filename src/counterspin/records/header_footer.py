@@ -129,12 +129,12 @@ def count_footer_lines(split_lines: Sequence[Sequence[str]], decimal: str) -> in
     last_time = max((index for index, number in enumerate(is_time) if number), default=0)
     times = [cells[0].replace(decimal, ".") for cells in full_rows[: last_time + 1]]
     is_first_rising = all(is_time[: last_time + 1]) and all(
-        float(before) < float(after) for before, after in pairwise(times)
+        float(previous) < float(following) for previous, following in pairwise(times)
     )
-    count = 0
+    footer_count = 0
     for index, cells in enumerate(reversed(split_lines[-MAX_FOOTER_LINES:]), 1):
         if not any(cells) or cells[0].startswith("#"):
-            count += index == count + 1 and count > 0
+            footer_count += index == footer_count + 1 and footer_count > 0
             continue
         is_row = all(_is_row_cell(cells[n], decimal) for n in numeric_columns if n < len(cells))
         is_row = is_row and any(
@@ -150,8 +150,8 @@ def count_footer_lines(split_lines: Sequence[Sequence[str]], decimal: str) -> in
         )
         if is_row and not _RESULT_LABEL.fullmatch(cells[0]):
             break
-        count = index
-    return count if count < len(split_lines) - _MIN_ROWS else 0
+        footer_count = index
+    return footer_count if footer_count < len(split_lines) - _MIN_ROWS else 0
 
 
 def _is_row_cell(cell: str, decimal: str) -> bool:

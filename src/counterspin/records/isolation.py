@@ -16,7 +16,7 @@ from counterspin.records.format_registry import RECORD_FORMATS
 if TYPE_CHECKING:
     from counterspin.records.memory import MemoryTable
 
-R = TypeVar("R")
+ResultT = TypeVar("ResultT")
 
 #: Functions that start the reader process and call a function in it; loaded on demand.
 PREPARE_READER: Final = "counterspin.records.reader_process:prepare"
@@ -33,7 +33,7 @@ NATIVE_LIBRARIES: Final = {
 }
 
 
-def run_isolated(function: Callable[..., R], path: Path | MemoryTable, *args: Any) -> R:
+def run_isolated(function: Callable[..., ResultT], path: Path | MemoryTable, *args: Any) -> ResultT:
     """Return ``function(path, *args)``, called in the reader process if the format requires it."""
     if not uses_reader_process(path):
         return function(path, *args)
@@ -42,7 +42,7 @@ def run_isolated(function: Callable[..., R], path: Path | MemoryTable, *args: An
         raise reply
     if reply is None:  # the process cannot be started
         return function(path, *args)
-    value: R = reply[0]
+    value: ResultT = reply[0]
     return value
 
 

@@ -413,7 +413,8 @@ def _find_header(
                 # Columns before the channels are named in the last line.
                 cells_above = lines_above[-1][1] if not names[1] else []
                 channel_names = [
-                    name or old for name, old in zip_longest(["", *names[1:width]], cells_above)
+                    name or name_above
+                    for name, name_above in zip_longest(["", *names[1:width]], cells_above)
                 ]
                 return (number, [name or "" for name in channel_names[:width]]), [
                     "",

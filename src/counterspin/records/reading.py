@@ -224,7 +224,7 @@ class _RecordReader:
         averager: BlockAverager | None = None
         for columns in iter_chunks(self._file.batches(self._columns.names), self._choose_rows):
             rows = row_count(columns)
-            if not self._motion.constant_input:
+            if not self._motion.has_constant_input:
                 self._sums.add([columns[spec.name] for spec in self._signals])
             first_row, stop_row = self._row_range(columns, time_range)
             excluded_rows = rows - (stop_row - first_row)
@@ -250,7 +250,7 @@ class _RecordReader:
                         self._block,
                         self._clock.step,
                         self._motion.signal_rate(self._clock.rate),
-                        reject_outliers=not self._motion.multi_pose,
+                        reject_outliers=not self._motion.is_multi_pose,
                     )
                 signals = self._repeats.fill(self._rows + first_row, chunk.signals, self._block > 1)
                 chunk = Chunk(chunk.time, chunk.angle, signals)
@@ -329,7 +329,7 @@ class _RecordReader:
             self._count_empty(first_row, chunk.signals)
             return None
         block_means = averager.average(usable_chunk, usable.unevenness)
-        if not block_means.complete or usable.rows is not None:
+        if not block_means.is_complete or usable.rows is not None:
             self._count_empty(first_row, chunk.signals)
         for index, outliers in enumerate(block_means.outliers):
             if len(outliers):
@@ -364,7 +364,7 @@ class _RecordReader:
 
     def _check_empty_rows(self) -> None:
         counts = self._count_empty_cells()
-        if self._motion.multi_pose:
+        if self._motion.is_multi_pose:
             # Columns of slower sensors have many empty cells; rests are detected in the others.
             counts = {self._columns.time.name: counts[self._columns.time.name]}
         for name, count in counts.items():
@@ -396,7 +396,7 @@ class _RecordReader:
         counts = {self._columns.time.name: self._clock.findings.empty_time}
         if self._columns.angle is not None:
             counts[self._columns.angle.name] = self._clock.findings.empty_angle
-        blank_counts = self._repeats.blank
+        blank_counts = self._repeats.blank_counts
         for spec, empty, blank in zip(self._signals, self._empty_cells, blank_counts, strict=True):
             counts[spec.name] = empty - blank
         return counts
@@ -415,7 +415,7 @@ class _RecordReader:
             self._check_magnitude(spec, signal)
             if self._block > 1:
                 signal = self._reject_outlying_blocks(blocks, index, signal)
-            if not self._motion.constant_input:
+            if not self._motion.has_constant_input:
                 signal, harmonic_fit = self._check_amplitude(index, name, blocks, phase, signal)
                 noise = residual_noise(harmonic_fit) * np.sqrt(median(blocks.count))
                 batches = self._file.batches(self._columns.names)
@@ -500,8 +500,8 @@ class _RecordReader:
     ) -> RecordError:
         """Return the error for a change of unit, with its location in the file."""
         # Samples near the change were rejected as outliers: read the file again.
-        start = block_times[harmonic_fit.first[change.before]]
-        end = block_times[harmonic_fit.last[change.after]]
+        start = block_times[harmonic_fit.first_sample[change.revolution_before]]
+        end = block_times[harmonic_fit.last_sample[change.revolution_after]]
         spec = self._columns.signals[accelerometer]
         rows: list[np.ndarray] = []
         times: list[np.ndarray] = []

@@ -257,11 +257,11 @@ class NominalMotion:
     #: Accelerometer -> expected first harmonic of its signal; others are not checked.
     expected_harmonics: Mapping[str, FirstHarmonic] = field(default_factory=dict)
     #: Whether the input is constant, as at rest or on an arm, with small harmonics.
-    constant_input: bool = False
+    has_constant_input: bool = False
     #: Periods of the signal per revolution; negative if the force rotates against the spindle.
     waves: float = 1.0
     #: Whether the sensor is moved between poses, so that no sample is an outlier.
-    multi_pose: bool = False
+    is_multi_pose: bool = False
 
     def signal_rate(self, rate: float) -> float:
         """Return the rate of the spindle or of the signal, whichever is larger, rad/s."""

@@ -95,7 +95,7 @@ class AveragedChunk:
 
     blocks: BlockMeans  #: Block means.
     outliers: list[np.ndarray]  #: Indices of the outliers of each signal.
-    complete: bool  #: Whether all samples are known to be numbers.
+    is_complete: bool  #: Whether all samples are known to be numbers.
 
 
 class BlockAverager:
@@ -144,15 +144,15 @@ class BlockAverager:
         full_samples = len(time) // size * size
         tail = len(time) - full_samples
 
-        def means(x: np.ndarray) -> np.ndarray:
+        def average_blocks(x: np.ndarray) -> np.ndarray:
             mean: np.ndarray = x[:full_samples].reshape(-1, size) @ self._mean
             return np.append(mean, x[full_samples:].mean()) if tail else mean
 
-        mean_time = means(time)
+        mean_time = average_blocks(time)
         count = np.full(len(mean_time), size)
-        mean_angle = None if chunk.angle is None else means(chunk.angle)
+        mean_angle = None if chunk.angle is None else average_blocks(chunk.angle)
 
-        def spreads(x: np.ndarray, mean: np.ndarray) -> np.ndarray:
+        def block_sds(x: np.ndarray, mean: np.ndarray) -> np.ndarray:
             deviation = x[:full_samples].reshape(-1, size) - mean[: full_samples // size, None]
             spread = np.sqrt(np.einsum("ij,ij->i", deviation, deviation) / size)
             return np.append(spread, x[full_samples:].std()) if tail else spread
@@ -161,13 +161,13 @@ class BlockAverager:
         if unevenness < _IGNORED_UNEVENNESS:
             time_sd = np.full(len(mean_time), self._step * math.sqrt((size**2 - 1) / 12))
         else:
-            time_sd = spreads(time, mean_time)
+            time_sd = block_sds(time, mean_time)
             if chunk.angle is not None and mean_angle is not None:
-                angle_sd = spreads(chunk.angle, mean_angle)
+                angle_sd = block_sds(chunk.angle, mean_angle)
         if tail:
             time_sd[-1] = time[full_samples:].std()
             count[-1] = tail
-        signals = [means(signal) for signal in chunk.signals]
+        signals = [average_blocks(signal) for signal in chunk.signals]
         return BlockMeans(mean_time, time_sd, count, mean_angle, signals, angle_sd)
 
     def _mean_incomplete(
@@ -196,24 +196,24 @@ class BlockAverager:
         is_filled = count > 0
         divisor = np.maximum(count, 1)
 
-        def means(x: np.ndarray) -> np.ndarray:
+        def average_blocks(x: np.ndarray) -> np.ndarray:
             return np.add.reduceat(np.where(is_used, x, 0.0), starts) / divisor
 
-        mean_time = means(time)
-        time_sd = np.sqrt(means((time - mean_time[block_indices]) ** 2))
+        mean_time = average_blocks(time)
+        time_sd = np.sqrt(average_blocks((time - mean_time[block_indices]) ** 2))
         mean_angle, angle_sd = None, np.full(len(time_sd), math.nan)
         if chunk.angle is not None:
-            mean_angle = means(chunk.angle)
-            angle_sd = np.sqrt(means((chunk.angle - mean_angle[block_indices]) ** 2))
+            mean_angle = average_blocks(chunk.angle)
+            angle_sd = np.sqrt(average_blocks((chunk.angle - mean_angle[block_indices]) ** 2))
         return BlockMeans(
             mean_time[is_filled],
             time_sd[is_filled],
             count[is_filled],
             None if mean_angle is None else mean_angle[is_filled],
             [
-                np.where(missing_rows, np.nan, means(np.where(np.isfinite(signal), signal, 0.0)))[
-                    is_filled
-                ]
+                np.where(
+                    missing_rows, np.nan, average_blocks(np.where(np.isfinite(signal), signal, 0.0))
+                )[is_filled]
                 for signal, missing_rows in zip(chunk.signals, is_missing, strict=True)
             ],
             angle_sd[is_filled],

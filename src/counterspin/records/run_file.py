@@ -68,8 +68,8 @@ class RunFile:
 
     def use_strict_parser(self) -> bool:
         """Switch all files to the strict parser; see `ColumnFile`."""
-        has_switched = [file.use_strict_parser() for file in self._files]  # all of them
-        return any(has_switched)
+        switched = [file.use_strict_parser() for file in self._files]  # all of them
+        return any(switched)
 
     def locate_row(self, row: int) -> str:
         """Return the location of a row, with the name of a continuation file."""
@@ -175,7 +175,7 @@ def check_length(path: object, rows: int, duration: float, motion: NominalMotion
     duration: Time from the first to the last row, s.
     """
     revolutions = duration * abs(motion.rate) / (2.0 * math.pi)
-    is_constant = motion.constant_input
+    is_constant = motion.has_constant_input
     min_revolutions = MIN_REVOLUTIONS_OF_MEAN if is_constant else MIN_REVOLUTIONS
     if motion.rate and revolutions < min_revolutions * (1.0 - 1e-9):
         raise RecordError(

@@ -141,7 +141,7 @@ class RepeatedValues:
         self._repeat_counts = [0] * len(names)
         self._last_values = [math.nan] * len(names)
         self._first_row = 0
-        self.blank = [0] * len(names)  #: Values of each signal that were replaced by NaN.
+        self.blank_counts = [0] * len(names)  #: Values of each signal that were replaced by NaN.
 
     def start(self, path: object, first_row: int, time: Array, signals: Sequence[Array]) -> None:
         """Detect repeated values in the first chunk; RecordError if it cannot be decided.
@@ -178,7 +178,7 @@ class RepeatedValues:
             if interpolate and len(new_indices):
                 values = np.interp(np.arange(len(signal)), new_indices, signal[new_indices])
             else:
-                self.blank[index] += int(is_repeat.sum())
+                self.blank_counts[index] += int(is_repeat.sum())
             filled_signals[index] = np.where(is_repeat, values, signal)
         return filled_signals
 
@@ -241,14 +241,14 @@ def estimate_row_rate(time: Array) -> float:
     ValueError if rows are lost, so that they cannot be counted.
     """
     timestamps = join_bursts(time)
-    steps = np.diff(reconstruct_times(timestamps, int(np.sum(np.diff(timestamps) == 0.0))))
-    if np.ptp(steps) > 0.5 * median(steps):
+    time_steps = np.diff(reconstruct_times(timestamps, int(np.sum(np.diff(timestamps) == 0.0))))
+    if np.ptp(time_steps) > 0.5 * median(time_steps):
         raise InputError(
             "samples are missing among rows with equal time stamps; export time stamps with a "
             "finer resolution",
             "irregular-time",
         )
-    return 1.0 / median(steps)
+    return 1.0 / median(time_steps)
 
 
 def reconstruct_times(time: Array, restamped_count: int) -> Array:

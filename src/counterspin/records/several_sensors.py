@@ -113,8 +113,8 @@ def find_interleaved_sensors(
             continue
         for key, series in numbers.items():
             # Any periodic column splits the rows of a coarse clock into even times.
-            is_long = key != name and len(series) == len(column)
-            is_fine = is_long and float(np.mean(np.diff(series) > 0.0)) > _MIN_RISING_FRACTION
+            has_all_rows = key != name and len(series) == len(column)
+            is_fine = has_all_rows and float(np.mean(np.diff(series) > 0.0)) > _MIN_RISING_FRACTION
             if (
                 is_fine
                 and not _has_even_steps(series)

@@ -76,11 +76,11 @@ class HarmonicFit:
     coefficients: np.ndarray
     #: Mean angle, rad, and standard deviation of the residuals, (m,).
     centre: np.ndarray
-    deviation: np.ndarray
+    residual_sd: np.ndarray
     u_amplitude: np.ndarray  #: Standard uncertainty of each part of the amplitude, (m,).
     #: First and last sample, (m,) int.
-    first: np.ndarray
-    last: np.ndarray
+    first_sample: np.ndarray
+    last_sample: np.ndarray
 
     @property
     def amplitude(self) -> np.ndarray:
@@ -135,15 +135,15 @@ def fit_harmonics(angle: np.ndarray, signal: np.ndarray) -> HarmonicFit:
 
 def residual_noise(harmonic_fit: HarmonicFit) -> float:
     """Return the noise of a signal around its harmonics, in its unit; NaN if unknown."""
-    return median(harmonic_fit.deviation) if len(harmonic_fit.deviation) else math.nan
+    return median(harmonic_fit.residual_sd) if len(harmonic_fit.residual_sd) else math.nan
 
 
 @frozen
 class UnitChange:
     """A change of amplitude: a revolution before and one after it, and its description."""
 
-    before: int
-    after: int
+    revolution_before: int
+    revolution_after: int
     description: str
 
 
@@ -207,12 +207,14 @@ def find_dropout(harmonic_fit: HarmonicFit, angle: np.ndarray, signal: np.ndarra
     dropouts = []
     for first, last in zip(changes[::2], changes[1::2] + 1, strict=True):
         neighbours = (max(int(first) - 1, 0), min(int(last) + 1, len(is_outlying) - 1))
-        samples = np.arange(harmonic_fit.first[neighbours[0]], harmonic_fit.last[neighbours[1]] + 1)
+        samples = np.arange(
+            harmonic_fit.first_sample[neighbours[0]], harmonic_fit.last_sample[neighbours[1]] + 1
+        )
         is_deviating = np.ones(len(samples), dtype=bool)
         for revolution in neighbours:
             limit = (
                 _DROPOUT_FRACTION * abs(harmonic_fit.amplitude[revolution])
-                + _DROPOUT_SDS * harmonic_fit.deviation[revolution]
+                + _DROPOUT_SDS * harmonic_fit.residual_sd[revolution]
             )
             is_deviating &= (
                 np.abs(signal[samples] - harmonic_fit.value(revolution, angle[samples])) > limit
@@ -240,8 +242,8 @@ def find_changepoint(
     harmonic_fit: HarmonicFit, change: UnitChange, angle: np.ndarray, signal: np.ndarray
 ) -> int:
     """Return the sample at which a signal, (n,), changes from the fit before to that after."""
-    misfit_before = np.abs(signal - harmonic_fit.value(change.before, angle))
-    misfit_after = np.abs(signal - harmonic_fit.value(change.after, angle))
+    misfit_before = np.abs(signal - harmonic_fit.value(change.revolution_before, angle))
+    misfit_after = np.abs(signal - harmonic_fit.value(change.revolution_after, angle))
     return int(np.argmin(np.append(0.0, np.cumsum(np.nan_to_num(misfit_before - misfit_after)))))
 
 
@@ -288,8 +290,8 @@ def _median_amplitude_sd(harmonic_fit: HarmonicFit, median_amplitude: complex) -
     """Return the standard deviation of the median amplitude, from the scatter of revolutions."""
     revolution_count = len(harmonic_fit.amplitude)
     between_sd = MAD_TO_SIGMA * median(np.abs(harmonic_fit.amplitude - median_amplitude))
-    samples = np.maximum(harmonic_fit.last - harmonic_fit.first + 1, 1)
-    within_sd = median(harmonic_fit.deviation * np.sqrt(2.0 / samples))
+    samples = np.maximum(harmonic_fit.last_sample - harmonic_fit.first_sample + 1, 1)
+    within_sd = median(harmonic_fit.residual_sd * np.sqrt(2.0 / samples))
     return math.hypot(between_sd, within_sd) * math.sqrt(0.5 * math.pi / revolution_count)
 
 

@@ -77,7 +77,7 @@ class ParquetFile(ColumnFile):
         for frame in numeric_columns.collect_batches(maintain_order=True):
             columns = frame_columns(frame)
             for name in self.timestamp_columns:
-                columns[name] = self.seconds(frame[name])
+                columns[name] = self.elapsed_seconds(frame[name])
             yield columns
 
     def _cells(self, column: str) -> list[str]:
@@ -295,7 +295,7 @@ class ExcelFile(ColumnFile):
                     stripped_text.to_frame().select(parse_nanoseconds("text")).to_series()
                 )
                 value = parsed_times.fill_null(datetimes)
-                columns[name] = self.seconds(value)
+                columns[name] = self.elapsed_seconds(value)
             else:
                 value = numbers.to_series(index)
                 if self.decimal == ",":

@@ -57,14 +57,14 @@ def _read_profile(path: Path | MemoryTable, columns: RecordColumns) -> tuple[flo
 
 
 def _compute_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> tuple[float, ...]:
-    (spec,) = columns.signals.values()
-    location = f"{file.path}: column '{spec.name}'"
+    (column_spec,) = columns.signals.values()
+    location = f"{file.path}: column '{column_spec.name}'"
     time_span, last_time, longest_gap, rows = (math.inf, -math.inf), math.nan, (0.0, 0.0, 0.0), 0
     segments: list[Array] = []
     for chunk in iter_chunks(file.batches(columns.names), lambda _: chunk_size(1)):
         time, temperatures = (
             chunk[columns.time.name] * columns.time.factor,
-            chunk[spec.name] + spec.offset,
+            chunk[column_spec.name] + column_spec.offset,
         )
         infinite_rows = np.flatnonzero(np.isinf(time))
         if len(infinite_rows):
@@ -82,9 +82,9 @@ def _compute_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> tupl
                 file.locate_row(rows + int(implausible_rows[0])),
             )
             raise RecordError(
-                f"{file.path}, {row_location}: column '{spec.name}' contains {temperature:.6g} "
-                f"K ({temperature - ZERO_CELSIUS:.6g} degC), which is outside the operating "
-                "range of any accelerometer. Check the unit of the column.",
+                f"{file.path}, {row_location}: column '{column_spec.name}' contains "
+                f"{temperature:.6g} K ({temperature - ZERO_CELSIUS:.6g} degC), which is outside "
+                "the operating range of any accelerometer. Check the unit of the column.",
                 code="value-out-of-range",
             )
         rows += len(time)

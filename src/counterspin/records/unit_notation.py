@@ -150,11 +150,11 @@ def number_rewriters(text: str) -> Iterator[Callable[[str], str]]:
 def find_thousands_separator(text: str) -> str | None:
     """Return the thousands separator of cells with decimals; or None."""
     for separator, decimal in _DECIMAL_BY_SEPARATOR.items():
-        edge = '"' if separator == "," else r'["\t;\n]'
+        boundary = '"' if separator == "," else r'["\t;\n]'
         # Blanks at the beginning of a line may separate columns.
-        start = edge.replace(r"\n", "") if separator == " " else edge
+        start = boundary.replace(r"\n", "") if separator == " " else boundary
         cell_pattern = (
-            rf"{start}[-+]?\d{{1,3}}(?:{re.escape(separator)}\d{{3}})+{decimal}\d+(?={edge})"
+            rf"{start}[-+]?\d{{1,3}}(?:{re.escape(separator)}\d{{3}})+{decimal}\d+(?={boundary})"
         )
         if separator in text and re.search(cell_pattern, f"\n{text}\n"):
             return separator
@@ -163,6 +163,8 @@ def find_thousands_separator(text: str) -> str | None:
 
 def strip_thousands(text: str, separator: str) -> str:
     """Remove thousands separators from a text."""
-    edge = '"' if separator == "," else r'["\t;\r\n]'
-    cell_pattern = rf"(?<={edge})[-+]?\d{{1,3}}(?:{re.escape(separator)}\d{{3}})+(?=[.,]?\d*{edge})"
+    boundary = '"' if separator == "," else r'["\t;\r\n]'
+    cell_pattern = (
+        rf"(?<={boundary})[-+]?\d{{1,3}}(?:{re.escape(separator)}\d{{3}})+(?=[.,]?\d*{boundary})"
+    )
     return re.sub(cell_pattern, lambda match: match[0].replace(separator, ""), f"\n{text}\n")[1:-1]

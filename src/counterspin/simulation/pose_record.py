@@ -34,7 +34,7 @@ def pose_duration(record: PoseRecord) -> float:
 
     It is twice the requested duration plus the second that the search for rests needs.
     """
-    return 2.0 * record.rest + 1.0
+    return 2.0 * record.min_rest + 1.0
 
 
 def record_duration(record: PoseRecord, n_poses: int) -> float:

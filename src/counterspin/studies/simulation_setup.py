@@ -251,7 +251,7 @@ def set_pose_noise(campaign: Campaign, records: tuple[PoseRecord, ...]) -> Campa
     assert campaign.triad is not None
     truth = campaign.simulation.truth
     # A simulated rest has twice the requested duration, in addition to the search time.
-    noise_sd = mean_noise(campaign, 2.0 * min(record.rest for record in records))
+    noise_sd = mean_noise(campaign, 2.0 * min(record.min_rest for record in records))
     noise = dict.fromkeys(campaign.triad.accelerometers, noise_sd) | dict(truth.reading_noise)
     simulated_truth = replace(truth, reading_noise=noise)
     return replace(campaign, simulation=campaign.simulation.replace_private(truth=simulated_truth))

@@ -89,7 +89,7 @@ def extract_poses(campaign: Campaign, record: PoseRecord) -> Iterator[LocatedPos
     start_time = reference_point(campaign).time if record.time is None else record.time
     in_si = {name: not channel.in_g for name, channel in _force_columns(campaign).items()}
     columns = pose_columns(campaign, record)
-    detected, table = read_poses(source, columns, record.rest, record.threshold)
+    detected, table = read_poses(source, columns, record.min_rest, record.threshold)
     source_record = RecordWithPoses(record.name, detected, table.report)
     temperatures, mid_times = record.temperature, 0.5 * (detected.start + detected.end)
     knot_times = np.linspace(detected.time[0], detected.time[-1], len(temperatures or ()))

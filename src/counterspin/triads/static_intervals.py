@@ -117,7 +117,7 @@ def read_poses(
     rest, threshold: As in `find_poses`; the threshold in the unit that the columns come in.
     """
     record = read_record(
-        path, columns, NominalMotion(0.0, constant_input=True, multi_pose=True), block=None
+        path, columns, NominalMotion(0.0, has_constant_input=True, is_multi_pose=True), block=None
     )
     values = np.column_stack(list(record.signals.values()))
     try:
