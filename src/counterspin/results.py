@@ -157,7 +157,7 @@ class ResultFile(ResultPart):
         seal = f'"{_compute_seal(text)}"' if self._has_seal else "null"
         return re.sub(r'"seal": [^\n]*,', f'"seal": {seal},', text, count=1)
 
-    def with_seal(self) -> Self:
+    def copy_with_seal(self) -> Self:
         """Return a copy with the seal of its file, to be included in another result."""
         return self.model_copy(update={"seal": json.loads(self.to_json())["seal"]})
 
@@ -294,7 +294,7 @@ def unsealed_sentences(names: Sequence[str]) -> list[str]:
     return [f"{subject} no seal{parenthesis}, so later changes cannot be excluded."]
 
 
-def environment() -> dict[str, str]:
+def describe_environment() -> dict[str, str]:
     """Return the versions of Python, NumPy and SciPy, and the type of machine."""
     return {
         "python": platform.python_version(),
@@ -387,20 +387,16 @@ class ReportableResult(ResultFile):
 
     def __repr__(self) -> str:
         """Return the first 20 lines of the report."""
-        return str(load_name(f"{_PUBLICATION_MODULE}:short_text")(self._blocks_of_cell()))
+        return str(load_name(f"{_PUBLICATION_MODULE}:short_text")(self._cell_blocks()))
 
     __str__ = __repr__
 
     def _repr_html_(self) -> str:
-        return str(
-            load_name("counterspin.reports.html:render_notebook_cell")(self._blocks_of_cell())
-        )
+        return str(load_name("counterspin.reports.html:render_notebook_cell")(self._cell_blocks()))
 
     def _repr_markdown_(self) -> str:
-        return str(
-            load_name("counterspin.reports.markdown:render_markdown")(self._blocks_of_cell())
-        )
+        return str(load_name("counterspin.reports.markdown:render_markdown")(self._cell_blocks()))
 
-    def _blocks_of_cell(self) -> list[Block]:
+    def _cell_blocks(self) -> list[Block]:
         blocks: list[Block] = load_name("counterspin.reports.blocks:remove_pictures")(self.blocks())
         return blocks

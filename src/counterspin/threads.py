@@ -20,7 +20,7 @@ class _ThreadLimit:
         self._asking = 0
         self._limit: Any = None
 
-    def set(self) -> None:
+    def acquire(self) -> None:
         """Limit the threads of the libraries that are loaded."""
         from threadpoolctl import threadpool_limits
 
@@ -29,7 +29,7 @@ class _ThreadLimit:
             if self._asking == 1:
                 self._limit = threadpool_limits(limits=1, user_api="blas")
 
-    def lift(self) -> None:
+    def release(self) -> None:
         """Restore the previous number of threads."""
         with self._lock:
             self._asking -= 1
@@ -51,8 +51,8 @@ def single_blas_thread() -> Iterator[None]:
     if any(os.environ.get(name) for name in BLAS_THREAD_VARIABLES):
         yield
         return
-    _SINGLE_THREAD_LIMIT.set()
+    _SINGLE_THREAD_LIMIT.acquire()
     try:
         yield
     finally:
-        _SINGLE_THREAD_LIMIT.lift()
+        _SINGLE_THREAD_LIMIT.release()

@@ -204,7 +204,7 @@ class _DaskExecutor(Executor):
         task = self._client.submit(fn, *args, **kwargs, pure=False)
         self._tasks.add(task)
 
-        def keep(completed_task: Any) -> None:
+        def copy_outcome(completed_task: Any) -> None:
             if future.set_running_or_notify_cancel():
                 try:
                     future.set_result(completed_task.result())
@@ -212,7 +212,7 @@ class _DaskExecutor(Executor):
                     future.set_exception(error)
             self._tasks.discard(task)
 
-        task.add_done_callback(keep)
+        task.add_done_callback(copy_outcome)
         return future
 
 

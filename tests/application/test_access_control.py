@@ -152,10 +152,10 @@ def test_oldest_tickets_expire(monkeypatch):
     monkeypatch.setattr(access_control.time, "monotonic", lambda: now[0])
     first = tickets.issue("first")
     many = [tickets.issue(number) for number in range(100)]
-    assert tickets.take(first) is None
-    assert tickets.take(many[0]) == 0
+    assert tickets.redeem(first) is None
+    assert tickets.redeem(many[0]) == 0
     now[0] = 61.0
-    assert tickets.take(many[1]) is None
+    assert tickets.redeem(many[1]) is None
 
 
 def test_content_security_policy_allows_only_same_origin(page):

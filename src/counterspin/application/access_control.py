@@ -143,7 +143,7 @@ class Tickets(Generic[T]):
                 del self._targets[next(iter(self._targets))]
         return ticket
 
-    def take(self, ticket: str) -> T | None:
+    def redeem(self, ticket: str) -> T | None:
         """Return the request of a ticket; None if the ticket is not valid."""
         with self._lock:
             issued, target = self._targets.pop(ticket, (-_TICKET_LIFETIME, None))
@@ -234,13 +234,13 @@ class AccessControl:
                 raise _RequestTooLargeError
             return message
 
-        async def send_and_note(message: Message) -> None:
+        async def send_and_record(message: Message) -> None:
             nonlocal has_response_begun
             has_response_begun = True
             await send(message)
 
         try:
-            await self._app(scope, receive_limited, send_and_note)
+            await self._app(scope, receive_limited, send_and_record)
         except ClientDisconnect:
             return  # the client has disconnected
         except _RequestTooLargeError:

@@ -314,7 +314,7 @@ def begin_sample(app: AppState) -> JobEntry:
 def run_sample(connection: Connection, folder: Path) -> None:
     """Simulate and calibrate a sample; report to `connection` as `report_progress` does."""
 
-    def work(progress: ProgressCallback) -> None:
+    def simulate_and_calibrate(progress: ProgressCallback) -> None:
         from counterspin.calibration.calibrate import calibrate
         from counterspin.reproduction.demo import write_description
         from counterspin.simulation.simulate import simulate
@@ -327,7 +327,7 @@ def run_sample(connection: Connection, folder: Path) -> None:
             calibrate(sample, progress=progress).write(sample / _RESULT_NAME)
             sample.rename(folder)
 
-    report_progress(connection, work)
+    report_progress(connection, simulate_and_calibrate)
 
 
 def to_json(value: Any) -> str:

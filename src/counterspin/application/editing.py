@@ -158,7 +158,7 @@ def set_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
     try:
         expected = _make_expected_document(parsed, path, value)
         document = tomlkit.parse(text)
-        _set_formatted(document, path, value)
+        _set_and_keep_format(document, path, value)
         changed_text = tomlkit.dumps(document)
         is_expected = parse_toml(changed_text) == expected
     except (TOMLKitError, LookupError, TypeError, ValueError, AttributeError) as error:
@@ -183,7 +183,7 @@ def _make_expected_document(document: dict[str, Any], path: KeyPath, value: Any)
     return changed_document
 
 
-def _set_formatted(document: tomlkit.TOMLDocument, path: KeyPath, value: Any) -> None:
+def _set_and_keep_format(document: tomlkit.TOMLDocument, path: KeyPath, value: Any) -> None:
     """Change a document and keep its formatting."""
     container: Any = document
     added_keys: list[tuple[Any, str]] = []

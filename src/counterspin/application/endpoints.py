@@ -178,20 +178,20 @@ def handle_request(
             app, **{key: getattr(request, key) for key in request_model(handler).model_fields}
         )
 
-    response = call_or_error(app, call_handler)
+    response = call_with_error_response(app, call_handler)
     return response if isinstance(response, ApiResponse) else ApiResponse(200, response)
 
 
 def handle_ticket(app: AppState, ticket: str) -> ApiResponse:
     """Handle the request of a ticket."""
-    target = app.tickets.take(ticket)
+    target = app.tickets.redeem(ticket)
     if target is None:
         text = "This download link has already been used. Click the download button again."
         return ApiResponse(404, {"error": text, "code": "not-found"})
     return handle_request(app, "GET", *target)
 
 
-def call_or_error(app: AppState, function: Callable[[], T]) -> T | ApiResponse:
+def call_with_error_response(app: AppState, function: Callable[[], T]) -> T | ApiResponse:
     """Return the result of a function, or the response for its error."""
     try:
         return function()

@@ -313,7 +313,7 @@ class LiveViews:
         empty_state = {"html": "", "events": [], "complete": False, "reached": None}
         with self._lock:
             key = (campaign, goal)
-            view = self._view(key)
+            view = self._get_view(key)
             has_ended = False
             while not has_ended and (message := view.worker.receive()) is not None:
                 match message:
@@ -327,7 +327,7 @@ class LiveViews:
                 self._views.pop(key).worker.terminate()
             return cast("LiveState", empty_state | view.state)
 
-    def _view(self, key: tuple[Path, str]) -> _View:
+    def _get_view(self, key: tuple[Path, str]) -> _View:
         """Return the live view of a campaign with a goal; start it if there is none."""
         view = self._views.get(key)
         if view is None:
@@ -378,7 +378,7 @@ def current_uncertainties(state: WatchState) -> CurrentUncertainties:
 def run_live_view(connection: Connection, campaign: Path, goal: str) -> None:
     """Monitor the records of a campaign, and send each new state."""
 
-    def work(_: ProgressCallback) -> None:
+    def send_states(_: ProgressCallback) -> None:
         from counterspin.monitoring.watch import watch
         from counterspin.reports.html import render_fragment
 
@@ -393,4 +393,4 @@ def run_live_view(connection: Connection, campaign: Path, goal: str) -> None:
             }
             connection.send(("told", {"html": render_fragment(blocks, title="Live"), **message}))
 
-    report_progress(connection, work)
+    report_progress(connection, send_states)

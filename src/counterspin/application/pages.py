@@ -231,12 +231,12 @@ def _make_forecast_page(app: AppState, names: Sequence[str], _: str) -> PageCalc
 def run_forecast(connection: Connection, file: Path) -> None:
     """Forecast a campaign, and report as `report_progress` does."""
 
-    def work(_: ProgressCallback) -> PlanResult:
+    def compute_forecast(_: ProgressCallback) -> PlanResult:
         from counterspin.planning.plan import check
 
         return check(file)
 
-    report_progress(connection, work)
+    report_progress(connection, compute_forecast)
 
 
 def _make_study_page(app: AppState, names: Sequence[str], _: str) -> Page:

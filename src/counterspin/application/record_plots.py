@@ -76,7 +76,7 @@ def record_overview(app: AppState, name: str, run: str, fit: bool = False) -> Re
     campaign, run_description = _find_run(app, name, run)
     try:
         record = (
-            get_fitted_run(app, name, run) if fit else _cached_record(campaign, run_description)
+            get_fitted_run(app, name, run) if fit else _get_cached_record(campaign, run_description)
         )
     except NotFoundError:
         return {"overview": None}
@@ -110,7 +110,9 @@ def record_window(
     low, high: First and last time, s.
     fit: As in `record_overview`.
     """
-    record = get_fitted_run(app, name, run) if fit else _cached_record(*_find_run(app, name, run))
+    record = (
+        get_fitted_run(app, name, run) if fit else _get_cached_record(*_find_run(app, name, run))
+    )
     # Include one more row on either side, so that lines continue to the edges of the window.
     start = max(int(np.searchsorted(record.time, low)) - 1, 0)
     stop = int(np.searchsorted(record.time, high, side="right")) + 1
@@ -158,7 +160,7 @@ def _find_run(app: AppState, name: str, run: str) -> tuple[Campaign, Run]:
     raise NotFoundError(f"{name} has no run {run!r} with a record")
 
 
-def _cached_record(campaign: Campaign, run: Run) -> PlotColumns:
+def _get_cached_record(campaign: Campaign, run: Run) -> PlotColumns:
     files = [campaign.path, run.record]
     return _RECORD_CACHE.get((campaign.path, run.name), files, lambda: _read_record(campaign, run))
 
@@ -249,7 +251,7 @@ def _fit_cache_key(app: AppState, name: str) -> tuple[tuple[str, Path], list[Pat
 def run_fit(connection: Connection, campaign: Path) -> None:
     """Fit a campaign's records; report to `connection` as in `report_progress`."""
 
-    def work(_: ProgressCallback) -> dict[str, PlotColumns]:
+    def fit_records(_: ProgressCallback) -> dict[str, PlotColumns]:
         from counterspin.calibration.joint import estimate_campaign
         from counterspin.calibration.joint_problem import JointProblem
         from counterspin.calibration.observed_runs import add_recorded_conditions, observe
@@ -277,7 +279,7 @@ def run_fit(connection: Connection, campaign: Path) -> None:
                 )
         return {run: _merge_columns(run_data) for run, run_data in runs.items()}
 
-    report_progress(connection, work)
+    report_progress(connection, fit_records)
 
 
 def subtract_polynomial(time: Array, values: Array, degree: int) -> Array:
@@ -359,18 +361,18 @@ def get_study_duration(app: AppState, name: str) -> DurationAnswer:
 def run_duration_estimate(connection: Connection, campaign: Path) -> None:
     """Estimate the duration of a study; report to `connection` as in `report_progress`."""
 
-    def work(_: ProgressCallback) -> Any:
+    def estimate(_: ProgressCallback) -> Any:
         from counterspin.studies.study import estimate_duration
 
         return estimate_duration(campaign)
 
-    report_progress(connection, work)
+    report_progress(connection, estimate)
 
 
 def run_study(connection: Connection, campaign: Path, output: Path, trials: int) -> None:
     """Study a campaign and write the result; report to `connection` as in `report_progress`."""
 
-    def work(progress: ProgressCallback) -> None:
+    def run_and_write(progress: ProgressCallback) -> None:
         from counterspin.output import check_writable
         from counterspin.studies.result import StudyResult
         from counterspin.studies.study import study
@@ -378,7 +380,7 @@ def run_study(connection: Connection, campaign: Path, output: Path, trials: int)
         check_writable(output, StudyResult.file_type, overwrite=True)
         study(campaign, trials=trials, progress=progress).write(output, overwrite=True)
 
-    report_progress(connection, work)
+    report_progress(connection, run_and_write)
 
 
 def begin_simulation(app: AppState, name: str, folder: str) -> JobEntry:
@@ -405,9 +407,9 @@ def begin_simulation(app: AppState, name: str, folder: str) -> JobEntry:
 def run_simulation(connection: Connection, campaign: Path, folder: Path) -> None:
     """Simulate a campaign's records in a folder; report as in `report_progress`."""
 
-    def work(progress: ProgressCallback) -> None:
+    def simulate_records(progress: ProgressCallback) -> None:
         from counterspin.simulation.simulate import simulate
 
         simulate(campaign, folder, progress=progress)
 
-    report_progress(connection, work)
+    report_progress(connection, simulate_records)

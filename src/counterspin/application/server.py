@@ -47,7 +47,7 @@ from counterspin.application.app_state import AppState
 from counterspin.application.campaigns import to_json
 from counterspin.application.endpoints import (
     ApiResponse,
-    call_or_error,
+    call_with_error_response,
     handle_request,
     handle_ticket,
 )
@@ -77,7 +77,7 @@ class TimedConnection(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Register a connection; if there are too many, close the one that has waited longest."""
         super().connection_made(transport)
-        self._limit_time()
+        self._update_timer()
         connections = [c for c in self.connections if isinstance(c, TimedConnection)]
         waiting_connections = [
             c for c in connections if c._head_timer is not None and not c.transport.is_closing()
@@ -96,12 +96,12 @@ class TimedConnection(H11Protocol):
             super().data_received(data)
         except h11.LocalProtocolError:
             self.transport.close()
-        self._limit_time()
+        self._update_timer()
 
     def _deadline(self) -> float:
         return math.inf if self._head_timer is None else self._head_timer.when()
 
-    def _limit_time(self) -> None:
+    def _update_timer(self) -> None:
         if self.conn.their_state is not h11.IDLE:
             self._stop_timer()
         elif self._head_timer is None:
@@ -134,7 +134,7 @@ _MEDIA_TYPES: Final = {
 def make_application(app: AppState, credentials: Credentials) -> Starlette:
     """Return the ASGI application for a folder."""
 
-    async def session(request: Request) -> Response:
+    async def create_session(request: Request) -> Response:
         try:
             token = json.loads(await request.body())["token"]
             key = credentials.exchange_token(token) if isinstance(token, str) else None
@@ -159,15 +159,15 @@ def make_application(app: AppState, credentials: Credentials) -> Starlette:
             await run_in_threadpool(handle_request, app, request.method, name, payload)
         )
 
-    async def ticket(request: Request) -> Response:
+    async def redeem_ticket(request: Request) -> Response:
         return _to_starlette(
             await run_in_threadpool(handle_ticket, app, request.path_params["ticket"])
         )
 
-    async def files(request: Request) -> Response:
+    async def receive_upload(request: Request) -> Response:
         name = request.query_params.get("name", "")
         upload = await run_in_threadpool(
-            call_or_error, app, lambda: campaign_files.open_upload(app, name)
+            call_with_error_response, app, lambda: campaign_files.open_upload(app, name)
         )
         if isinstance(upload, ApiResponse):
             return _to_starlette(upload)
@@ -176,7 +176,7 @@ def make_application(app: AppState, credentials: Credentials) -> Starlette:
                 async for chunk in request.stream():
                     await run_in_threadpool(file.write, chunk)
             response = await run_in_threadpool(
-                call_or_error, app, lambda: campaign_files.complete_upload(app, upload)
+                call_with_error_response, app, lambda: campaign_files.complete_upload(app, upload)
             )
             return _to_starlette(
                 response if isinstance(response, ApiResponse) else ApiResponse(200, response)
@@ -194,7 +194,7 @@ def make_application(app: AppState, credentials: Credentials) -> Starlette:
         finally:
             upload.discard()
 
-    async def page(request: Request) -> Response:
+    async def serve_static_file(request: Request) -> Response:
         return _static_file(request.path_params.get("file", "index.html"))
 
     @asynccontextmanager
@@ -205,12 +205,12 @@ def make_application(app: AppState, credentials: Credentials) -> Starlette:
 
     application = Starlette(
         routes=[
-            Route(SESSION_PATH, session, methods=["POST"]),
-            Route(FILES_PATH, files, methods=["POST"]),
-            Route(f"{TICKET_PATH}{{ticket}}", ticket),
+            Route(SESSION_PATH, create_session, methods=["POST"]),
+            Route(FILES_PATH, receive_upload, methods=["POST"]),
+            Route(f"{TICKET_PATH}{{ticket}}", redeem_ticket),
             Route("/api/{name}", api_request, methods=["GET", "POST", "PUT", "DELETE"]),
-            Route("/", page),
-            Route("/assets/{file}", page),
+            Route("/", serve_static_file),
+            Route("/assets/{file}", serve_static_file),
         ],
         middleware=[Middleware(AccessControl, credentials=credentials)],
         lifespan=lifespan,

@@ -191,7 +191,7 @@ def begin_search(app: AppState, name: str) -> JobEntry:
 def run_search(connection: Connection, campaign: Path) -> None:
     """Search for helpful runs; report to `connection` as in `report_progress`."""
 
-    def work(progress: ProgressCallback) -> dict[str, SuggestedRuns | None]:
+    def search_runs(progress: ProgressCallback) -> dict[str, SuggestedRuns | None]:
         from counterspin.calibration.observed_runs import add_recorded_conditions
         from counterspin.campaign.description import read_campaign
         from counterspin.planning.recorded import observe_with_noise, suggest_runs
@@ -211,7 +211,7 @@ def run_search(connection: Connection, campaign: Path) -> None:
             )
         return suggestions
 
-    report_progress(connection, work)
+    report_progress(connection, search_runs)
 
 
 def _get_search_results(app: AppState, name: str) -> dict[str, SuggestedRuns | None] | None:

@@ -22,7 +22,7 @@ from counterspin.campaign.conditions import reference_point, temperatures_of
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.questions import ask_questions
 from counterspin.records.signals import TREND_LABELS as REMOVED
-from counterspin.results import environment
+from counterspin.results import describe_environment
 
 #: Fraction of the stated duration below which a record counts as incomplete.
 COMPLETE_FRACTION: Final = 0.9
@@ -99,7 +99,7 @@ def assemble_result(
             inputs=dict(checksums),
             in_memory=dict(origins),
             options=command_arguments(method, options),
-            environment=environment(),
+            environment=describe_environment(),
         ),
     )
     result._residuals = outcome.residuals

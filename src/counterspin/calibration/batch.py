@@ -39,7 +39,7 @@ class BatchResult(ReportableResult):
     ) -> dict[str, Result | FailedCampaign]:
         """Seal each result, so that it equals a separately written file."""
         return {
-            folder: outcome.with_seal() if isinstance(outcome, Result) else outcome
+            folder: outcome.copy_with_seal() if isinstance(outcome, Result) else outcome
             for folder, outcome in campaigns.items()
         }
 

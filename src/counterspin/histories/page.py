@@ -374,7 +374,7 @@ def _result_row(point: Point, factor: float) -> tuple[str, ...]:
     if point.difference is not None:
         difference_text = format_number(point.difference * factor, 2)
         if rounded is not None and not rounded.exponent:
-            difference_text = rounded.write(point.difference * factor)
+            difference_text = rounded.format(point.difference * factor)
     return (
         point.date,
         point.file,

@@ -213,11 +213,11 @@ def _check_with_others(
     fit: Fit of this record alone; None if the record cannot be fitted alone.
     """
 
-    def existing_record(candidate: RecordedRun) -> RecordedRun | None:
+    def keep_existing(candidate: RecordedRun) -> RecordedRun | None:
         in_memory = candidate.record in campaign.frames
         return candidate if candidate is run or in_memory or candidate.record.exists() else None
 
-    observer = Observer(_map_records(campaign, existing_record))
+    observer = Observer(_map_records(campaign, keep_existing))
     observer.poll()
     recorded_campaign, observed_runs = observer.read_usable_runs()
     other_names = [item.run.name for item in observed_runs]

@@ -157,13 +157,15 @@ def noise(
     )
 
 
-def _parse_quantity(name: str, text: str | None, unit: str) -> float | None:
+def _parse_quantity(argument_name: str, text: str | None, unit: str) -> float | None:
     if text is None:
         return None
     try:
         return abs(parse_exact(text, unit))
     except ValueError as error:
-        raise CampaignError("noise", [f"`{name}`: {error}"], code=error_code(error)) from error
+        raise CampaignError(
+            "noise", [f"`{argument_name}`: {error}"], code=error_code(error)
+        ) from error
 
 
 def _select_signals(signals: list[StaticSignal], columns: Sequence[str]) -> list[StaticSignal]:

@@ -108,7 +108,7 @@ class _Schedule:
     pace: Pace
     fit_due: float = 0.0
 
-    def after_fit(self, cost: float) -> None:
+    def schedule_fit(self, cost: float) -> None:
         self.fit_due = time.monotonic() + max(self.pace.interval, cost / self.pace.share)
 
     def wait(self) -> None:
@@ -128,7 +128,7 @@ def _iterate_states(
         if is_due and time.monotonic() >= schedule.fit_due:
             fit_start = time.process_time()
             state = _make_watch_state(campaign, observer, goals, tuple(events))
-            schedule.after_fit(time.process_time() - fit_start)
+            schedule.schedule_fit(time.process_time() - fit_start)
             events, is_due = [], False
             yield state
             if once or state.complete:

@@ -133,7 +133,7 @@ def _clean_svg(text: str, picture: Picture, theme: SvgTheme) -> str:
     referenced_ids = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
     id_prefix = "p" + hashlib.sha256(f"{picture.title}{theme}{text}".encode()).hexdigest()[:10]
 
-    def cleaned_tag(tag: re.Match[str]) -> str:
+    def clean_tag(tag: re.Match[str]) -> str:
         # Text between tags stays unchanged.
         tag_text = re.sub(r' transform="rotate\(-?0 [^"]*\)"| font-family: [^;"]*;?', "", tag[0])
         tag_text = re.sub(
@@ -147,7 +147,7 @@ def _clean_svg(text: str, picture: Picture, theme: SvgTheme) -> str:
             r"#01[0-9a-f]{2}fe", lambda match: _css_colour(_COLOUR_NAMES[match[0]], theme), tag_text
         )
 
-    text = re.sub(r"<[^>]+>", cleaned_tag, text)
+    text = re.sub(r"<[^>]+>", clean_tag, text)
     text = re.sub(r"\n *<g>\n *</g>", "", text)
     text = re.sub(r"(<text [^>]*>)([^<]*)(?=</text>)", _set_svg_indices, text)
     head, _, body = text.partition(">")
@@ -164,10 +164,10 @@ def _clean_svg(text: str, picture: Picture, theme: SvgTheme) -> str:
 def _set_svg_indices(match: re.Match[str]) -> str:
     """Return SVG text with symbols such as K_II set as a letter and its index."""
 
-    def lowered(letter: str, index: str) -> str:
+    def format_symbol(letter: str, index: str) -> str:
         return f'{letter}<tspan dy="2" font-size="6.5">{index}</tspan><tspan dy="-2">'
 
-    typeset_text = set_indices(match[2], lowered)
+    typeset_text = set_indices(match[2], format_symbol)
     return match[1] + typeset_text + "</tspan>" * typeset_text.count('<tspan dy="-2">')
 
 

@@ -47,7 +47,7 @@ def render_html(
     """
     title, identifier = escape_controls(title), escape_controls(identifier)
     page = _PageBuilder()
-    summary, *chapters = page.chapters(blocks, title)
+    summary, *chapters = page.make_chapters(blocks, title)
     has_heading = any(isinstance(block, Heading) and block.level == 1 for block in blocks)
     utc_date = date.astimezone(UTC)
     return (
@@ -74,7 +74,7 @@ def render_html(
 
 def render_notebook_cell(blocks: Sequence[Block]) -> str:
     """Return blocks as HTML for a notebook cell, in the colours and font of its page."""
-    content = _PageBuilder().items(blocks, "Result")
+    content = _PageBuilder().make_items(blocks, "Result")
     style = Markup(_read_asset("cell.css").strip())
     return (
         _template_environment().get_template("cell.html.jinja").render(content=content, style=style)
@@ -87,7 +87,7 @@ def render_fragment(blocks: Sequence[Block], *, title: str) -> str:
     Static pictures take long to draw: the fragment has ``data-place`` instead, the index of the
     picture, so that the page can request them one by one.
     """
-    summary, *chapters = _PageBuilder(draws_pictures=False).chapters(blocks, title)
+    summary, *chapters = _PageBuilder(draws_pictures=False).make_chapters(blocks, title)
     template = _template_environment().get_template("part.html.jinja")
     return template.render(summary=summary["content"], chapters=chapters, tabbed=_is_tabbed(blocks))
 
@@ -152,20 +152,20 @@ class _PageBuilder:
         self.draws_pictures = draws_pictures
         self.n_pictures = 0
 
-    def chapters(self, blocks: Iterable[Block], title: str) -> list[dict[str, Any]]:
+    def make_chapters(self, blocks: Iterable[Block], title: str) -> list[dict[str, Any]]:
         """Return title, id and content of each chapter, after the content before the first."""
         chapters: list[tuple[dict[str, Any], list[Block]]] = [({"title": title}, [])]
         for block in blocks:
             if isinstance(block, Heading) and block.level == 2:
-                chapters.append(({"title": block.text, "id": self.name(block.text)}, []))
+                chapters.append(({"title": block.text, "id": self.make_id(block.text)}, []))
             else:
                 chapters[-1][1].append(block)
         return [
-            chapter | {"content": self.items(chapter_blocks, chapter["title"])}
+            chapter | {"content": self.make_items(chapter_blocks, chapter["title"])}
             for chapter, chapter_blocks in chapters
         ]
 
-    def name(self, text: str) -> str:
+    def make_id(self, text: str) -> str:
         """Return an id that is unique in the page."""
         slug = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "part"
         # The prefix avoids the ids of pictures and of the page.
@@ -176,13 +176,13 @@ class _PageBuilder:
         self.used_ids.add(element_id)
         return element_id
 
-    def items(self, blocks: Iterable[Block], label: str) -> list[dict[str, Any]]:
+    def make_items(self, blocks: Iterable[Block], label: str) -> list[dict[str, Any]]:
         """Return the items of a chapter, with related neighbours merged."""
         items: list[dict[str, Any]] = []
         for item_type, group in groupby(blocks, _item_type):
             group_blocks = list(group)
             if item_type == "card":
-                cards = [self.item(block, label) for block in group_blocks]
+                cards = [self.make_item(block, label) for block in group_blocks]
                 items.append({"kind": "cards", "cards": cards})
             elif item_type in VALUE_STYLES:
                 lines = [
@@ -195,27 +195,27 @@ class _PageBuilder:
                 for block in group_blocks:
                     if isinstance(block, Heading):
                         label = block.text
-                    items.append({"kind": item_type, **self.item(block, label)})
+                    items.append({"kind": item_type, **self.make_item(block, label)})
         return items
 
-    def item(self, block: Block, label: str) -> dict[str, Any]:
+    def make_item(self, block: Block, label: str) -> dict[str, Any]:
         """Return the template's data for a block; `label` is the heading above it."""
         match block:
             case Heading():
-                return {"block": block, "id": self.name(block.text)}
+                return {"block": block, "id": self.make_id(block.text)}
             case Table():
                 return {"block": block, "label": f"Table: {label}"}
             case Paragraph():
                 return {"block": block}
             case Card():
-                return {"block": block, "id": self.name(f"card {block.title}")}
-        return self.figure(block)
+                return {"block": block, "id": self.make_id(f"card {block.title}")}
+        return self.make_figure(block)
 
-    def figure(self, picture: Picture) -> dict[str, Any]:
+    def make_figure(self, picture: Picture) -> dict[str, Any]:
         """Return the static picture, and the data for zooming if it is zoomable."""
         figure: dict[str, Any] = {
             "block": picture,
-            "id": self.name(picture.title),
+            "id": self.make_id(picture.title),
             "data": None,
             "place": None,
         }
@@ -262,8 +262,8 @@ def _set_symbols(text: str) -> Markup:
 
 
 def _set_html_indices(text: str, *symbol: str) -> Markup:
-    def index(symbol_letter: str, index: str) -> str:
+    def format_symbol(symbol_letter: str, index: str) -> str:
         # The hidden underscore makes K_II searchable and copyable.
         return f"{symbol_letter}<sub><i>_</i>{index}</sub>"
 
-    return Markup(set_indices(str(Markup.escape(text)), index, *symbol))
+    return Markup(set_indices(str(Markup.escape(text)), format_symbol, *symbol))

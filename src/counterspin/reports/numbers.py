@@ -56,7 +56,7 @@ class RoundedEstimate:
     exponent: int  #: The common power of ten; 0 where none is needed.
     last_digit: int  #: Power of ten of the last digit.
 
-    def write(self, number: float) -> str:
+    def format(self, number: float) -> str:
         """Return another number with the same last digit and power of ten."""
         return _format_digits(_to_decimal(number), self.last_digit, self.exponent)
 
@@ -132,7 +132,7 @@ def format_interval(value: float, u: float, half_width: float, unit: str = "") -
     ends = (value - half_width, value + half_width)
     if rounded is None:
         return _append_unit(" to ".join(format_number(end, 17) for end in ends), unit)
-    text = " to ".join(rounded.write(end) for end in ends)
+    text = " to ".join(rounded.format(end) for end in ends)
     if rounded.exponent:
         text = f"({text}) x 1e{rounded.exponent}"
     return _append_unit(text, unit)

@@ -210,13 +210,13 @@ def _table_item(block: Table) -> dict[str, Any]:
 def _compile_pdf(layout_data: dict[str, Any], files: dict[str, bytes], utc_date: datetime) -> bytes:
     from typst import TypstError
 
-    def compiled(data: Any, *, only_typst_fonts: bool = True) -> bytes:
+    def compile_layout(data: Any, *, only_typst_fonts: bool = True) -> bytes:
         pages = _run_typst(_layout_files(data) | files, utc_date, only_typst_fonts=only_typst_fonts)
         assert isinstance(pages, bytes)
         return pages
 
     try:
-        return compiled(layout_data)
+        return compile_layout(layout_data)
     except TypstError as error:
         # PDF/A requires a glyph for each character (ISO 19005-3, 6.2.11.8).
         if not any(message in error.message for message in _MISSING_GLYPH):
@@ -231,7 +231,7 @@ def _compile_pdf(layout_data: dict[str, Any], files: dict[str, bytes], utc_date:
         if not _has_glyph(character, only_typst_fonts=False)
     ]
     replacements = str.maketrans(dict.fromkeys(missing_everywhere, _REPLACEMENT))
-    return compiled(
+    return compile_layout(
         _translate_texts(layout_data, replacements),
         only_typst_fonts=missing_everywhere == missing_from_typst,
     )

@@ -18,7 +18,7 @@ import numpy as np
 from counterspin._version import __version__
 from counterspin.certificates.schema import load_schema
 from counterspin.output import check_writable, make_folder, marked_file_type
-from counterspin.results import environment
+from counterspin.results import describe_environment
 from counterspin.validation.cases import Case, cases, load_document
 from counterspin.validation.kernels import NotAvailableError, run_case
 from counterspin.validation.page import CheckedCase, Dossier, Installation
@@ -56,7 +56,7 @@ def inspect_installation() -> Installation:
         digest.update(hashlib.sha256(path.read_bytes()).digest())
     return Installation(
         version=__version__,
-        environment=environment(),
+        environment=describe_environment(),
         packages=dependencies,
         files=len(paths),
         checksum=f"sha256:{digest.hexdigest()}",

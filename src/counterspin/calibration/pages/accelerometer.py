@@ -317,7 +317,7 @@ def _jackknife_table(lines: Sequence[Jackknife], coefficient: Coefficient) -> It
             return NOT_DETERMINED
         scaled_number = number * factor
         return (
-            rounded_estimate.write(scaled_number)
+            rounded_estimate.format(scaled_number)
             if rounded_estimate is not None
             else format_number(scaled_number, 6)
         )
