@@ -65,7 +65,7 @@ angle = "1e-6 rad"
 
 ASSUMED = 'assume = "all"\n'
 STARTING = "Python with NumPy, scipy.linalg, polars, Pydantic"
-TWO_KINDS = "counterspin calibrate, noise of two kinds stated"
+TWO_KINDS = "counterspin calibrate, two noise types, stated"
 #: counterspin sets the number of threads too; without it, idle threads of BLAS use processor time.
 IMPORTS = (
     "import os; os.environ.setdefault('OPENBLAS_NUM_THREADS', '1'); "
@@ -115,7 +115,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
                 STARTING,
             ),
             TWO_KINDS: ([*calibrate, folders["stated"]], None, None, STARTING),
-            "counterspin calibrate, noise of two kinds estimated": (
+            "counterspin calibrate, two noise types, estimated": (
                 [*calibrate, folders["mixed"]],
                 3.0,
                 1.5,
@@ -143,7 +143,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
         "start-up time alone. The two ratios are the fastest time and the processor time, "
         "divided by the values in the first row. For the row with estimated noise, the "
         "reference is the same campaign with stated noise. `assume` is `all` unless the row "
-        "states something else."
+        "states otherwise."
     )
     columns = [
         "process",
@@ -155,7 +155,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
         "target of the ratio",
         "peak MB",
     ]
-    return [Table("A usual campaign", remark, columns, rows)]
+    return [Table("A typical campaign", remark, columns, rows)]
 
 
 if __name__ == "__main__":

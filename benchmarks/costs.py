@@ -34,7 +34,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
                 {
                     "counterspin calibrate": [*COUNTERSPIN, "calibrate", name],
                     "polars reads and sums": [*PYTHON, "-c", READ, name, ".parquet"],
-                    "script of NumPy and pandas": [
+                    "script with NumPy and pandas": [
                         *PYTHON,
                         str(HERE / "peer.py"),
                         name,

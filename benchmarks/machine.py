@@ -69,7 +69,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     limits = {
         "memory, NumPy triad a = b + 3 c, one core (GB/s)": TRIAD,
         "standard normals, one core (million/s)": NORMALS,
-        "standard normals, two cores at once / one": TWO_CORES,
+        "standard normals, ratio of two cores at once to one core": TWO_CORES,
         "SHA-256, one core (GB/s)": CHECKSUM,
     }
     commands = {name: [*PYTHON, "-c", code] for name, code in limits.items()}
@@ -86,7 +86,8 @@ def _machine() -> str:
         name = models[0].partition(":")[2].strip() if models else name
     return (
         f"{name}, {os.cpu_count()} cores, Python {platform.python_version()}, "
-        f"{platform.system()}. The load was {os.getloadavg()[0]:.1f} when the benchmarks began. "
+        f"{platform.system()}. The load average was {os.getloadavg()[0]:.1f} when the benchmarks "
+        "began. "
         "Each value is the best of several passes."
     )
 

@@ -105,7 +105,7 @@ def main(keep: bool) -> None:
         "Each value is the time in seconds from a click on the records of a campaign until "
         "Chromium has drawn the last of three curves. The table gives the fastest of three "
         "measurements by `benchmarks/page.py`.",
-        ["rows", "first view, with reading of the file", "later view", "zoom"],
+        ["rows", "first view, including file reading", "later view", "zoom"],
         [[f"{rows:,}", *times] for rows, times in found.items()],
     )
     print(render([measured]))

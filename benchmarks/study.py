@@ -63,7 +63,7 @@ def _paper(found: dict[str, Any], full: bool) -> Table:
 
     rows = [
         row("counterspin study", "given", 0.25, None),
-        row("counterspin study, sigma from the residuals", "residuals", None, None),
+        row("counterspin study, sigma estimated from the residuals", "residuals", None, None),
         row("NumPy, all readings, chunks in cache", "brute force", None, 8.0),
         row("loop of numpy.linalg.lstsq", "lstsq", None, 100.0),
         row("uncertainties package, one analysis at a time", "uncertainties", None, None),
@@ -86,7 +86,7 @@ def _paper(found: dict[str, Any], full: bool) -> Table:
         "on one core, within a single process. Each time is the median of several repetitions "
         "that alternate between the methods. All methods yield the same K_II and u. The "
         "`uncertainties` package propagates uncertainties to first order without trials, so its "
-        f"time is that of the same number of analyses. {remark}.",
+        f"time is that for the same number of analyses. {remark}.",
         [
             "method",
             "median (s)",

@@ -80,8 +80,8 @@ def main(seconds, keep):
             "processor time, s": round(cpu, 2),
             "time, s": round(wall, 1),
             "share of a core, %": round(100.0 * cpu / wall, 1),
-            "last state after the last row, s": round(states[-1][0] - written, 1),
-            "u of K_II minus that of calibrate, relative": found["u"] / result.u - 1.0,
+            "time from the last row to the last state, s": round(states[-1][0] - written, 1),
+            "relative difference of u(K_II) from that of calibrate": found["u"] / result.u - 1.0,
             "memory, MB": round(used.ru_maxrss / 1024),
         }
         measured = Table(

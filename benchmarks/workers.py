@@ -43,9 +43,9 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     one, two = found["one"], found["two"]
     rows: list[list[Cell]] = [
         ["1e+06 trials of the paper's plan", *_times(found["paper"]), None, None],
-        [f"{many:.1e} trials of exact physics, one worker", *_times(one), None, None],
+        [f"{many:.1e} trials with exact physics, one worker", *_times(one), None, None],
         [
-            f"{many:.1e} trials of exact physics, two workers",
+            f"{many:.1e} trials with exact physics, two workers",
             *_times(two),
             one.median / two.median,
             1.7,
@@ -58,7 +58,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
             "prepares and performs the trials, and writes the report. Repetitions of different "
             "processes alternate. The processor time is the sum over all processes. Two workers "
             "cannot be faster than two cores at once (see the limits of the machine), and other "
-            f"work on the machine slows them down. The load was {load:.1f} before the "
+            f"work on the machine slows them down. The load average was {load:.1f} before the "
             "measurement.",
             ["process", "median (s)", "fastest (s)", "processor (s)", "speed-up", "target"],
             rows,

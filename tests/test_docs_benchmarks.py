@@ -42,11 +42,11 @@ def test_numbers_have_three_digits(table):
 def test_readme_states_measured_times(rows):
     words = " ".join((ROOT / "README.md").read_text("utf-8").split())
     promised = (
-        "less than a second. A hundred million rows in a Parquet file take four seconds and 150 MB "
-        "of memory"
+        "less than a second. Calibrating with a hundred million rows in a Parquet file takes four "
+        "seconds and 150 MB of memory"
     )
     assert promised in words
-    assert rows["A usual campaign"]["counterspin calibrate"][0] < 1.0
+    assert rows["A typical campaign"]["counterspin calibrate"][0] < 1.0
     long = {name: cells[1] for name, cells in rows["Long records"].items()}
     assert long["counterspin calibrate (s)"] == pytest.approx(4.0, abs=0.5)
     assert long["calibrate, peak memory (MB)"] == pytest.approx(150.0, abs=25.0)
@@ -74,9 +74,9 @@ def test_watch_page_states_stored_results(rows):
         kept["processor time, s"],
         kept["time, s"],
         kept["share of a core, %"],
-        kept["last state after the last row, s"],
+        kept["time from the last row to the last state, s"],
     ]
-    assert kept["u of K_II minus that of calibrate, relative"] == 0.0
+    assert kept["relative difference of u(K_II) from that of calibrate"] == 0.0
 
 
 def test_application_page_states_stored_results(rows):

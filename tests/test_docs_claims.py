@@ -492,10 +492,10 @@ def benchmark_results():
 
 def test_start_up_takes_most_of_calibration_time(benchmark_results):
     text = read_text("benchmarks")
-    usual = benchmark_results["A usual campaign"]
+    usual = benchmark_results["A typical campaign"]
     start, whole = (usual[name] for name in list(usual)[:4:3])
     assert list(usual)[3] == "counterspin calibrate"
-    assert "More than half of the time for a usual campaign is spent on loading" in text
+    assert "More than half of the time for a typical campaign is spent on loading" in text
     assert start["fastest (s)"] > 0.5 * whole["fastest (s)"]
     long = benchmark_results["Long records"]
     csv, parquet = (
@@ -543,7 +543,7 @@ def test_quickstart_truth_matches_starter():
 
 
 def test_integral_accuracy_matches_text():
-    (number,) = find_numbers("README", "40-digit integrals to {},")
+    (number,) = find_numbers("README", "integrals evaluated to 40 digits to within {}, or")
     assert find_numbers("trust", "agreement to {}, and to") == [number]
     (of_jumps,) = find_numbers("trust", "and to {} for the displacement of K_0_asym")
     for beginning, count, limit in (

@@ -36,9 +36,9 @@ class MonteCarloCheck(ResultPart):
 
     mean: float  #: Mean of the draws, m/s^2.
     u: float  #: Standard deviation of the draws, m/s^2.
-    low: float  #: Lower end of the symmetric 95 % interval, m/s^2.
-    high: float  #: Upper end of the symmetric 95 % interval, m/s^2.
-    distance: float  #: Largest difference from the ends of the GUM interval, m/s^2.
+    low: float  #: Lower endpoint of the symmetric 95 % interval, m/s^2.
+    high: float  #: Upper endpoint of the symmetric 95 % interval, m/s^2.
+    distance: float  #: Largest endpoint difference from the GUM interval, m/s^2.
     tolerance: float  #: Largest difference at which the GUM interval is validated, m/s^2.
     #: Whether the GUM interval is validated to two digits of u (JCGM 101, clause 8).
     validated: bool
@@ -50,7 +50,7 @@ class AppliedLevel(ResultPart):
     level: float  #: Nominal acceleration, g.
     rate: float  #: Rate of the centrifuge, rad/s; negative in the clockwise sense.
     acceleration: float  #: Applied acceleration, mean over a revolution, m/s^2.
-    u: float  #: Standard uncertainty by the GUM, first order, m/s^2.
+    u: float  #: First-order standard uncertainty (GUM method), m/s^2.
     u_relative: float  #: `u` divided by the acceleration.
     dominant: str | None  #: Source with the largest share; None if all sources are exact.
     budget: list[AppliedContribution]  #: Contributions, the largest first.
@@ -69,12 +69,12 @@ class AppliedAcceleration(ReportableResult):
 
     title: str  #: Title of the campaign.
     version: str  #: Version of counterspin.
-    gravity: float  #: Gravity of the site, m/s^2; also the unit g of the levels.
+    gravity: float  #: Gravity at the site, m/s^2; also defines the unit g of the levels.
     mounting: str | None  #: Mounting whose alignment is used; None if none is stated.
     draws: int  #: Number of Monte Carlo draws.
     seed: int  #: Seed of the draws.
     applied_sources: list[AppliedSource]  #: Sources of uncertainty.
-    levels: list[AppliedLevel]  #: Levels, in the given order.
+    levels: list[AppliedLevel]  #: Levels, in the order given.
 
     def source(self, name: str) -> AppliedSource:
         """Return the source with a name."""
